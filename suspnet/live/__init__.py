@@ -1,1 +1,1 @@
-"""Live monitoring: sources of frames, what is done with them, and the replay of recorded trips."""
+"""Live monitoring: sources of frames, how they are processed, and the replay of recorded trips."""

@@ -22,10 +22,10 @@ HOST_VARIABLE, LOCAL = "SUSPNET_MQTT_HOST", "localhost"
 HOST = re.compile(r"[\w.:%-]+")
 """A host name, or an address of version 4 or 6."""
 OUR_VARIABLE = re.compile(r"SUSPNET_[A-Z0-9_]+", re.ASCII)
-"""Names of environment variables that may hold a password: a configuration names one, and must not
-send the content of others to a broker."""
+"""Environment variables that may hold a password: a configuration names one, and must not be able
+to send the content of any other variable to a broker."""
 MOST_PREFIX = 200
-"""Largest number of characters of the first part of topics."""
+"""Largest number of characters of the topic prefix."""
 KEEPALIVE_S = 30
 """A connection without traffic for one and a half times this [s] is lost."""
 BACKOFF_S = (1, 30)
@@ -36,18 +36,12 @@ MOST_PER_REQUEST = 100
 
 @dataclass(frozen=True)
 class Broker:
-    """Where an MQTT 5 broker is and how to connect to it.
-
-    Raises
-    ------
-    TypeError, ValueError
-        If a setting is out of range.
-    """
+    """Address of an MQTT 5 broker and how to connect to it."""
 
     host: str | None = setting(
         None,
-        "Name or address of the broker's machine; null is what the environment variable "
-        "SUSPNET_MQTT_HOST says, else this machine. Only the command line and that variable can "
+        "Name or address of the broker's machine; null is the environment variable "
+        "SUSPNET_MQTT_HOST, else this machine. Only the command line and that variable can "
         "name another",
         rule="name",
     )
@@ -61,7 +55,7 @@ class Broker:
     password_env: str = setting(
         "SUSPNET_MQTT_PASSWORD",
         "Name of that environment variable",
-        rule="name that begins with SUSPNET_",
+        rule="name that starts with SUSPNET_",
     )
     tls: bool = setting(
         False, "Whether the connection is encrypted, and the broker's certificate checked"
@@ -72,7 +66,7 @@ class Broker:
         rule="path",
     )
     cert_file: str | None = setting(
-        None, "File of a certificate that says who we are, which is sent to the broker", rule="path"
+        None, "File of the client certificate, which is sent to the broker", rule="path"
     )
     key_file: str | None = setting(
         None, "File of the key of that certificate, which stays here", rule="path"
@@ -86,7 +80,7 @@ class Broker:
             raise ValueError(f"`host` must be a name or an address, got {self.host!r}")
         if not isinstance(self.password_env, str) or not OUR_VARIABLE.fullmatch(self.password_env):
             raise ValueError(
-                "`password_env` must be the name of an environment variable that begins with "
+                "`password_env` must be the name of an environment variable that starts with "
                 f"SUSPNET_, got {self.password_env!r}"
             )
         if (
@@ -97,7 +91,7 @@ class Broker:
             or self.prefix[0] in "$/"
         ):
             raise ValueError(
-                "`prefix` must be the short beginning of a topic, without + and # and not after $ "
+                "`prefix` must be the short start of a topic, without + and #, not starting with $ "
                 f"or /; got {self.prefix!r}"
             )
         files = (self.ca_file, self.cert_file, self.key_file)
@@ -120,12 +114,10 @@ class Broker:
         return f"{self.host}:{self.port}"
 
     def client(self, client_id: str, manual_ack: bool = False) -> Client:
-        """Return a client, not yet connected, that connects again with backoff.
+        """Return a client, not yet connected, that reconnects with backoff.
 
-        Raises
-        ------
-        OSError, ValueError
-            If paho-mqtt is not installed, the password is not set, or a certificate not readable.
+        It raises OSError or ValueError if paho-mqtt is not installed, the password is not set, or a
+        certificate cannot be read.
         """
         mqtt = paho()
         client: Client = mqtt.Client(
@@ -145,7 +137,7 @@ class Broker:
             client.username_pw_set(self.user, password)
         if self.tls:
             for file in filter(None, (self.ca_file, self.cert_file, self.key_file)):
-                if not Path(file).is_file():  # a FIFO would be waited for
+                if not Path(file).is_file():  # opening a FIFO would block
                     raise FileNotFoundError(2, "there is no such file", file)
             client.tls_set(self.ca_file, self.cert_file, self.key_file)
         log.info(
@@ -158,7 +150,7 @@ class Broker:
 
 
 def paho() -> Any:
-    """Return the module of clients of paho-mqtt; ValueError says how to install it."""
+    """Return paho-mqtt's client module; ValueError with the install command if it is missing."""
     try:
         return importlib.import_module("paho.mqtt.client")
     except ImportError as error:
@@ -166,7 +158,7 @@ def paho() -> Any:
 
 
 def properties_of_connect(**values: int) -> Any:
-    """Return the properties of a request to connect, by their names in MQTT 5."""
+    """Return the properties of a CONNECT packet, by their MQTT 5 names."""
     paho()
     names = importlib.import_module("paho.mqtt.packettypes").PacketTypes
     found = importlib.import_module("paho.mqtt.properties").Properties(names.CONNECT)

@@ -21,22 +21,22 @@ from suspnet.recordings.frames import MOST_BYTES, FrameError, decode
 
 log = logging.getLogger(__name__)
 TAKEN = "taken"
-"""Name of the subfolder for files that were read."""
+"""Subfolder for files that were read."""
 MOST_LOST = 4 * MOST_BYTES
-"""Number of bytes in a row without a frame after which a file is not read further."""
+"""A file is abandoned after this many bytes in a row without a frame."""
 MOST_REPORTED = 100
-"""Number of files that are named in the log because they are left where they are."""
+"""Largest number of files that the log names as left in place."""
 PIECE_BYTES, BATCH_BYTES = 2**18, 2**23
-"""Number of bytes that are read at once, and number given at once."""
+"""Number of bytes read at once, and number returned by one `receive`."""
 HEAD_BYTES = 2**12
 """Number of bytes at the start of a file that hold the time of its first frame."""
 UNFINISHED = (".part", ".tmp")
-"""Ends of the names of files that are still being written."""
+"""Suffixes of files that are still being written."""
 
 
 @dataclass(frozen=True)
 class _File:
-    """A file as it was when it was opened; `n_given` frames were given with its last one."""
+    """A file as it was when it was opened; `n_given` frames were returned up to its last one."""
 
     path: Path
     identity: tuple[int, int, int]
@@ -46,30 +46,23 @@ class _File:
 class DropFolder:
     """Source of the frames in files, of one or more frames each.
 
-    A file is written under a name that begins with "." or ends with ".part" or ".tmp", and then
+    A file is written under a name that starts with "." or ends with ".part" or ".tmp", and then
     renamed; no name is used twice. Files are read in pieces, in the order of the times of their
-    first frames. Once all of its frames are confirmed, a file moves to ``taken/`` or is deleted, if
-    it holds nothing but valid frames of the suspensions monitored here. All others are left where
-    they are and reported once: links, FIFOs and files that do not begin with a frame, which are not
-    read; and files that hold anything else or are cut off, whose frames are given all the same.
+    first frames. Once all frames of a file are confirmed, it moves to ``taken/`` or is deleted, if
+    it holds only valid frames of the suspensions monitored here. All other files stay in place and
+    are reported once: links, FIFOs and files that do not start with a frame are not read; files
+    that hold anything else or are cut off are read, and their frames returned.
 
     Memory is bounded by one batch of frames, 8 MiB, one frame, and the names of the files.
-
-    Raises
-    ------
-    TypeError, ValueError
-        If a setting is out of range.
     """
 
     settings: ClassVar[Mapping[str, Setting]] = {
         "folder": Setting("Folder into which files are renamed once they are whole", rule="path"),
-        "then": Setting(
-            "What happens to a file that was read and is kept: moved to taken/, or deleted"
-        ),
-        "poll_s": Setting("Time between two looks into the folder", "s", low=0.01, high=60),
+        "then": Setting("What happens to a file that was read: moved to taken/, or deleted"),
+        "poll_s": Setting("Time between two scans of the folder", "s", low=0.01, high=60),
         "once": Setting("Whether to end when all files were read"),
     }
-    """What each argument means and which values it takes."""
+    """Meaning and range of each argument."""
 
     def __init__(
         self,
@@ -91,11 +84,11 @@ class DropFolder:
 
     @property
     def counts(self) -> Counter[str]:
-        """As `Splitter.counts`, and files "left", "vanished", "unreadable" or "replaced"."""
+        """`Splitter.counts`, and files "left", "vanished", "unreadable" or "replaced"."""
         return Counter(self._counts)
 
     def subscribe(self, suspensions: Sequence[str]) -> Sequence[str]:
-        """Check the folder; all suspensions are this process's. See `Source`."""
+        """Check the folder; all suspensions belong to this process. See `Source`."""
         if not self.folder.is_dir():
             raise FileNotFoundError(2, "there is no such folder", str(self.folder))
         self._check_taken()
@@ -134,7 +127,7 @@ class DropFolder:
         return frames
 
     def confirm(self, n_frames: int | None = None) -> None:
-        """Move or delete the files all of whose frames are confirmed. See `Source`."""
+        """Move or delete the files whose frames are all confirmed. See `Source`."""
         self._n_confirmed = self._n_given if n_frames is None else self._n_confirmed + n_frames
         while self._read and self._read[0].n_given <= self._n_confirmed:  # ends: with the files
             file = self._read.popleft()
@@ -173,7 +166,7 @@ class DropFolder:
         self._known.update(new)
         for name in sorted(new):
             if not found[name]:
-                self._leave(self.folder / name, "it is no plain file")
+                self._leave(self.folder / name, "it is not a regular file")
         plain = (self.folder / name for name in new if found[name])
         self._waiting.extend(sorted(plain, key=_first_time))
 
@@ -183,14 +176,14 @@ class DropFolder:
             with _opened(path) as file:
                 identity = _identity(os.fstat(file.fileno()))
                 data = file.read(PIECE_BYTES)
-                if not data.startswith(CONTINUATION):  # it is not read further
-                    data, problem = b"", "it does not begin with a frame"
+                if not data.startswith(CONTINUATION):  # the rest of the file is not read
+                    data, problem = b"", "it does not start with a frame"
                 n_lost = 0
                 while data and n_lost <= MOST_LOST:
                     frames = splitter.push(data)
                     problem = problem or next(filter(None, map(self._problem, frames)), "")
                     n_lost = 0 if frames else n_lost + len(data)
-                    # a file that grows while it is read is read up to the size it had
+                    # of a growing file only the initial size is read
                     data = file.read(PIECE_BYTES) if file.tell() < identity[2] else b""
                     if data:
                         yield frames
@@ -206,12 +199,12 @@ class DropFolder:
         if problem or splitter.counts:
             self._leave(path, problem or f"it holds not only frames ({', '.join(splitter.counts)})")
         else:
-            # from here on all of its frames are given
+            # all frames of the file are returned once `last` is
             self._read.append(_File(path, identity, self._n_given + len(last)))
         yield last
 
     def _problem(self, data: bytes) -> str:
-        """Return why an encoded frame is none of ours, or nothing."""
+        """Return why an encoded frame is not one of a monitored suspension; empty if it is."""
         try:
             frame = decode(data)
         except FrameError as error:
@@ -221,7 +214,7 @@ class DropFolder:
         return ""
 
     def _put_away(self, file: _File) -> None:
-        """Move or delete a file, unless another one has its name by now."""
+        """Move or delete a file, unless another file has its name by now."""
         now = os.lstat(file.path)
         if not stat.S_ISREG(now.st_mode) or _identity(now) != file.identity:
             self._counts["replaced"] += 1
@@ -238,16 +231,16 @@ class DropFolder:
         taken = self.folder / TAKEN
         is_there = self.then == "move" and os.path.lexists(taken)
         if is_there and not stat.S_ISDIR(os.lstat(taken).st_mode):
-            raise NotADirectoryError(20, "must be a folder, and no link to one", str(taken))
+            raise NotADirectoryError(20, "must be a folder, not a link to one", str(taken))
 
     def _leave(self, path: Path, reason: str) -> None:
-        """Count and report a file that is left where it is."""
+        """Count and report a file that stays in place."""
         self._counts["left"] += 1
         if self._counts["left"] <= MOST_REPORTED:
-            log.warning("%r is left where it is: %s", str(path), reason)
+            log.warning("%r stays in place: %s", str(path), reason)
 
     def _give_up(self, path: Path, error: OSError) -> None:
-        """Count a file that cannot be read or moved; it is not tried again while it is there."""
+        """Count a file that cannot be read or moved; it is not tried again while it exists."""
         reason = "vanished" if isinstance(error, FileNotFoundError) else "unreadable"
         if reason == "unreadable" and not self._counts[reason]:
             log.warning("%r: %s; further ones are only counted", str(path), error.strerror)
@@ -255,16 +248,13 @@ class DropFolder:
 
 
 def _opened(path: Path) -> BinaryIO:
-    """Open a plain file: follow no link, and do not wait for a writer of a FIFO.
-
-    OSError says why not.
-    """
+    """Open a regular file, following no link and not waiting for the writer of a FIFO."""
     # Windows has neither of these flags
     flags = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
     file = os.fdopen(os.open(path, os.O_RDONLY | flags), "rb")
     if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
         file.close()
-        raise OSError(22, "no plain file", str(path))
+        raise OSError(22, "not a regular file", str(path))
     return file
 
 
@@ -274,7 +264,7 @@ def _identity(found: os.stat_result) -> tuple[int, int, int]:
 
 
 def _first_time(path: Path) -> tuple[int, str]:
-    """Return the time of a file's first frame [ns], 0 where there is none, and its name."""
+    """Return the time of a file's first frame [ns], 0 if there is none, and its name."""
     try:
         with _opened(path) as file:
             schema = pa.ipc.read_schema(pa.BufferReader(file.read(HEAD_BYTES)))

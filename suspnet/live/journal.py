@@ -1,12 +1,12 @@
 """Journal of a monitor: each suspension's last saved state, and its frames since then.
 
-The journal is one SQLite file, whose transactions are whole or not there, also after a power cut.
-A state replaces the frames that it was made from: the file stays bounded and a restart is quick.
-Frames come back in the order in which they were taken. Those of a suspension have neighbouring
-numbers and lie side by side in the file: deleting them frees whole pages, and rewrites none that
-hold frames of other suspensions.
+The journal is one SQLite file with atomic transactions, also after a power cut. A state replaces
+the frames that it was made from, so the file stays bounded and a restart is quick. Frames are read
+back in the order in which they were taken. The frames of a suspension have consecutive numbers and
+are neighbours in the file: deleting them frees whole pages, and rewrites no page with frames of
+other suspensions.
 
-A state is JSON-able values with arrays among them, as one safetensors file.
+A state is JSON-able values with arrays among them, stored as one safetensors file.
 """
 
 from __future__ import annotations
@@ -28,31 +28,31 @@ from suspnet.ground.storage import DamagedFileError, dump_arrays, load_arrays
 
 FORMAT = "suspnet-journal-2"
 APPLICATION_ID = 0x7375736A
-"""Number in the header of a journal's file, by which it is recognised."""
+"""SQLite application id, by which a journal is recognised."""
 MARKER = "SELECT 1 FROM format WHERE name LIKE 'suspnet-journal-%'"
-"""Query that returns a row of any journal."""
+"""Query that returns a row for any journal."""
 RANGE = 2**40
-"""Numbers that the frames of a suspension may have; with four frames a second they last for 8,000
+"""Size of a suspension's range of frame numbers; at four frames a second it lasts for 8,000
 years."""
 READ_AT_ONCE = 256
-"""Number of frames that are read back at once."""
+"""Number of frames read by one fetch."""
 WRITTEN_AT_ONCE = 32
-"""Number of frames that are written by one statement; during it other threads can run."""
+"""Number of frames written by one statement, during which other threads can run."""
 PAGE_BYTES = 2**14
-"""Size of a page of a new journal: a frame of 1 s takes one or two."""
+"""Page size of a new journal: a frame of 1 s takes one or two pages."""
 
 
 class JournalError(ValueError):
-    """The journal cannot be used: another file, or another monitor has it open."""
+    """The journal cannot be used: it is another file, or another monitor has it open."""
 
 
 @dataclass(frozen=True)
 class Batch:
-    """Frames and states since the batch before, by suspension, to be written together."""
+    """Frames and states since the previous batch, by suspension, to be written together."""
 
-    new: list[tuple[int, str]] = field(default_factory=list)  # suspensions that were not known
-    states: dict[str, bytes] = field(default_factory=dict)  # each replaces the frames written
-    frames: dict[str, list[tuple[int, bytes]]] = field(default_factory=dict)  # after its state
+    new: list[tuple[int, str]] = field(default_factory=list)  # new suspensions: number, name
+    states: dict[str, bytes] = field(default_factory=dict)  # each replaces the stored frames
+    frames: dict[str, list[tuple[int, bytes]]] = field(default_factory=dict)  # newer than its state
 
     def __bool__(self) -> bool:
         return bool(self.states or self.frames)
@@ -61,22 +61,9 @@ class Batch:
 class Journal:
     """States and frames of the suspensions of one process; a context manager.
 
-    One thread may write a batch while another adds to the next one.
-
-    Parameters
-    ----------
-    path : Path
-        Made where there is nothing yet.
-
-    Attributes
-    ----------
-    n_bytes : Counter
-        Size of the frames of each suspension since its state.
-
-    Raises
-    ------
-    JournalError
-        If it is another file, or is open in another process.
+    One thread may write a batch while another adds to the next one. `n_bytes` is the size of the
+    frames of each suspension since its state. JournalError is raised if `path` is another file or
+    is open in another process; a missing file is created.
     """
 
     def __init__(self, path: Path) -> None:
@@ -106,10 +93,12 @@ class Journal:
             raise
 
     def _prepare(self) -> None:
-        """Lock the file for this process, and make the tables where there are none."""
+        """Lock the file for this process, and create the tables if there are none."""
         run = self._connection.execute
         run(f"PRAGMA page_size = {PAGE_BYTES}")
-        run("PRAGMA secure_delete = OFF")  # some systems' SQLite writes zeros over what is deleted
+        run(
+            "PRAGMA secure_delete = OFF"
+        )  # some systems' SQLite overwrites deleted pages with zeros
         run("PRAGMA locking_mode = EXCLUSIVE")
         run("PRAGMA synchronous = FULL")
         run("BEGIN EXCLUSIVE")
@@ -127,10 +116,10 @@ class Journal:
             raise JournalError(f"{self.path}: it holds a view or trigger: this is no journal")
         elif "format" not in tables or run("SELECT name FROM format").fetchone() != (FORMAT,):
             raise JournalError(
-                f"{self.path}: this is no journal of a monitor, or of another version"
+                f"{self.path}: this is no journal of a monitor, or one of another version"
             )
         run("COMMIT")
-        run("PRAGMA journal_mode = WAL")  # only now that the file is known to be ours
+        run("PRAGMA journal_mode = WAL")  # only after the file is known to be a journal
         for number, name in run("SELECT number, name FROM suspensions").fetchall():
             query = "SELECT MAX(id), SUM(LENGTH(frame)) FROM frames WHERE id BETWEEN ? AND ?"
             last, size = run(query, _ids(number)).fetchone()
@@ -144,7 +133,7 @@ class Journal:
         self.close()
 
     def close(self) -> None:
-        """Close the file after the batch that is being written; what was not written is lost."""
+        """Close the file after the batch that is being written; unwritten batches are lost."""
         with self._writing:
             self._connection.close()
 
@@ -155,7 +144,7 @@ class Journal:
         return None if row is None else row[0]
 
     def frames(self, suspension: str) -> Iterator[bytes]:
-        """Yield the frames since that state, in the order in which they were added."""
+        """Yield the frames since the last saved state, in the order in which they were added."""
         if suspension not in self._numbers:
             return
         query = "SELECT frame FROM frames WHERE id BETWEEN ? AND ? ORDER BY id"
@@ -164,7 +153,7 @@ class Journal:
             yield from (frame for (frame,) in several)
 
     def suspensions(self) -> list[str]:
-        """Return the names of those that have a state or frames, sorted."""
+        """Return the sorted names of the suspensions with a state or frames."""
         return [
             name for (name,) in self._connection.execute("SELECT name FROM suspensions ORDER BY 1")
         ]
@@ -177,7 +166,7 @@ class Journal:
         self.n_bytes[suspension] += len(frame)
 
     def save(self, suspension: str, state: bytes) -> None:
-        """Add a state to the next batch, in place of all frames of the suspension so far."""
+        """Add a state to the next batch; it replaces all earlier frames of the suspension."""
         self._number(suspension)
         self._batch.states[suspension] = state
         self._batch.frames.pop(suspension, None)
@@ -190,19 +179,15 @@ class Journal:
             self._batch.new.append((number, suspension))
 
     def batch(self) -> Batch:
-        """Return what was added and saved since the last call; it is empty (false) if nothing."""
+        """Return what was added and saved since the last call; an empty batch is false."""
         batch, self._batch = self._batch, Batch()
         return batch
 
     def write(self, batch: Batch) -> None:
-        """Write a batch to the disk, all of it or nothing; in the order of the batches.
+        """Write a batch to the disk in one transaction, in the order of the batches.
 
-        Any thread may do so, one at a time, while others add and save.
-
-        Raises
-        ------
-        JournalError
-            If it cannot be written, as on a full disk; it can be tried again.
+        Any thread may do so, one at a time, while others add and save. A JournalError, as on a full
+        disk, leaves the file unchanged: the same batch can be written again.
         """
         with self._writing:
             self._write(batch)
@@ -230,7 +215,7 @@ class Journal:
 
 
 def _ids(number: int) -> tuple[int, int]:
-    """Return the first and the last number of the frames of a suspension."""
+    """Return the first and the last frame number of a suspension."""
     return number * RANGE, (number + 1) * RANGE - 1
 
 
@@ -242,14 +227,9 @@ class StateError(ValueError):
 
 
 def dump_state(identity: Any, state: dict[str, Any]) -> bytes:
-    """Return a state as bytes.
+    """Return a state as bytes, for a stream of the same JSON-able `identity`.
 
-    Parameters
-    ----------
-    identity : JSON-able
-        What the stream that goes on from the state must have in common with this one.
-    state : dict
-        Numbers, text, lists of these, arrays, and dicts of all; keys are text.
+    `state` holds numbers, text, lists of these, arrays, and dicts of all with text keys.
     """
     arrays: dict[str, NDArray[Any]] = {}
     plain = _without_arrays(state, arrays, "")
@@ -259,13 +239,7 @@ def dump_state(identity: Any, state: dict[str, Any]) -> bytes:
 
 
 def load_state(content: bytes, identity: Any) -> dict[str, Any]:
-    """Return the state that `dump_state` wrote.
-
-    Raises
-    ------
-    StateError
-        If it is damaged, or of another identity.
-    """
+    """Return the state that `dump_state` wrote; StateError if damaged or of another identity."""
     try:
         arrays = load_arrays(content, "the state")
         described = json.loads(arrays["json"].tobytes())
@@ -279,7 +253,7 @@ def load_state(content: bytes, identity: Any) -> dict[str, Any]:
 
 
 def _without_arrays(value: Any, arrays: dict[str, NDArray[Any]], name: str) -> Any:
-    """Return JSON-able values in which each array is the name of one in `arrays`, which grows."""
+    """Return JSON-able values with each array moved to `arrays` and replaced by its name there."""
     if isinstance(value, np.ndarray):
         arrays[name] = value
         return {"array": name}

@@ -1,11 +1,11 @@
 """The monitor: frames of many suspensions from a source, results to the history.
 
-Frames are taken, written to the journal batch by batch, and then the source may forget them. The
-first thread takes them; a second one writes, as a disk may be slow; a third one makes estimates,
-one at a time and started while no frame waits, so that hundreds that are due at once delay no
-frame. Everything else is the first thread's. The journal holds the frames of a section until its
-estimate is reported. After a kill at any moment, the frames that were not yet written come again,
-and an estimate that is reported twice replaces itself.
+The main thread takes frames and writes them to the journal in batches; once a batch is written, the
+source may forget its frames. A second thread writes, as a disk may be slow. A third thread makes
+estimates, one at a time and started while no frame waits, so that hundreds of due estimates delay
+no frame. All other work is the main thread's. The journal holds the frames of a section until its
+estimate is reported. After a kill at any moment, the source sends unwritten frames again, and an
+estimate that is reported twice replaces itself.
 """
 
 from __future__ import annotations
@@ -29,22 +29,23 @@ from suspnet.recordings.frames import FrameError, decode
 
 log = logging.getLogger(__name__)
 WAIT_S, PAUSE_S, WRITING_S = 1.0, 0.1, 0.01
-"""Longest waits for frames [s]: usually; if some have come, which are written after a pause of this
-length or after ``MOST_PENDING`` frames; and while a batch is being written."""
+"""Longest waits for frames [s]: usually; before a batch with fewer than ``MOST_PENDING`` frames is
+written; and while a batch is being written."""
 MOST_PENDING, MOST_UNWRITTEN = 256, 1024
-"""Number of frames after which a batch is written; and number of frames after which, if the batch
-before is still being written, no more are taken until it is."""
+"""Number of frames after which a batch is written; and number after which no more frames are taken
+until the previous batch is written."""
 MOST_JOURNAL = 8 * 2**20
-"""Size of a suspension's frames in the journal above which its state is saved, [bytes]; for the
-first suspension half of it, for others in between, so that hundreds are not saved at once."""
+"""Size of a suspension's frames in the journal above which its state is saved, [bytes]. The first
+suspension uses half of it and the others values in between, so that hundreds of states are not
+saved at once."""
 MOST_WAITING = 4 * MOST_JOURNAL
 """Size of a suspension's frames in the journal above which no frame is taken until the estimate of
-its last section is reported: a state does not hold sections that are over, [bytes]."""
+its last section is reported, [bytes]: a state does not hold sections that have ended."""
 MOST_REPORTED = 1000
-"""Number of sensors and reasons for which a frame that cannot be used is named in the log."""
+"""Largest number of pairs of sensor and reason for which the log names a rejected frame."""
 NICENESS = 10
-"""Niceness of the thread that makes estimates: on a core that both share it gets a tenth of the
-time while there are frames to take."""
+"""Niceness of the estimating thread: on a shared core it gets a tenth of the time while there are
+frames to take."""
 
 Report = Callable[[LiveSuspension, Estimate], None]
 
@@ -58,7 +59,7 @@ class _Making(NamedTuple):
 
 
 class _Writing(NamedTuple):
-    """The batch that is being written, and the number of frames that the source gave for it."""
+    """The batch that is being written, and how many frames from the source it covers."""
 
     n_frames: int
     future: Future[None]
@@ -67,30 +68,11 @@ class _Writing(NamedTuple):
 class Monitor:
     """Reads a source until it ends.
 
-    Parameters
-    ----------
-    suspensions : iterable of LiveSuspension
-    source : Source
-    journal : Journal
-    report : callable
-        Gets a suspension and an estimate, at least once.
-    idle_s : float, [s]
-        As of `LiveSettings`.
-    clock : callable, optional
-        Seconds that only grow.
-    executor : Executor, optional
-        Makes the estimates; None is a thread of low priority. It is shut down when `run` ends.
-        Batches are written by another thread of its own.
-
-    Attributes
-    ----------
-    counts : Counter
-        Frames "taken" and those that could not be used, by reason, in this process.
-
-    Raises
-    ------
-    ValueError
-        If two suspensions have the same name, or the source's part has none.
+    `report` gets a suspension and an estimate at least once, `clock` returns monotonic seconds, and
+    `counts` holds the frames "taken" and those rejected, by reason, in this process. `executor`
+    makes the estimates (None: a thread of low priority) and is shut down when `run` ends; batches
+    are written by another thread. ValueError is raised if two suspensions have the same name, or
+    the source's part has none.
     """
 
     def __init__(
@@ -127,12 +109,9 @@ class Monitor:
         self._n_pending = 0
 
     def resume(self) -> int:
-        """Go on from the journal; return the number of its frames.
+        """Restore the state of the journal, and return the number of its frames.
 
-        Raises
-        ------
-        JournalError
-            If a state is damaged or of other settings.
+        JournalError is raised if a state is damaged or was made with other settings.
         """
         for name in set(self._journal.suspensions()) - set(self._suspensions):
             log.warning("the journal knows %s, which is not in this process's part", name)
@@ -145,23 +124,19 @@ class Monitor:
                 n_frames += 1
                 try:
                     one.take(decode(data), is_known=True)
-                except FrameError as error:  # a part of it was of a section that is over
+                except FrameError as error:  # part of it belongs to a closed section
                     log.debug("%s: %s", name, error)
-                self._add(
-                    one, one.due()
-                )  # as when they came: the number of open sections is limited
+                # after each frame, as in `_take`: the number of open sections is limited
+                self._add(one, one.due())
         return n_frames
 
     def run(self) -> None:
-        """Take frames until there will never be more; then all sections are over.
+        """Take frames until the source ends, then close and report all sections.
 
-        Raises
-        ------
-        JournalError
-            If the journal cannot be written, as on a full disk.
+        JournalError is raised if the journal cannot be written, as on a full disk.
         """
         try:
-            while True:  # as long as the source says
+            while True:  # ends: with the source
                 frames = self._source.receive(self._wait_s())
                 for data in frames or ():
                     self._take(data)
@@ -171,17 +146,19 @@ class Monitor:
                     self._write()
                 if frames is None:
                     break
+                # an estimate is started only while no frame waits
                 if self._making is not None and self._making.future.done():
                     self._finish_and_save()
                 if not frames and self._due and self._making is None:
                     self._start(next(iter(self._due)))
+            # the source has ended: all open sections are final
             for one in self._suspensions.values():
                 self._add(one, one.end())
             self._finish_and_save()
             for name in list(self._due):
                 self._start(name)
                 self._finish_and_save()
-            self._confirm()
+            self._confirm()  # the previous batch, so that `_write` does not skip the last one
             self._write()
             self._confirm()
         finally:
@@ -200,23 +177,21 @@ class Monitor:
             one.load(state)
         except StateError as error:
             raise JournalError(
-                f"{self._journal.path}: {one.name}: {error}; give the settings of before, or "
-                "another journal= (estimates so far are in the store)"
+                f"{self._journal.path}: {one.name}: {error}; restore the previous settings, or "
+                "give another journal= (estimates so far are in the store)"
             ) from None
 
     def _take(self, data: bytes) -> None:
-        """Take a frame, or count why not."""
+        """Take a frame, or count why it was rejected."""
         name = sensor = ""
         try:
             frame = decode(data)
             name, sensor = frame.suspension, frame.sensor
             one = self._suspensions.get(name)
             if one is None:
-                raise FrameError(
-                    "suspension", f"{name!r} is none of the suspensions monitored here"
-                )
+                raise FrameError("suspension", f"{name!r} is not a suspension monitored here")
             one.take(frame)
-            # a frame that cannot be used is not stored: nothing bounds how many of them come
+            # rejected frames are not stored: their number is unbounded
             self._journal.add(name, data)
             self._last_s[name] = self._clock()
             self.counts["taken"] += 1
@@ -231,7 +206,7 @@ class Monitor:
                 log.warning("a frame cannot be used (%s): %s", error.reason, error)
 
     def _add_silent(self) -> None:
-        """Add the sections of suspensions from which nothing has come for long."""
+        """Queue the open sections of suspensions without frames for `idle_s`."""
         now_s = self._clock()
         for name, last_s in self._last_s.items():
             if now_s - last_s > self._idle_s:
@@ -239,9 +214,9 @@ class Monitor:
                 self._add(self._suspensions[name], self._suspensions[name].silent())
 
     def _add(self, one: LiveSuspension, several: list[Due]) -> None:
-        """Let the last of a suspension's estimates wait; those before it are made now.
+        """Queue the last of a suspension's due estimates, and make the earlier ones now.
 
-        One that waits takes memory. One of an open section is left out if a later one waits.
+        A queued estimate takes memory. One of an open section is dropped if a later one is queued.
         """
         for due in several:
             waiting = self._due.get(one.name)
@@ -253,7 +228,7 @@ class Monitor:
             self._due[one.name] = due
 
     def _start(self, name: str) -> None:
-        """Start the estimate of a suspension that waits; none is being made now."""
+        """Start the queued estimate of a suspension; none is being made now."""
         one = self._suspensions[name]
         job = one.job(self._due.pop(name))
         self._making = _Making(one, job, self._executor.submit(job.make))
@@ -276,7 +251,7 @@ class Monitor:
                 self._journal.save(one.name, one.dump())
 
     def _is_held(self, name: str) -> bool:
-        """Return whether a section of a suspension is over, and its estimate not reported."""
+        """Return whether a suspension has a section that has ended but is not reported yet."""
         waiting, making = self._due.get(name), self._making
         return (waiting is not None and waiting.is_final) or (
             making is not None and making.one.name == name and making.job.due.is_final
@@ -293,10 +268,10 @@ class Monitor:
                 self._finish_and_save()
 
     def _write(self) -> None:
-        """Let what was taken be written, and what is written be forgotten by the source.
+        """Start to write the pending frames, and confirm the previous batch to the source.
 
-        While the batch before is still being written nothing happens, unless so many frames are
-        pending that it is waited for.
+        While the previous batch is being written nothing happens, up to ``MOST_UNWRITTEN`` pending
+        frames; beyond that this waits for it.
         """
         if self._writing is not None:
             if not self._writing.future.done() and self._n_pending < MOST_UNWRITTEN:
@@ -319,5 +294,5 @@ class Monitor:
 
 
 def _lower_priority() -> None:
-    if sys.platform == "linux":  # elsewhere threads have no priority of their own
+    if sys.platform == "linux":  # other systems have no priority per thread
         os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), NICENESS)

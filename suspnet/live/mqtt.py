@@ -23,8 +23,8 @@ if TYPE_CHECKING:
 
 log = logging.getLogger(__name__)
 MOST_UNACKNOWLEDGED = 20
-"""Largest number of results that the broker has not acknowledged; of the others the latest of each
-topic waits."""
+"""Largest number of results in flight to the broker; of the others the latest of each topic
+waits."""
 CLOSING_S = 5.0
 """Longest time that `close` waits for the broker to take the results, [s]."""
 
@@ -32,29 +32,20 @@ CLOSING_S = 5.0
 class Mqtt:
     """Source of the frames on the topics PREFIX/frames/SUSPENSION, percent-encoded.
 
-    Each frame comes at least once: the client acknowledges frames when they are confirmed, and the
-    broker stores the others while the client is away (QoS 1, no clean start, session expiry). The
-    client connects again with backoff, also if the broker was never there.
+    Each frame arrives at least once: the client acknowledges frames when they are confirmed, and
+    the broker stores the others while the client is disconnected (QoS 1, no clean start, session
+    expiry). The client reconnects with backoff, also if the broker was never reachable.
 
     At most `in_flight` frames wait for `receive`. The broker is asked to send no more before some
     are acknowledged; as not every release of every broker obeys, the connection is not read while
-    so many wait. A message larger than any frame is acknowledged and dropped at once. The broker is
-    not asked to withhold those: they would take up places among the messages on the way for ever
-    (Mosquitto 2.0.11).
-
-    Parameters
-    ----------
-    broker : Broker, optional
-
-    Raises
-    ------
-    TypeError, ValueError
-        If a setting is out of range, or paho-mqtt is not installed.
+    the limit is reached. A message larger than any frame is acknowledged and dropped at once. The
+    broker is not asked to withhold large messages: they would occupy places among the messages in
+    flight for ever (Mosquitto 2.0.11).
     """
 
     settings: ClassVar[Mapping[str, Setting]] = {
         "client_id": Setting(
-            "Name by which the broker knows the monitor and keeps what it missed", rule="text"
+            "Name by which the broker knows the monitor and stores frames for it", rule="text"
         ),
         "part": Setting(
             'Which of several monitors that share a broker this is: "2/4" takes the suspensions of '
@@ -67,13 +58,13 @@ class Mqtt:
             high=65535,
         ),
         "session_h": Setting(
-            "Time for which the broker keeps frames for a monitor that is away",
+            "Time for which the broker stores frames for a disconnected monitor",
             "h",
             above=0,
             high=10000,
         ),
     }
-    """What each argument means and which values it takes."""
+    """Meaning and range of each argument."""
 
     def __init__(
         self,
@@ -91,12 +82,12 @@ class Mqtt:
         self._counts: Counter[str] = Counter()
         self._client: Client | None = None
         self._topics: list[str] = []
-        # of the thread of the client and of ours: what came, by the number of the connection
+        # shared with the client thread: messages by number of the connection, under `_changed`
         self._changed = threading.Condition()
         self._arrived: deque[tuple[int, int, bytes]] = deque()
         self._connection = 0
         self._is_connected = self._is_away = self._is_closing = False
-        # of ours alone
+        # of the calling thread only
         self._given: list[tuple[int, int]] = []
         self._results: dict[str, bytes] = {}
         self._unacknowledged: set[int] = set()
@@ -132,7 +123,7 @@ class Mqtt:
         return mine
 
     def receive(self, timeout_s: float) -> list[bytes]:
-        """Return the frames that have come; there may always be more. See `Source`."""
+        """Return the frames received so far; the source never ends. See `Source`."""
         self._send()
         with self._changed:
             self._changed.wait_for(lambda: self._arrived, timeout_s)
@@ -143,20 +134,20 @@ class Mqtt:
         return [payload for _, _, payload in arrived]
 
     def confirm(self, n_frames: int | None = None) -> None:
-        """Acknowledge frames that `receive` gave. See `Source`."""
+        """Acknowledge frames that `receive` returned. See `Source`."""
         assert self._client is not None
-        n_kept = len(self._given) if n_frames is None else n_frames
-        with self._changed:  # no new connection starts meanwhile
-            for connection, number in self._given[:n_kept]:
-                # what came over an earlier connection comes again, under the same number or not
-                # and a number of 0 is that of a sender who asked for no acknowledgement
+        n_confirmed = len(self._given) if n_frames is None else n_frames
+        with self._changed:  # the connection must not change meanwhile
+            for connection, number in self._given[:n_confirmed]:
+                # messages of an earlier connection are resent, under the same number or another;
+                # number 0 is a message without acknowledgement (QoS 0)
                 if number and self._is_connected and connection == self._connection:
                     self._client.ack(number, 1)
-        del self._given[:n_kept]
+        del self._given[:n_confirmed]
         self._send()
 
     def publish(self, kind: Kind, suspension: str, payload: bytes) -> None:
-        """Publish a retained message; of those that wait for the broker the latest a topic."""
+        """Publish a retained message; only the latest of each topic waits for the broker."""
         topic = self.broker.topic(kind, suspension)
         self._results.pop(topic, None)
         self._results[topic] = json.dumps(plain_json(payload)).encode()
@@ -165,7 +156,7 @@ class Mqtt:
     def close(self) -> None:
         """Send results and acknowledgements if the broker takes them, and disconnect.
 
-        The broker keeps the session.
+        The broker retains the session.
         """
         if self._client is None:
             return
@@ -183,7 +174,7 @@ class Mqtt:
         self._client = None
 
     def _send(self) -> None:
-        """Give waiting results to the client, as far as the broker has acknowledged others.
+        """Give waiting results to the client, up to ``MOST_UNACKNOWLEDGED`` in flight.
 
         No lock is held here: the client calls `_on_publish` under a lock of its own.
         """
@@ -205,7 +196,7 @@ class Mqtt:
     def _on_connect(
         self, client: Client, userdata: Any, flags: Any, reason: Any, properties: Any
     ) -> None:
-        """Subscribe; frames not acknowledged over the last connection come again by themselves."""
+        """Subscribe; the broker resends frames not acknowledged over the last connection."""
         if reason.is_failure:
             self._count("rejected", str(reason))
             return
@@ -255,11 +246,11 @@ class Mqtt:
         self._acknowledged.append(number)
 
     def _count(self, reason: str, message: str) -> None:
-        """Count what goes wrong with the broker, and log the first since it was connected."""
+        """Count a problem with the broker, and log the first one of each connection."""
         self._counts[reason] += 1
         if not self._is_away:
             where = self.broker.where
-            log.warning("the broker at %s: %s; it is tried again until it answers", where, message)
+            log.warning("the broker at %s: %s; retrying until it answers", where, message)
         self._is_away = True
 
 
@@ -273,10 +264,8 @@ def read_part(text: str) -> tuple[int, int]:
 
 
 def is_in_part(suspension: str, part: int, n_parts: int) -> bool:
-    """Return whether a suspension belongs to a part of the processes: by SHA-256 of its name.
+    """Return whether a suspension belongs to a part of the processes, by SHA-256 of its name.
 
-    Examples
-    --------
     >>> [k for k in (1, 2, 3) if is_in_part("train 1, car 2", k, 3)]
     [1]
     """

@@ -13,41 +13,30 @@ from suspnet.recordings.frames import Frame, FrameError, end_ns
 from suspnet.recordings.manifest import TEMPERATURES_C
 
 STEP_NS = 10 * SECOND_NS
-"""Steps of time for each of which one value is stored, [ns]: in it a train runs less than a
-kilometre."""
+"""Length of the time steps with one stored value each, [ns]: a train runs less than a kilometre in
+it."""
 MOST_KEPT = 10_000
-"""Largest number of steps that are stored, those of a day. The latest are dropped first: they are
-of wrong times, as sections are at most a day long."""
+"""Largest number of stored steps, those of a day. The latest steps are dropped first: they come
+from wrong clocks, as sections are at most a day long."""
 MOST_IN_FRAME = 1000
-"""Number of samples of a frame of mileages or temperatures that are looked at."""
+"""Largest number of samples used of a frame of mileages or temperatures."""
 LEAST_M_PER_S = 1.0
-"""Speed below which a train stands, [m/s]: more than the noise of what measures it."""
+"""Speed below which a train is at standstill, [m/s]: more than the noise of speed sensors."""
 
 
 class SlowValues:
     """The last values of mileage and temperature, by time: the first of every ten seconds.
 
-    Frames may come in any order, and twice. Between frames the mileage goes on with the distance
-    that the speed gives.
-
-    Parameters
-    ----------
-    mileage_km : float, [km]
-        Until a frame gives it.
-    temperature_c : float, optional, [°C]
-        Until a frame gives it.
-
-    Attributes
-    ----------
-    passed_km : float, [km]
-        Mileage at the end of the last section that was passed.
+    Frames may arrive in any order, and twice. Between frames the mileage advances by the distance
+    that the speed gives. `mileage_km` and `temperature_c` apply until a frame gives a value;
+    `passed_km` is the mileage at the end of the last passed section.
     """
 
     UNITS: ClassVar[dict[str, dict[str, float]]] = {
         "mileage": {"km": 1.0, "m": 1e-3},
         "temperature": {"degC": 1.0, "°C": 1.0},
     }
-    """Sensors of slow values, with the size of each of their units."""
+    """Sensors of slow values, with the factor of each unit."""
 
     def __init__(self, mileage_km: float, temperature_c: float | None) -> None:
         self.passed_km = mileage_km
@@ -55,13 +44,7 @@ class SlowValues:
         self._first_c = temperature_c
 
     def take(self, frame: Frame) -> None:
-        """Store the values of a frame.
-
-        Raises
-        ------
-        FrameError
-            If the unit is unknown, or a value out of range.
-        """
+        """Store the values of a frame; FrameError if unit or values are invalid."""
         size = self.UNITS[frame.sensor].get(frame.unit)
         if size is None:
             units = ", ".join(self.UNITS[frame.sensor])
@@ -82,8 +65,9 @@ class SlowValues:
     ) -> tuple[float | None, float | None]:
         """Return mileage [km] and temperature [°C] of a section: the first values in it.
 
-        Where there is none, the mileage is the last one of a time `before_ns` before it, or None:
-        that at the end of the section before; and the temperature is the last one before.
+        Without a value in the section, the mileage is the last one within `before_ns` before it,
+        else None (the mileage at the end of the previous section applies), and the temperature is
+        the last one before it.
         """
         mileages, temperatures = (sorted(one.values()) for one in self._known.values())
         km = [value for at, value in mileages if begin_ns <= at < end_ns]
@@ -94,7 +78,7 @@ class SlowValues:
         return (km[0] if km else None), celsius
 
     def pass_section(self, end_ns: int, mileage_km: float) -> None:
-        """Take the mileage at the end of a section, and forget what lies in it."""
+        """Set the mileage at the end of a section, and forget the values within the section."""
         self.passed_km = mileage_km
         before = [one for one in self._known["temperature"].values() if one[0] < end_ns]
         self._first_c = max(before)[1] if before else self._first_c
@@ -102,12 +86,12 @@ class SlowValues:
             self._known[name] = {k: one for k, one in several.items() if one[0] >= end_ns}
 
     def state(self) -> dict[str, Any]:
-        """Return JSON-able values that `restore` makes the same of."""
+        """Return JSON-able values for `restore`."""
         known = {name: sorted(one.values()) for name, one in self._known.items()}
         return {"passed_km": self.passed_km, "first_c": self._first_c, "known": known}
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Go on from a state."""
+        """Restore a state."""
         self.passed_km, self._first_c = state["passed_km"], state["first_c"]
         self._known = {
             name: {at // STEP_NS: (at, value) for at, value in one}
@@ -116,10 +100,7 @@ class SlowValues:
 
 
 class Standing:
-    """Whether a train moved, for each step of time in which its speed is known.
-
-    It does not depend on the order in which frames come.
-    """
+    """Whether a train moved, for each time step with known speed, in any order of frames."""
 
     def __init__(self) -> None:
         self._moved: dict[int, bool] = {}
@@ -133,21 +114,21 @@ class Standing:
         _drop_latest(self._moved)
 
     def stood(self, begin_ns: int, end_ns: int) -> bool:
-        """Return whether the speed is known in all of a time, and the train stood."""
+        """Return whether the speed is known throughout an interval and the train did not move."""
         return not any(self._moved.get(step, True) for step in _steps(begin_ns, end_ns))
 
     def forget(self, before_ns: int) -> None:
-        """Forget what was before a time."""
+        """Forget the steps before a time."""
         first = before_ns // STEP_NS
         if self._moved and min(self._moved) < first:
             self._moved = {step: one for step, one in self._moved.items() if step >= first}
 
     def state(self) -> list[Any]:
-        """Return JSON-able values that `restore` makes the same of."""
+        """Return JSON-able values for `restore`."""
         return sorted(self._moved.items())
 
     def restore(self, state: list[Any]) -> None:
-        """Go on from a state."""
+        """Restore a state."""
         self._moved = dict(state)
 
 

@@ -1,4 +1,4 @@
-"""Frames on standard input, one after the other; results as lines of JSON on standard output."""
+"""Frames on standard input, one after another; results as lines of JSON on standard output."""
 
 from __future__ import annotations
 
@@ -14,19 +14,14 @@ from suspnet.ground.settings import Setting, check_values
 from suspnet.live.source import Kind, Splitter, print_result
 
 PIECE_BYTES = 2**16
-"""Largest number of bytes that are read at once: what a pipe of Linux holds."""
+"""Largest number of bytes read at once: the capacity of a pipe on Linux."""
 
 
 class Pipe:
     """Source of the frames on standard input.
 
-    What was read cannot be read again: after a kill, the sender must send again what was not yet
-    stored. Reading stops while the buffer is full: a sender that is too fast waits.
-
-    Raises
-    ------
-    TypeError, ValueError
-        If it is out of range.
+    A pipe cannot be read twice: after a kill, the sender must resend what was not yet stored.
+    Reading stops while the buffer is full, so that a sender that is too fast waits.
     """
 
     settings: ClassVar[Mapping[str, Setting]] = {
@@ -37,7 +32,7 @@ class Pipe:
             high=4096,
         ),
     }
-    """What each argument means and which values it takes."""
+    """Meaning and range of each argument."""
 
     def __init__(self, buffer_mb: float = 16.0) -> None:
         check_values(Pipe, buffer_mb=buffer_mb)
@@ -48,11 +43,11 @@ class Pipe:
 
     @property
     def counts(self) -> Counter[str]:
-        """As `Splitter.counts`, and "unreadable" if reading failed, which is the end."""
+        """Counts of `Splitter.counts`, and "unreadable" if a failed read ended the input."""
         return Counter(self._splitter.counts)
 
     def subscribe(self, suspensions: Sequence[str]) -> Sequence[str]:
-        """Start to read; all suspensions are this process's. See `Source`."""
+        """Start to read; all suspensions belong to this process. See `Source`."""
         if sys.stdin is None:
             raise ValueError("source=stdin needs a standard input, which is closed")
         self._awake, self._wake = os.pipe()
@@ -61,18 +56,18 @@ class Pipe:
         return suspensions
 
     def receive(self, timeout_s: float) -> list[bytes] | None:
-        """Return the frames that have come; None after the end of the input. See `Source`."""
+        """Return the frames read so far; None after the end of the input. See `Source`."""
         return self._inbox.take(timeout_s)
 
     def confirm(self, n_frames: int | None = None) -> None:
-        """Do nothing: a pipe cannot keep what was read."""
+        """Do nothing: a pipe cannot resend."""
 
     def publish(self, kind: Kind, suspension: str, payload: bytes) -> None:
         """Write a line of JSON to standard output."""
         print_result(kind, suspension, payload)
 
     def close(self) -> None:
-        """End the reading."""
+        """Stop reading."""
         self._inbox.end()
         if self._reader is not None:
             os.close(self._wake)
@@ -99,13 +94,7 @@ class Pipe:
 
 
 class Inbox:
-    """A queue of encoded frames whose writer waits while it is full.
-
-    Parameters
-    ----------
-    most_bytes : int
-        It holds no more, or one frame.
-    """
+    """A queue of encoded frames that holds at most `most_bytes`, or one frame; a writer waits."""
 
     def __init__(self, most_bytes: int) -> None:
         self.most_bytes = most_bytes
@@ -115,7 +104,7 @@ class Inbox:
         self._has_ended = False
 
     def put(self, frame: bytes) -> None:
-        """Add a frame as soon as there is room, which one frame always has; none after `end`."""
+        """Add a frame once there is room, which one frame always has; drop it after `end`."""
         with self._changed:
             self._changed.wait_for(
                 lambda: (
@@ -130,13 +119,13 @@ class Inbox:
                 self._changed.notify_all()
 
     def end(self) -> None:
-        """End the queue: there will be no more frames."""
+        """Mark the end of the queue."""
         with self._changed:
             self._has_ended = True
             self._changed.notify_all()
 
     def take(self, timeout_s: float) -> list[bytes] | None:
-        """Return all frames, [] if there are none after a time [s], None after the last ones."""
+        """Return all frames: [] if none arrive within a time [s], None after the end."""
         with self._changed:
             self._changed.wait_for(lambda: self._frames or self._has_ended, timeout_s)
             frames, self._frames, self._n_bytes = self._frames, [], 0

@@ -1,4 +1,4 @@
-"""Recorded trips of a fleet as one stream of frames, all suspensions merged by time, at a pace.
+"""Recorded trips of a fleet as one stream of frames, all suspensions merged by time, at a set pace.
 
 Frames hold the raw samples of each sensor, with the times at which they were taken.
 """
@@ -39,51 +39,30 @@ from suspnet.trips.grouping import find_groups
 
 log = logging.getLogger(__name__)
 PAUSE_S = 3600
-"""Time between the end of a trip and the start of the next one of the same suspension, where
-neither manifests nor files say when they were recorded, [s]."""
+"""Time between the end of a trip and the start of the next one of the same suspension, if neither
+manifests nor files give dates, [s]."""
 LONGEST_WAIT_S = 60.0
-"""Longest time without any frame [s] that a replay at a pace waits for, in recorded time."""
+"""Longest gap between frames that a paced replay waits for, in recorded time, [s]."""
 
 
 MILEAGE, TEMPERATURE = ("mileage", "km"), ("temperature", "degC")
 """Sensor and unit of the frames of one sample at the start of a trip."""
 SLOW_HZ = 1.0
-"""Rate of these frames, which no sample follows."""
+"""Nominal rate of the frames of one sample."""
 UNITS = {"acceleration": ("m/s2", ACCELERATION_UNITS), "speed": ("m/s", SPEED_UNITS)}
-"""Unit of frames where the manifest leaves it to the file, and the known ones."""
+"""Unit of frames if the manifest does not set it, and the known units, by kind of signal."""
 
 
 @dataclass
 class Replay:
     """The frames of all trips of a folder.
 
-    One block of each sensor of one trip of each suspension is in memory.
-
-    Parameters
-    ----------
-    folder : Path
-        As of `find_groups`: one with manifests, or one with such folders.
-    frame_s : float, [s]
-        Length of a frame.
-    start : str, optional
-        Start of the first trip of each suspension whose manifests and files do not say when they
-        were recorded, in ISO 8601; its other trips follow after ``PAUSE_S``.
-    zone : str
-        Time zone of times that name none: "UTC", "+02:00" or "Europe/Berlin".
-
-    Attributes
-    ----------
-    n_suspensions, n_trips : int
-        Number of suspensions, and of trips that were started.
-    problems : list of str
-        Why trips are missing, or end early.
-
-    Raises
-    ------
-    TypeError, ValueError
-        If a setting is out of range, or two suspensions have the same name.
-    FileNotFoundError
-        If there are no manifests.
+    `folder` is as for `find_groups`, `frame_s` [s] the length of a frame, and `zone` the time zone
+    of times without one: "UTC", "+02:00" or "Europe/Berlin". `start`, in ISO 8601, dates the first
+    trip of each suspension whose manifests and files give no date; its other trips follow after
+    ``PAUSE_S``. `n_suspensions` and `n_trips` count suspensions and started trips; `problems`
+    states why trips are missing or end early. Memory holds one block of each sensor of one trip of
+    each suspension.
     """
 
     folder: Path
@@ -117,7 +96,7 @@ class Replay:
         self._trips = list(by_name.values())
 
     def frames(self) -> Iterator[Frame]:
-        """Yield the frames of all suspensions in the order in which they would be complete."""
+        """Yield the frames of all suspensions in the order of their ends, as loggers send them."""
         yield from heapq.merge(*map(self._suspension, self._trips), key=end_ns)
 
     def _read(self, file: ManifestFile) -> TripManifest | None:
@@ -162,18 +141,7 @@ class Replay:
 
 
 class Pace:
-    """Waits so that frames come as fast as when they were recorded, or a factor faster.
-
-    Parameters
-    ----------
-    times : float, optional
-        That factor; None does not wait.
-
-    Raises
-    ------
-    TypeError, ValueError
-        If it is out of range.
-    """
+    """Waits so that frames arrive as fast as recorded, or `times` faster; None does not wait."""
 
     def __init__(self, times: float | None = 1.0) -> None:
         check_number("times", times, low=1e-3, high=1e6, optional=True)
@@ -182,9 +150,10 @@ class Pace:
         self._due_s = 0.0
 
     def wait(self, frame: Frame) -> None:
-        """Wait until a frame is due: as long after the one before as it was recorded later.
+        """Wait until a frame is due: as long after the previous one as it was recorded later.
 
-        It waits at most ``LONGEST_WAIT_S`` of recorded time, and catches up delays of the receiver.
+        The wait is at most ``LONGEST_WAIT_S`` of recorded time; delays of the receiver are caught
+        up.
         """
         if self.times is None:
             return
@@ -198,7 +167,7 @@ class Pace:
 
 
 def _in_order(trips: Sequence[TripManifest], zone: tzinfo) -> list[TripManifest]:
-    """Return trips by their start if all of them have one, else by mileage."""
+    """Return trips by start if all of them have one, else by mileage."""
     starts = [trip.start for trip in trips]
     known = [_nanoseconds(start, zone) for start in starts if start is not None]
     if len(known) == len(trips):
@@ -229,11 +198,11 @@ def _sources(manifest: TripManifest) -> dict[str, tuple[str, Source]]:
 def trip_clock(
     manifest: TripManifest, zone: tzinfo = UTC
 ) -> tuple[int | None, Mapping[str, float]]:
-    """Return when a trip was recorded.
+    """Return the zero of a trip's clock, and the offset of each sensor's and the speed's times [s].
 
-    First the zero of its clock [ns] since 1970 in UTC, None if neither manifest nor files give it;
-    then, for each sensor and the speed, the time [s] that is added to its own times. TripError if a
-    file cannot be read, or clocks cannot be aligned.
+    The zero is in ns since 1970 in UTC, None if neither manifest nor files give it; offsets are
+    added to a sensor's own times. TripError is raised if a file cannot be read, or clocks cannot be
+    aligned.
     """
     zeros = {
         name: zero_of(manifest, source, _source_name(manifest, name), kind)
@@ -248,7 +217,7 @@ def trip_clock(
 
 
 def _nanoseconds(moment: datetime, zone: tzinfo) -> int:
-    """Return a date and time, in a zone if it names none, in nanoseconds since 1970 in UTC."""
+    """Return a date and time, in `zone` if it has none, in nanoseconds since 1970 in UTC."""
     aware = moment if moment.tzinfo is not None else moment.replace(tzinfo=zone)
     return (aware - datetime(1970, 1, 1, tzinfo=UTC)) // timedelta(microseconds=1) * 1000
 
@@ -260,13 +229,13 @@ def trip_frames(
     numbers: Counter[str],
     frame_s: float = 1.0,
 ) -> Iterator[Frame]:
-    """Yield the frames of a trip in the order in which they would be complete.
+    """Yield the frames of a trip in the order of their ends, when a logger would send them.
 
     Samples have the unit of the manifest and are as in the file: not cleaned, filtered or turned.
-    They are float32 where that holds them exactly, else float64. A sample that is missing (NaN,
-    infinite or absurd) or whose time is missing ends a frame; so does sample ``MOST_SAMPLES``. A
-    block of each sensor is in memory. `zero_ns` and `offsets` are those of `trip_clock`; `numbers`
-    holds the sequence number of the next frame of each sensor, and grows.
+    They are float32 if that holds them exactly, else float64. A missing sample (NaN, infinite or
+    absurd) or a missing time ends a frame; so does sample ``MOST_SAMPLES``. A block of each sensor
+    is in memory. `zero_ns` and `offsets` are those of `trip_clock`; `numbers`, the sequence number
+    of each sensor's next frame, is updated.
     """
     suspension = str(manifest.place)
     streams = [
@@ -288,7 +257,7 @@ def trip_frames(
 def _sensor_frames(
     manifest: TripManifest, name: str, zero_ns: int, numbers: Counter[str], frame_s: float
 ) -> Iterator[Frame]:
-    """Yield the frames of one sensor; `zero_ns` is what its times are counted from."""
+    """Yield the frames of one sensor, whose times count from `zero_ns`."""
     kind, source = _sources(manifest)[name]
     where, suspension = _source_name(manifest, name), str(manifest.place)
     with open_source(manifest, source, where, kind) as opened:
@@ -300,7 +269,7 @@ def _sensor_frames(
         first_ns = zero_ns + round(first_s * SECOND_NS)
         size = max(1, min(MOST_SAMPLES, round(frame_s * rate_hz)))
         whole = chain([first_block], blocks)
-        del first_block  # it is as large as all other memory of a sensor
+        del first_block  # frees as much memory as all else of a sensor takes
         for at, values in _recut(whole, size):
             for start, stop in zip(*runs(~find_gaps(values)), strict=True):
                 time_ns = first_ns + round((at + start) * SECOND_NS / rate_hz)
@@ -310,7 +279,7 @@ def _sensor_frames(
 
 
 def _recut(blocks: Iterable[FloatArray], size: int) -> Iterator[tuple[int, FloatArray]]:
-    """Yield pieces of `size` samples of a signal, the last one shorter, and where they start."""
+    """Yield the start and the samples of pieces of `size` samples; the last one may be shorter."""
     at, rest = 0, np.empty(0)
     for block in blocks:
         rest = np.concatenate([rest, block])
@@ -324,14 +293,14 @@ def _recut(blocks: Iterable[FloatArray], size: int) -> Iterator[tuple[int, Float
 
 
 def _unit(kind: str, source: Source, opened: OpenSource) -> tuple[str, float]:
-    """Return the unit of a source's frames, and the size of the file's numbers in it."""
+    """Return the unit of a source's frames, and the factor from the file's numbers to it."""
     usual, sizes = UNITS[kind]
     unit = source.unit or usual
     return unit, abs(opened.size) / sizes[unit]
 
 
 def _shortest(samples: FloatArray) -> FloatArray:
-    """Return samples in single precision where that changes none of them."""
+    """Return samples in single precision if that changes none of them."""
     with np.errstate(over="ignore"):
         single: Any = samples.astype(np.float32)
     return single if (single == samples).all() else samples

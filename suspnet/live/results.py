@@ -1,4 +1,4 @@
-"""Results of a monitor: estimates and alarms in the history, as JSON, and in TensorBoard."""
+"""Results of a monitor: estimates and alarms to the history, as JSON, and to TensorBoard."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ from suspnet.trips.fleet import FleetSettings
 
 log = logging.getLogger(__name__)
 LEAST_KM = 0.5
-"""A section without an estimate is stored only if the train ran so far in it: a train that stands
-all night leaves no trips."""
+"""A section without an estimate is stored only if the train ran this far in it, [km]: a train
+parked all night leaves no trips."""
 WAIT_S = 5.0
-"""Time until a store that cannot be written is tried again, [s]."""
+"""Time until an unavailable store is tried again, [s]."""
 
 Publish = Callable[[Kind, str, bytes], None]
 
@@ -34,15 +34,9 @@ Publish = Callable[[Kind, str, bytes], None]
 class Results:
     """Stores and publishes the estimates and alarms of suspensions.
 
-    Parameters
-    ----------
-    store : History
-    settings : FleetSettings
-        Limits and detector of the alarms; estimates are relative to the vehicle of the models.
-    publish : callable
-        Gets "estimates" or "alarms", the suspension and JSON.
-    tensorboard : Path, optional
-        Folder of the events, a subfolder for each suspension.
+    `settings` has limits and detector of the alarms, `publish` gets "estimates" or "alarms", the
+    suspension and JSON, and `tensorboard` is the folder of the events, with a subfolder for each
+    suspension.
     """
 
     def __init__(
@@ -57,9 +51,10 @@ class Results:
         self._logs: dict[str, RunLog] = {}
 
     def report(self, suspension: LiveSuspension, estimate: Estimate) -> None:
-        """Store and publish an estimate; that of a section that is over raises and clears alarms.
+        """Store and publish an estimate; that of an ended section raises and clears alarms.
 
-        The same estimate again replaces the one stored. This waits for a store that is away.
+        The operation is idempotent: the same estimate replaces the stored one. It blocks while the
+        store is unavailable.
         """
         result = estimate.result
         moved = result.status == OK or estimate.distance_km >= LEAST_KM
@@ -79,20 +74,20 @@ class Results:
         log.info("%s %s%s", suspension.name, summary(estimate), remark and f": {remark}")
 
     def close(self) -> None:
-        """Close the events."""
+        """Close the TensorBoard events."""
         for one in self._logs.values():
             one.close()
 
     def _stored(self, result: TripResult, models: Sequence[TrainedModel]) -> list[Alarm]:
-        """Store a trip and return the suspension's alarms; wait while the store is away."""
-        while True:  # ends when the store is back, or with the process
+        """Store a trip and return the suspension's alarms; wait while the store is unavailable."""
+        while True:  # ends: when the store is available, or with the process
             try:
                 limits = self._settings.limits_of(models)
                 return keep_trips(
                     [result], result.place, models, limits, self._settings.changes, self._store
                 )
             except HistoryError as error:
-                log.warning("%s; tried again every %g s, nothing is lost", error, WAIT_S)
+                log.warning("%s; retrying every %g s, no result is lost", error, WAIT_S)
                 time.sleep(WAIT_S)
 
     def _log(self, name: str) -> RunLog:

@@ -1,14 +1,14 @@
-"""A stream without end, divided into sections: recordings of bounded length that follow its trips.
+"""An endless stream divided into sections: recordings of bounded length that follow its trips.
 
 A trip starts with the first frame after a pause, and a section at the full second of its first
-frame. A section ends where no frame comes for the time of a pause; after a fixed time; or, from a
-third of it on, where the train has stood for the time of a pause. Where frames go on, another
-section follows. A short last section joins the one before, which waits for it. A frame is divided
-where it crosses the end of a section.
+frame. A section ends if no frame comes for the length of a pause; at its full length; or, after a
+third of it, if the train has stood for the length of a pause. If frames go on, another section
+follows. A short last section joins the previous one, which waits for it. A frame is divided at the
+end of a section.
 
-None of this depends on the order in which frames come, as long as no sensor lags behind another by
-more than `late_s`, which is at most the time of a pause. A section stays open for such frames; then
-it is a recording like any other.
+None of this depends on the order of frames, as long as no sensor lags behind another by more than
+`late_s`, which is at most the length of a pause. A section stays open for such frames; then it is a
+recording like any other.
 """
 
 from __future__ import annotations
@@ -28,58 +28,59 @@ from suspnet.recordings.manifest import TripManifest
 from suspnet.recordings.running import Running
 
 MOST_OPEN = 5
-"""Largest number of open sections. Three are enough where clocks are right: one that is over, the
-rest of its trip, and the next trip. The others are for frames of wrong times, none of which may
-close a section that still runs."""
+"""Largest number of open sections. Three are enough if clocks are right: one that has ended, the
+rest of its trip, and the next trip. The others are for frames of wrong times, which must not close
+a section that is still running."""
 SHORT, SHORT_S = 1 / 4, 120.0
-"""Part of the length of a section, and length [s], below which the last one of a trip joins the one
-before: twice what a recording needs."""
+"""Fraction of a section's length, and length [s], below which the last section of a trip joins the
+previous one: twice the length that a recording needs."""
 TRIED_NS = 60 * SECOND_NS
-"""Time between two checks whether the train stood, [ns]."""
+"""Time between two checks for standstill, [ns]."""
 AHEAD_NS = 86_400 * SECOND_NS
-"""Frames so much before a section that was over [ns] are not late: then a clock was wrong."""
+"""Frames this much earlier than an ended section, [ns], are not late: a clock was wrong."""
 BORDER_SAMPLES = 1e-3
-"""A sample this close before a border [samples] counts as on it, as times are whole nanoseconds."""
+"""A sample this close before a border, [samples], counts as on it, as times are whole
+nanoseconds."""
 
 
 @dataclass
 class _Open:
-    """A section that is not over."""
+    """A section that is not closed."""
 
     section: Running
-    before: int | None = None  # key of the section before it in the same trip
-    # number of latest frames of each sensor, in a row, that start after the section is over
+    before: int | None = None  # key of the previous section of the same trip
+    # for each sensor, number of its latest frames in a row that start after the section ended
     after: Counter[str] = field(default_factory=Counter)
-    cut_ns: int | None = None  # where it ends before its full length, as the train stood
-    n_tried: int = 0  # number of checks for that
+    cut_ns: int | None = None  # where it ends early, at a standstill
+    n_tried: int = 0  # number of checks for a standstill
 
 
 class Sections:
-    """The recordings of one suspension, one after the other.
+    """The recordings of one suspension, one after another.
 
-    Memory is that of at most ``MOST_OPEN`` recordings of `section_s`, as of `Running`.
+    Memory is that of at most ``MOST_OPEN`` recordings of `section_s`; see `Running`.
 
     Parameters
     ----------
     manifest : TripManifest
-        As of `Running`.
+        As for `Running`.
     section_s : int, [s]
         Largest length of a section.
     late_s : float, [s]
-        A section is over once more than ``order.window`` frames of one sensor in a row start later
-        than this after the pause that follows it, or, where its trip goes on, later than this and
-        the length of a short section after its end. No sensor may lag behind another by more.
+        Largest lag of one sensor behind another. A section closes once more than ``order.window``
+        frames of one sensor in a row start later than this after the pause that follows it, or, if
+        its trip goes on, later than this and the length of a short section after its end.
     pause_s : float, [s]
-        Without a frame for so long, or without moving, a trip has ended.
+        A trip ends after this time without a frame or without moving.
     rate_hz, cleaning, order
-        As of `Running`.
+        As for `Running`.
 
     Attributes
     ----------
     counts : Counter
-        Frames "dropped" with sections of wrong times, and "late" ones of which a part was too late.
+        Frames "dropped" with sections of wrong times, and "late" ones, part of which was too late.
     identity : JSON-able
-        What a state must share with the stream that goes on from it.
+        Must be equal for a state and the stream that is restored from it.
 
     Raises
     ------
@@ -121,20 +122,22 @@ class Sections:
         ----------
         frame : Frame
         is_known : bool
-            Whether it was taken before, and comes again after a restart.
+            Whether it was taken before, and is read again after a restart.
 
         Raises
         ------
         FrameError
-            As `Running.add` does, or "late" if the section of all of it is over. It is not taken.
+            As `Running.add` does, or "late" if all of it belongs to a closed section. The whole
+            frame is rejected.
         """
         if len(frame.samples) > self.section_s * frame.rate_hz:
             raise FrameError("size", f"a frame is longer than a section of {self.section_s} s")
         self._check_clock(frame, is_known)
+        # drop the samples of closed sections, and divide the others at the ends of open ones
         n_late = _n_before(frame, self._next_ns)
         rest = _from(frame, n_late, self._next_ns)
         if rest is None:
-            raise FrameError("late", f"a frame of {frame.sensor!r} is of a section that is over")
+            raise FrameError("late", f"a frame of {frame.sensor!r} belongs to a closed section")
         reasons = ["late"] * bool(n_late)
         n_taken = 0
         while rest is not None:  # ends: each round takes a sample, or starts at a border
@@ -148,7 +151,7 @@ class Sections:
             if n_inside := _n_before(rest, border_ns):
                 try:
                     self._add(key, replace(rest, samples=rest.samples[:n_inside]))
-                except FrameError as error:
+                except FrameError as error:  # rejects the frame if none of it is taken yet
                     if not n_taken:
                         raise
                     reasons.append(error.reason)
@@ -170,22 +173,22 @@ class Sections:
             self._back.clear()
 
     def over(self) -> list[Running]:
-        """Return the sections that are over, the earliest first, and forget them."""
+        """Remove the sections that have ended, and return them, the earliest first."""
         window = self.order.window
         passed = {k for k, one in self._open.items() if max(one.after.values(), default=0) > window}
-        # one whose rest may still grow waits for it
+        # a section waits for a rest that may still grow
         done = [k for k in passed if self._after(k) in passed or not self._is_short(self._after(k))]
         last_ns = max((self._open[k].section.begin_ns for k in done), default=-1)
         return self._close([k for k in self._keys if self._open[k].section.begin_ns <= last_ns])
 
     @property
     def open(self) -> list[Running]:
-        """The sections that are not over, the earliest first, without those that are a rest."""
+        """The open sections, the earliest first, without those that are the rest of another."""
         return [self._open[k].section for k in self._keys if not self._is_rest(k)]
 
     @property
     def growing(self) -> list[Running]:
-        """Those of the open sections that no other section of the same trip follows."""
+        """The open sections that no other section of the same trip follows."""
         followed = {one.before for one in self._open.values()}
         return [
             self._open[k].section for k in self._keys if k not in followed and not self._is_rest(k)
@@ -212,9 +215,9 @@ class Sections:
         return self._full_ns(one.section.begin_ns) if one.cut_ns is None else one.cut_ns
 
     def _cut(self, one: _Open, time_ns: int) -> None:
-        """End a section where the train stood, if frames up to a time say so.
+        """End a section at a standstill, if the frames up to a time show one.
 
-        Only speeds that must have come by then count: those older than `late_s`.
+        Only speeds older than `late_s` count: later ones may still be missing.
         """
         first_ns = self._full_ns(one.section.begin_ns) - self.section_s * SECOND_NS * 2 // 3
         while one.cut_ns is None:  # ends: each round advances by a minute
@@ -226,7 +229,7 @@ class Sections:
                 one.cut_ns = at_ns
 
     def _end_ns(self, one: _Open) -> int:
-        """Return before which time a frame belongs to a section, if not to one before."""
+        """Return the end of a section: later frames do not belong to it."""
         return min(self._border_ns(one), one.section.end_ns + self._pause_ns)
 
     def _place(self, time_ns: int) -> int:
@@ -248,7 +251,7 @@ class Sections:
         """Take the part of a frame that lies in one section."""
         found = self._open.get(key)
         section = self._begun(key) if found is None else found.section
-        section.add(part)  # a frame that is refused opens no section
+        section.add(part)  # before the section is opened: a rejected frame opens none
         if found is None:
             before = [k for k, one in self._open.items() if self._border_ns(one) == key]
             self._open[key] = found = _Open(section, before[0] if before else None)
@@ -264,13 +267,13 @@ class Sections:
             self._standing.forget(part.time_ns - needed_ns)
 
     def _over_ns(self, one: _Open) -> int:
-        """Return the time from which on frames show that a section is over."""
+        """Return the time after which frames show that a section has ended."""
         wait_ns = max(self._late_ns, round(self._short_s * SECOND_NS))
         pause_ns = one.section.end_ns + self._pause_ns + self._late_ns
         return min(self._border_ns(one) + wait_ns, pause_ns)
 
     def _after(self, key: int) -> int | None:
-        """Return the key of the section that follows in the same trip."""
+        """Return the key of the next section of the same trip."""
         return next((k for k, one in self._open.items() if one.before == key), None)
 
     def _is_short(self, key: int | None) -> bool:
@@ -281,7 +284,7 @@ class Sections:
         return section.end_ns - section.begin_ns < self._short_s * SECOND_NS
 
     def _is_rest(self, key: int) -> bool:
-        """Return whether a section is the rest of one that is open."""
+        """Return whether a section is the rest of an open one."""
         return self._open[key].before in self._open and self._is_short(key)
 
     def _join_rests(self) -> None:
@@ -292,9 +295,9 @@ class Sections:
                 one.section.rest = self._open[after].section
 
     def _drop(self) -> None:
-        """Drop the section with the fewest frames, of these the latest, if too many are open.
+        """If too many sections are open, drop the one with the fewest frames, the latest of these.
 
-        The one that was opened last stays: else no new section could ever grow.
+        The section opened last stays: otherwise no new section could ever grow.
         """
         if len(self._open) > MOST_OPEN:
             old = list(self._open.items())[:-1]
@@ -317,7 +320,7 @@ class Sections:
         return found
 
     def state(self) -> dict[str, Any]:
-        """Return arrays and JSON-able values that `restore` makes the same stream of."""
+        """Return arrays and JSON-able values for `restore`."""
         return {
             "counts": dict(self.counts),
             "next_ns": self._next_ns,
@@ -336,7 +339,7 @@ class Sections:
         }
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Go on from a state of a stream of the same identity."""
+        """Restore the state of a stream of the same identity."""
         self.counts, self._next_ns = Counter(state["counts"]), state["next_ns"]
         self._back = Counter(state["back"])
         self._standing.restore(state["standing"])

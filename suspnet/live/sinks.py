@@ -1,4 +1,4 @@
-"""Where the replay of recorded trips sends frames: standard output, a folder, a broker."""
+"""Destinations of a replay's frames: standard output, a folder, a broker."""
 
 from __future__ import annotations
 
@@ -25,43 +25,43 @@ log = logging.getLogger(__name__)
 NUMBERED = re.compile(r"\d{9}", re.ASCII)
 """Names of the files that a `Folder` writes, without their suffix."""
 MOST_FILE_BYTES = 2**23
-"""Size of a file of frames, [bytes], beyond which the next one is started."""
+"""Size of a file of frames after which the next one is started, [bytes]."""
 ANSWER_S = 10.0
-"""Longest time that a broker may take to answer the first request to connect, [s]."""
+"""Timeout of the first connection to a broker, [s]."""
 
 
 class Sink(Protocol):
-    """What a replay asks of the place to which frames go."""
+    """Interface of a destination of frames."""
 
     @property
     def counts(self) -> Counter[str]:
-        """Counts of what went wrong, by reason in one word."""
+        """Counts of problems, by a reason of one word."""
         ...
 
     def open(self) -> None:
-        """Get ready; raises OSError or ValueError."""
+        """Prepare to send; OSError or ValueError if that is not possible."""
         ...
 
     def send(self, frame: Frame) -> None:
-        """Send a frame; waits while the receiver does not take it."""
+        """Send a frame; wait while the receiver does not take it."""
         ...
 
     def close(self) -> None:
-        """Send frames that wait, and wait until all are taken."""
+        """Send waiting frames, and wait until all are taken."""
         ...
 
 
 class StandardOutput:
-    """Writes frames to standard output, one after the other, as ``source=stdin`` reads them."""
+    """Writes frames to standard output, one after another, as ``source=stdin`` reads them."""
 
     def __init__(self) -> None:
         self.counts: Counter[str] = Counter()
 
     def open(self) -> None:
-        """Raise ValueError if standard output is a terminal: frames are no text."""
+        """Raise ValueError if standard output is a terminal: frames are binary."""
         if sys.stdout.isatty():
             raise ValueError(
-                "frames are no text: pipe them into suspnet-monitor source=stdin or a file, "
+                "frames are binary: pipe them into suspnet-monitor source=stdin or a file, "
                 "or give sink=folder or sink=mqtt"
             )
 
@@ -71,25 +71,20 @@ class StandardOutput:
         sys.stdout.buffer.flush()
 
     def close(self) -> None:
-        """Do nothing: all is written."""
+        """Do nothing: every frame is already written."""
 
 
 class Folder:
     """Writes frames into files as ``source=folder`` reads them: of all sensors, in their order.
 
-    A file appears whole. It holds at most ``MOST_FILE_BYTES`` and one frame.
-
-    Raises
-    ------
-    TypeError, ValueError
-        If `file_s` is out of range.
+    A file appears atomically. It holds at most ``MOST_FILE_BYTES`` and one frame.
     """
 
     settings: ClassVar[Mapping[str, Setting]] = {
-        "folder": Setting("Folder of the files, made if it is not there", rule="path"),
+        "folder": Setting("Folder of the files, created if it is missing", rule="path"),
         "file_s": Setting("Time that a file covers, of all sensors", "s", above=0, high=86400),
     }
-    """What each argument means and which values it takes."""
+    """Meaning and range of each argument."""
 
     def __init__(self, folder: str | Path, file_s: float = 10.0) -> None:
         check_values(Folder, file_s=file_s)
@@ -99,7 +94,7 @@ class Folder:
         self._n_bytes = self._n_files = self._first_ns = 0
 
     def open(self) -> None:
-        """Make the folder; the names of files go on from those that are there."""
+        """Create the folder; file names continue after the existing ones."""
         self.folder.mkdir(parents=True, exist_ok=True)
         there = [
             int(path.stem)
@@ -120,7 +115,7 @@ class Folder:
         self._n_bytes += len(self._held[-1])
 
     def close(self) -> None:
-        """Write the frames that wait."""
+        """Write the waiting frames."""
         if not self._held:
             return
         self._n_files += 1
@@ -133,16 +128,7 @@ class MqttSink:
     """Publishes frames to PREFIX/frames/SUSPENSION, with QoS 1.
 
     At most `in_flight` frames, or as many as the broker takes at once, are on the way; then `send`
-    waits, also while the broker is away.
-
-    Parameters
-    ----------
-    broker : Broker, optional
-
-    Raises
-    ------
-    TypeError, ValueError
-        If a setting is out of range, or paho-mqtt is not installed.
+    waits, also while the broker is disconnected.
     """
 
     settings: ClassVar[Mapping[str, Setting]] = {
@@ -152,7 +138,7 @@ class MqttSink:
             high=65535,
         ),
     }
-    """What each argument means and which values it takes."""
+    """Meaning and range of each argument."""
 
     def __init__(
         self,
@@ -170,18 +156,12 @@ class MqttSink:
 
     @property
     def counts(self) -> Counter[str]:
-        """Frames "rejected" by the broker, and how often it went away ("disconnect")."""
+        """Frames "rejected" by the broker, and the number of lost connections ("disconnect")."""
         return Counter(self._counts)
 
     def open(self) -> None:
-        """Connect to the broker.
-
-        Raises
-        ------
-        OSError, ValueError
-            If the connection is refused.
-        """
-        client = self.broker.client("")  # the broker names us, unlike any other
+        """Connect to the broker; OSError or ValueError if the connection is refused."""
+        client = self.broker.client("")  # the broker assigns a unique client id
         client.on_connect, client.on_publish = self._on_connect, self._on_publish
         client.on_disconnect = self._on_disconnect
         client.max_inflight_messages_set(self.in_flight)
@@ -219,7 +199,7 @@ class MqttSink:
     def _on_connect(
         self, client: Client, userdata: Any, flags: Any, reason: Any, properties: Any
     ) -> None:
-        """Send no more than the broker takes at once; it would close the connection."""
+        """Limit the frames in flight to what the broker takes; beyond that it would disconnect."""
         if self._answered.is_set():  # its first answer holds
             return
         if reason.is_failure:
@@ -230,7 +210,7 @@ class MqttSink:
     def _on_disconnect(self, client: Client, *_: Any) -> None:
         if self._client is not None:
             self._counts["disconnect"] += 1
-            log.warning("the broker at %s is away; waiting for it", self.broker.where)
+            log.warning("the broker at %s is not reachable; waiting for it", self.broker.where)
 
     def _on_publish(
         self, client: Client, userdata: Any, number: int, reason: Any, properties: Any

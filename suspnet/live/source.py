@@ -1,10 +1,10 @@
-"""What the monitor asks of a source of frames, and how a stream of bytes is divided into frames.
+"""Interface of a source of frames, and how a stream of bytes is divided into frames.
 
 Frames are found by Arrow's own framing: an encapsulated message of the Arrow IPC format is
 0xFFFFFFFF, the length of its metadata (a little-endian int32, a multiple of 8), the metadata (a
-flatbuffer, which holds the length of the body) and the body. A frame is the message of a schema,
-that of one record batch, and the mark of the end, 0xFFFFFFFF 0x00000000. The content of a frame is
-checked later, by `suspnet.recordings.frames.decode`.
+flatbuffer, which holds the length of the body) and the body. A frame consists of a schema message,
+one record batch message, and the end mark 0xFFFFFFFF 0x00000000. The content of a frame is checked
+later, by `suspnet.recordings.frames.decode`.
 """
 
 from __future__ import annotations
@@ -23,56 +23,48 @@ Kind = Literal["estimates", "alarms"]
 
 
 class Source(Protocol):
-    """Where encoded frames come from and results go to.
+    """Interface of a source of encoded frames, which also takes results.
 
     A source is made from its settings, which it checks, and opens nothing before `subscribe`. All
-    methods are called by one thread. A frame is given at least once: what was received but not
-    confirmed comes again after a restart, as far as the sender stores it.
+    methods are called by one thread. Frames are delivered at least once: what was received but not
+    confirmed is delivered again after a restart, if the sender stores it.
     """
 
     @property
     def counts(self) -> Counter[str]:
-        """Counts of what was no frame and of what happened on the way, by reason in one word."""
+        """Counts of invalid input and of transport events, by a reason of one word."""
         ...
 
     def subscribe(self, suspensions: Sequence[str]) -> Sequence[str]:
-        """Open the source for the suspensions of these names, before the first `receive`.
+        """Open the source; return the suspensions served: all, or this process's part.
 
-        Returns
-        -------
-        sequence of str
-            Those whose frames will come: all, or the part that this process is for.
-
-        Raises
-        ------
-        OSError, ValueError
-            If it cannot be opened.
+        It is called before the first `receive`, and raises OSError or ValueError if that fails.
         """
         ...
 
     def receive(self, timeout_s: float) -> list[bytes] | None:
-        """Return encoded frames that have come, unchecked.
+        """Return encoded frames that have arrived, unchecked.
 
-        It returns as soon as there are any; an empty list after `timeout_s` [s]; None if there
-        will never be more.
+        It returns as soon as there are any; an empty list after `timeout_s` [s]; None at the end of
+        the source.
         """
         ...
 
     def confirm(self, n_frames: int | None = None) -> None:
-        """Let the source forget the next `n_frames` that it gave; None: all so far."""
+        """Let the source forget the next `n_frames` that it returned; None: all so far."""
         ...
 
     def publish(self, kind: Kind, suspension: str, payload: bytes) -> None:
-        """Publish a result, a JSON object, of one suspension; never waits for a network."""
+        """Publish a result, a JSON object, of one suspension; never wait for a network."""
         ...
 
     def close(self) -> None:
-        """Give back what is open; frames that were not confirmed come again."""
+        """Release resources; frames that were not confirmed are delivered again."""
         ...
 
 
 def plain_json(payload: bytes) -> dict[str, Any]:
-    """Return what a JSON object holds, null for NaN and infinity; ValueError if it is none."""
+    """Return a JSON object's content, null for NaN and infinity; ValueError if it is not one."""
     found = json.loads(payload, parse_constant=lambda _: None)
     if not isinstance(found, dict):
         raise ValueError(f"a result is a JSON object, got {payload[:80]!r}")
@@ -80,7 +72,7 @@ def plain_json(payload: bytes) -> dict[str, Any]:
 
 
 def print_result(kind: Kind, suspension: str, payload: bytes) -> None:
-    """Write a result to standard output, as one line of JSON with these two names first."""
+    """Write a result to standard output, as one line of JSON with kind and suspension first."""
     row = {"kind": kind, "suspension": suspension, **plain_json(payload)}
     sys.stdout.write(json.dumps(row) + "\n")
     sys.stdout.flush()
@@ -96,25 +88,19 @@ BEGIN = re.compile(
     + rb"][\x00-\xff]\x00\x00",
     re.DOTALL,
 )
-"""Beginning of a message with less than 64 KiB of metadata."""
+"""Start of a message with less than 64 KiB of metadata."""
 SCHEMA, RECORD_BATCH = 1, 3
-"""Numbers of the types of messages in Arrow's Message.fbs."""
+"""Numbers of message types in Arrow's Message.fbs."""
 
 
 class Splitter:
-    """Divides a stream of bytes, in whatever pieces it comes, into encoded frames.
+    """Divides a stream of bytes, in pieces of any size, into encoded frames.
 
-    After bytes that are no frame it goes on at the next place where a frame starts, even inside a
-    frame that started and never ended. It holds at most ``MOST_BYTES`` and one piece.
+    After invalid bytes it continues at the next place where a frame starts, even inside a frame
+    that started and never ended. It holds at most ``MOST_BYTES`` and one piece. `counts` has the
+    stretches of invalid bytes between two frames, by the first reason: "foreign", "size" (larger
+    than any frame), "truncated" (shorter than declared).
 
-    Attributes
-    ----------
-    counts : Counter
-        Stretches of bytes between two frames that are none, by the first reason: "foreign",
-        "size" (larger than any frame), "truncated" (shorter than it says).
-
-    Examples
-    --------
     >>> import numpy as np
     >>> from suspnet.recordings.frames import Frame, encode
     >>> one = encode(Frame("car 2", "body", 7, 0, 100.0, "g", np.zeros(100)))
@@ -131,19 +117,19 @@ class Splitter:
         self._is_lost = False
 
     def push(self, data: bytes) -> list[bytes]:
-        """Take the next bytes; return the frames that end with them."""
+        """Take the next bytes; return the frames that end in them."""
         self._buffer += data
         return self._frames(at_end=False)
 
     def finish(self) -> list[bytes]:
-        """Return the frames that are left at the end of the stream; count one that is cut off."""
+        """Return the remaining frames at the end of the stream; count one that is cut off."""
         return self._frames(at_end=True)
 
     def _frames(self, at_end: bool) -> list[bytes]:
         """Take the whole frames out of the buffer."""
         found: list[bytes] = []
         at = 0
-        while len(self._buffer) - at >= PREFIX_BYTES:  # each round goes on by a byte or more
+        while len(self._buffer) - at >= PREFIX_BYTES:  # ends: each round advances by a byte or more
             begin = BEGIN.search(self._buffer, at)
             start = len(self._buffer) - PREFIX_BYTES + 1 if begin is None else begin.start()
             if start > at:
@@ -173,19 +159,13 @@ class Splitter:
         return found
 
     def _lose(self, reason: str) -> None:
-        """Count bytes that are no frame, once until the next frame."""
+        """Count bytes that are not a frame, once until the next frame."""
         if not self._is_lost:
             self.counts[reason] += 1
         self._is_lost = True
 
     def _length(self, start: int) -> int | None:
-        """Return the length of the frame that starts at a place; None if it is not yet whole.
-
-        Raises
-        ------
-        FrameError
-            If no frame starts there.
-        """
+        """Return the length of the frame at `start`, None if incomplete; FrameError if none."""
         end = start
         for kind in (SCHEMA, RECORD_BATCH):
             if len(self._buffer) < end + PREFIX_BYTES:

@@ -1,4 +1,4 @@
-"""One suspension as it runs: its frames become sections, and each section a trip of its own."""
+"""One suspension in operation: its frames become sections, and each section a trip of its own."""
 
 from __future__ import annotations
 
@@ -37,47 +37,37 @@ EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 
 @dataclass(frozen=True)
 class LiveSettings:
-    """How a monitor divides a stream into sections, and when it reports estimates.
-
-    Parameters
-    ----------
-    order : OrderSettings
-
-    Raises
-    ------
-    TypeError, ValueError
-        If a setting is out of range.
-    """
+    """How a monitor divides a stream into sections, and when it reports estimates."""
 
     section_s: int = setting(
         1200,
-        "Largest length of a section, which is a trip of its own in the history; a longer trip "
-        "becomes several, of which the last one takes in what is shorter than a quarter of it",
+        "Largest length of a section, which is one trip in the history; a longer trip "
+        "becomes several, and a last one shorter than a quarter of it joins the one before",
         "s",
         low=60,
         high=86400,
     )
     every_s: float | None = setting(
         600.0,
-        "After so much signal of a section an estimate from it so far is published; null is at "
-        "its end only",
+        "Length of signal between two interim estimates of a section; null publishes the "
+        "final one only",
         "s",
         low=60,
         high=86400,
     )
     pause_s: float = setting(
-        300.0, "Without a frame for so long a trip has ended", "s", low=60, high=3600
+        300.0, "Time without a frame after which a trip has ended", "s", low=60, high=3600
     )
     late_s: float = setting(
         60.0,
-        "A section stays open for frames that come so much later than others",
+        "Time for which a section stays open for frames that come later than others",
         low=0,
         high=3600,
         rule="s; 0 to pause_s",
     )
     idle_s: float = setting(
         3600.0,
-        "After so long without a frame a section is told as if it were over",
+        "Time without a frame after which an open section is reported as if it had ended",
         "s",
         low=1,
         high=1e7,
@@ -91,16 +81,11 @@ class LiveSettings:
 
 @dataclass(frozen=True)
 class Due:
-    """A section of which an estimate is due.
+    """A section whose estimate is due.
 
-    Attributes
-    ----------
-    section : Running
-    is_final : bool
-        Whether the section is over, or is reported as if it were; else it is still open.
-    mileage_km : float, optional, [km]
-        At the section's start; None: at the end of the section before.
-    temperature_c : float, optional, [°C]
+    `is_final`: the section has ended, or is reported as if it had; otherwise it is still open.
+    `mileage_km` is that at the section's start; None: the mileage at the end of the previous
+    section.
     """
 
     section: Running
@@ -111,18 +96,10 @@ class Due:
 
 @dataclass(frozen=True)
 class Estimate:
-    """What a section showed.
+    """The result of a section.
 
-    Attributes
-    ----------
-    result : TripResult
-    is_final : bool
-        As of `Due`.
-    frames : dict of int
-        Counts of the section's frames as ``Assembler.counts``, over all sensors; "dropped" are
-        those that were given up before it as ``Sections.counts``.
-    distance_km : float, [km]
-        Run in the section; 0 where that is not known.
+    `frames` are counts as in ``Assembler.counts``, over all sensors, with the "dropped" frames of
+    ``Sections.counts``; `distance_km` was run in the section, 0 if unknown.
     """
 
     result: TripResult
@@ -133,10 +110,9 @@ class Estimate:
 
 @dataclass(frozen=True)
 class Job:
-    """An estimate that any thread can make: it holds all that it needs.
+    """An estimate that any thread can make: it is self-contained.
 
-    `section` is that of `due`, or a copy of it if more frames may come; `frames` are those of
-    `Estimate`.
+    `section` is that of `due`, or a copy of it if more frames may come.
     """
 
     due: Due
@@ -147,7 +123,7 @@ class Job:
     trips: TripSettings
 
     def make(self) -> Estimate:
-        """Return the estimate, or why there is none; it never fails."""
+        """Return the estimate, or the reason why there is none; it never fails."""
         distance_km = 0.0
 
         def read() -> Recording:
@@ -161,23 +137,10 @@ class Job:
 
 
 class LiveSuspension:
-    """Frames of one suspension in, estimates out.
+    """Turns the frames of one suspension into estimates.
 
-    Memory is that of `Sections`: its signals at the common rate, and frames that wait.
-
-    Parameters
-    ----------
-    manifest : TripManifest
-        As of `Sections`. Its mileage is that of the first section, unless frames report it.
-    models : sequence of TrainedModel
-        Those of this suspension.
-    trips : TripSettings
-    settings : LiveSettings
-
-    Raises
-    ------
-    TripError, ValueError
-        As `Sections` does.
+    Memory is that of `Sections`. The manifest's mileage applies to the first section, unless frames
+    report it.
     """
 
     def __init__(
@@ -199,22 +162,22 @@ class LiveSuspension:
             pause_s=settings.pause_s,
         )
         self._slow = SlowValues(manifest.mileage_km, manifest.temperature_c)
-        # of the open section that was reported: its key, and how many times `every_s`
+        # key of the open section with interim estimates: number of `every_s` reported
         self._reported: dict[int, int] = {}
-        # of open sections that were reported as if over: mileage [km] and number of frames
+        # key of each section reported as if ended: its mileage [km] and number of frames
         self._silent: dict[int, tuple[float, int]] = {}
 
     def take(self, frame: Frame, is_known: bool = False) -> None:
-        """Take a frame; raises FrameError, and takes nothing of it, as `Sections.add` does."""
+        """Take a frame; FrameError if it is rejected as a whole, as in `Sections.add`."""
         if frame.sensor in SlowValues.UNITS:
             self._slow.take(frame)
         else:
             self._sections.add(frame, is_known)
 
     def due(self) -> list[Due]:
-        """Return the estimates of sections that are over or have gone on for `every_s`.
+        """Return the estimates of sections that have ended or have run for another `every_s`.
 
-        A section that is over is given once: it is no longer part of the state.
+        An ended section is returned once: it is no longer part of the state.
         """
         found = self._over(self._sections.over())
         every_s = self._settings.every_s
@@ -229,7 +192,7 @@ class LiveSuspension:
         return found
 
     def silent(self) -> list[Due]:
-        """Return the estimates of open sections with new frames, as nothing has come for long."""
+        """Return the estimates of open sections with new frames, when frames have ceased."""
         found = []
         for section in self._sections.open:
             _, n_frames = self._silent.get(section.zero_ns, (0.0, 0))
@@ -242,14 +205,14 @@ class LiveSuspension:
         return self._over(self._sections.close())
 
     def job(self, due: Due) -> Job:
-        """Return an estimate that is due with what it needs of the present state.
+        """Return a due estimate together with what it needs of the present state.
 
-        Before the next one of this suspension, `finish` is called with its result.
+        `finish` must get its result before the next job of this suspension is made.
         """
         section, mileage_km = due.section, due.mileage_km
         start = EPOCH + timedelta(seconds=section.begin_ns // SECOND_NS)
         if section.zero_ns in self._silent:
-            # the store knows the trip by this mileage, and replaces it only under the same
+            # the store identifies the trip by this mileage, and replaces it only under the same
             mileage_km, _ = self._silent[section.zero_ns]
         manifest = replace(
             self.manifest,
@@ -269,13 +232,13 @@ class LiveSuspension:
         if section in self._sections.open:
             if due.is_final:
                 self._silent[section.zero_ns] = manifest.mileage_km, _n_frames(section)
-            section = copy.deepcopy(section)  # the first thread adds frames to the original
+            section = copy.deepcopy(section)  # the main thread adds frames to the original
         return Job(due, section, manifest, dict(frames), self.models, self._trips)
 
     def finish(self, job: Job, estimate: Estimate) -> None:
-        """Let the mileage go on after a section that is over."""
+        """Advance the mileage by an ended section."""
         section = job.due.section
-        was_over = job.section is section  # when the job was made: it is no copy
+        was_over = job.section is section  # when the job was made: an open section was copied
         if job.due.is_final and was_over:
             end_km = estimate.result.mileage_km + estimate.distance_km
             self._slow.pass_section(_end_ns(section), end_km)
@@ -291,7 +254,7 @@ class LiveSuspension:
         return dump_state(self._identity, state)
 
     def load(self, content: bytes) -> None:
-        """Go on from a state; raises StateError if it is damaged or of other settings."""
+        """Restore a state; StateError if it is damaged or was made with other settings."""
         state = load_state(content, self._identity)
         self._sections.restore(state["sections"])
         self._slow.restore(state["slow"])
@@ -302,7 +265,7 @@ class LiveSuspension:
         return [self.name, self._sections.identity]
 
     def _over(self, sections: Sequence[Running]) -> list[Due]:
-        # without any acceleration there is nothing to report: it is the last speed of a trip
+        # a section without acceleration is only the last speed of a trip: nothing to report
         return [self._due(section, is_final=True) for section in sections if not section.is_empty]
 
     def _due(self, section: Running, is_final: bool) -> Due:
@@ -321,7 +284,7 @@ def _n_frames(section: Running) -> int:
 
 
 def _distance_km(recording: Recording) -> float:
-    """Return the distance run [km]: unknown speeds count as the mean of the others."""
+    """Return the distance run [km]; unknown speeds count as the mean of the known ones."""
     speeds = recording.speed_m_per_s
     known = speeds[np.isfinite(speeds)]
     return float(known.mean()) * recording.duration_s / 1000 if len(known) else 0.0
@@ -330,26 +293,12 @@ def _distance_km(recording: Recording) -> float:
 def read_suspensions(
     folder: Path, models: Sequence[TrainedModel], settings: FleetSettings, live: LiveSettings
 ) -> list[LiveSuspension]:
-    """Return each suspension that a folder has manifests of.
+    """Return each suspension that a folder has manifests of; data files may be missing.
 
-    Parameters
-    ----------
-    folder : Path
-        As `evaluate_fleet` takes it: with the manifests of one suspension or of several, or with
-        subfolders. Data files need not be there.
-    models : sequence of TrainedModel
-    settings : FleetSettings
-    live : LiveSettings
-
-    Raises
-    ------
-    FileNotFoundError
-        If there is no manifest.
-    TripError
-        If a manifest is faulty, is of another vehicle, lacks the unit of a sensor's range, or has a
-        name that frames cannot have.
-    ModelFileError
-        If a suspension has no model, or the limits do not go together.
+    `folder` is as for `evaluate_fleet`. FileNotFoundError is raised if there is no manifest;
+    TripError if a manifest is faulty, is of another vehicle, lacks the unit of a sensor's range, or
+    has a name that frames cannot have; ModelFileError if a suspension has no model, or the limits
+    do not go together.
     """
     found = []
     for group in find_groups(folder):

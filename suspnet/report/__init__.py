@@ -1,1 +1,1 @@
-"""What people read: texts, tables, figures and pages."""
+"""Output for people: texts, tables, figures and pages."""

@@ -1,4 +1,4 @@
-"""The fleet as it is now, kept up to date from a history."""
+"""The current state of a fleet, updated from a history."""
 
 from __future__ import annotations
 
@@ -26,17 +26,17 @@ from suspnet.report.overview import FleetView, fleet_view
 
 log = logging.getLogger(__name__)
 SHOWN_S = 5.0
-"""Time after which a refresh that is not done shows what it has, [s]."""
+"""A refresh that takes longer shows a partial result at this interval, [s]."""
 READ_AT_ONCE = 100
 """Number of suspensions that are read in one transaction."""
 LOOK_S = 1.0
-"""Longest time that a look at the store waits for other programs, [s]."""
+"""Timeout for a lock of the store by other programs, [s]."""
 AT_ONCE = 50
-"""Number of suspensions whose alarms are found before the time is looked at."""
+"""Number of suspensions updated between two checks of the elapsed time."""
 
 
 class Limited(Protocol):
-    """A vehicle, as far as its name and limits go."""
+    """A vehicle with a name and limits."""
 
     @property
     def name(self) -> str:
@@ -49,26 +49,12 @@ class Limited(Protocol):
 
 @dataclass(frozen=True)
 class BoardSettings:
-    """What the states of a fleet and its plan depend on, besides its history.
+    """Settings of the states and the plan of a fleet.
 
-    Parameters
-    ----------
-    vehicles : mapping of vehicles
-        Those whose limits are known; others have ``DEFAULT_LIMITS``.
-    limits : mapping, optional
-        In place of the vehicles': from a parameter to `notice` and `act`.
-    changes : ChangeSettings
-    sisters : SisterSettings
-    plan : PlanSettings
-    today : str, optional
-        ISO 8601; the day of the computer's clock by default.
-    seed : int
-        Of the predicted lives.
-
-    Raises
-    ------
-    ValueError
-        If `today` is not a day, or the limits do not go together.
+    A vehicle that is not in `vehicles` has ``DEFAULT_LIMITS``; `limits` override them all, from a
+    parameter to `notice` and `act`. `today` is an ISO 8601 day (None: that of the computer's
+    clock), `seed` that of the predicted lives. ValueError is raised if `today` is not a day, or the
+    limits are inconsistent.
     """
 
     vehicles: Mapping[str, Limited] = field(default_factory=dict)
@@ -88,39 +74,29 @@ class BoardSettings:
             self.limits_of(one.name)
 
     def day(self) -> date:
-        """Return the day from which on is planned."""
+        """Return the first day of the plan."""
         return date.fromisoformat(str(self.today)) if self.today else date.today()
 
     def limits_of(self, vehicle: str) -> Mapping[str, Limits]:
-        """Return the limits of a vehicle by its name.
-
-        Raises
-        ------
-        ValueError
-            If `limits` cannot be read.
-        """
+        """Return the limits of a vehicle by its name; ValueError if `limits` cannot be read."""
         known = {one.name: one.known_limits for one in self.vehicles.values()}
         return read_limits(self.limits or {}, known.get(vehicle, DEFAULT_LIMITS))
 
 
 class Board:
-    """The fleet as it is now, kept up to date from a history.
+    """The current state of a fleet, updated from a history.
 
-    Only suspensions whose revision in the store changed are read and worked out again, and compared
-    with their sisters. The rates of wear of a fleet, and with them the lives of all its
-    suspensions, are learnt again as ``Fleet`` says. A refresh that takes long shows what it has
-    every ``SHOWN_S``: first the suspensions with the alarms that the store keeps.
+    Only suspensions whose revision in the store changed are read and recomputed, and compared with
+    their sisters. The rates of wear of a fleet, and with them the lives of all its suspensions, are
+    learnt again as ``Fleet`` documents. A long refresh shows partial results every ``SHOWN_S``:
+    first the suspensions with the alarms in the store.
 
-    The alarms of sisters are written to the store, as nobody else finds them while trips are
-    monitored; those of limits and changes are stored by who evaluates the trips. They are written
-    only when they are not as this board found them the last time, so that boards of different
-    settings do not wake each other again and again.
+    Sister alarms are written to the store, as no other program finds them while trips are
+    monitored; alarms of limits and changes are stored by the evaluation of the trips. They are
+    written only if they differ from those this board found last, so that boards of different
+    settings do not trigger each other for ever.
 
-    Parameters
-    ----------
-    store : str
-        File or URL of the history. A file may be made later.
-    settings : BoardSettings
+    `store` is the file or URL of the history; a file may be created later.
     """
 
     def __init__(self, store: str, settings: BoardSettings) -> None:
@@ -132,32 +108,27 @@ class Board:
         self._view = FleetView()
         self._revisions: dict[Key, int] = {}
         self._early: dict[Key, State] = {}
-        self._unkept: set[Key] = set()
-        self._kept: dict[Key, list[Alarm]] = {}
+        self._unstored: set[Key] = set()
+        self._stored: dict[Key, list[Alarm]] = {}
         self._plan: Plan | None = None
         self._day = settings.day()
         self._is_due = True
         self._file: tuple[int, int] | None = None
         self._is_doubted = False
-        self._not_kept = ""
+        self._store_fault = ""
         self._shown_at = 0.0
         self._lock = threading.Lock()
 
     @property
     def view(self) -> FleetView:
-        """The last view; it costs nothing, also while the next one is made."""
+        """The last view, available at once even while the next one is computed."""
         return self._view
 
     def refresh(self) -> bool:
-        """Work out what changed in the store since the last time.
+        """Recompute what changed in the store since the last call; return whether the view is new.
 
-        Where the store cannot be used the last view stays, with its `trouble`. Threads may call
-        this at once; they wait for each other.
-
-        Returns
-        -------
-        bool
-            Whether there is a new view.
+        If the store cannot be used the last view stays, with its `trouble`. Concurrent calls of
+        threads wait for each other.
         """
         with self._lock:
             before = self._view
@@ -165,7 +136,7 @@ class Board:
                 with History(self.store, wait_s=LOOK_S, must_exist=True) as history:
                     self._refresh(history)
             except HistoryError as error:
-                self._is_doubted = True  # it may be another store when it can be read again
+                self._is_doubted = True  # it may be another store once it can be read again
                 if str(error) != self._view.trouble:
                     log.warning("%s", error)
                     version = self._view.version + 1
@@ -175,7 +146,7 @@ class Board:
     def _refresh(self, history: History) -> None:
         revisions, day, file = history.revisions(), self.settings.day(), file_number(self.store)
         self._is_due |= day != self._day
-        bad = {one.key for one in self._view.bad_rows}  # they may have been mended
+        bad = {one.key for one in self._view.bad_rows}  # they may have been corrected
         is_other = self._is_doubted or file != self._file
         changed = [
             key
@@ -186,6 +157,7 @@ class Board:
             self._read(history, revisions, changed)
         self._file, self._is_doubted = file, False
         if self._is_due:
+            # lives of the whole fleet, as its rates of wear may have changed
             while not self._fleet.predict(SHOWN_S):
                 self._show(history, is_complete=False)
             self._plan = self._planner.plan(self._fleet.states(), day)
@@ -198,11 +170,11 @@ class Board:
             or {*history.bad_rows} != {*self._view.bad_rows}
         ):
             self._show(history, is_complete=True)
-        if self._unkept:
-            self._keep(history)
+        if self._unstored:
+            self._store_alarms(history)
 
     def _read(self, history: History, revisions: dict[Key, int], changed: list[Key]) -> None:
-        changed.sort(key=lambda key: (key[0], str(key[1])))  # those of a car together
+        changed.sort(key=lambda key: (key[0], str(key[1])))  # suspensions of one car together
         series = [  # in parts: an SQLite file cannot be written while it is read
             one
             for begin in range(0, len(changed), READ_AT_ONCE)
@@ -211,8 +183,9 @@ class Board:
         for vehicle in {one.vehicle for one in series} - self._limits.keys():
             try:
                 self._limits[vehicle] = self.settings.limits_of(vehicle)
-            except ValueError as error:  # of a vehicle that the settings do not name
+            except ValueError as error:  # of a vehicle that is not in the settings
                 raise HistoryError(f"{history}: vehicle {vehicle}: {error}") from None
+        # new suspensions are shown at once, with the alarms in the store
         new = [one for one in series if one.key not in self._revisions]
         if new or self._view.bad_rows:
             alarms = history.all_alarms()
@@ -227,8 +200,9 @@ class Board:
         gone |= set(changed) - {one.key for one in series}
         self._is_due |= bool(gone)
         self._found(self._fleet.update([], gone))
-        self._unkept -= gone
-        self._kept = {key: alarms for key, alarms in self._kept.items() if key not in gone}
+        self._unstored -= gone
+        self._stored = {key: alarms for key, alarms in self._stored.items() if key not in gone}
+        # recompute the others in parts, and show partial results of a long refresh
         for begin in range(0, len(series), AT_ONCE):
             self._found(self._fleet.update(series[begin : begin + AT_ONCE]))
             if time.monotonic() - self._shown_at > SHOWN_S:
@@ -237,7 +211,7 @@ class Board:
 
     def _found(self, keys: set[Key]) -> None:
         self._is_due |= bool(keys)
-        self._unkept |= keys
+        self._unstored |= keys
 
     def _show(self, history: History, *, is_complete: bool) -> None:
         states = self._fleet.states()
@@ -255,24 +229,24 @@ class Board:
         )
         self._shown_at = time.monotonic()
 
-    def _keep(self, history: History) -> None:
-        """Tell the store the alarms of sisters that are not as they were found the last time."""
-        found = {key: self._fleet.of_sisters(key) for key in self._unkept}
-        other = {key: alarms for key, alarms in found.items() if self._kept.get(key) != alarms}
+    def _store_alarms(self, history: History) -> None:
+        """Store sister alarms that differ from those found last."""
+        found = {key: self._fleet.of_sisters(key) for key in self._unstored}
+        other = {key: alarms for key, alarms in found.items() if self._stored.get(key) != alarms}
         try:
             history.keep_all_alarms(other, [Cause.SISTER])
-        except HistoryError as error:  # it may be locked or read-only: try at the next look
-            if str(error) != self._not_kept:
+        except HistoryError as error:  # it may be locked or read-only: try at the next refresh
+            if str(error) != self._store_fault:
                 log.warning("alarms of sisters are not stored: %s", error)
-            self._not_kept = str(error)
+            self._store_fault = str(error)
             return
-        self._kept |= other
-        self._unkept.clear()
-        self._not_kept = ""
+        self._stored |= other
+        self._unstored.clear()
+        self._store_fault = ""
 
 
 def file_number(store: str) -> tuple[int, int] | None:
-    """Return what changes if a file is replaced by another; None for a server."""
+    """Return device and inode, which change if a file is replaced; None for a server."""
     if "://" in store:
         return None
     try:

@@ -24,31 +24,31 @@ WORDS = {
 }
 MOST_TRAINS = 30
 LEAST_ROWS = 3
-"""Number of rows that a calendar has room for even where fewer trains are shown."""
+"""Smallest number of rows of a calendar, also if fewer trains are shown."""
 LONGEST_LINE = 28
-"""Number of letters of a train's name in one of its two lines."""
+"""Number of letters of a train's name in each of its two lines."""
 BARS = 5
-"""Largest number of parts of one train whose intervals are drawn, the first to pass first."""
+"""Largest number of parts of one train whose intervals are drawn, those that pass first."""
 BAND = 0.7
 """Share of a train's row that intervals take."""
 PASSING = "passing"
-"""Label of the bars, until the legend says it with its level."""
+"""Internal label of the bars; the legend replaces it by a text with the level."""
 
 
 def plan_calendar(plan: Plan, figure: Figure | None = None) -> Figure:
-    """Trains as rows, unknown ones and then the most urgent on top, with their visits.
+    """Return the calendar: trains as rows, unknown and urgent ones on top, and their visits.
 
-    A mark is a visit with the number of its jobs, the line behind it reaches until its latest day.
-    A thin bar is the interval in which one part passes its limit if it is left alone. A question
-    mark is a train with a part of unknown remaining life; a visit for one has its colour. Trains
-    without a visit and without a part that waits are left out, and so are those after the first
-    ``MOST_TRAINS``; the title counts them.
+    A mark is a visit with the number of its jobs; the line behind it extends to its latest day.
+    A thin bar is the interval in which one part passes its limit without a visit. A question mark
+    is a train with a part of unknown remaining life; a visit for one has its colour. Trains without
+    a visit and without a waiting part are left out, as are those after the first ``MOST_TRAINS``;
+    the title counts them.
 
     Parameters
     ----------
     plan : Plan
     figure : Figure, optional
-        An empty one to draw on; one of fitting size by default.
+        An empty one to draw on; by default a new one of suitable size.
     """
     visits: dict[str, list[Visit]] = defaultdict(list)
     jobs: dict[str, list[Job]] = defaultdict(list)
@@ -77,7 +77,7 @@ def plan_calendar(plan: Plan, figure: Figure | None = None) -> Figure:
 
 
 def _label(axis: Axes, plan: Plan, shown: Sequence[str], n_trains: int) -> None:
-    """Name trains, days and the numbers of visits; every other train is shaded."""
+    """Label trains, days and the numbers of visits; shade every other train."""
     axis.set_ylim(max(len(shown), LEAST_ROWS) - 0.5, -0.5)
     names_in_lines = ["\n".join(wrap(name, LONGEST_LINE)[:2]) for name in shown]
     axis.set_yticks(range(len(shown)), names_in_lines, fontsize="small")
@@ -91,7 +91,7 @@ def _label(axis: Axes, plan: Plan, shown: Sequence[str], n_trains: int) -> None:
     axis.grid(True, axis="x", alpha=0.3)
     for row in range(1, len(shown), 2):
         axis.axhspan(row - 0.5, row + 0.5, color="0.95", zorder=0, lw=0)
-    axis.tick_params(axis="y", length=0, pad=9)  # a mark of today reaches out of the axis
+    axis.tick_params(axis="y", length=0, pad=9)  # a mark of today extends beyond the axis
     n_jobs = sum(len(visit.jobs) for visit in plan.visits)
     title = (
         f"Plan of {plan.today}: {count(len(plan.visits), 'visit')}, {count(n_jobs, 'job')} "
@@ -135,7 +135,7 @@ def _draw_passing(axis: Axes, plan: Plan, row: int, jobs: Sequence[Job]) -> None
 
 
 def _legend(figure: Figure, axis: Axes, level: float) -> None:
-    """Name every kind of mark once, the most urgent first."""
+    """Label every kind of mark once, the most urgent first."""
     handles, labels = axis.get_legend_handles_labels()
     marks = dict(zip(labels, handles, strict=True))
     order = [word for word in (*WORDS.values(), PASSING) if word in marks]

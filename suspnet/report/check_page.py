@@ -27,15 +27,15 @@ from suspnet.spectra.estimates import SPEED_HALF_WIDTH
 from suspnet.spectra.speeds import covering, setting_words
 
 LISTED = 5
-"""Largest number of trips that share a problem and are named in its line."""
+"""Largest number of trips that are listed for one problem."""
 TONES = {READY: "good", TOO_LITTLE: "notice", PROBLEM: "act"}
 """Tone of each state on the page; its style sheet has the colours."""
 
 
 def with_shared_data(checks: Sequence[TripCheck]) -> list[TripCheck]:
-    """Return checks with a remark where an earlier trip has a sensor of the same file and column.
+    """Return checks with a remark if an earlier trip has a sensor of the same file and column.
 
-    It is the usual slip when a manifest is copied.
+    This is the usual mistake when a manifest is copied.
     """
     owners: dict[str, TripCheck] = {}
     found = []
@@ -49,20 +49,13 @@ def with_shared_data(checks: Sequence[TripCheck]) -> list[TripCheck]:
 
 @dataclass(frozen=True)
 class Suspension:
-    """The trips of one suspension.
-
-    Attributes
-    ----------
-    title : str
-        Vehicle and place.
-    checks : list of TripCheck
-    """
+    """The checked trips of one suspension; `title` is vehicle and place."""
 
     title: str
     checks: list[TripCheck]
 
     def sentences(self) -> list[str]:
-        """Return what commissioning and reading would have to work with."""
+        """Return how much data commissioning and reading would have."""
         ready = [check for check in self.checks if check.state == READY]
         words = [f"{len(ready)} of {len(self.checks)} trips ready"]
         speeds = [part.speed_m_per_s for check in ready for part in check.parts]
@@ -86,7 +79,7 @@ class Suspension:
 
 
 def suspensions(checks: Iterable[TripCheck]) -> list[Suspension]:
-    """Return the trips whose manifests could be read by vehicle and place."""
+    """Return the trips whose manifests could be read, by vehicle and place."""
     by_title: dict[str, list[TripCheck]] = {}
     for check in checks:
         if check.vehicle:
@@ -99,7 +92,7 @@ def _ends(values: Sequence[float], digits: int) -> str:
 
 
 def verdict(checks: Sequence[TripCheck], elsewhere: Sequence[str]) -> str:
-    """Return in one line how many trips are in which state."""
+    """Return how many trips are in which state, on one line."""
     counts = {state: sum(check.state == state for check in checks) for state in TONES}
     parts = [f"{counts[READY]} of {len(checks)} trips ready for an estimate"]
     if counts[TOO_LITTLE]:
@@ -114,11 +107,7 @@ def verdict(checks: Sequence[TripCheck], elsewhere: Sequence[str]) -> str:
 def summary(checks: Sequence[TripCheck], elsewhere: Sequence[str] = ()) -> str:
     """Return all checks as text: verdict, table of the trips that could be read, all problems.
 
-    Parameters
-    ----------
-    checks : sequence of TripCheck
-    elsewhere : sequence of str
-        What is wrong outside of the trips.
+    `elsewhere` are problems outside the trips.
     """
     read = [check for check in checks if np.isfinite(check.duration_s)]
     lines = [verdict(checks, elsewhere)]
@@ -162,13 +151,7 @@ def _listing(names: Sequence[str]) -> str:
 
 
 def write_checks(checks: Sequence[TripCheck], elsewhere: Sequence[str], output: Path) -> Path:
-    """Write check.json and the page check.html; return the path of the page.
-
-    Raises
-    ------
-    OSError
-        If the folder cannot be written.
-    """
+    """Write check.json and the page check.html; return the path of the page."""
     content: dict[str, Any] = {
         "suspnet_version": __version__,
         "verdict": verdict(checks, elsewhere),
@@ -201,15 +184,9 @@ def trip_figure(
     spectra: CrossSpectra | None,
     band_hz: tuple[float, float],
 ) -> Figure:
-    """Signals and speed of a recording in windows; spectra and coherence with the vehicle's band.
+    """Draw signals and speed of a recording in windows, spectra and coherence with the band.
 
-    Parameters
-    ----------
-    recording : Recording
-    frequencies_hz : tensor of shape (n_freq,), [Hz]
-    spectra : CrossSpectra, optional
-        Of shape (3, n_freq); None if no stretch is free of faults.
-    band_hz : pair of float, [Hz]
+    `frequencies_hz`: (n_freq,) [Hz]; `spectra`: (3, n_freq), None if no stretch is free of faults.
     """
     figure = Figure(figsize=(12.0, 7.0), layout="constrained")
     columns: Any = figure.subfigures(1, 2, width_ratios=(1.15, 1.0))
@@ -239,6 +216,6 @@ def trip_figure(
 
 
 def write_picture(path: Path, figure: Figure, title: str) -> None:
-    """Write a figure as PNG, whole or not at all; OSError if the folder cannot be written."""
+    """Write a figure as PNG, atomically."""
     figure.suptitle(title, fontsize="medium")
     write_atomically(path, as_png(figure, DPI))

@@ -1,4 +1,4 @@
-"""What a check found of one trip."""
+"""Results of the check of one trip."""
 
 from __future__ import annotations
 
@@ -12,23 +12,17 @@ from suspnet.ground.records import Place
 from suspnet.ground.storage import printable
 
 READY, TOO_LITTLE, PROBLEM = "ready", "too little", "problem"
-"""States of a trip: the models given read it, or without any a model of its speed would; too little
-of it can be used; it cannot be opened, or its channels are mixed up."""
+"""States of a trip: it is readable by the given models, or without any by a model of its speed; too
+little of it can be used; it cannot be opened, or its channels are swapped."""
 
 
 @dataclass(frozen=True)
 class SteadyPart:
-    """What the segments of a trip at one speed give.
+    """Quality of a trip's segments at one speed.
 
-    Attributes
-    ----------
-    speed_m_per_s : float, [m/s]
-    n_averages : float
-        Independent averages.
-    coherence_p, coherence_s : float, [-]
-        Means over the vehicle's band of axle box and bogie, and of bogie and body.
-    deviation_percent : float, [%]
-        Standard deviation of the log-magnitude of the less certain response, median over the band.
+    `n_averages` counts independent averages. Coherences are means over the vehicle's band, of axle
+    box and bogie and of bogie and body. `deviation_percent` is the standard deviation of the
+    log-magnitude of the less certain response, median over the band.
     """
 
     speed_m_per_s: float
@@ -40,37 +34,15 @@ class SteadyPart:
 
 @dataclass(frozen=True)
 class TripCheck:
-    """What is wrong with one trip, and what an estimate would have to work with.
+    """What is wrong with one trip, and how much of it can be used.
 
-    Attributes
-    ----------
-    manifest : Path
-    state : str
-        ``READY``, ``TOO_LITTLE`` or ``PROBLEM``.
-    problems : tuple of str
-        Why the trip cannot be read, without the manifest's path.
-    remarks : tuple of str
-        Faults of sensors, what could not be checked, and why there is too little.
-    vehicle : str
-    place : Place
-    mileage_km : float, [km]
-    sensors : str
-        Which channels are pairs of sensors.
-    duration_s : float, [s]
-    usable_percent : float, [%]
-        Share of the recording without faults.
-    band_hz : pair of float, [Hz]
-        Where the vehicle's responses are read.
-    parts : tuple of SteadyPart
-        At each speed with enough averages, the longest first.
-    steady_percent : float, [%]
-        Share of the segments without faults that belong to `parts`.
-    sources : tuple of str
-        File and column of each sensor.
-    picture : str
-        Name of the picture; empty if there is none.
-    read_by : str
-        Speeds of the models that decide whether it is ready; empty without models.
+    `problems` state why the trip cannot be read, without the manifest's path. `remarks` are faults
+    of sensors, parts that could not be checked, and why there is too little. `sensors` names the
+    channels that are pairs of sensors; `sources` are file and column of each sensor.
+    `usable_percent` is the share of the recording without faults, `steady_percent` the share of its
+    segments that belong to `parts`, which are the speeds with enough averages, the longest first.
+    `band_hz` is where the vehicle's responses are read, and `read_by` the speeds of the models that
+    decide whether the trip is ready, empty without models.
     """
 
     manifest: Path
@@ -92,7 +64,7 @@ class TripCheck:
 
     @property
     def name(self) -> str:
-        """Name of the trip; bytes that are not UTF-8 stand in hex."""
+        """Name of the trip; bytes that are not UTF-8 are shown in hex."""
         return printable(self.manifest.stem)
 
     @property
@@ -102,7 +74,7 @@ class TripCheck:
 
     @property
     def words(self) -> str:
-        """What an estimate would have to work with, in one line."""
+        """Amount and quality of usable data, on one line."""
         speeds = ", ".join(
             f"{part.n_averages:.0f} averages at {part.speed_m_per_s:.1f} m/s" for part in self.parts
         )

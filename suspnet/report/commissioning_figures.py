@@ -20,18 +20,15 @@ from suspnet.report.responses import band
 
 MEASURED, NOMINAL, FITTED = "0.7", "tab:orange", "tab:blue"
 ROW_INCH = 0.21
-"""Height of a row of the figure of numbers."""
+"""Height of a row of the figure of numbers, [inch]."""
 LEAST_RATIO = 0.05
-"""Ratio to the drawing from which on ranges are drawn: the axis is logarithmic."""
+"""Smallest ratio to the drawing that is shown: the axis is logarithmic."""
 
 
 def residuals(outcome: Commissioned) -> FloatArray:
     """Return the rms of real and imaginary part of the residuals, over that of the noise.
 
-    Returns
-    -------
-    array of shape (n_groups, 2, n_freq), [-]
-        1 is expected; NaN where a bin is not used.
+    The shape is (n_groups, 2, n_freq); 1 is expected, NaN is a bin that is not used.
     """
     left = np.abs(1 - outcome.fitted / outcome.observed) / (np.sqrt(2) * outcome.deviations)
     return np.where(np.isfinite(outcome.deviations), left, np.nan)
@@ -108,10 +105,10 @@ def number_ranges(found: Sequence[Number]) -> Figure:
 
 
 def _phase(response: ComplexArray, like: ComplexArray, is_smooth: bool) -> FloatArray:
-    """Return a phase [degrees] in the turn of a smooth response's continuous one.
+    """Return a phase [degrees] by whole turns next to the continuous one of a smooth response.
 
-    A smooth one is continuous itself, and lies within half a turn of the other in the median; each
-    bin of a measured one lies within half a turn.
+    A smooth response is continuous itself, and lies within half a turn of the other in the median;
+    each bin of a measured one lies within half a turn.
     """
     base = np.unwrap(np.angle(like))
     if not is_smooth:
@@ -121,7 +118,7 @@ def _phase(response: ComplexArray, like: ComplexArray, is_smooth: bool) -> Float
 
 
 def _residuals(axis: Axes, frequencies_hz: FloatArray, left: FloatArray) -> None:
-    """Draw the residual of each group thinly, and the rms of all groups."""
+    """Draw the residual of each group as a thin line, and the rms of all groups."""
     known = np.isfinite(left)
     if not known.any():
         say(axis, "no bin can be used", keep_x=True)

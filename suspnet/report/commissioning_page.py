@@ -27,7 +27,7 @@ from suspnet.report.templates import render
 
 log = logging.getLogger(__name__)
 NAME = "commissioning"
-"""Name of the files."""
+"""Base name of the files."""
 CAPTIONS = {
     "responses": (
         "Measured and commissioned responses",
@@ -47,21 +47,10 @@ CAPTIONS = {
 
 
 def write_outcome(folder: Path, found: HealthyTrips, outcome: Commissioned) -> None:
-    """Write what healthy trips showed of a vehicle to a run's folder.
+    """Write page, numbers, curves and figures of a commissioned vehicle to a run's folder.
 
-    commissioning.html is a page that needs no other file, commissioning.json its numbers,
-    commissioning_responses.parquet and .csv its curves, a row a bin; figures go to figures/.
-
-    Parameters
-    ----------
-    folder : Path
-    found : HealthyTrips
-    outcome : Commissioned
-
-    Raises
-    ------
-    OSError
-        If the folder cannot be written.
+    commissioning.html is a self-contained page, commissioning.json its numbers,
+    commissioning_responses.parquet and .csv its curves, a row a bin; figures are in figures/.
     """
     drawn = {
         "responses": figures.responses(found, outcome),
@@ -77,7 +66,7 @@ def write_outcome(folder: Path, found: HealthyTrips, outcome: Commissioned) -> N
 
 
 def training_notes(found: HealthyTrips, outcome: Commissioned) -> dict[str, Any]:
-    """Return which trips say what healthy means, and of which suspension, for a model's file."""
+    """Return the healthy trips and their suspension, for a model's file."""
     place = asdict(found.manifests[0].place)
     mileage_km = [manifest.mileage_km for manifest in found.manifests]
     return {

@@ -25,12 +25,9 @@ SYMBOLS = {"k_p": "$k_p$", "c_p": "$c_p$", "k_s": "$k_s$", "c_s": "$c_s$", "M_s"
 
 
 def trip_signals(result: TripResult) -> Figure:
-    """Range and mean of the three accelerations of a trip, and its speed (Fig. 4).
+    """Draw range and mean of the three accelerations of a trip, and its speed (Fig. 4).
 
-    Parameters
-    ----------
-    result : TripResult
-        Without curves, the axes are empty.
+    Without curves, the axes are empty.
     """
     figure = Figure(figsize=(7.0, 7.0), layout="constrained")
     axes: list[Axes] = list(figure.subplots(4, 1, sharex=True))
@@ -89,9 +86,9 @@ def _label_signals(axes: Sequence[Axes], time: str) -> None:
 
 
 def trip_responses(results: Sequence[TripResult]) -> Figure:
-    """Magnitude and coherence of both responses, one line for each trip (Fig. 9).
+    """Draw magnitude and coherence of both responses, one line for each trip (Fig. 9).
 
-    Colours give the mileage; the last trip has its 95 % band, as far as its spread is known.
+    Colours show the mileage; the last trip has its 95 % band where its spread is known.
     """
     figure = Figure(figsize=(8.4, 5.6), layout="constrained")
     axes = figure.subplots(2, 2, sharex=True, sharey="row")
@@ -131,7 +128,7 @@ def trip_responses(results: Sequence[TripResult]) -> Figure:
 
 
 def quality(results: Sequence[TripResult]) -> Figure:
-    """Averages, coherence and usable share of each trip along the mileage.
+    """Draw averages, coherence and usable share of each trip along the mileage.
 
     Trips without an estimate are hollow.
     """

@@ -1,4 +1,4 @@
-"""Figures of matplotlib as images."""
+"""Matplotlib figures as images."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def as_svg(figure: Figure) -> bytes:
 
 
 def data_uri(figure: Figure) -> str:
-    """Return a figure as the address of an image that holds it, SVG or if that is large PNG."""
+    """Return a figure as a data URI, SVG, or PNG if the SVG is large."""
     kind, image = "svg+xml", as_svg(figure)
     if len(image) > SVG_LIMIT:
         kind, image = "png", as_png(figure)

@@ -1,4 +1,4 @@
-"""Files of a fleet: tables, figures, TensorBoard, metrics and the report."""
+"""Output files of a fleet: tables, figures, TensorBoard, metrics and the report."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ def _reasons(results: Sequence[TripResult]) -> list[str]:
 
 
 def errors_percent(results: Sequence[TripResult], outputs: Sequence[str]) -> dict[str, float]:
-    """Return the rms relative error of each output over trips whose truth is known, [%]."""
+    """Return the rms relative error of each output over trips with known truth, [%]."""
     known = [r for r in results if r.status == OK and all(name in r.truth for name in outputs)]
     if not known:
         return {}
@@ -90,15 +90,15 @@ def errors_percent(results: Sequence[TripResult], outputs: Sequence[str]) -> dic
         np.array([[values[name] for name in outputs] for values in part])
         for part in ([r.estimates for r in known], [r.truth for r in known])
     )
-    with np.errstate(over="ignore"):  # a manifest may say any truth
+    with np.errstate(over="ignore"):  # a manifest may contain any truth
         rms = 100 * np.sqrt(np.mean((found / truth - 1) ** 2, axis=0))
     return dict(zip(outputs, rms.tolist(), strict=True))
 
 
 def coverage_percent(results: Sequence[TripResult], outputs: Sequence[str]) -> dict[str, float]:
-    """Return how often the intervals hold the truth, over trips whose truth is known, [%].
+    """Return how often the intervals hold the truth, over trips with known truth, [%].
 
-    Empty where no trip has both truth and intervals.
+    It is empty if no trip has both truth and intervals.
     """
     known = [
         r
@@ -148,9 +148,9 @@ def write_tables(results: Sequence[TripResult], outputs: tuple[str, ...], output
 
 
 def write_pages(report: Report, output: Path, *, draw: bool = True) -> None:
-    """Write figures if they are to be drawn, TensorBoard events, metrics.json and report.html.
+    """Write figures if `draw`, TensorBoard events, metrics.json and report.html.
 
-    The figure of the trend is relative to the first of several commissionings.
+    The trend figure is relative to the first of several commissionings.
     """
     results, outputs, state = report.results, report.outputs, report.state
     done = [r for r in results if r.status == OK]
@@ -212,18 +212,7 @@ def _metrics(report: Report) -> dict[str, Any]:
 def write_overview(done: Sequence[Evaluated], outputs: Sequence[str], output: Path) -> str:
     """Write overview.parquet, .csv and .html of a folder, and return the overview as text.
 
-    Parameters
-    ----------
-    done : sequence of Evaluated
-        In the order of the rows.
-    outputs : sequence of str
-        Parameters, whose last estimates are shown.
-    output : Path
-
-    Raises
-    ------
-    OSError
-        If the folder cannot be written.
+    `done` is in the order of the rows; last estimates are shown of the parameters `outputs`.
     """
     rows = [one.row(outputs) for one in done]
     write_table(pa.Table.from_pylist(rows), output / "overview")
@@ -237,15 +226,8 @@ def write_overview(done: Sequence[Evaluated], outputs: Sequence[str], output: Pa
 def write_fleet(view: FleetView, plan: Plan, figure: Figure, output: Path) -> None:
     """Write the files of a fleet: overview.html, .csv and .parquet, plan.csv and .parquet.
 
-    The page holds overview, plan and sister suspensions, and needs no other file.
-
-    Parameters
-    ----------
-    view : FleetView
-    plan : Plan
-    figure : Figure
-        Calendar of the plan.
-    output : Path
+    The page holds overview, plan with its calendar `figure`, and sister suspensions; it is
+    self-contained.
     """
     write_table(pa.Table.from_pylist(view.rows), output / "overview")
     jobs: list[dict[str, Any]] = plan.rows()
@@ -266,7 +248,7 @@ def write_fleet(view: FleetView, plan: Plan, figure: Figure, output: Path) -> No
 
 
 def _life_row(life: Life | None) -> dict[str, Any] | None:
-    """Return a remaining life as JSON holds it, null where it has no end."""
+    """Return a remaining life for JSON, null for an infinite one."""
     if life is None:
         return None
     ends = dict(zip(("low", "high"), life.interval_km(), strict=True))
@@ -277,7 +259,7 @@ def _life_row(life: Life | None) -> dict[str, Any] | None:
 
 
 def _alarm_row(alarm: Alarm, seen: Sequence[Acknowledgement]) -> dict[str, Any]:
-    """Return an alarm as JSON holds it, with the name of who has seen it last."""
+    """Return an alarm for JSON, with the name of the person who acknowledged it last."""
     by = newest_of(alarm, seen)
     return asdict(alarm) | {
         "severity": str(alarm.severity),

@@ -1,4 +1,4 @@
-"""Suspensions side by side, the worst first: those of a folder, and a fleet at one time."""
+"""Suspensions in one table, the worst first: those of a folder, and a fleet at one time."""
 
 from __future__ import annotations
 
@@ -23,28 +23,19 @@ from suspnet.maintenance.state import State
 
 REPORT = "report.html"
 N_SHOWN = 30
-"""Largest number of suspensions in the table of a terminal."""
+"""Largest number of suspensions in the table on a terminal."""
 ROW_PLACE = ("train", "car", "suspension", "bogie", "side")
-"""Columns of a row that say which suspension it is."""
+"""Columns of a row that identify the suspension."""
 ID_DIGITS = 12
-"""Number of hexadecimal digits of a suspension's name in an address."""
+"""Number of hexadecimal digits of a suspension's name in a URL."""
 
 
 @dataclass(frozen=True)
 class Evaluated:
     """One suspension of a folder: its trips and its state, or why it could not be read.
 
-    Attributes
-    ----------
-    name : str
-        Its subfolder of the output, where there are several.
-    place : Place
-    results : list of TripResult
-        Ascending mileage.
-    state : State, optional
-        None if it was not read.
-    error : str
-        Empty if it was read.
+    `name` is its subfolder of the output, if there are several. `results` are in the order of the
+    mileage. If it was not read, `state` is None and `error` the reason.
     """
 
     name: str
@@ -87,33 +78,15 @@ class Evaluated:
 
 @dataclass(frozen=True, eq=False)
 class FleetView:
-    """The fleet at one time; nothing of it changes.
+    """An immutable snapshot of the fleet.
 
-    Attributes
-    ----------
-    version : int
-        Grows with each view of a board; 0 is the one before anything was read.
-    at : datetime
-        When it was made, in UTC.
-    states : tuple of State
-        The most severe first, then the shortest life.
-    rows : list of dict
-        Of ``overview_rows``, in the order of `states`.
-    plan : Plan, optional
-        None until remaining lives are worked out.
-    cars : list of lists of int
-        Places in `states` of the suspensions of each car that has several.
-    keys : dict of int
-        Place in `states` of each suspension by its ``address``.
-    limits : mapping from vehicle to mapping from parameter to Limits
-    acknowledged : mapping from vehicle and place to acknowledgements
-    is_complete : bool
-        Whether alarms, lives and plan are of all trips in `states`; if not, some are those of
-        before, or not worked out yet.
-    trouble : str
-        Why the store could not be read when this was to be made again; empty if it could.
-    bad_rows : tuple of BadRow
-        Rows of the store that cannot be read and are left out.
+    `version` increases with each view of a board, from 0 before anything was read; `at` is in UTC.
+    `states` are sorted by severity, then by life, and `rows` are their ``overview_rows``. `plan` is
+    None until remaining lives are computed. `cars` are the indices in `states` of the suspensions
+    of each car that has several, and `keys` the index of each suspension by its ``address``.
+    `is_complete` is whether alarms, lives and plan cover all trips in `states`; otherwise some are
+    out of date or missing. `trouble` states why the store could not be read the last time, empty if
+    it could; `bad_rows` are rows of the store that cannot be read and are left out.
     """
 
     version: int = 0
@@ -140,15 +113,7 @@ def fleet_view(
     is_complete: bool = True,
     bad_rows: Sequence[BadRow] = (),
 ) -> FleetView:
-    """Return the view of a fleet.
-
-    Parameters
-    ----------
-    states : sequence of State
-        The most severe first.
-    limits, acknowledged, plan, version, is_complete, bad_rows
-        As in ``FleetView``.
-    """
+    """Return the view of a fleet; `states` come with the most severe first."""
     places = {id(state.series): i for i, state in enumerate(states)}
     cars = of_same_car([state.series for state in states])
     return FleetView(
@@ -166,7 +131,7 @@ def fleet_view(
 
 
 def address(key: Key) -> str:
-    """Return the name of a suspension in an address: a part of a hash of vehicle and place."""
+    """Return the name of a suspension in a URL: a part of a hash of vehicle and place."""
     vehicle, place = key
     content = json.dumps([vehicle, *astuple(place)])
     return hashlib.sha256(content.encode()).hexdigest()[:ID_DIGITS]
@@ -175,13 +140,7 @@ def address(key: Key) -> str:
 def overview_rows(
     states: Sequence[State], acknowledged: Mapping[Key, Sequence[Acknowledgement]]
 ) -> list[dict[str, Any]]:
-    """Return one flat row for each suspension, in the order given.
-
-    Parameters
-    ----------
-    states : sequence of State
-    acknowledged : mapping from vehicle and place to acknowledgements
-    """
+    """Return one flat row for each suspension, in the order given."""
     return [_row(one, acknowledged) for one in states]
 
 
@@ -189,7 +148,7 @@ def _row(state: State, acknowledged: Mapping[Key, Sequence[Acknowledgement]]) ->
     series, shortest = state.series, state.shortest
     worst = next(iter(state.alarms), None)
     seen = worst and newest_of(worst, acknowledged.get(state.key, ()))
-    is_found = state.severity > Severity.NONE  # words of the others would cost time for nothing
+    is_found = state.severity > Severity.NONE  # the reasons of the others are not shown
     life = shortest and (*shortest[1].interval_km(), shortest[1].quantile_km(0.5))
     low, high, median = life or (np.nan, np.nan, np.nan)
     return {
@@ -217,13 +176,13 @@ def _row(state: State, acknowledged: Mapping[Key, Sequence[Acknowledgement]]) ->
 
 
 def _quiet(state: State) -> str:
-    """Return what is to be said of a suspension without a finding."""
+    """Return the status of a suspension without a finding."""
     why = state.watched.changes.why_not
     return f"alarms of changes not armed yet: {why}" if why else ""
 
 
 def overview_table(rows: Sequence[Mapping[str, Any]]) -> str:
-    """Return the worst suspensions of a fleet as a table, below a sentence on all of them."""
+    """Return the worst suspensions of a fleet as a table, after a sentence on all of them."""
     shown = ("train", "car", "suspension", "bogie", "side", "severity", "parameter", "reason")
     columns = [key for key in shown if any(row[key] for row in rows)]
     head = [[row[key] for key in columns] for row in rows[:N_SHOWN]]
@@ -240,5 +199,5 @@ def finding(rows: Sequence[Mapping[str, Any]]) -> str:
         Severity.UNKNOWN: "not judged",
         Severity.NONE: "without alarm",
     }
-    told = ", ".join(f"{counts[level]} {text}" for level, text in words.items() if counts[level])
-    return f"{count(len(rows), 'suspension')}: {told}."
+    found = ", ".join(f"{counts[level]} {text}" for level, text in words.items() if counts[level])
+    return f"{count(len(rows), 'suspension')}: {found}."

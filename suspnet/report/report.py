@@ -1,4 +1,4 @@
-"""One page that says how a suspension is, for people who maintain it."""
+"""The report page of one suspension, for its maintainers."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ ROLES = {
     "c_p": ", between axle box and bogie frame.",
     "k_s": ", between bogie frame and car body; often an air spring.",
     "c_s": ", between bogie frame and car body.",
-    "M_s": ": it varies with the payload and says nothing about faults.",
+    "M_s": ": it varies with the payload and is no sign of faults.",
 }
 CAPTIONS = {
     "trend": (
@@ -58,40 +58,28 @@ CAPTIONS = {
 }
 INTERVALS_SHOWN = (
     " The bar through a dot is its {level} % interval: on {level} of 100 trips the true value lies "
-    "within it, if vehicle and recording are like those of the training. Where no bar is to be "
-    "seen, it is shorter than the dot."
+    "within it, if vehicle and recording are like those of the training. A bar that cannot be "
+    "seen is shorter than the dot."
 )
 FLAGS_SHOWN = (
-    " A hollow circle is a flagged trip: it shows something that was not trained for, and its "
+    " A hollow circle is a flagged trip: it shows something outside the training, and its "
     "place may be wrong. A triangle at an edge is a trip beyond it, with its value."
 )
-ANEW = (
+RECOMMISSIONED = (
     "Commissioned again: {}. Severities, medians and changes are of the trips since; each trip's "
-    "percentages are of its own healthy values, those of the figure of the first ones."
+    "percentages are of its own healthy values, those in the figure of the first ones."
 )
 MAINTAINED = "Maintenance: {}. Severities, medians and changes are of the trips since the last."
 
 
 @dataclass(frozen=True, eq=False)
 class Report:
-    """What the files of one suspension show.
+    """Content of the files of one suspension.
 
-    Attributes
-    ----------
-    results : list of TripResult
-        Ascending mileage.
-    outputs : tuple of str
-        Parameters, the columns of the table of trips.
-    state : State
-        Of these trips.
-    details : mapping of str
-        Model, settings, version, date.
-    level : float
-        Probability of the intervals.
-    commissionings : sequence of Commissioning
-        Several healthy states; the state is of the trips since the last.
-    seen : sequence of Acknowledgement
-        Of the alarms.
+    `results` are in the order of the mileage; `outputs` are the columns of the trip table.
+    `details` are model, settings, version and date; `level` is the probability of the intervals.
+    `commissionings` are given if there are several; the state covers the trips since the last one.
+    `seen` are acknowledgements of the alarms.
     """
 
     results: list[TripResult]
@@ -104,26 +92,10 @@ class Report:
 
 
 def write_report(path: Path, title: str, report: Report, figures: Mapping[str, Figure]) -> Path:
-    """Write one HTML file that needs no other file and no network.
+    """Write one self-contained HTML file atomically; return its path.
 
-    Parameters
-    ----------
-    path : Path
-    title : str
-    report : Report
-    figures : mapping of Figure
-        "trend", "responses", "signals" and "quality" come first, in this order and with an
-        explanation; others follow under their own name.
-
-    Returns
-    -------
-    Path
-        The file, written atomically.
-
-    Raises
-    ------
-    OSError
-        If the folder cannot be written.
+    The figures "trend", "responses", "signals" and "quality" come first, in this order and with an
+    explanation; others follow under their own names.
     """
     state, assessments = report.state, report.state.assessments
     trips = by_mileage(report.results)
@@ -140,11 +112,12 @@ def write_report(path: Path, title: str, report: Report, figures: Mapping[str, F
         "report.html",
         title=title,
         headline=_headline(trips),
+        # without an alarm but with remarks the page is neutral
         tone="plain" if tone == "good" and (doubts or found or sides) else tone,
         finding=finding,
         doubts=doubts,
         sides=sides,
-        told=found,
+        findings=found,
         assessments=[list(run) for _, run in groupby(assessments, lambda a: (a.severity, a.words))],
         limits=state.limits,
         alarms=[
@@ -155,7 +128,7 @@ def write_report(path: Path, title: str, report: Report, figures: Mapping[str, F
         ],
         figures=[_embedded(name, figures[name], shown) for name in _ordered(figures)],
         table=table,
-        anew=_anew(report.commissionings, state.series.events),
+        since_when=_since_when(report.commissionings, state.series.events),
         healthy=_healthy(trips),
         level=table.level,
         healthy_level=f"{100 * report.level:g}",
@@ -167,33 +140,33 @@ def write_report(path: Path, title: str, report: Report, figures: Mapping[str, F
 
 
 def sides_finding(trips: Sequence[TripResult]) -> str:
-    """Return a sentence on the sides for the report, from the last trips; empty without finding.
+    """Return a sentence on the two sides, from the last trips; empty without a finding.
 
-    Parameters
-    ----------
-    trips : sequence of TripResult
-        In the order of the mileage.
+    `trips` are in the order of the mileage.
     """
     last = [r for r in trips if r.status == OK][-N_LAST:]
-    told = [r for r in last if r.sides]
-    if not told:
+    differing = [r for r in last if r.sides]
+    if not differing:
         return ""
-    trips_are = f"{len(told)} of the last {len(last)} trips" if len(last) > 1 else "the last trip"
+    trips_are = (
+        f"{len(differing)} of the last {len(last)} trips" if len(last) > 1 else "the last trip"
+    )
     return (
-        f"Left and right differ on {trips_are}; on {told[-1].trip}: {told[-1].sides}. An estimate "
-        "is the mean of both sides. Sensors of a pair that differ in place or sensitivity, and a "
-        "track with one rail worse than the other, can look alike: compare several trips."
+        f"Left and right differ on {trips_are}; on {differing[-1].trip}: {differing[-1].sides}. "
+        "An estimate is the mean of both sides. Sensors of a pair that differ in place or "
+        "sensitivity, and a track with one rail worse than the other, can look alike: compare "
+        "several trips."
     )
 
 
-def _anew(states: Sequence[Commissioning], events: Sequence[Event]) -> str:
-    """Return in words since when the assessments count; empty if since the first trip."""
-    told = []
+def _since_when(states: Sequence[Commissioning], events: Sequence[Event]) -> str:
+    """Return since when the assessments count, as text; empty if since the first trip."""
+    sentences = []
     if states:
-        told.append(ANEW.format("; ".join(one.words for one in states[1:])))
+        sentences.append(RECOMMISSIONED.format("; ".join(one.words for one in states[1:])))
     if events:
-        told.append(MAINTAINED.format("; ".join(map(str, events))))
-    return " ".join(told)
+        sentences.append(MAINTAINED.format("; ".join(map(str, events))))
+    return " ".join(sentences)
 
 
 def _headline(trips: Sequence[TripResult]) -> dict[str, str]:
@@ -236,7 +209,7 @@ def _ordered(figures: Mapping[str, Figure]) -> list[str]:
 
 
 def _embedded(name: str, figure: Figure, shown: Mapping[str, str]) -> dict[str, Any]:
-    """Return a figure's heading, explanation with what is `shown`, and image, as a data URI."""
+    """Return a figure's heading, explanation of what is `shown`, and image as a data URI."""
     heading, explanation = name.replace("_", " ").capitalize(), ""
     if name in CAPTIONS:
         heading, explanation = CAPTIONS[name][0], CAPTIONS[name][1].format(**shown)

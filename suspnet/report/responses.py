@@ -1,4 +1,4 @@
-"""Frequency responses of trips: what figures and tables of them show, for any way to draw it."""
+"""Frequency responses of trips as plain data for figures and tables."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ PARTS = ("primary suspension: axle box to bogie frame", "secondary suspension: f
 BAND = 1.96
 """Standard deviations on each side that hold 95 % of normally distributed values."""
 LARGEST_BAND = 3.0
-"""Largest half width of a band in log-magnitude; wider ones would flatten the rest of the axis."""
+"""Largest half width of a drawn band in log-magnitude; wider ones would flatten the axis."""
 N_ROWS = 12
 """Number of frequencies in a table of responses."""
 
@@ -25,13 +25,9 @@ N_ROWS = 12
 class Response:
     """How the two suspensions amplified vibration on one trip.
 
-    Attributes
-    ----------
-    trip : str
-    mileage_km : float, [km]
-    frequencies_hz : array of shape (n_freq,), [Hz]
-    magnitudes, coherences, low, high : arrays of shape (2, n_freq), [-]
-        Of primary and secondary suspension; ends of the 95 % band, NaN where it is unknown.
+    `frequencies_hz`: (n_freq,) [Hz]. `magnitudes`, `coherences`, `low` and `high` are (2, n_freq),
+    of primary and secondary suspension; `low` and `high` are the ends of the 95 % band, NaN where
+    it is unknown.
     """
 
     trip: str
@@ -47,7 +43,7 @@ class Response:
 
 
 def response(trip: str, mileage_km: float, curves: TripCurves | TripResponses) -> Response:
-    """Return what is shown of a trip's curves."""
+    """Return the response that is shown of a trip's curves."""
     magnitudes = np.abs(curves.responses)
     ends = band(magnitudes, curves.deviations)
     shared = curves.frequencies_hz, magnitudes, curves.coherences
@@ -57,10 +53,7 @@ def response(trip: str, mileage_km: float, curves: TripCurves | TripResponses) -
 def band(magnitudes: FloatArray, deviations: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the ends of the 95 % band around magnitudes; NaN where a deviation is not finite.
 
-    Parameters
-    ----------
-    magnitudes, deviations : arrays of one shape
-        Deviation: standard deviation of the log-magnitude.
+    Deviations are standard deviations of the log-magnitude.
     """
     known = np.isfinite(deviations)
     half = np.where(known, np.minimum(BAND * np.where(known, deviations, 0), LARGEST_BAND), np.nan)

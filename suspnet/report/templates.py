@@ -1,4 +1,4 @@
-"""Pages of HTML: templates of the packages, and how they write numbers, symbols and words."""
+"""HTML pages: templates of the packages, and how they write numbers, symbols and words."""
 
 from __future__ import annotations
 
@@ -24,25 +24,20 @@ SEVERITIES = {
 }
 """Tone and label of each severity; style.css has the colours of each tone."""
 LABELS = {str(severity): pair for severity, pair in SEVERITIES.items()}
-"""The same by the names in tables."""
+"""Tone and label of each severity by its name in tables."""
 MARKS = {"act": "✕", "notice": "!", "unknown": "?", "none": "✓"}
-"""Sign of each severity, so that colour is not needed."""
+"""Symbol of each severity, so that colour is not needed."""
 KILO = 1e3
 KILO_UNITS = {"N/m": "kN/m", "N s/m": "kN s/m", "kg": "t"}
 """Unit of a thousand of each SI unit."""
 PACKAGE = "suspnet.report"
-"""Package whose templates those of all others may use."""
+"""Package whose templates all other packages may use."""
 
 
 def environment(*packages: str) -> Environment:
-    """Return an environment of the templates of packages; the first that has a file counts.
+    """Return an environment of the templates of packages, then of this one; the first match counts.
 
-    Whatever is not marked as HTML is escaped; a name that is not there is an error.
-
-    Parameters
-    ----------
-    *packages : str
-        Searched in this order, and after them this package.
+    Text that is not marked as HTML is escaped; an unknown name is an error.
     """
     found = Environment(
         autoescape=True,
@@ -62,7 +57,7 @@ def render(template: str, package: str = PACKAGE, **values: Any) -> str:
 
 
 def packaged(name: str, *packages: str) -> str | None:
-    """Return the text of a file of the first of some packages, or of this one; None: no such."""
+    """Return a file's text from the first package that has it, or this one; None if none does."""
     for package in (*packages, PACKAGE):
         file = resources.files(package).joinpath(name)
         if file.is_file():
@@ -71,28 +66,28 @@ def packaged(name: str, *packages: str) -> str | None:
 
 
 def level(ratio: float | None, digits: int) -> str:
-    """Return a level over healthy in %, without the number where no suspension has such a one."""
+    """Return a ratio to healthy in %, without the number if it is above any real suspension's."""
     if ratio is not None and ratio > ABSURD:
         return f"over {100 * ABSURD:.0f}"
     return number(ratio, digits, 100)
 
 
 def _plus_minus(half_width: float, digits: int) -> Markup:
-    """Return a half width in small print; nothing if there is none."""
+    """Return a half width in small print; empty if there is none."""
     if not math.isfinite(half_width):
         return Markup()
     return Markup("<small> ± {}</small>").format(number(half_width, digits))
 
 
 def _si(value: float, name: str) -> Markup:
-    """Return a parameter's value with its unit in small print; nothing if there is none."""
+    """Return a parameter's value with its unit in small print; empty if there is none."""
     if not math.isfinite(value):
         return Markup()
     return Markup("<small>{}</small>").format(with_unit(f"{value / KILO:.4g}", name))
 
 
 def with_unit(number: str, name: str) -> str:
-    """Return a number of thousands of a parameter's SI unit with that unit."""
+    """Return a number, in thousands of a parameter's SI unit, with that unit."""
     unit = KILO_UNITS[UNITS[name]].replace(" ", "\N{NO-BREAK SPACE}")
     return f"{number}\N{NO-BREAK SPACE}{unit}"
 
@@ -102,9 +97,9 @@ def _thousands(value: float) -> str:
 
 
 def _to_go(life: Life | None, unknown: str = "") -> Markup:
-    """Return how far it is to the act limit, with the 80 % interval in small print.
+    """Return the distance to the act limit, with the 80 % interval in small print.
 
-    That is a dash without limits, and "unknown" with the reason if it is `unknown`.
+    It is a dash without limits, and "unknown" with the reason if that is given.
     """
     if life is not None and life.interval_km()[1] == 0:
         return Markup("passed")
@@ -150,4 +145,4 @@ FILTERS = {
     "to_go": _to_go,
     "rounded": _rounded,
 }
-"""How templates write values, by the names that they use."""
+"""Filters of the templates by name."""

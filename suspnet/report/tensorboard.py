@@ -56,13 +56,8 @@ SECTIONS = {
 class RunLog:
     """One run's TensorBoard events, in the run's own folder; a context manager.
 
-    Parameters
-    ----------
-    folder : Path
-        Where the event file goes.
-    is_new : bool
-        Whether TensorBoard shows these events in the place of those that an earlier run left in the
-        folder, whose file stays.
+    If `is_new`, TensorBoard shows these events in place of those that an earlier run left in the
+    folder, whose file stays.
     """
 
     def __init__(self, folder: Path, is_new: bool = False) -> None:
@@ -80,7 +75,7 @@ class RunLog:
         self.close()
 
     def close(self) -> None:
-        """Write what is left."""
+        """Write the remaining events."""
         self._writer.close()
 
     def scalars(self, prefix: str, values: Mapping[str, float], step: int) -> None:
@@ -117,17 +112,12 @@ class RunLog:
     ) -> None:
         """Write hyperparameters and final metrics for the HPARAMS tab.
 
-        `SummaryWriter.add_hparams` would open a folder of its own below the run's; these summaries
-        go into the run's own file, so that a run is one row of the table and one line of the
-        parallel coordinates. TensorBoard takes the columns from whichever run it meets first, so
-        every run of a multirun declares the same ones and fills in those it has. It shows those
-        said to differ first, here the model and what the multirun varies, in alphabetical order.
-
-        Parameters
-        ----------
-        values, metrics : mappings
-        varied : mapping, optional
-            What a multirun varies, by its key in the configuration.
+        `SummaryWriter.add_hparams` would create a folder of its own below the run's; these
+        summaries go into the run's own file, so that a run is one row of the table and one line of
+        the parallel coordinates. TensorBoard takes the columns from whichever run it meets first,
+        so every run of a multirun declares the same columns and fills in those it has. TensorBoard
+        shows the columns declared to differ first: here the model and the parameters that the
+        multirun varies, `varied`, in alphabetical order.
         """
         varied = {_column(key): _plain(value) for key, value in (varied or {}).items()}
         finals = {f"final/{name}": 0.0 for name in METRIC_COLUMNS}

@@ -1,4 +1,4 @@
-"""A suspension along its mileage: what figures of it show, as plain data for any way to draw it.
+"""A suspension along its mileage, as plain data for figures.
 
 All values are in % of healthy, all mileages in km.
 """
@@ -29,7 +29,7 @@ PASSING = "act limit will be passed (80 %)"
 MAINTENANCE, AGAIN = "maintenance", "commissioned again"
 AGAIN_OF_FIRST = f"{AGAIN}; % is of the first healthy values"
 LEAST_SPAN_PERCENT = 2.0
-"""Least span of a parameter's axis, in %, so that spread does not look like change."""
+"""Smallest span of a parameter's axis, [%], so that spread does not look like change."""
 MARGIN = 0.05
 """Share of the span that stays free above and below."""
 
@@ -38,14 +38,8 @@ MARGIN = 0.05
 class Points:
     """One parameter of several trips by mileage; NaN is unknown.
 
-    Attributes
-    ----------
-    trips : array of str, (n_trips,)
-    km, values, truth : arrays of shape (n_trips,)
-        The truth is that of simulated trips.
-    intervals : array of shape (n_trips, 2)
-        Lower and upper end.
-    flagged : bool array of shape (n_trips,)
+    Arrays are (n_trips,); `intervals` is (n_trips, 2), lower and upper end. The truth is that of
+    simulated trips.
     """
 
     trips: NDArray[np.str_]
@@ -87,21 +81,10 @@ class Passing:
 class Panel:
     """One parameter along the mileage.
 
-    Attributes
-    ----------
-    name : str
-    points : Points
-        Trips with an estimate; the intervals of flagged ones are not to be relied on, and NaN.
-    missing_km, truth_km, truth : arrays
-        Trips without an estimate, and the truth of simulated trips.
-    limits : tuple of pairs
-        Kind ("notice" or "act") and value of each limit.
-    alarms : tuple of Alarm
-    passing : Passing, optional
-    act : float, optional
-        The act limit that the parameter has passed or will pass, where it is known.
-    axis : pair of float
-        Range that the figure shows.
+    `points` are trips with an estimate; unreliable intervals, those of flagged trips, are NaN.
+    `missing_km` are trips without an estimate, and `truth_km` and `truth` belong to simulated
+    trips. `limits` are pairs of kind ("notice" or "act") and value. `act` is the act limit that the
+    parameter has passed or will pass, if known. `axis` is the range of the figure.
     """
 
     name: str
@@ -120,21 +103,9 @@ class Panel:
 class Trend:
     """A suspension along its mileage.
 
-    Attributes
-    ----------
-    panels : tuple of Panel
-    km : array of shape (n_trips,)
-        Of all trips, ascending.
-    events : tuple of pairs
-        Mileage and words of each maintenance.
-    again_km : tuple of float
-        Where it was commissioned again.
-    again : str
-        What that means for the figure.
-    n_unplaced : int
-        Number of trips without a mileage, which are not shown.
-    level : float
-        Probability of the intervals.
+    `km` are the mileages of all trips, ascending; `events` pairs of mileage and text of each
+    maintenance; `again_km` the later commissionings, and `again` their label. `n_unplaced` trips
+    have no mileage and are not shown. `level` is the probability of the intervals.
     """
 
     panels: tuple[Panel, ...]
@@ -153,19 +124,11 @@ def trend_of_trips(
     level: float = 0.9,
     commissionings: Sequence[Commissioning] = (),
 ) -> Trend:
-    """Return what a report shows of trips.
+    """Return the trend of a report.
 
-    Parameters
-    ----------
-    results : sequence of TripResult
-        In any order; relative to the first of several commissionings.
-    state : State
-        Of these trips; its limits are relative to the last commissioning.
-    outputs : sequence of str
-    level : float
-        Probability of the intervals.
-    commissionings : sequence of Commissioning
-        Several healthy states.
+    `results` may have any order, and are relative to the first of several `commissionings`; `state`
+    is that of these trips, and its limits are relative to the last commissioning. `level` is the
+    probability of the intervals.
     """
     placed = [r for r in by_mileage(results) if np.isfinite(r.mileage_km)]
     now = commissionings[-1].relative if commissionings else {}
@@ -192,7 +155,7 @@ def trend_of_trips(
 
 
 def trend_of_state(state: State) -> Trend:
-    """Return what a page shows of a suspension, each trip relative to its own healthy values."""
+    """Return the trend of a page, each trip relative to its own healthy values."""
     series = state.series
     placed = np.isfinite(series.mileage_km)
     panels = []
@@ -209,7 +172,7 @@ def trend_of_state(state: State) -> Trend:
 
 
 def ranges(trend: Trend) -> list[tuple[str, float, float]]:
-    """Return stretches of the mileage that a reader may want: name, first and last km."""
+    """Return useful ranges of the mileage to show: name, first and last km."""
     if len(trend.km) == 0:
         return []
     first, newest = float(trend.km.min()), float(trend.km.max())
@@ -230,12 +193,7 @@ def ranges(trend: Trend) -> list[tuple[str, float, float]]:
 def running_median(values: FloatArray, window: int = 5) -> FloatArray:
     """Return the median of the `window` values around each; the window shrinks at the ends.
 
-    Parameters
-    ----------
-    values : array of shape (n_trips,)
-        In the order of the mileage, without NaN.
-    window : int
-        Odd.
+    `values`: (n_trips,), in the order of the mileage, without NaN; `window` is odd.
     """
     half = window // 2
     return np.array(
@@ -244,17 +202,17 @@ def running_median(values: FloatArray, window: int = 5) -> FloatArray:
 
 
 def percent_words(value: float, form: str = ".0f") -> str:
-    """Return a value in %, without the number where no suspension has such a one."""
+    """Return a value in %, without the number if it is above any real suspension's."""
     return f"{value:{form}} %" if value <= 100 * ABSURD else f"over {100 * ABSURD:.0f} %"
 
 
 def alarm_label(alarm: Alarm) -> str:
-    """Return what a mark at the start of an alarm means."""
+    """Return the label of a mark at the start of an alarm."""
     return f"{alarm.severity}: start of an alarm"
 
 
 def _panel(name: str, points: Points, state: State, healthy: float = 1.0) -> Panel:
-    """Return a parameter; its limits are relative to a level of `healthy` on the figure."""
+    """Return a parameter; `healthy` is the level in the figure that its limits are relative to."""
     known, has_truth = np.isfinite(points.values), np.isfinite(points.truth)
     shown = points.chosen(known)
     shown.intervals[shown.flagged | ~np.isfinite(shown.intervals).all(axis=1)] = np.nan
@@ -287,7 +245,7 @@ def _events(state: State) -> tuple[tuple[float, str], ...]:
 
 
 def _passing(life: Life | None, last_km: float) -> Passing | None:
-    """Return where the act limit will be passed; None if that has no end, or is over."""
+    """Return where the act limit will be passed; None if it never is, or is already passed."""
     if life is None:
         return None
     low, high = life.interval_km()
@@ -297,12 +255,12 @@ def _passing(life: Life | None, last_km: float) -> Passing | None:
 
 
 def _axis(points: Points, act: float | None) -> tuple[float, float]:
-    """Return the range of an axis: what it must hold, and near that trips and intervals.
+    """Return the range of an axis: all required values, and trips and intervals near these.
 
-    One odd trip must not squeeze all others. The axis holds 100 %, an act limit that is passed,
-    unflagged trips (all if all are flagged) and the median of neighbouring ones, which follows a
-    lasting change, be it flagged, but no level that no suspension has. Other trips widen it by up
-    to its span on each side, intervals by up to half of that.
+    One odd trip must not squeeze all others. The axis includes 100 %, a passed act limit, unflagged
+    trips (all if all are flagged) and the running median, which follows a lasting change even if
+    flagged, but no level above that of any real suspension. Other trips widen it by up to its span
+    on each side, intervals by up to half of that.
     """
     clear = ~points.flagged if not points.flagged.all() else np.ones(len(points.km), dtype=bool)
     held = np.append(points.values[clear], running_median(points.values))

@@ -1,4 +1,4 @@
-"""A suspension along its mileage as a figure of matplotlib."""
+"""A suspension along its mileage as a matplotlib figure."""
 
 from __future__ import annotations
 
@@ -33,18 +33,18 @@ from suspnet.report.trend import (
 
 HOLLOW: dict[str, Any] = {"mfc": "none", "color": FLAGGED_COLOUR, "ls": ""}
 AHEAD = 0.5
-"""Share of the mileage so far that a figure shows of what is to come, at most."""
+"""Largest share of the mileage so far by which a figure extends into the future."""
 
 
 def health_trend(trend: Trend) -> Figure:
-    """Each parameter in % of healthy along the mileage (Fig. 10).
+    """Draw each parameter in % of healthy along the mileage (Fig. 10).
 
     Dots are trips with their interval, the line is the running median of all; a flagged trip is
     hollow. A red tick at the bottom is a trip without an estimate, a thin black line the truth of
-    simulated trips, a triangle at the top the start of an alarm. Dashed lines are limits, where
-    they lie on the axis. A bar at the bottom is from where to where the act limit will be passed,
-    as far as it reaches into the figure, which grows by half of its mileage at most. Trips without
-    a mileage are left out, and counted in the title.
+    simulated trips, a triangle at the top the start of an alarm. Dashed lines are limits within the
+    axis. A bar at the bottom is the range in which the act limit will be passed, as far as it lies
+    in the figure, which grows by half of its mileage at most. Trips without a mileage are left out,
+    and counted in the title.
     """
     n = len(trend.panels)
     figure = Figure(figsize=(7.0, 1.0 + 1.7 * n), layout="constrained")
@@ -91,7 +91,7 @@ def _draw_trips(axis: Axes, points: Points, level: float) -> None:
 
 
 def _draw_levels(axis: Axes, panel: Panel) -> None:
-    """Set the range of the axis, and draw truth, health and the limits that lie in it."""
+    """Set the range of the axis, and draw truth, healthy level and the limits within it."""
     low, high = panel.axis
     if len(panel.truth):
         style: dict[str, Any] = {"lw": 0.8} if len(panel.truth) > 1 else {"marker": "x", "ls": ""}
@@ -143,7 +143,7 @@ def _mark_edges(axis: Axes, panel: Panel) -> None:
 
 
 def _draw_passing(axes: Sequence[Axes], trend: Trend) -> None:
-    """Draw when the act limits will be passed, and make room for it."""
+    """Draw when the act limits will be passed, and extend the axis for it."""
     last = trend.km.max()
     most = last + AHEAD * (last - trend.km.min())
     shown = [
@@ -167,7 +167,7 @@ def _draw_passing(axes: Sequence[Axes], trend: Trend) -> None:
 
 
 def _legend(figure: Figure, axes: Sequence[Axes]) -> None:
-    """Name every kind of mark once, above the axes."""
+    """Label every kind of mark once, above the axes."""
     marks: dict[str, Any] = {}
     for axis in axes:
         for handle, label in zip(*axis.get_legend_handles_labels(), strict=True):

@@ -14,20 +14,12 @@ from suspnet.ground.wording import count
 
 @dataclass(frozen=True)
 class TripTable:
-    """Trips as the macro `trips` of trip_tables.html takes them.
+    """Arguments of the macro `trip_table` of macros.html.
 
-    Attributes
-    ----------
-    trips : tuple of TripResult
-        In the order of the rows.
-    outputs : tuple of str
-        Parameters, a column each.
-    halves : dict of list of float, [% of healthy]
-        Half an interval of each trip; NaN where there is none, or the trip is flagged.
-    digits : dict of int
-        Number of decimals of each parameter.
-    level : str
-        Probability of the intervals, [%]; empty if no trip has one.
+    `trips` are in the order of the rows; `outputs` are parameters, a column each. `halves` are half
+    widths of the intervals by parameter, [% of healthy], NaN for none or a flagged trip; `digits`
+    are decimals by parameter. `level` is the probability of the intervals, [%], empty if no trip
+    has one.
     """
 
     trips: tuple[TripResult, ...]
@@ -39,15 +31,7 @@ class TripTable:
 
 
 def trip_table(trips: Sequence[TripResult], outputs: Sequence[str], level: float) -> TripTable:
-    """Return trips as a table, in the order given.
-
-    Parameters
-    ----------
-    trips : sequence of TripResult
-    outputs : sequence of str
-    level : float
-        Probability of the intervals, above 0 and below 1.
-    """
+    """Return trips as a table, in the order given; `level` is the probability of the intervals."""
     halves = {name: [_half_width(one, name) for one in trips] for name in outputs}
     known = any(math.isfinite(half) for column in halves.values() for half in column)
     digits = {name: _digits(column) for name, column in halves.items()}
@@ -70,9 +54,9 @@ def _digits(half_widths: Sequence[float]) -> int:
 
 
 def files_read_as(results: Sequence[TripResult]) -> dict[str, str]:
-    """Return how the files of trips were read, as a detail; empty where all was known.
+    """Return how the files of trips were read, as a detail; empty if nothing had to be detected.
 
-    Trips that were read alike are one remark, with their number if others were not.
+    Trips that were read alike share one remark, with their number if others were not.
     """
     counts = Counter(r.quality.read_as for r in results if r.quality.read_as)
     if not counts:

@@ -1,4 +1,4 @@
-"""Checks of manifests and recordings without a model: what is wrong, and what is there to read."""
+"""Checks of manifests and recordings without a model: faults, and how much can be read."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ from suspnet.trips.trip import evaluate_recording
 log = logging.getLogger(__name__)
 
 UNKNOWN_BAND_HZ = (0.5, 20.0)
-"""Band of an unknown vehicle, that of most railway vehicles, [Hz]."""
+"""Band used for an unknown vehicle, that of most railway vehicles, [Hz]."""
 
 
 Opened = dict[tuple[Path, str | None, str | None], tuple[str, ...]]
@@ -53,15 +53,9 @@ Opened = dict[tuple[Path, str | None, str | None], tuple[str, ...]]
 class CheckSettings:
     """How trips are checked.
 
-    Parameters
-    ----------
-    vehicles : mapping of Vehicle
-        Known vehicles by the names that manifests use.
-    trips : TripSettings
-    pictures : Path, optional
-        Folder of the pictures; None draws none.
-    models : sequence of TrainedModel
-        A trip is ready if these read it; if there are none, if a model of its speed would.
+    `vehicles` are known vehicles by the names that manifests use; `pictures` is the folder of the
+    pictures (None: no pictures). A trip is ready if `models` read it, or, without models, if a
+    model of its speed would.
     """
 
     vehicles: Mapping[str, Vehicle]
@@ -73,17 +67,10 @@ class CheckSettings:
 def check_trip(
     path: Path, settings: CheckSettings, picture: str = "", opened: Opened | None = None
 ) -> TripCheck:
-    """Return what is wrong with a trip and what there is to read; it never fails.
+    """Return what is wrong with a trip and how much of it can be read; it never fails.
 
-    Parameters
-    ----------
-    path : Path
-        The manifest.
-    settings : CheckSettings
-    picture : str
-        Name of the picture in the folder of the settings.
-    opened : dict, optional
-        Filled with the columns that were opened, so that the manifests of a folder open each once.
+    `path` is the manifest, and `picture` a file name in the settings' folder. `opened` is shared by
+    the manifests of a folder, so that each column is opened once.
     """
     opened = {} if opened is None else opened
     result = TripCheck(path)
@@ -95,14 +82,14 @@ def check_trip(
         return _inspected(result, recording, settings, picture)
     except TripError as error:
         problems = error.problems
-    except Exception as error:  # a fault in one trip must not hide what is wrong with the others
+    except Exception as error:  # one faulty trip must not hide the faults of others
         log.debug("trip %s failed", path, exc_info=True)
         problems = (f"{type(error).__name__}: {' '.join(str(error).split())}",)
     return _with_problems(result, problems)
 
 
 def _check_columns(file: ManifestFile, opened: Opened) -> None:
-    """Raise TripError if a column that a manifest names cannot be opened, whatever else is wrong.
+    """Raise TripError if a column of the manifest cannot be opened, whatever else is wrong.
 
     Only the first block is read. A missing file is reported by the check of the manifest.
     """
@@ -163,7 +150,7 @@ def _described(result: TripCheck, manifest: TripManifest) -> TripCheck:
 def _inspected(
     result: TripCheck, recording: Recording, settings: CheckSettings, picture: str
 ) -> TripCheck:
-    """Return a check with what the recording holds; draw it if asked."""
+    """Return a check with the content of the recording; draw it if asked."""
     vehicle, estimate, remarks = _vehicle(recording.manifest, settings.vehicles)
     assert estimate.low_hz is not None
     assert estimate.high_hz is not None
@@ -185,7 +172,7 @@ def _inspected(
     any_speed = vehicle is not None and best_generator(vehicle).speed_m_per_s is None
     trips = settings.trips
     result, checked = _with_parts(result, recording, segments, estimate, trips, any_speed)
-    looked_at = checked[0]
+    looked_at = checked[0]  # the longest steady part, or all segments
     if settings.models:
         result = _read(result, recording, settings)
     spectra = segments.average(looked_at) if bool(looked_at.any()) else None
@@ -195,6 +182,7 @@ def _inspected(
             settings.pictures / picture, figure, f"{result.manifest.stem}: {result.words}"
         )
         result = replace(result, picture=picture)
+    # channels can be tested for a swap only against a known vehicle
     if vehicle is None or spectra is None or result.state == PROBLEM:
         return result
     return _with_plausibility(result, recording, segments, checked, vehicle)
@@ -226,7 +214,7 @@ def _with_parts(
 ) -> tuple[TripCheck, list[Tensor]]:
     """Return a check with the steady parts of a recording, and their segments, the longest first.
 
-    Without any these are all segments, or the longest group.
+    Without steady parts these are all segments, or the longest group.
     """
     n_segments = len(segments.values)
     looked_at = torch.ones(n_segments, dtype=torch.bool)
@@ -278,7 +266,7 @@ def _vehicle(
 
 
 def _part(one: Steady) -> SteadyPart:
-    """Return what a group of segments gives; G_s counts as far as an estimate uses it."""
+    """Return the quality of a group of segments; G_s counts as far as an estimate uses it."""
     return SteadyPart(
         speed_m_per_s=one.speed[0],
         n_averages=one.found.n_averages,

@@ -1,10 +1,10 @@
-"""Commissionings: which models read a trip of a suspension, and relative to what it is healthy.
+"""Commissionings: which models read a trip of a suspension, and its healthy reference.
 
-After maintenance a vehicle is commissioned again. Its trips from the first new healthy one on are
+A vehicle is commissioned again after maintenance. Its trips from the first new healthy one on are
 read with the models of the new commissioning, and their estimates are relative to the new healthy
-values. Values in SI units compare across: the figure of the trend shows all trips relative to the
-healthy values of the first commissioning, while limits and tests are about the trips since the last
-one.
+values. Values in SI units compare across commissionings: the trend figure shows all trips relative
+to the healthy values of the first commissioning, while limits and tests use the trips since the
+last one.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from suspnet.ground.records import OK, Commissioning, Place, TripResult
 from suspnet.spectra.speeds import range_words
 
 NAMED = 6
-"""Number of suspensions that an error names."""
+"""Largest number of suspensions that an error names."""
 
 
 def since_km(model: TrainedModel) -> float:
@@ -46,8 +46,8 @@ def eras(models: Sequence[TrainedModel]) -> list[list[TrainedModel]]:
         return [list(models)]
     if any(map(math.isnan, starts)):
         raise ModelFileError(
-            "one run is commissioned and another is not, so that they do not mean the same by "
-            "healthy; give runs that were trained with healthy=DIR"
+            "one run is commissioned and another is not, so their healthy values "
+            "differ; give runs that were trained with healthy=DIR"
         )
     return [
         [model for model, km in zip(models, starts, strict=True) if km == start]
@@ -88,7 +88,7 @@ def commissionings(
 def with_truth_of_each(
     results: Sequence[TripResult], found: Sequence[Commissioning]
 ) -> list[TripResult]:
-    """Return results whose truth, where it is known, is relative to their healthy trips'."""
+    """Return results whose truth, if known, is relative to their commissioning's healthy trips."""
     done = list(results)
     for one in found:
         healthy = [r for r in results if r.trip in one.trips]
@@ -99,7 +99,7 @@ def with_truth_of_each(
 
 
 def check_one_reference(models: Sequence[TrainedModel]) -> None:
-    """Raise ValueError if there are several commissionings: first trips are healthy of one only."""
+    """Raise ValueError for several commissionings: first trips define only one reference."""
     if len(eras(models)) > 1:
         raise ValueError(
             "monitor.reference=first_trips is for one healthy state, and run= names several "
@@ -110,11 +110,11 @@ def check_one_reference(models: Sequence[TrainedModel]) -> None:
 def relative_to_first(results: list[TripResult], n_first: int) -> list[TripResult]:
     """Return results whose k and c are relative to the median of the vehicle's first trips.
 
-    So is the truth, where it is known. The interval widens by the uncertainty of the median, whose
-    variance is pi / 2 times that of a mean of `n_first` trips. That is right for noise; systematic
-    errors (of a regression without refinement) cancel only as long as the vehicle does not change.
-    The car-body mass stays relative to nominal: payload varies from the first trip on. Where fewer
-    trips have an estimate, those are taken.
+    The truth, where known, is treated alike. The interval widens by the uncertainty of the median,
+    whose variance is pi / 2 times that of a mean of `n_first` trips. This is right for noise;
+    systematic errors (of a regression without refinement) cancel only while the vehicle does not
+    change. The car-body mass stays relative to nominal, as payload varies from the first trip on.
+    If fewer trips have an estimate, all of these are used.
     """
     done = first_trips(results, n_first)
     if not done:
@@ -141,16 +141,16 @@ def relative_to_first(results: list[TripResult], n_first: int) -> list[TripResul
 
 
 def relative_truth(result: TripResult, healthy: Sequence[TripResult]) -> TripResult:
-    """Return a result whose true k and c are relative to the median of healthy trips', if known."""
+    """Return a result whose true k and c, if known, are relative to the median of healthy trips."""
     known = [r.truth for r in healthy if r.truth]
     names = [name for name in result.truth if name != PAYLOAD and all(name in t for t in known)]
     return replace(result, truth=_divided(result.truth, _medians(known, names)))
 
 
 def first_trips(results: list[TripResult], n_first: int) -> list[TripResult]:
-    """Return the `n_first` trips of least mileage that have an estimate, or as many as there are.
+    """Return the `n_first` trips of least mileage with an estimate, or as many as there are.
 
-    Flagged ones are among them: a vehicle that is unlike the model's is so from the first trip on.
+    Flagged trips are included: a vehicle unlike the model's is so from the first trip on.
     """
     return sorted((r for r in results if r.status == OK), key=lambda r: r.mileage_km)[:n_first]
 
@@ -162,18 +162,15 @@ def _medians(values: list[dict[str, float]], names: list[str]) -> dict[str, floa
 
 
 def _divided(values: dict[str, float], by: dict[str, float]) -> dict[str, float]:
-    """Return values over those of another mapping, 1 where it has none."""
+    """Return values divided by those of another mapping, by 1 where it has none."""
     return {name: value / by.get(name, 1.0) for name, value in values.items()}
 
 
 def check_models(models: Sequence[TrainedModel]) -> tuple[str, ...]:
     """Return the outputs of models that can read trips together.
 
-    Raises
-    ------
-    ModelFileError
-        If one was not trained on estimates from trips, needs a measured mass, or if they differ
-        in vehicle or outputs or share a speed.
+    ModelFileError is raised if one was not trained on estimates from trips or needs a measured
+    mass, or if they differ in vehicle or outputs or share a speed.
     """
     for model in models:
         trip_settings(model)
@@ -206,13 +203,13 @@ def _check_together(models: Sequence[TrainedModel]) -> None:
 
 
 def speed_words(model: TrainedModel) -> str:
-    """Return the speeds that a model reads, in words."""
+    """Return the speeds that a model reads, as text."""
     found = speed_range(model)
     return "any" if found is None else range_words([found])
 
 
 def place_of(model: TrainedModel) -> Place | None:
-    """Return the suspension that a model was commissioned on; None if its file does not say it."""
+    """Return the suspension that a model was commissioned on; None if unknown."""
     noted = model.training.get("commissioned", {}).get("place")
     return Place(**noted) if noted else None
 
@@ -220,19 +217,9 @@ def place_of(model: TrainedModel) -> Place | None:
 def models_of(models: Sequence[TrainedModel], place: Place) -> list[TrainedModel]:
     """Return the models that read a suspension's trips.
 
-    Of models that were commissioned on several suspensions, those of this one; of others, those of
-    its bogie, if it is named.
-
-    Parameters
-    ----------
-    models : sequence of TrainedModel
-        Of one suspension or vehicle, or of each suspension of a fleet.
-    place : Place
-
-    Raises
-    ------
-    ModelFileError
-        If there is none, or if the models cannot read trips together.
+    If `models` were commissioned on several suspensions, these are the ones of `place`; otherwise
+    those of its bogie, if it is named. ModelFileError is raised if there is none, or if they cannot
+    read trips together.
     """
     known = sorted({one for one in map(place_of, models) if one is not None})
     if len(known) > 1:

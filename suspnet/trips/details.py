@@ -1,4 +1,4 @@
-"""What a report says of model, settings and version, in words."""
+"""The details section of a report: model, settings and version, as text."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from suspnet.report.trip_table import files_read_as
 from suspnet.trips.commissionings import eras, first_trips, speed_words
 
 UNKNOWN_HEALTHY = "healthy is not known yet"
-ALONE = "by this suspension alone, as no other of its vehicle shows how fast its kind wears"
-NO_STORE = "; with those of a history (store=) the plan of a fleet may give other ones"
+ALONE = "by this suspension alone, as no other of its vehicle shows how fast such parts wear"
+NO_STORE = "; with those of a history (store=) the plan of a fleet may give others"
 
 
 def report_details(
@@ -29,20 +29,10 @@ def report_details(
     level: float,
     n_reference: int | None,
 ) -> dict[str, str]:
-    """Return what the report says of model, settings and version.
+    """Return the details of a report: model, settings and version.
 
-    Parameters
-    ----------
-    folder : Path
-        Of the trips.
-    models : sequence of TrainedModel
-        Those that read them.
-    results : list of TripResult
-    limits : mapping of Limits
-    level : float
-        Probability with which an interval holds the truth.
-    n_reference : int, optional
-        Number of first trips that say what healthy is; None: the models do.
+    `level` is the probability of the intervals, and `n_reference` the number of first trips that
+    define healthy (None: the models do).
     """
     first = models[0]
     trained = trip_settings(first)
@@ -73,7 +63,7 @@ def report_details(
 
 
 def missing_reference(results: list[TripResult], n_reference: int | None) -> str:
-    """Return in words what the first trips lack to say what is healthy; empty if nothing."""
+    """Return what the first trips lack to define healthy; empty if nothing."""
     if n_reference is None:
         return ""
     n_found = len(first_trips(results, n_reference))
@@ -82,13 +72,13 @@ def missing_reference(results: list[TripResult], n_reference: int | None) -> str
     have = "has" if n_found == 1 else "have"
     return (
         f"{UNKNOWN_HEALTHY}: {count(n_found, 'trip')} {have} an estimate, the first "
-        f"{n_reference} are to say it (lower monitor.n_reference, or take "
+        f"{n_reference} are needed (lower monitor.n_reference, or take "
         "monitor.reference=vehicle)"
     )
 
 
 def healthy_words(model: TrainedModel) -> str:
-    """Return in words what a model's estimates are relative to."""
+    """Return the reference of a model's estimates, as text."""
     found = model.training.get("commissioned")
     if not found:
         return "the vehicle file's drawing"
@@ -98,7 +88,7 @@ def healthy_words(model: TrainedModel) -> str:
 
 
 def _interval_words(model: TrainedModel, level: float) -> str:
-    """Return in words where the intervals come from."""
+    """Return the source of the intervals, as text."""
     if model.intervals is None:
         return "none: the model was trained with data.n_calibrate=null"
     return (
@@ -108,7 +98,7 @@ def _interval_words(model: TrainedModel, level: float) -> str:
 
 
 def wear_words(n_learnt: int, is_history: bool) -> str:
-    """Return with whose rates of wear lives are predicted; 0 suspensions: with its own alone."""
+    """Return whose rates of wear predict the lives; with 0 suspensions only its own."""
     words = ALONE
     if n_learnt:
         where = "the history" if is_history else "this folder"

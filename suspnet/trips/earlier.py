@@ -38,21 +38,14 @@ from suspnet.trips.commissionings import since_km
 
 log = logging.getLogger(__name__)
 FOLDER = "finished_trips"
-"""Name of the folder, in that of an evaluation, that holds its trips' results."""
+"""Subfolder of an evaluation's output that holds its trips' results."""
 
 
 class FinishedTrips:
-    """Results of trips that were read, each for its files, the models and the settings.
+    """Results of finished trips, by their files, the models and the settings.
 
-    A result is given back if its manifest holds the same bytes, its data files have the same sizes
-    and times of change, and models, settings and code are the same.
-
-    Parameters
-    ----------
-    folder : Path
-        Where an evaluation writes.
-    models : sequence of TrainedModel
-    settings : TripSettings
+    A result in `folder` is reused if the manifest holds the same bytes, its data files have the
+    same sizes and modification times, and models, settings and code are the same.
     """
 
     def __init__(
@@ -68,12 +61,7 @@ class FinishedTrips:
     def made_from(self, file: ManifestFile) -> dict[str, Any]:
         """Return all that a trip's result depends on, as JSON-able values.
 
-        Raises
-        ------
-        TripError
-            If the manifest is faulty.
-        OSError
-            If one of its files has just gone.
+        TripError is raised if the manifest is faulty, OSError if one of its files has disappeared.
         """
         manifest = file.trip
         sources = [*manifest.sensors().values(), manifest.speed]
@@ -85,7 +73,7 @@ class FinishedTrips:
         }
 
     def read(self, made_from: Any) -> TripResult | None:
-        """Return the result of a trip, None if it was not read yet."""
+        """Return the result of a trip, None if it is not finished."""
         found = self._cache.read(made_from)
         if found is None:
             return None
@@ -96,7 +84,7 @@ class FinishedTrips:
         return replace(from_row(row), curves=TripCurves(responses=responses, **arrays))
 
     def write(self, made_from: Any, result: TripResult) -> None:
-        """Store a trip's result, unless it is an error: that may be gone when it is read again."""
+        """Store a trip's result, unless it is an error, which may be fixed by the next run."""
         if result.status != ERROR:
             arrays = to_arrays(result.curves) if result.curves is not None else {}
             self._cache.write(made_from, arrays, to_row(result))
@@ -105,15 +93,11 @@ class FinishedTrips:
 def with_earlier(
     results: Sequence[TripResult], place: Place, models: Sequence[TrainedModel], store: History
 ) -> list[TripResult]:
-    """Store a suspension's trips, and return them with those that it held before.
+    """Store a suspension's trips, and return them with those that the store already held.
 
-    A trip that could not be read at all is not stored: its fault may be gone when it is read again.
-    A trip that was read relative to another healthy vehicle than that of any model is left out.
-
-    Raises
-    ------
-    HistoryError
-        If the store cannot be used.
+    A trip that could not be read at all is not stored: the fault may be fixed by the next run.
+    Trips relative to a healthy vehicle of none of the models are left out. HistoryError is raised
+    if the store cannot be used.
     """
     vehicle = models[0].vehicle.name
     kept = [r for r in results if r.status != ERROR and r.vehicle == vehicle]
@@ -138,7 +122,7 @@ def with_earlier(
 
 
 def _is_of(result: TripResult, model: TrainedModel) -> bool:
-    """Return whether a trip was read relative to the same healthy vehicle as a model's."""
+    """Return whether a trip has the same healthy reference as a model."""
     healthy = [result.healthy_si.get(name, np.nan) for name in model.healthy.names]
     same = np.isclose(healthy, model.healthy.values, rtol=1e-9, atol=0).all()
     since = result.healthy_since_km, since_km(model)
@@ -146,17 +130,9 @@ def _is_of(result: TripResult, model: TrainedModel) -> bool:
 
 
 def between(events: Sequence[Event], results: Sequence[TripResult]) -> list[list[TripResult]]:
-    """Return the trips before, between and since maintenance; one without a mileage is since.
+    """Return the trips before, between and after maintenance; those without a mileage are after.
 
-    Parameters
-    ----------
-    events, results : sequence
-        In any order.
-
-    Returns
-    -------
-    list of n_events + 1 lists
-        In the order of the mileage; some may be empty.
+    The n_events + 1 lists are in the order of the mileage; some may be empty.
     """
     ends = sorted(event.mileage_km for event in events)
     found: list[list[TripResult]] = [[] for _ in range(len(ends) + 1)]
@@ -177,10 +153,7 @@ def keep_trips(
 ) -> list[Alarm]:
     """Store trips of a suspension, and the alarms that its whole history raises; return these.
 
-    Raises
-    ------
-    HistoryError
-        If the store cannot be used.
+    HistoryError is raised if the store cannot be used.
     """
     vehicle = models[0].vehicle.name
     every = with_earlier(results, place, models, store)

@@ -1,4 +1,4 @@
-"""What data files hold, by their first samples and by names of columns, in English and German."""
+"""Contents of data files, by their first samples and by names of columns, in English and German."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from suspnet.recordings.manifest_keys import TripError
 
 ACCELERATION, SPEED = "acceleration", "speed"
 MOST_COLUMNS = 500
-"""Largest number of columns of a file that are looked at."""
+"""Largest number of columns of a file that are inspected."""
 
 _WORDS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     SPEED: (("speed", "veloc", "geschwind", "tempo"), ("v", "vel", "kmh", "kph", "mps", "vzug")),
@@ -29,8 +29,8 @@ _WORDS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "bogie": (("bogie", "drehgestell", "rahmen", "frame"), ("dg", "truck")),
     "body": (("body", "kasten", "coach", "floor", "boden"), ("car", "wk", "wagen", "cb")),
 }
-"""For each meaning, parts of words that have it and whole words that have it; the first fit counts:
-an axle box is also on a bogie, a bogie also of a car."""
+"""For each meaning, parts of words and whole words that have it. The first match counts: an axle
+box is also on a bogie, and a bogie also belongs to a car."""
 _SIDES = {"left": ("left", "links", "li", "l"), "right": ("right", "rechts", "re", "r")}
 _TIMES = ("t", "datetime", "datum", "uhrzeit", "seconds", "sec", "utc")
 _TIME_BEGINS = ("time", "zeit")
@@ -38,7 +38,7 @@ _OTHER_DIRECTIONS = ("x", "y", "lateral", "longitudinal", "quer", "laengs", "lä
 
 
 def words_of(name: str) -> list[str]:
-    """Return the words of a name in small letters, without a unit in brackets at its end.
+    """Return the words of a name in lower case, without a unit in brackets at its end.
 
     >>> words_of("Run1/AxleBoxLeft_2 [m/s2]")
     ['run1', 'axle', 'box', 'left', '2']
@@ -49,13 +49,7 @@ def words_of(name: str) -> list[str]:
 
 
 def guessed_meaning(*names: str) -> str:
-    """Return what a column is by the first of some names that says it; empty if none does.
-
-    Returns
-    -------
-    str
-        One of ``CHANNELS``, ``SPEED``, or empty.
-    """
+    """Return one of ``CHANNELS`` or ``SPEED`` by the first name that shows it; empty if none."""
     for words in map(words_of, names):
         for what, (parts, wholes) in _WORDS.items():
             if any(word in wholes or any(part in word for part in parts) for word in words):
@@ -64,12 +58,12 @@ def guessed_meaning(*names: str) -> str:
 
 
 def names_times(name: str) -> bool:
-    """Return whether a column's name says that it holds times."""
+    """Return whether a column's name is one of times."""
     return any(word in _TIMES or word.startswith(_TIME_BEGINS) for word in words_of(name))
 
 
 def guessed_side(*names: str) -> str:
-    """Return "left" or "right" by the first of some names that says it; empty if none does."""
+    """Return "left" or "right" by the first name that states a side; empty if none does."""
     for words in map(words_of, names):
         found = [one for one in SIDES if set(words) & set(_SIDES[one])]
         if len(found) == 1:
@@ -78,33 +72,20 @@ def guessed_side(*names: str) -> str:
 
 
 def is_of_another_direction(column: str) -> bool:
-    """Return whether a column's name says that it is not vertical."""
+    """Return whether a column's name states a direction other than vertical."""
     return bool(set(words_of(column)) & set(_OTHER_DIRECTIONS))
 
 
 @dataclass(frozen=True)
 class Signal:
-    """One column of numbers, and what is known of it.
+    """One column of numbers, and what is known about it.
 
-    Attributes
-    ----------
-    file : Path
-    column : Column
-    unit : str
-        As the file or the column's name writes it; empty if neither does.
-    rate_hz : float, [Hz]
-        By the file, or by its times; NaN if unknown.
-    time : str
-        Column of its times; empty if it has none, or the file says the rate.
-    time_unit : str
-        Unit of its times, where only their column's name says it; otherwise empty.
-    mean, deviation : float, [unit]
-        Of the first samples.
-    zero : Zero
-        When its times begin, as far as the file says it.
-    names : tuple of str
-        By which its meaning is guessed: its own, without and with the group that it is in, and that
-        of a file with no more than two columns.
+    `unit` is as the file or the column's name writes it. `rate_hz` is stated by the file or
+    computed from its times; NaN if unknown. `time` is the column of its times, empty if it has none
+    or the file states the rate, and `time_unit` their unit if only their column's name states it.
+    `mean` and `deviation` are those of the first samples. `zero` is when its times start, as far as
+    the file states it. `names` serve to guess its meaning: its own, with and without its group's,
+    and that of a file with at most two columns.
     """
 
     file: Path
@@ -125,7 +106,7 @@ class Signal:
 
     @property
     def meaning(self) -> str:
-        """What it is: one of the channels or the speed; empty if its names and unit do not say."""
+        """Channel or speed, by names and unit; empty if these do not show it."""
         found = guessed_meaning(*self.names)
         if size_of(SPEED, self.unit) is not None:
             return SPEED
@@ -134,17 +115,14 @@ class Signal:
 
     @property
     def side(self) -> str:
-        """Side of the vehicle, by names; empty if they do not say it."""
+        """Side of the vehicle, by names; empty if these do not show it."""
         return guessed_side(*self.names)
 
 
 def look_into(file: Path) -> tuple[list[Signal], str]:
-    """Return the columns of numbers of a file, times left out, and how the file is read.
+    """Return the columns of numbers of a file, without times, and how the file is read.
 
-    Raises
-    ------
-    TripError
-        If the file cannot be read, or holds no column of numbers.
+    TripError is raised if the file cannot be read, or holds no column of numbers.
     """
     with open_file(file) as opened:
         columns = opened.columns[:MOST_COLUMNS]
@@ -170,7 +148,7 @@ def _is_time(column: Column) -> bool:
 
 
 def _first(file: Path, opened: OpenFile, names: Sequence[str]) -> tuple[FloatArray, ...]:
-    """Return the first block of some columns; nothing if one does not hold numbers."""
+    """Return the first block of some columns; empty if one does not hold numbers."""
     try:
         return next(iter(read_columns(file, opened, names)))
     except TripError:
@@ -178,7 +156,7 @@ def _first(file: Path, opened: OpenFile, names: Sequence[str]) -> tuple[FloatArr
 
 
 def _times(file: Path, opened: OpenFile, name: str) -> FloatArray:
-    """Return the first times of a column, [s] or its own unit; empty if they do not rise."""
+    """Return the first times of a column, [s] or its own unit; empty if they do not increase."""
     (block,) = _first(file, opened, [name]) or (np.empty(0),)
     if block.dtype.kind == "M":
         return np.asarray((block - block[0]) / np.timedelta64(1, "s"), dtype=np.float64)
@@ -189,7 +167,7 @@ def _times(file: Path, opened: OpenFile, name: str) -> FloatArray:
 def _signal(
     file: Path, opened: OpenFile, column: Column, times: dict[str, FloatArray]
 ) -> Signal | None:
-    """Return what is known of a column; None if it holds no numbers."""
+    """Return what is known about a column; None if it holds no numbers."""
     blocks = _first(file, opened, [column.name])
     if not blocks or blocks[0].dtype.kind != "f":
         return None
@@ -230,7 +208,7 @@ def _zero(file: Path, opened: OpenFile, column: Column, time: str, time_unit: st
 
 
 def _rate(opened: OpenFile, time: str, times: FloatArray) -> tuple[float, str]:
-    """Return the rate by some times [Hz], and their unit where only the column's name says it."""
+    """Return the rate of some times [Hz], and their unit if only the column's name states it."""
     column = opened.column(time)
     said = "" if column.is_time else column.unit or unit_in_name(time)
     words = [word for word in words_of(time)[1:] if word in TIME_UNITS]
@@ -240,7 +218,7 @@ def _rate(opened: OpenFile, time: str, times: FloatArray) -> tuple[float, str]:
 
 
 def _unit_word(name: str) -> str:
-    """Return the unit that is a word of a column's name of its own; empty if there is none."""
+    """Return a unit that is a separate word of a column's name; empty if there is none."""
     units = {"ms2": "m/s2", "mps2": "m/s2", "g": "g", "mg": "mg", "mps": "m/s"}
     units |= {"kmh": "km/h", "kph": "km/h"}
     found = [units[word] for word in words_of(name)[1:] if word in units]

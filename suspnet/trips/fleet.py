@@ -63,29 +63,18 @@ log = logging.getLogger(__name__)
 RESOLVED = 2.0
 """A change must exceed this multiple of the model's rms error on its test curves."""
 SISTERS = SisterSettings()
-"""How the suspensions of a car are compared."""
+"""Settings of the comparison of the suspensions of a car."""
 OVERRIDDEN = "set for this evaluation"
-"""Reason of limits that are given as a setting without one."""
+"""Reason for limits that a setting overrides without giving one."""
 
 
 @dataclass(frozen=True)
 class FleetSettings:
     """How a folder of trips is evaluated.
 
-    Parameters
-    ----------
-    trips : TripSettings
-    limits : mapping, optional
-        In place of the vehicle's: from a parameter to its `notice` and `act`, each [lower, upper]
-        relative to healthy, and `why`. What is not there or None is as the vehicle's; a parameter
-        that is None raises no alarm.
-    changes : ChangeSettings
-        How changes are looked for.
-
-    Raises
-    ------
-    ValueError
-        If a setting is out of range, or dask is asked for and not installed.
+    `limits` override the vehicle's: from a parameter to its `notice` and `act`, each [lower, upper]
+    relative to healthy, and `why`. A missing or None entry leaves the vehicle's value; a parameter
+    that is None raises no alarm. ValueError is raised if dask is selected and not installed.
     """
 
     trips: TripSettings
@@ -111,24 +100,22 @@ class FleetSettings:
     def __post_init__(self) -> None:
         check_settings(self)
         any_limits = dict.fromkeys(PARAMETERS, TIGHTEST)
-        read_limits(self.limits or {}, any_limits)  # whatever the vehicle's are
+        read_limits(
+            self.limits or {}, any_limits
+        )  # checks these limits, whatever the vehicle's are
         if self.cluster is not None and not HAS_DASK:
             raise ValueError('`cluster` needs dask: pip install "suspnet[cluster]"')
 
     @property
     def n_first(self) -> int | None:
-        """Number of first trips that say what healthy is; None: the models do."""
+        """Number of first trips that define healthy; None: the models do."""
         return self.n_reference if self.reference == "first_trips" else None
 
     def limits_of(self, models: Sequence[TrainedModel]) -> dict[str, Limits]:
-        """Return the limits of each parameter that has any: these, or the vehicle's.
+        """Return the limits of each parameter that has any: overridden, or the vehicle's.
 
-        Of models of several commissionings, those of the last one count.
-
-        Raises
-        ------
-        ValueError
-            If these and those do not go together.
+        Of models of several commissionings the last one's vehicle counts. ValueError is raised if
+        the limits are inconsistent.
         """
         vehicle = eras(models)[-1][0].vehicle
         return read_limits(self.limits or {}, vehicle.known_limits, OVERRIDDEN)
@@ -146,43 +133,20 @@ def evaluate_fleet(
 ) -> list[Evaluated]:
     """Evaluate every trip of a folder; write tables, figures and a report for each suspension.
 
-    If the folder holds the trips of one suspension, its files lie in `output`. If it holds those
-    of several, or subfolders with trips, each suspension has a subfolder of `output`, and
-    overview.html, .csv and .parquet there name the worst first. A suspension that cannot be read is
-    named in the log and in the overview.
+    If the folder holds the trips of one suspension, its files are written to `output`. If it holds
+    those of several, or subfolders with trips, each suspension has a subfolder of `output`, and
+    overview.html, .csv and .parquet there list the suspensions, the worst first. A suspension that
+    cannot be read is named in the log and in the overview.
 
-    Parameters
-    ----------
-    folder : Path
-        Holds a manifest for each trip, or subfolders that do.
-    models : sequence of TrainedModel
-        One for each speed bin, and for each bogie that the manifests name, or those that were
-        commissioned on each suspension.
-    output : Path
-    settings : FleetSettings
-    progress : bool
-    store : History, optional
-        Keeps the trips; those of earlier folders that it holds are in tables, trend and report.
-    seed : int
-        Of the remaining lives.
-    figures : bool
-        Whether figures are drawn, in a folder and in the report.
+    `models` has one for each speed bin, and for each bogie that the manifests name, or those
+    commissioned on each suspension. `store` saves the trips, and adds those of earlier folders to
+    tables, trend and report. `seed` is that of the remaining lives. The most severe suspension is
+    returned first.
 
-    Returns
-    -------
-    list of Evaluated
-        The most severe first.
-
-    Raises
-    ------
-    FileNotFoundError
-        If the folder holds no manifest.
-    ModelFileError
-        If a model cannot read trips.
-    ValueError
-        If no suspension could be read, or the limits do not go together.
+    FileNotFoundError is raised if the folder holds no manifest, ModelFileError if a model cannot
+    read trips, ValueError if no suspension could be read or the limits are inconsistent.
     """
-    settings.limits_of(models)
+    settings.limits_of(models)  # raises before any trip is read
     groups = find_groups(folder)
     is_alone = len(groups) == 1 and groups[0].folder == folder
     if not is_alone:
@@ -198,7 +162,7 @@ def evaluate_fleet(
                 raise ValueError(group.error)
             where = output if is_alone else output / group.name
             read.append(_read_group(group, models, where, settings, progress, store))
-    # all suspensions are read before the first report: their rates of wear count for its lives
+    # all suspensions are read before the first report: its lives use their rates of wear
     fleet = Fleet({one.vehicle: one.limits for one in read}, settings.changes, SISTERS, seed)
     if store is not None:
         fleet.add(one for one in store.series() if one.vehicle in fleet.limits)
@@ -218,7 +182,7 @@ def evaluate_fleet(
 
 @contextmanager
 def _reported(group: Group, done: list[Evaluated], is_alone: bool) -> Iterator[None]:
-    """Add a suspension that cannot be read to those done, and log why; one alone raises."""
+    """Record a suspension that cannot be read and log why; raise if it is the only one."""
     try:
         yield
     except (ValueError, ArithmeticError) as error:
@@ -230,7 +194,7 @@ def _reported(group: Group, done: list[Evaluated], is_alone: bool) -> Iterator[N
 
 @dataclass(frozen=True, eq=False)
 class _Read:
-    """Trips of one suspension, with those that the store held before, and where they go."""
+    """Trips of one suspension, with earlier ones from the store, and their output folder."""
 
     group: Group
     models: Sequence[TrainedModel]
@@ -329,7 +293,7 @@ def _evaluated(
             try:
                 made_from[file] = finished.made_from(file)
                 result = finished.read(made_from[file])
-            except Exception:  # `evaluate_trip` says what is wrong, which needs no worker
+            except Exception:  # `evaluate_trip` then reports the fault, without a worker
                 result = evaluate_trip(file, models, settings.trips)
             if result is not None:
                 made_from.pop(file, None)
@@ -369,7 +333,7 @@ def _read_by_workers(
 
 
 def least_percent(outputs: Sequence[str], models: Sequence[TrainedModel]) -> dict[str, float]:
-    """Return the smallest change of each parameter, in %, that the models can resolve."""
+    """Return the smallest change of each parameter that the models can resolve, [%]."""
     rms = {
         name: max(m.training.get("test_rms_percent", {}).get(name, 0.0) for m in models)
         for name in outputs

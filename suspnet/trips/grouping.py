@@ -17,23 +17,15 @@ TAKEN = (
     *("overview.html", "overview.csv", "overview.parquet", "config.yaml", "exit_code", "figures"),
     *("fleet.json", "error.txt", LEDGER),
 )
-"""Names of files in the output that no suspension's folder may have."""
+"""File names in the output that no suspension's folder may have."""
 
 
 @dataclass(frozen=True)
 class Group:
     """The trips of one suspension.
 
-    Attributes
-    ----------
-    folder : Path
-        Where the manifests lie.
-    place : Place
-    manifests : tuple of ManifestFile
-    name : str
-        Unlike that of any other group, and fit for a folder.
-    error : str
-        Why there are no manifests; empty if there are some.
+    `folder` holds the manifests; `name` is unique among groups and a valid folder name; `error`
+    states why there are no manifests, empty if there are some.
     """
 
     folder: Path
@@ -46,17 +38,12 @@ class Group:
 def find_groups(folder: Path) -> list[Group]:
     """Return a folder's trips by suspension, or those of its subfolders if it holds no manifest.
 
-    A manifest that does not say which suspension it is of belongs to the only one of its folder,
-    or to none.
-
-    Raises
-    ------
-    FileNotFoundError
-        If there is no such folder, or no manifest in it or its subfolders.
+    A manifest that does not name its suspension belongs to the only one of its folder, or to none.
+    FileNotFoundError is raised if there is no such folder, or no manifest in it or its subfolders.
     """
     if not folder.is_dir() or _holds_manifests(folder):
         groups = _split(folder, find_manifests(folder))
-        _tell_of_unread(folder)
+        _warn_of_unread(folder)
         return _named(groups, [str(group.place) for group in groups])
     groups, names = [], []
     for part in sorted(path for path in folder.iterdir() if path.is_dir()):
@@ -74,7 +61,7 @@ def find_groups(folder: Path) -> list[Group]:
         groups += found
         names += [part.name if len(found) == 1 else f"{part.name}_{g.place}" for g in found]
     if not any(group.manifests for group in groups):
-        find_manifests(folder)  # says what is missing
+        find_manifests(folder)  # raises the reason
     return _named(groups, names)
 
 
@@ -92,11 +79,11 @@ def _split(folder: Path, manifests: Iterable[Path]) -> list[Group]:
     return [Group(folder, place, tuple(by_place[place])) for place in sorted(by_place)]
 
 
-def _tell_of_unread(folder: Path) -> None:
+def _warn_of_unread(folder: Path) -> None:
     unread = sorted(p.name for p in folder.iterdir() if p.is_dir() and _holds_manifests(p))
     if unread:
         log.warning(
-            "%s holds manifests of its own, so that its subfolders are not read: %s",
+            "%s holds manifests of its own, so its subfolders are not read: %s",
             folder,
             ", ".join(unread),
         )

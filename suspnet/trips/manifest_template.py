@@ -15,28 +15,22 @@ from suspnet.recordings.manifest import ACCELERATION_UNITS, CHANNELS, FORMAT, SI
 from suspnet.trips.file_contents import ACCELERATION, SPEED, Signal, is_of_another_direction
 
 BLANK = "FILL_IN"
-"""Stands where a value is missing; suspnet-check names each that is left."""
+"""Placeholder of a missing value; suspnet-check names each remaining one."""
 LISTED = 60
 """Largest number of columns that are offered for one channel."""
 GRAVITY = {"g": 1.0, "m/s2": 9.80665}
-"""Size of gravity in each unit, by which the mean of a sensor that measures it shows its unit."""
+"""Gravity in each unit: the mean of a sensor that measures it reveals the sensor's unit."""
 HEAD = f"""\
-# Manifest of one trip: a template written by suspnet-init. What is marked {BLANK} is not known,
-# what is marked "guess" is taken from names: check both. Then run: suspnet-check """
+# Manifest of one trip: a template written by suspnet-init. Values marked {BLANK} are missing,
+# those marked "guess" are taken from names: check both. Then run: suspnet-check """
 
 
 @dataclass(frozen=True)
 class Template:
     """A manifest to be completed.
 
-    Attributes
-    ----------
-    text : str
-        YAML with comments.
-    blanks : tuple of str
-        Keys that are to be filled in.
-    guesses : tuple of str
-        Keys that were guessed by names.
+    `text` is YAML with comments; `blanks` are keys to be filled in, and `guesses` keys guessed from
+    names.
     """
 
     text: str
@@ -45,15 +39,10 @@ class Template:
 
 
 def template(signals: Sequence[Signal], path: Path, read_as: Sequence[str] = ()) -> Template:
-    """Return a manifest of what some data files hold.
+    """Return a manifest of the signals of some data files.
 
-    Parameters
-    ----------
-    signals : sequence of Signal
-    path : Path
-        Where the manifest will be; data files are named relative to its folder.
-    read_as : sequence of str
-        How files are read where that had to be found out, for the first lines.
+    `path` is that of the manifest; data files are named relative to its folder. `read_as` states
+    how files are read where that had to be detected, for the first lines.
     """
     writer = _Writer(path.parent)
     by_meaning: dict[str, list[Signal]] = {}
@@ -64,7 +53,7 @@ def template(signals: Sequence[Signal], path: Path, read_as: Sequence[str] = ())
         *(f"# {_on_one_line(words)}" for words in read_as),
         f"format: {FORMAT}",
         f"vehicle:          # {BLANK}: as the model's, e.g. am96",
-        f"suspension:       # {BLANK}: in your words; trips of one suspension say the same",
+        f"suspension:       # {BLANK}: any name; the same in all trips of one suspension",
         "# bogie: leading  # or trailing, in the direction of travel",
         *writer.side(by_meaning),
         "# train: '12'     # where several trains or cars are watched",
@@ -83,19 +72,19 @@ def template(signals: Sequence[Signal], path: Path, read_as: Sequence[str] = ())
     if rest:
         more = f" and {len(rest) - LISTED} more" if len(rest) > LISTED else ""
         names = ", ".join(_yaml(one.name) for one in rest[:LISTED])
-        lines += ["", f"# columns whose names say nothing: {names}{more}"]
+        lines += ["", f"# columns of unknown meaning: {names}{more}"]
     blanks = tuple(dict.fromkeys(writer.blanks))
     return Template("\n".join(lines) + "\n", blanks, tuple(writer.guesses))
 
 
 def _start(signals: Sequence[Signal]) -> str:
-    """Return the line of the start: by the files, or as a comment where they do not say it."""
+    """Return the line of the start: from the files, or a comment if they do not state it."""
     zeros = [one.zero for one in signals]
     moment, doubt = first_moment(zeros)
     if moment is None:
-        return f"# start: 2015-08-03T08:00:00  # {doubt or 'when the trip began'}"
-    if len({zero.ns is None for zero in zeros}) > 1:  # start is then also when the others begin
-        return f"# start: {moment.isoformat()}  # by a part of the files; when do the others begin?"
+        return f"# start: 2015-08-03T08:00:00  # {doubt or 'when the trip started'}"
+    if len({zero.ns is None for zero in zeros}) > 1:  # `start` then applies to the others too
+        return f"# start: {moment.isoformat()}  # by some of the files; when do the others start?"
     zone = "" if moment.tzinfo is not None else ", in the logger's zone"
     return f"start: {moment.isoformat()}  # by the files{zone}"
 
@@ -107,7 +96,7 @@ class _Writer:
         self.guesses: list[str] = []
 
     def side(self, by_meaning: Mapping[str, Sequence[Signal]]) -> list[str]:
-        """Return the line of the side, which single sensors without one of their own need."""
+        """Return the line of the side, which single sensors without a side of their own need."""
         found = [by_meaning.get(name, []) for name in CHANNELS]
         if not any(len(signals) == 1 and not signals[0].side for signals in found):
             return ["# side: left      # or right: of the suspension"]
@@ -116,7 +105,7 @@ class _Writer:
         return [f"side:             # {BLANK}: {where}"]
 
     def speed(self, found: Sequence[Signal], rest: Sequence[Signal]) -> list[str]:
-        """Return the lines of the speed, of which `found` are by their names."""
+        """Return the lines of the speed; `found` are its candidates by name."""
         if len(found) == 1:
             entry, blanks, words = self._entry(found[0], SPEED)
             self.blanks += [f"speed.{key}" for key in blanks]
@@ -131,7 +120,7 @@ class _Writer:
         ]
 
     def channel(self, name: str, found: Sequence[Signal], rest: Sequence[Signal]) -> list[str]:
-        """Return the lines of a channel, of which `found` are by their names."""
+        """Return the lines of a channel; `found` are its candidates by name."""
         vertical = [one for one in found if not is_of_another_direction(one.name)] or found
         sides = [one.side for one in vertical]
         if len(vertical) == 1 or sorted(sides) == sorted(SIDES):
@@ -199,12 +188,12 @@ class _Writer:
     def _relative(self, file: Path) -> str:
         try:
             return Path(os.path.relpath(file, self.folder)).as_posix()
-        except ValueError:  # another drive
+        except ValueError:  # on another drive there is no relative path
             return str(file.resolve())
 
 
 def _yaml(value: object) -> str:
-    """Return a value in YAML's flow style; text always in quotes, but for blanks."""
+    """Return a value in YAML's flow style; text is quoted, except for blanks."""
     if value is BLANK:
         return BLANK
     return json.dumps(value, ensure_ascii=not str(value).isprintable())
@@ -215,7 +204,7 @@ def _on_one_line(words: str) -> str:
 
 
 def _gravity(one: Signal, kind: str) -> str:
-    """Return which unit a sensor has that measures gravity too; empty if it does not."""
+    """Return the unit of a sensor that also measures gravity; empty if it does not."""
     for unit, size in GRAVITY.items():
         if kind == ACCELERATION and abs(abs(one.mean) / size - 1) < 0.1 > one.deviation / size / 10:
             return f", a mean of {one.mean:.2f} is gravity if it is {unit}"

@@ -37,13 +37,8 @@ def evaluate_trip(
 ) -> TripResult:
     """Return a trip's estimate, or the reason why there is none; it never fails.
 
-    Parameters
-    ----------
-    trip : Path or ManifestFile
-        Its manifest.
-    models : sequence of TrainedModel
-        One for each speed bin and commissioning, all with the same outputs.
-    settings : TripSettings
+    `trip` is its manifest; `models` has one for each speed bin and commissioning, all with the same
+    outputs.
     """
     start = time.perf_counter()
     file = trip if isinstance(trip, ManifestFile) else ManifestFile(trip)
@@ -66,13 +61,7 @@ def evaluate_recording(
 ) -> TripResult:
     """Return the estimate from a trip's recording, or why there is none; it never fails.
 
-    Parameters
-    ----------
-    manifest : TripManifest
-    read : callable
-        Gives the recording; what it raises is the reason.
-    models, settings
-        As of `evaluate_trip`.
+    `read` returns the recording; an exception that it raises is the reason.
     """
     start = time.perf_counter()
     result = TripResult(trip=manifest.name, manifest=str(manifest.path), status=ERROR)
@@ -95,7 +84,7 @@ def _failed(result: TripResult, error: Exception) -> TripResult:
 
 
 def lost_trip(path: Path, reason: str) -> TripResult:
-    """Return the row of a trip that could not even be tried to the end."""
+    """Return the result of a trip whose evaluation was interrupted."""
     return _printable(TripResult(path.stem, str(path), status=ERROR, reason=reason))
 
 
@@ -148,7 +137,7 @@ def _estimated(
     pairs = [(model, segments[welch]) for model, welch in zip(models, welches, strict=True)]
     try:
         bins, reasons = _bins(recording, pairs, settings)
-    except TripError as error:  # reported here: the quality is known by now
+    except TripError as error:  # reported only now, as the quality is known
         return replace(result, reason=str(error))
     if not bins:
         return replace(result, status=NO_ESTIMATE, reason="; ".join(dict.fromkeys(reasons)))
@@ -177,6 +166,7 @@ def _combined(result: TripResult, recording: Recording, bins: Sequence[SpeedBin]
 
     Bins may overlap: a segment that two models read counts once in the quality.
     """
+    # quality: averages over the bins, weighted by their numbers of averages
     weights = np.array([b.spectra.n_averages for b in bins])
     weights = weights / weights.sum()
     estimate, sides = with_sides(combined(bins), bins, recording)
@@ -200,6 +190,7 @@ def _combined(result: TripResult, recording: Recording, bins: Sequence[SpeedBin]
         features_found=f"{len(names)} of {len(names)}",
         warnings="; ".join(dict.fromkeys(b.doubts for b in bins if b.doubts)),
     )
+    # curves and healthy values are those of the bin with the most averages
     best = largest(bins)
     healthy = best.method.healthy
     return replace(

@@ -1,1 +1,1 @@
-"""The fleet as pages that a browser shows while trips come in: ``python -m suspnet.serve``."""
+"""Web pages that show a fleet while trips come in: ``python -m suspnet.serve``."""

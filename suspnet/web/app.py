@@ -1,4 +1,4 @@
-"""The application: pages, the files that they load, and pages for errors."""
+"""The application: pages, the files that they load, and error pages."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ from suspnet.web.refresher import Refresher, clock
 from suspnet.web.server import protect
 
 PACKAGES = ("suspnet.web",)
-"""Packages whose templates the pages use, besides those of reports."""
+"""Packages whose templates the pages use, in addition to those of reports."""
 MESSAGES = {
     400: "The form or the address could not be understood.",
     404: "There is no such page.",
     405: "This page cannot be asked for in this way.",
-    413: "What was sent is too long.",
+    413: "The form is too long.",
 }
 
 FILES = {
@@ -38,9 +38,9 @@ FILES = {
     "icon.svg": ("image/svg+xml", ("suspnet.web:icon.svg",)),
     "plotly.js": ("text/javascript", ("plotly:package_data/plotly.min.js",)),
 }
-"""Type and parts of each file."""
+"""MIME type and sources of each file."""
 FOR_EVER = "public, max-age=31536000, immutable"
-"""For files whose address changes with what they hold."""
+"""Caching of files whose address changes with their content."""
 
 
 assets = Blueprint("assets", __name__, url_prefix="/files")
@@ -49,14 +49,8 @@ assets = Blueprint("assets", __name__, url_prefix="/files")
 def create_app(refresher: Refresher, hosts: Sequence[str] = (), ask_every_s: float = 3.0) -> Flask:
     """Return the application.
 
-    Parameters
-    ----------
-    refresher : Refresher
-        Holds the state of the fleet; started by the caller.
-    hosts : sequence of str
-        Names of the host that are answered, besides those of this computer itself.
-    ask_every_s : float, [s]
-        Time between two requests of an open page for news.
+    The caller starts the `refresher`, which holds the state of the fleet. `hosts` are accepted host
+    names in addition to this computer's own; an open page polls every `ask_every_s` [s].
     """
     app = Flask("suspnet.web", static_folder=None)
     app.jinja_loader = FunctionLoader(lambda name: packaged(name, *PACKAGES))
@@ -91,11 +85,11 @@ def _store_error(error: HistoryError) -> Any:
 
 
 def _http_error(error: HTTPException) -> Any:
-    if isinstance(error, SecurityError):  # a foreign name gets no page
+    if isinstance(error, SecurityError):  # no page for an unknown host name
         return "This name of the host is not answered to; see `hosts` of suspnet-serve.\n", 400
     code = error.code or 500
     own = error.description if code == 404 and request.path.startswith("/suspension/") else None
-    words = own or MESSAGES.get(code) or "Something went wrong; the program's terminal says what."
+    words = own or MESSAGES.get(code) or "Something went wrong; see the program's terminal."
     return _message(error.name, words), code
 
 
@@ -107,7 +101,7 @@ def _message(title: str, words: str) -> str:
 
 @assets.get("/<digest>/<name>")
 def file(digest: str, name: str) -> Response:
-    """Return a file, packed if the browser takes that."""
+    """Return a file, compressed if the browser accepts that."""
     if name not in FILES or digest != file_digest(name):
         abort(404)
     packed = request.accept_encodings.quality("gzip") > 0
@@ -122,7 +116,7 @@ def file(digest: str, name: str) -> Response:
 @functools.cache
 def file_digest(name: str) -> str:
     """Return the part of a file's address that changes with its content."""
-    if name == "plotly.js":  # five megabytes, which need not be read for each start
+    if name == "plotly.js":  # plotly has five megabytes: not read at each start
         return version("plotly")
     return hashlib.sha256(_content(name)).hexdigest()[:12]
 

@@ -1,4 +1,4 @@
-"""Figures of a suspension as plotly takes them: the trend along the mileage, and its responses."""
+"""Plotly figures of a suspension: the trend along the mileage, and its responses."""
 
 from __future__ import annotations
 
@@ -28,22 +28,18 @@ PLAIN: dict[str, Any] = {
 }
 """Layout of every figure; plots.js gives it the colours of the page."""
 PANEL_PX, RESPONSES_PX = 190, 520
-"""Height of the panel of one parameter, and of the figure of responses."""
+"""Height of the panel of one parameter, and of the figure of responses, [pixel]."""
 GAP = 0.07
-"""Share of the figure between two parameters, for the heading of the lower one."""
+"""Fraction of the figure's height between two parameters, for the heading of the lower one."""
 TICKS = [one * ten for ten in (0.001, 0.01, 0.1, 1, 10, 100) for one in (1, 2, 5)]
-"""Marks of the axes of amplification, [-]."""
+"""Ticks of the amplification axes, [-]."""
 EDGE_MARK = {"size": 9, "line": {"width": 1, "color": "white"}}
 
 
 def trend_figure(trend: Trend, name: str) -> dict[str, Any]:
     """Return a suspension along its mileage, ready for JSON.
 
-    Parameters
-    ----------
-    trend : Trend
-    name : str
-        Of the suspension: a figure of the same name keeps its zoom.
+    A figure of the same suspension `name` keeps its zoom.
     """
     n = len(trend.panels)
     height = (1 - GAP * (n - 1)) / n
@@ -75,6 +71,7 @@ def trend_figure(trend: Trend, name: str) -> dict[str, Any]:
         heading = f"{_symbol(panel.name)}, {NAMES[panel.name]}"
         layout["annotations"].append(_axis_title(heading, axis))
         layout["shapes"] += _levels(panel, axis)
+    # maintenance and commissionings are vertical lines through all panels
     for km, words in (*trend.events, *((km, trend.again) for km in trend.again_km)):
         layout["shapes"].append(_line(x0=km, x1=km, y0=0, y1=1, yref="paper", dash="dot"))
         note = {"x": km, "xref": "x", "y": 1, "yref": "paper", "text": html(words)}
@@ -84,14 +81,10 @@ def trend_figure(trend: Trend, name: str) -> dict[str, Any]:
 
 
 def response_figure(responses: Sequence[Response], name: str) -> dict[str, Any]:
-    """Return the amplification along the frequency, a line for each trip, ready for JSON.
+    """Return the amplification over frequency, a line for each trip, ready for JSON.
 
-    Parameters
-    ----------
-    responses : sequence of Response
-        By mileage, at least one: the first is dashed, the newest stands out.
-    name : str
-        Of the suspension: a figure of the same name keeps its zoom.
+    `responses`, at least one, are by mileage: the first is dashed, the newest emphasised. A figure
+    of the same suspension `name` keeps its zoom.
     """
     data = []
     for part, axis in enumerate(("y", "y2")):
@@ -132,18 +125,18 @@ def response_figure(responses: Sequence[Response], name: str) -> dict[str, Any]:
 
 
 def finite(values: ArrayLike) -> list[float | None]:
-    """Return numbers with six digits as JSON holds them; None where there is none."""
+    """Return numbers with six digits for JSON; None where one is not finite."""
     found = np.asarray(values, dtype=float)
     return [float(f"{one:.6g}") if np.isfinite(one) else None for one in found.tolist()]
 
 
 def html(text: str) -> str:
-    """Return a text of a user's as plotly shows it: without a meaning of its signs."""
+    """Return a user's text escaped for plotly."""
     return str(escape(text)).replace("%{", "%\N{ZERO WIDTH SPACE}{")
 
 
 def _traces(panel: Panel) -> list[dict[str, Any]]:
-    """Return what is drawn of one parameter; nothing is a trace without points."""
+    """Return the traces of one parameter, without empty ones."""
     points, (low, high) = panel.points, panel.axis
     clear = points.chosen(~points.flagged)
     bars = {
@@ -279,6 +272,6 @@ def _symbol(name: str) -> str:
 
 
 def _axis_title(text: str, axis: str) -> dict[str, Any]:
-    """Return a heading above an axis, which takes no width as a title beside it would."""
+    """Return a heading above an axis, which saves the width of a title next to it."""
     place = {"x": 0, "xref": "paper", "xanchor": "left", "y": 1, "yref": f"{axis} domain"}
     return {"text": text, **place, "yanchor": "bottom", "showarrow": False, "font": {"size": 13}}

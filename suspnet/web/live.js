@@ -1,4 +1,4 @@
-// Keeps the main part of a page up to date; without it the page is as it was when it was loaded.
+// Keeps the main part of a page up to date; without it the page stays as loaded.
 "use strict";
 const pulse = document.getElementById("pulse");
 const lost = document.getElementById("lost");
@@ -28,7 +28,7 @@ async function replace() {
     const same = twin(fresh, one);
     if (same) same.replaceWith(one);
   }
-  fresh.prepend(...old.querySelectorAll(".said")); // the server says a thing once; it stays until the page is left
+  fresh.prepend(...old.querySelectorAll(".said")); // the server sends a message once; it stays until the page is left
   const focused = old.contains(document.activeElement) ? document.activeElement : null;
   const places = [...old.querySelectorAll(".scroll")].map((one) => one.scrollLeft);
   const height = window.scrollY;
@@ -50,7 +50,7 @@ async function look() {
     lost.hidden = true;
     pulse.textContent = state.words;
     if (state.version !== main().dataset.version) {
-      if (filled()) pulse.textContent = "There is something new; it is shown once the form is sent or left.";
+      if (filled()) pulse.textContent = "There is an update; it is shown once the form is sent or left.";
       else await replace();
     }
   } catch (error) {

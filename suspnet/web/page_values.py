@@ -1,4 +1,4 @@
-"""What the templates of the pages take: trains with their cars, alarms, one suspension."""
+"""Values for the page templates: trains with their cars, alarms, one suspension."""
 
 from __future__ import annotations
 
@@ -28,12 +28,7 @@ SHORT = {"leading": "lead.", "trailing": "trail."}
 
 @dataclass(frozen=True)
 class Choice:
-    """Which suspensions are shown; empty texts choose all.
-
-    Attributes
-    ----------
-    train, severity : str
-    """
+    """Which suspensions are shown; an empty `train` or `severity` chooses all."""
 
     train: str = ""
     severity: str = ""
@@ -45,14 +40,14 @@ class Choice:
 
     @property
     def arguments(self) -> dict[str, str]:
-        """The choice as arguments of an address."""
+        """The choice as arguments of a URL."""
         given = {"train": self.train, "severity": self.severity}
         return {name: value for name, value in given.items() if value}
 
 
 @dataclass(frozen=True)
 class Tile:
-    """One suspension on the page: its name in addresses, severity, short words and reason."""
+    """One suspension on the page: its name in URLs, severity, short text and reason."""
 
     name: str
     severity: str
@@ -79,7 +74,7 @@ class Raised:
 
 
 def names_of(view: FleetView) -> list[str]:
-    """Return the name in addresses of each suspension, in the order of the states."""
+    """Return the name in URLs of each suspension, in the order of the states."""
     names = [""] * len(view.states)
     for name, place in view.keys.items():
         names[place] = name
@@ -87,7 +82,7 @@ def names_of(view: FleetView) -> list[str]:
 
 
 def trains_of_view(view: FleetView, choice: Choice) -> list[Train]:
-    """Return the trains with the chosen suspensions, by name; numbers in names count as such."""
+    """Return the trains with the chosen suspensions, in natural order of their names."""
     of_fleet = {state.series.place.suspension for state in view.states}
     found: dict[str, Train] = {}
     several = zip(names_of(view), view.states, view.rows, strict=True)
@@ -105,7 +100,7 @@ def train_names(view: FleetView) -> list[str]:
 
 
 def counts(view: FleetView, train: str) -> dict[str, int]:
-    """Return how many suspensions of a train, or of all, are of each severity, worst first."""
+    """Return how many suspensions of a train, or of all, have each severity, worst first."""
     chosen = Choice(train)
     severities = [state.severity for state in view.states if chosen.holds(state)]
     return {str(one): severities.count(one) for one in sorted(Severity, reverse=True)}
@@ -129,7 +124,7 @@ def rows_of(view: FleetView, places: Sequence[int], address: Any) -> list[dict[s
 
 
 def jobs_of(view: FleetView, choice: Choice, address: Any) -> list[dict[str, Any]]:
-    """Return the jobs of the plan that are of chosen suspensions, with their addresses."""
+    """Return the jobs of the plan for the chosen suspensions, with their addresses."""
     if view.plan is None:
         return []
     known = {
@@ -145,7 +140,7 @@ def jobs_of(view: FleetView, choice: Choice, address: Any) -> list[dict[str, Any
 
 
 def natural(text: str) -> list[tuple[int, int, str]]:
-    """Return a key of sorting that puts car 2 before car 10."""
+    """Return a sort key that puts car 2 before car 10."""
     parts = re.split(r"(\d+)", text)
     return [(1, int(part), "") if part.isdecimal() else (0, 0, part) for part in parts]
 
@@ -167,7 +162,7 @@ def _tile(name: str, state: State, row: dict[str, Any], with_suspension: bool) -
 N_TRIPS = 20
 """Number of the newest trips in the table."""
 LEVEL = 0.9
-"""Probability of the intervals of trips, as evaluate.py and the monitor have it by default."""
+"""Probability of the intervals of trips, the default of evaluate.py and the monitor."""
 
 
 def suspension_values(
@@ -177,18 +172,10 @@ def suspension_values(
     stored: Sequence[TripResponses],
     seen: Sequence[Acknowledgement],
 ) -> dict[str, Any]:
-    """Return what the template of a suspension takes.
+    """Return the values for the template of a suspension.
 
-    Parameters
-    ----------
-    view : FleetView
-    place : int
-        Of the suspension in the view.
-    results : sequence of TripResult
-        By mileage; empty if the store cannot be read.
-    stored : sequence of TripResponses
-        By mileage.
-    seen : sequence of Acknowledgement
+    `place` is its index in the view; `results` (empty if the store cannot be read) and `stored` are
+    by mileage.
     """
     state = view.states[place]
     over = [one for one in state.watched.alarms if not one.is_open]
@@ -213,6 +200,6 @@ def suspension_values(
 
 
 def _end(mileage_km: Any, of: Any) -> float:
-    """Return the least or largest of the mileages that are known, [km]; NaN if none is."""
+    """Return the smallest or largest known mileage, [km]; NaN if none is known."""
     known = mileage_km[np.isfinite(mileage_km)]
     return float(of(known)) if len(known) else np.nan

@@ -43,13 +43,14 @@ from suspnet.web.refresher import Refresher
 from suspnet.web.server import WITH_PLOTS
 
 MOST_ROWS = 50
-"""Largest number of rows of a table of the fleet, unless all are asked for."""
+"""Largest number of rows of a table of the fleet, unless all are requested."""
 MOST_JOBS = 10
 """Largest number of jobs on the page of the fleet; the page of the plan has all."""
 READ_S, WRITE_S = 0.5, 2.0
-"""Longest time that a page waits for other programs to read from the store and to write to it."""
+"""Timeouts for reading from a store that is locked by other programs, and for writing to it,
+[s]."""
 REFRESHER = "suspnet_refresher"
-"""Key of the thread that holds the state of the fleet, among an application's extensions."""
+"""Key, among an application's extensions, of the thread that holds the state of the fleet."""
 OUTPUTS = tuple(name for name in PARAMETERS if name != PAYLOAD)
 
 pages = Blueprint("pages", __name__)
@@ -115,13 +116,13 @@ def suspension(name: str) -> ResponseReturnValue:
 
 @pages.post("/suspension/<name>/acknowledge")
 def acknowledge(name: str) -> ResponseReturnValue:
-    """Keep that a person has seen an alarm, and return to the page of its suspension."""
+    """Store an acknowledgement of an alarm, and return to the page of its suspension."""
     state, form = _state(name), Seen()
     if not form.validate_on_submit():
         return _suspension_page(name, form), 400
     chosen = [one for one in state.alarms if form.means(one)]
     if not chosen:
-        flash("Nothing was acknowledged: this alarm is over, or is worse than it was shown.")
+        flash("Nothing was acknowledged: this alarm is cleared, or worse than it was shown.")
         return redirect(_address(name))
     vehicle, place = state.key
     newest = float(np.nanmax(state.series.mileage_km))
@@ -153,7 +154,7 @@ def responses(name: str) -> ResponseReturnValue:
 
 @pages.get("/state")
 def state() -> ResponseReturnValue:
-    """Return the version of a page's state and when it was read; light, as pages ask often."""
+    """Return the version of a page's state and when it was read; cheap, as pages poll it."""
     view, name = _view(), request.args.get("of", "")
     version = _suspension_version(view, name) if name else _fleet_version(view)
     return {"version": version, "words": _refresher().words}
@@ -161,7 +162,9 @@ def state() -> ResponseReturnValue:
 
 @functools.lru_cache(maxsize=2)
 def _calendar(plan: Plan) -> bytes:
-    from suspnet.report.calendar_figure import plan_calendar  # matplotlib, for this picture alone
+    from suspnet.report.calendar_figure import (
+        plan_calendar,
+    )  # imports matplotlib, only for this picture
     from suspnet.report.images import as_svg
 
     with _drawing:
@@ -177,7 +180,7 @@ def _suspension_page(name: str, form: Seen) -> str:
         with _opened() as store:
             bad = store.bad_rows
             results, seen = store.read(*state.key), store.acknowledgements(*state.key)
-            stored = store.responses(*state.key)  # last: curves may be damaged alone
+            stored = store.responses(*state.key)  # last: damaged curves must not hide the trips
     except HistoryError as error:
         trouble = str(error)
     known = [one for one in view.bad_rows if one.key == state.key]
@@ -185,7 +188,7 @@ def _suspension_page(name: str, form: Seen) -> str:
     car = next((one for one in view.cars if view.keys[name] in one), [])
     return _page(
         "suspension_page.html",
-        "" if form.errors else _suspension_version(view, name),  # nothing replaces a filled form
+        "" if form.errors else _suspension_version(view, name),  # a filled form is never replaced
         of=name,
         name=name,
         form=form,
@@ -198,7 +201,7 @@ def _suspension_page(name: str, form: Seen) -> str:
 
 
 def _page(template: str, version: str, of: str = "", **values: Any) -> str:
-    """Return a page; it is replaced when `version` changes, and never if that is empty."""
+    """Return a page; the browser replaces it when `version` changes, never if it is empty."""
     refresher = _refresher()
     where = {"version": version, "of": of, "view": refresher.board.view, "refresher": refresher}
     return render_template(template, **where, **values)
@@ -215,7 +218,7 @@ def _view() -> FleetView:
 
 
 def _state(name: str) -> State:
-    """Return a suspension by its name in an address; there is a page for it if there is none."""
+    """Return a suspension by its name in the URL; abort with 404 if there is none."""
     view = _view()
     if name not in view.keys:
         abort(404, "There is no such suspension in this history.")
@@ -223,7 +226,7 @@ def _state(name: str) -> State:
 
 
 def _choice() -> Choice:
-    """Return which suspensions the address asks for; what it does not know chooses all."""
+    """Return which suspensions the URL asks for; unknown values choose all."""
     severity = request.args.get("severity", "")
     known = severity in MARKS
     return Choice(request.args.get("train", ""), severity if known else "")
@@ -234,12 +237,9 @@ def _address(name: str) -> str:
 
 
 def _opened(wait_s: float = READ_S) -> History:
-    """Return the store; unlike ``History`` make none where it has gone.
+    """Return the store, without creating a missing one.
 
-    Raises
-    ------
-    HistoryError
-        If it cannot be used, or is locked for longer than is waited for.
+    HistoryError is raised if it cannot be used, or is locked for longer than `wait_s`.
     """
     return History(_refresher().board.store, wait_s=wait_s, must_exist=True)
 
@@ -264,14 +264,14 @@ def _digest(*parts: Any) -> str:
 
 
 class Seen(FlaskForm):  # type: ignore[misc]
-    """Name and words of a person, and the alarm as the page showed it."""
+    """Form of an acknowledgement: name, text, and the alarm as the page showed it."""
 
-    by = StringField("Your name", [DataRequired("Say who you are."), Length(max=80)])
-    words = StringField("What is done about it", [Length(max=500)])
+    by = StringField("Your name", [DataRequired("Enter your name."), Length(max=80)])
+    words = StringField("Action taken", [Length(max=500)])
     parameter, cause, severity = HiddenField(), HiddenField(), HiddenField()
 
     def means(self, alarm: Alarm) -> bool:
-        """Return whether an alarm is the one of this form, and no worse than it was shown."""
+        """Return whether an alarm is the one of this form, and no worse than shown."""
         same = (alarm.parameter, str(alarm.cause)) == (self.parameter.data, self.cause.data)
         names = {str(one): one for one in Severity}
         return same and alarm.severity <= names.get(self.severity.data or "", -1)

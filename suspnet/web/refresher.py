@@ -1,4 +1,4 @@
-"""A thread that keeps the state of a fleet up to date, and reports when it cannot."""
+"""A thread that updates the state of a fleet, and reports when it cannot."""
 
 from __future__ import annotations
 
@@ -13,14 +13,7 @@ log = logging.getLogger(__name__)
 
 
 class Refresher:
-    """Computes the state of a fleet every few seconds, in its own thread.
-
-    Parameters
-    ----------
-    board : Board
-    every_s : float, [s]
-        Pause between two looks at the store.
-    """
+    """Updates a board in its own thread; `every_s` [s] is the pause between two refreshes."""
 
     def __init__(self, board: Board, every_s: float) -> None:
         self.board = board
@@ -33,15 +26,15 @@ class Refresher:
         self._thread = threading.Thread(target=self._run, name="refresher", daemon=True)
 
     def start(self) -> None:
-        """Start to look at the store."""
+        """Start the thread."""
         self._thread.start()
 
     def soon(self) -> None:
-        """Look at the store now, not only after the usual time."""
+        """Refresh now instead of after the usual pause."""
         self._wake.set()
 
     def stop(self, wait_s: float = 5.0) -> None:
-        """End the thread, and wait for it for a while."""
+        """Stop the thread, and wait for it up to `wait_s` [s]."""
         self._end.set()
         self._wake.set()
         if self._thread.is_alive():
@@ -52,7 +45,7 @@ class Refresher:
         """Why the pages may be out of date; empty if they are not."""
         if not self._thread.is_alive():
             why = f" ({self._error})" if self._error else ""
-            return f"The history is not read any more{why}: start suspnet-serve again."
+            return f"The history is no longer read{why}: start suspnet-serve again."
         view = self.board.view
         if self._error:
             return f"The state of the fleet could not be computed: {self._error}."
@@ -60,19 +53,19 @@ class Refresher:
 
     @property
     def read_at(self) -> datetime:
-        """When the store was last read; what the pages show is of then."""
+        """When the store was last read: the time of the data on the pages."""
         return self._read or self.board.view.at
 
     @property
     def words(self) -> str:
-        """When the store was last read, as a text."""
+        """When the store was last read, as text."""
         if self._started_at:
             since = f", since {clock(self._started_at)}"
-            return f"reading what is new{since}"
-        return f"last looked at {clock(self._looked)}" if self._looked else "not read yet"
+            return f"reading changes{since}"
+        return f"last read at {clock(self._looked)}" if self._looked else "not read yet"
 
     def _run(self) -> None:
-        """Look until stopped; after an error, look again."""
+        """Refresh until stopped; after an error, try again."""
         try:
             while not self._end.is_set():
                 self._wake.clear()
@@ -99,7 +92,7 @@ class Refresher:
 
 
 def clock(time: datetime) -> str:
-    """Return a time of today by this computer's clock, and another one with its day."""
+    """Return a time by this computer's clock, with its day unless it is today."""
     local = time.astimezone()
     is_today = local.date() == datetime.now().astimezone().date()
     return f"{local:%H:%M:%S}" if is_today else f"{local:%Y-%m-%d %H:%M:%S}"

@@ -1,4 +1,4 @@
-"""The HTTP server: it answers while hundreds of connections hang, and only those it should."""
+"""The HTTP server: it stays responsive with hundreds of idle connections, and checks host names."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ MAX_FORM_BYTES = 16_384
 MOST_CONNECTIONS = 150
 """Number of open connections above which the oldest one without a complete request is closed."""
 SETTINGS = {
-    "connection_limit": 2 * MOST_CONNECTIONS,  # not reached: the oldest are closed before
+    "connection_limit": 2 * MOST_CONNECTIONS,  # not reached: older connections are closed first
     "channel_timeout": 30,
     "cleanup_interval": 5,
     "max_request_header_size": 16_384,
-    "max_request_body_size": 4 * MAX_FORM_BYTES,  # the pages refuse less in their own words
+    "max_request_body_size": 4 * MAX_FORM_BYTES,  # the pages reject smaller ones with a message
     "asyncore_use_poll": hasattr(select, "poll"),
 }
 
@@ -37,33 +37,25 @@ class Channel(HTTPChannel):  # type: ignore[misc]
         if len(open_ones) > MOST_CONNECTIONS:
             waiting = (one for one in open_ones if one is not self and not one.requests)
             oldest = min(waiting, key=lambda one: one.creation_time, default=self)
-            oldest.will_close = True  # by the loop itself, when it comes to it
+            oldest.will_close = True  # the server loop closes it
 
 
 def http_server(app: Flask, listening: socket.socket, threads: int) -> Any:
-    """Return the server of an application at a socket that listens.
-
-    Parameters
-    ----------
-    app : Flask
-    listening : socket
-    threads : int
-        Number of answers that are made at the same time.
-    """
-    logging.getLogger("waitress").setLevel(logging.ERROR)  # a client that waits or goes is no fault
+    """Return the server of an application at a listening socket, with worker threads."""
+    logging.getLogger("waitress").setLevel(logging.ERROR)  # idle or lost clients are not errors
     server = create_server(app, sockets=[listening], threads=threads, ident="suspnet", **SETTINGS)
     server.channel_class = Channel
     return server
 
 
 LOOPBACK = ("127.0.0.1", "localhost")
-"""Names by which a browser on this computer asks for the pages."""
+"""Host names of pages requested on this computer."""
 SCRIPTS_AND_STYLES = (
     "default-src 'self'; base-uri 'none'; form-action 'self'; frame-ancestors 'none'; "
     "object-src 'none'"
 )
 STYLES_OF_PLOTS = "; style-src 'self' 'unsafe-inline'"
-"""Plotly sets styles of the elements that it makes; no page needs scripts other than files."""
+"""Plotly sets inline styles of its elements; no page needs inline scripts."""
 HEADERS = {
     "X-Content-Type-Options": "nosniff",
     "X-Frame-Options": "DENY",
@@ -73,11 +65,11 @@ HEADERS = {
     "Permissions-Policy": "camera=(), geolocation=(), microphone=()",
 }
 WITH_PLOTS = "suspnet.plots"
-"""Key of a request's environment that says that its page has plots."""
+"""Key in a request's environment that marks a page with plots."""
 
 
 def is_loopback(host: str) -> bool:
-    """Return whether only this computer reaches an address."""
+    """Return whether an address is reachable from this computer only."""
     try:
         return ipaddress.IPv4Address(host).is_loopback
     except ValueError:
@@ -85,17 +77,12 @@ def is_loopback(host: str) -> bool:
 
 
 def protect(app: Flask, hosts: Sequence[str]) -> None:
-    """Let an application answer to some names of the host only, with strict headers.
+    """Restrict an application to some host names, with strict headers.
 
-    Without the check of the name, a foreign page whose own name suddenly points to this computer
-    (DNS rebinding) could read and acknowledge alarms. A form needs the token that its page holds
-    (CSRF); each start makes another key for tokens.
-
-    Parameters
-    ----------
-    app : Flask
-    hosts : sequence of str
-        Names besides those of this computer itself; ".example.org" is all names below it.
+    Without the check of the host name, a foreign page whose own name suddenly points to this
+    computer (DNS rebinding) could read and acknowledge alarms. A form needs the token of its page
+    (CSRF); each start creates another key for tokens. `hosts` are names in addition to those of
+    this computer itself; ".example.org" includes all names below it.
     """
     app.config.update(
         SECRET_KEY=secrets.token_bytes(32),

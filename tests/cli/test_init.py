@@ -227,7 +227,7 @@ def test_columns_of_unclear_names_are_offered(channels, tmp_path):
     pq.write_table(pa.table(columns), tmp_path / "run.parquet")
     text = written(tmp_path, "run.parquet")
     assert text.count('    # - {file: "run.parquet", column: "ch1"') == 3
-    assert 'names say nothing: "ch0", "ch1", "ch2"' in text
+    assert 'columns of unknown meaning: "ch0", "ch1", "ch2"' in text
     lines = text.splitlines()
     for i, name in enumerate(CHANNELS):
         start = next(k for k, line in enumerate(lines) if line.startswith(f"  {name}:"))

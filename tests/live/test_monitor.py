@@ -587,7 +587,9 @@ def test_a_silent_section_that_is_over_before_its_estimate_is_made_is_one_trip(f
 def test_journal_of_other_settings_is_refused(tmp_path, fleet):
     frames = frames_of_trips(fleet[:2])
     monitored(tmp_path, fleet, ListSource(frames))
-    with pytest.raises(JournalError, match="give the settings of before, or another journal="):
+    with pytest.raises(
+        JournalError, match="restore the previous settings, or give another journal="
+    ):
         monitored(tmp_path, fleet, ListSource(frames), replace(LIVE, section_s=200))
 
 

@@ -147,5 +147,5 @@ def test_terminal_gets_no_frames(monkeypatch):
             return True
 
     monkeypatch.setattr(sys, "stdout", Terminal())
-    with pytest.raises(ValueError, match="frames are no text"):
+    with pytest.raises(ValueError, match="frames are binary"):
         StandardOutput().open()

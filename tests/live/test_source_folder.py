@@ -82,9 +82,9 @@ def test_files_that_are_being_written_are_left_alone(tmp_path):
 @pytest.mark.parametrize(
     ("content", "counts", "reason"),
     [
-        (b"time;value\n1;2\n", {}, "does not begin with a frame"),
-        (b"", {}, "does not begin with a frame"),
-        (b"x" + FRAMES[0], {}, "does not begin with a frame"),
+        (b"time;value\n1;2\n", {}, "does not start with a frame"),
+        (b"", {}, "does not start with a frame"),
+        (b"x" + FRAMES[0], {}, "does not start with a frame"),
         (FRAMES[0] + FRAMES[1][:-20], {"truncated": 1}, "not only frames (truncated)"),
         (FRAMES[0] + b"x" + FRAMES[1], {"foreign": 1}, "not only frames (foreign)"),
         (encode(frame(0, suspension="train 9")), {}, "'train 9', which is not monitored here"),
@@ -136,7 +136,7 @@ def test_files_are_not_moved_through_a_link(tmp_path):
     folder.mkdir()
     (folder / "a").write_bytes(FRAMES[0])
     (folder / "taken").symlink_to(tmp_path / "outside")
-    with pytest.raises(OSError, match="must be a folder, and no link"):
+    with pytest.raises(OSError, match="must be a folder, not a link"):
         opened(folder)
     (folder / "taken").unlink()
     source = opened(folder)

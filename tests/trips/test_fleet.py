@@ -401,7 +401,7 @@ def test_report_is_there_where_too_few_trips_say_what_is_healthy(three, model, n
     out = three.parent / "out"
     settings = FleetSettings(TRIPS, reference="first_trips", n_reference=5)
     (one,) = evaluate_fleet(three, [model], out, settings, progress=False)
-    missing = "healthy is not known yet: 3 trips have an estimate, the first 5 are to say it"
+    missing = "healthy is not known yet: 3 trips have an estimate, the first 5 are needed"
     for found in one.state.assessments:
         assert found.limited == (found.parameter != "M_s")
         assert found.words.startswith("healthy is not known yet; ") == found.limited

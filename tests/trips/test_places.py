@@ -67,7 +67,7 @@ def test_subfolders_beside_manifests_are_told_not_read(tmp_path, caplog):
     with caplog.at_level("WARNING", logger="suspnet"):
         (group,) = find_groups(tmp_path)
     assert [file.path.stem for file in group.manifests] == ["a"]
-    assert "so that its subfolders are not read: other" in caplog.text
+    assert "so its subfolders are not read: other" in caplog.text
 
 
 def test_names_are_fit_for_folders_and_differ(tmp_path):

@@ -374,12 +374,12 @@ def test_alarms_and_remaining_life_are_shown(tmp_path):
     report.write_report(tmp_path / "r.html", "Suspension report", given, {"trend": small_figure()})
     text = (tmp_path / "r.html").read_text(encoding="utf-8")
     table = text[text.index('<h2 id="alarms">') :]
-    # what stands comes first
+    # active alarms come first
     assert table.index("at 60 % of &lt;healthy&gt;".replace(" %", "\N{NO-BREAK SPACE}%")) < (
         table.index("fell by")
     )
     assert "seen by Kim, 2026-02-01" in table
-    assert "stands" in table
+    assert "active" in table
     plain = text.replace("\N{NO-BREAK SPACE}", " ")
     assert "150 000<small>110 000 to 190 000</small>" in plain
     assert '<td class="n life">passed</td>' in text

@@ -220,7 +220,7 @@ def test_zoom_focus_and_forms_outlast_an_update(browser, site):
     with History(path) as store:
         store.write(trips(WORN, 2, n_trips=1, begin=N_MORE + 1))
     pulse = browser.find_element(By.ID, "pulse")
-    wait(browser, lambda b: "There is something new" in pulse.text)
+    wait(browser, lambda b: "There is an update" in pulse.text)
     assert name.get_attribute("value") == "half a na"
     assert refresher.fault == ""
 

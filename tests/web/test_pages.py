@@ -37,7 +37,7 @@ def refresher(path):
     """The state of the fleet, worked out once; the thread runs and sleeps."""
     found = Refresher(Board(str(path), SETTINGS), 3600.0)
     found.start()
-    wait_for(lambda: found.words.startswith("last looked"))
+    wait_for(lambda: found.words.startswith("last read"))
     yield found
     found.stop()
 
@@ -161,7 +161,7 @@ def test_acknowledgement_needs_token_and_name(client, refresher, path):
     assert stranger.post(f"{address}/acknowledge", data=form(page), **BASE).status_code == 400
     unnamed = client.post(f"{address}/acknowledge", data=form(page, by=" "), **BASE)
     assert unnamed.status_code == 400
-    assert "Say who you are." in unnamed.text
+    assert "Enter your name." in unnamed.text
     assert "data-state" not in unnamed.text  # nothing takes the form away
     assert 'value="ok"' in unnamed.text
     with History(path) as store:
@@ -256,7 +256,7 @@ def test_store_that_has_gone_is_told_with_the_last_state(client, refresher, path
     refresher.soon()
     wait_for(lambda: "The store cannot be read" in client.get("/", **BASE).text)
     page = client.get("/", **BASE).text
-    assert "What is shown here is of" in page
+    assert "This page shows the state of" in page
     assert "4 suspensions" in page
     assert "trips and responses are not shown" in client.get(address, **BASE).text
     answer = client.post(f"{address}/acknowledge", data=csrf, **BASE)
@@ -275,7 +275,7 @@ def test_empty_store_and_first_look_are_told(tmp_path):
     client = create_app(found).test_client()
     assert "The history is being read" in client.get("/", **BASE).text
     found.start()
-    wait_for(lambda: found.words.startswith("last looked"))
+    wait_for(lambda: found.words.startswith("last read"))
     found.stop()
     assert (
         "being read" in (page := client.get("/", **BASE).text)
@@ -327,7 +327,7 @@ class Broken:
     ("error", "words"),
     [
         (RuntimeError("no room"), "could not be computed: RuntimeError: no room"),
-        (SystemExit(3), "is not read any more (SystemExit: 3): start suspnet-serve again"),
+        (SystemExit(3), "is no longer read (SystemExit: 3): start suspnet-serve again"),
     ],
 )
 def test_refresher_that_fails_or_dies_is_told_on_every_page(refresher, error, words):

@@ -94,7 +94,7 @@ def test_locked_store_holds_no_page_up_and_is_shown_again(path):
             assert time.monotonic() - begin < 4
             page = asked(client, "/", 2).text
             assert "another program holds the store locked" in page
-            assert re.search(r"What is shown here is of \d\d:\d\d:\d\d", page)
+            assert re.search(r"This page shows the state of \d\d:\d\d:\d\d", page)
             assert "4 suspensions" in page
             assert "responses are not shown" in asked(client, address, 4).text
             sent = asked(client, f"{address}/acknowledge", 6, "post", data=form | {"by": "Kim"})
