@@ -72,7 +72,7 @@ class Estimate:
             If the healthy values are not known.
         """
         if self.healthy is None:
-            raise ValueError("the estimate does not know its healthy values: give `healthy`")
+            raise ValueError("the estimate has no healthy values: give `healthy`")
         return self.healthy.si(self.values, self.half_widths, self.level)
 
     def __len__(self) -> int:

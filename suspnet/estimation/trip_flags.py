@@ -89,8 +89,8 @@ def delay_words(
         if abs(delay_s) >= REPORTED_S and share >= EXPLAINED:
             late = "late" if delay_s > 0 else "early"
             late_channels.append(
-                f"{CHANNELS[i + 1]} looks {1e3 * abs(delay_s):.3g} ms {late} against {CHANNELS[i]} "
-                "all along: do they share one clock, is `start_s` right?"
+                f"{CHANNELS[i + 1]} looks {1e3 * abs(delay_s):.3g} ms {late} relative to {CHANNELS[i]} "
+                "throughout: do they share one clock, is `start_s` right?"
             )
     return "; ".join(late_channels)
 

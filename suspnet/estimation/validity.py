@@ -188,4 +188,4 @@ def check_same(given: Any, built: Any, where: str = "model.json") -> None:
         for i, pair in enumerate(zip(given, built, strict=True)):
             check_same(*pair, f"{where}[{i}]")
     elif type(given) is not type(built) or given != built:
-        raise ValueError(f"`{where}` is {given!r}, which is not what such a model says: {built!r}")
+        raise ValueError(f"`{where}` is {given!r}, expected {built!r}")

@@ -128,7 +128,7 @@ class CurveFeatures:
         """
         count = self.n_components if self.basis is None else len(self.basis.directions)
         if count is None:
-            raise ValueError("how many components there are is only known once they are fitted")
+            raise ValueError("the number of components is only known once they are fitted")
         return tuple(f"component_{i + 1}" for i in range(count))
 
     @property

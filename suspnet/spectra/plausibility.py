@@ -99,7 +99,7 @@ def check_channels(
     expected = torch.stack(generator.responses(healthy, frequencies_hz), dim=1)[0].cpu()
     band = frequencies_hz >= LOWEST_MODE * modes[0]
     if bool((spectra.at(band).coherences().mean(dim=1) < CHANCE / spectra.n_averages).any()):
-        return "channels not checked: two of them have nothing to do with each other"
+        return "channels not checked: two of them are not coherent"
     speed, speed_words = _other_speed(spectra.at(band), frequencies_hz[band], generator)
     order, order_words = _other_order(spectra.at(band), expected[:, band])
     if speed > (DOUBTFUL_SPEED_MARGIN if doubtful else SPEED_MARGIN):
