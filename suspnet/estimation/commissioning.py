@@ -218,6 +218,7 @@ class _Search(HealthyMisfit):
         that
         more than one search found the same valley.
         """
+        # searches from the median, then from redrawn points as long as these find a better one
         rng = np.random.default_rng(SEED)
         found = [self.search(self.widened(ratio), SPREADS[:1]) for ratio in BAND_RATIOS]
         for _ in range(MAX_ROUNDS):
@@ -226,6 +227,7 @@ class _Search(HealthyMisfit):
             found += more
             if min(map(_cost, more), default=math.inf) >= (1 - LEAST_GAIN) * best.cost:
                 break
+        # group the results by valley
         separate: list[OptimizeResult] = []
         again: list[OptimizeResult] = []
         for one in sorted(found, key=_cost):

@@ -124,6 +124,7 @@ def _information(
     usable = torch.isfinite(weighted).all(dim=(1, 2)) & (n_found >= LEAST_FOUND * n_draws)
     information = torch.full((len(rows), len(columns), len(columns)), torch.nan).to(values)
     J = weighted[usable]
+    # correct the bias of the inverse of an estimated covariance
     freedom = n_found[usable, None, None] - 1.0
     shrinkage = (freedom - len(extractor.names) + len(columns)) / freedom
     information[usable] = shrinkage * (J.mT @ torch.linalg.solve(correlation[usable], J))

@@ -49,6 +49,7 @@ def estimate_curves(
     if mass is not None:
         inputs = np.column_stack([inputs, mass])
     predicted = regress(method, observer, inputs, curves, mass)
+    # the detector needs the misfit of a refined estimate, even if the regression's is returned
     refined = None
     if method.refined or method.ood is not None:
         refined = refine_curves(task, observer, curves, predicted, mass)

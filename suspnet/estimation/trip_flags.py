@@ -100,11 +100,13 @@ def find_delays(
     in
     log-magnitude and phase factor.
     """
+    # bins that are unused or have no finite ratio get the weight 0
     omega = 2 * math.pi * frequencies_hz
     ratio = observed / fitted
     weights = torch.where(torch.isfinite(ratio.abs().log()), 1 / deviations**2, 0.0)
     weights = torch.nan_to_num(weights, nan=0.0, posinf=0.0)
     turned = torch.sgn(torch.where(weights > 0, ratio, 0.0))
+    # the objective has many maxima: search a grid first, then refine by Newton's method
     tried = torch.arange(-LONGEST_S, LONGEST_S, STEP_S, dtype=torch.float64)
     match = torch.einsum("lf,fd->ld", weights * turned, torch.exp(1j * torch.outer(omega, tried)))
     delays = tried[match.real.argmax(dim=1)]
@@ -113,6 +115,7 @@ def find_delays(
         slope, bend = -(at_peak.imag @ omega), at_peak.real @ omega**2
         step = torch.where(bend > 0, slope / bend, 0.0)
         delays = delays + step.clamp(-STEP_S, STEP_S)
+    # squared residuals before and after removing the delay
     logs = torch.where(weights > 0, ratio.abs().log() ** 2, 0.0)
     straight = turned * torch.exp(1j * delays[:, None] * omega)
     before, after = (

@@ -182,13 +182,16 @@ def sample_spectra(mean: CrossSpectra, taps: FloatArray, source: torch.Generator
     unit complex normals below it. `mean` has shape (n_rows, 3, n_freq); `taps` from
     `moving_average_with` set the correlation of neighbouring bins.
     """
+    # L, the Cholesky factor of the mean
     n = mean.n_averages
     l11 = mean.auto[:, 0].sqrt()
     l21, l31 = (mean.cross[:, k].conj() / l11 for k in (0, 1))
     l22 = (mean.auto[:, 1] - l21.abs().square()).sqrt()
     l32 = (mean.cross[:, 2].conj() - l31 * l21.conj()) / l22
     l33 = (mean.auto[:, 2] - l31.abs().square() - l32.abs().square()).sqrt()
+    # T, the Bartlett factor of a unit Wishart matrix, then M = L T and M M^H / n
     g = _normals((9, *l11.shape), taps, source)
+
     t11, t22, t33 = (_gamma(n - i, g[i]).sqrt() for i in range(3))
     t21, t31, t32 = (torch.complex(g[i], g[i + 1]) / math.sqrt(2) for i in (3, 5, 7))
     m11, m21, m22 = l11 * t11, l21 * t11 + l22 * t21, l22 * t22

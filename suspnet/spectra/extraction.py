@@ -208,6 +208,7 @@ class PeakFeatures(FeatureSet):
         frequencies, curves = frequencies_hz[band], curves[:, :, band]
         primary, secondary = (curves.abs() if curves.is_complex() else curves).unbind(1)
         check_grid(primary, frequencies)
+        # the secondary peak first, as it defines where the primary peaks are searched
         found: dict[str, Peaks] = {}
         if set(self.peaks) - {"primary_largest"}:
             found["secondary"] = findpeaks(secondary, frequencies, fit=self._fit("secondary"))

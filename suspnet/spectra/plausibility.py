@@ -97,9 +97,11 @@ def check_channels(
     modes, _ = QuarterCar(vehicle).natural_modes()
     healthy = torch.ones(1, len(PARAMETERS), dtype=torch.float64)
     expected = torch.stack(generator.responses(healthy, frequencies_hz), dim=1)[0].cpu()
+    # unrelated channels have no shape to compare
     band = frequencies_hz >= LOWEST_MODE * modes[0]
     if bool((spectra.at(band).coherences().mean(dim=1) < CHANCE / spectra.n_averages).any()):
         return "channels not checked: two of them are not coherent"
+    # a clearly better speed or order is an error, a slightly better one a doubt
     speed, speed_words = _other_speed(spectra.at(band), frequencies_hz[band], generator)
     order, order_words = _other_order(spectra.at(band), expected[:, band])
     if speed > (DOUBTFUL_SPEED_MARGIN if doubtful else SPEED_MARGIN):
@@ -117,6 +119,7 @@ def check_channels(
             f"the order of the channels is not clear: it looks as much as if {order_words}"
         )
     doubts += [IF_SURE] if doubts else []
+    # at low frequency the gains hardly depend on the suspension: check units and signs there
     slow = (frequencies_hz >= SLOW[0] * modes[0]) & (frequencies_hz <= SLOW[1] * modes[0])
     coherence = spectra.coherences()[:, slow].mean(dim=1)
     if bool(slow.any()) and bool((coherence >= COHERENT).all()):

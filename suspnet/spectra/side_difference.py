@@ -146,13 +146,16 @@ def side_difference(
     spectra = np.einsum("sif,sjf->ijf", values.conj(), values) / len(values)
     spectra[[1, 2, 3], [1, 2, 3]] += FLOOR * spectra[0, 0]
     omega = 2 * np.pi * frequencies_hz
+    # roll parameters first, from (1) without the part that v explains: d hardly affects them
     partial = _without(spectra, 0)
     roll, roll_covariance = _roll(omega, partial, bounce, n_averages)
+    # left side of (3) from the responses F to v, and its variance
     f, covariance = _responses(spectra, partial, n_averages)
     distance, moved = roll[0], np.array([1.0, roll[1], roll[2]])
     terms = _roll_terms(omega, bounce, f[0], f[1])
     weights = np.einsum("k,kif->if", moved, _roll_terms(omega, bounce, *np.eye(2)[:, :, None]))
     variance = np.einsum("if,ijf,jf->f", weights, covariance, weights.conj()).real
+    # unknowns of (3): d, the three g, and the changes of M_f and rho from their estimates
     stretch_p, stretch_s = bounce.stretches(omega)
     columns = [
         *(-bounce.slopes * np.stack([stretch_p, stretch_p, stretch_s, stretch_s])),
@@ -169,6 +172,7 @@ def side_difference(
         np.zeros(len(prior)),
         prior,
     )
+    # correlated bins hold less information: variances were scaled up, the misfit is scaled back
     misfit *= correlated_bins
     spread = np.sqrt(np.diagonal(covariance_d)[:4] * max(misfit, 1.0))
     return SideDifference(mean[:4], spread, misfit)
