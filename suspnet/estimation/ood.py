@@ -128,8 +128,8 @@ class OODDetector:
         beyond = np.maximum(low - inputs, inputs - high) / (high - low)
         worst = task.inputs[int(np.argmax(beyond))]
         return (
-            f"the features lie {distance / self.distance_threshold:.2g} times as far from the "
-            f"training curves' as any of these, {worst} most of all"
+            f"the features lie {distance / self.distance_threshold:.2g} times the threshold "
+            f"distance from the training curves, mainly because of {worst}"
         )
 
     def state(self) -> dict[str, FloatArray]:

@@ -134,7 +134,7 @@ def with_sides(
     words = spoken_sides(weaker_sides(largest(bins), recording, estimate.values[0]))
     if not words:
         return estimate, ""
-    text = f"both sides are taken as equal, but {words}"
+    text = f"both sides are assumed to be equal, but {words}"
     return replace(estimate, flags=estimate.flags.with_kind("sides", text)), words
 
 

@@ -47,7 +47,7 @@ def check_numbers(content: Any, where: str = "model.json", depth: int = 0) -> No
 
 
 def check_arrays(arrays: Mapping[str, FloatArray]) -> None:
-    """Raise ValueError unless all arrays are finite floating-point numbers, of up to 3 dimensions."""
+    """Raise ValueError unless all arrays are finite floats of up to 3 dimensions."""
     for name, array in arrays.items():
         if array.dtype not in (np.float32, np.float64) or array.ndim > 3:
             raise ValueError(f"array {name!r} is of {array.dtype}, {array.ndim}-dimensional")

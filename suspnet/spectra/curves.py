@@ -68,7 +68,7 @@ class CurveSettings:
     )
     cache_dir: str | None = setting(
         ".cache/suspnet",
-        "Folder where features of curves are kept between runs; null keeps none",
+        "Folder where features of curves are stored between runs; null stores none",
         rule="path",
     )
 

@@ -126,7 +126,7 @@ class EstimateSettings:
         "s",
         above=0,
     )
-    overlap: float = setting(0.5, "Share of a segment that the next one has too", low=0, below=1)
+    overlap: float = setting(0.5, "Fraction of a segment shared with the next one", low=0, below=1)
     window: str = setting(
         "hann", "Window of a segment, by its name in scipy.signal.get_window", rule="name"
     )
@@ -161,7 +161,7 @@ class EstimateSettings:
     )
     cache_dir: str | None = setting(
         ".cache/suspnet",
-        "Folder where features of curves are kept between runs; null keeps none",
+        "Folder where features of curves are stored between runs; null stores none",
         rule="path",
     )
 
