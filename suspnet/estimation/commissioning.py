@@ -49,12 +49,10 @@ ROUGH_TOL, TOL = 1e-3, 1e-6
 search."""
 BAND_RATIOS = (math.inf, 2.0, math.sqrt(2.0))
 """Ratio of the upper ends of successive bands, for each search from the median of the prior;
-infinity
-is the whole band at once. A single ratio may miss a valley that another one finds."""
+infinity is the whole band at once. A single ratio may miss a valley that another one finds."""
 LOWEST_BAND = 4.0
 """Smallest ratio of upper to lower end of the first band: two octaves contain the modes of the body
-on
-its springs."""
+on its springs."""
 REDRAWN = (
     ("half_wheelbase",),
     ("half_pivot_distance", "body_gyration"),
@@ -79,8 +77,7 @@ N_DRAWS, SEED = 200, 12
 """Number of draws of each group in ``REDRAWN``, and their seed."""
 FAR = 2.0
 """Smallest distance of a redrawn number from its former value, in deviations of the prior. Without
-it
-the best draw would lie in the valley that is to be left."""
+it the best draw would lie in the valley that is to be left."""
 MAX_ROUNDS, LEAST_GAIN = 4, 0.02
 """Largest number of rounds of redrawing, and the fraction of the cost that a round must save for
 another one to follow."""
@@ -213,10 +210,8 @@ class _Search(HealthyMisfit):
         """Return the results of the first searches that are to be continued, best first.
 
         They are the best ones that differ by more than ``AGREEMENT`` from all better ones, so that
-        several
-        valleys are followed if there are any. The last place is for the best of the others, to show
-        that
-        more than one search found the same valley.
+        several valleys are followed if there are any. The last place is for the best of the others,
+        to show that more than one search found the same valley.
         """
         # searches from the median, then from redrawn points as long as these find a better one
         rng = np.random.default_rng(SEED)

@@ -136,8 +136,8 @@ class HealthyValues:
     """Values of the healthy vehicle, which a ratio of 1 refers to.
 
     They are the median of the generator's distribution, if it has one: the posterior of
-    commissioning,
-    or a prior about the vehicle file's values. The car body's is the nominal mass, without payload.
+    commissioning, or a prior about the vehicle file's values. The car body's is the nominal mass,
+    without payload.
 
     Attributes
     ----------
@@ -184,8 +184,7 @@ class HealthyValues:
         """Return values and ends of intervals in SI units, each (n_rows, n).
 
         `ratios` and `half_widths` (of logarithms) have the shape (n_rows, n). The uncertainty of
-        the healthy
-        value is independent of that of the ratio.
+        the healthy value is independent of that of the ratio.
         """
         values = ratios * self.values
         half = np.hypot(half_widths, self.half_widths(level))

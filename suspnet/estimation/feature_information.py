@@ -43,11 +43,9 @@ def feature_information(
     """Return the information of features of noisy curves on some parameters, the others known.
 
     With S estimated from n draws of p features, (J^T S^-1 J)^-1 for q parameters is a Wishart
-    matrix,
-    on average (n - 1 - p + q) / (n - 1) times the true one (Muirhead, Aspects of Multivariate
-    Statistical Theory, theorem 3.2.11); the result is corrected for that. J is by central
-    differences.
-    The information in the dependence of S on the parameters is neglected.
+    matrix, on average (n - 1 - p + q) / (n - 1) times the true one (Muirhead, Aspects of
+    Multivariate Statistical Theory, theorem 3.2.11); the result is corrected for that. J is by
+    central differences. The information in the dependence of S on the parameters is neglected.
 
     Parameters
     ----------
@@ -83,9 +81,8 @@ def feature_loss(
     """Return for each output the rms bound of the task's features over that of its curves.
 
     Both are relative to the parameter, over the vehicles with every feature; NaN where the curves
-    do
-    not identify an output. The task's feature set must be fitted; `ratios`: (n_vehicles, 5). Raises
-    ValueError if no vehicle has every feature.
+    do not identify an output. The task's feature set must be fitted; `ratios`: (n_vehicles, 5).
+    Raises ValueError if no vehicle has every feature.
     """
     n_draws = max(N_DRAWS, DRAWS_PER_FEATURE * len(task.extractor.names))
     information = feature_information(

@@ -91,8 +91,7 @@ def regress(
     """Return the regression's estimates, (n_curves, n_outputs); NaN where a peak is missing.
 
     `inputs` (n_curves, n_inputs) are features relative to healthy (and the mass); a method that
-    works on
-    curves uses `curves` (n_curves, 2, n_freq) and `mass` (n_curves,).
+    works on curves uses `curves` (n_curves, 2, n_freq) and `mass` (n_curves,).
     """
     if method.estimator.works_on_curves:
         return _fit_curves(method, observer, curves, mass)
@@ -109,12 +108,9 @@ def corrected(
     """Return estimates without the regression's own error at the estimated vehicles.
 
     With g(p) the regression's estimate from the noise-free curve of vehicle p, and p_0 that from
-    the
-    observed curve, each step is p <- p p_0 / g(p), towards the p with g(p) = p_0: indirect
-    inference
-    (Gourieroux, Monfort and Renault 1993). It accounts for the speed and the noise of the
-    observation,
-    whatever the regression was trained for.
+    the observed curve, each step is p <- p p_0 / g(p), towards the p with g(p) = p_0: indirect
+    inference (Gourieroux, Monfort and Renault 1993). It accounts for the speed and the noise of the
+    observation, whatever the regression was trained for.
 
     Parameters
     ----------

@@ -46,16 +46,14 @@ same random numbers, so their errors cancel: with a quarter of the averages half
 """
 CORRECTIONS = 3
 """Number of steps that correct a trip's estimate; a fourth changes nothing where the speed is
-within a
-tenth of the training speed (measured)."""
+within a tenth of the training speed (measured)."""
 COMMON = 1.8
 """Factor on the lasting errors of a commissioned vehicle: the error that healthy trips leave is a
 single draw for all later trips. Without it 90 % intervals hold in 90 % of the trips of many
 vehicles, but in far fewer of those of a vehicle with a bad draw."""
 UNWORN = {"k_p": 0.003, "c_p": 0.05}
 """Standard deviation of the fraction of a healthy vehicle's stiffness and damping that does not
-wear.
-Dry friction in a primary suspension acts as a damper where it slips and as a spring where it
+wear. Dry friction in a primary suspension acts as a damper where it slips and as a spring where it
 sticks, and healthy trips cannot distinguish them."""
 CONFIRMED = 1.05
 """A calibration confirms the deviations of refined estimates up to this factor on them."""
@@ -132,9 +130,8 @@ def unworn_deviations(outputs: Sequence[str], ratios: FloatArray) -> FloatArray:
     """Return the error of log outputs due to damping and stiffness that do not wear, (n_outputs,).
 
     A damper at the ratio r in parallel with a fraction u of the healthy damping that does not wear
-    is
-    estimated as (1 - u) r + u, a relative error of u (1 - r) / r. The result is u |1 - r| / r with
-    u from ``UNWORN``, 0 for other outputs; `ratios` (n_outputs,) are the estimates r.
+    is estimated as (1 - u) r + u, a relative error of u (1 - r) / r. The result is u |1 - r| / r
+    with u from ``UNWORN``, 0 for other outputs; `ratios` (n_outputs,) are the estimates r.
     """
     shares = np.array([UNWORN.get(name, 0.0) for name in outputs])
     return np.asarray(shares * np.abs(1 - ratios) / ratios)
@@ -198,9 +195,8 @@ def _as_in_training(refined: Refined, share: float) -> Refined:
     """Return estimates with the misfit scaled to the number of averages of the training.
 
     The mean square above 1 is the ratio of the generator's own errors to the noise. It grows with
-    the
-    averages, while the misfit threshold is for those of the training. Shorter trips retain their
-    misfit, as it is noise.
+    the averages, while the misfit threshold is for those of the training. Shorter trips retain
+    their misfit, as it is noise.
     """
     beyond = (refined.misfit**2 - 1) * min(share, 1.0)
     return replace(refined, misfit=np.sqrt(1 + beyond))

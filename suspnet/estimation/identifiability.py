@@ -98,8 +98,7 @@ def options(task: Task, observer: Observer, ratios: FloatArray) -> list[Option]:
     For curves: one of them, both, and further ones of the same signal-to-noise ratio. For trips:
     recordings of fewer and more sensors, of pairs and of one side where the vehicle rolls, and the
     estimate from three sensors. For both: the car-body mass, and twice the sensors. `ratios` has
-    the
-    shape (n_vehicles, 5).
+    the shape (n_vehicles, 5).
     """
     now, *others = _OPTIONS[observer.settings.kind](task, observer, ratios)
     if task.mass_known:

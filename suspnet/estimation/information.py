@@ -38,10 +38,9 @@ def fisher_information(
     """Return the information of noisy curves on some parameters, the others being known.
 
     I = J^T J, J the derivative of the observer's misfit by automatic differentiation. For
-    magnitudes
-    with white noise, I is the sum over curves of J^T J / rms^2, J the derivative of the curves. For
-    transfer functions estimated from a trip, with J the derivative of (log G_p, log G_s), Sigma the
-    covariance of their estimate and r = ``Welch.correlated_bins``::
+    magnitudes with white noise, I is the sum over curves of J^T J / rms^2, J the derivative of the
+    curves. For transfer functions estimated from a trip, with J the derivative of (log G_p, log
+    G_s), Sigma the covariance of their estimate and r = ``Welch.correlated_bins``::
 
         I = 2 / r sum over bins of Re(J^H Sigma^-1 J)
 
@@ -93,8 +92,7 @@ def without_uncertain(information: FloatArray, n_parameters: int) -> FloatArray:
     """Return the information on parameters with uncertain numbers unknown except for a prior.
 
     With z their standard normal coordinates, the uncertainty of z reduces the information (van
-    Trees,
-    Detection, estimation and modulation theory, 1968)::
+    Trees, Detection, estimation and modulation theory, 1968)::
 
         I = I_tt - I_tz (I_zz + 1)^-1 I_zt
 
@@ -143,8 +141,7 @@ def cramer_rao(information: FloatArray) -> FloatArray:
     """Return the smallest standard deviations, shape (n, n_parameters); inf where unidentifiable.
 
     A parameter without information has the bound inf. If a matrix is not finite, or its scaled form
-    has
-    a condition number above 1e12, all of its bounds are inf.
+    has a condition number above 1e12, all of its bounds are inf.
     """
     finite = np.asarray(np.isfinite(information).all(axis=(1, 2)))
     information = np.where(finite[:, None, None], information, 0.0)
@@ -164,13 +161,11 @@ def cramer_rao(information: FloatArray) -> FloatArray:
 def scale_ambiguity_bound(task: Task, ratios: FloatArray) -> dict[str, dict[str, float]]:
     """Return the smallest MAPE and RMSE from abs(G_s) alone with the mass unknown.
 
-    G_s depends on k_s / M_s and c_s / M_s only. Given these two, without any noise, each level m
-    of the mass is possible where k_s = (k_s / M_s) m and c_s are within their range, with
-    probability
+    G_s depends on k_s / M_s and c_s / M_s only. Given these two, without any noise, each level m of
+    the mass is possible where k_s = (k_s / M_s) m and c_s are within their range, with probability
     proportional to m^2 (the density of k_s, c_s, uniform in their range, in terms of these
-    quotients).
-    The mean over the levels has the smallest RMSE, the median weighted by 1/k_s the smallest MAPE.
-    Errors are averaged over `ratios`, (n_vehicles, 5).
+    quotients). The mean over the levels has the smallest RMSE, the median weighted by 1/k_s the
+    smallest MAPE. Errors are averaged over `ratios`, (n_vehicles, 5).
     """
     levels = task.levels("M_s")
     mass = ratios[:, MASS]
@@ -209,8 +204,8 @@ def best_possible(
     """Return {output: {"mape_percent": ..., "rmse": ...}}: the smallest errors of a task.
 
     The Cramer-Rao `bounds` (n_vehicles, n_outputs), averaged over `ratios` (n_vehicles, 5); where
-    the
-    car-body mass cannot be separated from the suspension (abs(G_s) alone), `scale_ambiguity_bound`.
+    the car-body mass cannot be separated from the suspension (abs(G_s) alone),
+    `scale_ambiguity_bound`.
     """
     ambiguous = task.responses == ("G_s",) and "M_s" in task.unknown
     if ambiguous and task.sampling == "grid":
@@ -232,10 +227,8 @@ def range_limited(bounds: FloatArray, ratios: FloatArray, low: float, high: floa
     """Return the smallest rms error of one parameter if its range is known, shape (n,), [-].
 
     For an estimate x = theta + s e, e standard normal, the best replacement is the mean of theta
-    given
-    x and low <= theta <= high, all equally likely: the mean of a truncated normal. Its error,
-    averaged
-    over e, is the bound. s is `bounds` (n,), theta is `ratios` (n,).
+    given x and low <= theta <= high, all equally likely: the mean of a truncated normal. Its error,
+    averaged over e, is the bound. s is `bounds` (n,), theta is `ratios` (n,).
     """
     e, weights = np.polynomial.hermite_e.hermegauss(NODES)
     s = np.minimum(bounds, WIDEST * (high - low))[:, None]

@@ -133,11 +133,10 @@ class Intervals:
         """Return intervals whose residual scale is learnt from one half of the samples.
 
         The other half gives the scores, which would be too small on the samples that train the
-        scale. Any
-        fraction from a third to five sixths gives the same width to 1 % (measured), and more scores
-        make
-        the coverage scatter less. `inputs` (n, n_inputs) are scaled; `residuals` has the shape
-        (n, n_outputs). Raises ValueError without samples or if all residuals are equal.
+        scale. Any fraction from a third to five sixths gives the same width to 1 % (measured), and
+        more scores make the coverage scatter less. `inputs` (n, n_inputs) are scaled; `residuals`
+        has the shape (n, n_outputs). Raises ValueError without samples or if all residuals are
+        equal.
         """
         half = len(residuals) // 2
         scale = ResidualScale.learnt(inputs[:half], residuals[:half])
@@ -149,8 +148,7 @@ class Intervals:
         """Return lower and upper ends of the intervals, each (n, n_outputs), [-].
 
         `estimates` and `scales` have the same shape. With `joint`, all outputs are inside at once
-        with the
-        probability `level`, instead of each.
+        with the probability `level`, instead of each.
         """
         factors = self.conformal.joint_factor(level) if joint else self.conformal.factors(level)
         half = scales * factors

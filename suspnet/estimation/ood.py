@@ -25,8 +25,7 @@ from suspnet.ground.types import BoolArray, FloatArray
 
 N_REFERENCE, N_NEIGHBOURS = 4096, 4
 """Number of training features that the detector stores, and of the nearest neighbours over which
-the
-distance is averaged."""
+the distance is averaged."""
 FALSE_ALARMS = 1e-4
 """False-alarm rate of the feature distance on curves like the training curves."""
 MISFIT_DEVIATIONS = 4.5
@@ -34,8 +33,7 @@ MISFIT_DEVIATIONS = 4.5
 deviations."""
 EDGE_DEVIATIONS = 2.33
 """Standard deviations by which a parameter must lie outside its range to be flagged; it flags 1 %
-of
-the vehicles on the edge of the range."""
+of the vehicles on the edge of the range."""
 
 
 @dataclass(frozen=True)
@@ -56,10 +54,8 @@ class OODDetector:
         """Return the detector of a model.
 
         `training` (n_train, n_inputs) are scaled inputs of the training curves, without rows for a
-        method
-        that works on curves; `fresh` those of other curves generated alike; `misfits` (n_fits,)
-        those of
-        refined estimates of such curves.
+        method that works on curves; `fresh` those of other curves generated alike; `misfits`
+        (n_fits,) those of refined estimates of such curves.
         """
         misfit_threshold = float(misfits.mean()) + MISFIT_DEVIATIONS * float(misfits.std())
         detector = cls(training[:N_REFERENCE], math.inf, misfit_threshold)

@@ -56,8 +56,7 @@ class Residual:
     """Mean unexplained difference of healthy trips from the vehicle commissioned on them.
 
     `misfit` is the rms of the residual over that of the noise, 1 if the vehicle explains all;
-    `logs`
-    (2, n_freq) is sqrt(e) d of G_p and G_s.
+    `logs` (2, n_freq) is sqrt(e) d of G_p and G_s.
     """
 
     misfit: float
@@ -70,8 +69,7 @@ class Residual:
         """Return the residual of some groups of healthy trips.
 
         `observed`, `fitted`: (n_groups, 2, n_freq); `deviations`, of the same shape, are those of
-        the
-        observed log-magnitudes, infinite where a bin is not used.
+        the observed log-magnitudes, infinite where a bin is not used.
         """
         weights = 1 / deviations**2
         total = weights.sum(axis=0)

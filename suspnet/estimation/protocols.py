@@ -140,10 +140,8 @@ class Task:
         """Return parameter ratios of training (stream 0), test (1) or calibration (2) curves.
 
         A grid is shuffled by the seed. Training curves come from its start, test curves from its
-        end and
-        calibration curves from its middle, so they share no vehicle unless the grid is too small.
-        Sobol
-        points are scrambled with a separate seed for each stream.
+        end and calibration curves from its middle, so they share no vehicle unless the grid is too
+        small. Sobol points are scrambled with a separate seed for each stream.
 
         Parameters
         ----------

@@ -45,8 +45,7 @@ TEMPERATURES = (100.0, 10.0)
 """Factors on the noise of the searches before the last one, used if the effect exceeds ``WIDE``."""
 WIDE = 200.0
 """Largest effect of uncertain numbers, in deviations of the noise, for a single search: above it
-the
-search may end far off. The effect is about 60 for a commissioned vehicle."""
+the search may end far off. The effect is about 60 for a commissioned vehicle."""
 ROUGH_ITER, ROUGH_TOL = 12, 1e-2
 """Iterations and tolerance of the searches before the last one."""
 LEAST_DECREASE = 0.01
@@ -220,8 +219,7 @@ class _Search:
         """Return the best fit of the curves `rows`, found with decreasing noise.
 
         Uncertain numbers may change the curves by thousands of deviations of the noise: a single
-        search
-        would end far off.
+        search would end far off.
         """
         points = self.point(self._full)
         points[rows] = start

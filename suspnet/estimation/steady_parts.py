@@ -34,9 +34,8 @@ def same_speed(speeds: Tensor, within: Tensor, tolerance: float) -> list[Tensor]
     """Return groups of segments of similar speed, the largest first, each bool (n_segments,).
 
     A group's mean speeds lie within 1 +- tolerance of its middle. Groups are formed greedily: the
-    range
-    that contains most of the segments `within`, then again for the remaining ones. `speeds` has the
-    shape (n_segments, n_samples), [m/s].
+    range that contains most of the segments `within`, then again for the remaining ones. `speeds`
+    has the shape (n_segments, n_samples), [m/s].
     """
     means, left, groups = speeds.mean(dim=1), within.clone(), []
     widest = (1 + tolerance) / (1 - tolerance)
@@ -55,10 +54,8 @@ def groups_to_read(
     """Return the groups of segments that are averaged, the largest first, each (n_segments,).
 
     Speeds (n_segments, n_samples), [m/s], within a segment and the mean speeds of a group stay
-    within
-    1 +- tolerance; slower groups than `least_m_per_s` are excluded. With `at_any_speed` the
-    responses
-    do not depend on speed, and all fast enough segments are one group.
+    within 1 +- tolerance; slower groups than `least_m_per_s` are excluded. With `at_any_speed` the
+    responses do not depend on speed, and all fast enough segments are one group.
     """
     if at_any_speed:
         group = (speeds >= least_m_per_s).all(dim=1)
@@ -189,8 +186,8 @@ def certainty_of(
     """Return coherences (G_p, G_s) and deviation on the bins that estimates use.
 
     Coherences are means over the bins. The deviation is the standard deviation of the
-    log-magnitudes,
-    [-]: median over the bins, of the less certain response. `spectra` has the shape (3, n_freq).
+    log-magnitudes, [-]: median over the bins, of the less certain response. `spectra` has the shape
+    (3, n_freq).
     """
     beyond = settings.beyond(frequencies_hz)
     coherences = spectra.coherences().masked_fill(beyond, math.nan).nanmean(dim=1)
@@ -244,8 +241,7 @@ def combined(bins: Sequence[SpeedBin]) -> Estimate:
     """Return one estimate from several speed bins: weighted means of the logarithms.
 
     Weights are the inverse squares of the half widths, or the averages where there are none. The
-    noise
-    of bins is independent, as they share no segment; the other errors are assumed to be fully
+    noise of bins is independent, as they share no segment; the other errors are assumed to be fully
     correlated, as models may have the same errors.
     """
     if len(bins) == 1:

@@ -81,9 +81,8 @@ class CrossSpectra:
         """Return the standard deviation of the log-magnitude of a response, (..., n_freq), [-].
 
         With e = y - G x and instrument z (x for H1, y for H2) the complex estimate has the relative
-        variance S_zz S_ee / (n abs(S_zy)^2), half of it along the magnitude. For H1 that is
-        (1 - coherence) / (2 n coherence), as in Bendat and Piersol; for Hv without the coherence in
-        the
+        variance S_zz S_ee / (n abs(S_zy)^2), half of it along the magnitude. For H1 that is (1 -
+        coherence) / (2 n coherence), as in Bendat and Piersol; for Hv without the coherence in the
         denominator.
         """
         if method == "Hv":

@@ -58,8 +58,8 @@ class EstimateSettings:
     ----------
     segment_s, overlap, window
             Settings of ``Welch``. A segment must be long against the decay time of the body: with
-        20 s the
-        modelled leakage matches that of recordings, with 10 s it does not (AM96, c_s at 80 %).
+        20 s the modelled leakage matches that of recordings, with 10 s it does not (AM96, c_s at 80
+        %).
 
     Raises
     ------
@@ -260,8 +260,7 @@ class EstimateObserver:
     """Draws estimates of G_p and G_s as trips of a generator's vehicles would give them.
 
     `settings` must be bound to a vehicle. `speeds` are those of the trip; None means the speed of
-    the
-    settings, and is right for generators that do not depend on speed.
+    the settings, and is right for generators that do not depend on speed.
     """
 
     def __init__(
@@ -320,8 +319,7 @@ class EstimateObserver:
         """Which bins in use are weak (see `WEAK`) for the healthy vehicle, bool (2, n_freq).
 
         Near f = v / (2 wheelbase) the axles of a bogie move in antiphase: the bogie does not
-        bounce, and
-        the body is no useful instrument.
+        bounce, and the body is no useful instrument.
         """
         covariance = self._healthy.covariance(self.settings.method)
         deviations = covariance[0].diagonal().T.real.clamp(min=0).sqrt()
@@ -339,8 +337,8 @@ class EstimateObserver:
         """Return estimates (n, 2, n_freq) mapped to the nominal speed, with weak bins interpolated.
 
         G is multiplied by G_healthy at the nominal speed over G_healthy at the trip's speed. The
-        ratio to
-        healthy is interpolated linearly over weak bins, and is 1 for G_s above `body_high_hz`.
+        ratio to healthy is interpolated linearly over weak bins, and is 1 for G_s above
+        `body_high_hz`.
         """
         if self._is_nominal and not bool((self.weak | self.beyond).any()):
             return curves

@@ -126,11 +126,9 @@ class EstimateMisfit:
     """Complex responses estimated from trips, with the covariance of their logarithms.
 
     With L L^H the covariance of (log G_p, log G_s) in a bin, u the difference of observed and
-    expected
-    logarithms and r = ``Welch.correlated_bins``, the residuals are real and imaginary part of
-    L^-1 u sqrt(2 / r). `observed`: (n_rows, 2, n_freq); `covariance`: (n_rows, 2, 2, n_freq),
-    infinite
-    where an estimate is not used.
+    expected logarithms and r = ``Welch.correlated_bins``, the residuals are real and imaginary part
+    of L^-1 u sqrt(2 / r). `observed`: (n_rows, 2, n_freq); `covariance`: (n_rows, 2, 2, n_freq),
+    infinite where an estimate is not used.
     """
 
     observer: Observer
@@ -154,8 +152,8 @@ class EstimateMisfit:
         """Return the residuals (n, n_points) of relative differences `u` (n, 2, n_freq).
 
         `rows` (n,) are the estimates they belong to. `spread`, a number or (n_freq,), is an rms
-        model error
-        allowed for in addition to the noise; where it is infinite the bin does not count.
+        model error allowed for in addition to the noise; where it is infinite the bin does not
+        count.
         """
         covariance = self.covariance[rows]
         l_pp = (covariance[:, 0, 0].real + spread**2).sqrt()

@@ -42,8 +42,8 @@ class FeatureTable:
     """Features of a batch of curves.
 
     `values` (n_curves, n_features), for peaks position [Hz], height [-] and width [Hz] of each, is
-    NaN
-    where a feature is missing. `reasons` is int64 (n_curves, n_parts), 0 where nothing is missing.
+    NaN where a feature is missing. `reasons` is int64 (n_curves, n_parts), 0 where nothing is
+    missing.
     """
 
     values: Tensor
@@ -54,8 +54,7 @@ class FeatureSet(Protocol):
     """Turns curves into the inputs of a regression; the defaults suit a set that learns nothing.
 
     `kind` is its name in protocols and model files; `positive` states that features are positive,
-    so
-    that their logarithms may be taken.
+    so that their logarithms may be taken.
     """
 
     kind: ClassVar[str]

@@ -46,10 +46,8 @@ class Misfit(Protocol):
     """Residuals of observed curves in units of their noise.
 
     Their sum of squares is -2 log likelihood; with J the derivative, J^T J is the Fisher
-    information.
-    `observed` has shape (n_rows, 2, n_freq); `expected` is the mean square of a residual if the
-    model
-    is true.
+    information. `observed` has shape (n_rows, 2, n_freq); `expected` is the mean square of a
+    residual if the model is true.
     """
 
     @property
@@ -67,8 +65,7 @@ class Observer(Protocol):
     """Makes curves of vehicles as they would be observed.
 
     `frequencies_hz` has shape (n_freq,); `directions` are those of the generator's uncertain
-    numbers
-    that affect its curves.
+    numbers that affect its curves.
     """
 
     @property
@@ -108,10 +105,8 @@ class Observation(Protocol):
     """Settings of an observation, as in a file of configs/data.
 
     `kind` is its name in model files. `n_train` and `n_test` are numbers of curves, or "all" for
-    the
-    whole grid of the protocol; `n_calibrate` curves calibrate intervals and thresholds (None:
-    neither).
-    `cache_dir` stores feature tables between runs (None: no cache).
+    the whole grid of the protocol; `n_calibrate` curves calibrate intervals and thresholds (None:
+    neither). `cache_dir` stores feature tables between runs (None: no cache).
     """
 
     __dataclass_fields__: ClassVar[dict[str, Any]]
@@ -181,8 +176,7 @@ class Directions:
         Change of the logarithms of the distribution's numbers for a coordinate of 1.
     neglected, strongest : float, [-]
             Rms effect of all neglected directions, and of the strongest direction, in standard
-        deviations
-        of the noise.
+        deviations of the noise.
     """
 
     generator: ResponseGenerator

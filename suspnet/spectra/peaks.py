@@ -55,20 +55,16 @@ class PeakFit:
         Length of the moving average, which locates the maximum and gives the weights of the points.
     window_below, window_above : float
             Half widths of the first fit's window on either side of its centre, in log-frequency.
-        The window
-        exp(-(log(f/centre) / half width)^4 / 2) is soft, so features are continuous.
+        The window exp(-(log(f/centre) / half width)^4 / 2) is soft, so features are continuous.
     tilt : float
             The maximum of abs(G) f^tilt is searched; a positive tilt finds a peak that damping
-        flattens.
-        The fit is always to abs(G) itself.
+        flattens. The fit is always to abs(G) itself.
     n_fits : int
             Least-squares fits; each after the first is centred on the previous position, and
-        discarded if
-        it fails.
+        discarded if it fails.
     top : float
             Half width of the window of the later fits, as a multiple of the fitted width, at most
-        that of
-        the first window. A smaller window is closer to the top and noisier.
+        that of the first window. A smaller window is closer to the top and noisier.
 
     Raises
     ------
@@ -96,8 +92,7 @@ class Peaks:
     """One peak for each curve; NaN and a reason where there is none.
 
     `position_hz`, `height` [-] and `width_hz` have shape (n_curves,); the width is the full width
-    at
-    half power, 2 zeta f_0 for one lightly damped mode. `reason` (n_curves,) holds ``PeakReason``
+    at half power, 2 zeta f_0 for one lightly damped mode. `reason` (n_curves,) holds ``PeakReason``
     codes.
     """
 

@@ -46,8 +46,7 @@ SPEED_BAND_HZ = 20.0
 KM_PER_H = 3.6
 DOUBTFUL_ORDER_MARGIN, DOUBTFUL_SPEED_MARGIN = 1.25, 1.5
 """Factors by which another order or speed must fit better to be an error, where the vehicle is
-known
-from its drawing only and sensors are single.
+known from its drawing only and sensors are single.
 
 Of 300 vehicles drawn from the prior, worn to 67 to 149 %, at 25 to 83 m/s with sensors on one side,
 a wrong order fitted at most 1.04 times as well; a wrong speed did so more than 1.5 times with 2,
@@ -141,8 +140,7 @@ def check_pairs(
 
     At low frequency left and right move almost alike, as the mean of both rails is far larger than
     their difference. With average m and half difference h the left sensor is m + h, the right m -
-    h.
-    One error lists the problems of all pairs: a wrong sign, or a size ratio above
+    h. One error lists the problems of all pairs: a wrong sign, or a size ratio above
     ``GAIN_TOLERANCE``.
 
     Parameters
@@ -221,8 +219,7 @@ def _other_speed(
     """Return by what factor a speed in the other unit (km/h, m/s) fits better, and the message.
 
     The factor is 0 if the channels do not fit in order or the check is not possible. Distances are
-    mean
-    absolute ones: in the notches of the curves leakage dominates the logarithms.
+    mean absolute ones: in the notches of the curves leakage dominates the logarithms.
     """
     if not isinstance(generator, VerticalVehicle) or frequencies_hz[-1] < SPEED_BAND_HZ:
         return 0.0, ""

@@ -83,9 +83,8 @@ def without_incoherent(band: SegmentSpectra, chosen: Tensor, least: float) -> tu
     """Return the chosen segments that the average explains, and the number excluded.
 
     A segment's coherence is 1 - u, u = mean over bins of abs(Y - H1 X)^2 / S_yy, for the worse
-    link. A
-    segment is excluded if it is below `least` and u exceeds `ODD` times the trip's median: a noisy
-    sensor lowers all segments alike, which IV tolerates.
+    link. A segment is excluded if it is below `least` and u exceeds `ODD` times the trip's median:
+    a noisy sensor lowers all segments alike, which IV tolerates.
     """
     n_before = int(chosen.sum())
     for _ in range(ROUNDS):

@@ -5,8 +5,7 @@ v of the frame, y of the body, and half differences (left - right) / 2: w_d, u_f
 right springs and dampers are k (1 + d) and k (1 - d), c (1 + d) and c (1 - d). The dynamic
 stiffness of one side's suspension, bushings and rubber included, is then kappa +- delta, with delta
 the sum of d dkappa / dlog(k) and d dkappa / dlog(c). The moment balance of the frame, divided by
-the
-springs' half distance and for one side's share, is::
+the springs' half distance and for one side's share, is::
 
     - omega^2 M_f u_f + kappa_p (u_f - lambda P w_d) + (kappa_s + rho) (u_f - u_b)
         + delta_p (z - P w) + delta_s (z - y) = 0,                                (1)
@@ -105,8 +104,7 @@ class SideDifference:
     """Asymmetry of both sides, d = (left - right) / (left + right) of ``SIDE_PARAMETERS``.
 
     `d` and `deviations`: (4,), [-]; d > 0 means that the right side is weaker. `misfit` is
-    chi-square
-    per degree of freedom; where it exceeds 1 the deviations include it.
+    chi-square per degree of freedom; where it exceeds 1 the deviations include it.
     """
 
     d: FloatArray
@@ -250,9 +248,8 @@ def _regression(
     """Return mean and covariance of real coefficients with a normal prior, and the misfit.
 
     `columns`: (n_coefficients, n_freq); `target`, `variance`: (n_freq,), the variance of the
-    complex
-    target, half of it along either axis. The misfit is chi-square per real number of the target, 0
-    without any.
+    complex target, half of it along either axis. The misfit is chi-square per real number of the
+    target, 0 without any.
     """
     weight = np.sqrt(2 / variance)
     rows = np.concatenate([(weight * columns).real, (weight * columns).imag], axis=1)

@@ -71,8 +71,7 @@ class Welch:
         """Return the weights of the leakage between neighbouring bins, symmetric, with sum 1.
 
         The expected spectrum is the true one convolved with abs(W(f))^2. Sampling it at the bins is
-        exact
-        for a system whose impulse response is short against the segment. Hann: 1/6, 2/3, 1/6.
+        exact for a system whose impulse response is short against the segment. Hann: 1/6, 2/3, 1/6.
         """
         transform = np.fft.fft(get_window(self.window, 256)) / 256
         return _symmetric(np.abs(transform) ** 2)
@@ -148,8 +147,7 @@ def segment_spectra(
     """Return the spectra of all segments without an unusable sample, after removing each mean.
 
     `signals`: (n_channels, n_samples), [m/s^2]; `usable`: bool (n_samples,). Raises ValueError if
-    the
-    recording is shorter than a segment.
+    the recording is shorter than a segment.
     """
     length, step = welch.sizes(rate_hz)
     if signals.shape[1] < length:
