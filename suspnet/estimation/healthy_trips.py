@@ -100,7 +100,7 @@ def read_healthy(
     FileNotFoundError
         If there is no such folder, or no manifest in it.
     TripError
-            If the trips are of another vehicle or bogie, of several suspensions or of different
+        If the trips are of another vehicle or bogie, of several suspensions or of different
         sensors, if a recording is faulty, or if fewer than three trips have a usable stretch.
     """
     manifests = [one.trip for one in paths or map(ManifestFile, find_manifests(folder))]

@@ -175,7 +175,7 @@ class Directions:
     factor : tensor of shape (n_names, n), [-]
         Change of the logarithms of the distribution's numbers for a coordinate of 1.
     neglected, strongest : float, [-]
-            Rms effect of all neglected directions, and of the strongest direction, in standard
+        Rms effect of all neglected directions, and of the strongest direction, in standard
         deviations of the noise.
     """
 

@@ -54,16 +54,16 @@ class PeakFit:
     smoothing_hz : float, [Hz]
         Length of the moving average, which locates the maximum and gives the weights of the points.
     window_below, window_above : float
-            Half widths of the first fit's window on either side of its centre, in log-frequency.
+        Half widths of the first fit's window on either side of its centre, in log-frequency.
         The window exp(-(log(f/centre) / half width)^4 / 2) is soft, so features are continuous.
     tilt : float
-            The maximum of abs(G) f^tilt is searched; a positive tilt finds a peak that damping
+        The maximum of abs(G) f^tilt is searched; a positive tilt finds a peak that damping
         flattens. The fit is always to abs(G) itself.
     n_fits : int
-            Least-squares fits; each after the first is centred on the previous position, and
+        Least-squares fits; each after the first is centred on the previous position, and
         discarded if it fails.
     top : float
-            Half width of the window of the later fits, as a multiple of the fitted width, at most
+        Half width of the window of the later fits, as a multiple of the fitted width, at most
         that of the first window. A smaller window is closer to the top and noisier.
 
     Raises
