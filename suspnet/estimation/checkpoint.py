@@ -1,4 +1,4 @@
-"""Trained models as two files, model.safetensors and model.json; no pickle, checked when loaded."""
+"""Trained models as two files, model.safetensors and model.json, without pickle."""
 
 from __future__ import annotations
 
@@ -39,20 +39,20 @@ from suspnet.spectra.estimates import OBSERVATIONS
 
 SCHEMA_VERSION = 7
 FEATURES = "features."
-"""Prefix of the names of the arrays of the feature set."""
+"""Name prefix of the feature set's arrays."""
 CALIBRATED: dict[str, tuple[str, Any]] = {
     "intervals.": ("intervals", Intervals),
     "ood.": ("ood", OODDetector),
     "physics.": ("unexplained", Unexplained),
 }
-"""Calibrated parts of a model by the prefix of their arrays: attribute and class."""
+"""Calibrated parts of a model by the name prefix of their arrays: attribute and class."""
 NOT_OF_THE_MODEL = ("arrays_sha256", "suspnet_version", "units")
 """Entries of model.json that do not describe the model itself."""
 NOT_A_MODEL = (
     *(ValueError, TypeError, KeyError, AttributeError, IndexError, ArithmeticError),
     *(AssertionError, RuntimeError, MemoryError, Warning),
 )
-"""What building a model from files that hold something else may raise."""
+"""Exceptions that building a model from foreign files may raise."""
 UNITS = {
     "inputs": "features (and car-body mass) relative to the healthy vehicle's, dimensionless",
     "outputs": "stiffness and damping relative to healthy, dimensionless; 1 is healthy",
@@ -62,19 +62,19 @@ UNITS = {
 
 
 def save_model(folder: Path, model: TrainedModel) -> None:
-    """Write model.safetensors, then model.json, each atomically, and no other model's between.
+    """Write model.safetensors, then model.json, each atomically, with the folder locked.
 
     Raises
     ------
     TypeError
-        If `model` is none of `load_model` or `train`, such as an estimator.
+        If `model` is not a model from `load_model` or `train`, such as an estimator.
     OSError
         If the folder cannot be written.
     """
     if not isinstance(model, TrainedModel):
         raise TypeError(
             f"`model`, the second argument, must be a TrainedModel, got {type(model).__name__}; an "
-            "estimator such as MSVR is kept by joblib.dump"
+            "estimator such as MSVR is saved by joblib.dump"
         )
     content, description = _files(model)
     with locked(folder):
@@ -83,7 +83,7 @@ def save_model(folder: Path, model: TrainedModel) -> None:
 
 
 def fingerprint(model: TrainedModel) -> str:
-    """Return a hash of all that a model's files would hold."""
+    """Return a hash of the full content of a model's files."""
     return str(_files(model)[1]["description_sha256"])
 
 
@@ -101,7 +101,7 @@ def _files(model: TrainedModel) -> tuple[bytes, dict[str, Any]]:
 
 
 def _described(model: TrainedModel) -> dict[str, Any]:
-    """Return what a model is as JSON-able values, without the hashes of its files."""
+    """Return a model's description as JSON-able values, without the hashes of its files."""
     description = {
         "schema_version": SCHEMA_VERSION,
         "suspnet_version": __version__,
@@ -120,7 +120,7 @@ def _described(model: TrainedModel) -> dict[str, Any]:
     }
     plain: dict[str, Any] = json.loads(json.dumps(description, default=lambda a: a.tolist()))
     if model.vehicle.limits is None:
-        del plain["generator"]["vehicle"]["limits"]  # as models of before have none
+        del plain["generator"]["vehicle"]["limits"]  # earlier models have no such entry
     return plain
 
 
@@ -160,19 +160,19 @@ def _checked(content: dict[str, Any], arrays: dict[str, FloatArray], device: str
     check_numbers(content)
     check_arrays(arrays)
     with warnings.catch_warnings():
-        warnings.simplefilter("error")  # arithmetic that warns is that of a forged model
+        warnings.simplefilter("error")  # only a forged model causes numerical warnings
         model = _build(content, dict(arrays), device)
         check_model(model)
         built = _described(model)
     for part, key in (("parameters", "device"), ("generator", "device"), ("settings", "cache_dir")):
-        built[part][key] = content[part].get(key)  # which depend on where the model is used
+        built[part][key] = content[part].get(key)  # depends on the machine, not on the model
     described = {key: value for key, value in content.items() if key not in NOT_OF_THE_MODEL}
     check_same(described, built)
     return model
 
 
 def parameters(estimator: Any) -> dict[str, Any]:
-    """Return the constructor's arguments of a method, all but its callback."""
+    """Return the constructor arguments of a method, except its callback."""
     return {k: v for k, v in estimator.get_params().items() if k != "callback"}
 
 
@@ -232,14 +232,14 @@ def _build(content: dict[str, Any], arrays: dict[str, FloatArray], device: str) 
 
 
 def _without_folder(settings: dict[str, Any]) -> dict[str, Any]:
-    """Return settings whose cache is where it is by default, or nowhere: a file names no folder."""
+    """Return settings with the default cache folder or none: a file must not name another one."""
     default = {field.name: field.default for field in fields(OBSERVATIONS[settings["kind"]])}
     folder = settings.get("cache_dir")
     return settings | {"cache_dir": folder if folder == default["cache_dir"] else None}
 
 
 def _taken(arrays: dict[str, FloatArray], prefix: str) -> dict[str, FloatArray]:
-    """Remove the arrays whose name starts with a prefix; return them without it."""
+    """Remove the arrays with a name prefix; return them without it."""
     names = [name for name in arrays if name.startswith(prefix)]
     return {name.removeprefix(prefix): arrays.pop(name) for name in names}
 

@@ -1,24 +1,23 @@
-"""The most probable vehicle behind healthy trips, and what they leave uncertain.
+"""Commissioning: the most probable vehicle given healthy trips, and its remaining uncertainty.
 
 With z the standard normal coordinates of the prior (logarithms of numbers = mean + F z), m_i the
 logarithm of the car-body mass on trip i and u_g(z, m_i) the whitened misfit of group g, one trip at
-one speed (`EstimateMisfit`), the most probable vehicle has the least::
+one speed (`EstimateMisfit`), the most probable vehicle minimises::
 
     sum_g |u_g|^2 + |z|^2 + sum_i ((m_i - mean) / deviation)^2
 
-A Gauss-Newton search from the nominal vehicle would end in a valley far off: noise may be a
-thousandth of the curves. So the model is first allowed errors of 30 %, then of ever less, and the
-first of these searches, which chooses the valley, is made several times:
+A single Gauss-Newton search from the nominal vehicle would end far off, as the noise may be a
+thousandth of the curves. So the searches first allow a model error of 30 %, then smaller ones.
+There are several searches of the first kind, which choose the valley:
 
 - from the median of the prior, in the whole band and in bands that widen from low frequencies,
   where the responses have no notches yet and delays are short against a period (frequency
   continuation: Bunks et al., Multiscale seismic waveform inversion, 1995);
-- from the best vehicle found with some of its numbers redrawn from the prior, those that a search
-  is known to leave in a wrong valley (``REDRAWN``), again as long as this finds a better one.
+- from the best vehicle found, with those numbers redrawn from the prior that searches are known to
+  leave in a wrong valley (``REDRAWN``), repeated as long as this finds a better one.
 
-The best of these go on. The inverse of J^T J at the end, without the rows of the masses, is the
-posterior covariance of z. Where a misfit is left beyond the noise, the noise is taken to be as much
-larger.
+The best of these continue. The inverse of J^T J at the end, without the rows of the masses, is the
+posterior covariance of z. If the final misfit exceeds the noise, the noise is scaled up to match.
 """
 
 from __future__ import annotations
@@ -41,18 +40,19 @@ from suspnet.ground.types import ComplexArray, FloatArray
 from suspnet.spectra.estimates import EstimateSettings
 
 SPREADS = (0.3, 0.1, 0.03, 0.01, 0.0)
-"""Rms errors of the model allowed for in addition to the noise, one search after the other."""
+"""Rms model errors allowed in addition to the noise, in successive searches."""
 FEW, MANY = 12, 100
-"""Evaluations of a search with allowed errors, and of the last search, which may follow a curved
-valley: a damper and its bushing can stand in for each other."""
+"""Largest numbers of evaluations of a search with allowed errors, and of the last search, which may
+follow a curved valley: a damper and its bushing can substitute for each other."""
 ROUGH_TOL, TOL = 1e-3, 1e-6
-"""Relative change of the sum of squares that ends a search with allowed errors, and the last."""
+"""Relative change of the sum of squares that ends a search with allowed errors, and the last
+search."""
 BAND_RATIOS = (math.inf, 2.0, math.sqrt(2.0))
-"""Ratio of the upper ends of neighbouring bands, for each search from the median of the prior;
-infinity is the whole band at once. One ratio may lead past a valley that another leads into."""
+"""Ratio of the upper ends of successive bands, for each search from the median of the prior;
+infinity is the whole band at once. A single ratio may miss a valley that another one finds."""
 LOWEST_BAND = 4.0
-"""The first band ends at this multiple of the lowest frequency or above: two octaves hold the modes
-of the body on its springs."""
+"""Smallest ratio of upper to lower end of the first band: two octaves contain the modes of the body
+on its springs."""
 REDRAWN = (
     ("half_wheelbase",),
     ("half_pivot_distance", "body_gyration"),
@@ -65,32 +65,33 @@ REDRAWN = (
         "bending_slope",
     ),
 )
-"""Numbers that are redrawn together.
+"""Groups of numbers that are redrawn together.
 
-The wheelbase moves notches along frequency. The pivot distance makes a delay that a wrong valley
-has off by a period; the body pitches as before if its radius of gyration goes with the distance. A
-damper in series with a bushing dissipates at one frequency as much as a weaker one whose bushing is
-stiff. Of a bending mode at the wrong frequency a search takes the amplitude away, and then no
-curve determines the frequency any more."""
+The wheelbase shifts notches along frequency. The pivot distance sets a delay, which is wrong by a
+period in a wrong valley; the body's pitch is unchanged if its radius of gyration changes with the
+distance. A damper in series with a bushing dissipates at one frequency as much as a weaker one with
+a stiffer bushing. If a bending mode is at the wrong frequency, a search reduces its amplitude to 0,
+and then no curve determines the frequency any more.
+"""
 N_DRAWS, SEED = 200, 12
-"""Number of draws of each of ``REDRAWN``, and their seed."""
+"""Number of draws of each group in ``REDRAWN``, and their seed."""
 FAR = 2.0
-"""Least distance of a redrawn number from its former value, in deviations of the prior. The best of
-these draws starts the next search: the best of all would lie in the valley that is to be left."""
+"""Smallest distance of a redrawn number from its former value, in deviations of the prior. Without
+it the best draw would lie in the valley that is to be left."""
 MAX_ROUNDS, LEAST_GAIN = 4, 0.02
-"""Most rounds of redrawing, and the share of the cost that a round must save to be followed by
-another one."""
+"""Largest number of rounds of redrawing, and the fraction of the cost that a round must save for
+another one to follow."""
 N_STARTS = 4
 AGREEMENT = 0.25
-"""Two searches found the same vehicle if no number differs by more than this many deviations of the
-posterior; before the last search, while the model is allowed errors, of the prior."""
+"""Two searches agree if no number differs by more than this many deviations of the posterior, or of
+the prior while the model is allowed errors."""
 Z_BOUND = 8.0
-"""Standard deviations of the prior within which coordinates stay."""
+"""Bound of the coordinates, in standard deviations of the prior."""
 
 
 @dataclass(frozen=True)
 class Commissioned:
-    """The vehicle that healthy trips show.
+    """The vehicle identified from healthy trips.
 
     Attributes
     ----------
@@ -103,14 +104,14 @@ class Commissioned:
     misfit : float
         Rms of the residuals over that of the noise: 1 if all is explained.
     misfits : tuple of float
-        That of each group.
+        The same for each group.
     frequencies_hz : array of shape (n_freq,), [Hz]
     observed, nominal, fitted : complex arrays of shape (n_groups, 2, n_freq), [-]
         G_p and G_s as measured, of the nominal and of the commissioned vehicle.
     deviations : array of shape (n_groups, 2, n_freq), [-]
-        Of the measured log-magnitudes; infinite where a bin is not used.
+        Standard deviations of the measured log-magnitudes; infinite where a bin is not used.
     n_agree, n_starts : int
-        Searches that found this vehicle, of how many that were finished.
+        Number of completed searches that found this vehicle, and of all.
     converged : bool
     """
 
@@ -131,7 +132,7 @@ class Commissioned:
 
     @property
     def residual(self) -> Residual:
-        """What the vehicle leaves unexplained, averaged over the groups."""
+        """The unexplained difference of the healthy trips, averaged over the groups."""
         return Residual.of(self.misfit, self.observed, self.fitted, self.deviations)
 
 
@@ -143,7 +144,7 @@ def commission(
     n_starts: int = N_STARTS,
     progress: bool = False,
 ) -> Commissioned:
-    """Return the most probable vehicle behind healthy trips.
+    """Return the most probable vehicle given healthy trips.
 
     Parameters
     ----------
@@ -151,20 +152,24 @@ def commission(
         With the prior as its distribution.
     settings : EstimateSettings
         Bound to the vehicle: bins, window and estimator.
+    groups : sequence of HealthySpectra
+        From `read_healthy`.
     n_starts : int
-        Most searches that are finished, of those at the first spread.
+        Largest number of searches that are completed.
+    progress : bool
+        Show a progress bar.
 
     Raises
     ------
     ValueError
-        If nothing is uncertain.
+        If the generator has no uncertain numbers.
     """
     if generator.distribution is None or not generator.distribution.names:
         raise ValueError("nothing of the vehicle is uncertain: there is nothing to commission")
     with bar("search of the vehicle", unit="step", shown=progress) as steps:
         target = _Search(generator, settings, groups)
         target.on_step = steps.update
-        # the model is allowed errors first: searches at once end in valleys far off
+        # allow model errors first: a direct search would end in a valley far off
         first = target.first_searches(n_starts)
         rough = [target.search(found.x, SPREADS[1:-1]) for found in first]
         order = np.argsort([found.cost for found in rough], kind="stable")
@@ -197,17 +202,18 @@ def commission(
 
 
 class _Search(HealthyMisfit):
-    """Searches for the least sum of squares; `on_step` is called after each."""
+    """Searches for the minimum of the sum of squares; `on_step` is called after each."""
 
     on_step: Callable[[], object] = staticmethod(lambda: None)
 
     def first_searches(self, n_starts: int) -> list[OptimizeResult]:
-        """Return the results of those searches at the first spread that are to be finished.
+        """Return the results of the first searches that are to be continued, best first.
 
-        They are the best that differ by more than ``AGREEMENT`` from all better ones, so that
-        several valleys are followed where there are some; the last place is for the best of the
-        others, which says that more than one search came into a valley.
+        They are the best ones that differ by more than ``AGREEMENT`` from all better ones, so that
+        several valleys are followed if there are any. The last place is for the best of the others,
+        to show that more than one search found the same valley.
         """
+        # searches from the median, then from redrawn points as long as these find a better one
         rng = np.random.default_rng(SEED)
         found = [self.search(self.widened(ratio), SPREADS[:1]) for ratio in BAND_RATIOS]
         for _ in range(MAX_ROUNDS):
@@ -216,6 +222,7 @@ class _Search(HealthyMisfit):
             found += more
             if min(map(_cost, more), default=math.inf) >= (1 - LEAST_GAIN) * best.cost:
                 break
+        # group the results by valley
         separate: list[OptimizeResult] = []
         again: list[OptimizeResult] = []
         for one in sorted(found, key=_cost):
@@ -225,9 +232,10 @@ class _Search(HealthyMisfit):
         return [*separate[:n_separate], *again, *separate[n_separate:]][:n_starts]
 
     def widened(self, ratio: float) -> FloatArray:
-        """Return where searches in ever wider bands lead from the median of the prior.
+        """Return the end of searches in widening bands, started from the median of the prior.
 
-        Each band ends at `ratio` times the end of the one before; the whole band is not among them.
+        The upper ends of successive bands differ by the factor `ratio`; the whole band is not
+        included.
         """
         x = np.append(np.zeros(len(self.prior.names)), np.full(self.n_trips, MASS_MEAN))
         low_hz, high_hz = self.frequencies_hz[[0, -1]].tolist()
@@ -237,7 +245,7 @@ class _Search(HealthyMisfit):
         return x
 
     def redrawn(self, x: FloatArray, rng: np.random.Generator) -> list[FloatArray]:
-        """Return, for each of ``REDRAWN``, the best point that differs in these numbers alone."""
+        """Return, for each of ``REDRAWN``, the best point that differs in these numbers only."""
         n, factor, points = len(self.prior.names), self.every.factor.numpy(), []
         for names in REDRAWN:
             rows = [self.prior.names.index(name) for name in names if name in self.prior.names]
@@ -256,7 +264,7 @@ class _Search(HealthyMisfit):
         return points
 
     def costs(self, theta: FloatArray) -> FloatArray:
-        """Return the sums of squares of points at the first search's spread, (n_rows,)."""
+        """Return the sums of squares of points with the first spread, (n_rows,)."""
         blocks = torch.as_tensor(theta).split(64)
         found = [self.residuals(block, SPREADS[0]).square().sum(dim=1) for block in blocks]
         return np.asarray(torch.cat(found).numpy())
@@ -264,10 +272,7 @@ class _Search(HealthyMisfit):
     def search(
         self, start: FloatArray, spreads: Sequence[float], high_hz: float = math.inf
     ) -> OptimizeResult:
-        """Return the result of the searches with some spreads, one after the other.
-
-        Bins above `high_hz` are not used.
-        """
+        """Return the result of successive searches with some spreads, up to `high_hz`."""
         found = OptimizeResult(x=start)
         for spread in spreads:
             last = spread == 0
@@ -286,5 +291,4 @@ class _Search(HealthyMisfit):
 
 
 def _cost(found: OptimizeResult) -> float:
-    """Return half the sum of squares where a search ended."""
     return float(found.cost)

@@ -1,4 +1,4 @@
-"""What a commissioned vehicle is, in words and in SI units."""
+"""Description of a commissioned vehicle in sentences and in SI units."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ from suspnet.ground.wording import count
 from suspnet.spectra.estimates import EstimateSettings
 
 LEAST_AGREEING = 2
-"""Starts that must find the same vehicle: one alone may have ended in another valley."""
+"""Starts that must find the same vehicle, as a single one may have ended in another valley."""
 TOLD = 0.8
-"""The trips tell a number if they take its deviation below this share of the prior's."""
+"""A number is identified if the trips reduce its deviation below this fraction of the prior's."""
 NARROW = 0.5
-"""Standard deviation over the median up to which a number is written with plus and minus."""
+"""Largest standard deviation over the median for which a number is written with plus and minus."""
 SIMILAR = 1.5
-"""Factor between minutes of healthy trips and of training beyond which it is said."""
+"""Factor between the minutes of healthy trips and of training above which a sentence reports it."""
 PREFIXES = ((1e6, "M"), (1e3, "k"))
-"""Prefixes of units of force, the largest first."""
+"""Prefixes of force units, the largest first."""
 PART_TITLES = {
     "": "Springs, dampers, lengths and inertias",
     "bushings": "Bushings of the dampers",
@@ -48,22 +48,16 @@ SYMBOLS = {
     "bending_at_pivot": "p",
     "bending_slope": "\N{GREEK SMALL LETTER SIGMA}",
 }
-"""Symbols of the quantities that have one in the equations of the vehicle."""
+"""Symbols of those quantities that have one in the equations of the vehicle."""
 
 
 @dataclass(frozen=True)
 class Number:
     """One uncertain number of a vehicle before and after commissioning.
 
-    Attributes
-    ----------
-    quantity : Quantity
-    nominal : float
-        Of the drawing, SI units.
-    prior, posterior : tuple of 3 floats
-        One standard deviation below the median, the median, one above, SI units.
-    deviations : pair of float, [-]
-        Standard deviation of the logarithm in prior and posterior.
+    `nominal` is the value of the drawing. `prior` and `posterior` are the median minus one standard
+    deviation, the median, and plus one, in SI units; `deviations` [-] are those of the logarithm in
+    prior and posterior.
     """
 
     quantity: Quantity
@@ -79,12 +73,12 @@ class Number:
 
     @property
     def uncertainty_left(self) -> float:
-        """Deviation of the posterior over the prior's, [-]; 1 where the trips tell nothing."""
+        """Deviation of the posterior over the prior's, [-]; 1 if the trips add no information."""
         return self.deviations[1] / self.deviations[0]
 
     @property
     def is_told(self) -> bool:
-        """Whether the trips tell the number."""
+        """Whether the trips identify the number."""
         return self.uncertainty_left < TOLD
 
     def as_json(self) -> dict[str, Any]:
@@ -104,7 +98,7 @@ class Number:
 
 
 def numbers(outcome: Commissioned) -> list[Number]:
-    """Return every uncertain number, by the part of the vehicle that it belongs to."""
+    """Return every uncertain number, ordered by the part of the vehicle."""
     nominal = dict(
         zip(UNMEASURED, outcome.generator.nominal_values()[len(PARAMETERS) :], strict=True)
     )
@@ -125,11 +119,11 @@ def is_explained(outcome: Commissioned) -> bool:
 
 
 def doubts(outcome: Commissioned) -> list[str]:
-    """Return a sentence on each reason not to rely on a commissioned vehicle."""
+    """Return a sentence for each reason not to rely on a commissioned vehicle."""
     found = []
     if not is_explained(outcome):
         found.append(
-            f"A misfit above {INCOMPLETE:g} says that the physics of the model is incomplete or a "
+            f"A misfit above {INCOMPLETE:g} means that the physics of the model is incomplete or a "
             "sensor is wrong; the figure shows at which frequencies. Every estimate of a model "
             "trained on this vehicle is flagged, and its interval is wider by what this could cost."
         )
@@ -147,7 +141,7 @@ def doubts(outcome: Commissioned) -> list[str]:
 
 
 def unplaced(found: HealthyTrips) -> str | None:
-    """Return a sentence if single sensors are taken as in the middle because no side is given."""
+    """Return a sentence if single sensors are assumed in the middle because no side is given."""
     if not (names := found.manifests[0].unplaced):
         return None
     return (
@@ -157,7 +151,7 @@ def unplaced(found: HealthyTrips) -> str | None:
 
 
 def other_minutes(found: HealthyTrips, settings: EstimateSettings) -> str | None:
-    """Return a sentence if models are to be trained for far longer or shorter trips than these."""
+    """Return a sentence if the trips for training are far longer or shorter than these."""
     usual = float(np.median([group.spectra.n_averages for group in found.groups]))
     share = usual / settings.n_averages
     if 1 / SIMILAR <= share <= SIMILAR:
@@ -170,7 +164,7 @@ def other_minutes(found: HealthyTrips, settings: EstimateSettings) -> str | None
 
 
 def verdict(found: HealthyTrips, outcome: Commissioned) -> str:
-    """Return in a sentence on how many trips a vehicle was commissioned and how well they agree."""
+    """Return a sentence on whether the vehicle explains its healthy trips."""
     n_trips, n_groups = len(found.manifests), len(found.groups)
     stretches = f", {n_groups} stretches at one speed" if n_groups > n_trips else ""
     explains = "explains" if is_explained(outcome) else "does not explain"
@@ -181,12 +175,12 @@ def verdict(found: HealthyTrips, outcome: Commissioned) -> str:
 
 
 def agreement(outcome: Commissioned) -> str:
-    """Return in a sentence how many starts of the search found the same vehicle."""
+    """Return a sentence on how many starts of the search found the same vehicle."""
     return f"{outcome.n_agree} of {outcome.n_starts} starts of the search found this vehicle."
 
 
 def reference(outcome: Commissioned) -> str:
-    """Return in a sentence what healthy means from now on."""
+    """Return a sentence that defines what healthy means for models of this vehicle."""
     told = {one.quantity.name: one for one in numbers(outcome)}
     values = [
         f"{name} = {spoken(told[f'healthy_{name}'])}"
@@ -196,26 +190,26 @@ def reference(outcome: Commissioned) -> str:
     shown = f": 100 % is {', '.join(values)}" if values else ""
     if "±" in shown:
         shown += " (± one standard deviation)"
-    return f"Healthy from now on is what these trips showed{shown}."
+    return f"Healthy now means what these trips showed{shown}."
 
 
 def untold(found: Sequence[Number]) -> str:
-    """Return a sentence on the numbers that the trips do not tell; empty if they tell all."""
+    """Return a sentence on the numbers that the trips do not determine; empty if there are none."""
     names = [one.quantity.meaning for one in found if not one.is_told]
     if not names:
         return ""
     return (
-        f"The trips say little or nothing about {len(names)} of {len(found)} numbers, which keep "
-        f"their values from before: {'; '.join(names)}."
+        f"The trips do not determine {len(names)} of {len(found)} numbers, which keep "
+        f"their prior values: {'; '.join(names)}."
     )
 
 
 def force_scale(bogie_mass_kg: float) -> str:
-    """Return a sentence on what trips cannot determine: the scale of all forces."""
+    """Return a sentence on the scale of all forces, which trips cannot determine."""
     return (
         "Accelerations determine ratios of forces only: all stiffnesses, dampings and masses rest "
-        f"on the bogie mass of the drawing, {bogie_mass_kg:g} kg for a bogie's side, and are wrong "
-        "by as many percent as it is."
+        f"on the bogie mass of the drawing, {bogie_mass_kg:g} kg for a bogie's side, and have "
+        "the same relative error."
     )
 
 
@@ -251,13 +245,12 @@ def _unit(one: Number) -> tuple[float, str]:
 
 
 def _as_json(ends: tuple[float, float, float], deviation: float) -> dict[str, float]:
-    """Return median, the ends one deviation off it, and the deviation of the logarithm."""
     low, median, high = ends
     return {"median": median, "low": low, "high": high, "log_deviation": deviation}
 
 
 def _value(low: float, median: float, high: float, scale: float) -> str:
-    """Return a median and its standard deviation, or where that is large its range."""
+    """Return a median with its standard deviation, or with its range where that is large."""
     value, half = median / scale, (high - low) / scale / 2
     if not half:
         return f"{value:g}"
@@ -268,6 +261,6 @@ def _value(low: float, median: float, high: float, scale: float) -> str:
 
 
 def _rounded(value: float, least: float) -> str:
-    """Return a number with the decimals that show two digits of another one."""
+    """Return a number with the decimals at which `least` shows two digits."""
     digits = 1 - math.floor(math.log10(abs(least)))
     return f"{round(value, digits) + 0.0:.{max(digits, 0)}f}"  # no minus before 0

@@ -1,4 +1,4 @@
-"""Estimates for curves or a recording: values, intervals, flags, and what they are relative to."""
+"""Estimates from curves or a recording: values, intervals, flags and the healthy values."""
 
 from __future__ import annotations
 
@@ -18,19 +18,19 @@ from suspnet.ground.types import BoolArray, FloatArray
 KINDS = ("missing", "cloud", "range", "misfit", "physics", "sides")
 ENDS = ("value", "low", "high")
 SHOWN = 10
-"""Number of rows that the readable form shows."""
+"""Number of rows in the printed form."""
 HEALTHY = "healthy_"
-"""Prefix of the uncertain numbers of a generator that its healthy values are multiplied by."""
+"""Name prefix of the uncertain numbers that are factors on the healthy values."""
 
 
 @dataclass(frozen=True, repr=False)
 class Estimate:
-    """Parameters relative to healthy, one row a curve or recording; 1 is healthy.
+    """Parameters relative to healthy, one row per curve or recording; 1 is healthy.
 
     Attributes
     ----------
     names : tuple of str
-        Of the parameters, the columns of all arrays.
+        Names of the parameters, the columns of all arrays.
     values : array of shape (n, n_outputs), [-]
         NaN where there is no estimate.
     low, high : arrays of shape (n, n_outputs), [-]
@@ -38,9 +38,9 @@ class Estimate:
     level : float
         Probability with which an interval holds the truth.
     flags : Flags
-        Reasons not to trust a row; none, if the model was not calibrated.
+        Reasons not to trust a row; none if the model was not calibrated.
     healthy : HealthyValues or None
-        What 1 means in SI units.
+        Healthy values in SI units.
 
     Examples
     --------
@@ -60,7 +60,7 @@ class Estimate:
     @property
     def half_widths(self) -> FloatArray:
         """Half the width of each interval in logarithms, shape (n, n_outputs), [-]."""
-        with np.errstate(divide="ignore", invalid="ignore"):  # from 0 or below: nothing is known
+        with np.errstate(divide="ignore", invalid="ignore"):  # an end at 0 or below has no log
             return np.asarray((np.log(self.high) - np.log(self.low)) / 2)
 
     def si(self) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -69,10 +69,10 @@ class Estimate:
         Raises
         ------
         ValueError
-            If the healthy values are not known.
+            If the healthy values are unknown.
         """
         if self.healthy is None:
-            raise ValueError("the estimate does not know its healthy values: give `healthy`")
+            raise ValueError("the estimate has no healthy values: give `healthy`")
         return self.healthy.si(self.values, self.half_widths, self.level)
 
     def __len__(self) -> int:
@@ -85,9 +85,9 @@ class Estimate:
         return "\n".join(lines) or "no curves"
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the same as values that JSON can hold; None where there is no number.
+        """Return the estimate as JSON-able values; None where there is no number.
 
-        In SI units too, with their `unit`, where the healthy values are known.
+        It includes SI values and their `unit` if the healthy values are known.
         """
         si = None if self.healthy is None else self.si()
         return {
@@ -133,11 +133,11 @@ def _number(value: float) -> float | None:
 
 @dataclass(frozen=True)
 class HealthyValues:
-    """What a ratio of 1 means: values of the healthy vehicle.
+    """Values of the healthy vehicle, which a ratio of 1 refers to.
 
-    They are the median of the generator's distribution, where it has one: the posterior of
-    commissioning, or a prior about the vehicle file's values. Of the car body it is the nominal
-    mass, which pay-load varies from.
+    They are the median of the generator's distribution, if it has one: the posterior of
+    commissioning, or a prior about the vehicle file's values. The car body's is the nominal mass,
+    without payload.
 
     Attributes
     ----------
@@ -145,7 +145,7 @@ class HealthyValues:
         From ``PARAMETERS``.
     values : array of shape (n,), [N/m, N s/m, kg]
     deviations : array of shape (n,), [-]
-        Standard deviations of their logarithms; 0 where they are taken as known.
+        Standard deviations of their logarithms; 0 where they are assumed to be known.
     """
 
     names: tuple[str, ...]
@@ -170,37 +170,25 @@ class HealthyValues:
 
     @property
     def units(self) -> tuple[str, ...]:
-        """SI unit of each."""
+        """SI unit of each value."""
         return tuple(UNITS[name] for name in self.names)
 
     def half_widths(self, level: float) -> FloatArray:
-        """Return half the widths of their intervals in logarithms, (n,), [-].
-
-        Raises
-        ------
-        ValueError
-            Unless 0 < level < 1.
-        """
+        """Return half the widths of their intervals in logarithms, (n,), [-]."""
         check_number("level", level, above=0, below=1)
         return np.asarray(stats.norm.ppf((1 + level) / 2) * self.deviations)
 
     def si(
         self, ratios: FloatArray, half_widths: FloatArray, level: float
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return values and ends of intervals in SI units.
+        """Return values and ends of intervals in SI units, each (n_rows, n).
 
-        The uncertainty of the healthy value counts as independent of that of the ratio.
-
-        Parameters
-        ----------
-        ratios, half_widths : arrays of shape (n_rows, n), [-]
-            Relative to healthy; half widths in logarithms.
-        level : float
-            Probability of the intervals.
+        `ratios` and `half_widths` (of logarithms) have the shape (n_rows, n). The uncertainty of
+        the healthy value is independent of that of the ratio.
         """
         values = ratios * self.values
         half = np.hypot(half_widths, self.half_widths(level))
-        with np.errstate(over="ignore"):  # nothing is known: from 0 to infinity
+        with np.errstate(over="ignore"):  # infinite half widths give 0 to infinity
             return values, values * np.exp(-half), values * np.exp(half)
 
 
@@ -211,9 +199,9 @@ class Flags:
     Attributes
     ----------
     found : bool array of shape (n_curves, 6)
-        Columns as ``KINDS``.
+        One column for each of ``KINDS``.
     reasons : tuple of str
-        For each curve; empty where nothing was found.
+        The reasons of each curve as text; empty without any.
     """
 
     found: BoolArray
@@ -221,16 +209,16 @@ class Flags:
 
     @classmethod
     def none(cls, n_curves: int) -> Self:
-        """Return flags of `n_curves` estimates of which none is set."""
+        """Return flags of `n_curves` estimates with none set."""
         return cls(np.zeros((n_curves, len(KINDS)), dtype=bool), ("",) * n_curves)
 
     @property
     def flagged(self) -> BoolArray:
-        """Whether anything was found, shape (n_curves,)."""
+        """Whether any flag is set, shape (n_curves,)."""
         return np.asarray(self.found.any(axis=1))
 
     def with_kind(self, kind: str, words: str) -> Flags:
-        """Return flags of which each has one of ``KINDS`` and its words too."""
+        """Return the flags with one of ``KINDS`` set in every row, and its text added."""
         found = self.found.copy()
         found[:, KINDS.index(kind)] = True
         return Flags(found, tuple("; ".join(filter(None, (r, words))) for r in self.reasons))

@@ -1,9 +1,9 @@
 """Fisher information of features, which is independent of any learning method.
 
 The features of noisy curves scatter about those of the noise-free curve with a covariance S; J is
-the derivative of the noise-free features. An unbiased estimator that sees nothing but the features
-has at least the covariance I^-1 with I = J^T S^-1 J. What this bound has above that of the curves
-is lost by the features; what an estimate's error has above it is lost by the regression.
+the derivative of the noise-free features. An unbiased estimator that uses only the features has at
+least the covariance I^-1 with I = J^T S^-1 J. The excess of this bound over that of the curves is
+the loss by the features; the excess of an estimate's error over it is the loss by the regression.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ from suspnet.spectra.extraction import FeatureSet
 from suspnet.spectra.observation import Observer
 
 N_DRAWS, DRAWS_PER_FEATURE = 64, 4
-"""Least number of noisy curves of each vehicle for the covariance: in all, and per feature."""
+"""Smallest number of noisy curves of each vehicle for the covariance: in total, and per feature."""
 STEP = 0.01
 """Half the step of the central differences, relative to the parameter."""
 LEAST_FOUND = 0.5
-"""Least fraction of a vehicle's noisy curves that must have every feature."""
+"""Smallest fraction of a vehicle's noisy curves that must have every feature."""
 ROWS = 1024
 """Number of curves made at once."""
 
@@ -43,32 +43,23 @@ def feature_information(
     """Return the information of features of noisy curves on some parameters, the others known.
 
     With S estimated from n draws of p features, (J^T S^-1 J)^-1 for q parameters is a Wishart
-    matrix and on average (n - 1 - p + q) / (n - 1) times what it should be (Muirhead, Aspects of
-    Multivariate Statistical Theory, theorem 3.2.11); this is taken out. J is by central
-    differences. The information in the dependence of S on the parameters is neglected.
+    matrix, on average (n - 1 - p + q) / (n - 1) times the true one (Muirhead, Aspects of
+    Multivariate Statistical Theory, theorem 3.2.11); the result is corrected for that. J is by
+    central differences. The information in the dependence of S on the parameters is neglected.
 
     Parameters
     ----------
     extractor : FeatureSet
         Fitted, if it learns from curves.
     ratios : array of shape (n_vehicles, 5), [-]
-    parameters : sequence of str
-        From ``PARAMETERS``.
     n_draws : int
-        Noisy curves of each vehicle, more than there are features.
-    seed : int
-        Of the noise.
+        Noisy curves of each vehicle; ValueError if there are too few for the number of features.
 
     Returns
     -------
     array of shape (n_vehicles, n_parameters, n_parameters)
-        With respect to ratios to healthy; NaN where a feature is missing from the noise-free
-        curve, from one next to it or from too many of the noisy ones.
-
-    Raises
-    ------
-    ValueError
-        If there are too few draws for the number of features.
+        With respect to ratios to healthy; NaN where a feature is missing from the noise-free curve,
+        from a neighbouring one or from too many of the noisy ones.
     """
     n_features = len(extractor.names)
     least = int(np.ceil((n_features + 2) / LEAST_FOUND))
@@ -89,19 +80,9 @@ def feature_loss(
 ) -> dict[str, float]:
     """Return for each output the rms bound of the task's features over that of its curves.
 
-    Both relative to the parameter, over the vehicles whose features are not missing; NaN where the
-    curves do not identify an output.
-
-    Parameters
-    ----------
-    task : Task
-        Its feature set fitted.
-    ratios : array of shape (n_vehicles, 5), [-]
-
-    Raises
-    ------
-    ValueError
-        If no vehicle has every feature.
+    Both are relative to the parameter, over the vehicles with every feature; NaN where the curves
+    do not identify an output. The task's feature set must be fitted; `ratios`: (n_vehicles, 5).
+    Raises ValueError if no vehicle has every feature.
     """
     n_draws = max(N_DRAWS, DRAWS_PER_FEATURE * len(task.extractor.names))
     information = feature_information(
@@ -140,6 +121,7 @@ def _information(
     usable = torch.isfinite(weighted).all(dim=(1, 2)) & (n_found >= LEAST_FOUND * n_draws)
     information = torch.full((len(rows), len(columns), len(columns)), torch.nan).to(values)
     J = weighted[usable]
+    # correct the bias of the inverse of an estimated covariance
     freedom = n_found[usable, None, None] - 1.0
     shrinkage = (freedom - len(extractor.names) + len(columns)) / freedom
     information[usable] = shrinkage * (J.mT @ torch.linalg.solve(correlation[usable], J))

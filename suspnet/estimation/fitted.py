@@ -1,4 +1,4 @@
-"""A fitted method with all that is needed to use it: task, scaling, generator, calibration."""
+"""A fitted method with everything needed to use it: task, scaling, generator, calibration."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ from suspnet.spectra.observation import Observation, Observer
 
 
 class ModelFileError(ValueError):
-    """A model file is damaged, foreign or of another kind than needed."""
+    """A model file is damaged, foreign or of a different kind than needed."""
 
 
 @dataclass(frozen=True)
 class FittedMethod:
-    """A fitted method with all that is needed to use it.
+    """A fitted method with everything needed to use it.
 
     Attributes
     ----------
@@ -37,7 +37,7 @@ class FittedMethod:
     estimator : object
         The fitted method; works on scaled inputs and outputs.
     task : Task
-        Its feature set with what that has learnt.
+        With its fitted feature set.
     generator : ResponseGenerator
         Generator of the training curves.
     settings : Observation
@@ -47,16 +47,16 @@ class FittedMethod:
     input_scaling, output_scaling : Scaling or None
         None for methods that fit curves directly.
     corrected : bool
-        Whether the regression's own error is taken from its estimates: see `from_curves`.
+        Whether the regression's own error is removed from its estimates: see `from_curves`.
     refined : bool
         Whether its estimates are refined by `refine`.
     intervals : Intervals or None
     ood : OODDetector or None
-        None, both, where the model was not calibrated.
+        Both are None if the model was not calibrated.
     unexplained : Unexplained or None
-        What the healthy trips of a commissioned vehicle leave unexplained; None of a nominal one.
+        Unexplained residual of a commissioned vehicle's healthy trips; None for a nominal vehicle.
     training : dict
-        How the training went.
+        Record of the training.
     """
 
     name: str
@@ -81,7 +81,7 @@ class FittedMethod:
 
     @cached_property
     def observer(self) -> Observer:
-        """Makes curves like those of the training, on the CPU."""
+        """Observer that makes curves like those of the training, on the CPU."""
         return self.settings.observer(self.generator.on("cpu"))
 
     @property
@@ -102,7 +102,7 @@ class FittedMethod:
         curves : tensor of shape (n_curves, 2, n_freq), [-]
             G_p and G_s, complex; for the feature set `peaks` their magnitudes suffice.
         frequencies_hz : tensor of shape (n_freq,), [Hz]
-            Evenly spaced; the spacing of `settings` is what the model was trained on.
+            Evenly spaced, with the spacing of `settings`.
 
         Returns
         -------
@@ -142,7 +142,7 @@ class FittedMethod:
         return self.output_scaling.undo(np.asarray(scaled).reshape(len(inputs), -1))
 
     def scaled(self, inputs: FloatArray) -> FloatArray:
-        """Return scaled inputs (n_curves, n_inputs); what is missing stays NaN."""
+        """Return scaled inputs (n_curves, n_inputs); missing ones are NaN."""
         if self.input_scaling is None:
             return np.full_like(inputs, np.nan)
         unusable = ~np.isfinite(inputs) | (self.input_scaling.log & ~(inputs > 0))
@@ -157,12 +157,7 @@ class FittedMethod:
     def flags(self, inputs: FloatArray, reasons: IntArray, refined: Refined) -> Flags:
         """Return the flags that the OOD detector sets.
 
-        Parameters
-        ----------
-        inputs : array of shape (n_curves, n_inputs), [-]
-            Not scaled.
-        reasons : array of shape (n_curves, n_peaks)
-            Why a feature is missing, as of `features`.
+        `inputs` (n_curves, n_inputs) are not scaled; `reasons` are those of `features`.
         """
         assert self.ood is not None
         extractor = self.task.extractor

@@ -19,7 +19,7 @@ from suspnet.spectra.observation import Misfit, Observer
 ONE_SIGMA = 0.6827
 """Level of an interval whose half width is one standard deviation of a normal error."""
 ROWS = 256
-"""Number of curves made at once to correct estimates."""
+"""Number of curves generated at once for the correction of estimates."""
 
 
 def estimate_curves(
@@ -34,23 +34,22 @@ def estimate_curves(
     Parameters
     ----------
     observer : Observer
-        How the curves were observed, with the method's own generator.
+        Of the curves, with the method's own generator.
     curves : tensor of shape (n_curves, 2, n_freq), [-]
-    level : float
-        Probability of the intervals.
     mass : array of shape (n_curves,), optional
-        The measured car-body mass ratio, where the task knows it.
+        Measured car-body mass ratio, if the task knows it.
 
     Raises
     ------
     ValueError
-        If the curves do not fit the method, or none identifies an output that is to be refined.
+        If the curves do not fit the method, or no curve identifies the outputs to be refined.
     """
     task = method.task
     inputs, reasons = method.features(observer.for_features(curves), observer.frequencies_hz)
     if mass is not None:
         inputs = np.column_stack([inputs, mass])
     predicted = regress(method, observer, inputs, curves, mass)
+    # the detector needs the misfit of a refined estimate, even if the regression's is returned
     refined = None
     if method.refined or method.ood is not None:
         refined = refine_curves(task, observer, curves, predicted, mass)
@@ -74,7 +73,7 @@ def estimate_curves(
 
 
 def _widened(method: FittedMethod, values: FloatArray, scales: FloatArray) -> FloatArray:
-    """Return residual scales with the cost of what is unexplained as one more deviation."""
+    """Return residual scales with the cost of the unexplained residual added in quadrature."""
     if method.unexplained is None or method.intervals is None:
         return scales
     usual = method.intervals.conformal.factors(ONE_SIGMA)
@@ -89,15 +88,10 @@ def regress(
     curves: Tensor,
     mass: FloatArray | None = None,
 ) -> FloatArray:
-    """Return the regression's estimates, shape (n_curves, n_outputs); NaN where a peak is missing.
+    """Return the regression's estimates, (n_curves, n_outputs); NaN where a peak is missing.
 
-    Parameters
-    ----------
-    inputs : array of shape (n_curves, n_inputs), [-]
-        Features relative to healthy (and the mass).
-    curves : tensor of shape (n_curves, 2, n_freq), [-]
-        Input of a method that works on curves.
-    mass : array of shape (n_curves,), optional
+    `inputs` (n_curves, n_inputs) are features relative to healthy (and the mass); a method that
+    works on curves uses `curves` (n_curves, 2, n_freq) and `mass` (n_curves,).
     """
     if method.estimator.works_on_curves:
         return _fit_curves(method, observer, curves, mass)
@@ -111,21 +105,21 @@ def regress(
 def corrected(
     method: FittedMethod, observer: Observer, predicted: FloatArray, n_steps: int = 1
 ) -> FloatArray:
-    """Return estimates without the regression's own error at the vehicles that they describe.
+    """Return estimates without the regression's own error at the estimated vehicles.
 
-    With g(p) what the regression g makes of the noise-free curve of vehicle p, and p_0 its estimate
-    of the observed curve, each step is p <- p p_0 / g(p): towards the p with g(p) = p_0, indirect
-    inference (Gourieroux, Monfort and Renault 1993). It takes the speed and the noise of the
-    observation as they are, whatever the regression was trained for.
+    With g(p) the regression's estimate from the noise-free curve of vehicle p, and p_0 that from
+    the observed curve, each step is p <- p p_0 / g(p), towards the p with g(p) = p_0: indirect
+    inference (Gourieroux, Monfort and Renault 1993). It accounts for the speed and the noise of the
+    observation, whatever the regression was trained for.
 
     Parameters
     ----------
     method : FittedMethod
-        Estimates of one that is not `corrected` come back as they are.
+        Estimates of a method without `corrected` are returned unchanged.
     observer : Observer
         Of the curves, with the method's own generator.
     predicted : array of shape (n_curves, n_outputs), [-]
-        p_0; estimates must be all that is unknown of the curves.
+        p_0; the outputs must be all unknown parameters.
     n_steps : int
         One is enough for curves like the training curves.
     """
@@ -159,10 +153,7 @@ def refine_curves(
 def identified(task: Task, refined: Refined) -> tuple[FloatArray, FloatArray]:
     """Return refined outputs and their standard deviations, each (n_curves, n_outputs).
 
-    Raises
-    ------
-    ValueError
-        If the curves do not identify an output.
+    Raises ValueError if the curves do not identify an output.
     """
     estimates, deviations = refined.of(task.outputs)
     for name, column in zip(task.outputs, deviations.T, strict=True):
@@ -180,7 +171,7 @@ def residual_scales(
 ) -> FloatArray:
     """Return the residual scale of curves for a calibrated method, (n_curves, n_outputs), [-].
 
-    NaN where a peak is missing and the method cannot do without.
+    NaN where a peak is missing that the method needs.
     """
     intervals = method.intervals
     assert intervals is not None
@@ -198,7 +189,7 @@ def residual_scales(
 def _fit_curves(
     method: FittedMethod, observer: Observer, curves: Tensor, mass: FloatArray | None
 ) -> FloatArray:
-    """Return the outputs whose magnitudes lie nearest to those observed, (n_curves, n_outputs)."""
+    """Return the outputs with the nearest magnitudes to those observed, (n_curves, n_outputs)."""
     task = method.task
     if curves.is_complex():
         raise ValueError(

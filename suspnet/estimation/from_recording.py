@@ -50,8 +50,8 @@ class TripSettings:
 
     Raises
     ------
-    ValueError
-        If a number is out of range.
+    TypeError, ValueError
+        If a setting has the wrong type or is out of range.
     """
 
     rate_hz: float = setting(
@@ -105,7 +105,7 @@ class TripSettings:
 def estimate_recording(
     method: FittedMethod, recording: Recording, settings: TripSettings
 ) -> Estimate:
-    """Return a method's estimate from a recording, of one row; raises what `speed_bins` does."""
+    """Return a method's estimate from a recording, one row; raises as `speed_bins` does."""
     welch = trip_settings(method).welch
     segments = recording_segments(recording, welch)
     if not len(segments.values):
@@ -125,30 +125,27 @@ def speed_bins(
 
     Parameters
     ----------
-    method : FittedMethod
-        Trained on estimates from trips.
-    recording : Recording
     segments : SegmentSpectra
-        Of the recording, from `recording_segments`, cut as the method's training curves.
-    settings : TripSettings
+        Of the recording, cut as for the method's training.
     models : sequence of FittedMethod
-        All models that read the recording, with the method itself: a group of segments is for one
-        of them. The method alone if there are none.
+        All models that read the recording, the method included: each group of segments belongs to
+        one of them. Empty means the method alone.
 
     Returns
     -------
     list of SpeedBin
-        Empty if all that can be read is for others of the models.
+        Empty if all readable groups belong to other models.
 
     Raises
     ------
     NoEstimateError
-        If the recording is sound but nothing can be estimated from it; the message is that of the
-        largest group, or names the trip's speeds and those of the models.
+        If the recording is valid but gives no estimate; the reason is that of the largest group, or
+        that no model reads the trip's speeds.
     TripError
         If a channel or one sensor of a pair has the wrong unit or sign, two are swapped, or a pair
         meets a model that was trained for a sensor on one side.
     """
+    # which groups of segments at one speed are this method's
     _check_places(recording, method.generator)
     together = models or [method]
     speeds = segment_speeds(recording, segments)
@@ -159,6 +156,7 @@ def speed_bins(
         if segments.welch.n_averages(len(speeds)) < settings.min_averages:
             raise NoEstimateError(_too_short(recording, segments, settings))
         raise NoEstimateError(no_group_words(speeds, groups, together, tolerance, least))
+    # one failing group does not prevent the estimates of the others
     bins, reasons = [], []
     trained = trip_settings(method)
     own = groups_of(method, together, speeds, groups)
@@ -174,9 +172,9 @@ def speed_bins(
 
 @dataclass(frozen=True)
 class Steady:
-    """Segments of a recording at one speed, and whether an estimate can be made of them.
+    """Segments of a recording at one speed, and whether they are enough for an estimate.
 
-    Checking, commissioning, reading and monitoring all decide it here.
+    Checking, commissioning, reading and monitoring all use this decision.
 
     Attributes
     ----------
@@ -184,13 +182,13 @@ class Steady:
         All segments, on the bins of an estimate.
     group : bool tensor of shape (n_segments,)
     found : GroupSpectra
-        What can be used of it.
+        The usable segments of the group.
     speed : pair of float, [m/s]
         Mean and deviation over the chosen segments; NaN if there are none.
     has_enough : bool
-        It has the averages that an estimate needs.
+        Whether there are enough averages.
     is_certain : bool
-        Its responses are as certain as an estimate needs.
+        Whether the responses are certain enough.
     """
 
     band: SegmentSpectra
@@ -208,22 +206,10 @@ def steady(
     estimate: EstimateSettings,
     settings: TripSettings,
 ) -> list[Steady]:
-    """Return each group of segments with what can be made of it.
+    """Return each group of segments with its usable spectra.
 
-    Parameters
-    ----------
-    segments : SegmentSpectra
-    speeds : tensor of shape (n_segments, n_samples), [m/s]
-    groups : sequence of bool tensors of shape (n_segments,)
-        From `groups_to_read`.
-    estimate : EstimateSettings
-        Bound to a vehicle.
-    settings : TripSettings
-
-    Raises
-    ------
-    NoEstimateError
-        If the recording does not reach as far as the bins of `estimate`.
+    `speeds`: (n_segments, n_samples), [m/s]; `groups` from `groups_to_read`; `estimate` bound to a
+    vehicle. Raises NoEstimateError if the recording does not reach the bins of `estimate`.
     """
     parts: list[Steady] = []
     if not groups:
@@ -251,6 +237,7 @@ def _speed_bin(
     found, chosen, doubts = part.found, part.found.chosen, ""
     n_candidates = int(found.candidates.sum())
     if settings.check_channels and segments.welch.n_averages(n_candidates) >= settings.min_averages:
+        # check channels first: a wrong one is a better reason than low coherence
         looked_at = chosen if found.spectra is not None else found.candidates
         if any(recording.paired):
             differences = difference_segments(recording, segments.welch)
@@ -308,9 +295,9 @@ def _too_short(recording: Recording, segments: SegmentSpectra, settings: TripSet
 
 
 def _check_places(recording: Recording, generator: ResponseGenerator) -> None:
-    """Raise TripError if a pair of sensors meets a model of a sensor on one side.
+    """Raise TripError if the recording has pairs where the model expects a sensor on one side.
 
-    A single sensor suits both kinds of model: it may be at the middle, or an average itself.
+    A single sensor suits both kinds of model: it may be in the middle, or already an average.
     """
     places = zip(CHANNELS, recording.paired, generator.sensor_lateral_m, strict=True)
     wrong = [(name, lateral_m) for name, is_pair, lateral_m in places if is_pair and lateral_m]
@@ -324,13 +311,13 @@ def _check_places(recording: Recording, generator: ResponseGenerator) -> None:
 
 
 def _checked(segments: SegmentSpectra, chosen: Tensor, method: FittedMethod) -> str:
-    """Return what could not be checked of the channels; TripError if one is wrong."""
+    """Return the doubts and impossible checks of the channels; TripError if one is wrong."""
     spectra = segments.average(chosen)
     return check_channels(spectra, segments.frequencies_hz, method.generator, method.vehicle)
 
 
 def no_segment(recording: Recording, welch: Welch) -> str:
-    """Return why no segment of a recording is free of faults."""
+    """Return the message that no segment of a recording is free of faults."""
     return f"no segment of {welch.segment_s:g} s is free of faults: {unrepaired_words(recording)}"
 
 

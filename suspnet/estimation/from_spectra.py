@@ -1,20 +1,20 @@
 """Interval and flags of one trip's estimate.
 
 Intervals are calibrated on curves with the averages and the noise that a model was trained for,
-and a trip has its own. So the noise part of the residual scale in training is replaced by that of
-the trip::
+while a trip has its own. The noise part of the residual scale in training is therefore replaced by
+that of the trip::
 
     s^2 = w^2 (l^2 + b^2 + f^2) + n^2,    l^2 = max(s_0^2 - n_0^2, 0)
     half width = s q(level) / q(ONE_SIGMA)
 
-with s_0 the standard deviation that the calibration gives and q its quantiles, n_0 the noise part
-expected of such a vehicle in training, n that of the trip. l^2 is the variance of the
-regression's own error and of the generator's uncertain quantities; b is the cost of what the
-healthy trips of a commissioned vehicle left unexplained (`suspnet.estimation.physics`), f that of
-damping and stiffness which do not wear (`unworn_deviations`), w is ``COMMON`` for these; others
-have w = 1 and b = f = 0. Of refined estimates n is the deviation that Gauss-Newton gives if all
-numbers are known, and what it gives beyond that adds to l^2; of others n is the spread of estimates
-from drawn spectra.
+with s_0 the standard deviation from the calibration and q its quantiles, n_0 the noise part
+expected of such a vehicle in training, n that of the trip. l^2 is the variance due to the
+regression's own error and the generator's uncertain quantities. For commissioned vehicles, b is the
+cost of what their healthy trips left unexplained (`suspnet.estimation.physics`), f that of damping
+and stiffness which do not wear (`unworn_deviations`), and w is ``COMMON``; for others w = 1 and
+b = f = 0. For refined estimates n is the Gauss-Newton deviation with all uncertain numbers known,
+and the rest of that deviation adds to l^2; for others n is the spread of estimates from drawn
+spectra.
 """
 
 from __future__ import annotations
@@ -37,54 +37,51 @@ from suspnet.spectra.speeds import Speeds
 
 
 class MissingFeaturesError(ValueError):
-    """A trip lacks features that the regression needs; the message says which and why."""
+    """A trip lacks features that the regression needs; the message names them and the reasons."""
 
 
 N_DRAWS = 64
-"""Number of draws of a trip's noise. It gives n and n_0 to 0.96 / sqrt(64) = 12 %, but both come
-from the same random numbers and err alike: at a quarter of the averages half widths err by 4 %."""
+"""Number of draws of a trip's noise. It gives n and n_0 to 0.96 / sqrt(64) = 12 %, but both use the
+same random numbers, so their errors cancel: with a quarter of the averages half widths err by 4 %.
+"""
 CORRECTIONS = 3
-"""Number of steps that correct a trip's estimate; measured, a fourth changes nothing where the
-speed is within a tenth of that trained for."""
+"""Number of steps that correct a trip's estimate; a fourth changes nothing where the speed is
+within a tenth of the training speed (measured)."""
 COMMON = 1.8
-"""Factor on what lasts from trip to trip of a commissioned vehicle: the error that healthy trips
-leave is one draw for all that follow. Without it 90 % intervals hold in 90 % of the trips of many
-vehicles, but in far fewer of those of a vehicle whose draw is bad."""
+"""Factor on the lasting errors of a commissioned vehicle: the error that healthy trips leave is a
+single draw for all later trips. Without it 90 % intervals hold in 90 % of the trips of many
+vehicles, but in far fewer of those of a vehicle with a bad draw."""
 UNWORN = {"k_p": 0.003, "c_p": 0.05}
-"""Standard deviation of the share of a healthy vehicle's stiffness and damping that does not wear.
-Dry friction in a primary suspension acts as a damper does where it slips and as a spring where it
-sticks, and no healthy trip distinguishes them."""
+"""Standard deviation of the fraction of a healthy vehicle's stiffness and damping that does not
+wear. Dry friction in a primary suspension acts as a damper where it slips and as a spring where it
+sticks, and healthy trips cannot distinguish them."""
 CONFIRMED = 1.05
-"""Factor on the deviations of refined estimates up to which a calibration confirms them."""
+"""A calibration confirms the deviations of refined estimates up to this factor on them."""
 
 
 def estimate_with_noise(
     method: FittedMethod, spectra: CrossSpectra, level: float, speeds: Speeds | None = None
 ) -> tuple[Estimate, FloatArray]:
-    """Return one trip's estimate with interval and flags from its spectra, and its share of noise.
+    """Return one trip's estimate from its spectra, and the share of noise in its variance.
 
     Parameters
     ----------
-    method : FittedMethod
-        Trained on estimates from trips.
     spectra : CrossSpectra
         Of the trip on the method's bins, (3, n_freq).
-    level : float
-        Probability of the interval.
     speeds : Speeds, optional
-        Of the segments behind the spectra; None is the speed that the method was trained for.
+        Of the segments behind the spectra; None is the training speed.
 
     Returns
     -------
     estimate : Estimate
-        Of one row.
+        One row.
     noise_share : array of shape (n_outputs,), [-]
         n^2 / s^2; 1 without an interval.
 
     Raises
     ------
     MissingFeaturesError
-        If the regression lacks a feature; the message says which and why.
+        If the regression lacks a feature.
     """
     task, outputs = method.task, method.task.outputs
     observer = trip_observer(method) if speeds is None else trip_observer(method).at(speeds)
@@ -92,7 +89,7 @@ def estimate_with_noise(
     inputs, reasons = method.features(observer.for_features(responses), observer.frequencies_hz)
     if not np.isfinite(inputs).all():
         raise MissingFeaturesError(task.extractor.missing(reasons[0]))
-    # the regression learnt at one speed and noise: the trip's own move its estimate
+    # correct the estimate for the trip's speed and noise, which differ from the training's
     predicted = corrected(method, observer, method.predict(inputs), CORRECTIONS)
     unknown = np.full(len(outputs), np.nan)
     if method.intervals is None and not method.refined:
@@ -101,12 +98,12 @@ def estimate_with_noise(
     if method.intervals is None or method.ood is None:
         values = refined.of(outputs)[0][0]
         return _estimate(method, values, unknown, level), np.ones(len(outputs))
-    # the thresholds of the flags belong to the number of averages of the training
+    # the thresholds of the flags are for the number of averages of the training
     seen = _as_in_training(refined, observer.settings.n_averages / spectra.n_averages)
     flags = method.flags(inputs, reasons, seen)
     factor, usual = (method.intervals.conformal.factors(p) for p in (level, ONE_SIGMA))
     ratios = torch.as_tensor(complete_ratios(task, predicted))
-    # the noise is the trip's own; what lasts from trip to trip is that of the calibration
+    # split the variance: noise of this trip, and the lasting part from the calibration
     if method.refined:
         values, deviation = (part[0] for part in refined.of(outputs))
         noise = refined.noise_of(outputs)[0]
@@ -130,33 +127,18 @@ def estimate_with_noise(
 
 
 def unworn_deviations(outputs: Sequence[str], ratios: FloatArray) -> FloatArray:
-    """Return what damping and stiffness that do not wear cost the logarithm of each output.
+    """Return the error of log outputs due to damping and stiffness that do not wear, (n_outputs,).
 
-    A damper at the ratio r next to a share u of the healthy damping that stays as it is reads as
-    (1 - u) r + u: wrong by u (1 - r) / r of r, which is nothing where nothing is worn.
-
-    Parameters
-    ----------
-    ratios : array of shape (n_outputs,), [-]
-        Estimates.
-
-    Returns
-    -------
-    array of shape (n_outputs,), [-]
-        u |1 - r| / r with u the deviation of ``UNWORN``, 0 of what it does not hold.
+    A damper at the ratio r in parallel with a fraction u of the healthy damping that does not wear
+    is estimated as (1 - u) r + u, a relative error of u (1 - r) / r. The result is u |1 - r| / r
+    with u from ``UNWORN``, 0 for other outputs; `ratios` (n_outputs,) are the estimates r.
     """
     shares = np.array([UNWORN.get(name, 0.0) for name in outputs])
     return np.asarray(shares * np.abs(1 - ratios) / ratios)
 
 
 def trip_settings(method: FittedMethod) -> EstimateSettings:
-    """Return how the trips that a method was trained for are estimated.
-
-    Raises
-    ------
-    ModelFileError
-        If the method was trained on other curves.
-    """
+    """Return the estimate settings of a method trained on trips; ModelFileError otherwise."""
     if not isinstance(method.settings, EstimateSettings):
         raise ModelFileError(
             f"the model of protocol {method.task.protocol!r} was trained on curves of section "
@@ -166,7 +148,7 @@ def trip_settings(method: FittedMethod) -> EstimateSettings:
 
 
 def trip_observer(method: FittedMethod) -> EstimateObserver:
-    """Return what observes trips as a method's training did; raises as `trip_settings`."""
+    """Return the observer of a method trained on trips; raises as `trip_settings` does."""
     trip_settings(method)
     observer = method.observer
     assert isinstance(observer, EstimateObserver)
@@ -180,7 +162,7 @@ def _estimate(
     level: float,
     flags: Flags | None = None,
 ) -> Estimate:
-    with np.errstate(over="ignore"):  # nothing is known: from 0 to infinity
+    with np.errstate(over="ignore"):  # infinite half widths give 0 to infinity
         low, high = values * np.exp(-half_widths), values * np.exp(half_widths)
     flags = flags or Flags.none(1)
     if method.unexplained is not None:
@@ -212,9 +194,9 @@ def _residual_scale(method: FittedMethod, inputs: FloatArray, predicted: FloatAr
 def _as_in_training(refined: Refined, share: float) -> Refined:
     """Return estimates with the misfit scaled to the number of averages of the training.
 
-    The mean square beyond 1 is that of the generator's own errors over that of the noise. It grows
-    with the averages, while the threshold of the misfit belongs to those of the training. Shorter
-    trips keep their misfit: it is noise.
+    The mean square above 1 is the ratio of the generator's own errors to the noise. It grows with
+    the averages, while the misfit threshold is for those of the training. Shorter trips retain
+    their misfit, as it is noise.
     """
     beyond = (refined.misfit**2 - 1) * min(share, 1.0)
     return replace(refined, misfit=np.sqrt(1 + beyond))

@@ -1,6 +1,6 @@
-"""The sum of squares of healthy trips, which the most probable vehicle makes least.
+"""The sum of squares of healthy trips that commissioning minimises.
 
-Its letters and its terms are those of `suspnet.estimation.commissioning`.
+Its symbols are those of `suspnet.estimation.commissioning`.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from suspnet.spectra.estimates import EstimateSettings
 from suspnet.spectra.observation import every_direction
 
 MASS_MEAN, MASS_DEVIATION = math.log(1.05), 0.15
-"""Prior of the logarithm of the car-body mass over nominal on a trip."""
+"""Prior mean and standard deviation of the logarithm of a trip's car-body mass over nominal."""
 STEP = 1e-5
 """Step of differences, in standard deviations of the prior."""
 
@@ -46,17 +46,17 @@ class HealthyMisfit:
         ]
 
     def ratios(self, theta: Tensor, trip: int) -> Tensor:
-        """Return all columns of ratios of one trip, (n_rows, n_columns)."""
+        """Return all columns of ratios for one trip, (n_rows, n_columns)."""
         n = len(self.prior.names)
         healthy = torch.ones(len(theta), len(PARAMETERS), dtype=torch.float64)
         healthy[:, -1] = theta[:, n + trip].exp()
         return self.every.vehicles(healthy, theta[:, :n])
 
     def part(self, theta: Tensor, group: int, spread: float, high_hz: float = math.inf) -> Tensor:
-        """Return the residuals of one group, (n_rows, n_points), those above `high_hz` 0."""
+        """Return the residuals of one group, (n_rows, n_points), set to 0 above `high_hz`."""
         misfit = self._groups[group]
         expected = misfit.observer.noise_free(self.ratios(theta, self._trips[group]))
-        # logarithms lead from far off, but have the tails of a ratio of noise
+        # logarithms converge from far off, but have the heavy tails of a ratio of noise
         u = (misfit.observed / expected).log() if spread else 1 - expected / misfit.observed
         spreads = torch.where(self.frequencies_hz > high_hz, math.inf, spread)
         return misfit.whitened(u, torch.zeros(len(theta), dtype=torch.int64), spreads)
@@ -66,16 +66,16 @@ class HealthyMisfit:
         return [self.part(theta, i, spread, high_hz) for i in range(len(self._groups))]
 
     def residuals(self, theta: Tensor, spread: float, high_hz: float = math.inf) -> Tensor:
-        """Return all residuals with those of the priors, (n_rows, n_points)."""
+        """Return all residuals, including those of the priors, (n_rows, n_points)."""
         n = len(self.prior.names)
         masses = (theta[:, n:] - MASS_MEAN) / MASS_DEVIATION
         return torch.cat([*self.parts(theta, spread, high_hz), theta[:, :n], masses], dim=1)
 
     def jacobian(self, x: FloatArray, spread: float, high_hz: float = math.inf) -> FloatArray:
-        """Return the derivative of all residuals, (n_points, n_coordinates), by differences."""
+        """Return the finite-difference derivative of all residuals, (n_points, n_coordinates)."""
         n, found = len(self.prior.names), []
         for group, trip in enumerate(self._trips):
-            # the masses of other trips move nothing
+            # the masses of other trips do not affect this group
             columns = [*range(n), n + trip]
             steps = STEP * torch.eye(len(x), dtype=torch.float64)[[0, *columns]]
             steps[0] = 0.0
@@ -86,7 +86,7 @@ class HealthyMisfit:
         return np.concatenate([*found, np.diag(1 / self._prior_deviations())])
 
     def _prior_deviations(self) -> FloatArray:
-        """Return the standard deviations of theta before any trip, (n_coordinates,)."""
+        """Return the prior standard deviations of theta, (n_coordinates,)."""
         return np.array([1.0] * len(self.prior.names) + [MASS_DEVIATION] * self.n_trips)
 
     def misfits(self, theta: Tensor) -> list[float]:
@@ -97,7 +97,7 @@ class HealthyMisfit:
         ]
 
     def posterior(self, found: OptimizeResult) -> tuple[LogNormal, float]:
-        """Return the posterior of the numbers, and the mean square of the residuals."""
+        """Return the posterior of the numbers, and the residuals' mean square over the noise."""
         n = len(self.prior.names)
         residuals = torch.cat(self.parts(row_of(found.x), 0.0), dim=1)[0]
         expected = math.fsum(misfit.expected for misfit in self._groups) / len(self._groups)
@@ -119,7 +119,7 @@ class HealthyMisfit:
         return float(np.abs(logs / posterior.deviations).max())
 
     def curves(self, theta: Tensor) -> tuple[ComplexArray, ComplexArray, FloatArray]:
-        """Return measured and fitted responses and the deviations, each (n_groups, 2, n_freq)."""
+        """Return measured and fitted responses and deviations, each (n_groups, 2, n_freq)."""
         pairs = list(zip(self._groups, self._trips, strict=True))
         fitted = [misfit.observer.noise_free(self.ratios(theta, trip)) for misfit, trip in pairs]
         observed = torch.cat([misfit.observed for misfit, _ in pairs])

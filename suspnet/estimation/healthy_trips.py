@@ -1,4 +1,4 @@
-"""Healthy trips of a folder: recordings -> spectra at each of their speeds."""
+"""Healthy trips of a folder: from recordings to spectra at each speed."""
 
 from __future__ import annotations
 
@@ -19,23 +19,15 @@ from suspnet.spectra.segments import recording_segments, segment_speeds
 from suspnet.spectra.speeds import Speeds
 
 LEAST_TRIPS = 3
-"""Fewer healthy trips hold too little information on a vehicle."""
+"""Smallest number of healthy trips; fewer contain too little information on a vehicle."""
 
 
 @dataclass(frozen=True)
 class HealthySpectra:
     """Spectra of one healthy trip at one speed.
 
-    Attributes
-    ----------
-    trip : int
-        Index of the trip, which has one car-body mass.
-    name : str
-        The trip's.
-    speeds : Speeds
-        Of the segments behind the spectra.
-    spectra : CrossSpectra
-        Of shape (3, n_freq) on the bins of the settings.
+    `trip` is the index of the trip, which has one car-body mass; `speeds` are those of the segments
+    behind the spectra, (3, n_freq) on the bins of the settings.
     """
 
     trip: int
@@ -52,17 +44,17 @@ class HealthySpectra:
 
 @dataclass(frozen=True)
 class HealthyTrips:
-    """What the healthy trips of one suspension give.
+    """Spectra of the healthy trips of one suspension.
 
     Attributes
     ----------
     manifests : tuple of TripManifest
-        Those that were read.
+        Those of the trips in use.
     groups : tuple of HealthySpectra
     paired : tuple of 3 bool
         Which of axle box, frame and body have a sensor left and right.
     left_out : tuple of str
-        Trips without any usable stretch, and why.
+        Trips without a usable stretch, with the reason.
     """
 
     manifests: tuple[TripManifest, ...]
@@ -93,22 +85,23 @@ def read_healthy(
     settings : EstimateSettings
         Bound to the vehicle: bins and window.
     trips : TripSettings
+        How trips are read.
     bogie : {"leading", "trailing"}, optional
-        The bogie that manifests must name which name one; None is any.
+        The bogie that manifests must name, if they name one; None is any.
     paths : sequence of ManifestFile, optional
-        Manifests of the folder that are read, where it holds those of others too; None is all.
+        Manifests to read, if the folder holds others as well; None is all.
     n_first : int, optional
-        Take the first trips by mileage only.
+        Use only the first trips by mileage.
     progress : bool
+        Show a progress bar.
 
     Raises
     ------
     FileNotFoundError
         If there is no such folder, or no manifest in it.
     TripError
-        If the trips are of another vehicle or bogie, of several suspensions or of sensors that
-        differ, if a recording is faulty, or if fewer than three trips have a stretch that can be
-        used.
+        If the trips are of another vehicle or bogie, of several suspensions or of different
+        sensors, if a recording is faulty, or if fewer than three trips have a usable stretch.
     """
     manifests = [one.trip for one in paths or map(ManifestFile, find_manifests(folder))]
     manifests.sort(key=lambda manifest: manifest.mileage_km)
@@ -129,7 +122,7 @@ def read_healthy(
         kept.append(replace(manifest, start=manifest.start or recording.started))
         groups += found
         paired.add(recording.paired)
-    # what is left must be enough, and of the same sensors
+    # the remaining trips must be enough, and of the same sensors
     if len(kept) < LEAST_TRIPS:
         reasons = f" ({'; '.join(left_out)})" if left_out else ""
         raise TripError(
@@ -147,7 +140,7 @@ def read_healthy(
 def _check_same(
     folder: Path, manifests: Sequence[TripManifest], vehicle: str, bogie: str | None
 ) -> None:
-    """Raise TripError unless all manifests are of one suspension of a vehicle."""
+    """Raise TripError unless all manifests are of one suspension of the vehicle."""
     for manifest in manifests:
         if manifest.vehicle != vehicle:
             raise TripError(
@@ -176,7 +169,7 @@ def _spectra(
         return []
     speeds = segment_speeds(recording, segments)
     groups = groups_to_read(speeds, trips.speed_tolerance, trips.min_speed_m_per_s)
-    # uncertain ones stay: the fit of the vehicle weighs each by its noise
+    # uncertain groups are included, as the fit of the vehicle weights each by its noise
     return [
         HealthySpectra(trip, name, Speeds.of(*part.speed), part.found.spectra)
         for part in steady(segments, speeds, groups, settings, trips)

@@ -1,7 +1,7 @@
-"""What could be measured, and how well it would identify each parameter.
+"""Options of measurement, and how well each would identify every parameter.
 
-All bounds are relative standard deviations in percent, Cramer-Rao: no unbiased estimator has less;
-a Gaussian error has a MAPE of 0.8 times that. They are infinite where nothing can be identified.
+All bounds are Cramer-Rao bounds: relative standard deviations in percent, inf where a parameter is
+not identifiable. No unbiased estimator has less; a Gaussian error has a MAPE of 0.8 times that.
 """
 
 from __future__ import annotations
@@ -39,28 +39,27 @@ ONE_SIDE_M = (1.0, 1.0, 1.0)
 """Lateral places [m] of sensors on axle box, frame and body on one side."""
 Kind = Literal["baseline", "less", "more", "other", "estimate"]
 VERDICTS = ((1.0, "well"), (5.0, "fairly"), (20.0, "poorly"))
-"""Thresholds of the bounds' 95th percentile over the range, [%]; above all of them the verdict is
-"not"."""
+"""Thresholds of the bounds' 95th percentile over the range, [%]; above the last one the verdict is
+`UNIDENTIFIED`."""
 UNIDENTIFIED = "not"
 PERCENTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
 TAKES_PART = 0.3
-"""Least component of a parameter that takes part in a direction, relative to the largest."""
+"""Smallest component of a parameter listed in a direction, relative to the largest component."""
 SINGULAR = 1e-12
 """Eigenvalue relative to the largest below which a direction has no information."""
 
 
 @dataclass(frozen=True)
 class Option:
-    """Something that could be measured, with its Fisher information.
+    """A choice of measurements with its Fisher information.
 
     Attributes
     ----------
-    title : str
     kind : {"baseline", "less", "more", "other", "estimate"}
-        What is measured now, less or more than that, something else instead, or what the
-        estimator makes of what is measured now.
+        What is measured now, less or more than that, another choice, or the information left in the
+        estimator's result for what is measured now.
     unknown : tuple of str
-        The parameters that have to be estimated.
+        Parameters that have to be estimated.
     information : array of shape (n_vehicles, n_unknown, n_unknown)
         With respect to ratios to healthy.
     """
@@ -86,20 +85,20 @@ class Option:
 
 
 class _FurtherCurves(CurveObserver):
-    """The responses from the axle box to a generator's further places on frame and body."""
+    """Responses from the axle box to a generator's further places on frame and body."""
 
     def noise_free(self, ratios: Tensor) -> Tensor:
-        """Return their magnitudes, shape (n_vehicles, 2, n_freq), [-]."""
+        """Return the magnitudes of the further responses, shape (n_vehicles, 2, n_freq), [-]."""
         return self.generator.further_channels(ratios, self.frequencies_hz)[:, 0, :2].abs()
 
 
 def options(task: Task, observer: Observer, ratios: FloatArray) -> list[Option]:
     """Return the options of measurement for a task; the first is what is measured now.
 
-    Of curves: one of them, both, and further ones of the same signal-to-noise ratio. Of trips: the
-    recordings of fewer and of more sensors, of pairs and of one side where the vehicle rolls, and
-    the estimate that is made of three. Of either: the car-body mass, and twice the sensors.
-    `ratios` has the shape (n_vehicles, 5).
+    For curves: one of them, both, and further ones of the same signal-to-noise ratio. For trips:
+    recordings of fewer and more sensors, of pairs and of one side where the vehicle rolls, and the
+    estimate from three sensors. For both: the car-body mass, and twice the sensors. `ratios` has
+    the shape (n_vehicles, 5).
     """
     now, *others = _OPTIONS[observer.settings.kind](task, observer, ratios)
     if task.mass_known:
@@ -110,10 +109,10 @@ def options(task: Task, observer: Observer, ratios: FloatArray) -> list[Option]:
 
 
 def _from_curves(task: Task, observer: CurveObserver, ratios: FloatArray) -> list[Option]:
-    """Return the options of section III-B, all of ``task.varied`` unknown.
+    """Return the options of section III-B, with all of ``task.varied`` unknown.
 
-    Uncertain numbers are those of one vehicle, whichever curves of it are measured: informations
-    add up before these numbers are eliminated.
+    All curves share one vehicle's uncertain numbers, so their information is summed before these
+    numbers are eliminated.
     """
 
     def information(source: CurveObserver, response: str) -> FloatArray:
@@ -135,7 +134,7 @@ def _from_curves(task: Task, observer: CurveObserver, ratios: FloatArray) -> lis
         if responses != measured:
             found.append(option(title, _against(responses, measured), total))
     further = _FurtherCurves(observer.settings, observer.generator)
-    # the second axle box moves as much as the first: its curve is 1 whatever the parameters
+    # the second axle box moves as much as the first, so its curve is always 1
     for place, name in zip(observer.generator.further_places, RESPONSES, strict=False):
         found.append(option(f"+ {place}", "more", now + information(further, name)))
     return [*found, option(f"+ {SECOND_SET}", "more", 2 * now)]
@@ -172,9 +171,9 @@ def _from_recordings(task: Task, observer: EstimateObserver, ratios: FloatArray)
 def _sides(
     task: Task, observer: EstimateObserver, ratios: FloatArray, three: FloatArray
 ) -> list[Option]:
-    """Return the options of sensors left and right of a vehicle that rolls, and of one side alone.
+    """Return the options of sensors on both sides of a vehicle that rolls, and on one side.
 
-    The mean of a pair does not see roll and has half the noise of one sensor.
+    The mean of a pair does not measure roll and has half the noise of one sensor.
     """
     generator = observer.generator
     if not isinstance(generator, VerticalVehicle) or "roll" not in generator.parts:
@@ -186,7 +185,8 @@ def _sides(
     found = []
     for title, kind, lateral_m, count in kinds:
         if kind == "less" and generator.rolls:
-            continue  # what is measured now
+            continue  # this is the baseline already
+
         source = observer.settings.observer(replace(generator, sensor_lateral_m=lateral_m))
         (information,) = recording_information(source, ratios, task.varied, [count * three])
         found.append(Option(title, kind, task.varied, information))
@@ -197,20 +197,15 @@ _OPTIONS: dict[str, Callable[..., list[Option]]] = {
     CurveSettings.kind: _from_curves,
     EstimateSettings.kind: _from_recordings,
 }
-"""Function that lists the options, by the kind of the observation."""
+"""Function that lists the options, by the kind of observation."""
 
 
 @dataclass(frozen=True)
 class Bound:
-    """The bound of one parameter when something is measured.
+    """The bound of one parameter for an option.
 
-    Attributes
-    ----------
-    parameter : str
-    healthy_percent : float, [%]
-        At the healthy vehicle.
-    percentiles : tuple of floats, [%]
-        Over the range, at ``PERCENTILES``; not interpolated, since bounds may be infinite.
+    `healthy_percent` is that of the healthy vehicle; `percentiles` are over the range, at
+    ``PERCENTILES``, not interpolated because bounds may be infinite; all in [%].
     """
 
     parameter: str
@@ -229,13 +224,13 @@ class Bound:
 
     @property
     def verdict(self) -> str:
-        """How well the parameter is identified, by its 95th percentile: see ``VERDICTS``."""
+        """How well the parameter is identified, from the 95th percentile and ``VERDICTS``."""
         fitting = (word for threshold, word in VERDICTS if self.p95_percent <= threshold)
         return next(fitting, UNIDENTIFIED)
 
 
 def with_healthy(ratios: FloatArray) -> FloatArray:
-    """Return the ratios with the healthy vehicle in front, shape (1 + n_vehicles, 5), [-]."""
+    """Return the ratios with the healthy vehicle prepended, shape (1 + n_vehicles, 5), [-]."""
     return np.concatenate([np.ones((1, len(PARAMETERS))), ratios])
 
 
@@ -254,15 +249,14 @@ def bounds(option: Option, ratios: FloatArray) -> list[Bound]:
 
 @dataclass(frozen=True)
 class Direction:
-    """An eigenvector of the information on logarithmic parameters: what is uncertain together.
+    """An eigenvector of the information on logarithmic parameters: a joint uncertainty.
 
     Attributes
     ----------
-    parameters : tuple of str
     components : array of shape (n_parameters,), [-]
-        Relative changes, of length 1, the largest positive.
+        Relative changes, of norm 1, the largest positive.
     deviation_percent : float, [%]
-        Standard deviation along the direction; inf where it leaves the curves unchanged.
+        Standard deviation along the direction; inf if it does not change the curves.
     """
 
     parameters: tuple[str, ...]
@@ -271,22 +265,22 @@ class Direction:
 
     @property
     def taking_part(self) -> dict[str, float]:
-        """The parameters that move noticeably, and their components."""
+        """The parameters with a noticeable component, and that component."""
         largest = np.abs(self.components).max()
         pairs = zip(self.parameters, self.components.tolist(), strict=True)
         return {name: part for name, part in pairs if abs(part) >= TAKES_PART * largest}
 
     @property
     def changes_percent(self) -> dict[str, float]:
-        """How one standard deviation along the direction changes each parameter, [%].
+        """Change of each parameter for one standard deviation along the direction, [%].
 
-        The squares of a parameter's changes, summed over all directions, are its bound squared.
+        A parameter's bound squared is the sum of the squares of these over all directions.
         """
         changes = self.components * self.deviation_percent
         return dict(zip(self.parameters, changes.tolist(), strict=True))
 
     def words(self) -> str:
-        """Return which parameters move, and whether together or against each other."""
+        """Return which parameters change, and whether in the same or in opposite directions."""
         parts = self.taking_part
         up = [name for name, part in parts.items() if part > 0]
         down = [name for name, part in parts.items() if part < 0]
@@ -302,12 +296,8 @@ class Direction:
 def directions(information: FloatArray, parameters: Sequence[str]) -> list[Direction]:
     """Return the eigenvectors of the information on logarithmic parameters, weakest first.
 
-    A parameter without any information is a direction of its own.
-
-    Parameters
-    ----------
-    information : array of shape (n_parameters, n_parameters)
-        With respect to ratios, at the healthy vehicle: there, with respect to logarithms as well.
+    `information` is that at the healthy vehicle, where ratios and logarithms have the same one. A
+    parameter without any information is a direction of its own.
     """
     names, size = tuple(parameters), len(parameters)
     seen = np.diag(information) > 0

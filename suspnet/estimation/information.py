@@ -1,6 +1,6 @@
-"""Cramer-Rao bounds, and the least error where stiffness and mass are not identifiable.
+"""Cramer-Rao bounds, and the smallest error where stiffness and mass are not identifiable.
 
-An unbiased estimator of theta has at least the covariance I^-1, I the Fisher information: J^T J,
+The covariance of an unbiased estimator is at least I^-1, with the Fisher information I = J^T J and
 J the derivative of the curves in units of their noise (`suspnet.spectra.expected_spectra`). A
 Gaussian error has MAPE = sqrt(2 / pi) times its relative standard deviation.
 """
@@ -26,7 +26,7 @@ STEP = 1e-5
 NODES = 24
 """Number of nodes of the quadrature over the noise."""
 WIDEST = 1e4
-"""Largest bound that is computed with, relative to the range; larger ones lose digits."""
+"""Largest bound used in a computation, relative to the range; larger ones lose digits."""
 
 
 def fisher_information(
@@ -37,15 +37,15 @@ def fisher_information(
 ) -> FloatArray:
     """Return the information of noisy curves on some parameters, the others being known.
 
-    I = J^T J, J the derivative of the observer's misfit by automatic differentiation. Of
-    magnitudes with white noise that is sum over curves of J^T J / rms^2, J the derivative of the
-    curves. Of transfer functions estimated from a trip, with J the derivative of
-    (log G_p, log G_s), Sigma the covariance of their estimate and r = ``Welch.correlated_bins``::
+    I = J^T J, J the derivative of the observer's misfit by automatic differentiation. For
+    magnitudes with white noise, I is the sum over curves of J^T J / rms^2, J the derivative of the
+    curves. For transfer functions estimated from a trip, with J the derivative of (log G_p, log
+    G_s), Sigma the covariance of their estimate and r = ``Welch.correlated_bins``::
 
         I = 2 / r sum over bins of Re(J^H Sigma^-1 J)
 
-    Bins where the estimate is weak count for nothing. A generator's uncertain numbers are unknown
-    too, at the median of their distribution: see `without_uncertain`.
+    Weak bins do not count. A generator's uncertain numbers are unknown too, at the median of their
+    distribution: see `without_uncertain`.
 
     Parameters
     ----------
@@ -69,18 +69,10 @@ def joint_information(
     responses: Sequence[str] = RESPONSES,
     directions: Directions | None = None,
 ) -> FloatArray:
-    """Return the information of curves on parameters and uncertain numbers together.
+    """Return the joint information of curves on parameters and uncertain numbers.
 
-    That of independent curves adds up; `without_uncertain` counts the prior once.
-
-    Parameters
-    ----------
-    directions : Directions, optional
-        Coordinates of the uncertain numbers; None is the observer's own.
-
-    Returns
-    -------
-    array of shape (n_vehicles, n_parameters + n_z, n_parameters + n_z)
+    The shape is (n_vehicles, n_parameters + n_z, n_parameters + n_z). Informations of independent
+    curves add; `without_uncertain` includes the prior once. `directions` None means the observer's.
     """
     directions = observer.directions if directions is None else directions
     columns = columns_of(parameters)
@@ -97,17 +89,14 @@ def joint_information(
 
 
 def without_uncertain(information: FloatArray, n_parameters: int) -> FloatArray:
-    """Return the information on parameters where uncertain numbers are unknown but for a prior.
+    """Return the information on parameters with uncertain numbers unknown except for a prior.
 
-    With z their standard normal coordinates (`suspnet.spectra.observation`), what is not known of
-    them counts against the parameters (van Trees, Detection, estimation and modulation theory,
-    1968)::
+    With z their standard normal coordinates, the uncertainty of z reduces the information (van
+    Trees, Detection, estimation and modulation theory, 1968)::
 
         I = I_tt - I_tz (I_zz + 1)^-1 I_zt
 
-    Parameters
-    ----------
-    information : array of shape (..., n_parameters + n_z, n_parameters + n_z)
+    `information` has the shape (..., n_parameters + n_z, n_parameters + n_z).
     """
     n = n_parameters
     found = information[..., :n, :n]
@@ -123,7 +112,7 @@ def _derivative(misfit: Misfit, ratios: Tensor, columns: Sequence[int]) -> Tenso
     """Return the derivative of a misfit to some of the ratios, (n, n_columns, n_points).
 
     J^T v by reverse differentiation is linear in v: its derivative with respect to v is J. One
-    evaluation serves all columns; torch.func.jvp takes one for each and, once, two seconds to
+    evaluation serves all columns, while torch.func.jvp needs one for each and, once, two seconds to
     import the compiler of torch.
     """
     with torch.enable_grad():
@@ -149,11 +138,10 @@ def _nuisance(directions: Directions, misfit: Misfit, ratios: Tensor) -> Tensor:
 
 
 def cramer_rao(information: FloatArray) -> FloatArray:
-    """Return the least standard deviations, shape (n, n_parameters); inf where unidentifiable.
+    """Return the smallest standard deviations, shape (n, n_parameters); inf where unidentifiable.
 
-    A parameter on which there is no information has the bound inf. A matrix that is not finite, or
-    whose scaled form has a condition number above 1e12, has no usable inverse: all of its bounds
-    are inf.
+    A parameter without information has the bound inf. If a matrix is not finite, or its scaled form
+    has a condition number above 1e12, all of its bounds are inf.
     """
     finite = np.asarray(np.isfinite(information).all(axis=(1, 2)))
     information = np.where(finite[:, None, None], information, 0.0)
@@ -171,17 +159,13 @@ def cramer_rao(information: FloatArray) -> FloatArray:
 
 
 def scale_ambiguity_bound(task: Task, ratios: FloatArray) -> dict[str, dict[str, float]]:
-    """Return the least MAPE and RMSE from abs(G_s) alone with the mass unknown.
+    """Return the smallest MAPE and RMSE from abs(G_s) alone with the mass unknown.
 
-    G_s depends on k_s / M_s and c_s / M_s only. Given these two, without any noise, each level m
-    of the mass is possible where k_s = (k_s / M_s) m and c_s stay in range, with probability
-    proportional to m^2 (the density of k_s, c_s uniform in their range, seen through the ratios).
-    The mean over the levels has the least RMSE, the median weighted by 1/k_s the least MAPE.
-
-    Parameters
-    ----------
-    ratios : array of shape (n_vehicles, 5), [-]
-        Over which the errors are averaged.
+    G_s depends on k_s / M_s and c_s / M_s only. Given these two, without any noise, each level m of
+    the mass is possible where k_s = (k_s / M_s) m and c_s are within their range, with probability
+    proportional to m^2 (the density of k_s, c_s, uniform in their range, in terms of these
+    quotients). The mean over the levels has the smallest RMSE, the median weighted by 1/k_s the
+    smallest MAPE. Errors are averaged over `ratios`, (n_vehicles, 5).
     """
     levels = task.levels("M_s")
     mass = ratios[:, MASS]
@@ -208,11 +192,7 @@ def scale_ambiguity_bound(task: Task, ratios: FloatArray) -> dict[str, dict[str,
 def output_bounds(task: Task, observer: Observer, ratios: FloatArray) -> FloatArray:
     """Return the Cramer-Rao bounds of a task's outputs, shape (n_vehicles, n_outputs), [-].
 
-    All parameters that vary and are not measured are estimated jointly from the task's curves.
-
-    Parameters
-    ----------
-    ratios : array of shape (n_vehicles, 5), [-]
+    All parameters that vary and are not measured are estimated jointly. `ratios`: (n_vehicles, 5).
     """
     information = fisher_information(observer, ratios, task.unknown, task.responses)
     return cramer_rao(information)[:, [task.unknown.index(name) for name in task.outputs]]
@@ -221,16 +201,11 @@ def output_bounds(task: Task, observer: Observer, ratios: FloatArray) -> FloatAr
 def best_possible(
     task: Task, bounds: FloatArray, ratios: FloatArray
 ) -> dict[str, dict[str, float]]:
-    """Return {output: {"mape_percent": ..., "rmse": ...}}: the least errors of a task.
+    """Return {output: {"mape_percent": ..., "rmse": ...}}: the smallest errors of a task.
 
-    The Cramer-Rao bound averaged over `ratios`; where the car-body mass cannot be separated from
-    the suspension (abs(G_s) alone), the least error under that ambiguity.
-
-    Parameters
-    ----------
-    bounds : array of shape (n_vehicles, n_outputs), [-]
-        From `output_bounds`.
-    ratios : array of shape (n_vehicles, 5), [-]
+    The Cramer-Rao `bounds` (n_vehicles, n_outputs), averaged over `ratios` (n_vehicles, 5); where
+    the car-body mass cannot be separated from the suspension (abs(G_s) alone),
+    `scale_ambiguity_bound`.
     """
     ambiguous = task.responses == ("G_s",) and "M_s" in task.unknown
     if ambiguous and task.sampling == "grid":
@@ -249,19 +224,11 @@ def relative_percent(task: Task, bounds: FloatArray, ratios: FloatArray) -> Floa
 
 
 def range_limited(bounds: FloatArray, ratios: FloatArray, low: float, high: float) -> FloatArray:
-    """Return the least rms error of one parameter where its range is known, shape (n,), [-].
+    """Return the smallest rms error of one parameter if its range is known, shape (n,), [-].
 
-    An estimate x = theta + s e, e standard normal, is best replaced by the mean of theta given x
-    and low <= theta <= high, all equally likely: the mean of a truncated normal. The error of that
-    mean, averaged over e, is what an estimator that knows the range can reach.
-
-    Parameters
-    ----------
-    bounds : array of shape (n,), [-]
-        s: the Cramer-Rao bounds.
-    ratios : array of shape (n,), [-]
-        theta.
-    low, high : float, [-]
+    For an estimate x = theta + s e, e standard normal, the best replacement is the mean of theta
+    given x and low <= theta <= high, all equally likely: the mean of a truncated normal. Its error,
+    averaged over e, is the bound. s is `bounds` (n,), theta is `ratios` (n,).
     """
     e, weights = np.polynomial.hermite_e.hermegauss(NODES)
     s = np.minimum(bounds, WIDEST * (high - low))[:, None]
@@ -273,7 +240,7 @@ def range_limited(bounds: FloatArray, ratios: FloatArray, low: float, high: floa
 
 
 def _truncated_mean(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Return the mean of a standard normal number known to lie between a and b.
+    """Return the mean of a standard normal number truncated to a..b.
 
     (phi(a) - phi(b)) / (Phi(b) - Phi(a)), both over phi(a), which may underflow; mirrored where the
     interval lies on the left.

@@ -1,4 +1,4 @@
-"""Prediction intervals of stiffness and damping: calibrated on fresh simulated curves.
+"""Prediction intervals of stiffness and damping, calibrated on fresh simulated curves.
 
 Split-conformal, normalised by the residual scale of each sample. With r the residual and d the
 residual scale of calibration sample i, output j::
@@ -9,10 +9,10 @@ residual scale of calibration sample i, output j::
 where s_(k)j is the k-th smallest score. If new samples are drawn as the calibration samples were,
 the interval holds the truth with probability of at least `level` (Papadopoulos et al., Inductive
 confidence machines for regression, 2002; Lei et al., Distribution-free predictive inference for
-regression, 2018). For all outputs at once the largest score of each sample takes the place of s_ij.
+regression, 2018). For all outputs at once the largest score of each sample replaces s_ij.
 
-The residual scale of a refined estimate is the standard deviation that Gauss-Newton gives. For any
-other method it is learnt: an MSVR from the features to the logarithm of the absolute residual, on
+The residual scale of a refined estimate is its standard deviation from Gauss-Newton. For any other
+method it is learnt, by an MSVR from the features to the logarithm of the absolute residual, on
 other curves than those that give the scores.
 """
 
@@ -30,34 +30,28 @@ from suspnet.ground.types import FloatArray
 from suspnet.learning import MSVR, Scaling
 
 SMALLEST_SHARE = 1e-3
-"""Floor of the residuals as a share of their median, which their logarithm needs."""
+"""Floor of the absolute residuals as a fraction of their median, since their logarithm is taken."""
 PENALTY = 0.1
 """C of the MSVR; small, as the logarithm of a residual scatters by 1.1 about its mean."""
 N_COMPONENTS = 512
 SCALE = "residual_scale."
-"""Prefix of the names of the arrays of the residual scale."""
+"""Name prefix of the residual scale's arrays."""
 
 
 @dataclass(frozen=True)
 class Conformal:
-    """Scores of the calibration samples, from which the half widths follow.
+    """Scores of the calibration samples, which determine the half widths.
 
-    Attributes
-    ----------
-    scores : array of shape (n_calibration, n_outputs), [-]
-        Residuals over residual scales, >= 0.
+    `scores` (n_calibration, n_outputs) are absolute residuals over residual scales.
     """
 
     scores: FloatArray
 
     @classmethod
     def of(cls, residuals: FloatArray, scales: FloatArray) -> Self:
-        """Return the calibration by residuals and residual scales, each (n_calibration, n_outputs).
+        """Return the scores of residuals and residual scales, each (n_calibration, n_outputs).
 
-        Raises
-        ------
-        ValueError
-            If there is no sample, a value is not finite or a residual scale is not positive.
+        Raises ValueError if there is no sample, a value is not finite or a scale is not positive.
         """
         if residuals.ndim != 2 or residuals.shape != scales.shape or not len(residuals):
             raise ValueError(
@@ -73,17 +67,12 @@ class Conformal:
     def factors(self, level: float) -> FloatArray:
         """Return q, half widths over residual scales, shape (n_outputs,).
 
-        Infinite where so few samples cannot give so high a level.
-
-        Raises
-        ------
-        ValueError
-            Unless 0 < level < 1.
+        Infinite where there are too few samples for the level; ValueError unless 0 < level < 1.
         """
         return _quantiles(self.scores, level)
 
     def joint_factor(self, level: float) -> float:
-        """Return the factor of a box that holds all outputs at once with probability `level`."""
+        """Return the factor for a box that contains all outputs with probability `level`."""
         return float(_quantiles(self.scores.max(axis=1, keepdims=True), level)[0])
 
 
@@ -99,14 +88,10 @@ def _quantiles(scores: FloatArray, level: float) -> FloatArray:
 
 @dataclass(frozen=True)
 class ResidualScale:
-    """An estimate of the absolute residual from the inputs of the model.
+    """Regression of the absolute residual on the inputs of the model.
 
-    Attributes
-    ----------
-    regression : MSVR
-        From scaled inputs to scaled logarithms.
-    scaling : Scaling
-        Of the absolute residuals.
+    `regression` maps scaled inputs to scaled logarithms; `scaling` is that of the absolute
+    residuals.
     """
 
     regression: MSVR
@@ -114,18 +99,9 @@ class ResidualScale:
 
     @classmethod
     def learnt(cls, inputs: FloatArray, residuals: FloatArray) -> Self:
-        """Return the residual scale learnt from some samples.
+        """Return the residual scale learnt from scaled `inputs` (n, n_inputs).
 
-        Parameters
-        ----------
-        inputs : array of shape (n, n_inputs)
-            Scaled.
-        residuals : array of shape (n, n_outputs)
-
-        Raises
-        ------
-        ValueError
-            If every residual of an output is the same: there is nothing to learn from.
+        `residuals` has the shape (n, n_outputs). Raises ValueError if all of an output are equal.
         """
         sizes = np.abs(residuals)
         sizes = np.maximum(sizes, SMALLEST_SHARE * np.median(sizes, axis=0))
@@ -134,23 +110,18 @@ class ResidualScale:
         return cls(regression, scaling)
 
     def predict(self, inputs: FloatArray) -> FloatArray:
-        """Return the residual scale of samples with scaled inputs (n, n_inputs), (n, n_outputs)."""
+        """Return the residual scale (n, n_outputs) of scaled inputs (n, n_inputs)."""
         scaled = self.regression.predict(inputs)
         return self.scaling.undo(np.asarray(scaled).reshape(len(inputs), -1))
 
 
 @dataclass(frozen=True)
 class Intervals:
-    """Calibrated intervals about estimates.
+    """Calibrated intervals of estimates.
 
-    Attributes
-    ----------
-    conformal : Conformal
-    log : bool
-        Whether residuals are those of logarithms: intervals are then estimate * exp(+-half width),
-        else estimate +- half width.
-    residual_scale : ResidualScale or None
-        None where the deviations of the refined estimate serve.
+    `log` states whether residuals are those of logarithms: intervals are then
+    estimate * exp(+-half width), else estimate +- half width. `residual_scale` is None where the
+    deviations of the refined estimate are used.
     """
 
     conformal: Conformal
@@ -161,22 +132,11 @@ class Intervals:
     def learnt(cls, inputs: FloatArray, residuals: FloatArray, log: bool) -> Self:
         """Return intervals whose residual scale is learnt from one half of the samples.
 
-        The other half gives the scores: samples that have taught the scale would have scores that
-        are too small. Measured, any share from a third to five sixths gives the same width to 1 %,
-        and the more scores, the less the coverage scatters.
-
-        Parameters
-        ----------
-        inputs : array of shape (n, n_inputs)
-            Of the residual scale; scaled.
-        residuals : array of shape (n, n_outputs)
-        log : bool
-            Whether these are residuals of logarithms.
-
-        Raises
-        ------
-        ValueError
-            If there is nothing to learn from: no sample, or every residual the same.
+        The other half gives the scores, which would be too small on the samples that train the
+        scale. Any fraction from a third to five sixths gives the same width to 1 % (measured), and
+        more scores make the coverage scatter less. `inputs` (n, n_inputs) are scaled; `residuals`
+        has the shape (n, n_outputs). Raises ValueError without samples or if all residuals are
+        equal.
         """
         half = len(residuals) // 2
         scale = ResidualScale.learnt(inputs[:half], residuals[:half])
@@ -187,13 +147,8 @@ class Intervals:
     ) -> tuple[FloatArray, FloatArray]:
         """Return lower and upper ends of the intervals, each (n, n_outputs), [-].
 
-        Parameters
-        ----------
-        estimates, scales : arrays of shape (n, n_outputs)
-        level : float
-            Probability that the interval holds the truth.
-        joint : bool
-            All outputs at once, not each.
+        `estimates` and `scales` have the same shape. With `joint`, all outputs are inside at once
+        with the probability `level`, instead of each.
         """
         factors = self.conformal.joint_factor(level) if joint else self.conformal.factors(level)
         half = scales * factors
@@ -202,7 +157,7 @@ class Intervals:
         return estimates - half, estimates + half
 
     def state(self) -> dict[str, FloatArray]:
-        """Return the arrays that make up the intervals, for storage."""
+        """Return the arrays of the intervals, for storage."""
         arrays = {"scores": self.conformal.scores, "log": np.array([float(self.log)])}
         if self.residual_scale is not None:
             regression, scaling = self.residual_scale.regression, self.residual_scale.scaling
@@ -212,13 +167,7 @@ class Intervals:
 
     @classmethod
     def restored(cls, arrays: Mapping[str, FloatArray]) -> Self:
-        """Return the intervals whose `state` this is.
-
-        Raises
-        ------
-        KeyError, ValueError
-            If arrays are missing or do not fit together.
-        """
+        """Return the intervals from their `state`; KeyError or ValueError if it is invalid."""
         scores, log = arrays["scores"], arrays["log"]
         if scores.ndim != 2 or not len(scores) or not (np.isfinite(scores) & (scores >= 0)).all():
             raise ValueError("`scores` must be a table of numbers >= 0")
@@ -241,10 +190,10 @@ class Intervals:
 
 
 def residuals(estimates: FloatArray, truth: FloatArray, log: bool) -> FloatArray:
-    """Return estimates minus truth, of the logarithms or of the ratios themselves."""
+    """Return estimates minus truth, of the logarithms if `log`."""
     return np.log(estimates / truth) if log else estimates - truth
 
 
 def _learner(n_inputs: int) -> MSVR:
-    """Return the regression of a residual scale, as wide as standardised inputs are far apart."""
+    """Return the regression of a residual scale, with a kernel width for standardised inputs."""
     return MSVR(PENALTY, math.sqrt(n_inputs), n_components=N_COMPONENTS, random_state=0)

@@ -1,10 +1,10 @@
 """Out-of-distribution (OOD) detection: inputs and curves that a model was not trained for.
 
-Six kinds of flags, each with its reason as text: a peak is missing; the features lie beyond the
-cloud of the training curves; a parameter lies outside the range of the training curves; the
-generator, with whatever parameters, does not explain the curve; it did not explain the healthy
-trips that it was commissioned on (`suspnet.estimation.physics`, which sets that flag); or left and
-right differ, which estimates take as equal (`suspnet.estimation.trip_flags`, which sets that one).
+There are six kinds of flags, each with its reason as text: a peak is missing; the features lie
+outside the cloud of the training curves; a parameter lies outside the training range; the generator
+does not explain the curve with any parameters; it did not explain the healthy trips of its
+commissioning (set by `suspnet.estimation.physics`); left and right differ, while estimates assume
+equal sides (set by `suspnet.estimation.trip_flags`).
 """
 
 from __future__ import annotations
@@ -24,29 +24,25 @@ from suspnet.estimation.refine import Refined
 from suspnet.ground.types import BoolArray, FloatArray
 
 N_REFERENCE, N_NEIGHBOURS = 4096, 4
-"""Number of training features that the detector stores, and of the nearest neighbours whose mean
-distance is compared with the threshold."""
+"""Number of training features that the detector stores, and of the nearest neighbours over which
+the distance is averaged."""
 FALSE_ALARMS = 1e-4
-"""False-alarm rate of the distance of features, on curves like the training curves."""
+"""False-alarm rate of the feature distance on curves like the training curves."""
 MISFIT_DEVIATIONS = 4.5
 """Threshold of the misfit above its mean over curves like the training curves, in standard
-deviations of theirs."""
+deviations."""
 EDGE_DEVIATIONS = 2.33
-"""Standard deviations by which a parameter must lie outside its range to be flagged; 1 % of those
-on its edge are."""
+"""Standard deviations by which a parameter must lie outside its range to be flagged; it flags 1 %
+of the vehicles on the edge of the range."""
 
 
 @dataclass(frozen=True)
 class OODDetector:
     """An out-of-distribution detector: training features, thresholds of distance and misfit.
 
-    Attributes
-    ----------
-    reference : array of shape (n_reference, n_inputs), [-]
-        Scaled features of training curves; none for a method that works on curves.
-    distance_threshold : float, [-]
-        Largest distance of features like the training features from the reference.
-    misfit_threshold : float, [-]
+    `reference` (n_reference, n_inputs) are scaled features of training curves, without rows for a
+    method that works on curves. `distance_threshold` applies to the mean distance from the nearest
+    neighbours.
     """
 
     reference: FloatArray
@@ -57,14 +53,9 @@ class OODDetector:
     def learnt(cls, training: FloatArray, fresh: FloatArray, misfits: FloatArray) -> Self:
         """Return the detector of a model.
 
-        Parameters
-        ----------
-        training : array of shape (n_train, n_inputs)
-            Scaled inputs of the training curves; no rows for a method that works on curves.
-        fresh : array of shape (n_fresh, n_inputs)
-            Of other curves made in the same way.
-        misfits : array of shape (n_fits,)
-            Of refined estimates of such curves.
+        `training` (n_train, n_inputs) are scaled inputs of the training curves, without rows for a
+        method that works on curves; `fresh` those of other curves generated alike; `misfits`
+        (n_fits,) those of refined estimates of such curves.
         """
         misfit_threshold = float(misfits.mean()) + MISFIT_DEVIATIONS * float(misfits.std())
         detector = cls(training[:N_REFERENCE], math.inf, misfit_threshold)
@@ -89,12 +80,8 @@ class OODDetector:
     ) -> Flags:
         """Return the flags of the estimates of some curves.
 
-        Parameters
-        ----------
-        missing : sequence of str
-            What is missing of each curve's features; empty if nothing is.
-        inputs : array of shape (n_curves, n_inputs), [-]
-            Scaled; NaN where a peak is missing.
+        `missing` states what is missing of each curve's features (empty: nothing); `inputs`
+        (n_curves, n_inputs) are scaled, NaN where a peak is missing.
         """
         complete = np.isfinite(inputs).all(axis=1)
         distances = np.zeros(len(inputs))
@@ -137,18 +124,18 @@ class OODDetector:
         beyond = np.maximum(low - inputs, inputs - high) / (high - low)
         worst = task.inputs[int(np.argmax(beyond))]
         return (
-            f"the features lie {distance / self.distance_threshold:.2g} times as far from the "
-            f"training curves' as any of these, {worst} most of all"
+            f"the features lie {distance / self.distance_threshold:.2g} times the threshold "
+            f"distance from the training curves, mainly because of {worst}"
         )
 
     def state(self) -> dict[str, FloatArray]:
-        """Return the arrays that make up the detector, for storage."""
+        """Return the arrays of the detector, for storage."""
         thresholds = np.array([self.distance_threshold, self.misfit_threshold])
         return {"reference": self.reference, "thresholds": thresholds}
 
     @classmethod
     def restored(cls, arrays: Mapping[str, FloatArray]) -> Self:
-        """Return the detector whose `state` this is; KeyError, ValueError if it is not one."""
+        """Return the detector from its `state`; KeyError or ValueError if it is invalid."""
         reference, thresholds = arrays["reference"], arrays["thresholds"]
         if thresholds.shape != (2,) or np.isnan(thresholds).any():
             raise ValueError("`thresholds` must be two numbers")
@@ -163,7 +150,7 @@ class OODDetector:
 
 
 def _outside(task: Task, name: str, refined: Refined) -> BoolArray:
-    """Return which curves have a parameter clearly outside the range trained for."""
+    """Return which curves have a parameter clearly outside the training range."""
     low, high = np.log(_range(task, name))
     ratios, deviations = refined.of((name,))
     margin = EDGE_DEVIATIONS * deviations[:, 0]
@@ -172,7 +159,7 @@ def _outside(task: Task, name: str, refined: Refined) -> BoolArray:
 
 
 def _range(task: Task, name: str) -> tuple[float, float]:
-    """Return the range trained for: a grid stands for what lies within half a step of it."""
+    """Return the training range; a grid covers half a step beyond its ends."""
     low, high = task.range(name)
     if task.sampling == "sobol":
         return low, high

@@ -1,12 +1,12 @@
-"""Physics that a model lacks: what healthy trips leave unexplained, and what that could cost.
+"""Physics that a model lacks: the unexplained residual of healthy trips, and its possible cost.
 
-With d_gf the logarithm of what group g of the healthy trips shows in bin f over what the
-commissioned vehicle gives there, and s_gf the standard deviation of its real and imaginary part::
+With d_gf the logarithm of the response of group g of the healthy trips in bin f over that of the
+commissioned vehicle, and s_gf the standard deviation of its real and imaginary part::
 
     d_f = sum_g d_gf / s_gf^2 / sum_g 1 / s_gf^2,     v_f = 1 / sum_g 1 / s_gf^2
     e = max(0, 1 - 1 / mean_f |d_f|^2 / (2 v_f))
 
-e is the share of |d|^2 that noise does not make, for each of both responses, and sqrt(e) d the
+e is the fraction of |d|^2 that is not due to noise, for each of both responses, and sqrt(e) d the
 systematic error of the model's curves, with either sign. The cost of an output is ``WORN`` times
 the rms change of its logarithm when curves like the training curves are multiplied by
 exp(+-sqrt(e) d). It counts as one more standard deviation of the estimate.
@@ -24,38 +24,39 @@ from suspnet.estimation.estimate import Flags
 from suspnet.ground.types import ComplexArray, FloatArray
 
 INCOMPLETE = 1.09
-"""Misfit of the healthy trips above which the physics is called incomplete.
+"""Misfit of the healthy trips above which the physics is considered incomplete.
 
-Three trips of vehicles that the family holds gave 0.94 to 1.06, read without their axle guidance
-1.2, those of one with a second bending mode 5.8 and more (tests/rich_train.py); five trips of one
-whose dampers blow off 1.095 (17 of its 30 worn trips held c_s in 71 % when they went unflagged), of
-one with sensors on one side 1.083.
+Three trips of vehicles within the model family gave 0.94 to 1.06, fitted without their axle
+guidance 1.2, those of one with a second bending mode 5.8 and more (tests/rich_train.py). Five trips
+of a vehicle whose dampers blow off gave 1.095 (unflagged, the intervals of c_s held in 71 % of 17
+of its 30 worn trips), of one with sensors on one side 1.083.
 """
 COSTLY = 0.05
-"""Cost of an output above which the physics is called incomplete, unless all is noise.
+"""Cost of an output above which the physics is considered incomplete, unless all is noise.
 
-Trains that the family holds cost 0.1 % with sensor pairs and 3 % with sensors on one side; dampers
-that blow off leave a misfit of only 1.1 and cost more than this (tests/benchmarks/mismatch.py)."""
+Trains within the model family cost 0.1 % with sensor pairs and 3 % with sensors on one side;
+dampers that blow off leave a misfit of only 1.1 and cost more than this
+(tests/benchmarks/mismatch.py).
+"""
 ALL_NOISE = 1.0
-"""Misfit up to which noise alone is left, whatever the cost.
+"""Misfit up to which the residual is noise alone, whatever the cost.
 
-Short trips of sensors on one side are so noisy that their mean residual, which noise makes too, can
-cost more than ``COSTLY``; the intervals hold it (five of 5 minutes left 0.95 and cost c_p 8 %)."""
+Short trips with sensors on one side are so noisy that their mean residual, to which noise
+contributes, can cost more than ``COSTLY``; the intervals include it (five trips of 5 minutes had a
+misfit of 0.95 and a cost of c_p of 8 %).
+"""
 WORN = 2.0
-"""Error on worn vehicles over that on healthy ones, where the fit has made it least: with it 90 %
-intervals of worn trains with a second bending mode hold 82 to 100 %, with 1 only 53 to 95 %."""
+"""Model error on worn vehicles over that on healthy ones, which the fit minimises: with this factor
+90 % intervals of worn trains with a second bending mode hold in 82 to 100 %, with 1 only in
+53 to 95 %."""
 
 
 @dataclass(frozen=True)
 class Residual:
-    """Mean difference of healthy trips from the vehicle that was commissioned on them.
+    """Mean unexplained difference of healthy trips from the vehicle commissioned on them.
 
-    Attributes
-    ----------
-    misfit : float, [-]
-        Rms of what the vehicle leaves unexplained over that of the noise; 1 if it explains all.
-    logs : complex array of shape (2, n_freq), [-]
-        sqrt(e) d, of G_p and G_s.
+    `misfit` is the rms of the residual over that of the noise, 1 if the vehicle explains all;
+    `logs` (2, n_freq) is sqrt(e) d of G_p and G_s.
     """
 
     misfit: float
@@ -67,12 +68,8 @@ class Residual:
     ) -> Self:
         """Return the residual of some groups of healthy trips.
 
-        Parameters
-        ----------
-        misfit : float, [-]
-        observed, fitted : complex arrays of shape (n_groups, 2, n_freq), [-]
-        deviations : array of shape (n_groups, 2, n_freq), [-]
-            Of the observed log-magnitudes; infinite where a bin is not to be used.
+        `observed`, `fitted`: (n_groups, 2, n_freq); `deviations`, of the same shape, are those of
+        the observed log-magnitudes, infinite where a bin is not used.
         """
         weights = 1 / deviations**2
         total = weights.sum(axis=0)
@@ -86,14 +83,9 @@ class Residual:
 
 @dataclass(frozen=True)
 class Unexplained:
-    """What a model's healthy trips leave unexplained, and its cost.
+    """Misfit of a model's healthy trips (see ``Residual``) and the cost of their residual.
 
-    Attributes
-    ----------
-    misfit : float, [-]
-        See ``Residual``.
-    costs : array of shape (n_outputs,), [-]
-        Standard deviation that it adds to the logarithm of each output.
+    `costs` (n_outputs,) are standard deviations to add to the logarithm of each output.
     """
 
     misfit: float
@@ -101,13 +93,13 @@ class Unexplained:
 
     @property
     def is_incomplete(self) -> bool:
-        """Whether the misfit or its cost says that the model lacks physics."""
+        """Whether the misfit or its cost shows that the model lacks physics."""
         costly = self.misfit > ALL_NOISE and bool((self.costs > COSTLY).any())
         return costly or self.misfit > INCOMPLETE
 
     @property
     def words(self) -> str:
-        """The finding as a sentence; empty if the physics is complete."""
+        """The reason as a sentence; empty if the physics is complete."""
         if not self.is_incomplete:
             return ""
         return (
@@ -116,18 +108,18 @@ class Unexplained:
         )
 
     def flagged(self, flags: Flags) -> Flags:
-        """Return flags with that of incomplete physics, where it is."""
+        """Return the flags with that of incomplete physics set if applicable."""
         if not self.is_incomplete:
             return flags
         return flags.with_kind("physics", self.words)
 
     def state(self) -> dict[str, FloatArray]:
-        """Return the arrays that make it up, for storage."""
+        """Return the arrays of misfit and costs, for storage."""
         return {"misfit": np.array([self.misfit]), "costs": self.costs}
 
     @classmethod
     def restored(cls, arrays: Mapping[str, FloatArray]) -> Self:
-        """Return what has this `state`; KeyError, ValueError if it is not one."""
+        """Return misfit and costs from their `state`; KeyError or ValueError if it is invalid."""
         misfit, costs = arrays["misfit"], arrays["costs"]
         if misfit.shape != (1,) or not misfit[0] >= 0:
             raise ValueError("`misfit` must be one number >= 0")

@@ -1,4 +1,4 @@
-"""A learning problem, and its training data, which follow from the vehicle alone.
+"""A learning problem and its training data, which follow from the vehicle alone.
 
 Degraded vehicles -> noisy curves -> features, block by block.
 """
@@ -28,11 +28,12 @@ from suspnet.spectra.extraction import FeatureSet
 from suspnet.spectra.observation import Observation, Observer
 
 LEARN_FROM = 4096
-"""Number of training curves from which a feature set learns."""
+"""Number of training curves to which a feature set is fitted."""
 BLOCK = 128
-"""Number of curves made at once: they stay in cache and share one seed of their noise."""
+"""Number of curves generated at once: they fit into the CPU cache and share one noise seed."""
 BATCH = 2 * BLOCK
-"""Number of curves whose features are extracted at once; larger arrays need Python's lock less."""
+"""Number of curves whose features are extracted at once; larger arrays need Python's lock less
+often."""
 TRAIN, TEST, CALIBRATE = 0, 1, 2
 """Streams of independent curves: for training, for scores, for the calibration of intervals."""
 STREAM_NAMES = ("training", "test", "calibration")
@@ -49,12 +50,11 @@ class Problem:
         The source of frequency responses.
     task : Task
     settings : Observation
-        How curves are observed; where the band is left to the vehicle, it is that of the
-        generator's.
+        How curves are observed; missing ends of the band follow from the generator's vehicle.
     seed : int
-        Chooses vehicles and noise; block b of stream s draws its noise from (seed, s, b) alone.
+        Seed of vehicles and noise; block b of stream s draws its noise from (seed, s, b) alone.
     threads : int
-        Blocks of curves made at the same time.
+        Number of blocks of curves generated in parallel.
     progress : bool
         Show a progress bar.
 
@@ -83,12 +83,12 @@ class Problem:
 
     @cached_property
     def observer(self) -> Observer:
-        """The source of curves."""
+        """The observer that generates the curves."""
         return self.settings.observer(self.generator)
 
     @cached_property
     def extractor(self) -> FeatureSet:
-        """The task's feature set, fitted to training curves if it is not fitted yet."""
+        """The task's feature set, fitted to training curves if necessary."""
         extractor = self.task.extractor
         if extractor.is_fitted:
             return extractor
@@ -107,19 +107,19 @@ class Problem:
         return extractor.fitted(clean, noisy, healthy, bins)
 
     def features(self, stream: int, part: slice | None = None) -> FeatureData:
-        """Return the features of a stream's curves, from the cache if it has them.
+        """Return the features of a stream's curves, from the cache if possible.
 
         Parameters
         ----------
         stream : int
             ``TRAIN``, ``TEST`` or ``CALIBRATE``.
         part : slice, optional
-            Only these of the batches of ``BATCH`` curves.
+            Range of batches of ``BATCH`` curves; None is all.
 
         Raises
         ------
         ValueError
-            If more curves are asked for than there are, or the healthy vehicle lacks a peak.
+            If the grid has fewer curves, or the healthy vehicle lacks a peak.
         """
         if self.settings.cache_dir is None:
             return self._make_features(stream, part)
@@ -181,11 +181,11 @@ class Problem:
         return -(-n_curves // BLOCK)
 
     def n_batches(self, n_curves: int) -> int:
-        """Return the number of batches that `n_curves` are made in."""
+        """Return the number of batches that hold `n_curves`."""
         return -(-n_curves // BATCH)
 
     def _make_features(self, stream: int, part: slice | None) -> FeatureData:
-        """Return the features of a stream, made in threads, NaN where one is missing."""
+        """Return the features of a stream, computed in threads; NaN where one is missing."""
         ratios = self.ratios(stream)
         batches = range(self.n_batches(len(ratios)))[part or slice(None)]
         asked = slice(batches.start * BATCH, batches.stop * BATCH)
@@ -216,7 +216,7 @@ class Problem:
         return FeatureData(inputs[asked], outputs[asked], ratios[asked], reasons[asked])
 
     def describe(self, stream: int) -> dict[str, Any]:
-        """Return everything that the features depend on, as JSON-able values."""
+        """Return everything that determines the features, as JSON-able values (the cache key)."""
         settings = asdict(self.settings)
         for name in ("cache_dir", "n_train", "n_test", "n_calibrate"):
             del settings[name]
@@ -239,7 +239,7 @@ class Problem:
 
 @dataclass(frozen=True)
 class FeatureData:
-    """Inputs and outputs of a learning problem, one row a curve.
+    """Inputs and outputs of a learning problem, one row per curve.
 
     Attributes
     ----------
@@ -265,13 +265,7 @@ class FeatureData:
         return np.asarray(np.isfinite(self.inputs).all(axis=1))
 
     def complete(self) -> FeatureData:
-        """Return the curves on which every feature was found.
-
-        Raises
-        ------
-        ValueError
-            If there is none.
-        """
+        """Return the curves with every feature; ValueError if there is none."""
         kept = self.valid
         if not kept.any():
             raise ValueError(f"none of the {len(kept)} curves has all of its peaks")
@@ -282,7 +276,7 @@ class FeatureData:
         return self.subset(np.arange(len(self.inputs)) < n_curves)
 
     def subset(self, rows: BoolArray) -> FeatureData:
-        """Return the curves for which `rows` is true, perhaps none."""
+        """Return the curves for which `rows` is true, possibly none."""
         return FeatureData(
             self.inputs[rows], self.outputs[rows], self.ratios[rows], self.reasons[rows]
         )
@@ -290,10 +284,10 @@ class FeatureData:
 
 @contextmanager
 def pool_of(workers: int) -> Iterator[ThreadPoolExecutor]:
-    """Yield a pool of threads, each with one thread of torch if there are several.
+    """Yield a pool of threads; torch uses one thread in each if there are several.
 
-    The arrays of a block are too small to split, so blocks share the cores, not operations. Blocks
-    that wait are dropped when the pool is left by an error or Ctrl-C.
+    The arrays of a block are too small to split, so blocks run in parallel rather than operations.
+    Waiting blocks are cancelled when the pool is left by an error or Ctrl-C.
     """
     before = torch.get_num_threads()
     torch.set_num_threads(1 if workers > 1 else before)

@@ -1,4 +1,4 @@
-"""Protocols: the parameters that vary, the curves measured and the outputs (Table IV)."""
+"""Protocols: the parameters that vary, the measured curves and the outputs (Table IV)."""
 
 from __future__ import annotations
 
@@ -50,9 +50,9 @@ class Task:
     step, mass_step : float
         Grid steps of the suspension's parameters and of the mass, [-].
     mass_known : bool
-        Whether the measured car-body mass ratio is one more input.
+        Whether the measured car-body mass ratio is an additional input.
     log_ratios : bool
-        Whether a model sees logarithms of the ratios to healthy, or the ratios themselves.
+        Whether the model uses logarithms of the ratios to healthy instead of the ratios.
 
     Raises
     ------
@@ -104,7 +104,7 @@ class Task:
 
     @property
     def unknown(self) -> tuple[str, ...]:
-        """Varied parameters that have to be estimated along with the outputs."""
+        """Varied parameters that are not measured and have to be estimated."""
         known = ("M_s",) if self.mass_known else ()
         return tuple(name for name in self.varied if name not in known)
 
@@ -114,7 +114,7 @@ class Task:
         return [RESPONSES.index(name) for name in self.responses]
 
     def describe(self) -> dict[str, Any]:
-        """Return the task as JSON-able values, its feature set without its learnt arrays."""
+        """Return the task as JSON-able values, its feature set without the learnt arrays."""
         extractor = self.extractor.blank()
         plain: dict[str, Any] = json.loads(json.dumps(asdict(replace(self, extractor=extractor))))
         plain["extractor"]["kind"] = extractor.kind
@@ -133,21 +133,20 @@ class Task:
 
     @property
     def grid_size(self) -> int:
-        """Number of curves of the whole grid."""
+        """Number of curves of the full grid."""
         return math.prod(len(self.levels(name)) for name in self.varied)
 
     def sample(self, n_curves: int | None, seed: int, stream: int) -> FloatArray:
         """Return parameter ratios of training (stream 0), test (1) or calibration (2) curves.
 
-        A grid is shuffled by the seed; training curves are taken from its front, test curves from
-        its end and calibration curves from its middle on, so that they share no vehicle unless
-        they ask for more than the grid holds. Sobol points are scrambled with a seed of their own
-        for each stream.
+        A grid is shuffled by the seed. Training curves come from its start, test curves from its
+        end and calibration curves from its middle, so they share no vehicle unless the grid is too
+        small. Sobol points are scrambled with a separate seed for each stream.
 
         Parameters
         ----------
         n_curves : int or None
-            None is the whole grid, in its natural order.
+            None is the full grid, in its natural order.
 
         Returns
         -------
@@ -156,7 +155,7 @@ class Task:
         Raises
         ------
         ValueError
-            If more curves are asked for than the grid has, or the whole of a Sobol sequence.
+            If the grid has fewer curves, or if None is given for a Sobol sequence.
         """
         ratios = self._sobol(n_curves, seed, stream) if self.sampling == "sobol" else None
         if ratios is None:
@@ -166,7 +165,7 @@ class Task:
         return full
 
     def _grid(self, n_curves: int | None, seed: int, stream: int) -> FloatArray:
-        """Return rows of the grid of all levels, chosen by the seed for a stream."""
+        """Return the grid rows of a stream, shape (n_curves, n_varied)."""
         levels = [self.levels(name) for name in self.varied]
         total = self.grid_size
         if n_curves is None:
@@ -194,7 +193,7 @@ class Task:
 
 @dataclass(frozen=True)
 class Protocol:
-    """A way of posing the problem; `task` gives the learning problem of one of its groups.
+    """A formulation of the problem; `task` gives the learning problem of one of its groups.
 
     Parameters
     ----------
@@ -277,7 +276,7 @@ class Protocol:
         if self.mass_known and self.estimate_mass:
             raise ValueError("the car-body mass is either known or estimated, not both")
         for group in self.groups:
-            self.task(group)  # which checks all else
+            self.task(group)  # checks everything else
 
     def task(self, group: str) -> Task:
         """Return the learning problem of a group.
@@ -326,7 +325,7 @@ class Protocol:
         return PeakFeatures(peaks=tuple(entry["peaks"]), **self.features)
 
     def _mass_range(self) -> tuple[float, float]:
-        """Return the range of the mass ratio: its own, or else that of the suspension."""
+        """Return the range of the mass ratio, by default that of the suspension."""
         low = self.lower if self.mass_lower is None else self.mass_lower
         return low, self.upper if self.mass_upper is None else self.mass_upper
 

@@ -1,13 +1,12 @@
-"""Gauss-Newton steps on the curve itself, started from a regression's estimate.
+"""Refinement of estimates: maximum-likelihood fit of the curve, started from a regression.
 
-All parameters that vary and are not measured are fitted jointly, so that the result is a
-maximum-likelihood estimate: it reaches the Cramer-Rao bound where the generator is the truth. Its
-information matrix gives the deviations, and the misfit says whether the model can explain the
-curve at all.
+All parameters that vary and are not measured are fitted jointly, so the result reaches the
+Cramer-Rao bound if the generator is the true model. The information matrix gives the deviations,
+and the misfit shows whether the model can explain the curve at all.
 
-A generator's uncertain numbers are fitted along with the parameters, their distribution taken as
-the prior: with z their coordinates (`suspnet.spectra.observation`) the sum of squares is that of
-the curve's residuals and of z, and the result has the largest posterior density.
+A generator's uncertain numbers are fitted as well, with their distribution as prior: the sum of
+squares is that of the curve's residuals and of their coordinates z
+(`suspnet.spectra.observation`), so the result has the largest posterior density.
 """
 
 from __future__ import annotations
@@ -31,31 +30,32 @@ from suspnet.spectra.observation import Directions, Misfit
 TOL = 1e-5
 """Tolerance of the logarithms of the parameters, far below their deviations."""
 FIRST_DAMPING = 1e-6
-"""First damping of `LevenbergMarquardt`: a good start needs little."""
+"""First damping of `LevenbergMarquardt`; a good start needs little."""
 BEYOND = 5.0
-"""Factor on the range of the training curves within which parameters stay."""
+"""Parameters stay within this factor of the range of the training curves."""
 N_LEVELS = 9
-"""Number of levels tried for a parameter without an estimate; the search starts from the best."""
+"""Number of start values tried for a parameter without an estimate."""
 SCATTER = 1.5
-"""Factor on the range within which the scattered vehicles lie."""
+"""Factor on the parameter range within which the scattered vehicles lie."""
 ROWS = 4
-"""Number of curves whose misfits to all scattered vehicles are in memory at a time."""
+"""Number of curves whose misfits to all scattered vehicles are computed at a time."""
 FURTHEST = 6.0
 """Bound of the coordinates of the uncertain numbers, in standard deviations of the prior."""
 TEMPERATURES = (100.0, 10.0)
-"""Factors on the noise of the searches before the last one, where their effect exceeds ``WIDE``."""
+"""Factors on the noise of the searches before the last one, used if the effect exceeds ``WIDE``."""
 WIDE = 200.0
-"""Largest effect of uncertain numbers, in deviations of the noise, for one search alone: above it
+"""Largest effect of uncertain numbers, in deviations of the noise, for a single search: above it
 the search may end far off. The effect is about 60 for a commissioned vehicle."""
 ROUGH_ITER, ROUGH_TOL = 12, 1e-2
 """Iterations and tolerance of the searches before the last one."""
 LEAST_DECREASE = 0.01
-"""Decrease of half the sum of squares at which a search with uncertain numbers ends: these make
-narrow, bent valleys, and no parameter is off by more than sqrt(2 * 0.01) = 0.14 deviations."""
+"""Decrease of half the sum of squares at which a search with uncertain numbers ends. These numbers
+cause narrow, bent valleys, and no parameter is off by more than sqrt(2 * 0.01) = 0.14 deviations.
+"""
 UNCERTAIN_DAMPING = 1e-2
-"""First damping where uncertain numbers are fitted, from whose median the search starts."""
+"""First damping where uncertain numbers are fitted; the search starts from their median."""
 UNEXPLAINED = 1.3
-"""Misfit above which a curve is fitted again from the nearest scattered vehicle."""
+"""Misfit above which a curve is fitted again, from the nearest scattered vehicle."""
 
 
 @dataclass(frozen=True)
@@ -65,12 +65,12 @@ class Refined:
     Attributes
     ----------
     names : tuple of str
-        Names of the columns, the task's unknown parameters.
+        The task's unknown parameters, in the order of the columns.
     ratios : array of shape (n_curves, n_unknown), [-]
     deviations : array of shape (n_curves, n_unknown), [-]
         Standard deviations of log(ratios), inf where the curve does not determine them.
     noise : array of shape (n_curves, n_unknown), [-]
-        Those that were left if the uncertain numbers were known.
+        Those that would remain if the uncertain numbers were known.
     misfit : array of shape (n_curves,), [-]
         Rms of the curve's residuals over that of the noise: 1 if the model explains it. The
         coordinates of uncertain numbers count as residuals.
@@ -85,22 +85,22 @@ class Refined:
     converged: BoolArray
 
     def of(self, names: tuple[str, ...]) -> tuple[FloatArray, FloatArray]:
-        """Return ratios and deviations of some of the parameters, each (n_curves, n_names)."""
+        """Return ratios and deviations of some parameters, each (n_curves, n_names)."""
         columns = [self.names.index(name) for name in names]
         return self.ratios[:, columns], self.deviations[:, columns]
 
     def noise_of(self, names: tuple[str, ...]) -> FloatArray:
-        """Return the deviations by noise alone of some of the parameters, (n_curves, n_names)."""
+        """Return the deviations due to noise alone of some parameters, (n_curves, n_names)."""
         return self.noise[:, [self.names.index(name) for name in names]]
 
     @classmethod
     def joined(cls, parts: Sequence[Refined]) -> Refined:
-        """Return the estimates of several batches of curves, one after the other."""
+        """Return the estimates of several batches of curves, concatenated."""
         merged = {name: np.concatenate([getattr(part, name) for part in parts]) for name in _ROWS}
         return cls(parts[0].names, **merged)
 
     def improved(self, rows: IntArray, other: Refined) -> Refined:
-        """Return the estimates with those rows of `other` that have a smaller misfit."""
+        """Return the estimates with `rows` replaced by those of `other` with a smaller misfit."""
         better = (other.misfit < self.misfit[rows]) | np.isnan(self.misfit[rows])
         chosen = rows[better]
         merged = {}
@@ -112,13 +112,13 @@ class Refined:
 
 
 _ROWS = ("ratios", "deviations", "noise", "misfit", "converged")
-"""Fields of `Refined` that have a row for each curve."""
+"""Fields of `Refined` with one row for each curve."""
 
 
 def complete_ratios(
     task: Task, predicted: FloatArray, mass: FloatArray | None = None
 ) -> FloatArray:
-    """Return all ratios (n, 5) near estimates (n, n_outputs), within the range trained for.
+    """Return all ratios (n, 5) for estimates (n, n_outputs), clipped to the training range.
 
     The ratio is 1 where there is no estimate.
     """
@@ -149,19 +149,20 @@ def refine(
     misfit : Misfit
         Of n_curves curves.
     estimates : array of shape (n_curves, n_outputs), [-]
-        Where the search starts; a row with NaN starts from the healthy vehicle.
+        Start of the search; a row with NaN starts from the healthy vehicle.
     mass : array of shape (n_curves,), optional
-        The measured car-body mass ratio, where the task knows it.
+        Measured car-body mass ratio, if the task knows it.
     directions : Directions, optional
-        Of the uncertain numbers that are fitted too; None takes them as known.
+        Directions of the uncertain numbers to fit as well; None takes the numbers as known.
     near : callable, optional
-        Returns the misfit whose noise is that of vehicles (n_curves, n_columns): with uncertain
-        numbers the noise at the median may be far off. None keeps that of `misfit`.
+        Returns the misfit with the noise of vehicles (n_curves, n_columns): with uncertain numbers
+        the noise at the median may be far off. None retains that of `misfit`.
     max_iter : int
         Levenberg-Marquardt iterations of each search.
     n_scattered : int
-        Vehicles of which the nearest is a second start for a curve that is not explained.
+        Number of vehicles of which the nearest is the second start for an unexplained curve.
     """
+    # start from the regression; parameters it does not estimate start from their best level
     device = misfit.observed.device
     usable = np.asarray(np.isfinite(estimates).all(axis=1))
     start = complete_ratios(task, np.where(usable[:, None], estimates, np.nan), mass)
@@ -173,6 +174,7 @@ def refine(
     wide = directions is not None and directions.strongest > WIDE
     search_from = functools.partial(search.tempered, near) if wide else search.run
     found = search_from(every, search.point(full))
+    # a second search for curves that are not explained, as the first may end in another valley
     bad = np.flatnonzero(~found.converged | ~(found.misfit < UNEXPLAINED) | ~usable)
     if len(bad):
         rows = torch.as_tensor(bad, device=device)
@@ -184,7 +186,7 @@ def refine(
 class _Search:
     """Levenberg-Marquardt in the logarithms of the unknown parameters, within bounds.
 
-    With uncertain numbers, their coordinates follow the parameters.
+    The coordinates of uncertain numbers follow the parameters.
     """
 
     def __init__(
@@ -207,17 +209,17 @@ class _Search:
         )
 
     def point(self, full: Tensor) -> Tensor:
-        """Return where vehicles (n_rows, 5) start, their uncertain numbers at the median."""
+        """Return the start for vehicles (n_rows, 5), with uncertain numbers at the median."""
         median = full.new_zeros(len(full), self.n_directions)
         return torch.cat([full[:, self._columns].log(), median], dim=1)
 
     def tempered(
         self, near: Callable[[Tensor], Misfit] | None, rows: Tensor, start: Tensor
     ) -> Refined:
-        """Return the best fit of the curves `rows`, found with ever less noise.
+        """Return the best fit of the curves `rows`, found with decreasing noise.
 
-        The effect of uncertain numbers may be thousands of deviations of the noise: a search at
-        once ends far off.
+        Uncertain numbers may change the curves by thousands of deviations of the noise: a single
+        search would end far off.
         """
         points = self.point(self._full)
         points[rows] = start
@@ -229,17 +231,18 @@ class _Search:
         return self.run(rows, points[rows])
 
     def run(self, rows: Tensor, start: Tensor) -> Refined:
-        """Return the best fit of the curves `rows`, each from its row of `start`."""
+        """Return the best fit of the curves `rows`, each started from its row of `start`."""
         solution = self._solved(rows, start)
         n_unknown = len(self._columns)
         n_residuals = self._residual(solution.parameters[:1], rows[:1] * 0, 1.0).shape[1]
-        # the coordinates are as many residuals of expected square 1 as they are fitted
+        # each coordinate adds one residual of expected square 1 and one fitted number
         freedom = n_residuals - self.n_directions - n_unknown
         mean_square = 2 * solution.cost / freedom
         theta = solution.parameters[:, :n_unknown]
         information = solution.information.cpu().numpy()
         deviations = cramer_rao(information)[:, :n_unknown]
         noise = cramer_rao(information[:, :n_unknown, :n_unknown])
+        # at a bound the information matrix is no measure: assume a uniform distribution
         if self.n_directions:
             low, high = (bound[:n_unknown] for bound in self._bounds)
             pressed = ((theta <= low) | (theta >= high)).cpu().numpy()
@@ -257,7 +260,7 @@ class _Search:
     def _solved(
         self, rows: Tensor, start: Tensor, temperature: float = 1.0
     ) -> LeastSquaresSolution:
-        """Return the search with `temperature` times the noise, roughly where that is not 1."""
+        """Return the search with `temperature` times the noise, a rough one unless that is 1."""
         last = temperature == 1.0
         solver = LevenbergMarquardt(
             max_iter=self._max_iter if last else ROUGH_ITER,
@@ -272,14 +275,14 @@ class _Search:
         )
 
     def _residual(self, point: Tensor, rows: Tensor, temperature: float) -> Tensor:
-        """Return the residuals of the curves `rows`, then the coordinates of the numbers."""
+        """Return the residuals of the curves `rows`, followed by the coordinates of the numbers."""
         values = self._misfit(self._vehicles(point, rows), rows)
         if not self.n_directions:
             return values
         return torch.cat([values / temperature, point[:, len(self._columns) :]], dim=1)
 
     def nearest(self, rows: IntArray, n_scattered: int) -> Tensor:
-        """Return the nearest of `n_scattered` vehicles to each of some curves, as `run` starts."""
+        """Return the nearest of `n_scattered` vehicles to each curve, as a start of `run`."""
         low, high = self._range[0] - math.log(SCATTER), self._range[1] + math.log(SCATTER)
         points = torch.quasirandom.SobolEngine(len(low)).draw(n_scattered, dtype=low.dtype)
         ratios = torch.exp(low + (high - low) * points.to(low))
@@ -294,7 +297,7 @@ class _Search:
         return torch.cat(starts)
 
     def _vehicles(self, point: Tensor, rows: Tensor) -> Tensor:
-        """Return complete ratios: what is measured or healthy is that of the curve."""
+        """Return complete ratios; parameters that are not fitted are those of the curve."""
         theta, z = point[:, : len(self._columns)], point[:, len(self._columns) :]
         ratios = self._full[rows].index_copy(1, self._columns, theta.exp())
         return ratios if self._directions is None else self._directions.vehicles(ratios, z)

@@ -1,8 +1,8 @@
 """Fisher information of recordings by sensors at given places.
 
-Sensors whose responses to the track are the columns of H, one for each independent input (the mean
-of both rails and, where sensors feel roll, the cross level), record, in each frequency bin, a
-complex normal vector with the spectral matrix::
+The responses of the sensors to the track are the columns of H, one for each independent input (the
+mean of both rails and, where sensors measure roll, the cross level). In each frequency bin the
+sensors record a complex normal vector with the spectral matrix::
 
     S = S_w H H^H + diag(N),    S_w the track's level, N the sensors' noise densities
 
@@ -11,23 +11,24 @@ multiple stationary time series, Journal of the Royal Statistical Society B 15, 
 
     I_ij = n / r sum over bins of Re tr(S^-1 dS_i S^-1 dS_j)
 
-with r from the correlation of the bins, ``Welch.correlated_bins``. N is known, S_w
-is not: it is one more unknown of each bin, eliminated by its Schur complement. S is the identity
-plus A A^H, A = sqrt(S_w / N) H, once each sensor is divided by the root of its noise. With one
-input both steps have a closed form; q = |a|^2 and u_i the part of da_i perpendicular to a::
+with r from the correlation of the bins, ``Welch.correlated_bins``. N is known; S_w is one more
+unknown of each bin, eliminated by its Schur complement. After division of each sensor by the root
+of its noise, S is the identity plus A A^H, A = sqrt(S_w / N) H. With one input both steps have a
+closed form; q = |a|^2 and u_i the part of da_i perpendicular to a::
 
     I_ij - I_is I_sj / I_ss = n / r sum over bins of 2 q / (1 + q) Re(u_i^H u_j)
 
-What moves all sensors alike, in size or in phase, is not separable from the track: no part of u.
+A change of all sensors alike, in magnitude or phase, cannot be separated from the track and is not
+part of u.
 
-Sensors on the body do not count beyond ``body_high_hz``, where G_s is not used: A is 0 there.
+Sensors on the body do not count above ``body_high_hz``, where G_s is not used: A is 0 there.
 
-A generator's uncertain numbers are further unknowns, about the median of their distribution, with
-that as prior: see `without_uncertain`.
+A generator's uncertain numbers are further unknowns, about the median of their distribution, which
+is the prior: see `without_uncertain`.
 
-The recordings hold more information than their IV estimate, in which neighbouring bins leak into
-each other. H1, H2 and Hv may seem to hold more in strong noise: they are biased by an amount that
-depends on the track's level, and `fisher_information` takes that level as known.
+Recordings hold more information than their IV estimate, in which neighbouring bins leak into each
+other. H1, H2 and Hv may seem to hold more in strong noise: their bias depends on the track's level,
+which `fisher_information` takes as known.
 """
 
 from __future__ import annotations
@@ -49,12 +50,12 @@ from suspnet.spectra.observation import Directions, every_direction
 
 ROWS = 32
 ROUNDING = 1e-24
-"""Share of a slope's square that rounding leaves where the slope is parallel to a."""
+"""Fraction of a slope's square that rounding leaves where the slope is parallel to a."""
 THREE_SENSORS = ("axle box", "bogie", "body")
 
 
 def sensor_places(generator: ResponseGenerator) -> tuple[str, ...]:
-    """Return the names of the places of sensors: the three, then ``further_places``."""
+    """Return the names of the sensor places: axle box, bogie and body, then ``further_places``."""
     return THREE_SENSORS + generator.further_places
 
 
@@ -67,10 +68,7 @@ def _rates_hz(generator: ResponseGenerator, three: Sequence[float]) -> tuple[flo
 def place_channels(generator: ResponseGenerator, ratios: Tensor, frequencies_hz: Tensor) -> Tensor:
     """Return each of `sensor_places` for each input, (n_vehicles, n_inputs, n_places, n_freq).
 
-    Parameters
-    ----------
-    ratios : tensor of shape (n_vehicles, 5) or wider, [-]
-    frequencies_hz : tensor of shape (n_freq,), [Hz]
+    `ratios` has the shape (n_vehicles, 5) or is wider.
     """
     three = generator.channels(ratios, frequencies_hz)
     return torch.cat([three, generator.further_channels(ratios, frequencies_hz)], dim=2)
@@ -86,17 +84,18 @@ def recording_information(
 ) -> FloatArray:
     """Return the information of recordings on some parameters, for each choice of sensors.
 
-    The formulae stand at the head of this module.
+    By Whittle's likelihood, with the track's level unknown in each bin; the formulae are in the
+    docstring of the module `suspnet.estimation.sensor_information`.
 
     Parameters
     ----------
     observer : EstimateObserver
-        How long the trip is, on which track, with which noise and bins.
+        Length, track, noise and bins of the trip.
     ratios : array of shape (n_vehicles, 5), [-]
     parameters : sequence of str
         From ``PARAMETERS``; the others are known.
     counts : array of shape (n_choices, n_places)
-        How many sensors each choice has at each of ``sensor_places(generator)``; two at one place
+        Number of sensors of each choice at each of ``sensor_places(generator)``; two at one place
         have half the noise density of one.
 
     Returns
@@ -160,15 +159,10 @@ def _slopes(
 
 
 def _without_track(a: Tensor, da: Tensor, count: Tensor) -> Tensor:
-    """Return the sum over bins of one average's information, the level of the track eliminated.
+    """Return the sum over bins of one average's information, the track's level eliminated.
 
-    Parameters
-    ----------
-    a : complex tensor of shape (n, n_inputs, n_places, n_freq)
-        Of one sensor at each place.
-    da : complex tensor of shape (n, n_unknown, n_inputs, n_places, n_freq)
-        The derivatives of a.
-    count : tensor of shape (n_places,)
+    `a`: (n, n_inputs, n_places, n_freq) for one sensor at each place; `da`: its derivatives,
+    (n, n_unknown, n_inputs, n_places, n_freq); `count`: (n_places,).
     """
     used = count > 0
     many = count[used].sqrt()[:, None]

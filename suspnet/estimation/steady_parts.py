@@ -1,6 +1,6 @@
-"""Which segments of a recording are read together, and by which of some models.
+"""Groups of segments of a recording at one speed, and the model that reads each group.
 
-Checking, commissioning, reading and monitoring ask here, so that they agree.
+Checking, commissioning, reading and monitoring all use these functions, so that they agree.
 """
 
 from __future__ import annotations
@@ -26,22 +26,16 @@ from suspnet.spectra.welch import SegmentSpectra
 
 
 def steady_segments(speeds: Tensor, tolerance: float) -> Tensor:
-    """Return which segments keep their speed (n_segments, n_samples) within 1 +- tolerance."""
+    """Return which segments (n_segments, n_samples) stay within 1 +- tolerance of their mean."""
     return (speeds / speeds.mean(dim=1, keepdim=True) - 1).abs().amax(dim=1) <= tolerance
 
 
 def same_speed(speeds: Tensor, within: Tensor, tolerance: float) -> list[Tensor]:
-    """Return groups of segments of like speed, the largest first, each bool (n_segments,).
+    """Return groups of segments of similar speed, the largest first, each bool (n_segments,).
 
-    A group's mean speeds lie within 1 +- tolerance of its middle. The most segments that one such
-    range holds are a group; then the most of the others, until none is left.
-
-    Parameters
-    ----------
-    speeds : tensor of shape (n_segments, n_samples), [m/s]
-    within : bool tensor of shape (n_segments,)
-        Segments that are grouped.
-    tolerance : float, [-]
+    A group's mean speeds lie within 1 +- tolerance of its middle. Groups are formed greedily: the
+    range that contains most of the segments `within`, then again for the remaining ones. `speeds`
+    has the shape (n_segments, n_samples), [m/s].
     """
     means, left, groups = speeds.mean(dim=1), within.clone(), []
     widest = (1 + tolerance) / (1 - tolerance)
@@ -59,15 +53,9 @@ def groups_to_read(
 ) -> list[Tensor]:
     """Return the groups of segments that are averaged, the largest first, each (n_segments,).
 
-    Parameters
-    ----------
-    speeds : tensor of shape (n_segments, n_samples), [m/s]
-    tolerance : float, [-]
-        The speed of a segment, and the mean speeds of a group, stay within 1 +- this.
-    least_m_per_s : float, [m/s]
-        Slower segments are left out.
-    at_any_speed : bool
-        The vehicle's responses do not depend on the speed: all segments are one group.
+    Speeds (n_segments, n_samples), [m/s], within a segment and the mean speeds of a group stay
+    within 1 +- tolerance; slower groups than `least_m_per_s` are excluded. With `at_any_speed` the
+    responses do not depend on speed, and all fast enough segments are one group.
     """
     if at_any_speed:
         group = (speeds >= least_m_per_s).all(dim=1)
@@ -77,7 +65,7 @@ def groups_to_read(
 
 
 def group_speed(speeds: Tensor, group: Tensor) -> float:
-    """Return the mean speed of a group of segments, by which a model reads all of it, [m/s]."""
+    """Return the mean speed of a group of segments, which decides what model reads it, [m/s]."""
     return float(speeds[group].mean())
 
 
@@ -87,7 +75,7 @@ def reads_at_any_speed(method: FittedMethod) -> bool:
 
 
 def speed_range(method: FittedMethod) -> SpeedRange | None:
-    """Return the speeds that a method reads; None is any."""
+    """Return the range of speeds that a method reads; None means any speed."""
     speed = method.generator.speed_m_per_s
     if speed is None:
         return None
@@ -97,19 +85,10 @@ def speed_range(method: FittedMethod) -> SpeedRange | None:
 def groups_of(
     method: FittedMethod, models: Sequence[FittedMethod], speeds: Tensor, groups: Sequence[Tensor]
 ) -> list[Tensor]:
-    """Return the groups of segments that a method reads, where some models read the recording.
+    """Return those groups of segments that a method reads, given all `models` of the recording.
 
-    A group is read as a whole, by the model whose range holds its mean speed; by the nearest of
-    several. A group that no model reads is in none of the lists.
-
-    Parameters
-    ----------
-    method : FittedMethod
-    models : sequence of FittedMethod
-        All that read the recording, with the method itself.
-    speeds : tensor of shape (n_segments, n_samples), [m/s]
-    groups : sequence of bool tensors of shape (n_segments,)
-        From `groups_to_read`.
+    A group is read as a whole by the model whose range contains its mean speed, by the nearest of
+    several, or by none. `speeds`: (n_segments, n_samples), [m/s]; `groups` from `groups_to_read`.
     """
     own = speed_range(method)
     if own is None:
@@ -119,14 +98,14 @@ def groups_of(
 
 
 def readable_words(models: Sequence[FittedMethod]) -> str:
-    """Return which speeds some models read: "the models read 61.0 to 78.0 m/s"."""
+    """Return the speeds that some models read, as text: "the models read 61.0 to 78.0 m/s"."""
     ranges = [one for one in map(speed_range, models) if one is not None]
     subject = "the model reads" if len(models) == 1 else "the models read"
     return f"{subject} {range_words(ranges) if ranges else 'any speed'}"
 
 
 def _speeds_of(speeds: Tensor, groups: Sequence[Tensor], most: int = 3) -> str:
-    """Return the speeds of the largest groups: "69.1 and 50.0 m/s"."""
+    """Return the speeds of the largest groups as text: "69.1 and 50.0 m/s"."""
     each = dict.fromkeys(f"{group_speed(speeds, group):.1f}" for group in groups[:most])
     return f"{' and '.join(each)} m/s"
 
@@ -138,7 +117,7 @@ def no_group_words(
     tolerance: float,
     least_m_per_s: float,
 ) -> str:
-    """Return why no group of segments can be read: none is steady, or none at a model's speed."""
+    """Return why no group of segments is readable: none is steady, or none at a model's speed."""
     n_segments, half = len(speeds), float(speeds.mean(dim=1).median())
     if not groups:
         rule = f"steady within {100 * tolerance:g} %"
@@ -156,23 +135,22 @@ def no_group_words(
 
 @dataclass(frozen=True)
 class GroupSpectra:
-    """What is left of a group of segments, and how certain its responses are.
+    """The usable segments of a group and their averaged spectra.
 
     Attributes
     ----------
     candidates : bool tensor of shape (n_segments,)
-        The group without segments that are far too loud.
+        The group without segments of far too much power.
     chosen : bool tensor of shape (n_segments,)
-        Also without those of low coherence.
+        The candidates without those of low coherence.
     n_incoherent : int
-        Number of these.
+        Number of segments excluded for low coherence.
     n_averages : float
         Independent averages of the chosen segments.
     spectra : CrossSpectra or None
         Average over the chosen segments; None if there are none.
-    coherences : list of 2 floats, [-]
-    deviation : float, [-]
-        As of `certainty_of`; NaN without spectra.
+    coherences, deviation
+        From `certainty_of`; NaN without spectra.
     """
 
     candidates: Tensor
@@ -187,18 +165,9 @@ class GroupSpectra:
 def group_spectra(
     band: SegmentSpectra, group: Tensor, min_coherence: float, estimate: EstimateSettings
 ) -> GroupSpectra:
-    """Return what can be used of a group of segments.
+    """Return the usable segments of a group (n_segments,) at one speed, and their spectra.
 
-    Parameters
-    ----------
-    band : SegmentSpectra
-        On the bins of an estimate, where loud and incoherent segments are left out.
-    group : bool tensor of shape (n_segments,)
-        Segments at one speed.
-    min_coherence : float, [-]
-        As of ``TripSettings``.
-    estimate : EstimateSettings
-        Bound to a vehicle.
+    `band` holds the segments on the bins of an estimate; `estimate` must be bound to a vehicle.
     """
     candidates = without_loud(band, group)
     chosen, n_incoherent = without_incoherent(band, candidates, min_coherence)
@@ -214,21 +183,11 @@ def group_spectra(
 def certainty_of(
     spectra: CrossSpectra, settings: EstimateSettings, frequencies_hz: Tensor
 ) -> tuple[list[float], float]:
-    """Return how certain the responses are on the bins that estimates use.
+    """Return coherences (G_p, G_s) and deviation on the bins that estimates use.
 
-    Parameters
-    ----------
-    spectra : CrossSpectra
-        Of shape (3, n_freq).
-    settings : EstimateSettings
-    frequencies_hz : tensor of shape (n_freq,), [Hz]
-
-    Returns
-    -------
-    coherences : list of 2 floats, [-]
-        Means over the bins, of G_p and G_s.
-    deviation : float, [-]
-        Standard deviation of the log-magnitudes: median over the bins, of the less certain one.
+    Coherences are means over the bins. The deviation is the standard deviation of the
+    log-magnitudes, [-]: median over the bins, of the less certain response. `spectra` has the shape
+    (3, n_freq).
     """
     beyond = settings.beyond(frequencies_hz)
     coherences = spectra.coherences().masked_fill(beyond, math.nan).nanmean(dim=1)
@@ -237,7 +196,7 @@ def certainty_of(
 
 
 def speed_of(speeds: Tensor, segments: SegmentSpectra) -> tuple[float, float]:
-    """Return mean and deviation of the speeds in some segments, as the window weighs them."""
+    """Return mean and standard deviation of the speeds in segments, with the window's weights."""
     weights = torch.as_tensor(get_window(segments.welch.window, speeds.shape[1])) ** 2
     weights = weights / (weights.sum() * len(speeds))
     mean = float((speeds * weights).sum())
@@ -246,23 +205,21 @@ def speed_of(speeds: Tensor, segments: SegmentSpectra) -> tuple[float, float]:
 
 @dataclass(frozen=True)
 class SpeedBin:
-    """One method's estimate from a recording, with the spectra and segments behind it.
+    """One method's estimate from a group of segments, with its spectra and segments.
 
     Attributes
     ----------
-    method : FittedMethod
     spectra : CrossSpectra
         Average over the chosen segments on the method's bins, (3, n_freq).
-    segments : SegmentSpectra
     chosen : bool tensor of shape (n_segments,)
     speed_m_per_s : float, [m/s]
         Mean over the chosen segments.
     estimate : Estimate
-        Of one row.
+        One row.
     noise_share : array of shape (n_outputs,), [-]
-        Share of the noise of the segments in the square of the intervals.
+        Fraction of the squared half widths that is due to the noise of the segments.
     doubts : str
-        What could not be checked of the channels; empty if all could.
+        Doubts and impossible checks of the channels; empty if there are none.
     """
 
     method: FittedMethod
@@ -276,16 +233,16 @@ class SpeedBin:
 
 
 def largest(bins: Sequence[SpeedBin]) -> SpeedBin:
-    """Return the group of segments with the most averages."""
+    """Return the speed bin with the most averages."""
     return max(bins, key=lambda b: b.spectra.n_averages)
 
 
 def combined(bins: Sequence[SpeedBin]) -> Estimate:
-    """Return one estimate from several groups of segments: means of the logarithms.
+    """Return one estimate from several speed bins: weighted means of the logarithms.
 
     Weights are the inverse squares of the half widths, or the averages where there are none. The
-    noise of groups is independent, as they share no segment; the rest of their errors is taken to
-    be one and the same, for models may err alike.
+    noise of bins is independent, as they share no segment; the other errors are assumed to be fully
+    correlated, as models may have the same errors.
     """
     if len(bins) == 1:
         return bins[0].estimate
@@ -305,9 +262,9 @@ def combined(bins: Sequence[SpeedBin]) -> Estimate:
 
 
 def _flags(bins: Sequence[SpeedBin]) -> Flags:
-    """Return the flags of a trip's estimate: of several bins, those of the best one flagged.
+    """Return the flags of a trip's estimate: with several bins, those of the largest flagged bin.
 
-    Each bin puts the same into other numbers.
+    The reasons of bins differ only in their numbers.
     """
     found = [b for b in bins if b.estimate.flags.flagged.any()]
     if not found:

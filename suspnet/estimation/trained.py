@@ -54,27 +54,27 @@ class TrainedModel(FittedMethod):
             G_p and G_s: magnitudes, or complex for a model of trips. Or a trip: its manifest's
             path, a ``Recording``, or its ``CrossSpectra`` on the model's bins.
         frequencies_hz : array of shape (n_freq,), optional, [Hz]
-            Of curves: they must be ``settings.frequencies_hz()``, which is what None stands for.
+            Bins of the curves, which must be ``settings.frequencies_hz()``, the default.
         level : float
             Probability with which an interval holds the truth, in 0 to 1.
         mass : array of shape (n_curves,), optional, [-]
-            Car-body mass relative to healthy, for curves and a model that was trained to know it.
+            Car-body mass relative to healthy, for curves and a model trained with a known mass.
         settings : TripSettings, optional
-            Of recordings: what is used of them; its `level` is replaced by `level`.
+            How recordings are read; its `level` is replaced by `level`.
 
         Returns
         -------
         Estimate
-            One row a curve, or one of a trip.
+            One row per curve, or one row for a trip.
 
         Raises
         ------
         FileNotFoundError, TripError
             If a trip's files are missing or wrong.
         NoEstimateError
-            If a trip is sound but nothing can be estimated from it.
+            If a trip is valid but nothing can be estimated from it.
         ModelFileError
-            If the model was not trained on trips, and `data` is one.
+            If `data` is a trip but the model was not trained on trips.
         ValueError
             If curves, frequencies or masses do not fit the model.
         """

@@ -1,13 +1,13 @@
 """Flags of one trip: a constant delay between two channels, and sides that differ.
 
-The delay is found by the phases of their response. With G_f what a trip shows in bin f, H_f what
-the model gives at the estimate, u_f the phase factor of G_f / H_f and s_f the standard deviation of
-log |G_f|, the second channel comes later by the tau that makes the sum of
-Re u_f exp(j omega_f tau) / s_f^2 largest. Estimates rest on magnitudes more than on phases: a delay
-of 50 ms moves them by 5 % at most, and is found to 1 ms.
+The delay is found from the phases of a response. With G_f the measured response in bin f, H_f the
+model's response at the estimate, u_f the phase factor of G_f / H_f and s_f the standard deviation
+of log |G_f|, the delay of the second channel is the tau that maximises the sum of
+Re u_f exp(j omega_f tau) / s_f^2. Estimates depend on magnitudes more than on phases: a delay of
+50 ms changes them by 5 % at most, and is found to 1 ms.
 
-Estimates take left and right as equal: where sensors on both sides show that one is clearly weaker,
-they are flagged.
+Estimates assume equal sides. They are flagged if sensors on both sides show that one is clearly
+weaker.
 """
 
 from __future__ import annotations
@@ -35,43 +35,36 @@ from suspnet.spectra.side_difference import SIDE_PARAMETERS, Bounce, SideDiffere
 from suspnet.spectra.speeds import Speeds
 
 LONGEST_S, STEP_S = 0.25, 1e-3
-"""Longest delay that is looked for, and step of the search before Newton's method, [s]."""
+"""Longest delay that is searched, and step of the search before Newton's method, [s]."""
 NEWTON_STEPS = 3
 REPORTED_S = 0.003
-"""Least delay that is reported, [s], as that of clocks that drift."""
+"""Smallest delay that is reported, [s], the same as for clock drift."""
 EXPLAINED = 0.8
-"""Least share of what the model leaves unexplained that a delay must explain to be reported.
+"""Smallest fraction of the model's unexplained residual that a reported delay must explain.
 
-A delay of 5 ms and more explains 99 %, the physics that a model lacks looks like a delay of up to
-9 ms but explains at most 66 % (trips of richer trains, tests/rich_trips.py)."""
+A delay of 5 ms and more explains 99 %. Physics that a model lacks looks like a delay of up to
+9 ms but explains at most 66 % (trips of richer trains, tests/rich_trips.py).
+"""
 SPOKEN = ("primary spring", "primary damper", "secondary spring", "secondary damper")
-"""Parts with a left and a right one, in the order of ``SIDE_PARAMETERS``."""
+"""Names of the parts with a left and a right side, in the order of ``SIDE_PARAMETERS``."""
 STEP = 1e-4
 """Half the step of a central difference along the logarithm of a parameter."""
 CERTAIN = 4.0
-"""A difference is named if it exceeds this multiple of its standard deviation: of four parts, by
-chance on one of 4,000 trips."""
+"""A difference is reported if it exceeds this multiple of its standard deviation: by chance, one of
+the four parts does on one of 4,000 trips."""
 UNEXPLAINED = "left and right differ, but which part and side is weaker is unknown"
 LEAST = 0.1
-"""A difference is named if the weaker side has at least this share less than the other one."""
+"""Smallest relative deficit of the weaker side that is reported."""
 LARGEST_MISFIT = 2.0
-"""Above this misfit the sides differ in a way that the equations do not explain, so that no part is
-named."""
+"""Above this misfit the equations do not explain how the sides differ, and no part is named."""
 
 
 def delay_words(
     method: FittedMethod, spectra: CrossSpectra, estimate: Estimate, speeds: Speeds
 ) -> str:
-    """Return which channels are late against the one before, and by how much; empty if none is.
+    """Return which channels are delayed against the previous one, as text; empty if none is.
 
-    Parameters
-    ----------
-    method : FittedMethod
-        Trained on estimates from trips.
-    spectra : CrossSpectra
-        Of a trip on the method's bins, (3, n_freq).
-    estimate : Estimate
-        Of one row, from the spectra.
+    `spectra` (3, n_freq) are those of a trip on the method's bins; `estimate` has one row.
     """
     observer = trip_observer(method).at(speeds)
     ratios = torch.as_tensor(complete_ratios(method.task, estimate.values))
@@ -89,8 +82,8 @@ def delay_words(
         if abs(delay_s) >= REPORTED_S and share >= EXPLAINED:
             late = "late" if delay_s > 0 else "early"
             late_channels.append(
-                f"{CHANNELS[i + 1]} looks {1e3 * abs(delay_s):.3g} ms {late} against {CHANNELS[i]} "
-                "all along: do they share one clock, is `start_s` right?"
+                f"{CHANNELS[i + 1]} looks {1e3 * abs(delay_s):.3g} ms {late} relative to "
+                f"{CHANNELS[i]} throughout: do they share one clock, is `start_s` right?"
             )
     return "; ".join(late_channels)
 
@@ -98,26 +91,20 @@ def delay_words(
 def find_delays(
     observed: Tensor, fitted: Tensor, deviations: Tensor, frequencies_hz: Tensor
 ) -> tuple[Tensor, Tensor]:
-    """Return the delay of each response against the fitted one, and what it explains.
+    """Return the delay of each response relative to the fitted one, and what it explains.
 
-    Parameters
-    ----------
-    observed, fitted : complex tensors of shape (n_links, n_freq), [-]
-    deviations : tensor of shape (n_links, n_freq), [-]
-        Of the observed log-magnitudes; infinite where a bin is not to be used.
-    frequencies_hz : tensor of shape (n_freq,), [Hz]
-
-    Returns
-    -------
-    delays : tensor of shape (n_links,), [s]
-    shares : tensor of shape (n_links,), [-]
-        Of the squares of what is unexplained, in log-magnitude and phase factor.
+    Responses and deviations have the shape (n_links, n_freq); `deviations` are those of the
+    observed log-magnitudes, infinite where a bin is not used. Delays (n_links,), [s], are positive
+    if the output is late. The second result (n_links,) is the explained fraction of the squared
+    residual in log-magnitude and phase factor.
     """
+    # bins that are unused or have no finite ratio get the weight 0
     omega = 2 * math.pi * frequencies_hz
     ratio = observed / fitted
     weights = torch.where(torch.isfinite(ratio.abs().log()), 1 / deviations**2, 0.0)
     weights = torch.nan_to_num(weights, nan=0.0, posinf=0.0)
     turned = torch.sgn(torch.where(weights > 0, ratio, 0.0))
+    # the objective has many maxima: search a grid first, then refine by Newton's method
     tried = torch.arange(-LONGEST_S, LONGEST_S, STEP_S, dtype=torch.float64)
     match = torch.einsum("lf,fd->ld", weights * turned, torch.exp(1j * torch.outer(omega, tried)))
     delays = tried[match.real.argmax(dim=1)]
@@ -126,6 +113,7 @@ def find_delays(
         slope, bend = -(at_peak.imag @ omega), at_peak.real @ omega**2
         step = torch.where(bend > 0, slope / bend, 0.0)
         delays = delays + step.clamp(-STEP_S, STEP_S)
+    # squared residuals before and after removing the delay
     logs = torch.where(weights > 0, ratio.abs().log() ** 2, 0.0)
     straight = turned * torch.exp(1j * delays[:, None] * omega)
     before, after = (
@@ -137,19 +125,14 @@ def find_delays(
 def with_sides(
     estimate: Estimate, bins: Sequence[SpeedBin], recording: Recording
 ) -> tuple[Estimate, str]:
-    """Return a trip's estimate, flagged where its sides differ, and how they differ as text.
+    """Return a trip's estimate, flagged if its sides differ, and the difference as text.
 
-    The largest speed bin decides. The text is empty where no difference is clear.
-
-    Parameters
-    ----------
-    estimate : Estimate
-        Of one row, from `bins`.
+    The largest speed bin decides. The text is empty without a clear difference.
     """
     words = spoken_sides(weaker_sides(largest(bins), recording, estimate.values[0]))
     if not words:
         return estimate, ""
-    text = f"both sides are taken as equal, but {words}"
+    text = f"both sides are assumed to be equal, but {words}"
     return replace(estimate, flags=estimate.flags.with_kind("sides", text)), words
 
 
@@ -158,10 +141,7 @@ def weaker_sides(
 ) -> SideDifference | None:
     """Return how left and right differ in a trip; None unless all three channels are pairs.
 
-    Parameters
-    ----------
-    estimates : array of shape (n_outputs,), [-]
-        The trip's, of the method's outputs.
+    `estimates` (n_outputs,) are those of the trip, for the method's outputs.
     """
     if not all(recording.paired):
         return None
@@ -190,15 +170,9 @@ def bounce_of(
     to_body: ComplexArray,
     speed_m_per_s: float,
 ) -> Bounce:
-    """Return the numbers of a bogie side of a vehicle, with measured responses.
+    """Return the parameters of one side of a vehicle's bogie, with measured responses.
 
-    Parameters
-    ----------
-    ratios : array of shape (5,), [-]
-    frequencies_hz : array of shape (n_freq,), [Hz]
-    to_frame, to_body : complex arrays of shape (n_freq,), [-]
-        Measured G_p and G_s.
-    speed_m_per_s : float, [m/s]
+    `ratios`: (5,); `to_frame`, `to_body`: measured G_p and G_s, (n_freq,).
     """
     one = torch.as_tensor(ratios, dtype=torch.float64)
     system = generator.motion_system(one)
@@ -224,7 +198,7 @@ def bounce_of(
 
 
 def spoken_sides(found: SideDifference | None) -> str:
-    """Return which side of which part is weaker, by how much; empty if no difference is clear."""
+    """Return which side of which part is weaker, and by how much; empty if not clear."""
     if found is None:
         return ""
     if found.misfit > LARGEST_MISFIT:

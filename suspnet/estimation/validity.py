@@ -1,6 +1,6 @@
-"""What a model's files must hold: each number, shape and name, checked before the model is used.
+"""Validation of a model's files: each number, shape and name, before the model is used.
 
-The hash in model.json shows damage, not forgery: whoever changes a file can change its hash too.
+The hash in model.json detects damage, not forgery: whoever changes a file can update its hash.
 """
 
 from __future__ import annotations
@@ -22,18 +22,18 @@ from suspnet.learning import Scaling
 MAY_BE_INFINITE = ("ood.thresholds",)
 """Arrays in which infinity means that there is no threshold."""
 LARGEST_RATIO = 1000.0
-"""Factor from the healthy value, up or down, beyond which no model estimates the middle of its
+"""Largest plausible ratio to healthy, or its inverse, in a model's estimate for the middle of its
 training data."""
 SAME_FEATURES = 1e-6
-"""Relative difference of features that other processors may make."""
+"""Largest relative difference of features between processors."""
 FAR = 1000.0
-"""Deviations by which the mean of training data may lie from the healthy vehicle."""
+"""Largest distance of the mean of the training data from the healthy vehicle, in deviations."""
 DEPTH = 20
-"""Levels of nesting of a description; the deepest has 5."""
+"""Largest nesting depth of a description; real ones have 5 levels."""
 
 
 def check_numbers(content: Any, where: str = "model.json", depth: int = 0) -> None:
-    """Raise ValueError if a number of a description is not finite, or it is nested too deeply."""
+    """Raise ValueError if a number of a description is not finite, or the nesting is too deep."""
     if depth > DEPTH:
         raise ValueError(f"{where[:60]}... is nested too deeply")
     if isinstance(content, dict):
@@ -47,7 +47,7 @@ def check_numbers(content: Any, where: str = "model.json", depth: int = 0) -> No
 
 
 def check_arrays(arrays: Mapping[str, FloatArray]) -> None:
-    """Raise ValueError unless all arrays are of finite floating-point numbers and not empty."""
+    """Raise ValueError unless all arrays are finite floats of up to 3 dimensions."""
     for name, array in arrays.items():
         if array.dtype not in (np.float32, np.float64) or array.ndim > 3:
             raise ValueError(f"array {name!r} is of {array.dtype}, {array.ndim}-dimensional")
@@ -57,9 +57,10 @@ def check_arrays(arrays: Mapping[str, FloatArray]) -> None:
 
 
 def check_model(model: TrainedModel) -> None:
-    """Raise TypeError or ValueError unless the parts of a model fit together.
+    """Raise TypeError or ValueError unless the parts of a model are consistent.
 
-    A method must give an estimate for the middle of its training data, so that none ends in NaN.
+    A method must give a plausible estimate for the middle of its training data, so that no NaN
+    follows.
     """
     task = model.task
     n_inputs, n_outputs = len(task.inputs), len(task.outputs)
@@ -178,7 +179,7 @@ def _check_place(place: Any) -> None:
 
 
 def check_same(given: Any, built: Any, where: str = "model.json") -> None:
-    """Raise ValueError unless what was built says of itself all that a description says of it."""
+    """Raise ValueError unless a description agrees with that of the model built from it."""
     if isinstance(given, dict) and isinstance(built, dict):
         for key, value in given.items():
             if key not in built:
@@ -188,4 +189,4 @@ def check_same(given: Any, built: Any, where: str = "model.json") -> None:
         for i, pair in enumerate(zip(given, built, strict=True)):
             check_same(*pair, f"{where}[{i}]")
     elif type(given) is not type(built) or given != built:
-        raise ValueError(f"`{where}` is {given!r}, which is not what such a model says: {built!r}")
+        raise ValueError(f"`{where}` is {given!r}, expected {built!r}")

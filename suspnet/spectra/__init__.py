@@ -1,1 +1,1 @@
-"""Frequency responses: how they are measured, their noise, and their features."""
+"""Frequency responses: their estimates, their noise and their features."""

@@ -1,20 +1,20 @@
 """The feature set `curve`: principal components of log-magnitude and phase of both responses.
 
-With G relative to the healthy vehicle's, v = (log abs, phase) over the bins of a band, mu and s the
-mean of v and the spread of its noise over training curves, B the leading principal directions of
-the noise-free (v - mu) / s::
+With G relative to the healthy vehicle's, v = (log abs, phase) over the bins of a band, mu the mean
+of v and s the standard deviation of its noise over training curves, B the leading principal
+directions of the noise-free (v - mu) / s::
 
     features = B ((v - mu) / s)
 
-so that the noise of every feature has about unit variance and the leading features are those that
-stand out of it most.
+Every feature then has noise of about unit variance, and the leading features have the highest
+signal-to-noise ratio.
 
-Curves may be magnitudes only, with white noise that can make them negative. There v is
+Curves may be magnitudes only, with white noise that can make them negative. Then
 
-    asinh(m / 2a) - asinh(m_healthy / 2a),   a = FLOOR times the rms of the noise,
+    v = asinh(m / 2a) - asinh(m_healthy / 2a),   a = FLOOR times the rms of the noise,
 
-the logarithm where the magnitude m is well above the floor a, linear below: what the noise buries
-is not blown up.
+which is the logarithm where the magnitude m is well above the floor a and linear below it, so it
+does not amplify noise where the magnitude is small.
 """
 
 from __future__ import annotations
@@ -33,28 +33,27 @@ from suspnet.spectra.extraction import FeatureTable, PeakFeatures
 MISSING = 1
 """Reason code of a curve that is not finite."""
 ROUNDING = 1e-12
-"""Noise below which a bin is the healthy vehicle's in all curves: it carries no information."""
+"""Noise below this means that all curves equal the healthy vehicle's in the bin: no information."""
 FLOOR = 10.0
 """Magnitude below which asinh replaces the logarithm, as a multiple of the rms of the noise."""
 
 
 @dataclass(frozen=True)
 class CurveBasis:
-    """What `CurveFeatures` learns from training curves.
+    """The basis that `CurveFeatures` learns from training curves.
 
     Attributes
     ----------
-    frequencies_hz : tensor of shape (n_freq,), [Hz]
     healthy : complex tensor of shape (2, n_freq), [-]
         G_p and G_s of the healthy vehicle; real where the curves are magnitudes.
     mean, noise : tensors of shape (4 n_freq,)
-        mu and s: log-magnitude and phase [rad] of G_p, then of G_s; of magnitudes (2 n_freq,).
+        mu and s: log-magnitude and phase [rad] of G_p, then of G_s; (2 n_freq,) for magnitudes.
     directions : tensor of shape (n_components, 4 n_freq)
-        B, orthonormal rows; of magnitudes (n_components, 2 n_freq).
+        B, with orthonormal rows; (n_components, 2 n_freq) for magnitudes.
     explained : tensor of shape (n_components,)
-        Share of the noise-free variance along each direction.
+        Fraction of the noise-free variance along each direction.
     floor : tensor of shape (2,), optional, [-]
-        a, of each response; None where the curves have phases.
+        a of each response; None where the curves have phases.
     """
 
     frequencies_hz: Tensor
@@ -73,7 +72,7 @@ class CurveFeatures:
     Parameters
     ----------
     basis : CurveBasis, optional
-        What `fitted` has learnt.
+        The basis, set by `fitted`.
 
     Raises
     ------
@@ -112,7 +111,7 @@ class CurveFeatures:
 
     @property
     def parts(self) -> tuple[str, ...]:
-        """Name of what each column of the reasons belongs to."""
+        """Names of the columns of the reason codes."""
         return ("curve",)
 
     def __post_init__(self) -> None:
@@ -125,11 +124,11 @@ class CurveFeatures:
         Raises
         ------
         ValueError
-            If their number is not known before the basis is fitted.
+            If their number is unknown because the basis is not fitted.
         """
         count = self.n_components if self.basis is None else len(self.basis.directions)
         if count is None:
-            raise ValueError("how many components there are is only known once they are fitted")
+            raise ValueError("the number of components is only known once they are fitted")
         return tuple(f"component_{i + 1}" for i in range(count))
 
     @property
@@ -148,16 +147,16 @@ class CurveFeatures:
 
         Parameters
         ----------
-        clean, noisy : complex tensors of shape (n_curves, 2, n_freq), [-]
-            The same curves without and with noise; magnitudes, if they are real.
+        clean, noisy : tensors of shape (n_curves, 2, n_freq), [-]
+            The same curves without and with noise: complex, or real magnitudes.
         healthy : tensor of shape (2, n_freq), [-]
-            Complex where the curves are.
+            Complex if the curves are.
         frequencies_hz : tensor of shape (n_freq,), [Hz]
 
         Raises
         ------
         ValueError
-            If the band holds no bin or fewer curves are given than components.
+            If the band has no bin, or there are fewer curves than components.
         """
         inside = self._inside(frequencies_hz)
         frequencies, healthy = frequencies_hz[inside], healthy[:, inside]
@@ -167,7 +166,7 @@ class CurveFeatures:
             floor = FLOOR * (noisy - clean).square().mean(dim=(0, 2)).sqrt()
         rows = _rows(clean, healthy, floor)
         noise = (_rows(noisy, healthy, floor) - rows).square().mean(dim=0).sqrt()
-        noise = noise.where(noise > ROUNDING, 1.0)  # as the healthy vehicle's in every curve
+        noise = noise.where(noise > ROUNDING, 1.0)  # avoids division by 0: no information there
         mean = rows.mean(dim=0)
         _, singular, directions = torch.linalg.svd((rows - mean) / noise, full_matrices=False)
         share = singular.square() / singular.square().sum()
@@ -179,7 +178,7 @@ class CurveFeatures:
                 f"{count} components were asked for, {len(clean)} curves on {len(frequencies)} "
                 f"bins have {len(directions)}"
             )
-        leading = directions[:count].contiguous()  # as restored: the same products, bit for bit
+        leading = directions[:count].contiguous()  # memory layout as restored: equal bit for bit
         basis = CurveBasis(frequencies, healthy, mean, noise, leading, share[:count], floor)
         return replace(self, basis=basis)
 
@@ -191,18 +190,17 @@ class CurveFeatures:
         responses : complex tensor of shape (n_curves, 2, n_freq), [-]
             G_p and G_s, or their magnitudes if the basis was learnt from magnitudes.
         frequencies_hz : tensor of shape (n_freq,), [Hz]
-            Bins that hold those of the basis.
+            Bins that include those of the basis.
 
         Returns
         -------
         FeatureTable
-            NaN, and the reason 1, where a curve is not finite.
+            NaN and reason 1 where a curve is not finite.
 
         Raises
         ------
         ValueError
-            If the basis is not fitted or the bins are others, or it needs phases and there are
-            none.
+            If the basis is not fitted or on other bins, or needs phases and the curves have none.
         """
         basis = self._learnt()
         inside = self._inside(frequencies_hz)
@@ -229,15 +227,15 @@ class CurveFeatures:
         )
 
     def relative(self, values: FloatArray, healthy: FloatArray) -> FloatArray:
-        """Return features relative to the healthy vehicle's: their difference."""
+        """Return the difference of features from the healthy vehicle's."""
         return values - healthy
 
     def missing(self, reasons: IntArray) -> str:
-        """Return a text on what is wrong with a curve, from one row of the reasons."""
+        """Return what is wrong with a curve, from its row of reasons; empty if nothing is."""
         return "curve (not finite)" if reasons.any() else ""
 
     def state(self) -> dict[str, FloatArray]:
-        """Return the basis as real arrays, for storage; only that of magnitudes has a floor."""
+        """Return the basis as real arrays; only a basis of magnitudes has a floor."""
         basis = self._learnt()
         arrays = {f.name: getattr(basis, f.name) for f in fields(basis)}
         if basis.floor is None:
@@ -291,7 +289,7 @@ class CurveFeatures:
 
 
 def _rows(responses: Tensor, healthy: Tensor, floor: Tensor | None) -> Tensor:
-    """Return v of each curve: with phases where there is no floor, else of magnitudes."""
+    """Return v of each curve: of magnitudes if there is a floor, else with phases."""
     if floor is None:
         return _relative_rows(responses, healthy)
     scale = 2 * floor[:, None]
@@ -301,7 +299,7 @@ def _rows(responses: Tensor, healthy: Tensor, floor: Tensor | None) -> Tensor:
 def _relative_rows(responses: Tensor, healthy: Tensor) -> Tensor:
     """Return log-magnitude and phase relative to `healthy`, shape (n_curves, 4 n_freq).
 
-    The phase relative to healthy is near 0 at low frequency and is unwrapped towards higher ones.
+    The relative phase is near 0 at low frequency and is unwrapped from there upwards.
     """
     ratio = responses / healthy
     phase = ratio.angle()
@@ -319,4 +317,4 @@ def _span(frequencies_hz: Tensor) -> str:
 
 
 FEATURE_SETS: dict[str, Any] = {kind.kind: kind for kind in (PeakFeatures, CurveFeatures)}
-"""Every feature set by the name that protocols and model files give it."""
+"""Every feature set by its name in protocols and model files."""

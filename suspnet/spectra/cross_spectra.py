@@ -1,4 +1,4 @@
-"""Transfer functions from spectra: H1, H2, Hv and the instrument estimate IV.
+"""Transfer functions from spectra: H1, H2, Hv and the instrumental-variable estimate IV.
 
 Cross spectra are S_xy = E[conj(X) Y], as in scipy. With x the input, y the output::
 
@@ -7,9 +7,9 @@ Cross spectra are S_xy = E[conj(X) Y], as in scipy. With x the input, y the outp
     Hv = sqrt(S_yy / S_xx) S_xy / abs(S_xy)     total least squares, both equally noisy
     IV = S_zy / S_zx               z a third sensor, whose noise is independent of the others'
 
-On a train the axle box's signal lies almost all above 20 Hz: its noise biases H1. With three
-sensors each response has an instrument: the body's for the primary suspension, the axle box's for
-the secondary (Söderström and Stoica, Instrumental Variable Methods for System Identification).
+On a train the axle box's signal lies almost all above 20 Hz, so its noise biases H1 below. With
+three sensors each response has an instrument: the body's for the primary suspension, the axle box's
+for the secondary (Söderström and Stoica, Instrumental Variable Methods for System Identification).
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ from suspnet.ground.types import FloatArray
 METHODS = ("H1", "H2", "Hv", "IV")
 Method = Literal["H1", "H2", "Hv", "IV"]
 PAIRS = ((0, 1), (0, 2), (1, 2))
-"""The channels of each column of `CrossSpectra.cross`."""
+"""Channels of each column of `CrossSpectra.cross`."""
 CHAIN = ((0, 1, 2), (1, 2, 0))
-"""Input, output and instrument of G_p and of G_s."""
+"""Input, output and instrument of G_p and G_s."""
 SMOOTHED_BINS = 5
 """Number of neighbouring bins over which a trip's measured covariance is averaged."""
 
@@ -39,13 +39,8 @@ SMOOTHED_BINS = 5
 class CrossSpectra:
     """Averaged auto and cross spectra of axle box, bogie and body.
 
-    Attributes
-    ----------
-    auto : real tensor of shape (..., 3, n_freq), [(m/s^2)^2/Hz]
-    cross : complex tensor of shape (..., 3, n_freq)
-        The pairs of ``PAIRS``: axle box - bogie, axle box - body, bogie - body.
-    n_averages : float
-        Independent averages behind them.
+    `auto` is real, (..., 3, n_freq), [(m/s^2)^2/Hz]. `cross` is complex, of the same shape, for the
+    pairs of ``PAIRS``. `n_averages` counts independent averages.
     """
 
     auto: Tensor
@@ -66,10 +61,7 @@ class CrossSpectra:
     def transfer(self, x: int, y: int, method: Method, instrument: int | None = None) -> Tensor:
         """Return the response from channel x to y, complex, shape (..., n_freq).
 
-        Raises
-        ------
-        ValueError
-            If the method is unknown, or IV has no instrument.
+        Raises ValueError if the method is unknown, or IV has no instrument.
         """
         check_choice("method", method, METHODS)
         if method == "Hv":
@@ -88,10 +80,10 @@ class CrossSpectra:
     def deviation(self, x: int, y: int, method: Method, instrument: int | None = None) -> Tensor:
         """Return the standard deviation of the log-magnitude of a response, (..., n_freq), [-].
 
-        With e = y - G x and instrument z (x for H1, y for H2) the complex estimate has the
-        relative variance S_zz S_ee / (n abs(S_zy)^2), half of it along the magnitude. For H1 that
-        is (1 - coherence) / (2 n coherence), as in Bendat and Piersol; for Hv the coherence in the
-        denominator is missing.
+        With e = y - G x and instrument z (x for H1, y for H2) the complex estimate has the relative
+        variance S_zz S_ee / (n abs(S_zy)^2), half of it along the magnitude. For H1 that is (1 -
+        coherence) / (2 n coherence), as in Bendat and Piersol; for Hv without the coherence in the
+        denominator.
         """
         if method == "Hv":
             return ((1 - self.coherence(x, y)).clamp(min=0) / (2 * self.n_averages)).sqrt()
@@ -107,7 +99,7 @@ class CrossSpectra:
         return (relative.clamp(min=0) / (2 * self.n_averages)).sqrt()
 
     def responses(self, method: Method) -> Tensor:
-        """Return G_p and G_s, complex, shape (..., 2, n_freq); each has the third as instrument."""
+        """Return G_p and G_s, complex (..., 2, n_freq); the third channel is the instrument."""
         return torch.stack([self.transfer(x, y, method, z) for x, y, z in CHAIN], dim=-2)
 
     def coherences(self) -> Tensor:
@@ -122,7 +114,8 @@ class CrossSpectra:
         """Return the covariance of (log G_p, log G_s), complex Hermitian (..., 2, 2, n_freq).
 
         With e_i = y_i - G_i x_i and instruments z_i: S_zi_zj S_ej_ei / (n S_zi_yi conj(S_zj_yj)),
-        the expectation of four normal variables. Hv is taken as H1.
+        from the
+        fourth moments of normal variables. Hv is treated as H1.
         """
         residual, scale = self.covariance_parts(method)
         return residual / scale
@@ -130,7 +123,7 @@ class CrossSpectra:
     def covariance_parts(self, method: Method) -> tuple[Tensor, Tensor]:
         """Return numerator (over n) and denominator of `covariance`, each (..., 2, 2, n_freq).
 
-        The numerator is the covariance of S_zi_yi - G_i S_zi_xi: it changes slowly from bin to bin.
+        The numerator, the covariance of S_zi_yi - G_i S_zi_xi, varies slowly over the bins.
         """
         kind: Method = "H1" if method == "Hv" else method
         responses = self.responses(kind)
@@ -155,9 +148,9 @@ class CrossSpectra:
         return torch.stack(rows, dim=-3), torch.stack(scales, dim=-3)
 
     def measured_covariance(self, method: Method, correlation: Tensor) -> Tensor:
-        """Return the covariance that one trip's spectra (3, n_freq) show, (2, 2, n_freq).
+        """Return the covariance estimated from one trip's spectra (3, n_freq), (2, 2, n_freq).
 
-        Its numerators are smoothed over bins; `correlation` is that between bins, from lag 0 on.
+        Its numerators are smoothed over bins; `correlation` is that between bins, from lag 0.
         """
         residual, scale = self.covariance_parts(method)
         covariance = _smoothed(residual) / scale
@@ -174,7 +167,7 @@ def _smoothed(covariance: Tensor) -> Tensor:
 
 
 def _independent(correlation: Tensor) -> float:
-    """Return how many of the smoothed bins are independent, by their correlation from lag 0 on."""
+    """Return the effective number of independent bins among those that are averaged."""
     lags = torch.arange(len(correlation))
     pairs = (SMOOTHED_BINS - lags).clamp(min=0) * torch.where(lags == 0, 1, 2)
     return SMOOTHED_BINS**2 / float(pairs.to(correlation) @ correlation)
@@ -184,23 +177,20 @@ def sample_spectra(mean: CrossSpectra, taps: FloatArray, source: torch.Generator
     """Return one draw of averaged spectra for each row of their mean: M M^H / n with M = L T.
 
     L L^H is the mean, T lower triangular with Gamma(n - i) squares on the diagonal, i = 0, 1, 2,
-    and unit complex normals below it.
-
-    Parameters
-    ----------
-    mean : CrossSpectra
-        Of shape (n_rows, 3, n_freq).
-    taps : array
-        From `moving_average_with`: they set the correlation of neighbouring bins.
-    source : torch.Generator
+    and
+    unit complex normals below it. `mean` has shape (n_rows, 3, n_freq); `taps` from
+    `moving_average_with` set the correlation of neighbouring bins.
     """
+    # L, the Cholesky factor of the mean
     n = mean.n_averages
     l11 = mean.auto[:, 0].sqrt()
     l21, l31 = (mean.cross[:, k].conj() / l11 for k in (0, 1))
     l22 = (mean.auto[:, 1] - l21.abs().square()).sqrt()
     l32 = (mean.cross[:, 2].conj() - l31 * l21.conj()) / l22
     l33 = (mean.auto[:, 2] - l31.abs().square() - l32.abs().square()).sqrt()
+    # T, the Bartlett factor of a unit Wishart matrix, then M = L T and M M^H / n
     g = _normals((9, *l11.shape), taps, source)
+
     t11, t22, t33 = (_gamma(n - i, g[i]).sqrt() for i in range(3))
     t21, t31, t32 = (torch.complex(g[i], g[i + 1]) / math.sqrt(2) for i in (3, 5, 7))
     m11, m21, m22 = l11 * t11, l21 * t11 + l22 * t21, l22 * t22
@@ -212,7 +202,7 @@ def sample_spectra(mean: CrossSpectra, taps: FloatArray, source: torch.Generator
 
 
 def _normals(shape: tuple[int, ...], taps: FloatArray, source: torch.Generator) -> Tensor:
-    """Return unit normals, correlated along the last axis as `taps` say."""
+    """Return unit normals, correlated along the last axis by the moving average `taps`."""
     wide = torch.empty(
         *shape[:-1], shape[-1] + len(taps) - 1, dtype=torch.float64, device=source.device
     ).normal_(generator=source)
@@ -224,14 +214,8 @@ def _normals(shape: tuple[int, ...], taps: FloatArray, source: torch.Generator) 
 def moving_average_with(correlation: FloatArray) -> FloatArray:
     """Return taps h with sum_i h_i h_(i+k) = correlation[k], by spectral factorisation.
 
-    Parameters
-    ----------
-    correlation : array of shape (n_lags,)
-        From lag 0 on; its spectrum must not be negative.
-
-    Returns
-    -------
-    array of shape (n_lags,)
+    `correlation` (n_lags,) starts at lag 0; its spectrum must not be negative. h has the same
+    shape.
     """
     roots = np.roots(np.concatenate([correlation[:0:-1], correlation]))
     inside = roots[np.argsort(np.abs(roots))][: len(correlation) - 1]
@@ -240,6 +224,6 @@ def moving_average_with(correlation: FloatArray) -> FloatArray:
 
 
 def _gamma(shape: float, normal: Tensor) -> Tensor:
-    """Return Gamma(shape, 1) draws from unit normals by Wilson and Hilferty's cube."""
+    """Return Gamma(shape, 1) draws from unit normals, by the Wilson-Hilferty cube approximation."""
     root = 1 - 1 / (9 * shape) + normal / (3 * math.sqrt(shape))
     return shape * root.clamp(min=0) ** 3

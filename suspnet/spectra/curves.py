@@ -68,7 +68,7 @@ class CurveSettings:
     )
     cache_dir: str | None = setting(
         ".cache/suspnet",
-        "Folder where features of curves are kept between runs; null keeps none",
+        "Folder where features of curves are stored between runs; null stores none",
         rule="path",
     )
 
@@ -91,7 +91,7 @@ class CurveSettings:
         return self
 
     def observer(self, generator: ResponseGenerator) -> CurveObserver:
-        """Return the source of noisy magnitudes of a generator's vehicles."""
+        """Return the observer that draws noisy magnitudes of a generator's vehicles."""
         return CurveObserver(self, generator)
 
     def frequencies_hz(self) -> Tensor:
@@ -100,7 +100,7 @@ class CurveSettings:
         return self.low_hz + self.step_hz * torch.arange(n_bins, dtype=torch.float64)
 
     def words(self) -> str:
-        """Return a text on what is observed, with which noise."""
+        """Return a description of what is observed and of its noise."""
         return (
             f"Magnitudes of the responses, {self.low_hz:.3g} to {self.high_hz:.3g} Hz, with white "
             f"noise of {self.snr_db:g} dB, {100 * 10 ** (-self.snr_db / 20):.2g} % of each curve's "
@@ -110,13 +110,7 @@ class CurveSettings:
 
 @dataclass(frozen=True)
 class CurveObserver:
-    """The observation of section III-B: magnitudes with white noise.
-
-    Parameters
-    ----------
-    settings : CurveSettings
-    generator : ResponseGenerator
-    """
+    """The observation of section III-B of the paper: magnitudes with white noise."""
 
     settings: CurveSettings
     generator: ResponseGenerator
@@ -128,7 +122,7 @@ class CurveObserver:
 
     @cached_property
     def directions(self) -> Directions:
-        """The directions of the generator's uncertain numbers that its curves show."""
+        """Directions of the generator's uncertain numbers that affect its curves."""
         return directions(self)
 
     def noise_free(self, ratios: Tensor) -> Tensor:
@@ -136,30 +130,24 @@ class CurveObserver:
         return self.generator.magnitudes(ratios, self.frequencies_hz)
 
     def observe(self, ratios: Tensor, seed: int) -> Tensor:
-        """Return noisy magnitudes; the generator's uncertain quantities are drawn too."""
+        """Return noisy magnitudes, with the generator's uncertain quantities drawn as well."""
         rows = self.generator.sample_unmeasured(ratios, seed)
         return add_noise(self.noise_free(rows), self.settings.snr_db, seed)
 
     def for_features(self, curves: Tensor) -> Tensor:
-        """Return magnitudes as they are."""
+        """Return magnitudes unchanged."""
         return curves
 
     def misfit(self, curves: Tensor, near: Tensor, used: Sequence[int] = (0, 1)) -> CurveMisfit:
-        """Return the misfit of observed magnitudes, whose noise follows from their own rms."""
+        """Return the misfit of observed magnitudes; the noise follows from their own rms."""
         return CurveMisfit(self, curves, tuple(used))
 
 
 @dataclass(frozen=True)
 class CurveMisfit:
-    """Magnitudes with white noise, its rms relative to the rms of each observed curve.
+    """Misfit of magnitudes with white noise, its rms relative to that of each observed curve.
 
-    Attributes
-    ----------
-    observer : Observer
-        With `settings.snr_db`.
-    observed : tensor of shape (n_rows, 2, n_freq), [-]
-    used : sequence of int
-        Which of G_p (0) and G_s (1) are used.
+    `observed`: (n_rows, 2, n_freq); `used` lists which of G_p (0) and G_s (1) enter.
     """
 
     observer: Observer
@@ -177,14 +165,9 @@ class CurveMisfit:
 
 
 def add_noise(magnitudes: Tensor, snr_db: float, seed: int) -> Tensor:
-    """Return curves plus white Gaussian noise of rms = rms(curve) 10^(-SNR/20).
+    """Return curves (..., n_freq) plus white Gaussian noise of rms = rms(curve) 10^(-SNR/20).
 
-    Parameters
-    ----------
-    magnitudes : tensor of shape (..., n_freq), [-]
-    snr_db : float, [dB]
-    seed : int
-        The same seed on the same kind of device gives the same noise.
+    The same seed on the same kind of device gives the same noise.
     """
     source = torch.Generator(magnitudes.device).manual_seed(seed)
     noise = torch.empty_like(magnitudes).normal_(generator=source)

@@ -1,8 +1,8 @@
-"""Estimates of transfer functions from trips: how trips are recorded, and what they would give.
+"""Transfer functions as estimated from simulated trips: settings of the trips, and the observer.
 
-Averaged spectra of n independent averages are a complex Wishart matrix over n about their mean. The
-estimator that the recording goes through is applied to draws of it: bias (H1 in noise), leakage and
-the noise of each bin are those of the trip.
+The averaged spectra of n independent averages follow a complex Wishart distribution about their
+mean. The observer draws such spectra and applies the same estimator as to recordings, so its curves
+have the bias (H1 in noise), the leakage and the noise that a trip gives.
 """
 
 from __future__ import annotations
@@ -34,21 +34,20 @@ from suspnet.spectra.speeds import Speeds
 from suspnet.spectra.welch import Welch
 
 SPEED_HALF_WIDTH = 0.08
-"""Half width of the speeds that one model reads; measured, errors of corrected estimates were up to
-about twice those at the speed of the training at 0.1 from it."""
+"""Relative half width of the speed range of one model; at 0.1 from the training speed, errors of
+corrected estimates were up to about twice as large (measured)."""
 LOWEST_MODE, HIGHEST_MODE, HIGHEST_OF_BODY = 0.45, 3.8, 2.4
-"""Ends of the band, and of what is used of G_s: multiples of the first natural frequency, then of
-the second. Between the last two the primary damper separates from its bushing and the axle
-guidance; the body sounds there with modes of its structure, of which the model holds the first."""
+"""Default band ends as multiples of natural frequencies: start of the band (first mode), end of the
+band and end of G_s (second mode). Between the last two the primary damper separates from its
+bushing and the axle guidance, but the body has structural modes there; the model has only one."""
 HIGHEST_HZ = 25.0
-"""Highest end of a band that follows from the vehicle: recordings are read up to a quarter of their
-rate, which is 100 Hz by default; [Hz]."""
+"""Highest default end of the band, [Hz]: a quarter of the default sampling rate of 100 Hz."""
 MOST_BINS = 100_000
 """Largest number of frequency bins of a curve; a band up to 25 Hz has 500."""
 WEAK, WEAK_OF_ONE = 4.0, 0.5
-"""A bin is weak if the deviation of the healthy vehicle's log-response exceeds this multiple of the
-median over the band and, times the root of the number of averages, this number: its estimate is a
-ratio of two nearly vanishing spectra and has the tails of one."""
+"""A bin is weak if the standard deviation of the healthy vehicle's log-response exceeds 4 times its
+median over the band, and 0.5 / sqrt(n_averages): the estimate is then a ratio of two nearly
+vanishing spectra, with heavy tails."""
 
 
 @dataclass(frozen=True)
@@ -58,8 +57,9 @@ class EstimateSettings:
     Parameters
     ----------
     segment_s, overlap, window
-        Of ``Welch``. A segment must be long against the ringing of the body: with 20 s the
-        leakage modelled here is that of recordings, with 10 s no more (AM96, c_s at 80 %).
+        Settings of ``Welch``. A segment must be long against the decay time of the body: with
+        20 s the modelled leakage matches that of recordings, with 10 s it does not (AM96, c_s at 80
+        %).
 
     Raises
     ------
@@ -126,7 +126,7 @@ class EstimateSettings:
         "s",
         above=0,
     )
-    overlap: float = setting(0.5, "Share of a segment that the next one has too", low=0, below=1)
+    overlap: float = setting(0.5, "Fraction of a segment shared with the next one", low=0, below=1)
     window: str = setting(
         "hann", "Window of a segment, by its name in scipy.signal.get_window", rule="name"
     )
@@ -161,7 +161,7 @@ class EstimateSettings:
     )
     cache_dir: str | None = setting(
         ".cache/suspnet",
-        "Folder where features of curves are kept between runs; null keeps none",
+        "Folder where features of curves are stored between runs; null stores none",
         rule="path",
     )
 
@@ -185,19 +185,19 @@ class EstimateSettings:
 
     @property
     def welch(self) -> Welch:
-        """Settings by which recordings are cut into segments."""
+        """Segment length, overlap and window as ``Welch`` settings."""
         return Welch(self.segment_s, self.overlap, self.window)
 
     @property
     def n_averages(self) -> float:
-        """Independent averages of a trip."""
+        """Number of independent averages of a trip; 0 if it is shorter than a segment."""
         welch = self.welch
         step_s = welch.segment_s * (1 - welch.overlap)
         n_segments = max(0.0, (self.minutes * 60 - welch.segment_s) / step_s + 1)
         return welch.n_averages(n_segments) if n_segments >= 1 else 0.0
 
     def bound(self, vehicle: Vehicle) -> EstimateSettings:
-        """Return the settings with a band in Hz: an end that is None follows from the vehicle."""
+        """Return the settings with missing ends of the band filled in from the vehicle."""
         modes, _ = QuarterCar(vehicle).natural_modes()
         low = LOWEST_MODE * float(modes[0]) if self.low_hz is None else self.low_hz
         high = min(HIGHEST_MODE * float(modes[1]), HIGHEST_HZ)
@@ -220,7 +220,7 @@ class EstimateSettings:
         return bound
 
     def beyond(self, frequencies_hz: Tensor) -> Tensor:
-        """Return which bins (n_freq,) lie beyond `body_high_hz`, bool (2, n_freq): G_s alone."""
+        """Return which bins (n_freq,) lie above `body_high_hz`, bool (2, n_freq): G_s only."""
         end = math.inf if self.body_high_hz is None else self.body_high_hz
         beyond = frequencies_hz > end + 1e-9
         return torch.stack([torch.zeros_like(beyond), beyond])
@@ -231,7 +231,7 @@ class EstimateSettings:
         Raises
         ------
         ValueError
-            If the band is not bound to a vehicle yet.
+            If an end of the band is still None: `bound` fills them in.
         """
         if self.low_hz is None or self.high_hz is None:
             raise ValueError("the band follows from the vehicle: call `bound` first")
@@ -242,11 +242,11 @@ class EstimateSettings:
         return torch.arange(first, last + 1, dtype=torch.float64) / self.segment_s
 
     def observer(self, generator: ResponseGenerator) -> EstimateObserver:
-        """Return the source of estimates of a generator's vehicles."""
+        """Return the observer that draws estimates for a generator's vehicles."""
         return EstimateObserver(self, generator)
 
     def words(self) -> str:
-        """Return a text on what is observed, with which noise."""
+        """Return a description of the trips and their noise."""
         band = "" if self.low_hz is None else f", {self.low_hz:.3g} to {self.high_hz:.3g} Hz"
         bias = "" if self.method == "IV" else f" The bias of {self.method} in noise is known."
         return (
@@ -257,15 +257,10 @@ class EstimateSettings:
 
 
 class EstimateObserver:
-    """Estimates of G_p and G_s, as trips of a generator's vehicles would give them.
+    """Draws estimates of G_p and G_s as trips of a generator's vehicles would give them.
 
-    Parameters
-    ----------
-    settings : EstimateSettings
-        Bound to a vehicle.
-    generator : ResponseGenerator
-    speeds : Speeds, optional
-        Of a trip; None is that of the settings, and of generators that depend on none.
+    `settings` must be bound to a vehicle. `speeds` are those of the trip; None means the speed of
+    the settings, and is right for generators that do not depend on speed.
     """
 
     def __init__(
@@ -295,12 +290,12 @@ class EstimateObserver:
     def at(self, speeds: Speeds) -> EstimateObserver:
         """Return the observer of a trip at other speeds.
 
-        Noise densities and directions are those of the nominal speed.
+        Noise densities and directions remain those of the nominal speed.
         """
         observer = EstimateObserver(self.settings, self.generator, speeds)
         if observer._is_nominal:
             return self._nominal
-        observer._nominal = self._nominal  # with what it has computed already
+        observer._nominal = self._nominal  # share what it has already computed
         return observer
 
     @cached_property
@@ -321,10 +316,10 @@ class EstimateObserver:
 
     @cached_property
     def weak(self) -> Tensor:
-        """Which bins in use are `WEAK` in the healthy vehicle, bool (2, n_freq).
+        """Which bins in use are weak (see `WEAK`) for the healthy vehicle, bool (2, n_freq).
 
-        At f = v / (2 wheelbase) a bogie's axles move against each other: it does not bounce, and
-        the body is an instrument of nothing.
+        Near f = v / (2 wheelbase) the axles of a bogie move in antiphase: the bogie does not
+        bounce, and the body is no useful instrument.
         """
         covariance = self._healthy.covariance(self.settings.method)
         deviations = covariance[0].diagonal().T.real.clamp(min=0).sqrt()
@@ -335,15 +330,15 @@ class EstimateObserver:
 
     @cached_property
     def beyond(self) -> Tensor:
-        """Which bins lie beyond `body_high_hz`, where G_s is not used, bool (2, n_freq)."""
+        """Which bins lie above `body_high_hz`, where G_s is not used, bool (2, n_freq)."""
         return self.settings.beyond(self.frequencies_hz)
 
     def for_features(self, curves: Tensor) -> Tensor:
-        """Return estimates as the feature set is to see them: of the nominal speed, none weak.
+        """Return estimates (n, 2, n_freq) mapped to the nominal speed, with weak bins interpolated.
 
-        G is multiplied by G_healthy at the nominal speed over G_healthy at the trip's. Of what is
-        left relative to healthy a weak bin gets the straight line between its neighbours. G_s
-        beyond `body_high_hz` is that of the healthy vehicle.
+        G is multiplied by G_healthy at the nominal speed over G_healthy at the trip's speed. The
+        ratio to healthy is interpolated linearly over weak bins, and is 1 for G_s above
+        `body_high_hz`.
         """
         if self._is_nominal and not bool((self.weak | self.beyond).any()):
             return curves
@@ -355,20 +350,20 @@ class EstimateObserver:
 
     @cached_property
     def directions(self) -> Directions:
-        """The directions of the generator's uncertain numbers that its curves show."""
+        """Directions of the generator's uncertain numbers that affect its curves."""
         return directions(self) if self._is_nominal else self._nominal.directions
 
     def noise_free(self, ratios: Tensor) -> Tensor:
         """Return the limit of the estimates for infinitely long trips, (n_vehicles, 2, n_freq).
 
-        It includes leakage, and the bias of H1, H2 and Hv by the sensors' noise.
+        It includes leakage, and the bias of H1, H2 and Hv caused by sensor noise.
         """
         return self.expected(ratios).responses(self.settings.method)
 
     def observe(self, ratios: Tensor, seed: int) -> Tensor:
         """Return estimates of G_p and G_s from one trip of each vehicle, (n_vehicles, 2, n_freq).
 
-        The generator's uncertain quantities are drawn, too.
+        The generator's uncertain quantities are drawn as well.
         """
         unmeasured, noise = np.random.SeedSequence(seed).generate_state(2, np.uint64)
         rows = self.generator.sample_unmeasured(ratios, int(unmeasured >> np.uint64(1)))
@@ -377,9 +372,9 @@ class EstimateObserver:
         return self._drawn(expected, source)
 
     def observe_again(self, spectra: CrossSpectra, n_draws: int, seed: int) -> Tensor:
-        """Return estimates of further trips with the same spectra, (n_draws, 2, n_freq).
+        """Return estimates of further trips with the same mean spectra, (n_draws, 2, n_freq).
 
-        `spectra` are of shape (3, n_freq) on the observer's bins, with as many averages.
+        `spectra` must lie on the observer's bins, shape (3, n_freq).
         """
         auto, cross = (part.expand(n_draws, -1, -1) for part in (spectra.auto, spectra.cross))
         source = torch.Generator(auto.device).manual_seed(seed)
@@ -389,7 +384,7 @@ class EstimateObserver:
         return sample_spectra(mean, self._correlating, source).responses(self.settings.method)
 
     def misfit(self, curves: Tensor, near: Tensor, used: Sequence[int] = (0, 1)) -> EstimateMisfit:
-        """Return the misfit of estimates (n, 2, n_freq), their covariance that of vehicles `near`.
+        """Return the misfit of estimates (n, 2, n_freq), weighted as for the vehicles `near`.
 
         Both responses are used, whatever `used` says.
         """
@@ -397,7 +392,7 @@ class EstimateObserver:
         return EstimateMisfit(self, curves, covariance)
 
     def measured_misfit(self, spectra: CrossSpectra) -> EstimateMisfit:
-        """Return the misfit of one trip's spectra (3, n_freq), with the covariance they show."""
+        """Return the misfit of one trip's spectra (3, n_freq), with their measured covariance."""
         method, correlation = self.settings.method, self.settings.welch.correlation()
         covariance = spectra.measured_covariance(method, correlation)
         return EstimateMisfit(
@@ -405,9 +400,9 @@ class EstimateObserver:
         )
 
     def without_unused(self, covariance: Tensor) -> Tensor:
-        """Return a covariance (n_vehicles, 2, 2, n_freq) in which unused bins count for nothing.
+        """Return a covariance (n_vehicles, 2, 2, n_freq) with infinite variance in unused bins.
 
-        Bins `weak` or `beyond` have infinite variance and no covariance.
+        Unused are the bins `weak` and `beyond`; their cross-covariance is 0.
         """
         unused = (self.weak | self.beyond).to(covariance.device)
         covariance = covariance.masked_fill(unused[:, None] | unused[None], 0.0)
@@ -422,7 +417,7 @@ class EstimateObserver:
         return self._mean.track_density(frequencies_hz)
 
     def noise_densities(self, responses: Responses, rates_hz: Sequence[float]) -> Tensor:
-        """Return the noise density of each of some sensors, (n_sensors,), [(m/s^2)^2/Hz].
+        """Return the noise density of each sensor, (n_sensors,), [(m/s^2)^2/Hz].
 
         ``responses(ratios, frequencies_hz)`` gives those from the axle box, (1, n_sensors, n_freq).
         """
@@ -435,7 +430,7 @@ class EstimateObserver:
 
 
 def _bridged(relative: Tensor, weak: Tensor) -> Tensor:
-    """Return rows (n, n_freq) with weak bins interpolated; beyond the last good one, its value."""
+    """Return rows (n, n_freq) with weak bins interpolated linearly, held constant at the ends."""
     good = torch.nonzero(~weak)[:, 0]
     if not bool(weak.any()) or not len(good):
         return relative
@@ -449,4 +444,4 @@ def _bridged(relative: Tensor, weak: Tensor) -> Tensor:
 
 
 OBSERVATIONS: dict[str, Any] = {kind.kind: kind for kind in (CurveSettings, EstimateSettings)}
-"""Settings of every observation by the name of their file in configs/data/."""
+"""Settings class of each kind of observation, by the `kind` that model files store."""

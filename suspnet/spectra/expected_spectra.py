@@ -1,7 +1,7 @@
-"""Spectra as trips of a generator's vehicles would give them, and the misfit of estimates to them.
+"""Expected spectra of trips of a generator's vehicles, and the misfit of estimates to them.
 
-The spectra of the three sensors follow from the track, the speed and the vehicle. Their mean
-estimate is the true one smeared over neighbouring bins by the window.
+The spectra of the three sensors follow from the track, the speed and the vehicle. The mean of their
+estimate is the true spectrum, smeared over neighbouring bins by the window.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from suspnet.spectra.welch import Welch
 
 Responses = Callable[[Tensor, Tensor], Tensor]
 SPEED = len(PARAMETERS)
-"""Column of the speed in ratios that hold it."""
+"""Column of the relative speed in ratios that include it."""
 WIDE_BAND_LOW_HZ, WIDE_BAND_POINTS = 0.1, 4000
 """Lowest frequency [Hz] and number of points of the integral that gives a channel's rms."""
 
@@ -34,16 +34,7 @@ WIDE_BAND_LOW_HZ, WIDE_BAND_POINTS = 0.1, 4000
 class ExpectedSpectra:
     """Mean of the estimated spectra of axle box, frame and body, without the sensors' noise.
 
-    Parameters
-    ----------
-    generator : ResponseGenerator
-    welch : Welch
-    frequencies_hz : tensor of shape (n_freq,), [Hz]
-        Bins of the estimate.
-    track : TrackSpectrum
-    speed_m_per_s : float, [m/s]
-    relative : Speeds, optional
-        Speeds of the trip relative to `speed_m_per_s`; None is that one alone.
+    `relative` are the speeds of the trip over `speed_m_per_s`; None means that speed alone.
     """
 
     def __init__(
@@ -57,7 +48,8 @@ class ExpectedSpectra:
     ) -> None:
         self._generator, self._track, self._relative = generator, track, relative
         self._speed_m_per_s, self._smear = speed_m_per_s, welch.smear()
-        # neighbours on either side leak into the outer bins, too
+        # neighbours on either side leak into the outer bins as well
+
         more = torch.arange(1, len(self._smear) // 2 + 1, dtype=torch.float64) / welch.segment_s
         bins = frequencies_hz
         self._bins = torch.cat([bins[0] - more.flip(0), bins, bins[-1] + more])
@@ -83,8 +75,8 @@ class ExpectedSpectra:
     ) -> Tensor:
         """Return the noise density of sensors, (n_sensors,), [(m/s^2)^2/Hz].
 
-        White noise of `snr_db` relative to the rms of the healthy vehicle's signal over the whole
-        band of a sensor.
+        The noise is white, `snr_db` below the rms of the healthy vehicle's signal over the sensor's
+        band.
         """
         densities = []
         healthy = torch.ones(1, len(PARAMETERS), dtype=torch.float64)
@@ -102,7 +94,7 @@ class ExpectedSpectra:
         return channels.abs().square().sum(dim=1).sqrt()
 
     def _at_speed(self, ratios: Tensor, relative: float, weight: float) -> tuple[Tensor, Tensor]:
-        """Return ratios with a speed, relative to nominal, and the track's weighted density."""
+        """Return ratios with the relative speed as a column, and the track's weighted density."""
         speed = ratios.new_full((len(ratios), 1), relative)
         if ratios.shape[1] > SPEED:
             speed = speed * ratios[:, SPEED : SPEED + 1]
@@ -114,7 +106,7 @@ class ExpectedSpectra:
         return torch.as_tensor(acceleration_density(self._track, self._bins.numpy(), speed))
 
     def _spectra(self, ratios: Tensor, density: Tensor) -> tuple[Tensor, Tensor]:
-        """Return auto and cross spectra without leakage, on all bins: sums over inputs."""
+        """Return auto and cross spectra on all bins, without leakage, summed over the inputs."""
         channels = self._generator.channels(ratios, self._bins)
         track = density.to(channels.device)
         auto = squared_size(channels).sum(dim=1) * track
@@ -122,7 +114,7 @@ class ExpectedSpectra:
         return auto, torch.stack(pairs, dim=1) * track
 
     def _smeared(self, spectra: Tensor) -> Tensor:
-        """Return spectra on the inner bins, each the weighted sum of its neighbours."""
+        """Return spectra on the inner bins, each a weighted sum of its neighbours."""
         n_inner = spectra.shape[-1] - len(self._smear) + 1
         return sum(  # type: ignore[return-value]
             float(w) * spectra[..., k : k + n_inner] for k, w in enumerate(self._smear)
@@ -134,16 +126,9 @@ class EstimateMisfit:
     """Complex responses estimated from trips, with the covariance of their logarithms.
 
     With L L^H the covariance of (log G_p, log G_s) in a bin, u the difference of observed and
-    expected logarithms and r the correlation of neighbouring bins (see
-    ``Welch.correlated_bins``), the residuals are real and imaginary part of L^-1 u sqrt(2 / r).
-
-    Attributes
-    ----------
-    observer : Observer
-        With `settings.welch`.
-    observed : complex tensor of shape (n_rows, 2, n_freq), [-]
-    covariance : complex tensor of shape (n_rows, 2, 2, n_freq), [-]
-        Infinite where an estimate is not to be used.
+    expected logarithms and r = ``Welch.correlated_bins``, the residuals are real and imaginary part
+    of L^-1 u sqrt(2 / r). `observed`: (n_rows, 2, n_freq); `covariance`: (n_rows, 2, 2, n_freq),
+    infinite where an estimate is not used.
     """
 
     observer: Observer
@@ -152,28 +137,23 @@ class EstimateMisfit:
 
     @property
     def expected(self) -> float:
-        """Mean square of a residual if the model is true: 1 / r, times the share in use."""
+        """Mean square of a residual if the model is true: 1 / r times the fraction of used bins."""
         return self._share / self._correlated
 
     def __call__(self, ratios: Tensor, rows: Tensor) -> Tensor:
         """Return residuals (n, n_points) of the vehicles `ratios` (n, 5) to the estimates `rows`.
 
-        The covariance is that of the observation: it does not move with the ratios.
+        The covariance is that of the observation and does not depend on the ratios.
         """
         u = complex_log(self.observed[rows] / self.observer.noise_free(ratios))
         return self.whitened(u, rows)
 
     def whitened(self, u: Tensor, rows: Tensor, spread: float | Tensor = 0.0) -> Tensor:
-        """Return the residuals (n, n_points) of relative differences.
+        """Return the residuals (n, n_points) of relative differences `u` (n, 2, n_freq).
 
-        Parameters
-        ----------
-        u : complex tensor of shape (n, 2, n_freq), [-]
-        rows : tensor of shape (n,)
-            The estimates that they belong to.
-        spread : float or tensor of shape (n_freq,), [-]
-            Rms error of the model that is allowed for on top of the noise; a bin in which it is
-            infinite does not count.
+        `rows` (n,) are the estimates they belong to. `spread`, a number or (n_freq,), is an rms
+        model error allowed for in addition to the noise; where it is infinite the bin does not
+        count.
         """
         covariance = self.covariance[rows]
         l_pp = (covariance[:, 0, 0].real + spread**2).sqrt()
@@ -186,12 +166,11 @@ class EstimateMisfit:
 
     @cached_property
     def _share(self) -> float:
-        """Share of the estimates that are used; the residuals of the others are 0."""
+        """Fraction of the estimates that are used; the residuals of the others are 0."""
         used = self.covariance.diagonal(dim1=1, dim2=2).real.isfinite()
         return float(used.double().mean())
 
     @cached_property
     def _correlated(self) -> float:
-        """Return r, the number of neighbouring bins with the information of one."""
         correlated: float = self.observer.settings.welch.correlated_bins
         return correlated

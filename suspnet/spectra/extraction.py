@@ -1,8 +1,8 @@
-"""Feature sets: which peaks of which response, and where to look for them.
+"""Feature sets: which peaks of which response are used, and where they are searched.
 
-"The largest peak" of abs(G_p) jumps from the first to the second resonance as k_p grows, so the
-two primary peaks are defined by their place, below and above the peak of abs(G_s): its position
-is the car body's frequency, near which abs(G_p) dips.
+"The largest peak" of abs(G_p) jumps from the first to the second resonance as k_p grows. The two
+primary peaks are therefore defined by their position, below and above the peak of abs(G_s): that is
+at the car body's frequency, near which abs(G_p) has a minimum.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ LOWER_PEAK_ENDS = 1.2
 UPPER_PEAK_BEGINS = 1.6
 """The upper primary peak lies above this multiple of the position of the secondary peak."""
 UPPER_PEAK_TILT = 1.5
-"""`tilt` of the upper primary peak, which keeps it in sight where much damping flattens it."""
+"""`tilt` of the upper primary peak; it finds the peak even if heavy damping flattens it."""
 _WINDOWS = {
     "secondary": (0.4, 0.4),
     "primary_lower": (0.4, 0.25),
@@ -41,12 +41,9 @@ GAUSSIAN_WINDOW = 0.25
 class FeatureTable:
     """Features of a batch of curves.
 
-    Attributes
-    ----------
-    values : tensor of shape (n_curves, 3 n_peaks)
-        Position [Hz], height [-] and width [Hz] of each peak; NaN where a peak is missing.
-    reasons : int64 tensor of shape (n_curves, n_peaks)
-        A ``PeakReason`` for each peak.
+    `values` (n_curves, n_features), for peaks position [Hz], height [-] and width [Hz] of each, is
+    NaN where a feature is missing. `reasons` is int64 (n_curves, n_parts), 0 where nothing is
+    missing.
     """
 
     values: Tensor
@@ -54,14 +51,10 @@ class FeatureTable:
 
 
 class FeatureSet(Protocol):
-    """What turns curves into the inputs of a regression. A subclass that learns nothing is brief.
+    """Turns curves into the inputs of a regression; the defaults suit a set that learns nothing.
 
-    Attributes
-    ----------
-    kind : str
-        Names the feature set in protocols and model files.
-    positive : bool
-        Whether features are positive, so that their logarithms may be taken.
+    `kind` is its name in protocols and model files; `positive` states that features are positive,
+    so that their logarithms may be taken.
     """
 
     kind: ClassVar[str]
@@ -69,7 +62,7 @@ class FeatureSet(Protocol):
 
     @property
     def parts(self) -> tuple[str, ...]:
-        """Name of what each column of the reasons belongs to."""
+        """Names of the columns of the reason codes."""
         ...
 
     @property
@@ -79,23 +72,19 @@ class FeatureSet(Protocol):
 
     @property
     def is_fitted(self) -> bool:
-        """Whether the feature set has learnt from training curves, or has nothing to learn."""
+        """Whether the feature set needs no (further) training curves."""
         return True
 
     def fitted(self, clean: Tensor, noisy: Tensor, healthy: Tensor, frequencies_hz: Tensor) -> Self:
-        """Return the feature set with what it learns from training curves.
+        """Return the feature set, fitted to training curves.
 
-        Parameters
-        ----------
-        clean, noisy : tensors of shape (n_curves, 2, n_freq), [-]
-            The same curves without and with noise.
-        healthy : tensor of shape (2, n_freq), [-]
-        frequencies_hz : tensor of shape (n_freq,), [Hz]
+        `clean`, `noisy`: the same curves (n_curves, 2, n_freq) without and with noise; `healthy`:
+        (2, n_freq).
         """
         return self
 
     def blank(self) -> Self:
-        """Return the feature set without what it has learnt."""
+        """Return the feature set without its learnt arrays."""
         return self
 
     def extract(self, curves: Tensor, frequencies_hz: Tensor) -> FeatureTable:
@@ -107,15 +96,15 @@ class FeatureSet(Protocol):
         ...
 
     def missing(self, reasons: IntArray) -> str:
-        """Return a text on what is missing of one curve and why."""
+        """Return what is missing of one curve and why, from its row of reasons."""
         ...
 
     def state(self) -> dict[str, FloatArray]:
-        """Return what was learnt from training curves, for storage."""
+        """Return the learnt arrays, for storage."""
         return {}
 
     def restored(self, arrays: Mapping[str, FloatArray]) -> Self:
-        """Return the feature set with what was stored."""
+        """Return the feature set with its stored arrays."""
         return self
 
 
@@ -171,11 +160,11 @@ class PeakFeatures(FeatureSet):
 
     kind: ClassVar[str] = "peaks"
     positive: ClassVar[bool] = True
-    """Features are positive: their logarithms may be taken."""
+    """Features are positive, so their logarithms may be taken."""
 
     @property
     def parts(self) -> tuple[str, ...]:
-        """Name of what each column of the reasons belongs to."""
+        """Names of the columns of the reason codes."""
         return tuple(self.peaks)
 
     @property
@@ -184,11 +173,11 @@ class PeakFeatures(FeatureSet):
         return tuple(f"{peak}_{measure}" for peak in self.peaks for measure in MEASURES)
 
     def relative(self, values: FloatArray, healthy: FloatArray) -> FloatArray:
-        """Return features relative to the healthy vehicle's: their quotient."""
+        """Return the ratio of features to the healthy vehicle's."""
         return values / healthy
 
     def missing(self, reasons: IntArray) -> str:
-        """Return a text on which peaks are missing and why, from one row of the reasons."""
+        """Return which peaks are missing and why, from one row of the reasons."""
         return ", ".join(
             f"{peak} ({PeakReason(int(reason)).name.lower().replace('_', ' ')})"
             for peak, reason in zip(self.peaks, reasons, strict=True)
@@ -204,10 +193,6 @@ class PeakFeatures(FeatureSet):
             G_p and G_s, or their magnitudes.
         frequencies_hz : tensor of shape (n_freq,), [Hz]
 
-        Returns
-        -------
-        FeatureTable
-
         Raises
         ------
         ValueError
@@ -222,6 +207,7 @@ class PeakFeatures(FeatureSet):
         frequencies, curves = frequencies_hz[band], curves[:, :, band]
         primary, secondary = (curves.abs() if curves.is_complex() else curves).unbind(1)
         check_grid(primary, frequencies)
+        # the secondary peak first, as it defines where the primary peaks are searched
         found: dict[str, Peaks] = {}
         if set(self.peaks) - {"primary_largest"}:
             found["secondary"] = findpeaks(secondary, frequencies, fit=self._fit("secondary"))

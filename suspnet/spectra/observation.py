@@ -1,15 +1,15 @@
-"""Interfaces of an observation of curves, and the directions of uncertain numbers that curves show.
+"""Interfaces of an observation of curves, and the directions of uncertain numbers.
 
-An observation is a pair of classes: settings, which hold the numbers of a YAML file, and the
-observer that they make of a generator. `curves` is the paper's (magnitudes with white noise),
+An observation is a pair of classes: settings with the values of a YAML file, and the observer that
+they create for a generator. `curves` is the paper's observation (magnitudes with white noise),
 `estimates` that of trips (transfer functions estimated from recordings).
 
-Directions: with F the factor of the log-normal distribution of a generator's uncertain numbers,
-their logarithms (of those that may be absent: of 1 + number) are mean + F z, z standard normal.
-Many directions of z leave the curves as they are. With J the derivative of the curves in units of
-their noise, the eigenvectors of the mean of J^T J over vehicles (the active subspace; Constantine,
-Active subspaces, 2015) are directions of ever less effect, whose rms is the root of the eigenvalue.
-Those of next to no effect stay at the median.
+Directions: the logarithms of a generator's uncertain numbers (of 1 + number for those that may be
+absent) are normal, mean + F z with z standard normal. Many directions of z hardly change the
+curves. With J the derivative of the curves in units of their noise, the eigenvectors of the mean of
+J^T J over vehicles (the active subspace; Constantine, Active subspaces, 2015) are directions of
+decreasing effect, with the root of the eigenvalue as rms effect. Directions of negligible effect
+are fixed at the median.
 """
 
 from __future__ import annotations
@@ -27,17 +27,17 @@ from suspnet.dynamics import PARAMETERS, ResponseGenerator, Vehicle
 from suspnet.ground.checks import check_number
 
 LEAST_CALIBRATION = 100
-"""Least number of calibration curves; the coverage of a 90 % interval then scatters by 3 %."""
+"""Smallest number of calibration curves; the coverage of a 90 % interval then scatters by 3 %."""
 
 MOST_CURVES = 100_000_000
-"""Largest number of curves; their parameters alone then fill 4 GB."""
+"""Largest number of curves; their parameters alone then take 4 GB."""
 LEAST_EFFECT = 0.1
-"""Rms effect of a direction that counts, in standard deviations of the noise; each one left out
-widens a parameter's deviation by about 0.5 % at most."""
+"""Smallest rms effect of a direction that is retained, in standard deviations of the noise; each
+neglected one would widen a parameter's deviation by about 0.5 % at most."""
 N_VEHICLES = 24
-"""Vehicles over which the effect is averaged."""
+"""Number of vehicles over which the effect is averaged."""
 FURTHEST = 2.0
-"""Their parameters lie within this factor of healthy."""
+"""Largest factor, up or down, between the parameters of these vehicles and healthy."""
 STEP = 1e-4
 """Step of the central differences, in standard deviations of the numbers."""
 
@@ -46,13 +46,8 @@ class Misfit(Protocol):
     """Residuals of observed curves in units of their noise.
 
     Their sum of squares is -2 log likelihood; with J the derivative, J^T J is the Fisher
-    information.
-
-    Attributes
-    ----------
-    observed : tensor of shape (n_rows, 2, n_freq), [-]
-    expected : float
-        Mean square of a residual if the model is true.
+    information. `observed` has shape (n_rows, 2, n_freq); `expected` is the mean square of a
+    residual if the model is true.
     """
 
     @property
@@ -69,13 +64,8 @@ class Misfit(Protocol):
 class Observer(Protocol):
     """Makes curves of vehicles as they would be observed.
 
-    Attributes
-    ----------
-    settings : Observation
-    generator : ResponseGenerator
-    frequencies_hz : tensor of shape (n_freq,), [Hz]
-    directions : Directions
-        Of the generator's uncertain numbers, which its curves show.
+    `frequencies_hz` has shape (n_freq,); `directions` are those of the generator's uncertain
+    numbers that affect its curves.
     """
 
     @property
@@ -95,23 +85,18 @@ class Observer(Protocol):
         ...
 
     def observe(self, ratios: Tensor, seed: int) -> Tensor:
-        """Return noisy curves; the generator's uncertain quantities are drawn too."""
+        """Return noisy curves, with the generator's uncertain quantities drawn as well."""
         ...
 
     def for_features(self, curves: Tensor) -> Tensor:
-        """Return curves (n_curves, 2, n_freq) as the feature set is to see them."""
+        """Return curves (n_curves, 2, n_freq) as the input of the feature set."""
         ...
 
     def misfit(self, curves: Tensor, near: Tensor, used: Sequence[int] = (0, 1)) -> Misfit:
-        """Return the misfit of observed curves.
+        """Return the misfit of observed curves (n_curves, 2, n_freq).
 
-        Parameters
-        ----------
-        curves : tensor of shape (n_curves, 2, n_freq), [-]
-        near : tensor of shape (n_curves, 5), [-]
-            Ratios of vehicles whose noise is like that of the curves.
-        used : sequence of int
-            Which of G_p (0) and G_s (1) are used.
+        `near` (n_curves, 5) are ratios of vehicles with noise like that of the curves; `used` lists
+        which of G_p (0) and G_s (1) enter.
         """
         ...
 
@@ -119,19 +104,9 @@ class Observer(Protocol):
 class Observation(Protocol):
     """Settings of an observation, as in a file of configs/data.
 
-    Attributes
-    ----------
-    kind : str
-        Names the observation in model files.
-    n_train, n_test : int or "all"
-        Curves for training and testing; "all" is the whole grid of the protocol.
-    n_calibrate : int or None
-        Fresh curves from which intervals and thresholds are learnt; None gives the model neither.
-    snr_db : float, [dB]
-    low_hz, high_hz : float or None, [Hz]
-        Band.
-    cache_dir : str or None
-        Where feature tables are stored between runs; None stores none.
+    `kind` is its name in model files. `n_train` and `n_test` are numbers of curves, or "all" for
+    the whole grid of the protocol; `n_calibrate` curves calibrate intervals and thresholds (None:
+    neither). `cache_dir` stores feature tables between runs (None: no cache).
     """
 
     __dataclass_fields__: ClassVar[dict[str, Any]]
@@ -159,7 +134,7 @@ class Observation(Protocol):
     def cache_dir(self) -> str | None: ...  # noqa: D102
 
     def bound(self, vehicle: Vehicle) -> Self:
-        """Return the settings for a vehicle, with the values that follow from it filled in."""
+        """Return the settings with the values that follow from the vehicle filled in."""
         ...
 
     def frequencies_hz(self) -> Tensor:
@@ -171,12 +146,12 @@ class Observation(Protocol):
         ...
 
     def words(self) -> str:
-        """Return a text on what is observed, with which noise."""
+        """Return a description of what is observed and of its noise."""
         ...
 
 
 def check_counts(settings: Observation) -> None:
-    """Raise TypeError or ValueError unless every number of curves is one."""
+    """Raise TypeError or ValueError unless the numbers of curves are valid."""
     for name in ("n_train", "n_test"):
         value = getattr(settings, name)
         if value != "all":
@@ -193,16 +168,15 @@ def check_counts(settings: Observation) -> None:
 
 @dataclass(frozen=True)
 class Directions:
-    """Directions of uncertain numbers: a few standard normal coordinates instead of every number.
+    """A few standard normal coordinates that replace all the uncertain numbers.
 
     Attributes
     ----------
-    generator : ResponseGenerator
     factor : tensor of shape (n_names, n), [-]
         Change of the logarithms of the distribution's numbers for a coordinate of 1.
     neglected, strongest : float, [-]
-        Rms effect of all directions left out, and of the first one, in standard deviations of the
-        noise.
+        Rms effect of all neglected directions, and of the strongest direction, in standard
+        deviations of the noise.
     """
 
     generator: ResponseGenerator
@@ -216,13 +190,9 @@ class Directions:
         return self.factor.shape[1]
 
     def vehicles(self, ratios: Tensor, coordinates: Tensor) -> Tensor:
-        """Return ratios with all columns, or as they are where no number is uncertain.
+        """Return ratios with the columns of the uncertain numbers added, if there are any.
 
-        Parameters
-        ----------
-        ratios : tensor of shape (n_vehicles, n_columns), [-]
-        coordinates : tensor of shape (n_vehicles, n), [-]
-            0 is the median of the distribution.
+        `ratios`: (n_vehicles, n_columns); `coordinates`: (n_vehicles, n), 0 is the median.
         """
         distribution = self.generator.distribution
         if not self.n or distribution is None:
@@ -234,7 +204,7 @@ class Directions:
 
 
 def every_direction(generator: ResponseGenerator) -> Directions:
-    """Return coordinates of all uncertain numbers of a generator."""
+    """Return directions that span all uncertain numbers of a generator."""
     distribution = generator.distribution
     if distribution is None or not distribution.names:
         return Directions(generator, torch.zeros(0, 0, dtype=torch.float64))
@@ -242,7 +212,7 @@ def every_direction(generator: ResponseGenerator) -> Directions:
 
 
 def directions(observer: Observer) -> Directions:
-    """Return the directions of the uncertain numbers that matter to an observer's curves."""
+    """Return the directions of the uncertain numbers that affect an observer's curves."""
     every = every_direction(observer.generator)
     if not every.n:
         return every
@@ -259,7 +229,7 @@ def directions(observer: Observer) -> Directions:
 
 
 def _jacobian(observer: Observer, every: Directions, ratios: Tensor, standard: Tensor) -> Tensor:
-    """Return the derivative of the misfit with respect to z, shape (n, n_names, n_points)."""
+    """Return the derivative of the misfit with respect to z, (n, n_names, n_points)."""
     rows = torch.arange(len(ratios))
     here = every.vehicles(ratios, standard)
     misfit = observer.misfit(observer.noise_free(here), here)

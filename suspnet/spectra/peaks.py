@@ -19,10 +19,10 @@ from suspnet.ground.checks import check_choice, check_number
 from suspnet.ground.tensors import as_tensor
 
 CLIP_FRACTION = 0.3
-"""Fraction of the smoothed curve to which lower raw points are raised: they are noise."""
+"""Raw points below this fraction of the smoothed curve are noise and are raised to it."""
 
 FLOOR_FRACTION = 1e-3
-"""Fraction of its maximum to which the smoothed curve is raised: noise can make it negative."""
+"""The smoothed curve, which noise can make negative, is raised to this fraction of its maximum."""
 
 LOWEST, REACH = 0.5, 1.5
 """A fit is rejected if its position lies below LOWEST times the frequency of the maximum (a tilt
@@ -32,7 +32,7 @@ EDGE = 3.5
 
 
 class PeakReason(IntEnum):
-    """Why a curve has no peak; 0 where it has one."""
+    """Reason code of a curve without a peak; 0 if it has one."""
 
     FOUND = 0
     NOT_FINITE = 1
@@ -52,19 +52,19 @@ class PeakFit:
         Lorentzian: a parabola through 1/abs(G)^2, exact for one lightly damped mode.
         Gaussian: a parabola through log abs(G).
     smoothing_hz : float, [Hz]
-        Length of the moving average that finds the maximum and weighs the points.
+        Length of the moving average, which locates the maximum and gives the weights of the points.
     window_below, window_above : float
-        Half widths of the first fit's window on either side of its centre, in log-frequency; the
-        window exp(-(log(f/centre) / half width)^4 / 2) is soft, so features stay continuous.
+        Half widths of the first fit's window on either side of its centre, in log-frequency.
+        The window exp(-(log(f/centre) / half width)^4 / 2) is soft, so features are continuous.
     tilt : float
-        The maximum is searched on abs(G) f^tilt; a positive tilt keeps a flattening peak in sight.
-        The fit is always to abs(G) itself.
+        The maximum of abs(G) f^tilt is searched; a positive tilt finds a peak that damping
+        flattens. The fit is always to abs(G) itself.
     n_fits : int
-        Least-squares fits; each after the first is centred on the position found before, and
-        dropped where it fails.
+        Least-squares fits; each after the first is centred on the previous position, and
+        discarded if it fails.
     top : float
-        Half width of the window of the later fits, as a multiple of the width found before; the
-        first window is never exceeded. The smaller, the closer to the top and the noisier.
+        Half width of the window of the later fits, as a multiple of the fitted width, at most
+        that of the first window. A smaller window is closer to the top and noisier.
 
     Raises
     ------
@@ -91,13 +91,9 @@ class PeakFit:
 class Peaks:
     """One peak for each curve; NaN and a reason where there is none.
 
-    Attributes
-    ----------
-    position_hz, height, width_hz : tensors of shape (n_curves,)
-        Place [Hz] and value [-] of the fitted maximum, and full width at half power [Hz]
-        (2 zeta f_0 for one lightly damped mode).
-    reason : int64 tensor of shape (n_curves,)
-        A ``PeakReason``.
+    `position_hz`, `height` [-] and `width_hz` have shape (n_curves,); the width is the full width
+    at half power, 2 zeta f_0 for one lightly damped mode. `reason` (n_curves,) holds ``PeakReason``
+    codes.
     """
 
     position_hz: Tensor
@@ -111,7 +107,7 @@ class Peaks:
         return self.reason == PeakReason.FOUND
 
     def blanked(self) -> Peaks:
-        """Return the peaks with NaN where none was found."""
+        """Return the peaks with NaN wherever no peak was found."""
         position, height, width = (
             torch.where(self.valid, measure, math.nan)
             for measure in (self.position_hz, self.height, self.width_hz)
@@ -183,7 +179,7 @@ def smooth(magnitude: Tensor, frequencies_hz: Tensor, length_hz: float) -> Tenso
     n_freq = magnitude.shape[1]
     half = min(round(length_hz / step) // 2, (n_freq - 1) // 2)
     length = 2 * half + 1
-    # sums of 1, 2, 4, ... neighbours; those in the binary digits of `length` make up the whole
+    # sums of 1, 2, 4, ... neighbours; add up those in the binary representation of `length`
     sums = torch.nn.functional.pad(magnitude, (half, half))
     total = sums[:, :n_freq].clone()
     width = taken = 1
@@ -200,18 +196,17 @@ def smooth(magnitude: Tensor, frequencies_hz: Tensor, length_hz: float) -> Tenso
 
 @dataclass(frozen=True)
 class SmoothedCurves:
-    """Curves made ready for several searches of a peak with one shape and smoothing.
+    """Curves preprocessed for several peak searches with one shape and smoothing.
 
-    The transformed noise of a point is that of abs(G) times 2 abs(G)^-3 (Lorentzian) or abs(G)^-1
-    (Gaussian); least squares weighs by the inverse square, the smoothed curve standing for abs(G).
+    The noise of a transformed point is that of abs(G) times 2 abs(G)^-3 (Lorentzian) or abs(G)^-1
+    (Gaussian). Least squares weights it by the inverse square, with the smoothed curve for abs(G).
 
     Attributes
     ----------
-    frequencies_hz : tensor of shape (n_freq,), [Hz]
     finite : bool tensor of shape (n_curves,)
-        The other curves are replaced by ones.
+        Curves that are not finite are replaced by ones.
     smoothed, target, weight : tensors of shape (n_curves, n_freq)
-        The moving average; the transform to which a parabola is fitted; the weight of its points.
+        Moving average, transformed curve to which a parabola is fitted, and weights of its points.
     """
 
     frequencies_hz: Tensor
@@ -222,7 +217,7 @@ class SmoothedCurves:
 
     @classmethod
     def of(cls, magnitude: Tensor, frequencies_hz: Tensor, fit: PeakFit) -> SmoothedCurves:
-        """Return the curves smoothed and transformed as `fit` says."""
+        """Return curves (n_curves, n_freq), smoothed and transformed as `fit` requires."""
         finite = torch.isfinite(magnitude.amax(dim=1)) & torch.isfinite(magnitude.amin(dim=1))
         if not bool(finite.all()):
             magnitude = torch.where(finite[:, None], magnitude, torch.ones_like(magnitude))
@@ -239,7 +234,7 @@ class SmoothedCurves:
     def peaks(
         self, fit: PeakFit, low_hz: Tensor | ArrayLike = 0.0, high_hz: Tensor | ArrayLike = math.inf
     ) -> Peaks:
-        """Return the largest peak of each curve within its band, see ``findpeaks``."""
+        """Return the largest peak of each curve within its band; see ``findpeaks``."""
         centre, interior = _largest(self.smoothed, self.frequencies_hz, low_hz, high_hz, fit.tilt)
         top, near = _fit_top(self, centre, fit)
         reason = torch.full_like(centre, PeakReason.FOUND, dtype=torch.int64)
@@ -270,7 +265,7 @@ def _largest(
 
 
 def _fit_top(curves: SmoothedCurves, centre: Tensor, fit: PeakFit) -> tuple[_Top, Tensor]:
-    """Return the last fit that is a maximum, and whether it lies near where it was searched."""
+    """Return the last fit that is a maximum, and whether it lies near the place of the search."""
     below = torch.full_like(centre, fit.window_below)
     above = torch.full_like(centre, fit.window_above)
     low = centre * LOWEST
@@ -291,7 +286,7 @@ def _fit_top(curves: SmoothedCurves, centre: Tensor, fit: PeakFit) -> tuple[_Top
 
 @dataclass(frozen=True)
 class _Top:
-    """A fitted top for each curve: its measures, and whether it is a maximum."""
+    """Fitted maximum of each curve; `found` is False where the parabola has no maximum."""
 
     position: Tensor
     height: Tensor
@@ -299,7 +294,7 @@ class _Top:
     found: Tensor
 
     def where_found_else(self, earlier: _Top) -> _Top:
-        """Keep an earlier maximum where this fit found none."""
+        """Return this fit, or the earlier one where only that found a maximum."""
         take = self.found | ~earlier.found
         pairs = zip(vars(self).values(), vars(earlier).values(), strict=True)
         return _Top(*(torch.where(take, new, old) for new, old in pairs))
@@ -326,7 +321,7 @@ def windowed_parabola(
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Fit target = constant + curvature (u - vertex)^2, u = f / centre - 1, curve by curve.
 
-    Weighted least squares, the weight of a bin being `weight` (n_curves, n_freq) times the window
+    The weight of a bin is `weight` (n_curves, n_freq) times the window
     exp(-(log(f / centre) / half width)^4 / 2) with the half widths `below` and `above` in
     log-frequency. Constant, vertex and curvature are NaN where the bins do not determine them.
     """
@@ -344,13 +339,13 @@ def windowed_parabola(
 
 
 def _moments(weight: Tensor, u: Tensor, n_moments: int) -> Tensor:
-    """Return the sums of weight u^k over the bins, k < n_moments; `weight` is used up."""
+    """Return sum over bins of weight u^k for k < n_moments; overwrites `weight`."""
     sums = [weight.sum(dim=1)] + [weight.mul_(u).sum(dim=1) for _ in range(n_moments - 1)]
     return torch.stack(sums, dim=1)
 
 
 def _bins_within(frequencies_hz: Tensor, centre: Tensor, below: Tensor, above: Tensor) -> slice:
-    """Return the bins that lie within the window of at least one curve."""
+    """Return the range of bins that covers the windows of all curves."""
     if len(centre) == 0:
         return slice(0)
     lowest, highest = centre * (-EDGE * below).exp(), centre * (EDGE * above).exp()
@@ -359,9 +354,9 @@ def _bins_within(frequencies_hz: Tensor, centre: Tensor, below: Tensor, above: T
 
 
 def _window(frequencies_hz: Tensor, centre: Tensor, below: Tensor, above: Tensor) -> Tensor:
-    """Return exp(-distance^4 / 2), the distance in half widths and never more than EDGE.
+    """Return exp(-distance^4 / 2), with the distance in half widths clipped to EDGE.
 
-    Beyond EDGE torch's exp would underflow, where it is several times slower.
+    Without clipping torch's exp would underflow, which is several times slower.
     """
     distance = frequencies_hz.log() - centre.log()[:, None]
     ahead, behind = distance * (1 / above[:, None]), distance.mul_(-1 / below[:, None])

@@ -1,9 +1,9 @@
 """Checks of channels and speed against physics: order, speed, gain and sign at low frequency.
 
-Slowly, everything moves with the track: G_p and G_s tend to 1. Fast, each suspension isolates:
-the axle box shakes more than the bogie, the bogie more than the body, so that the responses get
-another shape when channels are swapped. Both axles of a bogie meet the same track, so that waves of
-twice the wheelbase turn the frame and leave its centre at rest: the shape shows the speed.
+At low frequency everything moves with the track: G_p and G_s tend to 1. At high frequency each
+suspension isolates: the axle box vibrates more than the bogie, the bogie more than the body, so
+swapped channels change the shape of the responses. Both axles of a bogie meet the same track, so
+waves of twice the wheelbase pitch the frame and do not move its centre: the shape shows the speed.
 """
 
 from __future__ import annotations
@@ -28,40 +28,44 @@ SLOW = (0.2, 0.4)
 LOWEST_MODE = 0.45
 """The order of the channels is checked above this multiple of the first natural frequency."""
 GAIN_TOLERANCE = 2.0
-"""Factor on the healthy vehicle's gain within which a gain is plausible for any suspension."""
+"""Largest plausible factor between a gain and the healthy vehicle's, for any suspension."""
 GRAVITY = 9.80665
 CHANCE = 2.0
-"""Channels that have nothing to do with each other have a coherence of 1 / n in n averages; the
-order of the channels is checked above this multiple of it."""
+"""The order of channels is checked only where the mean coherence exceeds CHANCE / n_averages:
+unrelated channels have a coherence of 1 / n_averages."""
 COHERENT = 0.5
-"""Least coherence at which the gain is checked."""
+"""Lowest coherence at which gains are checked."""
 IN_ORDER = tuple(range(len(CHANNELS)))
 IF_SURE = (
     "if you are sure, continue: with single sensors a vehicle unlike its drawing looks so too, and "
     "a commissioned model checks again"
 )
-"""What to do about a doubt of order or speed."""
+"""Advice appended to a doubt about channel order or speed."""
 SPEED_BAND_HZ = 20.0
-"""The speed is checked below this frequency, which spectra must reach."""
+"""The speed is checked below this frequency, which the spectra must reach, [Hz]."""
 KM_PER_H = 3.6
 DOUBTFUL_ORDER_MARGIN, DOUBTFUL_SPEED_MARGIN = 1.25, 1.5
-"""Factors by which another order or speed must fit a drawing better, read with single sensors.
+"""Factors by which another order or speed must fit better to be an error, where the vehicle is
+known from its drawing only and sensors are single.
 
 Of 300 vehicles drawn from the prior, worn to 67 to 149 %, at 25 to 83 m/s with sensors on one side,
 a wrong order fitted at most 1.04 times as well; a wrong speed did so more than 1.5 times with 2,
-more than 1.25 times with 6."""
+more than 1.25 times with 6.
+"""
 ORDER_MARGIN = 1.1
-"""Factor by which another order must fit the healthy vehicle better to be reported.
+"""Factor by which another order must fit the healthy vehicle better to be an error.
 
-Between axle box and bogie single sensors leave little room: of 400 states of a commissioned vehicle
-at 60 to 150 %, seen on one side, the right order fitted at most 0.97 times as badly as the best
-wrong one (1.01 in a trip), and a swap by 1.03 and more, by less than 1.1 in 12. Such a swap is a
-doubt here, and flagged by the misfit."""
+With single sensors, axle box and bogie are hard to distinguish: for 400 states of a commissioned
+vehicle at 60 to 150 %, measured on one side, the misfit of the right order was at most 0.97 times
+that of the best wrong one (1.01 in a trip), and a swap was worse by 1.03 and more, by less than 1.1
+in 12 cases. Such a swap is reported as a doubt, and the misfit flags it.
+"""
 SPEED_MARGIN = 1.25
-"""Factor by which another speed must fit better than the one given to be reported.
+"""Factor by which another speed must fit better than the given one to be an error.
 
-At 20 to 83 m/s, with parameters of 60 to 150 %, the right speed fits better than the one of 3.6
-times or its 3.6th part by 1.69 and more (all shipped vehicles)."""
+At 20 to 83 m/s, with parameters of 60 to 150 %, the right speed fits better than 3.6 times or 1/3.6
+of it by a factor of 1.69 and more (all shipped vehicles).
+"""
 
 
 def check_channels(
@@ -72,36 +76,31 @@ def check_channels(
     *,
     doubtful: bool = False,
 ) -> str:
-    """Raise TripError where a channel has the wrong unit or sign, or two are swapped.
+    """Raise TripError where a channel has the wrong unit or sign, or two channels are swapped.
 
     Parameters
     ----------
     spectra : CrossSpectra
-        Of a trip at the generator's speed, axle box, bogie, body.
-    frequencies_hz : tensor of shape (n_freq,), [Hz]
+        Of axle box, bogie and body, on a trip at the generator's speed.
     generator : ResponseGenerator
-        Says what gain to expect of the healthy vehicle.
-    vehicle : Vehicle
+        Gives the expected gains of the healthy vehicle.
     doubtful : bool
-        The generator knows neither the vehicle's true numbers nor the roll that single sensors
-        feel: another order or speed must fit by far better, else it is returned as a doubt.
+        The generator knows neither the vehicle's true parameters nor the roll that single sensors
+        measure: another order or speed is an error only by a larger margin, and else a doubt.
 
     Returns
     -------
     str
-        What could not be checked, and why; empty if all could.
-
-    Raises
-    ------
-    TripError
-        The message names the channel and what seems wrong.
+        The doubts and checks that were not possible; empty if there are none.
     """
     modes, _ = QuarterCar(vehicle).natural_modes()
     healthy = torch.ones(1, len(PARAMETERS), dtype=torch.float64)
     expected = torch.stack(generator.responses(healthy, frequencies_hz), dim=1)[0].cpu()
+    # unrelated channels have no shape to compare
     band = frequencies_hz >= LOWEST_MODE * modes[0]
     if bool((spectra.at(band).coherences().mean(dim=1) < CHANCE / spectra.n_averages).any()):
-        return "channels not checked: two of them have nothing to do with each other"
+        return "channels not checked: two of them are not coherent"
+    # a clearly better speed or order is an error, a slightly better one a doubt
     speed, speed_words = _other_speed(spectra.at(band), frequencies_hz[band], generator)
     order, order_words = _other_order(spectra.at(band), expected[:, band])
     if speed > (DOUBTFUL_SPEED_MARGIN if doubtful else SPEED_MARGIN):
@@ -119,6 +118,7 @@ def check_channels(
             f"the order of the channels is not clear: it looks as much as if {order_words}"
         )
     doubts += [IF_SURE] if doubts else []
+    # at low frequency the gains hardly depend on the suspension: check units and signs there
     slow = (frequencies_hz >= SLOW[0] * modes[0]) & (frequencies_hz <= SLOW[1] * modes[0])
     coherence = spectra.coherences()[:, slow].mean(dim=1)
     if bool(slow.any()) and bool((coherence >= COHERENT).all()):
@@ -136,27 +136,22 @@ def check_pairs(
     paired: Sequence[bool],
     vehicle: Vehicle,
 ) -> None:
-    """Raise TripError where the two sensors of a pair do not go together.
+    """Raise TripError where the two sensors of a pair do not agree.
 
-    Slowly, left and right move almost alike, for the mean of both rails is far larger than their
-    difference. With average m and half difference h the left sensor is m + h, the right m - h.
+    At low frequency left and right move almost alike, as the mean of both rails is far larger than
+    their difference. With average m and half difference h the left sensor is m + h, the right m -
+    h. One error lists the problems of all pairs: a wrong sign, or a size ratio above
+    ``GAIN_TOLERANCE``.
 
     Parameters
     ----------
     segments : SegmentSpectra
         Of the three channels.
     differences : SegmentSpectra
-        Half of left minus right, one for each pair, of the same segments.
+        Half of left minus right for each pair, of the same segments.
     chosen : bool tensor of shape (n_segments,)
     paired : sequence of 3 bool
         Which channels are pairs.
-    vehicle : Vehicle
-
-    Raises
-    ------
-    TripError
-        If one is turned, or more than ``GAIN_TOLERANCE`` times as large as the other. Its
-        `problems` are those of all pairs.
     """
     modes, _ = QuarterCar(vehicle).natural_modes()
     slow = (segments.frequencies_hz >= SLOW[0] * modes[0]) & (segments.frequencies_hz <= modes[0])
@@ -199,9 +194,9 @@ def _other_order(spectra: CrossSpectra, expected: Tensor) -> tuple[float, str]:
 
 
 def _fits(spectra: CrossSpectra, expected: Tensor) -> dict[tuple[int, ...], float]:
-    """Return how far the curves of each order of the channels are from those expected.
+    """Return the distance between measured and expected curves for each order of the channels.
 
-    Only the shape of the log-magnitudes is compared, so that neither unit nor sign matters.
+    Only the shape of the log-magnitudes is compared, independent of unit and sign.
     """
     distances = {}
     for order in itertools.permutations(IN_ORDER):
@@ -212,7 +207,7 @@ def _fits(spectra: CrossSpectra, expected: Tensor) -> dict[tuple[int, ...], floa
 
 
 def _log_magnitudes(spectra: CrossSpectra, order: Sequence[int]) -> Tensor:
-    """Return log-magnitudes of both links if the channels have an order, shape (2, n_freq)."""
+    """Return log-magnitudes of both links, with the channels in the given order, (2, n_freq)."""
     box, bogie, body = order
     links = [(box, bogie, body), (bogie, body, box)]
     return torch.stack([spectra.transfer(x, y, "IV", z).abs().log() for x, y, z in links])
@@ -221,11 +216,10 @@ def _log_magnitudes(spectra: CrossSpectra, order: Sequence[int]) -> Tensor:
 def _other_speed(
     spectra: CrossSpectra, frequencies_hz: Tensor, generator: ResponseGenerator
 ) -> tuple[float, str]:
-    """Return how many times as well km/h taken for m/s, or the reverse, fit, and that as text.
+    """Return by what factor a speed in the other unit (km/h, m/s) fits better, and the message.
 
-    0 if they do not fit the channels in order, or if that is not known.
-
-    Deep in the dips of the curves logarithms are of leakage, so that distances are mean ones.
+    The factor is 0 if the channels do not fit in order or the check is not possible. Distances are
+    mean absolute ones: in the notches of the curves leakage dominates the logarithms.
     """
     if not isinstance(generator, VerticalVehicle) or frequencies_hz[-1] < SPEED_BAND_HZ:
         return 0.0, ""
@@ -252,7 +246,7 @@ def _other_speed(
 
 
 def _check_gains(gains: list[complex]) -> None:
-    """Raise TripError if the gain of a link, relative to the expected one, is impossible."""
+    """Raise TripError if a link's gain, relative to the expected one, is implausible."""
     for (link, sink, source), gain in zip(
         (("G_p", "bogie", "axle_box"), ("G_s", "body", "bogie")), gains, strict=True
     ):
@@ -272,13 +266,13 @@ def _check_gains(gains: list[complex]) -> None:
 
 
 def _suspect(gains: list[complex], sink: str, source: str) -> str:
-    """Name the channel: the bogie if both links are off, else the one at the outer end."""
+    """Return the likely wrong channel: the bogie if both links are off, else the outer end."""
     off = [not 1 / GAIN_TOLERANCE < abs(gain) < GAIN_TOLERANCE or gain.real < 0 for gain in gains]
     return "bogie" if all(off) else (source if source == "axle_box" else sink)
 
 
 def _slip(size: float) -> str:
-    """Return which unit may be wrong by the size of a gain; empty if none fits."""
+    """Return the unit error that explains a gain, in brackets; empty if none does."""
     for factor, words in ((GRAVITY, "m/s2 and g are mixed up"), (1000.0, "mm/s2 or mg?")):
         for candidate in (factor, 1 / factor):
             if 0.5 < size / candidate < 2:

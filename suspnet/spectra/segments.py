@@ -1,4 +1,4 @@
-"""Selection of the segments of a recording that an estimate is made from."""
+"""Selection of the segments of a recording that are used for an estimate."""
 
 from __future__ import annotations
 
@@ -13,24 +13,25 @@ from suspnet.spectra.cross_spectra import CHAIN
 from suspnet.spectra.welch import SegmentSpectra, Welch, segment_spectra
 
 LOUD = 30.0
-"""Segments with more power than this multiple of the median are left out before any average."""
+"""Segments with more than this multiple of the median power are excluded before averaging."""
 ROUNDS = 3
-"""Number of rounds in which segments of low coherence are left out and the average is renewed."""
+"""Number of rounds in which segments of low coherence are excluded and the average is updated."""
 ODD = 3.0
-"""A segment is odd if its unexplained share of power exceeds this multiple of the median share."""
+"""A segment is an outlier if its unexplained fraction of power exceeds this multiple of the median.
+"""
 
 
 class NoEstimateError(Exception):
-    """The trip is sound, but nothing can be estimated from it; the message says why."""
+    """The trip is valid but gives no estimate; the message states the reason."""
 
 
 def recording_segments(recording: Recording, welch: Welch) -> SegmentSpectra:
-    """Return the segments that are free of faults, up to a quarter of the rate."""
+    """Return the segments without faults, up to a quarter of the sampling rate."""
     return _faultless(recording, recording.signals, welch)
 
 
 def difference_segments(recording: Recording, welch: Welch) -> SegmentSpectra:
-    """Return the segments of `recording_segments` of half the differences of pairs of sensors."""
+    """Return the same segments of the half differences (left - right) / 2 of pairs of sensors."""
     return _faultless(recording, recording.differences, welch)
 
 
@@ -51,7 +52,7 @@ def segment_speeds(recording: Recording, segments: SegmentSpectra) -> Tensor:
 
 
 def without_loud(segments: SegmentSpectra, chosen: Tensor) -> Tensor:
-    """Return the chosen segments without those far louder than their median."""
+    """Return the chosen segments without those far above their median power."""
     if not bool(chosen.any()):
         return chosen
     power = segments.values.abs().square().mean(dim=2)
@@ -61,10 +62,7 @@ def without_loud(segments: SegmentSpectra, chosen: Tensor) -> Tensor:
 def in_band(segments: SegmentSpectra, frequencies_hz: Tensor) -> SegmentSpectra:
     """Return the segments on the bins of a model.
 
-    Raises
-    ------
-    NoEstimateError
-        If the recording does not reach that far.
+    Raises NoEstimateError if the recording does not reach the highest bin.
     """
     if float(frequencies_hz[-1]) > float(segments.frequencies_hz[-1]) + 1e-9:
         raise NoEstimateError(
@@ -82,11 +80,11 @@ def in_band(segments: SegmentSpectra, frequencies_hz: Tensor) -> SegmentSpectra:
 
 
 def without_incoherent(band: SegmentSpectra, chosen: Tensor, least: float) -> tuple[Tensor, int]:
-    """Return the chosen segments that the average explains, and the number of the others.
+    """Return the chosen segments that the average explains, and the number excluded.
 
-    A segment's coherence is 1 - u, u = mean over bins of abs(Y - H1 X)^2 / S_yy, on the worse of
-    both links. It is too low if below `least` and u is also `ODD` times the median of the trip: a
-    noisy sensor lowers all segments alike, and IV can cope with that.
+    A segment's coherence is 1 - u, u = mean over bins of abs(Y - H1 X)^2 / S_yy, for the worse
+    link. A segment is excluded if it is below `least` and u exceeds `ODD` times the trip's median:
+    a noisy sensor lowers all segments alike, which IV tolerates.
     """
     n_before = int(chosen.sum())
     for _ in range(ROUNDS):

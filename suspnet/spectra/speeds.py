@@ -1,4 +1,4 @@
-"""The speeds of a trip's segments, and the speeds that a model reads."""
+"""Speeds of a trip's segments, and the range of speeds that a model reads."""
 
 from __future__ import annotations
 
@@ -9,28 +9,22 @@ from dataclasses import dataclass
 from suspnet.spectra.welch import NEGLIGIBLE
 
 MARGIN = 0.02
-"""Margin of a range of speeds beyond those of the trips that it is made for; others scatter so."""
+"""Relative margin added to the speeds of the trips a model is made for; later trips vary by as
+much."""
 ROUNDING = 1e-9
-"""Relative error of a range's ends, which are computed from the middle and the half width."""
+"""Relative rounding error of a range's ends, which are computed from middle and half width."""
 
 
 @dataclass(frozen=True)
 class Speeds:
-    """The speeds of the segments that one estimate averages, as a quadrature.
-
-    Attributes
-    ----------
-    m_per_s : tuple of float, [m/s]
-    weights : tuple of float
-        Of sum 1.
-    """
+    """Speeds of the segments that one estimate averages, as a quadrature with weights of sum 1."""
 
     m_per_s: tuple[float, ...]
     weights: tuple[float, ...]
 
     @classmethod
     def of(cls, mean_m_per_s: float, deviation_m_per_s: float) -> Speeds:
-        """Return three-point Gauss-Hermite quadrature: exact to the fifth moment of a normal."""
+        """Return three-point Gauss-Hermite quadrature, exact to the fifth moment of a normal."""
         if not deviation_m_per_s > NEGLIGIBLE * mean_m_per_s:
             return cls((mean_m_per_s,), (1.0,))
         step = math.sqrt(3) * deviation_m_per_s
@@ -40,12 +34,7 @@ class Speeds:
 
 @dataclass(frozen=True)
 class SpeedRange:
-    """Speeds that one model reads.
-
-    Attributes
-    ----------
-    low_m_per_s, high_m_per_s : float, [m/s]
-    """
+    """Range of speeds that one model reads."""
 
     low_m_per_s: float
     high_m_per_s: float
@@ -57,7 +46,7 @@ class SpeedRange:
 
     @property
     def trained_m_per_s(self) -> float:
-        """Speed of the training curves, the middle."""
+        """Speed of the training curves, the middle of the range."""
         return (self.low_m_per_s + self.high_m_per_s) / 2
 
     @property
@@ -67,20 +56,17 @@ class SpeedRange:
 
     @property
     def name(self) -> str:
-        """Name of the folder of its model."""
+        """Name of the folder of the range's model."""
         return f"{self.low_m_per_s:.1f}_to_{self.high_m_per_s:.1f}_m_per_s"
 
     def holds(self, speed_m_per_s: float) -> bool:
-        """Return whether a speed is read; the ends are, also after rounding."""
+        """Return whether a speed is in the range, including its ends with rounding."""
         low, high = self.low_m_per_s, self.high_m_per_s
         return low * (1 - ROUNDING) <= speed_m_per_s <= high * (1 + ROUNDING)
 
 
 def reading_range(speed_m_per_s: float, ranges: Iterable[SpeedRange]) -> SpeedRange | None:
-    """Return the range that holds a speed, the one of the nearest middle; None if none does.
-
-    Ranges that meet leave no speed between them unread.
-    """
+    """Return the range that contains a speed, by the nearest middle; None if there is none."""
     holding = [one for one in ranges if one.holds(speed_m_per_s)]
     return min(
         holding, key=lambda one: abs(math.log(speed_m_per_s / one.trained_m_per_s)), default=None
@@ -88,7 +74,7 @@ def reading_range(speed_m_per_s: float, ranges: Iterable[SpeedRange]) -> SpeedRa
 
 
 def range_words(ranges: Iterable[SpeedRange]) -> str:
-    """Return the speeds that some ranges hold together.
+    """Return the union of some ranges as text.
 
     >>> range_words([SpeedRange(70, 80), SpeedRange(60, 70), SpeedRange(20, 25)])
     '20.0 to 25.0 and 60.0 to 80.0 m/s'
@@ -106,18 +92,10 @@ def range_words(ranges: Iterable[SpeedRange]) -> str:
 
 
 def covering(speeds: Sequence[float], half_width: float) -> float | list[float]:
-    """Return the `speed_m_per_s` whose models read some speeds and a ``MARGIN``.
+    """Return the setting `speed_m_per_s` whose models read all speeds, with a ``MARGIN``.
 
-    Parameters
-    ----------
-    speeds : sequence of float, [m/s]
-    half_width : float, [-]
-        Of the range of one model.
-
-    Returns
-    -------
-    float or list of 2 floats, [m/s]
-        One speed to a tenth where one model is enough, otherwise lowest and highest, whole numbers.
+    One speed to a tenth where one model is enough, otherwise lowest and highest as whole numbers.
+    `half_width` is that of the range of one model.
 
     Examples
     --------

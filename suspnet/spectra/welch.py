@@ -1,4 +1,4 @@
-"""Welch's method: windowed, overlapping segments, their averages, and transfer functions."""
+"""Welch's method: windowed, overlapping segments, averaged spectra and transfer functions."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from suspnet.ground.types import FloatArray
 from suspnet.spectra.cross_spectra import PAIRS, CrossSpectra, Method
 
 NEGLIGIBLE = 1e-4
-"""Leakage and correlation between bins below this, relative to a bin's own, are neglected."""
+"""Leakage and correlation between bins below this, relative to the bin itself, are neglected."""
 SEGMENTS = 64
-"""Number of segments transformed at once, which bounds the memory."""
+"""Number of segments transformed at once, which limits the memory."""
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ class Welch:
         get_window(self.window, 8)
 
     def sizes(self, rate_hz: float) -> tuple[int, int]:
-        """Return the samples of a segment and of the step from one to the next."""
+        """Return the number of samples of a segment, and of the step to the next segment."""
         length = round(self.segment_s * rate_hz)
         return length, max(1, length - round(self.overlap * length))
 
@@ -68,10 +68,10 @@ class Welch:
         return n_segments / total
 
     def smear(self) -> Tensor:
-        """Return the weights with which neighbouring bins leak into one, symmetric, sum 1.
+        """Return the weights of the leakage between neighbouring bins, symmetric, with sum 1.
 
-        The expected spectrum is the true one convolved with abs(W(f))^2. Sampled at the bins that
-        is exact for a system whose ringing is short against the segment. Hann: 1/6, 2/3, 1/6.
+        The expected spectrum is the true one convolved with abs(W(f))^2. Sampling it at the bins is
+        exact for a system whose impulse response is short against the segment. Hann: 1/6, 2/3, 1/6.
         """
         transform = np.fft.fft(get_window(self.window, 256)) / 256
         return _symmetric(np.abs(transform) ** 2)
@@ -86,7 +86,7 @@ class Welch:
         return float(2 * rho.sum() - rho[0])
 
     def correlation(self) -> Tensor:
-        """Return the correlation of averaged spectra between a bin and its next ones, from lag 0.
+        """Return the correlation of averaged spectra between neighbouring bins, from lag 0.
 
         abs(sum_t w^2 exp(-2 pi j k t / T) / sum_t w^2)^2; Hann: 1, 4/9, 1/36.
         """
@@ -96,7 +96,7 @@ class Welch:
 
 
 def _symmetric(power: FloatArray) -> Tensor:
-    """Return power[-k] to power[k] scaled to sum 1, with k the last bin that is not negligible."""
+    """Return power[-k] to power[k], scaled to sum 1; k is the last bin that is not negligible."""
     half = len(power) // 2
     k = int(np.flatnonzero(power[:half] > NEGLIGIBLE * power[0])[-1])
     taps = np.concatenate([power[k:0:-1], power[: k + 1]])
@@ -109,12 +109,10 @@ class SegmentSpectra:
 
     Attributes
     ----------
-    frequencies_hz : tensor of shape (n_freq,), [Hz]
     values : complex tensor of shape (n_segments, n_channels, n_freq)
         Scaled such that the mean of abs(values)^2 is the one-sided power density.
     first : int64 tensor of shape (n_segments,)
         First sample of each segment.
-    welch : Welch
     """
 
     frequencies_hz: Tensor
@@ -123,12 +121,9 @@ class SegmentSpectra:
     welch: Welch
 
     def average(self, chosen: Tensor) -> CrossSpectra:
-        """Return the spectra averaged over chosen segments, a bool tensor (n_segments,).
+        """Return the spectra averaged over the chosen segments, a bool tensor (n_segments,).
 
-        Raises
-        ------
-        ValueError
-            If none is chosen.
+        Raises ValueError if none is chosen.
         """
         n_segments = int(chosen.sum())
         if n_segments == 0:
@@ -149,22 +144,10 @@ def segment_spectra(
     high_hz: float = math.inf,
     usable: Tensor | None = None,
 ) -> SegmentSpectra:
-    """Return the spectra of all segments without an unusable sample, the mean of each removed.
+    """Return the spectra of all segments without an unusable sample, after removing each mean.
 
-    Parameters
-    ----------
-    signals : tensor of shape (n_channels, n_samples), [m/s^2]
-    rate_hz : float, [Hz]
-    welch : Welch
-    low_hz, high_hz : float, [Hz]
-        Band that is kept.
-    usable : bool tensor of shape (n_samples,), optional
-        Segments with a sample that is not usable are left out.
-
-    Raises
-    ------
-    ValueError
-        If the recording is shorter than a segment.
+    `signals`: (n_channels, n_samples), [m/s^2]; `usable`: bool (n_samples,). Raises ValueError if
+    the recording is shorter than a segment.
     """
     length, step = welch.sizes(rate_hz)
     if signals.shape[1] < length:
@@ -193,7 +176,7 @@ def segment_spectra(
 
 @dataclass(frozen=True)
 class TransferEstimate:
-    """A transfer function and how well it is known.
+    """A transfer function and its uncertainty.
 
     Attributes
     ----------
@@ -204,6 +187,7 @@ class TransferEstimate:
     deviation : tensor of shape (n_freq,), [-]
         Standard deviation of the log-magnitude.
     n_averages : float
+        Number of independent averages.
     """
 
     frequencies_hz: Tensor

@@ -70,7 +70,7 @@ def trips(number: int, n_trips: int, seed: int) -> list[TripResult]:
                 estimates=values,
                 raw=values,
                 half_widths=dict(zip(PARAMETERS, half_widths[i].tolist(), strict=True)),
-                flags="the features lie 1.1 times as far" if flags[i] else "",
+                flags="the features lie 1.1 times the threshold" if flags[i] else "",
                 temperature_c=float(rng.normal(10, 8)),
             )
         )

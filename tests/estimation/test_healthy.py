@@ -61,7 +61,7 @@ def test_estimate_without_healthy_values_has_none_in_si_units():
     one = np.ones((1, 1))
     bare = Estimate(("k_p",), one, one, one, 0.9, Flags.none(1))
     assert "si" not in bare.to_dict()["estimates"][0]["parameters"]["k_p"]
-    with pytest.raises(ValueError, match="does not know its healthy values"):
+    with pytest.raises(ValueError, match="has no healthy values"):
         bare.si()
 
 

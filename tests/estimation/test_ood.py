@@ -196,8 +196,8 @@ def test_features_beyond_the_cloud_name_the_one_that_is(detector, problem, colum
     assert found.found[:, :OWN].tolist() == [[False] * 4, [False, True, False, False]]
     times = distance(inputs[1], detector.reference) / detector.distance_threshold
     assert found.reasons[1] == (
-        f"the features lie {times:.2g} times as far from the training curves' as any of these, "
-        f"{problem.inputs[column]} most of all"
+        f"the features lie {times:.2g} times the threshold distance from the training curves, "
+        f"mainly because of {problem.inputs[column]}"
     )
 
 

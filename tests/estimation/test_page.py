@@ -114,10 +114,10 @@ def test_page_says_what_was_found(commissioned, written):
     text = text_of(written[1])
     assert "The vehicle explains its healthy trips (3 trips): the misfit is" in text
     assert "2 of 2 starts of the search found this vehicle." in text
-    assert "Healthy from now on is what these trips showed: 100 % is k_p = 1." in text
+    assert "Healthy now means what these trips showed: 100 % is k_p = 1." in text
     assert "12 345 to 37 035 km" in text
     assert "trip_9: no stretch at one speed" in text
-    assert "The trips say little or nothing about 1 of 6 numbers" in text
+    assert "The trips do not determine 1 of 6 numbers" in text
     assert "density of half the cross level over the mean's" in text
     assert "1725 kg for a bogie's side" in text
     for title in ("Springs, dampers, lengths and inertias", "Bushings of the dampers"):
@@ -185,7 +185,9 @@ def test_doubts_are_said(commissioned):
     assert words.doubts(outcome) == []
     spoilt = replace(outcome, misfit=INCOMPLETE + 0.01, converged=False, n_agree=1)
     said = " ".join(words.doubts(spoilt))
-    assert f"A misfit above {INCOMPLETE:g} says that the physics of the model is incomplete" in said
+    assert (
+        f"A misfit above {INCOMPLETE:g} means that the physics of the model is incomplete" in said
+    )
     assert "did not converge" in said
     assert "no other one found this vehicle" in said
     times = f"{INCOMPLETE + 0.01:.2f} times the"

@@ -71,9 +71,7 @@ def scaled(signals, channel, factor):
 def test_noise_is_not_called_swapped_channels():
     generator, signals = simulated("am96")
     noise = torch.randn(signals.shape, generator=torch.manual_seed(0), dtype=torch.float64)
-    assert check(generator, noise) == (
-        "channels not checked: two of them have nothing to do with each other"
-    )
+    assert check(generator, noise) == ("channels not checked: two of them are not coherent")
 
 
 @pytest.mark.every_value

@@ -78,7 +78,7 @@ def test_weaker_side_is_told(tmp_path, model):
     assert result.sides.startswith("primary spring: the left side is weaker (about ")
     assert float(result.sides.split("about ")[1].split(" ")[0]) == pytest.approx(20, abs=4)
     assert result.row(OUTPUTS)["sides"] == result.sides
-    assert result.flags.endswith(f"both sides are taken as equal, but {result.sides}")
+    assert result.flags.endswith(f"both sides are assumed to be equal, but {result.sides}")
     assert model.estimate(tmp_path / "trip.yaml").flags.reasons == (result.flags,)
     assert "; " not in result.sides
 
