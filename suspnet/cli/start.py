@@ -1,4 +1,4 @@
-"""Start of the programs: a signal that comes while they are imported ends them in one line."""
+"""Start of the programs; a signal during their import ends them with one line."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 VERBS = {signal.SIGINT: "interrupted", signal.SIGTERM: "terminated"}
-"""What the line of a program says that ends by a signal."""
+"""Verb of the line that a program prints when a signal ends it."""
 SIGNALS = tuple(VERBS)
 
 
 def start(name: str) -> None:
-    """Import what all programs share, and run one of them."""
+    """Import what all programs share, and run one."""
     end_at_once()
     program = importlib.import_module("suspnet.cli.program")
     try:
@@ -26,12 +26,12 @@ def start(name: str) -> None:
     except KeyboardInterrupt:  # before the program listens, or after it has ended
         sys.exit(128 + signal.SIGINT)
     finally:
-        signal.signal(signal.SIGINT, signal.SIG_DFL)  # the end of Python prints nothing of it
+        signal.signal(signal.SIGINT, signal.SIG_DFL)  # no traceback while Python shuts down
 
 
 @contextmanager
 def until_it_listens() -> Iterator[None]:
-    """Let a signal end the process at once, but where other threads or programs handle signals."""
+    """Let a signal end the process at once, unless other threads or programs handle signals."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -45,7 +45,7 @@ def until_it_listens() -> Iterator[None]:
 
 
 def end_at_once() -> None:
-    """Let a signal end the process at once from here on: nothing can be left half done."""
+    """Make a signal end the process at once: nothing can be half done yet."""
     for number in SIGNALS:
         signal.signal(number, _end)
 
