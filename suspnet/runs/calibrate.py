@@ -103,8 +103,8 @@ def _is_corrected(problem: Problem, model: FittedMethod, data: FeatureData) -> b
     """Return whether correcting estimates lowers the rms error of every output.
 
     Only estimates from trips are corrected, and only if they contain all unknowns: then they
-    describe a whole vehicle, whose curve can be computed. The correction does not help where a regression
-    shrinks what it cannot determine towards the mean.
+    describe a whole vehicle, whose curve can be computed. The correction does not help where a
+    regression shrinks what it cannot determine towards the mean.
     """
     task = model.task
     if (

@@ -194,7 +194,7 @@ def sensitivity(runs: Sequence[Mapping[str, Any]]) -> Figure:
 
 
 def search_map(settings: Sequence[Mapping[str, float]], rmse: Sequence[float]) -> Figure:
-    """Draw cross-validated RMSE against each hyperparameter; the line joins the best values."""
+    """Draw cross-validated RMSE against each hyperparameter; the line joins the best of each."""
     names = list(settings[0])
     figure, axes = _grid(1, len(names), sharey=True)
     for axis, name in zip(axes[0], names, strict=True):
