@@ -76,9 +76,11 @@ def train_fleet(
             f"healthy={config.healthy} holds several suspensions, whose models cannot be spread by "
             "torchrun: start it with python and workers=N"
         )
+    # finished runs stay; a resumed run trains only the missing ones
     failed = {group.name: group.error for group in groups if group.error}
     runs = [_run(config, group, folder) for group in groups if not group.error]
     missing = [r for r in runs if not folders.is_finished(OmegaConf.create(r.config), r.folder)]
+    # no fleet.json of an earlier attempt may remain if this one fails
     folders.start_again(folder)
     program.save_config(config, folder)
     already = f", {len(runs) - len(missing)} are finished already" if missing != runs else ""

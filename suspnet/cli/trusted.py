@@ -132,6 +132,7 @@ class CheckedLoader(ConfigLoaderImpl):
         keys = {one.key_or_group for one in OverridesParser.create().parse_overrides(overrides)}
         if self._typed is None:
             self._typed = frozenset(keys)
+        # places and hosts count as the user's own only if the command line names them
         if CLUSTER not in self._typed:
             _check_cluster(config)
         # Hydra's own keys are not swept: those of a job are typed, or what `OwnFolder` chose

@@ -46,9 +46,11 @@ def calibrated(problem: Problem, model: Model) -> Model:
     uncertain = problem.observer.directions.n > 0
     if uncertain and model.refined:
         data = data.first(min(N_UNCERTAIN_REFINED, len(data.valid)))
+    # decide on the correction first: intervals must describe the estimates that the model will give
     kept = data.valid
     model = replace(model, corrected=_is_corrected(problem, model, data))
     predicted = regress_stream(problem, model, data, CALIBRATE)
+    # fit curves too: the misfit feeds the OOD detector, and refined models estimate by these fits
     n_usual = N_UNCERTAIN_FITS if uncertain else N_FITS
     n_fits = len(kept) if model.refined else min(n_usual, len(kept))
     fitted = refine_stream(problem, data.first(n_fits), predicted[:n_fits], CALIBRATE)

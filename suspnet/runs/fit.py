@@ -79,6 +79,7 @@ def fit(problem: Problem, estimator: Any, run_log: RunLog | None) -> TrainedMode
     )
     training: dict[str, Any] = {"seed": problem.seed, "seconds": 0.0}
     if not estimator.works_on_curves:
+        # each rank makes its own shard of the curves; counts and scalings are global
         part = None
         if ranks.is_distributed():
             part = ranks.shard(problem.n_batches(len(problem.ratios(TRAIN))))
