@@ -1,1 +1,1 @@
-"""Command line: train, evaluate and simulate as functions, and what they share."""
+"""The programs as functions, and what they share."""

@@ -63,7 +63,7 @@ def exit_code(checks: Sequence[TripCheck], elsewhere: Sequence[str]) -> int:
 
 
 def picture_names(paths: Sequence[Path]) -> dict[Path, str]:
-    """Return a name of its own for the picture of each manifest."""
+    """Return a unique picture name for each manifest."""
     names: dict[Path, str] = {}
     taken: set[str] = set()
     for path in paths:
@@ -78,7 +78,7 @@ def picture_names(paths: Sequence[Path]) -> dict[Path, str]:
 
 
 def _folder(wanted: Path | None) -> Path:
-    """Make and return the folder of the output: the one wanted, or a new one named by the time."""
+    """Make and return the output folder: the one given, or a new one named by the time."""
     if wanted is None:
         wanted = new_folder(Path(f"outputs/check/{datetime.now():%Y-%m-%d_%H-%M-%S}"))
     ledger.begin(wanted)

@@ -1,4 +1,4 @@
-"""Commissioning of several suspensions: a run of each, several at a time, in one run's folder."""
+"""Commissioning of several suspensions: one run each, several at a time, in one folder."""
 
 from __future__ import annotations
 
@@ -27,22 +27,14 @@ from suspnet.trips.grouping import Group, find_groups
 
 log = logging.getLogger(__name__)
 LOG = "train.log"
-"""Name of the log in the folder of each run."""
+"""Name of the log in each run's folder."""
 TrainOne = Callable[[DictConfig, Path, Sequence[ManifestFile]], None]
-"""Commissions a configuration's vehicle on some manifests, trains it and fills a folder."""
+"""Commissions a configuration's vehicle on some manifests, trains its model and fills a folder."""
 
 
 @dataclass(frozen=True)
 class Run:
-    """The run of one suspension.
-
-    Attributes
-    ----------
-    group : Group
-    config : dict
-        Of the run, its interpolations unresolved.
-    folder : Path
-    """
+    """The run of one suspension; `config` holds unresolved interpolations."""
 
     group: Group
     config: dict[str, Any]
@@ -50,20 +42,17 @@ class Run:
 
 
 @dataclass(frozen=True)
-class Told:
-    """What a run has to tell: its warnings, and its error if it failed."""
+class Messages:
+    """The warnings of a run, and its error if it failed."""
 
     warnings: tuple[str, ...] = ()
     error: str = ""
 
 
 def several_suspensions(config: DictConfig) -> list[Group]:
-    """Return the suspensions of ``healthy=``; none if it is null or a folder of one.
+    """Return the suspensions of ``healthy=``; [] if it is null or the folder of one.
 
-    Raises
-    ------
-    FileNotFoundError
-        If there is no such folder, or no manifest in it.
+    FileNotFoundError if the folder is missing or holds no manifest.
     """
     if config.healthy is None:
         return []
@@ -75,25 +64,11 @@ def several_suspensions(config: DictConfig) -> list[Group]:
 def train_fleet(
     config: DictConfig, folder: Path, groups: Sequence[Group], train_one: TrainOne
 ) -> None:
-    """Commission each suspension and train its model, in a subfolder named as it is.
+    """Commission each suspension and train its model, in a subfolder with its name.
 
-    A run that is there and finished is kept. fleet.json is written last, if none failed: for each
-    suspension its folder, place, misfit and the model's rms errors.
-
-    Parameters
-    ----------
-    config : DictConfig
-        Of the whole run.
-    folder : Path
-        Of the whole run.
-    groups : sequence of Group
-    train_one : function
-        Can be pickled.
-
-    Raises
-    ------
-    ValueError
-        If a suspension failed; the others are trained all the same.
+    A run that is already finished is not repeated. If none failed, fleet.json is written last, with
+    folder, place, misfit and rms errors of each suspension; otherwise the remaining suspensions are
+    trained first, then a ValueError is raised. `train_one` must be picklable.
     """
     check_number("workers", config.workers, low=1, most=1024, whole=True)
     if int(os.environ.get("WORLD_SIZE", "1")) > 1:
@@ -101,25 +76,29 @@ def train_fleet(
             f"healthy={config.healthy} holds several suspensions, whose models cannot be spread by "
             "torchrun: start it with python and workers=N"
         )
+    # finished runs stay; a resumed run trains only the missing ones
     failed = {group.name: group.error for group in groups if group.error}
     runs = [_run(config, group, folder) for group in groups if not group.error]
     missing = [r for r in runs if not folders.is_finished(OmegaConf.create(r.config), r.folder)]
+    # no fleet.json of an earlier attempt may remain if this one fails
     folders.start_again(folder)
     program.save_config(config, folder)
-    kept = f", {len(runs) - len(missing)} are finished already" if missing != runs else ""
-    log.info("%d suspensions in %s%s", len(groups), config.healthy, kept)
-    for name, words in failed.items():
-        log.warning("%s is not trained: %s", name, words)
+    already = f", {len(runs) - len(missing)} are finished already" if missing != runs else ""
+    log.info("%d suspensions in %s%s", len(groups), config.healthy, already)
+    for name, message in failed.items():
+        log.warning("%s is not trained: %s", name, message)
     work = functools.partial(_trained, train_one=train_one)
     bar = progress_bar("suspensions", len(missing), unit="suspension", shown=config.progress)
     with bar:
         for run, outcome in each(work, missing, config.workers):
-            told = Told((), str(outcome)) if isinstance(outcome, LostWorkerError) else outcome
-            for words in told.warnings:
-                log.warning("%s: %s", run.group.name, words)
-            if told.error:
-                failed[run.group.name] = told.error
-                log.warning("%s is not trained: %s", run.group.name, told.error)
+            messages = (
+                Messages((), str(outcome)) if isinstance(outcome, LostWorkerError) else outcome
+            )
+            for message in messages.warnings:
+                log.warning("%s: %s", run.group.name, message)
+            if messages.error:
+                failed[run.group.name] = messages.error
+                log.warning("%s is not trained: %s", run.group.name, messages.error)
             bar.update()
     rows = [_row(run) for run in runs if run.group.name not in failed]
     if rows:
@@ -134,9 +113,9 @@ def train_fleet(
 
 
 def _run(config: DictConfig, group: Group, folder: Path) -> Run:
-    """Return the run of a suspension: as configured, on its own trips and of its own bogie."""
+    """Return the run of a suspension, with its own trips and bogie."""
     one = config.copy()
-    one.ablation_name = config.ablation_name  # Hydra knows it, and workers know nothing of Hydra
+    one.ablation_name = config.ablation_name  # resolved here, as workers run without Hydra
     one.healthy = str(group.folder)
     one.progress = False
     if group.place.bogie:
@@ -146,29 +125,29 @@ def _run(config: DictConfig, group: Group, folder: Path) -> Run:
     return Run(group, {str(key): value for key, value in plain.items()}, folder / group.name)
 
 
-def _trained(run: Run, train_one: TrainOne) -> Told:
-    """Train the model of one suspension, with a log of its own; tell what went wrong."""
+def _trained(run: Run, train_one: TrainOne) -> Messages:
+    """Train the model of one suspension with its own log; return its warnings and error."""
     folders.start_again(run.folder)
     with _own_log(run.folder / LOG) as warnings:
         try:
             train_one(OmegaConf.create(run.config), run.folder, run.group.manifests)
         except program.MISTAKES as error:
-            words = program.one_line(error).removeprefix("error: ")
-            write_atomically(run.folder / folders.ERROR, f"{words}\n")
+            message = program.one_line(error).removeprefix("error: ")
+            write_atomically(run.folder / folders.ERROR, f"{message}\n")
         except Exception as error:
             file = run.folder / folders.ERROR
             write_atomically(file, traceback.format_exc())
-            words = f"{type(error).__name__}: {' '.join(str(error).split())}; see {file}"
+            message = f"{type(error).__name__}: {' '.join(str(error).split())}; see {file}"
         else:
-            words = ""
-    return Told(tuple(warnings), words)
+            message = ""
+    return Messages(tuple(warnings), message)
 
 
 @contextmanager
 def _own_log(file: Path) -> Iterator[list[str]]:
-    """Send what this package logs to a file only, and yield its warnings as they come."""
+    """Send this package's log to a file only, and yield the list that collects its warnings."""
     file.parent.mkdir(parents=True, exist_ok=True)
-    file = ledger.free_name(file)  # that of an earlier try stays
+    file = ledger.free_name(file)  # the log of an earlier attempt stays
     logger, warnings = logging.getLogger("suspnet"), _Warnings()
     before = logger.level, logger.propagate
     handlers = [logging.FileHandler(file, mode="x", encoding="utf-8"), warnings]
@@ -177,7 +156,7 @@ def _own_log(file: Path) -> Iterator[list[str]]:
     for handler in handlers:
         logger.addHandler(handler)
     try:
-        yield warnings.words
+        yield warnings.messages
     finally:
         logger.level, logger.propagate = before
         for handler in handlers:
@@ -186,15 +165,15 @@ def _own_log(file: Path) -> Iterator[list[str]]:
 
 
 class _Warnings(logging.Handler):
-    """Keeps the words of warnings."""
+    """Collects the messages of warnings."""
 
     def __init__(self) -> None:
         super().__init__(logging.WARNING)
-        self.words: list[str] = []
+        self.messages: list[str] = []
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Keep one."""
-        self.words.append(record.getMessage())
+        """Store one message."""
+        self.messages.append(record.getMessage())
 
 
 def _row(run: Run) -> dict[str, Any]:

@@ -1,8 +1,8 @@
-"""The files of configurations: where they are, what they may hold, what their comments say.
+"""Configuration files: their folder, what they may hold, and their comments.
 
-The comment lines right above a key, at its indentation, are a sentence on the key, which ends with
+The comment lines right above a key, at its indentation, are one sentence on the key that ends with
 its unit and range in brackets: ``# Length of a trip [min; above 0]``. The first comment of a file
-is on the file; a comment behind a value is on the value.
+describes the file; a comment behind a value describes the value.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ def _configs() -> str:
 CONFIGS = _configs()
 """Absolute path of the folder that Hydra composes from."""
 MOST_INTERPOLATED = 2**13
-"""Largest number of characters of all texts with interpolations in a file."""
+"""Largest total length of a file's texts with interpolations, in characters."""
 TABLES = {"ablation": ("ablations.yaml", "_global_"), "scenario": ("scenarios.yaml", "scenario")}
 """File and package of each group whose options are the entries of one file."""
 
@@ -39,8 +39,8 @@ TABLES = {"ablation": ("ablations.yaml", "_global_"), "scenario": ("scenarios.ya
 def store_tables() -> None:
     """Make each entry of ablations.yaml and scenarios.yaml an option of its group.
 
-    The first entry holds what all share; the others change it. A file GROUP/NAME.yaml in a folder
-    of the user's (`--config-dir`) is an option like any other.
+    The first entry holds the common settings, and the others change it. A file GROUP/NAME.yaml in a
+    user's folder (`--config-dir`) is an option like any other.
     """
     for group, (file, package) in TABLES.items():
         table = OmegaConf.load(Path(CONFIGS) / file)
@@ -51,13 +51,10 @@ def store_tables() -> None:
 
 
 def check_file(file: Path) -> None:
-    """Check that a configuration is a plain file which takes little time and memory to load.
+    """Check that a configuration is a plain file that needs little time and memory to load.
 
-    Raises
-    ------
-    ValueError
-        If it waits, never ends, is no YAML without tags, grows by its aliases beyond what
-        `parse_yaml` reads, or holds more interpolations than are parsed in seconds.
+    ValueError if it is not a regular file, is not YAML without tags, grows by aliases beyond what
+    `parse_yaml` reads, or has interpolations that would take too long to parse.
     """
     content = read_plain(file)
     try:
@@ -83,28 +80,21 @@ def walk(value: Any, path: str) -> Iterator[tuple[str, str, Any]]:
 
 
 Keys = tuple[str, ...]
-"""A key with those that lead to it."""
+"""A key, after those that lead to it."""
 LOADER: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 MERGE = "tag:yaml.org,2002:merge"
 NO_WORDS = re.compile(r"@package |python |suspnet-\w+ ")
-"""Begin of lines of a file's first comment that are for Hydra, or commands."""
+"""Start of lines in a file's first comment that are commands, or directives for Hydra."""
 BEHIND = re.compile(r"\s#\s*(.*)$")
 
 
 @dataclass(frozen=True)
 class Comments:
-    """Comments of a file by the keys that lead to what they stand at.
+    """Comments of a file, by the keys that lead to each key.
 
-    A list's keys are those of its items. What an alias or a merged mapping repeats is left out.
-
-    Attributes
-    ----------
-    above, behind : mapping
-        From keys to the sentence on them, and to the comment on their value.
-    kinds : mapping
-        From keys to the `kind` right below them.
-    names : list of str
-        The outermost keys.
+    `above` holds the sentence on a key, `behind` the comment behind its value, `kinds` the `kind`
+    directly below it, and `names` the outermost keys. Items of a list have the keys of the list.
+    What an alias or a merged mapping repeats is left out.
     """
 
     above: dict[Keys, str]
@@ -161,9 +151,9 @@ def _above(lines: Sequence[str], line: int, column: int) -> str:
 
 
 def _keys(root: yaml.Node | None) -> Iterator[tuple[Keys, yaml.Node, yaml.Mark]]:
-    """Yield each key of a document, after those that lead to it, its value and its place.
+    """Yield each key of a document, after those that lead to it, with its value and position.
 
-    In the order of the document: what an alias stands for comes before it.
+    They come in the order of the document, so an anchor comes before its aliases.
     """
     stack: list[tuple[Keys, Any]] = [((), root)]
     seen: set[int] = set()

@@ -1,8 +1,8 @@
-"""Values of a configuration: switches, numbers, and what only the command line may name.
+"""Values of a configuration: switches, numbers, and what only the command line may set.
 
-A configuration may come from someone else. The folders and stores that are written, and the hosts
-that samples, estimates and credentials go to, are therefore named by the user: on the command line,
-a broker's host also in an environment variable.
+A configuration may come from someone else. The user therefore names the folders and stores to write
+to, and the hosts that receive samples, estimates and credentials: on the command line, or for a
+broker's host in an environment variable.
 """
 
 from __future__ import annotations
@@ -38,22 +38,19 @@ SWITCHES = frozenset(
         "tls",
     }
 )
-"""Keys, wherever they stand, that are either on or off."""
+"""Keys that are either on or off, in whichever group they are."""
 WORDS = {"yes": True, "on": True, "true": True, "no": False, "off": False, "false": False}
-"""What a switch may be called; Hydra's command line knows true and false only."""
+"""Values of a switch written as text; Hydra's command line knows true and false only."""
 
 
 def read_values(config: DictConfig) -> None:
-    """Make each switch of a configuration a boolean; check that each number is a finite one.
+    """Make each switch of a configuration a boolean; check that each number is finite.
 
-    Raises
-    ------
-    TypeError, ValueError
-        If a switch is neither on nor off, or a number NaN, infinite or beyond `LARGEST` of
-        ``suspnet.ground.checks``.
+    TypeError or ValueError for any other value of a switch, and for a number that is NaN, infinite
+    or beyond `LARGEST` of ``suspnet.ground.checks``.
     """
     stack: list[tuple[str, Any]] = [("", config)]
-    while stack:  # a configuration as written is a tree: each node is taken off once
+    while stack:  # ends: a configuration as written is a tree
         path, node = stack.pop()
         keys: Any = node.keys() if isinstance(node, DictConfig) else range(len(node))
         for key in keys if not node._is_none() and not node._is_interpolation() else ():
@@ -78,29 +75,21 @@ def _switch(name: str, value: Any) -> bool:
 
 
 BROKERS = ("source", "sink")
-"""Groups whose options speak with a broker, which they describe below `broker`."""
+"""Groups whose options connect to a broker, configured below `broker`."""
 PLACES = ("resume", "out", "data.cache_dir", "store", "journal", "tensorboard", "sink.folder")
-"""Keys that name where is written: a file of somebody else's may not choose the place."""
+"""Keys of paths that are written to; someone else's file may not choose them."""
 OF_HYDRA = ("hydra.run.dir", "hydra.sweep.dir", "hydra.sweep.subdir")
 
 
 def check_typed(config: DictConfig, typed: Collection[str]) -> None:
-    """Raise unless the user has named each place and machine that a configuration would write to.
+    """Raise ValueError unless the user has named each path and host that would be written to.
 
-    Parameters
-    ----------
-    config : DictConfig
-        As composed, with Hydra's own block.
-    typed : collection of str
-        Keys of the command line, without those of a file and of what a multirun sweeps over.
+    `typed` holds the keys of the command line, without those of files and of what a multirun
+    varies.
 
-    Raises
-    ------
-    ValueError
-        If a place where files are written is neither as shipped nor on the command line; if the
-        settings of a broker are not as shipped, and its host is named by neither the command line
-        nor the environment; if pages are opened to the network, and the command line does not say
-        so.
+    A path must be as shipped or on the command line. Settings of a broker must be as shipped,
+    unless the command line or the environment names its host. Only the command line opens pages to
+    the network.
     """
     _check_places(config, typed)
     written = OmegaConf.to_container(config, resolve=False)
@@ -119,9 +108,9 @@ def check_typed(config: DictConfig, typed: Collection[str]) -> None:
 
 
 def _check_broker(group: str, option: Any, typed: Collection[str]) -> None:
-    """Raise ValueError if a broker is not as shipped, and the user has not named its host."""
+    """Raise ValueError if a broker is not as shipped and the user has not named its host."""
     broker = option.get("broker", {}) if isinstance(option, dict) else option
-    if not isinstance(broker, dict):  # an interpolation would hide what it will be
+    if not isinstance(broker, dict):  # an interpolation would hide the value
         raise ValueError(f"`{group}` must be an option of the group {group}, got {broker!r}")
     shipped = _shipped_broker()
     host = broker.get("host")
@@ -152,7 +141,7 @@ def _shipped_broker() -> dict[str, Any]:
 
 
 def _check_places(config: DictConfig, typed: Collection[str]) -> None:
-    """Raise ValueError if a file, and not the command line, says where is written."""
+    """Raise ValueError if a file, not the command line, sets a path that is written to."""
     for key in (*PLACES, *OF_HYDRA):
         above, _, last = key.rpartition(".")
         node = OmegaConf.select(config, above) if above else config
@@ -183,7 +172,7 @@ def _shipped() -> list[tuple[Path, Any]]:
 
 @functools.cache
 def _shipped_places(key: str) -> list[Any]:
-    """Return the values of a key in the configurations as shipped, as written."""
+    """Return the values of a key in the shipped configurations, uninterpolated."""
     found = []
     group, _, rest = key.partition(".")
     for file, content in _shipped():

@@ -36,13 +36,13 @@ ALARMS = {
 
 
 def exit_code(done: Sequence[Evaluated]) -> int:
-    """Return the exit code that some suspensions ask for."""
+    """Return the exit code for the worst of some suspensions."""
     codes = [ALARMS.get(one.severity, FINE) for one in done]
     return worst([*codes, *(SOME_WITHOUT_ESTIMATE for one in done if not one.is_complete)])
 
 
 def ends_with_its_code(function: Callable[[DictConfig], int]) -> Callable[[DictConfig], None]:
-    """Wrap a task that returns its exit code: exit with it, or keep it until all jobs are done.
+    """Wrap a task that returns its exit code: exit with it, or store it for the end of a multirun.
 
     In a multirun a mistake is printed, and the other jobs run.
     """
@@ -111,7 +111,7 @@ def compose(config: DictConfig) -> int:
 
 
 def run_study(config: DictConfig, folder: Path) -> int:
-    """Run the study that is chosen; return the exit code that the states it found ask for."""
+    """Run the chosen study; return the exit code for the worst state that it found."""
     check_choice("study", config.study, ("identifiability", "maintenance", "reliability"))
     program.n_threads(config.threads)
     program.save_config(config, folder)

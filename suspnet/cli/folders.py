@@ -1,4 +1,4 @@
-"""Folders of runs: one for each, however many begin in a second; going on in one given again."""
+"""Run folders: a new one for each run, or that of an earlier run that is resumed."""
 
 from __future__ import annotations
 
@@ -22,36 +22,36 @@ from suspnet.ground.storage import new_folder, write_atomically
 
 log = logging.getLogger(__name__)
 ERROR = "error.txt"
-"""Name of the file in the folder of a job of a multirun that says why the job failed."""
+"""File with the reason in the folder of a failed job of a multirun."""
 FLEET = "fleet.json"
-"""File that is written last where the models are those of several suspensions."""
+"""Last file written by a training of several suspensions."""
 FINISHED = ("metrics.json", "speeds.json", FLEET)
-"""Files of a training that are written last; the second is that of several speeds."""
+"""Last files written by a training: of one model, several speeds or several suspensions."""
 NOT_COMPARED = ("resume", "progress", "threads", "workers", "data.cache_dir")
-"""Keys that change no number, so that a run that differs in them alone is the same."""
+"""Keys that change no number: runs that differ only in these count as the same."""
 FINE, MISTAKE, SOME_WITHOUT_ESTIMATE, NOTICE, ACT = 0, 1, 2, 3, 4
-"""Exit codes: nothing to tell; a user's mistake; a trip without an estimate, or a parameter that
-cannot be judged; and the alarms."""
+"""Exit codes: success; a mistake of the user; a trip without an estimate, or a parameter that
+cannot be judged; the alarm severities notice and act."""
 BY_URGENCY = (FINE, SOME_WITHOUT_ESTIMATE, NOTICE, MISTAKE, ACT)
 """Exit codes, the worst last: after a mistake trips are unread, which may be worse than a
 notice."""
 EXIT_CODE = "exit_code"
-"""Name of the file in the folder of each job of a multirun that holds its exit code."""
+"""File with the exit code in the folder of each job of a multirun."""
 _to_go_on: list[str] = []
 
 
 class OwnFolder(Callback):
-    """Gives each run and multirun a folder of its own, or the one that `resume` names.
+    """Gives each run and multirun its own folder, or the one that `resume` names.
 
-    A folder that is named, by ``hydra.run.dir``, ``hydra.sweep.dir`` or ``resume``, must be empty
-    or hold nothing but results: see `suspnet.ground.ledger`. A multirun one of whose jobs failed
-    ends with exit code 1 after the others.
+    A folder named by ``hydra.run.dir``, ``hydra.sweep.dir`` or ``resume`` must be empty or hold
+    only results: see `suspnet.ground.ledger`. A multirun with a failed job runs all others, then
+    exits with code 1.
     """
 
     def on_run_start(self, config: DictConfig, **kwargs: Any) -> None:
         """Choose the folder before Hydra makes it."""
         before = HydraConfig.instance().cfg
-        HydraConfig.instance().set_config(config)  # the folder's name asks for it
+        HydraConfig.instance().set_config(config)  # interpolations in the folder's name read it
         try:
             _choose(config, "run")
         finally:
@@ -60,7 +60,7 @@ class OwnFolder(Callback):
             _to_go_on[:] = [config.hydra.run.dir]
 
     def on_multirun_start(self, config: DictConfig, **kwargs: Any) -> None:
-        """Choose the folder before Hydra makes it, and tell the jobs."""
+        """Choose the folder before Hydra makes it, and pass it to the jobs."""
         if int(os.environ.get("WORLD_SIZE", "1")) > 1:
             raise SystemExit(
                 "error: a multirun cannot be spread by torchrun: start it with python, and "
@@ -71,11 +71,11 @@ class OwnFolder(Callback):
         _to_go_on[:] = [str(folder)]
         for old in folder.glob(f"*/{ERROR}"):
             ledger.remove(old)
-        # Hydra writes the same bytes again, which the ledger then knows
+        # record the file in the ledger: Hydra writes the same bytes again
         write_atomically(folder / ledger.MULTIRUN, OmegaConf.to_yaml(config))
 
     def on_multirun_end(self, config: DictConfig, **kwargs: Any) -> None:
-        """Exit with 1 if a job failed: it comes last, as Hydra asks callbacks in reverse."""
+        """Exit with 1 if a job failed; runs last, as Hydra calls callbacks in reverse order."""
         failed = sorted(Path(config.hydra.sweep.dir).glob(f"*/{ERROR}"))
         if failed:
             names = ", ".join(path.parent.name for path in failed)
@@ -91,7 +91,7 @@ class WorstExitCode(Callback):
     """Ends a multirun with the worst exit code of its jobs."""
 
     def on_multirun_end(self, config: DictConfig, **kwargs: Any) -> None:
-        """Read what the jobs left in their folders, and exit."""
+        """Read the exit codes in the folders of the jobs, and exit with the worst."""
         files = sorted(Path(config.hydra.sweep.dir).glob(f"*/{EXIT_CODE}"))
         code = worst(int(file.read_text()) for file in files)
         if code:
@@ -99,26 +99,26 @@ class WorstExitCode(Callback):
 
 
 def worst(codes: Iterable[int]) -> int:
-    """Return the most urgent of some exit codes; one that is not ours counts as a mistake."""
+    """Return the most urgent exit code; an unknown one counts as a mistake."""
     known = (code if code in BY_URGENCY else MISTAKE for code in codes)
     return max(known, key=BY_URGENCY.index, default=FINE)
 
 
 def how_to_go_on() -> str:
-    """Return in words how to go on with the run that was interrupted."""
+    """Return the advice on how to resume the run that was interrupted."""
     if _to_go_on:
         return f"go on with the same command and resume={_to_go_on[0]}"
     return "start again at any time"
 
 
 def _choose(config: DictConfig, kind: str) -> None:
-    """Set the folder of a run or a "sweep", for the jobs of a sweep too, and begin its ledger."""
+    """Choose the folder of a run or "sweep", pass it to the sweep's jobs, and start its ledger."""
     _to_go_on.clear()
     named = OmegaConf.select(config, "resume")
     try:
         if named is not None:
             folder = Path(str(named))
-            if not folder.is_dir():  # an exception of a callback would end as a warning
+            if not folder.is_dir():  # Hydra turns other exceptions into warnings
                 raise SystemExit(
                     f"error: resume={folder} is no folder; give that of the earlier run"
                 )
@@ -141,7 +141,7 @@ def _choose(config: DictConfig, kind: str) -> None:
 
 
 def _below_outputs(folder: Path) -> Path:
-    """Return the folder of a run that nobody typed; SystemExit if it lies elsewhere."""
+    """Return the default folder of a run; SystemExit if it is not below outputs."""
     if folder.parts[:1] != ("outputs",) or ".." in folder.parts:
         raise SystemExit(
             f"error: results would go to {folder}, which is not below outputs: `job` and what else "
@@ -159,20 +159,16 @@ def _quoted(value: str | None) -> str:
 
 
 def is_job() -> bool:
-    """Return whether this run is one of a multirun."""
+    """Return whether this run is a job of a multirun."""
     return bool(HydraConfig.get().mode == RunMode.MULTIRUN)
 
 
 def finished_run(config: DictConfig, folder: Path) -> Path | None:
-    """Return the folder of a finished training of the same configuration, if the run goes on.
+    """Return the folder of a finished training of the same configuration, if this run resumes.
 
-    In a multirun it may be that of another job, as jobs are numbered again if others were added.
-    The folder of this one then holds no more than a log that says so.
-
-    Raises
-    ------
-    ValueError
-        If the folder holds a finished training of another configuration.
+    In a multirun it may be that of another job, as added jobs change the numbering; the folder of
+    this job then holds only a log that says so. ValueError if the folder holds a finished training
+    of another configuration.
     """
     if is_finished(config, folder):
         return folder if is_job() or OmegaConf.select(config, "resume") is not None else None
@@ -186,13 +182,7 @@ def finished_run(config: DictConfig, folder: Path) -> Path | None:
 
 
 def is_finished(config: DictConfig, folder: Path) -> bool:
-    """Return whether a folder holds a finished training of a configuration.
-
-    Raises
-    ------
-    ValueError
-        If it is one of another configuration.
-    """
+    """Return whether a folder holds a finished training; ValueError if of another configuration."""
     if not _is_finished(folder):
         return False
     if _saved(folder) != _wanted(config):
@@ -201,7 +191,7 @@ def is_finished(config: DictConfig, folder: Path) -> bool:
 
 
 def start_again(folder: Path) -> None:
-    """Remove what an earlier run wrote in its folder to say that it failed, or that it ended."""
+    """Remove the files of an earlier run that mark it as failed or finished."""
     for name in (ERROR, *FINISHED):
         ledger.remove(folder / name)
 
@@ -211,7 +201,7 @@ def _is_finished(folder: Path) -> bool:
 
 
 def _saved(folder: Path) -> Any:
-    """Return what config.yaml holds, without what is not compared; None if it cannot be read."""
+    """Return the compared part of config.yaml; None if it cannot be read."""
     try:
         return _compared(yaml.safe_load((folder / "config.yaml").read_text(encoding="utf-8")))
     except (OSError, ValueError, yaml.YAMLError):
@@ -219,7 +209,7 @@ def _saved(folder: Path) -> Any:
 
 
 def _wanted(config: DictConfig) -> Any:
-    """Return what a run of a configuration saves of it, without what is not compared."""
+    """Return the compared part of a configuration."""
     return _compared(OmegaConf.to_container(config, resolve=True))
 
 
@@ -234,7 +224,7 @@ def _compared(content: Any) -> Any:
 
 
 def _with_kinds(content: Any, place: str) -> Any:
-    """Return a configuration of an earlier version as this one writes it: kinds, not targets."""
+    """Return a configuration of an earlier version in its present form: kinds, not targets."""
     if not isinstance(content, dict):
         return content
     found = {key: _with_kinds(one, str(key)) for key, one in content.items() if key[:1] != "_"}

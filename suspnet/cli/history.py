@@ -1,4 +1,4 @@
-"""Look into a history, add what people did, write tables: suspnet-history STORE ..."""
+"""Show a history, add maintenance and acknowledgements, write tables: suspnet-history STORE ..."""
 
 from __future__ import annotations
 
@@ -26,12 +26,8 @@ from suspnet.maintenance.series import Event
 def history(arguments: Namespace) -> None:
     """Do what the command line says.
 
-    Raises
-    ------
-    HistoryError
-        If there is no store, or it cannot be used.
-    ValueError
-        If an event or an acknowledgement is not valid.
+    HistoryError if the store is missing or cannot be used, ValueError if an event or an
+    acknowledgement is not valid.
     """
     if "://" not in arguments.store and not Path(arguments.store).is_file():
         raise HistoryError(
@@ -59,7 +55,7 @@ def _event(store: History, arguments: Namespace) -> str:
 
 
 def _alarms(store: History, arguments: Namespace) -> str:
-    """Return a table of the alarms, the worst first, those not yet acknowledged before others."""
+    """Return a table of alarms, the worst first, those not acknowledged before the others."""
     seen = store.all_acknowledgements()
     chosen = [
         (alarm, newest_of(alarm, seen.get(key, [])), key)
@@ -102,10 +98,10 @@ def _acknowledge(store: History, arguments: Namespace) -> str:
             "alarms lists all"
         )
     newest = max(r.mileage_km for r in store.read(vehicle, place) if isfinite(r.mileage_km))
-    said = arguments.by, arguments.words
-    seen = acknowledge_alarms(store, vehicle, place, chosen, newest, *said)
-    told = ", ".join(f"{one.parameter} ({one.cause}, {one.severity!s})" for one in seen)
-    return f"{place}: {told} acknowledged by {arguments.by} at {km(newest)} km"
+    by = arguments.by, arguments.words
+    seen = acknowledge_alarms(store, vehicle, place, chosen, newest, *by)
+    names = ", ".join(f"{one.parameter} ({one.cause}, {one.severity!s})" for one in seen)
+    return f"{place}: {names} acknowledged by {arguments.by} at {km(newest)} km"
 
 
 def _export(store: History, arguments: Namespace) -> str:
@@ -117,19 +113,19 @@ def _export(store: History, arguments: Namespace) -> str:
         tables["trips"] += [result.row(PARAMETERS) for result in results]
         where = {"vehicle": vehicle, **asdict(place)}
         for name in list(tables)[1:]:
-            kept = getattr(store, name)(vehicle, place)
-            tables[name] += [where | _plain(one) for one in kept]
+            entries = getattr(store, name)(vehicle, place)
+            tables[name] += [where | _plain(one) for one in entries]
     ledger.begin(arguments.folder)
     for name, rows in tables.items():
         if rows:
             write_table(pa.Table.from_pylist(rows), arguments.folder / name)
-    told = [f"{len(rows)} {name}" for name, rows in tables.items()]
-    return f"{', '.join(told[:-1])} and {told[-1]} -> {arguments.folder}"
+    counts = [f"{len(rows)} {name}" for name, rows in tables.items()]
+    return f"{', '.join(counts[:-1])} and {counts[-1]} -> {arguments.folder}"
 
 
-def _plain(kept: Event | Alarm | Acknowledgement) -> dict[str, Any]:
-    """Return what is kept as a row of a table: a severity by its name."""
-    row = asdict(kept)
+def _plain(entry: Event | Alarm | Acknowledgement) -> dict[str, Any]:
+    """Return an entry of the store as a row of a table, with its severity's name."""
+    row = asdict(entry)
     return row | {name: str(row[name]) for name in ("severity", "cause") if name in row}
 
 
@@ -149,4 +145,4 @@ COMMANDS: dict[str, Callable[[History, Namespace], str]] = {
     "acknowledge": _acknowledge,
     "export": _export,
 }
-"""What does each command."""
+"""Function of each command."""

@@ -13,14 +13,10 @@ from suspnet.trips.manifest_template import template
 
 
 def init(arguments: Namespace) -> None:
-    """Write a manifest from what the command line names and tell what is left to do.
+    """Write a manifest from data files and print what must still be filled in.
 
-    Raises
-    ------
-    ValueError
-        If a file cannot be read; the message tells of all of them.
-    FileExistsError
-        If there is such a manifest and it is not to be replaced.
+    ValueError if files cannot be read (the message lists all of them), or if the manifest exists
+    and is not to be replaced.
     """
     files = list(dict.fromkeys(arguments.files))
     path = arguments.output or files[0].with_suffix(".yaml")

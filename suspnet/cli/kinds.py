@@ -1,7 +1,7 @@
 """The registry of kinds: what a configuration may name, and the object that is built from it.
 
-A configuration names a kind of ours (``kind: msvr``) and gives its settings; it names nothing that
-is imported or called. The modules take seconds to import, so each one is when it is needed.
+A configuration names a kind (``kind: msvr``) and its settings, but nothing to import or call.
+Modules take seconds to import, so each is imported only when it is needed.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ KINDS: Mapping[str, Mapping[str, str]] = {
     "trips": {"": "suspnet.estimation.from_recording.TripSettings"},
     "vehicle": {"": "suspnet.dynamics.Vehicle"},
 }
-"""From the key below which an object is configured to its kinds, and to the class of each."""
+"""Kinds and the class of each, by the key below which the object is configured."""
 PARTS: Mapping[str, tuple[str, ...]] = {
     "generator": ("vehicle",),
     "live": ("order",),
@@ -75,16 +75,13 @@ PARTS: Mapping[str, tuple[str, ...]] = {
     "sink": ("broker",),
     "source": ("broker",),
 }
-"""Keys of an object below which objects of their own are configured."""
+"""Keys of an object's settings that are objects themselves."""
 
 
 def build(config: DictConfig, name: str) -> Any:
     """Return the object that is configured below a key, such as ``model`` or ``monitor.changes``.
 
-    Raises
-    ------
-    ValueError
-        If nothing is configured there, or a kind or a setting is unknown.
+    ValueError if nothing is configured there, or a kind or a setting is unknown.
     """
     node, place = OmegaConf.select(config, name), name.rpartition(".")[2]
     if not isinstance(node, DictConfig):
@@ -103,14 +100,14 @@ def plain(node: Any) -> Any:
 
 
 def class_of(place: str, kind: Any = None) -> Callable[..., Any]:
-    """Return what builds an object: the class of a kind, or the only one."""
+    """Return what builds an object: the class of a kind, or the only one of its place."""
     home, _, name = KINDS[place][kind or ""].rpartition(".")
     found: Callable[..., Any] = getattr(import_module(home), name)
     return found
 
 
 def check_kind(name: str, values: Mapping[str, Any]) -> None:
-    """Raise ValueError unless what is configured below a key is of one of its kinds."""
+    """Raise ValueError unless an object is configured with one of the kinds of its key."""
     kinds = KINDS[name.rpartition(".")[2]]
     kind = values.get("kind", "")
     if not isinstance(kind, str) or kind not in kinds:
@@ -119,7 +116,7 @@ def check_kind(name: str, values: Mapping[str, Any]) -> None:
 
 
 def new_name(place: str, target: Any) -> str:
-    """Return what stands in place of a ``_target_`` of an older configuration."""
+    """Return the advice on what replaces a ``_target_`` of an older configuration."""
     kinds = KINDS.get(place, {})
     if "" in kinds:
         return "delete this line"
@@ -130,7 +127,7 @@ def new_name(place: str, target: Any) -> str:
 
 
 def _built(values: Mapping[str, Any], name: str) -> Any:
-    """Return an object of its settings, after those that are among them."""
+    """Return an object built from its settings, after the objects among them."""
     check_kind(name, values)
     place = name.rpartition(".")[2]
     class_ = class_of(place, values.get("kind"))
@@ -152,9 +149,9 @@ def _built(values: Mapping[str, Any], name: str) -> Any:
 
 
 def read_vehicles(folder: str | Path = CONFIGS) -> dict[str, Vehicle]:
-    """Return the vehicle of every file of the group `vehicle` of a folder, by the file's name.
+    """Return the vehicles in the group `vehicle` of a folder, by file name.
 
-    Nothing else is built from the files, and nothing in them is interpolated.
+    Nothing else is built from the files, and interpolations are not resolved.
 
     Raises
     ------
@@ -165,7 +162,7 @@ def read_vehicles(folder: str | Path = CONFIGS) -> dict[str, Vehicle]:
     for file in sorted((Path(folder) / "vehicle").glob("*.yaml")):
         check_file(file)
         content = OmegaConf.to_container(OmegaConf.create(read_plain(file).decode()), resolve=False)
-        # a road vehicle's file sets a speed and a track beside the vehicle
+        # a road vehicle's file also sets a speed and a track
         vehicle = content.get("vehicle", content) if isinstance(content, dict) else None
         if not isinstance(vehicle, dict):
             raise ValueError(f"{file} is no vehicle: its numbers are missing")
@@ -199,7 +196,7 @@ def read_protocol(name: str) -> Protocol:
 
 
 def named_runs(named: Any) -> list[Path]:
-    """Return the folders with a model that `run=` names: a run, a multirun or a list of these."""
+    """Return the model folders that `run=` names: a run, a multirun or a list of these."""
     from suspnet.runs.evaluate import find_runs  # with torch, which takes seconds
 
     several = named if isinstance(named, ListConfig | list) else [named]

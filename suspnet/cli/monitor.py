@@ -1,4 +1,4 @@
-"""Read frames as they come, and keep what they show: suspnet-monitor run=RUN suspensions=DIR."""
+"""Estimate from live frames and store the results: suspnet-monitor run=RUN suspensions=DIR."""
 
 from __future__ import annotations
 
@@ -51,6 +51,6 @@ def compose(config: DictConfig) -> None:
 
 
 def words(counts: dict[str, int]) -> str:
-    """Return counts in words, the largest first."""
+    """Return counts as text, the largest first."""
     largest = sorted(counts.items(), key=lambda one: -one[1])
     return ", ".join(f"{n} {name}" for name, n in largest) or "none"

@@ -1,4 +1,4 @@
-"""What differs from the configuration as shipped and from run to run; folders are named by it."""
+"""Names of run folders: what differs from the shipped configuration and from run to run."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ UNNAMED = {
     *("experiment", "study", "job", "run", "out", "progress", "figures", "threads", "device"),
     *("workers", "data.cache_dir", "resume"),
 }
-"""Keys that no folder is named by: the path has them already, or they change no number."""
+"""Keys left out of folder names: the path shows them already, or they change no number."""
 OF_THE_VEHICLE = ("vehicle", "generator", "speed_m_per_s")
 """Keys that change the vehicle's frequency responses."""
 MAX_CHARACTERS = 100
-"""Length of a name beyond which it is cut; file systems allow 255 for the whole folder."""
+"""Length at which a name is cut; file systems allow 255 for the whole folder name."""
 
 
 def register() -> None:
-    """Make ${changed:...}, ${swept_by:} and ${unless_healthy:...} known to the configuration."""
+    """Register ${changed:...}, ${swept_by:} and ${unless_healthy:...} with OmegaConf."""
     OmegaConf.register_new_resolver("changed", _changed, replace=True)
     OmegaConf.register_new_resolver("swept_by", _swept_by, replace=True)
     OmegaConf.register_new_resolver("unless_healthy", _unless_healthy, replace=True)
@@ -33,7 +33,7 @@ def register() -> None:
 def swept() -> list[str]:
     """Return the keys that a multirun varies, in the order of its definition; [] in a single run.
 
-    To be called in a job of the multirun.
+    Works only within a job of the multirun.
     """
     config = HydraConfig.get()
     if config.mode != RunMode.MULTIRUN:
@@ -49,7 +49,7 @@ def swept() -> list[str]:
 
 
 def varied(config: DictConfig) -> dict[str, Any]:
-    """Return what a multirun varies, with its values in this job, by key."""
+    """Return the values in this job of the keys that a multirun varies."""
     choices = HydraConfig.get().runtime.choices
     return {
         key: choices[key] if key in choices else OmegaConf.select(config, key) for key in swept()
@@ -64,9 +64,9 @@ def is_first_of_its_vehicle() -> bool:
 
 
 def _changed(*known: str) -> str:
-    """Return what names a run: what a multirun varies, or else what the command line sets.
+    """Return the name of a run: what a multirun varies, or else what the command line sets.
 
-    The name leaves out the keys `known`, which the folder tells anyway.
+    The keys `known` are left out, as the path shows them anyway.
     """
     config = HydraConfig.get()
     varied = swept()
@@ -79,9 +79,9 @@ def _changed(*known: str) -> str:
 
 
 def _swept_by(_root_: DictConfig) -> str:
-    """Return what names a multirun: what all of its runs share, and the keys that vary.
+    """Return the name of a multirun: the settings of all its runs, and the keys that vary.
 
-    Hydra copies the cache of resolvers to each job of a multirun, so that all agree on its folder.
+    Hydra copies the cache of resolvers to each job of a multirun, so that all use the same folder.
     """
     cache = OmegaConf.get_cache(_root_)["swept_by"]
     if "hydra" not in _root_:
@@ -98,7 +98,7 @@ def _swept_by(_root_: DictConfig) -> str:
 
 
 def _unless_healthy(usual: float, _root_: DictConfig) -> float | None:
-    """Return a usual value, or None where a folder of healthy trips shows a better one."""
+    """Return `usual`, or None where a folder of healthy trips shows a better value."""
     return None if OmegaConf.select(_root_, "healthy") is not None else usual
 
 
@@ -109,7 +109,7 @@ def _split(override: str) -> tuple[str, str]:
 
 
 def _word(key: str, value: str, is_choice: bool) -> str:
-    """Return "svr" of model=svr, "snr_db_40" of data.snr_db=40, "" of what names nothing."""
+    """Return "svr" for model=svr, "snr_db_40" for data.snr_db=40, "" for an unnamed key."""
     if key in UNNAMED or key.startswith("hydra"):
         return ""
     last = value.rstrip("/").rpartition("/")[2]
@@ -117,7 +117,7 @@ def _word(key: str, value: str, is_choice: bool) -> str:
 
 
 def _joined(words: Iterable[str]) -> str:
-    """Return words as the end of a folder's name that needs no quotes on a command line."""
+    """Return words joined as the end of a folder name that needs no quotes in a shell."""
     bare = (re.sub(r"[\[\](){}'\"]", "", word) for word in words)
     plain = (re.sub(r"[^\w.+-]+", "-", word).strip("-_") for word in bare)
     return "".join(f"_{word}" for word in plain if word)[:MAX_CHARACTERS]

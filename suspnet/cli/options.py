@@ -1,6 +1,6 @@
-"""Options of the programs that read no configuration: suspnet-check, suspnet-init, suspnet-history.
+"""Options of the programs without a configuration: suspnet-check, suspnet-init, suspnet-history.
 
-They are parsed before what the programs need is imported.
+They are parsed before the programs' modules are imported.
 """
 
 from __future__ import annotations
@@ -15,11 +15,11 @@ from suspnet.ground.records import Place
 from suspnet.maintenance.series import KINDS
 
 CHECK_DESCRIPTION = """\
-Read manifests and recordings, with a model or without. Show everything that is wrong with all of
-them at once, and what an estimate would have to work with: usable share, steady speeds, independent
-averages, coherence in the vehicle's band, pairs of sensors; for a known vehicle also whether units,
-signs and the order of the channels are plausible. A trip is ready if a model of its speed would
-read it; with --run if the models of that run do.
+Read manifests and recordings, with a model or without. Show all problems at once, and what an
+estimate could use: usable share, steady speeds, independent averages, coherence in the vehicle's
+band, pairs of sensors; for a known vehicle also whether units, signs and the order of the channels
+are plausible. A trip is ready if a model of its speed would read it; with --run if the models of
+that run do.
 
 The output folder gets check.html, check.json and a picture of each trip that could be read: its
 channels and speed, their spectra, and the coherence. Trips are not changed."""
@@ -33,15 +33,15 @@ exit code: 0 if every trip could be read, 1 if there is any problem.
 INIT_DESCRIPTION = """\
 Write a manifest of one trip from its data files: their columns, with the rates and units that the
 files say. Which column is which channel is guessed from names (axle box, bogie frame, body, left,
-right, speed; in English or German) and marked as a guess; where names do not tell, the columns
-stand there as comments to choose from. What is not known is marked FILL_IN."""
+right, speed; in English or German) and marked as a guess; where names are ambiguous, the
+columns are listed as comments to choose from. Unknown values are marked FILL_IN."""
 
 INIT_EPILOG = """\
   suspnet-init trip_7/*.csv -o trip_7.yaml      then fill in what is marked, and
   suspnet-check trip_7.yaml"""
 HISTORY_DESCRIPTION = """\
-The history of a fleet, as evaluate.py trips=DIR store=STORE keeps it: what is in it, maintenance
-that was done, alarms and who has seen them, and all of it as tables."""
+The history of a fleet, as written by evaluate.py trips=DIR store=STORE: list it, add maintenance,
+show and acknowledge alarms, export all of it as tables."""
 
 HISTORY_EPILOG = """\
   suspnet-history fleet.db list
@@ -94,7 +94,7 @@ def check_parser() -> ArgumentParser:
         "--config-dir",
         type=Path,
         metavar="DIR",
-        help="folder with vehicles of yours, vehicle/NAME.yaml, as for train.py [path; none if not "
+        help="folder with your own vehicles, vehicle/NAME.yaml, as for train.py [path; none if not "
         "given]",
     )
     found.add_argument(
@@ -130,8 +130,8 @@ def init_parser() -> ArgumentParser:
         "--output",
         type=Path,
         metavar="FILE",
-        help="the manifest that is written [path that ends with .yaml; FIRST.yaml beside the first "
-        "data file if not given]",
+        help="the manifest to write [path that ends with .yaml; FIRST.yaml next to the first data "
+        "file if not given]",
     )
     found.add_argument(
         "--force", action="store_true", help="replace the manifest if there is one [switch]"
@@ -155,7 +155,7 @@ def history_parser() -> ArgumentParser:
     )
     does.add_parser("list", help="each suspension with its trips and maintenance")
     event = does.add_parser(
-        "event", help="add maintenance: tests for changes, and the report's words, begin anew there"
+        "event", help="add maintenance: severities and tests for changes use later trips only"
     )
     _add_suspension(event)
     event.add_argument(
@@ -163,13 +163,17 @@ def history_parser() -> ArgumentParser:
     )
     event.add_argument("--kind", choices=KINDS, default="other", help="[other if not given]")
     event.add_argument("--words", default="", help="what was done [text]")
-    alarms = does.add_parser("alarms", help="open alarms, the worst first, and who has seen them")
-    alarms.add_argument("--all", action="store_true", help="also those that are over")
-    seen = does.add_parser("acknowledge", help="say that somebody has seen the open alarms")
+    alarms = does.add_parser(
+        "alarms", help="open alarms, the worst first, and who acknowledged them"
+    )
+    alarms.add_argument("--all", action="store_true", help="also closed alarms")
+    seen = does.add_parser("acknowledge", help="acknowledge the open alarms of a parameter")
     _add_suspension(seen)
-    seen.add_argument("--parameter", choices=PARAMETERS, required=True, help="of these alarms")
+    seen.add_argument(
+        "--parameter", choices=PARAMETERS, required=True, help="parameter of the alarms"
+    )
     seen.add_argument("--cause", choices=tuple(Cause), help="[all causes if not given]")
-    seen.add_argument("--by", required=True, metavar="NAME", help="who has seen them [text]")
+    seen.add_argument("--by", required=True, metavar="NAME", help="who acknowledges them [text]")
     seen.add_argument("--words", default="", help="what is done about it [text]")
     export = does.add_parser("export", help="write all of it as Parquet and CSV")
     export.add_argument(
@@ -182,7 +186,7 @@ def _add_suspension(command: ArgumentParser) -> None:
     command.add_argument("--vehicle", required=True, help="as in the manifests [text]")
     for field in fields(Place):
         command.add_argument(
-            f"--{field.name}", default="", help="as in the manifests, if it stands there [text]"
+            f"--{field.name}", default="", help="as in the manifests, if given there [text]"
         )
 
 
@@ -191,4 +195,4 @@ PARSERS: Mapping[str, Callable[[], ArgumentParser]] = {
     "init": init_parser,
     "history": history_parser,
 }
-"""What parses the command line of each program."""
+"""Parser of each program's command line."""

@@ -1,4 +1,4 @@
-"""Parts that the programs share: one line for a mistake, trusted targets, configurations."""
+"""Shared parts of the programs: one-line errors, checked configurations, signals, output."""
 
 from __future__ import annotations
 
@@ -53,9 +53,9 @@ MISTAKES = (
     OmegaConfBaseException,
 )
 NO_SLURM = 'Could not detect "srun"'
-"""Begin of submitit's message where there is no Slurm cluster."""
+"""Start of submitit's message where there is no Slurm cluster."""
 MOVES = re.compile(r"[\r\n]*(\x1b\[A)*")
-"""What progress bars write alone to move the cursor: to the start of a line, and lines up."""
+"""Cursor movements that progress bars write on their own: line starts and lines up."""
 _debugging = bool(os.environ.get(DEBUG, "") not in ("", "0"))
 
 store_tables()
@@ -66,7 +66,7 @@ reference.register()
 def main(name: str) -> None:
     """Run a program as the command line says.
 
-    What it needs takes seconds to import, and is imported only once there is something to do.
+    Its modules take seconds to import, so they are imported only once there is something to do.
     """
     if name in WITH_OPTIONS:
         options = import_module("suspnet.cli.options")
@@ -133,14 +133,14 @@ def run(main: Callable[[], Any], *, unwinds: bool = True) -> None:
 
 
 def _output_ended() -> int:
-    """Write no more, as whoever read our output has ended; return the exit code of SIGPIPE."""
+    """Silence standard output, whose reader has ended; return the exit code of SIGPIPE."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     return 141
 
 
 @contextmanager
 def _whole_errors() -> Iterator[None]:
-    """Let Hydra raise what it would print, in this process and those that it starts."""
+    """Make Hydra raise errors instead of printing them, here and in child processes."""
     before = os.environ.get(DEBUG)
     os.environ[DEBUG] = "1"
     try:
@@ -152,12 +152,12 @@ def _whole_errors() -> Iterator[None]:
 
 
 class _Terminated(BaseException):
-    """SIGTERM has come."""
+    """SIGTERM was received."""
 
 
 @contextmanager
 def _terminable() -> Iterator[None]:
-    """Let SIGTERM unwind the program as Ctrl-C does; a second one ends it at once."""
+    """Make SIGTERM unwind the program as Ctrl-C does; a second one ends it at once."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -175,7 +175,7 @@ def _terminable() -> Iterator[None]:
 
 @contextmanager
 def _checked_loader() -> Iterator[None]:
-    """Let Hydra compose trusted configurations only, and read no pickle."""
+    """Make Hydra compose trusted configurations only; refuse its option that reads a pickle."""
     if get_args_parser().parse_known_args()[0].experimental_rerun is not None:
         raise ValueError("--experimental-rerun reads a pickle, which can run any code: not allowed")
     application: Any = hydra_application
@@ -188,13 +188,13 @@ def _checked_loader() -> Iterator[None]:
 
 
 def _help(self: Any, help_cfg: DictConfig, *_: Any, **__: Any) -> str:
-    """Return the help of a configuration; Hydra's own way lists all groups first, for seconds."""
+    """Return the help of a configuration; Hydra's own method first lists all groups, slowly."""
     return Template(help_cfg.template).safe_substitute()
 
 
 @contextmanager
 def _one_writer() -> Iterator[None]:
-    """Let only the first of the processes that torchrun started write files and print."""
+    """Let only the first torchrun process write files and print."""
     with ExitStack() as stack:
         stack.callback(_leave_ranks)
         if int(os.environ.get("RANK", "0")) > 0:
@@ -206,13 +206,13 @@ def _one_writer() -> Iterator[None]:
                 "hydra/job_logging=none",
                 "progress=false",
             ]
-            stack.enter_context(_without_words())
+            stack.enter_context(_without_message())
         yield
 
 
 @contextmanager
-def _without_words() -> Iterator[None]:
-    """Keep an exit's message from being printed: the first process prints its own."""
+def _without_message() -> Iterator[None]:
+    """Suppress an exit's message: the first process prints its own."""
     try:
         yield
     except SystemExit as error:
@@ -220,15 +220,15 @@ def _without_words() -> Iterator[None]:
 
 
 def _leave_ranks() -> None:
-    """Leave the other processes that torchrun started, if this one has joined them."""
+    """Leave the torchrun process group if this process has joined it."""
     if "suspnet.learning.ranks" in sys.modules:
         sys.modules["suspnet.learning.ranks"].stop()
 
 
 def task(function: Callable[[DictConfig], Any]) -> Callable[[DictConfig], Any]:
-    """Wrap a Hydra task function: check its objects and values, end with one line on a mistake.
+    """Wrap a Hydra task function: check its configuration, end with one line on a mistake.
 
-    In a job of a multirun every error is one line; the traceback of a fault goes to error.txt.
+    In a job of a multirun every error is one line; the traceback of a bug goes to error.txt.
     """
 
     @functools.wraps(function)
@@ -251,15 +251,15 @@ def task(function: Callable[[DictConfig], Any]) -> Callable[[DictConfig], Any]:
                 raise
             file = run_folder() / folders.ERROR
             write_atomically(file, traceback.format_exc())
-            words = f"error: {type(error).__name__}: {' '.join(str(error).split())}; see {file}"
-            raise SystemExit(words) from None
+            message = f"error: {type(error).__name__}: {' '.join(str(error).split())}; see {file}"
+            raise SystemExit(message) from None
 
     return wrapped
 
 
 @contextmanager
 def _progress() -> Iterator[None]:
-    """Send lines of progress to standard error, those of a multirun with the number of the job."""
+    """Send progress lines to standard error, with the job's number in a multirun."""
     with ExitStack() as stack:
         if logging.getLogger().handlers:  # hydra/job_logging=none asks for silence
             job = HydraConfig.get().job
@@ -269,7 +269,7 @@ def _progress() -> Iterator[None]:
 
 
 def _check_limits(config: DictConfig) -> None:
-    """Raise ValueError or TypeError, which names the vehicle's file, if its limits are wrong."""
+    """Check the vehicle's limits; an error names the vehicle's file."""
     try:
         read_limits(OmegaConf.select(config, "vehicle.limits") or {}, DEFAULT_LIMITS)
     except (TypeError, ValueError) as error:
@@ -278,7 +278,7 @@ def _check_limits(config: DictConfig) -> None:
 
 
 def one_of_many(function: Callable[[DictConfig], None]) -> Callable[[DictConfig], None]:
-    """Wrap a task so that the other jobs of a multirun run after one has failed."""
+    """Wrap a task so that a failed job of a multirun does not stop the others."""
 
     @functools.wraps(function)
     def wrapped(config: DictConfig) -> None:
@@ -296,32 +296,32 @@ def one_of_many(function: Callable[[DictConfig], None]) -> Callable[[DictConfig]
 
 
 def one_line(error: BaseException) -> str:
-    """Return an error's own words on one line; Hydra's wrapping and search paths are left out."""
-    # a cause was raised before its error, so the chain has an end
+    """Return an error's message on one line, without Hydra's wrapping and search paths."""
+    # ends: a cause is older than its error
     while isinstance(error.__cause__, MISTAKES) and (
         isinstance(error, InstantiationException) or not str(error)
     ):
         error = error.__cause__
-    words = str(error)
+    message = str(error)
     if isinstance(error, GrammarParseError) and error.full_key:
-        words = f"`{error.full_key}` holds an interpolation that has no end: {error.value!r}"
+        message = f"`{error.full_key}` holds an interpolation that has no end: {error.value!r}"
     if isinstance(error, RecursionError):
-        words = "the configuration is nested too deeply, or refers to itself"
+        message = "the configuration is nested too deeply, or refers to itself"
     if isinstance(error, MemoryError):
-        words = f"not enough memory: {words or 'ask for less at a time'}"
+        message = f"not enough memory: {message or 'ask for less at a time'}"
     for noise in ("Config search path", "full_key:", "To append to your "):
-        words = words.split(noise)[0]
-    if words.startswith("Could not override"):
-        words = f"{words.strip().rstrip('.')}. There is no such key; --help lists them"
+        message = message.split(noise)[0]
+    if message.startswith("Could not override"):
+        message = f"{message.strip().rstrip('.')}. There is no such key; --help lists them"
     for group, owner in (("experiment", "train.py"), ("study", "evaluate.py")):
-        if words.startswith(f"Could not override '{group}'"):
-            words = (
-                "experiments are of train.py and studies of evaluate.py: "
+        if message.startswith(f"Could not override '{group}'"):
+            message = (
+                "experiments belong to train.py and studies to evaluate.py: "
                 f"python {owner} {group}=NAME"
             )
     if isinstance(error, OSError) and error.filename is not None:
-        words = f"{error.filename}: {error.strerror}"
-    return printable("error: " + " ".join(words.split()))
+        message = f"{error.filename}: {error.strerror}"
+    return printable("error: " + " ".join(message.split()))
 
 
 def run_folder() -> Path:
@@ -330,13 +330,7 @@ def run_folder() -> Path:
 
 
 def n_threads(wanted: int | None) -> int:
-    """Set torch's threads to `wanted`, or leave them; return their number.
-
-    Raises
-    ------
-    ValueError
-        If `wanted` is not a positive whole number or null.
-    """
+    """Set torch's threads to `wanted`, or leave them if None; return their number."""
     import torch  # takes seconds
 
     if wanted is None:
@@ -347,7 +341,7 @@ def n_threads(wanted: int | None) -> int:
 
 
 def log_to_stderr() -> None:
-    """Let log lines go to standard error: standard output is for results."""
+    """Send log lines to standard error: standard output is for results."""
     for handler in logging.getLogger().handlers:
         if isinstance(handler, logging.StreamHandler) and handler.stream is sys.stdout:
             handler.setStream(sys.stderr)
@@ -362,10 +356,10 @@ def save_config(config: DictConfig, folder: Path) -> dict[str, Any]:
 
 
 class _Visible:
-    """A text stream to which control characters are written as escapes, such as x1b.
+    """A text stream that writes control characters as escapes, such as x1b.
 
-    A carriage return at the start of what is written, by which a progress bar replaces its line,
-    is written as it is.
+    A carriage return at the start of a text stays as it is: progress bars replace their line with
+    it.
     """
 
     def __init__(self, stream: TextIO) -> None:
@@ -377,8 +371,8 @@ class _Visible:
     def write(self, text: str) -> int:
         """Write a text and return its length."""
         if not MOVES.fullmatch(text):
-            begin = "\r" * text.startswith("\r")
-            self._stream.write(begin + printable(text[len(begin) :]))
+            lead = "\r" * text.startswith("\r")
+            self._stream.write(lead + printable(text[len(lead) :]))
         else:
             self._stream.write(text)
         return len(text)
@@ -386,7 +380,7 @@ class _Visible:
 
 @contextmanager
 def visible() -> Iterator[None]:
-    """Write control characters in what is printed and logged as escapes."""
+    """Escape control characters in everything that is printed and logged."""
     out, err = (cast(TextIO, _Visible(stream)) for stream in (sys.stdout, sys.stderr))
     with redirect_stdout(out), redirect_stderr(err):
         yield

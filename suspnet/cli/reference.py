@@ -1,4 +1,4 @@
-"""What a composed configuration can be told: its keys with what they mean, its groups, `--help`."""
+"""The `--help` of a configuration: its groups, options and keys with their meaning."""
 
 from __future__ import annotations
 
@@ -19,25 +19,19 @@ from suspnet.cli.config_files import CONFIGS, TABLES, Comments, Keys, phrase, re
 from suspnet.cli.kinds import KINDS
 
 COLUMNS, OPTION_COLUMNS, KEY_COLUMNS = 100, 22, 36
-"""Width of the help, and of its first column where it tells options and keys."""
+"""Width of the help, and of its first column for options and for keys, in characters."""
 LONGEST_MAPPING = 60
-"""Number of characters of a mapping beyond which its values are left out, and then its keys."""
+"""Characters above which a mapping is shown by its keys only, or else as {...}."""
 MOST_OPTIONS = 12
-"""Number of options of a group beyond which the help names them only, unless one is chosen."""
+"""Options of a group above which the help only names them, unless one of them is chosen."""
 
 
 @dataclass(frozen=True)
 class Key:
     """A key of a composed configuration.
 
-    Attributes
-    ----------
-    name : str
-        As it is written on the command line.
-    value : str
-        Its value, likewise; where an interpolation gives a number or a text, that one.
-    sentence : str
-        What it means, with unit and range in brackets; "" if no comment says so.
+    `name` and `value` are written as on the command line, an interpolation as its number or text;
+    `sentence` is the meaning with unit and range in brackets, "" if there is no comment.
     """
 
     name: str
@@ -57,16 +51,7 @@ class Key:
 
 @dataclass(frozen=True)
 class Group:
-    """A group of a configuration.
-
-    Attributes
-    ----------
-    name, phrase : str
-        The phrase says what the group is for.
-    options : mapping
-        From the name of each option to a phrase on it.
-    chosen : str or None
-    """
+    """A group: the purpose in a phrase, and a phrase for each option."""
 
     name: str
     phrase: str
@@ -75,20 +60,16 @@ class Group:
 
 
 def register() -> None:
-    """Make the help known to the configuration, as ${described:}."""
+    """Register ${described:}, which gives the help, with OmegaConf."""
     OmegaConf.register_new_resolver("described", _described, replace=True)
 
 
 class Reference:
-    """What can be told to a configuration that was composed with Hydra's own block.
+    """Keys, groups and help of a configuration that was composed with Hydra's own block.
 
-    It looks for sentences in the files that were composed, the last one first, and then in those
-    that describe the class of the object that a key belongs to.
-
-    Parameters
-    ----------
-    config : DictConfig
-        To be used before Hydra composes another one.
+    Sentences come from the composed files, the last one first, then from the files that describe
+    the class of the object that a key belongs to. Use it before Hydra composes another
+    configuration.
     """
 
     def __init__(self, config: DictConfig) -> None:
@@ -114,7 +95,7 @@ class Reference:
         ]
 
     def help(self) -> str:
-        """Return groups and keys as the lines of a program's `--help`."""
+        """Return the text of a program's `--help`: groups and keys."""
         lines = ["Groups, chosen as GROUP=OPTION; * is chosen here:", ""]
         for group in self.groups():
             lines.append(f"{group.name}: {group.phrase}")
@@ -134,7 +115,7 @@ class Reference:
         return "\n".join(lines) + "\n"
 
     def _composed_files(self) -> list[tuple[Keys, Comments]]:
-        """Return package and comments of each file that was composed, the last one first."""
+        """Return package and comments of each composed file, the last one first."""
         hydra = self.config.hydra
         composed = (
             GlobalHydra.instance()
@@ -164,7 +145,7 @@ class Reference:
         return [Key(".".join(path), self._text(path, value), own)]
 
     def _text(self, path: Keys, value: Any) -> str:
-        """Return a value as text: what an interpolation gives if that is no mapping."""
+        """Return a value as text, an interpolation resolved unless it gives a mapping."""
         if isinstance(value, str) and "${" in value:
             try:
                 found = OmegaConf.select(self.config, ".".join(path))
@@ -192,7 +173,7 @@ class Reference:
         return node.get("kind", "") if isinstance(node, dict) else ""
 
     def _purpose(self, group: str) -> str:
-        """Return what a group is for: the comment behind it in a list of defaults."""
+        """Return the purpose of a group: the comment behind it in a list of defaults."""
         names = [before + group for before in ("", "/", "override /", "override ")]
         said = (file.behind.get(("defaults", name)) for _, file in self._files for name in names)
         return next(filter(None, said), "")
@@ -207,7 +188,7 @@ class Reference:
 
 
 def text(value: Any) -> str:
-    """Return a value as it is written in YAML, on one line; of a long mapping only its keys."""
+    """Return a value as one line of YAML; a long mapping is shortened, see `LONGEST_MAPPING`."""
     flow = yaml.safe_dump(value, default_flow_style=True, width=10**6, sort_keys=False)
     words = [str(flow).removesuffix("...\n").strip()]
     if isinstance(value, dict):
@@ -226,7 +207,7 @@ def changes(entry: Any, path: Keys = ()) -> Iterator[str]:
 
 @functools.cache
 def _of_kinds() -> dict[tuple[str, Any, Keys], str]:
-    """Return the sentence on each setting of all objects, by their place and kind."""
+    """Return the sentence on each setting of all objects, by place, kind and key."""
     found: dict[tuple[str, Any, Keys], str] = {}
     tables = {file: group for group, (file, _) in TABLES.items()}
     for file in sorted(Path(CONFIGS).rglob("*.yaml")):
@@ -243,7 +224,7 @@ def _of_kinds() -> dict[tuple[str, Any, Keys], str]:
 
 
 def _two_columns(left: str, right: str, width: int) -> list[str]:
-    """Return a text and, from a column on, another one; on lines of its own if it is long."""
+    """Return two texts in columns; below each other if the left one is long."""
     first = _wrapped(left.lstrip(" "), len(left) - len(left.lstrip(" ")))
     second = _wrapped(right, width)
     if second and len(first) == 1 and len(first[0]) < width - 1:
@@ -263,5 +244,5 @@ def _wrapped(words: str, indent: int) -> list[str]:
 
 
 def _described(_root_: DictConfig) -> str:
-    """Return the help for a template of Hydra, in which a dollar stands for something else."""
+    """Return the help as a Hydra template, in which each dollar sign is doubled."""
     return Reference(_root_).help().replace("$", "$$")

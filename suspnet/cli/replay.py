@@ -18,8 +18,8 @@ from suspnet.live.sinks import Sink
 
 @program.task
 def compose(config: DictConfig) -> None:
-    """Send the frames of all trips of a folder; tell on standard error what was done."""
-    begin_s = time.monotonic()
+    """Send the frames of all trips of a folder; report counts on standard error."""
+    start_s = time.monotonic()
     pace = Pace(config.times)
     replay = Replay(Path(config.trips), config.frame_s, config.start, config.zone)
     sink: Sink = build(config, "sink")
@@ -35,10 +35,10 @@ def compose(config: DictConfig) -> None:
     sink.close()
     words = (
         f"{count(n_frames, 'frame')} with {n_samples} samples of {count(replay.n_trips, 'trip')} "
-        f"of {count(replay.n_suspensions, 'suspension')} in {time.monotonic() - begin_s:.1f} s"
+        f"of {count(replay.n_suspensions, 'suspension')} in {time.monotonic() - start_s:.1f} s"
     )
     for reason, n in sink.counts.items():
         words += f"; {reason}: {n}"
     print(words, file=sys.stderr)  # standard output may hold the frames
     if replay.problems:
-        raise ValueError(f"{len(replay.problems)} trips are missing or not whole, see above")
+        raise ValueError(f"{len(replay.problems)} trips are missing or incomplete, see above")

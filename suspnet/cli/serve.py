@@ -28,9 +28,9 @@ log = logging.getLogger(__name__)
 NEEDED = ("flask", "flask_wtf", "waitress", "plotly")
 """Packages of the extra `live` that the pages need."""
 END_S = 2.0
-"""Longest time that each part of the program is waited for at the end, [s]."""
+"""Longest wait for each part of the program at the end, [s]."""
 ANY = "0.0.0.0"
-"""Stands for all addresses of this computer."""
+"""Address that means all addresses of this computer."""
 
 
 @program.task
@@ -59,14 +59,9 @@ def compose(config: DictConfig) -> None:
 
 
 def serve(board: Board, config: DictConfig) -> None:
-    """Serve the pages of a fleet until a signal ends it.
+    """Serve the pages of a fleet until a signal ends it, with SystemExit of 128 plus its number.
 
-    Raises
-    ------
-    ValueError
-        If the address is taken, or not of this computer, or the server ends by itself.
-    SystemExit
-        With 128 and the number of the signal.
+    ValueError if the address is taken or not of this computer, or the server ends by itself.
     """
     from suspnet.web.app import create_app
     from suspnet.web.refresher import Refresher
@@ -83,9 +78,9 @@ def serve(board: Board, config: DictConfig) -> None:
     server = http_server(app, listening, config.threads)
     address = f"http://{config.host}:{listening.getsockname()[1]}/"
     gc.collect()
-    gc.freeze()  # what the imports made stays: walking it again and again would hold answers up
-    # The main thread does nothing but wait: raised in the middle of a request, the exception of a
-    # signal would be caught and logged by the server, which then went on.
+    gc.freeze()  # collections that scan imported objects would delay answers
+    # The main thread only waits for a signal: the server would catch and log an exception that a
+    # signal raises during a request, and continue.
     ended: SimpleQueue[int] = SimpleQueue()
     for number in signals.SIGNALS:
         signal.signal(number, lambda number, _: ended.put(number))
@@ -105,7 +100,7 @@ def serve(board: Board, config: DictConfig) -> None:
 
 
 def _run(server: Any, ended: SimpleQueue[int]) -> None:
-    """Answer requests, and let the main thread know if that ends."""
+    """Answer requests, and wake the main thread if that ends."""
     try:
         server.run()
     finally:
@@ -113,7 +108,7 @@ def _run(server: Any, ended: SimpleQueue[int]) -> None:
 
 
 def _check_store(store: str) -> None:
-    """Raise ValueError if a store cannot be used; one that is missing or locked is waited for."""
+    """Raise ValueError if a store cannot be used; one that is missing or locked may still come."""
     if "://" in store or os.path.lexists(store):
         is_empty = os.path.isfile(store) and os.path.getsize(store) == 0
         try:
@@ -127,11 +122,11 @@ def _check_store(store: str) -> None:
     folder = Path(store).absolute().parent
     if not folder.is_dir():
         raise ValueError(f"{store}: there is no folder {folder}")
-    log.warning("%s: no trip is kept there yet; the pages wait for the first", store)
+    log.warning("%s: no trip is stored there yet; the pages wait for the first", store)
 
 
 def _check_address(config: DictConfig) -> None:
-    """Raise ValueError if others could reach the pages and nobody has asked for that."""
+    """Raise ValueError if other computers could reach the pages without being asked for."""
     from suspnet.web.server import is_loopback
 
     if ":" in config.host or not config.host:

@@ -10,13 +10,13 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 VERBS = {signal.SIGINT: "interrupted", signal.SIGTERM: "terminated"}
-"""What the line of a program says that ends by a signal."""
+"""Verb of the line that a program prints when a signal ends it."""
 SIGNALS = tuple(VERBS)
 
 
 @contextmanager
 def until_it_listens() -> Iterator[None]:
-    """Let a signal end the process at once, but where other threads or programs handle signals."""
+    """Let a signal end the process at once, unless other threads or programs handle signals."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -30,7 +30,7 @@ def until_it_listens() -> Iterator[None]:
 
 
 def end_at_once() -> None:
-    """Let a signal end the process at once from here on: nothing can be left half done."""
+    """Make a signal end the process at once: nothing can be half done yet."""
     for number in SIGNALS:
         signal.signal(number, _end)
 

@@ -1,4 +1,4 @@
-"""Write an example fleet whose truth is known: suspnet-simulate [KEY=VALUE ...]."""
+"""Write an example fleet with known parameters: suspnet-simulate [KEY=VALUE ...]."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def compose(config: DictConfig) -> None:
             log.info("%d trips of scenario %s in %s", len(manifests), config.scenario.name, folder)
         else:
             folder = write_trains(Path(config.out), trains, simulation, **options)[0].parent
-            _tell_of_trains(config, trains, folder)
+            _log_trains(config, trains, folder)
     except FolderTakenError as error:
         raise ValueError(f"out={error}") from error
     log.info(
@@ -52,7 +52,7 @@ def compose(config: DictConfig) -> None:
 
 
 def _trains(config: DictConfig) -> Trains | None:
-    """Return the trains of the fleet; None if there is one suspension alone."""
+    """Return the trains of the fleet; None for a single suspension."""
     if config.trains is not None:
         n_cars = 1 if config.cars is None else config.cars
         return Trains(config.trains, n_cars, config.n_wearing)
@@ -62,8 +62,8 @@ def _trains(config: DictConfig) -> Trains | None:
     return None
 
 
-def _tell_of_trains(config: DictConfig, trains: Trains, folder: Path) -> None:
-    """Log what was simulated of some trains, and which suspensions wear."""
+def _log_trains(config: DictConfig, trains: Trains, folder: Path) -> None:
+    """Log how many suspensions of trains were simulated, and which of them wear."""
     wearing = [one.name for one in trains.suspensions(config.seed) if one.wears]
     log.info(
         "%d suspensions (trains=%d, cars=%d) of %d trips each in %s\n%d wear, scenario %s: %s",

@@ -1,4 +1,4 @@
-"""Start of the programs: a signal that comes while they are imported ends them in one line."""
+"""Start of the programs; a signal during their import ends them with one line."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from suspnet.cli.signals import end_at_once
 
 
 def start(name: str) -> None:
-    """Import what all programs share, and run one of them."""
+    """Import what all programs share, and run one."""
     end_at_once()
     program = importlib.import_module("suspnet.cli.program")
     try:
@@ -20,7 +20,7 @@ def start(name: str) -> None:
     except KeyboardInterrupt:  # before the program listens, or after it has ended
         sys.exit(128 + signal.SIGINT)
     finally:
-        signal.signal(signal.SIGINT, signal.SIG_DFL)  # the end of Python prints nothing of it
+        signal.signal(signal.SIGINT, signal.SIG_DFL)  # no traceback while Python shuts down
 
 
 PROGRAMS = (

@@ -1,4 +1,4 @@
-"""Train one method on one problem, or many by a multirun: suspnet-train --help."""
+"""Train one method on one problem, or many in a multirun: suspnet-train --help."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ NO_SPEED = (
 )
 NO_HEALTHY = "speed_m_per_s=null is for healthy=DIR, whose trips show the speeds; give a speed"
 FIRST_M_PER_S = 70.0
-"""Speed of the line until the healthy trips have shown theirs; only leakage depends on it."""
+"""Assumed speed until the healthy trips have shown theirs, [m/s]; only leakage depends on it."""
 
 
 @program.one_of_many
@@ -45,8 +45,8 @@ FIRST_M_PER_S = 70.0
 def compose(config: DictConfig) -> None:
     """Build what the configuration names, train it and fill the run folder.
 
-    A range of speeds is several models, each in a folder of its own, and so are the healthy trips
-    of several suspensions.
+    A range of speeds, or healthy trips of several suspensions, give several models, each in its own
+    folder.
     """
     warnings.simplefilter("always", ConvergenceWarning)
     ranks.start(config.device)
@@ -74,18 +74,10 @@ def _run(
     varied: Mapping[str, Any] | None = None,
     draw: bool = True,
 ) -> None:
-    """Train the models that a configuration names, of one suspension, and fill a folder.
+    """Train the models of one suspension and fill a folder.
 
-    Parameters
-    ----------
-    config : DictConfig
-    folder : Path
-    paths : sequence of ManifestFile, optional
-        Manifests of healthy trips in the folder that is named; None is all.
-    varied : mapping, optional
-        What a multirun varies.
-    draw : bool
-        Whether figures of the vehicle are among the run's.
+    `paths`: manifests of its healthy trips, None is all of the folder; `varied`: what a multirun
+    varies; `draw`: whether to draw figures of the vehicle.
     """
     healthy = _commissioned(_at_a_speed(config), folder, paths)
     speeds = config.speed_m_per_s
@@ -109,12 +101,12 @@ def _run(
 
 
 def _span(speeds: Sequence[float]) -> str:
-    """Return the lowest and the highest of some speeds, once if they are the same."""
+    """Return the lowest and the highest speed as text, once if they are the same."""
     return " to ".join(dict.fromkeys(f"{one:.1f}" for one in (min(speeds), max(speeds)))) + " m/s"
 
 
 def _at_a_speed(config: DictConfig) -> DictConfig:
-    """Return a configuration with one of its speeds, before healthy trips have shown theirs."""
+    """Return a configuration with a single speed, before healthy trips have shown theirs."""
     if isinstance(config.speed_m_per_s, ListConfig):
         return _bound(config, _ranges(config, config.speed_m_per_s)[0])
     if config.speed_m_per_s is not None:
@@ -125,7 +117,7 @@ def _at_a_speed(config: DictConfig) -> DictConfig:
 
 
 def _ranges(config: DictConfig, speeds: Sequence[float]) -> list[SpeedRange]:
-    """Return the ranges of speeds that are asked for, each of one model."""
+    """Return the speed ranges that are asked for, one for each model."""
     if "speed_half_width" not in config.data:
         raise ValueError(NO_SPEED)
     ranges = speed_ranges(list(speeds), config.data.speed_half_width)
@@ -143,7 +135,7 @@ def _bound(config: DictConfig, one: SpeedRange) -> DictConfig:
 
 @dataclass(frozen=True)
 class _Healthy:
-    """The vehicle that healthy trips show, and what a model's file says of them."""
+    """The vehicle that healthy trips show, and the notes on them in a model's file."""
 
     generator: VerticalVehicle
     notes: dict[str, Any]
@@ -152,7 +144,7 @@ class _Healthy:
 
 
 def _check_healthy(config: DictConfig) -> EstimateSettings:
-    """Return what is measured of healthy trips; ValueError if a configuration reads none."""
+    """Return the settings of estimates from healthy trips; ValueError if `data` reads no trips."""
     settings = build(config, "data")
     if not isinstance(settings, EstimateSettings):
         raise ValueError("healthy= is for models that read trips: experiment=trips")
@@ -163,7 +155,7 @@ def _check_healthy(config: DictConfig) -> EstimateSettings:
 def _commissioned(
     config: DictConfig, folder: Path, paths: Sequence[ManifestFile] | None
 ) -> _Healthy | None:
-    """Return the vehicle that healthy trips show, where a folder of them is named."""
+    """Return the vehicle that healthy trips show; None without a folder of them."""
     if config.healthy is None:
         return None
     settings = _check_healthy(config)
@@ -182,7 +174,7 @@ def _commissioned(
 
 
 def _generator(config: DictConfig, healthy: _Healthy | None) -> ResponseGenerator:
-    """Return the source of training curves: as configured, or as its healthy trips show it."""
+    """Return the source of training curves: as configured, or as commissioned."""
     plain: ResponseGenerator = build(config, "generator")
     if healthy is None or plain.speed_m_per_s is None:
         return plain
@@ -197,7 +189,7 @@ def _train(
     draw: bool,
     given: DictConfig | None = None,
 ) -> Metrics:
-    """Train what a configuration names and fill a folder; config.yaml is as `given`, if it is."""
+    """Train one model and fill a folder; config.yaml holds `given`, or else `config`."""
     problem = Problem(
         generator=_generator(config, healthy),
         task=build(config, "protocol").task(config.group),

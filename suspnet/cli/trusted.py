@@ -1,8 +1,8 @@
-"""What a configuration may do: choose kinds and settings of ours, and a few of Hydra's.
+"""Limits on configurations: kinds and settings of suspnet, and a few of Hydra's.
 
 A configuration may come from someone else (`--config-dir`), so nothing in it is trusted. Hydra
-itself builds callbacks, launcher and sweeper and sets up logging before a program's function is
-called; `CheckedLoader` therefore checks each configuration as soon as it is composed.
+builds callbacks, launcher and sweeper and sets up logging before it calls a program's function;
+`CheckedLoader` therefore checks each configuration as soon as it is composed.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ CALLBACKS = (
     "suspnet.runs.sweeps.Table5",
     "suspnet.runs.sweeps.Table6",
 )
-"""All that may stand below hydra.callbacks."""
+"""Callbacks that a configuration may name below `hydra.callbacks`."""
 SWEEPERS = ("hydra._internal.core_plugins.basic_sweeper.BasicSweeper",)
 LAUNCHERS = (
     "hydra._internal.core_plugins.basic_launcher.BasicLauncher",
@@ -56,33 +56,35 @@ SLURM_WORDS = (
     *("partition", "qos", "comment", "constraint", "exclude", "gres"),
     *("mem_per_gpu", "mem_per_cpu", "account"),
 )
-"""Settings of the Slurm launcher that are words; they become lines of a shell script."""
+"""Text settings of the Slurm launcher; they become lines of a shell script."""
 RESOLVERS = ("changed", "described", "hydra", "now", "swept_by", "unless_healthy")
-"""Resolvers of the configurations as shipped; all others can hide what a value will be."""
+"""Resolvers that a configuration may use, those of the shipped ones; others could hide a value."""
 LOGGING = {
     "job_logging": ("default", "disabled", "none", "stdout"),
     "hydra_logging": ("default", "disabled", "hydra_debug", "none"),
 }
-"""Options of Hydra's own groups of logging; `"()"` and handler classes call any function."""
+"""Options of Hydra's logging groups that may be chosen; a free block could call any function by
+`"()"` or a handler class."""
 PLAIN_WORD = re.compile(r"[\w.,:=/@+-]*", re.ASCII)
 FILE_NAME = re.compile(r"\.?\w[\w.-]*", re.ASCII)
 MAX_VALUES, MAX_DEPTH = 5_000, 50
-"""Size of a resolved configuration beyond which its interpolations are taken to have no end; as
-shipped it has fewer than 500 values, ten deep."""
+"""Largest number of values and depth of a resolved configuration; beyond these its
+interpolations are taken to be endless. A shipped configuration has fewer than 500 values and
+depth 10."""
 CLUSTER = "monitor.cluster"
-"""Key of the scheduler whose workers unpickle, and so run, what they are sent."""
+"""Key of the scheduler's address; its workers unpickle, and so run, what they receive."""
 SPECIAL = re.compile(r"_\w*_|\(\)", re.ASCII)
-"""Keys that tell Hydra or Python's logging to call something."""
+"""Keys that make Hydra or Python's logging call something."""
 
 
 class _CheckedRepository(ConfigRepository):
-    """Hydra's files of configurations; those of a user's folders are checked before they are read.
+    """Hydra's repository of configuration files; a user's files are checked before they are read.
 
-    A file that aliases make large, or that never ends, would otherwise take all memory.
+    Aliases or an endless file could otherwise take all memory.
     """
 
     def load_config(self, config_path: str) -> ConfigResult | None:
-        """Load a configuration; ValueError if it lies elsewhere, or is none that may be read."""
+        """Load a configuration; ValueError if its path or its file is not allowed."""
         parts = Path(config_path)
         if parts.is_absolute() or ".." in parts.parts:
             raise ValueError(
@@ -98,10 +100,10 @@ class _CheckedRepository(ConfigRepository):
 
 
 class CheckedLoader(ConfigLoaderImpl):
-    """Hydra's loader of configurations, which refuses one that would run foreign code."""
+    """Hydra's configuration loader, which refuses a configuration that would run foreign code."""
 
     _typed: frozenset[str] | None = None
-    """Keys that the command line names; it is loaded before the jobs of a multirun."""
+    """Keys of the command line, from the first load; later loads are the jobs of a multirun."""
 
     def __init__(self, config_search_path: ConfigSearchPath) -> None:
         super().__init__(config_search_path)
@@ -115,24 +117,22 @@ class CheckedLoader(ConfigLoaderImpl):
         from_shell: bool = True,
         validate_sweep_overrides: bool = True,
     ) -> DictConfig:
-        """Compose and check a configuration, and that of each job of a multirun.
+        """Compose and check a configuration, and each job of a multirun.
 
-        Raises
-        ------
-        ValueError
-            If it asks for what is not trusted, or a file of a folder of the user's is no plain file
-            or far too large.
+        ValueError if it is not trusted, or if a file in a user's folder is not a plain file or is
+        far too large.
         """
         try:
             config = super().load_configuration(
                 config_name, overrides, run_mode, from_shell, validate_sweep_overrides
             )
-        except AttributeError as error:  # Hydra asks of null what its own block holds
+        except AttributeError as error:  # Hydra reads its own block even if it is null
             raise ValueError("`hydra` must be a mapping, as shipped, or be left out") from error
         check_configuration(config)
         keys = {one.key_or_group for one in OverridesParser.create().parse_overrides(overrides)}
         if self._typed is None:
             self._typed = frozenset(keys)
+        # places and hosts count as the user's own only if the command line names them
         if CLUSTER not in self._typed:
             _check_cluster(config)
         # Hydra's own keys are not swept: those of a job are typed, or what `OwnFolder` chose
@@ -147,12 +147,9 @@ class CheckedLoader(ConfigLoaderImpl):
     def load_sweep_config(
         self, master_config: DictConfig, sweep_overrides: list[str]
     ) -> DictConfig:
-        """Compose and check the configuration of a job of a multirun.
+        """Compose and check the configuration of a multirun's job.
 
-        Raises
-        ------
-        ValueError
-            If it asks for what is not trusted, or its folder would not lie in that of the multirun.
+        ValueError if it is not trusted, or if its folder would not be inside that of the multirun.
         """
         config = super().load_sweep_config(master_config, sweep_overrides)
         _check_subfolder(config)
@@ -164,7 +161,7 @@ class CheckedLoader(ConfigLoaderImpl):
         parsed_overrides: list[Override],
         repo: CachingConfigRepository,
     ) -> None:
-        """Refuse further folders and packages to compose from: a package is run when imported."""
+        """Refuse more search paths: composing from a package imports, and so runs, it."""
         loaded = None if config_name is None else repo.load_config(config_path=config_name)
         named = None if loaded is None else OmegaConf.select(loaded.config, "hydra.searchpath")
         typed = any(one.get_key_element() == "hydra.searchpath" for one in parsed_overrides)
@@ -175,14 +172,9 @@ class CheckedLoader(ConfigLoaderImpl):
 
 
 def check_configuration(config: DictConfig) -> None:
-    """Raise unless a configuration keeps to what is trusted, as written and as resolved.
+    """Raise ValueError unless a configuration is trusted, as written and as resolved.
 
-    What cannot be resolved yet stands for a value that was checked where it is written.
-
-    Raises
-    ------
-    ValueError
-        If an object, a resolver or a block of Hydra is not trusted; the message names the key.
+    The message names the key. A value that cannot be resolved yet was checked as written.
     """
     written = OmegaConf.to_container(config, resolve=False)
     assert isinstance(written, dict)
@@ -220,7 +212,7 @@ def _check_resolvers(name: str, text: str) -> None:
 
 
 def _resolvers(text: str) -> list[str]:
-    """Return the names of the resolvers that a text calls, as OmegaConf itself parses it."""
+    """Return the names of the resolvers that a text calls, as OmegaConf parses it."""
     if "${" not in text:
         return []
     stack: list[Any] = [parse(text)]
@@ -229,13 +221,13 @@ def _resolvers(text: str) -> list[str]:
         node = stack.pop()
         if type(node).__name__ == "ResolverNameContext":
             found.append(str(node.getText()))
-        children = getattr(node, "getChildren", tuple)  # of terminal nodes there are none
+        children = getattr(node, "getChildren", tuple)  # terminal nodes have no children
         stack.extend(children())
     return found
 
 
 def _check_resolved(config: DictConfig) -> None:
-    """Check keys and targets where interpolations put them; Hydra's own block excepted."""
+    """Check keys and targets after interpolation, except in Hydra's own block."""
     stack: list[tuple[str, Any, int]] = [("", config, 0)]
     n_values = 0
     while stack:  # ends: at most MAX_VALUES values are taken off
@@ -294,7 +286,7 @@ def _check_subfolder(config: DictConfig) -> None:
 
 
 def _check_hydra(hydra: dict[str, Any]) -> None:
-    """Check Hydra's own block: as shipped but for folders, numbers, words, what is swept."""
+    """Check Hydra's own block: as shipped except for folders, numbers, texts and swept keys."""
     rest = dict(hydra)
     _check_callbacks(rest.pop("callbacks", None) or {})
     _check_sweeper(rest.pop("sweeper", None))
@@ -318,7 +310,7 @@ def _check_hydra(hydra: dict[str, Any]) -> None:
 
 
 def _check_callbacks(callbacks: Any) -> None:
-    """Raise ValueError unless all callbacks are ours, among them that which guards folders."""
+    """Raise ValueError unless all callbacks are ours and include the one that guards folders."""
     folders = _block("hydra.callbacks", callbacks).get("folders")
     if not isinstance(folders, dict) or folders.get("_target_") != OWN_FOLDER:
         raise ValueError(f"`hydra.callbacks.folders` must be as shipped, got {folders!r}")
@@ -346,7 +338,7 @@ def _check_sweeper(sweeper: Any) -> None:
 
 
 def _check_launcher(launcher: Any) -> None:
-    """Raise ValueError unless a launcher is one of the documented ones, but for numbers."""
+    """Raise ValueError unless only numbers and Slurm texts of a known launcher are changed."""
     arguments = _block("hydra.launcher", launcher)
     target = arguments.pop("_target_", None)
     _check_choice("hydra.launcher._target_", target, LAUNCHERS)
@@ -373,7 +365,7 @@ def _shipped_launcher(target: str) -> dict[str, Any]:
 
 
 def _check_logging(group: str, content: Any) -> None:
-    """Raise ValueError unless a block of logging is one that Hydra ships, with our format."""
+    """Raise ValueError unless a logging block is one that Hydra ships, with our format."""
     if content is not None and content not in _shipped_logging(group):
         raise ValueError(
             f"`hydra.{group}` must be as shipped; choose one by hydra/{group}="
@@ -383,7 +375,7 @@ def _check_logging(group: str, content: Any) -> None:
 
 @functools.cache
 def _shipped_logging(group: str) -> list[Any]:
-    """Return the options of a group of logging, without and with what our programs change."""
+    """Return the options of a logging group, with and without our programs' changes."""
     folder = resources.files("hydra") / "conf" / "hydra" / group
     ours = OmegaConf.load(Path(CONFIGS) / "base" / "program.yaml").hydra.get(group) or {}
     options = [

@@ -1,1 +1,1 @@
-"""Training runs and studies: fit, calibrate, predict, score, and what a run folder holds."""
+"""Training runs and studies: fit, calibrate, predict, score, and the files of a run folder."""

@@ -40,22 +40,14 @@ BASELINE = "baseline"
 """Name of the ablation that changes nothing."""
 IGNORED = ("ablation_name",)
 PARTS = ("protocol", "data", "model")
-"""Order in which settings are listed, by the first word of their key."""
+"""Order in which settings are listed, by the first part of their key."""
 Record = dict[str, Any]
 
 
 def write_ablation(folder: Path) -> list[Record]:
     """Compare the runs of a multirun; write ablation.md, .csv, .json and .png, print the tables.
 
-    Parameters
-    ----------
-    folder : Path
-        Of the multirun: each run's folder lies in it.
-
-    Returns
-    -------
-    list of dict
-        What the JSON file holds, see `ablation_records`; none where no run has ended.
+    Returns the content of the JSON file, see `ablation_records`; [] if no run has finished.
     """
     files = sorted(folder.glob("*/metrics.json"))
     if not files:
@@ -87,7 +79,7 @@ def features_ratio(model: TrainedModel, known: dict[str, dict[str, float]]) -> d
 
 
 def figure(records: Sequence[Record]) -> Figure:
-    """Draw the rms error over the bound, and the features' bound, of each ablation and output."""
+    """Draw rms error and the features' bound over the bound, for each ablation and output."""
     outputs = list(dict.fromkeys(r["output"] for r in records))
     names = list(dict.fromkeys(r["ablation"] for r in records))
     size = (2.4 + 2.6 * len(outputs), 1.4 + 0.23 * len(names))
@@ -136,7 +128,7 @@ def _run(folder: Path, known: dict[str, dict[str, float]]) -> dict[str, Any]:
 
 
 def flattened(config: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Return a nested mapping as one from dotted keys to values.
+    """Return a nested mapping flattened to dotted keys.
 
     Examples
     --------
@@ -153,13 +145,7 @@ def flattened(config: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
 
 
 def changes(config: Mapping[str, Any], baseline: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the settings of a run that are not the baseline's, as a user would override them.
-
-    Parameters
-    ----------
-    config, baseline : mappings
-        The resolved configurations of both.
-    """
+    """Return the settings in which a run differs from the baseline, as overrides; both resolved."""
     before, after = flattened(baseline), flattened(config)
     changed = {
         key: value
@@ -172,20 +158,15 @@ def changes(config: Mapping[str, Any], baseline: Mapping[str, Any]) -> dict[str,
 def ablation_records(runs: Sequence[Mapping[str, Any]]) -> list[Record]:
     """Return one record for each output of each run.
 
-    Parameters
-    ----------
-    runs : sequence of mappings
-        The metrics.json of each run with two keys more: `config`, its resolved configuration, and
-        `features_ratio`, {output: rms bound of its features over that of its curves}.
+    `runs` are the metrics.json of each run with two more keys: `config`, its resolved
+    configuration, and `features_ratio`, {output: rms bound of its features over that of its
+    curves}.
 
-    Returns
-    -------
-    list of dict
-        Keys protocol, group, ablation, change, output, rms_ratio (rms error over the bound of the
-        curves), to_baseline (that over the baseline's), features_ratio, mape_percent, bound (the
-        MAPE at the bound), lost_percent (test curves that lack a feature), n_train, snr_db, seed,
-        seconds. The baseline comes first in its group, then settings in a fixed order; without a
-        baseline of the same protocol, group and seed, `change` and `to_baseline` are None.
+    A record has the keys protocol, group, ablation, change, output, rms_ratio (rms error over the
+    bound of the curves), to_baseline (rms_ratio over the baseline's), features_ratio, mape_percent,
+    bound (the MAPE at the bound), lost_percent (test curves that lack a feature), n_train, snr_db,
+    seed, seconds. The baseline comes first in its group, then settings in a fixed order; without a
+    baseline of the same protocol, group and seed, `change` and `to_baseline` are None.
     """
     baselines = {_setting(run): run for run in runs if run["ablation"] == BASELINE}
     ordered = []
@@ -218,7 +199,7 @@ def ablation_markdown(records: Sequence[Record]) -> str:
 
 
 def ablation_caption(records: Sequence[Record]) -> str:
-    """Return what a table of one protocol and group shows."""
+    """Return the caption of a table of one protocol and group."""
     first = next((r for r in records if r["ablation"] == BASELINE), records[0])
     seeds = ", ".join(str(seed) for seed in sorted({r["seed"] for r in records}))
     return (

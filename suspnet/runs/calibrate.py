@@ -18,30 +18,27 @@ from suspnet.runs.predict import refine_stream, regress_stream
 from suspnet.spectra.estimates import EstimateObserver
 
 N_FITS, N_UNCERTAIN_FITS = 2048, 128
-"""Refined calibration curves from which the usual misfit is learnt; the second where uncertain
-numbers are fitted too, which takes 0.1 to 0.2 s a curve."""
+"""Refined calibration curves from which the usual misfit is learnt; the second number applies
+where uncertain numbers are fitted too, which takes 0.1 to 0.2 s per curve."""
 N_UNCERTAIN_REFINED = 512
-"""Calibration curves of a refined model where uncertain numbers are fitted too: the coverage of a
-90 % interval scatters by 1.3 %."""
+"""Calibration curves of a refined model where uncertain numbers are fitted too: with these the
+coverage of a 90 % interval has a standard deviation of 1.3 %."""
 N_TRIED = 1024
 """Calibration curves that show whether correcting the estimates lowers their error."""
 N_COST, N_UNCERTAIN_COST = 256, 16
-"""Curves from which the cost of what is unexplained is learnt; the second of a refined model where
-uncertain numbers are fitted too, which takes about a second a curve if they do not explain it."""
+"""Curves for the cost of the unexplained residual; the second number is for a refined model
+where uncertain numbers are fitted too, which takes about a second per curve if they do not
+explain it."""
 Model = TypeVar("Model", bound=FittedMethod)
 
 
 def calibrated(problem: Problem, model: Model) -> Model:
     """Return a model with intervals and OOD detector, learnt from curves like the training curves.
 
-    Half of them teach the residual scale and half give the scores; of refined estimates, whose
-    residual scale is known, all give scores. With ``settings.n_calibrate`` None the model comes
-    back as it is.
-
-    Raises
-    ------
-    ValueError
-        If the model refines, and the curves do not identify an output.
+    One half of them trains the residual scale and the other half gives the scores; refined
+    estimates have a known residual scale, so all of them give scores. If ``settings.n_calibrate``
+    is None the model is returned as it is. ValueError if the model refines and the curves do not
+    identify an output.
     """
     if problem.settings.n_calibrate is None:
         return model
@@ -49,9 +46,11 @@ def calibrated(problem: Problem, model: Model) -> Model:
     uncertain = problem.observer.directions.n > 0
     if uncertain and model.refined:
         data = data.first(min(N_UNCERTAIN_REFINED, len(data.valid)))
+    # decide on the correction first: intervals must describe the estimates that the model will give
     kept = data.valid
     model = replace(model, corrected=_is_corrected(problem, model, data))
     predicted = regress_stream(problem, model, data, CALIBRATE)
+    # fit curves too: the misfit feeds the OOD detector, and refined models estimate by these fits
     n_usual = N_UNCERTAIN_FITS if uncertain else N_FITS
     n_fits = len(kept) if model.refined else min(n_usual, len(kept))
     fitted = refine_stream(problem, data.first(n_fits), predicted[:n_fits], CALIBRATE)
@@ -72,15 +71,11 @@ def calibrated(problem: Problem, model: Model) -> Model:
 
 
 def with_unexplained(problem: Problem, model: Model, residual: Residual) -> Model:
-    """Return a model that knows the cost of what its healthy trips leave unexplained.
+    """Return a model with the cost of the residual that its healthy trips leave unexplained.
 
-    Estimates of noise-free vehicles like the training ones, made again from curves times
-    exp(+-residual).
-
-    Raises
-    ------
-    ValueError
-        If no such curve has an estimate.
+    The cost is `WORN` times the rms log change of the estimates of noise-free vehicles like the
+    training ones, when their curves are multiplied by exp(+-residual). ValueError if none of these
+    curves has an estimate.
     """
     if not residual.logs.any():
         nothing = np.zeros(len(model.task.outputs))
@@ -99,8 +94,8 @@ def with_unexplained(problem: Problem, model: Model, residual: Residual) -> Mode
     known = changes[np.isfinite(changes).all(axis=2)]
     if not len(known):
         raise ValueError(
-            "no curve keeps its features when it is off by what the healthy trips leave "
-            "unexplained: the vehicle file, the sensors' places or the band are wrong"
+            "no curve keeps its features when changed by the unexplained residual of the healthy "
+            "trips: the vehicle file, the sensors' places or the band are wrong"
         )
     costs = WORN * np.sqrt(np.mean(known**2, axis=0))
     return replace(model, unexplained=Unexplained(residual.misfit, costs))
@@ -109,9 +104,9 @@ def with_unexplained(problem: Problem, model: Model, residual: Residual) -> Mode
 def _is_corrected(problem: Problem, model: FittedMethod, data: FeatureData) -> bool:
     """Return whether correcting estimates lowers the rms error of every output.
 
-    Only estimates from trips are corrected, and only where they are all that is unknown: then they
-    are a whole vehicle, with a curve. It does not pay where a regression shrinks what it cannot
-    determine towards the mean.
+    Only estimates from trips are corrected, and only if they contain all unknowns: then they
+    describe a whole vehicle, whose curve can be computed. The correction does not help where a
+    regression shrinks what it cannot determine towards the mean.
     """
     task = model.task
     if (

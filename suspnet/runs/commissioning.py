@@ -1,4 +1,4 @@
-"""From a folder of healthy trips to the vehicle that they show."""
+"""Commission the vehicle that a folder of healthy trips shows."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ from suspnet.spectra.estimates import EstimateSettings
 
 log = logging.getLogger(__name__)
 ONE_SIDE_M = 1.0
-"""Lateral place of a sensor of which only the side is known."""
+"""Assumed lateral position of a sensor if only its side is known, [m]."""
 FAMILY = tuple(part for part in PARTS if part != "air_spring")
-"""Parts of the vehicle that is commissioned if none are asked for."""
+"""Parts of the vehicle that is commissioned if the configuration names none."""
 
 
 def commission_folder(
@@ -34,17 +34,17 @@ def commission_folder(
     n_first: int | None = None,
     progress: bool = False,
 ) -> tuple[HealthyTrips, Commissioned]:
-    """Return healthy trips of a folder and the vehicle that they show.
+    """Return the healthy trips of a folder and the vehicle that they show.
 
     Parameters
     ----------
     generator : VerticalVehicle
-        The nominal vehicle; if it has no parts all but the air spring are taken, if it has no
-        distribution the prior of its parts.
+        The nominal vehicle; without parts it gets all but the air spring, without a distribution
+        the prior of its parts.
     paths : sequence of ManifestFile, optional
-        Manifests of one suspension, where the folder holds those of others too; None is all.
+        Manifests of one suspension if the folder holds several; None is all.
     n_first : int, optional
-        Take the first trips by mileage only.
+        Use only this many trips, the first by mileage.
 
     Raises
     ------
@@ -79,7 +79,7 @@ def commission_folder(
 
 
 def check_generator(generator: ResponseGenerator) -> VerticalVehicle:
-    """Return a generator that can be commissioned; ValueError if it is another."""
+    """Return a generator that can be commissioned; ValueError if it cannot."""
     if not isinstance(generator, VerticalVehicle):
         raise ValueError(
             f"vehicle {generator.vehicle.name!r} cannot be commissioned as a "
@@ -89,10 +89,10 @@ def check_generator(generator: ResponseGenerator) -> VerticalVehicle:
 
 
 def _prior(generator: VerticalVehicle, found: HealthyTrips) -> VerticalVehicle:
-    """Return the generator with parts, places of sensors and a prior to start from."""
+    """Return the generator with parts, sensor positions and a prior to start from."""
     lateral_m = _lateral_m(generator.sensor_lateral_m, found)
     parts = generator.parts or FAMILY
-    if not any(lateral_m):  # nothing is seen of roll
+    if not any(lateral_m):  # sensors in the middle do not see roll
         parts = tuple(part for part in parts if part != "roll")
     placed = replace(generator, parts=parts, sensor_lateral_m=lateral_m)
     if placed.distribution is None:
@@ -101,7 +101,7 @@ def _prior(generator: VerticalVehicle, found: HealthyTrips) -> VerticalVehicle:
 
 
 def _lateral_m(given: Sequence[float], found: HealthyTrips) -> tuple[float, float, float]:
-    """Return the lateral place of each channel's sensor: 0 for a pair, its own if it has a side."""
+    """Return each channel's lateral position: 0 for a pair, else as given, else by its side."""
     manifest = found.manifests[0]
     places = []
     for lateral_m, is_pair, channel in zip(
@@ -112,6 +112,6 @@ def _lateral_m(given: Sequence[float], found: HealthyTrips) -> tuple[float, floa
 
 
 def _place_m(manifest: TripManifest, channel: Channel | Pair) -> float:
-    """Return about where a single sensor is, to the left of the middle, [m]."""
+    """Return the approximate lateral position of a single sensor, positive to the left, [m]."""
     side = manifest.side_of(channel) if isinstance(channel, Channel) else None
     return {SIDES[0]: ONE_SIDE_M, SIDES[1]: -ONE_SIDE_M}.get(side or "", 0.0)

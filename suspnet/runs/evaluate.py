@@ -25,19 +25,11 @@ from suspnet.runs.scores import (
 
 @dataclass(frozen=True)
 class FreshCurves:
-    """Curves that no model was trained on, to test some on.
+    """Curves for tests, on which no model was trained.
 
-    Attributes
-    ----------
-    seed : int
-        Another one than that of the runs.
-    n_test : int or "all"
-    snr_db : float or None
-        None is the run's own.
-    protocol : Protocol or None
-        None is the run's own; else one with the same features that varies the model's outputs.
-    threads : int
-    progress : bool
+    `seed` must differ from those of the runs; `n_test` is a number or "all". `snr_db` and
+    `protocol` are the run's own if None; another protocol must have the same features and vary the
+    model's outputs.
     """
 
     seed: int
@@ -48,12 +40,9 @@ class FreshCurves:
     progress: bool = True
 
     def problem(self, model: FittedMethod, folder: Path) -> Problem:
-        """Return the problem whose test curves these are, for the model of a run's folder.
+        """Return the problem with these test curves, for the model of a run's folder.
 
-        Raises
-        ------
-        ValueError
-            If the protocol does not fit the model, or the seed is the run's own.
+        ValueError if the protocol does not fit the model, or the seed is the run's own.
         """
         if self.seed == model.training["seed"]:
             raise ValueError(
@@ -70,21 +59,10 @@ class FreshCurves:
 def evaluate(
     folder: Path, output: Path, fresh: FreshCurves, *, device: str = "cpu", figures: bool = True
 ) -> Metrics:
-    """Score the model of a run on freshly generated curves and write metrics and figures.
+    """Score the model in `folder` on fresh curves; write metrics and figures to `output`.
 
-    Parameters
-    ----------
-    folder : Path
-        The run.
-    output : Path
-        Where metrics.json and figures go.
-
-    Raises
-    ------
-    FileNotFoundError, ModelFileError
-        If there is no model, or it is damaged.
-    ValueError
-        If the curves do not fit the model: see `FreshCurves.problem`.
+    FileNotFoundError or ModelFileError if the model is missing or damaged; ValueError if the curves
+    do not fit it, see `FreshCurves.problem`.
     """
     model = load_model(folder, device)
     problem = fresh.problem(model, folder)
@@ -108,10 +86,7 @@ def evaluate(
 def find_runs(path: Path) -> list[Path]:
     """Return the folders with a model at or below `path`: one run, or all of a multirun.
 
-    Raises
-    ------
-    FileNotFoundError
-        If the path does not exist or holds no model.
+    FileNotFoundError if there is none.
     """
     if not path.exists():
         raise FileNotFoundError(f"run={path} does not exist")
@@ -124,10 +99,7 @@ def find_runs(path: Path) -> list[Path]:
 def fitting_task(trained: Task, protocol: Protocol) -> Task:
     """Return the task of another protocol that a model can be tested on.
 
-    Raises
-    ------
-    ModelFileError
-        If no group of the protocol has the model's features and varies its outputs.
+    ModelFileError if no group of the protocol has the model's features and varies its outputs.
     """
     tasks = [protocol.task(group) for group in protocol.groups]
     for task in sorted(tasks, key=lambda t: t.group != trained.group):

@@ -1,4 +1,4 @@
-"""The findings in one group of a protocol, as Markdown and as records."""
+"""The identifiability findings of one protocol group, as Markdown and as records."""
 
 from __future__ import annotations
 
@@ -15,26 +15,17 @@ from suspnet.estimation.protocols import Task
 from suspnet.ground.parameters import UNITS
 
 WORTH_HAVING = 0.9
-"""Largest ratio of bounds, after over before, at which an addition counts as helpful."""
+"""Largest ratio of bounds, after over before, for which an addition counts as helpful."""
 
 
 @dataclass(frozen=True)
 class Findings:
-    """What can be identified in one group of a protocol.
+    """What can be identified in one group of a protocol; `vehicle` is the healthy one.
 
-    Attributes
-    ----------
-    vehicle : Vehicle
-        The healthy one.
-    task : Task
-    table : list of (Option, list of Bound)
-        What could be measured and how well that would identify; what is measured now comes first.
-    now : Option
-        What is made of what is measured now: a trip's estimates, else the first of the table.
-    directions : list of Direction
-        Of `now` at the healthy vehicle, weakest first.
-    guess_percent : float or None
-        Where stiffness cannot be separated from mass, the MAPE of the best guess within the range.
+    `table`: measurement options with their bounds, the present one first; `now`: the present
+    estimate of trips, else the first option; `directions`: those of `now` at the healthy vehicle,
+    weakest first; `guess_percent`: MAPE of the best guess within the range where stiffness cannot
+    be separated from mass, else None.
     """
 
     vehicle: Vehicle
@@ -50,16 +41,16 @@ class Findings:
         return next(found for option, found in self.table if option is self.now)
 
     def healthy(self, parameter: str) -> float:
-        """Return a parameter of the healthy vehicle, SI units."""
+        """Return a parameter of the healthy vehicle, in SI units."""
         return self.vehicle.healthy_values()[PARAMETERS.index(parameter)]
 
     def bound_at_healthy(self, bound: Bound) -> float:
-        """Return a bound at the healthy vehicle in the parameter's own unit."""
+        """Return a bound at the healthy vehicle, in SI units."""
         return self.healthy(bound.parameter) * bound.healthy_percent / 100
 
 
 def group_markdown(found: Findings) -> str:
-    """Return three tables: bounds, what is uncertain together, and what would help."""
+    """Return three tables: bounds, jointly uncertain parameters, and helpful additions."""
     task = found.task
     mass = "known" if task.mass_known else "unknown"
     fixed = [name for name in PARAMETERS if name not in task.varied]
@@ -206,7 +197,7 @@ def _markdown(rows: Sequence[Sequence[str]], header: Sequence[str]) -> str:
 
 
 def best_addition_sentence(table: Sequence[tuple[Option, Sequence[Bound]]]) -> str:
-    """Return one sentence that names, for each parameter, the addition that lowers its bound most.
+    """Return one sentence that names the addition that lowers each parameter's bound most.
 
     `table` holds options with their bounds, the baseline first; medians over the range count.
     """

@@ -23,17 +23,11 @@ from suspnet.report.tensorboard import RunLog
 
 log = logging.getLogger(__name__)
 TOO_MANY_LOST = 0.02
-"""Fraction of curves that lack a peak above which a warning is logged."""
+"""Fraction of curves without one of their peaks above which a warning is logged."""
 
 
 def method_name(estimator: Any) -> str:
-    """Return the name of a method in ``METHODS``.
-
-    Raises
-    ------
-    TypeError
-        If it is none of them.
-    """
+    """Return the name of a method in ``METHODS``; TypeError if it is none of them."""
     for name, kind in METHODS.items():
         if type(estimator) is kind:
             return name
@@ -67,12 +61,7 @@ def fit(problem: Problem, estimator: Any, run_log: RunLog | None) -> TrainedMode
     """Return the estimator fitted to the training curves, with its scaling and a summary.
 
     Where torchrun started several processes, each makes its share of the curves and all fit one
-    model together; only the first has a `run_log`.
-
-    Raises
-    ------
-    ValueError
-        If the method cannot be spread over processes.
+    model together; only the first has a `run_log`. ValueError if the method cannot be distributed.
     """
     name = method_name(estimator)
     if ranks.is_distributed() and not estimator.distributable:
@@ -90,6 +79,7 @@ def fit(problem: Problem, estimator: Any, run_log: RunLog | None) -> TrainedMode
     )
     training: dict[str, Any] = {"seed": problem.seed, "seconds": 0.0}
     if not estimator.works_on_curves:
+        # each rank makes its own shard of the curves; counts and scalings are global
         part = None
         if ranks.is_distributed():
             part = ranks.shard(problem.n_batches(len(problem.ratios(TRAIN))))
@@ -130,7 +120,7 @@ def _count(rows: FloatArray) -> int:
 
 @contextmanager
 def _distributed(estimator: Any) -> Iterator[None]:
-    """Let MSVR take its samples as one rank's where there are several."""
+    """Make MSVR treat its samples as one rank's shard, if there are several ranks."""
     if not ranks.is_distributed():
         yield
         return

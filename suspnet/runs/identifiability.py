@@ -1,4 +1,4 @@
-"""The identifiability report: what sensors and noise allow, before any of them is bought."""
+"""The identifiability report: what sensors and noise allow, before any sensor is bought."""
 
 from __future__ import annotations
 
@@ -50,24 +50,10 @@ def write_identifiability(
 ) -> dict[str, Any]:
     """Write identifiability.md, .csv, .json and .png and print the tables.
 
-    Parameters
-    ----------
-    group : str or None
-        One group of the protocol; None is every group.
-    n_vehicles : int
-        Vehicles drawn from the protocol's range.
-    seed : int
-        Of the draw.
-
-    Returns
-    -------
-    dict
-        What the JSON file holds; null there is "cannot be identified".
-
-    Raises
-    ------
-    TypeError, ValueError
-        If there is no such group, or the number of vehicles or the seed is no whole number.
+    `group`: one group of the protocol, None is every group; `n_vehicles`: vehicles drawn from the
+    protocol's range with `seed`. Returns the content of the JSON file, in which null means "cannot
+    be identified". TypeError or ValueError for an unknown group, or a number of vehicles or seed
+    that is not a whole number.
     """
     check_number("n_vehicles", n_vehicles, low=1, most=10_000_000, whole=True)
     check_number("seed", seed, low=0, whole=True)
@@ -98,13 +84,7 @@ def write_identifiability(
 def identify(
     generator: ResponseGenerator, task: Task, settings: Observation, n_vehicles: int, seed: int
 ) -> Findings:
-    """Return what can be identified in one group.
-
-    Parameters
-    ----------
-    settings : Observation
-        Bound to the generator's vehicle.
-    """
+    """Return what can be identified in one group; `settings` are bound to the vehicle."""
     ratios = with_healthy(task.sample(n_vehicles, seed, TEST))
     choices = options(task, settings.observer(generator), ratios)
     now = next((option for option in choices if option.kind == "estimate"), choices[0])
@@ -143,7 +123,7 @@ def _range(task: Task) -> str:
 
 
 def identifiability_figure(groups: Sequence[Findings]) -> Figure:
-    """Draw how well each parameter is identified, and what measuring less or more would change."""
+    """Draw how well each parameter is identified, now and with less or more sensors."""
     height = 1.6 + 0.36 * max(len(found.table) for found in groups)
     figure = Figure(figsize=(11.2, height * len(groups)), layout="constrained")
     axes = figure.subplots(len(groups), 2, squeeze=False, width_ratios=(1, 1.25))

@@ -37,39 +37,17 @@ def write_maintenance(
     today: str | None = None,
     seed: int = 0,
 ) -> list[State]:
-    """Write what a depot needs: overview and plan of all suspensions of a history.
+    """Write overview and plan of all suspensions of a history; return states, the worst first.
 
-    Written are overview.html, overview.csv and .parquet, plan.csv and .parquet, calendar.png. The
-    history keeps the alarms that were found.
+    The files are overview.html, .csv and .parquet, plan.csv and .parquet, calendar.png and
+    metrics.json. The alarms found are stored in the history.
 
-    Parameters
-    ----------
-    store : str
-        File or URL of the history.
-    folder : Path
-    vehicles : mapping of Vehicle
-        Those whose limits are known; others have ``DEFAULT_LIMITS``.
-    limits : mapping, optional
-        In place of the vehicles': from a parameter to `notice` and `act`.
-    changes : ChangeSettings
-    sisters : SisterSettings
-    plan : PlanSettings
-    today : str, optional
-        ISO 8601; the day of the computer's clock by default.
-    seed : int
-        Of the predicted lives.
+    `vehicles`: those with known limits, others have ``DEFAULT_LIMITS``; `limits`: by parameter,
+    `notice` and `act` in place of the vehicles'; `today`: ISO 8601, None is the computer's date;
+    `seed`: of the predicted lives.
 
-    Returns
-    -------
-    list of State
-        The most severe first.
-
-    Raises
-    ------
-    HistoryError
-        If the store cannot be used.
-    ValueError
-        If it is empty, or a setting is out of range.
+    HistoryError if the store cannot be used; ValueError if it is empty, or a setting is out of
+    range.
     """
     if not store:
         raise ValueError("which history? Give store=FILE, or store=postgresql://...")

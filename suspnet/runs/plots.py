@@ -23,7 +23,7 @@ PAPER_COLOUR, OUR_COLOUR, BOUND_COLOUR = "0.75", "tab:blue", "black"
 
 
 def bode(generator: ResponseGenerator, frequencies_hz: torch.Tensor) -> Figure:
-    """Magnitude and phase of both responses of the healthy vehicle (Fig. 5)."""
+    """Draw magnitude and phase of both responses of the healthy vehicle (Fig. 5)."""
     responses = generator.responses(torch.ones(1, len(PARAMETERS)), frequencies_hz)
     figure, axes = _grid(2, 2, sharex=True)
     frequencies = frequencies_hz.cpu().numpy()
@@ -40,7 +40,7 @@ def bode(generator: ResponseGenerator, frequencies_hz: torch.Tensor) -> Figure:
 
 
 def degradation(generator: ResponseGenerator, frequencies_hz: torch.Tensor) -> Figure:
-    """Magnitudes when each parameter halves or doubles, the others healthy (Fig. 7)."""
+    """Draw the magnitudes when each parameter halves or doubles, the others healthy (Fig. 7)."""
     frequencies = frequencies_hz.cpu().numpy()
     figure, axes = _grid(2, len(PARAMETERS), size=(3.0, 2.7), sharex=True)
     for column, name in enumerate(PARAMETERS):
@@ -64,14 +64,9 @@ def degradation(generator: ResponseGenerator, frequencies_hz: torch.Tensor) -> F
 def peak_fits(
     frequencies_hz: FloatArray, curves: FloatArray, features: Mapping[str, float]
 ) -> Figure:
-    """Noisy curves with their peaks: position, height and half-power width.
+    """Draw noisy curves with their peaks: position, height and half-power width.
 
-    Parameters
-    ----------
-    frequencies_hz : array of shape (n_freq,)
-    curves : array of shape (2, n_freq)
-    features : mapping
-        From feature name (peak_measure) to value.
+    `frequencies_hz`: (n_freq,); `curves`: (2, n_freq); `features`: values by name, peak_measure.
     """
     figure, axes = _grid(1, 2)
     for axis, title, curve in zip(axes[0], SUSPENSIONS, curves, strict=True):
@@ -93,7 +88,7 @@ def peak_fits(
 def feature_spread(
     inputs: FloatArray, names: Sequence[str], outputs: FloatArray, output_names: Sequence[str]
 ) -> Figure:
-    """Every feature against every output, on at most 2,000 curves."""
+    """Draw every feature against every output, on at most 2,000 curves."""
     rows = slice(0, 2000)
     figure, axes = _grid(len(output_names), len(names), size=(2.2, 2.0), sharex=True, sharey="col")
     for i, output in enumerate(output_names):
@@ -106,7 +101,7 @@ def feature_spread(
 
 
 def parity(actual: FloatArray, predicted: FloatArray, names: Sequence[str]) -> Figure:
-    """Predicted against actual ratios to healthy."""
+    """Draw predicted against actual ratios to healthy."""
     figure, axes = _grid(1, len(names))
     for j, (axis, name) in enumerate(zip(axes[0], names, strict=True)):
         axis.plot(actual[:, j], predicted[:, j], ".", ms=4, alpha=0.4)
@@ -118,7 +113,7 @@ def parity(actual: FloatArray, predicted: FloatArray, names: Sequence[str]) -> F
 
 
 def residuals(actual: FloatArray, predicted: FloatArray, names: Sequence[str]) -> Figure:
-    """Relative errors against actual ratios, and their distribution."""
+    """Draw relative errors against actual ratios, and their distribution."""
     figure, axes = _grid(2, len(names))
     for j, name in enumerate(names):
         error = 100 * (predicted[:, j] / actual[:, j] - 1)
@@ -131,7 +126,7 @@ def residuals(actual: FloatArray, predicted: FloatArray, names: Sequence[str]) -
 
 
 def convergence(objectives: Sequence[float]) -> Figure:
-    """Objective above its last value, for each iteration."""
+    """Draw the objective above its last value, for each iteration."""
     figure, axes = _grid(1, 1)
     excess = np.maximum(np.array(objectives[:-1]) - objectives[-1], 1e-300)
     axes[0][0].semilogy(excess, "o-")
@@ -178,7 +173,7 @@ def table6(records: Sequence[Mapping[str, Any]]) -> Figure:
 
 
 def sensitivity(runs: Sequence[Mapping[str, Any]]) -> Figure:
-    """MAPE against sensor precision (Fig. 11), with the Cramer-Rao bound."""
+    """Draw MAPE against sensor precision (Fig. 11), with the Cramer-Rao bound."""
     outputs = list(dict.fromkeys(name for run in runs for name in run["scores"]))
     figure, axes = _grid(1, len(outputs), size=(3.2, 3.4))
     for axis, output in zip(axes[0], outputs, strict=True):
@@ -199,7 +194,7 @@ def sensitivity(runs: Sequence[Mapping[str, Any]]) -> Figure:
 
 
 def search_map(settings: Sequence[Mapping[str, float]], rmse: Sequence[float]) -> Figure:
-    """Cross-validated RMSE against each hyperparameter; the line joins the best of each value."""
+    """Draw cross-validated RMSE against each hyperparameter; the line joins the best of each."""
     names = list(settings[0])
     figure, axes = _grid(1, len(names), sharey=True)
     for axis, name in zip(axes[0], names, strict=True):

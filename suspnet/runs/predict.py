@@ -31,18 +31,10 @@ Part = TypeVar("Part")
 class Outcome:
     """Estimates on one stream of curves.
 
-    Attributes
-    ----------
-    data : FeatureData
-        The curves with an estimate: those on which every feature was found.
-    predicted : array of shape (n_curves, n_outputs), [-]
-    seconds : float
-    n_asked : int
-        Curves asked for, those with a missing feature included.
-    scales : array of shape (n_curves, n_outputs), or None
-        Of a calibrated model: see ``Intervals``.
-    flags : Flags or None
-        Of all `n_asked` curves, if they were asked for.
+    `data`: the curves with an estimate, on which every feature was found; `predicted`: (n_curves,
+    n_outputs), ratios to healthy; `n_asked`: all curves, also those with a missing feature;
+    `scales`: (n_curves, n_outputs), see ``Intervals``, None without calibration; `flags`: of all
+    `n_asked` curves, None if not asked for.
     """
 
     data: FeatureData
@@ -58,12 +50,8 @@ def predict_stream(
 ) -> Outcome:
     """Return a model's estimates for the curves of a stream of a problem.
 
-    With `flags` each curve is fitted too, which the flags of its estimate need.
-
-    Raises
-    ------
-    ValueError
-        If none of the curves has all of its peaks, or the model cannot use such curves.
+    With `flags` each curve is fitted as well, which the flags need. ValueError if no curve has all
+    of its peaks, or the model cannot use such curves.
     """
     data = problem.features(stream)
     kept = data.complete()
@@ -87,7 +75,7 @@ def predict_stream(
 def regress_stream(
     problem: Problem, model: FittedMethod, data: FeatureData, stream: int
 ) -> FloatArray:
-    """Return the regression's estimates of all curves, (n_curves, n_outputs); NaN where missing."""
+    """Return the regression's estimates, (n_curves, n_outputs); NaN where a feature is missing."""
     if not model.estimator.works_on_curves:
         batches = range(problem.n_batches(len(data.inputs)))
 
@@ -122,7 +110,7 @@ def _over_blocks(
     fit: Callable[[Tensor, slice, FloatArray | None], Part],
     threads: int,
 ) -> list[Part]:
-    """Return what `fit` makes of each block's curves, rows and known masses."""
+    """Return the results of `fit` for each block's curves, rows and known masses."""
     mass = data.ratios[:, MASS] if problem.task.mass_known else None
     n_curves = len(data.ratios)
     title = f"fits of {STREAM_NAMES[stream]} curves"

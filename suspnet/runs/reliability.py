@@ -1,7 +1,7 @@
-"""The reliability study: whether intervals hold the truth and what is out of range is flagged.
+"""The reliability study: coverage of prediction intervals, and how much is flagged.
 
-Everything is measured on fresh curves: intervals on curves like the training curves, over all
-and by slices of each parameter; flags on these and on curves that a model was not trained for.
+Everything is measured on fresh curves: intervals on curves like the training curves, over all and
+by slices of each parameter; flags on these and on curves that a model was not trained for.
 """
 
 from __future__ import annotations
@@ -65,23 +65,11 @@ def write_reliability(
 ) -> list[Reliability]:
     """Write reliability.md, .csv, .json and .png of every model at or below `run`; print tables.
 
-    Parameters
-    ----------
-    run : str
-        Folder of a run, or of a whole multirun.
-    others : mapping
-        Vehicles of another type than the model's, by name.
-    n_test, n_odd : int
-        Curves like the training curves, and of each set unlike them.
-    seed : int
-        Of the curves; not a run's own.
+    `others`: vehicles of another type than the model's, by name; `n_test`: curves like the training
+    curves; `n_odd`: curves in each set unlike them; `seed` must differ from that of each run.
 
-    Raises
-    ------
-    FileNotFoundError, ModelFileError
-        If there is no model, or it is damaged.
-    TypeError, ValueError
-        If a model was not calibrated, the seed is its own, or `n_odd` is no number of curves.
+    FileNotFoundError or ModelFileError if a model is missing or damaged; TypeError or ValueError if
+    it was not calibrated, the seed is its own, or `n_odd` is not a number of curves.
     """
     check_number("n_odd", n_odd, low=1, most=MOST_CURVES, whole=True)
     found = []
@@ -106,7 +94,7 @@ def write_reliability(
 def measure(
     problem: Problem, model: TrainedModel, others: Mapping[str, Vehicle], n_odd: int
 ) -> Reliability:
-    """Return coverage and shares of flags of one calibrated model."""
+    """Return coverage and flagged shares of one calibrated model."""
     outcome = predict_stream(problem, model, TEST, flags=True)
     assert outcome.flags is not None
     flags = {IN_RANGE: _shares(outcome.flags.found)}
@@ -184,7 +172,7 @@ def _share(within: BoolArray) -> float:
 def _odd_sets(
     problem: Problem, others: Mapping[str, Vehicle], n_odd: int
 ) -> Iterator[tuple[str, tuple[FloatArray, Tensor]]]:
-    """Yield ratios and noisy curves of vehicles and recordings a model was not trained for."""
+    """Yield the name, ratios and noisy curves of sets that a model was not trained for."""
     task, observer = problem.task, problem.observer
     ratios = task.sample(n_odd, problem.seed, TEST)
     for column, name in enumerate(PARAMETERS):
@@ -195,12 +183,12 @@ def _odd_sets(
             yield f"{name} at {100 * value:g} %", (odd, curves)
     curves = observer.observe(torch.as_tensor(ratios), problem.seed + 2)
     primary, secondary = curves.unbind(1)
-    for words, swapped in {
+    for title, swapped in {
         "axle box and bogie swapped": (1 / primary, primary * secondary),
         "bogie and body swapped": (primary * secondary, 1 / secondary),
         "axle box and body swapped": (1 / secondary, 1 / primary),
     }.items():
-        yield words, (ratios, torch.stack(swapped, dim=1))
+        yield title, (ratios, torch.stack(swapped, dim=1))
     for name, vehicle in others.items():
         if name != problem.vehicle.name:
             observer = problem.settings.observer(problem.generator.of(vehicle))
@@ -208,24 +196,18 @@ def _odd_sets(
 
 
 def _shares(found: BoolArray) -> dict[str, float]:
-    """Return the share of curves with each kind of flag, and with any, in %."""
+    """Return the share of curves with each kind of flag, and with any flag, in %."""
     shares = dict(zip(KINDS, (100 * found.mean(axis=0)).tolist(), strict=True))
     return {"any": 100 * float(found.any(axis=1).mean())} | shares
 
 
 @dataclass(frozen=True)
 class Reliability:
-    """Coverage and flags measured of one model.
+    """Coverage and flags of one model; `name` is its method, protocol and group.
 
-    Attributes
-    ----------
-    name : str
-        Method, protocol and group.
-    intervals : dict
-        As ``interval_scores`` for each kind of interval, with `slices`: the coverage of each
-        output in each fifth of each parameter, {parameter: {output: [..]}}.
-    flags : dict
-        {set of curves: {kind of flag: share [%]}}, with `any`.
+    `intervals`: ``interval_scores`` of each kind of interval, with `slices`, the coverage of each
+    output in each fifth of each parameter, {parameter: {output: [..]}}. `flags`: {set of curves:
+    {kind of flag, or any: share [%]}}.
     """
 
     name: str
@@ -234,7 +216,7 @@ class Reliability:
 
 
 def records(found: list[Reliability]) -> Iterator[Record]:
-    """Yield one record for each number measured: model, what, of, value [%]."""
+    """Yield one record for each measured number: model, what, of, value [%]."""
     for one in found:
         for kind, scores in one.intervals.items():
             for output, values in scores["outputs"].items():

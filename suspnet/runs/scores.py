@@ -34,11 +34,11 @@ Metrics = dict[str, Any]
 LEVEL = 0.9
 """Level of the prediction intervals in tables."""
 TOO_GOOD = 4.0
-"""An rms error below the bound by more than this is warned of, in standard deviations of it."""
+"""An rms error this many standard deviations below its bound raises a warning."""
 
 
 def label(model: FittedMethod) -> str:
-    """Return what a model is called in every table: its method, and whether it is refined."""
+    """Return a model's name in tables: its method, and whether it is refined."""
     return model.name + (REFINED if model.refined else "")
 
 
@@ -49,7 +49,7 @@ def rms_percent(task: Task, outcome: Outcome) -> dict[str, float]:
 
 
 def headline(problem: Problem, model: FittedMethod) -> Metrics:
-    """Return what a run is called in tables: vehicle, protocol, group, method, counts, noise."""
+    """Return what tables show of a run: vehicle, protocol, group, method, counts, noise."""
     return {
         "vehicle": problem.vehicle.name,
         "generator": type(problem.generator).__name__,
@@ -64,7 +64,7 @@ def headline(problem: Problem, model: FittedMethod) -> Metrics:
 
 
 def scores(problem: Problem, model: FittedMethod, outcome: Outcome) -> Metrics:
-    """Return the scores of estimates on one stream of curves, as metrics.json holds them."""
+    """Return the scores of estimates on one stream of curves, in the form of metrics.json."""
     task, data = problem.task, outcome.data
     bounds = output_bounds(task, problem.observer, data.ratios)
     spread = relative_percent(task, bounds, data.ratios)
@@ -93,7 +93,7 @@ def scores(problem: Problem, model: FittedMethod, outcome: Outcome) -> Metrics:
 
 
 def _rms_ratio(task: Task, outcome: Outcome, bounds: FloatArray) -> dict[str, float]:
-    """Return rms relative error over rms relative bound; warn where it is too good to be true."""
+    """Return rms relative error over rms relative bound; warn where it is implausibly small."""
     truth = outcome.data.outputs
     error = np.sqrt(np.mean((outcome.predicted / truth - 1) ** 2, axis=0))
     ratios = error / np.sqrt(np.mean((bounds / truth) ** 2, axis=0))
@@ -105,7 +105,7 @@ def _rms_ratio(task: Task, outcome: Outcome, bounds: FloatArray) -> dict[str, fl
         if error[j] < (1 - TOO_GOOD * scatter) * np.sqrt(np.mean(least**2)):
             log.warning(
                 "%s: rms error %.3g %% lies below the bound of %.3g %% by more than chance and the "
-                "known range explain; do test curves take part in the training?",
+                "known range explain; are test curves also used in the training?",
                 name,
                 100 * error[j],
                 100 * np.sqrt(np.mean(least**2)),
@@ -132,7 +132,7 @@ def log_hyperparameters(
 
 
 def report(metrics: Metrics, folder: Path) -> None:
-    """Log the scores of a run as a table, with coverage and flags where it was calibrated."""
+    """Log the scores of a run as a table, with coverage and flags if it was calibrated."""
     missing = metrics["n_test"] - metrics["n_test_complete"]
     log.info(
         "%s on protocol %s, group %s: %d test curves at %g dB (%d more discarded: a peak is "
@@ -168,7 +168,7 @@ def draw_run(
     found: SearchResult | None,
     draw_vehicle: bool,
 ) -> None:
-    """Draw features, search and predictions of a run, and its vehicle if asked."""
+    """Draw features, search and predictions of a run, and on request its vehicle."""
     task = model.task
     frequencies_hz = problem.observer.frequencies_hz
     example = problem.curves(outcome.data.ratios[:1], TEST, 0)

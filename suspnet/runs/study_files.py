@@ -1,4 +1,4 @@
-"""The files that a study leaves: its numbers as JSON and CSV, its text as Markdown, its figures."""
+"""The files of a study: numbers as JSON and CSV, text as Markdown, and figures."""
 
 from __future__ import annotations
 
@@ -23,18 +23,8 @@ def write_study(
 ) -> None:
     """Write NAME.json, NAME.csv, NAME.md and figures, and show text and figures in TensorBoard.
 
-    Parameters
-    ----------
-    name : str
-        Of the study.
-    text : str
-        Markdown.
-    content : object
-        What the JSON file holds.
-    records : sequence of mappings
-        Rows of the CSV file.
-    figures : mapping
-        By the name of their file.
+    `content` goes to the JSON file, `records` are the rows of the CSV file, `text` is Markdown, and
+    `figures` are by file name.
     """
     write_json(folder / f"{name}.json", content)
     write_atomically(folder / f"{name}.csv", records_csv(records))

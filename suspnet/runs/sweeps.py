@@ -31,7 +31,7 @@ Run = Mapping[str, Any]
 
 
 class _Summary(Callback):
-    """Reads the metrics.json of every job and hands them to `summarise`."""
+    """Reads the metrics.json of every job and passes them to `summarise`."""
 
     def on_multirun_end(self, config: DictConfig, **kwargs: Any) -> None:
         """Summarise the jobs of the multirun that has just ended."""
@@ -41,11 +41,11 @@ class _Summary(Callback):
             self.summarise(runs, folder)
 
     def summarise(self, runs: Sequence[Run], folder: Path) -> None:
-        """Write what the runs show together into `folder`."""
+        """Write the summary of all runs into `folder`."""
 
 
 class Jobs(Callback):
-    """A table of all jobs of a multirun, the one of least error first, failed ones last."""
+    """A table of all jobs of a multirun, least error first, failed ones last."""
 
     def on_multirun_end(self, config: DictConfig, **kwargs: Any) -> None:
         """Write jobs.csv and jobs.md and print the table."""
@@ -62,7 +62,7 @@ class Jobs(Callback):
 def job_rows(folder: Path) -> list[dict[str, Any]]:
     """Return a row for each job of a multirun: rms error of each output [%], their mean, state.
 
-    Jobs that did not finish come last. Of several speeds or suspensions an error is their mean.
+    Jobs that did not finish come last. With several speeds or suspensions an error is their mean.
     """
     jobs = sorted({path.parent for path in folder.glob("*/config.yaml")})
     jobs += sorted({path.parent for path in folder.glob("*/error.txt")} - set(jobs))
@@ -89,12 +89,9 @@ def run_errors(job: Path) -> dict[str, float]:
 
 
 class Table6(_Summary):
-    """Table VI: published and measured side by side, as JSON, CSV, Markdown and a figure.
+    """Table VI: published and measured figures, as JSON, CSV, Markdown and a figure.
 
-    Parameters
-    ----------
-    note : str
-        What is unequal among the methods; printed below the table.
+    `note` says how the methods' conditions differ; it is printed below the table.
     """
 
     def __init__(self, note: str = "") -> None:
@@ -106,10 +103,10 @@ class Table6(_Summary):
 
 
 class Comparison(Table6):
-    """As Table VI, where the runs differ in protocol, group, model or seed."""
+    """Table VI for runs that differ in protocol, group, model or seed."""
 
     def summarise(self, runs: Sequence[Run], folder: Path) -> None:
-        """Write what `Table6` does, unless two runs would have the same place in the table."""
+        """Write the same files as `Table6`, unless two runs share a place in the table."""
         places = {(r["protocol"], r["group"], r["model"], r["seed"]) for r in runs}
         if 1 < len(places) == len(runs):
             super().summarise(runs, folder)
@@ -162,7 +159,7 @@ class Sensitivity(_Summary):
 
 
 class Ablation(Callback):
-    """Comparison of the changes about a baseline: see `write_ablation`."""
+    """Comparison of the changes to a baseline: see `write_ablation`."""
 
     def on_multirun_end(self, config: DictConfig, **kwargs: Any) -> None:
         """Compare the jobs of the multirun that has just ended."""

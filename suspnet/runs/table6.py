@@ -1,4 +1,4 @@
-"""Table VI: the paper's published figures beside measured ones, as records, Markdown and CSV."""
+"""Table VI: the paper's published figures next to measured ones, as records, Markdown and CSV."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from tabulate import tabulate
 from suspnet.learning.metrics import METRICS
 
 REFINED = "+refine"
-"""Suffix of the name of a method whose estimates were refined on the curve."""
+"""Suffix of a method's name if its estimates were refined on the curve."""
 MODEL_TITLES = {
     "msvr": "MSVR",
     "svr": "SVR",
@@ -39,25 +39,17 @@ PUBLISHED = {
     ("c_s", "mape_percent"): {"msvr": 7.53, "svr": 9.92, "mvgpr": 16.43, "linear": 20.84},
     ("c_s", "rmse"): {"msvr": 0.0739, "svr": 0.0972, "mvgpr": 0.1632, "linear": 0.2073},
 }
-"""The figures of the paper's Table VI; for comparison only."""
+"""The figures of the paper's Table VI, for comparison only."""
 
 Record = dict[str, Any]
 
 
 def table6_records(runs: Sequence[Mapping[str, Any]]) -> list[Record]:
-    """Return one record for each output and metric of each run.
+    """Return one record for each output and metric of each run, in the order of Table VI.
 
-    Parameters
-    ----------
-    runs : sequence of mappings
-        The metrics.json of each run: protocol, model, scores, bound, n_train, snr_db, seed,
-        seconds.
-
-    Returns
-    -------
-    list of dict
-        Keys protocol, group, output, metric, model, published, measured, bound, n_train, snr_db,
-        seed, seconds; `published` is None where the paper has no figure. Ordered as Table VI.
+    `runs` are the metrics.json of each run: protocol, model, scores, bound, n_train, snr_db, seed,
+    seconds. A record has the keys protocol, group, output, metric, model, published (None where the
+    paper has no figure), measured, bound, n_train, snr_db, seed, seconds.
     """
     records = [
         {
@@ -111,7 +103,7 @@ def table6_markdown(records: Sequence[Record]) -> str:
 
 
 def table6_caption(records: Sequence[Mapping[str, Any]]) -> str:
-    """Return one line that says how the measured figures came about."""
+    """Return one line on how the measured figures were obtained."""
     first = records[0]
     seeds = ", ".join(str(seed) for seed in sorted({r["seed"] for r in records}))
     seconds: dict[str, float] = {}
@@ -176,13 +168,10 @@ def records_csv(records: Sequence[Mapping[str, Any]]) -> str:
 
 
 def scores_table(metrics: Mapping[str, Any]) -> str:
-    """Return the scores of one run beside what is possible, as Markdown.
+    """Return the scores of one run next to the best possible ones, as Markdown.
 
-    Parameters
-    ----------
-    metrics : mapping
-        scores, bound, cramer_rao_percent (inf where a parameter cannot be identified), rms_ratio
-        (rms error over the bound) and, of a calibrated model, intervals.
+    `metrics` holds scores, bound, cramer_rao_percent (inf where a parameter cannot be identified),
+    rms_ratio (rms error over the bound) and, for a calibrated model, intervals.
     """
     rows = []
     for output, values in metrics["scores"].items():
@@ -207,7 +196,7 @@ def mean_known(values: Iterable[float | None]) -> float | None:
 
 
 def in_digits(value: float | None) -> str:
-    """Return a number with three digits as tables show it; a dash for None."""
+    """Return a number with three digits for tables; a dash for None."""
     if value is None:
         return "-"
     if value >= 100:

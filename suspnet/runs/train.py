@@ -1,6 +1,6 @@
 """Train: from a problem and a method to a run folder with scores, model, figures and logs.
 
-A range of speeds is covered by several models, each in a folder of its own.
+A range of speeds is covered by several models, each in its own folder.
 """
 
 from __future__ import annotations
@@ -51,20 +51,20 @@ PACKAGES = ("suspnet", "torch", "numpy", "scipy", "scikit-learn", "hydra-core", 
 
 @dataclass(frozen=True)
 class RunContext:
-    """What a run's records and figures take from the program that starts it.
+    """What the calling program adds to the records and figures of a run.
 
     Attributes
     ----------
     config : mapping
         The resolved configuration; its `ablation_name` goes into metrics.json.
     varied : mapping or None
-        What a multirun varies, by its key in the configuration: TensorBoard's first columns.
+        What a multirun varies, by configuration key: TensorBoard's first columns.
     draw_vehicle : bool
-        Whether figures of the vehicle are among the run's; once is enough in a multirun.
+        Whether to draw figures of the vehicle; once is enough in a multirun.
     notes : mapping
-        Further entries of the model's `training`: "commissioned" says which trips are healthy.
+        Further entries of the model's `training`, such as the healthy trips as "commissioned".
     residual : Residual or None
-        What the healthy trips of a commissioned vehicle leave unexplained.
+        The unexplained part of a commissioned vehicle's healthy trips.
     """
 
     config: Mapping[str, Any] = field(default_factory=dict)
@@ -100,12 +100,12 @@ def train(
     figures : bool
         Whether to draw figures of the run.
     context : RunContext, optional
-        Of a run that a program starts.
+        Additions of a program that starts the run.
 
     Returns
     -------
     dict
-        What metrics.json holds; empty where another process (torchrun) writes and tests.
+        Content of metrics.json; {} where another process (torchrun) writes and tests.
     """
     context = context or RunContext()
     method_name(estimator)
@@ -126,7 +126,7 @@ def train(
         model = replace(model, training=model.training | dict(context.notes))
         outcome = predict_stream(problem, model, TEST)
         metrics = _metrics(problem, model, outcome, found, context)
-        # the model's file says how well it does: whoever has only the file can read it
+        # the accuracy goes into the model's file for those who have no run folder
         accuracy = {"test_rms_percent": metrics["rms_percent"]}
         stage("figures and tables of the run")
         save_model(folder, replace(model, training=model.training | accuracy))
@@ -135,13 +135,13 @@ def train(
             figures_of = folder / "figures"
             draw_run(problem, model, outcome, run_log, figures_of, found, context.draw_vehicle)
     write_json(folder / "environment.json", environment())
-    write_json(folder / "metrics.json", metrics)  # last: it says that the run has ended
+    write_json(folder / "metrics.json", metrics)  # last: it marks the run as finished
     report(metrics, folder)
     return metrics
 
 
 def _trusted(problem: Problem, model: TrainedModel, residual: Residual | None) -> TrainedModel:
-    """Return a model with intervals, flags and the cost of what healthy trips leave unexplained."""
+    """Return a model with intervals, flags and the cost of the unexplained residual."""
     if problem.settings.n_calibrate is not None:
         stage("calibration of intervals and flags")
     model = calibrated(problem, model)
@@ -167,7 +167,7 @@ def _metrics(
     found: SearchResult | None,
     context: RunContext,
 ) -> Metrics:
-    """Return what metrics.json holds."""
+    """Return the content of metrics.json."""
     metrics: Metrics = {
         **headline(problem, model),
         **scores(problem, model, outcome),
@@ -194,7 +194,7 @@ def _cost_percent(model: TrainedModel) -> dict[str, float]:
 
 
 def environment() -> dict[str, Any]:
-    """Return what the numbers depend on besides the configuration."""
+    """Return what the numbers depend on in addition to the configuration."""
     git = subprocess.run(
         ["git", "describe", "--always", "--dirty"],
         capture_output=True,
@@ -215,17 +215,9 @@ def environment() -> dict[str, Any]:
 def speed_ranges(speeds: Sequence[Any], half_width: float) -> list[SpeedRange]:
     """Return the fewest bins that cover a range of speeds, equal in logarithm, edge to edge.
 
-    Parameters
-    ----------
-    speeds : sequence of 2 floats, [m/s]
-        Lowest and highest.
-    half_width : float, [-]
-        Largest half width of a bin relative to its middle.
-
-    Raises
-    ------
-    TypeError, ValueError
-        If these are not two ascending speeds, or the half width is not above 0.
+    `speeds`: lowest and highest, [m/s]; `half_width`: largest half width of a bin relative to its
+    middle. TypeError or ValueError unless the speeds are two ascending ones and the half width is
+    between 0 and 1.
     """
     if len(speeds) != 2:
         raise ValueError(
@@ -245,15 +237,11 @@ def speed_ranges(speeds: Sequence[Any], half_width: float) -> list[SpeedRange]:
 def train_ranges(
     ranges: Sequence[SpeedRange], train_one: Callable[[SpeedRange, Path], Metrics], folder: Path
 ) -> None:
-    """Train a model for each range of speeds in a folder of its own, and compare them.
+    """Train a model for each range of speeds in its own folder, and compare them.
 
     Writes speeds.json: for each range its folder, ends and middle [m/s], and metrics.json's scores.
-
-    Parameters
-    ----------
-    train_one : function
-        Trains the model of a range into a folder and returns what metrics.json holds; empty in a
-        process that neither writes nor tests.
+    `train_one` trains the model of a range into a folder and returns the content of metrics.json,
+    or {} in a process that does not write or test.
     """
     rows: list[dict[str, Any]] = []
     for one in ranges:

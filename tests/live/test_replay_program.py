@@ -117,7 +117,7 @@ def test_faulty_trip_is_told_and_the_exit_code_is_one(trip, tmp_path):
     options = ("progress=false", "sink=folder", "sink.folder=drop")
     done = typed(replay, f"trips={tmp_path / 'trips'}", *options, cwd=tmp_path)
     assert done.returncode == 1
-    assert "error: 1 trips are missing or not whole, see above" in done.stderr
+    assert "error: 1 trips are missing or incomplete, see above" in done.stderr
     splitter = Splitter()
     data = b"".join(file.read_bytes() for file in sorted((tmp_path / "drop").iterdir()))
     assert {decode(one).suspension for one in splitter.push(data)} == {"simulated"}
