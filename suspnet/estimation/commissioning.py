@@ -11,7 +11,7 @@ thousandth of the curves. So the searches first allow a model error of 30 %, the
 There are several searches of the first kind, which choose the valley:
 
 - from the median of the prior, in the whole band and in bands that widen from low frequencies,
-  where the responses have no notches yet and delays are short against a period (frequency
+  where the responses have no notches yet and delays are short compared with a period (frequency
   continuation: Bunks et al., Multiscale seismic waveform inversion, 1995);
 - from the best vehicle found, with those numbers redrawn from the prior that searches are known to
   leave in a wrong valley (``REDRAWN``), repeated as long as this finds a better one.

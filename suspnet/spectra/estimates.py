@@ -57,9 +57,9 @@ class EstimateSettings:
     Parameters
     ----------
     segment_s, overlap, window
-        Settings of ``Welch``. A segment must be long against the decay time of the body: with
-        20 s the modelled leakage matches that of recordings, with 10 s it does not (AM96, c_s at 80
-        %).
+        Settings of ``Welch``. A segment must be long compared with the decay time of the body: with
+        20 s the modelled leakage matches that of recordings, with 10 s it does not (AM96, c_s
+        at 80 %).
 
     Raises
     ------

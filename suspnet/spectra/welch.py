@@ -71,7 +71,7 @@ class Welch:
         """Return the weights of the leakage between neighbouring bins, symmetric, with sum 1.
 
         The expected spectrum is the true one convolved with abs(W(f))^2. Sampling it at the bins is
-        exact for a system whose impulse response is short against the segment. Hann: 1/6, 2/3, 1/6.
+        exact for an impulse response that is short compared with the segment. Hann: 1/6, 2/3, 1/6.
         """
         transform = np.fft.fft(get_window(self.window, 256)) / 256
         return _symmetric(np.abs(transform) ** 2)
