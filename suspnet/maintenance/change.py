@@ -51,8 +51,7 @@ class ChangeSettings:
     )
     n_reference: int = setting(
         20,
-        "Number of first trips that say what is usual; before there are so many there are no "
-        "alarms of changes",
+        "Number of first trips that form the reference; no change is detected before",
         low=8,
         high=1000,
     )
@@ -63,7 +62,7 @@ class ChangeSettings:
         high=MAX_CORRELATION,
     )
     least_percent: float = setting(
-        0.1, "Size of a change below which it is none", "% of healthy", low=0, below=100
+        0.1, "Smallest change that is reported", "% of healthy", low=0, below=100
     )
     seed: int = setting(0, "Seed of the simulation that gives the thresholds", low=0)
 
