@@ -289,7 +289,7 @@ def test_new_tables_next_to_those_of_others_on_a_server_are_reported(tmp_path, c
         assert connection.exec_driver_sql("SELECT count(*) FROM notes").scalar() == 0
     engine.dispose()
     (line,) = [one.getMessage() for one in caplog.records]
-    assert "new tables of a store, next to 1 tables of others" in line
+    assert "new tables of a store, next to 1 other tables" in line
 
 
 @pytest.mark.parametrize(
