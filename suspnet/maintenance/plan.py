@@ -112,7 +112,7 @@ class _Calendar:
         self.end_km = max(settings.of(part.parameter).usual_life_km for part in parts)
         end_days = self.end_km / train.km_per_day
         near = np.arange(settings.lead_days, settings.horizon_days, settings.step_days)
-        near = np.unique(np.ceil(near))  # whole days, none before the lead time is over
+        near = np.unique(np.ceil(near))  # whole days, none before the lead time has passed
         self.days = near = near[: max(1, int(np.searchsorted(near, end_days)))]
         self.n_near = near.size
         if end_days > settings.horizon_days:

@@ -65,7 +65,7 @@ class SisterSettings:
     least_percent: Annotated[
         Mapping[str, float],
         Setting(
-            "Smallest difference of each parameter from the sisters that is reported",
+            "Smallest reported difference of each parameter from the sisters",
             rule="%; at least 0 and below 100",
         ),
     ] = field(default_factory=lambda: dict(LEAST_PERCENT))
