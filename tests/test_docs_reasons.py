@@ -74,7 +74,7 @@ NO_REASON = (
     " m/s:  averages",  # quality of a trip
     " (and ",  # how many more there are, which the text above the tables says
     " is damaged: its ",  # of files of models, caches and runs, which are not of a trip
-    " is not ours: ",
+    " is not a suspnet file: ",
     " is damaged or not JSON",
     " is damaged or not a safetensors file",
     "`thresholds` must be",  # of model files

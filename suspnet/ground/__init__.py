@@ -1,1 +1,1 @@
-"""What every room stands on: names of parameters, checks of values, files that appear whole."""
+"""Common basis of all packages: parameter names, checks of values, records and atomic files."""

@@ -1,7 +1,7 @@
-"""Files of results that can be computed again, which they are if a file is doubtful.
+"""Cache of arrays in files; a result is recomputed if its file is missing or doubtful.
 
-Libraries that cache results (joblib.Memory, diskcache) read pickles, which run the code that they
-name; these files hold numbers and JSON only.
+Libraries that cache results (joblib.Memory, diskcache) read pickles, which can run any code; these
+files contain only numbers and JSON.
 """
 
 from __future__ import annotations
@@ -29,31 +29,24 @@ from suspnet.ground.storage import (
 
 log = logging.getLogger(__name__)
 ABOUT = "suspnet"
-"""Entry of a file's header with what its arrays were made from, and a checksum of both."""
+"""Header entry with the description from which the arrays were made, notes and a checksum."""
 Arrays = Mapping[str, NDArray[Any]]
 
 
 @dataclass(frozen=True)
 class Cache:
-    """Arrays and notes in a folder, stored under what they were made from.
+    """Arrays and notes in a folder, by the description from which they were made.
 
-    A file holds names, types, shapes and values of the arrays, the notes and all that they were
-    made from, and a checksum of these. Any other file is ignored, with a line of warning. A folder
-    that cannot be read or written costs time and one warning.
-
-    Parameters
-    ----------
-    folder : Path or str, optional
-        None stores nothing.
-    kind : str
-        Start of the files' names.
+    A file contains the arrays, the notes, the description and a checksum of all of these. A file
+    that does not match is ignored with a warning. A folder that cannot be read or written is
+    ignored with one warning. With `folder` None nothing is stored. `kind` starts the file names.
     """
 
     folder: Path | str | None
     kind: str
 
     def read(self, made_from: Any) -> tuple[dict[str, NDArray[Any]], Any] | None:
-        """Return arrays and notes made from a JSON-able description; None if they are not there."""
+        """Return arrays and notes made from a JSON-able description; None if they are missing."""
         if self.folder is None:
             return None
         path = self.path(made_from)
@@ -91,16 +84,16 @@ class Cache:
             _warn_once(str(self.folder), "written", str(error.strerror or error))
 
     def path(self, made_from: Any) -> Path:
-        """Return the file of what was made from a description."""
+        """Return the path of the file for a description."""
         assert self.folder is not None
         return Path(self.folder) / f"{self.kind}-{content_hash(made_from)[:32]}.safetensors"
 
 
 @functools.cache
 def code_hash(*parts: str) -> str:
-    """Return a hash of some files and folders of this package; of all without any.
+    """Return a hash of files and folders of this package; of all if none are given.
 
-    It is part of what a cache is made from: no file outlives the code that made it.
+    As part of a cache's description it invalidates files of older code.
     """
     package = Path(__file__).parents[1]
     digest = hashlib.sha256()
@@ -115,7 +108,7 @@ def code_hash(*parts: str) -> str:
 
 
 def _checksum(arrays: Arrays, made_from: Any, notes: Any) -> str:
-    """Return the SHA-256 of arrays with names, types and shapes, and of what belongs to them."""
+    """Return the SHA-256 of arrays with names, types and shapes, description and notes."""
     digest = hashlib.sha256(json.dumps([made_from, notes], sort_keys=True).encode())
     for name in sorted(arrays):
         array = arrays[name]

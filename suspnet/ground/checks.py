@@ -1,4 +1,4 @@
-"""Checks of settings: one error that names the setting, the rule and what came instead."""
+"""Checks of settings, with errors that name the setting, the rule and the value."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from numbers import Integral, Real
 from typing import Any
 
 LARGEST = 1e20
-"""Magnitude beyond which no setting in SI units is meant; its square and its cube are finite."""
+"""Largest plausible magnitude of a setting in SI units; its square and its cube are finite."""
 
 
 def check_number(
@@ -23,31 +23,11 @@ def check_number(
     optional: bool = False,
     most: float = LARGEST,
 ) -> None:
-    """Raise unless `value` is a finite number within the bounds given.
+    """Raise TypeError or ValueError unless `value` is a finite number within the bounds given.
 
-    Parameters
-    ----------
-    name : str
-        What the message calls it.
-    value : object
-    low, above : float, optional
-        Lower bound: ``value >= low``, ``value > above``.
-    high, below : float, optional
-        Upper bound: ``value <= high``, ``value < below``.
-    whole : bool
-        Only whole numbers.
-    optional : bool
-        Allow None too.
-    most : float
-        Magnitude that no sensible value has, which would ask for too much time or memory, or
-        overflow.
-
-    Raises
-    ------
-    TypeError
-        If it is not a number, or not a whole one where it must be.
-    ValueError
-        If it is NaN, infinite, beyond `most` or out of range.
+    ``low <= value <= high``, ``above < value < below`` and abs(value) <= `most`, beyond which a
+    value would overflow or need too much time or memory. `whole` requires an integer, `optional`
+    allows None. A value that is not a number, or not whole, is a TypeError.
     """
     if optional and value is None:
         return

@@ -1,16 +1,16 @@
-"""Which files are ours: no other file is replaced, removed or opened for work.
+"""Ledger of the files that suspnet wrote: only these are replaced, removed or opened for writing.
 
-A folder of results holds ``written.jsonl``. Before a file is written below that folder, its name
+A folder of results contains ``written.jsonl``. Before a file is written below that folder, its name
 relative to the folder and the SHA-256 of its content are appended. A file is ours only if it is a
-regular file whose bytes have a hash that the ledger lists for its name. A forged ledger therefore
-exposes no file whose content its author does not know, and names that lead elsewhere (absolute
-ones, ``..``, links) match no file of the folder.
+regular file whose hash the ledger lists for its name. A forged ledger therefore exposes no file
+whose content its author does not know, and names that lead elsewhere (absolute ones, ``..``, links)
+match no file of the folder.
 
-Logs and TensorBoard's events grow, and Hydra writes its own files; these have no hash: they may be
-there, but are never opened again.
+Logs and TensorBoard events grow, and Hydra writes its own files; these have no hash. They may
+exist, but are never opened again.
 
-SQLite writes to whatever it opens: a change of the journal mode, a merged write-ahead log, files
-next to it. A database is therefore recognised by its header before it is opened for work.
+SQLite writes to any file it opens: a change of the journal mode, a merged write-ahead log, files
+next to it. A database is therefore recognised by its header before it is opened.
 """
 
 from __future__ import annotations
@@ -35,33 +35,23 @@ else:
 LEDGER = "written.jsonl"
 """Name of the ledger in a folder of results."""
 HEADER = b'"Files that suspnet wrote below this folder: SHA-256, name, end of a temporary name."\n'
-"""First line of a ledger; a file of that name without it is not ours."""
+"""First line of a ledger; a file of that name without it is not a ledger."""
 MAX_BYTES = 2**28
-"""Largest size of a ledger that is read, [bytes]: a million files take half of it."""
+"""Largest part of a ledger that is read, [bytes]: a million files need half of it."""
 UNTOUCHED_FILES = ("*.log", "events.out.tfevents.*")
 UNTOUCHED_FOLDERS = (".hydra", ".submitit")
-"""Files and folders of ours without a hash."""
+"""Files and folders of a run that have no hash."""
 MULTIRUN = "multirun.yaml"
-"""File that Hydra writes again, not atomically: after a kill it may be empty."""
+"""File that Hydra rewrites non-atomically: it may be empty after a kill."""
 NO_LINKS = getattr(os, "O_NOFOLLOW", 0)
 Listed = dict[str, set[str]]
-"""Hashes by name; a temporary name has none."""
+"""Hashes by name; the set of a temporary name is empty."""
 
 
 def begin(folder: Path) -> bool:
-    """Make a folder for results, or go on in one that holds only results.
+    """Create a folder for results, or continue in one that has only results.
 
-    Returns
-    -------
-    bool
-        Whether there are results already.
-
-    Raises
-    ------
-    FileExistsError
-        If the folder holds a file that is not ours, which is named.
-    OSError
-        If it cannot be written.
+    Returns whether there are results already. FileExistsError names a file that is not ours.
     """
     folder.mkdir(parents=True, exist_ok=True)
     root = _root(folder)
@@ -69,7 +59,7 @@ def begin(folder: Path) -> bool:
     goes_on = False
     for path in _files(folder):
         if path == folder / LEDGER and (root == _absolute(folder) or not path.lstat().st_size):
-            continue  # an empty one: the program was killed before it wrote the first line
+            continue  # an empty ledger: the program was killed before it wrote the first line
         goes_on = True
         if root is None or not (_is_untouched(path, root, listed) or _is_ours(path, root, listed)):
             words = "suspnet did not write it here, or it was changed since: give a new folder"
@@ -84,34 +74,24 @@ def begin(folder: Path) -> bool:
 
 
 def note(path: Path, content: bytes, token: str, force: bool = False) -> None:
-    """Enter a file into the ledger before it is written, if its folder or one above has a ledger.
+    """Enter a file into the ledger of its folder or one above, if any, before it is written.
 
-    Parameters
-    ----------
-    path : Path
-    content : bytes
-    token : str
-        End of the name under which it appears before it is renamed, ``.NAME.TOKEN``.
-    force : bool
-        Whether a file that is not ours is replaced, as the user asked for.
-
-    Raises
-    ------
-    FileExistsError
-        If there is such a file and it is not ours.
+    `token` is the end of its temporary name, ``.NAME.TOKEN``. FileExistsError is raised if the file
+    exists and is not ours, unless `force` replaces it.
     """
     root = _root(path.parent)
     if root is None:
         return
     if not force and os.path.lexists(path) and not _is_ours(path, root, _read(root)):
-        words = "suspnet did not write it here, or it was changed since: it is left as it is"
+        words = "suspnet did not write it here, or it was changed since: it is left unchanged"
         raise FileExistsError(errno.EEXIST, words, str(path))
     entry = [hashlib.sha256(content).hexdigest(), _name(path, root), token]
     handle = os.open(root / LEDGER, os.O_APPEND | os.O_WRONLY | NO_LINKS)
     with os.fdopen(handle, "wb") as stream:
-        if HAS_LOCKS:  # network file systems may append at an old end
+        if HAS_LOCKS:  # on network file systems concurrent appends may overwrite each other
             lock(stream.fileno())
-        stream.write(b"\n" + json.dumps(entry).encode())  # whole after a line that was cut off
+        # a new line first: the last one may have been cut off by a kill
+        stream.write(b"\n" + json.dumps(entry).encode())
         stream.flush()
         os.fsync(stream.fileno())
 
@@ -139,9 +119,9 @@ def free_name(path: Path) -> Path:
 
 
 def lock(handle: int, wait: bool = True) -> bool:
-    """Lock an open file or folder until it is closed; return False if someone else has it.
+    """Lock an open file or folder until it is closed; return False if it is locked already.
 
-    True where the file system has no locks.
+    Returns True on file systems without locks.
     """
     try:
         fcntl.flock(handle, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
@@ -153,7 +133,7 @@ def lock(handle: int, wait: bool = True) -> bool:
 
 
 def _root(folder: Path) -> Path | None:
-    """Return the nearest folder with a ledger that can be written: this one or one above."""
+    """Return this folder or the nearest one above that has a writable ledger."""
     start = _absolute(folder)
     for one in (start, *start.parents):
         file = one / LEDGER
@@ -166,7 +146,7 @@ def _root(folder: Path) -> Path | None:
 
 
 def _read(root: Path) -> Listed:
-    """Return what a ledger lists; lines that are cut off or of another form list nothing."""
+    """Return the hashes that a ledger lists; truncated or malformed lines are skipped."""
     found: Listed = {}
     with (root / LEDGER).open("rb") as stream:
         lines = stream.read(MAX_BYTES).splitlines()
@@ -183,7 +163,7 @@ def _read(root: Path) -> Listed:
 
 
 def _files(folder: Path) -> Iterator[Path]:
-    """Yield all that is no folder in a folder and those below it."""
+    """Yield all files and links in a folder and below it."""
 
     def refuse(error: OSError) -> None:
         raise error
@@ -195,7 +175,7 @@ def _files(folder: Path) -> Iterator[Path]:
 
 
 def _is_untouched(path: Path, root: Path, listed: Listed) -> bool:
-    """Return whether a regular file may be there without a hash."""
+    """Return whether a regular file may exist without a hash."""
     name = _name(path, root)
     return stat.S_ISREG(path.lstat().st_mode) and (
         any(fnmatch(path.name, pattern) for pattern in UNTOUCHED_FILES)
@@ -205,7 +185,7 @@ def _is_untouched(path: Path, root: Path, listed: Listed) -> bool:
 
 
 def _is_ours(path: Path, root: Path, listed: Listed) -> bool:
-    """Return whether a regular file has a hash that a ledger lists for it."""
+    """Return whether the ledger lists the hash of a regular file."""
     hashes = listed.get(_name(path, root))
     state = path.lstat()
     if not hashes or not stat.S_ISREG(state.st_mode):
@@ -228,29 +208,17 @@ MAGIC = b"SQLite format 3\0"
 HEADER_BYTES = 100
 APPLICATION_ID = slice(68, 72)
 USER_VERSION = slice(60, 64)
-"""Places of two numbers in the header, which their owner chooses; 0 by default."""
+"""Positions in the header of two numbers that the application chooses; 0 by default."""
 ACTING = "SELECT name FROM sqlite_master WHERE IFNULL(rootpage, 0) = 0"
-"""Query of what runs when tables are read or written: views, triggers and virtual tables. Files of
-this program have none; in a foreign file they may run without end."""
+"""Query for views, triggers and virtual tables, which run code when tables are read or written. Our
+databases have none; in a foreign file they may never end."""
 
 
 def check_own(path: Path, application_id: int, marker: str, name: str) -> None:
-    """Raise an error if a file is not ours; a missing and an empty one can be used.
+    """Raise ValueError unless a file is missing, empty or an SQLite database of this program.
 
-    Parameters
-    ----------
-    path : Path
-    application_id : int
-        Number in the header of this program's files.
-    marker : str
-        Query that returns a row of this program's files that have no number yet.
-    name : str
-        What the file should be, such as "store of suspnet".
-
-    Raises
-    ------
-    ValueError
-        If it is not a file, cannot be read, or is not one of this program.
+    `application_id` is the number in the header of its files; `marker` is a query that returns a
+    row for those without the number. Errors call the file `name`, such as "store of suspnet".
     """
     try:
         if not stat.S_ISREG(path.stat().st_mode):
@@ -266,20 +234,20 @@ def check_own(path: Path, application_id: int, marker: str, name: str) -> None:
         raise ValueError(f"{path}: {error.strerror}") from None
     if not header or int.from_bytes(header[APPLICATION_ID]) == application_id:
         return
-    why = "is not an SQLite database, or its head is damaged"
+    why = "is not an SQLite database, or its header is damaged"
     if header.startswith(MAGIC) and len(header) == HEADER_BYTES:
         why = _why_foreign(path, header, marker)
     if why:
         raise ValueError(
-            f"{path}: this file {why}: it is no {name}, and stays as it is; name another file"
+            f"{path}: this file {why}: it is not a {name} and is left unchanged; name another file"
         )
 
 
 def _why_foreign(path: Path, header: bytes, marker: str) -> str:
-    """Return why a database without our number is not ours; empty if it is ours."""
+    """Return why a database without our number is foreign; empty if it is ours."""
     if any(header[APPLICATION_ID]):
         return "is a database of another application"
-    # immutable: no lock is taken, no log is merged, no file appears beside it
+    # immutable: SQLite takes no lock, merges no log and creates no file next to it
     address = f"{path.absolute().as_uri()}?mode=ro&immutable=1"
     try:
         with closing(sqlite3.connect(address, uri=True)) as connection:

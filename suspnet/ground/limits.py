@@ -1,4 +1,4 @@
-"""Limits of a vehicle's parameters by the rules of its maintenance, and how urgent a finding is."""
+"""Limits of a vehicle's parameters from its maintenance rules, and the severity of findings."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ class Severity(IntEnum):
 
     NONE = 0
     UNKNOWN = 1
-    """Nothing is known: no estimate, or one that is too uncertain."""
+    """No judgement is possible: no estimate, or one that is too uncertain."""
     NOTICE = 2
-    """Look at the suspension when it is next at hand."""
+    """Inspect the suspension at the next opportunity."""
     ACT = 3
     """The suspension needs work."""
 
     def __str__(self) -> str:
-        """Return the name in small letters, as it is written in tables."""
+        """Return the name in lower case, as in tables."""
         return self.name.lower()
 
 
@@ -36,15 +36,15 @@ class Limits:
     Parameters
     ----------
     notice, act : (lower, upper), [-]
-        Relative to healthy; 1 lies between, and `notice` lies within `act`. Lower 0, or upper
-        infinity or None, is no limit on that side.
+        Relative to healthy; 1 is between them, and `notice` is within `act`. Lower 0, or upper
+        infinity or None, means no limit on that side.
     why : str
-        The reason, in words.
+        The reason for these limits.
 
     Raises
     ------
     TypeError, ValueError
-        If they are not such pairs of numbers.
+        If the pairs are invalid.
     """
 
     notice: tuple[float, float]
@@ -68,14 +68,14 @@ class Limits:
             raise TypeError(f"`why` must be text, got {self.why!r}")
 
     def __str__(self) -> str:
-        """Return both in % of healthy."""
+        """Return both pairs in % of healthy."""
         notice, act = (
             " to ".join(f"{100 * one:g}" for one in pair) for pair in (self.notice, self.act)
         )
         return f"notice beyond {notice} %, act beyond {act} %"
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the limits as JSON-able values, None for infinity."""
+        """Return the limits as JSON-able values, with None for infinity."""
         pairs = {"notice": self.notice, "act": self.act}
         plain = {k: [low, None if high == np.inf else high] for k, (low, high) in pairs.items()}
         return plain | {"why": self.why}
@@ -99,31 +99,21 @@ DAMPER = Limits(
 
 
 DEFAULT_LIMITS = {"k_p": SPRING, "c_p": DAMPER, "k_s": SPRING, "c_s": DAMPER}
-"""Limits of a vehicle whose file says none. The car body's mass is payload and has none."""
+"""Limits of a vehicle whose file gives none. The car-body mass is payload and has none."""
 
 
 TIGHTEST = Limits((np.nextafter(1.0, 0.0), np.nextafter(1.0, 2.0)), (0.0, np.inf))
-"""Limits with either of which any other goes together."""
+"""Tightest notice and widest act limits: either one is consistent with any other limit."""
 
 
 def read_limits(
     given: Mapping[str, Any], default: Mapping[str, Limits] | None = None, why: str = ""
 ) -> dict[str, Limits]:
-    """Return the limits of each parameter of a configuration; null means that it has none.
+    """Return the limits of each parameter of a configuration.
 
-    Parameters
-    ----------
-    given : mapping
-        From a parameter to its `notice`, `act` and `why`, or to null.
-    default : mapping of Limits
-        What holds of parameters that are not there, and where one of the three is null or missing.
-    why : str
-        Reason of limits that are given without one.
-
-    Raises
-    ------
-    TypeError, ValueError
-        If a name is unknown or an entry is not a pair of limits; the message names the parameter.
+    `given` maps a parameter to its `notice`, `act` and `why`, or to null for no limits. `default`
+    applies to missing parameters and to missing or null entries; `why` is the default reason.
+    TypeError or ValueError, which names the parameter, is raised for an invalid entry.
     """
     if not isinstance(given, Mapping):
         raise TypeError(f"`limits` must map parameters to their limits, got {given!r}")
@@ -154,12 +144,12 @@ def read_limits(
 
 
 def limits_words(limits: Mapping[str, Limits]) -> str:
-    """Return limits and their reasons in words, those that are alike together."""
+    """Return limits and their reasons as text, with parameters of equal limits grouped."""
     alike: dict[Limits, list[str]] = {}
     for name, one in limits.items():
         alike.setdefault(one, []).append(name)
-    told = [
+    parts = [
         f"{', '.join(names)}: {one}{f' ({one.why})' * bool(one.why)}"
         for one, names in alike.items()
     ]
-    return "; ".join(told) or "none"
+    return "; ".join(parts) or "none"

@@ -1,11 +1,11 @@
-"""Names and units of the parameters that are estimated."""
+"""Names and units of the estimated parameters."""
 
 from __future__ import annotations
 
 PARAMETERS = ("k_p", "c_p", "k_s", "c_s", "M_s")
 """The parameters that may vary, in the order of every array of parameter ratios (1 = healthy)."""
 PAYLOAD = "M_s"
-"""Name of the car-body mass, which the payload changes from trip to trip."""
+"""Name of the car-body mass, which varies with the payload from trip to trip."""
 SI_COLUMNS = {
     "k_p": "k_p_n_per_m",
     "c_p": "c_p_ns_per_m",

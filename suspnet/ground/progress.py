@@ -1,4 +1,4 @@
-"""Progress of a program: bars where standard error is a terminal, lines in the log elsewhere."""
+"""Progress of a program: bars if standard error is a terminal, else lines in the log."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from tqdm import tqdm
 
 log = logging.getLogger(__name__)
 INTERVAL_S = 30.0
-"""Time between two lines of one step, [s]."""
+"""Time between two log lines of one step, [s]."""
 
 
 def bar(
@@ -25,22 +25,11 @@ def bar(
     unit: str = "",
     shown: bool = True,
 ) -> Any:
-    """Return a progress bar of tqdm, or an object like it that logs lines instead.
+    """Return a progress bar of tqdm, or a similar object that logs lines instead.
 
-    A line when the step starts, and one after each ``INTERVAL_S``, also while nothing is counted.
-
-    Parameters
-    ----------
-    title : str
-        Name of the step.
-    total : int, optional
-        How often `update` will count.
-    items : iterable, optional
-        What to iterate over; each counts.
-    unit : str
-        What is counted, in singular; empty if nothing is.
-    shown : bool
-        Whether there is a bar, and lines after the first.
+    A line is logged when the step starts and every ``INTERVAL_S``, also without progress. `unit` is
+    the singular of the things counted, empty if nothing is. Unless `shown`, there is no bar and
+    only the first line.
     """
     if shown and sys.stderr.isatty():
         form = None if unit else "{desc}: {elapsed}"
@@ -70,7 +59,7 @@ class _Lines(tqdm):  # type: ignore[type-arg]
         log.info(self.text())
 
     def text(self) -> str:
-        """Return the state, the time so far and an estimate of the time that is left."""
+        """Return count, elapsed time and estimated remaining time."""
         state = self.format_dict
         n, total, elapsed_s = state["n"], state["total"], state["elapsed"]
         parts = [f"{n:,} of {total:,}"] if total is not None else [f"{self.unit} {n:,}"] * (n > 0)
@@ -86,12 +75,9 @@ def _span(seconds: float) -> str:
 
 @contextmanager
 def on_stderr(before: str = "") -> Iterator[None]:
-    """Send the lines to standard error rather than to standard output, which is for results.
+    """Log progress to standard error instead of standard output, which is for results.
 
-    Parameters
-    ----------
-    before : str
-        Start of each line, where several programs write at the same time.
+    Each line starts with `before`, for several programs that write at the same time.
     """
     root = logging.getLogger()
     consoles = [h for h in root.handlers if getattr(h, "stream", None) is sys.stdout]

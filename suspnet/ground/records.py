@@ -1,4 +1,4 @@
-"""Records of trips: which suspension, its estimate or why there is none, and what healthy was."""
+"""Records of trips: suspension, estimate or the reason for none, and healthy reference."""
 
 from __future__ import annotations
 
@@ -14,22 +14,14 @@ from suspnet.ground.types import ComplexArray, FloatArray
 from suspnet.ground.wording import kilometres
 
 HIGHEST_KM = 2e7
-"""Mileage that no rail vehicle reaches [km]: 40 years of 500 000 km, which fast trains run."""
+"""Mileage that no rail vehicle reaches, [km]: 40 years of 500 000 km, as fast trains run."""
 
 
 @dataclass(frozen=True, order=True)
 class Place:
-    """Which suspension a trip is of; text is empty where the manifest does not say it.
+    """Location of a suspension; fields are empty if the manifest does not give them.
 
-    Parameters
-    ----------
-    suspension : str
-    bogie : str
-        One of ``BOGIES``.
-    side : str
-        One of ``SIDES``.
-    train, car : str
-        Of which train and which of its cars, in free text.
+    `bogie` is one of ``BOGIES``, `side` one of ``SIDES``; the others are free text.
     """
 
     suspension: str = ""
@@ -39,43 +31,44 @@ class Place:
     car: str = ""
 
     def __str__(self) -> str:
-        """Return the place in words."""
+        """Return the place as text."""
         vehicle = [self.train and f"train {self.train}", self.car and f"car {self.car}"]
         where = [self.bogie and f"{self.bogie} bogie", self.side]
         return ", ".join(filter(None, (*vehicle, self.suspension, *where))) or "unknown"
 
 
 Key = tuple[str, Place]
-"""Vehicle and place: which suspension it is."""
+"""Key of a suspension: vehicle and place."""
 
 
 OK, NO_ESTIMATE, ERROR = "ok", "no estimate", "error"
+"""Values of ``TripResult.status``."""
 
 
 @dataclass(frozen=True)
 class Quality:
-    """How well a trip's transfer functions are known.
+    """Quality of a trip's signals and transfer functions.
 
     Attributes
     ----------
     coherence_p, coherence_s : float, [-]
         Mean over the band, axle box - bogie and bogie - body.
     n_averages : float
-        Independent averages.
+        Number of independent averages.
     segments_used, segments_total : int
     duration_s : float, [s]
-        Common to all channels.
+        Duration common to all channels.
     usable_percent : float, [%]
         Share of the duration without a fault.
     speed_m_per_s : float, [m/s]
         Mean over the segments used.
     speed_bins : str
-        Each bin with its averages.
+        Each bin with its number of averages.
     features_found : str
     faults : str
-        What cleaning found in each channel, the speed and the clocks.
+        Faults that cleaning found in each channel, the speed and the clocks.
     read_as : str
-        How files were read, where that had to be found out, as of CSV files.
+        How files were read if their format had to be detected, as for CSV files.
     warnings : str
     """
 
@@ -106,9 +99,9 @@ class TripCurves:
     coherences, deviations : arrays of shape (2, n_freq), [-]
         Deviation: standard deviation of the log-magnitude.
     overview_s : array of shape (n_windows,), [s]
-        Begin of each window.
+        Start of each window.
     overview_low, overview_high, overview_mean : arrays of shape (3, n_windows), [m/s^2]
-        Least, largest and mean value of axle box, bogie and body in each window.
+        Minimum, maximum and mean of axle box, bogie and body in each window.
     overview_speed : array of shape (n_windows,), [m/s]
     """
 
@@ -131,7 +124,6 @@ class TripResult:
     ----------
     trip, manifest, vehicle : str
     place : Place
-        Which suspension it is of.
     mileage_km : float, [km]
     start : str
         ISO 8601, or empty.
@@ -141,28 +133,27 @@ class TripResult:
     estimates : dict of float, [-]
         Parameters relative to healthy; 1 is healthy.
     raw : dict of float, [-]
-        The same relative to the vehicle's nominal parameters.
+        Parameters relative to the vehicle's nominal ones.
     truth : dict of float, [-]
-        Of simulated trips, relative to the same as `estimates`.
+        True values of simulated trips, relative to the same as `estimates`.
     half_widths : dict of float, [-]
-        The interval of an estimate reaches from estimate * exp(-half width) to
-        estimate * exp(half width); NaN where the model has no intervals.
+        The interval of an estimate is estimate * exp(-half width) to estimate * exp(half width);
+        NaN if the model has no intervals.
     healthy_since_km : float, [km]
-        Mileage of the first healthy trip of the commissioning; NaN of a nominal vehicle.
+        Mileage of the first healthy trip of the commissioning; NaN for a nominal vehicle.
     healthy_si : dict of float, [N/m, N s/m, kg]
-        What a ratio of 1 in `raw` means.
+        Value of each parameter at a ratio of 1 in `raw`.
     healthy_half_widths : dict of float, [-]
-        Half widths of their intervals, in logarithms.
+        Half-widths of the healthy values' intervals, in logarithms.
     flags : str
-        The flags of the estimate in words; empty if there are none.
+        Flags of the estimate as text; empty if there are none.
     sides : str
-        Which side of which part is weaker, in words; empty without pairs of sensors, and if nothing
-        stands out.
+        Which side of which part is weaker; empty without pairs of sensors or without a difference.
     quality : Quality
     seconds : float, [s]
-        Time the evaluation took.
+        Duration of the evaluation.
     temperature_c : float, [°C]
-        Of the air outside; NaN where the manifest does not say it.
+        Temperature of the outside air; NaN if the manifest does not give it.
     curves : TripCurves, optional
     """
 
@@ -189,15 +180,15 @@ class TripResult:
     curves: TripCurves | None = None
 
     def interval(self, name: str) -> tuple[float, float]:
-        """Return lower and upper end of a parameter's interval, [-]; NaN where there is none."""
+        """Return lower and upper end of a parameter's interval, [-]; NaN if there is none."""
         value, half = (part.get(name, np.nan) for part in (self.estimates, self.half_widths))
-        with np.errstate(over="ignore"):  # nothing is known: from 0 to infinity
+        with np.errstate(over="ignore"):  # a half-width without information gives 0 to infinity
             return float(value * np.exp(-half)), float(value * np.exp(half))
 
     def si(self, name: str) -> tuple[float, float, float]:
-        """Return a parameter and the ends of its interval in SI units; NaN where there is none.
+        """Return a parameter and the ends of its interval in SI units; NaN if there is none.
 
-        The interval holds the uncertainty of the healthy value too, as independent.
+        The interval includes the uncertainty of the healthy value, assumed independent.
         """
         value = self.raw.get(name, np.nan) * self.healthy_si.get(name, np.nan)
         half = np.hypot(
@@ -207,7 +198,7 @@ class TripResult:
             return float(value), float(value * np.exp(-half)), float(value * np.exp(half))
 
     def row(self, outputs: tuple[str, ...]) -> dict[str, Any]:
-        """Return the trip as one flat row of a table; the same columns for every trip."""
+        """Return the trip as a flat row of a table, with the same columns for every trip."""
         flat = to_row(self)
         flat |= {name: math.nan for name, value in flat.items() if value is None}
         for name in outputs:
@@ -234,10 +225,10 @@ class TripResult:
 
 
 PLACE = tuple(one.name for one in fields(Place))
-"""Columns that say which suspension of which vehicle it is; empty where it is not said."""
+"""Columns of a suspension's place; empty if unknown."""
 NUMBERS = ("mileage_km", "healthy_since_km", "temperature_c", "seconds")
 TEXTS = ("trip", "start", "flags", "status", "reason", "sides", "manifest")
-"""Columns of a trip's numbers and texts, named as in its result."""
+"""Columns of a trip's numbers and texts, named as in ``TripResult``."""
 VALUES = {
     "estimates": "{}",
     "half_widths": "{}_half_width",
@@ -246,15 +237,15 @@ VALUES = {
     "healthy_si": "{}_healthy_si",
     "healthy_half_widths": "{}_healthy_half_width",
 }
-"""Numbers of each parameter, named as in a trip's result, and their columns."""
+"""Fields of ``TripResult`` with a number for each parameter, and the names of their columns."""
 QUALITY_TYPES = {one.name: str(one.type) for one in fields(Quality)}
-"""Each column of a trip's quality with the name of its type."""
+"""Columns of a trip's quality, with the names of their types."""
 
 
 def to_row(result: TripResult) -> dict[str, Any]:
-    """Return a trip as a flat row, as the store, the cache of finished trips and tables hold it.
+    """Return a trip as a flat row for the store, the cache of finished trips and tables.
 
-    None is a parameter's number that the trip does not have. Its curves are not in the row.
+    Missing numbers of a parameter are None. The row does not include the curves.
     """
     row: dict[str, Any] = {"vehicle": result.vehicle} | asdict(result.place)
     row |= {name: getattr(result, name) for name in (*TEXTS, *NUMBERS)}
@@ -264,7 +255,7 @@ def to_row(result: TripResult) -> dict[str, Any]:
 
 
 def from_row(row: Mapping[str, Any]) -> TripResult:
-    """Return the trip of a row of ``to_row``; None in place of any other number is NaN."""
+    """Return the trip of a row of ``to_row``; None in other numeric columns becomes NaN."""
     given: dict[str, Any] = {name: row[name] for name in ("vehicle", *TEXTS)}
     given |= {name: or_nan(row[name]) for name in NUMBERS}
     for name, column in VALUES.items():
@@ -279,12 +270,12 @@ def from_row(row: Mapping[str, Any]) -> TripResult:
 
 
 def or_nan(value: float | None) -> float:
-    """Return a number of the store, NaN in place of NULL."""
+    """Return a number of the store, with NaN for NULL."""
     return math.nan if value is None else float(value)
 
 
 def to_arrays(curves: TripCurves) -> dict[str, FloatArray]:
-    """Return curves as real arrays, as the store and the cache of finished trips hold them."""
+    """Return curves as real arrays for the store and the cache of finished trips."""
     arrays = {one.name: getattr(curves, one.name) for one in fields(curves)}
     responses = arrays.pop("responses")
     arrays |= {"real": np.real(responses), "imaginary": np.imag(responses)}
@@ -292,7 +283,7 @@ def to_arrays(curves: TripCurves) -> dict[str, FloatArray]:
 
 
 def to_responses(real: FloatArray, imaginary: FloatArray) -> ComplexArray:
-    """Return complex responses; a sum with 1j times a part would make NaN of infinity."""
+    """Return complex responses; `real + 1j * imaginary` would turn infinity into NaN."""
     responses = np.empty(real.shape, dtype=complex)
     responses.real, responses.imag = real, imaginary
     return responses
@@ -302,15 +293,8 @@ def to_responses(real: FloatArray, imaginary: FloatArray) -> ComplexArray:
 class Commissioning:
     """One healthy state of a suspension.
 
-    Attributes
-    ----------
-    since_km : float, [km]
-        Mileage of its first healthy trip.
-    healthy_si : dict of float, [N/m, N s/m, kg]
-    relative : dict of float, [-]
-        Its healthy values over those of the first commissioning.
-    trips : tuple of str
-        Names of its healthy trips.
+    It starts at `since_km`, with the first of its healthy `trips`. `relative` [-] are its healthy
+    values over those of the first commissioning.
     """
 
     since_km: float
@@ -320,17 +304,17 @@ class Commissioning:
 
     @property
     def words(self) -> str:
-        """What healthy is now, in % of the first commissioning."""
-        told = ", ".join(
+        """Text with the healthy values in % of those of the first commissioning."""
+        ratios = ", ".join(
             f"{name} {100 * ratio:.3g} %"
             for name, ratio in self.relative.items()
             if name != PAYLOAD
         )
-        return f"from {kilometres(self.since_km)} on healthy is {told} of the first commissioning"
+        return f"from {kilometres(self.since_km)} on healthy is {ratios} of the first commissioning"
 
 
 def by_mileage(results: Iterable[TripResult]) -> list[TripResult]:
-    """Return trips by mileage and name, those without a mileage last."""
+    """Return trips sorted by mileage and name, those without a mileage last."""
     return sorted(results, key=lambda r: (not math.isfinite(r.mileage_km), r.mileage_km, r.trip))
 
 
@@ -343,7 +327,7 @@ def relative_to_first_healthy(
 
 
 def _times(result: TripResult, factors: dict[str, float]) -> TripResult:
-    """Return a result with estimates and truth multiplied by factors, 1 where there is none."""
+    """Return a result with estimates and truth multiplied by factors; a missing factor is 1."""
     estimates, truth = (
         {name: value * factors.get(name, 1.0) for name, value in part.items()}
         for part in (result.estimates, result.truth)

@@ -1,6 +1,6 @@
-"""Settings: type, range, unit and sentence of each stand where its class declares it.
+"""Settings: type, range, unit and description, declared with the class that uses them.
 
-The comments of configs/, `--help`, docs/configuration.md and the messages of errors come from here.
+The comments in configs/, `--help`, docs/configuration.md and error messages are made from these.
 """
 
 from __future__ import annotations
@@ -14,24 +14,16 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_typ
 from suspnet.ground.checks import LARGEST, check_choice, check_flag, check_number
 
 NUMBERS = {2: "two numbers", 3: "three numbers", 4: "four numbers"}
-"""What a list of numbers is called by its length."""
+"""Name of a list of numbers by its length."""
 
 
 @dataclass(frozen=True)
 class Setting:
-    """What a setting means and which values it takes.
+    """Description and valid values of a setting.
 
-    It stands with a dataclass's field: by `setting` with its default, else in its annotation. Other
-    classes have a mapping `settings` from arguments.
-
-    Parameters
-    ----------
-    sentence : str
-    unit : str
-    low, above, high, below, most : float, optional
-        Bounds, as of `check_number`.
-    rule : str
-        Unit and range in words, where type and bounds do not say all of it.
+    A dataclass declares it with the field, by `setting` or in the annotation; other classes have a
+    mapping `settings` from arguments. Bounds are those of `check_number`. `rule` is unit and range
+    as text, if type and bounds do not cover them.
 
     Examples
     --------
@@ -65,17 +57,7 @@ def setting(default: Any, sentence: str, unit: str = "", **bounds: Any) -> Any:
 
 @dataclass(frozen=True)
 class Declared:
-    """A setting with its type.
-
-    Attributes
-    ----------
-    name : str
-    type : type
-        Without None.
-    is_optional : bool
-        Whether it may be None.
-    setting : Setting
-    """
+    """A setting with its name and its type, without None; `is_optional` if it may be None."""
 
     name: str
     type: Any
@@ -84,12 +66,12 @@ class Declared:
 
     @property
     def choices(self) -> tuple[Any, ...]:
-        """The values of a choice; none of any other setting."""
+        """Values of a choice; empty for any other setting."""
         return get_args(self.type) if get_origin(self.type) is Literal else ()
 
     @property
     def text(self) -> str:
-        """Sentence, then unit and range in brackets."""
+        """Description, followed by unit and range in brackets."""
         return f"{self.setting.sentence} [{self.rule}]"
 
     @property
@@ -113,7 +95,7 @@ class Declared:
         return "; ".join(filter(None, words))
 
     def check(self, name: str, value: Any) -> None:
-        """Raise TypeError or ValueError, which names the setting, unless a value is valid."""
+        """Raise TypeError or ValueError, whose message has `name`, unless a value is valid."""
         one = self.setting
         if value is None and self.is_optional:
             return
@@ -126,7 +108,7 @@ class Declared:
             bounds = {key: getattr(one, key) for key in ("low", "above", "high", "below")}
             several = get_origin(self.type) is tuple
             if several and len(value) != len(get_args(self.type)):
-                return  # which the class reports itself
+                return  # the class itself reports a wrong length
             for i, number in enumerate(value if several else [value]):
                 check_number(
                     f"{name}[{i}]" if several else name,
@@ -149,7 +131,7 @@ class Declared:
 def check_settings(given: Any, prefix: str = "") -> None:
     """Raise TypeError or ValueError unless each setting of an object is valid.
 
-    Messages call a setting by its name, after `prefix` and a dot if there is one.
+    Messages name a setting, preceded by `prefix` and a dot if that is given.
     """
     class_: Any = type(given)
     for name, one in settings_of(class_).items():
@@ -157,14 +139,14 @@ def check_settings(given: Any, prefix: str = "") -> None:
 
 
 def check_values(class_: Any, **values: Any) -> None:
-    """Do as `check_settings` does with some settings of a class, before there is an object."""
+    """Check values of some settings of a class, before an object is created."""
     for name, value in values.items():
         settings_of(class_)[name].check(name, value)
 
 
 @functools.cache
 def settings_of(class_: Any) -> Mapping[str, Declared]:
-    """Return the settings that a class declares."""
+    """Return the settings that a class declares, by name."""
     if is_dataclass(class_):
         declared = {one.name: one.metadata.get("setting") for one in fields(class_)}
         hints = get_type_hints(class_, include_extras=True)
@@ -187,7 +169,7 @@ def _declared(name: str, type_: Any, setting: Setting) -> Declared:
 
 
 def _short(number: float) -> str:
-    """Return a bound as it is written: powers of ten from 1e4 on as such."""
+    """Return a bound as text; round values from 1e4 on as powers of ten."""
     power = f"{number:.0e}".replace("e+0", "e").replace("e+", "e")
     if abs(number) >= 1e4 and float(power) == number:
         return power

@@ -1,4 +1,4 @@
-"""Files that are written atomically, and read in bounded time and memory whatever they are."""
+"""Files that are written atomically, and read in bounded time and memory even if malicious."""
 
 from __future__ import annotations
 
@@ -23,12 +23,13 @@ from suspnet.ground import ledger
 from suspnet.ground.ledger import HAS_LOCKS, lock
 
 DESCRIPTORS = "/proc/self/fd"
-"""Where Linux shows a process the files that it has open."""
+"""Folder in which Linux lists the open files of a process."""
 
 
 UNPRINTABLE = re.compile(
     "[\\x00-\\x08\\x0b-\\x1f\\x7f-\\x9f\\u061c\\u200e\\u200f\\u2028-\\u202e\\u2066-\\u2069\\ud800-\\udfff]"
 )
+"""Control characters, marks of writing direction and surrogates: see ``printable``."""
 
 
 class DamagedFileError(ValueError):
@@ -36,28 +37,16 @@ class DamagedFileError(ValueError):
 
 
 class NotPlainError(DamagedFileError):
-    """A path leads to something other than a plain file, or to one that is too large."""
+    """A path is not a plain file, or the file is too large."""
 
 
 def write_atomically(path: Path, content: bytes | str, force: bool = False) -> Path:
-    """Write a file that has no name in its folder before it is whole and on the disk.
+    """Write a file that gets its name only when it is complete and on the disk.
 
-    Where the file system has no files without a name, a hidden one in the same folder is written
-    and renamed. In a folder of results it is entered in the ledger first.
-
-    Parameters
-    ----------
-    path : Path
-    content : bytes or str
-    force : bool
-        Whether it replaces a file of a folder of results that this package did not write.
-
-    Raises
-    ------
-    FileExistsError
-        If the folder is one of results and holds such a file that this package did not write.
-    OSError
-        If the folder cannot be written; nothing is left behind.
+    On file systems without unnamed files, a hidden file in the same folder is written and renamed.
+    In a folder of results the file is entered in the ledger first; FileExistsError is raised if a
+    file there was not written by this package, unless `force` replaces it. A failed write leaves no
+    file behind.
     """
     data = content.encode() if isinstance(content, str) else content
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -84,27 +73,21 @@ def _opened(temporary: Path) -> tuple[int, bool]:
     if hasattr(os, "O_TMPFILE") and os.path.isdir(DESCRIPTORS):
         try:
             return os.open(temporary.parent, os.O_TMPFILE | os.O_WRONLY, 0o666), False
-        except OSError:  # the file system has no such files, or cannot be written at all
+        except OSError:  # no support for unnamed files, or the folder is not writable at all
             pass
     return os.open(temporary, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666), True
 
 
 def _give_name(handle: int, path: Path) -> None:
     folder = os.open(path.parent, os.O_RDONLY)
-    try:  # with a folder's descriptor Python follows the link of /proc
+    try:  # Python follows the link in /proc only if dst_dir_fd is given
         os.link(f"{DESCRIPTORS}/{handle}", path.name, dst_dir_fd=folder, follow_symlinks=True)
     finally:
         os.close(folder)
 
 
 def new_folder(wanted: Path) -> Path:
-    """Make a folder that nobody else has, and return it: `wanted`, or `wanted`_2, _3, ...
-
-    Raises
-    ------
-    OSError
-        If it cannot be made.
-    """
+    """Create a new folder and return it: `wanted`, or `wanted`_2, _3, ... if that exists."""
     wanted.parent.mkdir(parents=True, exist_ok=True)
     for number in count(1):  # ends: there are fewer folders than numbers
         folder = wanted if number == 1 else wanted.with_name(f"{wanted.name}_{number}")
@@ -120,10 +103,8 @@ def new_folder(wanted: Path) -> Path:
 def locked(folder: Path, wait: bool = True) -> Iterator[bool]:
     """Lock a folder against other threads and processes that lock it too.
 
-    Yields
-    ------
-    bool
-        False if someone else has it and `wait` is false. True where the file system has no locks.
+    Yields False if another one holds the lock and `wait` is false, else True, also on file systems
+    without locks.
     """
     folder.mkdir(parents=True, exist_ok=True)
     handle = os.open(folder, os.O_RDONLY) if HAS_LOCKS else None
@@ -145,20 +126,20 @@ def json_bytes(content: Any) -> bytes:
 
 
 def read_json(path: Path) -> Any:
-    """Return what a JSON file holds.
+    """Return the content of a JSON file.
 
     Raises
     ------
     FileNotFoundError
         If there is no such file.
     DamagedFileError
-        If it is no plain file, too large or not valid JSON.
+        If it is not a plain file, too large or not valid JSON.
     """
     content = read_plain(path)
     try:
         return json.loads(content.decode())
     except RecursionError as error:
-        raise DamagedFileError(f"{path} is not ours: it is nested too deeply") from error
+        raise DamagedFileError(f"{path} is not a suspnet file: it is nested too deeply") from error
     except ValueError as error:
         raise DamagedFileError(f"{path} is damaged or not JSON ({error})") from error
 
@@ -169,39 +150,23 @@ def dump_arrays(arrays: Mapping[str, NDArray[Any]]) -> bytes:
 
 
 def read_arrays(path: Path, sha256: str | None = None) -> dict[str, NDArray[Any]]:
-    """Return the arrays of a safetensors file.
-
-    Parameters
-    ----------
-    path : Path
-    sha256 : str, optional
-        The hash the file must have.
+    """Return the arrays of a safetensors file, whose hash must be `sha256` if that is given.
 
     Raises
     ------
     FileNotFoundError
         If there is no such file.
     DamagedFileError
-        If the file is no plain file, truncated, altered or of another format.
+        If it is not a plain file, truncated, altered or of another format.
     """
     return load_arrays(read_plain(path, MOST_BYTES), str(path), sha256)
 
 
 def load_arrays(content: bytes, name: str, sha256: str | None = None) -> dict[str, NDArray[Any]]:
-    """Return the arrays of bytes in the safetensors format.
+    """Return the arrays of `content` in the safetensors format; errors name it `name`.
 
-    Parameters
-    ----------
-    content : bytes
-    name : str
-        Start of the error's message.
-    sha256 : str, optional
-        The hash the bytes must have.
-
-    Raises
-    ------
-    DamagedFileError
-        If they are truncated, altered or of another format.
+    DamagedFileError is raised if it is truncated, of another format or has another hash than
+    `sha256`.
     """
     if sha256 is not None and hashlib.sha256(content).hexdigest() != sha256:
         raise DamagedFileError(
@@ -214,15 +179,15 @@ def load_arrays(content: bytes, name: str, sha256: str | None = None) -> dict[st
 
 
 def content_hash(description: Any) -> str:
-    """Return the SHA-256 of a JSON-able description, for naming what was made from it."""
+    """Return the SHA-256 of a JSON-able description, which names files made from it."""
     return hashlib.sha256(json.dumps(description, sort_keys=True).encode()).hexdigest()
 
 
 def printable(text: str) -> str:
-    """Return text that every file can hold and that controls no terminal.
+    """Return text that is safe in files and terminals.
 
-    Control characters other than ends of lines and tabs, marks of the direction of writing, and
-    bytes that are not UTF-8 become escapes.
+    Control characters other than newlines and tabs, marks of writing direction, and bytes that are
+    not UTF-8 are escaped.
     """
     return UNPRINTABLE.sub(lambda found: found[0].encode("unicode_escape").decode(), text)
 
@@ -241,14 +206,14 @@ def _finite(content: Any) -> Any:
 
 
 MOST_TEXT_BYTES = 2**24
-"""Largest size of a file of text: manifests and descriptions of models have kilobytes, and 16 MiB
-are parsed in seconds and half a gigabyte."""
+"""Largest size of a text file, [bytes]. Manifests and model descriptions have kilobytes; parsing
+16 MiB takes seconds and half a gigabyte."""
 MOST_BYTES = 2**34
-"""Largest size of a file of arrays that is read whole."""
+"""Largest size of a file of arrays that is read at once, [bytes]."""
 MOST_EXTENTS = 4096
-"""Largest number of pieces of data between the holes of a sparse file that are counted."""
+"""Largest number of data extents of a sparse file that are counted."""
 FREE_BYTES, DENSITY = 2**28, 100
-"""A file that is read whole may have 256 MB, and beyond that 100 bytes for each stored byte."""
+"""A file read at once may have 256 MiB, and beyond that 100 bytes for each stored byte."""
 
 _KINDS = (
     (stat.S_ISDIR, "a folder"),
@@ -259,16 +224,11 @@ _KINDS = (
 
 
 def open_plain(path: Path) -> BinaryIO:
-    """Return a plain file, or one that a link leads to, open for reading; it never waits.
+    """Open a plain file, or one that a link leads to, for reading, without ever blocking.
 
-    Raises
-    ------
-    NotPlainError
-        If it is a folder, a named pipe, a socket or a device.
-    OSError
-        If it cannot be opened, FileNotFoundError among them.
+    NotPlainError is raised for a folder, a named pipe, a socket or a device.
     """
-    _check(path, os.stat(path).st_mode)  # opening some devices already does something
+    _check(path, os.stat(path).st_mode)  # merely opening some devices has side effects
     flags = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_NOCTTY", 0)
     handle = os.open(path, flags | getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_BINARY", 0))
     try:
@@ -282,12 +242,8 @@ def open_plain(path: Path) -> BinaryIO:
 def read_plain(path: Path, most_bytes: int = MOST_TEXT_BYTES) -> bytes:
     """Return the content of a plain file.
 
-    Raises
-    ------
-    NotPlainError
-        If it is no plain file, holds more than `most_bytes`, or hardly stores any of what it holds.
-    OSError
-        If it cannot be read, FileNotFoundError among them.
+    NotPlainError is raised if it is not a plain file, larger than `most_bytes`, or sparse and large
+    (``DENSITY``).
     """
     with open_plain(path) as stream:
         size = os.fstat(stream.fileno()).st_size
@@ -301,7 +257,7 @@ def read_plain(path: Path, most_bytes: int = MOST_TEXT_BYTES) -> bytes:
 
 
 def stored_bytes(stream: BinaryIO) -> int:
-    """Return how many bytes of a file are stored; holes of a sparse file are not."""
+    """Return the number of stored bytes of a file, without the holes of a sparse file."""
     handle = stream.fileno()
     size = os.fstat(handle).st_size
     if not hasattr(os, "SEEK_HOLE"):
@@ -313,7 +269,7 @@ def stored_bytes(stream: BinaryIO) -> int:
             place = os.lseek(handle, start, os.SEEK_HOLE)
             stored += place - start
         stored += size - place
-    except OSError:  # no data follow
+    except OSError:  # no more data
         pass
     finally:
         os.lseek(handle, before, os.SEEK_SET)

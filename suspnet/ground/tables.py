@@ -1,4 +1,4 @@
-"""Tables in files."""
+"""Writing of tables to files."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from suspnet.ground.storage import write_atomically
 
 
 def write_table(table: pa.Table, path: Path) -> None:
-    """Write a table as `path` with the suffixes .parquet and .csv."""
+    """Write a table to `path` with the suffixes .parquet and .csv."""
     for suffix, write in ((".parquet", pq.write_table), (".csv", pacsv.write_csv)):
         stream = io.BytesIO()
         write(table, stream)

@@ -1,4 +1,4 @@
-"""Tensors at the boundary: from whatever a caller has, on a device that torch can use."""
+"""Conversion to tensors, a check of the device, and operations on complex tensors."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from torch import Tensor
 
 
 def as_tensor(values: Tensor | ArrayLike) -> Tensor:
-    """Return a tensor as it is, and anything else that NumPy can read as a float64 copy.
+    """Return a tensor unchanged, and any other array-like as a float64 copy.
 
     Examples
     --------
@@ -31,12 +31,12 @@ def check_device(device: str) -> None:
 
 
 def squared_size(values: Tensor) -> Tensor:
-    """Return |x|^2 of complex numbers, without the root that torch.abs takes first."""
+    """Return |x|^2 of complex numbers, without the square root of torch.abs."""
     return values.real.square() + values.imag.square()
 
 
 def complex_log(values: Tensor) -> Tensor:
-    """Return log x of complex numbers; on a CPU in a third of the time of torch.log.
+    """Return log x of complex numbers, on a CPU in a third of the time of torch.log.
 
     |x|^2 must neither overflow nor underflow.
     """

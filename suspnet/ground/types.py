@@ -1,4 +1,4 @@
-"""Names of the array types that signatures use; shapes and units stand in each docstring."""
+"""Array types of signatures; docstrings give shapes and units."""
 
 from __future__ import annotations
 

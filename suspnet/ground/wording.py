@@ -1,4 +1,4 @@
-"""Numbers and their nouns as people read them, the same in messages, tables and pages."""
+"""Numbers and units as text, the same in messages, tables and pages."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ NO_NUMBER = "\N{EN DASH}"
 
 
 def count(n: int, noun: str) -> str:
-    """Return a number with its noun, in the plural where it is not one."""
+    """Return a number with its noun, in the plural unless it is 1."""
     return f"{n} {noun}{'s' * (n != 1)}"
 
 
 def number(value: float | None, digits: int = 1, scale: float = 1.0) -> str:
-    """Return a number with a true minus sign, or a dash if there is none."""
+    """Return a number with a typographic minus sign, or a dash if it is None or not finite."""
     if value is None or not math.isfinite(value):
         return NO_NUMBER
     text = f"{value * scale:.{digits}f}"
@@ -22,7 +22,7 @@ def number(value: float | None, digits: int = 1, scale: float = 1.0) -> str:
 
 
 def thousands(value: float) -> str:
-    """Return a whole number with spaces between thousands, or a dash if there is none."""
+    """Return a whole number with spaces between thousands, or a dash if it is not finite."""
     return f"{value:,.0f}".replace(",", " ") if math.isfinite(value) else NO_NUMBER
 
 
@@ -32,10 +32,10 @@ def kilometres(value: float) -> str:
 
 
 def span(*texts: str) -> str:
-    """Return the ends of a range, or one text if both ends read the same."""
+    """Return the ends of a range, or one text if both are equal."""
     return " to ".join(dict.fromkeys(texts))
 
 
 def unbroken(words: str) -> str:
-    """Return words in which no line ends between a number and its unit, or within a number."""
+    """Return text without line breaks between a number and its unit, or within a number."""
     return re.sub(r"(?<=\d) (?=%|km|\d{3})", "\N{NO-BREAK SPACE}", words)

@@ -1,7 +1,7 @@
-"""Processes that end with the one that started them, and work that survives the death of one.
+"""Worker processes that end with their parent, and work that survives the death of a worker.
 
-In the pools of concurrent.futures and of loky one killed process breaks the pool, and with it all
-items that wait or run; here each worker is a pool of one process.
+In the pools of concurrent.futures and loky one killed process breaks the pool, which loses all
+waiting and running items; here each worker is a pool of one process.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ from joblib.parallel import LokyBackend
 from tqdm import tqdm
 
 WATCH_S = 1.0
-"""Time between two looks at whether the parent process is alive [s]."""
+"""Time between two checks that the parent process is alive, [s]."""
 ATTEMPTS = 2
-"""Largest number of processes that work on one item, one after the other, if they are killed."""
+"""Largest number of attempts at one item whose process is killed."""
 THREADS = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
-"""Environment variables that share the cores among processes."""
+"""Environment variables for the number of threads of a process."""
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
@@ -39,7 +39,7 @@ class LostWorkerError(RuntimeError):
 
 
 def guarded(n_workers: int) -> ProcessPoolExecutor:
-    """Return an executor of one process that ends with this one; `n_workers` share the cores."""
+    """Return an executor with one process that ends with this one; `n_workers` share the cores."""
     n_threads = str(max(cpu_count() // n_workers, 1))
     env = {name: os.environ.get(name, n_threads) for name in THREADS}
     return ProcessPoolExecutor(1, env=env, initializer=begin)
@@ -48,21 +48,11 @@ def guarded(n_workers: int) -> ProcessPoolExecutor:
 def each(
     function: Callable[[Item], Result], items: Iterable[Item], n_workers: int
 ) -> Iterator[tuple[Item, Result | LostWorkerError]]:
-    """Yield every item with what a function returns for it, in the order in which they are done.
+    """Yield every item with the function's result for it, in order of completion.
 
-    The death of a process costs one attempt at the item that it had, which is tried ``ATTEMPTS``
-    times in all. With one worker this process does the work itself.
-
-    Parameters
-    ----------
-    function : callable
-        Can be pickled. What it raises is raised here.
-    items : iterable
-    n_workers : int
-
-    Yields
-    ------
-    item, result or LostWorkerError
+    An item whose process dies is tried ``ATTEMPTS`` times, then its result is a LostWorkerError.
+    Exceptions of the function, which must be picklable, are raised here. With one worker this
+    process does the work itself.
     """
     if n_workers == 1 or multiprocessing.current_process().daemon:  # daemons have no children
         for item in items:
@@ -73,7 +63,7 @@ def each(
     running: dict[Future[Result], tuple[Item, int, ProcessPoolExecutor]] = {}
     alive = set(idle)
     try:
-        # ends: each turn ends an attempt at least, and an item has no more than ATTEMPTS of them
+        # terminates: each pass ends at least one attempt, and an item has at most ATTEMPTS
         while waiting or running:
             while waiting and idle:
                 item, attempt = waiting.popleft()
@@ -83,9 +73,8 @@ def each(
                 item, attempt, executor = running.pop(future)
                 try:
                     result: Result | LostWorkerError = future.result()
-                except (
-                    BrokenProcessPool
-                ) as error:  # a new process takes the place of the killed one
+                except BrokenProcessPool as error:
+                    # a killed process breaks its pool: replace it
                     executor.shutdown(kill_workers=True)
                     alive.remove(executor)
                     executor = guarded(n_workers)
@@ -112,10 +101,8 @@ def _killed(error: BrokenProcessPool) -> str:
 
 
 def begin() -> None:
-    """Prepare a worker process: it ends with its parent, and only the parent gets Ctrl-C.
-
-    tqdm's usual lock is a semaphore of the system, which a worker that is killed leaves behind.
-    """
+    """Prepare a worker process: it ends with its parent, and only the parent receives Ctrl-C."""
+    # tqdm's default lock is a system semaphore, which a killed worker would leave behind
     tqdm.set_lock(threading.RLock())
     if threading.current_thread() is threading.main_thread():
         signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -124,7 +111,7 @@ def begin() -> None:
 
 @functools.cache
 def end_with_parent() -> None:
-    """End this process within ``WATCH_S`` of the one that started it, if it is a worker.
+    """End this process within ``WATCH_S`` of its parent, if it is a worker.
 
     A killed parent cannot stop its workers, which would wait for work forever.
     """
@@ -134,19 +121,19 @@ def end_with_parent() -> None:
 
 
 def _watch(parent: int) -> None:
-    while os.getppid() == parent:  # an orphan gets another parent
+    while os.getppid() == parent:  # an orphan is adopted by another process
         time.sleep(WATCH_S)
     os._exit(128 + signal.SIGTERM)
 
 
 class _GuardedLoky(LokyBackend):  # type: ignore[misc]
-    """joblib's processes, which end with the process that started them."""
+    """joblib's loky backend with worker processes that end with their parent."""
 
     def configure(self, *args: Any, **options: Any) -> int:
-        """Do as joblib does, and prepare each process."""
+        """Configure the backend with ``begin`` as the initializer of each process."""
         return int(super().configure(*args, **options | {"initializer": begin}))
 
 
 def guard_joblib() -> None:
-    """Make all processes that joblib starts from now on end with this one."""
+    """Let all processes that joblib starts after this call end with this one."""
     register_parallel_backend("loky", _GuardedLoky)

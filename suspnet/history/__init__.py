@@ -1,4 +1,4 @@
-"""History of suspensions: one store of trips, estimates, alarms and maintenance events."""
+"""Store of the history of suspensions: trips, estimates, alarms and maintenance events."""
 
 from suspnet.history.arrays import TripResponses
 from suspnet.history.database import HistoryError

@@ -1,4 +1,4 @@
-"""Trips of suspensions as arrays: all of them, for a view of the fleet, and curves of a few."""
+"""Trips as arrays for a view of the fleet, and the stored curves of some of them."""
 
 from __future__ import annotations
 
@@ -32,24 +32,24 @@ from suspnet.history.suspensions import is_one_of, known_suspensions, read_store
 from suspnet.maintenance.series import NUMBERS, Event, Series, utc
 
 ROWS = 20_000
-"""Rows that are held as Python's objects at once."""
+"""Number of rows that are Python objects at the same time, which bounds the memory."""
 TEXTS = ("trip", "start")
 VALUE_COLUMNS = [
     VALUES[key].format(name) for key in ("estimates", "half_widths") for name in PARAMETERS
 ]
 N_NUMBERS = 2 + len(NUMBERS) + len(VALUE_COLUMNS)
-"""Number of columns of numbers: suspension, whether flagged, ``NUMBERS``, and these values."""
+"""Number of numeric columns: suspension, whether flagged, ``NUMBERS`` and ``VALUE_COLUMNS``."""
 NOT_NEGATIVE = {"mileage_km", *VALUE_COLUMNS[len(PARAMETERS) :]}
 Block = tuple[FloatArray, NDArray[np.str_], NDArray[np.datetime64]]
-"""Columns of some trips: numbers of shape (n_trips, N_NUMBERS), names, starts."""
+"""Columns of some trips: numbers of shape (n_trips, ``N_NUMBERS``), names and starts."""
 
 
 def read_series(
     connection: Connection, bad: list[BadRow], keys: Collection[Key] | None = None
 ) -> list[Series]:
-    """Return all trips of each suspension, or of those named, sorted by vehicle and place.
+    """Return all trips of each suspension, or of those in `keys`, sorted by vehicle and place.
 
-    Rows that cannot be read are left out, and added to `bad`.
+    Unreadable rows are left out and appended to `bad`.
     """
     names = {one: key for one, (key, _) in known_suspensions(connection).items()}
     chosen = None if keys is None else [one for one, key in names.items() if key in keys]
@@ -63,7 +63,7 @@ def read_series(
     found = []
     for one, part in zip(ids.tolist(), parts, strict=True):
         if one not in names:
-            continue  # its suspension is a bad row, or has just been added
+            continue  # its suspension is unreadable, or has just been added
         vehicle, place = names[one]
         columns = iter(numbers[part].T[1:].copy())
         flagged = next(columns) > 0
@@ -102,7 +102,7 @@ def _columns(
 
 
 def _readable(rows: Sequence[Any], names: Mapping[int, Key], bad: list[BadRow]) -> list[Block]:
-    """Return the columns of the rows that can be read; the others are found by halving."""
+    """Return the columns of the readable rows; the others are found by bisection."""
     try:
         return [_block(rows)]
     except (TypeError, ValueError, OverflowError) as error:
@@ -112,7 +112,7 @@ def _readable(rows: Sequence[Any], names: Mapping[int, Key], bad: list[BadRow]) 
         return _readable(rows[:half], names, bad) + _readable(rows[half:], names, bad)
     (row,) = rows
     try:
-        check_types(trips, row._mapping)  # says which column it is
+        check_types(trips, row._mapping)  # its message names the column
     except ValueError as error:
         why = error
     bad.append(bad_row(trips, row._mapping, why, names.get(row[0])))
@@ -120,13 +120,7 @@ def _readable(rows: Sequence[Any], names: Mapping[int, Key], bad: list[BadRow]) 
 
 
 def _block(rows: Sequence[Any]) -> Block:
-    """Return the columns of rows.
-
-    Raises
-    ------
-    TypeError, ValueError, OverflowError
-        If a value of one of them cannot be used.
-    """
+    """Return the columns of rows; TypeError, ValueError or OverflowError if a value is invalid."""
     columns = list(zip(*rows, strict=True)) or [()] * (N_NUMBERS + len(TEXTS))
     texts = columns[N_NUMBERS : N_NUMBERS + len(TEXTS)]
     numbers = np.array(columns[:N_NUMBERS], dtype=float).T
@@ -143,9 +137,9 @@ def _block(rows: Sequence[Any]) -> Block:
 
 
 N_NEWEST = 3
-"""Number of the newest trips whose curves are stored, besides those of the first."""
+"""Number of newest trips whose curves are stored, in addition to those of the first trip."""
 NAMES = ("frequencies_hz", "real", "imaginary", "coherences", "deviations")
-"""Arrays of a trip as they are stored."""
+"""Names of the stored arrays of a trip."""
 
 
 ROW = (str, int | float | None, str, bytes | memoryview, str)
@@ -154,20 +148,7 @@ ROW = (str, int | float | None, str, bytes | memoryview, str)
 
 @dataclass(frozen=True, eq=False)
 class TripResponses:
-    """Transfer functions of one trip, as the store holds them.
-
-    Attributes
-    ----------
-    trip : str
-    mileage_km : float, [km]
-    start : str
-        ISO 8601, or empty.
-    frequencies_hz : array of shape (n_freq,), [Hz]
-    responses : complex array of shape (2, n_freq), [-]
-        G_p and G_s.
-    coherences, deviations : arrays of shape (2, n_freq), [-]
-        Deviation: standard deviation of the log-magnitude.
-    """
+    """Stored transfer functions of one trip; the fields are as in ``TripCurves``."""
 
     trip: str
     mileage_km: float
@@ -182,9 +163,9 @@ Order = tuple[int, float, str, str]
 
 
 def order(mileage_km: float, start: str, trip: str) -> Order:
-    """Return the place of a trip among those of its suspension: by mileage, start and name.
+    """Return the key that sorts the trips of a suspension by mileage, start and name.
 
-    Trips without a mileage come first, so that they are never taken for the newest of others.
+    Trips without a mileage come first, so that they never count as the newest.
     """
     known = not math.isnan(mileage_km)
     return int(known), mileage_km if known else 0.0, start, trip
@@ -193,19 +174,10 @@ def order(mileage_km: float, start: str, trip: str) -> Order:
 def write_curves(
     connection: Connection, suspension: int, results: Mapping[bytes, TripResult]
 ) -> None:
-    """Store the curves of a suspension's trips, as far as they are the first or the newest.
+    """Store the curves of the first and of the newest trips of a suspension, and delete others.
 
-    Curves that were stored of these trips before are replaced, or deleted where a trip has none any
-    more; so are those of trips that are no longer among the newest.
-
-    Parameters
-    ----------
-    connection : Connection
-        Of a transaction that has locked the suspension.
-    suspension : int
-        Its number in the store.
-    results : mapping of TripResult
-        Trips by their keys, of this suspension.
+    `results` are trips of the suspension by key: their stored curves are replaced, or deleted if
+    they have none now. The transaction of `connection` must have locked the suspension.
     """
     of_one = curves.c.suspension_id == suspension
     chosen = (
@@ -232,22 +204,11 @@ def write_curves(
 def read_responses(
     connection: Connection, where: sql.ColumnElement[bool], name: str
 ) -> list[TripResponses]:
-    """Return the stored curves of a suspension, by mileage.
+    """Return the stored curves of the suspension selected by `where`, by mileage.
 
-    Parameters
-    ----------
-    connection : Connection
-    where : condition
-        Chooses the suspension.
-    name : str
-        Of store and suspension, for the message of an error.
-
-    Raises
-    ------
-    HistoryError
-        If they were altered.
+    HistoryError, whose message starts with `name`, is raised if they were altered.
     """
-    # NullType: whatever is there comes as it is, to be refused by name
+    # NullType returns a value of any type unchanged, so that it can be refused with a message
     arrays = sql.type_coerce(curves.c.arrays, sql.types.NullType())
     columns = trips.c.trip, trips.c.mileage_km, trips.c.start, arrays, curves.c.sha256
     chosen = (
@@ -276,13 +237,7 @@ def _row(suspension: int, key: bytes, found: TripCurves) -> dict[str, object]:
 def _responses(
     trip: str, mileage_km: float | None, start: str, content: bytes, sha256: str, *, name: str
 ) -> TripResponses:
-    """Return curves from the bytes that are stored of them.
-
-    Raises
-    ------
-    HistoryError
-        If these were altered.
-    """
+    """Return curves from their stored bytes; HistoryError if these were altered."""
     what = f"{name}: the stored curves of {trip}"
     try:
         arrays = load_arrays(bytes(content), what, sha256)

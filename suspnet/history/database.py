@@ -20,9 +20,9 @@ from suspnet.history.schema import SCHEMA, metadata, versions
 
 log = logging.getLogger(__name__)
 WAIT_S = 60.0
-"""Time that a writer waits for another one, [s]."""
+"""Longest time that a writer waits for another one, [s]."""
 CONNECT_S = 5
-"""Time that a server has to accept a connection, [s]."""
+"""Longest time to connect to a server, [s]."""
 APPLICATION_ID = 0x73757368
 """Number in the header of an SQLite store, by which it is recognised."""
 DAMAGED = (
@@ -30,36 +30,30 @@ DAMAGED = (
     "into a new one"
 )
 MARKER = f"SELECT 1 FROM {versions.name}"
-"""Query that returns a row of a store."""
+"""Query that returns a row if a database is a store."""
 READS = "suspnet_reads"
-"""Option of a connection that SQLite starts without the lock of a writer."""
+"""Execution option of read-only connections, for which SQLite takes no write lock."""
 LOCK = 0x73757370
-"""Number of the lock of PostgreSQL under which the tables are made."""
+"""Number of PostgreSQL's advisory lock under which the tables are created."""
 
 
 class HistoryError(ValueError):
-    """The store cannot be used: another file, another version, a server that does not answer."""
+    """The store cannot be used: not a store, another version, or a server that does not answer."""
 
 
 class BusyError(HistoryError):
-    """Another program holds the store locked for longer than is waited for."""
+    """Another program has locked the store for too long."""
 
 
 def database_url(place: str | Path) -> URL:
-    """Return the URL of a store that is named by a file or a URL.
-
-    Raises
-    ------
-    HistoryError
-        If it is none, or of another database.
-    """
+    """Return the URL of a store from a path or a URL; HistoryError for other kinds of database."""
     text = str(place)
     if "://" not in text:
         return URL.create("sqlite", database=text)
     try:
         url = make_url(text)
     except ArgumentError:
-        raise HistoryError(f"{text!r} is no URL of a database") from None
+        raise HistoryError(f"{text!r} is not a database URL") from None
     if url.drivername in ("postgresql", "postgres"):
         url = url.set(drivername="postgresql+psycopg")
     if url.get_backend_name() not in ("sqlite", "postgresql"):
@@ -71,20 +65,10 @@ def database_url(place: str | Path) -> URL:
 
 
 def connect(url: URL, wait_s: float = WAIT_S, *, must_exist: bool = False) -> Engine:
-    """Return the engine of a store; a file of somebody else is refused before it is opened.
+    """Return the engine of a store; a foreign file is refused before SQLite opens it.
 
-    Parameters
-    ----------
-    url : URL
-    wait_s : float, [s]
-        Longest time that a statement waits for other programs.
-    must_exist : bool
-        Whether a file that is missing is refused.
-
-    Raises
-    ------
-    HistoryError
-        If a driver, a folder or a file is missing, or the file is no store.
+    A statement waits at most `wait_s` for other programs. HistoryError is raised if a driver, the
+    folder or, with `must_exist`, the file is missing, or if it is not a store.
     """
     if url.get_backend_name() == "postgresql":
         return _connect_server(url, wait_s)
@@ -111,7 +95,7 @@ def connect(url: URL, wait_s: float = WAIT_S, *, must_exist: bool = False) -> En
     @sql.event.listens_for(engine, "connect")
     def _connected(connection: Any, _: Any) -> None:
         connection.isolation_level = None  # transactions are started below, not by the driver
-        # a damaged letter must not hide all other rows
+        # by default one damaged character would make the whole query fail
         connection.text_factory = functools.partial(str, encoding="utf-8", errors="replace")
         connection.execute("PRAGMA foreign_keys = ON")
 
@@ -137,9 +121,9 @@ def _connect_server(url: URL, wait_s: float) -> Engine:
 
 
 def reading(engine: Engine) -> Engine:
-    """Return the engine for transactions that only read: they see one state of the store.
+    """Return the engine for read-only transactions, each of which sees one snapshot of the store.
 
-    In SQLite they wait for no writer that has not yet come to the end of its transaction.
+    In SQLite they do not wait for the transaction of a writer.
     """
     if engine.dialect.name == "sqlite":
         return engine.execution_options(**{READS: True})
@@ -147,20 +131,20 @@ def reading(engine: Engine) -> Engine:
 
 
 def is_prepared(connection: Connection, name: str) -> bool:
-    """Return whether the tables are there.
+    """Return whether the tables of a store exist.
 
-    Raises
-    ------
-    HistoryError
-        If they are of another version, or not ours; it starts with the `name`.
+    HistoryError, whose message starts with `name`, is raised if they are of another version or of
+    another application.
     """
     is_file = connection.dialect.name == "sqlite"
     if is_file and connection.exec_driver_sql(ACTING).first() is not None:
-        raise HistoryError(f"{name}: it holds a view or trigger: this is no store of suspnet")
+        raise HistoryError(f"{name}: this is not a store of suspnet: it has a view or a trigger")
     there = set(sql.inspect(connection).get_table_names())
     if versions.name not in there:
         if there & set(metadata.tables):
-            raise HistoryError(f"{name}: this is no store of suspnet, but has tables like it")
+            raise HistoryError(
+                f"{name}: this is not a store of suspnet, but has tables of the same names"
+            )
         return False
     version = connection.execute(sql.select(versions.c.schema)).scalar()
     if version != SCHEMA:
@@ -172,27 +156,21 @@ def is_prepared(connection: Connection, name: str) -> bool:
 
 
 def prepare(connection: Connection, name: str) -> None:
-    """Make the tables unless another program has just done so.
-
-    Raises
-    ------
-    HistoryError
-        If those that are there are of another version, or not ours; it starts with the `name`.
-    """
-    if connection.dialect.name == "postgresql":  # two programs may be the first at once
+    """Create the tables unless another program has just done so; errors as in ``is_prepared``."""
+    if connection.dialect.name == "postgresql":  # two programs may create them concurrently
         connection.execute(sql.select(sql.func.pg_advisory_xact_lock(LOCK)))
     if is_prepared(connection, name):
         return
     if connection.dialect.name == "sqlite":
         connection.exec_driver_sql(f"PRAGMA application_id = {APPLICATION_ID}")
     elif others := sql.inspect(connection).get_table_names():
-        log.warning("%s: new tables of a store, next to %d tables of others", name, len(others))
+        log.warning("%s: new tables of a store, next to %d other tables", name, len(others))
     metadata.create_all(connection)
     connection.execute(versions.insert().values(schema=SCHEMA))
 
 
 def error_of(error: SQLAlchemyError | UnicodeDecodeError, name: str) -> HistoryError:
-    """Return an error of the database as one line that starts with the store's name."""
+    """Return an error of the database as a HistoryError of one line that starts with `name`."""
     words = " ".join(str(getattr(error, "orig", None) or error).split("\n")[0].split())
     cause = error.orig if isinstance(error, DBAPIError) else None
     code = getattr(cause, "sqlite_errorcode", 0) & 0xFF
@@ -208,17 +186,16 @@ def error_of(error: SQLAlchemyError | UnicodeDecodeError, name: str) -> HistoryE
 
 
 def check_file(connection: Connection, name: str) -> None:
-    """Raise HistoryError, which starts with the `name`, if an SQLite file is damaged."""
+    """Raise HistoryError, whose message starts with `name`, if an SQLite file is damaged."""
     words = connection.exec_driver_sql("PRAGMA quick_check(1)").scalar()
     if words != "ok":
         raise HistoryError(DAMAGED.format(name=name, words=" ".join(str(words).split())))
 
 
 def upsert(connection: Connection, table: sql.Table, rows: Sequence[dict[str, Any]]) -> None:
-    """Insert rows; one whose unique columns are there already takes its other values.
+    """Insert rows, or update those whose unique columns exist.
 
-    Writers that hold several rows at once take them in the same order, so that none waits for
-    another that waits for it.
+    Rows are written in the order of these columns, so that concurrent writers do not deadlock.
     """
     if not rows:
         return

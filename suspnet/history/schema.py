@@ -1,8 +1,8 @@
-"""Tables of the history, the same in SQLite and PostgreSQL, and rows that cannot be read.
+"""Tables of the history, the same in SQLite and PostgreSQL, and unreadable rows.
 
-A trip is known by its suspension and its key: a hash of name, start and mileage. One that was
-stored without its start is replaced when it is known. NaN is NULL. The columns that a view of the
-whole fleet reads come first: SQLite reads a row only as far as it must.
+A trip is identified by its suspension and its key: a hash of name, start and mileage. A trip that
+was stored without its start is replaced once that is known. NaN is stored as NULL. The columns for
+a view of the whole fleet come first, because SQLite reads a row only up to the last one needed.
 """
 
 from __future__ import annotations
@@ -47,11 +47,11 @@ from suspnet.ground.records import (
 
 log = logging.getLogger(__name__)
 MOST_LOGGED = 1000
-"""Largest number of bad rows that are logged, so that a damaged store fills no disk."""
+"""Largest number of bad rows that are logged, so that a damaged store does not fill the disk."""
 _LOGGED: set[str] = set()
-"""Bad rows that this process has logged: a program that follows a store reads them often."""
+"""Bad rows that this process has logged: a program that polls a store reads them often."""
 KINDS: dict[type, Any] = {sql.String: str, sql.Double: (int, float), sql.Integer: int}
-"""Types of the values of a column, by its type. SQLite holds any value in any column."""
+"""Python types of values by column type; SQLite itself accepts any value in any column."""
 SCHEMA = 3
 """Version of the tables; a store of another version is refused."""
 
@@ -68,10 +68,10 @@ suspensions = Table(
     Column("revision", BigInteger, nullable=False, server_default="0"),
     UniqueConstraint("vehicle", *PLACE),
 )
-"""The revision grows with each transaction that changes what is stored of a suspension."""
+"""The revision grows with each transaction that changes data of the suspension."""
 
 QUALITY = {"float": Double, "int": Integer, "str": String}
-"""Type of the column of each field of a trip's quality, by the type of the field."""
+"""Column types of a trip's quality, by the types of its fields."""
 
 trips = Table(
     "trips",
@@ -97,7 +97,7 @@ curves = Table(
         ["suspension_id", "key"], ["trips.suspension_id", "trips.key"], ondelete="CASCADE"
     ),
 )
-"""Curves of some of the trips: arrays in the safetensors format, and the hash of these bytes."""
+"""Curves of some trips: arrays in the safetensors format, and the hash of these bytes."""
 
 events = Table(
     "events",
@@ -136,17 +136,7 @@ acknowledgements = Table(
 
 @dataclass(frozen=True)
 class BadRow:
-    """A row that cannot be read and is left out.
-
-    Attributes
-    ----------
-    table : str
-    row : str
-        Its primary key in words.
-    why : str
-    key : tuple of vehicle and Place, optional
-        Suspension that it is of.
-    """
+    """An unreadable row that is left out; `row` is its primary key, `key` its suspension."""
 
     table: str
     row: str
@@ -154,7 +144,7 @@ class BadRow:
     key: Key | None = None
 
     def __str__(self) -> str:
-        """Return which row it is, and why it is left out."""
+        """Return the row, its suspension and the reason."""
         of = "" if self.key is None else f" of {self.key[0]}: {self.key[1]}"
         return f"{self.table}, row {self.row}{of}: {self.why}"
 
@@ -162,14 +152,14 @@ class BadRow:
 def bad_row(
     table: sql.Table, row: RowMapping, error: Exception | str, key: Key | None = None
 ) -> BadRow:
-    """Return a row that an error keeps from being read."""
+    """Return the description of a row that `error` makes unreadable."""
     names = [one.name for one in table.primary_key.columns if one.name in row]
     words = ", ".join(f"{name}={str(row[name])[:40]}" for name in names)
     return BadRow(table.name, words, " ".join(str(error).split())[:200], key)
 
 
 def log_once(name: str, rows: Iterable[BadRow]) -> None:
-    """Log the rows of a store, by its name, that this process has not logged yet."""
+    """Log the bad rows of the store `name` that this process has not logged yet."""
     for one in rows:
         words = f"{name}: {one}; it is left out: correct or delete it"
         if words not in _LOGGED and len(_LOGGED) < MOST_LOGGED:
@@ -189,13 +179,13 @@ def check_types(table: sql.Table, row: RowMapping) -> None:
 
 
 def trip_key(result: TripResult) -> bytes:
-    """Return what distinguishes a trip of its suspension: a hash of 16 bytes."""
+    """Return the key of a trip within its suspension, a hash of 16 bytes."""
     content = [result.trip, result.start, repr(float(result.mileage_km))]
     return hashlib.sha256(json.dumps(content).encode()).digest()[:16]
 
 
 def undated_key(result: TripResult) -> bytes:
-    """Return the key of a trip as it is where its start is not known."""
+    """Return the key that the trip has if its start is unknown."""
     return trip_key(replace(result, start=""))
 
 
@@ -203,34 +193,22 @@ def row_of(suspension: int, result: TripResult) -> dict[str, Any]:
     """Return a trip as a row of the table."""
     row = {name: or_null(value) for name, value in to_row(result).items()}
     for name in ("vehicle", *PLACE):
-        del row[name]  # these are of its suspension
+        del row[name]  # columns of the suspensions
     return row | {"suspension_id": suspension, "key": trip_key(result)}
 
 
 def result_of(key: Key, row: RowMapping) -> TripResult:
-    """Return the trip of a row of the table.
-
-    Raises
-    ------
-    ValueError
-        If a value is not of the type of its column.
-    """
+    """Return the trip of a row; ValueError if a value is not of the type of its column."""
     check_types(trips, row)
     return from_row({"vehicle": key[0], **vars(key[1]), **row})
 
 
 def or_null(value: Any) -> Any:
-    """Return a value, None in place of NaN."""
+    """Return a value, with None for NaN."""
     return None if isinstance(value, float) and math.isnan(value) else value
 
 
 def key_of(row: RowMapping) -> Key:
-    """Return vehicle and place of a suspension's row.
-
-    Raises
-    ------
-    ValueError
-        If one of them is not text.
-    """
+    """Return vehicle and place of a suspension's row; ValueError if a value has a wrong type."""
     check_types(suspensions, row)
     return row["vehicle"], Place(**{name: row[name] for name in PLACE})

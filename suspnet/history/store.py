@@ -46,12 +46,12 @@ from suspnet.maintenance.series import Event, Series
 
 
 class History:
-    """Trips of all suspensions, their estimates and alarms, and what people did.
+    """Trips of all suspensions with their estimates and alarms, maintenance and acknowledgements.
 
-    Several programs may read and write at once. A store that is missing, or an empty file, becomes
-    a new store; any other file is refused unchanged. What is written in one call is stored wholly
-    or not at all. Each method raises ``HistoryError`` if the store cannot be used, and those that
-    store something of a suspension if no trip of it is known.
+    Several programs may read and write concurrently. A missing or empty file becomes a new store;
+    any other file is refused and left unchanged. Each call that writes is atomic. All methods raise
+    ``HistoryError`` if the store cannot be used; methods that write also raise it if no trip of the
+    suspension is stored.
 
     Parameters
     ----------
@@ -60,17 +60,17 @@ class History:
     wait_s : float, [s]
         Longest time that a transaction waits for other programs.
     must_exist : bool
-        Whether a store that is missing or empty is refused.
+        Whether a missing or empty store is refused.
 
     Attributes
     ----------
     bad_rows : list of BadRow
-        Rows that could not be read and were left out, so far.
+        Unreadable rows that were left out so far.
 
     Raises
     ------
     HistoryError
-        If it is no store of this version, or cannot be reached.
+        If it is not a store of this version, or cannot be reached.
     """
 
     def __init__(
@@ -102,15 +102,15 @@ class History:
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Close it."""
+        """Close the store."""
         self.close()
 
     def close(self) -> None:
-        """Let go of the file or the server."""
+        """Close all connections to the file or server."""
         self._engine.dispose()
 
     def check(self) -> None:
-        """Raise HistoryError if an SQLite file is damaged; a server looks after itself."""
+        """Raise HistoryError if an SQLite file is damaged; a server is not checked."""
         if self._url.get_backend_name() == "sqlite":
             with self._reading() as connection:
                 check_file(connection, str(self))
@@ -121,24 +121,25 @@ class History:
             return places_of(connection, self.bad_rows)
 
     def revisions(self) -> dict[Key, int]:
-        """Return a number of each suspension that grows with each change of what is stored of it.
+        """Return the revision of each suspension, a number that grows with each change of its data.
 
-        Changes are those of its trips, maintenance, alarms and acknowledgements. What is read after
-        this is of these revisions or of later ones.
+        Data are its trips, maintenance, alarms and acknowledgements. Data read after this call are
+        of these revisions or later ones.
         """
         with self._reading() as connection:
             return dict(known_suspensions(connection, bad=self.bad_rows).values())
 
     def write(self, results: Sequence[TripResult]) -> None:
-        """Store trips. One that is there already is replaced by what was read last.
+        """Store trips; those that exist already are replaced.
 
-        One that is there without its start is the trip of the same name and mileage that has one.
-        The curves of the first trip of each suspension that has any are stored, and those of the
-        ``N_NEWEST`` newest; not the overview of its signals.
+        A stored trip without a start is replaced by one of the same name and mileage with a start.
+        Curves are stored of the first trip of each suspension that has any, and of the ``N_NEWEST``
+        newest trips; overviews of the signals are not stored.
         """
         with self._writing() as connection:
             ids = add_suspensions(connection, ((one.vehicle, one.place) for one in results))
-            raise_revisions(connection, ids.values())  # locks them, always in this order
+            # first, as this locks the suspensions in an order that avoids deadlocks
+            raise_revisions(connection, ids.values())
             rows = [row_of(ids[one.vehicle, one.place], one) for one in results]
             dated = [one for one in results if one.start]
             delete_trips(connection, [(ids[r.vehicle, r.place], undated_key(r)) for r in dated])
@@ -150,39 +151,35 @@ class History:
                 write_curves(connection, one, own)
 
     def read(self, vehicle: str, place: Place) -> list[TripResult]:
-        """Return the trips of a suspension, by mileage; empty if there is none."""
+        """Return the trips of a suspension by mileage; empty if there are none."""
         with self._reading() as connection:
             return read_trips(connection, vehicle, place, self.bad_rows)
 
     def series(self, keys: Iterable[Key] | None = None) -> list[Series]:
         """Return the trips of all suspensions as arrays, sorted by vehicle and place.
 
-        Far quicker than ``read``: for a view of the whole fleet.
-
-        Parameters
-        ----------
-        keys : iterable of vehicle and place, optional
-            Of these suspensions alone; those that the store does not know are left out.
+        This is far quicker than ``read``, for a view of the whole fleet. `keys` selects
+        suspensions; unknown ones are left out.
         """
         with self._reading() as connection:
             return read_series(connection, self.bad_rows, None if keys is None else set(keys))
 
     def responses(self, vehicle: str, place: Place) -> list[TripResponses]:
-        """Return the transfer functions that are stored of a suspension, by mileage.
+        """Return the stored transfer functions of a suspension by mileage.
 
-        They are those of the first trip that had any, and of the newest. HistoryError is raised,
-        too, if they were altered.
+        They are those of the first trip that had any, and of the newest trips. HistoryError is also
+        raised if they were altered.
         """
         where = is_of(vehicle, place)
         with self._reading() as connection:
             return read_responses(connection, where, f"{self}: {vehicle}: {place}")
 
     def add_event(self, vehicle: str, place: Place, event: Event) -> None:
-        """Store a maintenance event; the same one again replaces its words."""
+        """Store a maintenance event; the text of an existing one is replaced."""
         self._store(vehicle, place, [event])
 
     def events(self, vehicle: str, place: Place) -> list[Event]:
-        """Return the maintenance events of a suspension, by mileage."""
+        """Return the maintenance events of a suspension by mileage."""
         return self._read(Event, is_of(vehicle, place)).get((vehicle, place), [])
 
     def keep_alarms(
@@ -192,26 +189,16 @@ class History:
         found: Sequence[Alarm],
         causes: Collection[Cause] = tuple(Cause),
     ) -> None:
-        """Store the alarms of a suspension in place of those of before; see ``keep_all_alarms``."""
+        """Replace the stored alarms of a suspension; see ``keep_all_alarms``."""
         self.keep_all_alarms({(vehicle, place): found}, causes)
 
     def keep_all_alarms(
         self, found: Mapping[Key, Sequence[Alarm]], causes: Collection[Cause] = tuple(Cause)
     ) -> None:
-        """Store the alarms of suspensions in place of those that were stored of them before.
+        """Replace the stored alarms of suspensions that are of these causes.
 
-        Nothing is written where they are the same.
-
-        Parameters
-        ----------
-        found : mapping from vehicle and place to Alarm
-        causes : collection of Cause
-            Those that `found` is all of; stored alarms of other causes stay as they are.
-
-        Raises
-        ------
-        ValueError
-            If an alarm is of another cause than `causes`.
+        `found` has all alarms of these causes; ValueError is raised if one is of another cause.
+        Suspensions whose alarms are unchanged are not written.
         """
         others = {one.cause for alarms in found.values() for one in alarms} - set(causes)
         if others:
@@ -221,12 +208,12 @@ class History:
             ids = numbers_of(connection, found, str(self))
             of_each = {one: found[key] for key, one in ids.items()}
             changed = other_alarms(connection, of_each, causes)
-            raise_revisions(connection, changed)  # locks them, always in this order
+            raise_revisions(connection, changed)
             for one in changed:
                 replace_alarms(connection, one, of_each[one], causes)
 
     def alarms(self, vehicle: str, place: Place) -> list[Alarm]:
-        """Return the alarms of a suspension, active or not, by the mileage where they start."""
+        """Return the alarms of a suspension, active or cleared, by the mileage where they start."""
         return self._read(Alarm, is_of(vehicle, place)).get((vehicle, place), [])
 
     def all_alarms(self) -> dict[Key, list[Alarm]]:
@@ -234,11 +221,11 @@ class History:
         return self._read(Alarm)
 
     def acknowledge(self, vehicle: str, place: Place, seen: Sequence[Acknowledgement]) -> None:
-        """Store acknowledgements of alarms; the same one again replaces its words."""
+        """Store acknowledgements of alarms; the text of an existing one is replaced."""
         self._store(vehicle, place, seen)
 
     def acknowledgements(self, vehicle: str, place: Place) -> list[Acknowledgement]:
-        """Return the acknowledgements of a suspension's alarms, by mileage and time."""
+        """Return the acknowledgements of a suspension's alarms by mileage and time."""
         return self._read(Acknowledgement, is_of(vehicle, place)).get((vehicle, place), [])
 
     def all_acknowledgements(self) -> dict[Key, list[Acknowledgement]]:
@@ -261,13 +248,13 @@ class History:
 
     @contextmanager
     def _reading(self) -> Iterator[Connection]:
-        """Give a connection that sees one state of the store, and holds no writer up."""
+        """Yield a connection that sees one snapshot of the store and blocks no writer."""
         with self._transaction(reading(self._engine)) as connection:
             yield connection
         log_once(str(self), self.bad_rows)
 
     def _writing(self) -> AbstractContextManager[Connection]:
-        """Give a connection whose changes are stored together at the end, or not at all."""
+        """Return a connection whose changes are committed together at the end, or not at all."""
         return self._transaction(self._engine)
 
     @contextmanager
@@ -275,7 +262,7 @@ class History:
         try:
             with engine.begin() as connection:
                 yield connection
-        except (SQLAlchemyError, UnicodeDecodeError) as error:  # of damaged names of tables
+        except (SQLAlchemyError, UnicodeDecodeError) as error:  # damaged names of tables
             raise error_of(error, str(self)) from None
 
 
@@ -290,24 +277,9 @@ def acknowledge_alarms(
 ) -> list[Acknowledgement]:
     """Store that a person acknowledges alarms of a suspension now, and return what is stored.
 
-    Parameters
-    ----------
-    store : History
-    vehicle : str
-    place : Place
-    alarms : sequence of Alarm
-        As they were seen: one that gets worse asks again.
-    at_km : float, [km]
-        Mileage of the newest trip.
-    by, words : str
-        Name of the person, and what is done about it.
-
-    Raises
-    ------
-    HistoryError
-        If the store knows no trip of the suspension, or cannot be written.
-    ValueError
-        If the name or the mileage is missing.
+    `alarms` are as the person saw them: they need another acknowledgement if they get worse.
+    `at_km` is the mileage of the newest trip, `by` the name of the person. ValueError is raised if
+    one of these is missing.
     """
     now = datetime.now(UTC).isoformat(timespec="seconds")
     seen = [

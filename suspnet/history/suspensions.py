@@ -1,4 +1,4 @@
-"""What is stored of suspensions: revisions, trips, maintenance, alarms and acknowledgements."""
+"""Stored data of suspensions: revisions, trips, maintenance, alarms and acknowledgements."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ TABLES: dict[type, sql.Table] = {
     Alarm: alarms,
     Acknowledgement: acknowledgements,
 }
-"""Table of each kind."""
+"""Table of each stored class."""
 
 
 def known_suspensions(
@@ -42,9 +42,9 @@ def known_suspensions(
     where: sql.ColumnElement[bool] | None = None,
     bad: list[BadRow] | None = None,
 ) -> dict[int, tuple[Key, int]]:
-    """Return key and revision of each suspension, or of those chosen, by its number.
+    """Return key and revision of each suspension, or of those selected by `where`, by number.
 
-    Rows that cannot be read are left out, and added to `bad`.
+    Unreadable rows are left out and appended to `bad`.
     """
     chosen = sql.select(suspensions).where(sql.true() if where is None else where)
     found = {}
@@ -64,8 +64,8 @@ def places_of(connection: Connection, bad: list[BadRow] | None = None) -> list[K
 
 
 def is_one_of(column: sql.Column[int], ids: Iterable[int]) -> sql.ColumnElement[bool]:
-    """Return the condition that a number is one of some, of which there may be many."""
-    # written into the statement: databases limit the number of its parameters
+    """Return the condition that a column is one of `ids`, of which there may be many."""
+    # literals, because databases limit the number of bound parameters
     wanted: sql.BindParameter[list[int]] = sql.bindparam(
         None, sorted(ids), expanding=True, literal_execute=True
     )
@@ -73,7 +73,7 @@ def is_one_of(column: sql.Column[int], ids: Iterable[int]) -> sql.ColumnElement[
 
 
 def is_of(vehicle: str, place: Place) -> sql.ColumnElement[bool]:
-    """Return the condition that a row is of a suspension."""
+    """Return the condition that selects a suspension."""
     wanted = asdict(place) | {"vehicle": vehicle}
     return sql.and_(*(suspensions.c[name] == value for name, value in wanted.items()))
 
@@ -88,13 +88,7 @@ def add_suspensions(connection: Connection, keys: Iterable[Key]) -> dict[Key, in
 
 
 def numbers_of(connection: Connection, keys: Iterable[Key], name: str) -> dict[Key, int]:
-    """Return the number of each suspension.
-
-    Raises
-    ------
-    HistoryError
-        If one is not known; it starts with the store's `name`.
-    """
+    """Return the number of each suspension; HistoryError with the store's `name` if unknown."""
     wanted = list(keys)
     where = is_of(*wanted[0]) if len(wanted) == 1 else None  # all, if it is more than one
     there = {key: one for one, (key, _) in known_suspensions(connection, where).items()}
@@ -108,10 +102,10 @@ def numbers_of(connection: Connection, keys: Iterable[Key], name: str) -> dict[K
 
 
 def raise_revisions(connection: Connection, ids: Iterable[int]) -> None:
-    """Raise the revisions of suspensions, and lock them for other writers until the end.
+    """Increment the revisions of suspensions, and lock them until the transaction ends.
 
-    A transaction that changes suspensions starts with this. They are locked one after the other, by
-    their numbers, so that no two writers wait for each other.
+    A transaction that changes suspensions starts with this. They are locked in order of their
+    numbers, so that writers do not deadlock.
     """
     rows = [{"one": one} for one in sorted(set(ids))]
     if rows:
@@ -122,7 +116,7 @@ def raise_revisions(connection: Connection, ids: Iterable[int]) -> None:
 def read_trips(
     connection: Connection, vehicle: str, place: Place, bad: list[BadRow]
 ) -> list[TripResult]:
-    """Return the trips of a suspension, by mileage; those that cannot be read go to `bad`."""
+    """Return the trips of a suspension by mileage; unreadable rows are appended to `bad`."""
     columns = [one for one in trips.columns if one.name != "key"]
     chosen = sql.select(*columns).join(suspensions).where(is_of(vehicle, place))
     found = []
@@ -135,7 +129,7 @@ def read_trips(
 
 
 def delete_trips(connection: Connection, keys: Collection[tuple[int, bytes]]) -> None:
-    """Delete trips with their curves, as far as they are there, by suspension and key."""
+    """Delete trips by suspension and key, with their curves; missing ones are ignored."""
     rows = [{"of": suspension, "gone": key} for suspension, key in sorted(keys)]
     if rows:
         of, key = trips.c.suspension_id == sql.bindparam("of"), trips.c.key == sql.bindparam("gone")
@@ -148,9 +142,10 @@ def read_stored(
     bad: list[BadRow],
     where: sql.ColumnElement[bool] | None = None,
 ) -> dict[Key, list[Stored]]:
-    """Return what is stored of each suspension, or of those chosen, in order of the table's key.
+    """Return the objects of one class of each suspension, or of those selected by `where`.
 
-    Rows that cannot be read are left out, and added to `bad`.
+    They are sorted by the primary key of the table. Unreadable rows are left out and appended to
+    `bad`.
     """
     table, names = TABLES[kind], [one.name for one in fields(kind)]
     places = (suspensions.c[name] for name in ("vehicle", *PLACE))
@@ -164,7 +159,7 @@ def read_stored(
     for row in connection.execute(chosen).mappings():
         try:
             key = key_of(row)
-        except ValueError:  # a bad row of the suspensions, not of these
+        except ValueError:  # a bad row of the table of suspensions, not of this one
             continue
         try:
             check_types(table, row)
@@ -180,7 +175,7 @@ def read_stored(
 def write_stored(
     connection: Connection, suspension: int, kept: Sequence[Event | Alarm | Acknowledgement]
 ) -> None:
-    """Store what is of one kind; the same one again takes its other values."""
+    """Store objects of one class; those with an existing primary key are updated."""
     if kept:
         upsert(connection, TABLES[type(kept[0])], [_row(suspension, one) for one in kept])
 
@@ -188,7 +183,7 @@ def write_stored(
 def other_alarms(
     connection: Connection, found: Mapping[int, Sequence[Alarm]], causes: Collection[Cause]
 ) -> list[int]:
-    """Return the numbers of the suspensions whose stored alarms of some causes are not these."""
+    """Return the numbers of the suspensions whose stored alarms of these causes differ."""
     chosen = sql.select(alarms).where(
         is_one_of(alarms.c.suspension_id, found), alarms.c.cause.in_([str(one) for one in causes])
     )
@@ -205,7 +200,7 @@ def other_alarms(
 def replace_alarms(
     connection: Connection, suspension: int, found: Sequence[Alarm], causes: Collection[Cause]
 ) -> None:
-    """Store the alarms of some causes of a suspension in place of those before."""
+    """Replace the stored alarms of a suspension that are of these causes."""
     of_causes = alarms.c.cause.in_([str(one) for one in causes])
     connection.execute(alarms.delete().where(alarms.c.suspension_id == suspension, of_causes))
     write_stored(connection, suspension, found)

@@ -1,4 +1,4 @@
-"""What a history means for a depot: limits, alarms, remaining life and a plan."""
+"""Maintenance from a history of trips: limits, alarms, remaining life and a plan."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Alarms of a suspension as its trips raise them, and the people who acknowledged them."""
+"""Alarms that the trips of a suspension raise, and their acknowledgement by people."""
 
 from __future__ import annotations
 
@@ -20,47 +20,47 @@ from suspnet.maintenance.judge import N_LAST, judge, level_words
 from suspnet.maintenance.series import Series
 
 N_QUIET = 3
-"""Trips in a row within the limits that end an alarm: one that comes and goes stays active."""
+"""Trips in a row within the limits that end an alarm: an intermittent one stays active."""
 GOES_ON = 1.5
-"""Ratio of a change now to what it was at its alarm from which words give both."""
+"""Ratio of a change now to its size at the alarm above which the text gives both."""
 
 
 class Cause(StrEnum):
-    """Ground of an alarm."""
+    """Cause of an alarm."""
 
     LIMIT = "limit"
     """A parameter is beyond a limit."""
     CHANGE = "change"
-    """A parameter is no longer what its reference trips showed."""
+    """A parameter has changed from its reference trips."""
     SISTER = "sister"
     """A parameter differs from that of the sister suspensions of the car."""
 
 
 OWN_CAUSES = (Cause.LIMIT, Cause.CHANGE)
-"""Causes of alarms that are found in the trips of one suspension alone."""
+"""Causes that need only the trips of the suspension itself."""
 
 
 @dataclass(frozen=True)
 class Alarm:
-    """One parameter called for attention, from one trip on until another.
+    """An alarm of one parameter, active or cleared.
 
     Parameters
     ----------
     parameter : str
     cause : Cause
     severity : Severity
-        The worst while it was active.
+        The worst severity while it was active.
     begin_km : float, [km]
         Mileage of the trip that raised it.
     end_km : float, [km]
-        Mileage of the trip that ended it; NaN: it is active.
+        Mileage of the trip that cleared it; NaN: it is active.
     words : str
         The reason.
 
     Raises
     ------
     ValueError
-        If it has no start, or ends before it.
+        If `begin_km` is not finite or larger than `end_km`.
     """
 
     parameter: str
@@ -76,32 +76,34 @@ class Alarm:
         if not math.isfinite(self.begin_km):
             raise ValueError(f"an alarm needs a mileage in km, got {self.begin_km}")
         if self.end_km < self.begin_km:
-            raise ValueError(f"an alarm of {self.begin_km} km ends before, at {self.end_km} km")
+            raise ValueError(
+                f"an alarm must not end before it starts, got {self.begin_km} to {self.end_km} km"
+            )
 
     @property
     def is_open(self) -> bool:
-        """Whether it is active."""
+        """Whether the alarm is active."""
         return math.isnan(self.end_km)
 
 
 @dataclass(frozen=True)
 class Acknowledgement:
-    """A person has seen an alarm.
+    """A person's acknowledgement of an alarm.
 
     Parameters
     ----------
     parameter : str
     cause : Cause
     severity : Severity
-        Of the alarm when it was seen.
+        Severity of the alarm when it was acknowledged.
     at_km : float, [km]
-        Mileage of the newest trip then.
+        Mileage of the newest trip at that time.
     by : str
         Name of the person.
     at : str
         Time, ISO 8601 with its zone.
     words : str
-        What the person says.
+        Comment of the person.
 
     Raises
     ------
@@ -134,40 +136,32 @@ class Acknowledgement:
             )
 
     def covers(self, alarm: Alarm) -> bool:
-        """Return whether it is of an alarm as severe as that is now: a worse one asks again."""
+        """Return whether it applies to an alarm; one that has become more severe is not covered."""
         there = alarm.begin_km <= self.at_km and not self.at_km > alarm.end_km
         same = (self.parameter, self.cause) == (alarm.parameter, alarm.cause)
         return same and there and alarm.severity <= self.severity
 
 
 def newest_of(alarm: Alarm, seen: Iterable[Acknowledgement]) -> Acknowledgement | None:
-    """Return the newest of the acknowledgements that cover an alarm; None if there is none."""
+    """Return the newest acknowledgement that covers an alarm, or None."""
     covering = (one for one in seen if one.covers(alarm))
     return max(covering, key=lambda one: datetime.fromisoformat(one.at), default=None)
 
 
 @dataclass(frozen=True)
 class Watched:
-    """What the trips of a suspension raised.
-
-    Attributes
-    ----------
-    alarms : list of Alarm
-        By the mileage where they start.
-    changes : Changes
-        What the detector found, and whether it could.
-    """
+    """Result of ``watch``: alarms by the mileage where they start, and the change detector's."""
 
     alarms: list[Alarm] = field(default_factory=list)
     changes: Changes = field(default_factory=Changes)
 
     def standing(self, parameter: str) -> list[Alarm]:
-        """Return the alarms of a parameter that stand still."""
+        """Return the active alarms of a parameter."""
         return [one for one in self.alarms if one.parameter == parameter and one.is_open]
 
     @property
     def passed(self) -> set[str]:
-        """The parameters that are beyond their act limit."""
+        """Parameters that are beyond their act limit."""
         standing = [one for one in self.alarms if one.is_open]
         return {one.parameter for one in standing if one.severity == Severity.ACT}
 
@@ -175,22 +169,28 @@ class Watched:
 def watch(
     series: Series, limits: Mapping[str, Limits], settings: ChangeSettings | None = None
 ) -> Watched:
-    """Return the alarms that the trips of a suspension raise, one after the other.
+    """Return the alarms that the trips of a suspension raise, in order of mileage.
 
-    Each trip is judged with those before it, by ``judge`` against the limits and by
-    ``find_changes``, so that the alarms of a history are the same however often it is read. An
-    alarm of a limit is active until ``N_QUIET`` trips in a row are within the limits, and keeps its
-    worst severity. A change is a notice, and none where an alarm of a limit is active already.
-    Maintenance ends all alarms, and reference trips are those since the last.
+    Each trip is judged together with earlier ones only, by ``judge`` against the limits and by
+    ``find_changes``; later trips do not change past alarms. An alarm of a limit is active until
+    ``N_QUIET`` trips in a row are within the limits, and retains its worst severity. A change
+    raises a notice unless an alarm of a limit is already active. Maintenance ends all alarms, and
+    the reference starts again after it.
 
     Parameters
     ----------
     series : Series
-        Trips without a mileage are not used. All are relative to one healthy state. Payload, speed
-        and temperature are taken into account where they are known.
+        Trips relative to one healthy state; trips without a mileage are ignored. Payload, speed and
+        temperature serve as covariates where they are known.
     limits : mapping from parameter to Limits
-        A parameter that is not there has none.
+        A missing parameter has no limits.
     settings : ChangeSettings, optional
+
+    Returns
+    -------
+    Watched
+        `alarms`, a list of Alarm by the mileage where they start, and `changes`, the result of
+        ``find_changes`` for the trips since the last maintenance.
     """
     km = series.mileage_km[np.isfinite(series.mileage_km)]
     ends = [event.mileage_km for event in series.events]
@@ -220,7 +220,9 @@ def _watch(
     for name, column in values.items():
         beyond = _beyond(name, one, limits.get(name))
         changed = [_changed(name, km, column, change) for change in changes.found.get(name, [])]
-        alarms += beyond + [late for late in changed if not any(_stood(b, late) for b in beyond)]
+        alarms += beyond + [
+            late for late in changed if not any(_was_active(b, late) for b in beyond)
+        ]
     return Watched(sorted(alarms, key=lambda one: (one.begin_km, one.parameter)), changes)
 
 
@@ -241,19 +243,19 @@ def alarm_table(alarms: list[Alarm]) -> str:
 
 
 def detector_words(changes: Changes, settings: ChangeSettings) -> str:
-    """Return in words what the detector of changes can do."""
+    """Return the state of the change detector as text."""
     if changes.why_not:
         return f"not armed yet, {changes.why_not}"
-    beside = f"; {', '.join(changes.covariates)} taken into account" if changes.covariates else ""
+    used = f"; {', '.join(changes.covariates)} taken into account" if changes.covariates else ""
     unlike = f"; {changes.n_unlike} trips too unlike the first to be judged"
     return (
         f"armed by {changes.n_needed} trips, at most one false alarm in "
-        f"{kilometres(settings.km_per_false_alarm)}{beside}{unlike if changes.n_unlike else ''}"
+        f"{kilometres(settings.km_per_false_alarm)}{used}{unlike if changes.n_unlike else ''}"
     )
 
 
 def _beyond(name: str, one: Series, limits: Limits | None) -> list[Alarm]:
-    """Return the alarms of one parameter's limits; none if it has no limits."""
+    """Return the limit alarms of one parameter; none if it has no limits."""
     there = np.flatnonzero(np.isfinite(one.estimates[name]))
     if limits is None or len(there) == 0:
         return []
@@ -262,6 +264,7 @@ def _beyond(name: str, one: Series, limits: Limits | None) -> list[Alarm]:
         low, high = (centre * np.exp(sign * one.half_widths[name][there]) for sign in (-1, 1))
     last, lowest, highest = (_windows(part, np.nan) for part in (centre, low, high))
     judged = judge(last, lowest, highest, _windows(doubtful, False), limits)
+    # as long as every trip was flagged, the model is in doubt rather than the vehicle
     severity = np.where(
         np.logical_and.accumulate(doubtful),
         np.minimum(judged.severity, Severity.NOTICE),
@@ -270,13 +273,14 @@ def _beyond(name: str, one: Series, limits: Limits | None) -> list[Alarm]:
     found = []
     for begin, worst, end in _spans(severity.tolist()):
         newest = len(severity) - 1
+        # an active alarm is described by the newest trip if that is as severe as the worst one
         at = newest if end is None and severity[newest] == severity[worst] else worst
         side, level = int(judged.side[at]), Severity(int(severity[at]))
         limit = (limits.act if level == Severity.ACT else limits.notice)[(side + 1) // 2]
         is_out = side * (centre - limit) > 0
         beyond = f"{'above' if side > 0 else 'below'} the {level} limit of {100 * limit:g} %"
         words = f"the last trip is {level_words(centre[newest], limit)} of healthy, {beyond}"
-        if end is not None or not is_out[newest]:  # it is elsewhere now
+        if end is not None or not is_out[newest]:  # the parameter has come back
             out = np.flatnonzero(is_out[: (newest if end is None else at) + 1])[-1]
             level_then = level_words(centre[out], limit)
             words = f"was {level_then} of healthy, {beyond}, at {kilometres(km[out])}"
@@ -299,13 +303,13 @@ def _changed(name: str, km: FloatArray, values: FloatArray, change: Change) -> A
     return Alarm(name, Cause.CHANGE, Severity.NOTICE, float(km[change.begin]), end, words)
 
 
-def _stood(alarm: Alarm, later: Alarm) -> bool:
-    """Return whether an alarm stood when another one began, which says nothing new then."""
+def _was_active(alarm: Alarm, later: Alarm) -> bool:
+    """Return whether `alarm` was active when `later` started, which is then redundant."""
     return alarm.begin_km <= later.begin_km and not later.begin_km > alarm.end_km
 
 
 def _spans(severity: list[int]) -> list[tuple[int, int, int | None]]:
-    """Return the trips that began, were the worst of, and ended each alarm; None: it is active."""
+    """Return first, worst and final trip of each alarm; None: it is active."""
     found: list[tuple[int, int, int | None]] = []
     begin, worst, quiet = -1, 0, 0
     for trip, level in enumerate(severity):
@@ -322,6 +326,6 @@ def _spans(severity: list[int]) -> list[tuple[int, int, int | None]]:
 
 
 def _windows(column: FloatArray | BoolArray, fill: float | bool) -> FloatArray:
-    """Return the last ``N_LAST`` trips as they were at each trip, the newest last."""
+    """Return the last ``N_LAST`` trips up to each trip, newest last, (n_trips, ``N_LAST``)."""
     padded = np.concatenate([np.full(N_LAST - 1, fill), column])
     return np.lib.stride_tricks.sliding_window_view(padded, N_LAST)

@@ -1,4 +1,4 @@
-"""Assessment of a parameter by its trips, for maintenance: a severity and its reason in words."""
+"""Assessment of a parameter from its trips, for maintenance: its severity and the reason."""
 
 from __future__ import annotations
 
@@ -25,34 +25,21 @@ from suspnet.maintenance.trend import Shape, Step, Trend
 
 ONE_FLAGGED = "the only trip is flagged"
 LARGE_PERCENT = 10.0
-"""Size of a change, in % of healthy, from which words give the level that it leads to."""
-TOLD_PERCENT = 2.0
-"""Distance of the last trip from the last trips' median, in % of healthy, from which it is
-named."""
+"""Least change, in % of healthy, for which the text gives the new level instead of the change."""
+REPORTED_PERCENT = 2.0
+"""Least deviation of the last trip from the median of the last trips, in % of healthy, for which
+the text gives its value."""
 FLAGGED = "flagged and may be wrong"
 ALL_FLAGGED = "all trips are flagged"
 
 
 @dataclass(frozen=True)
 class Assessment:
-    """Assessment of one parameter by its trips.
+    """Assessment of one parameter from its trips; `words` is the reason of the severity.
 
-    Attributes
-    ----------
-    trend : Trend
-    severity : Severity
-    words : str
-        The reason.
-    limited : bool
-        The parameter has limits.
-    alarms : tuple of Alarm
-        Active ones.
-    life : Life, optional
-        Mileage until the act limit; None if it is unknown.
-    now : float, [-]
-        Median of the last trips (``present``).
-    unknown_life : str
-        Why the remaining life is unknown, or not to be relied on; empty if it is known.
+    `limited` is whether the parameter has limits; `alarms` are the active ones; `life` is the
+    mileage until the act limit, None if unknown; `now` [-] is the median of the last trips.
+    `unknown_life` is why the remaining life is unknown or unreliable, empty if it is known.
     """
 
     trend: Trend
@@ -82,21 +69,11 @@ def assess(
     alarms: Sequence[Alarm] = (),
     doubt: str = "",
 ) -> Assessment:
-    """Return how severe it is what the trips show of one parameter, and why.
+    """Return the assessment of one parameter, with the severity of ``severity_of``.
 
-    The severity is that of ``severity_of``.
-
-    Parameters
-    ----------
-    trend : Trend
-        Of all trips.
-    last : LastTrips
-    limits : Limits or None
-        None: no value is alarming, as of the payload.
-    alarms : sequence of Alarm
-        Active ones of the parameter.
-    doubt : str
-        Why nothing can be judged by the limits; empty if it can be.
+    `trend` is that of all trips. `limits` None means that no value is alarming, as for the payload.
+    `alarms` are the active ones of the parameter. `doubt` is why the limits cannot be applied,
+    empty if they can.
     """
     severity = severity_of(last, limits, alarms, doubt)
     words = _words(trend, last, limits)
@@ -113,10 +90,10 @@ def assess(
 def severity_of(
     last: LastTrips, limits: Limits | None, alarms: Sequence[Alarm], doubt: str = ""
 ) -> Severity:
-    """Return how severe it is what the trips show of a parameter: the one rule for it.
+    """Return the severity of a parameter; all reports use this rule.
 
-    It is that of the last trips (``judge_last``), or that of an active alarm if that is worse. A
-    `doubt`, of a parameter with limits, makes it unknown at least.
+    It is the worst of the last trips' (``judge_last``) and of the active alarms'. A `doubt` about a
+    parameter with limits makes it unknown at least.
     """
     least = Severity.UNKNOWN if doubt and limits is not None else Severity.NONE
     by_limits = judge_last(last, limits)[0]
@@ -124,7 +101,7 @@ def severity_of(
 
 
 def _words(trend: Trend, last: LastTrips, limits: Limits | None) -> str:
-    """Return what the trips show, without alarms."""
+    """Return the reason from the trips alone, without alarms."""
     severity, judged = judge_last(last, limits)
     if len(last.values) == 0:
         return "no trip with an estimate"
@@ -139,7 +116,7 @@ def _words(trend: Trend, last: LastTrips, limits: Limits | None) -> str:
 
 
 def joined(assessments: Sequence[Assessment]) -> list[list[Assessment]]:
-    """Return assessments in their order, those of one severity and one reason together."""
+    """Return assessments grouped by severity and reason, in order of first occurrence."""
     found: dict[tuple[Severity, str], list[Assessment]] = {}
     for one in assessments:
         found.setdefault((one.severity, one.words), []).append(one)
@@ -193,7 +170,7 @@ def overall(assessments: Sequence[Assessment]) -> tuple[Severity, str]:
 
 
 def _level(judged: Judged, last: LastTrips, limits: Limits) -> str:
-    """Return where the last trips are, for a severity above none."""
+    """Return the level of the last trips as text, for a severity above none."""
     side, run, count = (int(part) for part in (judged.side, judged.run, judged.count))
     severity, n_last = Severity(int(judged.severity)), len(last.values)
     name = "act" if severity == Severity.ACT else "notice"
@@ -219,7 +196,7 @@ def _level(judged: Judged, last: LastTrips, limits: Limits) -> str:
 
 
 def _development(trend: Trend, judged: Judged, limits: Limits) -> list[str]:
-    """Return how the parameter came to where it is, for a severity above none."""
+    """Return how the parameter reached its level, for a severity above none."""
     if trend.shape == Shape.RETURNED and trend.step is not None:
         if trend.n_trips - trend.step.n_before <= N_LAST:
             return [f"the change began at about {_km(trend.step)}"]
@@ -229,7 +206,7 @@ def _development(trend: Trend, judged: Judged, limits: Limits) -> list[str]:
         return [_change(trend)]
     side = int(judged.side)
     if side * (trend.first_median - limits.notice[(side + 1) // 2]) > 0:
-        return ["so it was from the first trips on"]
+        return ["it has been so since the first trips"]
     if judged.severity == Severity.UNKNOWN:
         return []
     if judged.run and judged.count < N_CONFIRMING:
@@ -238,7 +215,7 @@ def _development(trend: Trend, judged: Judged, limits: Limits) -> list[str]:
 
 
 def _not_judged(trend: Trend, last: LastTrips) -> str:
-    """Return why nothing is judged where flagged trips alone lie within the limits."""
+    """Return why nothing is judged if all of the last trips are flagged and within the limits."""
     why = (
         ALL_FLAGGED if last.all_flagged else f"all of the last {len(last.values)} trips are flagged"
     )
@@ -248,7 +225,7 @@ def _not_judged(trend: Trend, last: LastTrips) -> str:
 
 
 def _calm(trend: Trend, last: LastTrips, limits: Limits | None = None) -> list[str]:
-    """Return how the parameter develops where no limit is crossed, or there is none."""
+    """Return how the parameter develops if no limit is crossed or there are no limits."""
     change, median = _change(trend), float(np.median(last.values))
     if trend.parameter == PAYLOAD:
         return [f"{change} (payload: varies by nature, no fault)"]
@@ -262,7 +239,7 @@ def _calm(trend: Trend, last: LastTrips, limits: Limits | None = None) -> list[s
         parts = ["within its limits", change]
     else:
         parts = [change]
-    if abs(100 * (last.values[-1] - median)) > max(TOLD_PERCENT, scatter):
+    if abs(100 * (last.values[-1] - median)) > max(REPORTED_PERCENT, scatter):
         parts.append(f"the last trip is at {100 * last.values[-1]:.0f} %")
     if limits:
         n = int(np.sum((last.values < limits.notice[0]) | (last.values > limits.notice[1])))
@@ -303,7 +280,7 @@ def _change_words(trend: Trend) -> str:
 
 
 def _joined(parts: Sequence[str], trend: Trend, last: LastTrips) -> str:
-    """Return all parts as one sentence, with a remark on flagged trips."""
+    """Return all parts as one sentence, followed by the number of flagged trips."""
     flags = []
     if last.all_flagged:
         flags.append(ALL_FLAGGED)

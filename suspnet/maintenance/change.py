@@ -15,22 +15,25 @@ from suspnet.ground.types import BoolArray, FloatArray, IntArray
 from suspnet.maintenance.cusum import CLIP, MAX_CORRELATION, Residuals, cusum, residuals, threshold
 
 N_BACK = 5
-"""Least number of trips whose median must be back near the reference for a change to have ended."""
+"""Least number of trips whose median must be back near the reference for a change to end."""
 BACK = 0.25
-"""Share of a change that may be left when it has ended."""
+"""A change has ended when the median deviation is below this share of its size."""
 SURE = 8.0
-"""Number of trips that must be back: their mean is known to the size of the change over this."""
+"""A change ends only after enough trips that the standard error of their mean is at most the size
+of the change over this."""
 STEP = 1.05
-"""Rates of false alarms are powers of this, so that suspensions share their thresholds."""
+"""False-alarm rates are rounded to powers of this, so that suspensions share simulated
+thresholds."""
 LONGEST_GAP = 2e4
-"""Largest mileage in km that counts between two trips: a long pause allows no false alarm."""
+"""Largest mileage between two trips that counts, [km]: a long pause allows no extra false alarm."""
 VARIES = 0.01
-"""Relative standard deviation from which a covariate varies, also of its residual after others."""
+"""Least relative standard deviation of a covariate that is used, also after regression on the
+others."""
 
 
 @dataclass(frozen=True)
 class ChangeSettings:
-    """How changes are looked for.
+    """Settings of the change detector.
 
     Raises
     ------
@@ -48,8 +51,7 @@ class ChangeSettings:
     )
     n_reference: int = setting(
         20,
-        "Number of first trips that say what is usual; before there are so many there are no "
-        "alarms of changes",
+        "Number of first trips that form the reference; no change is detected before",
         low=8,
         high=1000,
     )
@@ -60,7 +62,7 @@ class ChangeSettings:
         high=MAX_CORRELATION,
     )
     least_percent: float = setting(
-        0.1, "Size of a change below which it is none", "% of healthy", low=0, below=100
+        0.1, "Smallest change that is reported", "% of healthy", low=0, below=100
     )
     seed: int = setting(0, "Seed of the simulation that gives the thresholds", low=0)
 
@@ -70,16 +72,11 @@ class ChangeSettings:
 
 @dataclass(frozen=True)
 class Change:
-    """A change of one parameter; places are those of the trips given.
+    """A change of one parameter, by indices of trips.
 
-    Attributes
-    ----------
-    onset, begin : int
-        Most likely first trip, and trip that raised the alarm.
-    end : int or None
-        Trip at which the parameter was back; None: the change lasts.
-    percent : float, [%]
-        Median of the trips from the onset to the alarm, relative to the expected value.
+    `onset` is the most likely first trip, `begin` the trip that raised the alarm, `end` the trip at
+    which the parameter was back (None: the change lasts). `percent` is the median deviation from
+    the expected value, from onset to alarm.
     """
 
     onset: int
@@ -90,22 +87,20 @@ class Change:
 
 @dataclass(frozen=True)
 class Changes:
-    """Changes of the parameters of one suspension.
+    """Changes of the parameters of one suspension, as ``find_changes`` returns them.
 
     Attributes
     ----------
     found : dict of lists of Change
-        Of each parameter, in the order of the trips.
+        Changes of each parameter, in the order of the trips.
     covariates : tuple of str
-        That were taken into account.
-    n_reference : int
-        Number of trips so far that can be in the reference.
-    n_needed : int
-        Number of trips without which there is no detection.
+        Covariates that were used.
+    n_reference, n_needed : int
+        Usable trips so far, and how many of them detection needs.
     threshold : float, [-]
-        Of the CUSUM at the last trip; NaN if there is no detection.
+        Threshold of the CUSUM at the last trip; NaN without detection.
     n_unlike : int
-        Number of trips that were not judged: a covariate is unknown or unlike the reference.
+        Number of trips not judged, as a covariate is missing or unlike the reference.
     why_not : str
         Why nothing can be detected; empty if it can.
     """
@@ -130,15 +125,16 @@ def find_changes(
 ) -> Changes:
     """Return the changes of the parameters of one suspension since its last maintenance.
 
-    The logarithms of the parameters are compared with those of the first trips and of later ones
-    that are older than ten trips (``residuals``); a CUSUM of their pre-whitened deviations raises
-    an alarm at the ``threshold`` of a rate of false alarms that all parameters share. That rate is
-    per trip, by the mean spacing of as many trips as the reference has, up to the trip judged: no
-    later trip changes whether, or when, an alarm is raised. For a trip whose interval is wider than
-    the median of the reference's, the deviation is divided by their ratio. A change has ended when
-    the median of ``N_BACK`` trips, or of more if its size over ``SURE`` is less than their
-    uncertainty, is less than ``BACK`` of it; then the detector starts again, without the trips of
-    the change.
+    Each trip's log parameters are compared with a reference of the first trips and of later ones
+    that are more than ten trips old (``residuals``). A CUSUM of the pre-whitened deviations raises
+    an alarm at the ``threshold`` for a false-alarm rate that all parameters share. The rate per
+    trip follows from the mean spacing of the latest trips, as many as the reference has: later
+    trips change neither whether nor when an alarm is raised. If the interval of a trip is wider
+    than the median one of the reference, its deviation is divided by their ratio.
+
+    A change has ended when the median deviation of ``N_BACK`` trips is below ``BACK`` times its
+    size; more trips are needed if their mean is uncertain compared with that size (``SURE``). The
+    detector then starts again without the trips of the change.
 
     Parameters
     ----------
@@ -147,14 +143,14 @@ def find_changes(
     values : mapping from parameter to array of shape (n_trips,), [-]
         Relative to healthy; NaN: no estimate.
     covariates : mapping from name to array of shape (n_trips,)
-        Payload, speed, temperature, say. One that does not vary in the reference, that others
-        determine there, or that a trip of it lacks, is left out. Later trips that lack one are not
-        judged.
+        For example payload, speed and temperature. A covariate is ignored if, in the reference, it
+        is constant, a linear combination of the others, or missing for a trip. Later trips that
+        lack a covariate in use are not judged.
     settings : ChangeSettings
     usable : bool array of shape (n_trips,), optional
-        Trips that count: those without flags. All by default.
+        Trips to use, such as those without flags. All by default.
     widths : mapping from parameter to array of shape (n_trips,), [-], optional
-        Half widths of the intervals, in logarithms.
+        Half-widths of the intervals, in logarithms.
 
     Raises
     ------
@@ -209,7 +205,7 @@ def _check_shapes(km: FloatArray, given: Mapping[str, Mapping[str, ArrayLike]]) 
 
 @dataclass(frozen=True)
 class _Judged:
-    """The trips that count: their places, covariates (n_trips, n_covariates), and thresholds."""
+    """The usable trips: their indices, covariates (n_trips, n_covariates) and thresholds."""
 
     trips: IntArray
     covariates: FloatArray
@@ -218,10 +214,10 @@ class _Judged:
 
 
 def _limits(km: FloatArray, n_parameters: int, settings: ChangeSettings) -> FloatArray:
-    """Return the threshold at each trip from the last one of the reference on.
+    """Return the threshold at each trip, starting with the last one of the reference.
 
-    Each gap between two trips counts in as many means as a mean has gaps: the expected number of
-    false alarms is that of the mileage, for any spacing of the trips.
+    The rate per trip uses a moving mean of the gaps. Each gap enters it equally often, so the
+    expected number of false alarms per km does not depend on the spacing of the trips.
     """
     n_gaps = settings.n_reference - 1
     counted = np.cumsum(np.minimum(np.diff(km, prepend=km[0]), LONGEST_GAP))
@@ -236,7 +232,7 @@ def _limits(km: FloatArray, n_parameters: int, settings: ChangeSettings) -> Floa
 
 
 def _of_one(judged: _Judged, logs: FloatArray, widths: FloatArray, rest: Residuals) -> list[Change]:
-    """Return the changes of one parameter; arrays are of the trips that count."""
+    """Return the changes of one parameter; arrays have one entry for each usable trip."""
     found = []
     trips, needed = judged.trips, judged.settings.n_reference
     used = np.arange(len(logs))
@@ -252,7 +248,7 @@ def _of_one(judged: _Judged, logs: FloatArray, widths: FloatArray, rest: Residua
         if alarm is None:
             break
         onset, begin, size = alarm[0] + start, alarm[1] + start, alarm[2]
-        # the course since the onset, against the reference as it was at the alarm
+        # deviations from the reference as it was at the alarm: later trips must not change it
         n_known = max(needed, min(onset, int(rest.n_reference[begin - needed])))
         usual = np.concatenate([np.ones(needed, bool), rest.usual])[:n_known]
         x = np.concatenate([np.ones((len(used), 1)), judged.covariates[used]], axis=1)
@@ -280,7 +276,7 @@ def _of_one(judged: _Judged, logs: FloatArray, widths: FloatArray, rest: Residua
 
 
 def _end(away: FloatArray, begin: int, size: float, spread: float, phi: float) -> int | None:
-    """Return the trip after `begin` at which a change was back, of deviations of trips.
+    """Return the trip after `begin` at which a change has ended, or None; `away`: (n_trips,).
 
     The mean of n trips has the variance spread^2 (1 + phi) / (1 - phi) / n.
     """
@@ -296,9 +292,9 @@ def _end(away: FloatArray, begin: int, size: float, spread: float, phi: float) -
 def _first(
     standard: FloatArray, deviations: FloatArray, limits: FloatArray, least: float
 ) -> tuple[int, int, float] | None:
-    """Return onset, alarm and size (in logarithms) of the first change that is large enough.
+    """Return onset, alarm and size (in logarithms) of the first change of at least `least` %.
 
-    The onset is the most likely one since the CUSUM was zero, max (sum z)^2 / n.
+    The onset maximises (sum z)^2 / n over the trips since the CUSUM was last zero.
     """
     sums = cusum(standard)
     z = np.clip(standard, -CLIP, CLIP)
@@ -317,9 +313,9 @@ def _first(
 def _covariates(
     given: Mapping[str, ArrayLike], trips: IntArray, needed: int
 ) -> tuple[tuple[str, ...], FloatArray, BoolArray]:
-    """Return the covariates that vary in the reference, and which trips have all of them.
+    """Return names and values of the usable covariates, and which trips have all of them.
 
-    They are standardised by the reference.
+    Values are standardised by the reference, (n_trips, n_covariates).
     """
     kept, columns, has_all = [], [np.ones(len(trips))], np.ones(len(trips), dtype=bool)
     for name, values in given.items():
@@ -345,7 +341,7 @@ def _covariates(
 
 
 def _relative_widths(widths: ArrayLike | None, trips: IntArray, needed: int) -> FloatArray:
-    """Return how much wider than the reference's each trip's interval is; at least 1."""
+    """Return each trip's interval width over the median one of the reference, at least 1."""
     if widths is None:
         return np.ones(len(trips))
     known = np.clip(np.asarray(widths, dtype=float)[trips], 1e-12, LARGEST)

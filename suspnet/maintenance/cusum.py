@@ -1,6 +1,7 @@
-"""CUSUM of pre-whitened trips against a reference that grows, and its thresholds by simulation.
+"""CUSUM of pre-whitened trips against a growing reference, and its thresholds by simulation.
 
-Symbols: t counts trips, j the trips in the reference, phi is the correlation of successive trips.
+Symbols: t is the index of a trip, j the number of trips in the reference, phi the correlation of
+successive trips.
 """
 
 from __future__ import annotations
@@ -16,20 +17,21 @@ from suspnet.ground.checks import check_number
 from suspnet.ground.types import BoolArray, FloatArray, IntArray
 
 ALLOWANCE = 0.5
-"""k of the CUSUM, in standard deviations: half of the smallest change that it is best for."""
+"""k of the CUSUM, in standard deviations: half of the shift for which it is optimal."""
 CLIP = 6.0
-"""Deviation to which one trip is limited, in standard deviations: no trip raises an alarm alone."""
+"""Largest deviation of a trip that counts, in standard deviations: no trip raises an alarm
+alone."""
 DELAY = 10
-"""Number of trips after which a trip joins the reference: a change is detected before."""
+"""Number of trips after which a trip joins the reference: a change is detected earlier."""
 MAX_CORRELATION = 0.6
 """Largest correlation of successive trips that pre-whitening removes."""
 LEAST_SPREAD = 1e-6
-"""Least standard deviation of trips, in the unit of the values: smaller is rounding."""
+"""Least standard deviation of trips, in the unit of the values: anything less is rounding."""
 N_SIMULATED = 8000
 N_MONITORED = 200
 """Number of simulated healthy histories, and of their trips after the reference."""
 HORIZONS = (10, 20, 50, 100, 200)
-"""Numbers of trips after the reference over each of which the false-alarm rate holds."""
+"""The false-alarm rate holds over each of these numbers of trips after the reference."""
 
 
 @dataclass(frozen=True)
@@ -39,19 +41,19 @@ class Residuals:
     Attributes
     ----------
     standard : array of shape (n_trips - n_reference, ...), [-]
-        Pre-whitened, about standard normal as long as nothing changes.
+        Pre-whitened deviations, approximately standard normal without a change.
     deviations : array of the same shape
-        Trip minus its expectation by reference and covariates, not pre-whitened, in the unit of the
-        trips.
+        Trip minus the value expected from reference and covariates, not pre-whitened, in the unit
+        of the trips.
     leverage : array of the same shape, [-]
-        Variance of that expectation over the variance of a trip: above 1, the covariates are too
-        unlike those of the reference.
+        Variance of the expected value over that of a trip; above 1, the covariates are too unlike
+        those of the reference.
     n_reference : int array of shape (n_trips - n_reference,)
-        Trips that are old enough for the reference.
+        Number of trips that are old enough for the reference.
     correlation : array of the shape of `standard`, [-]
         phi.
     usual : bool array of the shape of `standard`
-        Whether the trip may become part of the reference: abs(z) is at most ``CLIP``.
+        Whether the trip may join the reference: abs(z) is at most ``CLIP``.
     """
 
     standard: FloatArray
@@ -62,7 +64,7 @@ class Residuals:
     usual: BoolArray
 
     def of(self, i: int) -> Residuals:
-        """Return the residuals of one parameter, the `i`-th of the last axis."""
+        """Return the residuals of the `i`-th parameter, along the last axis."""
         one = {name: column[..., i] for name, column in vars(self).items() if column.ndim > 1}
         return replace(self, **one)
 
@@ -70,29 +72,30 @@ class Residuals:
 def residuals(values: FloatArray, covariates: FloatArray, n_reference: int) -> Residuals:
     """Return the deviation of each trip from a reference that grows with the history.
 
-    Trip t is compared with the j trips before t - ``DELAY``, with the first `n_reference` at least.
+    Trip t is compared with the j trips before t - ``DELAY``, but at least the first `n_reference`.
     With x the row (1, covariates), trips follow y_t = x_t' b + r_t and r_t = phi r_(t-1) + e_t:
 
     - phi is the posterior mean, with equal prior weights on 0 to ``MAX_CORRELATION``, given the
       first autocorrelation of the least-squares residuals, whose bias is -(1 + 3 phi) / j and
       whose variance is (1 - phi^2) / j;
-    - b and the variance s^2 of e are those of least squares on x_t - phi x_(t-1), s^2 at least
+    - b and the variance s^2 of e follow from least squares on x_t - phi x_(t-1), with s^2 at least
       j / nu times the square of ``LEAST_SPREAD``;
-    - e_t over s and the uncertainty of b follows Student's t and is turned into a standard normal
-      by z (1 - 1 / (4 nu)) / sqrt(1 + z^2 / (2 nu)), nu = j - 1 less the length of x (Abramowitz
+    - z, the ratio of e_t to its standard deviation including the uncertainty of b, follows
+      Student's t and is transformed to a standard normal by
+      z (1 - 1 / (4 nu)) / sqrt(1 + z^2 / (2 nu)), with nu = j - 1 minus the length of x (Abramowitz
       and Stegun, 26.7.8).
 
-    A later trip with abs(z) above ``CLIP`` never becomes part of the reference, as one outlier
-    there would hide changes: its x and y count as zeros, and not in j. A change of that size has
-    raised its alarm before.
+    A later trip with abs(z) above ``CLIP`` never joins the reference, where one outlier would hide
+    changes: its x and y are set to zero and it does not count in j. A lasting change of that size
+    has already raised an alarm.
 
     Parameters
     ----------
     values : array of shape (n_trips, ...)
     covariates : array of shape (n_trips, ..., n_covariates)
-        May have none, n_covariates 0; leading dimensions of `values`.
+        Leading dimensions as in `values`; n_covariates may be 0.
     n_reference : int
-        At least 8, and 4 more than there are covariates.
+        At least 8, and at least n_covariates + 4.
 
     Returns
     -------
@@ -101,14 +104,14 @@ def residuals(values: FloatArray, covariates: FloatArray, n_reference: int) -> R
     Raises
     ------
     ValueError
-        If the reference is too short, or has covariates that determine each other.
+        If the reference is too short, or its covariates are linearly dependent.
     """
     n_covariates = covariates.shape[-1]
     check_number("n_reference", n_reference, low=max(8, n_covariates + 4), whole=True)
     centred = values - values[:n_reference].mean(axis=0)
     rows = np.concatenate([np.ones((*values.shape, 1)), covariates, centred[..., None]], axis=-1)
     kept = np.ones(values.shape, dtype=bool)
-    # z of a trip needs `kept` of trips DELAY older alone: each turn settles DELAY trips more
+    # z of a trip depends on `kept` of trips at least DELAY older: each pass settles DELAY more
     for _ in range(len(values) // DELAY + 2):
         rest = _compare(rows, kept, n_reference)
         if (rest.usual == kept[n_reference:]).all():
@@ -118,7 +121,10 @@ def residuals(values: FloatArray, covariates: FloatArray, n_reference: int) -> R
 
 
 def _compare(rows: FloatArray, kept: BoolArray, n_reference: int) -> Residuals:
-    """Return the residuals of rows (x, y) against those `kept`."""
+    """Return the residuals of rows (x, y), (n_trips, ..., n_covariates + 2), against `kept` ones.
+
+    All references are prefixes of the history, so their moments are differences of cumulative sums.
+    """
     used = rows * kept[..., None]
     squares = np.cumsum(_outer(used, used), axis=0)
     products = np.cumsum(_outer(used[1:], used[:-1]), axis=0)
@@ -156,10 +162,10 @@ def _compare(rows: FloatArray, kept: BoolArray, n_reference: int) -> Residuals:
 
 
 def cusum(standard: FloatArray) -> FloatArray:
-    """Return the two CUSUMs of residuals, upwards and downwards.
+    """Return the upward and the downward CUSUM of residuals.
 
-    S_t = max(0, S_(t-1) + s z_t - k) with s = 1 and -1, k = ``ALLOWANCE``, abs(z) at most ``CLIP``,
-    and S = 0 before the first trip (E. S. Page, Biometrika 41, 1954).
+    S_t = max(0, S_(t-1) + s z_t - k) with s = 1 and -1, k = ``ALLOWANCE``, z clipped to
+    +-``CLIP``, and S = 0 before the first trip (E. S. Page, Biometrika 41, 1954).
 
     Parameters
     ----------
@@ -176,16 +182,16 @@ def cusum(standard: FloatArray) -> FloatArray:
 
 @functools.lru_cache(maxsize=1024)
 def threshold(rate: float, n_reference: int, correlation: float = 0.5, seed: int = 0) -> float:
-    """Return the threshold of ``cusum`` at which healthy trips raise false alarms at a given rate.
+    """Return the threshold of ``cusum`` for a given rate of false alarms of healthy trips.
 
-    ``N_SIMULATED`` healthy histories, each with a reference of its own, are made by a normal
-    autoregressive process. The rate is that of the first false alarms for each trip monitored, and
-    it holds over each of ``HORIZONS``. As the CUSUM of standardised residuals does not depend on
-    level and spread of the trips, that is a parametric bootstrap of any suspension's reference,
-    with the least favourable correlation instead of its own, which `n_reference` trips do not
-    determine well enough. At least ``CLIP``, so that no trip raises an alarm alone. Below the
-    smallest rate that the simulation shows, the logarithm of the rate falls with the threshold as
-    over the last decade shown, which is slower than the exp(-2 k h) of a known level.
+    ``N_SIMULATED`` healthy histories, each with its own reference, are drawn from a normal
+    autoregressive process. The rate counts first false alarms per monitored trip, and holds over
+    each of ``HORIZONS``. The CUSUM of standardised residuals does not depend on the level and
+    spread of the trips, so this is a parametric bootstrap for any suspension. It uses the least
+    favourable correlation, because `n_reference` trips do not determine their own well enough. The
+    threshold is at least ``CLIP``, so that no trip raises an alarm alone. Rates too small for the
+    simulation are extrapolated: the log rate falls linearly with the threshold, with the slope of
+    the last decade simulated, which is flatter than the exp(-2 k h) of a known level.
 
     Parameters
     ----------
@@ -193,8 +199,13 @@ def threshold(rate: float, n_reference: int, correlation: float = 0.5, seed: int
     n_reference : int
         At least 8.
     correlation : float, [-]
-        Of successive trips, 0 to ``MAX_CORRELATION``: the largest to be expected.
+        Largest expected correlation of successive trips, 0 to ``MAX_CORRELATION``.
     seed : int
+
+    Returns
+    -------
+    float
+        In standard deviations.
 
     Raises
     ------
@@ -213,7 +224,7 @@ def threshold(rate: float, n_reference: int, correlation: float = 0.5, seed: int
 
 
 def _least(peaks: NDArray[np.float32], rate: float) -> float:
-    """Return the least threshold, from ``CLIP`` on, that keeps a rate."""
+    """Return the least threshold, at least ``CLIP``, whose rate is at most `rate`."""
     low, high = CLIP, float(peaks[-1].max())
     for _ in range(24):  # the rate falls with the threshold: bisection to 1e-7 of the range
         middle = (low + high) / 2
@@ -222,7 +233,10 @@ def _least(peaks: NDArray[np.float32], rate: float) -> float:
 
 
 def _false_alarms(peaks: NDArray[np.float32], threshold: float) -> float:
-    """Return the largest rate of first alarms over the horizons, of the peaks at each trip."""
+    """Return the largest rate of first alarms over the horizons.
+
+    `peaks`, (``N_MONITORED``, n_histories), are the running maxima of the CUSUM.
+    """
     quiet = (peaks <= threshold).sum(axis=0)  # trips before the first alarm
     return max(
         float((quiet < trips).mean() / np.minimum(quiet + 1, trips).mean()) for trips in HORIZONS
@@ -231,10 +245,10 @@ def _false_alarms(peaks: NDArray[np.float32], threshold: float) -> float:
 
 @functools.lru_cache(maxsize=8)
 def _healthy_peaks(n_reference: int, correlation: float, seed: int) -> NDArray[np.float32]:
-    """Return the largest CUSUM until each trip; shape (``N_MONITORED``, ``N_SIMULATED``)."""
+    """Return the largest CUSUM up to each trip, (``N_MONITORED``, ``N_SIMULATED``)."""
     random = np.random.default_rng(seed)
     peaks = np.empty((N_MONITORED, N_SIMULATED), np.float32)
-    chunk = 500
+    chunk = 500  # histories at once, which bounds the memory
     for begin in range(0, N_SIMULATED, chunk):
         noise = random.standard_normal((n_reference + N_MONITORED, chunk))
         values = autoregressive(noise, correlation)
@@ -245,7 +259,7 @@ def _healthy_peaks(n_reference: int, correlation: float, seed: int) -> NDArray[n
 
 
 def autoregressive(noise: FloatArray, correlation: float | FloatArray) -> FloatArray:
-    """Return a stationary series of unit variance made of independent noise of unit variance.
+    """Return a stationary series of unit variance from white noise e of unit variance.
 
     y_t = phi y_(t-1) + sqrt(1 - phi^2) e_t along the first axis, and y_0 = e_0.
     """
@@ -257,7 +271,7 @@ def autoregressive(noise: FloatArray, correlation: float | FloatArray) -> FloatA
 
 
 def _posterior_mean(lagged: FloatArray, size: FloatArray) -> FloatArray:
-    """Return the posterior mean of phi, given the autocorrelation of `size` residuals."""
+    """Return the posterior mean of phi, given the lag-1 autocorrelation of `size` residuals."""
     grid = np.linspace(0, MAX_CORRELATION, 13).reshape(-1, *[1] * lagged.ndim)
     mean, variance = grid - (1 + 3 * grid) / size, (1 - grid**2) / size
     log_weights = -((lagged - mean) ** 2) / (2 * variance) - np.log(variance) / 2
@@ -270,7 +284,7 @@ def _outer(left: FloatArray, right: FloatArray) -> FloatArray:
 
 
 def _contrast(moments: FloatArray) -> FloatArray:
-    """Return (-b, 1), of which the product with a row (x, y) is its least-squares residual."""
+    """Return (-b, 1), whose product with a row (x, y) is the row's least-squares residual."""
     b = np.linalg.solve(moments[..., :-1, :-1], moments[..., :-1, -1:])[..., 0]
     return np.concatenate([-b, np.ones((*b.shape[:-1], 1))], axis=-1)
 

@@ -1,15 +1,15 @@
 """Degradation models of one parameter: posterior of its level, its rate and its onset.
 
-All work in units of ``UNIT_KM`` and on blocks of neighbouring trips: the cost does not grow with
-the history. A model is a drift from an onset h on,
+Mileages are in ``UNIT_KM``. Neighbouring trips are averaged into blocks, so the cost does not grow
+with the history. A model is a drift that starts at the onset h,
 
     level + rate * f(t - h) + B(t - h),
 
-in the value or, "exponential", in its logarithm. f(x) = x, but "changing rate" has powers of x. B
+in the value or, for "exponential", in its logarithm. f(x) = x; "changing rate" uses powers of x. B
 is Brownian motion of variance q x for "wiener", its integral for "changing rate", and 0 otherwise.
-Measurement noise is autoregressive of order one. Given onset, power, q and the component of the
-prior ("node"), level and rate are Gaussian: their posterior and the evidence are closed forms, and
-everything else is a sum over a grid of nodes.
+Measurement noise is autoregressive of order one. Given a node (onset, power, q and component of the
+prior), level and rate are Gaussian with closed-form posterior and evidence; the nodes form a grid
+over which everything else is summed.
 """
 
 from __future__ import annotations
@@ -23,15 +23,16 @@ from suspnet.maintenance.noise import Blocks, Noise, noise_covariance
 
 MODELS = ("no trend", "linear", "exponential", "wiener", "changing rate")
 LEAST_EIGENVALUE = 1e-9
-"""Least eigenvalue over the largest to which a covariance that has no Cholesky factor is raised."""
+"""Lower bound of the eigenvalues, relative to the largest, of a covariance without a Cholesky
+factor."""
 N_ONSETS = 40
-"""Number of onsets of each model."""
+"""Number of onsets on the grid of each model."""
 ONSET_PASSES = 3
-"""Number of times that "linear" and "exponential" add onsets about the best one."""
+"""Number of times that "linear" and "exponential" refine the grid of onsets around the best one."""
 AT_ONCE = 0.5
-"""Prior probability that wear begins before the first trip."""
+"""Prior probability that wear starts before the first trip."""
 LEVEL_SPREAD = 0.1
-"""Prior standard deviation of the value at the first trip about 1."""
+"""Prior standard deviation of the value at the first trip, whose prior mean is 1."""
 DIFFUSIONS = np.geomspace(0.0015, 0.1, 13)
 """Standard deviations of Brownian motion after ``UNIT_KM``."""
 RATE_CHANGES = np.geomspace(0.0002, 0.02, 7)
@@ -39,7 +40,7 @@ RATE_CHANGES = np.geomspace(0.0002, 0.02, 7)
 POWERS = np.array([0.5, 0.7, 1.0, 1.4, 2.0])
 """Powers of the mileage since the onset in "changing rate"."""
 POWER_UNITS = 3.0
-"""Mileage [UNIT_KM] since the onset to which the rate of a power is the mean rate."""
+"""Mileage [UNIT_KM] after the onset over which the rate of a power law is the mean rate."""
 FIRST_WIENER = 3
 FIRST_CHANGING = FIRST_WIENER + DIFFUSIONS.size
 """First rows of "wiener" and "changing rate" in ``FleetPrior.models``."""
@@ -48,20 +49,16 @@ N_STARTS = 8
 TINY = 1e-300
 """Replaces a probability of 0 in logarithms."""
 DETAILED = 0.3
-"""Least probability of a trend, without Brownian motion, for which that is fitted too."""
+"""Models with Brownian motion are fitted only if a trend has at least this probability without."""
 
 
 @dataclass(frozen=True)
 class FleetPrior:
     """Prior over models and rates.
 
-    Attributes
-    ----------
-    models : array of shape (n_rows,), [-]
-        Probability of "no trend", "linear", "exponential", "wiener" with each of ``DIFFUSIONS``
-        and "changing rate" with each of ``RATE_CHANGES``.
-    weights, means, spreads : arrays of shape (n_components,), [-], [1 / UNIT_KM]
-        The rate is a mixture of normal distributions.
+    `models`, (n_rows,): probability of "no trend", "linear", "exponential", "wiener" with each of
+    ``DIFFUSIONS`` and "changing rate" with each of ``RATE_CHANGES``. `weights` [-], `means` and
+    `spreads` [1 / UNIT_KM], (n_components,): the normal mixture of the rate.
     """
 
     models: FloatArray
@@ -71,18 +68,14 @@ class FleetPrior:
 
 
 def fit_models(blocks: Blocks, noise: Noise, prior: FleetPrior) -> list[Fit]:
-    """Return the fit of each of ``MODELS``, or of the first three where no trend is likely.
+    """Return the fit of each of ``MODELS``, or of the first three if a trend is unlikely.
 
-    Parameters
-    ----------
-    blocks : Blocks
-    noise : Noise
-        For diffusion 0 and each of ``DIFFUSIONS``.
-    prior : FleetPrior
+    `noise` has one entry for diffusion 0 and one for each of ``DIFFUSIONS``.
     """
     covariance = noise_covariance(blocks, noise.variance, noise.correlation)
     fits = [_without_trend(blocks, covariance[:1], prior)]
     fits += [_straight(blocks, covariance[:1], prior, row, _onsets(blocks.last)) for row in (1, 2)]
+    # Brownian motion costs most of the time and only matters where there is a trend
     if shares(fits)[0][0] > 1 - DETAILED:
         return fits
     fits[1:] = [_refined(blocks, covariance[:1], prior, fit) for fit in fits[1:]]
@@ -134,7 +127,7 @@ def _wandering(blocks: Blocks, covariance: FloatArray, prior: FleetPrior, motion
 
 
 def _log_measure(onsets: FloatArray) -> FloatArray:
-    """Return the logarithm of the prior of each onset; the first stands for all before it."""
+    """Return the log prior of each onset; the first one includes all earlier ones."""
     widths = np.gradient(onsets)
     widths[0] = 0.0
     share = (1 - AT_ONCE) * widths / widths.sum()
@@ -144,13 +137,19 @@ def _log_measure(onsets: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True)
 class Motion:
-    """Brownian motion of the value, or of the rate if `integrated`; `variances` per mileage."""
+    """Brownian motion of the value, or of the rate if `integrated`.
+
+    `variances`, (n_motions,), are per ``UNIT_KM``.
+    """
 
     variances: FloatArray
     integrated: bool
 
     def covariance(self, since: FloatArray, length: FloatArray) -> FloatArray:
-        """Return the covariance of unit variance between blocks (starts, blocks, blocks)."""
+        """Return the covariance between blocks for unit variance, (n_starts, n_blocks, n_blocks).
+
+        `since`, (n_starts, n_blocks), is the mileage since the start, `length` that of each block.
+        """
         least = np.minimum(since[:, :, None], since[:, None, :])
         if self.integrated:
             most = np.maximum(since[:, :, None], since[:, None, :])
@@ -160,9 +159,10 @@ class Motion:
         return least
 
     def with_last(self, since: FloatArray, last: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return covariances of blocks with value and rate at the last trip (starts, blocks, 3).
+        """Return covariances with the state (value, 0, rate) at the last trip, for unit variance.
 
-        The third axis is value, 0, rate; the second array is their own (starts, 3, 3).
+        Those of the blocks with the state, (n_starts, n_blocks, 3), and those of the state itself,
+        (n_starts, 3, 3).
         """
         own = np.zeros((last.size, 3, 3))
         none = np.zeros_like(since)
@@ -177,14 +177,9 @@ class Motion:
 
 @dataclass(frozen=True)
 class Hinges:
-    """Courses of the drift: arrays of shape (n_starts, n_onsets), Brownian motion from each start.
+    """Drifts on the grid: onsets [UNIT_KM], powers of the mileage since them, and log prior.
 
-    Attributes
-    ----------
-    onsets : array, [UNIT_KM]
-    powers : array, [-]
-        Of the mileage since the onset.
-    log_prior : array
+    All are of shape (n_starts, n_onsets): the drifts that share each start of Brownian motion.
     """
 
     onsets: FloatArray
@@ -192,39 +187,26 @@ class Hinges:
     log_prior: FloatArray
 
     def course(self, t: FloatArray) -> FloatArray:
-        """Return the course for a rate of 1, of shape (n_starts, n_onsets, n_t)."""
+        """Return the drift at `t` [UNIT_KM] for a rate of 1, (n_starts, n_onsets, n_t)."""
         return powered(np.maximum(t - self.onsets[..., None], 0), self.powers[..., None])
 
 
 def powered(since: FloatArray, power: FloatArray) -> FloatArray:
-    """Return the drift for a rate of 1 at a mileage since the onset, in ``UNIT_KM``."""
+    """Return the drift for a rate of 1 at a mileage `since` the onset [UNIT_KM]."""
     return np.asarray(POWER_UNITS * (since / POWER_UNITS) ** power)
 
 
 class Fit:
-    """Posterior of one model, for motions x starts x onsets x components of the rate ("nodes").
+    """Posterior of one model at its nodes: motions x starts x onsets x components of the rate.
 
-    With C the covariance, X = (1, course) and the Gaussian prior of level and rate, their posterior
-    has precision M = X^T C^-1 X + P; the evidence is that of Bayesian linear regression ([1]_, sec.
-    2.7). The linear scale is divided by the value, so that noise is relative to the value in both.
+    With the covariance C, X = (1, course) and P the prior precision of level and rate, their
+    posterior precision is M = X^T C^-1 X + P; the evidence is that of Bayesian linear regression
+    ([1]_, sec. 2.7). `linear` models the value, else its logarithm; the linear scale is divided by
+    the value, so that noise is relative to the value in both.
 
-    Parameters
-    ----------
-    blocks : Blocks
-    linear : bool
-        The value itself, or else its logarithm.
-    covariance : array of shape (n_motions or 1, 1, n_blocks, n_blocks)
-        Of the noise.
-    hinges : Hinges
-    prior : FleetPrior
-    rows : int array of shape (n_motions,)
-        As in ``FleetPrior.models``.
-    motion : Motion, optional
-
-    Attributes
-    ----------
-    log_weight : array of shape (n_motions, n_starts, n_onsets, n_components)
-        Logarithm of prior times evidence of each node.
+    `covariance`, (n_motions or 1, 1, n_blocks, n_blocks), is that of the noise; `rows`,
+    (n_motions,), are rows of ``FleetPrior.models``. `log_weight`, (n_motions, n_starts, n_onsets,
+    n_components), is the logarithm of prior times evidence of each node.
 
     References
     ----------
@@ -289,7 +271,7 @@ class Fit:
         self.log_weight = evidence + log_prior[..., None] + np.log(np.maximum(prior.weights, TINY))
 
     def now(self, nodes: IntArray) -> State:
-        """Return the posterior of the present state of some nodes, by index of the flat array."""
+        """Return the posterior state at the last trip of `nodes`, indices into flat log_weight."""
         m, s, o, j = np.unravel_index(nodes, self.log_weight.shape)
         first = np.minimum(m, self._with_last.shape[0] - 1)
         with_last = self._with_last[first, s]
@@ -318,20 +300,12 @@ class Fit:
 
 @dataclass(frozen=True)
 class State:
-    """Present state of nodes; arrays of shape (n_nodes,).
+    """Gaussian state of nodes at the last trip.
 
-    Attributes
-    ----------
-    row : int array
-        As in ``FleetPrior.models``.
-    since : array, [UNIT_KM]
-        Mileage from the onset to the last trip.
-    power : array, [-]
-        Of the mileage since the onset.
-    mean : array of shape (n_nodes, 3), [-], [1 / UNIT_KM], [1 / UNIT_KM]
-        At the last trip: value - 1 (or its logarithm for "exponential"), rate of the drift,
-        change of the rate by Brownian motion.
-    covariance : array of shape (n_nodes, 3, 3)
+    `row` of ``FleetPrior.models``, mileage `since` the onset [UNIT_KM] and its `power`: (n_nodes,).
+    `mean`, (n_nodes, 3): value - 1 (or the logarithm of the value for "exponential"), rate of the
+    drift and change of the rate by Brownian motion, both [1 / UNIT_KM]; `covariance`,
+    (n_nodes, 3, 3).
     """
 
     row: IntArray
@@ -342,12 +316,12 @@ class State:
 
 
 def join(states: list[State]) -> State:
-    """Return the nodes of several states as one."""
+    """Return one state with the nodes of several."""
     return State(*(np.concatenate([getattr(one, f.name) for one in states]) for f in fields(State)))
 
 
 def shares(fits: list[Fit]) -> list[FloatArray]:
-    """Return the probabilities of the nodes of each fit, flat; all of them sum to 1."""
+    """Return the probabilities of the nodes of each fit, flat; they sum to 1 over all fits."""
     peak = max(fit.log_weight.max() for fit in fits)
     weights = [np.exp(fit.log_weight - peak).reshape(-1) for fit in fits]
     total = sum(weight.sum() for weight in weights)
@@ -357,8 +331,8 @@ def shares(fits: list[Fit]) -> list[FloatArray]:
 def _definite(covariance: FloatArray) -> FloatArray:
     """Return covariances with positive eigenvalues.
 
-    The covariance of a path between blocks is that of evenly spaced trips within each; it is not
-    definite where trips of very different noise are spaced very unevenly.
+    Brownian motion is averaged as if trips were evenly spaced in a block, so a covariance can be
+    indefinite if they are spaced very unevenly and their noise differs much.
     """
     values, vectors = np.linalg.eigh(covariance)
     raised = np.maximum(values, LEAST_EIGENVALUE * values[..., -1:])

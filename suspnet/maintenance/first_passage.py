@@ -1,4 +1,4 @@
-"""Draws of the mileage until a degradation process first passes a limit."""
+"""Samples of the mileage until a degradation process first passes a limit."""
 
 from __future__ import annotations
 
@@ -16,32 +16,23 @@ from suspnet.maintenance.degradation import (
 from suspnet.maintenance.noise import UNIT_KM
 
 HORIZON_KM = 5e6
-"""Mileage still to go beyond which a crossing counts as never: no prediction reaches so far."""
+"""Mileage after which a crossing counts as never, as no prediction reaches so far, [km]."""
 FUTURE = np.concatenate([[0.0], np.geomspace(1e-3, HORIZON_KM / UNIT_KM, 150)])
-"""Mileages [UNIT_KM] after the last trip that a future of changing rate is drawn at."""
+"""Mileages [UNIT_KM] after the last trip at which paths of a changing rate are sampled."""
 
 
 def first_passage_km(
     distance: FloatArray, rate: FloatArray, diffusion: FloatArray, rng: np.random.Generator
 ) -> FloatArray:
-    """Return draws of the mileage until a Wiener process with drift first passes a limit.
+    """Return samples [km] of the mileage until a Wiener process with drift first passes a limit.
 
-    With a drift towards the limit, of `distance` d, `rate` v and variance q per mileage, the law is
-    inverse Gaussian with mean d / v and shape d^2 / q [1]_; with a drift away from it, it is that
-    of |v| with probability exp(-2 |v| d / q) and infinite otherwise. Without diffusion it is d / v.
+    With `distance` d, `rate` v and variance q = `diffusion` per mileage, the distribution for a
+    drift towards the limit is inverse Gaussian with mean d / v and shape d^2 / q [1]_; for a drift
+    away from it, it is that of |v| with probability exp(-2 |v| d / q) and infinite otherwise.
+    Without diffusion the mileage is d / v.
 
-    Parameters
-    ----------
-    distance : array of shape (n_samples,), [-]
-        At most 0: passed already, which gives 0. May be infinite.
-    rate : array of shape (n_samples,), [1 / UNIT_KM]
-    diffusion : array of shape (n_samples,), [1 / UNIT_KM]
-        Variance per mileage.
-    rng : numpy.random.Generator
-
-    Returns
-    -------
-    array of shape (n_samples,), [km]
+    `distance` [-], `rate` and `diffusion` [1 / UNIT_KM]: (n_samples,). A distance <= 0 gives 0; it
+    may be infinite.
 
     References
     ----------
@@ -54,7 +45,7 @@ def first_passage_km(
     q = np.where(diffusion > 0, diffusion, 1.0)
     mean = d / v
     half = 0.5 * y * q / (v * d)
-    # the smaller root, without the difference of large numbers of the usual form
+    # the smaller root, in a form without the usual cancellation
     smaller = mean / (1 + half + np.sqrt(half * (half + 2)))
     random = np.where(u <= mean / (mean + smaller), smaller, mean * (mean / smaller))
     reached = np.where(rate > 0, 1.0, np.where(diffusion > 0, np.exp(-2 * v * d / q), 0.0)) > away
@@ -69,27 +60,17 @@ def changing_passage_km(
     spread: FloatArray,
     rng: np.random.Generator,
 ) -> FloatArray:
-    """Return draws of the mileage until a value whose rate is Brownian motion passes a limit.
+    """Return samples [km] of the mileage until a value with a Brownian rate passes a limit.
 
-    Drawn exactly at ``FUTURE``; the crossing is interpolated between them.
-
-    Parameters
-    ----------
-    mean : array of shape (n_samples, n_future), [-]
-        Mean value at ``FUTURE``.
-    lower, upper, spread : arrays of shape (n_samples,)
-        The limits, and the standard deviation of the change of the rate after ``UNIT_KM``.
-    rng : numpy.random.Generator
-
-    Returns
-    -------
-    array of shape (n_samples,), [km]
+    Paths are exact at ``FUTURE``; the crossing is interpolated linearly. `mean`,
+    (n_samples, n_future), is the mean value at ``FUTURE``. The limits `lower` and `upper`, and
+    `spread`, the standard deviation of the change of the rate after ``UNIT_KM``: (n_samples,).
     """
     dt = np.diff(FUTURE)
     a, b = rng.normal(size=(2, lower.size, dt.size))
     rates = np.cumsum(np.sqrt(dt) * a, axis=1)
     before = rates - np.sqrt(dt) * a
-    # given its end, the integral of Brownian motion over dt has variance dt^3 / 12
+    # given its ends, the integral of Brownian motion over dt has variance dt^3 / 12
     motion = np.cumsum((before + rates) / 2 * dt + np.sqrt(dt**3 / 12) * b, axis=1)
     values = mean + spread[:, None] * np.pad(motion, ((0, 0), (1, 0)))
     out = (values <= lower[:, None]) | (values >= upper[:, None])
@@ -110,24 +91,12 @@ def draw_lives_km(
     freedom: float,
     rng: np.random.Generator,
 ) -> FloatArray:
-    """Return draws of the remaining life from the nodes `draw` of a state.
+    """Return samples [km] of the remaining life, inf beyond ``HORIZON_KM``.
 
-    `freedom` is the number of degrees of freedom of the noise. The two limits are passed
-    independently given rate and present value: exact but for paths that would pass both.
-
-    Parameters
-    ----------
-    state : State
-    draw : int array of shape (n_samples,)
-    limits : (lower, upper), [-]
-        Lower 0 or upper infinity is no limit on that side.
-    freedom : float
-    rng : numpy.random.Generator
-
-    Returns
-    -------
-    array of shape (n_samples,), [km]
-        inf beyond ``HORIZON_KM``.
+    `draw`, (n_samples,), are nodes of the state; `limits` are relative to healthy, with lower 0 or
+    upper infinity for no limit; `freedom` is the number of degrees of freedom of the noise. The
+    passages of the two limits are sampled independently given rate and present value, which is
+    exact except for paths that would pass both.
     """
     row = state.row[draw]
     values, vectors = np.linalg.eigh(state.covariance)

@@ -1,4 +1,4 @@
-"""States of all suspensions of a fleet; only what changed is worked out again."""
+"""States of all suspensions of a fleet, recomputed only where trips changed."""
 
 from __future__ import annotations
 
@@ -21,29 +21,22 @@ from suspnet.maintenance.sisters import SisterSettings, alarms_of_sisters
 from suspnet.maintenance.state import State, by_urgency, watched, with_alarms
 
 MOST_LEARNT = 200
-"""Largest number of suspensions from which a fleet's rates of wear are learnt, evenly chosen."""
+"""Largest number of suspensions from which a fleet's rates of wear are learned, evenly chosen."""
 NEW_SHARE = 0.1
-"""Share of a vehicle's trips that must be new before its rates of wear are learnt again: then all
-of its remaining lives are worked out again too, which takes far longer than those of one."""
+"""Share of a vehicle's trips that must be new before its rates of wear are learned again; all its
+remaining lives are then recomputed, which takes far longer than those of one suspension."""
 
 
 class Fleet:
     """Alarms and remaining lives of the suspensions of a fleet.
 
-    A suspension whose trips or maintenance changed is watched again, and compared with its sisters,
-    as these are with it. Its remaining lives are predicted with the rates of wear that all
-    suspensions of its vehicle show together (``learn_fleet``). These are learnt with the first
-    trips, and again when more than ``NEW_SHARE`` of the vehicle's trips are others than then; until
-    then, lives are as with the rates learnt last.
+    If trips or maintenance of a suspension change, its alarms and those of its sisters are
+    recomputed. Its remaining lives use a prior of the rates of wear from all suspensions of its
+    vehicle (``learn_fleet``). The prior is learned from the first trips, and again when more than
+    ``NEW_SHARE`` of the vehicle's trips have changed since.
 
-    Parameters
-    ----------
-    limits : mapping from vehicle to mapping from parameter to Limits
-        A vehicle that is not there has ``DEFAULT_LIMITS``.
-    changes : ChangeSettings
-    sisters : SisterSettings
-    seed : int
-        Of the predicted lives.
+    `limits` maps vehicles to the limits of their parameters; a missing vehicle has
+    ``DEFAULT_LIMITS``. `seed` is that of the predicted lives.
     """
 
     def __init__(
@@ -76,7 +69,7 @@ class Fleet:
         return set(self._own)
 
     def add(self, series: Iterable[Series]) -> None:
-        """Take suspensions as they are now; their trips count for the rates of wear."""
+        """Add or replace suspensions for the rates of wear, without looking for alarms."""
         for one in series:
             before = self._series.get(one.key)
             if before is not one and (before is None or not before.equals(one)):
@@ -84,19 +77,10 @@ class Fleet:
                 self._series[one.key] = one
 
     def update(self, series: Iterable[Series], gone: Collection[Key] = ()) -> set[Key]:
-        """Take suspensions as they are now, and find the alarms of those that changed.
+        """Add or replace suspensions, remove those in `gone`, and recompute alarms.
 
-        Parameters
-        ----------
-        series : iterable of Series
-            New suspensions, and known ones that may have changed.
-        gone : collection of vehicle and place
-            Suspensions that are no longer there.
-
-        Returns
-        -------
-        set of vehicle and place
-            Suspensions whose alarms were found again.
+        Returns the keys of all suspensions whose alarms were recomputed: of the changed ones and of
+        their cars.
         """
         cars = {car_of(self._own[key].series) for key in gone if key in self._own}
         for key in gone:
@@ -113,7 +97,7 @@ class Fleet:
         return self._compare(cars)
 
     def _compare(self, cars: Collection[tuple[str, ...]]) -> set[Key]:
-        """Compare the suspensions of cars with each other, and return which they are."""
+        """Compare the suspensions of each of these cars with each other, and return their keys."""
         members: dict[tuple[str, ...], list[State]] = defaultdict(list)
         for state in self._sorted():
             car = car_of(state.series)
@@ -127,19 +111,10 @@ class Fleet:
         return {state.key for several in members.values() for state in several}
 
     def predict(self, seconds: float = np.inf, only: Collection[Key] | None = None) -> bool:
-        """Predict the remaining lives that are not as of all trips yet.
+        """Predict the remaining lives that are out of date, of all suspensions or of `only` some.
 
-        Parameters
-        ----------
-        seconds : float, [s]
-            Time after which it stops; called again it goes on.
-        only : collection of vehicle and place, optional
-            Of these suspensions alone.
-
-        Returns
-        -------
-        bool
-            Whether all are predicted.
+        It stops after `seconds` [s] and continues when called again. Returns whether all are up to
+        date.
         """
         end = time.monotonic() + seconds
         self._learn()
@@ -164,7 +139,7 @@ class Fleet:
         return not self._waiting
 
     def _learn(self) -> None:
-        """Learn what the suspensions of each vehicle show together, where that may have changed."""
+        """Learn the prior of each vehicle without one, or with enough new trips."""
         of_vehicle: dict[str, list[Series]] = defaultdict(list)
         for one in sorted(self._series.values(), key=lambda one: (one.vehicle, str(one.place))):
             of_vehicle[one.vehicle].append(one)
@@ -178,7 +153,7 @@ class Fleet:
             self._waiting |= {key for key in self._own if key[0] == vehicle}
 
     def n_learnt(self, vehicle: str) -> int:
-        """Return with how many suspensions' rates of wear lives are predicted; 0: each alone."""
+        """Return the number of suspensions behind a vehicle's prior; 0: the default prior."""
         return self._n_learnt.get(vehicle, 0)
 
     def of_sisters(self, key: Key) -> list[Alarm]:
@@ -186,20 +161,20 @@ class Fleet:
         return self._of_sisters.get(key, [])
 
     def states(self) -> list[State]:
-        """Return the state of each suspension, the most severe first, then the shortest life."""
+        """Return the state of each suspension, by severity, then by remaining life."""
         return by_urgency(self.state(key) for key in self._own)
 
     def state(self, key: Key) -> State:
-        """Return the state of a suspension, with the alarms and lives that were found."""
+        """Return the state of a suspension, with the alarms and lives found so far."""
         if key not in self._states:
             state = with_alarms(self._own[key], self.of_sisters(key))
             self._states[key] = replace(state, lives=self._lives.get(key, {}))
         return self._states[key]
 
     def state_of(self, series: Series) -> State:
-        """Return the state of one suspension, compared with its sisters as far as they were added.
+        """Return the state of one suspension, compared with those sisters that were added.
 
-        Only its own remaining lives are predicted, and only its car's alarms are found.
+        To save time, only its own lives are predicted and only its car's alarms are found.
         """
         self.add([series])
         car = car_of(series)
@@ -218,14 +193,7 @@ def fleet_state(
     sisters: SisterSettings,
     seed: int = 0,
 ) -> list[State]:
-    """Return the state of each suspension, the most severe first, then the shortest life.
-
-    Parameters
-    ----------
-    fleet : sequence of Series
-    limits, settings, sisters, seed
-        Of ``Fleet``.
-    """
+    """Return the state of each suspension, by severity, then by remaining life; see ``Fleet``."""
     found = Fleet(limits, settings, sisters, seed)
     found.update(fleet)
     found.predict()
@@ -233,7 +201,7 @@ def fleet_state(
 
 
 def learn_priors(fleet: Sequence[Series], limits: Iterable[str]) -> dict[str, FleetPrior]:
-    """Return what the suspensions of one vehicle show together of each parameter with limits."""
+    """Return the prior of each parameter in `limits` from all suspensions of one vehicle."""
     found = {}
     recent = [one.part(one.recent) for one in fleet]
     for name in limits:
@@ -251,7 +219,8 @@ def learn_priors(fleet: Sequence[Series], limits: Iterable[str]) -> dict[str, Fl
 def sister_alarms(car: Sequence[State], settings: SisterSettings) -> dict[Key, list[Alarm]]:
     """Return the alarms of the suspensions of a car that differ from their sisters.
 
-    Where one of the car has an alarm of its own of that parameter, that explains the difference.
+    A parameter is left out if any suspension of the car has its own alarm of it: that explains the
+    difference.
     """
     explained = {alarm.parameter for state in car for alarm in state.alarms}
     odd = alarms_of_sisters([state.series for state in car], settings)
@@ -260,7 +229,7 @@ def sister_alarms(car: Sequence[State], settings: SisterSettings) -> dict[Key, l
 
 
 def _n_new(before: Series | None, series: Series) -> int:
-    """Return how many trips of a suspension are not as they were."""
+    """Return the number of new or changed trips of a suspension."""
     known = set() if before is None else _rows(before)
     return len(_rows(series) - known)
 

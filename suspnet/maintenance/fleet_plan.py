@@ -1,4 +1,4 @@
-"""The plan for a fleet: what it takes from the states, and only changed trains planned again."""
+"""The plan for a fleet from the states of its suspensions; only changed trains are replanned."""
 
 from __future__ import annotations
 
@@ -18,22 +18,17 @@ from suspnet.maintenance.state import State
 
 
 class Planner:
-    """Plans visits, each train by itself.
-
-    Parameters
-    ----------
-    settings : PlanSettings
-    """
+    """Plans the visits of a fleet, each train separately, and caches the plans of trains."""
 
     def __init__(self, settings: PlanSettings) -> None:
         self.settings = settings
         self._made: dict[str, tuple[list[State], Plan]] = {}
 
     def plan(self, states: Sequence[State], today: date) -> Plan:
-        """Return the plan for a fleet; it is that of ``make_plan``.
+        """Return the plan of ``make_plan`` for a fleet.
 
-        A train is planned again if one of its states is another object than the last time, or the
-        day is another.
+        A train is replanned if one of its states is another object than in the last call, or the
+        day is another one.
         """
         of_train: dict[str, list[State]] = {}
         for state in states:
@@ -55,7 +50,7 @@ def _are(states: Sequence[State], others: Sequence[State]) -> bool:
 
 
 def parts_of(states: Sequence[State]) -> list[Part]:
-    """Return each parameter of each suspension that has an alarm or limits."""
+    """Return a part for each parameter of each suspension that has an alarm or limits."""
     found = []
     for state in states:
         named = {*state.lives, *state.unknown, *(one.parameter for one in state.alarms)}
@@ -69,7 +64,7 @@ def parts_of(states: Sequence[State]) -> list[Part]:
                     suspension_of(state),
                     name,
                     samples,
-                    float(np.nan_to_num(state.last_km)),  # 0 counts only where nothing is known
+                    float(np.nan_to_num(state.last_km)),  # NaN only if no remaining life is known
                     state.severities.get(name, Severity.NONE),
                     place.car,
                     state.unknown.get(name, "" if life else "it has no limits"),
@@ -79,10 +74,10 @@ def parts_of(states: Sequence[State]) -> list[Part]:
 
 
 def trains_of(states: Sequence[State], today: date, default_km_per_day: float) -> list[Train]:
-    """Return each train, with the mileage of its newest trip and how far it runs in a day.
+    """Return each train, with the mileage of its newest trip and its mileage per day.
 
-    A trip without a start is taken as of today. A train without any mileage is at 0 km: nothing is
-    known of its parts, so that it has no visits.
+    A trip without a start is assumed to be of today. A train without any mileage is at 0 km: the
+    remaining lives of its parts are unknown, so it has no visits.
     """
     of_train = defaultdict(list)
     for state in states:
@@ -105,7 +100,7 @@ def trains_of(states: Sequence[State], today: date, default_km_per_day: float) -
 
 
 def train_of(state: State) -> str:
-    """Return the name of a suspension's train; of the suspension itself where none is named."""
+    """Return the name of a suspension's train, or of the suspension if no train is named."""
     return state.series.place.train or f"{state.series.vehicle}: {state.series.place}"
 
 

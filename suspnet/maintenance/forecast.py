@@ -1,4 +1,4 @@
-"""Remaining lives of the parameters of a suspension, where its trips determine them."""
+"""Remaining lives of the parameters of a suspension, if its trips determine them."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from suspnet.maintenance.life import MIN_TRIPS, Life, predict_life
 
 MOST_RATIO = 100.0
 MOST_WIDTH = 1.0
-"""Factor from healthy, and half width in logarithms, beyond which a trip is not used."""
+"""Factor from healthy, and half-width in logarithms, beyond which a trip is not used."""
 Trips = tuple[FloatArray, FloatArray, FloatArray]
-"""Mileage [km], estimates and half widths of the trips that a life is predicted from."""
+"""Mileage [km], estimates and half-widths of the trips from which a life is predicted."""
 
 
 def remaining_lives(
@@ -29,24 +29,28 @@ def remaining_lives(
     fleet: Mapping[str, FleetPrior] | None = None,
     seed: int = 0,
 ) -> dict[str, Life]:
-    """Return the mileage until each parameter passes its act limit, as a distribution.
+    """Return the distribution of the mileage until each parameter passes its act limit.
 
-    A parameter with fewer than ``MIN_TRIPS`` unflagged trips, or without limits, is left out.
+    Parameters without limits, or with fewer than ``MIN_TRIPS`` usable trips, are left out.
 
     Parameters
     ----------
     mileage_km : array of shape (n_trips,), [km]
         Since the last maintenance, in any order; NaN: not used.
     values, half_widths : mapping from parameter to array of shape (n_trips,), [-]
-        Relative to healthy, and half widths of their intervals in logarithms; NaN: none.
+        Relative to healthy, and half-widths of their intervals in logarithms; NaN: none.
     flagged : bool array of shape (n_trips,)
         Trips that are not used.
     limits : mapping from parameter to Limits
     passed : collection of str
-        Parameters whose alarm says that the act limit is passed: their remaining life is 0.
+        Parameters with an alarm of the act limit: their remaining life is 0.
     fleet : mapping of FleetPrior, optional
         Prior of each parameter from suspensions of this type (``learn_fleet``).
     seed : int
+
+    Returns
+    -------
+    dict from parameter to Life
     """
     found = {}
     for name, limit in limits.items():
@@ -82,10 +86,10 @@ def why_unknown(
 def trips_of_life(
     mileage_km: ArrayLike, values: ArrayLike, half_widths: ArrayLike, flagged: ArrayLike
 ) -> Trips | None:
-    """Return the trips that a life can be predicted from, by mileage; None if there are too few.
+    """Return the trips usable for predicting a life, by mileage; None if there are too few.
 
-    Flagged trips are left out, and those with an estimate beyond a factor of ``MOST_RATIO`` or a
-    half width above ``MOST_WIDTH``.
+    Flagged trips, estimates beyond a factor of ``MOST_RATIO`` and half-widths above ``MOST_WIDTH``
+    are left out.
     """
     km, centre, width = (
         np.asarray(column, dtype=float) for column in (mileage_km, values, half_widths)

@@ -1,4 +1,4 @@
-"""Judgement of the last trips by the limits: how far from healthy calls for a look, or for work."""
+"""Comparison of the last trips with the limits, to decide on inspection or work."""
 
 from __future__ import annotations
 
@@ -14,22 +14,17 @@ from suspnet.maintenance.series import Series
 N_LAST = 5
 """Number of last trips that are compared with the limits."""
 N_CONFIRMING = 3
-"""Number of the last trips beyond a limit that confirm each other."""
+"""Number of the last trips beyond a limit that together confirm a crossing."""
 ABSURD = 10.0
-"""Level over healthy beyond which words give no number: no suspension has it."""
+"""Ratio to healthy above which texts give no number, as no suspension reaches it."""
 
 
 @dataclass(frozen=True)
 class LastTrips:
-    """The last trips with an estimate of one parameter, the newest last.
+    """The last trips with an estimate of one parameter, the newest last; (n_last,).
 
-    Attributes
-    ----------
-    values, low, high : arrays of shape (n_last,), [-]
-        Estimates and their intervals relative to healthy; an interval may be NaN.
-    flagged : bool array of shape (n_last,)
-    all_flagged : bool
-        Every trip with an estimate is flagged, also those before.
+    `low` and `high` are the ends of the intervals, NaN if unknown. `all_flagged` is whether all
+    trips with an estimate are flagged, including earlier ones.
     """
 
     values: FloatArray
@@ -41,20 +36,11 @@ class LastTrips:
 
 @dataclass(frozen=True)
 class Judged:
-    """The last trips compared with the limits; all arrays have one shape, that of the cases.
+    """Result of ``judge``; all arrays have the shape of the cases.
 
-    Attributes
-    ----------
-    severity : int array
-        Values of ``Severity``.
-    side : int array
-        -1 below, 1 above the limits, 0 within.
-    run : int array
-        How many of the newest trips in a row lie beyond the limit that the severity is of.
-    count : int array
-        How many of the last trips do.
-    weak : bool array
-        A notice that rests on newest trips that are flagged or have no interval.
+    `side` is -1 below, 1 above, 0 within the limits. `run` is the number of newest trips in a row
+    beyond the limit that determines the severity, `count` that of all last trips beyond it. `weak`
+    marks a notice that is due to newest trips which are flagged or have no interval.
     """
 
     severity: IntArray
@@ -71,34 +57,26 @@ def judge(
     flagged: ArrayLike,
     limits: Limits,
 ) -> Judged:
-    """Return how severe it is where the last trips lie, whatever was before them.
+    """Return the severity of the last trips, independently of earlier ones.
 
     A limit is crossed if
 
-    - the newest trips in a row lie beyond it, and the interval of one of them does so wholly; or
-    - ``N_CONFIRMING`` of the last trips lie beyond it. Of these a trip counts if its interval is
-      shorter on either side than the limit is far from healthy, or if it has no interval.
+    - the newest trips in a row are beyond it, and the whole interval of one of them is; or
+    - ``N_CONFIRMING`` of the last trips are beyond it. A trip counts for this if its interval
+      reaches towards healthy by at most the distance of the limit from healthy, or if it is flagged
+      or has no interval.
 
-    A flagged trip, and one without an interval, gives no more than a notice by itself. A newest
-    trip that lies beyond the notice limit, but not surely so, makes the severity unknown.
+    A flagged trip, or one without an interval, raises at most a notice by itself. If the newest
+    trip is beyond the notice limit, but not with certainty, the severity is unknown.
 
     False alarms of a healthy suspension, with independent errors and intervals of 90 %: as long as
-    the half-width is at most as large as the limit is far from healthy, the second rule is wrong in
-    at most 2 * 10 * 0.05^3 = 0.25 % of cases and the first in less than 0.2 %; at 60 % of that
-    half-width, both in less than 0.01 %. Recordings too short for that raise more: 2 % at twice and
-    6 % at four times the half-width (measured, 200,000 series).
+    the half-width is at most the distance of the limit from healthy, the second rule is wrong in at
+    most 2 * 10 * 0.05^3 = 0.25 % of cases and the first in less than 0.2 %; at 60 % of that
+    half-width, both in less than 0.01 %. Shorter recordings raise more: 2 % at twice and 6 % at
+    four times the half-width (measured, 200,000 series).
 
-    Parameters
-    ----------
-    values, low, high : arrays of shape (..., n_last), [-]
-        Estimates and their intervals of the last trips, the newest last; NaN: none.
-    flagged : bool array of shape (..., n_last)
-    limits : Limits
-
-    Returns
-    -------
-    Judged
-        Of shape (...).
+    `values`, `low`, `high` and `flagged`: (..., n_last), the newest last; NaN: none. The result has
+    the shape (...).
     """
     centre, lower, upper = (np.asarray(part, dtype=float) for part in (values, low, high))
     unsure = np.asarray(flagged, dtype=bool) | ~(np.isfinite(lower) & np.isfinite(upper))
@@ -130,22 +108,22 @@ def judge(
 
 
 def last_trips(one: Series, name: str) -> LastTrips:
-    """Return the ``N_LAST`` trips of largest mileage that have an estimate of a parameter."""
+    """Return the last ``N_LAST`` trips with mileage and an estimate of a parameter."""
     known = np.flatnonzero(np.isfinite(one.mileage_km) & np.isfinite(one.estimates[name]))
     last = known[-N_LAST:]
     centre, half = one.estimates[name][last], one.half_widths[name][last]
-    with np.errstate(over="ignore"):  # nothing is known: from 0 to infinity
+    with np.errstate(over="ignore"):  # a half-width without information gives 0 to infinity
         low, high = centre * np.exp(-half), centre * np.exp(half)
     everywhere = bool(len(known)) and bool(one.flagged[known].all())
     return LastTrips(centre, low, high, one.flagged[last], everywhere)
 
 
 def judge_last(last: LastTrips, limits: Limits | None) -> tuple[Severity, Judged | None]:
-    """Return how severe the last trips of a parameter are by its limits, and where they lie.
+    """Return the severity of the last trips of a parameter, and the result of ``judge``.
 
-    It is unknown without an estimate, and where all of the last trips are flagged and within the
-    limits. If all trips are flagged, they speak against the model rather than the vehicle: then it
-    is a notice at most. Without limits it is none, as of the payload.
+    It is unknown without an estimate, and if all of the last trips are flagged and within the
+    limits. If all trips are flagged, the model is in doubt rather than the vehicle, and the
+    severity is a notice at most. Without limits, as for the payload, it is none.
     """
     if limits is None:
         return Severity.NONE, None
@@ -159,7 +137,7 @@ def judge_last(last: LastTrips, limits: Limits | None) -> tuple[Severity, Judged
 
 
 def level_words(value: float, limit: float) -> str:
-    """Return a level in %, with digits that distinguish it from a limit, or that it is absurd."""
+    """Return a level in %, with digits that distinguish it from a limit; see ``ABSURD``."""
     if value > ABSURD > limit:
         return f"at over {100 * ABSURD:.0f} %"
     digits = 0

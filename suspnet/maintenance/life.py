@@ -1,4 +1,4 @@
-"""Remaining life: the mileage until a parameter passes a limit, as a distribution."""
+"""Remaining life: the distribution of the mileage until a parameter passes a limit."""
 
 from __future__ import annotations
 
@@ -34,11 +34,12 @@ from suspnet.maintenance.noise import (
 )
 
 BEST_TRIP = 0.01
-"""Least noise of a trip over the median of all: an interval of width 0 is not believed."""
+"""Lower bound of a trip's noise, relative to the median of all trips: an interval of width 0 is not
+credible."""
 MIN_TRIPS = 5
-"""Fewest trips with an estimate that a life is predicted from."""
+"""Fewest trips with an estimate from which a life is predicted."""
 NOISE_TRIPS = 4.0
-"""Degrees of freedom of the noise, in trips, that the half-widths are worth."""
+"""Degrees of freedom that the half-widths add to those of the trips when the noise is estimated."""
 DEFAULT_PRIOR = FleetPrior(
     models=np.concatenate(
         [
@@ -51,16 +52,16 @@ DEFAULT_PRIOR = FleetPrior(
     means=np.zeros(3),
     spreads=np.array([0.03, 0.1, 0.3]),
 )
-"""Vague prior: four of five parameters do not wear; the others change by 3, 10 or 30 % in
-100,000 km (standard deviation, both signs), slower being likelier."""
+"""Vague prior: four of five parameters do not wear. The rates of the others have standard
+deviations of 3, 10 or 30 % in 100,000 km, with either sign; slow rates are more likely."""
 FLEET_RATES = np.geomspace(0.005, 0.3, 10)
-"""Means of the rates, per ``UNIT_KM``, that a fleet can distinguish."""
+"""Mean rates of the components that ``learn_fleet`` adds, with either sign, [1 / UNIT_KM]."""
 FLEET_SPREAD = 0.35
-"""Standard deviation of each of these, relative to its mean."""
+"""Standard deviation of each of these components, relative to its mean."""
 PRIOR_SERIES = 3.0
-"""Number of series that the default prior counts for, next to those of a fleet."""
+"""Weight of the default prior when a fleet's prior is learned, as a number of series."""
 MAX_STEPS = 200
-"""Most steps of the fit of a fleet."""
+"""Largest number of expectation-maximisation steps for a fleet."""
 
 
 @dataclass(frozen=True)
@@ -70,13 +71,13 @@ class Life:
     Attributes
     ----------
     model : str
-        "no trend" if that is at least as probable as all others together, or else the most
-        probable of "linear", "exponential", "wiener" and "changing rate".
+        "no trend" if its probability is at least 0.5, else the most probable of "linear",
+        "exponential", "wiener" and "changing rate".
     samples_km : array of shape (n_samples,), [km]
-        Mileage still to go from the last trip until the nearer limit is passed; inf: not within
-        ``HORIZON_KM``, 0: already passed.
+        Mileage from the last trip until the nearer limit is passed; inf: not within ``HORIZON_KM``,
+        0: already passed.
     probabilities : dict of float, [-]
-        Of each model; the samples are of all of them in these shares.
+        Probability of each model; the samples are drawn from all models in these proportions.
     """
 
     model: str
@@ -84,7 +85,7 @@ class Life:
     probabilities: dict[str, float] = field(default_factory=dict)
 
     def quantile_km(self, q: float) -> float:
-        """Return the mileage still to go within which the limit is passed with probability `q`.
+        """Return the mileage within which the limit is passed with probability `q`.
 
         Raises
         ------
@@ -95,7 +96,7 @@ class Life:
         return float(np.quantile(self.samples_km, q, method="inverted_cdf"))
 
     def interval_km(self, level: float = 0.8) -> tuple[float, float]:
-        """Return the central interval that holds the crossing with probability `level`.
+        """Return the central interval in which the limit is passed with probability `level`.
 
         Raises
         ------
@@ -150,13 +151,13 @@ def predict_life(
     values : array of shape (n_trips,), [-]
         Estimates relative to healthy; NaN: none.
     half_widths : array of shape (n_trips,), [-]
-        Of the intervals, in logarithms; NaN: none.
+        Half-widths of their intervals, in logarithms; NaN: none.
     limits_pair : (lower, upper), [-]
-        Lower 0 or upper infinity is no limit on that side.
+        Lower 0 or upper infinity means no limit on that side.
     fleet : FleetPrior, optional
         Prior of suspensions of this type, from ``learn_fleet``.
     level : float
-        Of the intervals.
+        Level of the intervals.
     seed, n_samples : int
 
     Returns
@@ -210,7 +211,7 @@ def predict_life(
 
 
 def _stratified(weight: FloatArray, n: int, rng: np.random.Generator) -> IntArray:
-    """Return `n` indices drawn with these weights, each about as often as expected."""
+    """Return `n` indices drawn with these weights by stratified sampling."""
     places = (np.arange(n) + rng.random(n)) / n
     return np.minimum(np.searchsorted(np.cumsum(weight), places), weight.size - 1)
 
@@ -222,7 +223,7 @@ def _fits(
     level: float,
     prior: FleetPrior,
 ) -> tuple[list[Fit], int]:
-    """Return the fit of each model, in the order of ``MODELS``, and the number of estimates."""
+    """Return the fits of the models, in the order of ``MODELS``, and the number of estimates."""
     check_number("level", level, above=0, below=1)
     km, value, half = _checked_series(mileage_km, values, half_widths)
     t = (km - km[0]) / UNIT_KM
@@ -276,17 +277,17 @@ def learn_fleet(
 ) -> FleetPrior:
     """Return the prior over models and rates of one type of suspension, by empirical Bayes.
 
-    The rate is given a mixture of fixed normal distributions: those of ``DEFAULT_PRIOR`` and
-    narrower ones about ``FLEET_RATES`` of both signs. The weights of these, and of the models, have
-    the largest posterior probability (expectation maximisation with a Dirichlet prior that counts
-    as ``PRIOR_SERIES`` series). Without series it is ``DEFAULT_PRIOR``.
+    The rate has a mixture of fixed normal distributions: those of ``DEFAULT_PRIOR`` and narrower
+    ones centred at ``FLEET_RATES`` with either sign. The weights of the components and of the
+    models are maximum a posteriori (expectation maximisation with a Dirichlet prior that counts as
+    ``PRIOR_SERIES`` series). Without any series the result is ``DEFAULT_PRIOR``.
 
     Parameters
     ----------
     series : sequence of (mileage_km, values, half_widths)
-        Of one parameter, as in ``predict_life``; include those that do not wear.
+        Trips of one parameter, as in ``predict_life``; include series without wear.
     level : float
-        Of the intervals.
+        Level of the intervals.
 
     Returns
     -------
@@ -295,7 +296,7 @@ def learn_fleet(
     Raises
     ------
     TypeError, ValueError
-        If a series is not as ``predict_life`` needs it; the message says which.
+        If a series is invalid for ``predict_life``; the message gives its index.
     """
     if not series:
         return DEFAULT_PRIOR
@@ -317,7 +318,7 @@ def learn_fleet(
     for _ in range(MAX_STEPS):
         share = evidence + np.log(models)[:, None] + np.log(np.maximum(weights, TINY))
         share = np.exp(share - logsumexp(share, axis=(1, 2), keepdims=True))
-        # without a trend a series says nothing of the rate
+        # a series without a trend has no information about the rate: leave out the first model
         old = models, weights
         models = _counted(share.sum(axis=(0, 2)), even.models)
         weights = _counted(share[:, 1:].sum(axis=(0, 1)), default)
@@ -327,6 +328,6 @@ def learn_fleet(
 
 
 def _counted(counts: FloatArray, default: FloatArray) -> FloatArray:
-    """Return shares from counts and a default that counts as ``PRIOR_SERIES`` series."""
+    """Return proportions from counts and a default that counts as ``PRIOR_SERIES`` series."""
     total = counts + PRIOR_SERIES * default
     return np.asarray(total / total.sum())

@@ -1,4 +1,4 @@
-"""Measurement noise of a history, and the blocks of trips that degradation models work on."""
+"""Measurement noise of a history, and blocks of trips for the degradation models."""
 
 from __future__ import annotations
 
@@ -9,23 +9,23 @@ import numpy as np
 from suspnet.ground.types import FloatArray, IntArray
 
 UNIT_KM = 100_000.0
-"""Unit of mileage inside, which keeps numbers near 1."""
+"""Internal unit of mileage, [km], which keeps numbers near 1."""
 MAX_BLOCKS = 32
-"""Largest number of blocks to which the trips of a history are averaged."""
+"""Largest number of blocks into which the trips of a history are averaged."""
 LEAST_NOISE = 1e-5
 """Smallest standard deviation of the noise of a trip, relative to the value."""
 NOISE_SCALES = np.geomspace(0.05, 20.0, 24)
-"""Noise from trip to trip, relative to that of the half-widths."""
+"""Grid of the factor from the noise that half-widths state to the noise from trip to trip."""
 NOISE_SPREAD = 0.5
 """Prior standard deviation of the logarithm of that factor."""
 CORRELATIONS = np.linspace(0.0, 0.75, 6)
-"""Correlations of the noise from one trip to the next."""
+"""Grid of the correlation of the noise of successive trips."""
 N_HINGES = 12
-"""Number of onsets of the hinges that are tried before the noise is estimated."""
+"""Number of hinge onsets that are tried to remove the trend before the noise is estimated."""
 N_SLOWEST = 2
-"""Number of lowest frequencies from which the noise is not estimated."""
+"""Number of lowest frequencies that are not used to estimate the noise."""
 MAX_BINS = 32
-"""Most frequencies of the Whittle likelihood."""
+"""Largest number of frequencies of the Whittle likelihood."""
 OUTLYING = 6.0
 """Largest deviation of a trip from the median of five, in robust standard deviations."""
 
@@ -34,18 +34,11 @@ OUTLYING = 6.0
 class Blocks:
     """Averages of neighbouring trips; arrays of shape (n_blocks,).
 
-    Attributes
-    ----------
-    t, length : array, [UNIT_KM]
-        Mean mileage after the first trip, and from the first to the last trip of a block.
-    last : float, [UNIT_KM]
-        Mileage of the last trip after the first.
-    value, log_value : array, [-]
-        Means of value - 1 and of the logarithm of the value.
-    sigma : array, [-]
-        Standard deviation of one trip by its half-width.
-    size, first : int array
-        Number of trips, and the index of the first of them.
+    `t` is the mean mileage after the first trip, `length` the mileage from first to last trip of a
+    block, `last` the mileage of the last trip after the first, all [UNIT_KM]. `value` and
+    `log_value` are the means of value - 1 and of the logarithm of the value. `sigma` is the
+    standard deviation of one trip from its half-width, `size` the number of trips and `first` the
+    index of the first one.
     """
 
     t: FloatArray
@@ -60,14 +53,9 @@ class Blocks:
 
 @dataclass(frozen=True)
 class Noise:
-    """Noise of a trip for each diffusion of Brownian motion; arrays of shape (n_diffusions,).
+    """Noise of a trip for each diffusion of Brownian motion; (n_diffusions,).
 
-    Attributes
-    ----------
-    variance : array, [-]
-        Relative to that of the half-widths.
-    correlation : array, [-]
-        From one trip to the next.
+    `variance` is relative to that of the half-widths, `correlation` that of successive trips.
     """
 
     variance: FloatArray
@@ -75,7 +63,10 @@ class Noise:
 
 
 def average(t: FloatArray, values: FloatArray, sigma: FloatArray) -> Blocks:
-    """Return blocks of `n_trips` trips with mileages `t` after the first, in ``UNIT_KM``."""
+    """Return the blocks of a history; arrays are of shape (n_trips,).
+
+    `t` is the mileage after the first trip, [UNIT_KM]; `sigma` weights the trips.
+    """
     n_trips = t.size
     first = np.linspace(0, n_trips, min(n_trips, MAX_BLOCKS) + 1)[:-1].astype(np.int64)
     size = np.diff(first, append=n_trips)
@@ -106,15 +97,9 @@ def estimate_noise(
 
         variance * (2 - 2 cos omega) * (1 - rho^2) / |1 - rho e^(-i omega)|^2 + q dt / sigma^2,
 
-    q being the square of a diffusion; variance (in its logarithm) and rho are posterior means.
-
-    Parameters
-    ----------
-    t : array of shape (n_trips,), [UNIT_KM]
-    log_values, sigma : arrays of shape (n_trips,), [-]
-        Logarithms of the values, and their standard deviations by the half-widths.
-    diffusions : array of shape (n_diffusions,), [-]
-        Standard deviations of Brownian motion after ``UNIT_KM``.
+    where q is the square of a diffusion. Log variance and rho are posterior means. `t` [UNIT_KM],
+    `log_values` and `sigma`, their standard deviations from the half-widths: (n_trips,).
+    `diffusions`, (n_diffusions,): standard deviations of Brownian motion after ``UNIT_KM``.
     """
     scale = float(np.sqrt(np.mean(sigma**2)))
     omega, power, count = _periodogram(np.diff(_residuals(t, log_values) / scale))
@@ -135,7 +120,7 @@ def estimate_noise(
 
 
 def _residuals(t: FloatArray, values: FloatArray) -> FloatArray:
-    """Return the residuals of the best of ``N_HINGES`` hinges, by least squares."""
+    """Return the residuals of the hinge, of ``N_HINGES``, with the least sum of squares."""
     hinges = np.maximum(t - t[-1] * np.linspace(0, 0.95, N_HINGES)[:, None], 0)
     fits = np.stack([np.ones(hinges.shape), hinges], axis=-1)
     gram = np.swapaxes(fits, 1, 2) @ fits + 1e-9 * np.eye(2)
@@ -145,9 +130,9 @@ def _residuals(t: FloatArray, values: FloatArray) -> FloatArray:
 
 
 def _periodogram(steps: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return frequencies per trip, power and ordinates of at most ``MAX_BINS`` bins.
+    """Return frequencies [rad/trip], power and number of ordinates of at most ``MAX_BINS`` bins.
 
-    The ``N_SLOWEST`` lowest frequencies, which a drift that is no hinge disturbs, are left out.
+    The ``N_SLOWEST`` lowest frequencies are left out: drifts other than a hinge disturb them.
     """
     n = steps.size
     power = np.abs(np.fft.rfft(steps))[1:] ** 2 / n
@@ -162,7 +147,7 @@ def _periodogram(steps: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]
 
 
 def noise_covariance(blocks: Blocks, variance: FloatArray, rho: FloatArray) -> FloatArray:
-    """Return covariances (..., n_blocks, n_blocks) of block means of autoregressive noise."""
+    """Return the covariance of block means of autoregressive noise, (..., n_blocks, n_blocks)."""
     m = blocks.size.astype(float)
     r = np.maximum(rho[..., None], 1e-9)
     g = (1 - r**m) / (m * (1 - r))
@@ -178,12 +163,12 @@ def noise_covariance(blocks: Blocks, variance: FloatArray, rho: FloatArray) -> F
 
 
 def robust_spread(log_values: FloatArray) -> float:
-    """Return a robust standard deviation of the noise, from second differences."""
+    """Return a robust standard deviation of the noise from second differences."""
     return float(np.median(np.abs(np.diff(log_values, 2))) / 0.6745 / np.sqrt(6))
 
 
 def tame(values: FloatArray) -> FloatArray:
-    """Return values with outlying trips moved towards the median of five trips."""
+    """Return values with outliers clipped to ``OUTLYING`` deviations from the median of five."""
     logs = np.log(values)
     windows = np.lib.stride_tricks.sliding_window_view(np.pad(logs, 2, mode="reflect"), 5)
     middle = np.median(windows, axis=1)

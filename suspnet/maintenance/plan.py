@@ -1,4 +1,4 @@
-"""A plan for a fleet: what to inspect or replace, where and until when, bundled into visits."""
+"""A plan for a fleet: parts to inspect or replace, and when, bundled into visits."""
 
 from __future__ import annotations
 
@@ -20,26 +20,31 @@ WORK = ("replace", "inspect")
 WAIT = "plan again"
 """Text for a part without a visit before the horizon."""
 N_COARSE = 24
-"""Number of dates between the horizon and the end of a usual life, which make late parts wait."""
+"""Number of dates between the horizon and the end of a usual life; a part served there waits."""
 
 
 def make_plan(
     parts: Sequence[Part], trains: Sequence[Train], settings: PlanSettings, today: date
 ) -> Plan:
-    """Return the visits that cost least, for each train by itself.
+    """Return the plan of visits with the least expected cost, for each train separately.
 
-    A part whose alarm is "act" has its visit on the first possible date. One with a notice, but no
-    visit before the horizon that would pay, has it within `notice_days`, with other parts where
-    there are some. All others have it when it costs least, and no visit if waiting costs least.
+    A part whose alarm is "act" is visited on the first possible date. A part with a notice, for
+    which no visit before the horizon would pay off, is visited within `notice_days`, together with
+    other parts if possible. All other parts are visited when it costs least, or not at all if
+    waiting costs least.
 
     Parameters
     ----------
     parts : sequence of Part
-        Of the whole fleet, in any order.
+        Parts of the whole fleet, in any order.
     trains : sequence of Train
-        Each that a part is of.
+        The trains of all parts.
     settings : PlanSettings
     today : date
+
+    Returns
+    -------
+    Plan
 
     Raises
     ------
@@ -67,13 +72,7 @@ def make_plan(
 
 
 def join_plans(plans: Sequence[Plan]) -> Plan:
-    """Return the plan for several fleets, from the plans for each by itself.
-
-    Raises
-    ------
-    ValueError
-        If there is none, or they are not of the same days and level.
-    """
+    """Return one plan from plans of different trains, of the same days and level."""
     if len({(plan.today, plan.horizon, plan.level) for plan in plans}) != 1:
         raise ValueError("plans to be joined must be of the same days and level")
     unknown, visits, waiting, assumed = (
@@ -101,15 +100,9 @@ def join_plans(plans: Sequence[Plan]) -> Plan:
 class _Calendar:
     """The parts of one train, and the possible days of its visits.
 
-    Attributes
-    ----------
-    days : array of shape (n_dates,)
-        From today, from the lead time to the end of a usual life; from `n_near` on beyond the
-        horizon, and coarse.
-    end_km : float, [km]
-        From today until the end of a usual life.
-    prices : array of shape (n_dates,)
-        Of a visit at each date, V of ``part_costs``.
+    `days`, (n_dates,), count from today, from the lead time to the end of a usual life at `end_km`;
+    those from index `n_near` on are coarse and beyond the horizon. `prices`, (n_dates,), are those
+    of a visit, V(t) of ``part_costs``.
     """
 
     def __init__(
@@ -119,7 +112,7 @@ class _Calendar:
         self.end_km = max(settings.of(part.parameter).usual_life_km for part in parts)
         end_days = self.end_km / train.km_per_day
         near = np.arange(settings.lead_days, settings.horizon_days, settings.step_days)
-        near = np.unique(np.ceil(near))  # whole days, none before the lead time is over
+        near = np.unique(np.ceil(near))  # whole days, none before the lead time has passed
         self.days = near = near[: max(1, int(np.searchsorted(near, end_days)))]
         self.n_near = near.size
         if end_days > settings.horizon_days:
@@ -128,7 +121,7 @@ class _Calendar:
         self.prices = settings.visit * np.clip(1 - self.days / end_days, 0, None)
 
     def plan(self, horizon: date) -> Plan:
-        """Return the plan for this train."""
+        """Return the plan for this train, with the horizon as a date."""
         tables = [self._table(part) for part in self.parts]
         costs = np.stack(list(map(self._allowed, tables, self.parts)))
         dates, served, bound = choose_dates(costs, self.prices)
@@ -150,7 +143,7 @@ class _Calendar:
         return Plan(self.today, horizon, *shown, objective, bound, self.settings.level)
 
     def _to_go(self, part: Part) -> FloatArray:
-        """Return the samples of a part as mileages from today."""
+        """Return the samples of a part as mileages from today, [km]."""
         run = self.train.mileage_at(self.today) - part.mileage_km
         return np.clip(part.samples_km - run, 0, None)
 
@@ -165,6 +158,7 @@ class _Calendar:
         if part.severity == Severity.ACT:
             costs[1:] = np.inf
         elif part.severity == Severity.NOTICE:
+            # within notice_days unless a visit for this part alone pays off before the horizon
             alone = costs + np.append(self.prices, 0.0)
             if alone[: self.n_near].min() >= alone[self.n_near :].min():
                 within = np.searchsorted(self.days, self.settings.notice_days, side="right")
@@ -172,7 +166,7 @@ class _Calendar:
         return costs
 
     def _job(self, part: Part, table: PartCosts, at: int) -> Job:
-        """Return what is done to a part at a date; it waits if that is beyond the horizon."""
+        """Return the job of a part at a date; it waits if the date is beyond the horizon."""
         settings, samples = self.settings, self._to_go(part)
         costs, pace = settings.of(part.parameter), self.train.km_per_day
         nothing = np.nan, (np.nan, np.nan)
@@ -200,7 +194,7 @@ class _Calendar:
         return Job(part, WAIT, float((samples <= horizon_km).mean()), passing, risk, np.nan, again)
 
     def _visit(self, at: int, jobs: Sequence[Job], costs: FloatArray) -> Visit:
-        """Return the visit at a date, with its jobs and their `costs`, (n_jobs, n_dates + 1)."""
+        """Return the visit at a date; `costs` of its jobs are of shape (n_jobs, n_dates + 1)."""
         totals = costs[:, : self.n_near].sum(axis=0) + self.prices[: self.n_near]
         too_expensive = np.flatnonzero(totals[at:] > totals[at] + SLACK * self.settings.visit)
         latest = at + int(too_expensive[0]) - 1 if too_expensive.size else self.n_near - 1
@@ -221,6 +215,6 @@ class _Calendar:
 
 
 def _likeliest_first(job: Job) -> tuple[bool, float, str]:
-    """Return the key by which the jobs of a visit are sorted: unknown ones first."""
+    """Return the key that sorts jobs: unknown parts first, then by probability of failure."""
     probability = 0.0 if job.part.unknown else -job.probability
     return not job.part.unknown, probability, str(job.part)

@@ -1,4 +1,4 @@
-"""What a plan is made from: settings, trains, and parts with their remaining mileage."""
+"""Inputs of a plan: settings, trains, and parts with their remaining life."""
 
 from __future__ import annotations
 
@@ -16,28 +16,28 @@ from suspnet.ground.types import FloatArray
 from suspnet.maintenance.visit_costs import Costs
 
 MOST_DAYS = 36_525.0
-"""A century, the longest horizon."""
+"""Longest horizon, a century, [days]."""
 MAX_DATES = 1000
 """Largest number of possible dates before the horizon."""
 WINDOW_DAYS = 180
-"""Number of days, the newest, whose trips show how far a train runs in a day."""
+"""Number of latest days whose trips determine the mileage per day of a train."""
 LEAST_DAYS = 14
-"""Least number of days between the first and the last of these trips."""
+"""Fewest days from the first to the last of these trips."""
 
 
 @dataclass(frozen=True)
 class PlanSettings:
-    """What a plan weighs.
+    """Costs, dates and risks of a plan.
 
     Parameters
     ----------
     costs : Costs or mapping of parameter to Costs
-        Of the parts behind each parameter.
+        Costs of all parts, or of the parts behind each parameter.
 
     Raises
     ------
     TypeError, ValueError
-        If one is out of range, or there are more than ``MAX_DATES`` dates.
+        If a setting is out of range, or there are more than ``MAX_DATES`` dates.
     """
 
     visit: float = setting(
@@ -62,7 +62,7 @@ class PlanSettings:
         low=0,
     )
     km_per_day: float = setting(
-        500.0, "Mileage of a day of trains whose trips do not tell it", "km", above=0
+        500.0, "Daily mileage of trains whose trips do not determine it", "km", above=0
     )
     plan_again_risk: float = setting(
         0.01,
@@ -97,13 +97,7 @@ class PlanSettings:
             )
 
     def of(self, parameter: str) -> Costs:
-        """Return the costs of a parameter's part.
-
-        Raises
-        ------
-        ValueError
-            If `costs` does not name it.
-        """
+        """Return the costs of a parameter's part; ValueError if `costs` does not name it."""
         if isinstance(self.costs, Costs):
             return self.costs
         if parameter not in self.costs:
@@ -113,7 +107,7 @@ class PlanSettings:
 
 @dataclass(frozen=True)
 class Train:
-    """How far a train is and how far it runs.
+    """Mileage of a train now and per day.
 
     Parameters
     ----------
@@ -123,7 +117,7 @@ class Train:
         Day of that mileage.
     km_per_day : float
     is_assumed : bool
-        Its trips do not show how far it runs in a day; `km_per_day` is that of the settings.
+        Whether `km_per_day` is that of the settings, as the trips do not determine it.
     """
 
     name: str
@@ -143,23 +137,22 @@ class Train:
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """One parameter of one suspension, and how long it is expected to last.
+    """One parameter of one suspension, and its remaining life.
 
     Parameters
     ----------
     train, suspension, parameter : str
-        With `car`, its place.
     samples_km : array of shape (n_samples,), [km]
-        Equally likely mileages from the last trip until a limit is passed, as of
-        ``Life.samples_km``; inf: never, 0: it has been already.
+        Equally likely mileages from the last trip until a limit is passed, as in
+        ``Life.samples_km``; inf: never, 0: already passed.
     mileage_km : float, [km]
-        Of that last trip.
+        Mileage of the last trip.
     severity : Severity
-        Of its alarm.
+        Severity of its alarm.
     car : str
     unknown : str
-        Why its remaining life is unknown or unreliable; empty if it is known. Without samples only
-        the severity of its alarm decides on its visits.
+        Why its remaining life is unknown or unreliable; empty if it is known. The visits of an
+        unknown part then depend on its severity alone if `samples_km` is only inf.
     """
 
     train: str
@@ -198,21 +191,10 @@ class Part:
 
 
 def km_per_day(starts: NDArray[np.datetime64], mileages_km: FloatArray, default: float) -> float:
-    """Return how far a train runs in a day, from starts and mileages of its newest trips.
+    """Return the mileage of a train per day, from starts and mileages of its newest trips.
 
-    Parameters
-    ----------
-    starts : array of datetime64 of shape (n_trips,)
-        NaT where it is not known.
-    mileages_km : array of shape (n_trips,), [km]
-        NaN where it is not known.
-    default : float
-        Returned if these trips span less than ``LEAST_DAYS`` or their mileage does not rise.
-
-    Raises
-    ------
-    ValueError
-        If the lengths differ.
+    `starts` (NaT: unknown) and `mileages_km` (NaN: unknown): (n_trips,). `default` is returned if
+    these trips span less than ``LEAST_DAYS`` or their mileage does not rise.
     """
     if mileages_km.shape != starts.shape:
         raise ValueError(

@@ -1,4 +1,4 @@
-"""A plan: visits with their jobs, as a table of text and as rows."""
+"""A plan: visits with their jobs, as rows and as a text table."""
 
 from __future__ import annotations
 
@@ -14,39 +14,39 @@ from suspnet.ground.wording import count
 from suspnet.maintenance.plan_inputs import Part, Train
 
 URGENCIES = ("unknown", "now", "soon", "later")
-"""The remaining life of a part is unknown; a visit on the first possible day; one to be decided on
-within ``SOON_DAYS``; any other visit."""
+"""Urgencies of jobs: remaining life unknown, visit on the first possible day, visit to be decided
+on within ``SOON_DAYS``, any other visit."""
 UNKNOWN = URGENCIES[0]
 SOON_DAYS = 30
 MOST_NAMED = 3
 """Largest number of trains that a sentence names."""
 PROVEN = 1e-6
-"""Share of the objective up to which a gap is the solver's rounding."""
+"""Relative gap between objective and bound that is due to the solver's rounding."""
 SLACK = 0.1
-"""Share of a visit's cost that it may cost more at its latest date than at its best."""
+"""Largest extra cost at the latest date of a visit, as a share of the cost of a visit."""
 
 
 @dataclass(frozen=True, eq=False)
 class Job:
-    """Work on one part at a visit, or that the part waits.
+    """Work on one part at a visit, or the decision that the part waits.
 
     Attributes
     ----------
     part : Part
     what : {"replace", "inspect", "plan again", "unknown"}
-        The last is a part of unknown remaining life without a visit.
+        "unknown" is a part of unknown remaining life without a visit.
     probability : float
-        That the limit is passed before the visit, or, of a part that waits, before the horizon; NaN
-        if the remaining life is unknown.
+        Probability that the limit is passed before the visit, or before the horizon if the part
+        waits; NaN if the remaining life is unknown.
     passing_days : (float, float)
-        Interval of the passing of the limit, in days from today; inf: never, NaN: unknown.
+        Interval in which the limit is passed, in days from today; inf: never, NaN: unknown.
     expected_cost : float
-        Price of the work and cost of failures before it, without the visit; of a part that waits,
-        the cost of failures before the horizon. Of an unknown remaining life, the price alone.
+        Price of the work and expected cost of failures before it, without the visit. If the part
+        waits, the cost of failures before the horizon; if its life is unknown, the price alone.
     unused_km : float, [km]
-        Expected life, up to the usual one, that a replacement throws away; else NaN.
+        Expected life, up to the usual one, that a replacement wastes; NaN for other work.
     plan_again_km : float, [km]
-        Of a part that waits: from today until it is planned again; else NaN.
+        Mileage from today until a part that waits is planned again; NaN for other parts.
     """
 
     part: Part
@@ -59,7 +59,7 @@ class Job:
 
     @property
     def is_passed(self) -> bool:
-        """Whether the limit has been passed already, for sure."""
+        """Whether the limit has certainly been passed already."""
         return self.part.is_passed or self.passing_days == (0.0, 0.0)
 
 
@@ -71,16 +71,16 @@ class Visit:
     ----------
     train : str
     day, latest : date
-        When it costs least, and until when it costs little more (``SLACK``).
+        Day of least cost, and last day on which the extra cost is small (``SLACK``).
     mileage_km, latest_km : float, [km]
-        Of the train on these days.
+        Mileage of the train on these days.
     decide_by : date
-        `latest` less the lead time.
+        `latest` minus the lead time.
     urgency : {"now", "soon", "later"}
     jobs : tuple of Job
-        Parts of unknown remaining life first, then the likeliest failure.
+        Parts of unknown remaining life first, then by falling probability of failure.
     expected_cost : float
-        Of the visit and its jobs.
+        Cost of the visit and its jobs.
     """
 
     train: str
@@ -94,7 +94,7 @@ class Visit:
     expected_cost: float
 
     def urgency_of(self, job: Job) -> str:
-        """Return the urgency of one of its jobs; that of an unknown part is "now" or "unknown"."""
+        """Return the urgency of one of its jobs: "now" or "unknown" if its life is unknown."""
         return UNKNOWN if job.part.unknown and self.urgency != "now" else self.urgency
 
 
@@ -108,20 +108,20 @@ class Plan:
     unknown : tuple of Job
         Parts without a visit whose remaining life is unknown.
     visits : tuple of Visit
-        Those for a part of unknown remaining life first, then ascending days.
+        Visits for parts of unknown remaining life first, then by day.
     waiting : tuple of Job
-        Parts without a visit that have an alarm or may pass a limit before the horizon; the first
-        to be planned again first.
+        Parts without a visit that have an alarm or may pass a limit before the horizon, in the
+        order in which they are planned again.
     n_quiet : int
         Number of other parts, which need nothing.
     objective : float
-        What the plan minimises, summed over trains: see ``choose_dates`` and ``part_costs``.
+        Expected cost that the plan minimises, over all trains (``choose_dates``, ``part_costs``).
     bound : float
-        No plan has a smaller objective.
+        Lower bound of the objective of any plan.
     level : float
-        Probability of ``Job.passing_days``.
+        Probability of the interval ``Job.passing_days``.
     assumed : tuple of Train
-        Those whose mileage per day is assumed.
+        Trains whose mileage per day is assumed.
     """
 
     today: date
@@ -137,7 +137,7 @@ class Plan:
 
     @property
     def assumed_words(self) -> str:
-        """Which trains run an assumed mileage per day; empty if all show theirs."""
+        """Text on trains with an assumed mileage per day; empty if there are none."""
         if not self.assumed:
             return ""
         names = ", ".join(train.name for train in self.assumed[:MOST_NAMED])
@@ -150,15 +150,15 @@ class Plan:
 
     @property
     def gap(self) -> float:
-        """Largest share of the objective that the best plan might save; 0: this one is proven best.
+        """Relative gap between objective and bound; 0: the plan is proven optimal.
 
-        It is above 0 only where a search ended after ``MAX_SOLVE_S``.
+        It is above 0 only if a search reached ``MAX_SOLVE_S``.
         """
         excess = self.objective - self.bound
         return excess / self.objective if excess > PROVEN * self.objective else 0.0
 
     def rows(self) -> list[dict[str, Any]]:
-        """Return one flat row for each job; days in ISO 8601, empty where none.
+        """Return one flat row for each job; dates in ISO 8601, empty if there is none.
 
         Unknown parts come first, then visits, then parts that wait.
         """
@@ -193,12 +193,12 @@ class Plan:
         }
 
     def day_after(self, days: float) -> date | None:
-        """Return the day after a time from today, or None if no calendar holds it."""
+        """Return the date `days` after today, or None if it exceeds ``date.max``."""
         return self.today + timedelta(days=days) if days < (date.max - self.today).days else None
 
     @property
     def summary(self) -> str:
-        """Counts of the plan, whether it is proven best, and which mileages per day are assumed."""
+        """Numbers of parts, visits and jobs, whether the plan is optimal, and assumed mileages."""
         n_jobs = sum(len(visit.jobs) for visit in self.visits)
         n_waiting = len(self.waiting)
         unknown = f"{count(len(self.unknown), 'part')} unknown, " if self.unknown else ""
@@ -214,7 +214,7 @@ class Plan:
         ).rstrip()
 
     def __str__(self) -> str:
-        """Return the plan as a table, unknown parts first, and parts that wait as one sentence."""
+        """Return the plan as a text table, and a sentence on parts that wait."""
         lines, table, before = [self.summary], [], None
         for row in joined(self.rows()):
             if row["what"] == "plan again":
@@ -236,9 +236,9 @@ class Plan:
 
 
 def joined(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """Return rows of a plan, with one row for the unknown parts of a suspension with one reason.
+    """Return rows of a plan, with unknown parts of a suspension with the same reason merged.
 
-    Each has its parameters as "parameters", a list.
+    Each row gets a list of its parameters as "parameters".
     """
     found: dict[tuple[Any, ...], dict[str, Any]] = {}
     for i, row in enumerate(rows):
@@ -250,7 +250,7 @@ def joined(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
 
 
 def _words(row: Mapping[str, Any]) -> str:
-    """Return the work and the part without its train, and why its life is unknown."""
+    """Return work and part, without its train, and why its life is unknown."""
     car = f"car {row['car']}" if row["car"] else ""
     where = ", ".join(filter(None, (car, row["suspension"], *row["parameters"])))
     what = "" if row["what"] == UNKNOWN else f"{row['what']} "

@@ -1,4 +1,4 @@
-"""Trips of a suspension as arrays, with its maintenance: what its state is made from."""
+"""Trips of a suspension as arrays, with its maintenance events."""
 
 from __future__ import annotations
 
@@ -17,23 +17,16 @@ from suspnet.ground.types import BoolArray, FloatArray, IntArray
 from suspnet.ground.wording import kilometres
 
 NUMBERS = ("mileage_km", "healthy_since_km", "speed_m_per_s", "temperature_c")
-"""Columns of numbers of a series, besides those of each parameter."""
+"""Numeric columns of a series, in addition to those of each parameter."""
 KINDS = ("exchanged", "reprofiled", "other")
-"""Kinds of maintenance: a part exchanged, wheels reprofiled, or what the words say."""
+"""Kinds of maintenance: a part exchanged, wheels reprofiled, or other work that the text names."""
 
 
 @dataclass(frozen=True)
 class Event:
-    """Maintenance of a suspension: trips from then on are judged by themselves.
+    """Maintenance of a suspension: later trips are judged without earlier ones.
 
-    Attributes
-    ----------
-    mileage_km : float, [km]
-        The first trips of this mileage or more are after it.
-    kind : str
-        One of ``KINDS``.
-    words : str
-        What was done.
+    Trips of at least `mileage_km` are after it. `kind` is one of ``KINDS``; `words` describe it.
     """
 
     mileage_km: float
@@ -47,7 +40,7 @@ class Event:
             raise ValueError(f"an event is one of {', '.join(KINDS)}, got {self.kind!r}")
 
     def __str__(self) -> str:
-        """Return the event in words."""
+        """Return the event as text."""
         return f"{self.words or self.kind} at {kilometres(self.mileage_km)}"
 
 
@@ -60,18 +53,18 @@ class Series:
     vehicle : str
     place : Place
     trip : array of str
-        Names.
+        Names of the trips.
     start : array of datetime64[s]
-        UTC where the manifest names a zone, else as written there; NaT where there is none.
+        UTC if the manifest gives a zone, else as given there; NaT: unknown.
     flagged : bool array
     mileage_km, healthy_since_km : arrays, [km]
     speed_m_per_s : array, [m/s]
     temperature_c : array, [°C]
-        Of the air outside.
+        Temperature of the outside air.
     estimates, half_widths : dict of arrays, [-]
-        Of each parameter, as in a trip's result; NaN where there is none.
+        Of each parameter, as in ``TripResult``; NaN: none.
     events : tuple of Event
-        Maintenance, by mileage.
+        Sorted by mileage.
     """
 
     vehicle: str
@@ -94,31 +87,31 @@ class Series:
 
     @property
     def outputs(self) -> tuple[str, ...]:
-        """Parameters that any trip has an estimate of; all where no trip has one."""
+        """Parameters with an estimate for any trip; all parameters if there is none."""
         known = {name for name, column in self.estimates.items() if np.isfinite(column).any()}
         return tuple(name for name in self.estimates if name in known or not known)
 
     @property
     def done(self) -> BoolArray:
-        """Which trips have an estimate, bool array of shape (n_trips,)."""
+        """Mask of the trips with an estimate."""
         known: BoolArray = np.array([np.isfinite(one) for one in self.estimates.values()])
         return np.asarray(known.any(axis=0))
 
     @property
     def one_healthy(self) -> BoolArray:
-        """Which trips are relative to the healthy vehicle of the newest, array of (n_trips,)."""
+        """Mask of the trips with the same commissioning as the newest trip with an estimate."""
         newest = self.healthy_since_km[np.flatnonzero(self.done)[-1:]]
         known = np.isin(self.healthy_since_km, newest)
         return np.asarray(known | (np.isnan(self.healthy_since_km) & np.isnan(newest).any()))
 
     @property
     def recent(self) -> BoolArray:
-        """Which of these are since the last maintenance, array of shape (n_trips,)."""
+        """Mask of the trips since the last commissioning and the last maintenance."""
         since = max((event.mileage_km for event in self.events), default=-np.inf)
         return np.asarray(self.one_healthy & ~(self.mileage_km < since))
 
     def part(self, chosen: BoolArray | IntArray) -> Series:
-        """Return the chosen trips alone, by a mask or their places."""
+        """Return the trips chosen by a mask or by indices."""
         columns = {
             name: getattr(self, name)[chosen] for name in ("trip", "start", "flagged", *NUMBERS)
         }
@@ -129,7 +122,7 @@ class Series:
         return replace(self, estimates=estimates, half_widths=half_widths, **columns)
 
     def equals(self, other: Series) -> bool:
-        """Return whether all of it is the same, NaN to NaN."""
+        """Return whether all fields are equal, with NaN equal to NaN."""
         if (self.vehicle, self.place, self.events) != (other.vehicle, other.place, other.events):
             return False
         mine, its = _columns(self), _columns(other)
@@ -147,9 +140,9 @@ def _columns(one: Series) -> dict[str, NDArray[Any]]:
 
 
 def car_of(one: Series) -> tuple[str, ...]:
-    """Return what the suspensions of a car have in common.
+    """Return a key that the suspensions of a car share.
 
-    Where no car is named, those are of one car that differ in bogie or side alone.
+    If no car is named, suspensions that differ only in bogie or side are of one car.
     """
     place = one.place
     return one.vehicle, place.train, place.car, "" if place.car else place.suspension
@@ -173,16 +166,9 @@ def make_series(
 ) -> Series:
     """Return trips of one suspension from arrays of shape (n_trips,), in any order.
 
-    Parameters
-    ----------
-    mileage_km : array, [km]
-        NaN: not known.
-    estimates, half_widths : mapping from parameter to array, [-]
-        Relative to healthy, and half widths of their intervals in logarithms. NaN or missing: none.
-    flagged : bool array
-    events : iterable of Event
-    **others
-        Of ``Series``: vehicle, place, and arrays that are NaN or empty by default.
+    `mileage_km` [km]: NaN if unknown. `estimates` are relative to healthy, `half_widths` those of
+    their intervals in logarithms; NaN or missing: none. `others` are fields of ``Series``: vehicle,
+    place, and arrays that are NaN or empty by default.
 
     Examples
     --------
@@ -238,7 +224,7 @@ def series_of(results: Sequence[TripResult], events: Iterable[Event] = ()) -> Se
 
 
 def utc(text: str) -> datetime | None:
-    """Return a start without its zone: in UTC, if it has one."""
+    """Return a start without a zone, converted to UTC if it has one; None if it is empty."""
     if not text:
         return None
     try:

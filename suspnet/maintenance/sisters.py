@@ -1,15 +1,15 @@
-"""Sister suspensions side by side: one that differs from the others of its car has changed.
+"""Comparison of sister suspensions: one that differs from the others of its car has changed.
 
-Values are relative to each suspension's own healthy value, so that healthy sisters are alike; what
-is common to all of them, as from cold or load, is not reported. With L_i the mean logarithm of the
-last ``N_LAST`` values of suspension i, and n sisters,
+Values are relative to each suspension's own healthy value, so healthy sisters are alike;
+common-mode changes, for example from cold or load, are not reported. With L_i the mean logarithm of
+the last ``N_LAST`` values of suspension i, and n sisters,
 
     d_i = L_i - median_j L_j,    var d_i = s_i^2 + min(1, pi / 2n) mean_j s_j^2,
     s_i^2 = C sigma_i^2 + sigma_0i^2,
 
-where j runs over the sisters, sigma_i is the standard deviation of a trip, C sigma_i^2 that of the
-mean of correlated trips, and sigma_0i that of the healthy value. An alarm starts where |d_i| is
-larger than the least difference and than Student's quantile times the root of var d_i.
+where j runs over the sisters, sigma_i is the standard deviation of a trip, C sigma_i^2 the variance
+of the mean of correlated trips, and sigma_0i the standard deviation of the healthy value. An alarm
+starts where |d_i| exceeds both the least difference and Student's quantile times sqrt(var d_i).
 """
 
 from __future__ import annotations
@@ -32,21 +32,22 @@ from suspnet.maintenance.judge import N_LAST
 from suspnet.maintenance.series import Series, of_same_car
 
 CORRELATION = 0.5
-"""Largest correlation between the errors of one trip and the next that is allowed for."""
+"""Largest assumed correlation between the errors of successive trips."""
 N_REFERENCE = 20
-"""Number of first trips of each suspension that show how much its trips scatter."""
+"""Number of first trips of each suspension from which its scatter is estimated."""
 EFFICIENCY = 0.37
-"""Degrees of freedom of a median absolute deviation for each of its normal numbers, in those of a
-standard deviation."""
+"""Efficiency of the median absolute deviation for normal numbers: its degrees of freedom per
+sample, relative to the standard deviation's."""
 LOWEST_PROBABILITY, HIGHEST_PROBABILITY = 1e-12, 0.05
 """Bounds of the probability of a false alarm at one trip."""
 LEAST_PERCENT = {"k_p": 2.0, "c_p": 5.0, "k_s": 2.0, "c_s": 5.0}
-"""Least differences that are reported, assumed: a fifth or a quarter of the way to the limits."""
+"""Smallest differences that are reported, [%]; assumed: a fifth or a quarter of those at the notice
+limits."""
 
 
 @dataclass(frozen=True)
 class SisterSettings:
-    """How sister suspensions are compared.
+    """Settings of the comparison of sister suspensions.
 
     Raises
     ------
@@ -64,12 +65,12 @@ class SisterSettings:
     least_percent: Annotated[
         Mapping[str, float],
         Setting(
-            "Least difference from the sisters of each parameter that is told",
+            "Smallest reported difference of each parameter from the sisters",
             rule="%; at least 0 and below 100",
         ),
     ] = field(default_factory=lambda: dict(LEAST_PERCENT))
     max_apart_km: float = setting(
-        20_000.0, "Mileage by which a sister's newest trip may be behind", "km", above=0
+        20_000.0, "Largest mileage by which a sister's newest trip may lag", "km", above=0
     )
     level: float = setting(
         0.9,
@@ -86,18 +87,18 @@ class SisterSettings:
 
 @dataclass(frozen=True, eq=False)
 class Sister:
-    """One parameter of one suspension.
+    """One parameter of one suspension, to be compared with its sisters.
 
     Parameters
     ----------
     mileage_km : array of shape (n_trips,), [km]
         Ascending.
     values : array of shape (n_trips,), [-]
-        Relative to healthy; NaN: no estimate, or one that is flagged.
+        Relative to healthy; NaN: no estimate, or a flagged one.
     half_widths : array of shape (n_trips,), [-]
-        Of their intervals, in logarithms; NaN: none.
+        Half-widths of their intervals, in logarithms; NaN: none.
     healthy_half_width : float, [-]
-        The same of the healthy value, as far as `half_widths` do not hold it.
+        Half-width of the healthy value's interval, unless `half_widths` include it.
     """
 
     mileage_km: FloatArray
@@ -109,15 +110,15 @@ class Sister:
 def sister_alarms(
     parameter: str, sisters: Sequence[Sister], settings: SisterSettings
 ) -> list[list[Alarm]]:
-    """Return the alarms of each suspension of a car, open or not, as its trips raised them.
+    """Return the alarms of each suspension of a car, active or cleared, as its trips raised them.
 
-    Each is found from the trips until then alone, so that later trips do not change it. It ends
-    where the difference is less than half of what began it. The severity is a notice: which part is
-    worn, and how far, is for limits to say.
+    An alarm uses only the trips up to its own, so later trips do not change it. It ends where the
+    difference is below half of the threshold. The severity is always a notice: limits determine
+    which part is worn and how far.
 
-    False alarms: at each trip a healthy suspension has one with at most the probability that gives
-    `km_per_false_alarm`, if errors are normal, correlated by at most ``CORRELATION`` from trip to
-    trip, and scatter as the intervals say, or as the first ``N_REFERENCE`` trips of all sisters do.
+    The false-alarm rate of a healthy suspension is at most one in `km_per_false_alarm` if errors
+    are normal, correlated by at most ``CORRELATION`` from trip to trip, and scatter as the
+    intervals or the first ``N_REFERENCE`` trips of all sisters show.
 
     Parameters
     ----------
@@ -147,7 +148,11 @@ def sister_alarms(
 
 @dataclass(frozen=True, eq=False)
 class _Compared:
-    """One suspension next to its sisters, at each trip of any; arrays of shape (n_km,)."""
+    """One suspension and the median of its sisters at each trip of any of them; (n_km,).
+
+    `deviation` is the standard deviation of the difference, in logarithms; `n_apart` counts the
+    sisters that differ from the suspension.
+    """
 
     level: FloatArray
     median: FloatArray
@@ -166,7 +171,7 @@ def _known(one: Sister) -> tuple[FloatArray, FloatArray, FloatArray]:
 def _levels(
     sisters: Sequence[Sister], km: FloatArray, settings: SisterSettings
 ) -> tuple[FloatArray, FloatArray]:
-    """Return level and variance of each sister at each mileage, (n_sisters, n_km); NaN: unknown."""
+    """Return mean logarithm and its variance at each mileage, (n_sisters, n_km); NaN: unknown."""
     z = stats.norm.ppf((1 + settings.level) / 2)
     levels, variances = np.full((2, len(sisters), len(km)), np.nan)
     pooled = _pooled_scatter(sisters, km)
@@ -174,7 +179,7 @@ def _levels(
         own_km, logs, halves = _known(one)
         if len(logs) < N_LAST:
             continue
-        n = np.searchsorted(own_km, km, side="right")  # trips until then
+        n = np.searchsorted(own_km, km, side="right")  # trips up to each mileage
         newest = np.maximum(n - 1, 0)
         known = (n >= N_LAST) & (km - own_km[newest] <= settings.max_apart_km)
         last = np.clip(n - N_LAST, 0, len(logs) - N_LAST)
@@ -188,6 +193,7 @@ def _levels(
 
 
 def _of_mean() -> float:
+    """Return C, the variance of the mean of ``N_LAST`` correlated trips over that of one."""
     lags = np.arange(1, N_LAST)
     return float(1 + 2 * np.sum((1 - lags / N_LAST) * CORRELATION**lags)) / N_LAST
 
@@ -195,8 +201,8 @@ def _of_mean() -> float:
 def _scatter_until(logs: FloatArray) -> FloatArray:
     """Return the robust standard deviation of the first 0, 1, ... ``N_REFERENCE`` trips, or NaN.
 
-    That of differences of successive trips, so that neither drift nor step counts; their variance
-    is 2 (1 - correlation) times that of the trips, which is 1 time for the largest correlation.
+    It uses differences of successive trips, to be insensitive to drifts and steps. Their variance
+    is 2 (1 - ``CORRELATION``) times that of the trips.
     """
     steps = np.abs(np.diff(logs[:N_REFERENCE]))
     found = np.full(N_REFERENCE + 1, np.nan)
@@ -213,6 +219,7 @@ def _robust(steps: FloatArray) -> float:
 
 
 def _pooled(sisters: Sequence[Sister], km: FloatArray) -> list[tuple[int, FloatArray]]:
+    """Return indices of `km` and, for each, the absolute differences of all sisters up to there."""
     steps, ends = [], []
     for one in sisters:
         own_km, logs, _ = _known(one)
@@ -233,6 +240,7 @@ def _pooled_scatter(sisters: Sequence[Sister], km: FloatArray) -> FloatArray:
 def _quantiles(
     sisters: Sequence[Sister], km: FloatArray, settings: SisterSettings, n_parameters: int
 ) -> FloatArray:
+    """Return Student's quantile at each mileage, for the false-alarm rate shared by parameters."""
     degrees = np.ones(len(km))
     for place, steps in _pooled(sisters, km):
         degrees[place:] = max(1.0, EFFICIENCY * len(steps))
@@ -263,13 +271,14 @@ def _alarms(
     size = np.abs(found.level - found.median)
     threshold = np.maximum(scale * found.deviation, least)
     is_odd = 2 * found.n_apart >= found.n_sisters + 1  # most of them are elsewhere, or half
-    raised, over = is_odd & (size > threshold), size < threshold / 2
+    raised, cleared = is_odd & (size > threshold), size < threshold / 2
     alarms = []
-    for begin, end in _spans(raised, over):
+    for begin, end in _spans(raised, cleared):
         last = len(km) if end is None else end
-        told = begin + int(np.nanargmax(size[begin:last])) if end is not None else _newest(size)
+        # a cleared alarm reports its largest difference, an active one the newest
+        place = begin + int(np.nanargmax(size[begin:last])) if end is not None else _newest(size)
         end_km = math.nan if end is None else float(km[end])
-        words = _words(parameter, found, told)
+        words = _words(parameter, found, place)
         alarms.append(
             Alarm(parameter, Cause.SISTER, Severity.NOTICE, float(km[begin]), end_km, words)
         )
@@ -280,14 +289,14 @@ def _newest(size: FloatArray) -> int:
     return int(np.flatnonzero(np.isfinite(size))[-1])
 
 
-def _spans(raised: BoolArray, over: BoolArray) -> list[tuple[int, int | None]]:
-    """Return where each alarm starts and ends; None: it is active."""
+def _spans(raised: BoolArray, cleared: BoolArray) -> list[tuple[int, int | None]]:
+    """Return the indices where each alarm starts and ends; None: it is active."""
     spans: list[tuple[int, int | None]] = []
     begin = None
-    for place in np.flatnonzero(raised | over):
+    for place in np.flatnonzero(raised | cleared):
         if begin is None and raised[place]:
             begin = int(place)
-        elif begin is not None and over[place]:
+        elif begin is not None and cleared[place]:
             spans.append((begin, int(place)))
             begin = None
     return spans if begin is None else [*spans, (begin, None)]
@@ -309,8 +318,7 @@ def _words(parameter: str, found: _Compared, place: int) -> str:
 def alarms_of_sisters(series: Sequence[Series], settings: SisterSettings) -> dict[Key, list[Alarm]]:
     """Return the alarms of each suspension that differs, or differed, from its sisters.
 
-    Trips before the last commissioning or maintenance of a suspension do not count, nor do
-    flagged ones.
+    Flagged trips, and those before a suspension's last commissioning or maintenance, are ignored.
     """
     found: dict[Key, list[Alarm]] = {}
     for car in of_same_car(series):

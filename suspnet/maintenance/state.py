@@ -1,4 +1,4 @@
-"""State of a suspension: what report, overview, fleet page, plan and exit code show of it."""
+"""State of a suspension, from which report, overview, fleet page, plan and exit code are made."""
 
 from __future__ import annotations
 
@@ -31,25 +31,25 @@ from suspnet.maintenance.trend import LEAST_PERCENT, flagged_trend
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """What is known of one suspension; all of it is of the trips of one series.
+    """Alarms, lives and assessments of one suspension, all from the trips of `series`.
 
-    Severities, present values and lives are of the trips since the last commissioning and
-    maintenance; alarms are of those since the last commissioning.
+    Severities, present values and lives use the trips since the last commissioning and maintenance;
+    alarms use those since the last commissioning.
 
     Attributes
     ----------
     series : Series
-        All its trips.
+        All trips of the suspension.
     limits : mapping of Limits
-        A parameter that is not there has none.
+        A missing parameter has no limits.
     watched : Watched
-        Alarms of its trips and, where they were compared, of its sisters.
+        Alarms from its trips and, if compared, from its sisters.
     lives : dict of Life
-        Of each parameter with limits, until its act limit; without those of too few trips.
+        Life until the act limit of each parameter with limits and enough trips.
     least_percent : mapping of float, [% of healthy]
-        Smallest change of each parameter that counts, ``LEAST_PERCENT`` by default.
+        Smallest change of each parameter that counts; ``LEAST_PERCENT`` by default.
     doubt : str
-        Why no parameter can be judged by its limits; empty if they can be.
+        Why the limits cannot be applied; empty if they can.
     """
 
     series: Series
@@ -66,7 +66,7 @@ class State:
 
     @cached_property
     def recent(self) -> Series:
-        """The trips since the last commissioning and maintenance."""
+        """Trips since the last commissioning and maintenance."""
         return self.series.part(self.series.recent)
 
     @cached_property
@@ -82,7 +82,7 @@ class State:
 
     @cached_property
     def severities(self) -> dict[str, Severity]:
-        """Severity of each parameter, without the payload."""
+        """Severity of each parameter except the payload."""
         return {
             name: severity_of(
                 self._last[name], self.limits.get(name), self.alarms_of(name), self.doubt
@@ -93,32 +93,32 @@ class State:
 
     @cached_property
     def severity(self) -> Severity:
-        """The worst of its parameters."""
+        """Worst severity of the parameters."""
         return max(self.severities.values(), default=Severity.UNKNOWN)
 
     @cached_property
     def assessments(self) -> list[Assessment]:
-        """Assessment of each parameter, in words."""
+        """Assessment of each parameter."""
         return [self._assessment(name) for name in self.outputs]
 
     @property
     def worst(self) -> list[Assessment]:
-        """The assessments of the worst severity and of one reason; empty if nothing is found."""
+        """Assessments of the worst severity that share one reason; empty without findings."""
         return next(iter(joined(worst_first(self.assessments))), [])
 
     @property
     def parameters(self) -> str:
-        """The parameters that the severity is of."""
+        """Names of the parameters with the worst severity, as text."""
         return ", ".join(one.parameter for one in self.worst)
 
     @property
     def reason(self) -> str:
-        """Why it has its severity, or a sentence on all parameters."""
+        """Reason of the severity, or a sentence on all parameters."""
         return self.worst[0].words if self.worst else overall(self.assessments)[1]
 
     @cached_property
     def unjudged(self) -> str:
-        """Why it cannot be judged by its last trips; empty if it can be."""
+        """Why the last trips cannot be judged; empty if they can."""
         flagged = self.recent.flagged[self.recent.done][-N_LAST:]
         if not len(flagged):
             return "no trip with an estimate"
@@ -129,9 +129,9 @@ class State:
 
     @cached_property
     def unknown(self) -> dict[str, str]:
-        """Parameters with limits whose remaining life is unknown, or not to be relied on, and why.
+        """Parameters with limits whose remaining life is unknown or unreliable, with the reason.
 
-        That is so if there are too few trips, or if the suspension cannot be judged now.
+        There are too few trips, or the last trips cannot be judged.
         """
         one, passed = self.recent, self.watched.passed
         reasons = {
@@ -144,7 +144,7 @@ class State:
 
     @cached_property
     def shortest(self) -> tuple[str, Life] | None:
-        """The parameter that may pass its act limit first, by the 10 % quantile of its life."""
+        """Parameter that may pass its act limit first, by the 10 % quantile, and its life."""
         known = [(life.quantile_km(0.1), name) for name, life in self.lives.items()]
         first = min((one for one in known if np.isfinite(one[0])), default=None)
         return first and (first[1], self.lives[first[1]])
@@ -156,12 +156,15 @@ class State:
         return float(np.nanmax(km)) if np.isfinite(km).any() else np.nan
 
     def now(self, name: str) -> float:
-        """Return a parameter now, [-]: the median of the last ``N_LAST`` trips; NaN: none."""
+        """Return the present value of a parameter, [-]: the median of the last ``N_LAST`` trips.
+
+        NaN if there is no estimate.
+        """
         values = self._last[name].values
         return float(np.median(values)) if len(values) else np.nan
 
     def alarms_of(self, name: str) -> list[Alarm]:
-        """Return the active alarms of a parameter, by the mileage where they start."""
+        """Return the active alarms of a parameter by the mileage where they start."""
         return [one for one in self.watched.alarms if one.parameter == name and one.is_open]
 
     @cached_property
@@ -179,18 +182,18 @@ class State:
 
 
 def watched(series: Series, limits: Mapping[str, Limits], changes: ChangeSettings) -> State:
-    """Return a suspension with its own alarms, of the trips since its last commissioning."""
+    """Return the state with the suspension's own alarms, from trips since its commissioning."""
     return State(series, limits, watch(series.part(series.one_healthy), limits, changes))
 
 
 def with_alarms(state: State, more: Sequence[Alarm]) -> State:
-    """Return a suspension with more alarms than its own."""
+    """Return a state with additional alarms."""
     alarms = sorted([*state.watched.alarms, *more], key=lambda one: (one.begin_km, one.parameter))
     return replace(state, watched=replace(state.watched, alarms=alarms))
 
 
 def by_urgency(states: Iterable[State]) -> list[State]:
-    """Return suspensions with the worst first, then those of the shortest life."""
+    """Return states by severity, the worst first, then by remaining life."""
 
     def order(state: State) -> tuple[int, float, str, str]:
         life = state.shortest[1].quantile_km(0.1) if state.shortest else np.inf

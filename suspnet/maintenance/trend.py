@@ -14,15 +14,15 @@ from suspnet.ground.parameters import PAYLOAD
 from suspnet.ground.types import FloatArray
 
 LEVEL = 0.01
-"""False-alarm rate of the tests: the share of unchanged parameters that are said to change."""
+"""False-alarm rate of the tests: the share of unchanged parameters reported as changed."""
 MULTIPLE = 2.0
 """A change counts only if it is larger than this multiple of the spread."""
 LEAST_PERCENT = 0.1
 """A change counts only if it is larger than this, in % of healthy."""
 N_ENDS = 5
-"""Number of trips at the beginning, and at the end, whose medians are compared."""
+"""Number of trips at each end of the history whose medians are compared."""
 MIN_SIZE = 3
-"""Fewest trips on each side of a step: one odd trip is no step."""
+"""Fewest trips on each side of a step: one outlier is not a step."""
 
 
 class Shape(StrEnum):
@@ -41,17 +41,9 @@ class Shape(StrEnum):
 class Step:
     """The most likely single change point of a series.
 
-    Attributes
-    ----------
-    mileage_km, gap_km : float, [km]
-        Half-way between the trips before and after, and how far these are apart.
-    n_before : int
-        Trips before the step.
-    size_percent : float, [% of healthy]
-        Median after minus median before.
-    p_value : float, [-]
-        That independent, equally distributed trips give a step as clear as this one anywhere.
-    significant : bool
+    `mileage_km` is half-way between the trips before and after it, `gap_km` their distance.
+    `size_percent` is the median after minus that before, in % of healthy. `p_value` is the
+    probability that independent, equally distributed trips show a step as clear as this one.
     """
 
     mileage_km: float
@@ -69,25 +61,22 @@ class Trend:
     Attributes
     ----------
     parameter : str
-    n_trips : int
-        Trips with an estimate.
-    n_needed : int
-        Fewest trips for the tests.
+    n_trips, n_needed : int
+        Trips with an estimate, and the fewest that the tests need.
     first_median, last_median : float, [-]
-        Of the first and of the last trips, relative to healthy.
+        Medians of the first and of the last `n_ends` trips, relative to healthy.
     change_percent : float, [% of healthy]
         Last minus first median.
     spread_percent : float, [% of healthy]
         Robust standard deviation of the trips about the local trend.
     p_value : float, [-]
-        That trips without change give a difference of the ends, or a step, as clear as this.
+        Probability that unchanged trips show ends as different, or a step as clear, as these.
     shape : Shape
     step : Step or None
-        Where the shape is one with a step.
+        None unless the shape has a step.
     n_ends : int
-        Trips behind each of the medians.
     flagged_first, flagged_last : int
-        Of these, flagged ones.
+        Number of flagged trips among the first and the last `n_ends`.
     without_flagged : bool
         Flagged trips were left out.
     """
@@ -109,7 +98,7 @@ class Trend:
 
     @property
     def changed(self) -> bool:
-        """Whether there is a change; never of the car-body mass, which is payload."""
+        """Whether the parameter changed; always false for the car-body mass, which is payload."""
         return self.shape not in (Shape.TOO_FEW, Shape.NONE) and self.parameter != PAYLOAD
 
 
@@ -119,30 +108,17 @@ def trend(
     values: ArrayLike,
     least_percent: float = LEAST_PERCENT,
 ) -> Trend:
-    """Return whether a parameter at the end differs from the beginning, or has a step.
+    """Return whether the last trips of a parameter differ from the first, or it has a step.
 
     Two tests share ``LEVEL``: Welch's t test of the last ``N_ENDS`` trips against the first ones,
-    and that of ``steps``, which also sees what started fewer than ``N_ENDS`` trips ago. Whichever
-    is significant, its difference of medians must also exceed ``MULTIPLE`` times the spread, so
-    that single odd trips and clear but tiny changes do not count. Trips are taken as independent;
-    what lasts for many trips (another line, season, load) counts as a change. With fewer than twice
-    ``N_ENDS`` trips there is no test.
+    and that of ``steps``, which also finds changes fewer than ``N_ENDS`` trips ago. The difference
+    of medians of a significant test must also exceed ``MULTIPLE`` times the spread, so that single
+    outliers and significant but tiny changes do not count. Trips are assumed independent; an effect
+    of many trips (another line, season, load) counts as a change. There is no test with fewer than
+    twice ``N_ENDS`` trips.
 
-    Parameters
-    ----------
-    parameter : str
-        "M_s" is payload, and never said to have changed.
-    mileage_km : array of shape (n_trips,), [km]
-        In any order.
-    values : array of shape (n_trips,), [-]
-        Relative to healthy; NaN: no estimate.
-    least_percent : float, [% of healthy]
-        No smaller change counts.
-
-    Raises
-    ------
-    ValueError
-        If shapes differ.
+    `mileage_km` (in any order), `values` (relative to healthy; NaN: no estimate): (n_trips,).
+    `least_percent` is the smallest change that counts, in % of healthy.
 
     Examples
     --------
@@ -181,17 +157,11 @@ def flagged_trend(
     flagged: ArrayLike,
     least_percent: float = LEAST_PERCENT,
 ) -> Trend:
-    """Return the trend of trips of which some are flagged: their estimates may be wrong.
+    """Return the ``trend`` of trips of which some are flagged: their estimates may be wrong.
 
-    They count like the others, because a badly worn part lies outside what a model was trained for;
-    the trend says how many the ends rest on. But one odd trip can hide a change of all others: if
-    nothing changes with the flagged trips and something does without, it is the trend without.
-
-    Parameters
-    ----------
-    parameter, mileage_km, values, least_percent
-        Of ``trend``.
-    flagged : bool array of shape (n_trips,)
+    Flagged trips count, because a badly worn part is outside the range of the trained model; the
+    trend states how many there are at its ends. But one outlier can hide a change of all other
+    trips: if only the trend without flagged trips shows a change, that one is returned.
     """
     doubtful = np.asarray(flagged, dtype=bool)
     whole = trend(parameter, mileage_km, values, least_percent)
@@ -210,22 +180,8 @@ def flagged_trend(
 def steps(mileage_km: ArrayLike, values: ArrayLike, level: float = LEVEL) -> Step | None:
     """Return the split into two levels with the least sum of squares; None with too few trips.
 
-    Its significance is that of Student's t test between the two sides, with Bonferroni's
-    correction for the number of splits.
-
-    Parameters
-    ----------
-    mileage_km : array of shape (n_trips,), [km]
-        In any order.
-    values : array of shape (n_trips,), [-]
-        Relative to healthy; NaN: no estimate.
-    level : float, [-]
-        Largest probability of a significant step where there is none.
-
-    Raises
-    ------
-    ValueError
-        If shapes differ.
+    Its significance at `level` is that of Student's t test between the two sides, with Bonferroni's
+    correction for the number of splits. Arrays are as in ``trend``.
     """
     km, known = known_trips(mileage_km, values)
     n = len(known)
@@ -246,22 +202,11 @@ def steps(mileage_km: ArrayLike, values: ArrayLike, level: float = LEVEL) -> Ste
 
 
 def known_trips(mileage_km: ArrayLike, values: ArrayLike) -> tuple[FloatArray, FloatArray]:
-    """Return mileage and values in the order of the mileage, without what is not finite.
-
-    Parameters
-    ----------
-    mileage_km : array of shape (n_trips,), [km]
-    values : array of shape (n_trips,), [-]
-
-    Raises
-    ------
-    ValueError
-        If shapes differ.
-    """
+    """Return the trips with finite mileage and value, sorted by mileage."""
     km, known = np.asarray(mileage_km, dtype=float), np.asarray(values, dtype=float)
     if km.shape != known.shape or km.ndim != 1:
         raise ValueError(
-            "`mileage_km` and `values` must be two lists of one number for each trip, got shapes "
+            "`mileage_km` and `values` must have one number for each trip, got shapes "
             f"{km.shape} and {known.shape}"
         )
     finite = np.isfinite(km) & np.isfinite(known)
@@ -270,11 +215,10 @@ def known_trips(mileage_km: ArrayLike, values: ArrayLike) -> tuple[FloatArray, F
 
 
 def _spread(values: FloatArray) -> float:
-    """Return the robust standard deviation about the line through each trip's neighbours.
+    """Return the robust standard deviation about the mean of each trip's neighbours.
 
-    The deviation from the mean of both neighbours has 1.5 times the variance of a trip, and a
-    step or a slow fade hardly changes its median magnitude (Gasser, Sroka and Jennen-Steinmetz,
-    Biometrika 73, 1986).
+    That deviation has 1.5 times the variance of a trip; a step or a slow drift hardly changes its
+    median magnitude (Gasser, Sroka and Jennen-Steinmetz, Biometrika 73, 1986).
     """
     if len(values) < 3:
         return math.nan
@@ -291,7 +235,7 @@ def _welch(first: FloatArray, last: FloatArray) -> float:
 
 
 def _shape(values: FloatArray, change: float, threshold: float, step: Step) -> Shape:
-    """Return which shape a series with a step of more than `threshold` percent has."""
+    """Return the shape of a series whose step is larger than `threshold` percent."""
     if abs(change) <= threshold:
         return Shape.RETURNED
     after = values[step.n_before :]
@@ -304,9 +248,9 @@ def _shape(values: FloatArray, change: float, threshold: float, step: Step) -> S
 
 
 def _slope(values: FloatArray, change: float, threshold: float) -> float:
-    """Return how fast one side of a step itself goes the way of the change, in % for each trip.
+    """Return the slope of one side of a step in the direction of the change, in % per trip.
 
-    Zero, if it goes the other way, by less than `threshold` in all, or not significantly.
+    0 if its direction is opposite, its total below `threshold`, or it is not significant.
     """
     if len(values) < 5 or np.ptp(values) == 0:
         return 0.0

@@ -1,7 +1,8 @@
-"""When a train is best visited: expected costs of parts along dates, and the dates that cost least.
+"""Optimal dates of visits of a train, from the expected costs of its parts at each date.
 
-Letters: T mileage still to go until a part passes its limit, t mileage still to go until a visit,
-L usual life of a new part, V, R, I, F costs of a visit, a replacement, an inspection, a failure.
+Letters: T is the mileage from today until a part passes its limit, t that until a visit, L the
+usual life of a new part; V, R, I and F are the costs of a visit, a replacement, an inspection and a
+failure.
 """
 
 from __future__ import annotations
@@ -19,15 +20,15 @@ from suspnet.ground.types import FloatArray, IntArray
 REPLACE, INSPECT = 0, 1
 """Rows of ``PartCosts.work``."""
 MAX_SOLVE_S = 30.0
-"""Time after which the search for the dates of one train ends with the best found so far, [s].
+"""Time limit of the search for the dates of one train, [s]; it then returns the best found so far.
 A train of 40 parts and 128 dates takes 0.05 s."""
 SCALE = 1e4
-"""Size that costs are scaled to: the solver's absolute tolerance is 1e-6."""
+"""Magnitude to which costs are scaled, as the solver's absolute tolerance is 1e-6."""
 
 
 @dataclass(frozen=True)
 class Costs:
-    """What a part costs, in any currency.
+    """Costs of one part, in any currency.
 
     Raises
     ------
@@ -35,10 +36,10 @@ class Costs:
         If one is not a number >= 0, or one of the mileages not > 0.
     """
 
-    replacement: float = setting(2.0, "Cost of a part that is replaced, besides the visit", low=0)
-    inspection: float = setting(0.2, "Cost of an inspection of a part, besides the visit", low=0)
+    replacement: float = setting(2.0, "Cost of replacing a part, in addition to the visit", low=0)
+    inspection: float = setting(0.2, "Cost of inspecting a part, in addition to the visit", low=0)
     failure: float = setting(
-        20.0, "Cost of an act limit that is passed in service, besides visit and replacement", low=0
+        20.0, "Cost of passing an act limit in service, in addition to visit and replacement", low=0
     )
     reach_km: float = setting(
         50_000.0,
@@ -56,16 +57,11 @@ class Costs:
 
 @dataclass(frozen=True, eq=False)
 class PartCosts:
-    """Expected costs of one part along the dates of possible visits.
+    """Expected costs of one part for each possible date of a visit.
 
-    Attributes
-    ----------
-    passed : array of shape (n_dates,), [-]
-        Probability that the limit is passed before each date.
-    failing : array of shape (n_dates,)
-        Expected cost of failures until each date; the last is that of no visit.
-    work : array of shape (2, n_dates)
-        Expected cost if the part is replaced, or inspected, at each date.
+    `passed`, (n_dates,): probability that the limit is passed before each date. `failing`,
+    (n_dates,): expected cost of failures until then; the last is that of no visit. `work`,
+    (2, n_dates): expected cost if the part is replaced, or inspected, at each date.
     """
 
     passed: FloatArray
@@ -74,7 +70,7 @@ class PartCosts:
 
     @property
     def least(self) -> FloatArray:
-        """Cost of the cheaper work at each date, and last that of no visit, (n_dates + 1,)."""
+        """Cost of the cheaper work at each date, then that of no visit, (n_dates + 1,)."""
         return np.append(self.work.min(axis=0), self.failing[-1])
 
 
@@ -85,30 +81,21 @@ def part_costs(
 
     With T' = min(T, L), and V(x) = V max(1 - x / `end_km`, 0) for a visit after x km,
 
-    - until t: f(t) = E[F + V(T); T <= t], as a failure asks for a visit of its own,
-    - replaced: f(t) + R / L E[max(T' - t, 0)], the value of the life that is thrown away,
+    - until t: f(t) = E[F + V(T); T <= t], as a failure needs a visit of its own,
+    - replaced: f(t) + R / L E[max(T' - t, 0)], with the value of the wasted life,
     - inspected: f(t) + I + E[min(R / L (T' - t), V(T')); t < T <= u] + g(u), u = t + `reach_km`:
-      an inspection finds T <= u; such a part is replaced at once, or at a visit of its own just
-      before the limit, whichever costs less. Others run on, at the least cost g from u on:
-      min over t' >= u of f(t') - f(u), the life thrown away at t' and V(t') P(T > t'), or nothing
-      but failures.
+      an inspection finds T <= u. Such a part is replaced immediately or at a visit of its own just
+      before the limit, whichever costs less. Other parts continue at the least cost g after u: the
+      minimum over t' >= u of f(t') - f(u) plus the life wasted at t' plus V(t') P(T > t'), or the
+      cost of failures alone.
 
-    The price of the part itself is due once a life in any case and enters as R / L only, as the
-    cost rate of renewal-reward theory does (Barlow and Proschan, Mathematical Theory of
-    Reliability, 1965, ch. 4). A limit that is passed already (T = 0) counts as passed just after
-    the first date, so that the first visit can still prevent the failure.
+    Every part is paid for once per life in any case, so its price enters only as R / L, the cost
+    rate of renewal-reward theory (Barlow and Proschan, Mathematical Theory of Reliability, 1965,
+    ch. 4). A limit that is passed already (T = 0) counts as passed just after the first date, so
+    that the first visit can still prevent the failure.
 
-    Parameters
-    ----------
-    samples_km : array of shape (n_samples,), [km]
-        Equally likely T >= 0; inf: never.
-    dates_km : array of shape (n_dates,), [km]
-        Each t, ascending.
-    visit : float
-        V.
-    end_km : float, [km]
-        Mileage from which on a visit costs nothing, as another one is due then anyway.
-    costs : Costs
+    `samples_km`, (n_samples,): equally likely T >= 0, inf: never. `dates_km`, (n_dates,): each t,
+    ascending. `visit` is V; from `end_km` on a visit costs nothing, as another one is due anyway.
     """
     life, rate = costs.usual_life_km, costs.replacement / costs.usual_life_km
     samples = np.sort(np.where(samples_km > 0, samples_km, np.nextafter(dates_km[0], np.inf)))
@@ -130,13 +117,13 @@ def part_costs(
     # replaced: i samples have passed the limit until t
     i = np.searchsorted(samples, dates_km, side="right")
     thrown_away = rate * np.clip(until[n] - until[i] - dates_km * (n - i), 0, None) / n
-    # inspected: samples i to `found` are found, those up to k are replaced at once
+    # inspected: samples i to `found` are found, those up to k are replaced immediately
     found = np.searchsorted(samples, dates_km + costs.reach_km, side="right")
-    # R / L (T' - t) rises and V(T') falls along T': the former is smaller up to where they meet
+    # R / L (T' - t) rises with T' and V(T') falls: the former is smaller up to their crossing
     meet_km = (visit + rate * dates_km) / (rate + visit / end_km) if visit else dates_km
     k = np.clip(np.searchsorted(capped, meet_km, side="right"), i, found)
     at_once = rate * (until[k] - until[i] - dates_km * (k - i))
-    # g(u): the cheapest end of a life from each date on
+    # g(u): the cheapest end of a life after each date
     ends = failing(i) + thrown_away + visit * np.clip(1 - dates_km / end_km, 0, None) * (1 - i / n)
     best = np.minimum.accumulate(np.append(ends, failing(i[-1:]))[::-1])[::-1]
     go_on = best[np.searchsorted(dates_km, dates_km + costs.reach_km)] - failing(found)
@@ -145,16 +132,10 @@ def part_costs(
 
 
 class Dates(NamedTuple):
-    """Dates on which a train is visited.
+    """Dates on which a train is visited, by index and ascending; each serves at least one part.
 
-    Attributes
-    ----------
-    dates : list of int
-        Ascending, each of which serves a part.
-    served : list of int
-        Date of each part; n_dates is no visit, which wins where costs are equal.
-    bound : float
-        No other dates cost less than this.
+    `served` is the date of each part; n_dates means no visit, which is preferred at equal cost.
+    `bound` is a lower bound of the cost of any choice.
     """
 
     dates: list[int]
@@ -163,7 +144,7 @@ class Dates(NamedTuple):
 
 
 def choose_dates(costs: FloatArray, visits: FloatArray, max_s: float = MAX_SOLVE_S) -> Dates:
-    """Return the dates on which a train is visited, and which of them serves each part.
+    """Return the dates on which a train is visited, and the date that serves each part.
 
     Minimises sum_{d in D} visits[d] + sum_j min_{d in D or no visit} costs[j, d] over sets of dates
     D. That is uncapacitated facility location, a mixed-integer linear program with y_d = 1 where d
@@ -173,21 +154,11 @@ def choose_dates(costs: FloatArray, visits: FloatArray, max_s: float = MAX_SOLVE
         x_jd <= y_d,  sum_d x_jd <= 1,  0 <= x, y integer
 
     with only those x_jd that cost less than no visit. Its linear relaxation is nearly always
-    integer already, and HiGHS proves the optimum at its root.
+    integer, so HiGHS proves the optimum at the root node.
 
-    Parameters
-    ----------
-    costs : array of shape (n_parts, n_dates + 1)
-        Of each part at each date, and last without a visit; inf where it is forbidden.
-    visits : array of shape (n_dates,)
-        Prices >= 0.
-    max_s : float, [s]
-        Time after which the best dates found so far are taken; `bound` says how good they are.
-
-    Raises
-    ------
-    ValueError
-        If a part has no date of finite cost.
+    `costs`, (n_parts, n_dates + 1): of each part at each date, and last without a visit; inf where
+    forbidden. `visits`, (n_dates,): prices >= 0. After `max_s` [s] the best dates so far are
+    returned. ValueError is raised if a part has no finite cost.
     """
     if not np.isfinite(costs).any(axis=1).all():
         raise ValueError("`costs` must have a finite one for each part")
@@ -204,7 +175,7 @@ def choose_dates(costs: FloatArray, visits: FloatArray, max_s: float = MAX_SOLVE
 def _solve(
     costs: FloatArray, visits: FloatArray, chosen: IntArray, bound: float, max_s: float
 ) -> tuple[IntArray, float]:
-    """Return the dates of least cost and a lower bound, or those given if none is found in time."""
+    """Return the dates of least cost and a lower bound; those given if the search finds none."""
     n, never = visits.size, costs[:, -1]
     free = np.where(np.isfinite(never), never, 0.0)  # paid if a part has no visit
     part, date = np.nonzero(costs[:, :n] < never[:, None])

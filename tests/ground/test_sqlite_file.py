@@ -109,7 +109,7 @@ def test_files_of_others_are_refused_unchanged(make, kind, tmp_path):
     make(path)
     before = listing(place)
     opened, error = OPENED[kind]
-    with pytest.raises(error, match=r"theirs: .*(no store|no journal|is a |link)"):
+    with pytest.raises(error, match=r"theirs: .*(not a store|not a journal|is a |link)"):
         opened(path).close()
     assert listing(place) == before
 
@@ -134,9 +134,9 @@ def test_stores_and_journals_are_not_taken_for_each_other(tmp_path):
     History(tmp_path / "store").close()
     Journal(tmp_path / "journal").close()
     before = listing(tmp_path)
-    with pytest.raises(HistoryError, match="no store"):
+    with pytest.raises(HistoryError, match="not a store"):
         History(tmp_path / "journal")
-    with pytest.raises(JournalError, match="no journal"):
+    with pytest.raises(JournalError, match="not a journal"):
         Journal(tmp_path / "store")
     assert listing(tmp_path) == before
 
@@ -226,6 +226,6 @@ def test_files_that_act_when_they_are_read_are_refused_at_once(kind, acts, is_nu
     if not is_numbered:
         database(path, "PRAGMA application_id = 0")
     before = path.read_bytes()
-    with pytest.raises(error, match=r"sent: .*(no store|no journal)"):
+    with pytest.raises(error, match=r"sent: .*(not a store|not a journal|no journal)"):
         opened(path).close()
     assert path.read_bytes() == before

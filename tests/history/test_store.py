@@ -272,7 +272,7 @@ def test_a_foreign_database_with_tables_of_these_names_is_refused(tmp_path):
     with sqlite3.connect(path) as connection:
         connection.execute("CREATE TABLE trips (id INTEGER)")
     connection.close()
-    with pytest.raises(HistoryError, match="no store of suspnet"):
+    with pytest.raises(HistoryError, match="not a store of suspnet"):
         History(path)
 
 
@@ -289,7 +289,7 @@ def test_new_tables_next_to_those_of_others_on_a_server_are_reported(tmp_path, c
         assert connection.exec_driver_sql("SELECT count(*) FROM notes").scalar() == 0
     engine.dispose()
     (line,) = [one.getMessage() for one in caplog.records]
-    assert "new tables of a store, next to 1 tables of others" in line
+    assert "new tables of a store, next to 1 other tables" in line
 
 
 @pytest.mark.parametrize(
@@ -297,7 +297,7 @@ def test_new_tables_next_to_those_of_others_on_a_server_are_reported(tmp_path, c
     [
         ("mysql://host/x", "not mysql://"),
         ("sqlite://", "path of a file"),
-        ("://", "no URL"),
+        ("://", "not a database URL"),
     ],
 )
 def test_a_wrong_url_is_refused(url, message):

@@ -125,7 +125,7 @@ def test_database_of_others_is_refused(tmp_path):
     with sqlite3.connect(path) as other:
         other.execute("CREATE TABLE trips (id INTEGER)")
     other.close()
-    with pytest.raises(JournalError, match="no journal"):
+    with pytest.raises(JournalError, match="not a journal"):
         Journal(path)
 
 

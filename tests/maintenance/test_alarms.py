@@ -69,7 +69,9 @@ def test_an_incomplete_acknowledgement_is_refused(fields, message):
         seen(**fields)
 
 
-@pytest.mark.parametrize(("km", "message"), [((math.inf,), "mileage"), ((2.0, 1.0), "ends before")])
+@pytest.mark.parametrize(
+    ("km", "message"), [((math.inf,), "mileage"), ((2.0, 1.0), "must not end before")]
+)
 def test_an_impossible_alarm_is_refused(km, message):
     with pytest.raises(ValueError, match=message):
         alarm(*km)

@@ -148,7 +148,7 @@ def ends_with(*last, n=N_TRIPS):
             read(0.6 * ONES),
             "act",
             "the last 5 trips are at 60 % of healthy, below the act limit of 80 %; "
-            "so it was from the first trips on",
+            "it has been so since the first trips",
         ),
         (
             read(ends_with(1.5, 1.5, 1.5, 1)),
@@ -201,7 +201,7 @@ def ends_with(*last, n=N_TRIPS):
             read(0.6 * ONES, flagged=range(N_TRIPS)),
             "notice",
             "the last 5 trips are at 60 % of healthy, below the act limit of 80 %; "
-            f"so it was from the first trips on; {ALL_FLAGGED}",
+            f"it has been so since the first trips; {ALL_FLAGGED}",
         ),
         (
             read(ONES, flagged=range(25, N_TRIPS)),

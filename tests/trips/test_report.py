@@ -345,7 +345,7 @@ def test_flags_on_all_trips_contradict_nothing(tmp_path):
     _, page = write(tmp_path / "r.html", results)
     assert page.named("div")[0]["class"] == "result notice"
     assert "Notice: 1 of 4 parameters is to be looked at:" in page.text
-    assert "below the act limit of 80 %; so it was from the first trips on; all" in page.text
+    assert "below the act limit of 80 %; it has been so since the first trips; all" in page.text
     assert "All 12 trips are flagged" in page.text
 
 

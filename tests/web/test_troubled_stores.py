@@ -169,7 +169,7 @@ def test_damaged_store_is_refused_at_the_start_in_one_line(path, good, damage, t
     (line,) = ended.stderr.splitlines()
     assert ended.returncode == 1
     assert "fleet.db: " in line
-    assert "put a copy in its place" in line or "head is damaged" in line
+    assert "put a copy in its place" in line or "header is damaged" in line
 
 
 def test_other_store_in_the_place_of_the_first_is_read(path, tmp_path):
