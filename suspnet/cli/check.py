@@ -15,9 +15,9 @@ from suspnet.ground.checks import check_number
 from suspnet.ground.storage import new_folder
 from suspnet.ground.workers import LostWorkerError, each
 from suspnet.recordings.manifest_files import find_trips
-from suspnet.report.check_page import summary, with_shared_data, write_checks
-from suspnet.report.check_records import PROBLEM, TripCheck
 from suspnet.trips.check import CheckSettings, Opened, check_trip
+from suspnet.trips.check_page import summary, with_shared_data, write_checks
+from suspnet.trips.check_records import PROBLEM, TripCheck
 
 
 def check(arguments: Namespace) -> int:

@@ -23,8 +23,8 @@ from suspnet.estimation.problem import Problem
 from suspnet.ground.checks import check_number
 from suspnet.learning import ranks
 from suspnet.recordings.manifest_files import ManifestFile
-from suspnet.report.commissioning_page import training_notes, write_outcome
 from suspnet.runs.commissioning import check_generator, commission_folder
+from suspnet.runs.commissioning_page import training_notes, write_outcome
 from suspnet.runs.scores import Metrics
 from suspnet.runs.train import RunContext, speed_ranges, train, train_ranges
 from suspnet.spectra.estimates import EstimateSettings

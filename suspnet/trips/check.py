@@ -26,8 +26,6 @@ from suspnet.recordings.manifest import CHANNELS, TripManifest
 from suspnet.recordings.manifest_files import ManifestFile
 from suspnet.recordings.manifest_keys import TripError, all_of
 from suspnet.recordings.recording import Recording, load_recording
-from suspnet.report.check_page import trip_figure, write_picture
-from suspnet.report.check_records import PROBLEM, READY, TOO_LITTLE, SteadyPart, TripCheck
 from suspnet.spectra.estimates import EstimateSettings
 from suspnet.spectra.plausibility import check_channels, check_pairs
 from suspnet.spectra.segments import (
@@ -36,6 +34,8 @@ from suspnet.spectra.segments import (
     segment_speeds,
 )
 from suspnet.spectra.welch import SegmentSpectra
+from suspnet.trips.check_page import trip_figure, write_picture
+from suspnet.trips.check_records import PROBLEM, READY, TOO_LITTLE, SteadyPart, TripCheck
 from suspnet.trips.commissionings import models_at, models_of
 from suspnet.trips.trip import evaluate_recording
 

@@ -27,10 +27,10 @@ from suspnet.recordings.formats import READERS
 from suspnet.recordings.manifest_files import find_trips, read_manifest
 from suspnet.recordings.reader_process import LIMIT, in_own_process
 from suspnet.recordings.recording import WINDOWS, load_recording
-from suspnet.report.check_page import trip_figure
-from suspnet.report.check_records import PROBLEM, READY, TOO_LITTLE
 from suspnet.spectra.welch import Welch
 from suspnet.trips.check import CheckSettings, check_trip
+from suspnet.trips.check_page import trip_figure
+from suspnet.trips.check_records import PROBLEM, READY, TOO_LITTLE
 
 BROKEN = 10_000
 """Number of broken manifests of the slow test."""

@@ -15,8 +15,8 @@ from suspnet.estimation.checkpoint import load_model
 from suspnet.ground import ledger
 from suspnet.ground.records import Place
 from suspnet.ground.storage import read_json, write_json
-from suspnet.report.commissioning_page import as_json
 from suspnet.runs import commissioning as run
+from suspnet.runs.commissioning_page import as_json
 from suspnet.runs.evaluate import find_runs
 from suspnet.trips.commissionings import models_of, place_of
 

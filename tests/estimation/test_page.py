@@ -15,8 +15,8 @@ from commissioned_example import MASSES, SETTINGS, UNCERTAIN, commissioned_examp
 from suspnet.estimation import commissioning_summary as words
 from suspnet.estimation.healthy_trips import HealthyTrips
 from suspnet.estimation.physics import INCOMPLETE
-from suspnet.report import commissioning_figures as figures
-from suspnet.report.commissioning_page import training_notes, write_outcome
+from suspnet.runs import commissioning_figures as figures
+from suspnet.runs.commissioning_page import training_notes, write_outcome
 
 HOSTILE = "<script>alert('x')</script> & \"$x_\" \udcff"
 

@@ -18,13 +18,13 @@ from suspnet.estimation.healthy_trips import LEAST_TRIPS
 from suspnet.ground.storage import write_atomically, write_json
 from suspnet.ground.wording import span
 from suspnet.recordings.recording import Recording, overview
-from suspnet.report.check_records import PROBLEM, READY, TOO_LITTLE, TripCheck
 from suspnet.report.figures import CHANNEL_TITLES, draw_signals, say
 from suspnet.report.images import as_png
 from suspnet.report.templates import render
 from suspnet.spectra.cross_spectra import CrossSpectra
 from suspnet.spectra.estimates import SPEED_HALF_WIDTH
 from suspnet.spectra.speeds import covering, setting_words
+from suspnet.trips.check_records import PROBLEM, READY, TOO_LITTLE, TripCheck
 
 LISTED = 5
 """Largest number of trips that are listed for one problem."""
