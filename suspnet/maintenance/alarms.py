@@ -150,7 +150,7 @@ def newest_of(alarm: Alarm, seen: Iterable[Acknowledgement]) -> Acknowledgement 
 
 @dataclass(frozen=True)
 class Watched:
-    """Result of ``watch``: alarms by the mileage where they start, and the change detector's."""
+    """Result of ``watch``: alarms by the mileage where they start, and detected changes."""
 
     alarms: list[Alarm] = field(default_factory=list)
     changes: Changes = field(default_factory=Changes)

@@ -57,7 +57,7 @@ deviations of 3, 10 or 30 % in 100,000 km, with either sign; slow rates are more
 FLEET_RATES = np.geomspace(0.005, 0.3, 10)
 """Mean rates of the components that ``learn_fleet`` adds, with either sign, [1 / UNIT_KM]."""
 FLEET_SPREAD = 0.35
-"""Standard deviation of each of these components, relative to its mean."""
+"""Standard deviation of the components at ``FLEET_RATES``, relative to their means."""
 PRIOR_SERIES = 3.0
 """Weight of the default prior when a fleet's prior is learned, as a number of series."""
 MAX_STEPS = 200

@@ -17,7 +17,7 @@ LEAST_NOISE = 1e-5
 NOISE_SCALES = np.geomspace(0.05, 20.0, 24)
 """Grid of the factor from the noise that half-widths state to the noise from trip to trip."""
 NOISE_SPREAD = 0.5
-"""Prior standard deviation of the logarithm of that factor."""
+"""Prior standard deviation of the logarithm of the factor on ``NOISE_SCALES``."""
 CORRELATIONS = np.linspace(0.0, 0.75, 6)
 """Grid of the correlation of the noise of successive trips."""
 N_HINGES = 12

@@ -22,7 +22,7 @@ MAX_DATES = 1000
 WINDOW_DAYS = 180
 """Number of latest days whose trips determine the mileage per day of a train."""
 LEAST_DAYS = 14
-"""Fewest days from the first to the last of these trips."""
+"""Fewest days that the trips must span to determine the mileage per day of a train."""
 
 
 @dataclass(frozen=True)
