@@ -68,6 +68,8 @@ def main(name: str) -> None:
 
     Its modules take seconds to import, so they are imported only once there is something to do.
     """
+    # a library of optional readers greets at its import, on the output that Hydra has set up
+    logging.getLogger("numexpr").setLevel(logging.WARNING)
     if name in WITH_OPTIONS:
         options = import_module("suspnet.cli.options")
         arguments = options.PARSERS[name]().parse_args()
@@ -88,7 +90,6 @@ def _task_of(name: str) -> Callable[[DictConfig], None]:
 
 def _imported(name: str) -> ModuleType:
     """Return the module of a program; a signal while it is imported ends the process at once."""
-    logging.getLogger("numexpr").setLevel(logging.WARNING)  # says hello on standard output
     with signals.until_it_listens():
         return import_module(f"suspnet.cli.{name}")
 
