@@ -104,7 +104,9 @@ class Declared:
             check_choice(name, value, allowed)
         elif self.type is bool:
             check_flag(name, value)
-        elif self.type in (int, float) or get_args(self.type)[:1] in ((int,), (float,)):
+        elif self.type in (int, float) or (
+            get_origin(self.type) is tuple and get_args(self.type)[0] in (int, float)
+        ):
             bounds = {key: getattr(one, key) for key in ("low", "above", "high", "below")}
             several = get_origin(self.type) is tuple
             if several and len(value) != len(get_args(self.type)):

@@ -201,4 +201,4 @@ def test_report_of_one_suspension_says_that_no_fleet_is_known(tmp_path):
         evaluate_fleet(tmp_path / "trips", [model], tmp_path / "out", settings, False)
     text = (tmp_path / "out" / "report.html").read_text()
     assert "predicted by this suspension alone, as no other of its vehicle shows how fast" in text
-    assert "(store=) the plan of a fleet may give other ones" in text
+    assert "(store=) the plan of a fleet may give others" in text

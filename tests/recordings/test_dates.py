@@ -218,4 +218,6 @@ def test_start_is_left_to_the_user_where_some_files_have_no_times(tmp_path):
     pq.write_table(pa.table({"body": columns()["bogie"]}), tmp_path / "b.parquet")
     signals = [one for name in "ab" for one in look_into(tmp_path / f"{name}.parquet")[0]]
     text = template(signals, tmp_path / "trip.yaml").text
-    assert "\n# start: 2024-05-06T08:15:30  # by a part of the files; when do the others" in text
+    assert (
+        "\n# start: 2024-05-06T08:15:30  # by some of the files; when do the others start" in text
+    )

@@ -292,7 +292,7 @@ def test_delay_that_is_the_same_all_along_is_named(manifests, model, good, tmp_p
         assert value == pytest.approx(good.estimates[name], rel=0.03)
     path = changed(manifests[0], tmp_path, channels={"bogie": {"start_s": -0.005}})
     words = evaluate_trip(path, [model], SETTINGS).flags
-    assert re.search(r"bogie looks (4\.9\d?|5(\.0\d)?) ms early against axle_box", words)
+    assert re.search(r"bogie looks (4\.9\d?|5(\.0\d)?) ms early relative to axle_box", words)
     assert re.search(r"body looks (4\.9\d?|5(\.[01]\d?)?) ms late relative to bogie", words)
 
 
