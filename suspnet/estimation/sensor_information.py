@@ -85,7 +85,7 @@ def recording_information(
     """Return the information of recordings on some parameters, for each choice of sensors.
 
     By Whittle's likelihood, with the track's level unknown in each bin; the formulae are in the
-    docstring of the module `suspnet.estimation.sensor_information`.
+    docstring of the module ``suspnet.estimation.sensor_information``.
 
     Parameters
     ----------

@@ -58,12 +58,12 @@ class _Open:
 class Sections:
     """The recordings of one suspension, one after another.
 
-    Memory is that of at most ``MOST_OPEN`` recordings of `section_s`; see `Running`.
+    Memory is that of at most ``MOST_OPEN`` recordings of `section_s`; see ``Running``.
 
     Parameters
     ----------
     manifest : TripManifest
-        As for `Running`.
+        As for ``Running``.
     section_s : int, [s]
         Largest length of a section.
     late_s : float, [s]
@@ -73,7 +73,7 @@ class Sections:
     pause_s : float, [s]
         A trip ends after this time without a frame or without moving.
     rate_hz, cleaning, order
-        As for `Running`.
+        As for ``Running``.
 
     Attributes
     ----------
@@ -85,7 +85,7 @@ class Sections:
     Raises
     ------
     TripError, ValueError
-        As `Running` does.
+        As ``Running`` does.
     """
 
     def __init__(
@@ -127,7 +127,7 @@ class Sections:
         Raises
         ------
         FrameError
-            As `Running.add` does, or "late" if all of it belongs to a closed section. The whole
+            As ``Running.add`` does, or "late" if all of it belongs to a closed section. The whole
             frame is rejected.
         """
         if len(frame.samples) > self.section_s * frame.rate_hz:
