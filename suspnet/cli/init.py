@@ -37,7 +37,3 @@ def init(arguments: Namespace) -> None:
         f"guessed, to be checked: {', '.join(found.guesses) or 'nothing'}\n"
         f"then run: suspnet-check {path}"
     )
-
-
-def _count(n: int, noun: str) -> str:
-    return f"{n} {noun}{'s' * (n != 1)}"

@@ -7,12 +7,11 @@ from __future__ import annotations
 
 from argparse import ArgumentParser, RawDescriptionHelpFormatter
 from collections.abc import Callable, Mapping
-from dataclasses import fields
 from pathlib import Path
 
+from suspnet.ground.limits import Cause
 from suspnet.ground.parameters import PARAMETERS
-from suspnet.ground.records import Place
-from suspnet.maintenance.series import KINDS
+from suspnet.ground.records import EVENT_KINDS, PLACE_FROM_TRAIN
 
 CHECK_DESCRIPTION = """\
 Read manifests and recordings, with a model or without. Show all problems at once, and what an
@@ -141,8 +140,6 @@ def init_parser() -> ArgumentParser:
 
 def history_parser() -> ArgumentParser:
     """Return the options of suspnet-history."""
-    from suspnet.maintenance.alarms import Cause  # with scipy, which takes a second
-
     found = ArgumentParser(
         "suspnet-history",
         description=HISTORY_DESCRIPTION,
@@ -161,7 +158,7 @@ def history_parser() -> ArgumentParser:
     event.add_argument(
         "--at-km", type=float, required=True, metavar="KM", help="mileage at which it was done [km]"
     )
-    event.add_argument("--kind", choices=KINDS, default="other", help="[other if not given]")
+    event.add_argument("--kind", choices=EVENT_KINDS, default="other", help="[other if not given]")
     event.add_argument("--words", default="", help="what was done [text]")
     alarms = does.add_parser(
         "alarms", help="open alarms, the worst first, and who acknowledged them"
@@ -184,9 +181,9 @@ def history_parser() -> ArgumentParser:
 
 def _add_suspension(command: ArgumentParser) -> None:
     command.add_argument("--vehicle", required=True, help="as in the manifests [text]")
-    for field in fields(Place):
+    for name in PLACE_FROM_TRAIN:
         command.add_argument(
-            f"--{field.name}", default="", help="as in the manifests, if given there [text]"
+            f"--{name}", default="", help="as in the manifests, if given there [text]"
         )
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import textwrap
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -194,15 +194,6 @@ def text(value: Any) -> str:
     if isinstance(value, dict):
         words += ["{" + ", ".join(f"{key}: ..." for key in value) + "}", "{...}"]
     return next((one for one in words if len(one) <= LONGEST_MAPPING), words[-1])
-
-
-def changes(entry: Any, path: Keys = ()) -> Iterator[str]:
-    """Yield the values of a mapping as KEY=VALUE."""
-    if not isinstance(entry, dict):
-        yield f"{'.'.join(path)}={text(entry)}"
-        return
-    for name, one in entry.items():
-        yield from changes(one, (*path, str(name)))
 
 
 @functools.cache

@@ -34,7 +34,6 @@ from suspnet.ground.checks import check_choice, check_number
 from suspnet.ground.settings import Setting, check_settings, setting
 from suspnet.ground.tensors import as_tensor, check_device
 
-SIDES = ("leading", "trailing")
 N_ALL = len(PARAMETERS) + len(UNMEASURED)
 _OTHER = slice(
     len(PARAMETERS) + UNMEASURED.index("other_k_p"),

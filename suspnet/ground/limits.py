@@ -1,10 +1,10 @@
-"""Limits of a vehicle's parameters from its maintenance rules, and the severity of findings."""
+"""Limits of a vehicle's parameters from its maintenance rules; severity and causes of alarms."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from enum import IntEnum
+from enum import IntEnum, StrEnum
 from typing import Any
 
 import numpy as np
@@ -27,6 +27,17 @@ class Severity(IntEnum):
     def __str__(self) -> str:
         """Return the name in lower case, as in tables."""
         return self.name.lower()
+
+
+class Cause(StrEnum):
+    """Cause of an alarm."""
+
+    LIMIT = "limit"
+    """A parameter is beyond a limit."""
+    CHANGE = "change"
+    """A parameter has changed from its reference trips."""
+    SISTER = "sister"
+    """A parameter differs from that of the sister suspensions of the car."""
 
 
 @dataclass(frozen=True)

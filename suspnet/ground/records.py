@@ -226,6 +226,10 @@ class TripResult:
 
 PLACE = tuple(one.name for one in fields(Place))
 """Columns of a suspension's place; empty if unknown."""
+PLACE_FROM_TRAIN = ("train", "car", "suspension", "bogie", "side")
+"""The same columns from the train down, as in the store and in tables of a fleet."""
+EVENT_KINDS = ("exchanged", "reprofiled", "other")
+"""Kinds of maintenance: a part exchanged, wheels reprofiled, or other work that the text names."""
 NUMBERS = ("mileage_km", "healthy_since_km", "temperature_c", "seconds")
 TEXTS = ("trip", "start", "flags", "status", "reason", "sides", "manifest")
 """Columns of a trip's numbers and texts, named as in ``TripResult``."""

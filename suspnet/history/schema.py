@@ -35,6 +35,7 @@ from suspnet.ground.parameters import PARAMETERS
 from suspnet.ground.records import (
     NUMBERS,
     PLACE,
+    PLACE_FROM_TRAIN,
     QUALITY_TYPES,
     TEXTS,
     VALUES,
@@ -64,9 +65,9 @@ suspensions = Table(
     metadata,
     Column("id", Integer, primary_key=True),
     Column("vehicle", String, nullable=False),
-    *(Column(name, String, nullable=False) for name in PLACE),
+    *(Column(name, String, nullable=False) for name in PLACE_FROM_TRAIN),
     Column("revision", BigInteger, nullable=False, server_default="0"),
-    UniqueConstraint("vehicle", *PLACE),
+    UniqueConstraint("vehicle", *PLACE_FROM_TRAIN),
 )
 """The revision grows with each transaction that changes data of the suspension."""
 

@@ -11,6 +11,7 @@ import sqlalchemy as sql
 from sqlalchemy.engine import Connection, Engine
 from sqlalchemy.exc import SQLAlchemyError
 
+from suspnet.ground.limits import Cause
 from suspnet.ground.records import Key, Place, TripResult
 from suspnet.history.arrays import TripResponses, read_responses, read_series, write_curves
 from suspnet.history.database import (
@@ -41,7 +42,7 @@ from suspnet.history.suspensions import (
     replace_alarms,
     write_stored,
 )
-from suspnet.maintenance.alarms import Acknowledgement, Alarm, Cause
+from suspnet.maintenance.alarms import Acknowledgement, Alarm
 from suspnet.maintenance.series import Event, Series
 
 

@@ -10,6 +10,7 @@ from typing import Any, TypeVar
 import sqlalchemy as sql
 from sqlalchemy.engine import Connection
 
+from suspnet.ground.limits import Cause
 from suspnet.ground.records import PLACE, Key, Place, TripResult
 from suspnet.history.database import HistoryError, upsert
 from suspnet.history.schema import (
@@ -25,7 +26,7 @@ from suspnet.history.schema import (
     suspensions,
     trips,
 )
-from suspnet.maintenance.alarms import Acknowledgement, Alarm, Cause
+from suspnet.maintenance.alarms import Acknowledgement, Alarm
 from suspnet.maintenance.series import Event
 
 Stored = TypeVar("Stored", Event, Alarm, Acknowledgement)

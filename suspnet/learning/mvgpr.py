@@ -171,7 +171,7 @@ class MVGPR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mi
 
     def fit(self, X: ArrayLike, y: ArrayLike) -> Self:
         """Fit to samples (n_samples, n_inputs) and outputs (n_samples,) or (.., n_outputs)."""
-        self._check_parameters()
+        check_settings(self)
         check_device(self.device)
         X, y = validate_data(self, X, y, multi_output=True, y_numeric=True, dtype=np.float64)
         targets = np.asarray(y, dtype=np.float64)
@@ -266,9 +266,6 @@ class MVGPR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mi
         self._single_output = False
         self._kept_factor = None
         return self
-
-    def _check_parameters(self) -> None:
-        check_settings(self)
 
     def _kernel(self, X: Tensor, Z: Tensor) -> Tensor:
         """Return K of two sets of samples, without the noise."""

@@ -6,12 +6,11 @@ import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from datetime import datetime
-from enum import StrEnum
 
 import numpy as np
 from tabulate import tabulate
 
-from suspnet.ground.limits import Limits, Severity
+from suspnet.ground.limits import Cause, Limits, Severity
 from suspnet.ground.parameters import PAYLOAD
 from suspnet.ground.types import BoolArray, FloatArray
 from suspnet.ground.wording import kilometres
@@ -23,17 +22,6 @@ N_QUIET = 3
 """Trips in a row within the limits that end an alarm: an intermittent one stays active."""
 GOES_ON = 1.5
 """Ratio of a change now to its size at the alarm above which the text gives both."""
-
-
-class Cause(StrEnum):
-    """Cause of an alarm."""
-
-    LIMIT = "limit"
-    """A parameter is beyond a limit."""
-    CHANGE = "change"
-    """A parameter has changed from its reference trips."""
-    SISTER = "sister"
-    """A parameter differs from that of the sister suspensions of the car."""
 
 
 OWN_CAUSES = (Cause.LIMIT, Cause.CHANGE)

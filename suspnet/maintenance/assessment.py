@@ -8,10 +8,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from suspnet.ground.limits import Limits, Severity
+from suspnet.ground.limits import Cause, Limits, Severity
 from suspnet.ground.parameters import PAYLOAD
 from suspnet.ground.wording import kilometres
-from suspnet.maintenance.alarms import Alarm, Cause
+from suspnet.maintenance.alarms import Alarm
 from suspnet.maintenance.judge import (
     N_CONFIRMING,
     N_LAST,

@@ -12,21 +12,19 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from suspnet.ground.parameters import PARAMETERS
-from suspnet.ground.records import Key, Place, TripResult
+from suspnet.ground.records import EVENT_KINDS, Key, Place, TripResult
 from suspnet.ground.types import BoolArray, FloatArray, IntArray
 from suspnet.ground.wording import kilometres
 
 NUMBERS = ("mileage_km", "healthy_since_km", "speed_m_per_s", "temperature_c")
 """Numeric columns of a series, in addition to those of each parameter."""
-KINDS = ("exchanged", "reprofiled", "other")
-"""Kinds of maintenance: a part exchanged, wheels reprofiled, or other work that the text names."""
 
 
 @dataclass(frozen=True)
 class Event:
     """Maintenance of a suspension: later trips are judged without earlier ones.
 
-    Trips of at least `mileage_km` are after it. `kind` is one of ``KINDS``; `words` describe it.
+    Trips of at least `mileage_km` are after it. `kind` is one of ``EVENT_KINDS``; `words` say what.
     """
 
     mileage_km: float
@@ -36,8 +34,8 @@ class Event:
     def __post_init__(self) -> None:
         if not math.isfinite(self.mileage_km):
             raise ValueError(f"an event needs a mileage in km, got {self.mileage_km}")
-        if self.kind not in KINDS:
-            raise ValueError(f"an event is one of {', '.join(KINDS)}, got {self.kind!r}")
+        if self.kind not in EVENT_KINDS:
+            raise ValueError(f"an event is one of {', '.join(EVENT_KINDS)}, got {self.kind!r}")
 
     def __str__(self) -> str:
         """Return the event as text."""

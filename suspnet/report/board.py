@@ -11,10 +11,10 @@ from datetime import date
 from pathlib import Path
 from typing import Any, Protocol
 
-from suspnet.ground.limits import DEFAULT_LIMITS, Limits, read_limits
+from suspnet.ground.limits import DEFAULT_LIMITS, Cause, Limits, read_limits
 from suspnet.ground.records import Key
 from suspnet.history import History, HistoryError
-from suspnet.maintenance.alarms import Alarm, Cause, Watched
+from suspnet.maintenance.alarms import Alarm, Watched
 from suspnet.maintenance.change import ChangeSettings
 from suspnet.maintenance.fleet import Fleet
 from suspnet.maintenance.fleet_plan import Planner

@@ -13,7 +13,7 @@ import numpy as np
 from tabulate import tabulate
 
 from suspnet.ground.limits import Limits, Severity
-from suspnet.ground.records import OK, Key, Place, TripResult
+from suspnet.ground.records import OK, PLACE_FROM_TRAIN, Key, Place, TripResult
 from suspnet.ground.wording import count
 from suspnet.history.schema import BadRow
 from suspnet.maintenance.alarms import Acknowledgement, newest_of
@@ -24,8 +24,6 @@ from suspnet.maintenance.state import State
 REPORT = "report.html"
 N_SHOWN = 30
 """Largest number of suspensions in the table on a terminal."""
-ROW_PLACE = ("train", "car", "suspension", "bogie", "side")
-"""Columns of a row that identify the suspension."""
 ID_DIGITS = 12
 """Number of hexadecimal digits of a suspension's name in a URL."""
 
@@ -154,7 +152,7 @@ def _row(state: State, acknowledged: Mapping[Key, Sequence[Acknowledgement]]) ->
     return {
         "vehicle": series.vehicle,
         "where": str(series.place),
-        **{name: getattr(series.place, name) for name in ROW_PLACE},
+        **{name: getattr(series.place, name) for name in PLACE_FROM_TRAIN},
         "severity": str(state.severity),
         "parameter": state.parameters if is_found else "",
         "reason": state.reason if is_found else _quiet(state),

@@ -16,15 +16,22 @@ import torch
 from torch import Tensor
 
 from suspnet.dynamics import ResponseGenerator, Vehicle
-from suspnet.ground.settings import check_settings, setting
-from suspnet.spectra.observation import Directions, Observer, check_counts, directions
+from suspnet.ground.settings import setting
+from suspnet.spectra.observation import (
+    CACHE_FOLDER,
+    CacheFolder,
+    Counts,
+    Directions,
+    Observer,
+    directions,
+)
 
 MOST_BINS = 100_000
 """Largest number of frequency bins of a curve; the paper has 1000."""
 
 
 @dataclass(frozen=True)
-class CurveSettings:
+class CurveSettings(Counts):
     """Frequency bins, noise and numbers of curves.
 
     Raises
@@ -35,21 +42,6 @@ class CurveSettings:
 
     kind: ClassVar[str] = "curves"
 
-    n_train: int | str = setting(
-        20_000,
-        "Number of training curves, or all for the whole grid of the protocol",
-        rule="whole number; 1 to 1e8",
-    )
-    n_test: int | str = setting(
-        4_000, "Number of test curves, or all", rule="whole number; 1 to 1e8"
-    )
-    n_calibrate: int | None = setting(
-        30_000,
-        "Number of fresh curves that intervals and thresholds are learnt from; null gives the "
-        "model neither",
-        low=100,
-        high=1e8,
-    )
     snr_db: float = setting(
         34.0,
         "Signal-to-noise ratio of each curve; 34 dB is noise of 2 % of its rms",
@@ -66,15 +58,10 @@ class CurveSettings:
         above=0,
         most=10000,
     )
-    cache_dir: str | None = setting(
-        ".cache/suspnet",
-        "Folder where features of curves are stored between runs; null stores none",
-        rule="path",
-    )
+    cache_dir: CacheFolder = CACHE_FOLDER
 
     def __post_init__(self) -> None:
-        check_counts(self)
-        check_settings(self, "data")
+        self.check()
         if not self.step_hz <= self.low_hz < self.high_hz:
             raise ValueError(
                 "need data.step_hz <= data.low_hz < data.high_hz, got "

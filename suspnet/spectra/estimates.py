@@ -19,7 +19,7 @@ from torch import Tensor
 
 from suspnet.dynamics import PARAMETERS, QuarterCar, ResponseGenerator, Vehicle
 from suspnet.dynamics.track_spectra import track_spectrum
-from suspnet.ground.settings import check_settings, setting
+from suspnet.ground.settings import setting
 from suspnet.ground.types import FloatArray
 from suspnet.spectra.cross_spectra import (
     CrossSpectra,
@@ -29,7 +29,7 @@ from suspnet.spectra.cross_spectra import (
 )
 from suspnet.spectra.curves import CurveSettings
 from suspnet.spectra.expected_spectra import EstimateMisfit, ExpectedSpectra, Responses
-from suspnet.spectra.observation import Directions, check_counts, directions
+from suspnet.spectra.observation import CACHE_FOLDER, CacheFolder, Counts, Directions, directions
 from suspnet.spectra.speeds import Speeds
 from suspnet.spectra.welch import Welch
 
@@ -51,7 +51,7 @@ vanishing spectra, with heavy tails."""
 
 
 @dataclass(frozen=True)
-class EstimateSettings:
+class EstimateSettings(Counts):
     """How trips are recorded and their transfer functions estimated.
 
     Parameters
@@ -69,21 +69,6 @@ class EstimateSettings:
 
     kind: ClassVar[str] = "trips"
 
-    n_train: int | str = setting(
-        20_000,
-        "Number of training curves, or all for the whole grid of the protocol",
-        rule="whole number; 1 to 1e8",
-    )
-    n_test: int | str = setting(
-        4_000, "Number of test curves, or all", rule="whole number; 1 to 1e8"
-    )
-    n_calibrate: int | None = setting(
-        30_000,
-        "Number of fresh curves that intervals and thresholds are learnt from; null gives the "
-        "model neither",
-        low=100,
-        high=1e8,
-    )
     speed_m_per_s: float = setting(
         70.0, "Speed of the trips that the model reads, as the line's", "m/s", above=0.1, below=200
     )
@@ -159,15 +144,10 @@ class EstimateSettings:
         above=0,
         most=1e6,
     )
-    cache_dir: str | None = setting(
-        ".cache/suspnet",
-        "Folder where features of curves are stored between runs; null stores none",
-        rule="path",
-    )
+    cache_dir: CacheFolder = CACHE_FOLDER
 
     def __post_init__(self) -> None:
-        check_counts(self)
-        check_settings(self, "data")
+        self.check()
         if len(self.rates_hz) != 3:
             raise ValueError(f"`data.rates_hz` must be three rates > 0, got {self.rates_hz}")
         track_spectrum(self.track, self.short_waves)

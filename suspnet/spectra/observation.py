@@ -17,7 +17,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, Protocol, Self
+from typing import Annotated, Any, ClassVar, Protocol, Self
 
 import numpy as np
 import torch
@@ -25,6 +25,7 @@ from torch import Tensor
 
 from suspnet.dynamics import PARAMETERS, ResponseGenerator, Vehicle
 from suspnet.ground.checks import check_number
+from suspnet.ground.settings import Setting, check_settings, setting
 
 LEAST_CALIBRATION = 100
 """Smallest number of calibration curves; the coverage of a 90 % interval then scatters by 3 %."""
@@ -150,20 +151,42 @@ class Observation(Protocol):
         ...
 
 
-def check_counts(settings: Observation) -> None:
-    """Raise TypeError or ValueError unless the numbers of curves are valid."""
-    for name in ("n_train", "n_test"):
-        value = getattr(settings, name)
-        if value != "all":
-            check_number(f"data.{name}", value, low=1, most=MOST_CURVES, whole=True)
-    check_number(
-        "data.n_calibrate",
-        settings.n_calibrate,
+CACHE_FOLDER = ".cache/suspnet"
+CacheFolder = Annotated[
+    str | None,
+    Setting(
+        "Folder where features of curves are stored between runs; null stores none", rule="path"
+    ),
+]
+
+
+@dataclass(frozen=True)
+class Counts:
+    """Numbers of curves, which the settings of every observation start with."""
+
+    n_train: int | str = setting(
+        20_000,
+        "Number of training curves, or all for the whole grid of the protocol",
+        rule="whole number; 1 to 1e8",
+    )
+    n_test: int | str = setting(
+        4_000, "Number of test curves, or all", rule="whole number; 1 to 1e8"
+    )
+    n_calibrate: int | None = setting(
+        30_000,
+        "Number of fresh curves that intervals and thresholds are learnt from; null gives the "
+        "model neither",
         low=LEAST_CALIBRATION,
         most=MOST_CURVES,
-        whole=True,
-        optional=True,
     )
+
+    def check(self) -> None:
+        """Raise TypeError or ValueError unless the settings of an observation are valid."""
+        for name in ("n_train", "n_test"):
+            value = getattr(self, name)
+            if value != "all":
+                check_number(f"data.{name}", value, low=1, most=MOST_CURVES, whole=True)
+        check_settings(self, "data")
 
 
 @dataclass(frozen=True)

@@ -33,7 +33,6 @@ GAP = 0.07
 """Fraction of the figure's height between two parameters, for the heading of the lower one."""
 TICKS = [one * ten for ten in (0.001, 0.01, 0.1, 1, 10, 100) for one in (1, 2, 5)]
 """Ticks of the amplification axes, [-]."""
-EDGE_MARK = {"size": 9, "line": {"width": 1, "color": "white"}}
 
 
 def trend_figure(trend: Trend, name: str) -> dict[str, Any]:

@@ -11,7 +11,7 @@ from omegaconf import OmegaConf
 
 from suspnet.cli import program  # makes our resolvers and tables known to Hydra
 from suspnet.cli.config_files import TABLES, read_comments
-from suspnet.cli.reference import Group, Key, Reference, changes, text
+from suspnet.cli.reference import Group, Key, Keys, Reference, text
 
 CONFIGS = Path(program.CONFIGS)
 PROGRAMS = {
@@ -258,3 +258,12 @@ def cell(words: str) -> str:
 def code(words: str) -> str:
     """Return a value for a cell of a table; nothing for none."""
     return f"`{cell(words)}`" if words else ""
+
+
+def changes(entry: Any, path: Keys = ()) -> Iterator[str]:
+    """Yield the values of a mapping as KEY=VALUE."""
+    if not isinstance(entry, dict):
+        yield f"{'.'.join(path)}={text(entry)}"
+        return
+    for name, one in entry.items():
+        yield from changes(one, (*path, str(name)))

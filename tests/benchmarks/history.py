@@ -22,10 +22,10 @@ import numpy as np
 import sqlalchemy as sql
 
 from suspnet.dynamics import PARAMETERS
-from suspnet.ground.limits import Severity
+from suspnet.ground.limits import Cause, Severity
 from suspnet.ground.records import Place, Quality, TripResult
 from suspnet.history import History
-from suspnet.maintenance.alarms import Alarm, Cause
+from suspnet.maintenance.alarms import Alarm
 
 HALF_WIDTHS = {"k_p": 0.001, "c_p": 0.005, "k_s": 0.001, "c_s": 0.003, "M_s": 0.001}
 HEALTHY = {"k_p": 1.3e6, "c_p": 3.7e3, "k_s": 0.69e6, "c_s": 22.6e3, "M_s": 6300.0}

@@ -7,10 +7,10 @@ from trip_records import fleet, trip
 from suspnet.cli import program
 from suspnet.cli.history import history
 from suspnet.cli.options import history_parser
-from suspnet.ground.limits import Severity
+from suspnet.ground.limits import Cause, Severity
 from suspnet.ground.records import Place
 from suspnet.history import History, HistoryError
-from suspnet.maintenance.alarms import Alarm, Cause
+from suspnet.maintenance.alarms import Alarm
 
 PLACE = Place("bogie 1, left")
 OTHER = Place("x", "leading", train="4", car="7")

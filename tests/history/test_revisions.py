@@ -7,10 +7,10 @@ import pytest
 from forked import forks
 from trip_records import trip
 
-from suspnet.ground.limits import Severity
+from suspnet.ground.limits import Cause, Severity
 from suspnet.ground.records import Place
 from suspnet.history import Event, History
-from suspnet.maintenance.alarms import OWN_CAUSES, Acknowledgement, Alarm, Cause
+from suspnet.maintenance.alarms import OWN_CAUSES, Acknowledgement, Alarm
 
 VEHICLE = "AM96 217"
 PLACES = [Place("a"), Place("b")]

@@ -13,10 +13,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from trip_records import fleet, trip
 
-from suspnet.ground.limits import Severity
+from suspnet.ground.limits import Cause, Severity
 from suspnet.ground.records import Place, TripResult
 from suspnet.history import Event, History, HistoryError
-from suspnet.maintenance.alarms import OWN_CAUSES, Acknowledgement, Alarm, Cause
+from suspnet.history.schema import suspensions
+from suspnet.maintenance.alarms import OWN_CAUSES, Acknowledgement, Alarm
 
 PLACE = Place("bogie 1, left")
 VEHICLE = "AM96 217"
@@ -322,3 +323,16 @@ def test_a_trip_that_was_kept_without_its_date_is_the_same_trip(store):
     assert [one.trip for one in store.responses(VEHICLE, PLACE)] == [r.trip for r in found]
     store.write([trip(0, start="2025-01-01"), trip(0, start="", mileage_km=1.0)])
     assert len(store.read(VEHICLE, PLACE)) == 5  # another date or mileage is another trip
+
+
+def test_columns_of_suspensions_are_in_the_order_of_older_stores():
+    assert suspensions.columns.keys() == [
+        "id",
+        "vehicle",
+        "train",
+        "car",
+        "suspension",
+        "bogie",
+        "side",
+        "revision",
+    ]

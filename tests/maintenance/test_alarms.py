@@ -4,8 +4,8 @@ import math
 
 import pytest
 
-from suspnet.ground.limits import Severity
-from suspnet.maintenance.alarms import Acknowledgement, Alarm, Cause, newest_of
+from suspnet.ground.limits import Cause, Severity
+from suspnet.maintenance.alarms import Acknowledgement, Alarm, newest_of
 
 AT = "2026-11-22T13:00:00+00:00"
 

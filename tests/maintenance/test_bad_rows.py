@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from depot_trips import place, trips
 
-from suspnet.ground.limits import Severity
+from suspnet.ground.limits import Cause, Severity
 from suspnet.history import Event, History
-from suspnet.maintenance.alarms import Acknowledgement, Alarm, Cause
+from suspnet.maintenance.alarms import Acknowledgement, Alarm
 from suspnet.report.board import Board, BoardSettings
 
 SETTINGS = BoardSettings(today="2026-03-01")

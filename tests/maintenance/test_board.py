@@ -9,11 +9,11 @@ import pytest
 from depot_trips import N_TRIPS, place, trips
 from empty_stores import KINDS, empty_store
 
-from suspnet.ground.limits import Severity
+from suspnet.ground.limits import Cause, Severity
 from suspnet.ground.records import Place
 from suspnet.history import Event, History, HistoryError
 from suspnet.maintenance import fleet as fleet_module
-from suspnet.maintenance.alarms import OWN_CAUSES, Acknowledgement, Alarm, Cause
+from suspnet.maintenance.alarms import OWN_CAUSES, Acknowledgement, Alarm
 from suspnet.maintenance.fleet import fleet_state
 from suspnet.maintenance.fleet_plan import parts_of, trains_of
 from suspnet.maintenance.plan import make_plan

@@ -11,9 +11,9 @@ from trip_fixtures import model_at
 
 from suspnet.cli.evaluate import ALARMS, exit_code
 from suspnet.estimation.from_recording import TripSettings
+from suspnet.ground.limits import Cause
 from suspnet.ground.records import Place
 from suspnet.history import History
-from suspnet.maintenance.alarms import Cause
 from suspnet.report import report
 from suspnet.report.board import Board, BoardSettings
 from suspnet.report.tensorboard import RunLog

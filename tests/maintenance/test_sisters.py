@@ -5,8 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from suspnet.ground.limits import Severity
-from suspnet.maintenance.alarms import Cause
+from suspnet.ground.limits import Cause, Severity
 from suspnet.maintenance.sisters import (
     CORRELATION,
     N_LAST,

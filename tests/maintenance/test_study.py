@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from depot_trips import N_TRIPS, place, trips
 
-from suspnet.ground.limits import DEFAULT_LIMITS, Severity
+from suspnet.ground.limits import DEFAULT_LIMITS, Cause, Severity
 from suspnet.ground.records import Place
 from suspnet.history import Event, History
-from suspnet.maintenance.alarms import Acknowledgement, Cause
+from suspnet.maintenance.alarms import Acknowledgement
 from suspnet.maintenance.change import ChangeSettings
 from suspnet.maintenance.fleet import fleet_state
 from suspnet.maintenance.fleet_plan import parts_of, train_of, trains_of

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from suspnet.ground.limits import DEFAULT_LIMITS, Severity
-from suspnet.maintenance.alarms import Cause, alarm_table, detector_words, watch
+from suspnet.ground.limits import DEFAULT_LIMITS, Cause, Severity
+from suspnet.maintenance.alarms import alarm_table, detector_words, watch
 from suspnet.maintenance.change import Changes, ChangeSettings
 from suspnet.maintenance.cusum import autoregressive
 from suspnet.maintenance.judge import level_words
