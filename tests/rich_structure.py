@@ -244,11 +244,13 @@ class Structure:
         aside, half = y - self.row[rail, "y"], t.contact_half_m
         self.parallel.add(aside, t.gravity_n_per_m, 0.0, "gravity")
         i, j = (self.names.index((name, freedom)) for freedom in ("y", "yaw"))
-        # creepages of two wheels: y' / v - psi aside, l psi' / v + conicity (y - y_r) / r_0 ahead
+        # creepages of two wheels: y' / v - psi aside, l psi' / v + conicity (y - y_r) / r_0 ahead;
+        # in reverse psi and conicity act the other way, as v is negative and forces oppose slip
+        ahead = -2 * t.creep_n if t.reverse else 2 * t.creep_n
         self._own_damping[i] += 2 * t.creep_n / t.speed_m_per_s * y
-        self._own_stiffness[i] -= 2 * t.creep_n * yaw
+        self._own_stiffness[i] -= ahead * yaw
         self._own_damping[j] += 2 * t.creep_n * half**2 / t.speed_m_per_s * yaw
-        self._own_stiffness[j] += 2 * t.creep_n * t.conicity * half / t.wheel_radius_m * aside
+        self._own_stiffness[j] += ahead * t.conicity * half / t.wheel_radius_m * aside
         if "contact" in self.effects:
             for sign in (1.0, -1.0):
                 point = (0.0, sign * half, 0.0)

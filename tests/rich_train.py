@@ -79,6 +79,7 @@ class RichTrain:
 
     effects: frozenset = frozenset()
     speed_m_per_s: float = 70.0
+    reverse: bool = False
 
     k_p: float = 1.0
     c_p: float = 1.0
@@ -174,7 +175,7 @@ class RichTrain:
 
     def numbers(self):
         """Return every number by its name."""
-        return {f.name: getattr(self, f.name) for f in fields(self)[2:]}
+        return {f.name: getattr(self, f.name) for f in fields(self)[3:]}
 
     @property
     def n_processes(self):
@@ -193,9 +194,13 @@ class RichTrain:
 
     @property
     def behind_m(self):
-        """Return how far each wheelset runs behind the first, the measured one, (4,) [m]."""
+        """Return how far each wheelset runs behind the first, the measured one, (4,) [m].
+
+        In reverse the others run ahead.
+        """
         a, pivot = self.half_wheelbase_m, self.half_pivot_m
-        return np.array([0.0, 2 * a, 2 * pivot, 2 * pivot + 2 * a])
+        behind = np.array([0.0, 2 * a, 2 * pivot, 2 * pivot + 2 * a])
+        return -behind if self.reverse else behind
 
     def phasors(self, frequencies_hz):
         """Return the inputs r of each process of unit size at the first wheelset.

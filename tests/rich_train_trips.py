@@ -116,8 +116,8 @@ class Drive:
         """Return what gives elevation, velocity and acceleration of all inputs at any times."""
         behind_m = self.train.behind_m
         top = float(self.journey.speeds_m_per_s.max())
-        start_m = behind_m.max() + LEAD_IN_S * top + MARGIN_M
-        length_m = start_m + self.journey.distance_m + MARGIN_M
+        start_m = max(behind_m.max(), 0.0) + LEAD_IN_S * top + MARGIN_M
+        length_m = start_m + self.journey.distance_m - min(behind_m.min(), 0.0) + MARGIN_M
         densities = process_spectra(self.train, self.fleet.track, self.fleet.short_waves)
         seeds = self._source.generate_state(len(densities))
         profiles = [

@@ -22,6 +22,7 @@ from torch import Tensor
 
 from suspnet.dynamics.motion import LinearSystem
 from suspnet.dynamics.vehicle import PARAMETERS, Vehicle, check_ratios, check_vehicle
+from suspnet.ground.parameters import Direction
 from suspnet.ground.tensors import as_tensor, check_device
 from suspnet.ground.types import FloatArray
 
@@ -57,6 +58,8 @@ class QuarterCar:
     """The responses do not depend on the speed."""
     bogie: ClassVar[None] = None
     """The model applies to both bogies."""
+    direction: ClassVar[None] = None
+    """The responses do not depend on the direction of travel."""
     distribution: ClassVar[None] = None
     """Every number is taken as known."""
     further_places: ClassVar[tuple[str, ...]] = ()
@@ -172,6 +175,10 @@ class QuarterCar:
     def of(self, vehicle: Vehicle) -> QuarterCar:
         """Return the quarter car of another vehicle."""
         return replace(self, vehicle=vehicle)
+
+    def running(self, direction: Direction) -> QuarterCar:
+        """Return the generator itself: it does not depend on the direction of travel."""
+        return self
 
     def on(self, device: str) -> QuarterCar:
         """Return the same generator on another device."""

@@ -14,6 +14,7 @@ from suspnet.dynamics.motion import LinearSystem
 from suspnet.dynamics.quantities import LogNormal
 from suspnet.ground.limits import DEFAULT_LIMITS, Limits, read_limits
 from suspnet.ground.parameters import PARAMETERS as PARAMETERS
+from suspnet.ground.parameters import Direction
 from suspnet.ground.settings import Setting, check_settings, setting
 
 GEOMETRY = ("half_wheelbase_m", "half_pivot_distance_m", "bogie_gyration_m", "body_gyration_m")
@@ -235,6 +236,8 @@ class ResponseGenerator(Protocol):
         Speed of the responses; None if they do not depend on it.
     bogie : str or None
         The measured bogie, "leading" or "trailing"; None if the model applies to both.
+    direction : str or None
+        Direction of travel, "forward" or "reverse"; None if the responses do not depend on it.
     distribution : LogNormal or None
         Distribution of the generator's uncertain numbers; None if there are none.
     further_places : tuple of str
@@ -258,6 +261,9 @@ class ResponseGenerator(Protocol):
 
     @property
     def bogie(self) -> str | None: ...  # noqa: D102
+
+    @property
+    def direction(self) -> Direction | None: ...  # noqa: D102
 
     @property
     def distribution(self) -> LogNormal | None: ...  # noqa: D102
@@ -310,6 +316,10 @@ class ResponseGenerator(Protocol):
 
     def of(self, vehicle: Vehicle) -> ResponseGenerator:
         """Return the generator for another vehicle, a simpler one if its geometry is missing."""
+        ...
+
+    def running(self, direction: Direction) -> ResponseGenerator:
+        """Return the same generator for another direction of travel."""
         ...
 
     def on(self, device: str) -> ResponseGenerator:

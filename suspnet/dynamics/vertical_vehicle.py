@@ -31,9 +31,11 @@ from suspnet.dynamics.vehicle import (
 from suspnet.dynamics.vertical_motion import vertical_motion
 from suspnet.dynamics.vertical_response import bounced, rolled, wheels_of
 from suspnet.ground.checks import check_choice, check_number
+from suspnet.ground.parameters import FORWARD, REVERSE, Direction
 from suspnet.ground.settings import Setting, check_settings, setting
 from suspnet.ground.tensors import as_tensor, check_device
 
+OTHER_END = {"leading": "trailing", "trailing": "leading"}
 N_ALL = len(PARAMETERS) + len(UNMEASURED)
 _OTHER = slice(
     len(PARAMETERS) + UNMEASURED.index("other_k_p"),
@@ -71,6 +73,10 @@ class VerticalVehicle:
     bogie: Literal["leading", "trailing"] = setting("leading", "Bogie that is measured")
     axle: Literal["leading", "trailing"] = setting(
         "leading", "Axle box of that bogie that is measured"
+    )
+    direction: Direction = setting(
+        FORWARD,
+        "Direction of travel: in reverse, what is called leading and ahead runs behind",
     )
     frame_sensor: Literal["axle", "centre"] = setting(
         "axle",
@@ -246,6 +252,10 @@ class VerticalVehicle:
             return QuarterCar(vehicle, self.device)
         return replace(self, vehicle=vehicle)
 
+    def running(self, direction: Direction) -> VerticalVehicle:
+        """Return the same vehicle with another direction of travel."""
+        return replace(self, direction=direction)
+
     def on(self, device: str) -> VerticalVehicle:
         """Return the same generator on another device."""
         return replace(self, device=device)
@@ -308,7 +318,11 @@ class VerticalVehicle:
 
     @property
     def _layout(self) -> Layout:
-        place = self.bogie, self.axle, self.frame_sensor, self.body_sensor_m
+        bogie, axle, ahead_m = self.bogie, self.axle, self.body_sensor_m
+        # The vehicle is symmetric: in reverse the leading bogie moves like a trailing one.
+        if self.direction == REVERSE:
+            bogie, axle, ahead_m = OTHER_END[bogie], OTHER_END[axle], -ahead_m
+        place = bogie, axle, self.frame_sensor, ahead_m
         return Layout(*place, self.parts, self.vehicle.body_mass_kg)
 
     def _prepared(

@@ -40,9 +40,13 @@ class HealthyMisfit:
         self.n_trips = 1 + max(self._trips)
         self.every = every_direction(generator)
         self.frequencies_hz = settings.frequencies_hz()
-        observer = settings.observer(generator)
+        observers = {
+            direction: settings.observer(generator.running(direction))
+            for direction in {group.direction for group in groups}
+        }
         self._groups = [
-            observer.at(group.speeds).measured_misfit(group.spectra) for group in groups
+            observers[group.direction].at(group.speeds).measured_misfit(group.spectra)
+            for group in groups
         ]
 
     def ratios(self, theta: Tensor, trip: int) -> Tensor:

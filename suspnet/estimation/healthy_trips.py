@@ -8,6 +8,7 @@ from pathlib import Path
 
 from suspnet.estimation.from_recording import TripSettings, steady, unrepaired_words
 from suspnet.estimation.steady_parts import groups_to_read
+from suspnet.ground.parameters import FORWARD, Direction
 from suspnet.ground.progress import bar
 from suspnet.recordings.manifest import TripManifest
 from suspnet.recordings.manifest_files import ManifestFile, find_manifests
@@ -26,14 +27,15 @@ LEAST_TRIPS = 3
 class HealthySpectra:
     """Spectra of one healthy trip at one speed.
 
-    `trip` is the index of the trip, which has one car-body mass; `speeds` are those of the segments
-    behind the spectra, (3, n_freq) on the bins of the settings.
+    `trip` is the index of the trip, which has one car-body mass and one direction; `speeds` are
+    those of the segments behind the spectra, (3, n_freq) on the bins of the settings.
     """
 
     trip: int
     name: str
     speeds: Speeds
     spectra: CrossSpectra
+    direction: Direction = FORWARD
 
     @property
     def speed_m_per_s(self) -> float:

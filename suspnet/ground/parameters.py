@@ -1,6 +1,8 @@
-"""Names and units of the estimated parameters."""
+"""Names and units of the estimated parameters, and of the directions of travel."""
 
 from __future__ import annotations
+
+from typing import Literal
 
 PARAMETERS = ("k_p", "c_p", "k_s", "c_s", "M_s")
 """The parameters that may vary, in the order of every array of parameter ratios (1 = healthy)."""
@@ -23,3 +25,8 @@ NAMES = {
 }
 UNITS = {"k_p": "N/m", "c_p": "N s/m", "k_s": "N/m", "c_s": "N s/m", "M_s": "kg"}
 """SI unit of each parameter."""
+Direction = Literal["forward", "reverse"]
+FORWARD: Direction = "forward"
+"""The direction of travel in which the leading end of the vehicle runs ahead."""
+REVERSE: Direction = "reverse"
+DIRECTIONS: tuple[Direction, ...] = (FORWARD, REVERSE)

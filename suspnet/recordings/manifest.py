@@ -13,7 +13,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from suspnet.ground.parameters import PARAMETERS
+from suspnet.ground.parameters import DIRECTIONS, PARAMETERS, Direction
 from suspnet.ground.records import HIGHEST_KM, Place
 from suspnet.recordings.manifest_keys import (
     POSITIVE,
@@ -54,10 +54,10 @@ DELIMITERS = {",": ",", ";": ";", "tab": "\t", "space": " ", "|": "|"}
 """Delimiters of CSV files by their names in manifests; "space" means any number of blanks."""
 
 BOGIES = ("leading", "trailing")
-"""Bogies of a vehicle, in the direction of travel."""
+"""Bogies of a vehicle, as it runs forward."""
 
 SIDES = ("left", "right")
-"""Sides of a vehicle, in the direction of travel."""
+"""Sides of a vehicle, as it runs forward."""
 
 MIDDLE = "middle"
 """Side of a single sensor midway between left and right, or of the mean of both."""
@@ -285,7 +285,7 @@ class TripManifest:
     bogie: str | None = optional(
         one_of(BOGIES),
         "`leading`, `trailing`",
-        "bogie, in the direction of travel; chooses the models of that bogie",
+        "bogie, as seen when the vehicle runs forward; chooses the models of that bogie",
         default="not given",
     )
     side: str | None = optional(
@@ -294,6 +294,12 @@ class TripManifest:
         "side of the suspension, to distinguish suspensions of one name; single sensors are on "
         "it, too",
         default="not given",
+    )
+    direction: Direction | None = optional(
+        one_of(DIRECTIONS),
+        "`forward`, `reverse`",
+        "direction of travel: forward if the leading bogie runs ahead",
+        default="found from the phases, if they show it",
     )
     train: str | None = optional(
         stripped, "text", "train, if several are monitored", default="not given"

@@ -12,6 +12,7 @@ import numpy as np
 from suspnet.dynamics import PARAMETERS
 from suspnet.dynamics.track_spectra import track_spectrum
 from suspnet.ground.checks import check_number
+from suspnet.ground.parameters import DIRECTIONS, FORWARD, Direction
 from suspnet.ground.records import Place
 from suspnet.ground.settings import Setting, check_settings, setting
 from suspnet.ground.types import FloatArray
@@ -44,6 +45,9 @@ class Fleet:
         "Speed along a trip: the same throughout, or with start, stops and slower stretches",
     )
     n_stops: int = setting(1, "Number of stops of a service journey", low=0, most=1000)
+    direction: Literal["forward", "reverse", "both"] = setting(
+        FORWARD, "Direction of travel; both alternates from trip to trip, forward first"
+    )
     track: str = setting("german_low", "Roughness of the track, as the line's", rule="as track")
     short_waves: bool = setting(
         False,
@@ -76,6 +80,10 @@ class Fleet:
     def mileage_km(self) -> FloatArray:
         """Return the mileage of each trip, shape (n_trips,), [km]."""
         return self.last_mileage_km * np.arange(1, self.n_trips + 1) / self.n_trips
+
+    def direction_of(self, index: int) -> Direction:
+        """Return the direction of one trip, counted from 0."""
+        return DIRECTIONS[index % 2] if self.direction == "both" else self.direction
 
     def journey_of(self, seed: int) -> Journey:
         """Return the speed along one trip."""
@@ -150,7 +158,7 @@ class Scenario:
 
 Bogie = Literal["leading", "trailing"]
 BOGIES: tuple[Bogie, ...] = ("leading", "trailing")
-"""Bogies of a car, in the direction of travel."""
+"""Bogies of a car, as it runs forward."""
 
 
 @dataclass(frozen=True)

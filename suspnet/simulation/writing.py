@@ -26,6 +26,7 @@ from suspnet.dynamics import PARAMETERS, Vehicle, VerticalVehicle
 from suspnet.dynamics.motion import LinearSystem
 from suspnet.dynamics.track import TrackProfile, make_profile
 from suspnet.dynamics.track_spectra import cross_level_spectrum, track_spectrum
+from suspnet.ground.parameters import Direction
 from suspnet.ground.progress import bar as progress_bar
 from suspnet.ground.storage import content_hash, write_atomically, write_json
 from suspnet.ground.types import FloatArray
@@ -62,6 +63,10 @@ class SimulatedVehicle(Protocol):
     @property
     def vehicle(self) -> Vehicle:
         """The healthy vehicle."""
+        ...
+
+    def running(self, direction: Direction) -> SimulatedVehicle:
+        """Return the same vehicle for another direction of travel."""
         ...
 
     def motion_system(self, ratios: torch.Tensor) -> LinearSystem:
@@ -227,7 +232,8 @@ def _write_trip(
     journey = fleet.journey_of(int(speeds.generate_state(1)[0]))
     # Simulate at the highest rate of the sensors; each signal is then resampled to its own rate.
     rate_hz = max(sensor.rate_hz for sensor in fleet.loggers().values())
-    system = generator.motion_system(torch.as_tensor(ratios))
+    direction = fleet.direction_of(index)
+    system = generator.running(direction).motion_system(torch.as_tensor(ratios))
     if fleet.sides == "left":
         system = replace(system, sensors=system.sensors[:2])
     profiles = _profiles(fleet, system, journey, rate_hz, (track, cross))
@@ -242,6 +248,7 @@ def _write_trip(
         name=name,
         vehicle=generator.vehicle.name,
         suspension=fleet.suspension,
+        direction=direction,
         mileage_km=mileage_km,
         start=(aboard.first_start if aboard else FIRST_DAY) + time_between(fleet.n_trips) * index,
         speed=SpeedSource(f"{name}/speed.parquet", "m/s", column="speed", rate_hz=1.0),

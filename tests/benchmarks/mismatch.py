@@ -24,6 +24,7 @@ from cells import Parser, Row, at_least
 from hydra import compose, initialize_config_dir
 from tabulate import tabulate
 
+from suspnet.cli import program  # noqa: F401 - makes our resolvers known to Hydra
 from suspnet.cli.kinds import build
 
 ROOT = Path(__file__).parents[2]
