@@ -35,7 +35,8 @@ from suspnet.ground.parameters import FORWARD, REVERSE, Direction
 from suspnet.ground.settings import Setting, check_settings, setting
 from suspnet.ground.tensors import as_tensor, check_device
 
-OTHER_END = {"leading": "trailing", "trailing": "leading"}
+End = Literal["leading", "trailing"]
+OTHER_END: dict[End, End] = {"leading": "trailing", "trailing": "leading"}
 N_ALL = len(PARAMETERS) + len(UNMEASURED)
 _OTHER = slice(
     len(PARAMETERS) + UNMEASURED.index("other_k_p"),

@@ -11,9 +11,9 @@ from dataclasses import dataclass, field, replace
 from datetime import datetime
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
-from suspnet.ground.parameters import DIRECTIONS, PARAMETERS, Direction
+from suspnet.ground.parameters import DIRECTIONS, PARAMETERS
 from suspnet.ground.records import HIGHEST_KM, Place
 from suspnet.recordings.manifest_keys import (
     POSITIVE,
@@ -295,7 +295,7 @@ class TripManifest:
         "it, too",
         default="not given",
     )
-    direction: Direction | None = optional(
+    direction: Literal["forward", "reverse"] | None = optional(
         one_of(DIRECTIONS),
         "`forward`, `reverse`",
         "direction of travel: forward if the leading bogie runs ahead",
