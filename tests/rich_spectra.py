@@ -88,10 +88,14 @@ def spectra(train, ratios, frequencies_hz, sides="mean", track="german_low", sho
     for row in np.asarray(ratios, dtype=float):
         responses = responses_of(train, row, frequencies_hz, sides)
         found.append(np.einsum("fip,pf,fjp->ijf", responses, density, responses.conj()))
+        if train.wheelset_share:
+            alone = responses_of(train, row, frequencies_hz, sides, train.alone(frequencies_hz))
+            own = train.wheelset_share * density[0]
+            found[-1] += np.einsum("fip,f,fjp->ijf", alone, own, alone.conj())
     return np.stack(found)
 
 
-def responses_of(train, ratios, frequencies_hz, sides="both"):
+def responses_of(train, ratios, frequencies_hz, sides="both", inputs=None):
     """Return the responses from the processes at the first wheelset, (n_freq, n, n_processes).
 
     Parameters
@@ -100,10 +104,13 @@ def responses_of(train, ratios, frequencies_hz, sides="both"):
     ratios : array of shape (5,), [-]
     frequencies_hz : array of shape (n_freq,), [Hz]
     sides : str
+    inputs : complex array of shape (n_freq, 4 n_processes, n), optional
+        Under all wheelsets, in place of the processes'.
     """
     matrices = train.matrices(ratios)
-    sensors = SIDES[sides] @ matrices.sensors
-    return matrices.responses(frequencies_hz, train.phasors(frequencies_hz), sensors)
+    inputs = train.phasors(frequencies_hz) if inputs is None else inputs
+    found = matrices.responses(frequencies_hz, inputs, matrices.sensors)
+    return np.einsum("ij,fj,fjp->fip", SIDES[sides], train.gains(frequencies_hz), found)
 
 
 def noise_densities(train, settings, sides="mean"):

@@ -52,6 +52,8 @@ class Structure:
         """Return `Matrices` of ratios (5,)."""
         mass = self.mass.copy()
         mass[self.laden] *= ratios[4]
+        turning = np.array([one in (("body", "pitch"), ("body", "yaw")) for one in self.names])
+        mass[turning] *= ratios[4] ** (2 * self.train.gyration_exponent)
         rows, series = self.parallel.rows, self.series.rows
         k, c, k_f, c_f = self.worn(ratios)
         n = len(mass)
@@ -76,8 +78,22 @@ class Structure:
                     # rubber keeps its frequency: its damping follows k_p
                     if kind == "kc".index(name[0]) or (name == "k_p" and elements is self.series):
                         values[elements.where(name, "1", *side)] *= ratio
+                self._load(elements, kind, values, ratios[4])
                 found.append(values)
         return found
+
+    def _load(self, elements, kind, values, mass):
+        """Let the pay-load change what depends on it, and the other bogie wear, in place."""
+        t = self.train
+        other = t.other_k_s, t.other_c_s
+        laws = t.stiffness_exponent, t.damping_exponent
+        is_damper = elements is self.series  # its stiffness is that of its bushing
+        if kind == 1 or not is_damper:
+            name = ("k_s", "c_s")[kind]
+            values[elements.where(name)] *= mass ** laws[kind]
+            values[elements.where(name, "2")] *= other[kind]
+        if elements is self.parallel and kind == 0:  # it takes all the body's mass to bend it
+            values[elements.where("bending")] *= mass ** (1 - 2 * t.bending_exponent)
 
     def system(self, ratios):
         """Return the `RichSystem` of ratios (5,): linear equations, and what the laws act on."""

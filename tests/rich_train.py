@@ -30,8 +30,9 @@ FAMILY = (
     "roll",
     "contact",
 )
+OF_THE_TRIP = ("payload", "sensors", "wheelsets")
 OUTSIDE = ("second_bending", "one_side", "blow_off", "friction", "drift", "bogie_mass")
-EFFECTS = (*FAMILY, *OUTSIDE)
+EFFECTS = (*FAMILY, *OF_THE_TRIP, *OUTSIDE)
 """What a train can have; drift is of its speed (rich_train_trips.py).
 
 ``FAMILY`` is what suspnet's family of vehicles knows, the contact aside. Dampers that blow off have
@@ -68,6 +69,20 @@ SCATTER = {
     "bogie_mass": {"bogie_mass": 0.05},
 }
 """Half widths: a true number is drawn evenly in its logarithm about the drawing's."""
+SHIFTS = {
+    "payload": {
+        "bending_exponent": (0.0, 0.5),
+        "gyration_exponent": (-0.1, 0.1),
+        "stiffness_exponent": (0.0, 0.8),
+        "damping_exponent": (0.0, 0.4),
+    },
+    "sensors": {
+        **{f"sensitivity_{i}": (0.98, 1.02) for i in range(6)},
+        **{f"late_s_{i}": (-3e-4, 3e-4) for i in range(6)},
+    },
+    "wheelsets": {"wheelset_share": (0.001, 0.01)},
+}
+"""Ends of the ranges of numbers that are drawn evenly."""
 
 
 @dataclass(frozen=True)
@@ -141,6 +156,29 @@ class RichTrain:
     # Processes of the track, as factors of the German spectra
     cross_level: float = 1.0
     alignment: float = 1.0
+    # Exponents of the mass of the laden body over that of the empty one
+    bending_exponent: float = 0.5  # of the frequency, downwards: the pay-load stiffens nothing
+    gyration_exponent: float = 0.0
+    stiffness_exponent: float = 0.0  # secondary; 0.7 of air springs
+    damping_exponent: float = 0.0
+    # Sensors, in the order of rich_structure.SENSORS: gain, and how late each is
+    sensitivity_0: float = 1.0
+    sensitivity_1: float = 1.0
+    sensitivity_2: float = 1.0
+    sensitivity_3: float = 1.0
+    sensitivity_4: float = 1.0
+    sensitivity_5: float = 1.0
+    late_s_0: float = 0.0
+    late_s_1: float = 0.0
+    late_s_2: float = 0.0
+    late_s_3: float = 0.0
+    late_s_4: float = 0.0
+    late_s_5: float = 0.0
+    # Excitation of each wheelset alone, as a share of the mean track's density
+    wheelset_share: float = 0.0
+    # Secondary suspension of the bogie that is not measured
+    other_k_s: float = 1.0
+    other_c_s: float = 1.0
     # Laws of rich_motion.py
     blow_off_m_per_s: float = 0.1
     slope_after: float = 0.2
@@ -166,6 +204,9 @@ class RichTrain:
             for group, widths in SCATTER.items()
             for name, width in widths.items()
         }
+        for group, ranges in SHIFTS.items():
+            own = np.random.default_rng([seed, 13, *group.encode()])
+            draws |= {name: (group, own.uniform(*ends)) for name, ends in ranges.items()}
         found = {name: value for name, (group, value) in draws.items() if group in effects}
         return cls(effects=frozenset(effects), **(found | changes))
 
@@ -211,6 +252,16 @@ class RichTrain:
         late = np.exp(-2j * np.pi * np.asarray(frequencies_hz)[:, None] * delay)
         eye = np.eye(self.n_processes)
         return (eye[:, None, :] * late[:, None, :, None]).reshape(len(late), -1, len(eye))
+
+    def alone(self, frequencies_hz):
+        """Return the inputs of each wheelset's own excitation, (n_freq, 4 n_processes, 4)."""
+        return np.tile(np.eye(4 * self.n_processes, 4), (len(frequencies_hz), 1, 1))
+
+    def gains(self, frequencies_hz):
+        """Return what each sensor makes of the acceleration under it, complex (n_freq, 6)."""
+        size = np.array([getattr(self, f"sensitivity_{i}") for i in range(6)])
+        late_s = np.array([getattr(self, f"late_s_{i}") for i in range(6)])
+        return size * np.exp(-2j * np.pi * np.outer(frequencies_hz, late_s))
 
     def matrices(self, ratios):
         """Return the equations of motion with a worn first bogie.

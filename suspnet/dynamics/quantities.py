@@ -39,6 +39,8 @@ class Quantity:
         None if the vehicle or the generator's settings give it.
     may_be_absent : bool
         Whether it may be 0; `deviation` is then that of log(1 + ratio to nominal).
+    median : float, [-]
+        Prior median of the ratio to nominal: 0 for what is usually absent, of either sign.
     """
 
     part: str
@@ -48,6 +50,7 @@ class Quantity:
     meaning: str
     nominal: float | None = None
     may_be_absent: bool = False
+    median: float = 1.0
 
 
 _NUMBERS: dict[str, tuple[tuple[Any, ...], ...]] = {
@@ -131,6 +134,58 @@ _NUMBERS: dict[str, tuple[tuple[Any, ...], ...]] = {
         ("frame_lateral", 0.1, "m", "lateral place of the frame's sensor"),
         ("body_lateral", 0.1, "m", "lateral place of the body's sensor"),
     ),
+    "payload": (
+        (
+            "bending_exponent",
+            0.3,
+            "",
+            "exponent with which the bending frequency falls with the body's mass",
+            0.35,
+            True,
+        ),
+        (
+            "gyration_exponent",
+            0.1,
+            "",
+            "exponent of the body's radius of gyration over its mass",
+            1.0,
+            True,
+            0.0,
+        ),
+        (
+            "stiffness_exponent",
+            0.5,
+            "",
+            "exponent of the secondary stiffness over the body's mass",
+            0.35,
+            True,
+        ),
+        (
+            "damping_exponent",
+            0.3,
+            "",
+            "exponent of the secondary damping over the body's mass",
+            1.0,
+            True,
+            0.0,
+        ),
+    ),
+    "sensors": (
+        ("frame_gain", 0.02, "", "sensitivity of the frame's sensor over the axle box's", 1.0),
+        ("body_gain", 0.02, "", "sensitivity of the body's sensor over the axle box's", 1.0),
+        ("frame_delay", 0.1, "s", "delay of the frame's sensor", 5e-3, True, 0.0),
+        ("body_delay", 0.1, "s", "delay of the body's sensor", 5e-3, True, 0.0),
+    ),
+    "wheelsets": (
+        (
+            "wheelset_share",
+            0.7,
+            "",
+            "density of what excites each wheelset alone over the mean track's",
+            0.005,
+            True,
+        ),
+    ),
     "air_spring": (
         ("volume_ratio", 0.5, "", "auxiliary volume over the air spring's", 2.0),
         ("area_share", 1.0, "", "change of area over k_s", 0.1),
@@ -143,6 +198,8 @@ QUANTITIES = tuple(Quantity(part, *row) for part, rows in _NUMBERS.items() for r
 """Every number, in the order of ``UNMEASURED``."""
 UNMEASURED = tuple(quantity.name for quantity in QUANTITIES)
 """Names of the quantities: columns of ratios after ``PARAMETERS``, the speed first."""
+MEDIANS = {quantity.name: quantity.median for quantity in QUANTITIES}
+"""Ratio of each number to nominal where nothing else is known."""
 OFFSETS = {quantity.name: float(quantity.may_be_absent) for quantity in QUANTITIES}
 """Number added to each ratio before its logarithm is taken: 1 if it may be absent, else 0."""
 
@@ -200,7 +257,7 @@ class LogNormal:
             check_number(f"distribution.{name}", value, low=0, below=10)
         names = tuple(name for name, value in deviations.items() if value > 0)
         variances = np.diag([float(deviations[name]) ** 2 for name in names])
-        mean = tuple(math.log1p(OFFSETS[name]) for name in names)
+        mean = tuple(math.log(MEDIANS[name] + OFFSETS[name]) for name in names)
         return cls(names, mean, tuple(map(tuple, variances.tolist())))
 
     @classmethod

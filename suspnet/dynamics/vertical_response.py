@@ -37,7 +37,7 @@ German spectra.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import torch
@@ -74,9 +74,18 @@ class _Bogie:
     push: Tensor
 
 
-def bounced(layout: Layout, p: Mapping[str, Tensor], omega: Tensor) -> tuple[Tensor, Tensor]:
-    """Return the motion under the sensors on frame and body per metre of mean track, [-]."""
-    wheels = wheels_of(layout, p, omega)
+def bounced(
+    layout: Layout,
+    p: Mapping[str, Tensor],
+    omega: Tensor,
+    wheels: Sequence[Tensor] | None = None,
+) -> tuple[Tensor, Tensor]:
+    """Return the motion under the sensors on frame and body per metre of mean track, [-].
+
+    `wheels` is the motion of each wheelset, the measured bogie's first; None is one track for all.
+    They may have a leading dimension of inputs, as then have frame and body.
+    """
+    wheels = wheels_of(layout, p, omega) if wheels is None else wheels
     forward = 1.0 if layout.bogie == "leading" else -1.0
     # phi is positive if the measured bogie rises, psi if the leading axle rises: the lever of the
     # links below the body changes its sign for a trailing bogie.
@@ -137,11 +146,27 @@ def bounced(layout: Layout, p: Mapping[str, Tensor], omega: Tensor) -> tuple[Ten
     return frame, bounce + ahead * pitch + at_sensor
 
 
+def excited_alone(
+    layout: Layout, p: Mapping[str, Tensor], wheels: Sequence[Tensor]
+) -> tuple[list[Tensor], Tensor]:
+    """Return the wheelsets' motion for the track and for each wheelset alone, and the axle box's.
+
+    Each of shape (5, n_vehicles, n_freq): the track under all wheelsets, then what excites one of
+    them and not the next, scaled to the density of the mean track.
+    """
+    size = p["wheelset_share"].clamp(min=0.0).sqrt() * torch.ones_like(wheels[0])
+    rows = [torch.zeros_like(size)] * len(wheels)
+    found = [
+        torch.stack([wheel, *rows[:i], size, *rows[i + 1 :]]) for i, wheel in enumerate(wheels)
+    ]
+    return found, found[0 if layout.axle == "leading" else 1]
+
+
 def _bogie(
     p: Mapping[str, Tensor],
     which: str,
     omega: Tensor,
-    wheels: list[Tensor],
+    wheels: Sequence[Tensor],
     link_x: Tensor | None,
     parts: tuple[str, ...],
 ) -> _Bogie:
@@ -230,7 +255,8 @@ def rolled(layout: Layout, p: Mapping[str, Tensor], omega: Tensor) -> Tensor:
     return share.sqrt()[:, None] * angles
 
 
-def _phasor(angle: Tensor) -> Tensor:
+def phasor(angle: Tensor) -> Tensor:
+    """Return exp(-j angle)."""
     return torch.complex(torch.cos(angle), -torch.sin(angle))
 
 
@@ -238,8 +264,8 @@ def wheels_of(layout: Layout, p: Mapping[str, Tensor], omega: Tensor) -> list[Te
     """Return the motion of each wheelset relative to the measured one, exp(-j omega delay)."""
     a, pivot = p["half_wheelbase"], p["half_pivot_distance"]
     # One exponential for each of the two lengths is enough for all four wheelsets.
-    unit = _phasor(omega * 2 * a / p["speed"])
-    other = _phasor(omega * 2 * pivot / p["speed"])
+    unit = phasor(omega * 2 * a / p["speed"])
+    other = phasor(omega * 2 * pivot / p["speed"])
     one = torch.ones_like(unit)
     own = [one, unit] if layout.axle == "leading" else [unit.conj(), one]
     if layout.bogie == "trailing":

@@ -7,7 +7,7 @@ This module holds its numbers, sensors and uncertain quantities. The equations a
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Annotated, Any, Literal
 
@@ -18,7 +18,7 @@ from torch import Tensor
 
 from suspnet.dynamics.elements import Layout, primary_element, secondary_element
 from suspnet.dynamics.motion import LinearSystem
-from suspnet.dynamics.quantities import OFFSETS, PARTS, QUANTITIES, UNMEASURED, LogNormal
+from suspnet.dynamics.quantities import MEDIANS, OFFSETS, PARTS, QUANTITIES, UNMEASURED, LogNormal
 from suspnet.dynamics.quarter_car import QuarterCar
 from suspnet.dynamics.vehicle import (
     GEOMETRY,
@@ -29,7 +29,7 @@ from suspnet.dynamics.vehicle import (
     check_vehicle,
 )
 from suspnet.dynamics.vertical_motion import vertical_motion
-from suspnet.dynamics.vertical_response import bounced, rolled, wheels_of
+from suspnet.dynamics.vertical_response import bounced, excited_alone, phasor, rolled, wheels_of
 from suspnet.ground.checks import check_choice, check_number
 from suspnet.ground.parameters import FORWARD, REVERSE, Direction
 from suspnet.ground.settings import Setting, check_settings, setting
@@ -45,6 +45,8 @@ _OTHER = slice(
 """Columns of the bogie that is not measured."""
 _OFFSETS = torch.tensor([0.0] * len(PARAMETERS) + list(OFFSETS.values()), dtype=torch.float64)
 """Added to ratios before they are checked: those that may be absent must be above -1, not 0."""
+
+_DEFAULTS = torch.tensor([1.0] * len(PARAMETERS) + list(MEDIANS.values()), dtype=torch.float64)
 
 
 @dataclass(frozen=True)
@@ -190,21 +192,38 @@ class VerticalVehicle:
             If `ratios` has another shape or a value that is not positive and finite (not above -1
             for numbers that may be absent).
         """
-        frame, body = bounced(self._layout, *self._prepared(ratios, frequencies_hz))
-        return frame, body / frame
+        p, omega = self._prepared(ratios, frequencies_hz)
+        frame, body = bounced(self._layout, p, omega)
+        recorded = self._gains(p, omega)
+        return frame * recorded[:, 1], body * recorded[:, 2] / (frame * recorded[:, 1])
 
     def channels(self, ratios: Tensor | ArrayLike, frequencies_hz: Tensor | ArrayLike) -> Tensor:
         """Return axle box, frame and body for each input, (n_vehicles, n_inputs, 3, n_freq), [-].
 
-        The inputs are the mean of both rails and, if `rolls`, the cross level, scaled such that
-        each input has the density of the mean.
+        The inputs are the mean of both rails, then what excites each wheelset alone if `parts` has
+        wheelsets, then the cross level if `rolls`, scaled such that each input has the density of
+        the mean.
         """
         p, omega = self._prepared(ratios, frequencies_hz)
-        frame, body = bounced(self._layout, p, omega)
-        inputs = [torch.stack([torch.ones_like(frame), frame, body], dim=1)]
+        wheels: Sequence[Tensor] = wheels_of(self._layout, p, omega)
+        box = torch.ones_like(wheels[0])
+        if "wheelsets" in self.parts:
+            wheels, box = excited_alone(self._layout, p, wheels)
+        found = torch.stack([box, *bounced(self._layout, p, omega, wheels)], dim=-2)
+        found = found.movedim(0, 1) if "wheelsets" in self.parts else found[:, None]
         if self.rolls:
-            inputs.append(rolled(self._layout, p, omega))
-        return torch.stack(inputs, dim=1)
+            found = torch.cat([found, rolled(self._layout, p, omega)[:, None]], dim=1)
+        return found * self._gains(p, omega)[:, None] if "sensors" in self.parts else found
+
+    def _gains(self, p: Mapping[str, Tensor], omega: Tensor) -> Tensor:
+        """Return what axle box, frame and body sensor make of an acceleration, (n, 3, n_freq)."""
+        one = torch.ones_like(p["frame_gain"] * omega)
+        if "sensors" not in self.parts:
+            return torch.stack([one, one, one], dim=1)
+        late = [
+            phasor(omega * p[f"{name}_delay"]) * p[f"{name}_gain"] for name in ("frame", "body")
+        ]
+        return torch.stack([one.to(late[0]), *late], dim=1)
 
     @property
     def rolls(self) -> bool:
@@ -301,7 +320,7 @@ class VerticalVehicle:
             return ratios
         n_given = ratios.shape[-1] if ratios.ndim == 2 else len(PARAMETERS)
         check_ratios(ratios, max(n_given, len(PARAMETERS)))
-        columns = torch.ones(len(ratios), N_ALL).to(ratios)
+        columns = _DEFAULTS.to(ratios).repeat(len(ratios), 1)
         if self.distribution is not None:
             columns[:, self.uncertain_columns] = torch.as_tensor(self.distribution.median).to(
                 ratios
@@ -342,7 +361,18 @@ class VerticalVehicle:
         for name in PARAMETERS[:4]:  # these columns are relative to the uncertain healthy values
             p[name] = p[name] * p[f"healthy_{name}"]
             p[f"other_{name}"] = p[f"other_{name}"] * p[f"healthy_{name}"]
-        return p
+        return self._laden(p) if "payload" in self.parts else p
+
+    def _laden(self, p: dict[str, Tensor]) -> dict[str, Tensor]:
+        """Return the numbers with what the payload changes; the suspension is that when empty."""
+        mass = p["M_s"] / self.vehicle.body_mass_kg
+        stiffer, tighter = mass ** p["stiffness_exponent"], mass ** p["damping_exponent"]
+        laden = {f"{bogie}k_s": p[f"{bogie}k_s"] * stiffer for bogie in ("", "other_")}
+        laden |= {f"{bogie}c_s": p[f"{bogie}c_s"] * tighter for bogie in ("", "other_")}
+        # the stiffness of the empty body alone makes it fall with the root of the mass
+        laden["bending_frequency"] = p["bending_frequency"] * mass ** (0.5 - p["bending_exponent"])
+        laden["body_gyration"] = p["body_gyration"] * mass ** p["gyration_exponent"]
+        return p | laden
 
     def nominal_values(self) -> tuple[float, ...]:
         """Return the values at a ratio of 1: ``PARAMETERS``, then ``UNMEASURED``, SI units.
