@@ -13,7 +13,7 @@ from scipy.linalg import eigh
 from vehicles import AM96
 
 from suspnet.dynamics import PARAMETERS, QuarterCar, ResponseGenerator, VerticalVehicle
-from suspnet.dynamics.quantities import PARTS, QUANTITIES, UNMEASURED, LogNormal
+from suspnet.dynamics.quantities import MEDIANS, PARTS, QUANTITIES, UNMEASURED, LogNormal
 from suspnet.dynamics.vehicle import GEOMETRY
 
 FREQUENCIES = torch.tensor([0.05, 0.4, 0.9, 1.31, 1.9, 3.3, 5.4, 7.7, 11.0, 19.0]).double()
@@ -325,7 +325,7 @@ def test_samples_have_the_distribution_asked_for_and_are_nominal_elsewhere():
     for name, column in zip(UNMEASURED, samples[:, 5:].T, strict=True):
         width = widths.get(name, 0.0)
         if width == 0:
-            assert (column == 1).all()
+            assert (column == MEDIANS[name]).all()
             continue
         # standard errors of mean and deviation of 4000 draws
         assert float(column.log().mean()) == pytest.approx(0, abs=4 * width / math.sqrt(4000))
@@ -342,7 +342,7 @@ def test_samples_follow_a_given_mean_and_covariance():
     np.testing.assert_allclose(logs.mean(axis=0), mean, atol=4 * 0.3 / math.sqrt(20_000))
     np.testing.assert_allclose(np.cov(logs.T), covariance, atol=4 * 0.09 * math.sqrt(2 / 20_000))
     # five columns stand for the median
-    median = torch.ones(1, 5 + len(UNMEASURED), dtype=torch.float64)
+    median = VerticalVehicle(AM96).complete(torch.ones(1, 5)).to(torch.float64)
     median[0, [5 + UNMEASURED.index(name) for name in names]] = torch.tensor(
         mean, dtype=torch.float64
     ).exp()
@@ -353,7 +353,7 @@ def test_columns_are_drawn_independently():
     generator = VerticalVehicle(AM96, distribution=dict.fromkeys(UNMEASURED, 0.2))
     samples = generator.sample_unmeasured(torch.ones(4000, 5), seed=0)[:, 5:]
     offsets = torch.tensor([float(quantity.may_be_absent) for quantity in QUANTITIES])
-    assert offsets.sum() == 4
+    assert offsets.sum() == 11
     correlation = np.corrcoef((samples + offsets).log().numpy().T) - np.eye(len(UNMEASURED))
     assert np.abs(correlation).max() < 5.0 / math.sqrt(4000)
 
@@ -361,8 +361,10 @@ def test_columns_are_drawn_independently():
 def test_prior_is_about_nominal_and_reaches_0_of_what_may_be_absent():
     generator = VerticalVehicle(AM96, parts=PARTS, distribution="prior")
     prior = generator.distribution
-    np.testing.assert_allclose(prior.median, 1.0, rtol=1e-12)
-    expected = torch.ones(3, len(UNMEASURED), dtype=torch.float64)
+    medians = [MEDIANS[name] for name in prior.names]
+    np.testing.assert_allclose(prior.median, medians, rtol=1e-12, atol=1e-15)
+    assert set(medians) == {0.0, 1.0}
+    expected = torch.tensor([list(MEDIANS.values())] * 3, dtype=torch.float64)
     torch.testing.assert_close(generator.complete(FIVE)[:, 5:], expected)
     samples = generator.sample_unmeasured(torch.ones(4000, 5), seed=2)
     for name, offset in zip(prior.names, prior.offsets, strict=True):
@@ -371,10 +373,11 @@ def test_prior_is_about_nominal_and_reaches_0_of_what_may_be_absent():
         assert offset == float(quantity.may_be_absent)
         assert (column > -offset).all()
         # of normal numbers; 4000 draws give a share to 0.8 %, four of those
-        below = stats.norm.cdf(-math.log(2) / quantity.deviation) if offset else 0.0
+        log_median = math.log(1 + quantity.median)
+        below = stats.norm.cdf(-log_median / quantity.deviation) if offset else 0.0
         assert (column < 0).mean() == pytest.approx(below, abs=0.032 if offset else 0.0)
         assert (np.abs(column).min() < 0.01) >= bool(offset)
-    assert prior.offsets.sum() == 4
+    assert prior.offsets.sum() == 11
 
 
 @pytest.mark.parametrize("n_deviations", [-2.0, -1.0, 0.0, 0.5, 3.0])
