@@ -21,9 +21,8 @@ from suspnet.ground.limits import Severity
 from suspnet.ground.storage import write_atomically
 from suspnet.history import History
 from suspnet.report.overview import Evaluated
-from suspnet.runs.evaluate import FreshCurves, evaluate
+from suspnet.runs.evaluate import FreshCurves, evaluate, write_maintenance
 from suspnet.runs.identifiability import write_identifiability
-from suspnet.runs.maintenance import write_maintenance
 from suspnet.runs.reliability import write_reliability
 from suspnet.runs.sweeps import write_table6
 from suspnet.trips.fleet import evaluate_fleet

@@ -53,7 +53,7 @@ from suspnet.dynamics.elements import (
     primary_element,
     secondary_element,
 )
-from suspnet.dynamics.track_spectra import CROSS_LEVEL_RAD_PER_M
+from suspnet.dynamics.track import CROSS_LEVEL_RAD_PER_M
 
 
 @dataclass(frozen=True)

@@ -32,9 +32,8 @@ from scipy.optimize import OptimizeResult, least_squares
 
 from suspnet.dynamics import VerticalVehicle
 from suspnet.dynamics.quantities import LogNormal
-from suspnet.estimation.healthy_misfit import MASS_MEAN, HealthyMisfit, row_of
-from suspnet.estimation.healthy_trips import HealthySpectra
-from suspnet.estimation.physics import Residual
+from suspnet.estimation.flags import Residual
+from suspnet.estimation.healthy_trips import MASS_MEAN, HealthyMisfit, HealthySpectra, row_of
 from suspnet.ground.progress import bar
 from suspnet.ground.types import ComplexArray, FloatArray
 from suspnet.spectra.estimates import EstimateSettings

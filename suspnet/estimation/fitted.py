@@ -12,9 +12,8 @@ from torch import Tensor
 
 from suspnet.dynamics import ResponseGenerator, Vehicle
 from suspnet.estimation.estimate import Flags, HealthyValues
+from suspnet.estimation.flags import OODDetector, Unexplained
 from suspnet.estimation.intervals import Intervals
-from suspnet.estimation.ood import OODDetector
-from suspnet.estimation.physics import Unexplained
 from suspnet.estimation.protocols import Task
 from suspnet.estimation.refine import Refined
 from suspnet.ground.types import FloatArray, IntArray

@@ -35,12 +35,12 @@ from suspnet.spectra.estimates import EstimateSettings
 from suspnet.spectra.plausibility import check_channels, check_pairs
 from suspnet.spectra.segments import (
     NoEstimateError,
+    Speeds,
     difference_segments,
     in_band,
     recording_segments,
     segment_speeds,
 )
-from suspnet.spectra.speeds import Speeds
 from suspnet.spectra.welch import SegmentSpectra, Welch
 
 

@@ -10,7 +10,7 @@ that of the trip::
 with s_0 the standard deviation from the calibration and q its quantiles, n_0 the noise part
 expected of such a vehicle in training, n that of the trip. l^2 is the variance due to the
 regression's own error and the generator's uncertain quantities. For commissioned vehicles, b is the
-cost of what their healthy trips left unexplained (`suspnet.estimation.physics`), f that of damping
+cost of what their healthy trips left unexplained (`suspnet.estimation.flags`), f that of damping
 and stiffness which do not wear (`unworn_deviations`), and w is ``COMMON``; for others w = 1 and
 b = f = 0. For refined estimates n is the Gauss-Newton deviation with all uncertain numbers known,
 and the rest of that deviation adds to l^2; for others n is the spread of estimates from drawn
@@ -33,7 +33,7 @@ from suspnet.estimation.refine import Refined, complete_ratios, refine
 from suspnet.ground.types import FloatArray
 from suspnet.spectra.cross_spectra import CrossSpectra
 from suspnet.spectra.estimates import EstimateObserver, EstimateSettings
-from suspnet.spectra.speeds import Speeds
+from suspnet.spectra.segments import Speeds
 
 
 class MissingFeaturesError(ValueError):

@@ -20,8 +20,13 @@ from suspnet.estimation.from_spectra import trip_settings
 from suspnet.ground.types import FloatArray
 from suspnet.spectra.cross_spectra import CrossSpectra
 from suspnet.spectra.estimates import EstimateSettings
-from suspnet.spectra.segments import without_incoherent, without_loud
-from suspnet.spectra.speeds import SpeedRange, range_words, reading_range
+from suspnet.spectra.segments import (
+    SpeedRange,
+    range_words,
+    reading_range,
+    without_incoherent,
+    without_loud,
+)
 from suspnet.spectra.welch import SegmentSpectra
 
 

@@ -29,8 +29,7 @@ from suspnet.ground.storage import (
 )
 from suspnet.report.figures import SYMBOLS
 from suspnet.runs.plots import BOUND_COLOUR, OUR_COLOUR
-from suspnet.runs.study_files import write_study
-from suspnet.runs.table6 import in_digits, mean_known
+from suspnet.runs.tables import in_digits, mean_known, write_study
 
 log = logging.getLogger(__name__)
 N_VEHICLES = 256

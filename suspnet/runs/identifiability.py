@@ -31,7 +31,7 @@ from suspnet.ground.checks import check_number
 from suspnet.report.figures import SYMBOLS
 from suspnet.runs.findings import Findings, group_markdown, plain, records
 from suspnet.runs.plots import OUR_COLOUR
-from suspnet.runs.study_files import write_study
+from suspnet.runs.tables import write_study
 from suspnet.spectra.curves import CurveSettings
 from suspnet.spectra.observation import Observation
 

@@ -31,14 +31,13 @@ from suspnet.estimation.trained import TrainedModel
 from suspnet.ground.checks import check_number
 from suspnet.ground.progress import bar as progress_bar
 from suspnet.ground.types import BoolArray, FloatArray
-from suspnet.learning.metrics import covers, interval_scores
+from suspnet.learning.search import covers, interval_scores
 from suspnet.report.figures import SYMBOLS
 from suspnet.runs.evaluate import FreshCurves, find_runs
 from suspnet.runs.plots import BOUND_COLOUR, OUR_COLOUR
 from suspnet.runs.predict import Outcome, predict_stream
 from suspnet.runs.scores import LEVEL, label
-from suspnet.runs.study_files import write_study
-from suspnet.runs.table6 import MODEL_TITLES
+from suspnet.runs.tables import MODEL_TITLES, write_study
 from suspnet.spectra.observation import MOST_CURVES
 
 log = logging.getLogger(__name__)

@@ -16,14 +16,14 @@ from suspnet.ground.storage import read_json, write_atomically, write_json
 from suspnet.report.tensorboard import RunLog
 from suspnet.runs import plots
 from suspnet.runs.ablation import write_ablation
-from suspnet.runs.study_files import write_study
-from suspnet.runs.table6 import (
+from suspnet.runs.tables import (
     records_csv,
     sensitivity_markdown,
     sensitivity_records,
     table6_caption,
     table6_markdown,
     table6_records,
+    write_study,
 )
 
 log = logging.getLogger(__name__)

@@ -22,7 +22,7 @@ import torch
 from tabulate import tabulate
 
 from suspnet.estimation.checkpoint import save_model
-from suspnet.estimation.physics import Residual
+from suspnet.estimation.flags import Residual
 from suspnet.estimation.problem import TEST, Problem
 from suspnet.estimation.trained import TrainedModel
 from suspnet.ground.checks import check_number
@@ -31,9 +31,8 @@ from suspnet.ground.storage import write_json
 from suspnet.learning import ranks
 from suspnet.learning.search import GridSearch, SearchResult
 from suspnet.report.tensorboard import RunLog
-from suspnet.runs.calibrate import calibrated, with_unexplained
 from suspnet.runs.fit import fit, method_name, tune
-from suspnet.runs.predict import Outcome, predict_stream
+from suspnet.runs.predict import Outcome, calibrated, predict_stream, with_unexplained
 from suspnet.runs.scores import (
     Metrics,
     draw_run,
@@ -43,7 +42,7 @@ from suspnet.runs.scores import (
     rms_percent,
     scores,
 )
-from suspnet.spectra.speeds import SpeedRange
+from suspnet.spectra.segments import SpeedRange
 
 log = logging.getLogger(__name__)
 PACKAGES = ("suspnet", "torch", "numpy", "scipy", "scikit-learn", "hydra-core", "tensorboard")

@@ -24,17 +24,24 @@ from scipy.signal import resample_poly
 from suspnet._version import __version__
 from suspnet.dynamics import PARAMETERS, Vehicle, VerticalVehicle
 from suspnet.dynamics.motion import LinearSystem
-from suspnet.dynamics.track import TrackProfile, make_profile
-from suspnet.dynamics.track_spectra import cross_level_spectrum, track_spectrum
+from suspnet.dynamics.track import TrackProfile, cross_level_spectrum, make_profile, track_spectrum
 from suspnet.ground.progress import bar as progress_bar
 from suspnet.ground.storage import content_hash, write_atomically, write_json
 from suspnet.ground.types import FloatArray
 from suspnet.ground.workers import LostWorkerError, each
 from suspnet.recordings.manifest import CHANNELS, SIDES, Channel, Pair, SpeedSource, TripManifest
 from suspnet.recordings.manifest_files import write_manifest
-from suspnet.simulation.fleet import FIRST_DAY, Aboard, Fleet, Scenario, Suspension, Trains
+from suspnet.simulation.fleet import (
+    FIRST_DAY,
+    Aboard,
+    Fleet,
+    Scenario,
+    Suspension,
+    Trains,
+    scattered,
+    true_numbers,
+)
 from suspnet.simulation.folders import TRUTH, is_finished, is_whole, own_folder, unfinished
-from suspnet.simulation.scatter import scattered, true_numbers
 from suspnet.simulation.signals import Journey, profile_length_m, simulate_trip
 
 ROW_GROUP = 1 << 20

@@ -18,7 +18,7 @@ import torch
 from torch import Tensor
 
 from suspnet.dynamics import PARAMETERS, QuarterCar, ResponseGenerator, Vehicle
-from suspnet.dynamics.track_spectra import track_spectrum
+from suspnet.dynamics.track import track_spectrum
 from suspnet.ground.settings import setting
 from suspnet.ground.types import FloatArray
 from suspnet.spectra.cross_spectra import (
@@ -30,7 +30,7 @@ from suspnet.spectra.cross_spectra import (
 from suspnet.spectra.curves import CurveSettings
 from suspnet.spectra.expected_spectra import EstimateMisfit, ExpectedSpectra, Responses
 from suspnet.spectra.observation import CACHE_FOLDER, CacheFolder, Counts, Directions, directions
-from suspnet.spectra.speeds import Speeds
+from suspnet.spectra.segments import Speeds
 from suspnet.spectra.welch import Welch
 
 SPEED_HALF_WIDTH = 0.08

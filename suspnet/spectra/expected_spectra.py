@@ -16,12 +16,12 @@ import torch
 from torch import Tensor
 
 from suspnet.dynamics import PARAMETERS, ResponseGenerator
-from suspnet.dynamics.track_spectra import TrackSpectrum, acceleration_density
+from suspnet.dynamics.track import TrackSpectrum, acceleration_density
 from suspnet.ground.tensors import complex_log, squared_size
 from suspnet.ground.types import FloatArray
 from suspnet.spectra.cross_spectra import PAIRS
 from suspnet.spectra.observation import Observer
-from suspnet.spectra.speeds import Speeds
+from suspnet.spectra.segments import Speeds
 from suspnet.spectra.welch import Welch
 
 Responses = Callable[[Tensor, Tensor], Tensor]

@@ -23,7 +23,7 @@ from suspnet.history import History
 from suspnet.maintenance.change import ChangeSettings
 from suspnet.maintenance.plan_inputs import PlanSettings
 from suspnet.maintenance.sisters import SisterSettings
-from suspnet.runs.maintenance import write_maintenance
+from suspnet.runs.evaluate import write_maintenance
 
 
 def fleet(n_suspensions: int, n_trips: int, seed: int) -> Iterator[list[TripResult]]:

@@ -20,7 +20,7 @@ from suspnet.maintenance.plan_inputs import PlanSettings
 from suspnet.maintenance.sisters import SisterSettings
 from suspnet.report.overview import overview_rows, overview_table
 from suspnet.report.templates import render
-from suspnet.runs.maintenance import write_maintenance
+from suspnet.runs.evaluate import write_maintenance
 
 TODAY = "2026-03-01"
 SEEN = "2026-02-01T08:00:00+00:00"

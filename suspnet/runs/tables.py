@@ -1,16 +1,20 @@
-"""Table VI: the paper's published figures next to measured ones, as records, Markdown and CSV."""
+"""Tables of scores as records, Markdown and CSV, Table VI first, and the files of a study."""
 
 from __future__ import annotations
 
 import csv
 import io
 from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
 from statistics import fmean
 from typing import Any
 
+from matplotlib.figure import Figure
 from tabulate import tabulate
 
-from suspnet.learning.metrics import METRICS
+from suspnet.ground.storage import write_atomically, write_json
+from suspnet.learning.search import METRICS
+from suspnet.report.tensorboard import RunLog
 
 REFINED = "+refine"
 """Suffix of a method's name if its estimates were refined on the curve."""
@@ -202,3 +206,25 @@ def in_digits(value: float | None) -> str:
     if value >= 100:
         return f"{value:.0f}"
     return f"{value:.2f}" if value >= 1 else f"{value:.3g}"
+
+
+def write_study(
+    folder: Path,
+    name: str,
+    text: str,
+    content: Any,
+    records: Sequence[Mapping[str, Any]],
+    figures: Mapping[str, Figure],
+) -> None:
+    """Write NAME.json, NAME.csv, NAME.md and figures, and show text and figures in TensorBoard.
+
+    `content` goes to the JSON file, `records` are the rows of the CSV file, `text` is Markdown, and
+    `figures` are by file name.
+    """
+    write_json(folder / f"{name}.json", content)
+    write_atomically(folder / f"{name}.csv", records_csv(records))
+    write_atomically(folder / f"{name}.md", text)
+    with RunLog(folder) as run_log:
+        run_log.text(name, text)
+        for key, figure in figures.items():
+            run_log.figure(key, figure, folder)
