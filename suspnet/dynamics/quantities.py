@@ -27,18 +27,10 @@ TOLERANCE = 1e-9
 class Quantity:
     """One number that may differ from nominal.
 
-    Attributes
-    ----------
-    part : str
-        One of ``PARTS``; empty if every vehicle has the number.
-    deviation : float, [-]
-        Prior standard deviation of its logarithm; 0 if it is taken as known.
-    unit : str
-        Unit of the nominal value; "" for ratios.
-    nominal : float or None
-        None if the vehicle or the generator's settings give it.
-    may_be_absent : bool
-        Whether it may be 0; `deviation` is then that of log(1 + ratio to nominal).
+    `part` is one of ``PARTS``, empty if every vehicle has the number; `deviation` the prior
+    standard deviation of its logarithm, 0 if it is taken as known; `unit` that of the nominal
+    value, "" for ratios; `nominal` None if the vehicle or the generator's settings give it. If it
+    `may_be_absent` (0), `deviation` is that of log(1 + ratio to nominal).
     """
 
     part: str

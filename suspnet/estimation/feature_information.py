@@ -47,19 +47,10 @@ def feature_information(
     Multivariate Statistical Theory, theorem 3.2.11); the result is corrected for that. J is by
     central differences. The information in the dependence of S on the parameters is neglected.
 
-    Parameters
-    ----------
-    extractor : FeatureSet
-        Fitted, if it learns from curves.
-    ratios : array of shape (n_vehicles, 5), [-]
-    n_draws : int
-        Noisy curves of each vehicle; ValueError if there are too few for the number of features.
-
-    Returns
-    -------
-    array of shape (n_vehicles, n_parameters, n_parameters)
-        With respect to ratios to healthy; NaN where a feature is missing from the noise-free curve,
-        from a neighbouring one or from too many of the noisy ones.
+    `extractor` is fitted; `ratios`: (n_vehicles, 5); `n_draws`: noisy curves of each vehicle,
+    ValueError if too few for the number of features. The result (n_vehicles, n_parameters,
+    n_parameters), with respect to ratios to healthy, is NaN where a feature is missing from the
+    noise-free curve, from a neighbouring one or from too many of the noisy ones.
     """
     n_features = len(extractor.names)
     least = int(np.ceil((n_features + 2) / LEAST_FOUND))

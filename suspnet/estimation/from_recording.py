@@ -123,27 +123,14 @@ def speed_bins(
 ) -> list[SpeedBin]:
     """Return a method's estimate from each group of segments at one of its speeds.
 
-    Parameters
-    ----------
-    segments : SegmentSpectra
-        Of the recording, cut as for the method's training.
-    models : sequence of FittedMethod
-        All models that read the recording, the method included: each group of segments belongs to
-        one of them. Empty means the method alone.
+    `segments` are the recording's, cut as for the method's training. `models` are all that read the
+    recording, the method included: each group belongs to one of them; empty means the method alone.
+    The result is empty if all readable groups belong to other models.
 
-    Returns
-    -------
-    list of SpeedBin
-        Empty if all readable groups belong to other models.
-
-    Raises
-    ------
-    NoEstimateError
-        If the recording is valid but gives no estimate; the reason is that of the largest group, or
-        that no model reads the trip's speeds.
-    TripError
-        If a channel or one sensor of a pair has the wrong unit or sign, two are swapped, or a pair
-        meets a model that was trained for a sensor on one side.
+    Raises NoEstimateError if the recording is valid but gives no estimate, with the reason of the
+    largest group, or that no model reads the trip's speeds; TripError if a channel or one sensor of
+    a pair has the wrong unit or sign, two are swapped, or a pair meets a model that was trained for
+    a sensor on one side.
     """
     # which groups of segments at one speed are this method's
     _check_places(recording, method.generator)
@@ -174,21 +161,10 @@ def speed_bins(
 class Steady:
     """Segments of a recording at one speed, and whether they are enough for an estimate.
 
-    Checking, commissioning, reading and monitoring all use this decision.
-
-    Attributes
-    ----------
-    band : SegmentSpectra
-        All segments, on the bins of an estimate.
-    group : bool tensor of shape (n_segments,)
-    found : GroupSpectra
-        The usable segments of the group.
-    speed : pair of float, [m/s]
-        Mean and deviation over the chosen segments; NaN if there are none.
-    has_enough : bool
-        Whether there are enough averages.
-    is_certain : bool
-        Whether the responses are certain enough.
+    Checking, commissioning, reading and monitoring all use this decision. `band` holds all segments
+    on the bins of an estimate, `group` (n_segments,) those at the speed, `found` the usable ones.
+    `speed` is mean and deviation over the chosen segments, [m/s], NaN if there are none.
+    `has_enough`: there are enough averages; `is_certain`: the responses are certain enough.
     """
 
     band: SegmentSpectra

@@ -64,24 +64,10 @@ def estimate_with_noise(
 ) -> tuple[Estimate, FloatArray]:
     """Return one trip's estimate from its spectra, and the share of noise in its variance.
 
-    Parameters
-    ----------
-    spectra : CrossSpectra
-        Of the trip on the method's bins, (3, n_freq).
-    speeds : Speeds, optional
-        Of the segments behind the spectra; None is the training speed.
-
-    Returns
-    -------
-    estimate : Estimate
-        One row.
-    noise_share : array of shape (n_outputs,), [-]
-        n^2 / s^2; 1 without an interval.
-
-    Raises
-    ------
-    MissingFeaturesError
-        If the regression lacks a feature.
+    `spectra` are those of the trip on the method's bins, (3, n_freq), `speeds` those of the
+    segments behind them; None is the training speed. The estimate has one row; the share n^2 / s^2
+    (n_outputs,) is 1 without an interval. Raises MissingFeaturesError if the regression lacks a
+    feature.
     """
     task, outputs = method.task, method.task.outputs
     observer = trip_observer(method) if speeds is None else trip_observer(method).at(speeds)

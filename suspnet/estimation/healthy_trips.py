@@ -62,15 +62,8 @@ class HealthySpectra:
 class HealthyTrips:
     """Spectra of the healthy trips of one suspension.
 
-    Attributes
-    ----------
-    manifests : tuple of TripManifest
-        Those of the trips in use.
-    groups : tuple of HealthySpectra
-    paired : tuple of 3 bool
-        Which of axle box, frame and body have a sensor left and right.
-    left_out : tuple of str
-        Trips without a usable stretch, with the reason.
+    `manifests` are those of the trips in use; `paired` tells which of axle box, frame and body have
+    a sensor left and right; `left_out` are trips without a usable stretch, with the reason.
     """
 
     manifests: tuple[TripManifest, ...]

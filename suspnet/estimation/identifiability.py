@@ -53,15 +53,9 @@ SINGULAR = 1e-12
 class Option:
     """A choice of measurements with its Fisher information.
 
-    Attributes
-    ----------
-    kind : {"baseline", "less", "more", "other", "estimate"}
-        What is measured now, less or more than that, another choice, or the information left in the
-        estimator's result for what is measured now.
-    unknown : tuple of str
-        Parameters that have to be estimated.
-    information : array of shape (n_vehicles, n_unknown, n_unknown)
-        With respect to ratios to healthy.
+    `kind` is what is measured now, less or more than that, another choice, or the information left
+    in the estimator's result for what is measured now. `unknown` parameters have to be estimated;
+    `information` (n_vehicles, n_unknown, n_unknown) is with respect to ratios to healthy.
     """
 
     title: str
@@ -251,12 +245,8 @@ def bounds(option: Option, ratios: FloatArray) -> list[Bound]:
 class Direction:
     """An eigenvector of the information on logarithmic parameters: a joint uncertainty.
 
-    Attributes
-    ----------
-    components : array of shape (n_parameters,), [-]
-        Relative changes, of norm 1, the largest positive.
-    deviation_percent : float, [%]
-        Standard deviation along the direction; inf if it does not change the curves.
+    `components` (n_parameters,) are relative changes, of norm 1, the largest positive;
+    `deviation_percent` is the standard deviation along them, inf if they do not change the curves.
     """
 
     parameters: tuple[str, ...]

@@ -241,17 +241,10 @@ class Problem:
 class FeatureData:
     """Inputs and outputs of a learning problem, one row per curve.
 
-    Attributes
-    ----------
-    inputs : array of shape (n_curves, n_inputs), [-]
-        Features relative to the healthy vehicle's (and the mass ratio where it is known); NaN
-        where a peak is missing.
-    outputs : array of shape (n_curves, n_outputs), [-]
-        Parameters relative to healthy.
-    ratios : array of shape (n_curves, 5), [-]
-        All parameters relative to healthy, in the order of ``PARAMETERS``.
-    reasons : array of shape (n_curves, n_peaks)
-        A ``PeakReason`` for each peak.
+    `inputs` (n_curves, n_inputs) are features relative to the healthy vehicle's (and the mass ratio
+    where it is known), NaN where a peak is missing; `outputs` (n_curves, n_outputs) parameters
+    relative to healthy; `ratios` (n_curves, 5) all parameters, in the order of ``PARAMETERS``;
+    `reasons` (n_curves, n_peaks) a ``PeakReason`` for each peak.
     """
 
     inputs: FloatArray

@@ -60,21 +60,13 @@ UNEXPLAINED = 1.3
 
 @dataclass(frozen=True)
 class Refined:
-    """Maximum-likelihood estimates of all unknown parameters.
+    """Maximum-likelihood estimates of all unknown parameters, the task's in their order.
 
-    Attributes
-    ----------
-    names : tuple of str
-        The task's unknown parameters, in the order of the columns.
-    ratios : array of shape (n_curves, n_unknown), [-]
-    deviations : array of shape (n_curves, n_unknown), [-]
-        Standard deviations of log(ratios), inf where the curve does not determine them.
-    noise : array of shape (n_curves, n_unknown), [-]
-        Those that would remain if the uncertain numbers were known.
-    misfit : array of shape (n_curves,), [-]
-        Rms of the curve's residuals over that of the noise: 1 if the model explains it. The
-        coordinates of uncertain numbers count as residuals.
-    converged : bool array of shape (n_curves,)
+    `ratios`, `deviations` and `noise` have the shape (n_curves, n_unknown): the estimates, the
+    standard deviations of their logarithms, inf where the curve does not determine them, and those
+    that would remain if the uncertain numbers were known. `misfit` (n_curves,) is the rms of the
+    curve's residuals over that of the noise, 1 if the model explains it; the coordinates of
+    uncertain numbers count as residuals. `converged` (n_curves,).
     """
 
     names: tuple[str, ...]

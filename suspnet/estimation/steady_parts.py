@@ -142,20 +142,10 @@ def no_group_words(
 class GroupSpectra:
     """The usable segments of a group and their averaged spectra.
 
-    Attributes
-    ----------
-    candidates : bool tensor of shape (n_segments,)
-        The group without segments of far too much power.
-    chosen : bool tensor of shape (n_segments,)
-        The candidates without those of low coherence.
-    n_incoherent : int
-        Number of segments excluded for low coherence.
-    n_averages : float
-        Independent averages of the chosen segments.
-    spectra : CrossSpectra or None
-        Average over the chosen segments; None if there are none.
-    coherences, deviation
-        From `certainty_of`; NaN without spectra.
+    `candidates` (n_segments,) are the group without segments of far too much power, `chosen` those
+    without the `n_incoherent` ones of low coherence; `n_averages` counts independent averages of
+    the chosen ones and `spectra` is their average, None if there are none. `coherences` and
+    `deviation` are those of `certainty_of`, NaN without spectra.
     """
 
     candidates: Tensor
@@ -212,19 +202,10 @@ def speed_of(speeds: Tensor, segments: SegmentSpectra) -> tuple[float, float]:
 class SpeedBin:
     """One method's estimate from a group of segments, with its spectra and segments.
 
-    Attributes
-    ----------
-    spectra : CrossSpectra
-        Average over the chosen segments on the method's bins, (3, n_freq).
-    chosen : bool tensor of shape (n_segments,)
-    speed_m_per_s : float, [m/s]
-        Mean over the chosen segments.
-    estimate : Estimate
-        One row.
-    noise_share : array of shape (n_outputs,), [-]
-        Fraction of the squared half widths that is due to the noise of the segments.
-    doubts : str
-        Doubts and impossible checks of the channels; empty if there are none.
+    `spectra` (3, n_freq) on the method's bins and `speed_m_per_s` are means over the `chosen`
+    segments (n_segments,). `estimate` has one row; `noise_share` (n_outputs,) is the fraction of
+    its squared half widths that is due to the noise of the segments. `doubts` are doubts and
+    impossible checks of the channels; empty if there are none.
     """
 
     method: FittedMethod

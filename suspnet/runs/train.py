@@ -52,18 +52,11 @@ PACKAGES = ("suspnet", "torch", "numpy", "scipy", "scikit-learn", "hydra-core", 
 class RunContext:
     """What the calling program adds to the records and figures of a run.
 
-    Attributes
-    ----------
-    config : mapping
-        The resolved configuration; its `ablation_name` goes into metrics.json.
-    varied : mapping or None
-        What a multirun varies, by configuration key: TensorBoard's first columns.
-    draw_vehicle : bool
-        Whether to draw figures of the vehicle; once is enough in a multirun.
-    notes : mapping
-        Further entries of the model's `training`, such as the healthy trips as "commissioned".
-    residual : Residual or None
-        The unexplained part of a commissioned vehicle's healthy trips.
+    `config` is the resolved configuration; its `ablation_name` goes into metrics.json. `varied` is
+    what a multirun varies, by configuration key: TensorBoard's first columns. `draw_vehicle`: once
+    is enough in a multirun. `notes` are further entries of the model's `training`, such as the
+    healthy trips as "commissioned"; `residual` is the unexplained part of a commissioned vehicle's
+    healthy trips.
     """
 
     config: Mapping[str, Any] = field(default_factory=dict)

@@ -42,18 +42,11 @@ FLOOR = 10.0
 class CurveBasis:
     """The basis that `CurveFeatures` learns from training curves.
 
-    Attributes
-    ----------
-    healthy : complex tensor of shape (2, n_freq), [-]
-        G_p and G_s of the healthy vehicle; real where the curves are magnitudes.
-    mean, noise : tensors of shape (4 n_freq,)
-        mu and s: log-magnitude and phase [rad] of G_p, then of G_s; (2 n_freq,) for magnitudes.
-    directions : tensor of shape (n_components, 4 n_freq)
-        B, with orthonormal rows; (n_components, 2 n_freq) for magnitudes.
-    explained : tensor of shape (n_components,)
-        Fraction of the noise-free variance along each direction.
-    floor : tensor of shape (2,), optional, [-]
-        a of each response; None where the curves have phases.
+    `healthy` (2, n_freq): G_p and G_s of the healthy vehicle, real where the curves are magnitudes;
+    `mean`, `noise` (4 n_freq,): mu and s, log-magnitude and phase [rad] of G_p, then of G_s;
+    `directions` (n_components, 4 n_freq): B, with orthonormal rows; both have 2 n_freq columns for
+    magnitudes; `explained` (n_components,): fraction of the noise-free variance along each
+    direction; `floor` (2,): a of each response, None where the curves have phases.
     """
 
     frequencies_hz: Tensor

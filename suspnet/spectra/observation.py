@@ -193,13 +193,9 @@ class Counts:
 class Directions:
     """A few standard normal coordinates that replace all the uncertain numbers.
 
-    Attributes
-    ----------
-    factor : tensor of shape (n_names, n), [-]
-        Change of the logarithms of the distribution's numbers for a coordinate of 1.
-    neglected, strongest : float, [-]
-        Rms effect of all neglected directions, and of the strongest direction, in standard
-        deviations of the noise.
+    `factor` (n_names, n) is the change of the logarithms of the distribution's numbers for a
+    coordinate of 1; `neglected` and `strongest` are the rms effect of all neglected directions, and
+    of the strongest direction, in standard deviations of the noise.
     """
 
     generator: ResponseGenerator

@@ -107,12 +107,8 @@ def _symmetric(power: FloatArray) -> Tensor:
 class SegmentSpectra:
     """Windowed Fourier transforms of a recording's segments, in a band.
 
-    Attributes
-    ----------
-    values : complex tensor of shape (n_segments, n_channels, n_freq)
-        Scaled such that the mean of abs(values)^2 is the one-sided power density.
-    first : int64 tensor of shape (n_segments,)
-        First sample of each segment.
+    `values` (n_segments, n_channels, n_freq) are scaled such that the mean of abs(values)^2 is the
+    one-sided power density; `first` (n_segments,) is the first sample of each segment.
     """
 
     frequencies_hz: Tensor
