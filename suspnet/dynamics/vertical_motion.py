@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from torch import Tensor
@@ -49,14 +49,15 @@ def vertical_motion(layout: Layout, p: Mapping[str, Tensor]) -> LinearSystem:
     inputs = [f"{kind}_{wheel}" for kind in "wx"[: 1 + ("roll" in parts)] for wheel in "abcd"]
     e = dict(zip([*masses, *inputs], np.eye(len(masses) + len(inputs)), strict=True))
     forward = 1.0 if bogie == "leading" else -1.0
-    acting = _suspensions(p, n, parts, e)
+    vehicle = _Vehicle(p, n, parts, e)
+    acting = vehicle.suspensions()
     if "longitudinal" in parts:
-        acting += _links(p, n, parts, e, forward)
+        acting += vehicle.links(forward)
     if "bending" in parts:
         acting.append((bending_element(p, layout.empty_body_kg), e["q"]))
     if "roll" in parts:
-        acting += _rolling(p, n, parts, e)
-    frame, body = e["z_1"].copy(), _above(n, parts, e, "bending_at_sensor")
+        acting += vehicle.rolling()
+    frame, body = e["z_1"].copy(), vehicle.above("bending_at_sensor")
     if layout.frame_sensor == "axle":
         frame += e["psi_1"] if axle == "leading" else -e["psi_1"]
     body += (1 + forward * layout.body_sensor_m / n["half_pivot_distance"]) * e["phi"]
@@ -89,71 +90,65 @@ def _masses(n: Mapping[str, float], parts: Sequence[str]) -> dict[str, float]:
     return masses
 
 
-def _above(
-    n: Mapping[str, float], parts: Sequence[str], e: Mapping[str, FloatArray], shape: str
-) -> FloatArray:
-    """Return the bounce of the body, with its bending of the given `shape` at a pivot or sensor."""
-    return e["z"] + n[shape] * e["q"] if "bending" in parts else e["z"].copy()
+@dataclass(frozen=True)
+class _Vehicle:
+    """Elements of a vehicle: `p`, `n` its numbers, `e` the unit vector of each coordinate."""
 
+    p: Mapping[str, Tensor]
+    n: Mapping[str, float]
+    parts: Sequence[str]
+    e: Mapping[str, FloatArray]
 
-def _suspensions(
-    p: Mapping[str, Tensor],
-    n: Mapping[str, float],
-    parts: Sequence[str],
-    e: Mapping[str, FloatArray],
-) -> list[Acting]:
-    """Return primary and secondary suspensions in bounce and pitch, and the axle guidance."""
-    acting = []
-    body = _above(n, parts, e, "bending_at_pivot")
-    for which, i, sign, (first, last) in BOGIES:
-        primary, secondary = primary_element(p, which, parts), secondary_element(p, which, parts)
-        acting += [
-            (primary, e[f"z_{i}"] - 0.5 * (e[f"w_{first}"] + e[f"w_{last}"])),
-            (primary, e[f"psi_{i}"] - 0.5 * (e[f"w_{first}"] - e[f"w_{last}"])),
-            (secondary, body + sign * e["phi"] - e[f"z_{i}"]),
-        ]
-        if "guidance" in parts:
-            acting.append((guidance_element(p), e[f"psi_{i}"]))
-    return acting
+    def above(self, shape: str) -> FloatArray:
+        """Return the body's bounce, with its bending of the given `shape` at a pivot or sensor."""
+        n, e = self.n, self.e
+        return e["z"] + n[shape] * e["q"] if "bending" in self.parts else e["z"].copy()
 
+    def suspensions(self) -> list[Acting]:
+        """Return primary and secondary suspensions in bounce and pitch, and the axle guidance."""
+        p, parts, e = self.p, self.parts, self.e
+        acting = []
+        body = self.above("bending_at_pivot")
+        for which, i, sign, (first, last) in BOGIES:
+            primary = primary_element(p, which, parts)
+            acting += [
+                (primary, e[f"z_{i}"] - 0.5 * (e[f"w_{first}"] + e[f"w_{last}"])),
+                (primary, e[f"psi_{i}"] - 0.5 * (e[f"w_{first}"] - e[f"w_{last}"])),
+                (secondary_element(p, which, parts), body + sign * e["phi"] - e[f"z_{i}"]),
+            ]
+            if "guidance" in parts:
+                acting.append((guidance_element(p), e[f"psi_{i}"]))
+        return acting
 
-def _links(
-    p: Mapping[str, Tensor],
-    n: Mapping[str, float],
-    parts: Sequence[str],
-    e: Mapping[str, FloatArray],
-    forward: float,
-) -> list[Acting]:
-    """Return the longitudinal links; phi is positive if the measured bogie rises."""
-    body_lever = forward * n["body_lever"] / n["half_pivot_distance"]
-    lever = n["bogie_lever"] / n["half_wheelbase"]
-    acting = []
-    for _, i, sign, _ in BOGIES:
-        turned = e["phi"].copy()
-        if "bending" in parts:
-            turned += sign * n["bending_slope"] * e["q"]
-        acting.append((longitudinal_element(p), body_lever * turned + lever * e[f"psi_{i}"]))
-    return acting
+    def links(self, forward: float) -> list[Acting]:
+        """Return the longitudinal links; phi is positive if the measured bogie rises."""
+        n, e = self.n, self.e
+        body_lever = forward * n["body_lever"] / n["half_pivot_distance"]
+        lever = n["bogie_lever"] / n["half_wheelbase"]
+        acting = []
+        for _, i, sign, _ in BOGIES:
+            turned = e["phi"].copy()
+            if "bending" in self.parts:
+                turned += sign * n["bending_slope"] * e["q"]
+            stretch = body_lever * turned + lever * e[f"psi_{i}"]
+            acting.append((longitudinal_element(self.p), stretch))
+        return acting
 
-
-def _rolling(
-    p: Mapping[str, Tensor],
-    n: Mapping[str, float],
-    parts: Sequence[str],
-    e: Mapping[str, FloatArray],
-) -> list[Acting]:
-    """Return the suspensions in roll and sway, for one side."""
-    acting = []
-    aside = e["y"] + n["body_lever"] * e["theta"]
-    for which, i, _, (first, last) in BOGIES:
-        track, across = 0.5 * (e[f"x_{first}"] + e[f"x_{last}"]), e["theta"] - e[f"theta_{i}"]
-        acting += [
-            (primary_element(p, which, parts), n["primary_lateral"] * (e[f"theta_{i}"] - track)),
-            (secondary_element(p, which, parts), n["secondary_lateral"] * across),
-            (Element(p["anti_roll_bar"] / 2, None), across),
-            (lateral_element(p), aside + n["bogie_lever"] * e[f"theta_{i}"]),
-        ]
-    return acting
+    def rolling(self) -> list[Acting]:
+        """Return the suspensions in roll and sway, for one side."""
+        p, n, parts, e = self.p, self.n, self.parts, self.e
+        acting = []
+        aside = e["y"] + n["body_lever"] * e["theta"]
+        for which, i, _, (first, last) in BOGIES:
+            own, track = e[f"theta_{i}"], 0.5 * (e[f"x_{first}"] + e[f"x_{last}"])
+            across = e["theta"] - own
+            acting += [
+                (primary_element(p, which, parts), n["primary_lateral"] * (own - track)),
+                (secondary_element(p, which, parts), n["secondary_lateral"] * across),
+                (Element(p["anti_roll_bar"] / 2, None), across),
+                (lateral_element(p), aside + n["bogie_lever"] * own),
+            ]
+        return acting
 
 
 def _assembled(

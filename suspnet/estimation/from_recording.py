@@ -218,7 +218,8 @@ def _speed_bin(
         if any(recording.paired):
             differences = difference_segments(recording, segments.welch)
             check_pairs(segments, differences, looked_at, recording.paired, method.vehicle)
-        doubts = _checked(segments, looked_at, method)
+        spectra = segments.average(looked_at)
+        doubts = check_channels(spectra, segments.frequencies_hz, method.generator, method.vehicle)
     if found.spectra is None or not part.has_enough:
         raise NoEstimateError(_too_few(part, models, recording, speeds, segments, settings))
     if not part.is_certain:
@@ -284,12 +285,6 @@ def _check_places(recording: Recording, generator: ResponseGenerator) -> None:
             f"middle: {listed}; give one sensor in the manifest, or train with "
             "generator.sensor_lateral_m=[0,0,0]"
         )
-
-
-def _checked(segments: SegmentSpectra, chosen: Tensor, method: FittedMethod) -> str:
-    """Return the doubts and impossible checks of the channels; TripError if one is wrong."""
-    spectra = segments.average(chosen)
-    return check_channels(spectra, segments.frequencies_hz, method.generator, method.vehicle)
 
 
 def no_segment(recording: Recording, welch: Welch) -> str:

@@ -27,6 +27,7 @@ from suspnet.estimation.sensor_information import (
     recording_information,
     sensor_places,
 )
+from suspnet.ground.parameters import PAYLOAD
 from suspnet.ground.types import FloatArray
 from suspnet.spectra.curves import CurveObserver, CurveSettings
 from suspnet.spectra.estimates import EstimateObserver, EstimateSettings
@@ -97,8 +98,8 @@ def options(task: Task, observer: Observer, ratios: FloatArray) -> list[Option]:
     now, *others = _OPTIONS[observer.settings.kind](task, observer, ratios)
     if task.mass_known:
         unmeasured = replace(now, title="car-body mass not measured", kind="less")
-        return [*(option.knowing("M_s") for option in (now, *others)), unmeasured]
-    measured = replace(now.knowing("M_s"), title="+ measured car-body mass", kind="more")
+        return [*(option.knowing(PAYLOAD) for option in (now, *others)), unmeasured]
+    measured = replace(now.knowing(PAYLOAD), title="+ measured car-body mass", kind="more")
     return [now, *others, measured]
 
 

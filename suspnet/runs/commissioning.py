@@ -91,12 +91,12 @@ def _prior(generator: VerticalVehicle, found: HealthyTrips) -> VerticalVehicle:
 def _lateral_m(given: Sequence[float], found: HealthyTrips) -> tuple[float, float, float]:
     """Return each channel's lateral position: 0 for a pair, else as given, else by its side."""
     manifest = found.manifests[0]
-    places = []
-    for lateral_m, is_pair, channel in zip(
-        given, found.paired, manifest.channels.values(), strict=True
-    ):
-        places.append(0.0 if is_pair else lateral_m or _place_m(manifest, channel))
-    return places[0], places[1], places[2]
+    channels = zip(given, found.paired, manifest.channels.values(), strict=True)
+    box, frame, body = (
+        0.0 if is_pair else lateral_m or _place_m(manifest, channel)
+        for lateral_m, is_pair, channel in channels
+    )
+    return box, frame, body
 
 
 def _place_m(manifest: TripManifest, channel: Channel | Pair) -> float:

@@ -20,7 +20,6 @@ from torch import Tensor
 from suspnet.dynamics import PARAMETERS, QuarterCar, ResponseGenerator, Vehicle
 from suspnet.dynamics.track import track_spectrum
 from suspnet.ground.settings import setting
-from suspnet.ground.types import FloatArray
 from suspnet.spectra.cross_spectra import (
     CrossSpectra,
     Method,
@@ -28,8 +27,15 @@ from suspnet.spectra.cross_spectra import (
     sample_spectra,
 )
 from suspnet.spectra.curves import CurveSettings
-from suspnet.spectra.expected_spectra import EstimateMisfit, ExpectedSpectra, Responses
-from suspnet.spectra.observation import CACHE_FOLDER, CacheFolder, Counts, Directions, directions
+from suspnet.spectra.expected_spectra import EstimateMisfit, ExpectedSpectra
+from suspnet.spectra.observation import (
+    CACHE_FOLDER,
+    MOST_BINS,
+    CacheFolder,
+    Counts,
+    Directions,
+    directions,
+)
 from suspnet.spectra.segments import Speeds
 from suspnet.spectra.welch import Welch
 
@@ -42,8 +48,6 @@ band and end of G_s (second mode). Between the last two the primary damper separ
 bushing and the axle guidance, but the body has structural modes there; the model has only one."""
 HIGHEST_HZ = 25.0
 """Highest default end of the band, [Hz]: a quarter of the default sampling rate of 100 Hz."""
-MOST_BINS = 100_000
-"""Largest number of frequency bins of a curve; a band up to 25 Hz has 500."""
 WEAK, WEAK_OF_ONE = 4.0, 0.5
 """A bin is weak if the standard deviation of the healthy vehicle's log-response exceeds 4 times its
 median over the band, and 0.5 / sqrt(n_averages): the estimate is then a ratio of two nearly
@@ -258,7 +262,7 @@ class EstimateObserver:
             relative = None if ratios == (1.0,) else replace(speeds, m_per_s=ratios)
         self._is_nominal = relative is None
         self._correlating = moving_average_with(settings.welch.correlation().numpy())
-        self._mean = ExpectedSpectra(
+        self.mean = ExpectedSpectra(
             generator,
             settings.welch,
             self.frequencies_hz,
@@ -287,7 +291,8 @@ class EstimateObserver:
         """Noise density of each sensor, (3,), [(m/s^2)^2/Hz]."""
         if not self._is_nominal:
             return self._nominal._noise
-        return self.noise_densities(self._mean.gains, self.settings.rates_hz)
+        settings = self.settings
+        return self.mean.noise_densities(self.mean.gains, settings.rates_hz, settings.snr_db)
 
     @cached_property
     def _healthy(self) -> CrossSpectra:
@@ -392,20 +397,9 @@ class EstimateObserver:
         """Return the covariance of one trip's (log G_p, log G_s), (n_vehicles, 2, 2, n_freq)."""
         return self.expected(ratios).covariance(self.settings.method)
 
-    def track_density(self, frequencies_hz: FloatArray) -> FloatArray:
-        """Return the power density of the axle box's acceleration, (n_freq,), [(m/s^2)^2/Hz]."""
-        return self._mean.track_density(frequencies_hz)
-
-    def noise_densities(self, responses: Responses, rates_hz: Sequence[float]) -> Tensor:
-        """Return the noise density of each sensor, (n_sensors,), [(m/s^2)^2/Hz].
-
-        ``responses(ratios, frequencies_hz)`` gives those from the axle box, (1, n_sensors, n_freq).
-        """
-        return self._mean.noise_densities(responses, rates_hz, self.settings.snr_db)
-
     def expected(self, ratios: Tensor) -> CrossSpectra:
         """Return the mean of the estimated spectra of each vehicle, (n_vehicles, 3, n_freq)."""
-        auto, cross = self._mean(ratios)
+        auto, cross = self.mean(ratios)
         return CrossSpectra(auto + self._noise.to(auto)[:, None], cross, self.settings.n_averages)
 
 

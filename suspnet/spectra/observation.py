@@ -29,7 +29,8 @@ from suspnet.ground.settings import Setting, check_settings, setting
 
 LEAST_CALIBRATION = 100
 """Smallest number of calibration curves; the coverage of a 90 % interval then scatters by 3 %."""
-
+MOST_BINS = 100_000
+"""Largest number of frequency bins of a curve; the paper has 1,000, a band up to 25 Hz 500."""
 MOST_CURVES = 100_000_000
 """Largest number of curves; their parameters alone then take 4 GB."""
 LEAST_EFFECT = 0.1
