@@ -144,21 +144,10 @@ class LogNormal:
     """A joint log-normal distribution of numbers relative to their nominal values.
 
     For numbers that may be absent, 1 + ratio is log-normal: the ratio can reach 0, and estimates of
-    an absent part may lie between -1 and 0.
-
-    Parameters
-    ----------
-    names : tuple of str
-        From ``UNMEASURED``.
-    mean : tuple of n floats, [-]
-        Means of the logarithms; nominal is 0, or log 2 for numbers that may be absent.
-    covariance : tuple of n tuples of n floats, [-]
-        Covariance of the logarithms.
-
-    Raises
-    ------
-    ValueError
-        If names are unknown or repeated, shapes differ, or `covariance` is not a covariance matrix.
+    an absent part may lie between -1 and 0. `names` are from ``UNMEASURED``; `mean` and
+    `covariance` are those of the logarithms: nominal is 0, or log 2 for numbers that may be absent.
+    ValueError if names are unknown or repeated, shapes differ, or `covariance` is not a covariance
+    matrix.
     """
 
     names: tuple[str, ...]

@@ -247,10 +247,9 @@ def track_spectrum(
 ) -> TrackSpectrum:
     """Return the spectrum called `name`, optionally with the short waves of the rail head.
 
-    Below the wavelength `short_wave_from_m`, 0.036 n^-3.15 mm^2 m replaces the spectrum. The two
-    spectra are discontinuous there: at 2.5 m the density jumps up by a factor of 16.6
-    (german_low), 6.2 (german_high) or 69 (chinese_ballastless), at 1 m still by 33, 12 or 91. The
-    jump is not smoothed, as in the simulator that the numbers come from; neither side is rescaled.
+    Below the wavelength `short_wave_from_m`, 0.036 n^-3.15 mm^2 m replaces the spectrum. The jump
+    between the two at 2.5 m, by a factor of 16.6 (german_low), 6.2 (german_high) or 69
+    (chinese_ballastless), is not smoothed, as in the simulator that the numbers come from.
 
     Examples
     --------

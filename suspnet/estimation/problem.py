@@ -109,17 +109,9 @@ class Problem:
     def features(self, stream: int, part: slice | None = None) -> FeatureData:
         """Return the features of a stream's curves, from the cache if possible.
 
-        Parameters
-        ----------
-        stream : int
-            ``TRAIN``, ``TEST`` or ``CALIBRATE``.
-        part : slice, optional
-            Range of batches of ``BATCH`` curves; None is all.
-
-        Raises
-        ------
-        ValueError
-            If the grid has fewer curves, or the healthy vehicle lacks a peak.
+        `stream` is ``TRAIN``, ``TEST`` or ``CALIBRATE``; `part` a range of batches of ``BATCH``
+        curves, None is all. ValueError if the grid has fewer curves, or the healthy vehicle lacks a
+        peak.
         """
         if self.settings.cache_dir is None:
             return self._make_features(stream, part)
@@ -155,13 +147,7 @@ class Problem:
         return self.observer.noise_free(torch.as_tensor(ratios))
 
     def healthy_features(self) -> FloatArray:
-        """Return the healthy vehicle's features, shape (n_features,).
-
-        Raises
-        ------
-        ValueError
-            If one of its peaks is missing.
-        """
+        """Return the healthy vehicle's features, (n_features,); ValueError if a peak is missing."""
         curves = self.noise_free(np.ones((1, len(PARAMETERS))))
         table = self.extractor.extract(curves, self.observer.frequencies_hz.to(curves.device))
         missing = [

@@ -139,25 +139,13 @@ class Task:
         return math.prod(len(self.levels(name)) for name in self.varied)
 
     def sample(self, n_curves: int | None, seed: int, stream: int) -> FloatArray:
-        """Return parameter ratios of training (stream 0), test (1) or calibration (2) curves.
+        """Return ratios (n_curves, 5) of training (stream 0), test (1) or calibration (2) curves.
 
         A grid is shuffled by the seed. Training curves come from its start, test curves from its
         end and calibration curves from its middle, so they share no vehicle unless the grid is too
-        small. Sobol points are scrambled with a separate seed for each stream.
-
-        Parameters
-        ----------
-        n_curves : int or None
-            None is the full grid, in its natural order.
-
-        Returns
-        -------
-        array of shape (n_curves, 5), [-]
-
-        Raises
-        ------
-        ValueError
-            If the grid has fewer curves, or if None is given for a Sobol sequence.
+        small; None curves are the full grid, in its natural order. Sobol points are scrambled with
+        a separate seed for each stream. ValueError if the grid has fewer curves, or if None is
+        given for a Sobol sequence.
         """
         ratios = self._sobol(n_curves, seed, stream) if self.sampling == "sobol" else None
         if ratios is None:

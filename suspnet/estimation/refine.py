@@ -136,23 +136,12 @@ def refine(
 ) -> Refined:
     """Return the parameters whose curves lie nearest to those observed.
 
-    Parameters
-    ----------
-    misfit : Misfit
-        Of n_curves curves.
-    estimates : array of shape (n_curves, n_outputs), [-]
-        Start of the search; a row with NaN starts from the healthy vehicle.
-    mass : array of shape (n_curves,), optional
-        Measured car-body mass ratio, if the task knows it.
-    directions : Directions, optional
-        Directions of the uncertain numbers to fit as well; None takes the numbers as known.
-    near : callable, optional
-        Returns the misfit with the noise of vehicles (n_curves, n_columns): with uncertain numbers
-        the noise at the median may be far off. None retains that of `misfit`.
-    max_iter : int
-        Levenberg-Marquardt iterations of each search.
-    n_scattered : int
-        Number of vehicles of which the nearest is the second start for an unexplained curve.
+    The search starts from `estimates` (n_curves, n_outputs), a row with NaN from the healthy
+    vehicle; `mass` (n_curves,) is the measured car-body mass ratio, if the task knows it.
+    `directions` are those of the uncertain numbers to fit as well; None takes the numbers as known.
+    `near` returns the misfit with the noise of vehicles (n_curves, n_columns), as with uncertain
+    numbers the noise at the median may be far off; None retains that of `misfit`. The nearest of
+    `n_scattered` vehicles is the second start for an unexplained curve.
     """
     # start from the regression; parameters it does not estimate start from their best level
     device = misfit.observed.device

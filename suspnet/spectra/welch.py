@@ -172,18 +172,11 @@ def segment_spectra(
 
 @dataclass(frozen=True)
 class TransferEstimate:
-    """A transfer function and its uncertainty.
+    """A transfer function and its uncertainty, each tensor of shape (n_freq,).
 
-    Attributes
-    ----------
-    frequencies_hz : tensor of shape (n_freq,), [Hz]
-    response : complex tensor of shape (n_freq,), [unit of y / unit of x]
-    coherence : tensor of shape (n_freq,), [-]
-        abs(S_xy)^2 / (S_xx S_yy).
-    deviation : tensor of shape (n_freq,), [-]
-        Standard deviation of the log-magnitude.
-    n_averages : float
-        Number of independent averages.
+    `response` is complex, [unit of y / unit of x]; `coherence` is abs(S_xy)^2 / (S_xx S_yy);
+    `deviation` the standard deviation of the log-magnitude; `n_averages` counts independent
+    averages.
     """
 
     frequencies_hz: Tensor
