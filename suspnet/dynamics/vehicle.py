@@ -171,10 +171,7 @@ class Vehicle:
     def degraded(self, **ratios: float) -> Vehicle:
         """Return the vehicle with parameters multiplied by ratios, e.g. ``degraded(k_p=0.5)``.
 
-        Raises
-        ------
-        ValueError
-            If a name is not one of ``PARAMETERS``.
+        ValueError if a name is not one of ``PARAMETERS``.
         """
         unknown = sorted(set(ratios) - set(PARAMETERS))
         if unknown:

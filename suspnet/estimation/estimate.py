@@ -66,10 +66,7 @@ class Estimate:
     def si(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return values and ends of intervals in SI units, each (n, n_outputs).
 
-        Raises
-        ------
-        ValueError
-            If the healthy values are unknown.
+        ValueError if the healthy values are unknown.
         """
         if self.healthy is None:
             raise ValueError("the estimate has no healthy values: give `healthy`")

@@ -269,13 +269,7 @@ class Protocol:
             self.task(group)  # checks everything else
 
     def task(self, group: str) -> Task:
-        """Return the learning problem of a group.
-
-        Raises
-        ------
-        ValueError
-            If the protocol has no such group.
-        """
+        """Return the learning problem of a group; ValueError if the protocol has no such group."""
         if group not in self.groups:
             raise ValueError(
                 f"protocol {self.name!r} has no group {group!r}; choose from {sorted(self.groups)}"

@@ -129,8 +129,6 @@ def _run(folder: Path, known: dict[str, dict[str, float]]) -> dict[str, Any]:
 def flattened(config: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
     """Return a nested mapping flattened to dotted keys.
 
-    Examples
-    --------
     >>> flattened({"model": {"C": 1.0, "callback": None}, "seed": 0})
     {'model.C': 1.0, 'model.callback': None, 'seed': 0}
     """

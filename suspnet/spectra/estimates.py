@@ -212,10 +212,7 @@ class EstimateSettings(Counts):
     def frequencies_hz(self) -> Tensor:
         """Return the bins of the estimate, multiples of 1 / segment_s, shape (n_freq,), [Hz].
 
-        Raises
-        ------
-        ValueError
-            If an end of the band is still None: `bound` fills them in.
+        ValueError if an end of the band is still None: `bound` fills them in.
         """
         if self.low_hz is None or self.high_hz is None:
             raise ValueError("the band follows from the vehicle: call `bound` first")

@@ -190,8 +190,6 @@ def covering(speeds: Sequence[float], half_width: float) -> float | list[float]:
     One speed to a tenth where one model is enough, otherwise lowest and highest as whole numbers.
     `half_width` is that of the range of one model.
 
-    Examples
-    --------
     >>> covering([69.8, 70.2], 0.08), covering([61.5, 77.2], 0.08)
     (70.0, [60.0, 79.0])
     """
