@@ -18,10 +18,11 @@ stiffness increases with frequency, as causality requires: (1 - 1.5 eta) k at 0.
 (1 + 1.4 eta) k at 20 Hz.
 
 Motion: each of them acts along a stretch u = g z - h w of coordinates z and inputs w, and adds an
-outer product: k g g^T to the stiffness, k g h^T to that of the input. Letters and equations are those of `suspnet.dynamics.vertical_response`. The coordinates are z and phi of
-the body, z_i and psi_i of the measured bogie (1) and of the other one (2), q with bending, and with
-roll the lateral displacement y of the body and the three roll angles. The inputs are the mean of
-both rails under each wheelset, w, and with roll the angle of the track there, x.
+outer product: k g g^T to the stiffness, k g h^T to that of the input. Letters and equations are
+those of `suspnet.dynamics.vertical_response`. The coordinates are z and phi of the body, z_i and
+psi_i of the measured bogie (1) and of the other one (2), q with bending, and with roll the lateral
+displacement y of the body and the three roll angles. The inputs are the mean of both rails under
+each wheelset, w, and with roll the angle of the track there, x.
 """
 
 from __future__ import annotations

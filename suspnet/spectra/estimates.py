@@ -27,7 +27,7 @@ from suspnet.spectra.cross_spectra import (
     sample_spectra,
 )
 from suspnet.spectra.curves import CurveSettings
-from suspnet.spectra.expected_spectra import EstimateMisfit, ExpectedSpectra
+from suspnet.spectra.expected_spectra import EstimateMisfit, ExpectedSpectra, bridged, weak_bins
 from suspnet.spectra.observation import (
     CACHE_FOLDER,
     MOST_BINS,
@@ -48,10 +48,6 @@ band and end of G_s (second mode). Between the last two the primary damper separ
 bushing and the axle guidance, but the body has structural modes there; the model has only one."""
 HIGHEST_HZ = 25.0
 """Highest default end of the band, [Hz]: a quarter of the default sampling rate of 100 Hz."""
-WEAK, WEAK_OF_ONE = 4.0, 0.5
-"""A bin is weak if the standard deviation of the healthy vehicle's log-response exceeds 4 times its
-median over the band, and 0.5 / sqrt(n_averages): the estimate is then a ratio of two nearly
-vanishing spectra, with heavy tails."""
 
 
 @dataclass(frozen=True)
@@ -303,12 +299,8 @@ class EstimateObserver:
         Near f = v / (2 wheelbase) the axles of a bogie move in antiphase: the bogie does not
         bounce, and the body is no useful instrument.
         """
-        covariance = self._healthy.covariance(self.settings.method)
-        deviations = covariance[0].diagonal().T.real.clamp(min=0).sqrt()
-        used = deviations.masked_fill(self.beyond, math.nan)
-        weak = deviations > WEAK * used.nanmedian(dim=1, keepdim=True).values
-        weak &= deviations * math.sqrt(self.settings.n_averages) > WEAK_OF_ONE
-        return weak & ~self.beyond
+        covariance = self._healthy.covariance(self.settings.method)[0]
+        return weak_bins(covariance, self.beyond, self.settings.n_averages)
 
     @cached_property
     def beyond(self) -> Tensor:
@@ -327,7 +319,7 @@ class EstimateObserver:
         method = self.settings.method
         relative = curves / self._healthy.responses(method).to(curves)
         relative = relative.masked_fill(self.beyond.to(curves.device), 1.0)
-        parts = [_bridged(relative[:, i], weak) for i, weak in enumerate(self.weak.to("cpu"))]
+        parts = [bridged(relative[:, i], weak) for i, weak in enumerate(self.weak.to("cpu"))]
         return torch.stack(parts, dim=1) * self._nominal._healthy.responses(method).to(curves)
 
     @cached_property
@@ -398,20 +390,6 @@ class EstimateObserver:
         """Return the mean of the estimated spectra of each vehicle, (n_vehicles, 3, n_freq)."""
         auto, cross = self.mean(ratios)
         return CrossSpectra(auto + self._noise.to(auto)[:, None], cross, self.settings.n_averages)
-
-
-def _bridged(relative: Tensor, weak: Tensor) -> Tensor:
-    """Return rows (n, n_freq) with weak bins interpolated linearly, held constant at the ends."""
-    good = torch.nonzero(~weak)[:, 0]
-    if not bool(weak.any()) or not len(good):
-        return relative
-    bins = torch.arange(len(weak))
-    after = torch.searchsorted(good, bins).clamp(max=len(good) - 1)
-    right = good[after]
-    left = torch.where(right > bins, good[(after - 1).clamp(min=0)], right)
-    gap = (right - left).clamp(min=1)
-    share = ((bins - left) / gap).clamp(0, 1).to(relative.device)
-    return relative[:, left] + share * (relative[:, right] - relative[:, left])
 
 
 OBSERVATIONS: dict[str, Any] = {kind.kind: kind for kind in (CurveSettings, EstimateSettings)}
