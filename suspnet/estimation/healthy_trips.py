@@ -180,9 +180,9 @@ def _spectra(
     groups = groups_to_read(speeds, trips.speed_tolerance, trips.min_speed_m_per_s)
     # uncertain groups are included, as the fit of the vehicle weights each by its noise
     return [
-        HealthySpectra(trip, name, Speeds.of(*part.speed), part.found.spectra)
+        HealthySpectra(trip, name, Speeds.of(*part.speed), part.spectra)
         for part in steady(segments, speeds, groups, settings, trips)
-        if part.found.spectra is not None and part.has_enough
+        if part.spectra is not None and part.has_enough
     ]
 
 

@@ -19,13 +19,10 @@ from suspnet.estimation.fitted import FittedMethod
 from suspnet.estimation.from_spectra import trip_settings
 from suspnet.ground.types import FloatArray
 from suspnet.spectra.cross_spectra import CrossSpectra
-from suspnet.spectra.estimates import EstimateSettings
 from suspnet.spectra.segments import (
     SpeedRange,
     range_words,
     reading_range,
-    without_incoherent,
-    without_loud,
 )
 from suspnet.spectra.welch import SegmentSpectra
 
@@ -136,58 +133,6 @@ def no_group_words(
         f"the trip is run at {_speeds_of(speeds, groups)}, {readable_words(models)}: is the speed "
         "in m/s? If so, train a model for it, speed_m_per_s=..."
     )
-
-
-@dataclass(frozen=True)
-class GroupSpectra:
-    """The usable segments of a group and their averaged spectra.
-
-    `candidates` (n_segments,) are the group without segments of far too much power, `chosen` those
-    without the `n_incoherent` ones of low coherence; `n_averages` counts independent averages of
-    the chosen ones and `spectra` is their average, None if there are none. `coherences` and
-    `deviation` are those of `certainty_of`, NaN without spectra.
-    """
-
-    candidates: Tensor
-    chosen: Tensor
-    n_incoherent: int
-    n_averages: float
-    spectra: CrossSpectra | None
-    coherences: list[float]
-    deviation: float
-
-
-def group_spectra(
-    band: SegmentSpectra, group: Tensor, min_coherence: float, estimate: EstimateSettings
-) -> GroupSpectra:
-    """Return the usable segments of a group (n_segments,) at one speed, and their spectra.
-
-    `band` holds the segments on the bins of an estimate; `estimate` must be bound to a vehicle.
-    """
-    candidates = without_loud(band, group)
-    chosen, n_incoherent = without_incoherent(band, candidates, min_coherence)
-    if not bool(chosen.any()):
-        nothing: list[float] = [math.nan, math.nan]
-        return GroupSpectra(candidates, chosen, n_incoherent, 0.0, None, nothing, math.nan)
-    n_averages = band.welch.n_averages(int(chosen.sum()))
-    spectra = band.average(chosen)
-    certainty = certainty_of(spectra, estimate, band.frequencies_hz)
-    return GroupSpectra(candidates, chosen, n_incoherent, n_averages, spectra, *certainty)
-
-
-def certainty_of(
-    spectra: CrossSpectra, settings: EstimateSettings, frequencies_hz: Tensor
-) -> tuple[list[float], float]:
-    """Return coherences (G_p, G_s) and deviation on the bins that estimates use.
-
-    Coherences are means over the bins. The deviation is the standard deviation of the
-    log-magnitudes, [-]: median over the bins, of the less certain response. `spectra` has the shape
-    (3, n_freq).
-    """
-    beyond = settings.beyond(frequencies_hz)
-    coherences = spectra.coherences().masked_fill(beyond, math.nan).nanmean(dim=1)
-    deviations = spectra.deviations(settings.method).masked_fill(beyond, math.nan)
-    return coherences.tolist(), float(deviations.nanmedian(dim=1).values.amax())
 
 
 def speed_of(speeds: Tensor, segments: SegmentSpectra) -> tuple[float, float]:
