@@ -321,10 +321,7 @@ class VerticalVehicle:
         return p
 
     def nominal_values(self) -> tuple[float, ...]:
-        """Return the values at a ratio of 1: ``PARAMETERS``, then ``UNMEASURED``, SI units.
-
-        k_p, c_p, k_s and c_s of both bogies are 1, as they multiply the healthy values.
-        """
+        """Return the values at a ratio of 1, SI units; those that multiply healthy values are 1."""
         v = self.vehicle
         given = dict(
             zip((f"healthy_{name}" for name in PARAMETERS), v.healthy_values(), strict=True)

@@ -71,9 +71,8 @@ def feature_loss(
 ) -> dict[str, float]:
     """Return for each output the rms bound of the task's features over that of its curves.
 
-    Both are relative to the parameter, over the vehicles with every feature; NaN where the curves
-    do not identify an output. The task's feature set must be fitted; `ratios`: (n_vehicles, 5).
-    Raises ValueError if no vehicle has every feature.
+    NaN where the curves do not identify an output; `ratios`: (n_vehicles, 5). ValueError if no
+    vehicle has every feature.
     """
     n_draws = max(N_DRAWS, DRAWS_PER_FEATURE * len(task.extractor.names))
     information = feature_information(

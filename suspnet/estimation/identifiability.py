@@ -90,10 +90,9 @@ class _FurtherCurves(CurveObserver):
 def options(task: Task, observer: Observer, ratios: FloatArray) -> list[Option]:
     """Return the options of measurement for a task; the first is what is measured now.
 
-    For curves: one of them, both, and further ones of the same signal-to-noise ratio. For trips:
-    recordings of fewer and more sensors, of pairs and of one side where the vehicle rolls, and the
-    estimate from three sensors. For both: the car-body mass, and twice the sensors. `ratios` has
-    the shape (n_vehicles, 5).
+    For curves: one of them, both, and further ones. For trips: recordings of fewer and more
+    sensors, of pairs and of one side where the vehicle rolls, and the estimate from three sensors.
+    For both: the car-body mass, and twice the sensors. `ratios`: (n_vehicles, 5).
     """
     now, *others = _OPTIONS[observer.settings.kind](task, observer, ratios)
     if task.mass_known:

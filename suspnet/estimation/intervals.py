@@ -134,9 +134,8 @@ class Intervals:
 
         The other half gives the scores, which would be too small on the samples that train the
         scale. Any fraction from a third to five sixths gives the same width to 1 % (measured), and
-        more scores make the coverage scatter less. `inputs` (n, n_inputs) are scaled; `residuals`
-        has the shape (n, n_outputs). Raises ValueError without samples or if all residuals are
-        equal.
+        more scores make the coverage scatter less. `inputs` (n, n_inputs) are scaled; `residuals`:
+        (n, n_outputs).
         """
         half = len(residuals) // 2
         scale = ResidualScale.learnt(inputs[:half], residuals[:half])

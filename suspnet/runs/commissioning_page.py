@@ -293,11 +293,7 @@ def number_ranges(found: Sequence[words.Number]) -> Figure:
 
 
 def _phase(response: ComplexArray, like: ComplexArray, is_smooth: bool) -> FloatArray:
-    """Return a phase [degrees] by whole turns next to the continuous one of a smooth response.
-
-    A smooth response is continuous itself, and lies within half a turn of the other in the median;
-    each bin of a measured one lies within half a turn.
-    """
+    """Return a phase [degrees], by whole turns next to that of the smooth response `like`."""
     base = np.unwrap(np.angle(like))
     if not is_smooth:
         return np.asarray(np.degrees(base + np.angle(response / like)))

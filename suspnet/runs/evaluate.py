@@ -71,11 +71,7 @@ class FreshCurves:
 def evaluate(
     folder: Path, output: Path, fresh: FreshCurves, *, device: str = "cpu", figures: bool = True
 ) -> Metrics:
-    """Score the model in `folder` on fresh curves; write metrics and figures to `output`.
-
-    FileNotFoundError or ModelFileError if the model is missing or damaged; ValueError if the curves
-    do not fit it, see `FreshCurves.problem`.
-    """
+    """Score the model in `folder` on fresh curves; write metrics and figures to `output`."""
     model = load_model(folder, device)
     problem = fresh.problem(model, folder)
     stage(f"test of {folder}")
@@ -124,11 +120,10 @@ def fitting_task(trained: Task, protocol: Protocol) -> Task:
 
 
 def write_maintenance(store: str | None, folder: Path, settings: BoardSettings) -> list[State]:
-    """Write overview and plan of all suspensions of a history; return states, the worst first.
+    """Write overview, plan and calendar of all suspensions of a history, and store their alarms.
 
-    The files are overview.html, .csv and .parquet, plan.csv and .parquet, calendar.png and
-    metrics.json. The alarms found are stored in the history. HistoryError if the store cannot be
-    used; ValueError if it is empty.
+    Returns the states, the worst first. HistoryError if the store cannot be used; ValueError if it
+    is empty.
     """
     if not store:
         raise ValueError("which history? Give store=FILE, or store=postgresql://...")

@@ -51,10 +51,9 @@ def write_identifiability(
 ) -> dict[str, Any]:
     """Write identifiability.md, .csv, .json and .png and print the tables.
 
-    `group`: one group of the protocol, None is every group; `n_vehicles`: vehicles drawn from the
-    protocol's range with `seed`. Returns the content of the JSON file, in which null means "cannot
-    be identified". TypeError or ValueError for an unknown group, or a number of vehicles or seed
-    that is not a whole number.
+    `group`: one group of the protocol, None is every group; `n_vehicles` are drawn from the
+    protocol's range. Returns the content of the JSON file, in which null means "cannot be
+    identified".
     """
     check_number("n_vehicles", n_vehicles, low=1, most=10_000_000, whole=True)
     check_number("seed", seed, low=0, whole=True)

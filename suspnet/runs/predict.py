@@ -75,10 +75,9 @@ class Outcome:
 def predict_stream(
     problem: Problem, model: FittedMethod, stream: int, flags: bool = False
 ) -> Outcome:
-    """Return a model's estimates for the curves of a stream of a problem.
+    """Return a model's estimates for a stream of curves; with `flags` each curve is fitted as well.
 
-    With `flags` each curve is fitted as well, which the flags need. ValueError if no curve has all
-    of its peaks, or the model cannot use such curves.
+    ValueError if no curve has all of its peaks, or the model cannot use such curves.
     """
     data = problem.features(stream)
     kept = data.complete()
@@ -158,9 +157,8 @@ def calibrated(problem: Problem, model: Model) -> Model:
     """Return a model with intervals and OOD detector, learnt from curves like the training curves.
 
     One half of them trains the residual scale and the other half gives the scores; refined
-    estimates have a known residual scale, so all of them give scores. If ``settings.n_calibrate``
-    is None the model is returned as it is. ValueError if the model refines and the curves do not
-    identify an output.
+    estimates have a known residual scale, so all of them give scores. ValueError if the model
+    refines and the curves do not identify an output.
     """
     if problem.settings.n_calibrate is None:
         return model
@@ -195,9 +193,7 @@ def calibrated(problem: Problem, model: Model) -> Model:
 def with_unexplained(problem: Problem, model: Model, residual: Residual) -> Model:
     """Return a model with the cost of the residual that its healthy trips leave unexplained.
 
-    The cost is `WORN` times the rms log change of the estimates of noise-free vehicles like the
-    training ones, when their curves are multiplied by exp(+-residual). ValueError if none of these
-    curves has an estimate.
+    See `suspnet.estimation.flags`. ValueError if no curve that is changed by it has an estimate.
     """
     if not residual.logs.any():
         nothing = np.zeros(len(model.task.outputs))

@@ -66,9 +66,6 @@ def write_reliability(
 
     `others`: vehicles of another type than the model's, by name; `n_test`: curves like the training
     curves; `n_odd`: curves in each set unlike them; `seed` must differ from that of each run.
-
-    FileNotFoundError or ModelFileError if a model is missing or damaged; TypeError or ValueError if
-    it was not calibrated, the seed is its own, or `n_odd` is not a number of curves.
     """
     check_number("n_odd", n_odd, low=1, most=MOST_CURVES, whole=True)
     found = []

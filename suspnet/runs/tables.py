@@ -172,11 +172,7 @@ def records_csv(records: Sequence[Mapping[str, Any]]) -> str:
 
 
 def scores_table(metrics: Mapping[str, Any]) -> str:
-    """Return the scores of one run next to the best possible ones, as Markdown.
-
-    `metrics` holds scores, bound, cramer_rao_percent (inf where a parameter cannot be identified),
-    rms_ratio (rms error over the bound) and, for a calibrated model, intervals.
-    """
+    """Return the scores of a run (its metrics.json) next to the best possible ones, as Markdown."""
     rows = []
     for output, values in metrics["scores"].items():
         bound = metrics["bound"][output]

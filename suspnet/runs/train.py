@@ -229,11 +229,9 @@ def speed_ranges(speeds: Sequence[Any], half_width: float) -> list[SpeedRange]:
 def train_ranges(
     ranges: Sequence[SpeedRange], train_one: Callable[[SpeedRange, Path], Metrics], folder: Path
 ) -> None:
-    """Train a model for each range of speeds in its own folder, and compare them.
+    """Train a model for each range of speeds in its own folder, and compare them in speeds.json.
 
-    Writes speeds.json: for each range its folder, ends and middle [m/s], and metrics.json's scores.
-    `train_one` trains the model of a range into a folder and returns the content of metrics.json,
-    or {} in a process that does not write or test.
+    `train_one` returns the content of metrics.json, or {} in a process that does not write or test.
     """
     rows: list[dict[str, Any]] = []
     for one in ranges:

@@ -162,10 +162,9 @@ BOGIES: tuple[Bogie, ...] = ("leading", "trailing")
 
 @dataclass(frozen=True)
 class Aboard:
-    """Place of a suspension on a train, with the start and the seed that the train's trips share.
+    """Place of a suspension on a train, with the start of the train's first trip and its seed.
 
-    `first_start` is the start of the train's first trip; `seed` determines track and speed of each
-    of its trips.
+    The seed determines track and speed of each of its trips.
     """
 
     train: str
@@ -252,10 +251,9 @@ def _seeds(seed: int, *place: int) -> tuple[int, int]:
 def scattered(generator: Any, scatter: float, seed: int) -> Any:
     """Return a generator whose nominal vehicle has randomly drawn true numbers.
 
-    They are drawn from ``LogNormal.prior`` of its parts, deviations from the median multiplied by
-    `scatter` (0 to 5; 0 changes nothing), until the vehicle is physical: ``Vehicle`` accepts its
-    ratios, none is negative, and its motion decays. Of a quarter car the springs and dampers are
-    drawn, the masses are not. Raises ValueError if none of ``MAX_DRAWS`` vehicles is physical.
+    They are drawn from ``LogNormal.prior`` of its parts, deviations multiplied by `scatter` (0 to
+    5), until ``Vehicle`` accepts them and its motion decays. Of a quarter car the springs and
+    dampers are drawn, the masses are not. ValueError if none of ``MAX_DRAWS`` vehicles is physical.
     """
     check_number("scatter", scatter, low=0, high=5)
     if scatter == 0:
@@ -276,10 +274,9 @@ def scattered(generator: Any, scatter: float, seed: int) -> Any:
 
 
 def true_numbers(generator: Any) -> dict[str, dict[str, Any]]:
-    """Return value, unit and ratio to nominal of each number of a generator's vehicle.
+    """Return value, unit and ratio to nominal of each true number of a generator's vehicle.
 
-    Numbers of parts that the vehicle does not have, the speed and the other bogie's wear are
-    omitted. The ratios of a quarter car are 1, as its vehicle holds the true numbers itself.
+    The ratios of a quarter car are 1, as its vehicle holds the true numbers itself.
     """
     if isinstance(generator, QuarterCar):
         nominal, ratios = generator.vehicle.healthy_values()[:4], np.ones(4)

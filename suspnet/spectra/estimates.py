@@ -358,10 +358,7 @@ class EstimateObserver:
         return sample_spectra(mean, self._correlating, source).responses(self.settings.method)
 
     def misfit(self, curves: Tensor, near: Tensor, used: Sequence[int] = (0, 1)) -> EstimateMisfit:
-        """Return the misfit of estimates (n, 2, n_freq), weighted as for the vehicles `near`.
-
-        Both responses are used, whatever `used` says.
-        """
+        """Return the misfit of estimates (n, 2, n_freq), both responses, weighted as for `near`."""
         covariance = self.without_unused(self.covariance(near.to(curves.device)))
         return EstimateMisfit(self, curves, covariance)
 
