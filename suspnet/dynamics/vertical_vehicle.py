@@ -257,10 +257,7 @@ class VerticalVehicle:
     def dynamic_stiffness(
         self, ratios: Tensor | ArrayLike, frequencies_hz: Tensor | ArrayLike
     ) -> Tensor:
-        """Return kappa_p and kappa_s of one side of the measured bogie, bushings and rubber too.
-
-        Complex, shape (n_vehicles, 2, n_freq), [N/m].
-        """
+        """Return kappa_p and kappa_s of the measured bogie, (n_vehicles, 2, n_freq), [N/m]."""
         p, omega = self._prepared(ratios, frequencies_hz)
         return torch.stack(
             [one(p, "", self.parts).at(omega) for one in (primary_element, secondary_element)],

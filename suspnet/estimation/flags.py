@@ -169,11 +169,9 @@ class OODDetector:
 
     @classmethod
     def learnt(cls, training: FloatArray, fresh: FloatArray, misfits: FloatArray) -> Self:
-        """Return the detector of a model.
+        """Return the detector from scaled inputs (n, n_inputs) of training and of fresh curves.
 
-        `training` (n_train, n_inputs) are scaled inputs of the training curves, without rows for a
-        method that works on curves; `fresh` those of other curves generated alike; `misfits`
-        (n_fits,) those of refined estimates of such curves.
+        `misfits` (n_fits,) are those of refined estimates of fresh curves.
         """
         misfit_threshold = float(misfits.mean()) + MISFIT_DEVIATIONS * float(misfits.std())
         detector = cls(training[:N_REFERENCE], math.inf, misfit_threshold)

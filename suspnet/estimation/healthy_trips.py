@@ -40,11 +40,7 @@ STEP = 1e-5
 
 @dataclass(frozen=True)
 class HealthySpectra:
-    """Spectra of one healthy trip at one speed.
-
-    `trip` is the index of the trip, which has one car-body mass; `speeds` are those of the segments
-    behind the spectra, (3, n_freq) on the bins of the settings.
-    """
+    """Spectra (3, n_freq) at one speed of trip number `trip`, which has one car-body mass."""
 
     trip: int
     name: str

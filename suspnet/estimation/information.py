@@ -70,10 +70,9 @@ def joint_information(
     responses: Sequence[str] = RESPONSES,
     directions: Directions | None = None,
 ) -> FloatArray:
-    """Return the joint information of curves on parameters and uncertain numbers.
+    """Return the information on parameters and uncertain numbers together, (n_vehicles, n, n).
 
-    The shape is (n_vehicles, n_parameters + n_z, n_parameters + n_z). Informations of independent
-    curves add; `without_uncertain` includes the prior once. `directions` None means the observer's.
+    Informations of independent curves add; `without_uncertain` includes the prior once.
     """
     directions = observer.directions if directions is None else directions
     columns = columns_of(parameters)

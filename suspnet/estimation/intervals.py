@@ -88,11 +88,7 @@ def _quantiles(scores: FloatArray, level: float) -> FloatArray:
 
 @dataclass(frozen=True)
 class ResidualScale:
-    """Regression of the absolute residual on the inputs of the model.
-
-    `regression` maps scaled inputs to scaled logarithms; `scaling` is that of the absolute
-    residuals.
-    """
+    """Regression of scaled logarithms of absolute residuals on scaled inputs."""
 
     regression: MSVR
     scaling: Scaling

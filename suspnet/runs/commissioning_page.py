@@ -59,11 +59,7 @@ LEAST_RATIO = 0.05
 
 
 def write_outcome(folder: Path, found: HealthyTrips, outcome: Commissioned) -> None:
-    """Write page, numbers, curves and figures of a commissioned vehicle to a run's folder.
-
-    commissioning.html is a self-contained page, commissioning.json its numbers,
-    commissioning_responses.parquet and .csv its curves, a row a bin; figures are in figures/.
-    """
+    """Write page, numbers (JSON), curves (tables) and figures of a commissioned vehicle."""
     drawn = {
         "responses": responses(found, outcome),
         "numbers": number_ranges(words.numbers(outcome)),

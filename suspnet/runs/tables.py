@@ -49,12 +49,7 @@ Record = dict[str, Any]
 
 
 def table6_records(runs: Sequence[Mapping[str, Any]]) -> list[Record]:
-    """Return one record for each output and metric of each run, in the order of Table VI.
-
-    `runs` are the metrics.json of each run: protocol, model, scores, bound, n_train, snr_db, seed,
-    seconds. A record has the keys protocol, group, output, metric, model, published (None where the
-    paper has no figure), measured, bound, n_train, snr_db, seed, seconds.
-    """
+    """Return records of each output and metric of runs (metrics.json), as in Table VI."""
     records = [
         {
             "protocol": run["protocol"],
@@ -212,11 +207,7 @@ def write_study(
     records: Sequence[Mapping[str, Any]],
     figures: Mapping[str, Figure],
 ) -> None:
-    """Write NAME.json, NAME.csv, NAME.md and figures, and show text and figures in TensorBoard.
-
-    `content` goes to the JSON file, `records` are the rows of the CSV file, `text` is Markdown, and
-    `figures` are by file name.
-    """
+    """Write content as JSON, records as CSV, text as Markdown, and figures; show these two."""
     write_json(folder / f"{name}.json", content)
     write_atomically(folder / f"{name}.csv", records_csv(records))
     write_atomically(folder / f"{name}.md", text)

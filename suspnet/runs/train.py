@@ -205,11 +205,9 @@ def environment() -> dict[str, Any]:
 
 
 def speed_ranges(speeds: Sequence[Any], half_width: float) -> list[SpeedRange]:
-    """Return the fewest bins that cover a range of speeds, equal in logarithm, edge to edge.
+    """Return the fewest bins, equal in logarithm, from the lowest to the highest speed [m/s].
 
-    `speeds`: lowest and highest, [m/s]; `half_width`: largest half width of a bin relative to its
-    middle. TypeError or ValueError unless the speeds are two ascending ones and the half width is
-    between 0 and 1.
+    `half_width` is the largest half width of a bin relative to its middle, between 0 and 1.
     """
     if len(speeds) != 2:
         raise ValueError(

@@ -265,10 +265,7 @@ class EstimateObserver:
         )
 
     def at(self, speeds: Speeds) -> EstimateObserver:
-        """Return the observer of a trip at other speeds.
-
-        Noise densities and directions remain those of the nominal speed.
-        """
+        """Return the observer of a trip at other speeds, with the noise of the nominal one."""
         observer = EstimateObserver(self.settings, self.generator, speeds)
         if observer._is_nominal:
             return self._nominal
@@ -328,17 +325,11 @@ class EstimateObserver:
         return directions(self) if self._is_nominal else self._nominal.directions
 
     def noise_free(self, ratios: Tensor) -> Tensor:
-        """Return the limit of the estimates for infinitely long trips, (n_vehicles, 2, n_freq).
-
-        It includes leakage, and the bias of H1, H2 and Hv caused by sensor noise.
-        """
+        """Return the limit of estimates for long trips: with leakage, and bias by noise."""
         return self.expected(ratios).responses(self.settings.method)
 
     def observe(self, ratios: Tensor, seed: int) -> Tensor:
-        """Return estimates of G_p and G_s from one trip of each vehicle, (n_vehicles, 2, n_freq).
-
-        The generator's uncertain quantities are drawn as well.
-        """
+        """Return estimates from one trip of each vehicle, uncertain numbers drawn too."""
         unmeasured, noise = np.random.SeedSequence(seed).generate_state(2, np.uint64)
         rows = self.generator.sample_unmeasured(ratios, int(unmeasured >> np.uint64(1)))
         expected = self.expected(rows)
@@ -346,10 +337,7 @@ class EstimateObserver:
         return self._drawn(expected, source)
 
     def observe_again(self, spectra: CrossSpectra, n_draws: int, seed: int) -> Tensor:
-        """Return estimates of further trips with the same mean spectra, (n_draws, 2, n_freq).
-
-        `spectra` must lie on the observer's bins, shape (3, n_freq).
-        """
+        """Return `n_draws` estimates of trips with these mean spectra (3, n_freq)."""
         auto, cross = (part.expand(n_draws, -1, -1) for part in (spectra.auto, spectra.cross))
         source = torch.Generator(auto.device).manual_seed(seed)
         return self._drawn(CrossSpectra(auto, cross, spectra.n_averages), source)
@@ -371,10 +359,7 @@ class EstimateObserver:
         )
 
     def without_unused(self, covariance: Tensor) -> Tensor:
-        """Return a covariance (n_vehicles, 2, 2, n_freq) with infinite variance in unused bins.
-
-        Unused are the bins `weak` and `beyond`; their cross-covariance is 0.
-        """
+        """Return a covariance, infinite in bins that are `weak` or `beyond`."""
         unused = (self.weak | self.beyond).to(covariance.device)
         covariance = covariance.masked_fill(unused[:, None] | unused[None], 0.0)
         return covariance.masked_fill(torch.diag_embed(unused.T).permute(1, 2, 0), math.inf)
