@@ -11,13 +11,12 @@ from pathlib import Path
 from suspnet.cli.kinds import named_runs, read_vehicles
 from suspnet.estimation.checkpoint import load_model
 from suspnet.ground import ledger, progress
-from suspnet.ground.checks import check_number
+from suspnet.ground.settings import check_number
 from suspnet.ground.storage import new_folder
 from suspnet.ground.workers import LostWorkerError, each
 from suspnet.recordings.manifest_files import find_trips
 from suspnet.trips.check import CheckSettings, Opened, check_trip
-from suspnet.trips.check_page import summary, with_shared_data, write_checks
-from suspnet.trips.check_records import PROBLEM, TripCheck
+from suspnet.trips.check_page import PROBLEM, TripCheck, summary, with_shared_data, write_checks
 
 
 def check(arguments: Namespace) -> int:

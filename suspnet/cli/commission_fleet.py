@@ -17,8 +17,8 @@ from tabulate import tabulate
 
 from suspnet.cli import folders, program
 from suspnet.ground import ledger
-from suspnet.ground.checks import check_number
 from suspnet.ground.progress import bar as progress_bar
+from suspnet.ground.settings import check_number
 from suspnet.ground.storage import read_json, write_atomically, write_json
 from suspnet.ground.workers import LostWorkerError, each
 from suspnet.recordings.manifest_files import ManifestFile

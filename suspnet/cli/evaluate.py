@@ -16,8 +16,8 @@ from suspnet.cli import program
 from suspnet.cli.folders import ACT, EXIT_CODE, FINE, MISTAKE, NOTICE, SOME_WITHOUT_ESTIMATE, worst
 from suspnet.cli.kinds import build, named_runs, plain, read_vehicles
 from suspnet.estimation.checkpoint import load_model
-from suspnet.ground.checks import check_choice
-from suspnet.ground.limits import Severity
+from suspnet.ground.parameters import Severity
+from suspnet.ground.settings import check_choice
 from suspnet.ground.storage import write_atomically
 from suspnet.history import History
 from suspnet.report.overview import Evaluated

@@ -9,8 +9,7 @@ from argparse import ArgumentParser, RawDescriptionHelpFormatter
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from suspnet.ground.limits import Cause
-from suspnet.ground.parameters import PARAMETERS
+from suspnet.ground.parameters import PARAMETERS, Cause
 from suspnet.ground.records import EVENT_KINDS, PLACE_FROM_TRAIN
 
 CHECK_DESCRIPTION = """\

@@ -29,13 +29,12 @@ from hydra.errors import HydraException, InstantiationException
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import GrammarParseError, OmegaConfBaseException
 
-from suspnet.cli import folders, naming, reference, signals
-from suspnet.cli.config_files import CONFIGS, store_tables
-from suspnet.cli.config_values import read_values
+from suspnet.cli import folders, reference, start
+from suspnet.cli.config_files import CONFIGS, read_values, store_tables
 from suspnet.cli.trusted import CheckedLoader, check_configuration
 from suspnet.ground import progress
-from suspnet.ground.checks import check_number
-from suspnet.ground.limits import DEFAULT_LIMITS, read_limits
+from suspnet.ground.parameters import DEFAULT_LIMITS, read_limits
+from suspnet.ground.settings import check_number
 from suspnet.ground.storage import printable, write_atomically
 from suspnet.ground.workers import LostWorkerError, end_with_parent, guard_joblib
 
@@ -59,7 +58,7 @@ MOVES = re.compile(r"[\r\n]*(\x1b\[A)*")
 _debugging = bool(os.environ.get(DEBUG, "") not in ("", "0"))
 
 store_tables()
-naming.register()
+folders.register()
 reference.register()
 
 
@@ -76,7 +75,7 @@ def main(name: str) -> None:
         run(lambda: sys.exit(getattr(_imported(name), name)(arguments)))
         return
     compose = hydra.main(version_base="1.3", config_path=CONFIGS, config_name=name)(_task_of(name))
-    with signals.until_it_listens() if name == "serve" else nullcontext():
+    with start.until_it_listens() if name == "serve" else nullcontext():
         run(compose, unwinds=name != "serve")
 
 
@@ -90,7 +89,7 @@ def _task_of(name: str) -> Callable[[DictConfig], None]:
 
 def _imported(name: str) -> ModuleType:
     """Return the module of a program; a signal while it is imported ends the process at once."""
-    with signals.until_it_listens():
+    with start.until_it_listens():
         return import_module(f"suspnet.cli.{name}")
 
 

@@ -17,9 +17,9 @@ from typing import Any
 
 from omegaconf import DictConfig, OmegaConf
 
-from suspnet.cli import program, signals
+from suspnet.cli import program, start
 from suspnet.cli.kinds import build, plain, read_vehicles
-from suspnet.ground.checks import check_number
+from suspnet.ground.settings import check_number
 from suspnet.history import History
 from suspnet.history.database import BusyError
 from suspnet.report.board import LOOK_S, Board, BoardSettings
@@ -82,7 +82,7 @@ def serve(board: Board, config: DictConfig) -> None:
     # The main thread only waits for a signal: the server would catch and log an exception that a
     # signal raises during a request, and continue.
     ended: SimpleQueue[int] = SimpleQueue()
-    for number in signals.SIGNALS:
+    for number in start.SIGNALS:
         signal.signal(number, lambda number, _: ended.put(number))
     log.info("the fleet is at %s (Ctrl-C ends it)", address)
     refresher.start()
@@ -90,12 +90,12 @@ def serve(board: Board, config: DictConfig) -> None:
     if config.open_browser:
         threading.Thread(target=webbrowser.open, args=(address,), daemon=True).start()
     code = ended.get()
-    signals.end_at_once()  # a second signal
+    start.end_at_once()  # a second signal
     refresher.stop(END_S)
     server.task_dispatcher.shutdown(timeout=END_S)
     if not code:
         raise ValueError("the server has ended by itself; start suspnet-serve again")
-    print(f"{signals.VERBS[signal.Signals(code)]}: the pages are no longer served", file=sys.stderr)
+    print(f"{start.VERBS[signal.Signals(code)]}: the pages are no longer served", file=sys.stderr)
     sys.exit(128 + code)
 
 

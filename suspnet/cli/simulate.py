@@ -11,7 +11,7 @@ from omegaconf import DictConfig
 
 from suspnet.cli import program
 from suspnet.cli.kinds import build
-from suspnet.ground.checks import check_number
+from suspnet.ground.settings import check_number
 from suspnet.simulation.fleet import Trains
 from suspnet.simulation.folders import FolderTakenError
 from suspnet.simulation.writing import Simulation, write_fleet, write_trains

@@ -12,7 +12,7 @@ from typing import Any
 from omegaconf import DictConfig, ListConfig
 from sklearn.exceptions import ConvergenceWarning
 
-from suspnet.cli import folders, naming, program
+from suspnet.cli import folders, program
 from suspnet.cli.commission_fleet import several_suspensions, train_fleet
 from suspnet.cli.kinds import build
 from suspnet.dynamics import ResponseGenerator, VerticalVehicle
@@ -20,7 +20,7 @@ from suspnet.estimation.from_recording import TripSettings
 from suspnet.estimation.healthy_trips import LEAST_TRIPS
 from suspnet.estimation.physics import Residual
 from suspnet.estimation.problem import Problem
-from suspnet.ground.checks import check_number
+from suspnet.ground.settings import check_number
 from suspnet.learning import ranks
 from suspnet.recordings.manifest_files import ManifestFile
 from suspnet.runs.commissioning import check_generator, commission_folder
@@ -64,7 +64,7 @@ def compose(config: DictConfig) -> None:
         train_fleet(config, folder, groups, _run)
         return
     folders.start_again(folder)
-    _run(config, folder, varied=naming.varied(config), draw=naming.is_first_of_its_vehicle())
+    _run(config, folder, varied=folders.varied(config), draw=folders.is_first_of_its_vehicle())
 
 
 def _run(

@@ -29,8 +29,7 @@ from omegaconf import DictConfig, ListConfig, OmegaConf, open_dict, read_write
 from omegaconf.errors import OmegaConfBaseException
 from omegaconf.grammar_parser import parse
 
-from suspnet.cli.config_files import CONFIGS, check_file, walk
-from suspnet.cli.config_values import check_typed
+from suspnet.cli.config_files import CONFIGS, check_file, check_typed, walk
 from suspnet.cli.kinds import KINDS, check_kind, new_name
 
 OWN_FOLDER = "suspnet.cli.folders.OwnFolder"

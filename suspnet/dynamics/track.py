@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from scipy.fft import irfft, next_fast_len
 
 from suspnet.dynamics.track_spectra import TrackSpectrum, check_band
-from suspnet.ground.checks import check_number
+from suspnet.ground.settings import check_number
 from suspnet.ground.types import FloatArray
 
 BLOCK = 1 << 15  # positions interpolated at once: the working arrays stay in the cache

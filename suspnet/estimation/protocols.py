@@ -12,8 +12,14 @@ import numpy as np
 from scipy.stats import qmc
 
 from suspnet.dynamics.vehicle import PARAMETERS
-from suspnet.ground.checks import check_choice, check_flag, check_number
-from suspnet.ground.settings import Setting, check_settings, setting
+from suspnet.ground.settings import (
+    Setting,
+    check_choice,
+    check_flag,
+    check_number,
+    check_settings,
+    setting,
+)
 from suspnet.ground.types import FloatArray
 from suspnet.spectra.components import CurveFeatures
 from suspnet.spectra.extraction import FeatureSet, PeakFeatures

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import io
 import json
 import os
 import re
@@ -12,7 +13,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from itertools import count
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +22,9 @@ from safetensors.numpy import load, save
 
 from suspnet.ground import ledger
 from suspnet.ground.ledger import HAS_LOCKS, lock
+
+if TYPE_CHECKING:
+    import pyarrow as pa
 
 DESCRIPTORS = "/proc/self/fd"
 """Folder in which Linux lists the open files of a process."""
@@ -280,3 +284,14 @@ def _check(path: Path, mode: int) -> None:
     if not stat.S_ISREG(mode):
         kind = next(name for is_kind, name in _KINDS if is_kind(mode))
         raise NotPlainError(f"{path} is {kind}, not a plain file")
+
+
+def write_table(table: pa.Table, path: Path) -> None:
+    """Write a table to `path` with the suffixes .parquet and .csv."""
+    import pyarrow.csv as pacsv  # takes a quarter of a second
+    import pyarrow.parquet as pq
+
+    for suffix, write in ((".parquet", pq.write_table), (".csv", pacsv.write_csv)):
+        stream = io.BytesIO()
+        write(table, stream)
+        write_atomically(path.with_name(path.name + suffix), stream.getvalue())

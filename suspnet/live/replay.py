@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from suspnet.ground.checks import check_number
+from suspnet.ground.settings import check_number
 from suspnet.ground.types import FloatArray
 from suspnet.recordings.clocks import SECOND_NS, Zero, offsets_s
 from suspnet.recordings.dates import time_zone

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from suspnet.estimation.trained import TrainedModel
-from suspnet.ground.limits import Severity
+from suspnet.ground.parameters import Severity
 from suspnet.ground.records import ERROR, OK, TripResult
 from suspnet.ground.storage import json_bytes
 from suspnet.ground.wording import kilometres

@@ -18,7 +18,7 @@ from collections import Counter
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from suspnet.ground.checks import check_number
+from suspnet.ground.settings import check_number
 from suspnet.live.operating_conditions import Standing
 from suspnet.recordings.assembler import OrderSettings
 from suspnet.recordings.cleaning import CleaningSettings

@@ -14,9 +14,8 @@ import numpy as np
 
 from suspnet.estimation.from_recording import TripSettings
 from suspnet.estimation.trained import TrainedModel
-from suspnet.ground.checks import check_number
 from suspnet.ground.records import TripResult
-from suspnet.ground.settings import check_settings, setting
+from suspnet.ground.settings import check_number, check_settings, setting
 from suspnet.live.journal import dump_state, load_state
 from suspnet.live.operating_conditions import SlowValues
 from suspnet.live.sections import Sections

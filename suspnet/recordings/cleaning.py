@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from suspnet.ground.checks import check_number
+from suspnet.ground.settings import check_number
 from suspnet.ground.types import BoolArray, FloatArray
 from suspnet.recordings.faults import (
     fill,

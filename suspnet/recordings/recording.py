@@ -15,7 +15,7 @@ from itertools import chain
 
 import numpy as np
 
-from suspnet.ground.checks import check_number
+from suspnet.ground.settings import check_number
 from suspnet.ground.types import BoolArray, FloatArray
 from suspnet.recordings.cleaning import Cleaner, CleaningSettings, Fault
 from suspnet.recordings.clock_drift import clock_faults

@@ -30,7 +30,7 @@ from typing import Any
 
 import numpy as np
 
-from suspnet.ground.checks import check_number
+from suspnet.ground.settings import check_number
 from suspnet.ground.types import FloatArray
 from suspnet.recordings.assembler import Assembler, OrderSettings
 from suspnet.recordings.cleaning import Cleaner, CleaningSettings

@@ -18,8 +18,7 @@ from suspnet.estimation import commissioning_summary as words
 from suspnet.estimation.commissioning import Commissioned
 from suspnet.estimation.healthy_trips import HealthyTrips
 from suspnet.estimation.physics import INCOMPLETE
-from suspnet.ground.storage import printable, write_atomically, write_json
-from suspnet.ground.tables import write_table
+from suspnet.ground.storage import printable, write_atomically, write_json, write_table
 from suspnet.recordings.manifest import CHANNELS
 from suspnet.report.images import as_png, data_uri
 from suspnet.report.templates import render

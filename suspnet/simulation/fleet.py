@@ -11,9 +11,8 @@ import numpy as np
 
 from suspnet.dynamics import PARAMETERS
 from suspnet.dynamics.track_spectra import track_spectrum
-from suspnet.ground.checks import check_number
 from suspnet.ground.records import Place
-from suspnet.ground.settings import Setting, check_settings, setting
+from suspnet.ground.settings import Setting, check_number, check_settings, setting
 from suspnet.ground.types import FloatArray
 from suspnet.recordings.manifest import CHANNELS
 from suspnet.simulation.signals import Journey, Sensor, service_journey, steady_journey

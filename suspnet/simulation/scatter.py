@@ -10,7 +10,7 @@ import torch
 
 from suspnet.dynamics import PARAMETERS, QuarterCar, VerticalVehicle
 from suspnet.dynamics.quantities import QUANTITIES, UNMEASURED, LogNormal
-from suspnet.ground.checks import check_number
+from suspnet.ground.settings import check_number
 from suspnet.ground.types import FloatArray
 
 MAX_DRAWS = 100

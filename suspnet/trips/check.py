@@ -34,8 +34,15 @@ from suspnet.spectra.segments import (
     segment_speeds,
 )
 from suspnet.spectra.welch import SegmentSpectra
-from suspnet.trips.check_page import trip_figure, write_picture
-from suspnet.trips.check_records import PROBLEM, READY, TOO_LITTLE, SteadyPart, TripCheck
+from suspnet.trips.check_page import (
+    PROBLEM,
+    READY,
+    TOO_LITTLE,
+    SteadyPart,
+    TripCheck,
+    trip_figure,
+    write_picture,
+)
 from suspnet.trips.commissionings import models_at, models_of
 from suspnet.trips.trip import evaluate_recording
 

@@ -15,7 +15,7 @@ from suspnet.estimation.checkpoint import fingerprint
 from suspnet.estimation.from_recording import TripSettings
 from suspnet.estimation.trained import TrainedModel
 from suspnet.ground.cache import Cache, code_hash
-from suspnet.ground.limits import Limits
+from suspnet.ground.parameters import Limits
 from suspnet.ground.records import (
     ERROR,
     OK,

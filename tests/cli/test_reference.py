@@ -13,8 +13,7 @@ from hydra import compose, initialize_config_dir
 from omegaconf import OmegaConf
 
 from suspnet.cli import check, evaluate, init, options, simulate, train
-from suspnet.cli.config_files import CONFIGS, phrase, read_comments
-from suspnet.cli.config_values import SWITCHES
+from suspnet.cli.config_files import CONFIGS, SWITCHES, phrase, read_comments
 from suspnet.cli.kinds import KINDS, build, class_of
 from suspnet.cli.program import n_threads
 from suspnet.cli.reference import COLUMNS, Reference, _of_kinds
