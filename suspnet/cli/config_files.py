@@ -239,6 +239,8 @@ BROKERS = ("source", "sink")
 """Groups whose options connect to a broker, configured below `broker`."""
 PLACES = ("resume", "out", "data.cache_dir", "store", "journal", "tensorboard", "sink.folder")
 """Keys of paths that are written to; someone else's file may not choose them."""
+CLUSTER = "monitor.cluster"
+"""Key of the scheduler's address; its workers unpickle, and so run, what they receive."""
 OF_HYDRA = ("hydra.run.dir", "hydra.sweep.dir", "hydra.sweep.subdir")
 
 
@@ -303,7 +305,7 @@ def _shipped_broker() -> dict[str, Any]:
 
 def _check_places(config: DictConfig, typed: Collection[str]) -> None:
     """Raise ValueError if a file, not the command line, sets a path that is written to."""
-    for key in (*PLACES, *OF_HYDRA):
+    for key in (*PLACES, *OF_HYDRA, CLUSTER):
         above, _, last = key.rpartition(".")
         node = OmegaConf.select(config, above) if above else config
         if key in typed or not isinstance(node, DictConfig) or last not in node:
@@ -312,9 +314,9 @@ def _check_places(config: DictConfig, typed: Collection[str]) -> None:
         assert isinstance(written, dict)
         value = written[last]
         if value not in _shipped_places(key) and (value is not None or key in OF_HYDRA):
+            why = "what a scheduler sends is run" if key == CLUSTER else "files are written there"
             raise ValueError(
-                f"`{key}` can be named on the command line only, as files are written there; got "
-                f"{value!r}"
+                f"`{key}` can be named on the command line only, as {why}; got {value!r}"
             )
         if key in PLACES and not OmegaConf.is_missing(node, last) and value is not None:
             place = Path(str(node[last]))

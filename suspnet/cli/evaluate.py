@@ -67,7 +67,7 @@ def ends_with_its_code(function: Callable[[DictConfig], int]) -> Callable[[DictC
 
 @ends_with_its_code
 @program.task
-def compose(config: DictConfig) -> int:
+def main(config: DictConfig) -> int:
     """Run a study, read trips or score the models of a run; return the exit code."""
     if OmegaConf.is_missing(config, "run"):
         raise ValueError("which run? Give run=PATH, the folder of a run or of a whole multirun")

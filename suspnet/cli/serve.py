@@ -10,6 +10,7 @@ import socket
 import sys
 import threading
 import webbrowser
+from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 from queue import SimpleQueue
@@ -19,7 +20,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from suspnet.cli import program, start
 from suspnet.cli.kinds import build, plain, read_vehicles
-from suspnet.ground.settings import check_number
+from suspnet.ground.settings import check_settings, setting
 from suspnet.history import History
 from suspnet.history.database import BusyError
 from suspnet.report.board import LOOK_S, Board, BoardSettings
@@ -33,17 +34,33 @@ ANY = "0.0.0.0"
 """Address that means all addresses of this computer."""
 
 
+@dataclass(frozen=True)
+class ServeSettings:
+    """Numbers of the server."""
+
+    port: int = setting(8050, "Port that is listened on; 0 is any that is free", low=0, high=65535)
+    refresh_s: float = setting(
+        3.0,
+        "Time between looks at the store for what is new, and between a page's questions",
+        "s",
+        low=0.2,
+        high=3600,
+    )
+    threads: int = setting(8, "Number of answers that are made at the same time", low=1, most=64)
+
+    def __post_init__(self) -> None:
+        check_settings(self)
+
+
 @program.task
-def compose(config: DictConfig) -> None:
+def main(config: DictConfig) -> None:
     """Check the settings and serve the pages until Ctrl-C."""
     missing = [name for name in NEEDED if find_spec(name) is None]
     if missing:
         raise ValueError(f'{", ".join(missing)} is missing: pip install "suspnet[live]"')
     if OmegaConf.is_missing(config, "store") or not config.store:
         raise ValueError("which history? Give store=FILE, or store=postgresql://...")
-    check_number("port", config.port, low=0, high=65535, whole=True)
-    check_number("refresh_s", config.refresh_s, low=0.2, high=3600)
-    check_number("threads", config.threads, low=1, most=64, whole=True)
+    ServeSettings(config.port, config.refresh_s, config.threads)
     _check_store(config.store)
     _check_address(config)
     settings = BoardSettings(

@@ -63,3 +63,25 @@ def end_at_once() -> None:
 def _end(number: int, frame: object) -> None:
     os.write(sys.stderr.fileno(), f"{VERBS[signal.Signals(number)]}: nothing had begun\n".encode())
     os._exit(128 + number)
+
+
+class Terminated(BaseException):
+    """SIGTERM was received."""
+
+
+@contextmanager
+def terminable() -> Iterator[None]:
+    """Make SIGTERM unwind the program as Ctrl-C does; a second one ends it at once."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def terminate(number: int, frame: object) -> None:
+        signal.signal(number, signal.SIG_DFL)
+        raise Terminated
+
+    before = signal.signal(signal.SIGTERM, terminate)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)

@@ -13,14 +13,13 @@ from omegaconf import DictConfig, ListConfig
 from sklearn.exceptions import ConvergenceWarning
 
 from suspnet.cli import folders, program
-from suspnet.cli.commission_fleet import several_suspensions, train_fleet
+from suspnet.cli.commission_fleet import HealthySettings, several_suspensions, train_fleet
 from suspnet.cli.kinds import build
 from suspnet.dynamics import ResponseGenerator, VerticalVehicle
 from suspnet.estimation.from_recording import TripSettings
-from suspnet.estimation.healthy_trips import LEAST_TRIPS
 from suspnet.estimation.physics import Residual
 from suspnet.estimation.problem import Problem
-from suspnet.ground.settings import check_number
+from suspnet.ground.settings import check_values
 from suspnet.learning import ranks
 from suspnet.recordings.manifest_files import ManifestFile
 from suspnet.runs.commissioning import check_generator, commission_folder
@@ -42,7 +41,7 @@ FIRST_M_PER_S = 70.0
 
 @program.one_of_many
 @program.task
-def compose(config: DictConfig) -> None:
+def main(config: DictConfig) -> None:
     """Build what the configuration names, train it and fill the run folder.
 
     A range of speeds, or healthy trips of several suspensions, give several models, each in its own
@@ -148,7 +147,7 @@ def _check_healthy(config: DictConfig) -> EstimateSettings:
     settings = build(config, "data")
     if not isinstance(settings, EstimateSettings):
         raise ValueError("healthy= is for models that read trips: experiment=trips")
-    check_number("n_healthy", config.n_healthy, low=LEAST_TRIPS, whole=True, optional=True)
+    check_values(HealthySettings, n_healthy=config.n_healthy)
     return settings
 
 

@@ -31,6 +31,7 @@ from omegaconf.grammar_parser import parse
 
 from suspnet.cli.config_files import CONFIGS, check_file, check_typed, walk
 from suspnet.cli.kinds import KINDS, check_kind, new_name
+from suspnet.ground.settings import check_choice
 
 OWN_FOLDER = "suspnet.cli.folders.OwnFolder"
 CALLBACKS = (
@@ -70,8 +71,6 @@ MAX_VALUES, MAX_DEPTH = 5_000, 50
 """Largest number of values and depth of a resolved configuration; beyond these its
 interpolations are taken to be endless. A shipped configuration has fewer than 500 values and
 depth 10."""
-CLUSTER = "monitor.cluster"
-"""Key of the scheduler's address; its workers unpickle, and so run, what they receive."""
 SPECIAL = re.compile(r"_\w*_|\(\)", re.ASCII)
 """Keys that make Hydra or Python's logging call something."""
 
@@ -132,8 +131,6 @@ class CheckedLoader(ConfigLoaderImpl):
         if self._typed is None:
             self._typed = frozenset(keys)
         # places and hosts count as the user's own only if the command line names them
-        if CLUSTER not in self._typed:
-            _check_cluster(config)
         # Hydra's own keys are not swept: those of a job are typed, or what `OwnFolder` chose
         check_typed(config, self._typed | {key for key in keys if key.startswith("hydra.")})
         foreign = any(source.provider == "command-line" for source in self.get_sources())
@@ -255,18 +252,6 @@ def _check_resolved(config: DictConfig) -> None:
             stack.append((name, value, depth + 1))
 
 
-def _check_cluster(config: DictConfig) -> None:
-    group, _, key = CLUSTER.partition(".")
-    written = [value for name, _, value in walk(OmegaConf.to_container(config), "") if name == key]
-    monitor = config.get(group)
-    if isinstance(monitor, DictConfig):
-        written.append(monitor.get(key))
-    if any(value is not None for value in written):
-        raise ValueError(
-            f"`{CLUSTER}` can be named on the command line only: what a scheduler sends is run"
-        )
-
-
 def _check_subfolder(config: DictConfig) -> None:
     """Raise ValueError unless the folder of a job lies directly in that of its multirun."""
     probe = copy.deepcopy(config)
@@ -317,9 +302,7 @@ def _check_callbacks(callbacks: Any) -> None:
         if one is None:
             continue
         arguments = _block(f"hydra.callbacks.{name}", one)
-        _check_choice(
-            f"hydra.callbacks.{name}._target_", arguments.pop("_target_", None), CALLBACKS
-        )
+        check_choice(f"hydra.callbacks.{name}._target_", arguments.pop("_target_", None), CALLBACKS)
         for key, value in arguments.items():
             _check_plain(f"hydra.callbacks.{name}.{key}", key, value)
 
@@ -327,7 +310,7 @@ def _check_callbacks(callbacks: Any) -> None:
 def _check_sweeper(sweeper: Any) -> None:
     """Raise ValueError unless the sweeper is Hydra's basic one and sweeps keys of ours."""
     arguments = _block("hydra.sweeper", sweeper)
-    _check_choice("hydra.sweeper._target_", arguments.pop("_target_", None), SWEEPERS)
+    check_choice("hydra.sweeper._target_", arguments.pop("_target_", None), SWEEPERS)
     for key, value in _block("hydra.sweeper.params", arguments.pop("params", None) or {}).items():
         if str(key).lstrip("+~").startswith("hydra"):
             raise ValueError(f"`hydra.sweeper.params.{key}`: Hydra's own keys cannot be swept")
@@ -340,7 +323,7 @@ def _check_launcher(launcher: Any) -> None:
     """Raise ValueError unless only numbers and Slurm texts of a known launcher are changed."""
     arguments = _block("hydra.launcher", launcher)
     target = arguments.pop("_target_", None)
-    _check_choice("hydra.launcher._target_", target, LAUNCHERS)
+    check_choice("hydra.launcher._target_", target, LAUNCHERS)
     shipped = _shipped_launcher(target)
     for key, value in arguments.items():
         name = f"hydra.launcher.{key}"
@@ -390,11 +373,6 @@ def _block(name: str, value: Any) -> dict[str, Any]:
     if not isinstance(value, dict):
         raise ValueError(f"`{name}` must be as shipped, got {value!r}")
     return dict(value)
-
-
-def _check_choice(name: str, value: Any, trusted: tuple[str, ...]) -> None:
-    if not isinstance(value, str) or value not in trusted:
-        raise ValueError(f"`{name}` must be one of {', '.join(trusted)}; got {value!r}")
 
 
 def _check_plain(name: str, key: str, value: Any) -> None:

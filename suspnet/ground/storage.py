@@ -9,7 +9,7 @@ import os
 import re
 import secrets
 import stat
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from itertools import count
 from pathlib import Path
@@ -185,6 +185,24 @@ def load_arrays(content: bytes, name: str, sha256: str | None = None) -> dict[st
 def content_hash(description: Any) -> str:
     """Return the SHA-256 of a JSON-able description, which names files made from it."""
     return hashlib.sha256(json.dumps(description, sort_keys=True).encode()).hexdigest()
+
+
+def distinct(names: Iterable[str], taken: Iterable[str] = ()) -> list[str]:
+    """Return file names that differ in more than case, also from those taken: a, a_2, a_3."""
+    seen, found = set(taken), []
+    for base in names:
+        name, number = base, 1
+        while name.lower() in seen:  # ends: there are fewer names than numbers
+            number += 1
+            name = f"{base}_{number}"
+        seen.add(name.lower())
+        found.append(name)
+    return found
+
+
+def why(error: OSError) -> str:
+    """Return the file and the reason of an error, without its number."""
+    return f"{error.filename}: {error.strerror}" if error.filename else str(error)
 
 
 def printable(text: str) -> str:

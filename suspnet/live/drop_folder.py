@@ -138,9 +138,9 @@ class DropFolder:
             else:
                 self._known.discard(file.path.name)
 
-    def publish(self, kind: Kind, suspension: str, payload: bytes) -> None:
+    def publish(self, kind: Kind, suspension: str, message: bytes) -> None:
         """Write a line of JSON to standard output."""
-        print_result(kind, suspension, payload)
+        print_result(kind, suspension, message)
 
     def close(self) -> None:
         """Close the file that is being read."""

@@ -131,7 +131,7 @@ class Mqtt:
             self._arrived.clear()
             self._changed.notify_all()
         self._given += [(connection, number) for connection, number, _ in arrived]
-        return [payload for _, _, payload in arrived]
+        return [message for _, _, message in arrived]
 
     def confirm(self, n_frames: int | None = None) -> None:
         """Acknowledge frames that `receive` returned. See `Source`."""
@@ -146,11 +146,11 @@ class Mqtt:
         del self._given[:n_confirmed]
         self._send()
 
-    def publish(self, kind: Kind, suspension: str, payload: bytes) -> None:
+    def publish(self, kind: Kind, suspension: str, message: bytes) -> None:
         """Publish a retained message; only the latest of each topic waits for the broker."""
         topic = self.broker.topic(kind, suspension)
         self._results.pop(topic, None)
-        self._results[topic] = json.dumps(plain_json(payload)).encode()
+        self._results[topic] = json.dumps(plain_json(message)).encode()
         self._send()
 
     def close(self) -> None:

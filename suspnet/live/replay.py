@@ -15,11 +15,11 @@ from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta, tzinfo
 from itertools import chain
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
-from suspnet.ground.settings import check_number
+from suspnet.ground.settings import Setting, check_settings, check_values, setting
 from suspnet.ground.types import FloatArray
 from suspnet.recordings.clocks import SECOND_NS, Zero, offsets_s
 from suspnet.recordings.dates import time_zone
@@ -66,7 +66,7 @@ class Replay:
     """
 
     folder: Path
-    frame_s: float = 1.0
+    frame_s: float = setting(1.0, "Length of a frame", "s", low=0.01, high=60)
     start: str | None = None
     zone: str = "UTC"
     n_suspensions: int = 0
@@ -74,7 +74,7 @@ class Replay:
     problems: list[str] = field(default_factory=list)
 
     def __post_init__(self) -> None:
-        check_number("frame_s", self.frame_s, low=0.01, high=60)
+        check_settings(self)
         self._zone: tzinfo = time_zone(self.zone)
         self._start_ns: int | None = None
         if self.start is not None:
@@ -143,8 +143,18 @@ class Replay:
 class Pace:
     """Waits so that frames arrive as fast as recorded, or `times` faster; None does not wait."""
 
+    settings: ClassVar[Mapping[str, Setting]] = {
+        "times": Setting(
+            "How many times faster than recorded frames are sent; null is as fast as they are "
+            "taken",
+            low=1e-3,
+            high=1e6,
+        )
+    }
+    """Meaning and range of each argument."""
+
     def __init__(self, times: float | None = 1.0) -> None:
-        check_number("times", times, low=1e-3, high=1e6, optional=True)
+        check_values(Pace, times=times)
         self.times = times
         self._last_ns: int | None = None
         self._due_s = 0.0

@@ -58,7 +58,7 @@ class Source(Protocol):
         """Let the source forget the next `n_frames` that it returned; None: all so far."""
         ...
 
-    def publish(self, kind: Kind, suspension: str, payload: bytes) -> None:
+    def publish(self, kind: Kind, suspension: str, message: bytes) -> None:
         """Publish a result, a JSON object, of one suspension; never wait for a network."""
         ...
 
@@ -67,17 +67,17 @@ class Source(Protocol):
         ...
 
 
-def plain_json(payload: bytes) -> dict[str, Any]:
+def plain_json(message: bytes) -> dict[str, Any]:
     """Return a JSON object's content, null for NaN and infinity; ValueError if it is not one."""
-    found = json.loads(payload, parse_constant=lambda _: None)
+    found = json.loads(message, parse_constant=lambda _: None)
     if not isinstance(found, dict):
-        raise ValueError(f"a result is a JSON object, got {payload[:80]!r}")
+        raise ValueError(f"a result is a JSON object, got {message[:80]!r}")
     return found
 
 
-def print_result(kind: Kind, suspension: str, payload: bytes) -> None:
+def print_result(kind: Kind, suspension: str, message: bytes) -> None:
     """Write a result to standard output, as one line of JSON with kind and suspension first."""
-    row = {"kind": kind, "suspension": suspension, **plain_json(payload)}
+    row = {"kind": kind, "suspension": suspension, **plain_json(message)}
     sys.stdout.write(json.dumps(row) + "\n")
     sys.stdout.flush()
 
@@ -255,9 +255,9 @@ class Pipe:
     def confirm(self, n_frames: int | None = None) -> None:
         """Do nothing: a pipe cannot resend."""
 
-    def publish(self, kind: Kind, suspension: str, payload: bytes) -> None:
+    def publish(self, kind: Kind, suspension: str, message: bytes) -> None:
         """Write a line of JSON to standard output."""
-        print_result(kind, suspension, payload)
+        print_result(kind, suspension, message)
 
     def close(self) -> None:
         """Stop reading."""

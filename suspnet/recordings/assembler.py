@@ -57,6 +57,13 @@ class OrderSettings:
         check_settings(self)
 
 
+def check_frame_rate(frame: Frame, rate_hz: float, tolerance: float = RATE_TOLERANCE) -> None:
+    """Raise FrameError if a frame has another rate than its sensor."""
+    if abs(frame.rate_hz - rate_hz) > tolerance * rate_hz:
+        words = f"{frame.sensor!r} has {rate_hz:g} Hz, its frame {frame.rate_hz:g} Hz"
+        raise FrameError("rate", words)
+
+
 class Assembler:
     """Turns one sensor's frames into evenly spaced samples.
 
@@ -101,10 +108,7 @@ class Assembler:
         FrameError
             If the frame has another rate.
         """
-        if abs(frame.rate_hz - self.rate_hz) > RATE_TOLERANCE * self.rate_hz:
-            raise FrameError(
-                "rate", f"{frame.sensor!r} has {self.rate_hz:g} Hz, its frame {frame.rate_hz:g} Hz"
-            )
+        check_frame_rate(frame, self.rate_hz)
         given: list[FloatArray] = []
         if frame.sequence in self._held:
             self.counts["duplicate"] += 1

@@ -8,13 +8,15 @@ from __future__ import annotations
 
 import math
 import reprlib
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, fields
 from datetime import datetime
 from functools import partial
 from pathlib import Path
 from typing import Any
 
+from suspnet.ground.storage import NotPlainError
 from suspnet.recordings.dates import date_problem, time_zone
 
 POSITIVE = math.ulp(0.0)
@@ -40,6 +42,17 @@ class TripError(ValueError):
         if more < 1:
             return super().__str__()
         return f"{self.args[0]} (and {more} more: suspnet-check shows all)"
+
+
+@contextmanager
+def opening(path: Path) -> Iterator[None]:
+    """Turn the errors of opening a file that is missing, locked or not plain into TripError."""
+    try:
+        yield
+    except OSError as error:
+        raise TripError(f"{path}: cannot be read ({error.strerror})") from error
+    except NotPlainError as error:
+        raise TripError(str(error)) from error
 
 
 def all_of(parts: Iterable[Callable[[], Any]], problems: Iterable[str] = ()) -> list[Any]:

@@ -15,7 +15,7 @@ from typing import Any, BinaryIO, NoReturn
 import numpy as np
 
 from suspnet.ground.types import FloatArray
-from suspnet.recordings.columns import Block, Column, OpenFile, Take, needed, slices
+from suspnet.recordings.columns import Block, Column, OpenFile, Take, call, needed, slices
 from suspnet.recordings.manifest import CsvDialect
 from suspnet.recordings.manifest_keys import TripError
 
@@ -133,7 +133,11 @@ def _take(path: Path, file: Any, name: str, group: int, index: int) -> Take:
             return numbers * (channel.sampling_rate or 1)
         if file.version >= "4" and channel.channel_type in VIRTUAL:
             return convert(numbers)
-        values, invalid = _raw(file, group, index, part)
+        at = {"record_offset": part.start, "record_count": part.stop - part.start}
+        # raw values, and the mask of invalid ones
+        values, invalid = call(
+            file.get, group=group, index=index, samples_only=True, raw=True, **at
+        )
         if values.dtype.kind not in "iufb" or values.ndim != 1:
             raise TripError(f"{path}: column {name!r} holds {values.dtype}, not numbers")
         values = convert(values)
@@ -142,20 +146,6 @@ def _take(path: Path, file: Any, name: str, group: int, index: int) -> Take:
         return values
 
     return take
-
-
-def _raw(file: Any, group: int, index: int, part: slice) -> tuple[Any, Any]:
-    """Return raw values of a channel and the mask of invalid ones; ValueError if damaged."""
-    at = {"record_offset": part.start, "record_count": part.stop - part.start}
-    try:
-        found: tuple[Any, Any] = file.get(
-            group=group, index=index, samples_only=True, raw=True, **at
-        )
-    except MemoryError:
-        raise
-    except Exception as error:
-        raise ValueError(f"{type(error).__name__}: {error}") from error
-    return found
 
 
 def _conversion(

@@ -32,7 +32,7 @@ import numpy as np
 
 from suspnet.ground.settings import check_number
 from suspnet.ground.types import FloatArray
-from suspnet.recordings.assembler import Assembler, OrderSettings
+from suspnet.recordings.assembler import Assembler, OrderSettings, check_frame_rate
 from suspnet.recordings.cleaning import Cleaner, CleaningSettings
 from suspnet.recordings.clocks import SECOND_NS
 from suspnet.recordings.columns import size_of
@@ -47,7 +47,7 @@ from suspnet.recordings.manifest import (
 from suspnet.recordings.manifest_keys import TripError
 from suspnet.recordings.recording import HIGHEST_HZ, Recording, followed, joined
 from suspnet.recordings.sensor import Sensor
-from suspnet.recordings.sources import RATE_TOLERANCE, TIMES_TOLERANCE
+from suspnet.recordings.sources import TIMES_TOLERANCE
 from suspnet.recordings.speed import HIGHEST_RATE_HZ, SpeedTrack, speed_track
 
 UNITS = {"acceleration": "m/s2", "speed": "m/s"}
@@ -196,16 +196,12 @@ class Running:
         if name not in self._orders:
             rate_hz = source.rate_hz
             if rate_hz is None or source.time is not None:
-                words = self._rate_problem(name, frame.rate_hz)
-                if rate_hz is not None and abs(frame.rate_hz / rate_hz - 1) > TIMES_TOLERANCE:
-                    words = f"{name!r} has {rate_hz:g} Hz, its frame {frame.rate_hz:g} Hz"
-                if words:
+                if rate_hz is not None:
+                    check_frame_rate(frame, rate_hz, TIMES_TOLERANCE)
+                if words := self._rate_problem(name, frame.rate_hz):
                     raise FrameError("rate", words)
                 rate_hz = frame.rate_hz
-            elif abs(frame.rate_hz - rate_hz) > RATE_TOLERANCE * rate_hz:
-                raise FrameError(
-                    "rate", f"{name!r} has {rate_hz:g} Hz, its frame {frame.rate_hz:g} Hz"
-                )
+            check_frame_rate(frame, rate_hz)
             self._begin(name, rate_hz)
         return self._orders[name]
 
