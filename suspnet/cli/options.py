@@ -21,7 +21,6 @@ that run do.
 
 The output folder gets check.html, check.json and a picture of each trip that could be read: its
 channels and speed, their spectra, and the coherence. Trips are not changed."""
-
 CHECK_EPILOG = """\
 exit code: 0 if every trip could be read, 1 if there is any problem.
 
@@ -33,14 +32,12 @@ Write a manifest of one trip from its data files: their columns, with the rates 
 files say. Which column is which channel is guessed from names (axle box, bogie frame, body, left,
 right, speed; in English or German) and marked as a guess; where names are ambiguous, the
 columns are listed as comments to choose from. Unknown values are marked FILL_IN."""
-
 INIT_EPILOG = """\
   suspnet-init trip_7/*.csv -o trip_7.yaml      then fill in what is marked, and
   suspnet-check trip_7.yaml"""
 HISTORY_DESCRIPTION = """\
 The history of a fleet, as written by evaluate.py trips=DIR store=STORE: list it, add maintenance,
 show and acknowledge alarms, export all of it as tables."""
-
 HISTORY_EPILOG = """\
   suspnet-history fleet.db list
   suspnet-history fleet.db event --vehicle am96 --suspension "car 7, left" --at-km 120000 \\

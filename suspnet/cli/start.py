@@ -32,8 +32,6 @@ PROGRAMS = (
 train, evaluate, simulate, check, init, history, monitor, replay, serve = (
     functools.partial(start, name) for name in PROGRAMS
 )
-
-
 VERBS = {signal.SIGINT: "interrupted", signal.SIGTERM: "terminated"}
 """Verb of the line that a program prints when a signal ends it."""
 SIGNALS = tuple(VERBS)

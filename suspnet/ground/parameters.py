@@ -120,20 +120,14 @@ SPRING = Limits(
     "cracked coil, a wrong pressure of an air spring); 20 % less or a quarter more is what a "
     "broken coil or an emergency spring gives",
 )
-
-
 DAMPER = Limits(
     notice=(0.8, 1.25),
     act=(0.7, 1.4),
     why="assumed: a damper wears and is made to wider tolerances than a spring; below 70 % it no "
     "longer does its work",
 )
-
-
 DEFAULT_LIMITS = {"k_p": SPRING, "c_p": DAMPER, "k_s": SPRING, "c_s": DAMPER}
 """Limits of a vehicle whose file gives none. The car-body mass is payload and has none."""
-
-
 TIGHTEST = Limits((np.nextafter(1.0, 0.0), np.nextafter(1.0, 2.0)), (0.0, np.inf))
 """Tightest notice and widest act limits: either one is consistent with any other limit."""
 

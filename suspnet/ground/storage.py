@@ -28,8 +28,6 @@ if TYPE_CHECKING:
 
 DESCRIPTORS = "/proc/self/fd"
 """Folder in which Linux lists the open files of a process."""
-
-
 UNPRINTABLE = re.compile(
     "[\\x00-\\x08\\x0b-\\x1f\\x7f-\\x9f\\u061c\\u200e\\u200f\\u2028-\\u202e\\u2066-\\u2069\\ud800-\\udfff]"
 )
@@ -236,7 +234,6 @@ MOST_EXTENTS = 4096
 """Largest number of data extents of a sparse file that are counted."""
 FREE_BYTES, DENSITY = 2**28, 100
 """A file read at once may have 256 MiB, and beyond that 100 bytes for each stored byte."""
-
 _KINDS = (
     (stat.S_ISDIR, "a folder"),
     (stat.S_ISFIFO, "a named pipe"),

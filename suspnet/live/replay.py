@@ -43,8 +43,6 @@ PAUSE_S = 3600
 manifests nor files give dates, [s]."""
 LONGEST_WAIT_S = 60.0
 """Longest gap between frames that a paced replay waits for, in recorded time, [s]."""
-
-
 MILEAGE, TEMPERATURE = ("mileage", "km"), ("temperature", "degC")
 """Sensor and unit of the frames of one sample at the start of a trip."""
 SLOW_HZ = 1.0

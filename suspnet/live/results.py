@@ -27,7 +27,6 @@ LEAST_KM = 0.5
 parked all night leaves no trips."""
 WAIT_S = 5.0
 """Time until an unavailable store is tried again, [s]."""
-
 Publish = Callable[[Kind, str, bytes], None]
 
 

@@ -22,10 +22,8 @@ from suspnet.recordings.sources import RATE_TOLERANCE
 
 MOST_HELD = 2 * MOST_SAMPLES
 """Number of samples above which frames are released, whatever the window: 1 MiB."""
-
 MOST_LOSSES = 64
 """Number of recent sequence gaps that are stored: a frame of them is late, not a duplicate."""
-
 MOST_DRIFT = 2e-4
 """Largest relative error of a logger's rate: 200 ppm, several times that of quartz. Times may drift
 by this much from the stated rate without a gap."""

@@ -22,7 +22,6 @@ from suspnet.recordings.manifest_keys import TripError
 SECOND_NS = 10**9
 DATED_S = (3.15e8, 4.1e9)
 """Range of a first time [s] that is taken as seconds since 1970: the years 1979 to 2099."""
-
 SAME_NS = 1000
 """Largest difference [ns] between starts stated by files that count as the same."""
 

@@ -19,15 +19,11 @@ from suspnet.recordings.manifest_keys import TripError
 
 BLOCK = 2**18
 """Largest number of samples of a column in one block."""
-
 LISTED = 20
 """Largest number of columns that an error message lists."""
-
 Block = tuple[NDArray[Any], ...]
 """One array (n_samples,) for each column: float64, or datetime64[ns] for time stamps."""
-
 Take = Callable[[slice], Any]
-
 SHARED_BYTES = 8 * 8 * BLOCK
 """Size of the memory shared by a reader process and its client [bytes]: blocks of eight columns."""
 
@@ -172,7 +168,6 @@ bytes: 3.7 hours at 5 kHz, 18 hours at 1 kHz."""
 SAMPLES_PER_BYTE = 8
 """Number of further samples per stored byte. Compressed noise takes a byte or more per sample, so
 seven eighths of a long recording may be zeros that take no space."""
-
 FREE_MEMORY, MEMORY_PER_BYTE = 5 * 2**28, 16
 """Memory that the reader of a file may use: 1.25 GiB, plus 16 bytes per stored byte.
 
@@ -209,7 +204,6 @@ def step_s(stored: int) -> float:
 
 
 GRAVITY = ACCELERATION_UNITS["g"]
-
 _SPELLINGS = {
     "acceleration": {
         1.0: ("m/s2", "m/s^2", "m/s**2", "m/s/s", "ms-2", "ms^-2", "m*s^-2", "m*s-2", "m.s-2"),

@@ -25,8 +25,6 @@ BLOCK_BYTES = 2**19
 """Number of bytes that are parsed at once; Arrow reads 32 of these blocks ahead."""
 LONGEST_LINE = 2**20
 """Largest number of bytes of a line whose delimiter is blanks; Arrow limits other lines."""
-
-
 PARQUET_ROWS, PARQUET_BUFFER_BYTES = 2**17, 2**20
 """Number of rows in a batch, and bytes in the read buffer, of a Parquet file."""
 

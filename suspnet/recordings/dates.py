@@ -11,7 +11,6 @@ EARLIEST_YEAR = 1990
 """Earliest plausible year: digital loggers are younger, and unset clocks start in 1970 or 1980."""
 AHEAD = timedelta(days=2)
 """Largest plausible time ahead of this computer's clock: time zones differ by a day."""
-
 LONGEST_LINE = 200
 """Number of characters above which a line is not searched for a date."""
 _NAMED = re.compile(

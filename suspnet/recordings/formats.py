@@ -129,7 +129,6 @@ class Format:
 
 
 CSV_SUFFIXES = (".csv", ".txt", ".tsv", ".asc")
-
 FORMATS = (
     Format((".parquet",), open_parquet, "pandas"),  # Arrow imports it for its first array
     # not confined: text declares no sizes, and no damaged file has crashed the reader
@@ -143,7 +142,6 @@ FORMATS = (
 )
 READERS: dict[str, Reader] = {suffix: one.reader for one in FORMATS for suffix in one.suffixes}
 """Readers by suffix."""
-
 _DAMAGE = (
     pa.ArrowException,
     MatReadError,

@@ -31,7 +31,6 @@ from suspnet.recordings.manifest_keys import TripError
 
 _WAV = Lock()
 """Lock for warning filters, which are global to the process, while sensors are read in threads."""
-
 BEXT_DATE = slice(320, 338)
 """Bytes of the chunk `bext` that hold date and time of day, yyyy-mm-dd and hh:mm:ss."""
 TIME_RESPONSE = 1

@@ -37,34 +37,24 @@ from suspnet.recordings.manifest_keys import (
 )
 
 FORMAT = "suspnet-trip-1"
-
 CHANNELS = ("axle_box", "bogie", "body")
 """The three vertical accelerometers, in the order of every array of signals."""
-
 ACCELERATION_UNITS = {"m/s2": 1.0, "g": 9.80665}
 """Size of each unit in m/s2."""
-
 SPEED_UNITS = {"m/s": 1.0, "km/h": 1 / 3.6}
 """Size of each unit in m/s."""
-
 TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 """Size of each unit in s."""
-
 DELIMITERS = {",": ",", ";": ";", "tab": "\t", "space": " ", "|": "|"}
 """Delimiters of CSV files by their names in manifests; "space" means any number of blanks."""
-
 BOGIES = ("leading", "trailing")
 """Bogies of a vehicle, in the direction of travel."""
-
 SIDES = ("left", "right")
 """Sides of a vehicle, in the direction of travel."""
-
 MIDDLE = "middle"
 """Side of a single sensor midway between left and right, or of the mean of both."""
-
 TEMPERATURES_C = (-60.0, 60.0)
 """Lowest and highest plausible outside temperature, [°C]."""
-
 _CONSTANT_SPEED = re.compile(r"([1-9]\d{0,2}(?:\.\d+)?) *(m/s|km/h)")
 """Pattern of a constant speed with its unit, such as 252 km/h."""
 

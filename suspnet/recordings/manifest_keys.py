@@ -21,7 +21,6 @@ from suspnet.recordings.dates import date_problem, time_zone
 
 POSITIVE = math.ulp(0.0)
 """Smallest number above 0."""
-
 LARGEST = 1e300
 """Largest magnitude of a number in a manifest."""
 

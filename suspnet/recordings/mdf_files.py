@@ -20,7 +20,6 @@ from suspnet.recordings.manifest import CsvDialect
 from suspnet.recordings.manifest_keys import TripError
 
 EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
-
 IDENTITY, LINEAR, RATIONAL, INTERPOLATED, TABLE, RANGES = range(6)
 KINDS = {
     "4": {0: IDENTITY, 1: LINEAR, 2: RATIONAL, 4: INTERPOLATED, 5: TABLE, 6: RANGES},

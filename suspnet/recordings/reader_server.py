@@ -157,7 +157,6 @@ else:
 
 MOST_DESCRIPTORS = 64
 """Largest number of files that a reader may have open."""
-
 _READ_FILE, _READ_DIR = 1 << 2, 1 << 3
 _FS_RIGHTS = {1: 13, 2: 14, 3: 15, 5: 16}
 """Number of file access rights, by the version of Landlock that introduced them."""

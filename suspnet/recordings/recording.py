@@ -29,10 +29,8 @@ from suspnet.recordings.speed import SpeedTrack, read_speed, speed_at
 
 MOST_AT_ONCE = 2
 """Number of sensors that are read in parallel, which bounds the memory."""
-
 SHORTEST_S = 60.0
 """Shortest length of a recording, [s]."""
-
 HIGHEST_HZ = 1e6
 """Highest rate of a sensor [Hz]; the length of the decimation filter grows with the rate."""
 

@@ -19,7 +19,6 @@ from suspnet.recordings.manifest_keys import TripError
 
 RATE_TOLERANCE = 1e-4
 """Largest relative difference between a stated rate and that in the header of a file."""
-
 WHOLE_HZ = 0.5
 """Largest difference from a rate that the format stores as a whole number, [Hz]."""
 
@@ -197,10 +196,8 @@ def zero_of(manifest: TripManifest, source: Source, where: str, kind: str = "acc
 
 GAP_STEPS = 1.5
 """Multiple of the usual time step above which a step is a gap."""
-
 LONGEST_GAP_S = 1800.0
 """Longest gap within a trip, [s]; time stamps with a longer one are refused."""
-
 TIMES_TOLERANCE = 0.01
 """Largest relative difference between the rate by time stamps and that in the manifest."""
 

@@ -47,11 +47,8 @@ from suspnet.trips.commissionings import models_at, models_of
 from suspnet.trips.trip import evaluate_recording
 
 log = logging.getLogger(__name__)
-
 UNKNOWN_BAND_HZ = (0.5, 20.0)
 """Band used for an unknown vehicle, that of most railway vehicles, [Hz]."""
-
-
 Opened = dict[tuple[Path, str | None, str | None], tuple[str, ...]]
 """Why columns of a file cannot be opened, by file, times and column; empty if they can."""
 
