@@ -25,16 +25,10 @@ from suspnet.recordings.clocks import SECOND_NS, Zero, offsets_s
 from suspnet.recordings.dates import time_zone
 from suspnet.recordings.faults import find_gaps, runs
 from suspnet.recordings.frames import MOST_SAMPLES, Frame, end_ns
-from suspnet.recordings.manifest import (
-    ACCELERATION_UNITS,
-    SPEED_UNITS,
-    Source,
-    SpeedSource,
-    TripManifest,
-)
+from suspnet.recordings.manifest import UNITS, TripManifest
 from suspnet.recordings.manifest_files import ManifestFile
 from suspnet.recordings.manifest_keys import TripError
-from suspnet.recordings.sources import OpenSource, open_source, zero_of
+from suspnet.recordings.sources import open_source, zero_of
 from suspnet.trips.grouping import find_groups
 
 log = logging.getLogger(__name__)
@@ -47,8 +41,6 @@ MILEAGE, TEMPERATURE = ("mileage", "km"), ("temperature", "degC")
 """Sensor and unit of the frames of one sample at the start of a trip."""
 SLOW_HZ = 1.0
 """Nominal rate of the frames of one sample."""
-UNITS = {"acceleration": ("m/s2", ACCELERATION_UNITS), "speed": ("m/s", SPEED_UNITS)}
-"""Unit of frames if the manifest does not set it, and the known units, by kind of signal."""
 
 
 @dataclass
@@ -193,16 +185,6 @@ def _parsed(text: str, zone: tzinfo) -> int:
         ) from None
 
 
-def _sources(manifest: TripManifest) -> dict[str, tuple[str, Source]]:
-    """Return kind and source of each sensor, and of the speed if it is recorded."""
-    found: dict[str, tuple[str, Source]] = {
-        name: ("acceleration", one) for name, one in manifest.sensors().items()
-    }
-    if isinstance(manifest.speed, SpeedSource):
-        found["speed"] = "speed", manifest.speed
-    return found
-
-
 def trip_clock(
     manifest: TripManifest, zone: tzinfo = UTC
 ) -> tuple[int | None, Mapping[str, float]]:
@@ -212,10 +194,7 @@ def trip_clock(
     added to a sensor's own times. TripError is raised if a file cannot be read, or clocks cannot be
     aligned.
     """
-    zeros = {
-        name: zero_of(manifest, source, _source_name(manifest, name), kind)
-        for name, (kind, source) in _sources(manifest).items()
-    }
+    zeros = {name: zero_of(manifest, name) for name in manifest.sources()}
     offsets = offsets_s(manifest, zeros)
     dated = {name: zero.ns for name, zero in zeros.items() if zero.ns is not None}
     for name, ns in dated.items():
@@ -248,7 +227,7 @@ def trip_frames(
     suspension = str(manifest.place)
     streams = [
         _sensor_frames(manifest, name, zero_ns + round(offsets[name] * SECOND_NS), numbers, frame_s)
-        for name in _sources(manifest)
+        for name in manifest.sources()
     ]
     merged = heapq.merge(*streams, key=end_ns)
     for first in merged:
@@ -266,10 +245,11 @@ def _sensor_frames(
     manifest: TripManifest, name: str, zero_ns: int, numbers: Counter[str], frame_s: float
 ) -> Iterator[Frame]:
     """Yield the frames of one sensor, whose times count from `zero_ns`."""
-    kind, source = _sources(manifest)[name]
-    where, suspension = _source_name(manifest, name), str(manifest.place)
-    with open_source(manifest, source, where, kind) as opened:
-        unit, factor = _unit(kind, source, opened)
+    source, suspension = manifest.sources()[name], str(manifest.place)
+    with open_source(manifest, source, manifest.where(name)) as opened:
+        # the manifest's unit, and the factor from the file's numbers to it
+        unit = source.unit or next(iter(UNITS[source.kind]))
+        factor = abs(opened.size) / source.si_size
         blocks = opened.even()
         first_block = next(blocks)
         rate_hz = opened.known_rate_hz
@@ -300,13 +280,6 @@ def _recut(blocks: Iterable[FloatArray], size: int) -> Iterator[tuple[int, Float
         yield at, rest
 
 
-def _unit(kind: str, source: Source, opened: OpenSource) -> tuple[str, float]:
-    """Return the unit of a source's frames, and the factor from the file's numbers to it."""
-    usual, sizes = UNITS[kind]
-    unit = source.unit or usual
-    return unit, abs(opened.size) / sizes[unit]
-
-
 def _shortest(samples: FloatArray) -> FloatArray:
     """Return samples in single precision if that changes none of them."""
     with np.errstate(over="ignore"):
@@ -328,8 +301,3 @@ def _ahead_ns(local_ns: int, zero: Zero, zone: tzinfo) -> int:
     offset = naive.replace(tzinfo=zone).utcoffset()
     assert offset is not None  # every zone has an offset
     return round(offset.total_seconds()) * SECOND_NS
-
-
-def _source_name(manifest: TripManifest, name: str) -> str:
-    named = "`speed`" if name == "speed" else f"channel {name!r}"
-    return f"{manifest.path}: {named}"

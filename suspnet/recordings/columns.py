@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from suspnet.ground.storage import open_plain, stored_bytes
-from suspnet.recordings.manifest import ACCELERATION_UNITS, SPEED_UNITS, TIME_UNITS, CsvDialect
-from suspnet.recordings.manifest_keys import TripError
+from suspnet.recordings.manifest import ACCELERATION_UNITS, SPEED_UNITS, UNITS
+from suspnet.recordings.manifest_keys import CsvDialect, TripError
 
 BLOCK = 2**18
 """Largest number of samples of a column in one block."""
@@ -229,11 +229,6 @@ _SIZES = {
     kind: {spelling: size for size, names in sizes.items() for spelling in names}
     for kind, sizes in _SPELLINGS.items()
 }
-_STATED: Mapping[str, Mapping[str, float]] = {
-    "acceleration": ACCELERATION_UNITS,
-    "speed": SPEED_UNITS,
-    "time": TIME_UNITS,
-}
 
 
 def size_of(kind: str, text: str | None) -> float | None:
@@ -264,7 +259,7 @@ def agreed_size(where: str, kind: str, stated: str | None, written: str | None) 
     Raises TripError if they contradict each other, or neither gives a known unit.
     """
     found = size_of(kind, written)
-    known = _STATED[kind]
+    known = UNITS[kind]
     if stated is None:
         if found is None:
             says = f"says {written!r}, which is not known" if written else "does not say it"

@@ -26,8 +26,7 @@ from suspnet.recordings.columns import (
 )
 from suspnet.recordings.csv_files import open_csv, open_parquet
 from suspnet.recordings.logger_files import open_tdms, open_uff, open_wav
-from suspnet.recordings.manifest import CsvDialect
-from suspnet.recordings.manifest_keys import TripError, opening
+from suspnet.recordings.manifest_keys import CsvDialect, TripError, opening
 from suspnet.recordings.mdf_files import open_mdf
 from suspnet.recordings.reader_process import in_own_process
 

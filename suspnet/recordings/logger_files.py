@@ -26,8 +26,7 @@ from suspnet.recordings.columns import (
     needed,
     slices,
 )
-from suspnet.recordings.manifest import CsvDialect
-from suspnet.recordings.manifest_keys import TripError
+from suspnet.recordings.manifest_keys import CsvDialect, TripError
 
 _WAV = Lock()
 """Lock for warning filters, which are global to the process, while sensors are read in threads."""

@@ -1,4 +1,4 @@
-"""Description and check of the keys of a manifest, each defined once, at its dataclass field.
+"""Keys of a manifest and their checks, each defined once, at its dataclass field; CSV dialects.
 
 A key is the metadata of a field (see `manifest`): its check, type, unit, default and meaning.
 Parsing, messages, writing and the tables of docs/recordings.md are derived from it.
@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, fields
 from datetime import datetime
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from suspnet.ground.storage import NotPlainError
 from suspnet.recordings.dates import date_problem, time_zone
@@ -23,6 +23,9 @@ POSITIVE = math.ulp(0.0)
 """Smallest number above 0."""
 LARGEST = 1e300
 """Largest magnitude of a number in a manifest."""
+
+
+Kind = TypeVar("Kind")
 
 
 class TripError(ValueError):
@@ -148,6 +151,11 @@ def key(*arguments: Any, **named: Any) -> dict[str, Key]:
     return {"key": Key(*arguments, **named)}
 
 
+def required(*arguments: Any, **named: Any) -> Any:
+    """Return a dataclass field for a required key; arguments as for `Key`."""
+    return field(metadata=key(*arguments, **named))
+
+
 def optional(*arguments: Any, **named: Any) -> Any:
     """Return a dataclass field for an optional key, None by default; arguments as for `Key`."""
     return field(default=None, metadata=key(*arguments, **named))
@@ -202,6 +210,11 @@ def number(
 positive = number("a number > 0", POSITIVE)
 
 
+def mapping_of(kind: type[Kind]) -> Callable[[Value], Kind]:
+    """Return a check for a mapping from which a dataclass is read."""
+    return lambda value: kind(**value.read(keys_of(kind)))
+
+
 def sign(value: Value) -> int:
     """Return 1 or -1."""
     found = number("1 or -1")(value)
@@ -252,3 +265,40 @@ def encoding(value: Value) -> str:
     except (LookupError, ValueError) as error:
         raise value.refuse("one like utf-8, utf-16 or latin-1") from error
     return name
+
+
+DELIMITERS = {",": ",", ";": ";", "tab": "\t", "space": " ", "|": "|"}
+"""Delimiters of CSV files by their names in manifests; "space" means any number of blanks."""
+
+
+def _delimiter(value: Value) -> str:
+    signs = DELIMITERS | {one: one for one in DELIMITERS.values()}
+    return signs[one_of(list(signs))(value)]
+
+
+@dataclass(frozen=True)
+class CsvDialect:
+    """How a CSV file is written; None is detected."""
+
+    delimiter: str | None = optional(
+        _delimiter,
+        "`,` `;` `tab` `space`, or the vertical bar in quotes",
+        "`space` is any number of blanks",
+        default="detected",
+    )
+    decimal: str | None = optional(
+        one_of([".", ","]), "`.` or `,`", "decimal sign", default="detected"
+    )
+    header_line: int | None = optional(
+        header_line,
+        "whole number",
+        "line with the names of the columns, counted from 1; 0 if there are none, so that columns "
+        "are `column_1` and so on",
+        default="detected",
+    )
+    encoding: str | None = optional(
+        encoding,
+        "text",
+        "as Python names it: `utf-8`, `utf-16`, `latin-1`",
+        default="detected",
+    )

@@ -16,8 +16,7 @@ import numpy as np
 
 from suspnet.ground.types import FloatArray
 from suspnet.recordings.columns import Block, Column, OpenFile, Take, call, needed, slices
-from suspnet.recordings.manifest import CsvDialect
-from suspnet.recordings.manifest_keys import TripError
+from suspnet.recordings.manifest_keys import CsvDialect, TripError
 
 EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 IDENTITY, LINEAR, RATIONAL, INTERPOLATED, TABLE, RANGES = range(6)

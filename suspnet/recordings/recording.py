@@ -184,7 +184,7 @@ def _clocks(
     track, *found = all_of(
         [
             partial(read_speed, manifest),
-            *(partial(zero_of, manifest, one, _where(manifest, n)) for n, one in sensors.items()),
+            *(partial(zero_of, manifest, name) for name in sensors),
         ]
     )
     zeros = dict(zip(sensors, found, strict=True))
@@ -210,10 +210,6 @@ def _combined(
     return paired, np.stack(signals), np.array(differences).reshape(len(differences), n)
 
 
-def _where(manifest: TripManifest, name: str) -> str:
-    return f"{manifest.path}: channel {name!r}"
-
-
 def _read_sensor(
     manifest: TripManifest,
     name: str,
@@ -221,8 +217,8 @@ def _read_sensor(
     wanted_hz: float,
     cleaning: CleaningSettings | None,
 ) -> SensorSignal:
-    where, channel = _where(manifest, name), manifest.sensors()[name]
-    with open_source(manifest, channel, where, "acceleration") as source:
+    where, channel = manifest.where(name), manifest.sensors()[name]
+    with open_source(manifest, channel, where) as source:
         blocks = source.even()
         first_block = next(blocks)  # read first: time stamps then give the approximate rate
         rate_hz = source.known_rate_hz

@@ -69,8 +69,8 @@ def read_speed(manifest: TripManifest) -> SpeedTrack | None:
                 f"km/h? Then write: speed: {source:g} km/h"
             )
         return None
-    where = f"{manifest.path}: `speed`"
-    with open_source(manifest, source, where, "speed") as file:
+    where = manifest.where("speed")
+    with open_source(manifest, source, where) as file:
         parts = list(_thinned(_timed(file, where)))
         seconds, speeds = (np.concatenate(part) for part in zip(*parts, strict=True))
         found = speed_track(seconds, file.size * speeds, source.start_s, file.rate_hz)

@@ -64,8 +64,7 @@ class FinishedTrips:
         TripError is raised if the manifest is faulty, OSError if one of its files has disappeared.
         """
         manifest = file.trip
-        sources = [*manifest.sensors().values(), manifest.speed]
-        data = {manifest.file_of(s) for s in sources if not isinstance(s, float)}
+        data = {manifest.file_of(source) for source in manifest.sources().values()}
         states = {str(one): one.stat() for one in data}
         return self._common | {
             "manifest": [str(manifest.path), file.data.hex()],
