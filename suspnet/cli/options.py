@@ -50,14 +50,15 @@ HISTORY_EPILOG = """\
 STORE is a file, or postgresql://user:password@host/database."""
 
 
+def _parser(name: str, description: str, epilog: str) -> ArgumentParser:
+    return ArgumentParser(
+        name, description=description, epilog=epilog, formatter_class=RawDescriptionHelpFormatter
+    )
+
+
 def check_parser() -> ArgumentParser:
     """Return the options of suspnet-check."""
-    found = ArgumentParser(
-        "suspnet-check",
-        description=CHECK_DESCRIPTION,
-        epilog=CHECK_EPILOG,
-        formatter_class=RawDescriptionHelpFormatter,
-    )
+    found = _parser("suspnet-check", CHECK_DESCRIPTION, CHECK_EPILOG)
     found.add_argument(
         "trips",
         nargs="+",
@@ -107,12 +108,7 @@ def init_parser() -> ArgumentParser:
     """Return the options of suspnet-init."""
     from suspnet.recordings.formats import READERS  # with pyarrow
 
-    found = ArgumentParser(
-        "suspnet-init",
-        description=INIT_DESCRIPTION,
-        epilog=INIT_EPILOG,
-        formatter_class=RawDescriptionHelpFormatter,
-    )
+    found = _parser("suspnet-init", INIT_DESCRIPTION, INIT_EPILOG)
     found.add_argument(
         "files",
         nargs="+",
@@ -136,12 +132,7 @@ def init_parser() -> ArgumentParser:
 
 def history_parser() -> ArgumentParser:
     """Return the options of suspnet-history."""
-    found = ArgumentParser(
-        "suspnet-history",
-        description=HISTORY_DESCRIPTION,
-        epilog=HISTORY_EPILOG,
-        formatter_class=RawDescriptionHelpFormatter,
-    )
+    found = _parser("suspnet-history", HISTORY_DESCRIPTION, HISTORY_EPILOG)
     found.add_argument("store", metavar="STORE", help="the store [path or URL]")
     does = found.add_subparsers(
         dest="does", required=True, metavar="list | event | alarms | acknowledge | export"

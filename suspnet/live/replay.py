@@ -12,7 +12,7 @@ import time
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from datetime import UTC, datetime, timedelta, tzinfo
+from datetime import UTC, datetime, tzinfo
 from itertools import chain
 from pathlib import Path
 from typing import Any, ClassVar
@@ -21,8 +21,8 @@ import numpy as np
 
 from suspnet.ground.settings import Setting, check_settings, check_values, setting
 from suspnet.ground.types import FloatArray
-from suspnet.recordings.clocks import SECOND_NS, Zero, offsets_s
-from suspnet.recordings.dates import time_zone
+from suspnet.recordings.clocks import offsets_s
+from suspnet.recordings.dates import SECOND_NS, ahead_ns, nanoseconds, time_zone
 from suspnet.recordings.faults import find_gaps, runs
 from suspnet.recordings.frames import MOST_SAMPLES, Frame, end_ns
 from suspnet.recordings.manifest import UNITS, TripManifest
@@ -169,7 +169,7 @@ class Pace:
 def _in_order(trips: Sequence[TripManifest], zone: tzinfo) -> list[TripManifest]:
     """Return trips by start if all of them have one, else by mileage."""
     starts = [trip.start for trip in trips]
-    known = [_nanoseconds(start, zone) for start in starts if start is not None]
+    known = [nanoseconds(start, zone) for start in starts if start is not None]
     if len(known) == len(trips):
         order = sorted(range(len(trips)), key=lambda k: known[k])
         return [trips[k] for k in order]
@@ -178,7 +178,7 @@ def _in_order(trips: Sequence[TripManifest], zone: tzinfo) -> list[TripManifest]
 
 def _parsed(text: str, zone: tzinfo) -> int:
     try:
-        return _nanoseconds(datetime.fromisoformat(text), zone)
+        return nanoseconds(datetime.fromisoformat(text), zone)
     except (TypeError, ValueError):
         raise ValueError(
             f"`start` must be a date and time like 2026-03-01T06:00:00Z, got {text!r}"
@@ -199,14 +199,8 @@ def trip_clock(
     dated = {name: zero.ns for name, zero in zeros.items() if zero.ns is not None}
     for name, ns in dated.items():
         zero_ns = ns - round(offsets[name] * SECOND_NS)
-        return zero_ns - _ahead_ns(zero_ns, zeros[name], zone), offsets
-    return None if manifest.start is None else _nanoseconds(manifest.start, zone), offsets
-
-
-def _nanoseconds(moment: datetime, zone: tzinfo) -> int:
-    """Return a date and time, in `zone` if it has none, in nanoseconds since 1970 in UTC."""
-    aware = moment if moment.tzinfo is not None else moment.replace(tzinfo=zone)
-    return (aware - datetime(1970, 1, 1, tzinfo=UTC)) // timedelta(microseconds=1) * 1000
+        return zero_ns - (0 if zeros[name].is_zoned else ahead_ns(zero_ns, zone)), offsets
+    return None if manifest.start is None else nanoseconds(manifest.start, zone), offsets
 
 
 def trip_frames(
@@ -291,13 +285,3 @@ def _next(numbers: Counter[str], name: str) -> int:
     """Return the number of a sensor's next frame, and count it."""
     numbers[name] += 1
     return numbers[name] - 1
-
-
-def _ahead_ns(local_ns: int, zero: Zero, zone: tzinfo) -> int:
-    """Return how far a clock is ahead of UTC, [ns]: 0 if its times have a zone."""
-    if zero.is_zoned:
-        return 0
-    naive = datetime(1970, 1, 1) + timedelta(seconds=local_ns // SECOND_NS)
-    offset = naive.replace(tzinfo=zone).utcoffset()
-    assert offset is not None  # every zone has an offset
-    return round(offset.total_seconds()) * SECOND_NS

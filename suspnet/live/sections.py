@@ -22,7 +22,7 @@ from suspnet.ground.settings import check_number
 from suspnet.live.operating_conditions import Standing
 from suspnet.recordings.assembler import OrderSettings
 from suspnet.recordings.cleaning import CleaningSettings
-from suspnet.recordings.clocks import SECOND_NS
+from suspnet.recordings.dates import SECOND_NS
 from suspnet.recordings.frames import Frame, FrameError, end_ns
 from suspnet.recordings.manifest import TripManifest
 from suspnet.recordings.running import Running

@@ -15,7 +15,7 @@ from suspnet.ground.settings import Setting, check_values
 from suspnet.ground.storage import write_atomically
 from suspnet.live.broker import KEEPALIVE_S, Broker
 from suspnet.live.drop_folder import TAKEN
-from suspnet.recordings.clocks import SECOND_NS
+from suspnet.recordings.dates import SECOND_NS
 from suspnet.recordings.frames import Frame, encode
 
 if TYPE_CHECKING:

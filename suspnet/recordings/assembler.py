@@ -16,7 +16,7 @@ import numpy as np
 
 from suspnet.ground.settings import check_settings, setting
 from suspnet.ground.types import FloatArray
-from suspnet.recordings.clocks import SECOND_NS
+from suspnet.recordings.dates import SECOND_NS
 from suspnet.recordings.frames import MOST_SAMPLES, Frame, FrameError, decode, encode
 from suspnet.recordings.sources import RATE_TOLERANCE
 

@@ -22,7 +22,7 @@ import numpy as np
 import pyarrow as pa
 
 from suspnet.ground.types import FloatArray
-from suspnet.recordings.clocks import SECOND_NS
+from suspnet.recordings.dates import SECOND_NS
 
 MOST_SAMPLES = 2**16
 """Largest number of samples of a frame: 13 s at 5000 Hz."""

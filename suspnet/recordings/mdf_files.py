@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from datetime import UTC, datetime, timedelta
 from importlib import import_module
 from io import BytesIO
 from logging import CRITICAL, getLogger
@@ -16,9 +15,9 @@ import numpy as np
 
 from suspnet.ground.types import FloatArray
 from suspnet.recordings.columns import Block, Column, OpenFile, Take, call, needed, slices
+from suspnet.recordings.dates import nanoseconds
 from suspnet.recordings.manifest_keys import CsvDialect, TripError
 
-EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 IDENTITY, LINEAR, RATIONAL, INTERPOLATED, TABLE, RANGES = range(6)
 KINDS = {
     "4": {0: IDENTITY, 1: LINEAR, 2: RATIONAL, 4: INTERPOLATED, 5: TABLE, 6: RANGES},
@@ -48,9 +47,8 @@ def open_mdf(path: Path, _: CsvDialect | None = None) -> Iterator[OpenFile]:
     with path.open("rb") as stream, _opened_mdf(asammdf, stream) as file:
         places: dict[str, tuple[int, int]] = {}
         columns: list[Column] = []
-        start = file.start_time
-        start = start if start.tzinfo else start.replace(tzinfo=UTC)
-        start_ns = (start - EPOCH) // timedelta(microseconds=1) * 1000 if start > EPOCH else None
+        known_ns = nanoseconds(file.start_time)
+        start_ns = known_ns if known_ns > 0 else None
         repeated = _repeated(file)  # such names are qualified by their group
         for g, group in enumerate(file.groups):
             master = file.masters_db.get(g)

@@ -34,8 +34,8 @@ from suspnet.ground.settings import check_number
 from suspnet.ground.types import FloatArray
 from suspnet.recordings.assembler import Assembler, OrderSettings, check_frame_rate
 from suspnet.recordings.cleaning import Cleaner, CleaningSettings
-from suspnet.recordings.clocks import SECOND_NS
 from suspnet.recordings.columns import size_of
+from suspnet.recordings.dates import SECOND_NS
 from suspnet.recordings.frames import Frame, FrameError, end_ns
 from suspnet.recordings.manifest import UNITS, SpeedSource, TripManifest
 from suspnet.recordings.manifest_keys import TripError
