@@ -29,7 +29,8 @@ from omegaconf.errors import GrammarParseError, OmegaConfBaseException
 
 from suspnet.cli import folders, reference, start
 from suspnet.cli.config_files import CONFIGS, read_values, store_tables
-from suspnet.cli.trusted import CheckedLoader, check_configuration
+from suspnet.cli.loader import CheckedLoader
+from suspnet.cli.trusted import check_configuration
 from suspnet.ground import progress
 from suspnet.ground.parameters import DEFAULT_LIMITS, read_limits
 from suspnet.ground.settings import Declared, Setting

@@ -7,29 +7,18 @@ builds callbacks, launcher and sweeper and sets up logging before it calls a pro
 
 from __future__ import annotations
 
-import copy
 import functools
 import re
 from importlib import resources
 from pathlib import Path
 from typing import Any
 
-from hydra._internal.config_loader_impl import ConfigLoaderImpl
-from hydra._internal.config_repository import CachingConfigRepository, ConfigRepository
-from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
-from hydra.core.config_search_path import ConfigSearchPath
 from hydra.core.config_store import ConfigStore
-from hydra.core.hydra_config import HydraConfig
-from hydra.core.object_type import ObjectType
-from hydra.core.override_parser.overrides_parser import OverridesParser
-from hydra.core.override_parser.types import Override
-from hydra.plugins.config_source import ConfigResult
-from hydra.types import RunMode
-from omegaconf import DictConfig, ListConfig, OmegaConf, open_dict, read_write
+from omegaconf import DictConfig, ListConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 from omegaconf.grammar_parser import parse
 
-from suspnet.cli.config_files import CONFIGS, check_file, check_typed, walk
+from suspnet.cli.config_files import CONFIGS, walk
 from suspnet.cli.kinds import KINDS, check_kind, new_name
 from suspnet.ground.settings import check_choice
 
@@ -73,98 +62,6 @@ interpolations are taken to be endless. A shipped configuration has fewer than 5
 depth 10."""
 SPECIAL = re.compile(r"_\w*_|\(\)", re.ASCII)
 """Keys that make Hydra or Python's logging call something."""
-
-
-class _CheckedRepository(ConfigRepository):
-    """Hydra's repository of configuration files; a user's files are checked before they are read.
-
-    Aliases or an endless file could otherwise take all memory.
-    """
-
-    def load_config(self, config_path: str) -> ConfigResult | None:
-        """Load a configuration; ValueError if its path or its file is not allowed."""
-        parts = Path(config_path)
-        if parts.is_absolute() or ".." in parts.parts:
-            raise ValueError(
-                f"{config_path!r} leads out of the folder of configurations; name an option of a "
-                "group"
-            )
-        source = self._find_object_source(config_path, ObjectType.CONFIG)
-        if source is not None and source.provider == "command-line" and source.scheme() == "file":
-            file = Path(source.path, source._normalize_file_name(config_path))
-            check_file(file)
-        found: ConfigResult | None = super().load_config(config_path)
-        return found
-
-
-class CheckedLoader(ConfigLoaderImpl):
-    """Hydra's configuration loader, which refuses a configuration that would run foreign code."""
-
-    _typed: frozenset[str] | None = None
-    """Keys of the command line, from the first load; later loads are the jobs of a multirun."""
-
-    def __init__(self, config_search_path: ConfigSearchPath) -> None:
-        super().__init__(config_search_path)
-        self.repository = _CheckedRepository(config_search_path)
-
-    def load_configuration(
-        self,
-        config_name: str | None,
-        overrides: list[str],
-        run_mode: RunMode,
-        from_shell: bool = True,
-        validate_sweep_overrides: bool = True,
-    ) -> DictConfig:
-        """Compose and check a configuration, and each job of a multirun.
-
-        ValueError if it is not trusted, or if a file in a user's folder is not a plain file or is
-        far too large.
-        """
-        try:
-            config = super().load_configuration(
-                config_name, overrides, run_mode, from_shell, validate_sweep_overrides
-            )
-        except AttributeError as error:  # Hydra reads its own block even if it is null
-            raise ValueError("`hydra` must be a mapping, as shipped, or be left out") from error
-        check_configuration(config)
-        keys = {one.key_or_group for one in OverridesParser.create().parse_overrides(overrides)}
-        if self._typed is None:
-            self._typed = frozenset(keys)
-        # places and hosts count as the user's own only if the command line names them
-        # Hydra's own keys are not swept: those of a job are typed, or what `OwnFolder` chose
-        check_typed(config, self._typed | {key for key in keys if key.startswith("hydra.")})
-        foreign = any(source.provider == "command-line" for source in self.get_sources())
-        if run_mode == RunMode.MULTIRUN and validate_sweep_overrides and foreign:
-            # the sweeper would write a file before it composes the jobs
-            for job in _jobs(config, self):
-                self.load_sweep_config(config, job)
-        return config
-
-    def load_sweep_config(
-        self, master_config: DictConfig, sweep_overrides: list[str]
-    ) -> DictConfig:
-        """Compose and check the configuration of a multirun's job.
-
-        ValueError if it is not trusted, or if its folder would not be inside that of the multirun.
-        """
-        config = super().load_sweep_config(master_config, sweep_overrides)
-        _check_subfolder(config)
-        return config
-
-    def _process_config_searchpath(
-        self,
-        config_name: str | None,
-        parsed_overrides: list[Override],
-        repo: CachingConfigRepository,
-    ) -> None:
-        """Refuse more search paths: composing from a package imports, and so runs, it."""
-        loaded = None if config_name is None else repo.load_config(config_path=config_name)
-        named = None if loaded is None else OmegaConf.select(loaded.config, "hydra.searchpath")
-        typed = any(one.get_key_element() == "hydra.searchpath" for one in parsed_overrides)
-        if named or typed:
-            raise ValueError(
-                "`hydra.searchpath` cannot be set; name your folder with --config-dir FOLDER"
-            )
 
 
 def check_configuration(config: DictConfig) -> None:
@@ -250,23 +147,6 @@ def _check_resolved(config: DictConfig) -> None:
                 if "kind" in value or key != "data":  # evaluate.py has `data` of no kind
                     check_kind(key, value)
             stack.append((name, value, depth + 1))
-
-
-def _check_subfolder(config: DictConfig) -> None:
-    """Raise ValueError unless the folder of a job lies directly in that of its multirun."""
-    probe = copy.deepcopy(config)
-    with read_write(probe.hydra), open_dict(probe.hydra):
-        probe.hydra.job.num, probe.hydra.job.id = 0, "0"  # Hydra numbers the jobs later
-    before = HydraConfig.instance().cfg
-    HydraConfig.instance().set_config(probe)
-    try:
-        name = str(probe.hydra.sweep.subdir)
-    finally:
-        HydraConfig.instance().cfg = before
-    if name in ("", ".", "..") or Path(name).name != name:
-        raise ValueError(
-            f"`hydra.sweep.subdir` must give a plain name for the folder of a job, got {name!r}"
-        )
 
 
 def _check_hydra(hydra: dict[str, Any]) -> None:
@@ -386,12 +266,3 @@ def _check_plain(name: str, key: str, value: Any) -> None:
 def _check_number(name: str, value: Any) -> None:
     if value is not None and not isinstance(value, int | float):
         raise ValueError(f"`{name}` must be as shipped, or a number; got {value!r}")
-
-
-def _jobs(config: DictConfig, loader: ConfigLoaderImpl) -> list[list[str]]:
-    """Return the overrides of each job of a multirun, as Hydra's basic sweeper finds them."""
-    swept = [f"{key}={value}" for key, value in (config.hydra.sweeper.params or {}).items()]
-    typed = list(config.hydra.overrides.task)
-    overrides = OverridesParser.create(config_loader=loader).parse_overrides(swept + typed)
-    (jobs,) = BasicSweeper.split_arguments(overrides, None)
-    return jobs
