@@ -93,9 +93,7 @@ def _run(
     ranges = _ranges(config, speeds)
     program.save_config(config, folder)
     train_ranges(
-        ranges,
-        lambda one, where: _train(_bound(config, one), where, healthy, varied, draw),
-        folder,
+        ranges, lambda one, where: _train(_bound(config, one), where, healthy, varied, draw), folder
     )
 
 

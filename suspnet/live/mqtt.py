@@ -108,8 +108,7 @@ class Mqtt:
         client.on_connect_fail, client.on_message = self._on_connect_fail, self._on_message
         client.on_subscribe, client.on_publish = self._on_subscribe, self._on_publish
         properties = properties_of_connect(
-            SessionExpiryInterval=round(3600 * self.session_h),
-            ReceiveMaximum=self.in_flight,
+            SessionExpiryInterval=round(3600 * self.session_h), ReceiveMaximum=self.in_flight
         )
         client.connect_async(
             str(self.broker.host),

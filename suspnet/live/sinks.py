@@ -136,15 +136,11 @@ class MqttSink:
             "Number of frames that the broker may not yet have acknowledged; then the replay waits",
             low=1,
             high=65535,
-        ),
+        )
     }
     """Meaning and range of each argument."""
 
-    def __init__(
-        self,
-        broker: Broker | None = None,
-        in_flight: int = 100,
-    ) -> None:
+    def __init__(self, broker: Broker | None = None, in_flight: int = 100) -> None:
         check_values(MqttSink, in_flight=in_flight)
         self.broker = Broker() if broker is None else broker
         self.in_flight = in_flight

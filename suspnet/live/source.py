@@ -223,7 +223,7 @@ class Pipe:
             "MB",
             low=1,
             high=4096,
-        ),
+        )
     }
     """Meaning and range of each argument."""
 

@@ -32,11 +32,7 @@ UNIT_NAMES = ("unit", "units")
 DATE_NAMES = ("start", "starttime", "startdate", "date", "datetime", "timestamp", "startzeit")
 """Names of fields and attributes that state rate [Hz], unit and start of the data next to them;
 compared in lower case, without blanks and underscores."""
-NUMERIC = (
-    "single",
-    "double",
-    *(f"{u}int{bits}" for u in ("", "u") for bits in (8, 16, 32, 64)),
-)
+NUMERIC = ("single", "double", *(f"{u}int{bits}" for u in ("", "u") for bits in (8, 16, 32, 64)))
 """Classes of MAT file variables that hold numbers."""
 MOST_PARTS = 1000
 """Largest number of columns of a matrix."""

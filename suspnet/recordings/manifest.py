@@ -232,9 +232,7 @@ class TripManifest:
     name: str
     vehicle: str = required(check.text, "text", "name of the vehicle, as the model's")
     suspension: str = required(
-        check.text,
-        "text",
-        "name of the suspension; trips with the same name are of one suspension",
+        check.text, "text", "name of the suspension; trips with the same name are of one suspension"
     )
     bogie: str | None = optional(
         check.one_of(BOGIES),

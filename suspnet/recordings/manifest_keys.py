@@ -297,8 +297,5 @@ class CsvDialect:
         default="detected",
     )
     encoding: str | None = optional(
-        encoding,
-        "text",
-        "as Python names it: `utf-8`, `utf-16`, `latin-1`",
-        default="detected",
+        encoding, "text", "as Python names it: `utf-8`, `utf-16`, `latin-1`", default="detected"
     )

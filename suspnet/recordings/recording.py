@@ -182,10 +182,7 @@ def _clocks(
     """Return the speeds, the clock offsets of sensors and speed [s], and `first_moment`."""
     sensors = manifest.sensors()
     track, *found = all_of(
-        [
-            partial(read_speed, manifest),
-            *(partial(zero_of, manifest, name) for name in sensors),
-        ]
+        [partial(read_speed, manifest), *(partial(zero_of, manifest, name) for name in sensors)]
     )
     zeros = dict(zip(sensors, found, strict=True))
     zeros |= {} if track is None else {"speed": track.zero}

@@ -15,10 +15,7 @@ from torch import Tensor
 
 from suspnet.dynamics import Vehicle, best_generator
 from suspnet.estimation.from_recording import Steady, TripSettings, steady
-from suspnet.estimation.steady_parts import (
-    groups_to_read,
-    readable_words,
-)
+from suspnet.estimation.steady_parts import groups_to_read, readable_words
 from suspnet.estimation.trained import TrainedModel
 from suspnet.ground.records import ERROR, OK
 from suspnet.recordings.formats import open_columns
@@ -28,11 +25,7 @@ from suspnet.recordings.manifest_keys import TripError, all_of
 from suspnet.recordings.recording import Recording, load_recording
 from suspnet.spectra.estimates import EstimateSettings
 from suspnet.spectra.plausibility import check_channels, check_pairs
-from suspnet.spectra.segments import (
-    difference_segments,
-    recording_segments,
-    segment_speeds,
-)
+from suspnet.spectra.segments import difference_segments, recording_segments, segment_speeds
 from suspnet.spectra.welch import SegmentSpectra
 from suspnet.trips.check_page import (
     PROBLEM,

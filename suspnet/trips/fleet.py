@@ -41,12 +41,7 @@ from suspnet.trips.commissionings import (
     relative_to_first,
     with_truth_of_each,
 )
-from suspnet.trips.details import (
-    UNKNOWN_HEALTHY,
-    missing_reference,
-    report_details,
-    wear_words,
-)
+from suspnet.trips.details import UNKNOWN_HEALTHY, missing_reference, report_details, wear_words
 from suspnet.trips.earlier import FinishedTrips, between, with_earlier
 from suspnet.trips.grouping import Group, find_groups
 from suspnet.trips.trip import evaluate_trip, lost_trip
