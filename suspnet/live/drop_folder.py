@@ -62,7 +62,6 @@ class DropFolder:
         "poll_s": Setting("Time between two scans of the folder", "s", low=0.01, high=60),
         "once": Setting("Whether to end when all files were read"),
     }
-    """Meaning and range of each argument."""
 
     def __init__(
         self,

@@ -64,7 +64,6 @@ class Mqtt:
             high=10000,
         ),
     }
-    """Meaning and range of each argument."""
 
     def __init__(
         self,

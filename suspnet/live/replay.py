@@ -141,7 +141,6 @@ class Pace:
             high=1e6,
         )
     }
-    """Meaning and range of each argument."""
 
     def __init__(self, times: float | None = 1.0) -> None:
         check_values(Pace, times=times)

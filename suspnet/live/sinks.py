@@ -84,7 +84,6 @@ class Folder:
         "folder": Setting("Folder of the files, created if it is missing", rule="path"),
         "file_s": Setting("Time that a file covers, of all sensors", "s", above=0, high=86400),
     }
-    """Meaning and range of each argument."""
 
     def __init__(self, folder: str | Path, file_s: float = 10.0) -> None:
         check_values(Folder, file_s=file_s)
@@ -138,7 +137,6 @@ class MqttSink:
             high=65535,
         )
     }
-    """Meaning and range of each argument."""
 
     def __init__(self, broker: Broker | None = None, in_flight: int = 100) -> None:
         check_values(MqttSink, in_flight=in_flight)

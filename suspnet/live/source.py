@@ -225,7 +225,6 @@ class Pipe:
             high=4096,
         )
     }
-    """Meaning and range of each argument."""
 
     def __init__(self, buffer_mb: float = 16.0) -> None:
         check_values(Pipe, buffer_mb=buffer_mb)
