@@ -22,7 +22,6 @@ from suspnet.ground.storage import read_plain
 if TYPE_CHECKING:
     from suspnet.dynamics import Vehicle
     from suspnet.estimation.protocols import Protocol
-    from suspnet.report.board import BoardSettings
 
 KINDS: Mapping[str, Mapping[str, str]] = {
     "data": {
@@ -175,21 +174,6 @@ def read_vehicles(folder: str | Path = CONFIGS) -> dict[str, Vehicle]:
         except (TypeError, ValueError) as error:
             raise type(error)(f"{file}: {error}") from error
     return vehicles
-
-
-def board_settings(config: DictConfig, prefix: str = "") -> BoardSettings:
-    """Return the settings of a fleet's states and plan; limits and changes are below `prefix`."""
-    from suspnet.report.board import BoardSettings  # takes a second
-
-    return BoardSettings(
-        vehicles=read_vehicles(),
-        limits=plain(OmegaConf.select(config, f"{prefix}limits")),
-        changes=build(config, f"{prefix}changes"),
-        sisters=build(config, "sisters"),
-        plan=build(config, "plan"),
-        today=config.today,
-        seed=config.seed,
-    )
 
 
 def read_protocol(name: str) -> Protocol:

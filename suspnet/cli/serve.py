@@ -19,11 +19,11 @@ from typing import Any
 from omegaconf import DictConfig, OmegaConf
 
 from suspnet.cli import program, start
-from suspnet.cli.kinds import board_settings
+from suspnet.cli.kinds import build, plain, read_vehicles
 from suspnet.ground.settings import check_settings, setting
 from suspnet.history import History
 from suspnet.history.database import BusyError
-from suspnet.report.board import LOOK_S, Board
+from suspnet.report.board import LOOK_S, Board, BoardSettings
 
 log = logging.getLogger(__name__)
 NEEDED = ("flask", "flask_wtf", "waitress", "plotly")
@@ -63,7 +63,16 @@ def main(config: DictConfig) -> None:
     ServeSettings(config.port, config.refresh_s, config.threads)
     _check_store(config.store)
     _check_address(config)
-    serve(Board(config.store, board_settings(config)), config)
+    settings = BoardSettings(
+        vehicles=read_vehicles(),
+        limits=plain(config.limits),
+        changes=build(config, "changes"),
+        sisters=build(config, "sisters"),
+        plan=build(config, "plan"),
+        today=config.today,
+        seed=config.seed,
+    )
+    serve(Board(config.store, settings), config)
 
 
 def serve(board: Board, config: DictConfig) -> None:
