@@ -17,7 +17,6 @@ from suspnet.ground import ledger
 from suspnet.ground.parameters import PARAMETERS, Cause
 from suspnet.ground.records import PLACE, Place
 from suspnet.ground.storage import write_table
-from suspnet.ground.wording import kilometres, thousands
 from suspnet.history import History, HistoryError
 from suspnet.history.store import acknowledge_alarms
 from suspnet.maintenance.alarms import Acknowledgement, Alarm, newest_of
@@ -42,7 +41,7 @@ def _listed(store: History, _: Namespace) -> str:
     rows = []
     for one in store.series():
         known = one.mileage_km[np.isfinite(one.mileage_km)]
-        span = f"{thousands(known[0])} to {thousands(known[-1])}" if len(known) else ""
+        span = f"{km(known[0])} to {km(known[-1])}" if len(known) else ""
         done = "; ".join(map(str, one.events))
         rows.append([one.vehicle, one.place, len(one.trip), int(one.done.sum()), span, done])
     header = ["vehicle", "suspension", "trips", "with estimate", "km", "maintenance"]
@@ -73,7 +72,7 @@ def _alarms(store: History, arguments: Namespace) -> str:
             *key,
             alarm.parameter,
             alarm.cause,
-            " to ".join(map(thousands, [alarm.begin_km, alarm.end_km][: 2 - alarm.is_open])),
+            km(alarm.begin_km) if alarm.is_open else f"{km(alarm.begin_km)} to {km(alarm.end_km)}",
             alarm.words,
             f"{by.by}, {by.at[:10]}{': ' * bool(by.words)}{by.words}" if by else "",
         ]
@@ -102,7 +101,7 @@ def _acknowledge(store: History, arguments: Namespace) -> str:
     by = arguments.by, arguments.words
     seen = acknowledge_alarms(store, vehicle, place, chosen, newest, *by)
     names = ", ".join(f"{one.parameter} ({one.cause}, {one.severity!s})" for one in seen)
-    return f"{place}: {names} acknowledged by {arguments.by} at {kilometres(newest)}"
+    return f"{place}: {names} acknowledged by {arguments.by} at {km(newest)} km"
 
 
 def _export(store: History, arguments: Namespace) -> str:
@@ -132,6 +131,11 @@ def _plain(entry: Event | Alarm | Acknowledgement) -> dict[str, Any]:
 
 def _place(arguments: Namespace) -> Place:
     return Place(**{name: getattr(arguments, name) for name in PLACE})
+
+
+def km(mileage: float) -> str:
+    """Return a mileage with spaces between thousands."""
+    return f"{mileage:,.0f}".replace(",", " ")
 
 
 COMMANDS: dict[str, Callable[[History, Namespace], str]] = {
