@@ -92,11 +92,8 @@ def _check_columns(file: ManifestFile, opened: Opened) -> None:
     """
     problems: dict[str, None] = {}
     for source in file.sources.values():
-        data, time, column = (
-            file.path.parent / source["file"],
-            source.get("time"),
-            source.get("column"),
-        )
+        data, time = file.path.parent / source["file"], source.get("time")
+        column = source.get("column")
         named = all(one is None or isinstance(one, str) for one in (time, column))
         if not named or source.get("csv") is not None or not os.path.isfile(data):
             continue  # how a CSV file is written is known only when the manifest is parsed
@@ -248,14 +245,11 @@ def _vehicle(
     unknown = replace(plain, low_hz=UNKNOWN_BAND_HZ[0], high_hz=UNKNOWN_BAND_HZ[1])
     vehicle = vehicles.get(manifest.vehicle)
     if vehicle is None:
-        return (
-            None,
-            unknown,
-            [
-                f"units, signs and order of the channels are not checked: vehicle "
-                f"{manifest.vehicle!r} is none of {sorted(vehicles)}; --config-dir gives others"
-            ],
+        words = (
+            f"units, signs and order of the channels are not checked: vehicle "
+            f"{manifest.vehicle!r} is none of {sorted(vehicles)}; --config-dir gives others"
         )
+        return None, unknown, [words]
     try:
         return vehicle, plain.bound(vehicle), []
     except ValueError as error:
