@@ -20,10 +20,10 @@ from suspnet.ground.parameters import Severity
 from suspnet.ground.settings import check_choice
 from suspnet.ground.storage import write_atomically
 from suspnet.history import History
+from suspnet.report.board import BoardSettings
 from suspnet.report.overview import Evaluated
-from suspnet.runs.evaluate import FreshCurves, evaluate
+from suspnet.runs.evaluate import FreshCurves, evaluate, write_maintenance
 from suspnet.runs.identifiability import write_identifiability
-from suspnet.runs.maintenance import write_maintenance
 from suspnet.runs.reliability import write_reliability
 from suspnet.runs.sweeps import write_table6
 from suspnet.trips.fleet import evaluate_fleet
@@ -135,9 +135,7 @@ def run_study(config: DictConfig, folder: Path) -> int:
             progress=config.progress,
         )
         return FINE
-    states = write_maintenance(
-        config.store,
-        folder,
+    settings = BoardSettings(
         vehicles=read_vehicles(),
         limits=plain(config.monitor.limits),
         changes=build(config, "monitor.changes"),
@@ -146,4 +144,5 @@ def run_study(config: DictConfig, folder: Path) -> int:
         today=config.today,
         seed=config.seed,
     )
+    states = write_maintenance(config.store, folder, settings)
     return worst(ALARMS.get(one.severity, FINE) for one in states)

@@ -24,7 +24,7 @@ from suspnet.report.images import as_png
 from suspnet.report.templates import render
 from suspnet.spectra.cross_spectra import CrossSpectra
 from suspnet.spectra.estimates import SPEED_HALF_WIDTH
-from suspnet.spectra.speeds import covering, setting_words
+from suspnet.spectra.segments import covering, setting_words
 
 READY, TOO_LITTLE, PROBLEM = "ready", "too little", "problem"
 """States of a trip: it is readable by the given models, or without any by a model of its speed; too

@@ -22,8 +22,7 @@ from suspnet.cli.serve import ServeSettings
 from suspnet.cli.simulate import WORKERS
 from suspnet.ground.settings import settings_of
 from suspnet.live.replay import Pace, Replay
-from suspnet.simulation.fleet import Trains
-from suspnet.simulation.scatter import scattered
+from suspnet.simulation.fleet import Trains, scattered
 from suspnet.simulation.signals import Sensor
 from suspnet.spectra.components import CurveFeatures
 from suspnet.spectra.extraction import PeakFeatures
