@@ -25,13 +25,19 @@ from suspnet.estimation.steady_parts import (
     speed_of,
 )
 from suspnet.estimation.trip_flags import delay_words, with_sides
+from suspnet.ground.parameters import FORWARD, Direction, direction_words
 from suspnet.ground.settings import check_settings, setting
 from suspnet.recordings.manifest import CHANNELS
 from suspnet.recordings.manifest_keys import TripError
 from suspnet.recordings.recording import Recording
 from suspnet.spectra.cross_spectra import CrossSpectra
 from suspnet.spectra.estimates import EstimateSettings
-from suspnet.spectra.plausibility import check_channels, check_pairs
+from suspnet.spectra.plausibility import (
+    DIRECTION_MARGIN,
+    check_channels,
+    check_pairs,
+    shown_direction,
+)
 from suspnet.spectra.segments import (
     NoEstimateError,
     Speeds,
@@ -120,10 +126,12 @@ def all_bins(
     """Return the estimates of all groups of segments, each by the method that reads its speed.
 
     `pairs` are the methods with their segments. NoEstimateError is raised with the reasons of all
-    methods if none gives an estimate, TripError as by `speed_bins`.
+    methods if none gives an estimate, TripError as by `speed_bins`, or if no method is for the
+    direction of travel, or it is neither given nor shown by the phases.
     """
     if not any(len(segments.values) for _, segments in pairs):
         raise NoEstimateError(no_segment(recording, pairs[0][1].welch))
+    pairs = _of_direction(pairs, recording, settings)
     bins, reasons = [], []
     methods = [method for method, _ in pairs]
     for method, segments in pairs:
@@ -134,6 +142,61 @@ def all_bins(
     if not bins:
         raise NoEstimateError("; ".join(dict.fromkeys(reasons)))
     return bins
+
+
+def _of_direction(
+    pairs: Sequence[tuple[FittedMethod, SegmentSpectra]],
+    recording: Recording,
+    settings: TripSettings,
+) -> list[tuple[FittedMethod, SegmentSpectra]]:
+    """Return the methods, with their segments, for the direction in which a trip was run.
+
+    A single direction of all methods is assumed where the manifest gives none; `check_channels`
+    compares it with the phases.
+    """
+    known = {method.generator.direction for method, _ in pairs} - {None}
+    direction = recording.manifest.direction
+    if direction is None and len(known) > 1:
+        method, segments = pairs[0]
+        direction = direction_of(recording, segments, method.generator, settings)
+    chosen = [
+        p for p in pairs if direction is None or p[0].generator.direction in (None, direction)
+    ]
+    if not chosen:
+        raise TripError(
+            f"the trip was run {direction_words(direction)}, the models are for trips "
+            f"{direction_words(known.pop())}: train with direction=both"
+        )
+    return chosen
+
+
+def direction_of(
+    recording: Recording,
+    segments: SegmentSpectra,
+    generator: ResponseGenerator,
+    settings: TripSettings,
+) -> Direction:
+    """Return the direction in which a trip was run: as its manifest says, else by its phases.
+
+    The phases are those of the largest group of segments at one speed. TripError is raised if they
+    do not show the direction.
+    """
+    if recording.manifest.direction or generator.speed_m_per_s is None or not len(segments.values):
+        return recording.manifest.direction or FORWARD
+    speeds = segment_speeds(recording, segments)
+    groups = groups_to_read(speeds, settings.speed_tolerance, settings.min_speed_m_per_s)
+    if not groups:
+        return FORWARD  # nothing is read of it
+    there = replace(generator, speed_m_per_s=float(speeds[groups[0]].mean()))
+    spectra = segments.average(groups[0])
+    direction, factor = shown_direction(spectra, segments.frequencies_hz, there)
+    if factor < DIRECTION_MARGIN:
+        raise TripError(
+            f"{recording.manifest.path}: the phases do not show whether the trip was run forward "
+            f"or in reverse ({direction_words(direction)} fits {factor:.2g} times better): give "
+            "`direction: forward` or `direction: reverse`"
+        )
+    return direction
 
 
 def speed_bins(

@@ -17,7 +17,7 @@ from torch import Tensor
 
 from suspnet.dynamics import PARAMETERS, VerticalVehicle
 from suspnet.dynamics.quantities import LogNormal
-from suspnet.estimation.from_recording import TripSettings, steady, unrepaired_words
+from suspnet.estimation.from_recording import TripSettings, direction_of, steady, unrepaired_words
 from suspnet.estimation.steady_parts import groups_to_read
 from suspnet.ground.parameters import FORWARD, Direction
 from suspnet.ground.progress import bar
@@ -72,11 +72,10 @@ class HealthyTrips:
 
 def read_healthy(
     folder: Path,
-    vehicle: str,
+    generator: VerticalVehicle,
     settings: EstimateSettings,
     trips: TripSettings,
     *,
-    bogie: str | None = None,
     paths: Sequence[ManifestFile] | None = None,
     n_first: int | None = None,
     progress: bool = False,
@@ -87,14 +86,12 @@ def read_healthy(
     ----------
     folder : Path
         Holds a manifest for each trip of one suspension.
-    vehicle : str
-        The vehicle that the manifests must name.
+    generator : VerticalVehicle
+        The vehicle and the bogie that the manifests must name, if they name a bogie.
     settings : EstimateSettings
         Bound to the vehicle: bins and window.
     trips : TripSettings
         How trips are read.
-    bogie : {"leading", "trailing"}, optional
-        The bogie that manifests must name, if they name one; None is any.
     paths : sequence of ManifestFile, optional
         Manifests to read, if the folder holds others as well; None is all.
     n_first : int, optional
@@ -113,7 +110,7 @@ def read_healthy(
     manifests = [one.trip for one in paths or map(ManifestFile, find_manifests(folder))]
     manifests.sort(key=lambda manifest: manifest.mileage_km)
     manifests = manifests[:n_first]
-    _check_same(folder, manifests, vehicle, bogie)
+    _check_same(folder, manifests, generator)
     # a trip without a usable stretch is left out, with the reason
     kept: list[TripManifest] = []
     groups: list[HealthySpectra] = []
@@ -121,7 +118,7 @@ def read_healthy(
     left_out = []
     for manifest in bar("healthy trips", items=manifests, unit="trip", shown=progress):
         recording = load_recording(manifest, trips.rate_hz)
-        found = _spectra(recording, len(kept), manifest.name, settings, trips)
+        found = _spectra(recording, len(kept), generator, settings, trips)
         if not found:
             words = f"{manifest.name}: no stretch at one speed is long enough and free of faults"
             left_out.append(": ".join(filter(None, [words, unrepaired_words(recording)])))
@@ -145,9 +142,10 @@ def read_healthy(
 
 
 def _check_same(
-    folder: Path, manifests: Sequence[TripManifest], vehicle: str, bogie: str | None
+    folder: Path, manifests: Sequence[TripManifest], generator: VerticalVehicle
 ) -> None:
     """Raise TripError unless all manifests are of one suspension of the vehicle."""
+    vehicle, bogie = generator.vehicle.name, generator.bogie
     for manifest in manifests:
         if manifest.vehicle != vehicle:
             raise TripError(
@@ -161,7 +159,7 @@ def _check_same(
             "commissioned on trips of its own: give a folder of one"
         )
     named = manifests[0].place.bogie
-    if named and bogie not in (None, named):
+    if named and bogie != named:
         raise TripError(
             f"{folder}: the trips are of the {named} bogie, the model would be of the {bogie} one: "
             f"give generator.bogie={named}"
@@ -169,16 +167,23 @@ def _check_same(
 
 
 def _spectra(
-    recording: Recording, trip: int, name: str, settings: EstimateSettings, trips: TripSettings
+    recording: Recording,
+    trip: int,
+    generator: VerticalVehicle,
+    settings: EstimateSettings,
+    trips: TripSettings,
 ) -> list[HealthySpectra]:
     segments = recording_segments(recording, settings.welch)
     if not len(segments.values):
         return []
     speeds = segment_speeds(recording, segments)
     groups = groups_to_read(speeds, trips.speed_tolerance, trips.min_speed_m_per_s)
+    direction = direction_of(recording, segments, generator, trips)
     # uncertain groups are included, as the fit of the vehicle weights each by its noise
     return [
-        HealthySpectra(trip, name, Speeds.of(*part.speed), part.spectra)
+        HealthySpectra(
+            trip, recording.manifest.name, Speeds.of(*part.speed), part.spectra, direction
+        )
         for part in steady(segments, speeds, groups, settings, trips)
         if part.spectra is not None and part.has_enough
     ]

@@ -17,6 +17,7 @@ from torch import Tensor
 from suspnet.estimation.estimate import Estimate, Flags
 from suspnet.estimation.fitted import FittedMethod
 from suspnet.estimation.from_spectra import trip_settings
+from suspnet.ground.parameters import REVERSE
 from suspnet.ground.types import FloatArray
 from suspnet.spectra.cross_spectra import CrossSpectra
 from suspnet.spectra.segments import (
@@ -161,6 +162,11 @@ class SpeedBin:
     estimate: Estimate
     noise_share: FloatArray
     doubts: str
+
+    @property
+    def is_reverse(self) -> bool:
+        """Whether the trip was run in reverse."""
+        return self.method.generator.direction == REVERSE
 
 
 def largest(bins: Sequence[SpeedBin]) -> SpeedBin:

@@ -39,6 +39,11 @@ REVERSE: Direction = "reverse"
 DIRECTIONS: tuple[Direction, ...] = (FORWARD, REVERSE)
 
 
+def direction_words(direction: Direction | None) -> str:
+    """Return how a train runs, as text: "forward" or "in reverse"."""
+    return "in reverse" if direction == REVERSE else "forward"
+
+
 class Severity(IntEnum):
     """Urgency of a finding; the larger, the worse."""
 

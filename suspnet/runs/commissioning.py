@@ -46,10 +46,9 @@ def commission_folder(
     settings = settings.bound(generator.vehicle)
     found = read_healthy(
         folder,
-        generator.vehicle.name,
+        generator,
         settings,
         trips,
-        bogie=generator.bogie,
         paths=paths,
         n_first=n_first,
         progress=progress,

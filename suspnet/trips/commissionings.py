@@ -19,7 +19,7 @@ from suspnet.estimation.fitted import ModelFileError
 from suspnet.estimation.from_spectra import trip_settings
 from suspnet.estimation.steady_parts import speed_range
 from suspnet.estimation.trained import TrainedModel
-from suspnet.ground.parameters import PAYLOAD
+from suspnet.ground.parameters import PAYLOAD, REVERSE
 from suspnet.ground.records import OK, Commissioning, Place, TripResult
 from suspnet.spectra.segments import range_words
 
@@ -193,7 +193,7 @@ def _check_together(models: Sequence[TrainedModel]) -> None:
             "the models are for both bogies: name `bogie: leading` or `bogie: trailing` in the "
             "manifests, or give the folder of one run"
         )
-    speeds = [model.generator.speed_m_per_s for model in models]
+    speeds = [(model.generator.speed_m_per_s, model.generator.direction) for model in models]
     if len(set(speeds)) < len(speeds):
         words = ", ".join(dict.fromkeys(map(speed_words, models)))
         raise ModelFileError(
@@ -205,7 +205,8 @@ def _check_together(models: Sequence[TrainedModel]) -> None:
 def speed_words(model: TrainedModel) -> str:
     """Return the speeds that a model reads, as text."""
     found = speed_range(model)
-    return "any" if found is None else range_words([found])
+    words = "any" if found is None else range_words([found])
+    return f"{words} in reverse" if model.generator.direction == REVERSE else words
 
 
 def place_of(model: TrainedModel) -> Place | None:

@@ -169,7 +169,9 @@ def _combined(result: TripResult, recording: Recording, bins: Sequence[SpeedBin]
         segments_used=sum(used.values()),
         speed_m_per_s=float(weights @ [b.speed_m_per_s for b in bins]),
         speed_bins="; ".join(
-            f"{b.speed_m_per_s:.1f} m/s: {b.spectra.n_averages:.0f} averages" for b in bins
+            f"{b.speed_m_per_s:.1f} m/s{' in reverse' * b.is_reverse}: "
+            f"{b.spectra.n_averages:.0f} averages"
+            for b in bins
         ),
         features_found=f"{len(names)} of {len(names)}",
         warnings="; ".join(dict.fromkeys(b.doubts for b in bins if b.doubts)),
