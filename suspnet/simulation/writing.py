@@ -67,9 +67,9 @@ def time_between(n_trips: int) -> timedelta:
 class Simulation:
     """Settings of a simulation: trips of suspensions that follow a scenario.
 
-    `fleet` applies to each suspension. Trip i draws track, noise and journey from (seed, i) only,
-    and the suspension its true numbers from the seed only. `scatter` scales the deviation of these
-    from the generator's nominal numbers: 0 is none, 1 that of the priors; see `scattered`.
+    Trip i draws track, noise and journey from (seed, i) only, and the suspension its true numbers
+    from the seed only. `scatter` scales the deviation of these from nominal: 1 is that of the
+    priors.
     """
 
     fleet: Fleet
