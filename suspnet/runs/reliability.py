@@ -201,9 +201,8 @@ def _shares(found: BoolArray) -> dict[str, float]:
 class Reliability:
     """Coverage and flags of one model; `name` is its method, protocol and group.
 
-    `intervals`: ``interval_scores`` of each kind of interval, with `slices`, the coverage of each
-    output in each fifth of each parameter, {parameter: {output: [..]}}. `flags`: {set of curves:
-    {kind of flag, or any: share [%]}}.
+    `intervals`: ``interval_scores`` of each kind, with `slices`, the coverage of each output in
+    each fifth of each parameter; `flags`: {set of curves: {kind of flag, or any: share [%]}}.
     """
 
     name: str
