@@ -14,7 +14,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from suspnet.cli import program
 from suspnet.cli.folders import ACT, EXIT_CODE, FINE, MISTAKE, NOTICE, SOME_WITHOUT_ESTIMATE, worst
-from suspnet.cli.kinds import build, named_runs, plain, read_vehicles
+from suspnet.cli.kinds import board_settings, build, named_runs, read_vehicles
 from suspnet.estimation.checkpoint import load_model
 from suspnet.ground.checks import check_choice
 from suspnet.ground.limits import Severity
@@ -139,15 +139,5 @@ def run_study(config: DictConfig, folder: Path) -> int:
             progress=config.progress,
         )
         return FINE
-    states = write_maintenance(
-        config.store,
-        folder,
-        vehicles=read_vehicles(),
-        limits=plain(config.monitor.limits),
-        changes=build(config, "monitor.changes"),
-        sisters=build(config, "sisters"),
-        plan=build(config, "plan"),
-        today=config.today,
-        seed=config.seed,
-    )
+    states = write_maintenance(config.store, folder, board_settings(config, config.monitor))
     return worst(ALARMS.get(one.severity, FINE) for one in states)

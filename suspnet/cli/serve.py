@@ -18,11 +18,11 @@ from typing import Any
 from omegaconf import DictConfig, OmegaConf
 
 from suspnet.cli import program, signals
-from suspnet.cli.kinds import build, plain, read_vehicles
+from suspnet.cli.kinds import board_settings
 from suspnet.ground.checks import check_number
 from suspnet.history import History
 from suspnet.history.database import BusyError
-from suspnet.report.board import LOOK_S, Board, BoardSettings
+from suspnet.report.board import LOOK_S, Board
 
 log = logging.getLogger(__name__)
 NEEDED = ("flask", "flask_wtf", "waitress", "plotly")
@@ -46,16 +46,7 @@ def compose(config: DictConfig) -> None:
     check_number("threads", config.threads, low=1, most=64, whole=True)
     _check_store(config.store)
     _check_address(config)
-    settings = BoardSettings(
-        vehicles=read_vehicles(),
-        limits=plain(config.limits),
-        changes=build(config, "changes"),
-        sisters=build(config, "sisters"),
-        plan=build(config, "plan"),
-        today=config.today,
-        seed=config.seed,
-    )
-    serve(Board(config.store, settings), config)
+    serve(Board(config.store, board_settings(config, config)), config)
 
 
 def serve(board: Board, config: DictConfig) -> None:

@@ -168,8 +168,8 @@ def watch(
     Parameters
     ----------
     series : Series
-        Trips relative to one healthy state; trips without a mileage are ignored. Payload, speed and
-        temperature serve as covariates where they are known.
+        Trips before the last commissioning and trips without a mileage are ignored. Payload, speed
+        and temperature serve as covariates where they are known.
     limits : mapping from parameter to Limits
         A missing parameter has no limits.
     settings : ChangeSettings, optional
@@ -180,12 +180,11 @@ def watch(
         `alarms`, a list of Alarm by the mileage where they start, and `changes`, the result of
         ``find_changes`` for the trips since the last maintenance.
     """
-    km = series.mileage_km[np.isfinite(series.mileage_km)]
+    series = series.part(series.one_healthy & np.isfinite(series.mileage_km))
     ends = [event.mileage_km for event in series.events]
-    parts = np.split(np.arange(len(km)), np.searchsorted(km, ends))
     alarms: list[Alarm] = []
     found = Watched()
-    for part, end in zip(parts, [*ends, np.nan], strict=True):
+    for part, end in zip(series.between, [*ends, np.nan], strict=True):
         found = _watch(series.part(part), series.outputs, limits, settings or ChangeSettings())
         alarms += [replace(one, end_km=end) if one.is_open else one for one in found.alarms]
     return replace(found, alarms=alarms)

@@ -11,14 +11,14 @@ import numpy as np
 
 from suspnet.ground.limits import DEFAULT_LIMITS, Limits
 from suspnet.ground.records import Key
-from suspnet.maintenance.alarms import Alarm
+from suspnet.maintenance.alarms import Alarm, watch
 from suspnet.maintenance.change import ChangeSettings
 from suspnet.maintenance.degradation import FleetPrior
 from suspnet.maintenance.forecast import remaining_lives, trips_of_life
 from suspnet.maintenance.life import Life, learn_fleet
 from suspnet.maintenance.series import Series, car_of
 from suspnet.maintenance.sisters import SisterSettings, alarms_of_sisters
-from suspnet.maintenance.state import State, by_urgency, watched, with_alarms
+from suspnet.maintenance.state import State, by_urgency
 
 MOST_LEARNT = 200
 """Largest number of suspensions from which a fleet's rates of wear are learned, evenly chosen."""
@@ -91,7 +91,8 @@ class Fleet:
             self.add([one])
             known = self._series[one.key]
             if one.key not in self._own or self._own[one.key].series is not known:
-                self._own[one.key] = watched(known, self.limits_of(one.vehicle), self.changes)
+                limits = self.limits_of(one.vehicle)
+                self._own[one.key] = State(known, limits, watch(known, limits, self.changes))
                 self._waiting.add(one.key)
                 cars.add(car_of(one))
         return self._compare(cars)
@@ -167,8 +168,11 @@ class Fleet:
     def state(self, key: Key) -> State:
         """Return the state of a suspension, with the alarms and lives found so far."""
         if key not in self._states:
-            state = with_alarms(self._own[key], self.of_sisters(key))
-            self._states[key] = replace(state, lives=self._lives.get(key, {}))
+            own = self._own[key]
+            alarms = [*own.watched.alarms, *self.of_sisters(key)]
+            alarms.sort(key=lambda one: (one.begin_km, one.parameter))
+            watched = replace(own.watched, alarms=alarms)
+            self._states[key] = replace(own, watched=watched, lives=self._lives.get(key, {}))
         return self._states[key]
 
     def state_of(self, series: Series) -> State:

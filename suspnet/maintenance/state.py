@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -11,7 +11,7 @@ import numpy as np
 from suspnet.ground.limits import Limits, Severity
 from suspnet.ground.parameters import PAYLOAD
 from suspnet.ground.records import Key
-from suspnet.maintenance.alarms import Alarm, Watched, watch
+from suspnet.maintenance.alarms import Alarm, Watched
 from suspnet.maintenance.assessment import (
     ONE_FLAGGED,
     Assessment,
@@ -21,12 +21,14 @@ from suspnet.maintenance.assessment import (
     severity_of,
     worst_first,
 )
-from suspnet.maintenance.change import ChangeSettings
 from suspnet.maintenance.forecast import why_unknown
 from suspnet.maintenance.judge import N_LAST, LastTrips, last_trips
 from suspnet.maintenance.life import Life
 from suspnet.maintenance.series import Series
 from suspnet.maintenance.trend import LEAST_PERCENT, flagged_trend
+
+UNKNOWN_HEALTHY = "healthy is not known yet"
+"""Doubt about limits as long as fewer trips have an estimate than define healthy."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,8 +50,6 @@ class State:
         Life until the act limit of each parameter with limits and enough trips.
     least_percent : mapping of float, [% of healthy]
         Smallest change of each parameter that counts; ``LEAST_PERCENT`` by default.
-    doubt : str
-        Why the limits cannot be applied; empty if they can.
     """
 
     series: Series
@@ -57,7 +57,6 @@ class State:
     watched: Watched = field(default_factory=Watched)
     lives: dict[str, Life] = field(default_factory=dict)
     least_percent: Mapping[str, float] = field(default_factory=dict)
-    doubt: str = ""
 
     @property
     def key(self) -> Key:
@@ -68,6 +67,12 @@ class State:
     def recent(self) -> Series:
         """Trips since the last commissioning and maintenance."""
         return self.series.part(self.series.recent)
+
+    @cached_property
+    def doubt(self) -> str:
+        """Why the limits cannot be applied; empty if they can."""
+        done = self.series.done[self.series.between[-1]]
+        return UNKNOWN_HEALTHY if done.sum() < (self.series.n_first or 0) else ""
 
     @cached_property
     def outputs(self) -> tuple[str, ...]:
@@ -179,17 +184,6 @@ class State:
         found = assess(trend, self._last[name], limits, alarms, self.doubt)
         unknown = self.unknown.get(name, "")
         return replace(found, now=self.now(name), life=self.lives.get(name), unknown_life=unknown)
-
-
-def watched(series: Series, limits: Mapping[str, Limits], changes: ChangeSettings) -> State:
-    """Return the state with the suspension's own alarms, from trips since its commissioning."""
-    return State(series, limits, watch(series.part(series.one_healthy), limits, changes))
-
-
-def with_alarms(state: State, more: Sequence[Alarm]) -> State:
-    """Return a state with additional alarms."""
-    alarms = sorted([*state.watched.alarms, *more], key=lambda one: (one.begin_km, one.parameter))
-    return replace(state, watched=replace(state.watched, alarms=alarms))
 
 
 def by_urgency(states: Iterable[State]) -> list[State]:

@@ -52,9 +52,10 @@ class BoardSettings:
     """Settings of the states and the plan of a fleet.
 
     A vehicle that is not in `vehicles` has ``DEFAULT_LIMITS``; `limits` override them all, from a
-    parameter to `notice` and `act`. `today` is an ISO 8601 day (None: that of the computer's
-    clock), `seed` that of the predicted lives. ValueError is raised if `today` is not a day, or the
-    limits are inconsistent.
+    parameter to `notice` and `act`. `n_first` is the number of first trips whose median is healthy
+    (None: the models define it), as of the evaluation of the trips. `today` is an ISO 8601 day
+    (None: that of the computer's clock), `seed` that of the predicted lives. ValueError is raised
+    if `today` is not a day, or the limits are inconsistent.
     """
 
     vehicles: Mapping[str, Limited] = field(default_factory=dict)
@@ -62,6 +63,7 @@ class BoardSettings:
     changes: ChangeSettings = field(default_factory=ChangeSettings)
     sisters: SisterSettings = field(default_factory=SisterSettings)
     plan: PlanSettings = field(default_factory=PlanSettings)
+    n_first: int | None = None
     today: str | None = None
     seed: int = 0
 
@@ -176,7 +178,7 @@ class Board:
     def _read(self, history: History, revisions: dict[Key, int], changed: list[Key]) -> None:
         changed.sort(key=lambda key: (key[0], str(key[1])))  # suspensions of one car together
         series = [  # in parts: an SQLite file cannot be written while it is read
-            one
+            one.relative_to_first(self.settings.n_first)
             for begin in range(0, len(changed), READ_AT_ONCE)
             for one in history.series(changed[begin : begin + READ_AT_ONCE])
         ]

@@ -31,6 +31,7 @@ from suspnet.history import History, HistoryError
 from suspnet.history.store import acknowledge_alarms
 from suspnet.maintenance.alarms import Alarm
 from suspnet.maintenance.schedule import Plan
+from suspnet.maintenance.series import relative_results
 from suspnet.maintenance.state import State
 from suspnet.report.overview import FleetView, finding
 from suspnet.report.responses import response
@@ -180,6 +181,8 @@ def _suspension_page(name: str, form: Seen) -> str:
         with _opened() as store:
             bad = store.bad_rows
             results, seen = store.read(*state.key), store.acknowledgements(*state.key)
+            n_first = _refresher().board.settings.n_first
+            results = relative_results(results, state.series.events, n_first)
             stored = store.responses(*state.key)  # last: damaged curves must not hide the trips
     except HistoryError as error:
         trouble = str(error)

@@ -20,9 +20,7 @@ from history import size, timed, trips
 
 from suspnet.ground.records import TripResult
 from suspnet.history import History
-from suspnet.maintenance.change import ChangeSettings
-from suspnet.maintenance.plan_inputs import PlanSettings
-from suspnet.maintenance.sisters import SisterSettings
+from suspnet.report.board import BoardSettings
 from suspnet.runs.maintenance import write_maintenance
 
 
@@ -64,13 +62,7 @@ def main() -> None:
             lambda: write_maintenance(
                 where,
                 output,
-                vehicles={},
-                limits=None,
-                changes=ChangeSettings(),
-                sisters=SisterSettings(),
-                plan=PlanSettings(),
-                today="2025-10-28",
-                seed=given.seed,
+                BoardSettings(today="2025-10-28", seed=given.seed),
             ),
         )
     wrong = sum(s.series.place.car != "" and bool(s.alarms) for s in states)

@@ -141,9 +141,9 @@ def test_nothing_new_is_no_new_view(board):
 def test_a_new_trip_is_worked_out_for_its_car_alone(store, board, monkeypatch):
     before = {state.key: state for state in board.view.states}
     watched = []
-    whole = fleet_module.watched
+    whole = fleet_module.watch
     monkeypatch.setattr(
-        fleet_module, "watched", lambda *args: (watched.append(args[0].place), whole(*args))[1]
+        fleet_module, "watch", lambda *args: (watched.append(args[0].place), whole(*args))[1]
     )
     planned = []
     monkeypatch.setattr(
@@ -219,7 +219,7 @@ def test_a_long_refresh_shows_what_it_has(store, monkeypatch):
 def test_acknowledgements_are_shown_without_working_anything_out(store, board, monkeypatch):
     write(store, *FLEET[place("right")])
     board.refresh()
-    monkeypatch.setattr(fleet_module, "watched", lambda *_: pytest.fail("watched again"))
+    monkeypatch.setattr(fleet_module, "watch", lambda *_: pytest.fail("watched again"))
     monkeypatch.setattr(fleet_module, "remaining_lives", lambda *_: pytest.fail("predicted again"))
     before = board.view
     assert before.rows[0]["acknowledged"] == ""
