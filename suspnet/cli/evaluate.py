@@ -20,7 +20,7 @@ from suspnet.ground.checks import check_choice
 from suspnet.ground.limits import Severity
 from suspnet.ground.storage import write_atomically
 from suspnet.history import History
-from suspnet.report.overview import Evaluated
+from suspnet.report.tables import Evaluated
 from suspnet.runs.evaluate import FreshCurves, evaluate
 from suspnet.runs.identifiability import write_identifiability
 from suspnet.runs.maintenance import write_maintenance

@@ -60,7 +60,7 @@ KINDS: Mapping[str, Mapping[str, str]] = {
     "live": {"": "suspnet.live.suspension.LiveSettings"},
     "monitor": {"": "suspnet.trips.fleet.FleetSettings"},
     "order": {"": "suspnet.recordings.assembler.OrderSettings"},
-    "plan": {"": "suspnet.maintenance.plan_inputs.PlanSettings"},
+    "plan": {"": "suspnet.maintenance.visit_costs.PlanSettings"},
     "protocol": {"": "suspnet.estimation.protocols.Protocol"},
     "scenario": {"": "suspnet.simulation.fleet.Scenario"},
     "search": {"": "suspnet.learning.search.GridSearch"},

@@ -54,9 +54,8 @@ def serve(board: Board, config: DictConfig) -> None:
 
     ValueError if the address is taken or not of this computer, or the server ends by itself.
     """
-    from suspnet.web.app import create_app
-    from suspnet.web.refresher import Refresher
-    from suspnet.web.server import http_server
+    from suspnet.report.board import Refresher
+    from suspnet.web.app import create_app, http_server
 
     refresher = Refresher(board, config.refresh_s)
     names = [*config.hosts, *([] if config.host == ANY else [config.host])]
@@ -118,7 +117,7 @@ def _check_store(store: str) -> None:
 
 def _check_address(config: DictConfig) -> None:
     """Raise ValueError if other computers could reach the pages without being asked for."""
-    from suspnet.web.server import is_loopback
+    from suspnet.web.app import is_loopback
 
     if ":" in config.host or not config.host:
         raise ValueError(f"`host` must be an IPv4 address or a name, got {config.host!r}")

@@ -8,23 +8,34 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import ArrayLike
+from scipy.special import logsumexp
 
 from suspnet.ground.limits import DEFAULT_LIMITS, Limits
 from suspnet.ground.records import Key
+from suspnet.ground.types import FloatArray
 from suspnet.maintenance.alarms import Alarm, watch
 from suspnet.maintenance.change import ChangeSettings
-from suspnet.maintenance.degradation import FleetPrior
-from suspnet.maintenance.forecast import remaining_lives, trips_of_life
-from suspnet.maintenance.life import Life, learn_fleet
+from suspnet.maintenance.degradation import TINY, FleetPrior
+from suspnet.maintenance.life import DEFAULT_PRIOR, Life, fit_trips
 from suspnet.maintenance.series import Series, car_of
 from suspnet.maintenance.sisters import SisterSettings, alarms_of_sisters
-from suspnet.maintenance.state import State, by_urgency
+from suspnet.maintenance.state import State, by_urgency, remaining_lives, trips_of_life
 
 MOST_LEARNT = 200
 """Largest number of suspensions from which a fleet's rates of wear are learned, evenly chosen."""
 NEW_SHARE = 0.1
 """Share of a vehicle's trips that must be new before its rates of wear are learned again; all its
 remaining lives are then recomputed, which takes far longer than those of one suspension."""
+
+FLEET_RATES = np.geomspace(0.005, 0.3, 10)
+"""Mean rates of the components that ``learn_fleet`` adds, with either sign, [1 / UNIT_KM]."""
+FLEET_SPREAD = 0.35
+"""Standard deviation of the components at ``FLEET_RATES``, relative to their means."""
+PRIOR_SERIES = 3.0
+"""Weight of the default prior when a fleet's prior is learned, as a number of series."""
+MAX_STEPS = 200
+"""Largest number of expectation-maximisation steps for a fleet."""
 
 
 class Fleet:
@@ -218,6 +229,67 @@ def learn_priors(fleet: Sequence[Series], limits: Iterable[str]) -> dict[str, Fl
             every = -(-len(known) // MOST_LEARNT)
             found[name] = learn_fleet(known[::every])
     return found
+
+
+def learn_fleet(
+    series: Sequence[tuple[ArrayLike, ArrayLike, ArrayLike]], *, level: float = 0.9
+) -> FleetPrior:
+    """Return the prior over models and rates of one type of suspension, by empirical Bayes.
+
+    The rate has a mixture of fixed normal distributions: those of ``DEFAULT_PRIOR`` and narrower
+    ones centred at ``FLEET_RATES`` with either sign. The weights of the components and of the
+    models are maximum a posteriori (expectation maximisation with a Dirichlet prior that counts as
+    ``PRIOR_SERIES`` series). Without any series the result is ``DEFAULT_PRIOR``.
+
+    Parameters
+    ----------
+    series : sequence of (mileage_km, values, half_widths)
+        Trips of one parameter, as in ``predict_life``; include series without wear.
+    level : float
+        Level of the intervals.
+
+    Returns
+    -------
+    FleetPrior
+
+    Raises
+    ------
+    TypeError, ValueError
+        If a series is invalid for ``predict_life``; the message gives its index.
+    """
+    if not series:
+        return DEFAULT_PRIOR
+    means = np.concatenate([DEFAULT_PRIOR.means, FLEET_RATES, -FLEET_RATES])
+    spreads = np.concatenate([DEFAULT_PRIOR.spreads, np.tile(FLEET_SPREAD * FLEET_RATES, 2)])
+    even = FleetPrior(DEFAULT_PRIOR.models, np.full(means.size, 1 / means.size), means, spreads)
+    evidence = np.full((len(series), even.models.size, means.size), -np.inf)
+    for i, one in enumerate(series):
+        try:
+            fits, _ = fit_trips(*one, level, even)
+        except (TypeError, ValueError) as error:
+            raise type(error)(f"series {i}: {error}") from None
+        for fit in fits:
+            evidence[i, fit.rows] = logsumexp(fit.log_weight, axis=(1, 2))
+    evidence -= np.log(even.models)[:, None]
+    evidence[:, 1:] -= np.log(even.weights)
+    default = np.pad(DEFAULT_PRIOR.weights, (0, means.size - DEFAULT_PRIOR.weights.size))
+    models, weights = even.models, (default + even.weights) / 2
+    for _ in range(MAX_STEPS):
+        share = evidence + np.log(models)[:, None] + np.log(np.maximum(weights, TINY))
+        share = np.exp(share - logsumexp(share, axis=(1, 2), keepdims=True))
+        # a series without a trend has no information about the rate: leave out the first model
+        old = models, weights
+        models = _counted(share.sum(axis=(0, 2)), even.models)
+        weights = _counted(share[:, 1:].sum(axis=(0, 1)), default)
+        if max(np.abs(models - old[0]).max(), np.abs(weights - old[1]).max()) < 1e-4:
+            break
+    return FleetPrior(models, weights, means, spreads)
+
+
+def _counted(counts: FloatArray, default: FloatArray) -> FloatArray:
+    """Return proportions from counts and a default that counts as ``PRIOR_SERIES`` series."""
+    total = counts + PRIOR_SERIES * default
+    return np.asarray(total / total.sum())
 
 
 def sister_alarms(car: Sequence[State], settings: SisterSettings) -> dict[Key, list[Alarm]]:

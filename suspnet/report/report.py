@@ -21,9 +21,9 @@ from suspnet.maintenance.assessment import joined, overall, worst_first
 from suspnet.maintenance.judge import N_LAST
 from suspnet.maintenance.series import Event
 from suspnet.maintenance.state import State
-from suspnet.report.images import data_uri
+from suspnet.report.figures import data_uri
+from suspnet.report.tables import trip_table
 from suspnet.report.templates import KILO, SEVERITIES, render, with_unit
-from suspnet.report.trip_table import trip_table
 
 ROLES = {
     "k_p": ", between axle box and bogie frame.",

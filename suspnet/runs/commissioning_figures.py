@@ -16,7 +16,7 @@ from suspnet.estimation.healthy_trips import HealthyTrips
 from suspnet.ground.types import ComplexArray, FloatArray
 from suspnet.ground.wording import kilometres
 from suspnet.report.figures import SUSPENSIONS, say
-from suspnet.report.responses import band
+from suspnet.report.tables import band
 
 MEASURED, NOMINAL, FITTED = "0.7", "tab:orange", "tab:blue"
 ROW_INCH = 0.21

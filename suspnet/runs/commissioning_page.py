@@ -21,7 +21,7 @@ from suspnet.estimation.physics import INCOMPLETE
 from suspnet.ground.storage import printable, write_atomically, write_json
 from suspnet.ground.tables import write_table
 from suspnet.recordings.manifest import CHANNELS
-from suspnet.report.images import as_png, data_uri
+from suspnet.report.figures import as_png, data_uri
 from suspnet.report.templates import render
 from suspnet.runs import commissioning_figures as figures
 

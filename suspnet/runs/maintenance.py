@@ -9,12 +9,12 @@ from pathlib import Path
 from suspnet.ground.storage import write_json
 from suspnet.history import History
 from suspnet.maintenance.fleet import fleet_state
-from suspnet.maintenance.fleet_plan import Planner
+from suspnet.maintenance.plan import Planner
 from suspnet.maintenance.state import State
 from suspnet.report.board import BoardSettings
-from suspnet.report.calendar_figure import plan_calendar
+from suspnet.report.maintenance_figures import plan_calendar
 from suspnet.report.output import write_fleet
-from suspnet.report.overview import fleet_view, overview_table
+from suspnet.report.tables import fleet_view, overview_table
 
 log = logging.getLogger(__name__)
 

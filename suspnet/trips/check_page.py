@@ -18,8 +18,7 @@ from suspnet.estimation.healthy_trips import LEAST_TRIPS
 from suspnet.ground.storage import write_atomically, write_json
 from suspnet.ground.wording import span
 from suspnet.recordings.recording import Recording, overview
-from suspnet.report.figures import CHANNEL_TITLES, draw_signals, say
-from suspnet.report.images import as_png
+from suspnet.report.figures import CHANNEL_TITLES, as_png, draw_signals, say
 from suspnet.report.templates import render
 from suspnet.spectra.cross_spectra import CrossSpectra
 from suspnet.spectra.estimates import SPEED_HALF_WIDTH

@@ -15,7 +15,7 @@ from suspnet.ground.storage import printable
 from suspnet.ground.wording import count, kilometres
 from suspnet.maintenance.series import first_trips
 from suspnet.maintenance.state import UNKNOWN_HEALTHY
-from suspnet.report.trip_table import files_read_as
+from suspnet.report.tables import files_read_as
 from suspnet.trips.commissionings import eras, speed_words
 
 ALONE = "by this suspension alone, as no other of its vehicle shows how fast such parts wear"

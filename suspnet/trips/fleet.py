@@ -32,8 +32,8 @@ from suspnet.maintenance.sisters import SisterSettings
 from suspnet.maintenance.trend import LEAST_PERCENT
 from suspnet.recordings.manifest_files import ManifestFile, partial_words
 from suspnet.report.output import summary, write_overview, write_pages, write_tables
-from suspnet.report.overview import Evaluated
 from suspnet.report.report import Report
+from suspnet.report.tables import Evaluated
 from suspnet.trips.commissionings import (
     check_one_reference,
     commissionings,

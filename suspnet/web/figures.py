@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from suspnet.ground.parameters import NAMES
 from suspnet.ground.wording import unbroken
 from suspnet.report import trend as shown
-from suspnet.report.responses import PARTS, Response
+from suspnet.report.tables import PARTS, Response
 from suspnet.report.trend import LIMIT_COLOURS, Panel, Points, Trend
 
 HEALTHY, BETWEEN = "#8a8f98", "#9cc3e6"

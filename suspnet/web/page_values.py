@@ -14,13 +14,11 @@ from suspnet.ground.parameters import NAMES, PARAMETERS
 from suspnet.ground.records import TripResult
 from suspnet.history.arrays import TripResponses
 from suspnet.maintenance.alarms import Acknowledgement, Alarm, newest_of
-from suspnet.maintenance.fleet_plan import suspension_of, train_of
+from suspnet.maintenance.plan import suspension_of, train_of
 from suspnet.maintenance.schedule import joined
 from suspnet.maintenance.state import State
-from suspnet.report.overview import FleetView
-from suspnet.report.responses import response, response_table
+from suspnet.report.tables import FleetView, files_read_as, response, response_table, trip_table
 from suspnet.report.trend import ranges, trend_of_state
-from suspnet.report.trip_table import files_read_as, trip_table
 
 SHORT = {"leading": "lead.", "trailing": "trail."}
 """Short words of a place, for a tile."""

@@ -33,15 +33,13 @@ from suspnet.maintenance.alarms import Alarm
 from suspnet.maintenance.schedule import Plan
 from suspnet.maintenance.series import relative_results
 from suspnet.maintenance.state import State
-from suspnet.report.overview import FleetView, finding
-from suspnet.report.responses import response
+from suspnet.report.board import Refresher
+from suspnet.report.tables import FleetView, finding, response
 from suspnet.report.templates import MARKS
 from suspnet.report.trend import trend_of_state
 from suspnet.web import page_values
 from suspnet.web.figures import response_figure, trend_figure
 from suspnet.web.page_values import Choice, suspension_values
-from suspnet.web.refresher import Refresher
-from suspnet.web.server import WITH_PLOTS
 
 MOST_ROWS = 50
 """Largest number of rows of a table of the fleet, unless all are requested."""
@@ -52,6 +50,8 @@ READ_S, WRITE_S = 0.5, 2.0
 [s]."""
 REFRESHER = "suspnet_refresher"
 """Key, among an application's extensions, of the thread that holds the state of the fleet."""
+WITH_PLOTS = "suspnet.plots"
+"""Key in a request's environment that marks a page with plots."""
 OUTPUTS = tuple(name for name in PARAMETERS if name != PAYLOAD)
 
 pages = Blueprint("pages", __name__)
@@ -163,10 +163,8 @@ def state() -> ResponseReturnValue:
 
 @functools.lru_cache(maxsize=2)
 def _calendar(plan: Plan) -> bytes:
-    from suspnet.report.calendar_figure import (
-        plan_calendar,
-    )  # imports matplotlib, only for this picture
-    from suspnet.report.images import as_svg
+    from suspnet.report.figures import as_svg
+    from suspnet.report.maintenance_figures import plan_calendar
 
     with _drawing:
         return as_svg(plan_calendar(plan))

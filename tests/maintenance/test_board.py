@@ -15,11 +15,10 @@ from suspnet.history import Event, History, HistoryError
 from suspnet.maintenance import fleet as fleet_module
 from suspnet.maintenance.alarms import OWN_CAUSES, Acknowledgement, Alarm
 from suspnet.maintenance.fleet import fleet_state
-from suspnet.maintenance.fleet_plan import parts_of, trains_of
-from suspnet.maintenance.plan import make_plan
+from suspnet.maintenance.plan import make_plan, parts_of, trains_of
 from suspnet.report import board as module
 from suspnet.report.board import Board, BoardSettings
-from suspnet.report.overview import address
+from suspnet.report.tables import address
 
 TODAY = "2026-03-01"
 SETTINGS = BoardSettings(today=TODAY)
@@ -147,7 +146,7 @@ def test_a_new_trip_is_worked_out_for_its_car_alone(store, board, monkeypatch):
     )
     planned = []
     monkeypatch.setattr(
-        "suspnet.maintenance.fleet_plan.make_plan",
+        "suspnet.maintenance.plan.make_plan",
         lambda parts, *args: (planned.append(len(parts)), make_plan(parts, *args))[1],
     )
     write(store, FLEET[place("left", "4")][30])
