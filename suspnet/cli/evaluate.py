@@ -113,7 +113,7 @@ def compose(config: DictConfig) -> int:
 def run_study(config: DictConfig, folder: Path) -> int:
     """Run the chosen study; return the exit code for the worst state that it found."""
     check_choice("study", config.study, ("identifiability", "maintenance", "reliability"))
-    program.n_threads(config.threads)
+    threads = program.n_threads(config.threads)
     program.save_config(config, folder)
     if config.study == "identifiability":
         write_identifiability(
@@ -131,12 +131,9 @@ def run_study(config: DictConfig, folder: Path) -> int:
             config.run,
             read_vehicles(),
             folder,
-            n_test=config.n_test,
-            n_odd=config.n_odd,
-            seed=config.seed,
-            threads=config.threads,
-            device=config.device,
-            progress=config.progress,
+            FreshCurves(config.seed, config.n_test, threads=threads, progress=config.progress),
+            config.n_odd,
+            config.device,
         )
         return FINE
     states = write_maintenance(config.store, folder, board_settings(config, config.monitor))

@@ -15,7 +15,7 @@ from suspnet.ground.parameters import PAYLOAD
 from suspnet.ground.types import BoolArray, FloatArray
 from suspnet.ground.wording import kilometres
 from suspnet.maintenance.change import Change, Changes, ChangeSettings, find_changes
-from suspnet.maintenance.judge import N_LAST, judge, level_words
+from suspnet.maintenance.judge import N_LAST, capped, judge, level_words
 from suspnet.maintenance.series import Series
 
 N_QUIET = 3
@@ -251,14 +251,11 @@ def _beyond(name: str, one: Series, limits: Limits | None) -> list[Alarm]:
         low, high = (centre * np.exp(sign * one.half_widths[name][there]) for sign in (-1, 1))
     last, lowest, highest = (_windows(part, np.nan) for part in (centre, low, high))
     judged = judge(last, lowest, highest, _windows(doubtful, False), limits)
-    # as long as every trip was flagged, the model is in doubt rather than the vehicle
-    severity = np.where(
-        np.logical_and.accumulate(doubtful),
-        np.minimum(judged.severity, Severity.NOTICE),
-        judged.severity,
-    )
+    severity = capped(judged.severity, np.logical_and.accumulate(doubtful))
+    quiet = np.asarray(_windows(severity == Severity.NONE, False, N_QUIET).all(axis=-1))
     found = []
-    for begin, worst, end in _spans(severity.tolist()):
+    for begin, end in spans(np.asarray(severity >= Severity.NOTICE), quiet):
+        worst = begin + int(severity[begin:end].argmax())
         newest = len(severity) - 1
         # an active alarm is described by the newest trip if that is as severe as the worst one
         at = newest if end is None and severity[newest] == severity[worst] else worst
@@ -295,24 +292,20 @@ def _was_active(alarm: Alarm, later: Alarm) -> bool:
     return alarm.begin_km <= later.begin_km and not later.begin_km > alarm.end_km
 
 
-def _spans(severity: list[int]) -> list[tuple[int, int, int | None]]:
-    """Return first, worst and final trip of each alarm; None: it is active."""
-    found: list[tuple[int, int, int | None]] = []
-    begin, worst, quiet = -1, 0, 0
-    for trip, level in enumerate(severity):
-        if begin < 0:
-            if level >= Severity.NOTICE:
-                begin, worst, quiet = trip, trip, 0
-            continue
-        worst = trip if level > severity[worst] else worst
-        quiet = quiet + 1 if level == Severity.NONE else 0
-        if quiet == N_QUIET:
-            found.append((begin, worst, trip))
-            begin = -1
-    return found if begin < 0 else [*found, (begin, worst, None)]
+def spans(raised: BoolArray, cleared: BoolArray) -> list[tuple[int, int | None]]:
+    """Return the trips at which each alarm starts and ends; None: it is active."""
+    found: list[tuple[int, int | None]] = []
+    begin = None
+    for trip in np.flatnonzero(raised | cleared).tolist():
+        if begin is None and raised[trip]:
+            begin = trip
+        elif begin is not None and cleared[trip]:
+            found.append((begin, trip))
+            begin = None
+    return found if begin is None else [*found, (begin, None)]
 
 
-def _windows(column: FloatArray | BoolArray, fill: float | bool) -> FloatArray:
-    """Return the last ``N_LAST`` trips up to each trip, newest last, (n_trips, ``N_LAST``)."""
-    padded = np.concatenate([np.full(N_LAST - 1, fill), column])
-    return np.lib.stride_tricks.sliding_window_view(padded, N_LAST)
+def _windows(column: FloatArray | BoolArray, fill: float | bool, size: int = N_LAST) -> FloatArray:
+    """Return the last `size` trips up to each trip, newest last, (n_trips, `size`)."""
+    padded = np.concatenate([np.full(size - 1, fill), column])
+    return np.lib.stride_tricks.sliding_window_view(padded, size)

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from scipy.special import logsumexp
 
 from suspnet.ground.limits import DEFAULT_LIMITS, Limits
-from suspnet.ground.records import Key
+from suspnet.ground.records import INTERVAL_LEVEL, Key
 from suspnet.ground.types import FloatArray
 from suspnet.maintenance.alarms import Alarm, watch
 from suspnet.maintenance.change import ChangeSettings
@@ -232,7 +232,7 @@ def learn_priors(fleet: Sequence[Series], limits: Iterable[str]) -> dict[str, Fl
 
 
 def learn_fleet(
-    series: Sequence[tuple[ArrayLike, ArrayLike, ArrayLike]], *, level: float = 0.9
+    series: Sequence[tuple[ArrayLike, ArrayLike, ArrayLike]], *, level: float = INTERVAL_LEVEL
 ) -> FleetPrior:
     """Return the prior over models and rates of one type of suspension, by empirical Bayes.
 

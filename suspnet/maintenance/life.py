@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from suspnet.ground.checks import check_number
+from suspnet.ground.records import INTERVAL_LEVEL
 from suspnet.ground.types import FloatArray, IntArray
 from suspnet.maintenance.degradation import (
     DIFFUSIONS,
@@ -23,6 +24,7 @@ from suspnet.maintenance.degradation import (
 from suspnet.maintenance.first_passage import HORIZON_KM, draw_lives_km
 from suspnet.maintenance.noise import (
     LEAST_NOISE,
+    ROUNDED,
     UNIT_KM,
     average,
     estimate_noise,
@@ -127,7 +129,7 @@ def predict_life(
     limits_pair: tuple[float, float],
     *,
     fleet: FleetPrior | None = None,
-    level: float = 0.9,
+    level: float = INTERVAL_LEVEL,
     seed: int = 0,
     n_samples: int = 500,
 ) -> Life:
@@ -218,7 +220,8 @@ def fit_trips(
     t = (km - km[0]) / UNIT_KM
     sigma = half / NormalDist().inv_cdf((1 + level) / 2)
     known = np.isfinite(sigma)
-    usual = np.median(sigma[known]) if known.any() else robust_spread(np.log(value))
+    steps = np.diff(np.log(value), 2)
+    usual = np.median(sigma[known]) if known.any() else robust_spread(steps, 6, ROUNDED)
     sigma = np.maximum(np.where(known, sigma, usual), max(LEAST_NOISE, BEST_TRIP * usual))
     value = tame(value)
     noise = estimate_noise(t, np.log(value), sigma, np.append(0.0, DIFFUSIONS))

@@ -1,4 +1,4 @@
-"""Settings of a plan, and the optimal dates of visits from the expected costs of parts at each date.
+"""Settings of a plan, and the optimal dates of visits, from the expected costs of their parts.
 
 Letters: T is the mileage from today until a part passes its limit, t that until a visit, L the
 usual life of a new part; V, R, I and F are the costs of a visit, a replacement, an inspection and a

@@ -13,7 +13,7 @@ from typing import Any
 from matplotlib.figure import Figure
 
 from suspnet.ground.parameters import NAMES
-from suspnet.ground.records import OK, Commissioning, TripResult, by_mileage
+from suspnet.ground.records import INTERVAL_LEVEL, OK, Commissioning, TripResult, by_mileage
 from suspnet.ground.storage import write_atomically
 from suspnet.ground.wording import count, span, thousands, unbroken
 from suspnet.maintenance.alarms import Acknowledgement, newest_of
@@ -86,7 +86,7 @@ class Report:
     outputs: tuple[str, ...]
     state: State
     details: Mapping[str, str] = field(default_factory=dict)
-    level: float = 0.9
+    level: float = INTERVAL_LEVEL
     commissionings: Sequence[Commissioning] = ()
     seen: Sequence[Acknowledgement] = ()
 

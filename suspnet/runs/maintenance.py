@@ -8,6 +8,7 @@ from pathlib import Path
 
 from suspnet.ground.storage import write_json
 from suspnet.history import History
+from suspnet.history.database import check_exists
 from suspnet.maintenance.fleet import fleet_state
 from suspnet.maintenance.plan import Planner
 from suspnet.maintenance.state import State
@@ -30,8 +31,7 @@ def write_maintenance(store: str | None, folder: Path, settings: BoardSettings) 
     """
     if not store:
         raise ValueError("which history? Give store=FILE, or store=postgresql://...")
-    if "://" not in store and not Path(store).is_file():
-        raise ValueError(f"{store}: there is no such store; evaluate.py trips=DIR store= makes one")
+    check_exists(store)
     with History(store) as history:
         fleet = [one.relative_to_first(settings.n_first) for one in history.series()]
         if not fleet:

@@ -55,18 +55,14 @@ def write_reliability(
     run: str,
     others: Mapping[str, Vehicle],
     folder: Path,
-    *,
-    n_test: int,
+    fresh: FreshCurves,
     n_odd: int,
-    seed: int,
-    threads: int | None,
     device: str,
-    progress: bool,
 ) -> list[Reliability]:
     """Write reliability.md, .csv, .json and .png of every model at or below `run`; print tables.
 
-    `others`: vehicles of another type than the model's, by name; `n_test`: curves like the training
-    curves; `n_odd`: curves in each set unlike them; `seed` must differ from that of each run.
+    `others`: vehicles of another type than the model's, by name; `fresh`: curves like the training
+    curves; `n_odd`: curves in each set unlike them.
 
     FileNotFoundError or ModelFileError if a model is missing or damaged; TypeError or ValueError if
     it was not calibrated, the seed is its own, or `n_odd` is not a number of curves.
@@ -79,8 +75,6 @@ def write_reliability(
             raise ValueError(
                 f"the model of {path} was not calibrated: train it with data.n_calibrate=30000"
             )
-        workers = torch.get_num_threads() if threads is None else threads
-        fresh = FreshCurves(seed, n_test, threads=workers, progress=progress)
         problem = fresh.problem(model, path)
         found.append(measure(problem, model, others, n_odd))
     text = "\n".join(markdown(one) for one in found)

@@ -11,7 +11,7 @@ import numpy as np
 
 from suspnet.ground.limits import Severity
 from suspnet.ground.parameters import NAMES, PARAMETERS
-from suspnet.ground.records import TripResult
+from suspnet.ground.records import INTERVAL_LEVEL, TripResult
 from suspnet.history.arrays import TripResponses
 from suspnet.maintenance.alarms import Acknowledgement, Alarm, newest_of
 from suspnet.maintenance.plan import suspension_of, train_of
@@ -159,8 +159,6 @@ def _tile(name: str, state: State, row: dict[str, Any], with_suspension: bool) -
 
 N_TRIPS = 20
 """Number of the newest trips in the table."""
-LEVEL = 0.9
-"""Probability of the intervals of trips, the default of evaluate.py and the monitor."""
 
 
 def suspension_values(
@@ -187,7 +185,7 @@ def suspension_values(
         "alarms": [(one, newest_of(one, seen)) for one in state.alarms],
         "over": [(one, newest_of(one, seen)) for one in reversed(over)],
         "ranges": ranges(trend_of_state(state)),
-        "trips": trip_table(newest, PARAMETERS, LEVEL),
+        "trips": trip_table(newest, PARAMETERS, INTERVAL_LEVEL),
         "read_as": files_read_as(newest),
         "n_trips": len(state.series.trip),
         "first_km": _end(state.series.mileage_km, np.min),
