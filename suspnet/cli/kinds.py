@@ -192,7 +192,7 @@ def board_settings(config: DictConfig, alarms: DictConfig) -> BoardSettings:
     check_choice("reference", alarms.reference, ("vehicle", "first_trips"))
     check_number("n_reference", alarms.n_reference, low=1, most=1024, whole=True)
     return BoardSettings(
-        vehicles=read_all_vehicles(),
+        vehicles={one.name: one.known_limits for one in read_all_vehicles().values()},
         limits=plain(alarms.limits),
         changes=build(alarms, "changes"),
         sisters=build(config, "sisters"),

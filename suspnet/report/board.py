@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from datetime import UTC, date, datetime
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from suspnet.ground.limits import DEFAULT_LIMITS, Cause, Limits, read_limits
 from suspnet.ground.records import Key
@@ -35,30 +35,18 @@ AT_ONCE = 50
 """Number of suspensions updated between two checks of the elapsed time."""
 
 
-class Limited(Protocol):
-    """A vehicle with a name and limits."""
-
-    @property
-    def name(self) -> str:
-        """Its name."""
-
-    @property
-    def known_limits(self) -> Mapping[str, Limits]:
-        """Limits of its parameters."""
-
-
 @dataclass(frozen=True)
 class BoardSettings:
     """Settings of the states and the plan of a fleet.
 
-    A vehicle that is not in `vehicles` has ``DEFAULT_LIMITS``; `limits` override them all, from a
-    parameter to `notice` and `act`. `n_first` is the number of first trips whose median is healthy
-    (None: the models define it), as of the evaluation of the trips. `today` is an ISO 8601 day
-    (None: that of the computer's clock), `seed` that of the predicted lives. ValueError is raised
-    if `today` is not a day, or the limits are inconsistent.
+    `vehicles` has the limits of vehicles by name; others have ``DEFAULT_LIMITS``. `limits` override
+    them all, from a parameter to `notice` and `act`. `n_first` is the number of first trips whose
+    median is healthy (None: the models define it), as of the evaluation of the trips. `today` is an
+    ISO 8601 day (None: that of the computer's clock), `seed` that of the predicted lives.
+    ValueError is raised if `today` is not a day, or the limits are inconsistent.
     """
 
-    vehicles: Mapping[str, Limited] = field(default_factory=dict)
+    vehicles: Mapping[str, Mapping[str, Limits]] = field(default_factory=dict)
     limits: Mapping[str, Any] | None = None
     changes: ChangeSettings = field(default_factory=ChangeSettings)
     sisters: SisterSettings = field(default_factory=SisterSettings)
@@ -72,8 +60,8 @@ class BoardSettings:
             self.day()
         except ValueError:
             raise ValueError(f"`today` must be a day like 2026-03-31, got {self.today!r}") from None
-        for one in self.vehicles.values():
-            self.limits_of(one.name)
+        for vehicle in self.vehicles:
+            self.limits_of(vehicle)
 
     def day(self) -> date:
         """Return the first day of the plan."""
@@ -81,8 +69,7 @@ class BoardSettings:
 
     def limits_of(self, vehicle: str) -> Mapping[str, Limits]:
         """Return the limits of a vehicle by its name; ValueError if `limits` cannot be read."""
-        known = {one.name: one.known_limits for one in self.vehicles.values()}
-        return read_limits(self.limits or {}, known.get(vehicle, DEFAULT_LIMITS))
+        return read_limits(self.limits or {}, self.vehicles.get(vehicle, DEFAULT_LIMITS))
 
 
 class Board:

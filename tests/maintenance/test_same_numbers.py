@@ -84,7 +84,7 @@ def outcomes(request, tmp_path_factory):
         with History(store) as history:
             given = (folder / "trips", [model], folder / "out", settings, False, history, SEED)
             done = evaluate_fleet(*given)
-    vehicles = {model.vehicle.name: model.vehicle}
+    vehicles = {model.vehicle.name: model.vehicle.known_limits}
     given = {"n_first": settings.n_first, "today": "2026-03-01", "seed": SEED}
     board = Board(str(store), BoardSettings(vehicles, **given))
     board.refresh()
