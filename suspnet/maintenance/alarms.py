@@ -143,15 +143,10 @@ class Watched:
     alarms: list[Alarm] = field(default_factory=list)
     changes: Changes = field(default_factory=Changes)
 
-    def standing(self, parameter: str) -> list[Alarm]:
-        """Return the active alarms of a parameter."""
-        return [one for one in self.alarms if one.parameter == parameter and one.is_open]
-
     @property
     def passed(self) -> set[str]:
         """Parameters that are beyond their act limit."""
-        standing = [one for one in self.alarms if one.is_open]
-        return {one.parameter for one in standing if one.severity == Severity.ACT}
+        return {a.parameter for a in self.alarms if a.is_open and a.severity == Severity.ACT}
 
 
 def watch(

@@ -116,9 +116,12 @@ class Fleet:
             if car in cars:
                 members[car].append(state)
         for several in members.values():
-            found = sister_alarms(several, self.sisters)
+            # an alarm of its own of any suspension of the car explains a difference
+            explained = {alarm.parameter for state in several for alarm in state.alarms}
+            odd = alarms_of_sisters([state.series for state in several], self.sisters)
             for state in several:
-                self._of_sisters[state.key] = found.get(state.key, [])
+                alarms = [a for a in odd.get(state.key, []) if a.parameter not in explained]
+                self._of_sisters[state.key] = alarms
                 self._states.pop(state.key, None)
         return {state.key for several in members.values() for state in several}
 
@@ -290,18 +293,6 @@ def _counted(counts: FloatArray, default: FloatArray) -> FloatArray:
     """Return proportions from counts and a default that counts as ``PRIOR_SERIES`` series."""
     total = counts + PRIOR_SERIES * default
     return np.asarray(total / total.sum())
-
-
-def sister_alarms(car: Sequence[State], settings: SisterSettings) -> dict[Key, list[Alarm]]:
-    """Return the alarms of the suspensions of a car that differ from their sisters.
-
-    A parameter is left out if any suspension of the car has its own alarm of it: that explains the
-    difference.
-    """
-    explained = {alarm.parameter for state in car for alarm in state.alarms}
-    odd = alarms_of_sisters([state.series for state in car], settings)
-    rest = {key: [one for one in own if one.parameter not in explained] for key, own in odd.items()}
-    return {key: alarms for key, alarms in rest.items() if alarms}
 
 
 def _n_new(before: Series | None, series: Series) -> int:

@@ -210,15 +210,9 @@ def _ordered(figures: Mapping[str, Figure]) -> list[str]:
 
 def _embedded(name: str, figure: Figure, shown: Mapping[str, str]) -> dict[str, Any]:
     """Return a figure's heading, explanation of what is `shown`, and image as a data URI."""
-    heading, explanation = name.replace("_", " ").capitalize(), ""
-    if name in CAPTIONS:
-        heading, explanation = CAPTIONS[name][0], CAPTIONS[name][1].format(**shown)
-    return {
-        "name": name,
-        "heading": heading,
-        "explanation": explanation,
-        "image": data_uri(figure),
-    }
+    heading, explanation = CAPTIONS.get(name, (name.replace("_", " ").capitalize(), ""))
+    words = explanation.format(**shown)
+    return {"heading": heading, "explanation": words, "image": data_uri(figure)}
 
 
 def _healthy(trips: Sequence[TripResult]) -> dict[str, str]:
