@@ -17,7 +17,7 @@ from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, ListConfig, OmegaConf
 
 from suspnet.cli.config_files import CONFIGS, check_file
-from suspnet.ground.checks import check_choice, check_number
+from suspnet.ground.settings import check_choice, check_number
 from suspnet.ground.storage import read_plain
 
 if TYPE_CHECKING:
@@ -50,7 +50,7 @@ KINDS: Mapping[str, Mapping[str, str]] = {
     "source": {
         "folder": "suspnet.live.drop_folder.DropFolder",
         "mqtt": "suspnet.live.mqtt.Mqtt",
-        "stdin": "suspnet.live.pipe.Pipe",
+        "stdin": "suspnet.live.source.Pipe",
     },
     # where there is one kind only, a configuration need not name it
     "broker": {"": "suspnet.live.broker.Broker"},

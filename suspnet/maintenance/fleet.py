@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import logsumexp
 
-from suspnet.ground.limits import DEFAULT_LIMITS, Limits
+from suspnet.ground.parameters import DEFAULT_LIMITS, Limits
 from suspnet.ground.records import INTERVAL_LEVEL, Key
 from suspnet.ground.types import FloatArray
 from suspnet.maintenance.alarms import Alarm, watch

@@ -8,8 +8,8 @@ from statistics import NormalDist
 import numpy as np
 from numpy.typing import ArrayLike
 
-from suspnet.ground.checks import check_number
 from suspnet.ground.records import INTERVAL_LEVEL
+from suspnet.ground.settings import check_number
 from suspnet.ground.types import FloatArray, IntArray
 from suspnet.maintenance.degradation import (
     DIFFUSIONS,

@@ -11,8 +11,7 @@ from itertools import chain
 import numpy as np
 from numpy.typing import NDArray
 
-from suspnet.ground.limits import Severity
-from suspnet.ground.parameters import PARAMETERS
+from suspnet.ground.parameters import PARAMETERS, Severity
 from suspnet.ground.types import FloatArray
 from suspnet.maintenance.schedule import (
     SLACK,

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from tabulate import tabulate
 
-from suspnet.ground.checks import check_number
-from suspnet.ground.limits import Severity
+from suspnet.ground.parameters import Severity
+from suspnet.ground.settings import check_number
 from suspnet.ground.types import FloatArray
 from suspnet.ground.wording import count
 

@@ -9,8 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
-from suspnet.ground.limits import Limits, Severity
-from suspnet.ground.parameters import PAYLOAD
+from suspnet.ground.parameters import PAYLOAD, Limits, Severity
 from suspnet.ground.records import Key
 from suspnet.ground.types import FloatArray
 from suspnet.maintenance.alarms import Alarm, Watched

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from tabulate import tabulate
 
-from suspnet.ground.limits import Limits, Severity
+from suspnet.ground.parameters import Limits, Severity
 from suspnet.ground.records import OK, PLACE_FROM_TRAIN, Key, Place, TripCurves, TripResult
 from suspnet.ground.types import FloatArray
 from suspnet.ground.wording import count, kilometres

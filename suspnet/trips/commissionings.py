@@ -20,7 +20,7 @@ from suspnet.estimation.trained import TrainedModel
 from suspnet.ground.parameters import PAYLOAD
 from suspnet.ground.records import Commissioning, Place, TripResult
 from suspnet.maintenance.series import divided, medians
-from suspnet.spectra.speeds import range_words
+from suspnet.spectra.segments import range_words
 
 NAMED = 6
 """Largest number of suspensions that an error names."""

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from suspnet.ground.limits import Severity
+from suspnet.ground.parameters import Severity
 from suspnet.maintenance.plan import join_plans, km_per_day, make_plan
 from suspnet.maintenance.schedule import Part, Train
 from suspnet.maintenance.visit_costs import (

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from depot_trips import N_TRIPS, place, trips
 
-from suspnet.ground.limits import DEFAULT_LIMITS, Cause, Severity
+from suspnet.ground.parameters import DEFAULT_LIMITS, Cause, Severity
 from suspnet.ground.records import Place
 from suspnet.history import Event, History
 from suspnet.maintenance.alarms import Acknowledgement
@@ -20,7 +20,7 @@ from suspnet.maintenance.visit_costs import PlanSettings
 from suspnet.report.board import BoardSettings
 from suspnet.report.tables import overview_rows, overview_table
 from suspnet.report.templates import render
-from suspnet.runs.maintenance import write_maintenance
+from suspnet.runs.evaluate import write_maintenance
 
 TODAY = "2026-03-01"
 SEEN = "2026-02-01T08:00:00+00:00"
