@@ -18,7 +18,7 @@ from suspnet.maintenance.series import series_of
 from suspnet.maintenance.state import State
 from suspnet.report import output
 from suspnet.report.output import write_overview
-from suspnet.report.overview import Evaluated, finding
+from suspnet.report.tables import Evaluated, finding
 from suspnet.report.tensorboard import RunLog
 from suspnet.trips import fleet
 from suspnet.trips.commissionings import models_of
