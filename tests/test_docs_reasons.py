@@ -32,8 +32,8 @@ TELLING = (
     "suspnet/estimation/steady_parts.py",
     "suspnet/trips/grouping.py",
     "suspnet/trips/trip.py",
-    "suspnet/estimation/ood.py",
-    "suspnet/estimation/physics.py",
+    "suspnet/estimation/flags.py",
+    "suspnet/estimation/flags.py",
     "suspnet/ground/workers.py",
 )
 """Modules whose every sentence is a reason."""

@@ -24,9 +24,8 @@ from suspnet import (
 )
 from suspnet.estimation.from_recording import speed_bins
 from suspnet.estimation.problem import TEST
-from suspnet.runs.calibrate import calibrated
 from suspnet.runs.fit import fit
-from suspnet.runs.predict import predict_stream
+from suspnet.runs.predict import calibrated, predict_stream
 from suspnet.spectra.curves import CurveSettings
 from suspnet.spectra.segments import NoEstimateError, recording_segments
 from suspnet.trips.trip import evaluate_trip

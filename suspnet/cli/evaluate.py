@@ -20,10 +20,10 @@ from suspnet.ground.checks import check_choice
 from suspnet.ground.limits import Severity
 from suspnet.ground.storage import write_atomically
 from suspnet.history import History
+from suspnet.report.board import BoardSettings
 from suspnet.report.overview import Evaluated
-from suspnet.runs.evaluate import FreshCurves, evaluate
+from suspnet.runs.evaluate import FreshCurves, evaluate, write_maintenance
 from suspnet.runs.identifiability import write_identifiability
-from suspnet.runs.maintenance import write_maintenance
 from suspnet.runs.reliability import write_reliability
 from suspnet.runs.sweeps import write_table6
 from suspnet.trips.fleet import evaluate_fleet
@@ -139,9 +139,7 @@ def run_study(config: DictConfig, folder: Path) -> int:
             progress=config.progress,
         )
         return FINE
-    states = write_maintenance(
-        config.store,
-        folder,
+    settings = BoardSettings(
         vehicles=read_vehicles(),
         limits=plain(config.monitor.limits),
         changes=build(config, "monitor.changes"),
@@ -150,4 +148,5 @@ def run_study(config: DictConfig, folder: Path) -> int:
         today=config.today,
         seed=config.seed,
     )
+    states = write_maintenance(config.store, folder, settings)
     return worst(ALARMS.get(one.severity, FINE) for one in states)

@@ -16,9 +16,9 @@ from suspnet.cli import folders, naming, program
 from suspnet.cli.commission_fleet import several_suspensions, train_fleet
 from suspnet.cli.kinds import build
 from suspnet.dynamics import ResponseGenerator, VerticalVehicle
+from suspnet.estimation.flags import Residual
 from suspnet.estimation.from_recording import TripSettings
 from suspnet.estimation.healthy_trips import LEAST_TRIPS
-from suspnet.estimation.physics import Residual
 from suspnet.estimation.problem import Problem
 from suspnet.ground.checks import check_number
 from suspnet.learning import ranks
@@ -28,7 +28,7 @@ from suspnet.runs.commissioning_page import training_notes, write_outcome
 from suspnet.runs.scores import Metrics
 from suspnet.runs.train import RunContext, speed_ranges, train, train_ranges
 from suspnet.spectra.estimates import EstimateSettings
-from suspnet.spectra.speeds import SpeedRange, covering, setting_words
+from suspnet.spectra.segments import SpeedRange, covering, setting_words
 
 log = logging.getLogger(__name__)
 NO_SPEED = (

@@ -57,11 +57,7 @@ def check_arrays(arrays: Mapping[str, FloatArray]) -> None:
 
 
 def check_model(model: TrainedModel) -> None:
-    """Raise TypeError or ValueError unless the parts of a model are consistent.
-
-    A method must give a plausible estimate for the middle of its training data, so that no NaN
-    follows.
-    """
+    """Raise TypeError or ValueError unless the parts of a model are consistent and it estimates."""
     task = model.task
     n_inputs, n_outputs = len(task.inputs), len(task.outputs)
     _check_healthy(model)

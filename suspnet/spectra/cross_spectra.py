@@ -59,10 +59,7 @@ class CrossSpectra:
         return spectrum if x < y else spectrum.conj()
 
     def transfer(self, x: int, y: int, method: Method, instrument: int | None = None) -> Tensor:
-        """Return the response from channel x to y, complex, shape (..., n_freq).
-
-        Raises ValueError if the method is unknown, or IV has no instrument.
-        """
+        """Return the response from channel x to y, complex, (..., n_freq)."""
         check_choice("method", method, METHODS)
         if method == "Hv":
             cross = self.between(x, y)

@@ -227,7 +227,7 @@ def _with_parts(
     found = [
         (one, _part(one))
         for one in steady(segments, speeds, groups, estimate, settings)
-        if one.found.spectra is not None
+        if one.spectra is not None
     ]
     kept = [(one, part) for one, part in found if one.has_enough]
     certain = [(one, part) for one, part in kept if one.is_certain]
@@ -238,10 +238,10 @@ def _with_parts(
         result,
         state=READY if certain else TOO_LITTLE,
         parts=tuple(part for _, part in certain),
-        steady_percent=100 * sum(int(one.found.chosen.sum()) for one, _ in certain) / n_segments,
+        steady_percent=100 * sum(int(one.chosen.sum()) for one, _ in certain) / n_segments,
         remarks=(*result.remarks, *([words] if words else [])),
     )
-    return result, [one.found.chosen for one, _ in certain or found[:1]] or [looked_at]
+    return result, [one.chosen for one, _ in certain or found[:1]] or [looked_at]
 
 
 def _vehicle(
@@ -269,10 +269,10 @@ def _part(one: Steady) -> SteadyPart:
     """Return the quality of a group of segments; G_s counts as far as an estimate uses it."""
     return SteadyPart(
         speed_m_per_s=one.speed[0],
-        n_averages=one.found.n_averages,
-        coherence_p=one.found.coherences[0],
-        coherence_s=one.found.coherences[1],
-        deviation_percent=100 * one.found.deviation,
+        n_averages=one.n_averages,
+        coherence_p=one.coherences[0],
+        coherence_s=one.coherences[1],
+        deviation_percent=100 * one.deviation,
     )
 
 

@@ -23,7 +23,7 @@ from suspnet.report.images import as_png
 from suspnet.report.templates import render
 from suspnet.spectra.cross_spectra import CrossSpectra
 from suspnet.spectra.estimates import SPEED_HALF_WIDTH
-from suspnet.spectra.speeds import covering, setting_words
+from suspnet.spectra.segments import covering, setting_words
 from suspnet.trips.check_records import PROBLEM, READY, TOO_LITTLE, TripCheck
 
 LISTED = 5

@@ -19,7 +19,7 @@ from suspnet.cli.kinds import KINDS, build, class_of
 from suspnet.cli.program import n_threads
 from suspnet.cli.reference import COLUMNS, Reference, _of_kinds
 from suspnet.ground.settings import settings_of
-from suspnet.simulation.scatter import scattered
+from suspnet.simulation.fleet import scattered
 from suspnet.simulation.signals import Sensor
 from suspnet.spectra.components import CurveFeatures
 from suspnet.spectra.extraction import PeakFeatures

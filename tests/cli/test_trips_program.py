@@ -28,7 +28,7 @@ from suspnet.ground.limits import Severity
 from suspnet.recordings.manifest import CHANNELS
 from suspnet.report import output
 from suspnet.report.tensorboard import RunLog
-from suspnet.simulation.scatter import scattered, true_numbers
+from suspnet.simulation.fleet import scattered, true_numbers
 from suspnet.trips import fleet
 
 QUICK = ("truck",)
