@@ -21,7 +21,8 @@ from suspnet.runs.evaluate import find_runs
 from suspnet.trips.commissionings import models_of, place_of
 
 pytestmark = pytest.mark.usefixtures("blank")
-TRIPS = [*SMALL, "experiment=trips", "data.minutes=5", "data.segment_s=5", "model=linear"]
+FEW = ["data.n_train=100", "data.n_test=20", "data.n_calibrate=100", *SMALL[3:]]
+TRIPS = [*FEW, "experiment=trips", "data.minutes=5", "data.segment_s=5", "model=linear"]
 PLACES = {
     "one": Place("S1", "leading", "", "1", "1"),
     "two": Place("S1", "trailing", "", "1", "1"),

@@ -73,7 +73,9 @@ def test_refined_run_reaches_the_bound_and_is_called_so(tmp_path):
     assert metrics["model"] == "linear+refine"
     for ratio in metrics["rms_ratio"].values():
         assert ratio == pytest.approx(1, abs=0.28)  # 100 curves: 7 %, four of those
-    fresh = run_main(evaluate, tmp_path, f"run={tmp_path / 'run'}", "data.n_test=100", *BARE, *small[-1:])
+    fresh = run_main(
+        evaluate, tmp_path, f"run={tmp_path / 'run'}", "data.n_test=100", *BARE, *small[-1:]
+    )
     assert fresh["model"] == "linear+refine"
     assert fresh["scores"]["c_p"]["rmse"] < 1.5 * metrics["scores"]["c_p"]["rmse"]
 
@@ -241,6 +243,7 @@ def test_interrupt_leaves_nothing_half_written_and_a_second_start_works(tmp_path
         while "training curves" not in words.read_text():  # of 364,816, which takes long
             assert time.monotonic() < deadline, "the program does not start"
             time.sleep(0.05)
+        time.sleep(0.3)  # well inside their generation
         os.kill(process.pid, signal.SIGINT)
         process.join(60)
         errors = words.read_text()
