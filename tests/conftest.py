@@ -81,7 +81,7 @@ READ_HERE = (
     *("test_check", "test_check_agrees", "test_commissioning_fleet", "test_commissioning_program"),
     *("test_init", "test_monitor_program", "test_trips_program"),
 )
-"""Files of tests that read many simulated trips; `read_apart` is for those of them that must not."""
+"""Files of tests that read many simulated trips; some of their tests use `read_apart`."""
 
 
 @pytest.fixture(scope="module", autouse=True)

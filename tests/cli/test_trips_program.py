@@ -311,7 +311,10 @@ def test_wrong_limits_of_a_vehicle_name_file_and_key(tmp_path):
 @pytest.mark.parametrize(
     ("names", "codes", "worst"),
     [
-        (("115", "nowhere", "100"), ["3", "1", "0"], evaluate.MISTAKE),
+        pytest.param(
+            *(("115", "nowhere", "100"), ["3", "1", "0"], evaluate.MISTAKE),
+            marks=pytest.mark.slow,  # the order of codes is that of `evaluate.worst`, below
+        ),
         (("100", "nowhere", "150"), ["0", "1", "4"], evaluate.ACT),
     ],
 )
