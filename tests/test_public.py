@@ -137,7 +137,7 @@ def test_trips_are_read_with_the_public_tfestimate(tmp_path_factory):
     recording = load_recording(read_manifest(path), 100.0)
     model, welch = model_at(), suspnet.Welch()
     segments = recording_segments(recording, welch)
-    (found,) = speed_bins(model, recording, segments, TripSettings())
+    (found,) = speed_bins(model, recording, segments, TripSettings(), [model])
     assert found.chosen.all()
     axle_box, bogie, body = recording.signals
     links = [(axle_box, bogie, body), (bogie, body, axle_box)]

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from suspnet.ground.checks import check_choice, check_number
+from suspnet.ground.settings import check_choice, check_number
 from suspnet.ground.types import FloatArray
 
 TOLERANCE = 1e-9

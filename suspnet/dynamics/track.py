@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 from scipy.fft import irfft, next_fast_len
 from scipy.integrate import quad
 
-from suspnet.ground.checks import check_choice, check_number
+from suspnet.ground.settings import check_choice, check_number
 from suspnet.ground.types import FloatArray
 
 MM2_IN_M2 = 1e-6

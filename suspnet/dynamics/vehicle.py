@@ -12,7 +12,7 @@ from torch import Tensor
 
 from suspnet.dynamics.motion import LinearSystem
 from suspnet.dynamics.quantities import LogNormal
-from suspnet.ground.limits import DEFAULT_LIMITS, Limits, read_limits
+from suspnet.ground.parameters import DEFAULT_LIMITS, Limits, read_limits
 from suspnet.ground.parameters import PARAMETERS as PARAMETERS
 from suspnet.ground.settings import Setting, check_settings, setting
 

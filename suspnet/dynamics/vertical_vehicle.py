@@ -34,8 +34,7 @@ from suspnet.dynamics.vertical_motion import (
     vertical_motion,
 )
 from suspnet.dynamics.vertical_response import bounced, rolled, wheels_of
-from suspnet.ground.checks import check_choice, check_number
-from suspnet.ground.settings import Setting, check_settings, setting
+from suspnet.ground.settings import Setting, check_choice, check_number, check_settings, setting
 from suspnet.ground.tensors import as_tensor, check_device
 
 N_ALL = len(PARAMETERS) + len(UNMEASURED)

@@ -11,8 +11,8 @@ import numpy as np
 from scipy import stats
 
 from suspnet.dynamics import PARAMETERS, ResponseGenerator
-from suspnet.ground.checks import check_number
 from suspnet.ground.parameters import UNITS
+from suspnet.ground.settings import check_number
 from suspnet.ground.types import BoolArray, FloatArray
 
 KINDS = ("missing", "cloud", "range", "misfit", "physics", "sides")

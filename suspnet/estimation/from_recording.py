@@ -107,12 +107,33 @@ def estimate_recording(
     method: FittedMethod, recording: Recording, settings: TripSettings
 ) -> Estimate:
     """Return a method's estimate from a recording, one row; raises as `speed_bins` does."""
-    welch = trip_settings(method).welch
-    segments = recording_segments(recording, welch)
-    if not len(segments.values):
-        raise NoEstimateError(no_segment(recording, welch))
-    bins = speed_bins(method, recording, segments, settings)
+    segments = recording_segments(recording, trip_settings(method).welch)
+    bins = all_bins([(method, segments)], recording, settings)
     return with_sides(combined(bins), bins, recording)[0]
+
+
+def all_bins(
+    pairs: Sequence[tuple[FittedMethod, SegmentSpectra]],
+    recording: Recording,
+    settings: TripSettings,
+) -> list[SpeedBin]:
+    """Return the estimates of all groups of segments, each by the method that reads its speed.
+
+    `pairs` are the methods with their segments. NoEstimateError is raised with the reasons of all
+    methods if none gives an estimate, TripError as by `speed_bins`.
+    """
+    if not any(len(segments.values) for _, segments in pairs):
+        raise NoEstimateError(no_segment(recording, pairs[0][1].welch))
+    bins, reasons = [], []
+    methods = [method for method, _ in pairs]
+    for method, segments in pairs:
+        try:
+            bins += speed_bins(method, recording, segments, settings, methods)
+        except NoEstimateError as reason:
+            reasons.append(str(reason))
+    if not bins:
+        raise NoEstimateError("; ".join(dict.fromkeys(reasons)))
+    return bins
 
 
 def speed_bins(
@@ -120,7 +141,7 @@ def speed_bins(
     recording: Recording,
     segments: SegmentSpectra,
     settings: TripSettings,
-    models: Sequence[FittedMethod] = (),
+    models: Sequence[FittedMethod],
 ) -> list[SpeedBin]:
     """Return a method's estimate from each group of segments at one of its speeds.
 
@@ -135,22 +156,21 @@ def speed_bins(
     """
     # which groups of segments at one speed are this method's
     _check_places(recording, method.generator)
-    together = models or [method]
     speeds = segment_speeds(recording, segments)
     tolerance, any_speed = settings.speed_tolerance, reads_at_any_speed(method)
     least = settings.min_speed_m_per_s if any_speed else 0.0
     groups = groups_to_read(speeds, tolerance, least, at_any_speed=any_speed)
-    if not any(groups_of(one, together, speeds, groups) for one in together):
+    if not any(groups_of(one, models, speeds, groups) for one in models):
         if segments.welch.n_averages(len(speeds)) < settings.min_averages:
             raise NoEstimateError(_too_short(recording, segments, settings))
-        raise NoEstimateError(no_group_words(speeds, groups, together, tolerance, least))
+        raise NoEstimateError(no_group_words(speeds, groups, models, tolerance, least))
     # one failing group does not prevent the estimates of the others
     bins, reasons = [], []
     trained = trip_settings(method)
-    own = groups_of(method, together, speeds, groups)
+    own = groups_of(method, models, speeds, groups)
     for part in steady(segments, speeds, own, trained, settings):
         try:
-            bins.append(_speed_bin(method, recording, part, together, speeds, segments, settings))
+            bins.append(_speed_bin(method, recording, part, models, speeds, segments, settings))
         except NoEstimateError as reason:
             reasons.append(reason)
     if reasons and not bins:

@@ -25,7 +25,7 @@ from typing import Self
 
 import numpy as np
 
-from suspnet.ground.checks import check_number
+from suspnet.ground.settings import check_number
 from suspnet.ground.types import FloatArray
 from suspnet.learning import MSVR, Scaling
 

@@ -21,8 +21,8 @@ from suspnet._version import __version__
 from suspnet.dynamics import PARAMETERS, ResponseGenerator, Vehicle
 from suspnet.estimation.protocols import PAYLOAD_COLUMN, Task
 from suspnet.ground.cache import Cache, code_hash
-from suspnet.ground.checks import check_number
 from suspnet.ground.progress import bar as progress_bar
+from suspnet.ground.settings import check_number
 from suspnet.ground.types import BoolArray, FloatArray, IntArray
 from suspnet.spectra.extraction import FeatureSet
 from suspnet.spectra.observation import Observation, Observer

@@ -11,9 +11,15 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from scipy.stats import qmc
 
-from suspnet.ground.checks import check_choice, check_flag, check_number
 from suspnet.ground.parameters import PARAMETERS, PAYLOAD
-from suspnet.ground.settings import Setting, check_settings, setting
+from suspnet.ground.settings import (
+    Setting,
+    check_choice,
+    check_flag,
+    check_number,
+    check_settings,
+    setting,
+)
 from suspnet.ground.types import FloatArray
 from suspnet.spectra.components import CurveFeatures
 from suspnet.spectra.extraction import FeatureSet, PeakFeatures

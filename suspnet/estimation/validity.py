@@ -14,8 +14,8 @@ import numpy as np
 
 from suspnet.estimation.problem import Problem
 from suspnet.estimation.trained import TrainedModel
-from suspnet.ground.checks import LARGEST, check_flag, check_number
 from suspnet.ground.records import Place
+from suspnet.ground.settings import LARGEST, check_flag, check_number
 from suspnet.ground.types import FloatArray
 from suspnet.learning import Scaling
 

@@ -20,8 +20,7 @@ from suspnet.estimation import commissioning_summary as words
 from suspnet.estimation.commissioning import Commissioned
 from suspnet.estimation.flags import INCOMPLETE
 from suspnet.estimation.healthy_trips import HealthyTrips
-from suspnet.ground.storage import printable, write_atomically, write_json
-from suspnet.ground.tables import write_table
+from suspnet.ground.storage import printable, write_atomically, write_json, write_table
 from suspnet.ground.types import ComplexArray, FloatArray
 from suspnet.ground.wording import kilometres
 from suspnet.recordings.manifest import CHANNELS

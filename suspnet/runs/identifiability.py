@@ -27,8 +27,8 @@ from suspnet.estimation.identifiability import (
 from suspnet.estimation.information import scale_ambiguity_bound
 from suspnet.estimation.problem import TEST
 from suspnet.estimation.protocols import Protocol, Task
-from suspnet.ground.checks import check_number
 from suspnet.ground.parameters import PAYLOAD
+from suspnet.ground.settings import check_number
 from suspnet.report.figures import SYMBOLS
 from suspnet.runs.findings import Findings, group_markdown, plain, records
 from suspnet.runs.plots import OUR_COLOUR

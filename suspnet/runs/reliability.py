@@ -28,8 +28,8 @@ from suspnet.estimation.from_curves import estimate_curves
 from suspnet.estimation.problem import BLOCK, TEST, Problem
 from suspnet.estimation.protocols import PAYLOAD_COLUMN, Task
 from suspnet.estimation.trained import TrainedModel
-from suspnet.ground.checks import check_number
 from suspnet.ground.progress import bar as progress_bar
+from suspnet.ground.settings import check_number
 from suspnet.ground.types import BoolArray, FloatArray
 from suspnet.learning.search import covers, interval_scores
 from suspnet.report.figures import SYMBOLS

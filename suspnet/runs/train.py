@@ -25,8 +25,8 @@ from suspnet.estimation.checkpoint import save_model
 from suspnet.estimation.flags import Residual
 from suspnet.estimation.problem import TEST, Problem
 from suspnet.estimation.trained import TrainedModel
-from suspnet.ground.checks import check_number
 from suspnet.ground.progress import stage
+from suspnet.ground.settings import check_number
 from suspnet.ground.storage import write_json
 from suspnet.learning import ranks
 from suspnet.learning.search import GridSearch, SearchResult

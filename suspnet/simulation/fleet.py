@@ -13,9 +13,8 @@ import torch
 from suspnet.dynamics import PARAMETERS, QuarterCar, VerticalVehicle
 from suspnet.dynamics.quantities import QUANTITIES, UNMEASURED, LogNormal
 from suspnet.dynamics.track import track_spectrum
-from suspnet.ground.checks import check_number
 from suspnet.ground.records import Place
-from suspnet.ground.settings import Setting, check_settings, setting
+from suspnet.ground.settings import Setting, check_number, check_settings, setting
 from suspnet.ground.types import FloatArray
 from suspnet.recordings.manifest import CHANNELS
 from suspnet.simulation.signals import Journey, Sensor, service_journey, steady_journey
@@ -185,24 +184,39 @@ class Aboard:
 
 @dataclass(frozen=True)
 class Trains:
-    """Trains of `n_cars` cars, each with a suspension at its leading and at its trailing bogie.
+    """The suspensions of several trains; those that do not wear stay healthy."""
 
-    `n_wearing` suspensions follow the scenario (None: all); the others stay healthy.
-    """
-
-    n_trains: int = 1
-    n_cars: int = 1
-    n_wearing: int | None = None
+    trains: int = setting(
+        1,
+        "Number of trains of a fleet, each of whose suspensions has a subfolder of `out`, a "
+        "vehicle of its own and starts, mileage, track and speed of its train; null is one "
+        "suspension alone, in `out`",
+        low=1,
+        most=1000,
+        rule="whole number; 1 to 1000; or null",
+    )
+    cars: int | None = setting(
+        None,
+        "Number of cars of each train, with a suspension at the leading and one at the trailing "
+        "bogie; null is 1",
+        low=1,
+        most=100,
+    )
+    n_wearing: int | None = setting(
+        None,
+        "Number of suspensions of the fleet that follow the scenario, drawn by the seed, while "
+        "nothing of the others wears; null is all",
+        low=0,
+    )
 
     def __post_init__(self) -> None:
-        check_number("trains", self.n_trains, low=1, most=1000, whole=True)
-        check_number("cars", self.n_cars, low=1, most=100, whole=True)
-        check_number("n_wearing", self.n_wearing, low=0, most=self.n_all, whole=True, optional=True)
+        check_settings(self)
+        check_number("n_wearing", self.n_wearing, most=self.n_all, whole=True, optional=True)
 
     @property
     def n_all(self) -> int:
         """Number of suspensions of all trains."""
-        return self.n_trains * self.n_cars * len(BOGIES)
+        return self.trains * (self.cars or 1) * len(BOGIES)
 
     def suspensions(self, seed: int) -> list[Suspension]:
         """Return every suspension; its own seed depends only on its place and on `seed`.
@@ -210,10 +224,10 @@ class Trains:
         The suspensions that wear are drawn at random.
         """
         drawn: list[tuple[Aboard, int, int]] = []
-        for train in range(1, self.n_trains + 1):
+        for train in range(1, self.trains + 1):
             shared = _seeds(seed, train)[0]
             first_start = FIRST_DAY + HEADWAY * (train - 1)
-            for car in range(1, self.n_cars + 1):
+            for car in range(1, (self.cars or 1) + 1):
                 for i, bogie in enumerate(BOGIES):
                     aboard = Aboard(str(train), str(car), bogie, first_start, shared)
                     drawn.append((aboard, *_seeds(seed, train, car, i + 1)))

@@ -22,7 +22,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from suspnet.ground.checks import check_choice
+from suspnet.ground.settings import check_choice
 from suspnet.ground.types import FloatArray
 
 METHODS = ("H1", "H2", "Hv", "IV")

@@ -24,8 +24,7 @@ import torch
 from torch import Tensor
 
 from suspnet.dynamics import PARAMETERS, ResponseGenerator, Vehicle
-from suspnet.ground.checks import check_number
-from suspnet.ground.settings import Setting, check_settings, setting
+from suspnet.ground.settings import Setting, check_number, check_settings, setting
 
 LEAST_CALIBRATION = 100
 """Smallest number of calibration curves; the coverage of a 90 % interval then scatters by 3 %."""

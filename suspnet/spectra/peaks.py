@@ -15,7 +15,7 @@ import torch
 from numpy.typing import ArrayLike
 from torch import Tensor
 
-from suspnet.ground.checks import check_choice, check_number
+from suspnet.ground.settings import check_choice, check_number
 from suspnet.ground.tensors import as_tensor
 
 CLIP_FRACTION = 0.3

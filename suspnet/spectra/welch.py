@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from scipy.signal import get_window
 from torch import Tensor
 
-from suspnet.ground.checks import check_number
+from suspnet.ground.settings import check_number
 from suspnet.ground.types import FloatArray
 from suspnet.spectra.cross_spectra import PAIRS, CrossSpectra, Method
 

@@ -15,10 +15,7 @@ from torch import Tensor
 
 from suspnet.dynamics import Vehicle, best_generator
 from suspnet.estimation.from_recording import Steady, TripSettings, steady
-from suspnet.estimation.steady_parts import (
-    groups_to_read,
-    readable_words,
-)
+from suspnet.estimation.steady_parts import groups_to_read, readable_words
 from suspnet.estimation.trained import TrainedModel
 from suspnet.ground.records import ERROR, OK
 from suspnet.recordings.formats import open_columns
@@ -28,23 +25,23 @@ from suspnet.recordings.manifest_keys import TripError, all_of
 from suspnet.recordings.recording import Recording, load_recording
 from suspnet.spectra.estimates import EstimateSettings
 from suspnet.spectra.plausibility import check_channels, check_pairs
-from suspnet.spectra.segments import (
-    difference_segments,
-    recording_segments,
-    segment_speeds,
-)
+from suspnet.spectra.segments import difference_segments, recording_segments, segment_speeds
 from suspnet.spectra.welch import SegmentSpectra
-from suspnet.trips.check_page import trip_figure, write_picture
-from suspnet.trips.check_records import PROBLEM, READY, TOO_LITTLE, SteadyPart, TripCheck
+from suspnet.trips.check_page import (
+    PROBLEM,
+    READY,
+    TOO_LITTLE,
+    SteadyPart,
+    TripCheck,
+    trip_figure,
+    write_picture,
+)
 from suspnet.trips.commissionings import models_at, models_of
 from suspnet.trips.trip import evaluate_recording
 
 log = logging.getLogger(__name__)
-
 UNKNOWN_BAND_HZ = (0.5, 20.0)
 """Band used for an unknown vehicle, that of most railway vehicles, [Hz]."""
-
-
 Opened = dict[tuple[Path, str | None, str | None], tuple[str, ...]]
 """Why columns of a file cannot be opened, by file, times and column; empty if they can."""
 
@@ -95,11 +92,8 @@ def _check_columns(file: ManifestFile, opened: Opened) -> None:
     """
     problems: dict[str, None] = {}
     for source in file.sources.values():
-        data, time, column = (
-            file.path.parent / source["file"],
-            source.get("time"),
-            source.get("column"),
-        )
+        data, time = file.path.parent / source["file"], source.get("time")
+        column = source.get("column")
         named = all(one is None or isinstance(one, str) for one in (time, column))
         if not named or source.get("csv") is not None or not os.path.isfile(data):
             continue  # how a CSV file is written is known only when the manifest is parsed
@@ -251,14 +245,11 @@ def _vehicle(
     unknown = replace(plain, low_hz=UNKNOWN_BAND_HZ[0], high_hz=UNKNOWN_BAND_HZ[1])
     vehicle = vehicles.get(manifest.vehicle)
     if vehicle is None:
-        return (
-            None,
-            unknown,
-            [
-                f"units, signs and order of the channels are not checked: vehicle "
-                f"{manifest.vehicle!r} is none of {sorted(vehicles)}; --config-dir gives others"
-            ],
+        words = (
+            f"units, signs and order of the channels are not checked: vehicle "
+            f"{manifest.vehicle!r} is none of {sorted(vehicles)}; --config-dir gives others"
         )
+        return None, unknown, [words]
     try:
         return vehicle, plain.bound(vehicle), []
     except ValueError as error:

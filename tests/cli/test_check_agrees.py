@@ -19,7 +19,7 @@ from suspnet.runs.train import speed_ranges
 from suspnet.spectra.estimates import SPEED_HALF_WIDTH
 from suspnet.spectra.segments import SpeedRange, covering
 from suspnet.trips.check import CheckSettings, check_trip
-from suspnet.trips.check_records import READY, TOO_LITTLE
+from suspnet.trips.check_page import READY, TOO_LITTLE
 from suspnet.trips.trip import evaluate_trip
 
 LOW, HIGH = 61.0, 78.0

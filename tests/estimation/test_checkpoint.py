@@ -18,7 +18,7 @@ from suspnet.estimation.flags import OODDetector, Unexplained
 from suspnet.estimation.intervals import Conformal, Intervals, ResidualScale
 from suspnet.estimation.problem import Problem
 from suspnet.estimation.trained import TrainedModel
-from suspnet.ground.limits import DEFAULT_LIMITS
+from suspnet.ground.parameters import DEFAULT_LIMITS
 from suspnet.ground.storage import content_hash, dump_arrays, read_arrays
 from suspnet.learning import METHODS, MSVR, MVGPR, SVR, CurveFit, LinearRegression, Scaling
 from suspnet.spectra.curves import CurveSettings

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from depot_trips import N_TRIPS, place, trips
 
-from suspnet.ground.limits import DEFAULT_LIMITS, Cause, Severity
+from suspnet.ground.parameters import DEFAULT_LIMITS, Cause, Severity
 from suspnet.ground.records import Place
 from suspnet.history import Event, History
 from suspnet.maintenance.alarms import Acknowledgement
