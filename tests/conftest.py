@@ -74,9 +74,14 @@ def _built_in_one_folder(tmp_path_factory):
         yield
 
 
+OPEN_PARQUET_APART = formats.READERS[".parquet"]
 READ_APART = ("recordings", "cli", "benchmarks", "tests")
 """Folders whose tests read every file as users do, in a process of its own."""
-READ_HERE = ("test_check_agrees", "test_commissioning_fleet", "test_commissioning_program")
+READ_HERE = (
+    *("test_check", "test_check_agrees", "test_commissioning_fleet", "test_commissioning_program"),
+    *("test_init", "test_monitor_program", "test_trips_program"),
+)
+"""Files of tests that read many simulated trips; some of their tests use `read_apart`."""
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -87,6 +92,12 @@ def _parquet_read_in_this_process(request):
         if name in READ_HERE or (folder not in READ_APART and name != "test_same_estimate"):
             patch.setitem(formats.READERS, ".parquet", formats.open_parquet)
         yield
+
+
+@pytest.fixture
+def read_apart(monkeypatch):
+    """Read every file in a process of its own, as users do."""
+    monkeypatch.setitem(formats.READERS, ".parquet", OPEN_PARQUET_APART)
 
 
 @pytest.fixture(scope="session", autouse=True)

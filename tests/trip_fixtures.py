@@ -73,12 +73,13 @@ def write_trips(folder, n_trips=1, scenario=None, seed=0, speed=SPEED, **changes
     )
 
 
-def small_fleet(factory):
-    """Return the manifests of six trips, each of another vehicle, written once a session."""
-    folder = factory.getbasetemp() / "small_fleet"
-    if not folder.exists():
+def small_fleet(_factory=None):
+    """Return the manifests of six trips, each of another vehicle, written once for all tests."""
+
+    def build(folder):
         write_trips(folder, N_TRIPS, Scenario("random", spread=0.3), seed=1)
-    return sorted(folder.glob("*.yaml"))
+
+    return sorted(built_once("small_fleet", build).glob("*.yaml"))
 
 
 def signal(manifest, name):
