@@ -1,7 +1,12 @@
 """The small fleet on disk and the model that reads it, for all tests of trips."""
 
+from functools import partial
+
 import pytest
-from trip_fixtures import model_at, small_fleet
+from trip_fixtures import model_at, recalled_trip, small_fleet
+
+from suspnet.report import output
+from suspnet.trips import fleet
 
 
 @pytest.fixture(scope="module")
@@ -12,3 +17,16 @@ def manifests(tmp_path_factory):
 @pytest.fixture(scope="module")
 def model():
     return model_at()
+
+
+@pytest.fixture
+def no_figures(monkeypatch):
+    """Draw no figures and write no page."""
+    monkeypatch.setattr(fleet, "write_pages", partial(output.write_pages, draw=False))
+    monkeypatch.setattr(output, "write_report", lambda *_: None)
+
+
+@pytest.fixture
+def recalled(monkeypatch):
+    """Read each trip of the small fleet once, where it does not matter how it is read."""
+    monkeypatch.setattr(fleet, "evaluate_trip", recalled_trip)

@@ -16,6 +16,7 @@ from trip_fixtures import (
     changed,
     model_at,
     signal,
+    slow_model,
     write_trips,
 )
 
@@ -195,7 +196,7 @@ def test_trip_is_described_as_its_manifest_says(manifests, model, tmp_path):
 def test_speed_bins_are_averaged_by_the_inverse_squares_of_their_half_widths(
     two_speeds, model, seconds, monkeypatch
 ):
-    path, models, shares = two_speeds(seconds), [model, model_at(50.0)], []
+    path, models, shares = two_speeds(seconds), [model, slow_model()], []
 
     def kept(*arguments):
         estimate, noise_share = estimate_with_noise(*arguments)
@@ -235,11 +236,11 @@ def test_speed_bins_are_averaged_by_the_inverse_squares_of_their_half_widths(
 
 def test_speed_bin_with_too_few_averages_is_left_out(two_speeds, model):
     path = two_speeds(100)
-    both = evaluate_trip(path, [model_at(50.0), model], SETTINGS)
+    both = evaluate_trip(path, [slow_model(), model], SETTINGS)
     alone = evaluate_trip(path, [model], SETTINGS)
     assert both.estimates == alone.estimates
     assert both.quality.speed_bins == alone.quality.speed_bins == "70.0 m/s: 27 averages"
-    many = evaluate_trip(path, [model_at(50.0), model], TripSettings(min_averages=30))
+    many = evaluate_trip(path, [slow_model(), model], TripSettings(min_averages=30))
     assert many.status == NO_ESTIMATE
     assert many.reason.count("at least 30 are needed") == 2
     assert "28 of 38 segments without faults are steady at 70.0 m/s" in many.reason
@@ -318,7 +319,7 @@ def test_flags_of_speed_bins_are_those_of_the_best_one_flagged(
 
     monkeypatch.setattr(recording, "estimate_with_noise", marked)
     path = two_speeds(200)
-    assert evaluate_trip(path, [model_at(50.0), model], SETTINGS).flags == expected
+    assert evaluate_trip(path, [slow_model(), model], SETTINGS).flags == expected
     assert evaluated(path, model).flags == flags[0]
 
 
@@ -586,7 +587,7 @@ def test_channels_are_checked_at_the_speed_of_each_model(two_speeds, monkeypatch
         return ""
 
     monkeypatch.setattr(recording, "check_channels", spy)
-    models = [model_at(50.0), model]
+    models = [slow_model(), model]
     for order in (models, models[::-1]):
         asked.clear()
         result = evaluate_trip(two_speeds(200), order, SETTINGS)
@@ -596,7 +597,7 @@ def test_channels_are_checked_at_the_speed_of_each_model(two_speeds, monkeypatch
 
 def test_no_channel_is_checked_where_no_segment_is_at_the_speed(manifests, monkeypatch):
     monkeypatch.setattr(recording, "check_channels", lambda *_: pytest.fail("was checked"))
-    result = evaluated(manifests[0], model_at(50.0))
+    result = evaluated(manifests[0], slow_model())
     assert result.status == NO_ESTIMATE
 
 
