@@ -14,12 +14,15 @@ import pyarrow.parquet as pq
 import pytest
 from dying_readers import open_dying
 from dying_trips import mortal
+from forked import forks
+from joblib.externals.loky import ProcessPoolExecutor
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 from trip_fixtures import OUTPUTS, changed, recalled_trip, signal, slow_model
 from trip_records import fleet as made_up
 
 from suspnet.estimation.fitted import ModelFileError
 from suspnet.estimation.from_recording import TripSettings
+from suspnet.ground import workers
 from suspnet.ground.limits import DEFAULT_LIMITS, Severity
 from suspnet.ground.storage import read_arrays, read_plain
 from suspnet.maintenance.series import series_of
@@ -476,6 +479,7 @@ def test_bad_trip_costs_its_row_and_the_report_exists(
     changed(manifests[0], three, "surrogate", suspension="a \ud800 b")
     changed(manifests[0], three, os.fsdecode(b"b\xffd"), channels={"body": {"rate_hz": 50.0}})
     monkeypatch.setattr(fleet, "evaluate_trip", mortal)
+    monkeypatch.setattr(workers, "guarded", lambda _: ProcessPoolExecutor(1, context=forks()))
     monkeypatch.setattr(RunLog, "figure", lambda *_: None)
     out = three.parent / "out"
     found = evaluate_fleet(three, [model], out, FleetSettings(TRIPS, workers=2), progress=False)
