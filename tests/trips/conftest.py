@@ -1,7 +1,5 @@
 """The small fleet on disk and the model that reads it, for all tests of trips."""
 
-from functools import partial
-
 import pytest
 from trip_fixtures import model_at, recalled_trip, small_fleet
 
@@ -22,7 +20,8 @@ def model():
 @pytest.fixture
 def no_figures(monkeypatch):
     """Draw no figures and write no page."""
-    monkeypatch.setattr(fleet, "write_pages", partial(output.write_pages, draw=False))
+    write = output.write_pages
+    monkeypatch.setattr(fleet, "write_pages", lambda *to, draw: write(*to, draw=False))
     monkeypatch.setattr(output, "write_report", lambda *_: None)
 
 
