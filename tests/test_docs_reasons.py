@@ -92,6 +92,8 @@ NO_REASON = (
     "%s holds manifests of its own",
 )
 """Beginnings of sentences that are none."""
+DESCRIBING = ("setting", "Setting", "optional")
+"""Functions whose texts are of the tables of settings and keys."""
 FEWEST_LETTERS = 6
 """A sentence of the code with fewer fixed letters fits too many reasons."""
 
@@ -115,8 +117,8 @@ def sentences(file, least_blanks=2):
             inner.add(id(node.value))
         elif isinstance(node, ast.JoinedStr):
             inner |= {id(part) for part in node.values}
-        elif isinstance(node, ast.Call) and getattr(node.func, "id", "") in ("setting", "Setting"):
-            inner |= {id(part) for part in ast.walk(node)}  # what a setting means
+        elif isinstance(node, ast.Call) and getattr(node.func, "id", "") in DESCRIBING:
+            inner |= {id(part) for part in ast.walk(node)}  # what a setting or key means
     if file in RAISING:
         told = {id(one) for n in nodes if isinstance(n, ast.Raise) for one in ast.walk(n)}
     found = []

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import struct
 import zlib
 from collections.abc import Iterator, Sequence
@@ -37,11 +36,14 @@ def open_file(path: Path, csv: CsvDialect | None = None) -> Iterator[OpenFile]:
         raise TripError(f"{path}: files of type {suffix!r} cannot be read; give {sorted(READERS)}")
     if csv is not None and READERS[suffix] is not open_csv:
         raise TripError(f"{path}: `csv` is for files of type {list(CSV_SUFFIXES)}")
-    if not os.path.exists(path):
-        raise TripError(f"{path}: there is no such file")
-    with opening(path), open_plain(path) as stream:
-        if not stream.read(1):
-            raise TripError(f"{path} is empty")
+    with opening(path):
+        try:
+            with open_plain(path) as stream:
+                is_empty = not stream.read(1)
+        except FileNotFoundError as error:
+            raise TripError(f"{path}: there is no such file") from error
+    if is_empty:
+        raise TripError(f"{path} is empty")
     with ExitStack() as stack:
         with _named(path):
             file = stack.enter_context(READERS[suffix](path, csv))

@@ -12,8 +12,9 @@ from suspnet.estimation.from_recording import TripSettings
 from suspnet.ground.records import ERROR
 from suspnet.history import Event, History
 from suspnet.maintenance import Acknowledgement, Cause, Severity
+from suspnet.maintenance.series import between
 from suspnet.trips import fleet as fleet_module
-from suspnet.trips.earlier import between, with_earlier
+from suspnet.trips.earlier import with_earlier
 from suspnet.trips.fleet import FleetSettings, evaluate_fleet
 
 SETTINGS = FleetSettings(TripSettings())

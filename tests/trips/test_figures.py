@@ -8,7 +8,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from trip_records import OUTPUTS, curves, fleet, trend_of, trip
 
 from suspnet.report import figures, trend
-from suspnet.report.trend_figure import health_trend
+from suspnet.report.maintenance_figures import health_trend
 
 
 def draw(figure):

@@ -13,9 +13,8 @@ from served_fleet import EVIL, FAILED, HEALTHY, NAMED_EVIL, SETTINGS, WORN, fill
 
 from suspnet.ground.parameters import Severity
 from suspnet.history import History
-from suspnet.report.board import Board
+from suspnet.report.board import Board, Refresher
 from suspnet.web.app import create_app
-from suspnet.web.refresher import Refresher
 
 BASE = {"base_url": "http://127.0.0.1:8050"}
 
@@ -307,7 +306,7 @@ from pathlib import Path
 from served_fleet import FAILED, SETTINGS, name_of
 from suspnet.report.board import Board
 from suspnet.web.app import create_app
-from suspnet.web.refresher import Refresher
+from suspnet.report.board import Refresher
 
 board = Board(sys.argv[1], SETTINGS)
 board.refresh()

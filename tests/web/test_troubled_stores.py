@@ -13,9 +13,8 @@ from served_fleet import FAILED, HEALTHY, SETTINGS, fill, name_of, trips
 
 from suspnet.cli import serve
 from suspnet.history import History
-from suspnet.report.board import Board
+from suspnet.report.board import Board, Refresher
 from suspnet.web.app import create_app
-from suspnet.web.refresher import Refresher
 
 BASE = {"base_url": "http://127.0.0.1:8050"}
 
