@@ -2,6 +2,7 @@
 
 import gc
 import os
+import sys
 from collections.abc import Callable
 
 import built_once
@@ -22,6 +23,11 @@ from suspnet.recordings import formats
 settings.register_profile("tests", deadline=None, derandomize=True, database=None, max_examples=30)
 settings.load_profile("tests")
 
+
+# also where PYTHONDONTWRITEBYTECODE is set: compiling and rewriting all tests takes longer than
+# importing them, in each process, and compiling suspnet half a second of each program
+sys.dont_write_bytecode = False
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 
 gc.disable()  # until all tests are collected: a quarter of the time of imports and parameters
 
