@@ -32,7 +32,7 @@ def run_composed(module, folder, *overrides):
     with open_dict(config):
         del config["hydra"]
     folder.mkdir(parents=True, exist_ok=True)
-    module.compose(config)
+    module.main(config)
 
 
 def run_main(module, folder, *overrides):

@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from rich_structure import SENSORS
 
-from suspnet.dynamics.track_spectra import acceleration_density, track_spectrum
+from suspnet.dynamics.track import acceleration_density, track_spectrum
 from suspnet.spectra.cross_spectra import PAIRS, CrossSpectra, moving_average_with, sample_spectra
 
 GERMAN_ALIGNMENT = 2.119e-7 / 4.032e-7

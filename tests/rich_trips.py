@@ -17,8 +17,7 @@ from vehicles import AM96
 
 from suspnet.dynamics import PARAMETERS, VerticalVehicle
 from suspnet.dynamics.quantities import UNMEASURED
-from suspnet.dynamics.track import make_profile
-from suspnet.dynamics.track_spectra import track_spectrum
+from suspnet.dynamics.track import make_profile, track_spectrum
 from suspnet.recordings.manifest import CHANNELS, Channel, SpeedSource, TripManifest
 from suspnet.recordings.manifest_files import write_manifest
 from suspnet.simulation import Scenario

@@ -19,12 +19,12 @@ from suspnet.cli.config_files import CONFIGS, TABLES
 from suspnet.cli.options import PARSERS
 from suspnet.cli.trusted import check_configuration
 from suspnet.estimation.checkpoint import save_model
-from suspnet.estimation.physics import COSTLY, INCOMPLETE
+from suspnet.estimation.flags import COSTLY, INCOMPLETE
 from suspnet.estimation.problem import Problem
 from suspnet.learning import LinearRegression
 from suspnet.recordings.manifest_files import read_manifest
-from suspnet.runs.calibrate import calibrated
 from suspnet.runs.fit import fit
+from suspnet.runs.predict import calibrated
 from suspnet.spectra.curves import CurveSettings
 
 ROOT = Path(__file__).parents[1]

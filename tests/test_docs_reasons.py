@@ -9,8 +9,8 @@ import pytest
 from suspnet.ground.records import TripResult
 from suspnet.recordings.cleaning import KINDS
 from suspnet.recordings.formats import READERS
-from suspnet.recordings.manifest import MANIFEST, Channel, CsvDialect
-from suspnet.recordings.manifest_keys import keys_of
+from suspnet.recordings.manifest import MANIFEST, Channel
+from suspnet.recordings.manifest_keys import CsvDialect, keys_of
 from suspnet.spectra.peaks import PeakReason
 
 ROOT = Path(__file__).parents[1]
@@ -32,8 +32,8 @@ TELLING = (
     "suspnet/estimation/steady_parts.py",
     "suspnet/trips/grouping.py",
     "suspnet/trips/trip.py",
-    "suspnet/estimation/ood.py",
-    "suspnet/estimation/physics.py",
+    "suspnet/estimation/flags.py",
+    "suspnet/estimation/flags.py",
     "suspnet/ground/workers.py",
 )
 """Modules whose every sentence is a reason."""

@@ -24,9 +24,8 @@ from suspnet import (
 )
 from suspnet.estimation.from_recording import speed_bins
 from suspnet.estimation.problem import TEST
-from suspnet.runs.calibrate import calibrated
 from suspnet.runs.fit import fit
-from suspnet.runs.predict import predict_stream
+from suspnet.runs.predict import calibrated, predict_stream
 from suspnet.spectra.curves import CurveSettings
 from suspnet.spectra.segments import NoEstimateError, recording_segments
 from suspnet.trips.trip import evaluate_trip
@@ -138,7 +137,7 @@ def test_trips_are_read_with_the_public_tfestimate(tmp_path_factory):
     recording = load_recording(read_manifest(path), 100.0)
     model, welch = model_at(), suspnet.Welch()
     segments = recording_segments(recording, welch)
-    (found,) = speed_bins(model, recording, segments, TripSettings())
+    (found,) = speed_bins(model, recording, segments, TripSettings(), [model])
     assert found.chosen.all()
     axle_box, bogie, body = recording.signals
     links = [(axle_box, bogie, body), (bogie, body, axle_box)]

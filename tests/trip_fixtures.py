@@ -16,9 +16,8 @@ from suspnet.estimation.checkpoint import load_model, save_model
 from suspnet.estimation.problem import TEST, Problem
 from suspnet.learning import MSVR
 from suspnet.recordings.manifest import CHANNELS
-from suspnet.runs.calibrate import calibrated
 from suspnet.runs.fit import fit
-from suspnet.runs.predict import predict_stream
+from suspnet.runs.predict import calibrated, predict_stream
 from suspnet.runs.scores import rms_percent
 from suspnet.simulation.fleet import Scenario
 from suspnet.simulation.writing import Fleet, Simulation, write_fleet

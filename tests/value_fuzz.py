@@ -115,7 +115,7 @@ def outcome(module, config):
             redirect_stderr(io.StringIO()),
             warnings.catch_warnings(record=True),
         ):
-            module.compose(config)
+            module.main(config)
     except AtWork:
         return "at work", ""
     except SystemExit as ended:
@@ -139,7 +139,7 @@ def unchanged(module, config, folder):
     folder.mkdir(parents=True)
     with redirect_stdout(io.StringIO()), redirect_stderr(io.StringIO()):
         try:
-            module.compose(config)
+            module.main(config)
         except SystemExit as ended:
             if isinstance(ended.code, str):
                 raise ValueError(ended.code) from None

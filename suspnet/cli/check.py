@@ -11,13 +11,12 @@ from pathlib import Path
 from suspnet.cli.kinds import named_runs, read_vehicles
 from suspnet.estimation.checkpoint import load_model
 from suspnet.ground import ledger, progress
-from suspnet.ground.checks import check_number
-from suspnet.ground.storage import new_folder
+from suspnet.ground.settings import check_number
+from suspnet.ground.storage import distinct, new_folder
 from suspnet.ground.workers import LostWorkerError, each
 from suspnet.recordings.manifest_files import find_trips
 from suspnet.trips.check import CheckSettings, Opened, check_trip
-from suspnet.trips.check_page import summary, with_shared_data, write_checks
-from suspnet.trips.check_records import PROBLEM, TripCheck
+from suspnet.trips.check_page import PROBLEM, TripCheck, summary, with_shared_data, write_checks
 
 
 def check(arguments: Namespace) -> int:
@@ -64,17 +63,8 @@ def exit_code(checks: Sequence[TripCheck], elsewhere: Sequence[str]) -> int:
 
 def picture_names(paths: Sequence[Path]) -> dict[Path, str]:
     """Return a unique picture name for each manifest."""
-    names: dict[Path, str] = {}
-    taken: set[str] = set()
-    for path in paths:
-        base, number = path.stem, 1
-        name = base
-        while name.lower() in taken:  # ends: there are fewer names taken than numbers
-            number += 1
-            name = f"{base}_{number}"
-        taken.add(name.lower())
-        names[path] = f"{name}.png"
-    return names
+    names = distinct(path.stem for path in paths)
+    return {path: f"{name}.png" for path, name in zip(paths, names, strict=True)}
 
 
 def _folder(wanted: Path | None) -> Path:

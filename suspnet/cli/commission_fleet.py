@@ -16,9 +16,10 @@ from omegaconf import DictConfig, OmegaConf
 from tabulate import tabulate
 
 from suspnet.cli import folders, program
+from suspnet.estimation.healthy_trips import LEAST_TRIPS
 from suspnet.ground import ledger
-from suspnet.ground.checks import check_number
 from suspnet.ground.progress import bar as progress_bar
+from suspnet.ground.settings import check_values, setting
 from suspnet.ground.storage import read_json, write_atomically, write_json
 from suspnet.ground.workers import LostWorkerError, each
 from suspnet.recordings.manifest_files import ManifestFile
@@ -30,6 +31,23 @@ LOG = "train.log"
 """Name of the log in each run's folder."""
 TrainOne = Callable[[DictConfig, Path, Sequence[ManifestFile]], None]
 """Commissions a configuration's vehicle on some manifests, trains its model and fills a folder."""
+
+
+@dataclass(frozen=True)
+class HealthySettings:
+    """Numbers of a training on healthy trips."""
+
+    n_healthy: int | None = setting(
+        None,
+        "Number of the first trips of each suspension by mileage that are used; null is all",
+        low=LEAST_TRIPS,
+    )
+    workers: int = setting(
+        2,
+        "Number of suspensions that are commissioned at the same time, where healthy holds several",
+        low=1,
+        most=1024,
+    )
 
 
 @dataclass(frozen=True)
@@ -70,7 +88,7 @@ def train_fleet(
     folder, place, misfit and rms errors of each suspension; otherwise the remaining suspensions are
     trained first, then a ValueError is raised. `train_one` must be picklable.
     """
-    check_number("workers", config.workers, low=1, most=1024, whole=True)
+    check_values(HealthySettings, workers=config.workers)
     if int(os.environ.get("WORLD_SIZE", "1")) > 1:
         raise ValueError(
             f"healthy={config.healthy} holds several suspensions, whose models cannot be spread by "

@@ -16,8 +16,9 @@ from typing import Any
 
 import yaml
 from hydra.core.config_store import ConfigStore
-from omegaconf import OmegaConf
+from omegaconf import DictConfig, ListConfig, OmegaConf
 
+from suspnet.ground.settings import check_number
 from suspnet.ground.storage import read_plain
 from suspnet.recordings.core_yaml import parse_yaml
 
@@ -172,3 +173,57 @@ def _keys(root: yaml.Node | None) -> Iterator[tuple[Keys, yaml.Node, yaml.Mark]]
                     yield name, value, key.start_mark
                     below.append((name, value))
         stack += reversed(below)
+
+
+SWITCHES = frozenset(
+    {
+        "check_channels",
+        "distributed",
+        "estimate_mass",
+        "figures",
+        "fit_intercept",
+        "log_ratios",
+        "mass_known",
+        "once",
+        "open_browser",
+        "open_to_network",
+        "progress",
+        "refine",
+        "short_waves",
+        "tls",
+    }
+)
+"""Keys that are either on or off, in whichever group they are."""
+WORDS = {"yes": True, "on": True, "true": True, "no": False, "off": False, "false": False}
+"""Values of a switch written as text; Hydra's command line knows true and false only."""
+
+
+def read_values(config: DictConfig) -> None:
+    """Make each switch of a configuration a boolean; check that each number is finite.
+
+    TypeError or ValueError for any other value of a switch, and for a number that is NaN, infinite
+    or beyond `LARGEST` of ``suspnet.ground.settings``.
+    """
+    stack: list[tuple[str, Any]] = [("", config)]
+    while stack:  # ends: a configuration as written is a tree
+        path, node = stack.pop()
+        keys: Any = node.keys() if isinstance(node, DictConfig) else range(len(node))
+        for key in keys if not node._is_none() and not node._is_interpolation() else ():
+            if OmegaConf.is_interpolation(node, key) or OmegaConf.is_missing(node, key):
+                continue
+            name, value = f"{path}.{key}".lstrip("."), node[key]
+            if key in SWITCHES:
+                node[key] = _switch(name, value)
+            elif isinstance(value, DictConfig | ListConfig):
+                stack.append((name, value))
+            elif isinstance(value, int | float) and not isinstance(value, bool):
+                check_number(name, value)
+
+
+def _switch(name: str, value: Any) -> bool:
+    if isinstance(value, bool):
+        return value
+    known = WORDS.get(value.lower()) if isinstance(value, str) else None
+    if known is None:
+        raise ValueError(f"`{name}` must be one of {', '.join(WORDS)}; got {value!r}")
+    return known

@@ -16,23 +16,19 @@ from suspnet.cli import program
 from suspnet.cli.folders import ACT, EXIT_CODE, FINE, MISTAKE, NOTICE, SOME_WITHOUT_ESTIMATE, worst
 from suspnet.cli.kinds import build, named_runs, plain, read_vehicles
 from suspnet.estimation.checkpoint import load_model
-from suspnet.ground.checks import check_choice
-from suspnet.ground.limits import Severity
+from suspnet.ground.parameters import Severity
+from suspnet.ground.settings import check_choice
 from suspnet.ground.storage import write_atomically
 from suspnet.history import History
+from suspnet.report.board import BoardSettings
 from suspnet.report.overview import Evaluated
-from suspnet.runs.evaluate import FreshCurves, evaluate
+from suspnet.runs.evaluate import FreshCurves, evaluate, write_maintenance
 from suspnet.runs.identifiability import write_identifiability
-from suspnet.runs.maintenance import write_maintenance
 from suspnet.runs.reliability import write_reliability
 from suspnet.runs.sweeps import write_table6
 from suspnet.trips.fleet import evaluate_fleet
 
-ALARMS = {
-    Severity.UNKNOWN: SOME_WITHOUT_ESTIMATE,
-    Severity.NOTICE: NOTICE,
-    Severity.ACT: ACT,
-}
+ALARMS = {Severity.UNKNOWN: SOME_WITHOUT_ESTIMATE, Severity.NOTICE: NOTICE, Severity.ACT: ACT}
 
 
 def exit_code(done: Sequence[Evaluated]) -> int:
@@ -67,7 +63,7 @@ def ends_with_its_code(function: Callable[[DictConfig], int]) -> Callable[[DictC
 
 @ends_with_its_code
 @program.task
-def compose(config: DictConfig) -> int:
+def main(config: DictConfig) -> int:
     """Run a study, read trips or score the models of a run; return the exit code."""
     if OmegaConf.is_missing(config, "run"):
         raise ValueError("which run? Give run=PATH, the folder of a run or of a whole multirun")
@@ -139,9 +135,7 @@ def run_study(config: DictConfig, folder: Path) -> int:
             progress=config.progress,
         )
         return FINE
-    states = write_maintenance(
-        config.store,
-        folder,
+    settings = BoardSettings(
         vehicles=read_vehicles(),
         limits=plain(config.monitor.limits),
         changes=build(config, "monitor.changes"),
@@ -150,4 +144,5 @@ def run_study(config: DictConfig, folder: Path) -> int:
         today=config.today,
         seed=config.seed,
     )
+    states = write_maintenance(config.store, folder, settings)
     return worst(ALARMS.get(one.severity, FINE) for one in states)

@@ -14,10 +14,9 @@ import pyarrow as pa
 from tabulate import tabulate
 
 from suspnet.ground import ledger
-from suspnet.ground.limits import Cause
-from suspnet.ground.parameters import PARAMETERS
+from suspnet.ground.parameters import PARAMETERS, Cause
 from suspnet.ground.records import PLACE, Place
-from suspnet.ground.tables import write_table
+from suspnet.ground.storage import write_table
 from suspnet.history import History, HistoryError
 from suspnet.history.store import acknowledge_alarms
 from suspnet.maintenance.alarms import Acknowledgement, Alarm, newest_of

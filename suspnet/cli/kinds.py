@@ -16,7 +16,7 @@ from hydra import compose, initialize_config_dir
 from omegaconf import DictConfig, ListConfig, OmegaConf
 
 from suspnet.cli.config_files import CONFIGS, check_file
-from suspnet.ground.checks import check_choice
+from suspnet.ground.settings import check_choice
 from suspnet.ground.storage import read_plain
 
 if TYPE_CHECKING:
@@ -48,7 +48,7 @@ KINDS: Mapping[str, Mapping[str, str]] = {
     "source": {
         "folder": "suspnet.live.drop_folder.DropFolder",
         "mqtt": "suspnet.live.mqtt.Mqtt",
-        "stdin": "suspnet.live.pipe.Pipe",
+        "stdin": "suspnet.live.source.Pipe",
     },
     # where there is one kind only, a configuration need not name it
     "broker": {"": "suspnet.live.broker.Broker"},

@@ -21,7 +21,7 @@ log = logging.getLogger(__name__)
 
 
 @program.task
-def compose(config: DictConfig) -> None:
+def main(config: DictConfig) -> None:
     """Load models and manifests, and read the source until it ends."""
     for key in ("run", "suspensions", "store"):
         if config.get(key, None) is None:

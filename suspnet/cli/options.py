@@ -9,8 +9,7 @@ from argparse import ArgumentParser, RawDescriptionHelpFormatter
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from suspnet.ground.limits import Cause
-from suspnet.ground.parameters import PARAMETERS
+from suspnet.ground.parameters import PARAMETERS, Cause
 from suspnet.ground.records import EVENT_KINDS, PLACE_FROM_TRAIN
 
 CHECK_DESCRIPTION = """\
@@ -22,7 +21,6 @@ that run do.
 
 The output folder gets check.html, check.json and a picture of each trip that could be read: its
 channels and speed, their spectra, and the coherence. Trips are not changed."""
-
 CHECK_EPILOG = """\
 exit code: 0 if every trip could be read, 1 if there is any problem.
 
@@ -34,14 +32,12 @@ Write a manifest of one trip from its data files: their columns, with the rates 
 files say. Which column is which channel is guessed from names (axle box, bogie frame, body, left,
 right, speed; in English or German) and marked as a guess; where names are ambiguous, the
 columns are listed as comments to choose from. Unknown values are marked FILL_IN."""
-
 INIT_EPILOG = """\
   suspnet-init trip_7/*.csv -o trip_7.yaml      then fill in what is marked, and
   suspnet-check trip_7.yaml"""
 HISTORY_DESCRIPTION = """\
 The history of a fleet, as written by evaluate.py trips=DIR store=STORE: list it, add maintenance,
 show and acknowledge alarms, export all of it as tables."""
-
 HISTORY_EPILOG = """\
   suspnet-history fleet.db list
   suspnet-history fleet.db event --vehicle am96 --suspension "car 7, left" --at-km 120000 \\
@@ -54,14 +50,15 @@ HISTORY_EPILOG = """\
 STORE is a file, or postgresql://user:password@host/database."""
 
 
+def _parser(name: str, description: str, epilog: str) -> ArgumentParser:
+    return ArgumentParser(
+        name, description=description, epilog=epilog, formatter_class=RawDescriptionHelpFormatter
+    )
+
+
 def check_parser() -> ArgumentParser:
     """Return the options of suspnet-check."""
-    found = ArgumentParser(
-        "suspnet-check",
-        description=CHECK_DESCRIPTION,
-        epilog=CHECK_EPILOG,
-        formatter_class=RawDescriptionHelpFormatter,
-    )
+    found = _parser("suspnet-check", CHECK_DESCRIPTION, CHECK_EPILOG)
     found.add_argument(
         "trips",
         nargs="+",
@@ -111,12 +108,7 @@ def init_parser() -> ArgumentParser:
     """Return the options of suspnet-init."""
     from suspnet.recordings.formats import READERS  # with pyarrow
 
-    found = ArgumentParser(
-        "suspnet-init",
-        description=INIT_DESCRIPTION,
-        epilog=INIT_EPILOG,
-        formatter_class=RawDescriptionHelpFormatter,
-    )
+    found = _parser("suspnet-init", INIT_DESCRIPTION, INIT_EPILOG)
     found.add_argument(
         "files",
         nargs="+",
@@ -140,12 +132,7 @@ def init_parser() -> ArgumentParser:
 
 def history_parser() -> ArgumentParser:
     """Return the options of suspnet-history."""
-    found = ArgumentParser(
-        "suspnet-history",
-        description=HISTORY_DESCRIPTION,
-        epilog=HISTORY_EPILOG,
-        formatter_class=RawDescriptionHelpFormatter,
-    )
+    found = _parser("suspnet-history", HISTORY_DESCRIPTION, HISTORY_EPILOG)
     found.add_argument("store", metavar="STORE", help="the store [path or URL]")
     does = found.add_subparsers(
         dest="does", required=True, metavar="list | event | alarms | acknowledge | export"

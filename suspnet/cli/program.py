@@ -5,20 +5,18 @@ from __future__ import annotations
 import functools
 import logging
 import os
-import re
 import signal
 import sys
-import threading
 import traceback
 from collections.abc import Callable, Iterator
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import ExitStack, contextmanager, nullcontext, redirect_stderr, redirect_stdout
+from contextlib import ExitStack, contextmanager, nullcontext, redirect_stderr
 from importlib import import_module
 from pathlib import Path
 from string import Template
 from tempfile import TemporaryDirectory
 from types import ModuleType
-from typing import Any, TextIO, cast
+from typing import Any
 
 import hydra
 import yaml
@@ -29,14 +27,14 @@ from hydra.errors import HydraException, InstantiationException
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import GrammarParseError, OmegaConfBaseException
 
-from suspnet.cli import folders, naming, reference, signals
-from suspnet.cli.config_files import CONFIGS, store_tables
-from suspnet.cli.config_values import read_values
-from suspnet.cli.trusted import CheckedLoader, check_configuration
+from suspnet.cli import folders, reference, start
+from suspnet.cli.config_files import CONFIGS, read_values, store_tables
+from suspnet.cli.loader import CheckedLoader
+from suspnet.cli.trusted import check_configuration
 from suspnet.ground import progress
-from suspnet.ground.checks import check_number
-from suspnet.ground.limits import DEFAULT_LIMITS, read_limits
-from suspnet.ground.storage import printable, write_atomically
+from suspnet.ground.parameters import DEFAULT_LIMITS, read_limits
+from suspnet.ground.settings import Declared, Setting
+from suspnet.ground.storage import printable, why, write_atomically
 from suspnet.ground.workers import LostWorkerError, end_with_parent, guard_joblib
 
 WITH_OPTIONS = ("check", "history", "init")
@@ -54,12 +52,10 @@ MISTAKES = (
 )
 NO_SLURM = 'Could not detect "srun"'
 """Start of submitit's message where there is no Slurm cluster."""
-MOVES = re.compile(r"[\r\n]*(\x1b\[A)*")
-"""Cursor movements that progress bars write on their own: line starts and lines up."""
 _debugging = bool(os.environ.get(DEBUG, "") not in ("", "0"))
 
 store_tables()
-naming.register()
+folders.register()
 reference.register()
 
 
@@ -75,22 +71,22 @@ def main(name: str) -> None:
         arguments = options.PARSERS[name]().parse_args()
         run(lambda: sys.exit(getattr(_imported(name), name)(arguments)))
         return
-    compose = hydra.main(version_base="1.3", config_path=CONFIGS, config_name=name)(_task_of(name))
-    with signals.until_it_listens() if name == "serve" else nullcontext():
-        run(compose, unwinds=name != "serve")
+    program = hydra.main(version_base="1.3", config_path=CONFIGS, config_name=name)(_task_of(name))
+    with start.until_it_listens() if name == "serve" else nullcontext():
+        run(program, unwinds=name != "serve")
 
 
 def _task_of(name: str) -> Callable[[DictConfig], None]:
-    def compose(config: DictConfig) -> None:
-        _imported(name).compose(config)
+    def program(config: DictConfig) -> None:
+        _imported(name).main(config)
 
-    compose.__module__ = f"suspnet.cli.{name}"  # Hydra names the log by it
-    return compose
+    program.__module__ = f"suspnet.cli.{name}"  # Hydra names the log by it
+    return program
 
 
 def _imported(name: str) -> ModuleType:
     """Return the module of a program; a signal while it is imported ends the process at once."""
-    with signals.until_it_listens():
+    with start.until_it_listens():
         return import_module(f"suspnet.cli.{name}")
 
 
@@ -103,8 +99,8 @@ def run(main: Callable[[], Any], *, unwinds: bool = True) -> None:
     guard_joblib()
     try:
         with (
-            visible(),
-            _terminable() if unwinds else nullcontext(),
+            progress.visible(),
+            start.terminable() if unwinds else nullcontext(),
             _one_writer(),
             _whole_errors(),
             _checked_loader(),
@@ -114,8 +110,9 @@ def run(main: Callable[[], Any], *, unwinds: bool = True) -> None:
         if isinstance(ended.code, str):
             ended.code = printable(ended.code)
         raise
-    except (KeyboardInterrupt, _Terminated) as ended:
-        verb, code = ("terminated", 143) if isinstance(ended, _Terminated) else ("interrupted", 130)
+    except (KeyboardInterrupt, start.Terminated) as ended:
+        number = signal.SIGTERM if isinstance(ended, start.Terminated) else signal.SIGINT
+        verb, code = start.VERBS[number], 128 + number
         how = printable(folders.how_to_go_on())
         print(f"{verb}: nothing was half-written; {how}", file=sys.stderr)
         sys.exit(code)
@@ -150,28 +147,6 @@ def _whole_errors() -> Iterator[None]:
         del os.environ[DEBUG]
         if before is not None:
             os.environ[DEBUG] = before
-
-
-class _Terminated(BaseException):
-    """SIGTERM was received."""
-
-
-@contextmanager
-def _terminable() -> Iterator[None]:
-    """Make SIGTERM unwind the program as Ctrl-C does; a second one ends it at once."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-
-    def terminate(number: int, frame: object) -> None:
-        signal.signal(number, signal.SIG_DFL)
-        raise _Terminated
-
-    before = signal.signal(signal.SIGTERM, terminate)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, before)
 
 
 @contextmanager
@@ -321,7 +296,7 @@ def one_line(error: BaseException) -> str:
                 f"python {owner} {group}=NAME"
             )
     if isinstance(error, OSError) and error.filename is not None:
-        message = f"{error.filename}: {error.strerror}"
+        message = why(error)
     return printable("error: " + " ".join(message.split()))
 
 
@@ -330,13 +305,26 @@ def run_folder() -> Path:
     return Path(HydraConfig.get().runtime.output_dir)
 
 
+THREADS = Declared(
+    "threads",
+    int,
+    True,
+    Setting(
+        "Threads of torch, and blocks of curves made at a time; null is as many as torch takes",
+        low=1,
+        most=1024,
+    ),
+)
+"""Key `threads` of the programs that train or score models."""
+
+
 def n_threads(wanted: int | None) -> int:
     """Set torch's threads to `wanted`, or leave them if None; return their number."""
     import torch  # takes seconds
 
     if wanted is None:
         return torch.get_num_threads()
-    check_number("threads", wanted, low=1, most=1024, whole=True, optional=True)
+    THREADS.check("threads", wanted)
     torch.set_num_threads(wanted)
     return wanted
 
@@ -354,34 +342,3 @@ def save_config(config: DictConfig, folder: Path) -> dict[str, Any]:
     plain = OmegaConf.to_container(config, resolve=True)
     assert isinstance(plain, dict)
     return {str(key): value for key, value in plain.items()}
-
-
-class _Visible:
-    """A text stream that writes control characters as escapes, such as x1b.
-
-    A carriage return at the start of a text stays as it is: progress bars replace their line with
-    it.
-    """
-
-    def __init__(self, stream: TextIO) -> None:
-        self._stream = stream
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._stream, name)
-
-    def write(self, text: str) -> int:
-        """Write a text and return its length."""
-        if not MOVES.fullmatch(text):
-            lead = "\r" * text.startswith("\r")
-            self._stream.write(lead + printable(text[len(lead) :]))
-        else:
-            self._stream.write(text)
-        return len(text)
-
-
-@contextmanager
-def visible() -> Iterator[None]:
-    """Escape control characters in everything that is printed and logged."""
-    out, err = (cast(TextIO, _Visible(stream)) for stream in (sys.stdout, sys.stderr))
-    with redirect_stdout(out), redirect_stderr(err):
-        yield

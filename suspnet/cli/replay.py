@@ -17,7 +17,7 @@ from suspnet.live.sinks import Sink
 
 
 @program.task
-def compose(config: DictConfig) -> None:
+def main(config: DictConfig) -> None:
     """Send the frames of all trips of a folder; report counts on standard error."""
     start_s = time.monotonic()
     pace = Pace(config.times)

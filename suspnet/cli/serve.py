@@ -10,6 +10,7 @@ import socket
 import sys
 import threading
 import webbrowser
+from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 from queue import SimpleQueue
@@ -17,9 +18,9 @@ from typing import Any
 
 from omegaconf import DictConfig, OmegaConf
 
-from suspnet.cli import program, signals
+from suspnet.cli import program, start
 from suspnet.cli.kinds import build, plain, read_vehicles
-from suspnet.ground.checks import check_number
+from suspnet.ground.settings import check_settings, setting
 from suspnet.history import History
 from suspnet.history.database import BusyError
 from suspnet.report.board import LOOK_S, Board, BoardSettings
@@ -33,17 +34,33 @@ ANY = "0.0.0.0"
 """Address that means all addresses of this computer."""
 
 
+@dataclass(frozen=True)
+class ServeSettings:
+    """Numbers of the server."""
+
+    port: int = setting(8050, "Port that is listened on; 0 is any that is free", low=0, high=65535)
+    refresh_s: float = setting(
+        3.0,
+        "Time between looks at the store for what is new, and between a page's questions",
+        "s",
+        low=0.2,
+        high=3600,
+    )
+    threads: int = setting(8, "Number of answers that are made at the same time", low=1, most=64)
+
+    def __post_init__(self) -> None:
+        check_settings(self)
+
+
 @program.task
-def compose(config: DictConfig) -> None:
+def main(config: DictConfig) -> None:
     """Check the settings and serve the pages until Ctrl-C."""
     missing = [name for name in NEEDED if find_spec(name) is None]
     if missing:
         raise ValueError(f'{", ".join(missing)} is missing: pip install "suspnet[live]"')
     if OmegaConf.is_missing(config, "store") or not config.store:
         raise ValueError("which history? Give store=FILE, or store=postgresql://...")
-    check_number("port", config.port, low=0, high=65535, whole=True)
-    check_number("refresh_s", config.refresh_s, low=0.2, high=3600)
-    check_number("threads", config.threads, low=1, most=64, whole=True)
+    ServeSettings(config.port, config.refresh_s, config.threads)
     _check_store(config.store)
     _check_address(config)
     settings = BoardSettings(
@@ -82,7 +99,7 @@ def serve(board: Board, config: DictConfig) -> None:
     # The main thread only waits for a signal: the server would catch and log an exception that a
     # signal raises during a request, and continue.
     ended: SimpleQueue[int] = SimpleQueue()
-    for number in signals.SIGNALS:
+    for number in start.SIGNALS:
         signal.signal(number, lambda number, _: ended.put(number))
     log.info("the fleet is at %s (Ctrl-C ends it)", address)
     refresher.start()
@@ -90,12 +107,12 @@ def serve(board: Board, config: DictConfig) -> None:
     if config.open_browser:
         threading.Thread(target=webbrowser.open, args=(address,), daemon=True).start()
     code = ended.get()
-    signals.end_at_once()  # a second signal
+    start.end_at_once()  # a second signal
     refresher.stop(END_S)
     server.task_dispatcher.shutdown(timeout=END_S)
     if not code:
         raise ValueError("the server has ended by itself; start suspnet-serve again")
-    print(f"{signals.VERBS[signal.Signals(code)]}: the pages are no longer served", file=sys.stderr)
+    print(f"{start.VERBS[signal.Signals(code)]}: the pages are no longer served", file=sys.stderr)
     sys.exit(128 + code)
 
 

@@ -11,18 +11,29 @@ from omegaconf import DictConfig
 
 from suspnet.cli import program
 from suspnet.cli.kinds import build
-from suspnet.ground.checks import check_number
+from suspnet.ground.settings import Declared, Setting
 from suspnet.simulation.fleet import Trains
 from suspnet.simulation.folders import FolderTakenError
 from suspnet.simulation.writing import Simulation, write_fleet, write_trains
 
 log = logging.getLogger(__name__)
+WORKERS = Declared(
+    "workers",
+    int,
+    False,
+    Setting(
+        "Number of trips, of a fleet of suspensions, that are simulated at the same time",
+        low=1,
+        most=1024,
+    ),
+)
+"""Key `workers`."""
 
 
 @program.task
-def compose(config: DictConfig) -> None:
+def main(config: DictConfig) -> None:
     """Compose the fleet, simulate it and write it."""
-    check_number("workers", config.workers, low=1, most=1024, whole=True)
+    WORKERS.check("workers", config.workers)
     trains = _trains(config)
     parts = [build(config, key) for key in ("fleet", "scenario", "generator")]
     fleet, scenario, generator = parts
@@ -54,8 +65,7 @@ def compose(config: DictConfig) -> None:
 def _trains(config: DictConfig) -> Trains | None:
     """Return the trains of the fleet; None for a single suspension."""
     if config.trains is not None:
-        n_cars = 1 if config.cars is None else config.cars
-        return Trains(config.trains, n_cars, config.n_wearing)
+        return Trains(config.trains, config.cars, config.n_wearing)
     for key in ("cars", "n_wearing"):
         if config[key] is not None:
             raise ValueError(f"{key}={config[key]} is of a fleet of trains: give trains= too")
@@ -68,8 +78,8 @@ def _log_trains(config: DictConfig, trains: Trains, folder: Path) -> None:
     log.info(
         "%d suspensions (trains=%d, cars=%d) of %d trips each in %s\n%d wear, scenario %s: %s",
         trains.n_all,
-        trains.n_trains,
-        trains.n_cars,
+        trains.trains,
+        trains.cars or 1,
         config.fleet.n_trips,
         folder,
         len(wearing),

@@ -12,15 +12,14 @@ from typing import Any
 from omegaconf import DictConfig, ListConfig
 from sklearn.exceptions import ConvergenceWarning
 
-from suspnet.cli import folders, naming, program
-from suspnet.cli.commission_fleet import several_suspensions, train_fleet
+from suspnet.cli import folders, program
+from suspnet.cli.commission_fleet import HealthySettings, several_suspensions, train_fleet
 from suspnet.cli.kinds import build
 from suspnet.dynamics import ResponseGenerator, VerticalVehicle
+from suspnet.estimation.flags import Residual
 from suspnet.estimation.from_recording import TripSettings
-from suspnet.estimation.healthy_trips import LEAST_TRIPS
-from suspnet.estimation.physics import Residual
 from suspnet.estimation.problem import Problem
-from suspnet.ground.checks import check_number
+from suspnet.ground.settings import check_values
 from suspnet.learning import ranks
 from suspnet.recordings.manifest_files import ManifestFile
 from suspnet.runs.commissioning import check_generator, commission_folder
@@ -28,7 +27,7 @@ from suspnet.runs.commissioning_page import training_notes, write_outcome
 from suspnet.runs.scores import Metrics
 from suspnet.runs.train import RunContext, speed_ranges, train, train_ranges
 from suspnet.spectra.estimates import EstimateSettings
-from suspnet.spectra.speeds import SpeedRange, covering, setting_words
+from suspnet.spectra.segments import SpeedRange, covering, setting_words
 
 log = logging.getLogger(__name__)
 NO_SPEED = (
@@ -42,7 +41,7 @@ FIRST_M_PER_S = 70.0
 
 @program.one_of_many
 @program.task
-def compose(config: DictConfig) -> None:
+def main(config: DictConfig) -> None:
     """Build what the configuration names, train it and fill the run folder.
 
     A range of speeds, or healthy trips of several suspensions, give several models, each in its own
@@ -64,7 +63,7 @@ def compose(config: DictConfig) -> None:
         train_fleet(config, folder, groups, _run)
         return
     folders.start_again(folder)
-    _run(config, folder, varied=naming.varied(config), draw=naming.is_first_of_its_vehicle())
+    _run(config, folder, varied=folders.varied(config), draw=folders.is_first_of_its_vehicle())
 
 
 def _run(
@@ -94,9 +93,7 @@ def _run(
     ranges = _ranges(config, speeds)
     program.save_config(config, folder)
     train_ranges(
-        ranges,
-        lambda one, where: _train(_bound(config, one), where, healthy, varied, draw),
-        folder,
+        ranges, lambda one, where: _train(_bound(config, one), where, healthy, varied, draw), folder
     )
 
 
@@ -148,7 +145,7 @@ def _check_healthy(config: DictConfig) -> EstimateSettings:
     settings = build(config, "data")
     if not isinstance(settings, EstimateSettings):
         raise ValueError("healthy= is for models that read trips: experiment=trips")
-    check_number("n_healthy", config.n_healthy, low=LEAST_TRIPS, whole=True, optional=True)
+    check_values(HealthySettings, n_healthy=config.n_healthy)
     return settings
 
 

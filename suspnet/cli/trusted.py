@@ -7,31 +7,20 @@ builds callbacks, launcher and sweeper and sets up logging before it calls a pro
 
 from __future__ import annotations
 
-import copy
 import functools
 import re
 from importlib import resources
 from pathlib import Path
 from typing import Any
 
-from hydra._internal.config_loader_impl import ConfigLoaderImpl
-from hydra._internal.config_repository import CachingConfigRepository, ConfigRepository
-from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
-from hydra.core.config_search_path import ConfigSearchPath
 from hydra.core.config_store import ConfigStore
-from hydra.core.hydra_config import HydraConfig
-from hydra.core.object_type import ObjectType
-from hydra.core.override_parser.overrides_parser import OverridesParser
-from hydra.core.override_parser.types import Override
-from hydra.plugins.config_source import ConfigResult
-from hydra.types import RunMode
-from omegaconf import DictConfig, ListConfig, OmegaConf, open_dict, read_write
+from omegaconf import DictConfig, ListConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 from omegaconf.grammar_parser import parse
 
-from suspnet.cli.config_files import CONFIGS, check_file, walk
-from suspnet.cli.config_values import check_typed
+from suspnet.cli.config_files import CONFIGS, walk
 from suspnet.cli.kinds import KINDS, check_kind, new_name
+from suspnet.ground.settings import check_choice
 
 OWN_FOLDER = "suspnet.cli.folders.OwnFolder"
 CALLBACKS = (
@@ -71,104 +60,8 @@ MAX_VALUES, MAX_DEPTH = 5_000, 50
 """Largest number of values and depth of a resolved configuration; beyond these its
 interpolations are taken to be endless. A shipped configuration has fewer than 500 values and
 depth 10."""
-CLUSTER = "monitor.cluster"
-"""Key of the scheduler's address; its workers unpickle, and so run, what they receive."""
 SPECIAL = re.compile(r"_\w*_|\(\)", re.ASCII)
 """Keys that make Hydra or Python's logging call something."""
-
-
-class _CheckedRepository(ConfigRepository):
-    """Hydra's repository of configuration files; a user's files are checked before they are read.
-
-    Aliases or an endless file could otherwise take all memory.
-    """
-
-    def load_config(self, config_path: str) -> ConfigResult | None:
-        """Load a configuration; ValueError if its path or its file is not allowed."""
-        parts = Path(config_path)
-        if parts.is_absolute() or ".." in parts.parts:
-            raise ValueError(
-                f"{config_path!r} leads out of the folder of configurations; name an option of a "
-                "group"
-            )
-        source = self._find_object_source(config_path, ObjectType.CONFIG)
-        if source is not None and source.provider == "command-line" and source.scheme() == "file":
-            file = Path(source.path, source._normalize_file_name(config_path))
-            check_file(file)
-        found: ConfigResult | None = super().load_config(config_path)
-        return found
-
-
-class CheckedLoader(ConfigLoaderImpl):
-    """Hydra's configuration loader, which refuses a configuration that would run foreign code."""
-
-    _typed: frozenset[str] | None = None
-    """Keys of the command line, from the first load; later loads are the jobs of a multirun."""
-
-    def __init__(self, config_search_path: ConfigSearchPath) -> None:
-        super().__init__(config_search_path)
-        self.repository = _CheckedRepository(config_search_path)
-
-    def load_configuration(
-        self,
-        config_name: str | None,
-        overrides: list[str],
-        run_mode: RunMode,
-        from_shell: bool = True,
-        validate_sweep_overrides: bool = True,
-    ) -> DictConfig:
-        """Compose and check a configuration, and each job of a multirun.
-
-        ValueError if it is not trusted, or if a file in a user's folder is not a plain file or is
-        far too large.
-        """
-        try:
-            config = super().load_configuration(
-                config_name, overrides, run_mode, from_shell, validate_sweep_overrides
-            )
-        except AttributeError as error:  # Hydra reads its own block even if it is null
-            raise ValueError("`hydra` must be a mapping, as shipped, or be left out") from error
-        check_configuration(config)
-        keys = {one.key_or_group for one in OverridesParser.create().parse_overrides(overrides)}
-        if self._typed is None:
-            self._typed = frozenset(keys)
-        # places and hosts count as the user's own only if the command line names them
-        if CLUSTER not in self._typed:
-            _check_cluster(config)
-        # Hydra's own keys are not swept: those of a job are typed, or what `OwnFolder` chose
-        check_typed(config, self._typed | {key for key in keys if key.startswith("hydra.")})
-        foreign = any(source.provider == "command-line" for source in self.get_sources())
-        if run_mode == RunMode.MULTIRUN and validate_sweep_overrides and foreign:
-            # the sweeper would write a file before it composes the jobs
-            for job in _jobs(config, self):
-                self.load_sweep_config(config, job)
-        return config
-
-    def load_sweep_config(
-        self, master_config: DictConfig, sweep_overrides: list[str]
-    ) -> DictConfig:
-        """Compose and check the configuration of a multirun's job.
-
-        ValueError if it is not trusted, or if its folder would not be inside that of the multirun.
-        """
-        config = super().load_sweep_config(master_config, sweep_overrides)
-        _check_subfolder(config)
-        return config
-
-    def _process_config_searchpath(
-        self,
-        config_name: str | None,
-        parsed_overrides: list[Override],
-        repo: CachingConfigRepository,
-    ) -> None:
-        """Refuse more search paths: composing from a package imports, and so runs, it."""
-        loaded = None if config_name is None else repo.load_config(config_path=config_name)
-        named = None if loaded is None else OmegaConf.select(loaded.config, "hydra.searchpath")
-        typed = any(one.get_key_element() == "hydra.searchpath" for one in parsed_overrides)
-        if named or typed:
-            raise ValueError(
-                "`hydra.searchpath` cannot be set; name your folder with --config-dir FOLDER"
-            )
 
 
 def check_configuration(config: DictConfig) -> None:
@@ -256,35 +149,6 @@ def _check_resolved(config: DictConfig) -> None:
             stack.append((name, value, depth + 1))
 
 
-def _check_cluster(config: DictConfig) -> None:
-    group, _, key = CLUSTER.partition(".")
-    written = [value for name, _, value in walk(OmegaConf.to_container(config), "") if name == key]
-    monitor = config.get(group)
-    if isinstance(monitor, DictConfig):
-        written.append(monitor.get(key))
-    if any(value is not None for value in written):
-        raise ValueError(
-            f"`{CLUSTER}` can be named on the command line only: what a scheduler sends is run"
-        )
-
-
-def _check_subfolder(config: DictConfig) -> None:
-    """Raise ValueError unless the folder of a job lies directly in that of its multirun."""
-    probe = copy.deepcopy(config)
-    with read_write(probe.hydra), open_dict(probe.hydra):
-        probe.hydra.job.num, probe.hydra.job.id = 0, "0"  # Hydra numbers the jobs later
-    before = HydraConfig.instance().cfg
-    HydraConfig.instance().set_config(probe)
-    try:
-        name = str(probe.hydra.sweep.subdir)
-    finally:
-        HydraConfig.instance().cfg = before
-    if name in ("", ".", "..") or Path(name).name != name:
-        raise ValueError(
-            f"`hydra.sweep.subdir` must give a plain name for the folder of a job, got {name!r}"
-        )
-
-
 def _check_hydra(hydra: dict[str, Any]) -> None:
     """Check Hydra's own block: as shipped except for folders, numbers, texts and swept keys."""
     rest = dict(hydra)
@@ -318,9 +182,7 @@ def _check_callbacks(callbacks: Any) -> None:
         if one is None:
             continue
         arguments = _block(f"hydra.callbacks.{name}", one)
-        _check_choice(
-            f"hydra.callbacks.{name}._target_", arguments.pop("_target_", None), CALLBACKS
-        )
+        check_choice(f"hydra.callbacks.{name}._target_", arguments.pop("_target_", None), CALLBACKS)
         for key, value in arguments.items():
             _check_plain(f"hydra.callbacks.{name}.{key}", key, value)
 
@@ -328,7 +190,7 @@ def _check_callbacks(callbacks: Any) -> None:
 def _check_sweeper(sweeper: Any) -> None:
     """Raise ValueError unless the sweeper is Hydra's basic one and sweeps keys of ours."""
     arguments = _block("hydra.sweeper", sweeper)
-    _check_choice("hydra.sweeper._target_", arguments.pop("_target_", None), SWEEPERS)
+    check_choice("hydra.sweeper._target_", arguments.pop("_target_", None), SWEEPERS)
     for key, value in _block("hydra.sweeper.params", arguments.pop("params", None) or {}).items():
         if str(key).lstrip("+~").startswith("hydra"):
             raise ValueError(f"`hydra.sweeper.params.{key}`: Hydra's own keys cannot be swept")
@@ -341,7 +203,7 @@ def _check_launcher(launcher: Any) -> None:
     """Raise ValueError unless only numbers and Slurm texts of a known launcher are changed."""
     arguments = _block("hydra.launcher", launcher)
     target = arguments.pop("_target_", None)
-    _check_choice("hydra.launcher._target_", target, LAUNCHERS)
+    check_choice("hydra.launcher._target_", target, LAUNCHERS)
     shipped = _shipped_launcher(target)
     for key, value in arguments.items():
         name = f"hydra.launcher.{key}"
@@ -393,11 +255,6 @@ def _block(name: str, value: Any) -> dict[str, Any]:
     return dict(value)
 
 
-def _check_choice(name: str, value: Any, trusted: tuple[str, ...]) -> None:
-    if not isinstance(value, str) or value not in trusted:
-        raise ValueError(f"`{name}` must be one of {', '.join(trusted)}; got {value!r}")
-
-
 def _check_plain(name: str, key: str, value: Any) -> None:
     """Raise ValueError unless a value is a text, a number or null below a plain key."""
     if SPECIAL.fullmatch(key) or isinstance(value, dict | list):
@@ -409,12 +266,3 @@ def _check_plain(name: str, key: str, value: Any) -> None:
 def _check_number(name: str, value: Any) -> None:
     if value is not None and not isinstance(value, int | float):
         raise ValueError(f"`{name}` must be as shipped, or a number; got {value!r}")
-
-
-def _jobs(config: DictConfig, loader: ConfigLoaderImpl) -> list[list[str]]:
-    """Return the overrides of each job of a multirun, as Hydra's basic sweeper finds them."""
-    swept = [f"{key}={value}" for key, value in (config.hydra.sweeper.params or {}).items()]
-    typed = list(config.hydra.overrides.task)
-    overrides = OverridesParser.create(config_loader=loader).parse_overrides(swept + typed)
-    (jobs,) = BasicSweeper.split_arguments(overrides, None)
-    return jobs

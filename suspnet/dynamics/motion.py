@@ -37,23 +37,14 @@ class Branch:
 class LinearSystem:
     """A vehicle as M z'' + D z' + K z = D_w w' + K_w w, with sensors and Maxwell branches.
 
-    Attributes
-    ----------
-    mass, damping, stiffness : arrays of shape (n_dof, n_dof)
-        M, D and K in SI units.
-    input_damping, input_stiffness : arrays of shape (n_dof, n_inputs)
-        D_w and K_w. The inputs are the track's height under each wheelset and, with roll, then its
-        angle there.
-    sensors : array of shape (2, n_dof) or (4, n_dof)
-        Matrix from z to the displacement under the sensors on frame and body; with roll the last
-        two rows are of sensors at the mirrored lateral place.
-    behind_m : tuple of float, [m]
-        Distance of each wheelset behind the one whose axle box is measured; negative is ahead.
-    branches : tuple of Branch
-    roll_per_m : float, [rad/m]
-        The track's angle over a profile of `cross_level_spectrum`; 0 without roll.
-    lateral_m : tuple of 3 floats, [m]
-        Lateral place of the first sensors on axle box, frame and body.
+    `mass`, `damping`, `stiffness` (n_dof, n_dof) are M, D and K in SI units, `input_damping` and
+    `input_stiffness` (n_dof, n_inputs) D_w and K_w. The inputs are the track's height under each
+    wheelset and, with roll, then its angle there. `sensors` (2 or 4, n_dof) map z to the
+    displacement under the sensors on frame and body; with roll the last two are at the mirrored
+    lateral place. `behind_m`: distance of each wheelset behind the one whose axle box is measured,
+    negative is ahead; `roll_per_m`: the track's angle over a profile of `cross_level_spectrum`
+    [rad/m], 0 without roll; `lateral_m`: lateral place of the first sensors on axle box, frame and
+    body.
     """
 
     mass: FloatArray

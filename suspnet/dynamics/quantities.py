@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from suspnet.ground.checks import check_choice, check_number
+from suspnet.ground.settings import check_choice, check_number
 from suspnet.ground.types import FloatArray
 
 TOLERANCE = 1e-9
@@ -27,18 +27,10 @@ TOLERANCE = 1e-9
 class Quantity:
     """One number that may differ from nominal.
 
-    Attributes
-    ----------
-    part : str
-        One of ``PARTS``; empty if every vehicle has the number.
-    deviation : float, [-]
-        Prior standard deviation of its logarithm; 0 if it is taken as known.
-    unit : str
-        Unit of the nominal value; "" for ratios.
-    nominal : float or None
-        None if the vehicle or the generator's settings give it.
-    may_be_absent : bool
-        Whether it may be 0; `deviation` is then that of log(1 + ratio to nominal).
+    `part` is one of ``PARTS``, empty if every vehicle has the number; `deviation` the prior
+    standard deviation of its logarithm, 0 if it is taken as known; `unit` that of the nominal
+    value, "" for ratios; `nominal` None if the vehicle or the generator's settings give it. If it
+    `may_be_absent` (0), `deviation` is that of log(1 + ratio to nominal).
     """
 
     part: str
@@ -152,21 +144,10 @@ class LogNormal:
     """A joint log-normal distribution of numbers relative to their nominal values.
 
     For numbers that may be absent, 1 + ratio is log-normal: the ratio can reach 0, and estimates of
-    an absent part may lie between -1 and 0.
-
-    Parameters
-    ----------
-    names : tuple of str
-        From ``UNMEASURED``.
-    mean : tuple of n floats, [-]
-        Means of the logarithms; nominal is 0, or log 2 for numbers that may be absent.
-    covariance : tuple of n tuples of n floats, [-]
-        Covariance of the logarithms.
-
-    Raises
-    ------
-    ValueError
-        If names are unknown or repeated, shapes differ, or `covariance` is not a covariance matrix.
+    an absent part may lie between -1 and 0. `names` are from ``UNMEASURED``; `mean` and
+    `covariance` are those of the logarithms: nominal is 0, or log 2 for numbers that may be absent.
+    ValueError if names are unknown or repeated, shapes differ, or `covariance` is not a covariance
+    matrix.
     """
 
     names: tuple[str, ...]

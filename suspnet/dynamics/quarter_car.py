@@ -71,11 +71,7 @@ class QuarterCar:
     def parameters(self, ratios: Tensor | ArrayLike) -> Tensor:
         """Return (k_p, c_p, k_s, c_s, M_s) in SI units, shape (5, n_vehicles, 1).
 
-        Raises
-        ------
-        ValueError
-            If `ratios` is not a positive, finite tensor of shape (n_vehicles, 5), or 6 with the
-            speed.
+        ValueError unless `ratios` is positive and finite, (n_vehicles, 5), or 6 with the speed.
         """
         ratios = as_tensor(ratios)
         if ratios.ndim == 2 and ratios.shape[1] == len(PARAMETERS) + 1:
@@ -89,11 +85,8 @@ class QuarterCar:
     ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         """Return numerator and denominator of G_P and of G_S, ascending powers of s.
 
-        G_P = num_p / den_p (Eq. 3 cleared of its inner fraction), G_S = num_s / den_s (Eq. 4).
-
-        Returns
-        -------
-        num_p, den_p, num_s, den_s : tensors of shape (n_vehicles, 4), (.., 5), (.., 2), (.., 3)
+        G_P = num_p / den_p (Eq. 3 cleared of its inner fraction), G_S = num_s / den_s (Eq. 4), of
+        shape (n_vehicles, 4), (.., 5), (.., 2), (.., 3).
         """
         k_p, c_p, k_s, c_s, m_s = self.parameters(ratios)
         m_p = self.vehicle.bogie_mass_kg
@@ -115,16 +108,9 @@ class QuarterCar:
     def responses(
         self, ratios: Tensor | ArrayLike, frequencies_hz: Tensor | ArrayLike
     ) -> tuple[Tensor, Tensor]:
-        """Return complex G_p and G_s at s = 2 pi j f, Eqs. (3) and (4).
+        """Return complex G_p and G_s at s = 2 pi j f, Eqs. (3) and (4), each (n_vehicles, n_freq).
 
-        Parameters
-        ----------
-        ratios : tensor or array of shape (n_vehicles, 5), [-]
-        frequencies_hz : tensor or array of shape (n_freq,), [Hz]
-
-        Returns
-        -------
-        G_p, G_s : complex128 tensors of shape (n_vehicles, n_freq), [-]
+        `ratios`: (n_vehicles, 5); `frequencies_hz`: (n_freq,).
         """
         s = 2j * math.pi * as_tensor(frequencies_hz).to(self.device, torch.float64)
         num_p, den_p, num_s, den_s = (
@@ -139,14 +125,10 @@ class QuarterCar:
         return torch.stack([torch.ones_like(primary), primary, primary * secondary], 1)[:, None]
 
     def magnitudes(self, ratios: Tensor | ArrayLike, frequencies_hz: Tensor | ArrayLike) -> Tensor:
-        """Return abs(G_p) and abs(G_s) from ratios of real polynomials in omega^2.
+        """Return abs(G_p) and abs(G_s) from real polynomials in omega^2, (n_vehicles, 2, n_freq).
 
         For p(s) = sum_k a_k s^k, abs(p(j omega))^2 is a polynomial in x = omega^2 with real
         coefficients, which avoids complex arithmetic on the grid.
-
-        Returns
-        -------
-        tensor of shape (n_vehicles, 2, n_freq), float64, [-]
         """
         x = (2 * math.pi * as_tensor(frequencies_hz).to(self.device, torch.float64)) ** 2
         num_p, den_p, num_s, den_s = (
@@ -187,13 +169,7 @@ class QuarterCar:
     def natural_modes(self) -> tuple[FloatArray, FloatArray]:
         """Return natural frequencies [Hz], ascending, and mode shapes of the undamped vehicle.
 
-        Solves K v = omega^2 M v for (z_p, z_s).
-
-        Returns
-        -------
-        frequencies_hz : array of shape (2,), [Hz]
-        shapes : array of shape (2, 2)
-            Column j is mode j, mass-normalised.
+        Solves K v = omega^2 M v for (z_p, z_s). Column j of the shapes is mode j, mass-normalised.
         """
         system = self.motion_system(torch.ones(len(PARAMETERS)))
         eigenvalues, shapes = eigh(system.stiffness, system.mass)
@@ -202,24 +178,13 @@ class QuarterCar:
     def dynamic_stiffness(
         self, ratios: Tensor | ArrayLike, frequencies_hz: Tensor | ArrayLike
     ) -> Tensor:
-        """Return k_p + j omega c_p and k_s + j omega c_s, (n_vehicles, 2, n_freq), [N/m].
-
-        Parameters
-        ----------
-        ratios : tensor or array of shape (n_vehicles, 5), [-]
-        frequencies_hz : tensor or array of shape (n_freq,), [Hz]
-        """
+        """Return k_p + j omega c_p and k_s + j omega c_s, (n_vehicles, 2, n_freq), [N/m]."""
         k_p, c_p, k_s, c_s, _ = self.parameters(ratios)
         s = 2j * math.pi * as_tensor(frequencies_hz).to(k_p)
         return torch.stack([k_p + c_p * s, k_s + c_s * s], dim=1)
 
     def motion_system(self, ratios: Tensor | ArrayLike) -> LinearSystem:
-        """Return the equations of motion of one vehicle, for simulation in time.
-
-        Parameters
-        ----------
-        ratios : tensor of shape (5,), [-]
-        """
+        """Return the equations of motion of one vehicle, ratios (5,), for simulation in time."""
         k_p, c_p, k_s, c_s, m_s = self.parameters(as_tensor(ratios)[None]).flatten().tolist()
         return LinearSystem(
             mass=np.diag([self.vehicle.bogie_mass_kg, m_s]),

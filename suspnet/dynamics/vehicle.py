@@ -12,7 +12,7 @@ from torch import Tensor
 
 from suspnet.dynamics.motion import LinearSystem
 from suspnet.dynamics.quantities import LogNormal
-from suspnet.ground.limits import DEFAULT_LIMITS, Limits, read_limits
+from suspnet.ground.parameters import DEFAULT_LIMITS, Limits, read_limits
 from suspnet.ground.parameters import PARAMETERS as PARAMETERS
 from suspnet.ground.settings import Setting, check_settings, setting
 
@@ -171,10 +171,7 @@ class Vehicle:
     def degraded(self, **ratios: float) -> Vehicle:
         """Return the vehicle with parameters multiplied by ratios, e.g. ``degraded(k_p=0.5)``.
 
-        Raises
-        ------
-        ValueError
-            If a name is not one of ``PARAMETERS``.
+        ValueError if a name is not one of ``PARAMETERS``.
         """
         unknown = sorted(set(ratios) - set(PARAMETERS))
         if unknown:
@@ -225,24 +222,12 @@ def _check_damping(vehicle: Vehicle, suspension: str, ratio: float) -> None:
 class ResponseGenerator(Protocol):
     """Frequency responses of degraded vehicles: axle box to bogie (G_p), bogie to body (G_s).
 
-    Attributes
-    ----------
-    vehicle : Vehicle
-        The healthy vehicle.
-    device : str
-        Torch device of the returned tensors.
-    speed_m_per_s : float or None, [m/s]
-        Speed of the responses; None if they do not depend on it.
-    bogie : str or None
-        The measured bogie, "leading" or "trailing"; None if the model applies to both.
-    distribution : LogNormal or None
-        Distribution of the generator's uncertain numbers; None if there are none.
-    further_places : tuple of str
-        Names of further places for sensors (on the frame, on the body, the second axle box), or
-        empty.
-    sensor_lateral_m : tuple of 3 floats, [m]
-        Lateral place of the sensors on axle box, frame and body; 0 is the mean of a left and a
-        right one.
+    `vehicle` is the healthy one, `device` the torch device of the returned tensors, `speed_m_per_s`
+    None if the responses do not depend on it, `bogie` the measured one, "leading" or "trailing",
+    None if the model applies to both. `distribution` is that of the uncertain numbers, None if
+    there are none; `further_places` are names of further places for sensors (on the frame, on the
+    body, the second axle box); `sensor_lateral_m` the lateral place of the sensors on axle box,
+    frame and body, 0 is the mean of a left and a right one.
     """
 
     __dataclass_fields__: ClassVar[dict[str, Any]]

@@ -1,38 +1,180 @@
-"""Motion in time of the vertical vehicle, assembled element by element.
+"""Springs and dampers of the vertical vehicle, and its motion in time assembled from them.
 
-Each spring, damper and Maxwell branch acts along a stretch u = g z - h w of coordinates z and
-inputs w, and adds an outer product: k g g^T to the stiffness, k g h^T to that of the input. Letters
-and equations are those of `suspnet.dynamics.vertical_response`. The coordinates are z and phi of
-the body, z_i and psi_i of the measured bogie (1) and of the other one (2), q with bending, and with
-roll the lateral displacement y of the body and the three roll angles. The inputs are the mean of
-both rails under each wheelset, w, and with roll the angle of the track there, x.
+Each element is a spring, a damper and Maxwell branches (a spring b in series with a damper b / r)::
+
+    kappa = k (1 + eta Lambda(s)) + c s + sum_i b_i s / (s + r_i)
+
+A damper c in series with a bushing k_b is the branch b = k_b, r = k_b / c. Rubber adds a branch of
+a fraction of k at about 5 Hz. An air spring with an auxiliary volume N times its own behind an
+orifice (Nishimura) is k_1 in series with k_2 parallel to the orifice, all parallel to the stiffness
+k_3 of the changing area: with k_s = k_3 + k_1 k_2 / (k_1 + k_2) and N = k_1 / k_2 this is the
+branch b = N k_1 k_2 / (k_1 + k_2), r = (k_1 + k_2) / c. c_s is its damping at low frequency, c
+times the square of k_1 / (k_1 + k_2).
+
+A constant loss factor, j eta at every frequency, is not causal and has no motion in time. Instead,
+Lambda(s) = sum_i l_i (s / (s + r_i) - (its real part at 2.7 Hz)) is a ladder of Maxwell branches
+(``LOSS_HZ``, ``LOSS_SHARES``). From 0.3 to 20 Hz its imaginary part is 1 within 1.3 %; the
+stiffness increases with frequency, as causality requires: (1 - 1.5 eta) k at 0.3 Hz, k at 2.7 Hz,
+(1 + 1.4 eta) k at 20 Hz.
+
+Motion: each of them acts along a stretch u = g z - h w of coordinates z and inputs w, and adds an
+outer product: k g g^T to the stiffness, k g h^T to that of the input. Letters and equations are
+those of `suspnet.dynamics.vertical_response`. The coordinates are z and phi of the body, z_i and
+psi_i of the measured bogie (1) and of the other one (2), q with bending, and with roll the lateral
+displacement y of the body and the three roll angles. The inputs are the mean of both rails under
+each wheelset, w, and with roll the angle of the track there, x.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
+import torch
 from torch import Tensor
 
-from suspnet.dynamics.elements import (
-    RAIL_LATERAL_M,
-    Element,
-    Layout,
-    bending_element,
-    guidance_element,
-    lateral_element,
-    longitudinal_element,
-    primary_element,
-    secondary_element,
-)
 from suspnet.dynamics.motion import Branch, LinearSystem
 from suspnet.ground.types import FloatArray
 
+LOSS_HZ = (0.2, 1.0, 5.0, 25.0)
+"""Relaxation frequencies of the branches that represent a loss factor, [Hz]."""
+LOSS_SHARES = (1.377, 1.004, 0.979, 1.421)
+"""Stiffness of each branch over eta k: the minimax fit of a loss of 1 from 0.3 to 20 Hz."""
+LOSS_REFERENCE_HZ = 2.7
+"""Frequency at which the ladder does not change the stiffness, the middle of its band, [Hz]."""
+RAIL_LATERAL_M = 0.75
+"""Half distance of the rails' centres at standard gauge [m]."""
 BOGIES = (("", "1", 1.0, ("a", "b")), ("other_", "2", -1.0, ("c", "d")))
 """Each bogie: prefix of its numbers, suffix of its coordinates, sign of phi, its wheelsets."""
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Parts of a vehicle and places of its sensors, as the fields of ``VerticalVehicle``.
+
+    `empty_body_kg`: M_s without payload [kg], for which the bending frequency holds.
+    """
+
+    bogie: str
+    axle: str
+    frame_sensor: str
+    body_sensor_m: float
+    parts: tuple[str, ...]
+    empty_body_kg: float
+
+
+@dataclass(frozen=True)
+class Element:
+    """A spring and damper with Maxwell branches, its numbers of shape (n_vehicles, 1).
+
+    `stiffness` [N/m], `damping` [N s/m], `branches`: pairs of stiffness [N/m] and rate [1/s],
+    `loss`: loss factor of the spring [-]; None is absent.
+    """
+
+    stiffness: Tensor
+    damping: Tensor | None
+    branches: Sequence[tuple[Tensor, Tensor]] = ()
+    loss: Tensor | None = None
+
+    def at(self, omega: Tensor) -> Tensor:
+        """Return kappa at angular frequencies (n_freq,) [rad/s], (n_vehicles, n_freq), [N/m]."""
+        real, imaginary = self.stiffness, torch.zeros_like(self.stiffness)
+        if self.damping is not None:
+            imaginary = imaginary + self.damping * omega
+        if self.loss is not None:
+            lossy, ladder = self.loss * self.stiffness, _ladder(omega)
+            real, imaginary = real + lossy * ladder.real, imaginary + lossy * ladder.imag
+        for stiffness, rate in self.branches:
+            share = stiffness * omega / (omega**2 + rate**2)
+            real, imaginary = real + share * omega, imaginary + share * rate
+        return torch.complex(*torch.broadcast_tensors(real, imaginary))
+
+    def causal(self) -> tuple[float, float, dict[float, float]]:
+        """Return stiffness [N/m], damping [N s/m] and branches of one vehicle for motion in time.
+
+        The branches map a rate [1/s] to a stiffness [N/m]; they include the ladder of a loss
+        factor.
+        """
+        stiffness = float(self.stiffness)
+        damping = 0.0 if self.damping is None else float(self.damping)
+        given = [(float(one), float(rate)) for one, rate in self.branches]
+        if self.loss is not None:
+            lossy = float(self.loss) * stiffness
+            rates = 2 * math.pi * np.array(LOSS_HZ)
+            given += zip(lossy * np.array(LOSS_SHARES), rates.tolist(), strict=True)
+            square = (2 * math.pi * LOSS_REFERENCE_HZ) ** 2
+            stiffness -= lossy * float(np.dot(LOSS_SHARES, square / (square + rates**2)))
+        branches: dict[float, float] = {}
+        for one, rate in given:
+            branches[rate] = branches.get(rate, 0.0) + float(one)
+        return stiffness, damping, branches
+
+
+def _ladder(omega: Tensor) -> Tensor:
+    """Return Lambda at angular frequencies (n_freq,) [rad/s], complex (n_freq,), [-]."""
+    rates = 2 * math.pi * torch.tensor(LOSS_HZ, dtype=omega.dtype, device=omega.device)
+    shares = torch.tensor(LOSS_SHARES, dtype=omega.dtype, device=omega.device)
+    square = (2 * math.pi * LOSS_REFERENCE_HZ) ** 2
+    branches = 1j * omega[:, None] / (1j * omega[:, None] + rates)
+    return ((branches - square / (square + rates**2)) * shares).sum(dim=1)
+
+
+def primary_element(p: Mapping[str, Tensor], which: str, parts: Sequence[str]) -> Element:
+    """Return the primary suspension of the measured ("") or the other bogie ("other_")."""
+    stiffness, damping = p[which + "k_p"], p[which + "c_p"]
+    branches: list[tuple[Tensor, Tensor]] = []
+    if "bushings" in parts:
+        branches.append((p["primary_bushing"], p["primary_bushing"] / damping))
+    if "rubber" in parts:
+        branches.append((p["rubber_share"] * stiffness, 2 * math.pi * p["rubber_frequency"]))
+    return Element(
+        stiffness,
+        None if "bushings" in parts else damping,
+        branches,
+        p["rubber_loss"] if "rubber" in parts else None,
+    )
+
+
+def secondary_element(p: Mapping[str, Tensor], which: str, parts: Sequence[str]) -> Element:
+    """Return the secondary suspension of the measured ("") or the other bogie ("other_")."""
+    stiffness, damping = p[which + "k_s"], p[which + "c_s"]
+    if "air_spring" in parts:
+        ratio = p["volume_ratio"]
+        volumes = (1 - p["area_share"]).clamp(min=0.0) * stiffness
+        orifice = damping * ((1 + ratio) / ratio) ** 2
+        # k_1 + k_2 = volumes (1 + N)^2 / N
+        rate = volumes * (1 + ratio) ** 2 / ratio / orifice
+        return Element(stiffness, None, [(ratio * volumes, rate)])
+    if "bushings" in parts:
+        bushing = p["secondary_bushing"]
+        return Element(stiffness, None, [(bushing, bushing / damping)])
+    return Element(stiffness, damping)
+
+
+def guidance_element(p: Mapping[str, Tensor]) -> Element:
+    """Return the axle guidance of one bogie side, which acts on its pitch times a."""
+    return Element(
+        p["guidance_stiffness"] * p["healthy_k_p"], p["guidance_damping"] * p["healthy_c_p"]
+    )
+
+
+def longitudinal_element(p: Mapping[str, Tensor]) -> Element:
+    """Return the longitudinal links between body and bogie, for one side."""
+    return Element(p["longitudinal_stiffness"], p["longitudinal_damping"])
+
+
+def lateral_element(p: Mapping[str, Tensor]) -> Element:
+    """Return the lateral suspension between body and bogie, for one side."""
+    return Element(p["lateral_stiffness"], p["lateral_damping"])
+
+
+def bending_element(p: Mapping[str, Tensor], empty_kg: float) -> Element:
+    """Return the body's first bending per modal mass of M_s; payload does not stiffen it."""
+    own = 2 * math.pi * p["bending_frequency"]
+    return Element(empty_kg * own**2, 2 * p["bending_damping"] * empty_kg * own)
+
 
 Acting = tuple[Element, FloatArray]
 """An element and the vector (g, -h) of its stretch over coordinates and inputs."""
@@ -49,14 +191,15 @@ def vertical_motion(layout: Layout, p: Mapping[str, Tensor]) -> LinearSystem:
     inputs = [f"{kind}_{wheel}" for kind in "wx"[: 1 + ("roll" in parts)] for wheel in "abcd"]
     e = dict(zip([*masses, *inputs], np.eye(len(masses) + len(inputs)), strict=True))
     forward = 1.0 if bogie == "leading" else -1.0
-    acting = _suspensions(p, n, parts, e)
+    vehicle = _Vehicle(p, n, parts, e)
+    acting = vehicle.suspensions()
     if "longitudinal" in parts:
-        acting += _links(p, n, parts, e, forward)
+        acting += vehicle.links(forward)
     if "bending" in parts:
         acting.append((bending_element(p, layout.empty_body_kg), e["q"]))
     if "roll" in parts:
-        acting += _rolling(p, n, parts, e)
-    frame, body = e["z_1"].copy(), _above(n, parts, e, "bending_at_sensor")
+        acting += vehicle.rolling()
+    frame, body = e["z_1"].copy(), vehicle.above("bending_at_sensor")
     if layout.frame_sensor == "axle":
         frame += e["psi_1"] if axle == "leading" else -e["psi_1"]
     body += (1 + forward * layout.body_sensor_m / n["half_pivot_distance"]) * e["phi"]
@@ -89,71 +232,65 @@ def _masses(n: Mapping[str, float], parts: Sequence[str]) -> dict[str, float]:
     return masses
 
 
-def _above(
-    n: Mapping[str, float], parts: Sequence[str], e: Mapping[str, FloatArray], shape: str
-) -> FloatArray:
-    """Return the bounce of the body, with its bending of the given `shape` at a pivot or sensor."""
-    return e["z"] + n[shape] * e["q"] if "bending" in parts else e["z"].copy()
+@dataclass(frozen=True)
+class _Vehicle:
+    """Elements of a vehicle: `p`, `n` its numbers, `e` the unit vector of each coordinate."""
 
+    p: Mapping[str, Tensor]
+    n: Mapping[str, float]
+    parts: Sequence[str]
+    e: Mapping[str, FloatArray]
 
-def _suspensions(
-    p: Mapping[str, Tensor],
-    n: Mapping[str, float],
-    parts: Sequence[str],
-    e: Mapping[str, FloatArray],
-) -> list[Acting]:
-    """Return primary and secondary suspensions in bounce and pitch, and the axle guidance."""
-    acting = []
-    body = _above(n, parts, e, "bending_at_pivot")
-    for which, i, sign, (first, last) in BOGIES:
-        primary, secondary = primary_element(p, which, parts), secondary_element(p, which, parts)
-        acting += [
-            (primary, e[f"z_{i}"] - 0.5 * (e[f"w_{first}"] + e[f"w_{last}"])),
-            (primary, e[f"psi_{i}"] - 0.5 * (e[f"w_{first}"] - e[f"w_{last}"])),
-            (secondary, body + sign * e["phi"] - e[f"z_{i}"]),
-        ]
-        if "guidance" in parts:
-            acting.append((guidance_element(p), e[f"psi_{i}"]))
-    return acting
+    def above(self, shape: str) -> FloatArray:
+        """Return the body's bounce, with its bending of the given `shape` at a pivot or sensor."""
+        n, e = self.n, self.e
+        return e["z"] + n[shape] * e["q"] if "bending" in self.parts else e["z"].copy()
 
+    def suspensions(self) -> list[Acting]:
+        """Return primary and secondary suspensions in bounce and pitch, and the axle guidance."""
+        p, parts, e = self.p, self.parts, self.e
+        acting = []
+        body = self.above("bending_at_pivot")
+        for which, i, sign, (first, last) in BOGIES:
+            primary = primary_element(p, which, parts)
+            acting += [
+                (primary, e[f"z_{i}"] - 0.5 * (e[f"w_{first}"] + e[f"w_{last}"])),
+                (primary, e[f"psi_{i}"] - 0.5 * (e[f"w_{first}"] - e[f"w_{last}"])),
+                (secondary_element(p, which, parts), body + sign * e["phi"] - e[f"z_{i}"]),
+            ]
+            if "guidance" in parts:
+                acting.append((guidance_element(p), e[f"psi_{i}"]))
+        return acting
 
-def _links(
-    p: Mapping[str, Tensor],
-    n: Mapping[str, float],
-    parts: Sequence[str],
-    e: Mapping[str, FloatArray],
-    forward: float,
-) -> list[Acting]:
-    """Return the longitudinal links; phi is positive if the measured bogie rises."""
-    body_lever = forward * n["body_lever"] / n["half_pivot_distance"]
-    lever = n["bogie_lever"] / n["half_wheelbase"]
-    acting = []
-    for _, i, sign, _ in BOGIES:
-        turned = e["phi"].copy()
-        if "bending" in parts:
-            turned += sign * n["bending_slope"] * e["q"]
-        acting.append((longitudinal_element(p), body_lever * turned + lever * e[f"psi_{i}"]))
-    return acting
+    def links(self, forward: float) -> list[Acting]:
+        """Return the longitudinal links; phi is positive if the measured bogie rises."""
+        n, e = self.n, self.e
+        body_lever = forward * n["body_lever"] / n["half_pivot_distance"]
+        lever = n["bogie_lever"] / n["half_wheelbase"]
+        acting = []
+        for _, i, sign, _ in BOGIES:
+            turned = e["phi"].copy()
+            if "bending" in self.parts:
+                turned += sign * n["bending_slope"] * e["q"]
+            stretch = body_lever * turned + lever * e[f"psi_{i}"]
+            acting.append((longitudinal_element(self.p), stretch))
+        return acting
 
-
-def _rolling(
-    p: Mapping[str, Tensor],
-    n: Mapping[str, float],
-    parts: Sequence[str],
-    e: Mapping[str, FloatArray],
-) -> list[Acting]:
-    """Return the suspensions in roll and sway, for one side."""
-    acting = []
-    aside = e["y"] + n["body_lever"] * e["theta"]
-    for which, i, _, (first, last) in BOGIES:
-        track, across = 0.5 * (e[f"x_{first}"] + e[f"x_{last}"]), e["theta"] - e[f"theta_{i}"]
-        acting += [
-            (primary_element(p, which, parts), n["primary_lateral"] * (e[f"theta_{i}"] - track)),
-            (secondary_element(p, which, parts), n["secondary_lateral"] * across),
-            (Element(p["anti_roll_bar"] / 2, None), across),
-            (lateral_element(p), aside + n["bogie_lever"] * e[f"theta_{i}"]),
-        ]
-    return acting
+    def rolling(self) -> list[Acting]:
+        """Return the suspensions in roll and sway, for one side."""
+        p, n, parts, e = self.p, self.n, self.parts, self.e
+        acting = []
+        aside = e["y"] + n["body_lever"] * e["theta"]
+        for which, i, _, (first, last) in BOGIES:
+            own, track = e[f"theta_{i}"], 0.5 * (e[f"x_{first}"] + e[f"x_{last}"])
+            across = e["theta"] - own
+            acting += [
+                (primary_element(p, which, parts), n["primary_lateral"] * (own - track)),
+                (secondary_element(p, which, parts), n["secondary_lateral"] * across),
+                (Element(p["anti_roll_bar"] / 2, None), across),
+                (lateral_element(p), aside + n["bogie_lever"] * own),
+            ]
+        return acting
 
 
 def _assembled(

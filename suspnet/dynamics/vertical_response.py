@@ -1,7 +1,7 @@
 """Closed-form responses of a family of vehicles: body and two bogies on four wheelsets.
 
 For a measured leading bogie, with s = j omega, kappa the dynamic stiffness of a suspension
-(`suspnet.dynamics.elements`), w the track under the wheelsets, all numbers for one side::
+(`suspnet.dynamics.vertical_motion`), w the track under the wheelsets, all numbers for one side::
 
     (kappa_p + kappa_s + s^2 M_p) z_i - kappa_s y_i                 = kappa_p m_i
     (kappa_p + gamma + s^2 M_p (rho_b / a)^2) psi_i + kappa_x (h_3 / a) r_i = kappa_p d_i
@@ -43,7 +43,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from suspnet.dynamics.elements import (
+from suspnet.dynamics.track import CROSS_LEVEL_RAD_PER_M
+from suspnet.dynamics.vertical_motion import (
     RAIL_LATERAL_M,
     Layout,
     bending_element,
@@ -53,7 +54,6 @@ from suspnet.dynamics.elements import (
     primary_element,
     secondary_element,
 )
-from suspnet.dynamics.track_spectra import CROSS_LEVEL_RAD_PER_M
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,6 @@ import torch
 from numpy.typing import ArrayLike
 from torch import Tensor
 
-from suspnet.dynamics.elements import Layout, primary_element, secondary_element
 from suspnet.dynamics.motion import LinearSystem
 from suspnet.dynamics.quantities import OFFSETS, PARTS, QUANTITIES, UNMEASURED, LogNormal
 from suspnet.dynamics.quarter_car import QuarterCar
@@ -28,10 +27,14 @@ from suspnet.dynamics.vehicle import (
     check_ratios,
     check_vehicle,
 )
-from suspnet.dynamics.vertical_motion import vertical_motion
+from suspnet.dynamics.vertical_motion import (
+    Layout,
+    primary_element,
+    secondary_element,
+    vertical_motion,
+)
 from suspnet.dynamics.vertical_response import bounced, rolled, wheels_of
-from suspnet.ground.checks import check_choice, check_number
-from suspnet.ground.settings import Setting, check_settings, setting
+from suspnet.ground.settings import Setting, check_choice, check_number, check_settings, setting
 from suspnet.ground.tensors import as_tensor, check_device
 
 N_ALL = len(PARAMETERS) + len(UNMEASURED)
@@ -165,23 +168,10 @@ class VerticalVehicle:
     ) -> tuple[Tensor, Tensor]:
         """Return complex G_p (axle box to frame sensor) and G_s (frame to body sensor).
 
-        They are the responses to the mean of both rails; see `channels`.
-
-        Parameters
-        ----------
-        ratios : tensor or array of shape (n_vehicles, 5), (n_vehicles, 6) or all columns, [-]
-            ``PARAMETERS`` and, if given, speed or all of ``UNMEASURED``, relative to nominal.
-        frequencies_hz : tensor or array of shape (n_freq,), [Hz]
-
-        Returns
-        -------
-        G_p, G_s : complex128 tensors of shape (n_vehicles, n_freq), [-]
-
-        Raises
-        ------
-        ValueError
-            If `ratios` has another shape or a value that is not positive and finite (not above -1
-            for numbers that may be absent).
+        They are the responses to the mean of both rails, each (n_vehicles, n_freq); see `channels`.
+        `ratios` has the columns ``PARAMETERS`` and, if given, speed or all of ``UNMEASURED``,
+        relative to nominal. ValueError if it has another shape or a value that is not positive and
+        finite (not above -1 for numbers that may be absent).
         """
         frame, body = bounced(self._layout, *self._prepared(ratios, frequencies_hz))
         return frame, body / frame
@@ -266,10 +256,7 @@ class VerticalVehicle:
     def dynamic_stiffness(
         self, ratios: Tensor | ArrayLike, frequencies_hz: Tensor | ArrayLike
     ) -> Tensor:
-        """Return kappa_p and kappa_s of one side of the measured bogie, bushings and rubber too.
-
-        Complex, shape (n_vehicles, 2, n_freq), [N/m].
-        """
+        """Return kappa_p and kappa_s of the measured bogie, (n_vehicles, 2, n_freq), [N/m]."""
         p, omega = self._prepared(ratios, frequencies_hz)
         return torch.stack(
             [one(p, "", self.parts).at(omega) for one in (primary_element, secondary_element)],
@@ -330,10 +317,7 @@ class VerticalVehicle:
         return p
 
     def nominal_values(self) -> tuple[float, ...]:
-        """Return the values at a ratio of 1: ``PARAMETERS``, then ``UNMEASURED``, SI units.
-
-        k_p, c_p, k_s and c_s of both bogies are 1, as they multiply the healthy values.
-        """
+        """Return the values at a ratio of 1, SI units; those that multiply healthy values are 1."""
         v = self.vehicle
         given = dict(
             zip((f"healthy_{name}" for name in PARAMETERS), v.healthy_values(), strict=True)

@@ -15,9 +15,8 @@ import numpy as np
 from suspnet._version import __version__
 from suspnet.dynamics import GENERATORS, Vehicle
 from suspnet.estimation.fitted import ModelFileError
+from suspnet.estimation.flags import OODDetector, Unexplained
 from suspnet.estimation.intervals import Intervals
-from suspnet.estimation.ood import OODDetector
-from suspnet.estimation.physics import Unexplained
 from suspnet.estimation.protocols import Task
 from suspnet.estimation.trained import TrainedModel
 from suspnet.estimation.validity import check_arrays, check_model, check_numbers, check_same

@@ -32,9 +32,8 @@ from scipy.optimize import OptimizeResult, least_squares
 
 from suspnet.dynamics import VerticalVehicle
 from suspnet.dynamics.quantities import LogNormal
-from suspnet.estimation.healthy_misfit import MASS_MEAN, HealthyMisfit, row_of
-from suspnet.estimation.healthy_trips import HealthySpectra
-from suspnet.estimation.physics import Residual
+from suspnet.estimation.flags import Residual
+from suspnet.estimation.healthy_trips import MASS_MEAN, HealthyMisfit, HealthySpectra, row_of
 from suspnet.ground.progress import bar
 from suspnet.ground.types import ComplexArray, FloatArray
 from suspnet.spectra.estimates import EstimateSettings
@@ -232,11 +231,7 @@ class _Search(HealthyMisfit):
         return [*separate[:n_separate], *again, *separate[n_separate:]][:n_starts]
 
     def widened(self, ratio: float) -> FloatArray:
-        """Return the end of searches in widening bands, started from the median of the prior.
-
-        The upper ends of successive bands differ by the factor `ratio`; the whole band is not
-        included.
-        """
+        """Return the end of searches in bands that widen by `ratio`, but for the whole band."""
         x = np.append(np.zeros(len(self.prior.names)), np.full(self.n_trips, MASS_MEAN))
         low_hz, high_hz = self.frequencies_hz[[0, -1]].tolist()
         n_bands = int(math.log(max(high_hz / (LOWEST_BAND * low_hz), 1.0), ratio))

@@ -11,8 +11,8 @@ import numpy as np
 
 from suspnet.dynamics.quantities import PARTS, QUANTITIES, UNMEASURED, Quantity
 from suspnet.estimation.commissioning import Commissioned
+from suspnet.estimation.flags import INCOMPLETE
 from suspnet.estimation.healthy_trips import HealthyTrips
-from suspnet.estimation.physics import INCOMPLETE
 from suspnet.ground.parameters import PARAMETERS
 from suspnet.ground.wording import count
 from suspnet.spectra.estimates import EstimateSettings

@@ -11,8 +11,8 @@ import numpy as np
 from scipy import stats
 
 from suspnet.dynamics import PARAMETERS, ResponseGenerator
-from suspnet.ground.checks import check_number
 from suspnet.ground.parameters import UNITS
+from suspnet.ground.settings import check_number
 from suspnet.ground.types import BoolArray, FloatArray
 
 KINDS = ("missing", "cloud", "range", "misfit", "physics", "sides")
@@ -66,10 +66,7 @@ class Estimate:
     def si(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return values and ends of intervals in SI units, each (n, n_outputs).
 
-        Raises
-        ------
-        ValueError
-            If the healthy values are unknown.
+        ValueError if the healthy values are unknown.
         """
         if self.healthy is None:
             raise ValueError("the estimate has no healthy values: give `healthy`")
@@ -137,15 +134,8 @@ class HealthyValues:
 
     They are the median of the generator's distribution, if it has one: the posterior of
     commissioning, or a prior about the vehicle file's values. The car body's is the nominal mass,
-    without payload.
-
-    Attributes
-    ----------
-    names : tuple of str
-        From ``PARAMETERS``.
-    values : array of shape (n,), [N/m, N s/m, kg]
-    deviations : array of shape (n,), [-]
-        Standard deviations of their logarithms; 0 where they are assumed to be known.
+    without payload. `names` are from ``PARAMETERS``, `values` (n,) in SI units; `deviations` (n,)
+    are standard deviations of their logarithms, 0 where they are assumed to be known.
     """
 
     names: tuple[str, ...]
@@ -196,12 +186,8 @@ class HealthyValues:
 class Flags:
     """Reasons not to trust each estimate.
 
-    Attributes
-    ----------
-    found : bool array of shape (n_curves, 6)
-        One column for each of ``KINDS``.
-    reasons : tuple of str
-        The reasons of each curve as text; empty without any.
+    `found` (n_curves, 6) has one column for each of ``KINDS``; `reasons` are the reasons of each
+    curve as text, empty without any.
     """
 
     found: BoolArray

@@ -47,19 +47,10 @@ def feature_information(
     Multivariate Statistical Theory, theorem 3.2.11); the result is corrected for that. J is by
     central differences. The information in the dependence of S on the parameters is neglected.
 
-    Parameters
-    ----------
-    extractor : FeatureSet
-        Fitted, if it learns from curves.
-    ratios : array of shape (n_vehicles, 5), [-]
-    n_draws : int
-        Noisy curves of each vehicle; ValueError if there are too few for the number of features.
-
-    Returns
-    -------
-    array of shape (n_vehicles, n_parameters, n_parameters)
-        With respect to ratios to healthy; NaN where a feature is missing from the noise-free curve,
-        from a neighbouring one or from too many of the noisy ones.
+    `extractor` is fitted; `ratios`: (n_vehicles, 5); `n_draws`: noisy curves of each vehicle,
+    ValueError if too few for the number of features. The result (n_vehicles, n_parameters,
+    n_parameters), with respect to ratios to healthy, is NaN where a feature is missing from the
+    noise-free curve, from a neighbouring one or from too many of the noisy ones.
     """
     n_features = len(extractor.names)
     least = int(np.ceil((n_features + 2) / LEAST_FOUND))
@@ -80,9 +71,8 @@ def feature_loss(
 ) -> dict[str, float]:
     """Return for each output the rms bound of the task's features over that of its curves.
 
-    Both are relative to the parameter, over the vehicles with every feature; NaN where the curves
-    do not identify an output. The task's feature set must be fitted; `ratios`: (n_vehicles, 5).
-    Raises ValueError if no vehicle has every feature.
+    NaN where the curves do not identify an output; `ratios`: (n_vehicles, 5). ValueError if no
+    vehicle has every feature.
     """
     n_draws = max(N_DRAWS, DRAWS_PER_FEATURE * len(task.extractor.names))
     information = feature_information(

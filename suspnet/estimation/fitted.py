@@ -12,9 +12,8 @@ from torch import Tensor
 
 from suspnet.dynamics import ResponseGenerator, Vehicle
 from suspnet.estimation.estimate import Flags, HealthyValues
+from suspnet.estimation.flags import OODDetector, Unexplained
 from suspnet.estimation.intervals import Intervals
-from suspnet.estimation.ood import OODDetector
-from suspnet.estimation.physics import Unexplained
 from suspnet.estimation.protocols import Task
 from suspnet.estimation.refine import Refined
 from suspnet.ground.types import FloatArray, IntArray
@@ -97,18 +96,9 @@ class FittedMethod:
     def features(self, curves: Tensor, frequencies_hz: Tensor) -> tuple[FloatArray, IntArray]:
         """Return features of curves relative to the healthy vehicle's, and why some are missing.
 
-        Parameters
-        ----------
-        curves : tensor of shape (n_curves, 2, n_freq), [-]
-            G_p and G_s, complex; for the feature set `peaks` their magnitudes suffice.
-        frequencies_hz : tensor of shape (n_freq,), [Hz]
-            Evenly spaced, with the spacing of `settings`.
-
-        Returns
-        -------
-        features : array of shape (n_curves, n_features), [-]
-            NaN where a peak is missing.
-        reasons : array of shape (n_curves, n_peaks)
+        `curves` (n_curves, 2, n_freq) are G_p and G_s, complex; for the feature set `peaks` their
+        magnitudes suffice. `frequencies_hz` (n_freq,) are spaced as in `settings`. Features have
+        the shape (n_curves, n_features), NaN where a peak is missing, reasons (n_curves, n_peaks).
         """
         extractor = self.task.extractor
         table = extractor.extract(curves, frequencies_hz.to(curves.device))
@@ -118,15 +108,9 @@ class FittedMethod:
     def predict(self, inputs: ArrayLike) -> FloatArray:
         """Return parameters relative to healthy, shape (n_curves, n_outputs), [-].
 
-        Parameters
-        ----------
-        inputs : array of shape (n_curves, n_inputs), [-]
-            Features relative to the healthy vehicle's, named as ``task.inputs``.
-
-        Raises
-        ------
-        ValueError
-            If the inputs do not fit the model, or it fits curves and has no inputs.
+        `inputs` (n_curves, n_inputs) are features relative to the healthy vehicle's, named as
+        ``task.inputs``. ValueError if they do not fit the model, or it fits curves and has no
+        inputs.
         """
         if self.input_scaling is None or self.output_scaling is None:
             raise ValueError(f"{self.name} works on curves, not on features")

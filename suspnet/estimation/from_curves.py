@@ -13,6 +13,7 @@ from suspnet.estimation.estimate import Estimate, Flags
 from suspnet.estimation.fitted import FittedMethod
 from suspnet.estimation.protocols import Task
 from suspnet.estimation.refine import Refined, complete_ratios, refine
+from suspnet.ground.parameters import PAYLOAD
 from suspnet.ground.types import FloatArray
 from suspnet.spectra.observation import Misfit, Observer
 
@@ -29,20 +30,11 @@ def estimate_curves(
     level: float,
     mass: FloatArray | None = None,
 ) -> Estimate:
-    """Return estimates, intervals and flags of any curves.
+    """Return estimates, intervals and flags of curves (n_curves, 2, n_freq).
 
-    Parameters
-    ----------
-    observer : Observer
-        Of the curves, with the method's own generator.
-    curves : tensor of shape (n_curves, 2, n_freq), [-]
-    mass : array of shape (n_curves,), optional
-        Measured car-body mass ratio, if the task knows it.
-
-    Raises
-    ------
-    ValueError
-        If the curves do not fit the method, or no curve identifies the outputs to be refined.
+    `observer` is that of the curves, with the method's own generator; `mass` (n_curves,) the
+    measured car-body mass ratio, if the task knows it. ValueError if the curves do not fit the
+    method, or no curve identifies the outputs to be refined.
     """
     task = method.task
     inputs, reasons = method.features(observer.for_features(curves), observer.frequencies_hz)
@@ -112,16 +104,8 @@ def corrected(
     inference (Gourieroux, Monfort and Renault 1993). It accounts for the speed and the noise of the
     observation, whatever the regression was trained for.
 
-    Parameters
-    ----------
-    method : FittedMethod
-        Estimates of a method without `corrected` are returned unchanged.
-    observer : Observer
-        Of the curves, with the method's own generator.
-    predicted : array of shape (n_curves, n_outputs), [-]
-        p_0; the outputs must be all unknown parameters.
-    n_steps : int
-        One is enough for curves like the training curves.
+    `predicted` (n_curves, n_outputs) is p_0, of all unknown parameters; it is returned unchanged
+    for a method without `corrected`. One step is enough for curves like the training curves.
     """
     columns, estimates = method.task.output_indices, predicted
     for _ in range(n_steps if method.corrected else 0):
@@ -200,7 +184,7 @@ def _fit_curves(
     def forward(unknown: Tensor, known: Tensor) -> Tensor:
         columns = dict(zip(task.unknown, unknown.unbind(1), strict=True))
         if task.mass_known:
-            columns["M_s"] = known[:, 0]
+            columns[PAYLOAD] = known[:, 0]
         healthy = torch.ones_like(unknown[:, 0])
         ratios = torch.stack([columns.get(name, healthy) for name in PARAMETERS], dim=1)
         magnitudes = observer.generator.magnitudes(ratios, observer.frequencies_hz)

@@ -14,10 +14,8 @@ from suspnet.estimation.estimate import Estimate
 from suspnet.estimation.fitted import FittedMethod
 from suspnet.estimation.from_spectra import MissingFeaturesError, estimate_with_noise, trip_settings
 from suspnet.estimation.steady_parts import (
-    GroupSpectra,
     SpeedBin,
     combined,
-    group_spectra,
     group_speed,
     groups_of,
     groups_to_read,
@@ -31,16 +29,19 @@ from suspnet.ground.settings import check_settings, setting
 from suspnet.recordings.manifest import CHANNELS
 from suspnet.recordings.manifest_keys import TripError
 from suspnet.recordings.recording import Recording
+from suspnet.spectra.cross_spectra import CrossSpectra
 from suspnet.spectra.estimates import EstimateSettings
 from suspnet.spectra.plausibility import check_channels, check_pairs
 from suspnet.spectra.segments import (
     NoEstimateError,
+    Speeds,
     difference_segments,
     in_band,
     recording_segments,
     segment_speeds,
+    without_incoherent,
+    without_loud,
 )
-from suspnet.spectra.speeds import Speeds
 from suspnet.spectra.welch import SegmentSpectra, Welch
 
 
@@ -106,12 +107,33 @@ def estimate_recording(
     method: FittedMethod, recording: Recording, settings: TripSettings
 ) -> Estimate:
     """Return a method's estimate from a recording, one row; raises as `speed_bins` does."""
-    welch = trip_settings(method).welch
-    segments = recording_segments(recording, welch)
-    if not len(segments.values):
-        raise NoEstimateError(no_segment(recording, welch))
-    bins = speed_bins(method, recording, segments, settings)
+    segments = recording_segments(recording, trip_settings(method).welch)
+    bins = all_bins([(method, segments)], recording, settings)
     return with_sides(combined(bins), bins, recording)[0]
+
+
+def all_bins(
+    pairs: Sequence[tuple[FittedMethod, SegmentSpectra]],
+    recording: Recording,
+    settings: TripSettings,
+) -> list[SpeedBin]:
+    """Return the estimates of all groups of segments, each by the method that reads its speed.
+
+    `pairs` are the methods with their segments. NoEstimateError is raised with the reasons of all
+    methods if none gives an estimate, TripError as by `speed_bins`.
+    """
+    if not any(len(segments.values) for _, segments in pairs):
+        raise NoEstimateError(no_segment(recording, pairs[0][1].welch))
+    bins, reasons = [], []
+    methods = [method for method, _ in pairs]
+    for method, segments in pairs:
+        try:
+            bins += speed_bins(method, recording, segments, settings, methods)
+        except NoEstimateError as reason:
+            reasons.append(str(reason))
+    if not bins:
+        raise NoEstimateError("; ".join(dict.fromkeys(reasons)))
+    return bins
 
 
 def speed_bins(
@@ -119,50 +141,36 @@ def speed_bins(
     recording: Recording,
     segments: SegmentSpectra,
     settings: TripSettings,
-    models: Sequence[FittedMethod] = (),
+    models: Sequence[FittedMethod],
 ) -> list[SpeedBin]:
     """Return a method's estimate from each group of segments at one of its speeds.
 
-    Parameters
-    ----------
-    segments : SegmentSpectra
-        Of the recording, cut as for the method's training.
-    models : sequence of FittedMethod
-        All models that read the recording, the method included: each group of segments belongs to
-        one of them. Empty means the method alone.
+    `segments` are the recording's, cut as for the method's training. `models` are all that read the
+    recording, the method included: each group belongs to one of them; empty means the method alone.
+    The result is empty if all readable groups belong to other models.
 
-    Returns
-    -------
-    list of SpeedBin
-        Empty if all readable groups belong to other models.
-
-    Raises
-    ------
-    NoEstimateError
-        If the recording is valid but gives no estimate; the reason is that of the largest group, or
-        that no model reads the trip's speeds.
-    TripError
-        If a channel or one sensor of a pair has the wrong unit or sign, two are swapped, or a pair
-        meets a model that was trained for a sensor on one side.
+    Raises NoEstimateError if the recording is valid but gives no estimate, with the reason of the
+    largest group, or that no model reads the trip's speeds; TripError if a channel or one sensor of
+    a pair has the wrong unit or sign, two are swapped, or a pair meets a model that was trained for
+    a sensor on one side.
     """
     # which groups of segments at one speed are this method's
     _check_places(recording, method.generator)
-    together = models or [method]
     speeds = segment_speeds(recording, segments)
     tolerance, any_speed = settings.speed_tolerance, reads_at_any_speed(method)
     least = settings.min_speed_m_per_s if any_speed else 0.0
     groups = groups_to_read(speeds, tolerance, least, at_any_speed=any_speed)
-    if not any(groups_of(one, together, speeds, groups) for one in together):
+    if not any(groups_of(one, models, speeds, groups) for one in models):
         if segments.welch.n_averages(len(speeds)) < settings.min_averages:
             raise NoEstimateError(_too_short(recording, segments, settings))
-        raise NoEstimateError(no_group_words(speeds, groups, together, tolerance, least))
+        raise NoEstimateError(no_group_words(speeds, groups, models, tolerance, least))
     # one failing group does not prevent the estimates of the others
     bins, reasons = [], []
     trained = trip_settings(method)
-    own = groups_of(method, together, speeds, groups)
+    own = groups_of(method, models, speeds, groups)
     for part in steady(segments, speeds, own, trained, settings):
         try:
-            bins.append(_speed_bin(method, recording, part, together, speeds, segments, settings))
+            bins.append(_speed_bin(method, recording, part, models, speeds, segments, settings))
         except NoEstimateError as reason:
             reasons.append(reason)
     if reasons and not bins:
@@ -174,29 +182,27 @@ def speed_bins(
 class Steady:
     """Segments of a recording at one speed, and whether they are enough for an estimate.
 
-    Checking, commissioning, reading and monitoring all use this decision.
-
-    Attributes
-    ----------
-    band : SegmentSpectra
-        All segments, on the bins of an estimate.
-    group : bool tensor of shape (n_segments,)
-    found : GroupSpectra
-        The usable segments of the group.
-    speed : pair of float, [m/s]
-        Mean and deviation over the chosen segments; NaN if there are none.
-    has_enough : bool
-        Whether there are enough averages.
-    is_certain : bool
-        Whether the responses are certain enough.
+    Checking, commissioning, reading and monitoring all use this decision. `band` holds all segments
+    on the bins of an estimate; of those of the `group` (n_segments,), `candidates` have no far too
+    large power and `chosen` no low coherence. `n_averages` counts independent averages of the
+    chosen ones, and `spectra` is their average. `coherences` of G_p and G_s are means over the bins
+    in use; `deviation` is the standard deviation of the log-magnitudes, [-]: median over the bins,
+    of the less certain response. `speed` is mean and deviation, [m/s]. `has_enough`: there are
+    enough averages; `is_certain`: the responses are certain enough.
     """
 
     band: SegmentSpectra
     group: Tensor
-    found: GroupSpectra
-    speed: tuple[float, float]
-    has_enough: bool
-    is_certain: bool
+    candidates: Tensor
+    chosen: Tensor
+    n_incoherent: int
+    n_averages: float = 0.0
+    spectra: CrossSpectra | None = None
+    coherences: Sequence[float] = (math.nan, math.nan)
+    deviation: float = math.nan
+    speed: tuple[float, float] = (math.nan, math.nan)
+    has_enough: bool = False
+    is_certain: bool = False
 
 
 def steady(
@@ -215,13 +221,27 @@ def steady(
     if not groups:
         return parts
     band = in_band(segments, estimate.frequencies_hz())
+    beyond = estimate.beyond(band.frequencies_hz)
     for group in groups:
-        found = group_spectra(band, group, settings.min_coherence, estimate)
-        is_any = found.spectra is not None
-        speed = speed_of(speeds[found.chosen], band) if is_any else (math.nan, math.nan)
-        has_enough = is_any and found.n_averages >= settings.min_averages
-        is_certain = found.deviation <= settings.max_deviation
-        parts.append(Steady(band, group, found, speed, has_enough, is_certain))
+        candidates = without_loud(band, group)
+        chosen, n_incoherent = without_incoherent(band, candidates, settings.min_coherence)
+        part = Steady(band, group, candidates, chosen, n_incoherent)
+        if bool(chosen.any()):
+            n_averages, spectra = band.welch.n_averages(int(chosen.sum())), band.average(chosen)
+            coherences = spectra.coherences().masked_fill(beyond, math.nan).nanmean(dim=1)
+            deviations = spectra.deviations(estimate.method).masked_fill(beyond, math.nan)
+            deviation = float(deviations.nanmedian(dim=1).values.amax())
+            part = replace(
+                part,
+                n_averages=n_averages,
+                spectra=spectra,
+                coherences=coherences.tolist(),
+                deviation=deviation,
+                speed=speed_of(speeds[chosen], band),
+                has_enough=n_averages >= settings.min_averages,
+                is_certain=deviation <= settings.max_deviation,
+            )
+        parts.append(part)
     return parts
 
 
@@ -234,33 +254,34 @@ def _speed_bin(
     segments: SegmentSpectra,
     settings: TripSettings,
 ) -> SpeedBin:
-    found, chosen, doubts = part.found, part.found.chosen, ""
-    n_candidates = int(found.candidates.sum())
+    spectra, chosen, doubts = part.spectra, part.chosen, ""
+    n_candidates = int(part.candidates.sum())
     if settings.check_channels and segments.welch.n_averages(n_candidates) >= settings.min_averages:
         # check channels first: a wrong one is a better reason than low coherence
-        looked_at = chosen if found.spectra is not None else found.candidates
+        looked_at = chosen if spectra is not None else part.candidates
         if any(recording.paired):
             differences = difference_segments(recording, segments.welch)
             check_pairs(segments, differences, looked_at, recording.paired, method.vehicle)
-        doubts = _checked(segments, looked_at, method)
-    if found.spectra is None or not part.has_enough:
+        average, bins = segments.average(looked_at), segments.frequencies_hz
+        doubts = check_channels(average, bins, method.generator, method.vehicle)
+    if spectra is None or not part.has_enough:
         raise NoEstimateError(_too_few(part, models, recording, speeds, segments, settings))
     if not part.is_certain:
         raise NoEstimateError(
-            f"the responses are uncertain by {100 * found.deviation:.2g} % (coherence "
-            f"{min(found.coherences):.2f}, {found.n_averages:.0f} averages), "
+            f"the responses are uncertain by {100 * part.deviation:.2g} % (coherence "
+            f"{min(part.coherences):.2f}, {part.n_averages:.0f} averages), "
             f"at most {100 * settings.max_deviation:.2g} % are accepted"
         )
     at = Speeds.of(*part.speed)
     try:
-        estimate, noise_share = estimate_with_noise(method, found.spectra, settings.level, at)
+        estimate, noise_share = estimate_with_noise(method, spectra, settings.level, at)
     except MissingFeaturesError as error:
         raise NoEstimateError(f"features are missing: {error}") from None
-    late = delay_words(method, found.spectra, estimate, at)
+    late = delay_words(method, spectra, estimate, at)
     if late:
         estimate = replace(estimate, flags=estimate.flags.with_kind("misfit", late))
     speed = part.speed[0]
-    return SpeedBin(method, found.spectra, part.band, chosen, speed, estimate, noise_share, doubts)
+    return SpeedBin(method, spectra, part.band, chosen, speed, estimate, noise_share, doubts)
 
 
 def _too_few(
@@ -271,7 +292,7 @@ def _too_few(
     segments: SegmentSpectra,
     settings: TripSettings,
 ) -> str:
-    found, group = part.found, part.group
+    group = part.group
     if segments.welch.n_averages(len(group)) < settings.min_averages:
         return _too_short(recording, segments, settings)
     where = f"steady at {group_speed(speeds, group):.1f} m/s"
@@ -279,7 +300,7 @@ def _too_few(
         where = f"at {settings.min_speed_m_per_s:g} m/s or faster throughout"
     return (
         f"{int(group.sum())} of {len(group)} segments without faults are {where}, "
-        f"{found.n_incoherent} of them of low coherence: {found.n_averages:.1f} averages, at least "
+        f"{part.n_incoherent} of them of low coherence: {part.n_averages:.1f} averages, at least "
         f"{settings.min_averages:g} are needed (half of the trip is run at "
         f"{float(speeds.mean(dim=1).median()):.1f} m/s or less, {readable_words(models)})"
     )
@@ -308,12 +329,6 @@ def _check_places(recording: Recording, generator: ResponseGenerator) -> None:
             f"middle: {listed}; give one sensor in the manifest, or train with "
             "generator.sensor_lateral_m=[0,0,0]"
         )
-
-
-def _checked(segments: SegmentSpectra, chosen: Tensor, method: FittedMethod) -> str:
-    """Return the doubts and impossible checks of the channels; TripError if one is wrong."""
-    spectra = segments.average(chosen)
-    return check_channels(spectra, segments.frequencies_hz, method.generator, method.vehicle)
 
 
 def no_segment(recording: Recording, welch: Welch) -> str:

@@ -10,7 +10,7 @@ that of the trip::
 with s_0 the standard deviation from the calibration and q its quantiles, n_0 the noise part
 expected of such a vehicle in training, n that of the trip. l^2 is the variance due to the
 regression's own error and the generator's uncertain quantities. For commissioned vehicles, b is the
-cost of what their healthy trips left unexplained (`suspnet.estimation.physics`), f that of damping
+cost of what their healthy trips left unexplained (`suspnet.estimation.flags`), f that of damping
 and stiffness which do not wear (`unworn_deviations`), and w is ``COMMON``; for others w = 1 and
 b = f = 0. For refined estimates n is the Gauss-Newton deviation with all uncertain numbers known,
 and the rest of that deviation adds to l^2; for others n is the spread of estimates from drawn
@@ -33,7 +33,7 @@ from suspnet.estimation.refine import Refined, complete_ratios, refine
 from suspnet.ground.types import FloatArray
 from suspnet.spectra.cross_spectra import CrossSpectra
 from suspnet.spectra.estimates import EstimateObserver, EstimateSettings
-from suspnet.spectra.speeds import Speeds
+from suspnet.spectra.segments import Speeds
 
 
 class MissingFeaturesError(ValueError):
@@ -64,24 +64,10 @@ def estimate_with_noise(
 ) -> tuple[Estimate, FloatArray]:
     """Return one trip's estimate from its spectra, and the share of noise in its variance.
 
-    Parameters
-    ----------
-    spectra : CrossSpectra
-        Of the trip on the method's bins, (3, n_freq).
-    speeds : Speeds, optional
-        Of the segments behind the spectra; None is the training speed.
-
-    Returns
-    -------
-    estimate : Estimate
-        One row.
-    noise_share : array of shape (n_outputs,), [-]
-        n^2 / s^2; 1 without an interval.
-
-    Raises
-    ------
-    MissingFeaturesError
-        If the regression lacks a feature.
+    `spectra` are those of the trip on the method's bins, (3, n_freq), `speeds` those of the
+    segments behind them; None is the training speed. The estimate has one row; the share n^2 / s^2
+    (n_outputs,) is 1 without an interval. Raises MissingFeaturesError if the regression lacks a
+    feature.
     """
     task, outputs = method.task, method.task.outputs
     observer = trip_observer(method) if speeds is None else trip_observer(method).at(speeds)

@@ -1,34 +1,46 @@
-"""Healthy trips of a folder: from recordings to spectra at each speed."""
+"""Healthy trips of a folder: their spectra at each speed, and their sum of squares.
+
+Its symbols are those of `suspnet.estimation.commissioning`.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
+import torch
+from scipy.optimize import OptimizeResult
+from torch import Tensor
+
+from suspnet.dynamics import PARAMETERS, VerticalVehicle
+from suspnet.dynamics.quantities import LogNormal
 from suspnet.estimation.from_recording import TripSettings, steady, unrepaired_words
 from suspnet.estimation.steady_parts import groups_to_read
 from suspnet.ground.progress import bar
+from suspnet.ground.types import ComplexArray, FloatArray
 from suspnet.recordings.manifest import TripManifest
 from suspnet.recordings.manifest_files import ManifestFile, find_manifests
 from suspnet.recordings.manifest_keys import TripError
 from suspnet.recordings.recording import Recording, load_recording
 from suspnet.spectra.cross_spectra import CrossSpectra
 from suspnet.spectra.estimates import EstimateSettings
-from suspnet.spectra.segments import recording_segments, segment_speeds
-from suspnet.spectra.speeds import Speeds
+from suspnet.spectra.observation import every_direction
+from suspnet.spectra.segments import Speeds, recording_segments, segment_speeds
 
 LEAST_TRIPS = 3
 """Smallest number of healthy trips; fewer contain too little information on a vehicle."""
+MASS_MEAN, MASS_DEVIATION = math.log(1.05), 0.15
+"""Prior mean and standard deviation of the logarithm of a trip's car-body mass over nominal."""
+STEP = 1e-5
+"""Step of differences, in standard deviations of the prior."""
 
 
 @dataclass(frozen=True)
 class HealthySpectra:
-    """Spectra of one healthy trip at one speed.
-
-    `trip` is the index of the trip, which has one car-body mass; `speeds` are those of the segments
-    behind the spectra, (3, n_freq) on the bins of the settings.
-    """
+    """Spectra (3, n_freq) at one speed of trip number `trip`, which has one car-body mass."""
 
     trip: int
     name: str
@@ -46,15 +58,8 @@ class HealthySpectra:
 class HealthyTrips:
     """Spectra of the healthy trips of one suspension.
 
-    Attributes
-    ----------
-    manifests : tuple of TripManifest
-        Those of the trips in use.
-    groups : tuple of HealthySpectra
-    paired : tuple of 3 bool
-        Which of axle box, frame and body have a sensor left and right.
-    left_out : tuple of str
-        Trips without a usable stretch, with the reason.
+    `manifests` are those of the trips in use; `paired` tells which of axle box, frame and body have
+    a sensor left and right; `left_out` are trips without a usable stretch, with the reason.
     """
 
     manifests: tuple[TripManifest, ...]
@@ -171,7 +176,113 @@ def _spectra(
     groups = groups_to_read(speeds, trips.speed_tolerance, trips.min_speed_m_per_s)
     # uncertain groups are included, as the fit of the vehicle weights each by its noise
     return [
-        HealthySpectra(trip, name, Speeds.of(*part.speed), part.found.spectra)
+        HealthySpectra(trip, name, Speeds.of(*part.speed), part.spectra)
         for part in steady(segments, speeds, groups, settings, trips)
-        if part.found.spectra is not None and part.has_enough
+        if part.spectra is not None and part.has_enough
     ]
+
+
+class HealthyMisfit:
+    """The sum of squares of healthy trips, as a function of theta = (z, logarithms of masses)."""
+
+    def __init__(
+        self,
+        generator: VerticalVehicle,
+        settings: EstimateSettings,
+        groups: Sequence[HealthySpectra],
+    ) -> None:
+        self.prior = generator.distribution or LogNormal((), (), ())
+        self._trips = [group.trip for group in groups]
+        self.n_trips = 1 + max(self._trips)
+        self.every = every_direction(generator)
+        self.frequencies_hz = settings.frequencies_hz()
+        observer = settings.observer(generator)
+        self._groups = [
+            observer.at(group.speeds).measured_misfit(group.spectra) for group in groups
+        ]
+
+    def ratios(self, theta: Tensor, trip: int) -> Tensor:
+        """Return all columns of ratios for one trip, (n_rows, n_columns)."""
+        n = len(self.prior.names)
+        healthy = torch.ones(len(theta), len(PARAMETERS), dtype=torch.float64)
+        healthy[:, -1] = theta[:, n + trip].exp()
+        return self.every.vehicles(healthy, theta[:, :n])
+
+    def part(self, theta: Tensor, group: int, spread: float, high_hz: float = math.inf) -> Tensor:
+        """Return the residuals of one group, (n_rows, n_points), set to 0 above `high_hz`."""
+        misfit = self._groups[group]
+        expected = misfit.observer.noise_free(self.ratios(theta, self._trips[group]))
+        # logarithms converge from far off, but have the heavy tails of a ratio of noise
+        u = (misfit.observed / expected).log() if spread else 1 - expected / misfit.observed
+        spreads = torch.where(self.frequencies_hz > high_hz, math.inf, spread)
+        return misfit.whitened(u, torch.zeros(len(theta), dtype=torch.int64), spreads)
+
+    def parts(self, theta: Tensor, spread: float, high_hz: float = math.inf) -> list[Tensor]:
+        """Return the residuals of each group, (n_rows, n_points)."""
+        return [self.part(theta, i, spread, high_hz) for i in range(len(self._groups))]
+
+    def residuals(self, theta: Tensor, spread: float, high_hz: float = math.inf) -> Tensor:
+        """Return all residuals, including those of the priors, (n_rows, n_points)."""
+        n = len(self.prior.names)
+        masses = (theta[:, n:] - MASS_MEAN) / MASS_DEVIATION
+        return torch.cat([*self.parts(theta, spread, high_hz), theta[:, :n], masses], dim=1)
+
+    def jacobian(self, x: FloatArray, spread: float, high_hz: float = math.inf) -> FloatArray:
+        """Return the finite-difference derivative of all residuals, (n_points, n_coordinates)."""
+        n, found = len(self.prior.names), []
+        for group, trip in enumerate(self._trips):
+            # the masses of other trips do not affect this group
+            columns = [*range(n), n + trip]
+            steps = STEP * torch.eye(len(x), dtype=torch.float64)[[0, *columns]]
+            steps[0] = 0.0
+            rows = self.part(row_of(x) + steps, group, spread, high_hz)
+            own = np.zeros((rows.shape[1], len(x)))
+            own[:, columns] = ((rows[1:] - rows[:1]) / STEP).T.numpy()
+            found.append(own)
+        return np.concatenate([*found, np.diag(1 / self._prior_deviations())])
+
+    def _prior_deviations(self) -> FloatArray:
+        """Return the prior standard deviations of theta, (n_coordinates,)."""
+        return np.array([1.0] * len(self.prior.names) + [MASS_DEVIATION] * self.n_trips)
+
+    def misfits(self, theta: Tensor) -> list[float]:
+        """Return the rms residual of each group over that of the noise."""
+        return [
+            math.sqrt(float(part.square().mean()) / misfit.expected)
+            for part, misfit in zip(self.parts(theta, 0.0), self._groups, strict=True)
+        ]
+
+    def posterior(self, found: OptimizeResult) -> tuple[LogNormal, float]:
+        """Return the posterior of the numbers, and the residuals' mean square over the noise."""
+        n = len(self.prior.names)
+        residuals = torch.cat(self.parts(row_of(found.x), 0.0), dim=1)[0]
+        expected = math.fsum(misfit.expected for misfit in self._groups) / len(self._groups)
+        mean_square = float(residuals.square().mean()) / expected
+        slopes = self.jacobian(found.x, 0.0)[: len(residuals)]
+        prior = np.diag(self._prior_deviations() ** -2)
+        information = slopes.T @ slopes / max(mean_square, 1.0) + prior
+        spread = np.linalg.inv(information)[:n, :n]
+        factor = self.every.factor.numpy()
+        covariance = factor @ spread @ factor.T
+        logs = np.array(self.prior.mean) + factor @ found.x[:n]
+        rows = tuple(map(tuple, ((covariance + covariance.T) / 2).tolist()))
+        return LogNormal(self.prior.names, tuple(logs.tolist()), rows), mean_square
+
+    def distance(self, one: FloatArray, other: FloatArray, posterior: LogNormal) -> float:
+        """Return the largest difference of a number, in deviations of the posterior."""
+        n = len(self.prior.names)
+        logs = self.every.factor.numpy() @ (one[:n] - other[:n])
+        return float(np.abs(logs / posterior.deviations).max())
+
+    def curves(self, theta: Tensor) -> tuple[ComplexArray, ComplexArray, FloatArray]:
+        """Return measured and fitted responses and deviations, each (n_groups, 2, n_freq)."""
+        pairs = list(zip(self._groups, self._trips, strict=True))
+        fitted = [misfit.observer.noise_free(self.ratios(theta, trip)) for misfit, trip in pairs]
+        observed = torch.cat([misfit.observed for misfit, _ in pairs])
+        power = torch.cat([m.covariance.diagonal(dim1=1, dim2=2).mT.real for m, _ in pairs])
+        return observed.numpy(), torch.cat(fitted).numpy(), (power / 2).sqrt().numpy()
+
+
+def row_of(x: FloatArray) -> Tensor:
+    """Return one point as a tensor of one row."""
+    return torch.as_tensor(x)[None]

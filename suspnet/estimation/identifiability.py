@@ -27,6 +27,7 @@ from suspnet.estimation.sensor_information import (
     recording_information,
     sensor_places,
 )
+from suspnet.ground.parameters import PAYLOAD
 from suspnet.ground.types import FloatArray
 from suspnet.spectra.curves import CurveObserver, CurveSettings
 from suspnet.spectra.estimates import EstimateObserver, EstimateSettings
@@ -53,15 +54,9 @@ SINGULAR = 1e-12
 class Option:
     """A choice of measurements with its Fisher information.
 
-    Attributes
-    ----------
-    kind : {"baseline", "less", "more", "other", "estimate"}
-        What is measured now, less or more than that, another choice, or the information left in the
-        estimator's result for what is measured now.
-    unknown : tuple of str
-        Parameters that have to be estimated.
-    information : array of shape (n_vehicles, n_unknown, n_unknown)
-        With respect to ratios to healthy.
+    `kind` is what is measured now, less or more than that, another choice, or the information left
+    in the estimator's result for what is measured now. `unknown` parameters have to be estimated;
+    `information` (n_vehicles, n_unknown, n_unknown) is with respect to ratios to healthy.
     """
 
     title: str
@@ -95,16 +90,15 @@ class _FurtherCurves(CurveObserver):
 def options(task: Task, observer: Observer, ratios: FloatArray) -> list[Option]:
     """Return the options of measurement for a task; the first is what is measured now.
 
-    For curves: one of them, both, and further ones of the same signal-to-noise ratio. For trips:
-    recordings of fewer and more sensors, of pairs and of one side where the vehicle rolls, and the
-    estimate from three sensors. For both: the car-body mass, and twice the sensors. `ratios` has
-    the shape (n_vehicles, 5).
+    For curves: one of them, both, and further ones. For trips: recordings of fewer and more
+    sensors, of pairs and of one side where the vehicle rolls, and the estimate from three sensors.
+    For both: the car-body mass, and twice the sensors. `ratios`: (n_vehicles, 5).
     """
     now, *others = _OPTIONS[observer.settings.kind](task, observer, ratios)
     if task.mass_known:
         unmeasured = replace(now, title="car-body mass not measured", kind="less")
-        return [*(option.knowing("M_s") for option in (now, *others)), unmeasured]
-    measured = replace(now.knowing("M_s"), title="+ measured car-body mass", kind="more")
+        return [*(option.knowing(PAYLOAD) for option in (now, *others)), unmeasured]
+    measured = replace(now.knowing(PAYLOAD), title="+ measured car-body mass", kind="more")
     return [now, *others, measured]
 
 
@@ -251,12 +245,8 @@ def bounds(option: Option, ratios: FloatArray) -> list[Bound]:
 class Direction:
     """An eigenvector of the information on logarithmic parameters: a joint uncertainty.
 
-    Attributes
-    ----------
-    components : array of shape (n_parameters,), [-]
-        Relative changes, of norm 1, the largest positive.
-    deviation_percent : float, [%]
-        Standard deviation along the direction; inf if it does not change the curves.
+    `components` (n_parameters,) are relative changes, of norm 1, the largest positive;
+    `deviation_percent` is the standard deviation along them, inf if they do not change the curves.
     """
 
     parameters: tuple[str, ...]

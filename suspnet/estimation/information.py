@@ -16,7 +16,8 @@ from scipy.special import erfcx
 from torch import Tensor
 
 from suspnet.dynamics import PARAMETERS
-from suspnet.estimation.protocols import MASS, RESPONSES, Task, columns_of
+from suspnet.estimation.protocols import PAYLOAD_COLUMN, RESPONSES, Task, columns_of
+from suspnet.ground.parameters import PAYLOAD
 from suspnet.ground.types import FloatArray
 from suspnet.spectra.observation import Directions, Misfit, Observer
 
@@ -69,10 +70,9 @@ def joint_information(
     responses: Sequence[str] = RESPONSES,
     directions: Directions | None = None,
 ) -> FloatArray:
-    """Return the joint information of curves on parameters and uncertain numbers.
+    """Return the information on parameters and uncertain numbers together, (n_vehicles, n, n).
 
-    The shape is (n_vehicles, n_parameters + n_z, n_parameters + n_z). Informations of independent
-    curves add; `without_uncertain` includes the prior once. `directions` None means the observer's.
+    Informations of independent curves add; `without_uncertain` includes the prior once.
     """
     directions = observer.directions if directions is None else directions
     columns = columns_of(parameters)
@@ -167,8 +167,8 @@ def scale_ambiguity_bound(task: Task, ratios: FloatArray) -> dict[str, dict[str,
     quotients). The mean over the levels has the smallest RMSE, the median weighted by 1/k_s the
     smallest MAPE. Errors are averaged over `ratios`, (n_vehicles, 5).
     """
-    levels = task.levels("M_s")
-    mass = ratios[:, MASS]
+    levels = task.levels(PAYLOAD)
+    mass = ratios[:, PAYLOAD_COLUMN]
     stiffness, damping = (ratios[:, PARAMETERS.index(name)] / mass for name in ("k_s", "c_s"))
     candidates = levels[:, None]
     low, high = task.lower - 1e-9, task.upper + 1e-9
@@ -185,7 +185,7 @@ def scale_ambiguity_bound(task: Task, ratios: FloatArray) -> dict[str, dict[str,
             "mape_percent": mape,
             "rmse": float(np.sqrt(np.mean((ratio * (mean_mass - mass)) ** 2))),
         }
-        for name, ratio in (("k_s", stiffness), ("c_s", damping), ("M_s", np.ones_like(mass)))
+        for name, ratio in (("k_s", stiffness), ("c_s", damping), (PAYLOAD, np.ones_like(mass)))
     }
 
 
@@ -207,7 +207,7 @@ def best_possible(
     the car-body mass cannot be separated from the suspension (abs(G_s) alone),
     `scale_ambiguity_bound`.
     """
-    ambiguous = task.responses == ("G_s",) and "M_s" in task.unknown
+    ambiguous = task.responses == ("G_s",) and PAYLOAD in task.unknown
     if ambiguous and task.sampling == "grid":
         return {k: v for k, v in scale_ambiguity_bound(task, ratios).items() if k in task.outputs}
     mape = math.sqrt(2 / math.pi) * relative_percent(task, bounds, ratios)

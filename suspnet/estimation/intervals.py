@@ -25,7 +25,7 @@ from typing import Self
 
 import numpy as np
 
-from suspnet.ground.checks import check_number
+from suspnet.ground.settings import check_number
 from suspnet.ground.types import FloatArray
 from suspnet.learning import MSVR, Scaling
 
@@ -88,11 +88,7 @@ def _quantiles(scores: FloatArray, level: float) -> FloatArray:
 
 @dataclass(frozen=True)
 class ResidualScale:
-    """Regression of the absolute residual on the inputs of the model.
-
-    `regression` maps scaled inputs to scaled logarithms; `scaling` is that of the absolute
-    residuals.
-    """
+    """Regression of scaled logarithms of absolute residuals on scaled inputs."""
 
     regression: MSVR
     scaling: Scaling
@@ -134,9 +130,8 @@ class Intervals:
 
         The other half gives the scores, which would be too small on the samples that train the
         scale. Any fraction from a third to five sixths gives the same width to 1 % (measured), and
-        more scores make the coverage scatter less. `inputs` (n, n_inputs) are scaled; `residuals`
-        has the shape (n, n_outputs). Raises ValueError without samples or if all residuals are
-        equal.
+        more scores make the coverage scatter less. `inputs` (n, n_inputs) are scaled; `residuals`:
+        (n, n_outputs).
         """
         half = len(residuals) // 2
         scale = ResidualScale.learnt(inputs[:half], residuals[:half])

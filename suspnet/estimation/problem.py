@@ -19,10 +19,10 @@ from torch import Tensor
 
 from suspnet._version import __version__
 from suspnet.dynamics import PARAMETERS, ResponseGenerator, Vehicle
-from suspnet.estimation.protocols import MASS, Task
+from suspnet.estimation.protocols import PAYLOAD_COLUMN, Task
 from suspnet.ground.cache import Cache, code_hash
-from suspnet.ground.checks import check_number
 from suspnet.ground.progress import bar as progress_bar
+from suspnet.ground.settings import check_number
 from suspnet.ground.types import BoolArray, FloatArray, IntArray
 from suspnet.spectra.extraction import FeatureSet
 from suspnet.spectra.observation import Observation, Observer
@@ -109,17 +109,9 @@ class Problem:
     def features(self, stream: int, part: slice | None = None) -> FeatureData:
         """Return the features of a stream's curves, from the cache if possible.
 
-        Parameters
-        ----------
-        stream : int
-            ``TRAIN``, ``TEST`` or ``CALIBRATE``.
-        part : slice, optional
-            Range of batches of ``BATCH`` curves; None is all.
-
-        Raises
-        ------
-        ValueError
-            If the grid has fewer curves, or the healthy vehicle lacks a peak.
+        `stream` is ``TRAIN``, ``TEST`` or ``CALIBRATE``; `part` a range of batches of ``BATCH``
+        curves, None is all. ValueError if the grid has fewer curves, or the healthy vehicle lacks a
+        peak.
         """
         if self.settings.cache_dir is None:
             return self._make_features(stream, part)
@@ -155,13 +147,7 @@ class Problem:
         return self.observer.noise_free(torch.as_tensor(ratios))
 
     def healthy_features(self) -> FloatArray:
-        """Return the healthy vehicle's features, shape (n_features,).
-
-        Raises
-        ------
-        ValueError
-            If one of its peaks is missing.
-        """
+        """Return the healthy vehicle's features, (n_features,); ValueError if a peak is missing."""
         curves = self.noise_free(np.ones((1, len(PARAMETERS))))
         table = self.extractor.extract(curves, self.observer.frequencies_hz.to(curves.device))
         missing = [
@@ -210,7 +196,7 @@ class Problem:
         with bar, pool_of(self.threads) as pool:
             for n_made in pool.map(make, batches):
                 bar.update(n_made)
-        mass = [ratios[:, MASS]] if self.task.mass_known else []
+        mass = [ratios[:, PAYLOAD_COLUMN]] if self.task.mass_known else []
         inputs = np.column_stack([values, *mass])
         outputs = ratios[:, self.task.output_indices]
         return FeatureData(inputs[asked], outputs[asked], ratios[asked], reasons[asked])
@@ -241,17 +227,10 @@ class Problem:
 class FeatureData:
     """Inputs and outputs of a learning problem, one row per curve.
 
-    Attributes
-    ----------
-    inputs : array of shape (n_curves, n_inputs), [-]
-        Features relative to the healthy vehicle's (and the mass ratio where it is known); NaN
-        where a peak is missing.
-    outputs : array of shape (n_curves, n_outputs), [-]
-        Parameters relative to healthy.
-    ratios : array of shape (n_curves, 5), [-]
-        All parameters relative to healthy, in the order of ``PARAMETERS``.
-    reasons : array of shape (n_curves, n_peaks)
-        A ``PeakReason`` for each peak.
+    `inputs` (n_curves, n_inputs) are features relative to the healthy vehicle's (and the mass ratio
+    where it is known), NaN where a peak is missing; `outputs` (n_curves, n_outputs) parameters
+    relative to healthy; `ratios` (n_curves, 5) all parameters, in the order of ``PARAMETERS``;
+    `reasons` (n_curves, n_peaks) a ``PeakReason`` for each peak.
     """
 
     inputs: FloatArray

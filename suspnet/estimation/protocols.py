@@ -11,16 +11,24 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from scipy.stats import qmc
 
-from suspnet.dynamics.vehicle import PARAMETERS
-from suspnet.ground.checks import check_choice, check_flag, check_number
-from suspnet.ground.settings import Setting, check_settings, setting
+from suspnet.ground.parameters import PARAMETERS, PAYLOAD
+from suspnet.ground.settings import (
+    Setting,
+    check_choice,
+    check_flag,
+    check_number,
+    check_settings,
+    setting,
+)
 from suspnet.ground.types import FloatArray
 from suspnet.spectra.components import CurveFeatures
 from suspnet.spectra.extraction import FeatureSet, PeakFeatures
 
 RESPONSES = ("G_p", "G_s")
-MASS = PARAMETERS.index("M_s")
+PAYLOAD_COLUMN = PARAMETERS.index(PAYLOAD)
 """Column of the car-body mass in arrays ordered as ``PARAMETERS``."""
+SHARED = ("sampling", "lower", "upper", "step", "mass_step", "mass_known", "log_ratios")
+"""Settings of a protocol that its tasks share."""
 
 
 def columns_of(parameters: Sequence[str]) -> list[int]:
@@ -95,7 +103,7 @@ class Task:
     @property
     def inputs(self) -> tuple[str, ...]:
         """Name of each input of the model."""
-        return self.extractor.names + (("M_s",) if self.mass_known else ())
+        return self.extractor.names + ((PAYLOAD,) if self.mass_known else ())
 
     @property
     def output_indices(self) -> list[int]:
@@ -105,7 +113,7 @@ class Task:
     @property
     def unknown(self) -> tuple[str, ...]:
         """Varied parameters that are not measured and have to be estimated."""
-        known = ("M_s",) if self.mass_known else ()
+        known = (PAYLOAD,) if self.mass_known else ()
         return tuple(name for name in self.varied if name not in known)
 
     @property
@@ -122,14 +130,14 @@ class Task:
 
     def levels(self, name: str) -> FloatArray:
         """Return the grid values of a parameter's ratio, e.g. 0.50, 0.51 ... 2.00."""
-        step = self.mass_step if name == "M_s" else self.step
+        step = self.mass_step if name == PAYLOAD else self.step
         lower, upper = self.range(name)
         n_steps = math.floor((upper - lower) / step + 1e-9)
         return np.asarray(np.round(lower + step * np.arange(n_steps + 1), 10))
 
     def range(self, name: str) -> tuple[float, float]:
         """Return the range of a parameter's ratio, [-]."""
-        return (self.mass_lower, self.mass_upper) if name == "M_s" else (self.lower, self.upper)
+        return (self.mass_lower, self.mass_upper) if name == PAYLOAD else (self.lower, self.upper)
 
     @property
     def grid_size(self) -> int:
@@ -137,25 +145,13 @@ class Task:
         return math.prod(len(self.levels(name)) for name in self.varied)
 
     def sample(self, n_curves: int | None, seed: int, stream: int) -> FloatArray:
-        """Return parameter ratios of training (stream 0), test (1) or calibration (2) curves.
+        """Return ratios (n_curves, 5) of training (stream 0), test (1) or calibration (2) curves.
 
         A grid is shuffled by the seed. Training curves come from its start, test curves from its
         end and calibration curves from its middle, so they share no vehicle unless the grid is too
-        small. Sobol points are scrambled with a separate seed for each stream.
-
-        Parameters
-        ----------
-        n_curves : int or None
-            None is the full grid, in its natural order.
-
-        Returns
-        -------
-        array of shape (n_curves, 5), [-]
-
-        Raises
-        ------
-        ValueError
-            If the grid has fewer curves, or if None is given for a Sobol sequence.
+        small; None curves are the full grid, in its natural order. Sobol points are scrambled with
+        a separate seed for each stream. ValueError if the grid has fewer curves, or if None is
+        given for a Sobol sequence.
         """
         ratios = self._sobol(n_curves, seed, stream) if self.sampling == "sobol" else None
         if ratios is None:
@@ -279,13 +275,7 @@ class Protocol:
             self.task(group)  # checks everything else
 
     def task(self, group: str) -> Task:
-        """Return the learning problem of a group.
-
-        Raises
-        ------
-        ValueError
-            If the protocol has no such group.
-        """
+        """Return the learning problem of a group; ValueError if the protocol has no such group."""
         if group not in self.groups:
             raise ValueError(
                 f"protocol {self.name!r} has no group {group!r}; choose from {sorted(self.groups)}"
@@ -299,19 +289,13 @@ class Protocol:
         return Task(
             protocol=self.name,
             group=group,
-            varied=(*outputs, "M_s"),
-            outputs=(*outputs, "M_s") if self.estimate_mass else outputs,
+            varied=(*outputs, PAYLOAD),
+            outputs=(*outputs, PAYLOAD) if self.estimate_mass else outputs,
             responses=tuple(entry["responses"]),
             extractor=self._extractor(entry),
-            sampling=self.sampling,
-            lower=self.lower,
-            upper=self.upper,
             mass_lower=self._mass_range()[0],
             mass_upper=self._mass_range()[1],
-            step=self.step,
-            mass_step=self.mass_step,
-            mass_known=self.mass_known,
-            log_ratios=self.log_ratios,
+            **{name: getattr(self, name) for name in SHARED},
         )
 
     def _extractor(self, entry: Mapping[str, Sequence[str]]) -> FeatureSet:

@@ -22,7 +22,7 @@ from torch import Tensor
 
 from suspnet.dynamics import PARAMETERS
 from suspnet.estimation.information import cramer_rao
-from suspnet.estimation.protocols import MASS, Task, columns_of
+from suspnet.estimation.protocols import PAYLOAD_COLUMN, Task, columns_of
 from suspnet.ground.types import BoolArray, FloatArray, IntArray
 from suspnet.learning.least_squares import LeastSquaresSolution, LevenbergMarquardt
 from suspnet.spectra.observation import Directions, Misfit
@@ -60,21 +60,13 @@ UNEXPLAINED = 1.3
 
 @dataclass(frozen=True)
 class Refined:
-    """Maximum-likelihood estimates of all unknown parameters.
+    """Maximum-likelihood estimates of all unknown parameters, the task's in their order.
 
-    Attributes
-    ----------
-    names : tuple of str
-        The task's unknown parameters, in the order of the columns.
-    ratios : array of shape (n_curves, n_unknown), [-]
-    deviations : array of shape (n_curves, n_unknown), [-]
-        Standard deviations of log(ratios), inf where the curve does not determine them.
-    noise : array of shape (n_curves, n_unknown), [-]
-        Those that would remain if the uncertain numbers were known.
-    misfit : array of shape (n_curves,), [-]
-        Rms of the curve's residuals over that of the noise: 1 if the model explains it. The
-        coordinates of uncertain numbers count as residuals.
-    converged : bool array of shape (n_curves,)
+    `ratios`, `deviations` and `noise` have the shape (n_curves, n_unknown): the estimates, the
+    standard deviations of their logarithms, inf where the curve does not determine them, and those
+    that would remain if the uncertain numbers were known. `misfit` (n_curves,) is the rms of the
+    curve's residuals over that of the noise, 1 if the model explains it; the coordinates of
+    uncertain numbers count as residuals. `converged` (n_curves,).
     """
 
     names: tuple[str, ...]
@@ -127,7 +119,7 @@ def complete_ratios(
     inside = np.clip(predicted, ranges[:, 0], ranges[:, 1])
     full[:, task.output_indices] = np.where(np.isfinite(predicted), inside, 1.0)
     if mass is not None:
-        full[:, MASS] = mass
+        full[:, PAYLOAD_COLUMN] = mass
     return full
 
 
@@ -144,23 +136,12 @@ def refine(
 ) -> Refined:
     """Return the parameters whose curves lie nearest to those observed.
 
-    Parameters
-    ----------
-    misfit : Misfit
-        Of n_curves curves.
-    estimates : array of shape (n_curves, n_outputs), [-]
-        Start of the search; a row with NaN starts from the healthy vehicle.
-    mass : array of shape (n_curves,), optional
-        Measured car-body mass ratio, if the task knows it.
-    directions : Directions, optional
-        Directions of the uncertain numbers to fit as well; None takes the numbers as known.
-    near : callable, optional
-        Returns the misfit with the noise of vehicles (n_curves, n_columns): with uncertain numbers
-        the noise at the median may be far off. None retains that of `misfit`.
-    max_iter : int
-        Levenberg-Marquardt iterations of each search.
-    n_scattered : int
-        Number of vehicles of which the nearest is the second start for an unexplained curve.
+    The search starts from `estimates` (n_curves, n_outputs), a row with NaN from the healthy
+    vehicle; `mass` (n_curves,) is the measured car-body mass ratio, if the task knows it.
+    `directions` are those of the uncertain numbers to fit as well; None takes the numbers as known.
+    `near` returns the misfit with the noise of vehicles (n_curves, n_columns), as with uncertain
+    numbers the noise at the median may be far off; None retains that of `misfit`. The nearest of
+    `n_scattered` vehicles is the second start for an unexplained curve.
     """
     # start from the regression; parameters it does not estimate start from their best level
     device = misfit.observed.device

@@ -112,8 +112,10 @@ def recording_information(
     numbers = _checked(counts, len(sensor_places(generator)))
     bins = observer.frequencies_hz
     rates_hz = _rates_hz(generator, settings.rates_hz)
-    noise = observer.noise_densities(functools.partial(_gains, generator), rates_hz)
-    track = torch.as_tensor(observer.track_density(bins.numpy()))
+    noise = observer.mean.noise_densities(
+        functools.partial(_gains, generator), rates_hz, settings.snr_db
+    )
+    track = torch.as_tensor(observer.mean.track_density(bins.numpy()))
     level = (track / noise[:, None]).sqrt()  # (n_places, n_freq)
     on_body = torch.tensor([place.startswith("body") for place in sensor_places(generator)])
     level = level.masked_fill(on_body[:, None] & observer.beyond[1], 0.0)

@@ -19,9 +19,11 @@ from suspnet.estimation.fitted import FittedMethod
 from suspnet.estimation.from_spectra import trip_settings
 from suspnet.ground.types import FloatArray
 from suspnet.spectra.cross_spectra import CrossSpectra
-from suspnet.spectra.estimates import EstimateSettings
-from suspnet.spectra.segments import without_incoherent, without_loud
-from suspnet.spectra.speeds import SpeedRange, range_words, reading_range
+from suspnet.spectra.segments import (
+    SpeedRange,
+    range_words,
+    reading_range,
+)
 from suspnet.spectra.welch import SegmentSpectra
 
 
@@ -133,68 +135,6 @@ def no_group_words(
     )
 
 
-@dataclass(frozen=True)
-class GroupSpectra:
-    """The usable segments of a group and their averaged spectra.
-
-    Attributes
-    ----------
-    candidates : bool tensor of shape (n_segments,)
-        The group without segments of far too much power.
-    chosen : bool tensor of shape (n_segments,)
-        The candidates without those of low coherence.
-    n_incoherent : int
-        Number of segments excluded for low coherence.
-    n_averages : float
-        Independent averages of the chosen segments.
-    spectra : CrossSpectra or None
-        Average over the chosen segments; None if there are none.
-    coherences, deviation
-        From `certainty_of`; NaN without spectra.
-    """
-
-    candidates: Tensor
-    chosen: Tensor
-    n_incoherent: int
-    n_averages: float
-    spectra: CrossSpectra | None
-    coherences: list[float]
-    deviation: float
-
-
-def group_spectra(
-    band: SegmentSpectra, group: Tensor, min_coherence: float, estimate: EstimateSettings
-) -> GroupSpectra:
-    """Return the usable segments of a group (n_segments,) at one speed, and their spectra.
-
-    `band` holds the segments on the bins of an estimate; `estimate` must be bound to a vehicle.
-    """
-    candidates = without_loud(band, group)
-    chosen, n_incoherent = without_incoherent(band, candidates, min_coherence)
-    if not bool(chosen.any()):
-        nothing: list[float] = [math.nan, math.nan]
-        return GroupSpectra(candidates, chosen, n_incoherent, 0.0, None, nothing, math.nan)
-    n_averages = band.welch.n_averages(int(chosen.sum()))
-    spectra = band.average(chosen)
-    certainty = certainty_of(spectra, estimate, band.frequencies_hz)
-    return GroupSpectra(candidates, chosen, n_incoherent, n_averages, spectra, *certainty)
-
-
-def certainty_of(
-    spectra: CrossSpectra, settings: EstimateSettings, frequencies_hz: Tensor
-) -> tuple[list[float], float]:
-    """Return coherences (G_p, G_s) and deviation on the bins that estimates use.
-
-    Coherences are means over the bins. The deviation is the standard deviation of the
-    log-magnitudes, [-]: median over the bins, of the less certain response. `spectra` has the shape
-    (3, n_freq).
-    """
-    beyond = settings.beyond(frequencies_hz)
-    coherences = spectra.coherences().masked_fill(beyond, math.nan).nanmean(dim=1)
-    deviations = spectra.deviations(settings.method).masked_fill(beyond, math.nan)
-    return coherences.tolist(), float(deviations.nanmedian(dim=1).values.amax())
-
-
 def speed_of(speeds: Tensor, segments: SegmentSpectra) -> tuple[float, float]:
     """Return mean and standard deviation of the speeds in segments, with the window's weights."""
     weights = torch.as_tensor(get_window(segments.welch.window, speeds.shape[1])) ** 2
@@ -207,19 +147,10 @@ def speed_of(speeds: Tensor, segments: SegmentSpectra) -> tuple[float, float]:
 class SpeedBin:
     """One method's estimate from a group of segments, with its spectra and segments.
 
-    Attributes
-    ----------
-    spectra : CrossSpectra
-        Average over the chosen segments on the method's bins, (3, n_freq).
-    chosen : bool tensor of shape (n_segments,)
-    speed_m_per_s : float, [m/s]
-        Mean over the chosen segments.
-    estimate : Estimate
-        One row.
-    noise_share : array of shape (n_outputs,), [-]
-        Fraction of the squared half widths that is due to the noise of the segments.
-    doubts : str
-        Doubts and impossible checks of the channels; empty if there are none.
+    `spectra` (3, n_freq) on the method's bins and `speed_m_per_s` are means over the `chosen`
+    segments (n_segments,). `estimate` has one row; `noise_share` (n_outputs,) is the fraction of
+    its squared half widths that is due to the noise of the segments. `doubts` are doubts and
+    impossible checks of the channels; empty if there are none.
     """
 
     method: FittedMethod

@@ -14,8 +14,8 @@ import numpy as np
 
 from suspnet.estimation.problem import Problem
 from suspnet.estimation.trained import TrainedModel
-from suspnet.ground.checks import LARGEST, check_flag, check_number
 from suspnet.ground.records import Place
+from suspnet.ground.settings import LARGEST, check_flag, check_number
 from suspnet.ground.types import FloatArray
 from suspnet.learning import Scaling
 
@@ -57,11 +57,7 @@ def check_arrays(arrays: Mapping[str, FloatArray]) -> None:
 
 
 def check_model(model: TrainedModel) -> None:
-    """Raise TypeError or ValueError unless the parts of a model are consistent.
-
-    A method must give a plausible estimate for the middle of its training data, so that no NaN
-    follows.
-    """
+    """Raise TypeError or ValueError unless the parts of a model are consistent and it estimates."""
     task = model.task
     n_inputs, n_outputs = len(task.inputs), len(task.outputs)
     _check_healthy(model)

@@ -1,6 +1,15 @@
-"""Names and units of the estimated parameters."""
+"""The estimated parameters: names, units, and limits by the rules of maintenance; severities."""
 
 from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import IntEnum, StrEnum
+from typing import Any
+
+import numpy as np
+
+from suspnet.ground.settings import check_number
 
 PARAMETERS = ("k_p", "c_p", "k_s", "c_s", "M_s")
 """The parameters that may vary, in the order of every array of parameter ratios (1 = healthy)."""
@@ -23,3 +32,150 @@ NAMES = {
 }
 UNITS = {"k_p": "N/m", "c_p": "N s/m", "k_s": "N/m", "c_s": "N s/m", "M_s": "kg"}
 """SI unit of each parameter."""
+
+
+class Severity(IntEnum):
+    """Urgency of a finding; the larger, the worse."""
+
+    NONE = 0
+    UNKNOWN = 1
+    """No judgement is possible: no estimate, or one that is too uncertain."""
+    NOTICE = 2
+    """Inspect the suspension at the next opportunity."""
+    ACT = 3
+    """The suspension needs work."""
+
+    def __str__(self) -> str:
+        """Return the name in lower case, as in tables."""
+        return self.name.lower()
+
+
+class Cause(StrEnum):
+    """Cause of an alarm."""
+
+    LIMIT = "limit"
+    """A parameter is beyond a limit."""
+    CHANGE = "change"
+    """A parameter has changed from its reference trips."""
+    SISTER = "sister"
+    """A parameter differs from that of the sister suspensions of the car."""
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Values between which a parameter raises no alarm.
+
+    Parameters
+    ----------
+    notice, act : (lower, upper), [-]
+        Relative to healthy; 1 is between them, and `notice` is within `act`. Lower 0, or upper
+        infinity or None, means no limit on that side.
+    why : str
+        The reason for these limits.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If the pairs are invalid.
+    """
+
+    notice: tuple[float, float]
+    act: tuple[float, float]
+    why: str = ""
+
+    def __post_init__(self) -> None:
+        for name in ("notice", "act"):
+            given = getattr(self, name)
+            pair = () if isinstance(given, str | float | int) else tuple(given)
+            if len(pair) != 2:
+                raise TypeError(f"`{name}` must be two numbers, lower and upper, got {given}")
+            pair = (pair[0], np.inf if pair[1] is None else pair[1])
+            check_number(f"{name}[0]", pair[0], low=0, below=1)
+            if pair[1] != np.inf:
+                check_number(f"{name}[1]", pair[1], above=1)
+            object.__setattr__(self, name, pair)
+        if not (self.act[0] <= self.notice[0] and self.notice[1] <= self.act[1]):
+            raise ValueError(f"limits `notice` {self.notice} must lie within `act` {self.act}")
+        if not isinstance(self.why, str):
+            raise TypeError(f"`why` must be text, got {self.why!r}")
+
+    def __str__(self) -> str:
+        """Return both pairs in % of healthy."""
+        notice, act = (
+            " to ".join(f"{100 * one:g}" for one in pair) for pair in (self.notice, self.act)
+        )
+        return f"notice beyond {notice} %, act beyond {act} %"
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the limits as JSON-able values, with None for infinity."""
+        pairs = {"notice": self.notice, "act": self.act}
+        plain = {k: [low, None if high == np.inf else high] for k, (low, high) in pairs.items()}
+        return plain | {"why": self.why}
+
+
+SPRING = Limits(
+    notice=(0.9, 1.1),
+    act=(0.8, 1.25),
+    why="assumed: a spring does not wear, so that 10 % off asks for a look (a wrong part, a "
+    "cracked coil, a wrong pressure of an air spring); 20 % less or a quarter more is what a "
+    "broken coil or an emergency spring gives",
+)
+DAMPER = Limits(
+    notice=(0.8, 1.25),
+    act=(0.7, 1.4),
+    why="assumed: a damper wears and is made to wider tolerances than a spring; below 70 % it no "
+    "longer does its work",
+)
+DEFAULT_LIMITS = {"k_p": SPRING, "c_p": DAMPER, "k_s": SPRING, "c_s": DAMPER}
+"""Limits of a vehicle whose file gives none. The car-body mass is payload and has none."""
+TIGHTEST = Limits((np.nextafter(1.0, 0.0), np.nextafter(1.0, 2.0)), (0.0, np.inf))
+"""Tightest notice and widest act limits: either one is consistent with any other limit."""
+
+
+def read_limits(
+    given: Mapping[str, Any], default: Mapping[str, Limits] | None = None, why: str = ""
+) -> dict[str, Limits]:
+    """Return the limits of each parameter of a configuration.
+
+    `given` maps a parameter to its `notice`, `act` and `why`, or to null for no limits. `default`
+    applies to missing parameters and to missing or null entries; `why` is the default reason.
+    TypeError or ValueError, which names the parameter, is raised for an invalid entry.
+    """
+    if not isinstance(given, Mapping):
+        raise TypeError(f"`limits` must map parameters to their limits, got {given!r}")
+    limits = dict(default or {})
+    for name, entry in given.items():
+        if name not in PARAMETERS:
+            raise ValueError(f"`limits` must be named as in {PARAMETERS}, got {name!r}")
+        if entry is None:
+            limits.pop(name, None)
+            continue
+        if isinstance(entry, Limits):
+            limits[name] = entry
+            continue
+        own = limits.get(name)
+        if not isinstance(entry, Mapping) or not set(entry) <= {"notice", "act", "why"}:
+            raise ValueError(f"`limits.{name}` must have `notice` and `act`, or be null: {entry}")
+        known = {key: value for key, value in entry.items() if value is not None}
+        if not known:
+            continue
+        if own is None and not {"notice", "act"} <= set(known):
+            raise ValueError(f"`limits.{name}` must have `notice` and `act`, or be null: {entry}")
+        try:
+            base = {} if own is None else {"notice": own.notice, "act": own.act}
+            limits[name] = Limits(**base | {"why": why} | known)
+        except (TypeError, ValueError) as error:
+            raise type(error)(f"`limits.{name}`: {error}") from None
+    return limits
+
+
+def limits_words(limits: Mapping[str, Limits]) -> str:
+    """Return limits and their reasons as text, with parameters of equal limits grouped."""
+    alike: dict[Limits, list[str]] = {}
+    for name, one in limits.items():
+        alike.setdefault(one, []).append(name)
+    parts = [
+        f"{', '.join(names)}: {one}{f' ({one.why})' * bool(one.why)}"
+        for one, names in alike.items()
+    ]
+    return "; ".join(parts) or "none"

@@ -1,18 +1,23 @@
-"""Progress of a program: bars if standard error is a terminal, else lines in the log."""
+"""Output of a program: bars of progress or lines in the log, and visible control characters."""
 
 from __future__ import annotations
 
 import logging
 import math
+import re
 import sys
 import time
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
-from typing import Any
+from contextlib import contextmanager, redirect_stderr, redirect_stdout
+from typing import Any, TextIO, cast
 
 from tqdm import tqdm
 
+from suspnet.ground.storage import printable
+
 log = logging.getLogger(__name__)
+MOVES = re.compile(r"[\r\n]*(\x1b\[A)*")
+"""Cursor movements that progress bars write on their own: line starts and lines up."""
 INTERVAL_S = 30.0
 """Time between two log lines of one step, [s]."""
 
@@ -98,3 +103,34 @@ def on_stderr(before: str = "") -> Iterator[None]:
 
 def _is_result(record: logging.LogRecord) -> bool:
     return record.name != log.name
+
+
+class _Visible:
+    """A text stream that writes control characters as escapes, such as x1b.
+
+    A carriage return at the start of a text stays as it is: progress bars replace their line with
+    it.
+    """
+
+    def __init__(self, stream: TextIO) -> None:
+        self._stream = stream
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
+    def write(self, text: str) -> int:
+        """Write a text and return its length."""
+        if not MOVES.fullmatch(text):
+            lead = "\r" * text.startswith("\r")
+            self._stream.write(lead + printable(text[len(lead) :]))
+        else:
+            self._stream.write(text)
+        return len(text)
+
+
+@contextmanager
+def visible() -> Iterator[None]:
+    """Escape control characters in everything that is printed and logged."""
+    out, err = (cast(TextIO, _Visible(stream)) for stream in (sys.stdout, sys.stderr))
+    with redirect_stdout(out), redirect_stderr(err):
+        yield

@@ -39,8 +39,6 @@ class Place:
 
 Key = tuple[str, Place]
 """Key of a suspension: vehicle and place."""
-
-
 OK, NO_ESTIMATE, ERROR = "ok", "no estimate", "error"
 """Values of ``TripResult.status``."""
 

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import hashlib
+import io
 import json
 import os
 import re
 import secrets
 import stat
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from itertools import count
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,10 +23,11 @@ from safetensors.numpy import load, save
 from suspnet.ground import ledger
 from suspnet.ground.ledger import HAS_LOCKS, lock
 
+if TYPE_CHECKING:
+    import pyarrow as pa
+
 DESCRIPTORS = "/proc/self/fd"
 """Folder in which Linux lists the open files of a process."""
-
-
 UNPRINTABLE = re.compile(
     "[\\x00-\\x08\\x0b-\\x1f\\x7f-\\x9f\\u061c\\u200e\\u200f\\u2028-\\u202e\\u2066-\\u2069\\ud800-\\udfff]"
 )
@@ -183,6 +185,24 @@ def content_hash(description: Any) -> str:
     return hashlib.sha256(json.dumps(description, sort_keys=True).encode()).hexdigest()
 
 
+def distinct(names: Iterable[str], taken: Iterable[str] = ()) -> list[str]:
+    """Return file names that differ in more than case, also from those taken: a, a_2, a_3."""
+    seen, found = set(taken), []
+    for base in names:
+        name, number = base, 1
+        while name.lower() in seen:  # ends: there are fewer names than numbers
+            number += 1
+            name = f"{base}_{number}"
+        seen.add(name.lower())
+        found.append(name)
+    return found
+
+
+def why(error: OSError) -> str:
+    """Return the file and the reason of an error, without its number."""
+    return f"{error.filename}: {error.strerror}" if error.filename else str(error)
+
+
 def printable(text: str) -> str:
     """Return text that is safe in files and terminals.
 
@@ -214,7 +234,6 @@ MOST_EXTENTS = 4096
 """Largest number of data extents of a sparse file that are counted."""
 FREE_BYTES, DENSITY = 2**28, 100
 """A file read at once may have 256 MiB, and beyond that 100 bytes for each stored byte."""
-
 _KINDS = (
     (stat.S_ISDIR, "a folder"),
     (stat.S_ISFIFO, "a named pipe"),
@@ -280,3 +299,14 @@ def _check(path: Path, mode: int) -> None:
     if not stat.S_ISREG(mode):
         kind = next(name for is_kind, name in _KINDS if is_kind(mode))
         raise NotPlainError(f"{path} is {kind}, not a plain file")
+
+
+def write_table(table: pa.Table, path: Path) -> None:
+    """Write a table to `path` with the suffixes .parquet and .csv."""
+    import pyarrow.csv as pacsv  # takes a quarter of a second
+    import pyarrow.parquet as pq
+
+    for suffix, write in ((".parquet", pq.write_table), (".csv", pacsv.write_csv)):
+        stream = io.BytesIO()
+        write(table, stream)
+        write_atomically(path.with_name(path.name + suffix), stream.getvalue())

@@ -11,7 +11,7 @@ import sqlalchemy as sql
 from sqlalchemy.engine import Connection, Engine
 from sqlalchemy.exc import SQLAlchemyError
 
-from suspnet.ground.limits import Cause
+from suspnet.ground.parameters import Cause
 from suspnet.ground.records import Key, Place, TripResult
 from suspnet.history.arrays import TripResponses, read_responses, read_series, write_curves
 from suspnet.history.database import (

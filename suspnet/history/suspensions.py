@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 import sqlalchemy as sql
 from sqlalchemy.engine import Connection
 
-from suspnet.ground.limits import Cause
+from suspnet.ground.parameters import Cause
 from suspnet.ground.records import PLACE, Key, Place, TripResult
 from suspnet.history.database import HistoryError, upsert
 from suspnet.history.schema import (

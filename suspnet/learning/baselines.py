@@ -278,18 +278,9 @@ class CurveFit(BaseEstimator):  # type: ignore[misc]
         """Return the positive parameters whose curves are nearest to those observed.
 
         The residual of each curve is divided by its rms, to which the noise is proportional.
-
-        Parameters
-        ----------
-        forward : callable
-            ``forward(parameters, known)`` returns curves (n_rows, n_curves, n_points).
-        observed : tensor of shape (n_rows, n_curves, n_points)
-        known : tensor of shape (n_rows, n_known)
-            Known parameters of each row.
-        lower, upper : float
-            Range of the starts.
-        n : int
-            Number of parameters.
+        ``forward(parameters, known)`` returns curves (n_rows, n_curves, n_points), the shape of
+        `observed`; `known` (n_rows, n_known) are known parameters of each row, `lower` and `upper`
+        the range of the starts, `n` is the number of parameters.
         """
         scale = observed.square().mean(dim=2, keepdim=True).sqrt()
 

@@ -64,21 +64,11 @@ class LevenbergMarquardt:
     step of length `tol`, as rounding decides whether a step of about that length ends them; the
     extra step reduces this difference twice by the rate of convergence of Gauss-Newton.
 
-    Parameters
-    ----------
-    max_iter : int
-    tol : float
-        A row has converged when every parameter moves by at most this times 1 + |theta|.
-    first_damping : float
-        Damping of the first step, relative to the diagonal of J^T J; a good start needs little.
-    bounds : pair of tensors of shape (n_parameters,), optional
-        Lower and upper bounds. A parameter pressed against a bound counts as having no effect.
-    one_sided : bool
-        Use one-sided differences: half the evaluations, a Jacobian accurate to 1e-5 and no second
-        derivatives.
-    least_decrease : float
-        A row has also converged when its next step would lower the cost by at most this, e.g. a
-        hundredth of the contribution of the noise for residuals in units of the noise.
+    A row has converged when every parameter moves by at most `tol` times 1 + |theta|, or when its
+    next step would lower the cost by at most `least_decrease`. `first_damping` is relative to the
+    diagonal of J^T J; a good start needs little. `bounds` are two tensors (n_parameters,); a
+    parameter pressed against one counts as having no effect. `one_sided` differences need half the
+    evaluations: the Jacobian is accurate to 1e-5, without second derivatives.
     """
 
     max_iter: int = 100

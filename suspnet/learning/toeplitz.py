@@ -9,7 +9,7 @@ import torch
 from scipy.fft import next_fast_len
 from torch import Tensor
 
-from suspnet.learning.design import Columns, Direction, Gradient, without_intercept
+from suspnet.learning.design import Columns, Direction, Gradient, cholesky, without_intercept
 from suspnet.learning.equispaced import EquispacedFeatures, EquispacedTransform, flat_index
 from suspnet.learning.ranks import AllReduce, identity
 
@@ -174,12 +174,8 @@ class ToeplitzEquations:
         n_waves = len(self._design.waves)
         self._n_block = n_block
         self._leading = torch.cat([torch.arange(n_block), n_waves + torch.arange(n_block - 1)])
-        factor, info = torch.linalg.cholesky_ex(self._leading_block())
-        if int(info):
-            raise ValueError(
-                "the system of IRWLS is singular to working precision with weights of total "
-                f"{self._centre:.1e}; lower C, or scale the outputs"
-            )
+        advice = "lower C, or scale the outputs"
+        factor = cholesky(self._leading_block(), self._centre, advice)
         self._inverse = torch.cholesky_inverse(factor)
 
     def _leading_block(self) -> Tensor:

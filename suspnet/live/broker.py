@@ -121,10 +121,7 @@ class Broker:
         """
         mqtt = paho()
         client: Client = mqtt.Client(
-            mqtt.CallbackAPIVersion.VERSION2,
-            client_id,
-            protocol=mqtt.MQTTv5,
-            manual_ack=manual_ack,
+            mqtt.CallbackAPIVersion.VERSION2, client_id, protocol=mqtt.MQTTv5, manual_ack=manual_ack
         )
         client.reconnect_delay_set(*BACKOFF_S)
         if self.user is not None:

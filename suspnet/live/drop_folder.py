@@ -62,7 +62,6 @@ class DropFolder:
         "poll_s": Setting("Time between two scans of the folder", "s", low=0.01, high=60),
         "once": Setting("Whether to end when all files were read"),
     }
-    """Meaning and range of each argument."""
 
     def __init__(
         self,
@@ -138,9 +137,9 @@ class DropFolder:
             else:
                 self._known.discard(file.path.name)
 
-    def publish(self, kind: Kind, suspension: str, payload: bytes) -> None:
+    def publish(self, kind: Kind, suspension: str, message: bytes) -> None:
         """Write a line of JSON to standard output."""
-        print_result(kind, suspension, payload)
+        print_result(kind, suspension, message)
 
     def close(self) -> None:
         """Close the file that is being read."""

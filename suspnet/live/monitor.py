@@ -46,7 +46,6 @@ MOST_REPORTED = 1000
 NICENESS = 10
 """Niceness of the estimating thread: on a shared core it gets a tenth of the time while there are
 frames to take."""
-
 Report = Callable[[LiveSuspension, Estimate], None]
 
 

@@ -64,7 +64,6 @@ class Mqtt:
             high=10000,
         ),
     }
-    """Meaning and range of each argument."""
 
     def __init__(
         self,
@@ -108,8 +107,7 @@ class Mqtt:
         client.on_connect_fail, client.on_message = self._on_connect_fail, self._on_message
         client.on_subscribe, client.on_publish = self._on_subscribe, self._on_publish
         properties = properties_of_connect(
-            SessionExpiryInterval=round(3600 * self.session_h),
-            ReceiveMaximum=self.in_flight,
+            SessionExpiryInterval=round(3600 * self.session_h), ReceiveMaximum=self.in_flight
         )
         client.connect_async(
             str(self.broker.host),
@@ -131,7 +129,7 @@ class Mqtt:
             self._arrived.clear()
             self._changed.notify_all()
         self._given += [(connection, number) for connection, number, _ in arrived]
-        return [payload for _, _, payload in arrived]
+        return [message for _, _, message in arrived]
 
     def confirm(self, n_frames: int | None = None) -> None:
         """Acknowledge frames that `receive` returned. See `Source`."""
@@ -146,11 +144,11 @@ class Mqtt:
         del self._given[:n_confirmed]
         self._send()
 
-    def publish(self, kind: Kind, suspension: str, payload: bytes) -> None:
+    def publish(self, kind: Kind, suspension: str, message: bytes) -> None:
         """Publish a retained message; only the latest of each topic waits for the broker."""
         topic = self.broker.topic(kind, suspension)
         self._results.pop(topic, None)
-        self._results[topic] = json.dumps(plain_json(payload)).encode()
+        self._results[topic] = json.dumps(plain_json(message)).encode()
         self._send()
 
     def close(self) -> None:

@@ -7,8 +7,8 @@ from typing import Any, ClassVar
 import numpy as np
 
 from suspnet.ground.records import HIGHEST_KM
-from suspnet.recordings.clocks import SECOND_NS
 from suspnet.recordings.columns import size_of
+from suspnet.recordings.dates import SECOND_NS
 from suspnet.recordings.frames import Frame, FrameError, end_ns
 from suspnet.recordings.manifest import TEMPERATURES_C
 

@@ -12,29 +12,23 @@ import time
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from datetime import UTC, datetime, timedelta, tzinfo
+from datetime import UTC, datetime, tzinfo
 from itertools import chain
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
-from suspnet.ground.checks import check_number
+from suspnet.ground.settings import Setting, check_settings, check_values, setting
 from suspnet.ground.types import FloatArray
-from suspnet.recordings.clocks import SECOND_NS, Zero, offsets_s
-from suspnet.recordings.dates import time_zone
+from suspnet.recordings.clocks import offsets_s
+from suspnet.recordings.dates import SECOND_NS, ahead_ns, nanoseconds, time_zone
 from suspnet.recordings.faults import find_gaps, runs
 from suspnet.recordings.frames import MOST_SAMPLES, Frame, end_ns
-from suspnet.recordings.manifest import (
-    ACCELERATION_UNITS,
-    SPEED_UNITS,
-    Source,
-    SpeedSource,
-    TripManifest,
-)
+from suspnet.recordings.manifest import UNITS, TripManifest
 from suspnet.recordings.manifest_files import ManifestFile
 from suspnet.recordings.manifest_keys import TripError
-from suspnet.recordings.sources import OpenSource, open_source, zero_of
+from suspnet.recordings.sources import open_source, zero_of
 from suspnet.trips.grouping import find_groups
 
 log = logging.getLogger(__name__)
@@ -43,14 +37,10 @@ PAUSE_S = 3600
 manifests nor files give dates, [s]."""
 LONGEST_WAIT_S = 60.0
 """Longest gap between frames that a paced replay waits for, in recorded time, [s]."""
-
-
 MILEAGE, TEMPERATURE = ("mileage", "km"), ("temperature", "degC")
 """Sensor and unit of the frames of one sample at the start of a trip."""
 SLOW_HZ = 1.0
 """Nominal rate of the frames of one sample."""
-UNITS = {"acceleration": ("m/s2", ACCELERATION_UNITS), "speed": ("m/s", SPEED_UNITS)}
-"""Unit of frames if the manifest does not set it, and the known units, by kind of signal."""
 
 
 @dataclass
@@ -66,7 +56,7 @@ class Replay:
     """
 
     folder: Path
-    frame_s: float = 1.0
+    frame_s: float = setting(1.0, "Length of a frame", "s", low=0.01, high=60)
     start: str | None = None
     zone: str = "UTC"
     n_suspensions: int = 0
@@ -74,7 +64,7 @@ class Replay:
     problems: list[str] = field(default_factory=list)
 
     def __post_init__(self) -> None:
-        check_number("frame_s", self.frame_s, low=0.01, high=60)
+        check_settings(self)
         self._zone: tzinfo = time_zone(self.zone)
         self._start_ns: int | None = None
         if self.start is not None:
@@ -143,8 +133,17 @@ class Replay:
 class Pace:
     """Waits so that frames arrive as fast as recorded, or `times` faster; None does not wait."""
 
+    settings: ClassVar[Mapping[str, Setting]] = {
+        "times": Setting(
+            "How many times faster than recorded frames are sent; null is as fast as they are "
+            "taken",
+            low=1e-3,
+            high=1e6,
+        )
+    }
+
     def __init__(self, times: float | None = 1.0) -> None:
-        check_number("times", times, low=1e-3, high=1e6, optional=True)
+        check_values(Pace, times=times)
         self.times = times
         self._last_ns: int | None = None
         self._due_s = 0.0
@@ -169,7 +168,7 @@ class Pace:
 def _in_order(trips: Sequence[TripManifest], zone: tzinfo) -> list[TripManifest]:
     """Return trips by start if all of them have one, else by mileage."""
     starts = [trip.start for trip in trips]
-    known = [_nanoseconds(start, zone) for start in starts if start is not None]
+    known = [nanoseconds(start, zone) for start in starts if start is not None]
     if len(known) == len(trips):
         order = sorted(range(len(trips)), key=lambda k: known[k])
         return [trips[k] for k in order]
@@ -178,21 +177,11 @@ def _in_order(trips: Sequence[TripManifest], zone: tzinfo) -> list[TripManifest]
 
 def _parsed(text: str, zone: tzinfo) -> int:
     try:
-        return _nanoseconds(datetime.fromisoformat(text), zone)
+        return nanoseconds(datetime.fromisoformat(text), zone)
     except (TypeError, ValueError):
         raise ValueError(
             f"`start` must be a date and time like 2026-03-01T06:00:00Z, got {text!r}"
         ) from None
-
-
-def _sources(manifest: TripManifest) -> dict[str, tuple[str, Source]]:
-    """Return kind and source of each sensor, and of the speed if it is recorded."""
-    found: dict[str, tuple[str, Source]] = {
-        name: ("acceleration", one) for name, one in manifest.sensors().items()
-    }
-    if isinstance(manifest.speed, SpeedSource):
-        found["speed"] = "speed", manifest.speed
-    return found
 
 
 def trip_clock(
@@ -204,22 +193,13 @@ def trip_clock(
     added to a sensor's own times. TripError is raised if a file cannot be read, or clocks cannot be
     aligned.
     """
-    zeros = {
-        name: zero_of(manifest, source, _source_name(manifest, name), kind)
-        for name, (kind, source) in _sources(manifest).items()
-    }
+    zeros = {name: zero_of(manifest, name) for name in manifest.sources()}
     offsets = offsets_s(manifest, zeros)
     dated = {name: zero.ns for name, zero in zeros.items() if zero.ns is not None}
     for name, ns in dated.items():
         zero_ns = ns - round(offsets[name] * SECOND_NS)
-        return zero_ns - _ahead_ns(zero_ns, zeros[name], zone), offsets
-    return None if manifest.start is None else _nanoseconds(manifest.start, zone), offsets
-
-
-def _nanoseconds(moment: datetime, zone: tzinfo) -> int:
-    """Return a date and time, in `zone` if it has none, in nanoseconds since 1970 in UTC."""
-    aware = moment if moment.tzinfo is not None else moment.replace(tzinfo=zone)
-    return (aware - datetime(1970, 1, 1, tzinfo=UTC)) // timedelta(microseconds=1) * 1000
+        return zero_ns - (0 if zeros[name].is_zoned else ahead_ns(zero_ns, zone)), offsets
+    return None if manifest.start is None else nanoseconds(manifest.start, zone), offsets
 
 
 def trip_frames(
@@ -240,7 +220,7 @@ def trip_frames(
     suspension = str(manifest.place)
     streams = [
         _sensor_frames(manifest, name, zero_ns + round(offsets[name] * SECOND_NS), numbers, frame_s)
-        for name in _sources(manifest)
+        for name in manifest.sources()
     ]
     merged = heapq.merge(*streams, key=end_ns)
     for first in merged:
@@ -258,10 +238,11 @@ def _sensor_frames(
     manifest: TripManifest, name: str, zero_ns: int, numbers: Counter[str], frame_s: float
 ) -> Iterator[Frame]:
     """Yield the frames of one sensor, whose times count from `zero_ns`."""
-    kind, source = _sources(manifest)[name]
-    where, suspension = _source_name(manifest, name), str(manifest.place)
-    with open_source(manifest, source, where, kind) as opened:
-        unit, factor = _unit(kind, source, opened)
+    source, suspension = manifest.sources()[name], str(manifest.place)
+    with open_source(manifest, source, manifest.where(name)) as opened:
+        # the manifest's unit, and the factor from the file's numbers to it
+        unit = source.unit or next(iter(UNITS[source.kind]))
+        factor = abs(opened.size) / source.si_size
         blocks = opened.even()
         first_block = next(blocks)
         rate_hz = opened.known_rate_hz
@@ -292,13 +273,6 @@ def _recut(blocks: Iterable[FloatArray], size: int) -> Iterator[tuple[int, Float
         yield at, rest
 
 
-def _unit(kind: str, source: Source, opened: OpenSource) -> tuple[str, float]:
-    """Return the unit of a source's frames, and the factor from the file's numbers to it."""
-    usual, sizes = UNITS[kind]
-    unit = source.unit or usual
-    return unit, abs(opened.size) / sizes[unit]
-
-
 def _shortest(samples: FloatArray) -> FloatArray:
     """Return samples in single precision if that changes none of them."""
     with np.errstate(over="ignore"):
@@ -310,18 +284,3 @@ def _next(numbers: Counter[str], name: str) -> int:
     """Return the number of a sensor's next frame, and count it."""
     numbers[name] += 1
     return numbers[name] - 1
-
-
-def _ahead_ns(local_ns: int, zero: Zero, zone: tzinfo) -> int:
-    """Return how far a clock is ahead of UTC, [ns]: 0 if its times have a zone."""
-    if zero.is_zoned:
-        return 0
-    naive = datetime(1970, 1, 1) + timedelta(seconds=local_ns // SECOND_NS)
-    offset = naive.replace(tzinfo=zone).utcoffset()
-    assert offset is not None  # every zone has an offset
-    return round(offset.total_seconds()) * SECOND_NS
-
-
-def _source_name(manifest: TripManifest, name: str) -> str:
-    named = "`speed`" if name == "speed" else f"channel {name!r}"
-    return f"{manifest.path}: {named}"

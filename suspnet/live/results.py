@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from suspnet.estimation.trained import TrainedModel
-from suspnet.ground.limits import Severity
+from suspnet.ground.parameters import Severity
 from suspnet.ground.records import ERROR, OK, TripResult
 from suspnet.ground.storage import json_bytes
 from suspnet.ground.wording import kilometres
@@ -27,7 +27,6 @@ LEAST_KM = 0.5
 parked all night leaves no trips."""
 WAIT_S = 5.0
 """Time until an unavailable store is tried again, [s]."""
-
 Publish = Callable[[Kind, str, bytes], None]
 
 

@@ -13,17 +13,16 @@ recording like any other.
 
 from __future__ import annotations
 
-import math
 from collections import Counter
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from suspnet.ground.checks import check_number
+from suspnet.ground.settings import check_number
 from suspnet.live.operating_conditions import Standing
 from suspnet.recordings.assembler import OrderSettings
 from suspnet.recordings.cleaning import CleaningSettings
-from suspnet.recordings.clocks import SECOND_NS
-from suspnet.recordings.frames import Frame, FrameError, end_ns
+from suspnet.recordings.dates import SECOND_NS
+from suspnet.recordings.frames import Frame, FrameError, end_ns, frame_from, n_before
 from suspnet.recordings.manifest import TripManifest
 from suspnet.recordings.running import Running
 
@@ -38,9 +37,6 @@ TRIED_NS = 60 * SECOND_NS
 """Time between two checks for standstill, [ns]."""
 AHEAD_NS = 86_400 * SECOND_NS
 """Frames this much earlier than an ended section, [ns], are not late: a clock was wrong."""
-BORDER_SAMPLES = 1e-3
-"""A sample this close before a border, [samples], counts as on it, as times are whole
-nanoseconds."""
 
 
 @dataclass
@@ -134,8 +130,8 @@ class Sections:
             raise FrameError("size", f"a frame is longer than a section of {self.section_s} s")
         self._check_clock(frame, is_known)
         # drop the samples of closed sections, and divide the others at the ends of open ones
-        n_late = _n_before(frame, self._next_ns)
-        rest = _from(frame, n_late, self._next_ns)
+        n_late = n_before(frame, self._next_ns)
+        rest = frame_from(frame, n_late, self._next_ns)
         if rest is None:
             raise FrameError("late", f"a frame of {frame.sensor!r} belongs to a closed section")
         reasons = ["late"] * bool(n_late)
@@ -148,7 +144,7 @@ class Sections:
             else:
                 self._cut(one, end_ns(rest))
                 border_ns = min(self._border_ns(one), self._full_ns(rest.time_ns))
-            if n_inside := _n_before(rest, border_ns):
+            if n_inside := n_before(rest, border_ns):
                 try:
                     self._add(key, replace(rest, samples=rest.samples[:n_inside]))
                 except FrameError as error:  # rejects the frame if none of it is taken yet
@@ -156,7 +152,7 @@ class Sections:
                         raise
                     reasons.append(error.reason)
                 n_taken += n_inside
-            rest = _from(rest, n_inside, border_ns)
+            rest = frame_from(rest, n_inside, border_ns)
         self.counts.update(reasons)
 
     def _check_clock(self, frame: Frame, is_known: bool) -> None:
@@ -350,19 +346,3 @@ class Sections:
             one.section.restore(saved["section"])
             self._open[int(k)] = one
         self._join_rests()
-
-
-def _n_before(frame: Frame, time_ns: int) -> int:
-    """Return how many samples of a frame lie before a time."""
-    n = math.ceil((time_ns - frame.time_ns) * frame.rate_hz / SECOND_NS - BORDER_SAMPLES)
-    return min(max(n, 0), len(frame.samples))
-
-
-def _from(frame: Frame, n: int, border_ns: int) -> Frame | None:
-    """Return a frame without its first `n` samples, which lie before a border."""
-    if n >= len(frame.samples):
-        return None
-    if n == 0:
-        return replace(frame, time_ns=max(frame.time_ns, border_ns))
-    time_ns = frame.time_ns + round(n * SECOND_NS / frame.rate_hz)
-    return replace(frame, time_ns=time_ns, samples=frame.samples[n:])

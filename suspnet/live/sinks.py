@@ -15,7 +15,7 @@ from suspnet.ground.settings import Setting, check_values
 from suspnet.ground.storage import write_atomically
 from suspnet.live.broker import KEEPALIVE_S, Broker
 from suspnet.live.drop_folder import TAKEN
-from suspnet.recordings.clocks import SECOND_NS
+from suspnet.recordings.dates import SECOND_NS
 from suspnet.recordings.frames import Frame, encode
 
 if TYPE_CHECKING:
@@ -84,7 +84,6 @@ class Folder:
         "folder": Setting("Folder of the files, created if it is missing", rule="path"),
         "file_s": Setting("Time that a file covers, of all sensors", "s", above=0, high=86400),
     }
-    """Meaning and range of each argument."""
 
     def __init__(self, folder: str | Path, file_s: float = 10.0) -> None:
         check_values(Folder, file_s=file_s)
@@ -136,15 +135,10 @@ class MqttSink:
             "Number of frames that the broker may not yet have acknowledged; then the replay waits",
             low=1,
             high=65535,
-        ),
+        )
     }
-    """Meaning and range of each argument."""
 
-    def __init__(
-        self,
-        broker: Broker | None = None,
-        in_flight: int = 100,
-    ) -> None:
+    def __init__(self, broker: Broker | None = None, in_flight: int = 100) -> None:
         check_values(MqttSink, in_flight=in_flight)
         self.broker = Broker() if broker is None else broker
         self.in_flight = in_flight

@@ -7,21 +7,20 @@ import math
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from datetime import UTC, datetime, timedelta
+from datetime import timedelta
 from pathlib import Path
 
 import numpy as np
 
 from suspnet.estimation.from_recording import TripSettings
 from suspnet.estimation.trained import TrainedModel
-from suspnet.ground.checks import check_number
 from suspnet.ground.records import TripResult
-from suspnet.ground.settings import check_settings, setting
+from suspnet.ground.settings import check_number, check_settings, setting
 from suspnet.live.journal import dump_state, load_state
 from suspnet.live.operating_conditions import SlowValues
 from suspnet.live.sections import Sections
 from suspnet.recordings.assembler import OrderSettings
-from suspnet.recordings.clocks import SECOND_NS
+from suspnet.recordings.dates import EPOCH, SECOND_NS
 from suspnet.recordings.frames import MOST_CHARACTERS, Frame
 from suspnet.recordings.manifest import TripManifest
 from suspnet.recordings.manifest_keys import TripError
@@ -31,8 +30,6 @@ from suspnet.trips.commissionings import models_of
 from suspnet.trips.fleet import FleetSettings
 from suspnet.trips.grouping import find_groups
 from suspnet.trips.trip import evaluate_recording
-
-EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from suspnet.ground.limits import DEFAULT_LIMITS, Cause, Limits, Severity
+from suspnet.ground.parameters import DEFAULT_LIMITS, Cause, Limits, Severity
 from suspnet.maintenance.alarms import Acknowledgement, Alarm, Watched, alarm_table, watch
 from suspnet.maintenance.change import Change, Changes, ChangeSettings, find_changes
 from suspnet.maintenance.cusum import cusum, residuals, threshold

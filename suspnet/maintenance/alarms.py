@@ -10,8 +10,7 @@ from datetime import datetime
 import numpy as np
 from tabulate import tabulate
 
-from suspnet.ground.limits import Cause, Limits, Severity
-from suspnet.ground.parameters import PAYLOAD
+from suspnet.ground.parameters import PAYLOAD, Cause, Limits, Severity
 from suspnet.ground.types import BoolArray, FloatArray
 from suspnet.ground.wording import kilometres
 from suspnet.maintenance.change import Change, Changes, ChangeSettings, find_changes

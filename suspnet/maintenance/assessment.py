@@ -8,8 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from suspnet.ground.limits import Cause, Limits, Severity
-from suspnet.ground.parameters import PAYLOAD
+from suspnet.ground.parameters import PAYLOAD, Cause, Limits, Severity
 from suspnet.ground.wording import kilometres
 from suspnet.maintenance.alarms import Alarm
 from suspnet.maintenance.judge import (

@@ -9,8 +9,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import ArrayLike
 
-from suspnet.ground.checks import LARGEST
-from suspnet.ground.settings import check_settings, setting
+from suspnet.ground.settings import LARGEST, check_settings, setting
 from suspnet.ground.types import BoolArray, FloatArray, IntArray
 from suspnet.maintenance.cusum import CLIP, MAX_CORRELATION, Residuals, cusum, residuals, threshold
 

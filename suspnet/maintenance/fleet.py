@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from suspnet.ground.limits import DEFAULT_LIMITS, Limits
+from suspnet.ground.parameters import DEFAULT_LIMITS, Limits
 from suspnet.ground.records import Key
 from suspnet.maintenance.alarms import Alarm
 from suspnet.maintenance.change import ChangeSettings

@@ -9,8 +9,7 @@ from datetime import date
 
 import numpy as np
 
-from suspnet.ground.limits import Severity
-from suspnet.ground.parameters import PARAMETERS
+from suspnet.ground.parameters import PARAMETERS, Severity
 from suspnet.maintenance.plan import join_plans, make_plan
 from suspnet.maintenance.plan_inputs import Part, PlanSettings, Train, km_per_day
 from suspnet.maintenance.schedule import Plan

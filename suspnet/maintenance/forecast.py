@@ -7,7 +7,7 @@ from collections.abc import Collection, Mapping
 import numpy as np
 from numpy.typing import ArrayLike
 
-from suspnet.ground.limits import Limits
+from suspnet.ground.parameters import Limits
 from suspnet.ground.types import FloatArray
 from suspnet.maintenance.degradation import FleetPrior
 from suspnet.maintenance.life import MIN_TRIPS, Life, predict_life

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from suspnet.ground.limits import Limits, Severity
+from suspnet.ground.parameters import Limits, Severity
 from suspnet.ground.types import BoolArray, FloatArray, IntArray
 from suspnet.maintenance.series import Series
 

@@ -9,7 +9,7 @@ from itertools import chain
 
 import numpy as np
 
-from suspnet.ground.limits import Severity
+from suspnet.ground.parameters import Severity
 from suspnet.ground.types import FloatArray
 from suspnet.maintenance.plan_inputs import Part, PlanSettings, Train
 from suspnet.maintenance.schedule import SLACK, SOON_DAYS, UNKNOWN, URGENCIES, Job, Plan, Visit

@@ -9,9 +9,8 @@ from datetime import date
 import numpy as np
 from numpy.typing import NDArray
 
-from suspnet.ground.checks import check_number
-from suspnet.ground.limits import Severity
-from suspnet.ground.settings import check_settings, setting
+from suspnet.ground.parameters import Severity
+from suspnet.ground.settings import check_number, check_settings, setting
 from suspnet.ground.types import FloatArray
 from suspnet.maintenance.visit_costs import Costs
 

@@ -22,10 +22,9 @@ from typing import Annotated
 import numpy as np
 from scipy import stats
 
-from suspnet.ground.checks import check_number
-from suspnet.ground.limits import Cause, Severity
+from suspnet.ground.parameters import Cause, Severity
 from suspnet.ground.records import Key
-from suspnet.ground.settings import Setting, check_settings, setting
+from suspnet.ground.settings import Setting, check_number, check_settings, setting
 from suspnet.ground.types import BoolArray, FloatArray
 from suspnet.maintenance.alarms import Alarm
 from suspnet.maintenance.judge import N_LAST

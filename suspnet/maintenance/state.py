@@ -8,8 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from suspnet.ground.limits import Limits, Severity
-from suspnet.ground.parameters import PAYLOAD
+from suspnet.ground.parameters import PAYLOAD, Limits, Severity
 from suspnet.ground.records import Key
 from suspnet.maintenance.alarms import Alarm, Watched, watch
 from suspnet.maintenance.assessment import (

@@ -25,26 +25,17 @@ from suspnet.recordings.columns import (
     needed,
     slices,
 )
-from suspnet.recordings.manifest import CsvDialect
-from suspnet.recordings.manifest_keys import TripError
+from suspnet.recordings.manifest_keys import CsvDialect, TripError
 
 RATE_NAMES = ("rate_hz", "fs", "samplerate", "samplingrate", "samplefrequency", "samplingfrequency")
 UNIT_NAMES = ("unit", "units")
 DATE_NAMES = ("start", "starttime", "startdate", "date", "datetime", "timestamp", "startzeit")
 """Names of fields and attributes that state rate [Hz], unit and start of the data next to them;
 compared in lower case, without blanks and underscores."""
-
-NUMERIC = (
-    "single",
-    "double",
-    *(f"{u}int{bits}" for u in ("", "u") for bits in (8, 16, 32, 64)),
-)
+NUMERIC = ("single", "double", *(f"{u}int{bits}" for u in ("", "u") for bits in (8, 16, 32, 64)))
 """Classes of MAT file variables that hold numbers."""
-
 MOST_PARTS = 1000
 """Largest number of columns of a matrix."""
-
-
 FILTERS = (1, 2, 3, 4, 5, 6, 32000)
 """Filters of the HDF5 library and h5py: deflate, shuffle, fletcher32, szip, nbit, scaleoffset and
 LZF. Any other is a plug-in, that is, foreign code to load."""

@@ -16,16 +16,14 @@ import numpy as np
 
 from suspnet.ground.settings import check_settings, setting
 from suspnet.ground.types import FloatArray
-from suspnet.recordings.clocks import SECOND_NS
+from suspnet.recordings.dates import SECOND_NS
 from suspnet.recordings.frames import MOST_SAMPLES, Frame, FrameError, decode, encode
 from suspnet.recordings.sources import RATE_TOLERANCE
 
 MOST_HELD = 2 * MOST_SAMPLES
 """Number of samples above which frames are released, whatever the window: 1 MiB."""
-
 MOST_LOSSES = 64
 """Number of recent sequence gaps that are stored: a frame of them is late, not a duplicate."""
-
 MOST_DRIFT = 2e-4
 """Largest relative error of a logger's rate: 200 ppm, several times that of quartz. Times may drift
 by this much from the stated rate without a gap."""
@@ -55,6 +53,13 @@ class OrderSettings:
 
     def __post_init__(self) -> None:
         check_settings(self)
+
+
+def check_frame_rate(frame: Frame, rate_hz: float, tolerance: float = RATE_TOLERANCE) -> None:
+    """Raise FrameError if a frame has another rate than its sensor."""
+    if abs(frame.rate_hz - rate_hz) > tolerance * rate_hz:
+        words = f"{frame.sensor!r} has {rate_hz:g} Hz, its frame {frame.rate_hz:g} Hz"
+        raise FrameError("rate", words)
 
 
 class Assembler:
@@ -101,10 +106,7 @@ class Assembler:
         FrameError
             If the frame has another rate.
         """
-        if abs(frame.rate_hz - self.rate_hz) > RATE_TOLERANCE * self.rate_hz:
-            raise FrameError(
-                "rate", f"{frame.sensor!r} has {self.rate_hz:g} Hz, its frame {frame.rate_hz:g} Hz"
-            )
+        check_frame_rate(frame, self.rate_hz)
         given: list[FloatArray] = []
         if frame.sequence in self._held:
             self.counts["duplicate"] += 1

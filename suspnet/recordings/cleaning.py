@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from suspnet.ground.checks import check_number
+from suspnet.ground.settings import check_number
 from suspnet.ground.types import BoolArray, FloatArray
 from suspnet.recordings.faults import (
     fill,
@@ -28,10 +28,8 @@ KINDS = (
     *("loose", "clock"),
 )
 """Kinds of faults; zero, jump and stuck concern the speed, loose and clock several sensors."""
-
 CORE_SAMPLES = 2**18
 """Approximate number of samples checked at once, which fit in the processor's cache."""
-
 SEGMENT_S, SEGMENT_SAMPLES = 1.0, 64
 """Length of a segment for level and spread [s], and its least number of samples."""
 

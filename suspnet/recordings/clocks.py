@@ -8,21 +8,27 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from datetime import UTC, datetime, timedelta
+from datetime import datetime, timedelta
 
 import numpy as np
 from numpy.typing import NDArray
 
 from suspnet.ground.types import FloatArray
 from suspnet.recordings.columns import Column, size_of
-from suspnet.recordings.dates import date_problem, read_date, time_zone
+from suspnet.recordings.dates import (
+    EPOCH,
+    SECOND_NS,
+    ahead_ns,
+    date_problem,
+    nanoseconds,
+    read_date,
+    time_zone,
+)
 from suspnet.recordings.manifest import TIME_UNITS, Source, TripManifest
 from suspnet.recordings.manifest_keys import TripError
 
-SECOND_NS = 10**9
 DATED_S = (3.15e8, 4.1e9)
 """Range of a first time [s] that is taken as seconds since 1970: the years 1979 to 2099."""
-
 SAME_NS = 1000
 """Largest difference [ns] between starts stated by files that count as the same."""
 
@@ -46,7 +52,7 @@ class Zero:
         """Start of the times; without a zone if that is unknown."""
         if self.ns is None:
             return self.date
-        found = datetime(1970, 1, 1, tzinfo=UTC) + timedelta(seconds=self.ns // SECOND_NS)
+        found = EPOCH + timedelta(seconds=self.ns // SECOND_NS)
         return found if self.is_zoned else found.replace(tzinfo=None)
 
 
@@ -97,16 +103,14 @@ class Times:
 
     def _offset_ns(self, first: int, zone: str) -> int:
         """Return how far a local time is ahead of UTC, [ns]."""
-        naive = datetime(1970, 1, 1) + timedelta(seconds=first // SECOND_NS)
-        local = naive.replace(tzinfo=time_zone(zone))
-        early, late = (local.replace(fold=fold).utcoffset() for fold in (0, 1))
-        assert early is not None  # every zone has an offset
+        early, late = (ahead_ns(first, time_zone(zone), fold) for fold in (0, 1))
         if early != late:
+            naive = (EPOCH + timedelta(seconds=first // SECOND_NS)).replace(tzinfo=None)
             raise TripError(
                 f"{self.where}: {naive} is not one instant in {zone}, as clocks are changed there; "
                 "give `time_zone` as an offset like +02:00"
             )
-        return round(early.total_seconds()) * SECOND_NS
+        return early
 
     def _begin_numbers(self, times: NDArray[np.generic]) -> None:
         """Set unit and zero of numbers; a unit that makes the first one a date is assumed."""
@@ -176,9 +180,7 @@ def offsets_s(manifest: TripManifest, zeros: Mapping[str, Zero]) -> dict[str, fl
                 f"{manifest.path}: {', '.join(dated)} have absolute times, {', '.join(others)} "
                 f"have not; give `start`, the time at which {', '.join(others)} begin"
             )
-        start, is_zoned = manifest.start, manifest.start.tzinfo is not None
-        whole = start.replace(tzinfo=start.tzinfo or UTC) - datetime(1970, 1, 1, tzinfo=UTC)
-        first = whole // timedelta(microseconds=1) * 1000
+        first, is_zoned = nanoseconds(manifest.start), manifest.start.tzinfo is not None
     local = [name for name, zero in dated.items() if not zero.is_zoned]
     if local and (len(local) < len(dated) or is_zoned):
         raise TripError(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,20 +14,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from suspnet.ground.storage import open_plain, stored_bytes
-from suspnet.recordings.manifest import ACCELERATION_UNITS, SPEED_UNITS, TIME_UNITS, CsvDialect
-from suspnet.recordings.manifest_keys import TripError
+from suspnet.recordings.manifest import ACCELERATION_UNITS, SPEED_UNITS, UNITS
+from suspnet.recordings.manifest_keys import CsvDialect, TripError
 
 BLOCK = 2**18
 """Largest number of samples of a column in one block."""
-
 LISTED = 20
 """Largest number of columns that an error message lists."""
-
 Block = tuple[NDArray[Any], ...]
 """One array (n_samples,) for each column: float64, or datetime64[ns] for time stamps."""
-
 Take = Callable[[slice], Any]
-
 SHARED_BYTES = 8 * 8 * BLOCK
 """Size of the memory shared by a reader process and its client [bytes]: blocks of eight columns."""
 
@@ -154,6 +150,16 @@ def needed(path: Path, module: str, extra: str, what: str) -> Any:
         ) from error
 
 
+def call(read: Callable[..., Any], *arguments: Any, **named: Any) -> Any:
+    """Call a library; any error but MemoryError becomes a ValueError, as on damaged files."""
+    try:
+        return read(*arguments, **named)
+    except MemoryError:
+        raise
+    except Exception as error:
+        raise ValueError(f"{type(error).__name__}: {error}") from error
+
+
 MOST_SAMPLES = 48 * 3600 * 10_000
 """Largest number of samples of a channel: two days at 10 kHz."""
 FREE_SAMPLES = 2**26
@@ -162,7 +168,6 @@ bytes: 3.7 hours at 5 kHz, 18 hours at 1 kHz."""
 SAMPLES_PER_BYTE = 8
 """Number of further samples per stored byte. Compressed noise takes a byte or more per sample, so
 seven eighths of a long recording may be zeros that take no space."""
-
 FREE_MEMORY, MEMORY_PER_BYTE = 5 * 2**28, 16
 """Memory that the reader of a file may use: 1.25 GiB, plus 16 bytes per stored byte.
 
@@ -199,7 +204,6 @@ def step_s(stored: int) -> float:
 
 
 GRAVITY = ACCELERATION_UNITS["g"]
-
 _SPELLINGS = {
     "acceleration": {
         1.0: ("m/s2", "m/s^2", "m/s**2", "m/s/s", "ms-2", "ms^-2", "m*s^-2", "m*s-2", "m.s-2"),
@@ -224,11 +228,6 @@ _SPELLINGS = {
 _SIZES = {
     kind: {spelling: size for size, names in sizes.items() for spelling in names}
     for kind, sizes in _SPELLINGS.items()
-}
-_STATED: Mapping[str, Mapping[str, float]] = {
-    "acceleration": ACCELERATION_UNITS,
-    "speed": SPEED_UNITS,
-    "time": TIME_UNITS,
 }
 
 
@@ -260,7 +259,7 @@ def agreed_size(where: str, kind: str, stated: str | None, written: str | None) 
     Raises TripError if they contradict each other, or neither gives a known unit.
     """
     found = size_of(kind, written)
-    known = _STATED[kind]
+    known = UNITS[kind]
     if stated is None:
         if found is None:
             says = f"says {written!r}, which is not known" if written else "does not say it"

@@ -14,17 +14,13 @@ import yaml
 
 DEEPEST = 20
 """Largest depth of nested lists and mappings."""
-
 LONGEST = 2**20
 """Largest number of characters."""
-
 MOST_BYTES = 4 * LONGEST
 """Largest number of bytes."""
-
 MOST_VALUES = 2**18
 """Largest number of values, counting each repetition by an alias: nested lists of aliases grow
 exponentially when a message writes them out."""
-
 _NULL = ("", "~", "null", "Null", "NULL")
 _BOOLEANS = {
     word: value

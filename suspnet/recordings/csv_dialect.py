@@ -17,27 +17,21 @@ from pathlib import Path
 
 from suspnet.recordings.columns import is_unit, unit_in_name
 from suspnet.recordings.dates import date_in_lines, read_date
-from suspnet.recordings.manifest import DELIMITERS, CsvDialect
-from suspnet.recordings.manifest_keys import TripError
+from suspnet.recordings.manifest_keys import DELIMITERS, CsvDialect, TripError
 
 SAMPLE_BYTES = 2**18
 """Number of bytes at the start of a file from which its dialect is detected."""
-
 TAIL_LINES = 50
 """Largest number of rows, at the end of the sample, on which candidate dialects are compared."""
-
 NEXT_LINES = 10
 """Number of lines checked to find the first row: at least half of them must be rows."""
-
 MISSING = frozenset(
     "|#N/A|#N/A N/A|#NA|-1.#IND|-1.#QNAN|-NaN|-nan|1.#IND|1.#QNAN|N/A|NA|NULL|NaN|n/a|nan|null"
     "|NAN|-|--|---|None|none|*|***".split("|")
 )
 """Cells that mean a missing value."""
-
 _DASHES = frozenset(("", "-", "--", "---", "*", "***"))
 """Cells that may also occur in lines of names or units."""
-
 _INFINITE = r"[-+]?(?:inf|Inf|INF|infinity|Infinity)"
 _NUMBER = {
     ".": re.compile(rf"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?|{_INFINITE}"),

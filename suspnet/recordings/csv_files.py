@@ -18,15 +18,12 @@ import pyarrow.parquet
 from suspnet.ground.types import FloatArray
 from suspnet.recordings.columns import Block, Column, OpenFile, as_block, check_samples
 from suspnet.recordings.csv_dialect import MISSING, Found, find_dialect
-from suspnet.recordings.manifest import CsvDialect
-from suspnet.recordings.manifest_keys import TripError
+from suspnet.recordings.manifest_keys import CsvDialect, TripError
 
 BLOCK_BYTES = 2**19
 """Number of bytes that are parsed at once; Arrow reads 32 of these blocks ahead."""
 LONGEST_LINE = 2**20
 """Largest number of bytes of a line whose delimiter is blanks; Arrow limits other lines."""
-
-
 PARQUET_ROWS, PARQUET_BUFFER_BYTES = 2**17, 2**20
 """Number of rows in a batch, and bytes in the read buffer, of a Parquet file."""
 

@@ -11,7 +11,6 @@ EARLIEST_YEAR = 1990
 """Earliest plausible year: digital loggers are younger, and unset clocks start in 1970 or 1980."""
 AHEAD = timedelta(days=2)
 """Largest plausible time ahead of this computer's clock: time zones differ by a day."""
-
 LONGEST_LINE = 200
 """Number of characters above which a line is not searched for a date."""
 _NAMED = re.compile(
@@ -21,6 +20,24 @@ _NAMED = re.compile(
 )
 _FORMATS = ("%d.%m.%Y", "%d-%b-%y", "%d-%b-%Y", "%Y/%m/%d", "%Y:%m:%d")
 _CLOCK = re.compile(r"\d{1,2}:\d\d(?::\d\d(?:[.,]\d+)?)?")
+
+
+EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+SECOND_NS = 10**9
+
+
+def nanoseconds(moment: datetime, zone: tzinfo = UTC) -> int:
+    """Return a date and time, in `zone` if it has none, in nanoseconds since 1970 in UTC."""
+    aware = moment if moment.tzinfo is not None else moment.replace(tzinfo=zone)
+    return (aware - EPOCH) // timedelta(microseconds=1) * 1000
+
+
+def ahead_ns(local_ns: int, zone: tzinfo, fold: int = 0) -> int:
+    """Return how far a local time since 1970 is ahead of UTC, [ns]; `fold` as of datetime."""
+    naive = datetime(1970, 1, 1) + timedelta(seconds=local_ns // SECOND_NS)
+    offset = naive.replace(tzinfo=zone, fold=fold).utcoffset()
+    assert offset is not None  # every zone has an offset
+    return round(offset.total_seconds()) * SECOND_NS
 
 
 def now() -> datetime:

@@ -14,14 +14,11 @@ from suspnet.ground.types import BoolArray, FloatArray, IntArray
 
 LARGEST_M_PER_S2 = 1e30
 """Magnitude above which a value is missing: loggers write 3.4e38 or infinity for that."""
-
 STRIDE = 7
 """Stride of the samples from which level and spread are estimated."""
-
 SIDE_SAMPLES, CALM = 8, 0.25
 """A spike is isolated if all but one of SIDE_SAMPLES samples on either side stay within the
 fraction CALM of its height; the ringing after an impact exceeds that."""
-
 COARSE_STEPS = 4
 """Number of quantisation steps by which a signal must jump to its clipping level: the rounded top
 of a slow wave is as flat, but is reached in smaller steps. A spike must also be higher than this,

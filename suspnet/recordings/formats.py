@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import struct
 import zlib
 from collections.abc import Iterator, Sequence
@@ -13,20 +14,12 @@ import pyarrow as pa
 import pyarrow.parquet
 from scipy.io.matlab import MatReadError
 
-from suspnet.ground.storage import NotPlainError, open_plain
+from suspnet.ground.storage import open_plain
 from suspnet.recordings.array_files import open_hdf5, open_mat
-from suspnet.recordings.columns import (
-    BLOCK,
-    Block,
-    OpenFile,
-    Reader,
-    check_samples,
-    choose,
-)
+from suspnet.recordings.columns import BLOCK, Block, OpenFile, Reader, check_samples, choose
 from suspnet.recordings.csv_files import open_csv, open_parquet
 from suspnet.recordings.logger_files import open_tdms, open_uff, open_wav
-from suspnet.recordings.manifest import CsvDialect
-from suspnet.recordings.manifest_keys import TripError
+from suspnet.recordings.manifest_keys import CsvDialect, TripError, opening
 from suspnet.recordings.mdf_files import open_mdf
 from suspnet.recordings.reader_process import in_own_process
 
@@ -44,16 +37,11 @@ def open_file(path: Path, csv: CsvDialect | None = None) -> Iterator[OpenFile]:
         raise TripError(f"{path}: files of type {suffix!r} cannot be read; give {sorted(READERS)}")
     if csv is not None and READERS[suffix] is not open_csv:
         raise TripError(f"{path}: `csv` is for files of type {list(CSV_SUFFIXES)}")
-    try:
-        with open_plain(path) as stream:
-            if not stream.read(1):
-                raise TripError(f"{path} is empty")
-    except FileNotFoundError as error:
-        raise TripError(f"{path}: there is no such file") from error
-    except OSError as error:
-        raise TripError(f"{path}: cannot be read ({error.strerror})") from error
-    except NotPlainError as error:
-        raise TripError(str(error)) from error
+    if not os.path.exists(path):
+        raise TripError(f"{path}: there is no such file")
+    with opening(path), open_plain(path) as stream:
+        if not stream.read(1):
+            raise TripError(f"{path} is empty")
     with ExitStack() as stack:
         with _named(path):
             file = stack.enter_context(READERS[suffix](path, csv))
@@ -133,7 +121,6 @@ class Format:
 
 
 CSV_SUFFIXES = (".csv", ".txt", ".tsv", ".asc")
-
 FORMATS = (
     Format((".parquet",), open_parquet, "pandas"),  # Arrow imports it for its first array
     # not confined: text declares no sizes, and no damaged file has crashed the reader
@@ -147,7 +134,6 @@ FORMATS = (
 )
 READERS: dict[str, Reader] = {suffix: one.reader for one in FORMATS for suffix in one.suffixes}
 """Readers by suffix."""
-
 _DAMAGE = (
     pa.ArrowException,
     MatReadError,

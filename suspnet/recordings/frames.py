@@ -14,31 +14,30 @@ could declare any size, are refused.
 
 from __future__ import annotations
 
+import math
 import struct
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
 
 from suspnet.ground.types import FloatArray
-from suspnet.recordings.clocks import SECOND_NS
+from suspnet.recordings.dates import SECOND_NS
 
 MOST_SAMPLES = 2**16
 """Largest number of samples of a frame: 13 s at 5000 Hz."""
-
 MOST_BYTES = 8 * MOST_SAMPLES + 2**13
 """Largest size of an encoded frame [bytes]: samples in double precision, plus 8 KiB."""
-
 MOST_CHARACTERS = 200
 """Largest length of each text in a frame."""
-
 MOST_SEQUENCE, MOST_NS = 2**53, 2**62
 """Bounds of sequence number and time [ns]: exact in every language, and before the year 2117."""
-
 RATES_HZ = (0.01, 1e6)
 """Lowest and highest rate of a sensor, [Hz]."""
-
+BORDER_SAMPLES = 1e-3
+"""A sample this close before a border, [samples], counts as on it, as times are whole
+nanoseconds."""
 REASONS = ("size", "foreign", "truncated", "sensor", "rate", "unit", "time", "sequence", "nan")
 """Reasons to refuse a frame by itself, whatever came before."""
 
@@ -107,6 +106,22 @@ class Frame:
 def end_ns(frame: Frame) -> int:
     """Return the end of a frame and start of the next, [ns] since 1970."""
     return frame.time_ns + round(len(frame.samples) * SECOND_NS / frame.rate_hz)
+
+
+def n_before(frame: Frame, time_ns: int) -> int:
+    """Return how many samples of a frame lie before a time."""
+    n = math.ceil((time_ns - frame.time_ns) * frame.rate_hz / SECOND_NS - BORDER_SAMPLES)
+    return min(max(n, 0), len(frame.samples))
+
+
+def frame_from(frame: Frame, n: int, border_ns: int) -> Frame | None:
+    """Return a frame without its first `n` samples, which lie before a border."""
+    if n >= len(frame.samples):
+        return None
+    if n == 0:
+        return replace(frame, time_ns=max(frame.time_ns, border_ns))
+    time_ns = frame.time_ns + round(n * SECOND_NS / frame.rate_hz)
+    return replace(frame, time_ns=time_ns, samples=frame.samples[n:])
 
 
 def encode(frame: Frame) -> bytes:

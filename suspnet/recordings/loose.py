@@ -27,47 +27,35 @@ from suspnet.recordings.faults import runs
 
 FRAME_S, STEP_S = 2.0, 1.0
 """Length of the frames whose spectra are averaged, and step from one to the next, [s]."""
-
 N_AVERAGED = 16
 """Number of frames in an average; independent signals then have a coherence of about 0.1."""
-
 BAND_HZ = (1.0, 15.0)
 """Band over which the coherence is averaged, up to a quarter of the rate [Hz]."""
-
 ALONE, SHARED = 0.2, 0.3
 """Mean coherences below which two sensors share no motion, and above which they do.
 
 In 120 simulated trips of 4 vehicles on 3 tracks, with 3 or 6 sensors of 20 to 50 dB, the highest
 coherence of each sensor was at least 0.23 above 25 m/s, and below 0.2 only at lower speeds."""
-
 MOVING_M_PER_S = 2.0
 """Speed above which the sensors respond to the track, [m/s]."""
-
 USUAL = -0.2
 """Least power of another sensor, relative to its median while sharing motion, that counts as usual
 [powers of ten]. Where intact sensors of simulated trips were alone it was at most -0.28."""
-
 COLLAPSED = 1.5
 """Least drop of a collapsed sensor's power below that of the quietest other [powers of ten]. Intact
 sensors that were alone reached 1.1."""
-
 SLOW_SHARE, SLOW_QUANTILE = 0.7, 0.1
 """A sensor is judged only above SLOW_SHARE times this quantile of the speeds at which it shared the
 others' motion: its signal at far lower speeds is unknown."""
-
 LEAST_FRAMES = 5
 """Least number of frames with evidence in a loose stretch."""
-
 SAME_MOTION = 18.0
 """Ratio of the highest to the rms correlation over all time shifts above which two signals show the
 same motion. Simulated trips: at least 29 after a clock jump, at most 16 for noise and hum."""
-
 EDGE_S = 10.0
 """Uncertainty of the ends of a loose stretch: half an average plus a frame, [s]."""
-
 SMOOTHED_HZ = 0.25
 """Width of the smoothing of spectra by which signals are whitened, [Hz]."""
-
 LISTED = 3
 """Largest number of stretches of one sensor that are listed."""
 

@@ -11,96 +11,44 @@ from dataclasses import dataclass, field, replace
 from datetime import datetime
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 from suspnet.ground.parameters import PARAMETERS
 from suspnet.ground.records import HIGHEST_KM, Place
+from suspnet.recordings import manifest_keys as check
 from suspnet.recordings.manifest_keys import (
-    POSITIVE,
+    CsvDialect,
     Key,
     TripError,
     Value,
     all_of,
-    encoding,
-    header_line,
     key,
     keys_of,
-    number,
-    one_of,
     optional,
-    positive,
-    sign,
-    start,
-    stripped,
-    text,
-    zone,
+    required,
 )
 
 FORMAT = "suspnet-trip-1"
-
 CHANNELS = ("axle_box", "bogie", "body")
 """The three vertical accelerometers, in the order of every array of signals."""
-
 ACCELERATION_UNITS = {"m/s2": 1.0, "g": 9.80665}
 """Size of each unit in m/s2."""
-
 SPEED_UNITS = {"m/s": 1.0, "km/h": 1 / 3.6}
 """Size of each unit in m/s."""
-
 TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 """Size of each unit in s."""
-
-DELIMITERS = {",": ",", ";": ";", "tab": "\t", "space": " ", "|": "|"}
-"""Delimiters of CSV files by their names in manifests; "space" means any number of blanks."""
-
+UNITS = {"acceleration": ACCELERATION_UNITS, "speed": SPEED_UNITS, "time": TIME_UNITS}
+"""Units of each kind, the SI unit first."""
 BOGIES = ("leading", "trailing")
 """Bogies of a vehicle, in the direction of travel."""
-
 SIDES = ("left", "right")
 """Sides of a vehicle, in the direction of travel."""
-
 MIDDLE = "middle"
 """Side of a single sensor midway between left and right, or of the mean of both."""
-
 TEMPERATURES_C = (-60.0, 60.0)
 """Lowest and highest plausible outside temperature, [°C]."""
-
 _CONSTANT_SPEED = re.compile(r"([1-9]\d{0,2}(?:\.\d+)?) *(m/s|km/h)")
 """Pattern of a constant speed with its unit, such as 252 km/h."""
-
-
-def _delimiter(value: Value) -> str:
-    signs = DELIMITERS | {one: one for one in DELIMITERS.values()}
-    return signs[one_of(list(signs))(value)]
-
-
-@dataclass(frozen=True)
-class CsvDialect:
-    """How a CSV file is written; None is detected."""
-
-    delimiter: str | None = optional(
-        _delimiter,
-        "`,` `;` `tab` `space`, or the vertical bar in quotes",
-        "`space` is any number of blanks",
-        default="detected",
-    )
-    decimal: str | None = optional(
-        one_of([".", ","]), "`.` or `,`", "decimal sign", default="detected"
-    )
-    header_line: int | None = optional(
-        header_line,
-        "whole number",
-        "line with the names of the columns, counted from 1; 0 if there are none, so that columns "
-        "are `column_1` and so on",
-        default="detected",
-    )
-    encoding: str | None = optional(
-        encoding, "text", "as Python names it: `utf-8`, `utf-16`, `latin-1`", default="detected"
-    )
-
-
-def _csv(value: Value) -> CsvDialect:
-    return CsvDialect(**value.read(keys_of(CsvDialect)))
 
 
 _IN_FILE = "from the file"
@@ -108,7 +56,7 @@ _IN_FILE = "from the file"
 
 def _unit(units: Mapping[str, float]) -> Any:
     return optional(
-        one_of(list(units)),
+        check.one_of(list(units)),
         "`m/s2`, `g`; of the speed `m/s`, `km/h`",
         "unit of the values",
         default=_IN_FILE,
@@ -117,27 +65,28 @@ def _unit(units: Mapping[str, float]) -> Any:
 
 @dataclass(frozen=True)
 class Source:
-    """Where and how one measured quantity is stored."""
+    """Where and how one measured quantity is stored; `kind` is one of ``UNITS``."""
 
-    file: str = field(metadata=key(text, "text", "a file of one of the [formats](#files)"))
+    kind: ClassVar[str] = "acceleration"
+    file: str = required(check.text, "text", "a file of one of the [formats](#files)")
     unit: str | None = _unit(ACCELERATION_UNITS | SPEED_UNITS)
     column: str | None = optional(
-        text, "text", "column, variable or channel of the file", default="the only one"
+        check.text, "text", "column, variable or channel of the file", default="the only one"
     )
     rate_hz: float | None = optional(
-        positive,
+        check.positive,
         "number above 0",
         "sampling rate; with `time`, both must agree within 1 %",
         "Hz",
         _IN_FILE,
     )
     time: str | None = optional(
-        text, "text", "column of times, instead of `rate_hz` or as well", default=_IN_FILE
+        check.text, "text", "column of times, instead of `rate_hz` or as well", default=_IN_FILE
     )
     start_s: float = field(
         default=0.0,
         metadata=key(
-            number(),
+            check.number(),
             "number",
             "time of the first sample on the trip's clock; with `time`, an offset added to it",
             "s",
@@ -145,27 +94,35 @@ class Source:
         ),
     )
     time_unit: str | None = optional(
-        one_of(list(TIME_UNITS)),
+        check.one_of(list(TIME_UNITS)),
         "`s`, `ms`, `us`, `ns`",
         "unit of times that are numbers",
         default="from the file, else detected",
     )
     time_zone: str | None = optional(
-        zone,
+        check.zone,
         "text",
         'zone of time stamps without one: `UTC`, `"+02:00"`, `Europe/Berlin`',
         default="unknown",
     )
-    csv: CsvDialect | None = field(
-        default=None,
-        metadata=key(_csv, "mapping", "how a CSV file is written, below", default="detected"),
+    csv: CsvDialect | None = optional(
+        check.mapping_of(CsvDialect),
+        "mapping",
+        "how a CSV file is written, below",
+        default="detected",
     )
+
+    @property
+    def si_size(self) -> float:
+        """Size of the stated unit in the SI unit, which is assumed without one."""
+        return 1.0 if self.unit is None else UNITS[self.kind][self.unit]
 
 
 @dataclass(frozen=True)
 class SpeedSource(Source):
     """Where the speed of the train is stored."""
 
+    kind: ClassVar[str] = "speed"
     unit: str | None = _unit(SPEED_UNITS)
 
 
@@ -176,10 +133,12 @@ class Channel(Source):
     unit: str | None = _unit(ACCELERATION_UNITS)
     sign: int = field(
         default=1,
-        metadata=key(sign, "1 or -1", "-1 for a sensor that is mounted upside down", default="1"),
+        metadata=key(
+            check.sign, "1 or -1", "-1 for a sensor that is mounted upside down", default="1"
+        ),
     )
     range: float | None = optional(
-        positive,
+        check.positive,
         "number above 0",
         "largest magnitude that the sensor can measure, to detect saturation; full scale of "
         "integers in WAV files",
@@ -187,7 +146,7 @@ class Channel(Source):
         "unknown",
     )
     side: str | None = optional(
-        one_of([*SIDES, MIDDLE]),
+        check.one_of([*SIDES, MIDDLE]),
         "`left`, `right`; `middle` for a single sensor",
         "side of a sensor",
         default="the first is left; the suspension's",
@@ -204,27 +163,24 @@ def _speed(value: Value) -> float | SpeedSource:
     if isinstance(given, str) and (found := _CONSTANT_SPEED.fullmatch(given.strip())):
         return float(found[1]) * SPEED_UNITS[found[2]]
     if isinstance(given, dict):
-        return SpeedSource(**value.read(keys_of(SpeedSource)))
-    return number(
-        "a number of m/s > 0, one with its unit (252 km/h), or a mapping with `file`", POSITIVE
+        return check.mapping_of(SpeedSource)(value)
+    return check.number(
+        "a number of m/s > 0, one with its unit (252 km/h), or a mapping with `file`",
+        check.POSITIVE,
     )(value)
-
-
-def _sensor(value: Value) -> Channel:
-    return Channel(**value.read(keys_of(Channel)))
 
 
 def _sensor_of_pair(value: Value) -> Channel:
     keys = keys_of(Channel)
-    return Channel(**value.read(keys | {"side": replace(keys["side"], check=one_of(SIDES))}))
+    return Channel(**value.read(keys | {"side": replace(keys["side"], check=check.one_of(SIDES))}))
 
 
 def _sensors(value: Value) -> Channel | Pair:
     """Return one sensor, or a pair whose missing sides are inferred: the first is left."""
     if not isinstance(value.content, list):
-        return _sensor(value)
+        return check.mapping_of(Channel)(value)
     if len(value.content) == 1:
-        return _sensor(value.at(0))
+        return check.mapping_of(Channel)(value.at(0))
     if len(value.content) != 2:
         raise TripError(
             f"{value.path}: `{value.name}` must be a sensor, or a list of one on the left and one "
@@ -250,14 +206,14 @@ def _channels(value: Value) -> dict[str, Channel | Pair]:
 
 
 def _mileage(value: Value) -> float:
-    mileage = number("a number >= 0", 0.0)(value)
+    mileage = check.number("a number >= 0", 0.0)(value)
     if mileage > HIGHEST_KM:
         raise value.refuse(f"at most {HIGHEST_KM:.0f} km (is it in metres?)")
     return mileage
 
 
 def _truth(value: Value) -> dict[str, float]:
-    one = Key(positive, "", "", default="")
+    one = Key(check.positive, "", "", default="")
     found: dict[str, float] = value.read(dict.fromkeys(PARAMETERS, one))
     return found
 
@@ -274,63 +230,54 @@ class TripManifest:
 
     path: Path
     name: str
-    vehicle: str = field(metadata=key(text, "text", "name of the vehicle, as the model's"))
-    suspension: str = field(
-        metadata=key(
-            text,
-            "text",
-            "name of the suspension; trips with the same name are of one suspension",
-        )
+    vehicle: str = required(check.text, "text", "name of the vehicle, as the model's")
+    suspension: str = required(
+        check.text, "text", "name of the suspension; trips with the same name are of one suspension"
     )
     bogie: str | None = optional(
-        one_of(BOGIES),
+        check.one_of(BOGIES),
         "`leading`, `trailing`",
         "bogie, in the direction of travel; chooses the models of that bogie",
         default="not given",
     )
     side: str | None = optional(
-        one_of(SIDES),
+        check.one_of(SIDES),
         "`left`, `right`",
         "side of the suspension, to distinguish suspensions of one name; single sensors are on "
         "it, too",
         default="not given",
     )
     train: str | None = optional(
-        stripped, "text", "train, if several are monitored", default="not given"
+        check.stripped, "text", "train, if several are monitored", default="not given"
     )
-    car: str | None = optional(stripped, "text", "car of the train", default="not given")
-    mileage_km: float = field(
-        metadata=key(_mileage, "number, 0 to 2e7", "mileage of the vehicle at this trip", "km")
+    car: str | None = optional(check.stripped, "text", "car of the train", default="not given")
+    mileage_km: float = required(
+        _mileage, "number, 0 to 2e7", "mileage of the vehicle at this trip", "km"
     )
-    start: datetime | None = field(
-        default=None,
-        metadata=key(
-            start,
-            "time, `2015-08-03T08:00:00`",
-            "date of the trip, from 1990 until today; also the start of sources without dates, see "
-            "[clocks](#clocks)",
-            default="by the files",
-        ),
+    start: datetime | None = optional(
+        check.start,
+        "time, `2015-08-03T08:00:00`",
+        "date of the trip, from 1990 until today; also the start of sources without dates, see "
+        "[clocks](#clocks)",
+        default="by the files",
     )
     temperature_c: float | None = optional(
-        number(f"a number from {TEMPERATURES_C[0]:g} to {TEMPERATURES_C[1]:g}", *TEMPERATURES_C),
+        check.number(
+            f"a number from {TEMPERATURES_C[0]:g} to {TEMPERATURES_C[1]:g}", *TEMPERATURES_C
+        ),
         "number, -60 to 60",
         "outside air temperature; shown in the tables, as oil and rubber depend on it",
         "°C",
         "none",
     )
-    speed: float | SpeedSource = field(
-        metadata=key(
-            _speed,
-            "number above 0, also with its unit (`252 km/h`), or a source",
-            "the constant speed, or where it is stored",
-            "m/s",
-        )
+    speed: float | SpeedSource = required(
+        _speed,
+        "number above 0, also with its unit (`252 km/h`), or a source",
+        "the constant speed, or where it is stored",
+        "m/s",
     )
-    channels: Mapping[str, Channel | Pair] = field(
-        metadata=key(
-            _channels, "mapping", "`axle_box`, `bogie` and `body`: each a source, or a list of two"
-        )
+    channels: Mapping[str, Channel | Pair] = required(
+        _channels, "mapping", "`axle_box`, `bogie` and `body`: each a source, or a list of two"
     )
     truth: dict[str, float] = field(
         default_factory=dict,
@@ -369,10 +316,19 @@ class TripManifest:
                 found |= {f"{name} {one.side}": one for one in channel}
         return found
 
+    def sources(self) -> dict[str, Source]:
+        """Return all sensors, and the speed if it is recorded, by name."""
+        speed = {"speed": self.speed} if isinstance(self.speed, SpeedSource) else {}
+        return {**self.sensors(), **speed}
+
+    def where(self, name: str) -> str:
+        """Return file and source, as errors name them."""
+        return f"{self.path}: " + ("`speed`" if name == "speed" else f"channel {name!r}")
+
     def file_of(self, source: Source) -> Path:
         """Return the path of a channel's or the speed's data file."""
         return self.path.parent / source.file
 
 
-MANIFEST = {"format": Key(one_of([FORMAT]), "text", f"`{FORMAT}`")} | keys_of(TripManifest)
+MANIFEST = {"format": Key(check.one_of([FORMAT]), "text", f"`{FORMAT}`")} | keys_of(TripManifest)
 """All keys of a manifest, by name."""

@@ -10,10 +10,10 @@ from pathlib import Path
 from typing import Any
 
 from suspnet.ground.records import Place
-from suspnet.ground.storage import NotPlainError, printable, read_json, read_plain, write_atomically
+from suspnet.ground.storage import printable, read_json, read_plain, why, write_atomically
 from suspnet.recordings.core_yaml import MOST_BYTES, dump_yaml, parse_yaml
 from suspnet.recordings.manifest import BOGIES, FORMAT, MANIFEST, SIDES, TripManifest
-from suspnet.recordings.manifest_keys import TripError, Value, all_of, keys_of
+from suspnet.recordings.manifest_keys import TripError, Value, all_of, keys_of, opening
 
 UNFINISHED = "unfinished.json"
 """Name of the file that marks a folder of simulated trips as incomplete."""
@@ -28,14 +28,8 @@ class ManifestFile:
     @cached_property
     def data(self) -> bytes:
         """Bytes of the file; TripError if it cannot be read."""
-        try:
+        with opening(self.path):
             return read_plain(self.path, MOST_BYTES)
-        except OSError as error:
-            raise TripError(f"{self.path}: cannot be read ({error.strerror})") from error
-        except NotPlainError as error:
-            raise TripError(str(error)) from error
-        except ValueError as error:
-            raise TripError(f"{self.path}: is not valid YAML ({error})") from error
 
     @cached_property
     def content(self) -> Any:
@@ -203,8 +197,7 @@ def find_trips(paths: Iterable[Path]) -> tuple[list[Path], list[str]]:
         try:
             found += _manifests(path)
         except OSError as error:
-            words = f"{error.filename}: {error.strerror}" if error.filename else str(error)
-            problems.append(words)
+            problems.append(why(error))
     return list(dict.fromkeys(found)), problems
 
 

@@ -1,4 +1,4 @@
-"""Description and check of the keys of a manifest, each defined once, at its dataclass field.
+"""Keys of a manifest and their checks, each defined once, at its dataclass field; CSV dialects.
 
 A key is the metadata of a field (see `manifest`): its check, type, unit, default and meaning.
 Parsing, messages, writing and the tables of docs/recordings.md are derived from it.
@@ -8,20 +8,24 @@ from __future__ import annotations
 
 import math
 import reprlib
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, fields
 from datetime import datetime
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
+from suspnet.ground.storage import NotPlainError
 from suspnet.recordings.dates import date_problem, time_zone
 
 POSITIVE = math.ulp(0.0)
 """Smallest number above 0."""
-
 LARGEST = 1e300
 """Largest magnitude of a number in a manifest."""
+
+
+Kind = TypeVar("Kind")
 
 
 class TripError(ValueError):
@@ -40,6 +44,17 @@ class TripError(ValueError):
         if more < 1:
             return super().__str__()
         return f"{self.args[0]} (and {more} more: suspnet-check shows all)"
+
+
+@contextmanager
+def opening(path: Path) -> Iterator[None]:
+    """Turn the errors of opening a file that is missing, locked or not plain into TripError."""
+    try:
+        yield
+    except OSError as error:
+        raise TripError(f"{path}: cannot be read ({error.strerror})") from error
+    except NotPlainError as error:
+        raise TripError(str(error)) from error
 
 
 def all_of(parts: Iterable[Callable[[], Any]], problems: Iterable[str] = ()) -> list[Any]:
@@ -136,6 +151,11 @@ def key(*arguments: Any, **named: Any) -> dict[str, Key]:
     return {"key": Key(*arguments, **named)}
 
 
+def required(*arguments: Any, **named: Any) -> Any:
+    """Return a dataclass field for a required key; arguments as for `Key`."""
+    return field(metadata=key(*arguments, **named))
+
+
 def optional(*arguments: Any, **named: Any) -> Any:
     """Return a dataclass field for an optional key, None by default; arguments as for `Key`."""
     return field(default=None, metadata=key(*arguments, **named))
@@ -190,6 +210,11 @@ def number(
 positive = number("a number > 0", POSITIVE)
 
 
+def mapping_of(kind: type[Kind]) -> Callable[[Value], Kind]:
+    """Return a check for a mapping from which a dataclass is read."""
+    return lambda value: kind(**value.read(keys_of(kind)))
+
+
 def sign(value: Value) -> int:
     """Return 1 or -1."""
     found = number("1 or -1")(value)
@@ -240,3 +265,37 @@ def encoding(value: Value) -> str:
     except (LookupError, ValueError) as error:
         raise value.refuse("one like utf-8, utf-16 or latin-1") from error
     return name
+
+
+DELIMITERS = {",": ",", ";": ";", "tab": "\t", "space": " ", "|": "|"}
+"""Delimiters of CSV files by their names in manifests; "space" means any number of blanks."""
+
+
+def _delimiter(value: Value) -> str:
+    signs = DELIMITERS | {one: one for one in DELIMITERS.values()}
+    return signs[one_of(list(signs))(value)]
+
+
+@dataclass(frozen=True)
+class CsvDialect:
+    """How a CSV file is written; None is detected."""
+
+    delimiter: str | None = optional(
+        _delimiter,
+        "`,` `;` `tab` `space`, or the vertical bar in quotes",
+        "`space` is any number of blanks",
+        default="detected",
+    )
+    decimal: str | None = optional(
+        one_of([".", ","]), "`.` or `,`", "decimal sign", default="detected"
+    )
+    header_line: int | None = optional(
+        header_line,
+        "whole number",
+        "line with the names of the columns, counted from 1; 0 if there are none, so that columns "
+        "are `column_1` and so on",
+        default="detected",
+    )
+    encoding: str | None = optional(
+        encoding, "text", "as Python names it: `utf-8`, `utf-16`, `latin-1`", default="detected"
+    )

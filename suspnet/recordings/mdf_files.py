@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from datetime import UTC, datetime, timedelta
 from importlib import import_module
 from io import BytesIO
 from logging import CRITICAL, getLogger
@@ -15,11 +14,9 @@ from typing import Any, BinaryIO, NoReturn
 import numpy as np
 
 from suspnet.ground.types import FloatArray
-from suspnet.recordings.columns import Block, Column, OpenFile, Take, needed, slices
-from suspnet.recordings.manifest import CsvDialect
-from suspnet.recordings.manifest_keys import TripError
-
-EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+from suspnet.recordings.columns import Block, Column, OpenFile, Take, call, needed, slices
+from suspnet.recordings.dates import nanoseconds
+from suspnet.recordings.manifest_keys import CsvDialect, TripError
 
 IDENTITY, LINEAR, RATIONAL, INTERPOLATED, TABLE, RANGES = range(6)
 KINDS = {
@@ -50,9 +47,8 @@ def open_mdf(path: Path, _: CsvDialect | None = None) -> Iterator[OpenFile]:
     with path.open("rb") as stream, _opened_mdf(asammdf, stream) as file:
         places: dict[str, tuple[int, int]] = {}
         columns: list[Column] = []
-        start = file.start_time
-        start = start if start.tzinfo else start.replace(tzinfo=UTC)
-        start_ns = (start - EPOCH) // timedelta(microseconds=1) * 1000 if start > EPOCH else None
+        known_ns = nanoseconds(file.start_time)
+        start_ns = known_ns if known_ns > 0 else None
         repeated = _repeated(file)  # such names are qualified by their group
         for g, group in enumerate(file.groups):
             master = file.masters_db.get(g)
@@ -133,7 +129,11 @@ def _take(path: Path, file: Any, name: str, group: int, index: int) -> Take:
             return numbers * (channel.sampling_rate or 1)
         if file.version >= "4" and channel.channel_type in VIRTUAL:
             return convert(numbers)
-        values, invalid = _raw(file, group, index, part)
+        at = {"record_offset": part.start, "record_count": part.stop - part.start}
+        # raw values, and the mask of invalid ones
+        values, invalid = call(
+            file.get, group=group, index=index, samples_only=True, raw=True, **at
+        )
         if values.dtype.kind not in "iufb" or values.ndim != 1:
             raise TripError(f"{path}: column {name!r} holds {values.dtype}, not numbers")
         values = convert(values)
@@ -142,20 +142,6 @@ def _take(path: Path, file: Any, name: str, group: int, index: int) -> Take:
         return values
 
     return take
-
-
-def _raw(file: Any, group: int, index: int, part: slice) -> tuple[Any, Any]:
-    """Return raw values of a channel and the mask of invalid ones; ValueError if damaged."""
-    at = {"record_offset": part.start, "record_count": part.stop - part.start}
-    try:
-        found: tuple[Any, Any] = file.get(
-            group=group, index=index, samples_only=True, raw=True, **at
-        )
-    except MemoryError:
-        raise
-    except Exception as error:
-        raise ValueError(f"{type(error).__name__}: {error}") from error
-    return found
 
 
 def _conversion(

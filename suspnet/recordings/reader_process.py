@@ -39,8 +39,7 @@ from suspnet.recordings.columns import (
     memory_bytes,
     step_s,
 )
-from suspnet.recordings.manifest import CsvDialect
-from suspnet.recordings.manifest_keys import TripError
+from suspnet.recordings.manifest_keys import CsvDialect, TripError
 
 LIMIT = "SUSPNET_READER_S"
 """Environment variable: longest time to open a file or to read its next block, [s].

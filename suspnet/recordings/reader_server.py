@@ -1,13 +1,22 @@
-"""Server side of `reader_process`: it forks a confined process for each file."""
+"""Server side of `reader_process`: it forks a confined process for each file.
+
+A confined process only reads its file: no writing, no new processes, no connections. The
+protections are independent, as not every system has all of them: resource limits (POSIX), Landlock
+(Linux from 5.13 on), a filter of system calls (Linux on x86-64 and ARM), and an audit hook in
+Python.
+"""
 
 from __future__ import annotations
 
+import ctypes
 import importlib
 import json
 import mmap
 import os
+import platform
 import signal
 import socket
+import struct
 import sys
 import time
 from collections.abc import Iterator, Sequence
@@ -19,7 +28,6 @@ from typing import IO, Any
 import numpy as np
 
 from suspnet.recordings.columns import SHARED_BYTES, Block, OpenFile, Reader
-from suspnet.recordings.confinement import confine
 from suspnet.recordings.manifest_keys import TripError
 
 MEMORY_WORDS = (
@@ -138,3 +146,163 @@ def _pieces(blocks: Iterator[Block]) -> Iterator[Block]:
         most = max(SHARED_BYTES // 8 // max(len(block), 1), 1)
         for start in range(0, len(block[0]), most):
             yield tuple(array[start : start + most] for array in block)
+
+
+try:
+    import resource
+except ImportError:  # not a POSIX system
+    HAS_LIMITS = False
+else:
+    HAS_LIMITS = True
+
+MOST_DESCRIPTORS = 64
+"""Largest number of files that a reader may have open."""
+_READ_FILE, _READ_DIR = 1 << 2, 1 << 3
+_FS_RIGHTS = {1: 13, 2: 14, 3: 15, 5: 16}
+"""Number of file access rights, by the version of Landlock that introduced them."""
+_CREATE_RULESET, _ADD_RULE, _RESTRICT_SELF = 444, 445, 446
+_SET_PDEATHSIG, _SET_SECCOMP, _SET_NO_NEW_PRIVS = 1, 22, 38
+_CLONE_THREAD = 0x10000
+_ALLOW, _REFUSE = 0x7FFF0000, 0x00050000
+_NOT_PERMITTED, _NOT_IMPLEMENTED = 1, 38
+_CLONE3 = 435
+_SYSTEM_CALLS: dict[str, tuple[int, int, tuple[int, ...]]] = {
+    "x86_64": (
+        0xC000003E,
+        56,
+        # socket, socketpair, connect, fork, vfork, execve, execveat, ptrace, process_vm_*, bpf,
+        # io_uring_setup, unshare, mount; chmod, chown, utime, setxattr, removexattr and the like
+        (
+            *(41, 53, 42, 57, 58, 59, 322, 101, 310, 311, 321, 425, 272, 165),
+            *(90, 91, 92, 93, 94, 260, 268, 452, 132, 235, 261, 280, 188, 189, 190, 197, 198, 199),
+        ),
+    ),
+    "aarch64": (
+        0xC00000B7,
+        220,
+        (
+            *(198, 199, 203, 221, 281, 117, 270, 271, 280, 425, 97, 40),
+            *(52, 53, 54, 55, 452, 88, 5, 6, 7, 14, 15, 16),
+        ),
+    ),
+}
+"""By architecture: its audit code, the number of clone(), and the numbers of the refused calls."""
+_REFUSED_EVENTS = (
+    *("ctypes.dlopen", "os.exec", "os.fork", "os.forkpty", "os.posix_spawn", "os.spawn"),
+    *("os.startfile", "os.system", "pty.spawn", "subprocess.Popen", "socket.", "pickle.find_class"),
+    *("os.chmod", "os.chown", "os.link", "os.mkdir", "os.remove", "os.rename", "os.rmdir"),
+    *("os.symlink", "os.truncate", "os.utime", "shutil.", "sqlite3.", "urllib.", "webbrowser."),
+)
+"""Prefixes of Python audit events that no reader needs."""
+_WRITES = os.O_WRONLY | os.O_RDWR | os.O_CREAT | os.O_TRUNC | os.O_APPEND
+
+
+def confine(descriptor: int, path: Path, memory_bytes: int) -> None:
+    """Restrict this process irrevocably to reading one file and the code of Python.
+
+    `descriptor` is the open file, `path` the name by which libraries open it again. `memory_bytes`
+    is the allowed address space in addition to what is in use.
+    """
+    folders = _code_folders()
+    _limit(memory_bytes)
+    with suppress(OSError, AttributeError):
+        libc = ctypes.CDLL(None, use_errno=True)
+        libc.prctl(_SET_PDEATHSIG, 9, 0, 0, 0)
+        if libc.prctl(_SET_NO_NEW_PRIVS, 1, 0, 0, 0) == 0:
+            _restrict_files(libc, descriptor, folders)
+            _filter_calls(libc)
+    _refuse_events(path, folders)
+
+
+def _code_folders() -> list[str]:
+    prefixes = tuple({f"{os.path.realpath(one)}/lib" for one in (sys.prefix, sys.base_prefix)})
+    own = [os.path.realpath(place) for place in sys.path if place]
+    packages = [
+        place
+        for place in own
+        if os.path.basename(place) in ("site-packages", "dist-packages")
+        or place.startswith(prefixes)
+    ]
+    system = ("/lib", "/lib64", "/usr/lib", "/usr/lib64", "/usr/share/zoneinfo")
+    return list(filter(os.path.isdir, {*prefixes, *packages, *map(os.path.realpath, system)}))
+
+
+def _limit(memory_bytes: int) -> None:
+    """Limit memory and open files; forbid that files grow and cores are dumped."""
+    if not HAS_LIMITS:
+        return
+    bounds = {resource.RLIMIT_FSIZE: 0, resource.RLIMIT_CORE: 0}
+    bounds[resource.RLIMIT_NOFILE] = MOST_DESCRIPTORS
+    with suppress(OSError, ValueError):  # without /proc the memory in use is not known
+        pages = int(Path("/proc/self/statm").read_text().split()[0])
+        bounds[resource.RLIMIT_AS] = pages * resource.getpagesize() + memory_bytes
+    for kind, bound in bounds.items():
+        hard = resource.getrlimit(kind)[1]
+        bound = bound if hard == resource.RLIM_INFINITY else min(bound, hard)
+        resource.setrlimit(kind, (bound, bound))
+
+
+def _restrict_files(libc: Any, descriptor: int, folders: Sequence[str]) -> None:
+    """Refuse other files, TCP and signals to other processes by Landlock, if available."""
+    version = libc.syscall(_CREATE_RULESET, None, 0, 1)
+    if version < 1:
+        return
+    n_rights = max(n for first, n in _FS_RIGHTS.items() if first <= version)
+    attributes = ((1 << n_rights) - 1, 0b11 * (version >= 4), 0b11 * (version >= 6))
+    size = 8 * (1 + (version >= 4) + (version >= 6))
+    ruleset = libc.syscall(_CREATE_RULESET, struct.pack("QQQ", *attributes)[:size], size, 0)
+    if ruleset < 0:
+        return
+    try:
+        _allow(libc, ruleset, descriptor, _READ_FILE)
+        for folder in folders:
+            handle = os.open(folder, os.O_PATH | os.O_CLOEXEC)
+            _allow(libc, ruleset, handle, _READ_FILE | _READ_DIR)
+            os.close(handle)
+        libc.syscall(_RESTRICT_SELF, ruleset, 0)
+    finally:
+        os.close(ruleset)
+
+
+def _allow(libc: Any, ruleset: int, handle: int, rights: int) -> None:
+    libc.syscall(_ADD_RULE, ruleset, 1, struct.pack("=Qi", rights, handle), 0)
+
+
+def _filter_calls(libc: Any) -> None:
+    """Refuse system calls that start processes, open connections or change file attributes."""
+    if platform.machine() not in _SYSTEM_CALLS:
+        return
+    architecture, clone, refused = _SYSTEM_CALLS[platform.machine()]
+    # classic BPF: (operation, skip if true, skip if false, operand)
+    load, equal, at_least, any_bit, give = 0x20, 0x15, 0x35, 0x45, 0x06
+    refuse, number_is = (give, 0, 0, _REFUSE | _NOT_PERMITTED), (load, 0, 0, 0)
+    program = [(load, 0, 0, 4), (equal, 1, 0, architecture), refuse, number_is]
+    program += [(at_least, 0, 1, 0x40000000), refuse]  # the x32 calls of x86-64
+    program += [(equal, 0, 1, _CLONE3), (give, 0, 0, _REFUSE | _NOT_IMPLEMENTED)]
+    for number in refused:
+        program += [(equal, 0, 1, number), refuse]
+    # clone() may start threads only; the flags of clone3() cannot be read, so it looks missing
+    program += [(equal, 1, 0, clone), (give, 0, 0, _ALLOW), (load, 0, 0, 16)]
+    program += [(any_bit, 0, 1, _CLONE_THREAD), (give, 0, 0, _ALLOW), refuse]
+    code = ctypes.create_string_buffer(b"".join(struct.pack("HBBI", *one) for one in program))
+    head = struct.pack("HxxxxxxP", len(program), ctypes.addressof(code))
+    libc.prctl(_SET_SECCOMP, 2, head, 0, 0)
+
+
+def _refuse_events(path: Path, folders: Sequence[str]) -> None:
+    """Refuse what no reader needs by an audit hook of Python, which works on every system."""
+    allowed = tuple(f"{folder}/" for folder in folders)
+    own = os.path.realpath(path)
+
+    def hook(event: str, arguments: tuple[Any, ...]) -> None:
+        is_allowed = not event.startswith(_REFUSED_EVENTS)
+        if event == "open" and not isinstance(arguments[0], int):
+            name, _, flags = arguments
+            place = os.path.realpath(os.fsdecode(name))
+            is_allowed = place == own or place.startswith(allowed)
+            is_allowed = is_allowed and not (isinstance(flags, int) and flags & _WRITES)
+        if not is_allowed:
+            what = f"{event} {arguments[0]}" if arguments else event
+            raise PermissionError(f"the file makes its reader do what readers must not: {what}")
+
+    sys.addaudithook(hook)

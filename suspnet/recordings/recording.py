@@ -15,7 +15,7 @@ from itertools import chain
 
 import numpy as np
 
-from suspnet.ground.checks import check_number
+from suspnet.ground.settings import check_number
 from suspnet.ground.types import BoolArray, FloatArray
 from suspnet.recordings.cleaning import Cleaner, CleaningSettings, Fault
 from suspnet.recordings.clock_drift import clock_faults
@@ -29,10 +29,8 @@ from suspnet.recordings.speed import SpeedTrack, read_speed, speed_at
 
 MOST_AT_ONCE = 2
 """Number of sensors that are read in parallel, which bounds the memory."""
-
 SHORTEST_S = 60.0
 """Shortest length of a recording, [s]."""
-
 HIGHEST_HZ = 1e6
 """Highest rate of a sensor [Hz]; the length of the decimation filter grows with the rate."""
 
@@ -184,10 +182,7 @@ def _clocks(
     """Return the speeds, the clock offsets of sensors and speed [s], and `first_moment`."""
     sensors = manifest.sensors()
     track, *found = all_of(
-        [
-            partial(read_speed, manifest),
-            *(partial(zero_of, manifest, one, _where(manifest, n)) for n, one in sensors.items()),
-        ]
+        [partial(read_speed, manifest), *(partial(zero_of, manifest, name) for name in sensors)]
     )
     zeros = dict(zip(sensors, found, strict=True))
     zeros |= {} if track is None else {"speed": track.zero}
@@ -212,10 +207,6 @@ def _combined(
     return paired, np.stack(signals), np.array(differences).reshape(len(differences), n)
 
 
-def _where(manifest: TripManifest, name: str) -> str:
-    return f"{manifest.path}: channel {name!r}"
-
-
 def _read_sensor(
     manifest: TripManifest,
     name: str,
@@ -223,8 +214,8 @@ def _read_sensor(
     wanted_hz: float,
     cleaning: CleaningSettings | None,
 ) -> SensorSignal:
-    where, channel = _where(manifest, name), manifest.sensors()[name]
-    with open_source(manifest, channel, where, "acceleration") as source:
+    where, channel = manifest.where(name), manifest.sensors()[name]
+    with open_source(manifest, channel, where) as source:
         blocks = source.even()
         first_block = next(blocks)  # read first: time stamps then give the approximate rate
         rate_hz = source.known_rate_hz

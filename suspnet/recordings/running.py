@@ -30,28 +30,19 @@ from typing import Any
 
 import numpy as np
 
-from suspnet.ground.checks import check_number
+from suspnet.ground.settings import check_number
 from suspnet.ground.types import FloatArray
-from suspnet.recordings.assembler import Assembler, OrderSettings
+from suspnet.recordings.assembler import Assembler, OrderSettings, check_frame_rate
 from suspnet.recordings.cleaning import Cleaner, CleaningSettings
-from suspnet.recordings.clocks import SECOND_NS
 from suspnet.recordings.columns import size_of
+from suspnet.recordings.dates import SECOND_NS
 from suspnet.recordings.frames import Frame, FrameError, end_ns
-from suspnet.recordings.manifest import (
-    ACCELERATION_UNITS,
-    SPEED_UNITS,
-    Source,
-    SpeedSource,
-    TripManifest,
-)
+from suspnet.recordings.manifest import UNITS, SpeedSource, TripManifest
 from suspnet.recordings.manifest_keys import TripError
 from suspnet.recordings.recording import HIGHEST_HZ, Recording, followed, joined
 from suspnet.recordings.sensor import Sensor
-from suspnet.recordings.sources import RATE_TOLERANCE, TIMES_TOLERANCE
+from suspnet.recordings.sources import TIMES_TOLERANCE
 from suspnet.recordings.speed import HIGHEST_RATE_HZ, SpeedTrack, speed_track
-
-UNITS = {"acceleration": "m/s2", "speed": "m/s"}
-"""Units in which samples are stored if the manifest leaves the unit to the file."""
 
 
 class Running:
@@ -111,11 +102,7 @@ class Running:
         self.cleaning = CleaningSettings() if cleaning is None else cleaning
         self.order = OrderSettings() if order is None else order
         self._name = str(manifest.place)
-        self._sources: dict[str, Source] = dict(manifest.sensors())
-        self._units = dict.fromkeys(self._sources, ("acceleration", ACCELERATION_UNITS))
-        if isinstance(manifest.speed, SpeedSource):
-            self._sources["speed"] = manifest.speed
-            self._units["speed"] = ("speed", SPEED_UNITS)
+        self._sources = manifest.sources()
         for name, source in self._sources.items():
             if source.rate_hz is not None and (words := self._rate_problem(name, source.rate_hz)):
                 raise TripError(f"{manifest.path}: {words}")
@@ -169,10 +156,9 @@ class Running:
                 f"{self._name!r} has {list(self._sources)}, the frame is of "
                 f"{frame.sensor!r} of {frame.suspension!r}",
             )
-        kind, units = self._units[frame.sensor]
-        found, unit = size_of(kind, frame.unit), source.unit
-        if found is None or (unit is not None and abs(found / units[unit] - 1) > 1e-9):
-            wanted = unit or f"a unit of {kind} like {' or '.join(units)}"
+        found, unit = size_of(source.kind, frame.unit), source.unit
+        if found is None or (unit is not None and abs(found / source.si_size - 1) > 1e-9):
+            wanted = unit or f"a unit of {source.kind} like {' or '.join(UNITS[source.kind])}"
             raise FrameError(
                 "unit", f"{frame.sensor!r} is in {wanted}, its frame in {frame.unit!r}"
             )
@@ -196,16 +182,12 @@ class Running:
         if name not in self._orders:
             rate_hz = source.rate_hz
             if rate_hz is None or source.time is not None:
-                words = self._rate_problem(name, frame.rate_hz)
-                if rate_hz is not None and abs(frame.rate_hz / rate_hz - 1) > TIMES_TOLERANCE:
-                    words = f"{name!r} has {rate_hz:g} Hz, its frame {frame.rate_hz:g} Hz"
-                if words:
+                if rate_hz is not None:
+                    check_frame_rate(frame, rate_hz, TIMES_TOLERANCE)
+                if words := self._rate_problem(name, frame.rate_hz):
                     raise FrameError("rate", words)
                 rate_hz = frame.rate_hz
-            elif abs(frame.rate_hz - rate_hz) > RATE_TOLERANCE * rate_hz:
-                raise FrameError(
-                    "rate", f"{name!r} has {rate_hz:g} Hz, its frame {frame.rate_hz:g} Hz"
-                )
+            check_frame_rate(frame, rate_hz)
             self._begin(name, rate_hz)
         return self._orders[name]
 
@@ -213,11 +195,11 @@ class Running:
         self._orders[name] = Assembler(rate_hz, self.order)
         channel = self.manifest.sensors().get(name)
         if channel is not None:
-            unit = ACCELERATION_UNITS[channel.unit or UNITS["acceleration"]]
+            unit = channel.si_size
             full_scale = None if channel.range is None else unit * channel.range
             # spread the cleaning of sensors that start together over time, reproducibly
+            where = self.manifest.where(name)
             late = zlib.crc32(f"{self._name}, {name}".encode()) / 2**32
-            where = f"{self.manifest.path}: channel {name!r}"
             cleaner = Cleaner(name, rate_hz, full_scale, self.cleaning, late)
             self._sensors[name] = Sensor(where, cleaner, unit * channel.sign, self.rate_hz)
 
@@ -305,7 +287,7 @@ class Running:
             return None
         rate_hz = self._orders["speed"].rate_hz
         self._speeds = [np.concatenate(self._speeds)]
-        speeds = SPEED_UNITS[source.unit or UNITS["speed"]] * self._speeds[0]
+        speeds = source.si_size * self._speeds[0]
         start_s = self._start_s("speed", self._clock_ns)
         return speed_track(np.arange(len(speeds)) / rate_hz, speeds, start_s, rate_hz)
 

@@ -19,7 +19,6 @@ from suspnet.recordings.manifest_keys import TripError
 
 RATE_TOLERANCE = 1e-4
 """Largest relative difference between a stated rate and that in the header of a file."""
-
 WHOLE_HZ = 0.5
 """Largest difference from a rate that the format stores as a whole number, [Hz]."""
 
@@ -99,13 +98,11 @@ class OpenSource:
 
 
 @contextmanager
-def open_source(
-    manifest: TripManifest, source: Source, where: str, kind: str
-) -> Iterator[OpenSource]:
+def open_source(manifest: TripManifest, source: Source, where: str) -> Iterator[OpenSource]:
     """Open a channel or the speed of a trip.
 
-    `where` names the source in errors; `kind` is "acceleration" or "speed". Raises TripError if the
-    file cannot be read or contradicts the manifest, or if unit or rate are unknown.
+    `where` names the source in errors. Raises TripError if the file cannot be read or contradicts
+    the manifest, or if unit or rate are unknown.
     """
     path = manifest.file_of(source)
     with open_file(path, source.csv) as file:
@@ -124,7 +121,7 @@ def open_source(
                 f"{where} needs `rate_hz` or `time` (a column): {path.name} does not say the rate"
             )
         # factor to SI units, and the sensor's range in them
-        size, words = _size(where, kind, source, column)
+        size, words = _size(where, source, column)
         full_scale = getattr(source, "range", None)
         if full_scale is not None:
             full_scale = abs(size) * (1.0 if column.full_scale is not None else full_scale)
@@ -169,11 +166,11 @@ def _agreed_rate(where: str, stated_hz: float | None, column: Column) -> float |
     return stated_hz
 
 
-def _size(where: str, kind: str, source: Source, column: Column) -> tuple[float, str]:
+def _size(where: str, source: Source, column: Column) -> tuple[float, str]:
     """Return the factor to SI units, and a remark if the file's unit is unknown."""
-    size = agreed_size(where, kind, source.unit, column.unit)
+    size = agreed_size(where, source.kind, source.unit, column.unit)
     words = ""
-    if column.unit and size_of(kind, column.unit) is None:
+    if column.unit and size_of(source.kind, column.unit) is None:
         words = f"{column.name!r} is taken in {source.unit}, its file says {column.unit!r}"
     if column.full_scale is not None:
         if not isinstance(source, Channel) or source.range is None:
@@ -185,9 +182,9 @@ def _size(where: str, kind: str, source: Source, column: Column) -> tuple[float,
     return size * (source.sign if isinstance(source, Channel) else 1), words
 
 
-def zero_of(manifest: TripManifest, source: Source, where: str, kind: str = "acceleration") -> Zero:
+def zero_of(manifest: TripManifest, name: str) -> Zero:
     """Return the origin of the times of a source; TripError if it cannot be read."""
-    with open_source(manifest, source, where, kind) as opened:
+    with open_source(manifest, manifest.sources()[name], manifest.where(name)) as opened:
         if opened.times is not None:
             for times in read_columns(opened.path, opened.file, opened.names[:1]):
                 opened.times.seconds(times[0])
@@ -197,10 +194,8 @@ def zero_of(manifest: TripManifest, source: Source, where: str, kind: str = "acc
 
 GAP_STEPS = 1.5
 """Multiple of the usual time step above which a step is a gap."""
-
 LONGEST_GAP_S = 1800.0
 """Longest gap within a trip, [s]; time stamps with a longer one are refused."""
-
 TIMES_TOLERANCE = 0.01
 """Largest relative difference between the rate by time stamps and that in the manifest."""
 

@@ -18,31 +18,23 @@ from suspnet.recordings.sources import GAP_STEPS, OpenSource, check_rate, check_
 
 LARGEST_SPEED_M_PER_S = 150.0
 """Largest speed of a train [m/s]; a larger value counts as unknown."""
-
 LONGEST_SPEED_GAP_S = 10.0
 """Longest gap between two speeds that is interpolated, [s]; in longer ones the speed is unknown."""
-
 HIGHEST_RATE_HZ = 20.0
 """Rate [Hz] to which speeds of at least twice this rate are averaged, to save memory."""
-
 LARGEST_ACCELERATION, LARGEST_STEP = 5.0, 2.0
 """Largest change of a train's speed: [m/s2] times the time step, plus [m/s] for resolution."""
-
 STANDING_M_PER_S = 0.5
 """Speed below which a train is at rest, or a receiver has lost its satellites, [m/s]."""
-
 BRAKING, NOISE = 2.5, 0.5
 """Largest change after a run of equal speeds: [m/s2] of an emergency brake times the time step,
 plus [m/s] for noise."""
-
 SCATTERING = 0.25
 """Least share of steps with a sign opposite to the step before for a receiver to be noisy. Steady
 or accelerating trains have few, white noise two of three."""
-
 COARSE = 5.0
 """Least median difference of successive steps, in units of the receiver's resolution, for noise to
 prevent equal speeds: a standard deviation of twice the resolution."""
-
 LEAST_CHANCE, LEAST_STEPS = 1e-9, 30
 """Probability of a run of equal speeds below which a noisy receiver is stuck, and least number of
 other steps from which its noise is estimated."""
@@ -77,8 +69,8 @@ def read_speed(manifest: TripManifest) -> SpeedTrack | None:
                 f"km/h? Then write: speed: {source:g} km/h"
             )
         return None
-    where = f"{manifest.path}: `speed`"
-    with open_source(manifest, source, where, "speed") as file:
+    where = manifest.where("speed")
+    with open_source(manifest, source, where) as file:
         parts = list(_thinned(_timed(file, where)))
         seconds, speeds = (np.concatenate(part) for part in zip(*parts, strict=True))
         found = speed_track(seconds, file.size * speeds, source.start_s, file.rate_hz)

@@ -11,7 +11,7 @@ from datetime import date
 from pathlib import Path
 from typing import Any, Protocol
 
-from suspnet.ground.limits import DEFAULT_LIMITS, Cause, Limits, read_limits
+from suspnet.ground.parameters import DEFAULT_LIMITS, Cause, Limits, read_limits
 from suspnet.ground.records import Key
 from suspnet.history import History, HistoryError
 from suspnet.maintenance.alarms import Alarm, Watched

@@ -17,8 +17,7 @@ from tabulate import tabulate
 
 from suspnet.ground.parameters import PARAMETERS, PAYLOAD
 from suspnet.ground.records import OK, TripResult, relative_to_first_healthy
-from suspnet.ground.storage import write_atomically, write_json
-from suspnet.ground.tables import write_table
+from suspnet.ground.storage import write_atomically, write_json, write_table
 from suspnet.ground.wording import count
 from suspnet.maintenance.alarms import Acknowledgement, Alarm, newest_of
 from suspnet.maintenance.assessment import overall, spoken

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from tabulate import tabulate
 
-from suspnet.ground.limits import Limits, Severity
+from suspnet.ground.parameters import Limits, Severity
 from suspnet.ground.records import OK, PLACE_FROM_TRAIN, Key, Place, TripResult
 from suspnet.ground.wording import count
 from suspnet.history.schema import BadRow

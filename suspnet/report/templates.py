@@ -10,8 +10,7 @@ from typing import Any
 from jinja2 import Environment, FunctionLoader, StrictUndefined
 from markupsafe import Markup
 
-from suspnet.ground.limits import Severity
-from suspnet.ground.parameters import UNITS
+from suspnet.ground.parameters import UNITS, Severity
 from suspnet.ground.wording import NO_NUMBER, number, thousands, unbroken
 from suspnet.maintenance.judge import ABSURD
 from suspnet.maintenance.life import Life

@@ -11,8 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from suspnet.ground.limits import Severity
-from suspnet.ground.parameters import PAYLOAD
+from suspnet.ground.parameters import PAYLOAD, Severity
 from suspnet.ground.records import Commissioning, TripResult, by_mileage
 from suspnet.ground.types import BoolArray, FloatArray
 from suspnet.ground.wording import kilometres, thousands

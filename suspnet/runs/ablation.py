@@ -29,8 +29,7 @@ from suspnet.ground.storage import (
 )
 from suspnet.report.figures import SYMBOLS
 from suspnet.runs.plots import BOUND_COLOUR, OUR_COLOUR
-from suspnet.runs.study_files import write_study
-from suspnet.runs.table6 import in_digits, mean_known
+from suspnet.runs.tables import in_digits, mean_known, write_study
 
 log = logging.getLogger(__name__)
 N_VEHICLES = 256
@@ -130,8 +129,6 @@ def _run(folder: Path, known: dict[str, dict[str, float]]) -> dict[str, Any]:
 def flattened(config: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
     """Return a nested mapping flattened to dotted keys.
 
-    Examples
-    --------
     >>> flattened({"model": {"C": 1.0, "callback": None}, "seed": 0})
     {'model.C': 1.0, 'model.callback': None, 'seed': 0}
     """
@@ -156,17 +153,12 @@ def changes(config: Mapping[str, Any], baseline: Mapping[str, Any]) -> dict[str,
 
 
 def ablation_records(runs: Sequence[Mapping[str, Any]]) -> list[Record]:
-    """Return one record for each output of each run.
+    """Return one record for each output of each run: bounds, errors and what they were before.
 
-    `runs` are the metrics.json of each run with two more keys: `config`, its resolved
-    configuration, and `features_ratio`, {output: rms bound of its features over that of its
-    curves}.
-
-    A record has the keys protocol, group, ablation, change, output, rms_ratio (rms error over the
-    bound of the curves), to_baseline (rms_ratio over the baseline's), features_ratio, mape_percent,
-    bound (the MAPE at the bound), lost_percent (test curves that lack a feature), n_train, snr_db,
-    seed, seconds. The baseline comes first in its group, then settings in a fixed order; without a
-    baseline of the same protocol, group and seed, `change` and `to_baseline` are None.
+    `runs` are the metrics.json of each run with `config`, its resolved configuration, and
+    `features_ratio`, {output: rms bound of its features over that of its curves}. The baseline
+    comes first in its group, then settings in a fixed order; without a baseline of the same
+    protocol, group and seed, `change` and `to_baseline` (rms_ratio over the baseline's) are None.
     """
     baselines = {_setting(run): run for run in runs if run["ablation"] == BASELINE}
     ordered = []

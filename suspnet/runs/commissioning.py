@@ -36,23 +36,11 @@ def commission_folder(
 ) -> tuple[HealthyTrips, Commissioned]:
     """Return the healthy trips of a folder and the vehicle that they show.
 
-    Parameters
-    ----------
-    generator : VerticalVehicle
-        The nominal vehicle; without parts it gets all but the air spring, without a distribution
-        the prior of its parts.
-    paths : sequence of ManifestFile, optional
-        Manifests of one suspension if the folder holds several; None is all.
-    n_first : int, optional
-        Use only this many trips, the first by mileage.
-
-    Raises
-    ------
-    FileNotFoundError, TripError
-        If the folder does not hold at least three healthy trips of one suspension of the vehicle
-        and its bogie.
-    ValueError
-        If the generator cannot be commissioned.
+    `generator` is the nominal vehicle; without parts it gets all but the air spring, without a
+    distribution the prior of its parts. `paths` are the manifests of one suspension if the folder
+    holds several; only the `n_first` trips by mileage are used. Raises FileNotFoundError or
+    TripError if the folder does not hold at least three healthy trips of one suspension of the
+    vehicle and its bogie, ValueError if the generator cannot be commissioned.
     """
     generator = check_generator(generator)
     settings = settings.bound(generator.vehicle)
@@ -103,12 +91,12 @@ def _prior(generator: VerticalVehicle, found: HealthyTrips) -> VerticalVehicle:
 def _lateral_m(given: Sequence[float], found: HealthyTrips) -> tuple[float, float, float]:
     """Return each channel's lateral position: 0 for a pair, else as given, else by its side."""
     manifest = found.manifests[0]
-    places = []
-    for lateral_m, is_pair, channel in zip(
-        given, found.paired, manifest.channels.values(), strict=True
-    ):
-        places.append(0.0 if is_pair else lateral_m or _place_m(manifest, channel))
-    return places[0], places[1], places[2]
+    channels = zip(given, found.paired, manifest.channels.values(), strict=True)
+    box, frame, body = (
+        0.0 if is_pair else lateral_m or _place_m(manifest, channel)
+        for lateral_m, is_pair, channel in channels
+    )
+    return box, frame, body
 
 
 def _place_m(manifest: TripManifest, channel: Channel | Pair) -> float:

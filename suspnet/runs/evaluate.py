@@ -1,7 +1,9 @@
-"""Evaluate: score the model of a run folder on freshly generated curves."""
+"""What `evaluate.py` does: score a model on fresh curves; plan a fleet from its history."""
 
 from __future__ import annotations
 
+import logging
+from collections import Counter
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -11,6 +13,14 @@ from suspnet.estimation.problem import TEST, Problem
 from suspnet.estimation.protocols import Protocol, Task
 from suspnet.ground.progress import stage
 from suspnet.ground.storage import write_json
+from suspnet.history import History
+from suspnet.maintenance.fleet import fleet_state
+from suspnet.maintenance.fleet_plan import Planner
+from suspnet.maintenance.state import State
+from suspnet.report.board import BoardSettings
+from suspnet.report.calendar_figure import plan_calendar
+from suspnet.report.output import write_fleet
+from suspnet.report.overview import fleet_view, overview_table
 from suspnet.report.tensorboard import RunLog
 from suspnet.runs.predict import predict_stream
 from suspnet.runs.scores import (
@@ -21,6 +31,8 @@ from suspnet.runs.scores import (
     report,
     scores,
 )
+
+log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -59,11 +71,7 @@ class FreshCurves:
 def evaluate(
     folder: Path, output: Path, fresh: FreshCurves, *, device: str = "cpu", figures: bool = True
 ) -> Metrics:
-    """Score the model in `folder` on fresh curves; write metrics and figures to `output`.
-
-    FileNotFoundError or ModelFileError if the model is missing or damaged; ValueError if the curves
-    do not fit it, see `FreshCurves.problem`.
-    """
+    """Score the model in `folder` on fresh curves; write metrics and figures to `output`."""
     model = load_model(folder, device)
     problem = fresh.problem(model, folder)
     stage(f"test of {folder}")
@@ -109,3 +117,41 @@ def fitting_task(trained: Task, protocol: Protocol) -> Task:
         f"a model of protocol {trained.protocol!r}, group {trained.group!r} needs the features "
         f"{trained.inputs} and estimates {trained.outputs}; protocol {protocol.name!r} does not fit"
     )
+
+
+def write_maintenance(store: str | None, folder: Path, settings: BoardSettings) -> list[State]:
+    """Write overview, plan and calendar of all suspensions of a history, and store their alarms.
+
+    Returns the states, the worst first. HistoryError if the store cannot be used; ValueError if it
+    is empty.
+    """
+    if not store:
+        raise ValueError("which history? Give store=FILE, or store=postgresql://...")
+    if "://" not in store and not Path(store).is_file():
+        raise ValueError(f"{store}: there is no such store; evaluate.py trips=DIR store= makes one")
+    with History(store) as history:
+        fleet = history.series()
+        if not fleet:
+            raise ValueError(f"{store}: no trip is stored here yet")
+        own = {one.vehicle: settings.limits_of(one.vehicle) for one in fleet}
+        states = fleet_state(fleet, own, settings.changes, settings.sisters, settings.seed)
+        history.keep_all_alarms({state.key: state.watched.alarms for state in states})
+        acknowledged = history.all_acknowledgements()
+    planned = Planner(settings.plan).plan(states, settings.day())
+    view = fleet_view(states, own, acknowledged, planned)
+    write_fleet(view, planned, plan_calendar(planned), folder)
+    counts = Counter(str(state.severity) for state in states)
+    write_json(
+        folder / "metrics.json",
+        {
+            "severities": counts,
+            "n_visits": len(planned.visits),
+            "n_jobs": sum(len(visit.jobs) for visit in planned.visits),
+            "n_waiting": len(planned.waiting),
+            "n_unknown": len(planned.unknown),
+            "objective": planned.objective,
+            "gap": planned.gap,
+        },
+    )
+    log.info("%s\n\n%s\n-> %s", overview_table(view.rows), planned, folder)
+    return states

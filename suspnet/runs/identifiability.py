@@ -27,11 +27,12 @@ from suspnet.estimation.identifiability import (
 from suspnet.estimation.information import scale_ambiguity_bound
 from suspnet.estimation.problem import TEST
 from suspnet.estimation.protocols import Protocol, Task
-from suspnet.ground.checks import check_number
+from suspnet.ground.parameters import PAYLOAD
+from suspnet.ground.settings import check_number
 from suspnet.report.figures import SYMBOLS
 from suspnet.runs.findings import Findings, group_markdown, plain, records
 from suspnet.runs.plots import OUR_COLOUR
-from suspnet.runs.study_files import write_study
+from suspnet.runs.tables import write_study
 from suspnet.spectra.curves import CurveSettings
 from suspnet.spectra.observation import Observation
 
@@ -50,10 +51,9 @@ def write_identifiability(
 ) -> dict[str, Any]:
     """Write identifiability.md, .csv, .json and .png and print the tables.
 
-    `group`: one group of the protocol, None is every group; `n_vehicles`: vehicles drawn from the
-    protocol's range with `seed`. Returns the content of the JSON file, in which null means "cannot
-    be identified". TypeError or ValueError for an unknown group, or a number of vehicles or seed
-    that is not a whole number.
+    `group`: one group of the protocol, None is every group; `n_vehicles` are drawn from the
+    protocol's range. Returns the content of the JSON file, in which null means "cannot be
+    identified".
     """
     check_number("n_vehicles", n_vehicles, low=1, most=10_000_000, whole=True)
     check_number("seed", seed, low=0, whole=True)
@@ -90,7 +90,7 @@ def identify(
     now = next((option for option in choices if option.kind == "estimate"), choices[0])
     guess = None
     curves = settings.kind == CurveSettings.kind and task.sampling == "grid"
-    if curves and task.responses == ("G_s",) and "M_s" in task.unknown:
+    if curves and task.responses == ("G_s",) and PAYLOAD in task.unknown:
         guess = scale_ambiguity_bound(task, ratios[1:])["k_s"]["mape_percent"]
     return Findings(
         vehicle=generator.vehicle,
@@ -116,7 +116,7 @@ def _setting(
 
 def _range(task: Task) -> str:
     low, high = (f"{100 * end:g}" for end in task.range("k_p"))
-    mass_low, mass_high = (f"{100 * end:g}" for end in task.range("M_s"))
+    mass_low, mass_high = (f"{100 * end:g}" for end in task.range(PAYLOAD))
     if (low, high) == (mass_low, mass_high):
         return f"{low} to {high} %"
     return f"{low} to {high} %, mass {mass_low} to {mass_high} %"

@@ -16,7 +16,7 @@ from suspnet.dynamics import ResponseGenerator
 from suspnet.ground.parameters import PARAMETERS
 from suspnet.ground.types import FloatArray
 from suspnet.report.figures import SUSPENSIONS, SYMBOLS
-from suspnet.runs.table6 import MODEL_TITLES, table6_caption
+from suspnet.runs.tables import MODEL_TITLES, table6_caption
 
 PRECISION_TICKS = (0.2, 0.5, 1, 2, 5)
 PAPER_COLOUR, OUR_COLOUR, BOUND_COLOUR = "0.75", "tab:blue", "black"

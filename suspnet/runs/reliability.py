@@ -26,19 +26,18 @@ from suspnet.estimation.checkpoint import load_model
 from suspnet.estimation.estimate import KINDS
 from suspnet.estimation.from_curves import estimate_curves
 from suspnet.estimation.problem import BLOCK, TEST, Problem
-from suspnet.estimation.protocols import MASS, Task
+from suspnet.estimation.protocols import PAYLOAD_COLUMN, Task
 from suspnet.estimation.trained import TrainedModel
-from suspnet.ground.checks import check_number
 from suspnet.ground.progress import bar as progress_bar
+from suspnet.ground.settings import check_number
 from suspnet.ground.types import BoolArray, FloatArray
-from suspnet.learning.metrics import covers, interval_scores
+from suspnet.learning.search import covers, interval_scores
 from suspnet.report.figures import SYMBOLS
 from suspnet.runs.evaluate import FreshCurves, find_runs
 from suspnet.runs.plots import BOUND_COLOUR, OUR_COLOUR
 from suspnet.runs.predict import Outcome, predict_stream
 from suspnet.runs.scores import LEVEL, label
-from suspnet.runs.study_files import write_study
-from suspnet.runs.table6 import MODEL_TITLES
+from suspnet.runs.tables import MODEL_TITLES, write_study
 from suspnet.spectra.observation import MOST_CURVES
 
 log = logging.getLogger(__name__)
@@ -67,9 +66,6 @@ def write_reliability(
 
     `others`: vehicles of another type than the model's, by name; `n_test`: curves like the training
     curves; `n_odd`: curves in each set unlike them; `seed` must differ from that of each run.
-
-    FileNotFoundError or ModelFileError if a model is missing or damaged; TypeError or ValueError if
-    it was not calibrated, the seed is its own, or `n_odd` is not a number of curves.
     """
     check_number("n_odd", n_odd, low=1, most=MOST_CURVES, whole=True)
     found = []
@@ -103,7 +99,7 @@ def measure(
     n_all = len(sets) * n_odd
     with progress_bar("curves out of range", n_all, unit="curve", shown=problem.progress) as bar:
         for name, (ratios, curves) in sets.items():
-            known = ratios[:, MASS] if problem.task.mass_known else None
+            known = ratios[:, PAYLOAD_COLUMN] if problem.task.mass_known else None
             found = []
             for start in range(0, n_odd, BLOCK):
                 rows = slice(start, start + BLOCK)

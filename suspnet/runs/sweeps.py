@@ -13,17 +13,16 @@ from omegaconf import DictConfig
 from tabulate import tabulate
 
 from suspnet.ground.storage import read_json, write_atomically, write_json
-from suspnet.report.tensorboard import RunLog
 from suspnet.runs import plots
 from suspnet.runs.ablation import write_ablation
-from suspnet.runs.study_files import write_study
-from suspnet.runs.table6 import (
+from suspnet.runs.tables import (
     records_csv,
     sensitivity_markdown,
     sensitivity_records,
     table6_caption,
     table6_markdown,
     table6_records,
+    write_study,
 )
 
 log = logging.getLogger(__name__)
@@ -149,12 +148,9 @@ class Sensitivity(_Summary):
     def summarise(self, runs: Sequence[Run], folder: Path) -> None:
         """Write sensitivity.json, .csv, .md and .png and print the table."""
         records = sensitivity_records(runs)
-        write_json(folder / "sensitivity.json", records)
-        write_atomically(folder / "sensitivity.csv", records_csv(records))
-        with RunLog(folder) as run_log:
-            run_log.figure("sensitivity", plots.sensitivity(runs), folder)
         table = sensitivity_markdown(records)
-        write_atomically(folder / "sensitivity.md", f"{table}\n")
+        figures = {"sensitivity": plots.sensitivity(runs)}
+        write_study(folder, "sensitivity", f"{table}\n", records, records, figures)
         log.info("MAPE against sensor precision\n\n%s\n-> %s/sensitivity.*", table, folder)
 
 

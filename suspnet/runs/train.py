@@ -22,18 +22,17 @@ import torch
 from tabulate import tabulate
 
 from suspnet.estimation.checkpoint import save_model
-from suspnet.estimation.physics import Residual
+from suspnet.estimation.flags import Residual
 from suspnet.estimation.problem import TEST, Problem
 from suspnet.estimation.trained import TrainedModel
-from suspnet.ground.checks import check_number
 from suspnet.ground.progress import stage
+from suspnet.ground.settings import check_number
 from suspnet.ground.storage import write_json
 from suspnet.learning import ranks
 from suspnet.learning.search import GridSearch, SearchResult
 from suspnet.report.tensorboard import RunLog
-from suspnet.runs.calibrate import calibrated, with_unexplained
 from suspnet.runs.fit import fit, method_name, tune
-from suspnet.runs.predict import Outcome, predict_stream
+from suspnet.runs.predict import Outcome, calibrated, predict_stream, with_unexplained
 from suspnet.runs.scores import (
     Metrics,
     draw_run,
@@ -43,7 +42,7 @@ from suspnet.runs.scores import (
     rms_percent,
     scores,
 )
-from suspnet.spectra.speeds import SpeedRange
+from suspnet.spectra.segments import SpeedRange
 
 log = logging.getLogger(__name__)
 PACKAGES = ("suspnet", "torch", "numpy", "scipy", "scikit-learn", "hydra-core", "tensorboard")
@@ -53,18 +52,11 @@ PACKAGES = ("suspnet", "torch", "numpy", "scipy", "scikit-learn", "hydra-core", 
 class RunContext:
     """What the calling program adds to the records and figures of a run.
 
-    Attributes
-    ----------
-    config : mapping
-        The resolved configuration; its `ablation_name` goes into metrics.json.
-    varied : mapping or None
-        What a multirun varies, by configuration key: TensorBoard's first columns.
-    draw_vehicle : bool
-        Whether to draw figures of the vehicle; once is enough in a multirun.
-    notes : mapping
-        Further entries of the model's `training`, such as the healthy trips as "commissioned".
-    residual : Residual or None
-        The unexplained part of a commissioned vehicle's healthy trips.
+    `config` is the resolved configuration; its `ablation_name` goes into metrics.json. `varied` is
+    what a multirun varies, by configuration key: TensorBoard's first columns. `draw_vehicle`: once
+    is enough in a multirun. `notes` are further entries of the model's `training`, such as the
+    healthy trips as "commissioned"; `residual` is the unexplained part of a commissioned vehicle's
+    healthy trips.
     """
 
     config: Mapping[str, Any] = field(default_factory=dict)
@@ -213,11 +205,9 @@ def environment() -> dict[str, Any]:
 
 
 def speed_ranges(speeds: Sequence[Any], half_width: float) -> list[SpeedRange]:
-    """Return the fewest bins that cover a range of speeds, equal in logarithm, edge to edge.
+    """Return the fewest bins, equal in logarithm, from the lowest to the highest speed [m/s].
 
-    `speeds`: lowest and highest, [m/s]; `half_width`: largest half width of a bin relative to its
-    middle. TypeError or ValueError unless the speeds are two ascending ones and the half width is
-    between 0 and 1.
+    `half_width` is the largest half width of a bin relative to its middle, between 0 and 1.
     """
     if len(speeds) != 2:
         raise ValueError(
@@ -237,11 +227,9 @@ def speed_ranges(speeds: Sequence[Any], half_width: float) -> list[SpeedRange]:
 def train_ranges(
     ranges: Sequence[SpeedRange], train_one: Callable[[SpeedRange, Path], Metrics], folder: Path
 ) -> None:
-    """Train a model for each range of speeds in its own folder, and compare them.
+    """Train a model for each range of speeds in its own folder, and compare them in speeds.json.
 
-    Writes speeds.json: for each range its folder, ends and middle [m/s], and metrics.json's scores.
-    `train_one` trains the model of a range into a folder and returns the content of metrics.json,
-    or {} in a process that does not write or test.
+    `train_one` returns the content of metrics.json, or {} in a process that does not write or test.
     """
     rows: list[dict[str, Any]] = []
     for one in ranges:

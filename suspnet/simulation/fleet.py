@@ -1,19 +1,20 @@
-"""Settings of simulated fleets: their trips, the wear that these follow, and their trains."""
+"""Simulated fleets: trips, the wear that these follow, trains, and true numbers of vehicles."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime, timedelta
 from typing import Annotated, Any, Literal
 
 import numpy as np
+import torch
 
-from suspnet.dynamics import PARAMETERS
-from suspnet.dynamics.track_spectra import track_spectrum
-from suspnet.ground.checks import check_number
+from suspnet.dynamics import PARAMETERS, QuarterCar, VerticalVehicle
+from suspnet.dynamics.quantities import QUANTITIES, UNMEASURED, LogNormal
+from suspnet.dynamics.track import track_spectrum
 from suspnet.ground.records import Place
-from suspnet.ground.settings import Setting, check_settings, setting
+from suspnet.ground.settings import Setting, check_number, check_settings, setting
 from suspnet.ground.types import FloatArray
 from suspnet.recordings.manifest import CHANNELS
 from suspnet.simulation.signals import Journey, Sensor, service_journey, steady_journey
@@ -22,6 +23,11 @@ FIRST_DAY = datetime(2015, 8, 3, 6, tzinfo=UTC)
 """Start of the first trip of the first train, a whole multiple of 20 minutes since 1970."""
 HEADWAY = timedelta(minutes=20)
 """Time from the start of a train to that of the next one."""
+MAX_DRAWS = 100
+"""Largest number of draws in the search for a physical vehicle."""
+STREAM = b"scatter"
+"""Part of the seed that makes these draws independent of those of trips and payload."""
+HEALTHY = tuple(f"healthy_{name}" for name in PARAMETERS[:4])
 
 
 @dataclass(frozen=True)
@@ -155,10 +161,9 @@ BOGIES: tuple[Bogie, ...] = ("leading", "trailing")
 
 @dataclass(frozen=True)
 class Aboard:
-    """Place of a suspension on a train, with the start and the seed that the train's trips share.
+    """Place of a suspension on a train, with the start of the train's first trip and its seed.
 
-    `first_start` is the start of the train's first trip; `seed` determines track and speed of each
-    of its trips.
+    The seed determines track and speed of each of its trips.
     """
 
     train: str
@@ -179,24 +184,39 @@ class Aboard:
 
 @dataclass(frozen=True)
 class Trains:
-    """Trains of `n_cars` cars, each with a suspension at its leading and at its trailing bogie.
+    """The suspensions of several trains; those that do not wear stay healthy."""
 
-    `n_wearing` suspensions follow the scenario (None: all); the others stay healthy.
-    """
-
-    n_trains: int = 1
-    n_cars: int = 1
-    n_wearing: int | None = None
+    trains: int = setting(
+        1,
+        "Number of trains of a fleet, each of whose suspensions has a subfolder of `out`, a "
+        "vehicle of its own and starts, mileage, track and speed of its train; null is one "
+        "suspension alone, in `out`",
+        low=1,
+        most=1000,
+        rule="whole number; 1 to 1000; or null",
+    )
+    cars: int | None = setting(
+        None,
+        "Number of cars of each train, with a suspension at the leading and one at the trailing "
+        "bogie; null is 1",
+        low=1,
+        most=100,
+    )
+    n_wearing: int | None = setting(
+        None,
+        "Number of suspensions of the fleet that follow the scenario, drawn by the seed, while "
+        "nothing of the others wears; null is all",
+        low=0,
+    )
 
     def __post_init__(self) -> None:
-        check_number("trains", self.n_trains, low=1, most=1000, whole=True)
-        check_number("cars", self.n_cars, low=1, most=100, whole=True)
-        check_number("n_wearing", self.n_wearing, low=0, most=self.n_all, whole=True, optional=True)
+        check_settings(self)
+        check_number("n_wearing", self.n_wearing, most=self.n_all, whole=True, optional=True)
 
     @property
     def n_all(self) -> int:
         """Number of suspensions of all trains."""
-        return self.n_trains * self.n_cars * len(BOGIES)
+        return self.trains * (self.cars or 1) * len(BOGIES)
 
     def suspensions(self, seed: int) -> list[Suspension]:
         """Return every suspension; its own seed depends only on its place and on `seed`.
@@ -204,10 +224,10 @@ class Trains:
         The suspensions that wear are drawn at random.
         """
         drawn: list[tuple[Aboard, int, int]] = []
-        for train in range(1, self.n_trains + 1):
+        for train in range(1, self.trains + 1):
             shared = _seeds(seed, train)[0]
             first_start = FIRST_DAY + HEADWAY * (train - 1)
-            for car in range(1, self.n_cars + 1):
+            for car in range(1, (self.cars or 1) + 1):
                 for i, bogie in enumerate(BOGIES):
                     aboard = Aboard(str(train), str(car), bogie, first_start, shared)
                     drawn.append((aboard, *_seeds(seed, train, car, i + 1)))
@@ -240,3 +260,73 @@ def _seeds(seed: int, *place: int) -> tuple[int, int]:
     """
     first, second = np.random.SeedSequence([seed, *b"trains", *place]).generate_state(2)
     return int(first), int(second)
+
+
+def scattered(generator: Any, scatter: float, seed: int) -> Any:
+    """Return a generator whose nominal vehicle has randomly drawn true numbers.
+
+    They are drawn from ``LogNormal.prior`` of its parts, deviations multiplied by `scatter` (0 to
+    5), until ``Vehicle`` accepts them and its motion decays. Of a quarter car the springs and
+    dampers are drawn, the masses are not. ValueError if none of ``MAX_DRAWS`` vehicles is physical.
+    """
+    check_number("scatter", scatter, low=0, high=5)
+    if scatter == 0:
+        return generator
+    if not isinstance(generator, QuarterCar | VerticalVehicle):
+        raise TypeError(f"`scatter` needs a generator of suspnet, got {type(generator).__name__}")
+    prior = LogNormal.prior(getattr(generator, "parts", ()))
+    rng = np.random.default_rng([seed, *STREAM])
+    for _ in range(MAX_DRAWS):
+        steps = scatter * prior.deviations * rng.standard_normal(len(prior.names))
+        logs = np.maximum(np.array(prior.mean) + steps, np.where(prior.offsets > 0, 0.0, -np.inf))
+        drawn = _with_numbers(generator, prior.names, logs)
+        if drawn is not None and _decays(drawn):
+            return drawn
+    raise ValueError(
+        f"none of {MAX_DRAWS} vehicles drawn with `scatter`={scatter} is physical; lower it"
+    )
+
+
+def true_numbers(generator: Any) -> dict[str, dict[str, Any]]:
+    """Return value, unit and ratio to nominal of each true number of a generator's vehicle.
+
+    The ratios of a quarter car are 1, as its vehicle holds the true numbers itself.
+    """
+    if isinstance(generator, QuarterCar):
+        nominal, ratios = generator.vehicle.healthy_values()[:4], np.ones(4)
+        names: tuple[str, ...] = HEALTHY
+    else:
+        names, nominal = UNMEASURED, generator.nominal_values()[len(PARAMETERS) :]
+        given = generator.distribution or LogNormal((), (), ())
+        medians = dict(zip(given.names, given.median, strict=True))
+        ratios = np.array([medians.get(name, 1.0) for name in names])
+    parts = getattr(generator, "parts", ())
+    known = {q.name: q for q in QUANTITIES if q.part in parts or (q.unit and not q.part)}
+    return {
+        name: {"value": value * float(ratio), "unit": known[name].unit, "ratio": float(ratio)}
+        for name, value, ratio in zip(names, nominal, ratios, strict=True)
+        if name in known and name != "speed"
+    }
+
+
+def _with_numbers(
+    generator: QuarterCar | VerticalVehicle, names: tuple[str, ...], logs: FloatArray
+) -> QuarterCar | VerticalVehicle | None:
+    """Return the generator with its numbers multiplied; None if ``Vehicle`` rejects them."""
+    certain = LogNormal(names, tuple(logs), ((0.0,) * len(names),) * len(names))
+    ratios = dict(zip(names, certain.median.tolist(), strict=True))
+    try:
+        vehicle = generator.vehicle.degraded(
+            **{name: ratios[healthy] for name, healthy in zip(PARAMETERS, HEALTHY, strict=False)}
+        )
+    except ValueError:
+        return None
+    if isinstance(generator, QuarterCar):
+        return replace(generator, vehicle=vehicle)
+    # Responses to five columns of ratios use the median of the distribution, here the true numbers.
+    return replace(generator, distribution=certain)
+
+
+def _decays(generator: QuarterCar | VerticalVehicle) -> bool:
+    a, *_ = generator.motion_system(torch.ones(len(PARAMETERS))).state_space()
+    return bool(np.linalg.eigvals(a).real.max() < 0)

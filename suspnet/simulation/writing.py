@@ -24,17 +24,24 @@ from scipy.signal import resample_poly
 from suspnet._version import __version__
 from suspnet.dynamics import PARAMETERS, Vehicle, VerticalVehicle
 from suspnet.dynamics.motion import LinearSystem
-from suspnet.dynamics.track import TrackProfile, make_profile
-from suspnet.dynamics.track_spectra import cross_level_spectrum, track_spectrum
+from suspnet.dynamics.track import TrackProfile, cross_level_spectrum, make_profile, track_spectrum
 from suspnet.ground.progress import bar as progress_bar
 from suspnet.ground.storage import content_hash, write_atomically, write_json
 from suspnet.ground.types import FloatArray
 from suspnet.ground.workers import LostWorkerError, each
 from suspnet.recordings.manifest import CHANNELS, SIDES, Channel, Pair, SpeedSource, TripManifest
 from suspnet.recordings.manifest_files import write_manifest
-from suspnet.simulation.fleet import FIRST_DAY, Aboard, Fleet, Scenario, Suspension, Trains
+from suspnet.simulation.fleet import (
+    FIRST_DAY,
+    Aboard,
+    Fleet,
+    Scenario,
+    Suspension,
+    Trains,
+    scattered,
+    true_numbers,
+)
 from suspnet.simulation.folders import TRUTH, is_finished, is_whole, own_folder, unfinished
-from suspnet.simulation.scatter import scattered, true_numbers
 from suspnet.simulation.signals import Journey, profile_length_m, simulate_trip
 
 ROW_GROUP = 1 << 20
@@ -104,14 +111,12 @@ def write_fleet(
 ) -> list[Path]:
     """Simulate trips, write each as a manifest and Parquet files, and return the manifests.
 
-    The true numbers of the healthy vehicle are stored in ``truth.json``. Until all trips are
-    written, ``unfinished.json`` identifies the simulation, so that the same one can continue with
-    the missing trips. If another simulation is writing to the folder, folder_2 (and so on) is used.
-    `aboard` is None for a suspension without a train; `n_jobs` is the number of parallel trips.
-
-    Raises ValueError if no physical vehicle can be drawn, if both sides are required of a vehicle
-    without roll, or if the folder holds other trips; LostWorkerError if a writing process was
-    killed.
+    The true numbers of the healthy vehicle are stored in ``truth.json``. An unfinished simulation
+    continues with the missing trips; if another one is writing to the folder, folder_2 (and so on)
+    is used. `aboard` is None for a suspension without a train; `n_jobs` trips are simulated in
+    parallel. Raises ValueError if no physical vehicle can be drawn, if both sides are required of a
+    vehicle without roll, or if the folder holds other trips; LostWorkerError if a writing process
+    was killed.
     """
     fleet, scenario, seed = simulation.fleet, simulation.scenario, simulation.seed
     made_from = simulation.made_from(aboard)
@@ -152,13 +157,11 @@ def write_trains(
 ) -> list[Path]:
     """Simulate the trips of every suspension of some trains, and return the suspensions' folders.
 
-    Each suspension has a subfolder, e.g. train_1_car_2_leading, written by `write_fleet`. Its own
-    vehicle, payload and noise depend only on the seed and its place, so that adding a train changes
-    none of them. The suspensions of a train share start, mileage, track and speed of each trip.
-    ``truth.json`` in the folder itself lists those that wear: they follow the scenario; the others
-    have its payload and spread, but do not wear. A ``VerticalVehicle`` is measured at the bogie of
-    each suspension. `n_jobs` is the number of parallel suspensions. Interruptions and errors are
-    handled as in `write_fleet`.
+    Each has a subfolder, e.g. train_1_car_2_leading, written by `write_fleet`. Its own vehicle,
+    payload and noise depend only on the seed and its place, so that adding a train changes none of
+    them; those of a train share start, mileage, track and speed of each trip. ``truth.json`` lists
+    those that wear; the others have the scenario's payload and spread only. A ``VerticalVehicle``
+    is measured at the bogie of each suspension.
     """
     suspensions = trains.suspensions(simulation.seed)
     made_from = simulation.made_from(trains)

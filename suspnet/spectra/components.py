@@ -42,18 +42,11 @@ FLOOR = 10.0
 class CurveBasis:
     """The basis that `CurveFeatures` learns from training curves.
 
-    Attributes
-    ----------
-    healthy : complex tensor of shape (2, n_freq), [-]
-        G_p and G_s of the healthy vehicle; real where the curves are magnitudes.
-    mean, noise : tensors of shape (4 n_freq,)
-        mu and s: log-magnitude and phase [rad] of G_p, then of G_s; (2 n_freq,) for magnitudes.
-    directions : tensor of shape (n_components, 4 n_freq)
-        B, with orthonormal rows; (n_components, 2 n_freq) for magnitudes.
-    explained : tensor of shape (n_components,)
-        Fraction of the noise-free variance along each direction.
-    floor : tensor of shape (2,), optional, [-]
-        a of each response; None where the curves have phases.
+    `healthy` (2, n_freq): G_p and G_s of the healthy vehicle, real where the curves are magnitudes;
+    `mean`, `noise` (4 n_freq,): mu and s, log-magnitude and phase [rad] of G_p, then of G_s;
+    `directions` (n_components, 4 n_freq): B, with orthonormal rows; both have 2 n_freq columns for
+    magnitudes; `explained` (n_components,): fraction of the noise-free variance along each
+    direction; `floor` (2,): a of each response, None where the curves have phases.
     """
 
     frequencies_hz: Tensor
@@ -119,13 +112,7 @@ class CurveFeatures:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Name of each feature.
-
-        Raises
-        ------
-        ValueError
-            If their number is unknown because the basis is not fitted.
-        """
+        """Name of each feature; ValueError if their number is unknown before the fit."""
         count = self.n_components if self.basis is None else len(self.basis.directions)
         if count is None:
             raise ValueError("the number of components is only known once they are fitted")
@@ -145,18 +132,9 @@ class CurveFeatures:
     ) -> CurveFeatures:
         """Return the feature set with a basis learnt from training curves.
 
-        Parameters
-        ----------
-        clean, noisy : tensors of shape (n_curves, 2, n_freq), [-]
-            The same curves without and with noise: complex, or real magnitudes.
-        healthy : tensor of shape (2, n_freq), [-]
-            Complex if the curves are.
-        frequencies_hz : tensor of shape (n_freq,), [Hz]
-
-        Raises
-        ------
-        ValueError
-            If the band has no bin, or there are fewer curves than components.
+        `clean`, `noisy` (n_curves, 2, n_freq) are the same curves without and with noise, `healthy`
+        (2, n_freq) those of the healthy vehicle: complex, or real magnitudes. ValueError if the
+        band has no bin, or there are fewer curves than components.
         """
         inside = self._inside(frequencies_hz)
         frequencies, healthy = frequencies_hz[inside], healthy[:, inside]
@@ -183,24 +161,11 @@ class CurveFeatures:
         return replace(self, basis=basis)
 
     def extract(self, responses: Tensor, frequencies_hz: Tensor) -> FeatureTable:
-        """Return the features of curves.
+        """Return the features of curves, NaN and reason 1 where a curve is not finite.
 
-        Parameters
-        ----------
-        responses : complex tensor of shape (n_curves, 2, n_freq), [-]
-            G_p and G_s, or their magnitudes if the basis was learnt from magnitudes.
-        frequencies_hz : tensor of shape (n_freq,), [Hz]
-            Bins that include those of the basis.
-
-        Returns
-        -------
-        FeatureTable
-            NaN and reason 1 where a curve is not finite.
-
-        Raises
-        ------
-        ValueError
-            If the basis is not fitted or on other bins, or needs phases and the curves have none.
+        `responses` (n_curves, 2, n_freq) are G_p and G_s, or magnitudes if the basis was learnt
+        from these; their bins include those of the basis. ValueError if the basis is not fitted or
+        on other bins, or needs phases and the curves have none.
         """
         basis = self._learnt()
         inside = self._inside(frequencies_hz)
@@ -244,13 +209,7 @@ class CurveFeatures:
         return {name: array.cpu().contiguous().numpy() for name, array in arrays.items()}
 
     def restored(self, arrays: Mapping[str, FloatArray]) -> CurveFeatures:
-        """Return the feature set with a stored basis.
-
-        Raises
-        ------
-        ValueError
-            If the arrays do not fit together.
-        """
+        """Return the feature set with a stored basis; ValueError if the arrays do not fit."""
         magnitudes = "floor" in arrays
         expected = {f.name for f in fields(CurveBasis)} - (set() if magnitudes else {"floor"})
         if set(arrays) != expected:

@@ -22,7 +22,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from suspnet.ground.checks import check_choice
+from suspnet.ground.settings import check_choice
 from suspnet.ground.types import FloatArray
 
 METHODS = ("H1", "H2", "Hv", "IV")
@@ -59,10 +59,7 @@ class CrossSpectra:
         return spectrum if x < y else spectrum.conj()
 
     def transfer(self, x: int, y: int, method: Method, instrument: int | None = None) -> Tensor:
-        """Return the response from channel x to y, complex, shape (..., n_freq).
-
-        Raises ValueError if the method is unknown, or IV has no instrument.
-        """
+        """Return the response from channel x to y, complex, (..., n_freq)."""
         check_choice("method", method, METHODS)
         if method == "Hv":
             cross = self.between(x, y)

@@ -19,15 +19,13 @@ from suspnet.dynamics import ResponseGenerator, Vehicle
 from suspnet.ground.settings import setting
 from suspnet.spectra.observation import (
     CACHE_FOLDER,
+    MOST_BINS,
     CacheFolder,
     Counts,
     Directions,
     Observer,
     directions,
 )
-
-MOST_BINS = 100_000
-"""Largest number of frequency bins of a curve; the paper has 1000."""
 
 
 @dataclass(frozen=True)

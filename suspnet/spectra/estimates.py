@@ -18,9 +18,8 @@ import torch
 from torch import Tensor
 
 from suspnet.dynamics import PARAMETERS, QuarterCar, ResponseGenerator, Vehicle
-from suspnet.dynamics.track_spectra import track_spectrum
+from suspnet.dynamics.track import track_spectrum
 from suspnet.ground.settings import setting
-from suspnet.ground.types import FloatArray
 from suspnet.spectra.cross_spectra import (
     CrossSpectra,
     Method,
@@ -28,9 +27,16 @@ from suspnet.spectra.cross_spectra import (
     sample_spectra,
 )
 from suspnet.spectra.curves import CurveSettings
-from suspnet.spectra.expected_spectra import EstimateMisfit, ExpectedSpectra, Responses
-from suspnet.spectra.observation import CACHE_FOLDER, CacheFolder, Counts, Directions, directions
-from suspnet.spectra.speeds import Speeds
+from suspnet.spectra.expected_spectra import EstimateMisfit, ExpectedSpectra, bridged, weak_bins
+from suspnet.spectra.observation import (
+    CACHE_FOLDER,
+    MOST_BINS,
+    CacheFolder,
+    Counts,
+    Directions,
+    directions,
+)
+from suspnet.spectra.segments import Speeds
 from suspnet.spectra.welch import Welch
 
 SPEED_HALF_WIDTH = 0.08
@@ -42,12 +48,6 @@ band and end of G_s (second mode). Between the last two the primary damper separ
 bushing and the axle guidance, but the body has structural modes there; the model has only one."""
 HIGHEST_HZ = 25.0
 """Highest default end of the band, [Hz]: a quarter of the default sampling rate of 100 Hz."""
-MOST_BINS = 100_000
-"""Largest number of frequency bins of a curve; a band up to 25 Hz has 500."""
-WEAK, WEAK_OF_ONE = 4.0, 0.5
-"""A bin is weak if the standard deviation of the healthy vehicle's log-response exceeds 4 times its
-median over the band, and 0.5 / sqrt(n_averages): the estimate is then a ratio of two nearly
-vanishing spectra, with heavy tails."""
 
 
 @dataclass(frozen=True)
@@ -208,10 +208,7 @@ class EstimateSettings(Counts):
     def frequencies_hz(self) -> Tensor:
         """Return the bins of the estimate, multiples of 1 / segment_s, shape (n_freq,), [Hz].
 
-        Raises
-        ------
-        ValueError
-            If an end of the band is still None: `bound` fills them in.
+        ValueError if an end of the band is still None: `bound` fills them in.
         """
         if self.low_hz is None or self.high_hz is None:
             raise ValueError("the band follows from the vehicle: call `bound` first")
@@ -258,7 +255,7 @@ class EstimateObserver:
             relative = None if ratios == (1.0,) else replace(speeds, m_per_s=ratios)
         self._is_nominal = relative is None
         self._correlating = moving_average_with(settings.welch.correlation().numpy())
-        self._mean = ExpectedSpectra(
+        self.mean = ExpectedSpectra(
             generator,
             settings.welch,
             self.frequencies_hz,
@@ -268,10 +265,7 @@ class EstimateObserver:
         )
 
     def at(self, speeds: Speeds) -> EstimateObserver:
-        """Return the observer of a trip at other speeds.
-
-        Noise densities and directions remain those of the nominal speed.
-        """
+        """Return the observer of a trip at other speeds, with the noise of the nominal one."""
         observer = EstimateObserver(self.settings, self.generator, speeds)
         if observer._is_nominal:
             return self._nominal
@@ -287,7 +281,8 @@ class EstimateObserver:
         """Noise density of each sensor, (3,), [(m/s^2)^2/Hz]."""
         if not self._is_nominal:
             return self._nominal._noise
-        return self.noise_densities(self._mean.gains, self.settings.rates_hz)
+        settings = self.settings
+        return self.mean.noise_densities(self.mean.gains, settings.rates_hz, settings.snr_db)
 
     @cached_property
     def _healthy(self) -> CrossSpectra:
@@ -301,12 +296,8 @@ class EstimateObserver:
         Near f = v / (2 wheelbase) the axles of a bogie move in antiphase: the bogie does not
         bounce, and the body is no useful instrument.
         """
-        covariance = self._healthy.covariance(self.settings.method)
-        deviations = covariance[0].diagonal().T.real.clamp(min=0).sqrt()
-        used = deviations.masked_fill(self.beyond, math.nan)
-        weak = deviations > WEAK * used.nanmedian(dim=1, keepdim=True).values
-        weak &= deviations * math.sqrt(self.settings.n_averages) > WEAK_OF_ONE
-        return weak & ~self.beyond
+        covariance = self._healthy.covariance(self.settings.method)[0]
+        return weak_bins(covariance, self.beyond, self.settings.n_averages)
 
     @cached_property
     def beyond(self) -> Tensor:
@@ -325,7 +316,7 @@ class EstimateObserver:
         method = self.settings.method
         relative = curves / self._healthy.responses(method).to(curves)
         relative = relative.masked_fill(self.beyond.to(curves.device), 1.0)
-        parts = [_bridged(relative[:, i], weak) for i, weak in enumerate(self.weak.to("cpu"))]
+        parts = [bridged(relative[:, i], weak) for i, weak in enumerate(self.weak.to("cpu"))]
         return torch.stack(parts, dim=1) * self._nominal._healthy.responses(method).to(curves)
 
     @cached_property
@@ -334,17 +325,11 @@ class EstimateObserver:
         return directions(self) if self._is_nominal else self._nominal.directions
 
     def noise_free(self, ratios: Tensor) -> Tensor:
-        """Return the limit of the estimates for infinitely long trips, (n_vehicles, 2, n_freq).
-
-        It includes leakage, and the bias of H1, H2 and Hv caused by sensor noise.
-        """
+        """Return the limit of estimates for long trips: with leakage, and bias by noise."""
         return self.expected(ratios).responses(self.settings.method)
 
     def observe(self, ratios: Tensor, seed: int) -> Tensor:
-        """Return estimates of G_p and G_s from one trip of each vehicle, (n_vehicles, 2, n_freq).
-
-        The generator's uncertain quantities are drawn as well.
-        """
+        """Return estimates from one trip of each vehicle, uncertain numbers drawn too."""
         unmeasured, noise = np.random.SeedSequence(seed).generate_state(2, np.uint64)
         rows = self.generator.sample_unmeasured(ratios, int(unmeasured >> np.uint64(1)))
         expected = self.expected(rows)
@@ -352,10 +337,7 @@ class EstimateObserver:
         return self._drawn(expected, source)
 
     def observe_again(self, spectra: CrossSpectra, n_draws: int, seed: int) -> Tensor:
-        """Return estimates of further trips with the same mean spectra, (n_draws, 2, n_freq).
-
-        `spectra` must lie on the observer's bins, shape (3, n_freq).
-        """
+        """Return `n_draws` estimates of trips with these mean spectra (3, n_freq)."""
         auto, cross = (part.expand(n_draws, -1, -1) for part in (spectra.auto, spectra.cross))
         source = torch.Generator(auto.device).manual_seed(seed)
         return self._drawn(CrossSpectra(auto, cross, spectra.n_averages), source)
@@ -364,10 +346,7 @@ class EstimateObserver:
         return sample_spectra(mean, self._correlating, source).responses(self.settings.method)
 
     def misfit(self, curves: Tensor, near: Tensor, used: Sequence[int] = (0, 1)) -> EstimateMisfit:
-        """Return the misfit of estimates (n, 2, n_freq), weighted as for the vehicles `near`.
-
-        Both responses are used, whatever `used` says.
-        """
+        """Return the misfit of estimates (n, 2, n_freq), both responses, weighted as for `near`."""
         covariance = self.without_unused(self.covariance(near.to(curves.device)))
         return EstimateMisfit(self, curves, covariance)
 
@@ -380,10 +359,7 @@ class EstimateObserver:
         )
 
     def without_unused(self, covariance: Tensor) -> Tensor:
-        """Return a covariance (n_vehicles, 2, 2, n_freq) with infinite variance in unused bins.
-
-        Unused are the bins `weak` and `beyond`; their cross-covariance is 0.
-        """
+        """Return a covariance, infinite in bins that are `weak` or `beyond`."""
         unused = (self.weak | self.beyond).to(covariance.device)
         covariance = covariance.masked_fill(unused[:, None] | unused[None], 0.0)
         return covariance.masked_fill(torch.diag_embed(unused.T).permute(1, 2, 0), math.inf)
@@ -392,35 +368,10 @@ class EstimateObserver:
         """Return the covariance of one trip's (log G_p, log G_s), (n_vehicles, 2, 2, n_freq)."""
         return self.expected(ratios).covariance(self.settings.method)
 
-    def track_density(self, frequencies_hz: FloatArray) -> FloatArray:
-        """Return the power density of the axle box's acceleration, (n_freq,), [(m/s^2)^2/Hz]."""
-        return self._mean.track_density(frequencies_hz)
-
-    def noise_densities(self, responses: Responses, rates_hz: Sequence[float]) -> Tensor:
-        """Return the noise density of each sensor, (n_sensors,), [(m/s^2)^2/Hz].
-
-        ``responses(ratios, frequencies_hz)`` gives those from the axle box, (1, n_sensors, n_freq).
-        """
-        return self._mean.noise_densities(responses, rates_hz, self.settings.snr_db)
-
     def expected(self, ratios: Tensor) -> CrossSpectra:
         """Return the mean of the estimated spectra of each vehicle, (n_vehicles, 3, n_freq)."""
-        auto, cross = self._mean(ratios)
+        auto, cross = self.mean(ratios)
         return CrossSpectra(auto + self._noise.to(auto)[:, None], cross, self.settings.n_averages)
-
-
-def _bridged(relative: Tensor, weak: Tensor) -> Tensor:
-    """Return rows (n, n_freq) with weak bins interpolated linearly, held constant at the ends."""
-    good = torch.nonzero(~weak)[:, 0]
-    if not bool(weak.any()) or not len(good):
-        return relative
-    bins = torch.arange(len(weak))
-    after = torch.searchsorted(good, bins).clamp(max=len(good) - 1)
-    right = good[after]
-    left = torch.where(right > bins, good[(after - 1).clamp(min=0)], right)
-    gap = (right - left).clamp(min=1)
-    share = ((bins - left) / gap).clamp(0, 1).to(relative.device)
-    return relative[:, left] + share * (relative[:, right] - relative[:, left])
 
 
 OBSERVATIONS: dict[str, Any] = {kind.kind: kind for kind in (CurveSettings, EstimateSettings)}

@@ -16,12 +16,12 @@ import torch
 from torch import Tensor
 
 from suspnet.dynamics import PARAMETERS, ResponseGenerator
-from suspnet.dynamics.track_spectra import TrackSpectrum, acceleration_density
+from suspnet.dynamics.track import TrackSpectrum, acceleration_density
 from suspnet.ground.tensors import complex_log, squared_size
 from suspnet.ground.types import FloatArray
 from suspnet.spectra.cross_spectra import PAIRS
 from suspnet.spectra.observation import Observer
-from suspnet.spectra.speeds import Speeds
+from suspnet.spectra.segments import Speeds
 from suspnet.spectra.welch import Welch
 
 Responses = Callable[[Tensor, Tensor], Tensor]
@@ -29,6 +29,10 @@ SPEED = len(PARAMETERS)
 """Column of the relative speed in ratios that include it."""
 WIDE_BAND_LOW_HZ, WIDE_BAND_POINTS = 0.1, 4000
 """Lowest frequency [Hz] and number of points of the integral that gives a channel's rms."""
+WEAK, WEAK_OF_ONE = 4.0, 0.5
+"""A bin is weak if the standard deviation of the healthy vehicle's log-response exceeds 4 times its
+median over the band, and 0.5 / sqrt(n_averages): the estimate is then a ratio of two nearly
+vanishing spectra, with heavy tails."""
 
 
 class ExpectedSpectra:
@@ -174,3 +178,29 @@ class EstimateMisfit:
     def _correlated(self) -> float:
         correlated: float = self.observer.settings.welch.correlated_bins
         return correlated
+
+
+def weak_bins(covariance: Tensor, beyond: Tensor, n_averages: float) -> Tensor:
+    """Return which bins are weak (see `WEAK`), bool (2, n_freq), from a log-response's covariance.
+
+    `covariance`: (2, 2, n_freq) of the healthy vehicle; `beyond` (2, n_freq): bins not in use.
+    """
+    deviations = covariance.diagonal().T.real.clamp(min=0).sqrt()
+    used = deviations.masked_fill(beyond, math.nan)
+    weak = deviations > WEAK * used.nanmedian(dim=1, keepdim=True).values
+    weak &= deviations * math.sqrt(n_averages) > WEAK_OF_ONE
+    return weak & ~beyond
+
+
+def bridged(relative: Tensor, weak: Tensor) -> Tensor:
+    """Return rows (n, n_freq) with weak bins interpolated linearly, held constant at the ends."""
+    good = torch.nonzero(~weak)[:, 0]
+    if not bool(weak.any()) or not len(good):
+        return relative
+    bins = torch.arange(len(weak))
+    after = torch.searchsorted(good, bins).clamp(max=len(good) - 1)
+    right = good[after]
+    left = torch.where(right > bins, good[(after - 1).clamp(min=0)], right)
+    gap = (right - left).clamp(min=1)
+    share = ((bins - left) / gap).clamp(0, 1).to(relative.device)
+    return relative[:, left] + share * (relative[:, right] - relative[:, left])

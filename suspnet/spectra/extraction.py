@@ -185,18 +185,9 @@ class PeakFeatures(FeatureSet):
         )
 
     def extract(self, curves: Tensor, frequencies_hz: Tensor) -> FeatureTable:
-        """Return the features of curves.
+        """Return the features of curves (n_curves, 2, n_freq), G_p and G_s or their magnitudes.
 
-        Parameters
-        ----------
-        curves : tensor of shape (n_curves, 2, n_freq), [-]
-            G_p and G_s, or their magnitudes.
-        frequencies_hz : tensor of shape (n_freq,), [Hz]
-
-        Raises
-        ------
-        ValueError
-            If shapes disagree or the frequencies are not ascending and evenly spaced.
+        ValueError if shapes disagree or the frequencies are not ascending and evenly spaced.
         """
         if curves.ndim != 3 or curves.shape[1:] != (2, len(frequencies_hz)):
             expected = f"(n_curves, 2, {len(frequencies_hz)})"

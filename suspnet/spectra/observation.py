@@ -24,12 +24,12 @@ import torch
 from torch import Tensor
 
 from suspnet.dynamics import PARAMETERS, ResponseGenerator, Vehicle
-from suspnet.ground.checks import check_number
-from suspnet.ground.settings import Setting, check_settings, setting
+from suspnet.ground.settings import Setting, check_number, check_settings, setting
 
 LEAST_CALIBRATION = 100
 """Smallest number of calibration curves; the coverage of a 90 % interval then scatters by 3 %."""
-
+MOST_BINS = 100_000
+"""Largest number of frequency bins of a curve; the paper has 1,000, a band up to 25 Hz 500."""
 MOST_CURVES = 100_000_000
 """Largest number of curves; their parameters alone then take 4 GB."""
 LEAST_EFFECT = 0.1
@@ -193,13 +193,9 @@ class Counts:
 class Directions:
     """A few standard normal coordinates that replace all the uncertain numbers.
 
-    Attributes
-    ----------
-    factor : tensor of shape (n_names, n), [-]
-        Change of the logarithms of the distribution's numbers for a coordinate of 1.
-    neglected, strongest : float, [-]
-        Rms effect of all neglected directions, and of the strongest direction, in standard
-        deviations of the noise.
+    `factor` (n_names, n) is the change of the logarithms of the distribution's numbers for a
+    coordinate of 1; `neglected` and `strongest` are the rms effect of all neglected directions, and
+    of the strongest direction, in standard deviations of the noise.
     """
 
     generator: ResponseGenerator

@@ -15,7 +15,7 @@ import torch
 from numpy.typing import ArrayLike
 from torch import Tensor
 
-from suspnet.ground.checks import check_choice, check_number
+from suspnet.ground.settings import check_choice, check_number
 from suspnet.ground.tensors import as_tensor
 
 CLIP_FRACTION = 0.3
@@ -200,13 +200,8 @@ class SmoothedCurves:
 
     The noise of a transformed point is that of abs(G) times 2 abs(G)^-3 (Lorentzian) or abs(G)^-1
     (Gaussian). Least squares weights it by the inverse square, with the smoothed curve for abs(G).
-
-    Attributes
-    ----------
-    finite : bool tensor of shape (n_curves,)
-        Curves that are not finite are replaced by ones.
-    smoothed, target, weight : tensors of shape (n_curves, n_freq)
-        Moving average, transformed curve to which a parabola is fitted, and weights of its points.
+    `finite` (n_curves,): others are replaced by ones; `smoothed`, `target`, `weight` (n_curves,
+    n_freq): moving average, transformed curve to which a parabola is fitted, its weights.
     """
 
     frequencies_hz: Tensor

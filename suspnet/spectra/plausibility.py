@@ -21,12 +21,11 @@ from suspnet.recordings.manifest import CHANNELS
 from suspnet.recordings.manifest_keys import TripError
 from suspnet.recordings.speed import LARGEST_SPEED_M_PER_S
 from suspnet.spectra.cross_spectra import CrossSpectra
+from suspnet.spectra.estimates import LOWEST_MODE
 from suspnet.spectra.welch import SegmentSpectra
 
 SLOW = (0.2, 0.4)
 """Band in which the gain is checked, in multiples of the first natural frequency."""
-LOWEST_MODE = 0.45
-"""The order of the channels is checked above this multiple of the first natural frequency."""
 GAIN_TOLERANCE = 2.0
 """Largest plausible factor between a gain and the healthy vehicle's, for any suspension."""
 GRAVITY = 9.80665
@@ -78,25 +77,16 @@ def check_channels(
 ) -> str:
     """Raise TripError where a channel has the wrong unit or sign, or two channels are swapped.
 
-    Parameters
-    ----------
-    spectra : CrossSpectra
-        Of axle box, bogie and body, on a trip at the generator's speed.
-    generator : ResponseGenerator
-        Gives the expected gains of the healthy vehicle.
-    doubtful : bool
-        The generator knows neither the vehicle's true parameters nor the roll that single sensors
-        measure: another order or speed is an error only by a larger margin, and else a doubt.
-
-    Returns
-    -------
-    str
-        The doubts and checks that were not possible; empty if there are none.
+    `spectra` are those of axle box, bogie and body at the speed of `generator`, which gives the
+    expected gains. `doubtful`: the generator knows neither the vehicle's true parameters nor the
+    roll that single sensors measure; another order or speed is then an error only by a larger
+    margin, and else a doubt. Returns the doubts and checks that were not possible; empty if there
+    are none.
     """
     modes, _ = QuarterCar(vehicle).natural_modes()
     healthy = torch.ones(1, len(PARAMETERS), dtype=torch.float64)
     expected = torch.stack(generator.responses(healthy, frequencies_hz), dim=1)[0].cpu()
-    # unrelated channels have no shape to compare
+    # the order is checked in the band of estimates; unrelated channels have no shape to compare
     band = frequencies_hz >= LOWEST_MODE * modes[0]
     if bool((spectra.at(band).coherences().mean(dim=1) < CHANCE / spectra.n_averages).any()):
         return "channels not checked: two of them are not coherent"
@@ -141,17 +131,9 @@ def check_pairs(
     At low frequency left and right move almost alike, as the mean of both rails is far larger than
     their difference. With average m and half difference h the left sensor is m + h, the right m -
     h. One error lists the problems of all pairs: a wrong sign, or a size ratio above
-    ``GAIN_TOLERANCE``.
-
-    Parameters
-    ----------
-    segments : SegmentSpectra
-        Of the three channels.
-    differences : SegmentSpectra
-        Half of left minus right for each pair, of the same segments.
-    chosen : bool tensor of shape (n_segments,)
-    paired : sequence of 3 bool
-        Which channels are pairs.
+    ``GAIN_TOLERANCE``. `differences` are half of left minus right for each pair, of the same
+    segments as those of the three channels; `chosen`: (n_segments,); `paired` tells which channels
+    are pairs.
     """
     modes, _ = QuarterCar(vehicle).natural_modes()
     slow = (segments.frequencies_hz >= SLOW[0] * modes[0]) & (segments.frequencies_hz <= modes[0])

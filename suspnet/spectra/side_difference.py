@@ -67,18 +67,9 @@ D_DEVIATION, GAIN_DEVIATION = 0.5, 0.02
 class Bounce:
     """Parameters and measured motion of the mean of left and right, for one side of a bogie.
 
-    Attributes
-    ----------
-    k_p, k_s, bogie_mass : float
-        In SI units; the mass M_p is that over one side's springs.
-    kappas : complex array of shape (2, n_freq), [N/m]
-        kappa_p and kappa_s.
-    slopes : complex array of shape (4, n_freq), [N/m]
-        dkappa / dlog of ``SIDE_PARAMETERS``.
-    box, body : complex arrays of shape (n_freq,), [-]
-        w / v and y / v.
-    wheelsets : complex array of shape (n_freq,), [-]
-        P.
+    `k_p`, `k_s`, `bogie_mass` are in SI units, the mass M_p over one side's springs; `kappas` (2,
+    n_freq): kappa_p and kappa_s, and `slopes` (4, n_freq): dkappa / dlog of ``SIDE_PARAMETERS``,
+    [N/m]; `box`, `body`, `wheelsets` (n_freq,): w / v, y / v and P.
     """
 
     k_p: float
@@ -127,16 +118,9 @@ def side_difference(
 ) -> SideDifference:
     """Return how the left side differs from the right one, by the equations of this module.
 
-    Parameters
-    ----------
-    frequencies_hz : array of shape (n_freq,), [Hz]
-    values : complex array of shape (n_segments, 4, n_freq)
-        Spectra of v, w_d, u_f and u_b in each segment, in one unit.
-    bounce : Bounce
-    n_averages : float
-        Independent averages; ValueError unless more than 2.
-    correlated_bins : float
-        Number of neighbouring bins with the information of one.
+    `frequencies_hz`: (n_freq,); `values` (n_segments, 4, n_freq): spectra of v, w_d, u_f and u_b in
+    each segment, in one unit; `n_averages`: independent averages, ValueError unless more than 2;
+    `correlated_bins`: number of neighbouring bins with the information of one.
     """
     if not n_averages > 2:
         raise ValueError(f"`n_averages` must be > 2, got {n_averages:g}")

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from scipy.signal import get_window
 from torch import Tensor
 
-from suspnet.ground.checks import check_number
+from suspnet.ground.settings import check_number
 from suspnet.ground.types import FloatArray
 from suspnet.spectra.cross_spectra import PAIRS, CrossSpectra, Method
 
@@ -107,12 +107,8 @@ def _symmetric(power: FloatArray) -> Tensor:
 class SegmentSpectra:
     """Windowed Fourier transforms of a recording's segments, in a band.
 
-    Attributes
-    ----------
-    values : complex tensor of shape (n_segments, n_channels, n_freq)
-        Scaled such that the mean of abs(values)^2 is the one-sided power density.
-    first : int64 tensor of shape (n_segments,)
-        First sample of each segment.
+    `values` (n_segments, n_channels, n_freq) are scaled such that the mean of abs(values)^2 is the
+    one-sided power density; `first` (n_segments,) is the first sample of each segment.
     """
 
     frequencies_hz: Tensor
@@ -176,18 +172,11 @@ def segment_spectra(
 
 @dataclass(frozen=True)
 class TransferEstimate:
-    """A transfer function and its uncertainty.
+    """A transfer function and its uncertainty, each tensor of shape (n_freq,).
 
-    Attributes
-    ----------
-    frequencies_hz : tensor of shape (n_freq,), [Hz]
-    response : complex tensor of shape (n_freq,), [unit of y / unit of x]
-    coherence : tensor of shape (n_freq,), [-]
-        abs(S_xy)^2 / (S_xx S_yy).
-    deviation : tensor of shape (n_freq,), [-]
-        Standard deviation of the log-magnitude.
-    n_averages : float
-        Number of independent averages.
+    `response` is complex, [unit of y / unit of x]; `coherence` is abs(S_xy)^2 / (S_xx S_yy);
+    `deviation` the standard deviation of the log-magnitude; `n_averages` counts independent
+    averages.
     """
 
     frequencies_hz: Tensor

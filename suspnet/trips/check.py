@@ -15,10 +15,7 @@ from torch import Tensor
 
 from suspnet.dynamics import Vehicle, best_generator
 from suspnet.estimation.from_recording import Steady, TripSettings, steady
-from suspnet.estimation.steady_parts import (
-    groups_to_read,
-    readable_words,
-)
+from suspnet.estimation.steady_parts import groups_to_read, readable_words
 from suspnet.estimation.trained import TrainedModel
 from suspnet.ground.records import ERROR, OK
 from suspnet.recordings.formats import open_columns
@@ -28,23 +25,23 @@ from suspnet.recordings.manifest_keys import TripError, all_of
 from suspnet.recordings.recording import Recording, load_recording
 from suspnet.spectra.estimates import EstimateSettings
 from suspnet.spectra.plausibility import check_channels, check_pairs
-from suspnet.spectra.segments import (
-    difference_segments,
-    recording_segments,
-    segment_speeds,
-)
+from suspnet.spectra.segments import difference_segments, recording_segments, segment_speeds
 from suspnet.spectra.welch import SegmentSpectra
-from suspnet.trips.check_page import trip_figure, write_picture
-from suspnet.trips.check_records import PROBLEM, READY, TOO_LITTLE, SteadyPart, TripCheck
+from suspnet.trips.check_page import (
+    PROBLEM,
+    READY,
+    TOO_LITTLE,
+    SteadyPart,
+    TripCheck,
+    trip_figure,
+    write_picture,
+)
 from suspnet.trips.commissionings import models_at, models_of
 from suspnet.trips.trip import evaluate_recording
 
 log = logging.getLogger(__name__)
-
 UNKNOWN_BAND_HZ = (0.5, 20.0)
 """Band used for an unknown vehicle, that of most railway vehicles, [Hz]."""
-
-
 Opened = dict[tuple[Path, str | None, str | None], tuple[str, ...]]
 """Why columns of a file cannot be opened, by file, times and column; empty if they can."""
 
@@ -95,11 +92,8 @@ def _check_columns(file: ManifestFile, opened: Opened) -> None:
     """
     problems: dict[str, None] = {}
     for source in file.sources.values():
-        data, time, column = (
-            file.path.parent / source["file"],
-            source.get("time"),
-            source.get("column"),
-        )
+        data, time = file.path.parent / source["file"], source.get("time")
+        column = source.get("column")
         named = all(one is None or isinstance(one, str) for one in (time, column))
         if not named or source.get("csv") is not None or not os.path.isfile(data):
             continue  # how a CSV file is written is known only when the manifest is parsed
@@ -227,7 +221,7 @@ def _with_parts(
     found = [
         (one, _part(one))
         for one in steady(segments, speeds, groups, estimate, settings)
-        if one.found.spectra is not None
+        if one.spectra is not None
     ]
     kept = [(one, part) for one, part in found if one.has_enough]
     certain = [(one, part) for one, part in kept if one.is_certain]
@@ -238,10 +232,10 @@ def _with_parts(
         result,
         state=READY if certain else TOO_LITTLE,
         parts=tuple(part for _, part in certain),
-        steady_percent=100 * sum(int(one.found.chosen.sum()) for one, _ in certain) / n_segments,
+        steady_percent=100 * sum(int(one.chosen.sum()) for one, _ in certain) / n_segments,
         remarks=(*result.remarks, *([words] if words else [])),
     )
-    return result, [one.found.chosen for one, _ in certain or found[:1]] or [looked_at]
+    return result, [one.chosen for one, _ in certain or found[:1]] or [looked_at]
 
 
 def _vehicle(
@@ -251,14 +245,11 @@ def _vehicle(
     unknown = replace(plain, low_hz=UNKNOWN_BAND_HZ[0], high_hz=UNKNOWN_BAND_HZ[1])
     vehicle = vehicles.get(manifest.vehicle)
     if vehicle is None:
-        return (
-            None,
-            unknown,
-            [
-                f"units, signs and order of the channels are not checked: vehicle "
-                f"{manifest.vehicle!r} is none of {sorted(vehicles)}; --config-dir gives others"
-            ],
+        words = (
+            f"units, signs and order of the channels are not checked: vehicle "
+            f"{manifest.vehicle!r} is none of {sorted(vehicles)}; --config-dir gives others"
         )
+        return None, unknown, [words]
     try:
         return vehicle, plain.bound(vehicle), []
     except ValueError as error:
@@ -269,10 +260,10 @@ def _part(one: Steady) -> SteadyPart:
     """Return the quality of a group of segments; G_s counts as far as an estimate uses it."""
     return SteadyPart(
         speed_m_per_s=one.speed[0],
-        n_averages=one.found.n_averages,
-        coherence_p=one.found.coherences[0],
-        coherence_s=one.found.coherences[1],
-        deviation_percent=100 * one.found.deviation,
+        n_averages=one.n_averages,
+        coherence_p=one.coherences[0],
+        coherence_s=one.coherences[1],
+        deviation_percent=100 * one.deviation,
     )
 
 

@@ -1,9 +1,9 @@
-"""Checked trips as text, JSON, page and pictures."""
+"""Results of the check of trips, and their text, JSON, page and pictures."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,8 @@ from torch import Tensor
 
 from suspnet._version import __version__
 from suspnet.estimation.healthy_trips import LEAST_TRIPS
-from suspnet.ground.storage import write_atomically, write_json
+from suspnet.ground.records import Place
+from suspnet.ground.storage import printable, write_atomically, write_json
 from suspnet.ground.wording import span
 from suspnet.recordings.recording import Recording, overview
 from suspnet.report.figures import CHANNEL_TITLES, draw_signals, say
@@ -23,13 +24,87 @@ from suspnet.report.images import as_png
 from suspnet.report.templates import render
 from suspnet.spectra.cross_spectra import CrossSpectra
 from suspnet.spectra.estimates import SPEED_HALF_WIDTH
-from suspnet.spectra.speeds import covering, setting_words
-from suspnet.trips.check_records import PROBLEM, READY, TOO_LITTLE, TripCheck
+from suspnet.spectra.segments import covering, setting_words
 
+READY, TOO_LITTLE, PROBLEM = "ready", "too little", "problem"
+"""States of a trip: it is readable by the given models, or without any by a model of its speed; too
+little of it can be used; it cannot be opened, or its channels are swapped."""
 LISTED = 5
 """Largest number of trips that are listed for one problem."""
 TONES = {READY: "good", TOO_LITTLE: "notice", PROBLEM: "act"}
 """Tone of each state on the page; its style sheet has the colours."""
+
+
+@dataclass(frozen=True)
+class SteadyPart:
+    """Quality of a trip's segments at one speed.
+
+    `n_averages` counts independent averages. Coherences are means over the vehicle's band, of axle
+    box and bogie and of bogie and body. `deviation_percent` is the standard deviation of the
+    log-magnitude of the less certain response, median over the band.
+    """
+
+    speed_m_per_s: float
+    n_averages: float
+    coherence_p: float
+    coherence_s: float
+    deviation_percent: float
+
+
+@dataclass(frozen=True)
+class TripCheck:
+    """What is wrong with one trip, and how much of it can be used.
+
+    `problems` state why the trip cannot be read, without the manifest's path. `remarks` are faults
+    of sensors, parts that could not be checked, and why there is too little. `sensors` names the
+    channels that are pairs of sensors; `sources` are file and column of each sensor.
+    `usable_percent` is the share of the recording without faults, `steady_percent` the share of its
+    segments that belong to `parts`, which are the speeds with enough averages, the longest first.
+    `band_hz` is where the vehicle's responses are read, and `read_by` the speeds of the models that
+    decide whether the trip is ready, empty without models.
+    """
+
+    manifest: Path
+    state: str = PROBLEM
+    problems: tuple[str, ...] = ()
+    remarks: tuple[str, ...] = ()
+    vehicle: str = ""
+    place: Place = field(default_factory=Place)
+    mileage_km: float = np.nan
+    sensors: str = ""
+    duration_s: float = np.nan
+    usable_percent: float = np.nan
+    band_hz: tuple[float, float] = (np.nan, np.nan)
+    parts: tuple[SteadyPart, ...] = ()
+    steady_percent: float = np.nan
+    sources: tuple[str, ...] = ()
+    picture: str = ""
+    read_by: str = ""
+
+    @property
+    def name(self) -> str:
+        """Name of the trip; bytes that are not UTF-8 are shown in hex."""
+        return printable(self.manifest.stem)
+
+    @property
+    def n_averages(self) -> float:
+        """Independent averages at all steady speeds together."""
+        return sum(part.n_averages for part in self.parts)
+
+    @property
+    def words(self) -> str:
+        """Amount and quality of usable data, on one line."""
+        speeds = ", ".join(
+            f"{part.n_averages:.0f} averages at {part.speed_m_per_s:.1f} m/s" for part in self.parts
+        )
+        return f"{self.usable_percent:.3g} % usable, {speeds or 'no steady part'}, {self.sensors}"
+
+    def row(self) -> dict[str, Any]:
+        """Return the check as JSON-able values."""
+        return asdict(self) | {
+            "manifest": printable(str(self.manifest)),
+            "n_averages": self.n_averages,
+        }
 
 
 def with_shared_data(checks: Sequence[TripCheck]) -> list[TripCheck]:

@@ -21,7 +21,7 @@ from suspnet.estimation.steady_parts import speed_range
 from suspnet.estimation.trained import TrainedModel
 from suspnet.ground.parameters import PAYLOAD
 from suspnet.ground.records import OK, Commissioning, Place, TripResult
-from suspnet.spectra.speeds import range_words
+from suspnet.spectra.segments import range_words
 
 NAMED = 6
 """Largest number of suspensions that an error names."""

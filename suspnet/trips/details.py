@@ -9,7 +9,7 @@ from pathlib import Path
 from suspnet._version import __version__
 from suspnet.estimation.from_spectra import trip_settings
 from suspnet.estimation.trained import TrainedModel
-from suspnet.ground.limits import Limits, limits_words
+from suspnet.ground.parameters import Limits, limits_words
 from suspnet.ground.records import TripResult
 from suspnet.ground.storage import printable
 from suspnet.ground.wording import count, kilometres

@@ -15,7 +15,7 @@ from suspnet.estimation.checkpoint import fingerprint
 from suspnet.estimation.from_recording import TripSettings
 from suspnet.estimation.trained import TrainedModel
 from suspnet.ground.cache import Cache, code_hash
-from suspnet.ground.limits import Limits
+from suspnet.ground.parameters import Limits
 from suspnet.ground.records import (
     ERROR,
     OK,
@@ -64,8 +64,7 @@ class FinishedTrips:
         TripError is raised if the manifest is faulty, OSError if one of its files has disappeared.
         """
         manifest = file.trip
-        sources = [*manifest.sensors().values(), manifest.speed]
-        data = {manifest.file_of(s) for s in sources if not isinstance(s, float)}
+        data = {manifest.file_of(source) for source in manifest.sources().values()}
         states = {str(one): one.stat() for one in data}
         return self._common | {
             "manifest": [str(manifest.path), file.data.hex()],

@@ -19,7 +19,6 @@ from suspnet.recordings.manifest_keys import TripError
 ACCELERATION, SPEED = "acceleration", "speed"
 MOST_COLUMNS = 500
 """Largest number of columns of a file that are inspected."""
-
 _WORDS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     SPEED: (("speed", "veloc", "geschwind", "tempo"), ("v", "vel", "kmh", "kph", "mps", "vzug")),
     "axle_box": (

@@ -14,8 +14,7 @@ from typing import Any, Literal
 from suspnet.estimation.from_recording import TripSettings
 from suspnet.estimation.from_spectra import trip_settings
 from suspnet.estimation.trained import TrainedModel
-from suspnet.ground.limits import TIGHTEST, Limits, read_limits
-from suspnet.ground.parameters import PARAMETERS
+from suspnet.ground.parameters import PARAMETERS, TIGHTEST, Limits, read_limits
 from suspnet.ground.progress import bar as progress_bar
 from suspnet.ground.progress import stage
 from suspnet.ground.records import ERROR, Commissioning, TripResult, by_mileage
@@ -42,12 +41,7 @@ from suspnet.trips.commissionings import (
     relative_to_first,
     with_truth_of_each,
 )
-from suspnet.trips.details import (
-    UNKNOWN_HEALTHY,
-    missing_reference,
-    report_details,
-    wear_words,
-)
+from suspnet.trips.details import UNKNOWN_HEALTHY, missing_reference, report_details, wear_words
 from suspnet.trips.earlier import FinishedTrips, between, with_earlier
 from suspnet.trips.grouping import Group, find_groups
 from suspnet.trips.trip import evaluate_trip, lost_trip

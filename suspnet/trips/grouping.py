@@ -5,11 +5,12 @@ from __future__ import annotations
 import logging
 import re
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from suspnet.ground.ledger import LEDGER
 from suspnet.ground.records import Place
+from suspnet.ground.storage import distinct, why
 from suspnet.recordings.manifest_files import ManifestFile, find_manifests
 
 log = logging.getLogger(__name__)
@@ -52,7 +53,7 @@ def find_groups(folder: Path) -> list[Group]:
         try:
             manifests = find_manifests(part)
         except OSError as error:
-            found = [Group(part, Place(part.name), error=_words(error))]
+            found = [Group(part, Place(part.name), error=why(error))]
         else:
             found = _split(part, manifests)
             if all(group.place == Place() for group in found):
@@ -90,17 +91,6 @@ def _warn_of_unread(folder: Path) -> None:
 
 
 def _named(groups: list[Group], names: list[str]) -> list[Group]:
-    taken, named = set(TAKEN), []
-    for group, wanted in zip(groups, names, strict=True):
-        base = re.sub(r"[^\w.-]+", "_", wanted).strip("._")[:100] or "unknown"
-        name, number = base, 1
-        while name.lower() in taken:  # ends: there are fewer names taken than numbers
-            number += 1
-            name = f"{base}_{number}"
-        taken.add(name.lower())
-        named.append(Group(group.folder, group.place, group.manifests, name, group.error))
-    return named
-
-
-def _words(error: OSError) -> str:
-    return f"{error.filename}: {error.strerror}" if error.filename else str(error)
+    plain = [re.sub(r"[^\w.-]+", "_", one).strip("._")[:100] or "unknown" for one in names]
+    unique = distinct(plain, TAKEN)
+    return [replace(group, name=name) for group, name in zip(groups, unique, strict=True)]

@@ -14,7 +14,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from suspnet.estimation.from_recording import TripSettings, no_segment, speed_bins
+from suspnet.estimation.from_recording import TripSettings, all_bins
 from suspnet.estimation.from_spectra import trip_settings
 from suspnet.estimation.steady_parts import SpeedBin, combined, largest
 from suspnet.estimation.trained import TrainedModel
@@ -26,7 +26,7 @@ from suspnet.recordings.manifest_files import ManifestFile
 from suspnet.recordings.manifest_keys import TripError
 from suspnet.recordings.recording import Recording, load_recording, overview
 from suspnet.spectra.segments import NoEstimateError, recording_segments
-from suspnet.spectra.welch import SegmentSpectra, Welch
+from suspnet.spectra.welch import Welch
 from suspnet.trips.commissionings import models_at, since_km
 
 log = logging.getLogger(__name__)
@@ -128,37 +128,21 @@ def _estimated(
     )
     if not result.start and recording.started is not None:
         result = replace(result, start=recording.started.isoformat())
-    welches = [trip_settings(model).welch for model in models]
-    segments = {welch: recording_segments(recording, welch) for welch in welches}
+    segments = {one: recording_segments(recording, one) for one in map(_welch, models)}
     n_total = max(len(found.values) for found in segments.values())
     result = replace(result, quality=replace(quality, segments_total=n_total))
-    if n_total == 0:
-        return replace(result, status=NO_ESTIMATE, reason=no_segment(recording, welches[0]))
-    pairs = [(model, segments[welch]) for model, welch in zip(models, welches, strict=True)]
     try:
-        bins, reasons = _bins(recording, pairs, settings)
+        pairs = [(model, segments[_welch(model)]) for model in models]
+        bins = all_bins(pairs, recording, settings)
     except TripError as error:  # reported only now, as the quality is known
         return replace(result, reason=str(error))
-    if not bins:
-        return replace(result, status=NO_ESTIMATE, reason="; ".join(dict.fromkeys(reasons)))
+    except NoEstimateError as error:
+        return replace(result, status=NO_ESTIMATE, reason=str(error))
     return _combined(result, recording, bins)
 
 
-def _bins(
-    recording: Recording,
-    pairs: Sequence[tuple[TrainedModel, SegmentSpectra]],
-    settings: TripSettings,
-) -> tuple[list[SpeedBin], list[str]]:
-    """Return the bins with an estimate, and the reasons of those without."""
-    bins: list[SpeedBin] = []
-    reasons = []
-    models = [model for model, _ in pairs]
-    for model, segments in pairs:
-        try:
-            bins += speed_bins(model, recording, segments, settings, models)
-        except NoEstimateError as reason:
-            reasons.append(str(reason))
-    return bins, reasons
+def _welch(model: TrainedModel) -> Welch:
+    return trip_settings(model).welch
 
 
 def _combined(result: TripResult, recording: Recording, bins: Sequence[SpeedBin]) -> TripResult:

@@ -9,8 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from suspnet.ground.limits import Severity
-from suspnet.ground.parameters import NAMES, PARAMETERS
+from suspnet.ground.parameters import NAMES, PARAMETERS, Severity
 from suspnet.ground.records import TripResult
 from suspnet.history.arrays import TripResponses
 from suspnet.maintenance.alarms import Acknowledgement, Alarm, newest_of

@@ -25,8 +25,7 @@ from flask_wtf import FlaskForm
 from wtforms import HiddenField, StringField
 from wtforms.validators import DataRequired, Length
 
-from suspnet.ground.limits import Severity
-from suspnet.ground.parameters import PARAMETERS, PAYLOAD
+from suspnet.ground.parameters import PARAMETERS, PAYLOAD, Severity
 from suspnet.history import History, HistoryError
 from suspnet.history.store import acknowledge_alarms
 from suspnet.maintenance.alarms import Alarm

@@ -20,10 +20,8 @@ from history import size, timed, trips
 
 from suspnet.ground.records import TripResult
 from suspnet.history import History
-from suspnet.maintenance.change import ChangeSettings
-from suspnet.maintenance.plan_inputs import PlanSettings
-from suspnet.maintenance.sisters import SisterSettings
-from suspnet.runs.maintenance import write_maintenance
+from suspnet.report.board import BoardSettings
+from suspnet.runs.evaluate import write_maintenance
 
 
 def fleet(n_suspensions: int, n_trips: int, seed: int) -> Iterator[list[TripResult]]:
@@ -62,15 +60,7 @@ def main() -> None:
         states = timed(
             "overview and plan",
             lambda: write_maintenance(
-                where,
-                output,
-                vehicles={},
-                limits=None,
-                changes=ChangeSettings(),
-                sisters=SisterSettings(),
-                plan=PlanSettings(),
-                today="2025-10-28",
-                seed=given.seed,
+                where, output, BoardSettings(today="2025-10-28", seed=given.seed)
             ),
         )
     wrong = sum(s.series.place.car != "" and bool(s.alarms) for s in states)

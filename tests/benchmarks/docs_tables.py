@@ -18,7 +18,7 @@ from tabulate import tabulate
 
 from suspnet.dynamics.quantities import PARTS, QUANTITIES
 from suspnet.ground.storage import write_atomically
-from suspnet.runs.table6 import MODEL_TITLES, table6_caption, table6_markdown
+from suspnet.runs.tables import MODEL_TITLES, table6_caption, table6_markdown
 
 ROOT = Path(__file__).parents[2]
 RESULTS = Path(__file__).parent / "results"

@@ -22,7 +22,7 @@ import numpy as np
 import sqlalchemy as sql
 
 from suspnet.dynamics import PARAMETERS
-from suspnet.ground.limits import Cause, Severity
+from suspnet.ground.parameters import Cause, Severity
 from suspnet.ground.records import Place, Quality, TripResult
 from suspnet.history import History
 from suspnet.maintenance.alarms import Alarm

@@ -42,12 +42,12 @@ from suspnet.estimation.healthy_trips import HealthySpectra  # noqa: E402
 from suspnet.estimation.problem import TRAIN, Problem  # noqa: E402
 from suspnet.estimation.trained import TrainedModel  # noqa: E402
 from suspnet.recordings.manifest_files import find_manifests  # noqa: E402
-from suspnet.runs.calibrate import calibrated, with_unexplained  # noqa: E402
 from suspnet.runs.commissioning import commission_folder  # noqa: E402
 from suspnet.runs.fit import fit  # noqa: E402
+from suspnet.runs.predict import calibrated, with_unexplained  # noqa: E402
 from suspnet.simulation import Fleet  # noqa: E402
 from suspnet.spectra.cross_spectra import CrossSpectra  # noqa: E402
-from suspnet.spectra.speeds import Speeds  # noqa: E402
+from suspnet.spectra.segments import Speeds  # noqa: E402
 
 RESULTS = Path(__file__).parent / "results"
 NOMINAL, COMMISSIONED, REFINED = "nominal", "commissioned", "commissioned, refined"

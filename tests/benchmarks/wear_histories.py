@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from suspnet.ground.limits import DEFAULT_LIMITS
+from suspnet.ground.parameters import DEFAULT_LIMITS
 from suspnet.ground.types import FloatArray
 
 KINDS = ("linear", "exponential", "wiener")

@@ -29,8 +29,7 @@ from suspnet.recordings.reader_process import LIMIT, in_own_process
 from suspnet.recordings.recording import WINDOWS, load_recording
 from suspnet.spectra.welch import Welch
 from suspnet.trips.check import CheckSettings, check_trip
-from suspnet.trips.check_page import trip_figure
-from suspnet.trips.check_records import PROBLEM, READY, TOO_LITTLE
+from suspnet.trips.check_page import PROBLEM, READY, TOO_LITTLE, trip_figure
 
 BROKEN = 10_000
 """Number of broken manifests of the slow test."""

@@ -17,9 +17,9 @@ from suspnet.estimation.from_recording import TripSettings
 from suspnet.ground.records import NO_ESTIMATE, OK
 from suspnet.runs.train import speed_ranges
 from suspnet.spectra.estimates import SPEED_HALF_WIDTH
-from suspnet.spectra.speeds import SpeedRange, covering
+from suspnet.spectra.segments import SpeedRange, covering
 from suspnet.trips.check import CheckSettings, check_trip
-from suspnet.trips.check_records import READY, TOO_LITTLE
+from suspnet.trips.check_page import READY, TOO_LITTLE
 from suspnet.trips.trip import evaluate_trip
 
 LOW, HIGH = 61.0, 78.0

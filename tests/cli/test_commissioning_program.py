@@ -16,7 +16,7 @@ from suspnet.estimation.checkpoint import load_model
 from suspnet.ground.storage import write_json
 from suspnet.runs import commissioning as run
 from suspnet.spectra.estimates import SPEED_HALF_WIDTH
-from suspnet.spectra.speeds import SpeedRange, range_words
+from suspnet.spectra.segments import SpeedRange, range_words
 
 TRIPS = [*SMALL, "experiment=trips", "data.minutes=5", "data.segment_s=5", "model=linear"]
 

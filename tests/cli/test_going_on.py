@@ -12,10 +12,12 @@ from cli_runner import SMALL, typed
 from hydra import compose, initialize_config_dir
 from hydra.core import utils
 from hydra.core.hydra_config import HydraConfig
-from omegaconf import open_dict, read_write
+from hydra.utils import get_object
+from omegaconf import OmegaConf, open_dict, read_write
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from suspnet.cli import evaluate, folders, program, simulate, train
+from suspnet.cli.kinds import KINDS, class_of
 from suspnet.cli.program import CONFIGS
 from suspnet.ground import ledger
 from suspnet.ground.storage import read_json
@@ -186,6 +188,31 @@ def test_finished_run_is_not_run_again_and_another_one_is_refused(tmp_path):
     assert ended.returncode == 1
     assert "holds a finished run of other settings" in ended.stderr
     assert (tmp_path / "run" / "metrics.json").stat().st_mtime_ns == before
+
+
+def test_folder_of_an_earlier_version_counts_as_finished(tmp_path):
+    """Its config.yaml names a `_target_` where kinds stand now."""
+    with initialize_config_dir(version_base="1.3", config_dir=CONFIGS):
+        config = compose("train", overrides=["model=linear", "ablation_name=null"])
+    (tmp_path / "metrics.json").write_text("{}")
+    kinds = {
+        "generator": "suspnet.dynamics.QuarterCar",
+        "data": "suspnet.spectra.curves.CurveSettings",
+        "model": "suspnet.learning.LinearRegression",
+    }
+    old = OmegaConf.to_container(config, resolve=True)
+    for place, target in kinds.items():
+        assert class_of(place, old[place].pop("kind")) is get_object(target)
+        old[place] = {"_target_": target, "_convert_": "all", **old[place]}
+    for place in ("vehicle", "protocol"):
+        old[place] = {"_target_": KINDS[place][""], **old[place]}
+    old["generator"]["vehicle"] = dict(old["vehicle"])
+    (tmp_path / "config.yaml").write_text(OmegaConf.to_yaml(old))
+    assert folders.is_finished(config, tmp_path)
+    old["model"]["_target_"] = "suspnet.learning.MSVR"
+    (tmp_path / "config.yaml").write_text(OmegaConf.to_yaml(old))
+    with pytest.raises(ValueError, match="holds a finished run of other settings"):
+        folders.is_finished(config, tmp_path)
 
 
 def test_table_of_jobs_knows_several_speeds_and_unfinished_ones(tmp_path):

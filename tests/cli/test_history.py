@@ -7,7 +7,7 @@ from trip_records import fleet, trip
 from suspnet.cli import program
 from suspnet.cli.history import history
 from suspnet.cli.options import history_parser
-from suspnet.ground.limits import Cause, Severity
+from suspnet.ground.parameters import Cause, Severity
 from suspnet.ground.records import Place
 from suspnet.history import History, HistoryError
 from suspnet.maintenance.alarms import Alarm

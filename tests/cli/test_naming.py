@@ -6,7 +6,7 @@ import pytest
 from hydra import compose, initialize_config_dir
 from hydra.core.hydra_config import HydraConfig
 
-from suspnet.cli.naming import MAX_CHARACTERS
+from suspnet.cli.folders import MAX_CHARACTERS
 from suspnet.cli.program import CONFIGS
 
 

@@ -13,13 +13,16 @@ from hydra import compose, initialize_config_dir
 from omegaconf import OmegaConf
 
 from suspnet.cli import check, evaluate, init, options, simulate, train
-from suspnet.cli.config_files import CONFIGS, phrase, read_comments
-from suspnet.cli.config_values import SWITCHES
+from suspnet.cli.commission_fleet import HealthySettings
+from suspnet.cli.config_files import CONFIGS, SWITCHES, phrase, read_comments
 from suspnet.cli.kinds import KINDS, build, class_of
-from suspnet.cli.program import n_threads
+from suspnet.cli.program import THREADS, n_threads
 from suspnet.cli.reference import COLUMNS, Reference, _of_kinds
+from suspnet.cli.serve import ServeSettings
+from suspnet.cli.simulate import WORKERS
 from suspnet.ground.settings import settings_of
-from suspnet.simulation.scatter import scattered
+from suspnet.live.replay import Pace, Replay
+from suspnet.simulation.fleet import Trains, scattered
 from suspnet.simulation.signals import Sensor
 from suspnet.spectra.components import CurveFeatures
 from suspnet.spectra.extraction import PeakFeatures
@@ -204,6 +207,22 @@ def declared():
 def test_comments_of_configurations_are_those_of_the_declaration(place, kind, path, class_):
     for name, one in settings_of(class_).items():
         assert _of_kinds()[place, kind, (*path, name)] == one.text, (place, kind, name)
+
+
+OF_PROGRAMS = {
+    "replay": [one for class_ in (Replay, Pace) for one in settings_of(class_).values()],
+    "simulate": [*settings_of(Trains).values(), WORKERS],
+    "serve": settings_of(ServeSettings).values(),
+    "train": [*settings_of(HealthySettings).values(), THREADS],
+    "evaluate": [THREADS],
+}
+
+
+@pytest.mark.parametrize("program", OF_PROGRAMS)
+def test_comments_of_programs_are_those_of_the_declaration(program):
+    above = read_comments(Path(CONFIGS) / f"{program}.yaml").above
+    for one in OF_PROGRAMS[program]:
+        assert above[(one.name,)] == one.text
 
 
 def refused(config, section, key, value):

@@ -9,6 +9,7 @@ from cli_runner import typed
 from tqdm import tqdm
 
 from suspnet.cli import check, evaluate, folders, program, train
+from suspnet.ground import progress
 from suspnet.ground.storage import printable
 
 STEERING = "\x1b[31m\x1b]0;title\x07\r\x9b2J\u202e\u2066\u200f\x00\x7f"
@@ -31,7 +32,7 @@ def test_what_is_printed_and_logged_steers_nothing(monkeypatch):
     out, err = io.StringIO(), io.StringIO()
     monkeypatch.setattr(sys, "stdout", out)
     monkeypatch.setattr(sys, "stderr", err)
-    with program.visible():
+    with progress.visible():
         print(f"| {STEERING} |\n| next line |")
         handler = logging.StreamHandler()
         handler.emit(logging.makeLogRecord({"msg": "trip %s", "args": (STEERING,)}))
@@ -42,7 +43,7 @@ def test_what_is_printed_and_logged_steers_nothing(monkeypatch):
 
 def test_progress_bars_replace_their_line():
     plain, wrapped = io.StringIO(), io.StringIO()
-    for stream in (plain, program._Visible(wrapped)):
+    for stream in (plain, progress._Visible(wrapped)):
         for _ in tqdm(range(3), file=stream, mininterval=0, bar_format="{n}"):
             with tqdm(range(2), file=stream, position=1, mininterval=0, bar_format="{n}") as inner:
                 list(inner)

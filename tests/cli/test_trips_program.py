@@ -24,11 +24,11 @@ from suspnet.cli import evaluate, folders, simulate, train
 from suspnet.cli.kinds import build, named_runs
 from suspnet.cli.program import CONFIGS
 from suspnet.dynamics.quantities import PARTS
-from suspnet.ground.limits import Severity
+from suspnet.ground.parameters import Severity
 from suspnet.recordings.manifest import CHANNELS
 from suspnet.report import output
 from suspnet.report.tensorboard import RunLog
-from suspnet.simulation.scatter import scattered, true_numbers
+from suspnet.simulation.fleet import scattered, true_numbers
 from suspnet.trips import fleet
 
 QUICK = ("truck",)

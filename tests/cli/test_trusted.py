@@ -14,6 +14,7 @@ from hydra.utils import get_object
 
 from suspnet.cli import evaluate, simulate, train, trusted
 from suspnet.cli.kinds import KINDS
+from suspnet.cli.loader import CheckedLoader
 
 RUNSTRING = (
     "{_target_: suspnet.estimation.checkpoint.np.testing.runstring, "
@@ -420,7 +421,7 @@ def test_resolvers_are_found_as_omegaconf_finds_them(text, resolvers):
 )
 def test_what_is_documented_is_allowed(arguments):
     with initialize_config_dir(version_base="1.3", config_dir=trusted.CONFIGS):
-        loader = trusted.CheckedLoader(GlobalHydra.instance().config_loader().get_search_path())
+        loader = CheckedLoader(GlobalHydra.instance().config_loader().get_search_path())
         found = loader.load_configuration("train", [*arguments], RunMode.MULTIRUN)
     assert found.model.kind in KINDS["model"]
 
@@ -436,7 +437,7 @@ def test_what_is_documented_is_allowed(arguments):
 )
 def test_cluster_may_be_named_on_the_command_line(arguments, cluster):
     with initialize_config_dir(version_base="1.3", config_dir=trusted.CONFIGS):
-        loader = trusted.CheckedLoader(GlobalHydra.instance().config_loader().get_search_path())
+        loader = CheckedLoader(GlobalHydra.instance().config_loader().get_search_path())
         master = loader.load_configuration("evaluate", ["run=x", *arguments], RunMode.MULTIRUN)
         job = ["run=x", *arguments[:1], "trips=a"]
         assert loader.load_sweep_config(master, job).monitor.cluster == cluster

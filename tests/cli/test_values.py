@@ -12,7 +12,7 @@ from cli_runner import SMALL, run_main, run_program
 from omegaconf import OmegaConf
 
 from suspnet.cli import simulate, train
-from suspnet.cli.config_values import SWITCHES, read_values
+from suspnet.cli.config_files import SWITCHES, read_values
 from suspnet.cli.program import CONFIGS
 
 

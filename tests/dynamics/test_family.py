@@ -9,8 +9,8 @@ import torch
 from vehicles import AM96
 
 from suspnet.dynamics import PARAMETERS, QuarterCar, VerticalVehicle
-from suspnet.dynamics.elements import LOSS_HZ, LOSS_SHARES
 from suspnet.dynamics.quantities import PARTS, QUANTITIES, UNMEASURED
+from suspnet.dynamics.vertical_motion import LOSS_HZ, LOSS_SHARES
 
 FREQUENCIES = torch.tensor([0.3, 0.9, 1.31, 1.9, 3.3, 5.4, 7.7, 11.0]).double()
 RNG = np.random.default_rng(11)

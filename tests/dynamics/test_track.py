@@ -8,12 +8,13 @@ import pytest
 from scipy.signal import welch
 from scipy.stats import kurtosis
 
-from suspnet.dynamics.track import TrackProfile, make_profile
-from suspnet.dynamics.track_spectra import (
+from suspnet.dynamics.track import (
     TRACKS,
+    TrackProfile,
     TrackSpectrum,
     acceleration_density,
     band_rms,
+    make_profile,
     track_spectrum,
 )
 

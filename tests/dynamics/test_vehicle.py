@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from suspnet.dynamics import PARAMETERS, QuarterCar, Vehicle
-from suspnet.ground.limits import DEFAULT_LIMITS
+from suspnet.ground.parameters import DEFAULT_LIMITS
 
 NUMBERS = {
     "bogie_mass_kg": 1725.0,

@@ -9,7 +9,7 @@ from suspnet.cli.config_files import CONFIGS
 from suspnet.cli.kinds import read_vehicles
 from suspnet.dynamics import PARAMETERS, QuarterCar
 from suspnet.dynamics.vehicle import GEOMETRY
-from suspnet.ground.limits import DEFAULT_LIMITS
+from suspnet.ground.parameters import DEFAULT_LIMITS
 
 VEHICLES = read_vehicles()
 DERIVED = re.compile(r"^ *(\w+): (\S+) # ((?:[\d.e*/() ]|sqrt)+)$", re.MULTILINE)

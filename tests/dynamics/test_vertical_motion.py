@@ -9,9 +9,9 @@ from scipy.signal import lsim
 from vehicles import AM96
 
 from suspnet.dynamics import PARAMETERS, VerticalVehicle
-from suspnet.dynamics.elements import LOSS_HZ, LOSS_REFERENCE_HZ, LOSS_SHARES, Element
 from suspnet.dynamics.motion import SampledMotion
 from suspnet.dynamics.quantities import PARTS, UNMEASURED
+from suspnet.dynamics.vertical_motion import LOSS_HZ, LOSS_REFERENCE_HZ, LOSS_SHARES, Element
 
 FREQUENCIES = torch.tensor([0.3, 0.9, 1.31, 1.9, 3.3, 5.4, 7.7, 11.0, 20.0]).double()
 NAMES = (*PARAMETERS, *UNMEASURED)

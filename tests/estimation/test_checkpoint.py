@@ -14,12 +14,11 @@ from suspnet.dynamics import QuarterCar, VerticalVehicle
 from suspnet.dynamics.quantities import LogNormal
 from suspnet.estimation.checkpoint import load_model, save_model
 from suspnet.estimation.fitted import ModelFileError
+from suspnet.estimation.flags import OODDetector, Unexplained
 from suspnet.estimation.intervals import Conformal, Intervals, ResidualScale
-from suspnet.estimation.ood import OODDetector
-from suspnet.estimation.physics import Unexplained
 from suspnet.estimation.problem import Problem
 from suspnet.estimation.trained import TrainedModel
-from suspnet.ground.limits import DEFAULT_LIMITS
+from suspnet.ground.parameters import DEFAULT_LIMITS
 from suspnet.ground.storage import content_hash, dump_arrays, read_arrays
 from suspnet.learning import METHODS, MSVR, MVGPR, SVR, CurveFit, LinearRegression, Scaling
 from suspnet.spectra.curves import CurveSettings

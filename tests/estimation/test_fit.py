@@ -14,12 +14,11 @@ from suspnet.dynamics import VerticalVehicle
 from suspnet.dynamics.quantities import PARTS, QUANTITIES, UNMEASURED
 from suspnet.estimation import commissioning as module
 from suspnet.estimation.commissioning import commission
-from suspnet.estimation.healthy_misfit import HealthyMisfit
-from suspnet.estimation.healthy_trips import HealthySpectra
-from suspnet.simulation.scatter import scattered
+from suspnet.estimation.healthy_trips import HealthyMisfit, HealthySpectra
+from suspnet.simulation.fleet import scattered
 from suspnet.spectra.cross_spectra import CrossSpectra, moving_average_with, sample_spectra
 from suspnet.spectra.estimates import EstimateSettings
-from suspnet.spectra.speeds import Speeds
+from suspnet.spectra.segments import Speeds
 
 RATES_HZ = (1000.0, 500.0, 500.0)
 USUAL = EstimateSettings(rates_hz=RATES_HZ).bound(AM96)

@@ -20,8 +20,8 @@ from suspnet.estimation.fitted import ModelFileError
 from suspnet.estimation.problem import Problem
 from suspnet.ground.storage import content_hash, dump_arrays, read_arrays
 from suspnet.learning import MSVR, MVGPR, SVR, CurveFit, LinearRegression
-from suspnet.runs.calibrate import calibrated
 from suspnet.runs.fit import fit
+from suspnet.runs.predict import calibrated
 from suspnet.spectra.curves import CurveSettings
 from suspnet.spectra.estimates import EstimateSettings
 

@@ -451,7 +451,7 @@ def run(folder, *overrides):
     with open_dict(config):
         del config["hydra"]
     folder.mkdir(parents=True, exist_ok=True)
-    evaluate.compose(config)
+    evaluate.main(config)
     return json.loads((folder / "identifiability.json").read_text())
 
 

@@ -9,7 +9,7 @@ from vehicles import AM96
 
 from suspnet.dynamics import PARAMETERS, QuarterCar
 from suspnet.estimation.estimate import KINDS, Flags
-from suspnet.estimation.ood import (
+from suspnet.estimation.flags import (
     EDGE_DEVIATIONS,
     FALSE_ALARMS,
     MISFIT_DEVIATIONS,
@@ -76,7 +76,7 @@ def test_distance_is_the_mean_to_the_four_nearest(detector):
 
 def test_threshold_of_the_distance_is_a_quantile_of_fresh_curves(monkeypatch):
     assert FALSE_ALARMS == 1e-4
-    monkeypatch.setattr("suspnet.estimation.ood.FALSE_ALARMS", 5e-4)  # fewer curves will do
+    monkeypatch.setattr("suspnet.estimation.flags.FALSE_ALARMS", 5e-4)  # fewer curves will do
     reference, fresh = cloud(100, 5, 2), cloud(6000, 6, 2)
     found = OODDetector.learnt(reference, fresh, np.ones(10)).distance_threshold
     distances = sorted(

@@ -13,9 +13,9 @@ import pytest
 from commissioned_example import MASSES, SETTINGS, UNCERTAIN, commissioned_example, trip
 
 from suspnet.estimation import commissioning_summary as words
+from suspnet.estimation.flags import INCOMPLETE
 from suspnet.estimation.healthy_trips import HealthyTrips
-from suspnet.estimation.physics import INCOMPLETE
-from suspnet.runs import commissioning_figures as figures
+from suspnet.runs import commissioning_page as figures
 from suspnet.runs.commissioning_page import training_notes, write_outcome
 
 HOSTILE = "<script>alert('x')</script> & \"$x_\" \udcff"

@@ -8,12 +8,12 @@ import torch
 from trip_fixtures import OUTPUTS, model_at
 
 from suspnet.estimation.estimate import KINDS, Estimate, Flags
+from suspnet.estimation.flags import COSTLY, INCOMPLETE, Residual, Unexplained
 from suspnet.estimation.from_curves import estimate_curves
 from suspnet.estimation.from_spectra import COMMON, UNWORN, estimate_with_noise, unworn_deviations
-from suspnet.estimation.physics import COSTLY, INCOMPLETE, Residual, Unexplained
 from suspnet.estimation.problem import Problem
 from suspnet.ground.types import FloatArray
-from suspnet.runs.calibrate import with_unexplained
+from suspnet.runs.predict import with_unexplained
 
 COSTS = np.array([0.01, 0.1, 0.02, 0.03, 0.0])
 LEVEL = 0.9

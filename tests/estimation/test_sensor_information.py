@@ -67,7 +67,7 @@ def noise_densities(source, rates_hz):
     densities = {}
     for rate_hz in set(rates_hz):
         grid, gain = healthy_gains(source.generator, rate_hz)
-        power = np.trapezoid(gain * source.track_density(grid)[:, None], grid, axis=0)
+        power = np.trapezoid(gain * source.mean.track_density(grid)[:, None], grid, axis=0)
         densities[rate_hz] = 10 ** (-source.settings.snr_db / 10) * power / (rate_hz / 2)
     return np.array([densities[rate_hz][place] for place, rate_hz in enumerate(rates_hz)])
 
@@ -96,7 +96,7 @@ def naive_joint_information(source, rows, noise, used):
     """
     h = source.generator.channels(rows.reshape(-1, rows.shape[-1]), source.frequencies_hz).numpy()
     h = h.reshape(*rows.shape[:2], *h.shape[1:])
-    levels = source.track_density(source.frequencies_hz.numpy())
+    levels = source.mean.track_density(source.frequencies_hz.numpy())
     total = np.zeros((len(rows),) * 2)
     for k, level in enumerate(levels):
         here = places_used(source, used, float(source.frequencies_hz[k]))
@@ -118,7 +118,7 @@ def by_matrices(source, ratios, parameters, noise, count, step=1e-5):
     noise = noise / np.maximum(count, 1)
     total = np.zeros((len(parameters),) * 2)
     for f in source.frequencies_hz.tolist():
-        level = source.track_density(np.array([f]))[0]
+        level = source.mean.track_density(np.array([f]))[0]
         used = places_used(source, np.flatnonzero(count), f)
         if not used:
             continue
@@ -193,7 +193,7 @@ def test_information_is_the_curvature_of_the_gaussian_log_likelihood():
     """E log L = -n sum of log det S + tr(S^-1 S_0); level and parameters are estimated together."""
     source = observer(QUARTER_CAR)
     bins = source.frequencies_hz.numpy()
-    levels = source.track_density(bins)
+    levels = source.mean.track_density(bins)
     noise = noise_densities(source, (5000, 2000, 2000))
     names = ("k_s", "c_p", "M_s")
     columns = [PARAMETERS.index(name) for name in names]
@@ -255,7 +255,7 @@ def test_information_with_cross_level_and_uncertain_numbers_equals_naive_matrice
     )
     source = observer(rolling, body_high_hz=body_high_hz)
     noise = [
-        10**-3 * np.trapezoid(power * source.track_density(grid), grid) / grid[-1]
+        10**-3 * np.trapezoid(power * source.mean.track_density(grid), grid) / grid[-1]
         for sensor, rate_hz in enumerate((5000, 2000, 2000))
         for grid in [np.geomspace(0.1, rate_hz / 2, 4000)]
         for power in [

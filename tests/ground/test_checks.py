@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from suspnet.ground.checks import check_choice, check_number
+from suspnet.ground.settings import check_choice, check_number
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ import pytest
 from forked import forks
 from trip_records import trip
 
-from suspnet.ground.limits import Cause, Severity
+from suspnet.ground.parameters import Cause, Severity
 from suspnet.ground.records import Place
 from suspnet.history import Event, History
 from suspnet.maintenance.alarms import OWN_CAUSES, Acknowledgement, Alarm

@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from trip_records import fleet, trip
 
-from suspnet.ground.limits import Cause, Severity
+from suspnet.ground.parameters import Cause, Severity
 from suspnet.ground.records import Place, TripResult
 from suspnet.history import Event, History, HistoryError
 from suspnet.history.schema import suspensions

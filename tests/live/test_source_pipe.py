@@ -10,7 +10,7 @@ import time
 import pytest
 from live_frames import encoded, frame, until
 
-from suspnet.live.pipe import Inbox, Pipe
+from suspnet.live.source import Inbox, Pipe
 from suspnet.recordings.frames import encode
 
 FRAMES = encoded(50)
@@ -125,7 +125,7 @@ def test_results_are_lines_of_json(connected, capsys):
 
 def test_frames_of_another_process_are_read():
     script = (
-        "from suspnet.live.pipe import Pipe\n"
+        "from suspnet.live.source import Pipe\n"
         "source, n = Pipe(), 0\n"
         "source.subscribe([])\n"
         "while (part := source.receive(1.0)) is not None:\n"

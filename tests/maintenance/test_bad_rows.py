@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from depot_trips import place, trips
 
-from suspnet.ground.limits import Cause, Severity
+from suspnet.ground.parameters import Cause, Severity
 from suspnet.history import Event, History
 from suspnet.maintenance.alarms import Acknowledgement, Alarm
 from suspnet.report.board import Board, BoardSettings

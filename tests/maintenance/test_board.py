@@ -9,7 +9,7 @@ import pytest
 from depot_trips import N_TRIPS, place, trips
 from empty_stores import KINDS, empty_store
 
-from suspnet.ground.limits import Cause, Severity
+from suspnet.ground.parameters import Cause, Severity
 from suspnet.ground.records import Place
 from suspnet.history import Event, History, HistoryError
 from suspnet.maintenance import fleet as fleet_module

@@ -9,7 +9,7 @@ import yaml
 from trip_records import SPREAD
 
 from suspnet.dynamics import PARAMETERS
-from suspnet.ground.limits import DEFAULT_LIMITS, Limits, Severity, limits_words, read_limits
+from suspnet.ground.parameters import DEFAULT_LIMITS, Limits, Severity, limits_words, read_limits
 from suspnet.maintenance.assessment import assess, overall
 from suspnet.maintenance.judge import N_CONFIRMING, N_LAST, judge, last_trips
 from suspnet.maintenance.series import make_series

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from suspnet.ground.limits import Severity
+from suspnet.ground.parameters import Severity
 from suspnet.maintenance.plan import join_plans, make_plan
 from suspnet.maintenance.plan_inputs import Part, PlanSettings, Train, km_per_day
 from suspnet.maintenance.visit_costs import INSPECT, REPLACE, Costs, choose_dates, part_costs

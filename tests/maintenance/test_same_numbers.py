@@ -11,7 +11,7 @@ from trip_fixtures import model_at
 
 from suspnet.cli.evaluate import ALARMS, exit_code
 from suspnet.estimation.from_recording import TripSettings
-from suspnet.ground.limits import Cause
+from suspnet.ground.parameters import Cause
 from suspnet.ground.records import Place
 from suspnet.history import History
 from suspnet.report import report

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from suspnet.ground.limits import Cause, Severity
+from suspnet.ground.parameters import Cause, Severity
 from suspnet.maintenance.sisters import (
     CORRELATION,
     N_LAST,

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from depot_trips import N_TRIPS, place, trips
 
-from suspnet.ground.limits import DEFAULT_LIMITS, Cause, Severity
+from suspnet.ground.parameters import DEFAULT_LIMITS, Cause, Severity
 from suspnet.ground.records import Place
 from suspnet.history import Event, History
 from suspnet.maintenance.alarms import Acknowledgement
@@ -18,9 +18,10 @@ from suspnet.maintenance.fleet_plan import parts_of, train_of, trains_of
 from suspnet.maintenance.plan import join_plans, make_plan
 from suspnet.maintenance.plan_inputs import PlanSettings
 from suspnet.maintenance.sisters import SisterSettings
+from suspnet.report.board import BoardSettings
 from suspnet.report.overview import overview_rows, overview_table
 from suspnet.report.templates import render
-from suspnet.runs.maintenance import write_maintenance
+from suspnet.runs.evaluate import write_maintenance
 
 TODAY = "2026-03-01"
 SEEN = "2026-02-01T08:00:00+00:00"
@@ -172,16 +173,7 @@ def test_limits_of_a_vehicle_can_be_replaced(store, tmp_path):
 
 
 def run_study(store, folder, *, today=TODAY, limits=None):
-    return write_maintenance(
-        str(store),
-        folder,
-        vehicles={},
-        limits=limits,
-        changes=ChangeSettings(),
-        sisters=SisterSettings(),
-        plan=PlanSettings(),
-        today=today,
-    )
+    return write_maintenance(str(store), folder, BoardSettings(limits=limits, today=today))
 
 
 def test_what_cannot_be_computed_is_unknown_in_plan_overview_and_page(tmp_path):

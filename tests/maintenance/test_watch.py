@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from suspnet.ground.limits import DEFAULT_LIMITS, Cause, Severity
+from suspnet.ground.parameters import DEFAULT_LIMITS, Cause, Severity
 from suspnet.maintenance.alarms import alarm_table, detector_words, watch
 from suspnet.maintenance.change import Changes, ChangeSettings
 from suspnet.maintenance.cusum import autoregressive

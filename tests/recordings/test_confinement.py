@@ -12,7 +12,8 @@ from pathlib import Path
 import pytest
 from misbehaving_readers import attempts, open_misbehaving
 
-from suspnet.recordings import confinement, formats, reader_process
+from suspnet.recordings import formats, reader_process
+from suspnet.recordings import reader_server as confinement
 from suspnet.recordings.formats import open_file
 from suspnet.recordings.manifest_keys import TripError
 

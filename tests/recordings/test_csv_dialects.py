@@ -10,8 +10,7 @@ from hypothesis import strategies as st
 from suspnet.recordings import csv_dialect, csv_files
 from suspnet.recordings.csv_dialect import find_dialect
 from suspnet.recordings.formats import open_columns, open_file
-from suspnet.recordings.manifest import CsvDialect
-from suspnet.recordings.manifest_keys import TripError
+from suspnet.recordings.manifest_keys import CsvDialect, TripError
 
 ROWS = np.array([[0.0, 1.5, -0.25], [0.1, -2.5, 1e-5], [0.2, np.nan, 12.0], [0.3, 4.0, 0.125]])
 

@@ -10,22 +10,14 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from suspnet.ground.records import Place
-from suspnet.recordings.manifest import (
-    CHANNELS,
-    DELIMITERS,
-    SIDES,
-    Channel,
-    CsvDialect,
-    SpeedSource,
-    TripManifest,
-)
+from suspnet.recordings.manifest import CHANNELS, SIDES, Channel, SpeedSource, TripManifest
 from suspnet.recordings.manifest_files import (
     ManifestFile,
     find_manifests,
     read_manifest,
     write_manifest,
 )
-from suspnet.recordings.manifest_keys import TripError
+from suspnet.recordings.manifest_keys import DELIMITERS, CsvDialect, TripError
 
 TRIP = """
 format: suspnet-trip-1

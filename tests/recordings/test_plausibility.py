@@ -13,11 +13,10 @@ from trip_fixtures import AM96
 from suspnet.cli.kinds import build
 from suspnet.dynamics import VerticalVehicle
 from suspnet.dynamics.quantities import PARTS
-from suspnet.dynamics.track import make_profile
-from suspnet.dynamics.track_spectra import track_spectrum
+from suspnet.dynamics.track import make_profile, track_spectrum
 from suspnet.recordings.manifest import CHANNELS
 from suspnet.recordings.manifest_keys import TripError
-from suspnet.simulation.scatter import scattered
+from suspnet.simulation.fleet import scattered
 from suspnet.simulation.signals import steady_journey
 from suspnet.simulation.writing import profile_length_m, simulate_trip
 from suspnet.spectra.cross_spectra import PAIRS, CrossSpectra

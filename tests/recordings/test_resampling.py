@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from suspnet.recordings.resampling import Decimator, Growing, interpolate, support
+from suspnet.recordings.sensor import Decimator, Growing, interpolate, support
 
 RATE_HZ = 100.0
 

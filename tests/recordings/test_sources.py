@@ -21,7 +21,7 @@ STATING = (".h5", ".tdms", ".mf4", ".uff")
 """Formats in which unit and rate may stand."""
 
 
-def opened(path: Path, source, kind="acceleration"):
+def opened(path: Path, source):
     manifest = TripManifest(
         path=path.parent / "trip.yaml",
         name="trip",
@@ -31,7 +31,7 @@ def opened(path: Path, source, kind="acceleration"):
         speed=1.0,
         channels={},
     )
-    return open_source(manifest, source, "here", kind)
+    return open_source(manifest, source, "here")
 
 
 def written(tmp_path, suffix, **said) -> Path:
@@ -94,7 +94,7 @@ def test_missing_unit_and_rate_are_named(tmp_path):
 
 def test_speed_has_units_of_its_own(tmp_path):
     path = written(tmp_path, ".h5", unit="knots", rate_hz=1.0)
-    with opened(path, SpeedSource(path.name), "speed") as source:
+    with opened(path, SpeedSource(path.name)) as source:
         assert source.size == pytest.approx(0.514444, rel=1e-5)
     with pytest.raises(TripError, match="says 'knots'"), opened(path, Channel(path.name)):
         pass

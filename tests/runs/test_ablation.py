@@ -26,7 +26,7 @@ from suspnet.runs.ablation import (
     changes,
 )
 from suspnet.runs.sweeps import Ablation
-from suspnet.runs.table6 import records_csv
+from suspnet.runs.tables import records_csv
 
 CONFIGS = ROOT / "configs"
 NAMES = list(OmegaConf.load(CONFIGS / "ablations.yaml"))

@@ -9,7 +9,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from suspnet.runs import plots
-from suspnet.runs.table6 import table6_records
+from suspnet.runs.tables import table6_records
 from suspnet.spectra.extraction import PeakFeatures
 
 FREQUENCIES = 0.1 + 0.02 * torch.arange(996, dtype=torch.float64)

@@ -17,9 +17,8 @@ from suspnet.estimation.information import output_bounds
 from suspnet.estimation.problem import BLOCK, CALIBRATE, TEST, TRAIN, Problem
 from suspnet.estimation.refine import refine
 from suspnet.learning import MSVR, MVGPR, CurveFit, LinearRegression
-from suspnet.runs.calibrate import calibrated
 from suspnet.runs.fit import fit
-from suspnet.runs.predict import predict_stream
+from suspnet.runs.predict import calibrated, predict_stream
 from suspnet.spectra.curves import CurveMisfit, CurveSettings
 from suspnet.spectra.estimates import EstimateSettings
 

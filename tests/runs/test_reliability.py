@@ -16,9 +16,8 @@ from suspnet.estimation.estimate import KINDS
 from suspnet.estimation.from_curves import estimate_curves
 from suspnet.estimation.problem import TEST, Problem
 from suspnet.learning import MSVR, MVGPR
-from suspnet.runs.calibrate import calibrated
 from suspnet.runs.fit import fit
-from suspnet.runs.predict import predict_stream
+from suspnet.runs.predict import calibrated, predict_stream
 from suspnet.runs.reliability import (
     IN_RANGE,
     N_SLICES,

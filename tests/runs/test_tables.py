@@ -7,7 +7,7 @@ import math
 import pytest
 
 from suspnet.learning import METHODS
-from suspnet.runs.table6 import (
+from suspnet.runs.tables import (
     MODEL_TITLES,
     PUBLISHED,
     records_csv,

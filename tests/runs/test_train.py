@@ -11,7 +11,7 @@ from hydra import compose, initialize_config_dir
 
 from suspnet.cli.kinds import build
 from suspnet.estimation.checkpoint import load_model
-from suspnet.estimation.physics import Residual
+from suspnet.estimation.flags import Residual
 from suspnet.estimation.problem import Problem
 from suspnet.runs.train import RunContext, train
 

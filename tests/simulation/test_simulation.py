@@ -11,13 +11,11 @@ from vehicles import AM96
 
 from suspnet.dynamics import PARAMETERS, QuarterCar, VerticalVehicle
 from suspnet.dynamics.quantities import UNMEASURED
-from suspnet.dynamics.track import TrackProfile, make_profile
-from suspnet.dynamics.track_spectra import track_spectrum
+from suspnet.dynamics.track import TrackProfile, make_profile, track_spectrum
 from suspnet.ground.storage import read_json
 from suspnet.recordings.manifest import CHANNELS, Channel, SpeedSource
 from suspnet.recordings.manifest_files import read_manifest
-from suspnet.simulation.fleet import Scenario
-from suspnet.simulation.scatter import scattered, true_numbers
+from suspnet.simulation.fleet import Scenario, scattered, true_numbers
 from suspnet.simulation.signals import (
     BLOCK,
     LEAD_IN_S,

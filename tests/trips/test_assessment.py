@@ -6,7 +6,7 @@ from itertools import product
 import numpy as np
 import pytest
 
-from suspnet.ground.limits import DEFAULT_LIMITS, Severity
+from suspnet.ground.parameters import DEFAULT_LIMITS, Severity
 from suspnet.maintenance.assessment import (
     ALL_FLAGGED,
     assess,

@@ -16,7 +16,7 @@ from suspnet.dynamics import VerticalVehicle
 from suspnet.dynamics.quantities import LogNormal
 from suspnet.estimation.fitted import ModelFileError
 from suspnet.estimation.from_recording import TripSettings
-from suspnet.ground.limits import DEFAULT_LIMITS
+from suspnet.ground.parameters import DEFAULT_LIMITS
 from suspnet.ground.records import Commissioning, relative_to_first_healthy
 from suspnet.maintenance.series import series_of
 from suspnet.report.trend import AGAIN_OF_FIRST

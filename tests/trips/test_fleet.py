@@ -20,7 +20,7 @@ from trip_records import fleet as made_up
 
 from suspnet.estimation.fitted import ModelFileError
 from suspnet.estimation.from_recording import TripSettings
-from suspnet.ground.limits import DEFAULT_LIMITS, Severity
+from suspnet.ground.parameters import DEFAULT_LIMITS, Severity
 from suspnet.ground.storage import read_arrays, read_plain
 from suspnet.maintenance.series import series_of
 from suspnet.maintenance.state import State

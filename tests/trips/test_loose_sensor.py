@@ -7,7 +7,7 @@ from suspnet.estimation.from_recording import TripSettings
 from suspnet.ground.records import NO_ESTIMATE, OK
 from suspnet.recordings.manifest import CHANNELS
 from suspnet.trips.check import CheckSettings, check_trip
-from suspnet.trips.check_records import READY, TOO_LITTLE
+from suspnet.trips.check_page import READY, TOO_LITTLE
 from suspnet.trips.trip import evaluate_trip
 
 RATE = dict(zip(CHANNELS, RATES_HZ, strict=True))

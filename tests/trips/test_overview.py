@@ -12,7 +12,7 @@ from trip_records import HALF_WIDTHS, flagged, trip
 
 from suspnet.estimation.fitted import ModelFileError
 from suspnet.estimation.from_recording import TripSettings
-from suspnet.ground.limits import DEFAULT_LIMITS, Severity
+from suspnet.ground.parameters import DEFAULT_LIMITS, Severity
 from suspnet.ground.records import Place
 from suspnet.maintenance.series import series_of
 from suspnet.maintenance.state import State

@@ -11,7 +11,7 @@ import pytest
 from matplotlib.figure import Figure
 from trip_records import FLAG, HALF_WIDTHS, OUTPUTS, flagged, fleet, trend_of, trip
 
-from suspnet.ground.limits import DEFAULT_LIMITS
+from suspnet.ground.parameters import DEFAULT_LIMITS
 from suspnet.ground.records import Place
 from suspnet.maintenance import Acknowledgement, Alarm, Cause, Life, Severity
 from suspnet.maintenance.alarms import Watched

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from served_fleet import EVIL, FAILED, HEALTHY, NAMED_EVIL, SETTINGS, WORN, fill, name_of, trips
 
-from suspnet.ground.limits import Severity
+from suspnet.ground.parameters import Severity
 from suspnet.history import History
 from suspnet.report.board import Board
 from suspnet.web.app import create_app

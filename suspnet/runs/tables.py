@@ -1,16 +1,20 @@
-"""Table VI: the paper's published figures next to measured ones, as records, Markdown and CSV."""
+"""Tables of scores as records, Markdown and CSV, Table VI first, and the files of a study."""
 
 from __future__ import annotations
 
 import csv
 import io
 from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
 from statistics import fmean
 from typing import Any
 
+from matplotlib.figure import Figure
 from tabulate import tabulate
 
-from suspnet.learning.metrics import METRICS
+from suspnet.ground.storage import write_atomically, write_json
+from suspnet.learning.search import METRICS
+from suspnet.report.tensorboard import RunLog
 
 REFINED = "+refine"
 """Suffix of a method's name if its estimates were refined on the curve."""
@@ -45,12 +49,7 @@ Record = dict[str, Any]
 
 
 def table6_records(runs: Sequence[Mapping[str, Any]]) -> list[Record]:
-    """Return one record for each output and metric of each run, in the order of Table VI.
-
-    `runs` are the metrics.json of each run: protocol, model, scores, bound, n_train, snr_db, seed,
-    seconds. A record has the keys protocol, group, output, metric, model, published (None where the
-    paper has no figure), measured, bound, n_train, snr_db, seed, seconds.
-    """
+    """Return records of each output and metric of runs (metrics.json), as in Table VI."""
     records = [
         {
             "protocol": run["protocol"],
@@ -168,11 +167,7 @@ def records_csv(records: Sequence[Mapping[str, Any]]) -> str:
 
 
 def scores_table(metrics: Mapping[str, Any]) -> str:
-    """Return the scores of one run next to the best possible ones, as Markdown.
-
-    `metrics` holds scores, bound, cramer_rao_percent (inf where a parameter cannot be identified),
-    rms_ratio (rms error over the bound) and, for a calibrated model, intervals.
-    """
+    """Return the scores of a run (its metrics.json) next to the best possible ones, as Markdown."""
     rows = []
     for output, values in metrics["scores"].items():
         bound = metrics["bound"][output]
@@ -202,3 +197,21 @@ def in_digits(value: float | None) -> str:
     if value >= 100:
         return f"{value:.0f}"
     return f"{value:.2f}" if value >= 1 else f"{value:.3g}"
+
+
+def write_study(
+    folder: Path,
+    name: str,
+    text: str,
+    content: Any,
+    records: Sequence[Mapping[str, Any]],
+    figures: Mapping[str, Figure],
+) -> None:
+    """Write content as JSON, records as CSV, text as Markdown, and figures; show these two."""
+    write_json(folder / f"{name}.json", content)
+    write_atomically(folder / f"{name}.csv", records_csv(records))
+    write_atomically(folder / f"{name}.md", text)
+    with RunLog(folder) as run_log:
+        run_log.text(name, text)
+        for key, figure in figures.items():
+            run_log.figure(key, figure, folder)
