@@ -99,22 +99,15 @@ READ_HERE = ("test_check_agrees", "test_commissioning_fleet", "test_commissionin
 
 
 @pytest.fixture(scope="module", autouse=True)
-def _read_in_this_process(request):
-    """Read simulated trips without a process for each of their four files, a third of the time.
-
-    Tests of recordings that ask what is read, not how, read all formats here.
-    """
+def _parquet_read_in_this_process(request):
+    """Read simulated trips without a process for each of their four files, a third of the time."""
     from suspnet.recordings import formats
 
     name, folder = request.path.stem, request.path.parent.name
     apart = folder in READ_APART or name == "test_same_estimate"
-    is_of_recordings = folder == "recordings"
+    apart |= folder == "recordings" and name.endswith(APART)
     with pytest.MonkeyPatch.context() as patch:
-        if is_of_recordings and not name.endswith(APART):
-            for one in formats.FORMATS:
-                for suffix in one.suffixes:
-                    patch.setitem(formats.READERS, suffix, one.open)
-        elif name in READ_HERE or not (apart or is_of_recordings):
+        if name in READ_HERE or not apart:
             patch.setitem(formats.READERS, ".parquet", formats.open_parquet)
         yield
 
