@@ -163,8 +163,8 @@ def test_a_new_trip_is_worked_out_for_its_car_alone(store, board, monkeypatch):
 
 
 def test_many_new_trips_are_as_if_read_for_the_first_time(store, board):
-    for number in range(30, N_TRIPS):
-        write(store, *(results[number] for results in FLEET.values()))
+    for number in range(30, N_TRIPS, 4):
+        write(store, *(r for results in FLEET.values() for r in results[number : number + 4]))
         assert board.refresh()
     before = board.view
     assert before.states[0].severity == Severity.ACT
@@ -186,6 +186,8 @@ def test_rates_of_wear_are_learnt_again_with_a_tenth_of_new_trips(store, board, 
     new = [results[number] for number in range(30, N_TRIPS) for results in FLEET.values()]
     for i, result in enumerate(new[:n_needed], 1):
         write(store, result)
+        if i % 5 and i < n_needed - 2:
+            continue
         board.refresh()
         assert len(learnt) == (i > 0.1 * (150 + i))
     assert len(learnt) == 1

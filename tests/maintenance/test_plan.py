@@ -402,7 +402,7 @@ def test_any_lives_give_a_whole_plan_that_the_order_does_not_change(lives, level
     assert len(plan_calendar(found).axes) == 1
 
 
-@pytest.mark.parametrize("n_trains", [25, pytest.param(100, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("n_trains", [10, pytest.param(100, marks=pytest.mark.slow)])
 def test_fleet_of_1000_suspensions_is_planned_in_time(n_trains):
     """4,000 parts of 100 trains with 500 samples each: 1 s, and 10 s are allowed."""
     rng = np.random.default_rng(0)
