@@ -81,7 +81,6 @@ def _built_in_one_folder(tmp_path_factory):
         yield
 
 
-OPEN_PARQUET_APART = formats.READERS[".parquet"]
 READ_APART = ("cli", "benchmarks", "tests")
 """Folders whose tests read every file as users do, in a process of its own."""
 APART = (
@@ -111,16 +110,19 @@ def _parquet_read_in_this_process(request):
     name, folder = request.path.stem, request.path.parent.name
     apart = folder in READ_APART or name == "test_same_estimate"
     apart |= folder == "recordings" and name.endswith(APART)
+    as_users_do = formats.READERS[".parquet"]
     with pytest.MonkeyPatch.context() as patch:
         if name in READ_HERE or not apart:
             patch.setitem(formats.READERS, ".parquet", formats.open_parquet)
-        yield
+        yield as_users_do
 
 
 @pytest.fixture
-def read_apart(monkeypatch):
+def read_apart(monkeypatch, _parquet_read_in_this_process):
     """Read every file in a process of its own, as users do."""
-    monkeypatch.setitem(formats.READERS, ".parquet", OPEN_PARQUET_APART)
+    from suspnet.recordings import formats
+
+    monkeypatch.setitem(formats.READERS, ".parquet", _parquet_read_in_this_process)
 
 
 @pytest.fixture(scope="session", autouse=True)
