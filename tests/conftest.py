@@ -83,17 +83,7 @@ def _built_in_one_folder(tmp_path_factory):
 
 READ_APART = ("cli", "benchmarks", "tests")
 """Folders whose tests read every file as users do, in a process of its own."""
-APART = (
-    "attacks",
-    "bounds",
-    "confinement",
-    "dialects",
-    "formats",
-    "fuzz",
-    "mdf",
-    "memory",
-    "process",
-)
+APART = ("attacks", "bounds", "confinement", "formats", "fuzz", "memory", "process")
 """Ends of names of modules of recordings that do so too."""
 READ_HERE = (
     *("test_check", "test_check_agrees", "test_commissioning_fleet", "test_commissioning_program"),
