@@ -5,7 +5,6 @@ Fixtures import what they need: the process that hands out tests to others needs
 
 import gc
 import os
-import sys
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
@@ -21,11 +20,6 @@ if TYPE_CHECKING:
 settings.register_profile("tests", deadline=None, derandomize=True, database=None, max_examples=30)
 settings.load_profile("tests")
 
-
-# also where PYTHONDONTWRITEBYTECODE is set: compiling and rewriting all tests takes longer than
-# importing them, in each process, and compiling suspnet half a second of each program
-sys.dont_write_bytecode = False
-os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 
 gc.disable()  # until all tests are collected: a quarter of the time of imports and parameters
 
