@@ -32,7 +32,7 @@ from suspnet.recordings.manifest_files import read_manifest as read_manifest
 from suspnet.recordings.manifest_keys import TripError as TripError
 from suspnet.recordings.recording import Recording as Recording
 from suspnet.recordings.recording import load_recording as load_recording
-from suspnet.report.calendar_figure import plan_calendar as plan_calendar
+from suspnet.report.maintenance_figures import plan_calendar as plan_calendar
 from suspnet.runs.train import train as train
 from suspnet.spectra.components import CurveFeatures as CurveFeatures
 from suspnet.spectra.curves import CurveSettings as CurveSettings

@@ -1,17 +1,25 @@
-"""Composes each choice of shipped configurations once: programs compose the same ones in each test.
+"""Composes each choice of configurations once: programs compose the same ones in each test.
 
-What is typed or checked is applied to a copy each time, and a user's folder is always read.
+What is typed or checked is applied to a copy each time. A user's folder counts by its contents.
 """
 
 import copy
+import pickle
 from contextlib import contextmanager
+from itertools import islice
+from pathlib import Path
 
 import pytest
 from hydra._internal import defaults_list
 from hydra._internal.config_loader_impl import ConfigLoaderImpl
-from omegaconf import OmegaConf
+from hydra._internal.config_repository import CachingConfigRepository
+from omegaconf import OmegaConf, _utils, base, grammar_parser
 
+from suspnet.cli import trusted
 from suspnet.cli.program import CONFIGS
+
+MAX_FILES, MAX_BYTES = 50, 100_000
+"""A user's folder that holds more files, or a larger one, is always read."""
 
 
 @contextmanager
@@ -26,7 +34,28 @@ def composed_once():
         patch.setattr(defaults_list, "_create_defaults_list", listed)
         name = "_compose_config_from_defaults_list"
         patch.setattr(ConfigLoaderImpl, name, _merged_once(getattr(ConfigLoaderImpl, name)))
+        patch.setattr(CachingConfigRepository, "__init__", _share_sources)
+        parse = _parses_once(grammar_parser.parse)
+        for module in (base, _utils, trusted):
+            patch.setattr(module, "parse", parse)
         yield
+
+
+def _share_sources(self, delegate):
+    """Take over the list of sources, which Hydra copies with all that its store holds."""
+    self.delegate = copy.copy(delegate)
+    self.cache = {}
+
+
+def _parses_once(parse):
+    known = {}
+
+    def parsed(*text_and_rules):
+        if text_and_rules not in known:
+            known[text_and_rules] = parse(*text_and_rules)
+        return known[text_and_rules]
+
+    return parsed
 
 
 def _loads_once(load):
@@ -38,8 +67,8 @@ def _loads_once(load):
         begin, text = file_.tell(), file_.read()
         if text not in known:
             file_.seek(begin)
-            known[text] = load(file_)
-        return copy.deepcopy(known[text])
+            known[text] = pickle.dumps(load(file_))
+        return pickle.loads(known[text])  # faster than copy.deepcopy
 
     return loaded
 
@@ -48,16 +77,16 @@ def _listed_once(make):
     known = {}
 
     def listed(repo, config_name, overrides, prepend_hydra, skip_missing):
-        sources = _shipped(repo)
+        sources = _contents(repo)
         if sources is None:
             return make(repo, config_name, overrides, prepend_hydra, skip_missing)
         typed = {k: v for k, v in vars(overrides).items() if k != "config_overrides"}
         key = (sources, config_name, repr(typed), prepend_hydra, skip_missing)
         if key not in known:
             found, tree = make(repo, config_name, overrides, prepend_hydra, skip_missing)
-            known[key] = copy.deepcopy((found, typed))  # `typed` has been changed with `overrides`
+            known[key] = pickle.dumps((found, typed))  # `typed` has been changed with `overrides`
             return found, tree
-        found, used = copy.deepcopy(known[key])
+        found, used = pickle.loads(known[key])
         vars(overrides).update(used)
         return found, None
 
@@ -68,18 +97,29 @@ def _merged_once(merge):
     known = {}
 
     def merged(self, defaults, repo):
-        sources = _shipped(repo)
+        sources = _contents(repo)
         if sources is None:
             return merge(self, defaults, repo)
         key = (sources, repr(defaults))
         if key not in known:
-            known[key] = merge(self, defaults, repo)
-        return copy.deepcopy(known[key])
+            known[key] = pickle.dumps(merge(self, defaults, repo))
+        return pickle.loads(known[key])
 
     return merged
 
 
-def _shipped(repo):
-    """Return where configurations come from, or None if one place is not the package's."""
-    sources = tuple((source.scheme(), source.path) for source in repo.get_sources())
-    return None if any(s == "file" and path != CONFIGS for s, path in sources) else sources
+def _contents(repo):
+    """Return where configurations come from, with the contents of a user's folder.
+
+    None if that folder holds what is no plain file, or too much.
+    """
+    found = []
+    for source in repo.get_sources():
+        found.append((source.scheme(), source.path))
+        if source.scheme() == "file" and source.path != CONFIGS:
+            for path in islice(Path(source.path).rglob("*"), MAX_FILES + 1):
+                plain = path.is_dir() or (path.is_file() and path.stat().st_size <= MAX_BYTES)
+                if path.is_symlink() or not plain or len(found) > MAX_FILES:
+                    return None
+                found.append((str(path), None if path.is_dir() else path.read_bytes()))
+    return tuple(found)

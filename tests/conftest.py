@@ -1,23 +1,21 @@
-"""Fixtures shared by the tests: the AM96 and the protocols, as shipped."""
+"""Fixtures shared by the tests: the AM96 and the protocols, as shipped.
+
+Fixtures import what they need: the process that hands out tests to others needs no torch.
+"""
 
 import gc
 import os
 from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 import built_once
 import pytest
-import torch
-from cli_runner import blank_figures
-from composed_once import composed_once
 from hypothesis import settings
 from pairs import mark_beyond_pairs
-from protocols import shipped_protocol
-from threadpoolctl import threadpool_limits
-from vehicles import AM96
 
-from suspnet.dynamics import QuarterCar, Vehicle
-from suspnet.estimation.protocols import Protocol, Task
-from suspnet.recordings import formats
+if TYPE_CHECKING:
+    from suspnet.dynamics import QuarterCar, Vehicle
+    from suspnet.estimation.protocols import Protocol, Task
 
 settings.register_profile("tests", deadline=None, derandomize=True, database=None, max_examples=30)
 settings.load_profile("tests")
@@ -57,6 +55,9 @@ def _one_thread():
 
     OMP_NUM_THREADS sets another number, but for torch; processes of tests inherit it.
     """
+    import torch
+    from threadpoolctl import threadpool_limits
+
     torch.set_num_threads(1)
     n_threads = int(os.environ.setdefault("OMP_NUM_THREADS", "1"))
     with threadpool_limits(n_threads):
@@ -74,58 +75,86 @@ def _built_in_one_folder(tmp_path_factory):
         yield
 
 
-READ_APART = ("recordings", "cli", "benchmarks", "tests")
+READ_APART = ("cli", "benchmarks", "tests")
 """Folders whose tests read every file as users do, in a process of its own."""
-READ_HERE = ("test_check_agrees", "test_commissioning_fleet", "test_commissioning_program")
+APART = ("attacks", "bounds", "confinement", "formats", "fuzz", "memory", "process")
+"""Ends of names of modules of recordings that do so too."""
+READ_HERE = (
+    *("test_check", "test_check_agrees", "test_commissioning_fleet", "test_commissioning_program"),
+    *("test_init", "test_monitor_program", "test_trips_program"),
+)
+"""Files of tests that read many simulated trips; some of their tests use `read_apart`."""
 
 
 @pytest.fixture(scope="module", autouse=True)
 def _parquet_read_in_this_process(request):
     """Read simulated trips without a process for each of their four files, a third of the time."""
+    from suspnet.recordings import formats
+
     name, folder = request.path.stem, request.path.parent.name
+    apart = folder in READ_APART or name == "test_same_estimate"
+    apart |= folder == "recordings" and name.endswith(APART)
+    as_users_do = formats.READERS[".parquet"]
     with pytest.MonkeyPatch.context() as patch:
-        if name in READ_HERE or (folder not in READ_APART and name != "test_same_estimate"):
+        if name in READ_HERE or not apart:
             patch.setitem(formats.READERS, ".parquet", formats.open_parquet)
-        yield
+        yield as_users_do
+
+
+@pytest.fixture
+def read_apart(monkeypatch, _parquet_read_in_this_process):
+    """Read every file in a process of its own, as users do."""
+    from suspnet.recordings import formats
+
+    monkeypatch.setitem(formats.READERS, ".parquet", _parquet_read_in_this_process)
 
 
 @pytest.fixture(scope="session", autouse=True)
 def _configurations_composed_once():
+    from composed_once import composed_once
+
     with composed_once():
         yield
 
 
 @pytest.fixture
 def blank():
+    from cli_runner import blank_figures
+
     with blank_figures():
         yield
 
 
 @pytest.fixture(scope="session")
-def am96() -> Vehicle:
+def am96() -> "Vehicle":
+    from vehicles import AM96
+
     return AM96
 
 
 @pytest.fixture(scope="session")
-def quarter_car(am96) -> QuarterCar:
+def quarter_car(am96) -> "QuarterCar":
+    from suspnet.dynamics import QuarterCar
+
     return QuarterCar(am96)
 
 
 @pytest.fixture(scope="session")
-def protocol() -> Callable[..., Protocol]:
+def protocol() -> "Callable[..., Protocol]":
     """Build a protocol, with changes."""
+    from protocols import shipped_protocol
 
-    def build(name: str = "multi_location", **changes) -> Protocol:
+    def build(name: str = "multi_location", **changes) -> "Protocol":
         return shipped_protocol(name, **changes)
 
     return build
 
 
 @pytest.fixture(scope="session")
-def task(protocol) -> Callable[..., Task]:
+def task(protocol) -> "Callable[..., Task]":
     """Build the learning problem of one group of one protocol, with changes."""
 
-    def build(name: str = "multi_location", group: str = "primary", **changes) -> Task:
+    def build(name: str = "multi_location", group: str = "primary", **changes) -> "Task":
         return protocol(name, **changes).task(group)
 
     return build

@@ -10,10 +10,8 @@ from waitress import wasyncore
 
 from suspnet.ground.records import Place, Quality, TripResult
 from suspnet.history import History
-from suspnet.report.board import Board, BoardSettings
-from suspnet.web.app import create_app
-from suspnet.web.refresher import Refresher
-from suspnet.web.server import http_server
+from suspnet.report.board import Board, BoardSettings, Refresher
+from suspnet.web.app import create_app, http_server
 
 N_TRIPS = 30
 EVIL = "<script>window.evil = 1</script>"

@@ -26,7 +26,7 @@ def injected(folder, n_kills, seed, *programs):
 
 
 def test_a_handful_of_kills(tmp_path):
-    counts, words = injected(tmp_path, 4, 1, "sweep", "simulate alone")
+    counts, words = injected(tmp_path, 2, 1, "sweep", "simulate alone")
     assert counts["resumed"] == 2
     assert not any(counts.get(name, 0) for name in NEVER), words
 

@@ -3,6 +3,7 @@
 import hashlib
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
 
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -16,12 +17,15 @@ from suspnet.estimation.checkpoint import load_model, save_model
 from suspnet.estimation.problem import TEST, Problem
 from suspnet.learning import MSVR
 from suspnet.recordings.manifest import CHANNELS
+from suspnet.recordings.manifest_files import ManifestFile
+from suspnet.recordings.manifest_keys import TripError
 from suspnet.runs.fit import fit
 from suspnet.runs.predict import calibrated, predict_stream
 from suspnet.runs.scores import rms_percent
 from suspnet.simulation.fleet import Scenario
 from suspnet.simulation.writing import Fleet, Simulation, write_fleet
 from suspnet.spectra.estimates import EstimateSettings
+from suspnet.trips.trip import evaluate_trip
 
 OUTPUTS = ("k_p", "c_p", "k_s", "c_s", "M_s")
 RATES_HZ = (400.0, 250.0, 250.0)
@@ -53,6 +57,11 @@ def model_at(speed=SPEED, n_train=2000, snr_db=34.0, n_calibrate=N_CALIBRATE, **
     return load_model(built_once(name, build))
 
 
+def slow_model():
+    """Return a model of 50 m/s."""
+    return model_at(50.0, n_train=800, n_calibrate=100)
+
+
 def _trained(speed, n_train, snr_db, n_calibrate, changes):
     task = shipped_protocol("trips", **changes).task("all")
     options = BAND | {"snr_db": snr_db, "minutes": MINUTES, "rates_hz": RATES_HZ}
@@ -73,12 +82,30 @@ def write_trips(folder, n_trips=1, scenario=None, seed=0, speed=SPEED, **changes
     )
 
 
-def small_fleet(factory):
-    """Return the manifests of six trips, each of another vehicle, written once a session."""
-    folder = factory.getbasetemp() / "small_fleet"
-    if not folder.exists():
+RECALLED = {}
+"""Of each content of a manifest, models and settings: the result, and the models, to keep them."""
+
+
+def recalled_trip(trip, models, settings):
+    """Do as `evaluate_trip` does, but read a trip, under whatever name, once in this process."""
+    file = trip if isinstance(trip, ManifestFile) else ManifestFile(trip)
+    try:
+        content = repr(replace(file.trip, path=Path(), name=""))
+    except TripError:
+        return evaluate_trip(file, models, settings)
+    key = content, tuple(map(id, models)), settings
+    if key not in RECALLED:
+        RECALLED[key] = evaluate_trip(file, models, settings), models
+    return replace(RECALLED[key][0], trip=file.path.stem, manifest=str(file.path))
+
+
+def small_fleet(_factory=None):
+    """Return the manifests of six trips, each of another vehicle, written once for all tests."""
+
+    def build(folder):
         write_trips(folder, N_TRIPS, Scenario("random", spread=0.3), seed=1)
-    return sorted(folder.glob("*.yaml"))
+
+    return sorted(built_once("small_fleet", build).glob("*.yaml"))
 
 
 def signal(manifest, name):

@@ -14,14 +14,13 @@ from omegaconf import DictConfig, OmegaConf
 
 from suspnet.cli import program
 from suspnet.cli.folders import ACT, EXIT_CODE, FINE, MISTAKE, NOTICE, SOME_WITHOUT_ESTIMATE, worst
-from suspnet.cli.kinds import build, named_runs, plain, read_vehicles
+from suspnet.cli.kinds import board_settings, build, named_runs, read_vehicles
 from suspnet.estimation.checkpoint import load_model
 from suspnet.ground.parameters import Severity
 from suspnet.ground.settings import check_choice
 from suspnet.ground.storage import write_atomically
 from suspnet.history import History
-from suspnet.report.board import BoardSettings
-from suspnet.report.overview import Evaluated
+from suspnet.report.tables import Evaluated
 from suspnet.runs.evaluate import FreshCurves, evaluate, write_maintenance
 from suspnet.runs.identifiability import write_identifiability
 from suspnet.runs.reliability import write_reliability
@@ -109,7 +108,7 @@ def main(config: DictConfig) -> int:
 def run_study(config: DictConfig, folder: Path) -> int:
     """Run the chosen study; return the exit code for the worst state that it found."""
     check_choice("study", config.study, ("identifiability", "maintenance", "reliability"))
-    program.n_threads(config.threads)
+    threads = program.n_threads(config.threads)
     program.save_config(config, folder)
     if config.study == "identifiability":
         write_identifiability(
@@ -127,22 +126,10 @@ def run_study(config: DictConfig, folder: Path) -> int:
             config.run,
             read_vehicles(),
             folder,
-            n_test=config.n_test,
-            n_odd=config.n_odd,
-            seed=config.seed,
-            threads=config.threads,
-            device=config.device,
-            progress=config.progress,
+            FreshCurves(config.seed, config.n_test, threads=threads, progress=config.progress),
+            config.n_odd,
+            config.device,
         )
         return FINE
-    settings = BoardSettings(
-        vehicles=read_vehicles(),
-        limits=plain(config.monitor.limits),
-        changes=build(config, "monitor.changes"),
-        sisters=build(config, "sisters"),
-        plan=build(config, "plan"),
-        today=config.today,
-        seed=config.seed,
-    )
-    states = write_maintenance(config.store, folder, settings)
+    states = write_maintenance(config.store, folder, board_settings(config, config.monitor))
     return worst(ALARMS.get(one.severity, FINE) for one in states)

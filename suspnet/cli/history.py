@@ -6,7 +6,6 @@ from argparse import Namespace
 from collections.abc import Callable
 from dataclasses import asdict
 from math import isfinite
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,7 +16,9 @@ from suspnet.ground import ledger
 from suspnet.ground.parameters import PARAMETERS, Cause
 from suspnet.ground.records import PLACE, Place
 from suspnet.ground.storage import write_table
+from suspnet.ground.wording import thousands
 from suspnet.history import History, HistoryError
+from suspnet.history.database import check_exists
 from suspnet.history.store import acknowledge_alarms
 from suspnet.maintenance.alarms import Acknowledgement, Alarm, newest_of
 from suspnet.maintenance.series import Event
@@ -29,10 +30,7 @@ def history(arguments: Namespace) -> None:
     HistoryError if the store is missing or cannot be used, ValueError if an event or an
     acknowledgement is not valid.
     """
-    if "://" not in arguments.store and not Path(arguments.store).is_file():
-        raise HistoryError(
-            f"{arguments.store}: there is no such file; evaluate.py trips=DIR store=FILE makes one"
-        )
+    check_exists(arguments.store)
     with History(arguments.store) as store:
         print(COMMANDS[arguments.does](store, arguments))
 
@@ -41,7 +39,7 @@ def _listed(store: History, _: Namespace) -> str:
     rows = []
     for one in store.series():
         known = one.mileage_km[np.isfinite(one.mileage_km)]
-        span = f"{km(known[0])} to {km(known[-1])}" if len(known) else ""
+        span = f"{thousands(known[0])} to {thousands(known[-1])}" if len(known) else ""
         done = "; ".join(map(str, one.events))
         rows.append([one.vehicle, one.place, len(one.trip), int(one.done.sum()), span, done])
     header = ["vehicle", "suspension", "trips", "with estimate", "km", "maintenance"]
@@ -72,7 +70,9 @@ def _alarms(store: History, arguments: Namespace) -> str:
             *key,
             alarm.parameter,
             alarm.cause,
-            km(alarm.begin_km) if alarm.is_open else f"{km(alarm.begin_km)} to {km(alarm.end_km)}",
+            thousands(alarm.begin_km)
+            if alarm.is_open
+            else f"{thousands(alarm.begin_km)} to {thousands(alarm.end_km)}",
             alarm.words,
             f"{by.by}, {by.at[:10]}{': ' * bool(by.words)}{by.words}" if by else "",
         ]
@@ -101,7 +101,7 @@ def _acknowledge(store: History, arguments: Namespace) -> str:
     by = arguments.by, arguments.words
     seen = acknowledge_alarms(store, vehicle, place, chosen, newest, *by)
     names = ", ".join(f"{one.parameter} ({one.cause}, {one.severity!s})" for one in seen)
-    return f"{place}: {names} acknowledged by {arguments.by} at {km(newest)} km"
+    return f"{place}: {names} acknowledged by {arguments.by} at {thousands(newest)} km"
 
 
 def _export(store: History, arguments: Namespace) -> str:
@@ -131,11 +131,6 @@ def _plain(entry: Event | Alarm | Acknowledgement) -> dict[str, Any]:
 
 def _place(arguments: Namespace) -> Place:
     return Place(**{name: getattr(arguments, name) for name in PLACE})
-
-
-def km(mileage: float) -> str:
-    """Return a mileage with spaces between thousands."""
-    return f"{mileage:,.0f}".replace(",", " ")
 
 
 COMMANDS: dict[str, Callable[[History, Namespace], str]] = {

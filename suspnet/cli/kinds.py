@@ -13,15 +13,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hydra import compose, initialize_config_dir
+from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, ListConfig, OmegaConf
 
 from suspnet.cli.config_files import CONFIGS, check_file
-from suspnet.ground.settings import check_choice
+from suspnet.ground.settings import check_choice, check_number
 from suspnet.ground.storage import read_plain
 
 if TYPE_CHECKING:
     from suspnet.dynamics import Vehicle
     from suspnet.estimation.protocols import Protocol
+    from suspnet.report.board import BoardSettings
 
 KINDS: Mapping[str, Mapping[str, str]] = {
     "data": {
@@ -58,7 +60,7 @@ KINDS: Mapping[str, Mapping[str, str]] = {
     "live": {"": "suspnet.live.suspension.LiveSettings"},
     "monitor": {"": "suspnet.trips.fleet.FleetSettings"},
     "order": {"": "suspnet.recordings.assembler.OrderSettings"},
-    "plan": {"": "suspnet.maintenance.plan_inputs.PlanSettings"},
+    "plan": {"": "suspnet.maintenance.visit_costs.PlanSettings"},
     "protocol": {"": "suspnet.estimation.protocols.Protocol"},
     "scenario": {"": "suspnet.simulation.fleet.Scenario"},
     "search": {"": "suspnet.learning.search.GridSearch"},
@@ -174,6 +176,31 @@ def read_vehicles(folder: str | Path = CONFIGS) -> dict[str, Vehicle]:
         except (TypeError, ValueError) as error:
             raise type(error)(f"{file}: {error}") from error
     return vehicles
+
+
+def read_all_vehicles() -> dict[str, Vehicle]:
+    """Return the vehicles of ``read_vehicles`` and those in the folder that --config-dir names."""
+    sources = HydraConfig.get().runtime.config_sources
+    folders = [one.path for one in sources if one.schema == "file"]
+    return {name: one for folder in folders for name, one in read_vehicles(folder).items()}
+
+
+def board_settings(config: DictConfig, alarms: DictConfig) -> BoardSettings:
+    """Return the settings of a fleet's states and plan; `alarms` holds limits and reference."""
+    from suspnet.report.board import BoardSettings  # imports the store
+
+    check_choice("reference", alarms.reference, ("vehicle", "first_trips"))
+    check_number("n_reference", alarms.n_reference, low=1, most=1024, whole=True)
+    return BoardSettings(
+        vehicles={one.name: one.known_limits for one in read_all_vehicles().values()},
+        limits=plain(alarms.limits),
+        changes=build(alarms, "changes"),
+        sisters=build(config, "sisters"),
+        plan=build(config, "plan"),
+        n_first=alarms.n_reference if alarms.reference == "first_trips" else None,
+        today=config.today,
+        seed=config.seed,
+    )
 
 
 def read_protocol(name: str) -> Protocol:

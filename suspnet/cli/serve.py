@@ -19,11 +19,11 @@ from typing import Any
 from omegaconf import DictConfig, OmegaConf
 
 from suspnet.cli import program, start
-from suspnet.cli.kinds import build, plain, read_vehicles
+from suspnet.cli.kinds import board_settings
 from suspnet.ground.settings import check_settings, setting
 from suspnet.history import History
 from suspnet.history.database import BusyError
-from suspnet.report.board import LOOK_S, Board, BoardSettings
+from suspnet.report.board import LOOK_S, Board
 
 log = logging.getLogger(__name__)
 NEEDED = ("flask", "flask_wtf", "waitress", "plotly")
@@ -63,16 +63,7 @@ def main(config: DictConfig) -> None:
     ServeSettings(config.port, config.refresh_s, config.threads)
     _check_store(config.store)
     _check_address(config)
-    settings = BoardSettings(
-        vehicles=read_vehicles(),
-        limits=plain(config.limits),
-        changes=build(config, "changes"),
-        sisters=build(config, "sisters"),
-        plan=build(config, "plan"),
-        today=config.today,
-        seed=config.seed,
-    )
-    serve(Board(config.store, settings), config)
+    serve(Board(config.store, board_settings(config, config)), config)
 
 
 def serve(board: Board, config: DictConfig) -> None:
@@ -80,9 +71,8 @@ def serve(board: Board, config: DictConfig) -> None:
 
     ValueError if the address is taken or not of this computer, or the server ends by itself.
     """
-    from suspnet.web.app import create_app
-    from suspnet.web.refresher import Refresher
-    from suspnet.web.server import http_server
+    from suspnet.report.board import Refresher
+    from suspnet.web.app import create_app, http_server
 
     refresher = Refresher(board, config.refresh_s)
     names = [*config.hosts, *([] if config.host == ANY else [config.host])]
@@ -144,7 +134,7 @@ def _check_store(store: str) -> None:
 
 def _check_address(config: DictConfig) -> None:
     """Raise ValueError if other computers could reach the pages without being asked for."""
-    from suspnet.web.server import is_loopback
+    from suspnet.web.app import is_loopback
 
     if ":" in config.host or not config.host:
         raise ValueError(f"`host` must be an IPv4 address or a name, got {config.host!r}")

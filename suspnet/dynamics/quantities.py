@@ -82,13 +82,7 @@ _NUMBERS: dict[str, tuple[tuple[Any, ...], ...]] = {
         ("guidance_damping", 0.9, "", "pitch damping of the axle guidance over c_p a²", 0.1, True),
     ),
     "longitudinal": (
-        (
-            "longitudinal_stiffness",
-            1.0,
-            "N/m",
-            "stiffness of the longitudinal links, a side",
-            1e5,
-        ),
+        ("longitudinal_stiffness", 1.0, "N/m", "stiffness of the longitudinal links, a side", 1e5),
         ("longitudinal_damping", 1.0, "N s/m", "damping of the longitudinal links, a side", 1e4),
         ("body_lever", 0.3, "m", "lever of the longitudinal links below the body's centre", 0.75),
         ("bogie_lever", 0.3, "m", "lever of the longitudinal links above the bogie's centre", 0.42),

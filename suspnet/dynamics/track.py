@@ -115,9 +115,9 @@ def make_profile(
     """Return a Gaussian random profile with the spectrum's density, made by inverse FFT.
 
     ``z(x) = sum_k a_k cos(2 pi k dn x) + b_k sin(2 pi k dn x)`` with a_k and b_k independent and
-    normal with variance S(k dn) dn. Slope and curvature are the exact derivatives of this sum.
-    The period 1 / dn is longer than the profile by at least `longest_m`, so that the ends of the
-    profile are not correlated. Wavelengths up to two steps, or longer than `longest_m`, are absent.
+    normal with variance S(k dn) dn. The period 1 / dn is longer than the profile by at least
+    `longest_m`, so that its ends are not correlated. Waves up to two steps, or longer than
+    `longest_m`, are absent.
     """
     check_number("length_m", length_m, above=0)
     check_number("step_m", step_m, above=0)

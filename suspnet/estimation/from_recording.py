@@ -26,6 +26,7 @@ from suspnet.estimation.steady_parts import (
 )
 from suspnet.estimation.trip_flags import delay_words, with_sides
 from suspnet.ground.parameters import FORWARD, Direction, direction_words
+from suspnet.ground.records import INTERVAL_LEVEL
 from suspnet.ground.settings import check_settings, setting
 from suspnet.recordings.manifest import CHANNELS
 from suspnet.recordings.manifest_keys import TripError
@@ -99,7 +100,7 @@ class TripSettings:
         high=10,
     )
     level: float = setting(
-        0.9, "Probability with which an interval holds the truth", low=0.01, high=0.999
+        INTERVAL_LEVEL, "Probability with which an interval holds the truth", low=0.01, high=0.999
     )
     check_channels: bool = setting(
         True, "Whether to look for wrong units (the speed's too), wrong signs and swapped channels"

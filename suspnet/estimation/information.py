@@ -203,9 +203,8 @@ def best_possible(
 ) -> dict[str, dict[str, float]]:
     """Return {output: {"mape_percent": ..., "rmse": ...}}: the smallest errors of a task.
 
-    The Cramer-Rao `bounds` (n_vehicles, n_outputs), averaged over `ratios` (n_vehicles, 5); where
-    the car-body mass cannot be separated from the suspension (abs(G_s) alone),
-    `scale_ambiguity_bound`.
+    From Cramer-Rao `bounds` (n_vehicles, n_outputs) of `ratios` (n_vehicles, 5), or from
+    `scale_ambiguity_bound` where the car-body mass cannot be separated from the suspension.
     """
     ambiguous = task.responses == ("G_s",) and PAYLOAD in task.unknown
     if ambiguous and task.sampling == "grid":

@@ -20,11 +20,7 @@ from suspnet.estimation.from_spectra import trip_settings
 from suspnet.ground.parameters import REVERSE
 from suspnet.ground.types import FloatArray
 from suspnet.spectra.cross_spectra import CrossSpectra
-from suspnet.spectra.segments import (
-    SpeedRange,
-    range_words,
-    reading_range,
-)
+from suspnet.spectra.segments import SpeedRange, range_words, reading_range
 from suspnet.spectra.welch import SegmentSpectra
 
 

@@ -15,6 +15,7 @@ from suspnet.estimation.fitted import FittedMethod
 from suspnet.estimation.from_curves import estimate_curves
 from suspnet.estimation.from_recording import TripSettings, estimate_recording
 from suspnet.estimation.from_spectra import estimate_with_noise
+from suspnet.ground.records import INTERVAL_LEVEL
 from suspnet.recordings.manifest_files import read_manifest
 from suspnet.recordings.recording import Recording, load_recording
 from suspnet.spectra.cross_spectra import CrossSpectra
@@ -42,7 +43,7 @@ class TrainedModel(FittedMethod):
         data: ArrayLike | Tensor | CrossSpectra | Recording | Path | str,
         frequencies_hz: ArrayLike | None = None,
         *,
-        level: float = 0.9,
+        level: float = INTERVAL_LEVEL,
         mass: ArrayLike | None = None,
         settings: TripSettings | None = None,
     ) -> Estimate:

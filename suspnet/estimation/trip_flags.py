@@ -92,10 +92,9 @@ def find_delays(
 ) -> tuple[Tensor, Tensor]:
     """Return the delay of each response relative to the fitted one, and what it explains.
 
-    Responses and deviations have the shape (n_links, n_freq); `deviations` are those of the
-    observed log-magnitudes, infinite where a bin is not used. Delays (n_links,), [s], are positive
-    if the output is late. The second result (n_links,) is the explained fraction of the squared
-    residual in log-magnitude and phase factor.
+    Responses and deviations of log-magnitudes (infinite where a bin is not used): (n_links,
+    n_freq). Delays [s] are positive if the output is late. The second result is the explained
+    fraction of the squared residual in log-magnitude and phase factor.
     """
     # bins that are unused or have no finite ratio get the weight 0
     omega = 2 * math.pi * frequencies_hz

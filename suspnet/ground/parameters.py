@@ -148,7 +148,8 @@ def read_limits(
     """Return the limits of each parameter of a configuration.
 
     `given` maps a parameter to its `notice`, `act` and `why`, or to null for no limits. `default`
-    applies to missing parameters and to missing or null entries; `why` is the default reason.
+    applies to missing parameters and to missing or null entries; `why` is the default reason. The
+    car-body mass is payload, which varies by nature, and has no limits.
     TypeError or ValueError, which names the parameter, is raised for an invalid entry.
     """
     if not isinstance(given, Mapping):
@@ -160,6 +161,11 @@ def read_limits(
         if entry is None:
             limits.pop(name, None)
             continue
+        if name == PAYLOAD and not _is_empty(entry):
+            raise ValueError(
+                f"`limits.{name}` must be left out: the car-body mass varies with the payload and "
+                "does not wear"
+            )
         if isinstance(entry, Limits):
             limits[name] = entry
             continue
@@ -177,6 +183,10 @@ def read_limits(
         except (TypeError, ValueError) as error:
             raise type(error)(f"`limits.{name}`: {error}") from None
     return limits
+
+
+def _is_empty(entry: Any) -> bool:
+    return isinstance(entry, Mapping) and all(value is None for value in entry.values())
 
 
 def limits_words(limits: Mapping[str, Limits]) -> str:

@@ -17,6 +17,10 @@ HIGHEST_KM = 2e7
 """Mileage that no rail vehicle reaches, [km]: 40 years of 500 000 km, as fast trains run."""
 
 
+INTERVAL_LEVEL = 0.9
+"""Probability of the intervals of trips, unless a setting names another one."""
+
+
 @dataclass(frozen=True, order=True)
 class Place:
     """Location of a suspension; fields are empty if the manifest does not give them.

@@ -41,6 +41,14 @@ class HistoryError(ValueError):
     """The store cannot be used: not a store, another version, or a server that does not answer."""
 
 
+def check_exists(place: str) -> None:
+    """Raise HistoryError if a store that is a file does not exist."""
+    if "://" not in place and not Path(place).is_file():
+        raise HistoryError(
+            f"{place}: there is no such store; evaluate.py trips=DIR store=FILE makes one"
+        )
+
+
 class BusyError(HistoryError):
     """Another program has locked the store for too long."""
 

@@ -19,7 +19,7 @@ import torch
 from scipy.stats import chi
 from torch import Tensor
 
-from suspnet.learning.feature_maps import TensorMap
+from suspnet.learning.feature_maps import FeatureMap
 from suspnet.learning.ranks import AllReduce, identity
 
 MAX_INPUTS = 3
@@ -30,7 +30,7 @@ FFT_ACCURACY = 1e-2
 
 
 @dataclass(frozen=True)
-class EquispacedFeatures(TensorMap):
+class EquispacedFeatures(FeatureMap):
     """phi(x) = sqrt(2 s_k) (cos(theta_k . z), ..., sin(theta_k . z), ...), z = x - centre.
 
     theta_k = k spacing for whole numbers k, one of each pair k and -k, the constant first; s_k is

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, fields
-from typing import Protocol
 
 import numpy as np
 import torch
@@ -22,34 +21,21 @@ ROUNDING = 1e-13
 """Residual of the kernel's unit diagonal below which it is rounding and counts as 0."""
 
 
-class FeatureMap(Protocol):
-    """Maps samples (n_samples, n_inputs) to features (n_samples, n_features)."""
+class FeatureMap:
+    """Maps samples (n_samples, n_inputs) to features (n_samples, n_features), from tensors."""
 
     @property
     def n_inputs(self) -> int:
         """Number of columns the map takes."""
-        ...
+        raise NotImplementedError
 
     def __call__(self, X: Tensor) -> Tensor:
         """Return the features of `X`."""
-        ...
-
-    def apply(self, X: Tensor, coef: Tensor) -> Tensor:
-        """Return the features of `X` times coef (n_features, n_outputs)."""
-        ...
-
-    def tensors(self) -> dict[str, Tensor]:
-        """Return the tensors that define the map, by name."""
-        ...
-
-
-class TensorMap:
-    """Base of every feature map: a dataclass of tensors that can be called."""
+        raise NotImplementedError
 
     def apply(self, X: Tensor, coef: Tensor) -> Tensor:
         """Return Phi coef, shape (n_samples, n_outputs)."""
-        product: Tensor = self(X) @ coef  # type: ignore[operator]
-        return product
+        return self(X) @ coef
 
     def tensors(self) -> dict[str, Tensor]:
         """Return the tensors that define the map, by name."""
@@ -57,7 +43,7 @@ class TensorMap:
 
 
 @dataclass(frozen=True)
-class FourierFeatures(TensorMap):
+class FourierFeatures(FeatureMap):
     """phi(x) = sqrt(2 / D) (cos(x . w_1), ..., sin(x . w_1), ...) for D / 2 frequencies w_j.
 
     The squared norm is 1, and shift invariance exact, for any draw (Rahimi and Recht, 2007).
@@ -118,7 +104,7 @@ def generator(seed: int) -> torch.Generator:
 
 
 @dataclass(frozen=True)
-class LandmarkFeatures(TensorMap):
+class LandmarkFeatures(FeatureMap):
     """phi(x) = V^T k(Z, x) with V V^T the inverse of k(Z, Z) on landmarks Z (Nystroem).
 
     `landmarks`: Z (n_landmarks, n_inputs), `whitening`: V (n_landmarks, n_features), `sigma`: ().

@@ -50,12 +50,11 @@ class Iteration:
 
 @dataclass(frozen=True)
 class Solution:
-    """Result of the solver.
+    """Result of the solver: `coef` (n_features, n_outputs) and `intercept` (n_outputs,).
 
-    `coef`: (n_features, n_outputs), `intercept`: (n_outputs,). `objective` and `grad_norm` are F
-    and the norm of its gradient over W and b. `gap` is a proven bound on (F - F*) / F, on which the
-    solver stops; see `_Functional.lower_bound`. `support_fraction` is the fraction of the samples
-    outside the tube. `objectives` holds F before the first and after every iteration; it never
+    `objective` and `grad_norm` are F and the norm of its gradient over W and b. `gap` is a proven
+    bound on (F - F*) / F, on which the solver stops; `support_fraction` the fraction of the samples
+    outside the tube; `objectives` holds F before the first and after every iteration, and never
     rises.
     """
 

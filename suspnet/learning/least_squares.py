@@ -34,11 +34,9 @@ AT_ONCE = 128
 
 @dataclass(frozen=True)
 class LeastSquaresSolution:
-    """One fit for each row of the data.
+    """One fit for each row: `parameters` (n_rows, n_parameters), `cost`, `converged` (n_rows,).
 
-    `parameters`: (n_rows, n_parameters), `cost`: half the sum of squared residuals (n_rows,),
-    `information`: J^T J with J the derivative of the residuals at the parameters (n_rows,
-    n_parameters, n_parameters), `converged`: bool (n_rows,).
+    `information` is J^T J with J the derivative of the residuals at the parameters.
     """
 
     parameters: Tensor

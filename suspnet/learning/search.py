@@ -38,12 +38,11 @@ FLAT = 0.005
 
 @dataclass(frozen=True)
 class SearchResult:
-    """Result of a search.
+    """Result of a search: the hyperparameters tried, in order, and their cross-validated `rmse`.
 
-    `settings` are the hyperparameters tried, in order; `rmse` is the cross-validated RMSE of each,
-    averaged over outputs and folds, inf where a fit failed. `failures` lists settings that could
-    not be fitted, with the reason. `edges` maps each hyperparameter in which the optimum is on the
-    edge of the box to a sentence that says so and why the box is not wider.
+    It is averaged over outputs and folds, inf where a fit failed, for which `failures` has the
+    reason. `edges` maps each hyperparameter in which the optimum is on the edge to a sentence that
+    says why.
     """
 
     settings: list[dict[str, Any]]
@@ -284,11 +283,10 @@ def _predictor(
 def score(
     actual: FloatArray, predicted: FloatArray, outputs: Sequence[str]
 ) -> dict[str, dict[str, float]]:
-    """Return {output: {"mape_percent": ..., "rmse": ...}}.
+    """Return {output: {"mape_percent": ..., "rmse": ...}} of ratios (n_samples, n_outputs).
 
-    MAPE = 100/n sum |A - F| / A (Eq. 14) and RMSE = sqrt(1/n sum (A - F)^2) (Eq. 15) with A the
-    actual and F the predicted ratio to healthy, (n_samples, n_outputs). Relative *changes* would
-    divide by 0 at healthy.
+    MAPE = 100/n sum |A - F| / A (Eq. 14), RMSE = sqrt(1/n sum (A - F)^2) (Eq. 15), A actual and F
+    predicted. Relative *changes* would divide by 0 at healthy.
     """
     mape = 100 * mean_absolute_percentage_error(actual, predicted, multioutput="raw_values")
     rmse = root_mean_squared_error(actual, predicted, multioutput="raw_values")

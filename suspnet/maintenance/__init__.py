@@ -6,15 +6,14 @@ from suspnet.ground.parameters import DEFAULT_LIMITS, Cause, Limits, Severity
 from suspnet.maintenance.alarms import Acknowledgement, Alarm, Watched, alarm_table, watch
 from suspnet.maintenance.change import Change, Changes, ChangeSettings, find_changes
 from suspnet.maintenance.cusum import cusum, residuals, threshold
-from suspnet.maintenance.forecast import remaining_lives
-from suspnet.maintenance.life import Life, learn_fleet, predict_life
+from suspnet.maintenance.fleet import learn_fleet
+from suspnet.maintenance.life import Life, predict_life
 from suspnet.maintenance.plan import make_plan
-from suspnet.maintenance.plan_inputs import Part, PlanSettings, Train
-from suspnet.maintenance.schedule import Plan
+from suspnet.maintenance.schedule import Part, Plan, Train
 from suspnet.maintenance.series import Event, Series, make_series
 from suspnet.maintenance.sisters import Sister, SisterSettings, sister_alarms
-from suspnet.maintenance.state import State
-from suspnet.maintenance.visit_costs import Costs
+from suspnet.maintenance.state import State, remaining_lives
+from suspnet.maintenance.visit_costs import Costs, PlanSettings
 
 __all__ = [
     "DEFAULT_LIMITS",

@@ -14,7 +14,7 @@ from suspnet.ground.parameters import PAYLOAD, Cause, Limits, Severity
 from suspnet.ground.types import BoolArray, FloatArray
 from suspnet.ground.wording import kilometres
 from suspnet.maintenance.change import Change, Changes, ChangeSettings, find_changes
-from suspnet.maintenance.judge import N_LAST, judge, level_words
+from suspnet.maintenance.judge import N_LAST, capped, judge, level_words
 from suspnet.maintenance.series import Series
 
 N_QUIET = 3
@@ -142,15 +142,10 @@ class Watched:
     alarms: list[Alarm] = field(default_factory=list)
     changes: Changes = field(default_factory=Changes)
 
-    def standing(self, parameter: str) -> list[Alarm]:
-        """Return the active alarms of a parameter."""
-        return [one for one in self.alarms if one.parameter == parameter and one.is_open]
-
     @property
     def passed(self) -> set[str]:
         """Parameters that are beyond their act limit."""
-        standing = [one for one in self.alarms if one.is_open]
-        return {one.parameter for one in standing if one.severity == Severity.ACT}
+        return {a.parameter for a in self.alarms if a.is_open and a.severity == Severity.ACT}
 
 
 def watch(
@@ -167,8 +162,8 @@ def watch(
     Parameters
     ----------
     series : Series
-        Trips relative to one healthy state; trips without a mileage are ignored. Payload, speed and
-        temperature serve as covariates where they are known.
+        Trips before the last commissioning and trips without a mileage are ignored. Payload, speed
+        and temperature serve as covariates where they are known.
     limits : mapping from parameter to Limits
         A missing parameter has no limits.
     settings : ChangeSettings, optional
@@ -179,12 +174,11 @@ def watch(
         `alarms`, a list of Alarm by the mileage where they start, and `changes`, the result of
         ``find_changes`` for the trips since the last maintenance.
     """
-    km = series.mileage_km[np.isfinite(series.mileage_km)]
+    series = series.part(series.one_healthy & np.isfinite(series.mileage_km))
     ends = [event.mileage_km for event in series.events]
-    parts = np.split(np.arange(len(km)), np.searchsorted(km, ends))
     alarms: list[Alarm] = []
     found = Watched()
-    for part, end in zip(parts, [*ends, np.nan], strict=True):
+    for part, end in zip(series.between, [*ends, np.nan], strict=True):
         found = _watch(series.part(part), series.outputs, limits, settings or ChangeSettings())
         alarms += [replace(one, end_km=end) if one.is_open else one for one in found.alarms]
     return replace(found, alarms=alarms)
@@ -251,14 +245,11 @@ def _beyond(name: str, one: Series, limits: Limits | None) -> list[Alarm]:
         low, high = (centre * np.exp(sign * one.half_widths[name][there]) for sign in (-1, 1))
     last, lowest, highest = (_windows(part, np.nan) for part in (centre, low, high))
     judged = judge(last, lowest, highest, _windows(doubtful, False), limits)
-    # as long as every trip was flagged, the model is in doubt rather than the vehicle
-    severity = np.where(
-        np.logical_and.accumulate(doubtful),
-        np.minimum(judged.severity, Severity.NOTICE),
-        judged.severity,
-    )
+    severity = capped(judged.severity, np.logical_and.accumulate(doubtful))
+    quiet = np.asarray(_windows(severity == Severity.NONE, False, N_QUIET).all(axis=-1))
     found = []
-    for begin, worst, end in _spans(severity.tolist()):
+    for begin, end in spans(np.asarray(severity >= Severity.NOTICE), quiet):
+        worst = begin + int(severity[begin:end].argmax())
         newest = len(severity) - 1
         # an active alarm is described by the newest trip if that is as severe as the worst one
         at = newest if end is None and severity[newest] == severity[worst] else worst
@@ -295,24 +286,20 @@ def _was_active(alarm: Alarm, later: Alarm) -> bool:
     return alarm.begin_km <= later.begin_km and not later.begin_km > alarm.end_km
 
 
-def _spans(severity: list[int]) -> list[tuple[int, int, int | None]]:
-    """Return first, worst and final trip of each alarm; None: it is active."""
-    found: list[tuple[int, int, int | None]] = []
-    begin, worst, quiet = -1, 0, 0
-    for trip, level in enumerate(severity):
-        if begin < 0:
-            if level >= Severity.NOTICE:
-                begin, worst, quiet = trip, trip, 0
-            continue
-        worst = trip if level > severity[worst] else worst
-        quiet = quiet + 1 if level == Severity.NONE else 0
-        if quiet == N_QUIET:
-            found.append((begin, worst, trip))
-            begin = -1
-    return found if begin < 0 else [*found, (begin, worst, None)]
+def spans(raised: BoolArray, cleared: BoolArray) -> list[tuple[int, int | None]]:
+    """Return the trips at which each alarm starts and ends; None: it is active."""
+    found: list[tuple[int, int | None]] = []
+    begin = None
+    for trip in np.flatnonzero(raised | cleared).tolist():
+        if begin is None and raised[trip]:
+            begin = trip
+        elif begin is not None and cleared[trip]:
+            found.append((begin, trip))
+            begin = None
+    return found if begin is None else [*found, (begin, None)]
 
 
-def _windows(column: FloatArray | BoolArray, fill: float | bool) -> FloatArray:
-    """Return the last ``N_LAST`` trips up to each trip, newest last, (n_trips, ``N_LAST``)."""
-    padded = np.concatenate([np.full(N_LAST - 1, fill), column])
-    return np.lib.stride_tricks.sliding_window_view(padded, N_LAST)
+def _windows(column: FloatArray | BoolArray, fill: float | bool, size: int = N_LAST) -> FloatArray:
+    """Return the last `size` trips up to each trip, newest last, (n_trips, `size`)."""
+    padded = np.concatenate([np.full(size - 1, fill), column])
+    return np.lib.stride_tricks.sliding_window_view(padded, size)

@@ -332,11 +332,8 @@ def _covariates(
             kept.append(name)
             columns.append(column)
             has_all &= known
-    return (
-        tuple(kept),
-        np.stack(columns[1:], axis=-1) if kept else np.empty((len(trips), 0)),
-        has_all,
-    )
+    used = np.stack(columns[1:], axis=-1) if kept else np.empty((len(trips), 0))
+    return tuple(kept), used, has_all
 
 
 def _relative_widths(widths: ArrayLike | None, trips: IntArray, needed: int) -> FloatArray:

@@ -8,23 +8,34 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import ArrayLike
+from scipy.special import logsumexp
 
 from suspnet.ground.parameters import DEFAULT_LIMITS, Limits
-from suspnet.ground.records import Key
-from suspnet.maintenance.alarms import Alarm
+from suspnet.ground.records import INTERVAL_LEVEL, Key
+from suspnet.ground.types import FloatArray
+from suspnet.maintenance.alarms import Alarm, watch
 from suspnet.maintenance.change import ChangeSettings
-from suspnet.maintenance.degradation import FleetPrior
-from suspnet.maintenance.forecast import remaining_lives, trips_of_life
-from suspnet.maintenance.life import Life, learn_fleet
+from suspnet.maintenance.degradation import TINY, FleetPrior
+from suspnet.maintenance.life import DEFAULT_PRIOR, Life, fit_trips
 from suspnet.maintenance.series import Series, car_of
 from suspnet.maintenance.sisters import SisterSettings, alarms_of_sisters
-from suspnet.maintenance.state import State, by_urgency, watched, with_alarms
+from suspnet.maintenance.state import State, by_urgency, remaining_lives, trips_of_life
 
 MOST_LEARNT = 200
 """Largest number of suspensions from which a fleet's rates of wear are learned, evenly chosen."""
 NEW_SHARE = 0.1
 """Share of a vehicle's trips that must be new before its rates of wear are learned again; all its
 remaining lives are then recomputed, which takes far longer than those of one suspension."""
+
+FLEET_RATES = np.geomspace(0.005, 0.3, 10)
+"""Mean rates of the components that ``learn_fleet`` adds, with either sign, [1 / UNIT_KM]."""
+FLEET_SPREAD = 0.35
+"""Standard deviation of the components at ``FLEET_RATES``, relative to their means."""
+PRIOR_SERIES = 3.0
+"""Weight of the default prior when a fleet's prior is learned, as a number of series."""
+MAX_STEPS = 200
+"""Largest number of expectation-maximisation steps for a fleet."""
 
 
 class Fleet:
@@ -91,7 +102,8 @@ class Fleet:
             self.add([one])
             known = self._series[one.key]
             if one.key not in self._own or self._own[one.key].series is not known:
-                self._own[one.key] = watched(known, self.limits_of(one.vehicle), self.changes)
+                limits = self.limits_of(one.vehicle)
+                self._own[one.key] = State(known, limits, watch(known, limits, self.changes))
                 self._waiting.add(one.key)
                 cars.add(car_of(one))
         return self._compare(cars)
@@ -104,9 +116,12 @@ class Fleet:
             if car in cars:
                 members[car].append(state)
         for several in members.values():
-            found = sister_alarms(several, self.sisters)
+            # an alarm of its own of any suspension of the car explains a difference
+            explained = {alarm.parameter for state in several for alarm in state.alarms}
+            odd = alarms_of_sisters([state.series for state in several], self.sisters)
             for state in several:
-                self._of_sisters[state.key] = found.get(state.key, [])
+                alarms = [a for a in odd.get(state.key, []) if a.parameter not in explained]
+                self._of_sisters[state.key] = alarms
                 self._states.pop(state.key, None)
         return {state.key for several in members.values() for state in several}
 
@@ -167,8 +182,11 @@ class Fleet:
     def state(self, key: Key) -> State:
         """Return the state of a suspension, with the alarms and lives found so far."""
         if key not in self._states:
-            state = with_alarms(self._own[key], self.of_sisters(key))
-            self._states[key] = replace(state, lives=self._lives.get(key, {}))
+            own = self._own[key]
+            alarms = [*own.watched.alarms, *self.of_sisters(key)]
+            alarms.sort(key=lambda one: (one.begin_km, one.parameter))
+            watched = replace(own.watched, alarms=alarms)
+            self._states[key] = replace(own, watched=watched, lives=self._lives.get(key, {}))
         return self._states[key]
 
     def state_of(self, series: Series) -> State:
@@ -216,16 +234,65 @@ def learn_priors(fleet: Sequence[Series], limits: Iterable[str]) -> dict[str, Fl
     return found
 
 
-def sister_alarms(car: Sequence[State], settings: SisterSettings) -> dict[Key, list[Alarm]]:
-    """Return the alarms of the suspensions of a car that differ from their sisters.
+def learn_fleet(
+    series: Sequence[tuple[ArrayLike, ArrayLike, ArrayLike]], *, level: float = INTERVAL_LEVEL
+) -> FleetPrior:
+    """Return the prior over models and rates of one type of suspension, by empirical Bayes.
 
-    A parameter is left out if any suspension of the car has its own alarm of it: that explains the
-    difference.
+    The rate has a mixture of fixed normal distributions: those of ``DEFAULT_PRIOR`` and narrower
+    ones centred at ``FLEET_RATES`` with either sign. The weights of the components and of the
+    models are maximum a posteriori (expectation maximisation with a Dirichlet prior that counts as
+    ``PRIOR_SERIES`` series). Without any series the result is ``DEFAULT_PRIOR``.
+
+    Parameters
+    ----------
+    series : sequence of (mileage_km, values, half_widths)
+        Trips of one parameter, as in ``predict_life``; include series without wear.
+    level : float
+        Level of the intervals.
+
+    Returns
+    -------
+    FleetPrior
+
+    Raises
+    ------
+    TypeError, ValueError
+        If a series is invalid for ``predict_life``; the message gives its index.
     """
-    explained = {alarm.parameter for state in car for alarm in state.alarms}
-    odd = alarms_of_sisters([state.series for state in car], settings)
-    rest = {key: [one for one in own if one.parameter not in explained] for key, own in odd.items()}
-    return {key: alarms for key, alarms in rest.items() if alarms}
+    if not series:
+        return DEFAULT_PRIOR
+    means = np.concatenate([DEFAULT_PRIOR.means, FLEET_RATES, -FLEET_RATES])
+    spreads = np.concatenate([DEFAULT_PRIOR.spreads, np.tile(FLEET_SPREAD * FLEET_RATES, 2)])
+    even = FleetPrior(DEFAULT_PRIOR.models, np.full(means.size, 1 / means.size), means, spreads)
+    evidence = np.full((len(series), even.models.size, means.size), -np.inf)
+    for i, one in enumerate(series):
+        try:
+            fits, _ = fit_trips(*one, level, even)
+        except (TypeError, ValueError) as error:
+            raise type(error)(f"series {i}: {error}") from None
+        for fit in fits:
+            evidence[i, fit.rows] = logsumexp(fit.log_weight, axis=(1, 2))
+    evidence -= np.log(even.models)[:, None]
+    evidence[:, 1:] -= np.log(even.weights)
+    default = np.pad(DEFAULT_PRIOR.weights, (0, means.size - DEFAULT_PRIOR.weights.size))
+    models, weights = even.models, (default + even.weights) / 2
+    for _ in range(MAX_STEPS):
+        share = evidence + np.log(models)[:, None] + np.log(np.maximum(weights, TINY))
+        share = np.exp(share - logsumexp(share, axis=(1, 2), keepdims=True))
+        # a series without a trend has no information about the rate: leave out the first model
+        old = models, weights
+        models = _counted(share.sum(axis=(0, 2)), even.models)
+        weights = _counted(share[:, 1:].sum(axis=(0, 1)), default)
+        if max(np.abs(models - old[0]).max(), np.abs(weights - old[1]).max()) < 1e-4:
+            break
+    return FleetPrior(models, weights, means, spreads)
+
+
+def _counted(counts: FloatArray, default: FloatArray) -> FloatArray:
+    """Return proportions from counts and a default that counts as ``PRIOR_SERIES`` series."""
+    total = counts + PRIOR_SERIES * default
+    return np.asarray(total / total.sum())
 
 
 def _n_new(before: Series | None, series: Series) -> int:

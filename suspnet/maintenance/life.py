@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from statistics import NormalDist
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.special import logsumexp
 
+from suspnet.ground.records import INTERVAL_LEVEL
 from suspnet.ground.settings import check_number
 from suspnet.ground.types import FloatArray, IntArray
 from suspnet.maintenance.degradation import (
     DIFFUSIONS,
     MODELS,
     RATE_CHANGES,
-    TINY,
     Fit,
     FleetPrior,
     fit_models,
@@ -26,6 +24,7 @@ from suspnet.maintenance.degradation import (
 from suspnet.maintenance.first_passage import HORIZON_KM, draw_lives_km
 from suspnet.maintenance.noise import (
     LEAST_NOISE,
+    ROUNDED,
     UNIT_KM,
     average,
     estimate_noise,
@@ -54,14 +53,6 @@ DEFAULT_PRIOR = FleetPrior(
 )
 """Vague prior: four of five parameters do not wear. The rates of the others have standard
 deviations of 3, 10 or 30 % in 100,000 km, with either sign; slow rates are more likely."""
-FLEET_RATES = np.geomspace(0.005, 0.3, 10)
-"""Mean rates of the components that ``learn_fleet`` adds, with either sign, [1 / UNIT_KM]."""
-FLEET_SPREAD = 0.35
-"""Standard deviation of the components at ``FLEET_RATES``, relative to their means."""
-PRIOR_SERIES = 3.0
-"""Weight of the default prior when a fleet's prior is learned, as a number of series."""
-MAX_STEPS = 200
-"""Largest number of expectation-maximisation steps for a fleet."""
 
 
 @dataclass(frozen=True)
@@ -138,7 +129,7 @@ def predict_life(
     limits_pair: tuple[float, float],
     *,
     fleet: FleetPrior | None = None,
-    level: float = 0.9,
+    level: float = INTERVAL_LEVEL,
     seed: int = 0,
     n_samples: int = 500,
 ) -> Life:
@@ -188,7 +179,7 @@ def predict_life(
     check_number("n_samples", n_samples, low=1, most=1e5, whole=True)
     check_number("seed", seed, low=0, whole=True)
     lower, upper = _checked_limits(limits_pair)
-    fits, n_trips = _fits(mileage_km, values, half_widths, level, fleet or DEFAULT_PRIOR)
+    fits, n_trips = fit_trips(mileage_km, values, half_widths, level, fleet or DEFAULT_PRIOR)
     rng = np.random.default_rng(seed)
     weights = shares(fits)
     ends = np.cumsum([0, *(weight.size for weight in weights)])
@@ -216,7 +207,7 @@ def _stratified(weight: FloatArray, n: int, rng: np.random.Generator) -> IntArra
     return np.minimum(np.searchsorted(np.cumsum(weight), places), weight.size - 1)
 
 
-def _fits(
+def fit_trips(
     mileage_km: ArrayLike,
     values: ArrayLike,
     half_widths: ArrayLike,
@@ -229,7 +220,8 @@ def _fits(
     t = (km - km[0]) / UNIT_KM
     sigma = half / NormalDist().inv_cdf((1 + level) / 2)
     known = np.isfinite(sigma)
-    usual = np.median(sigma[known]) if known.any() else robust_spread(np.log(value))
+    steps = np.diff(np.log(value), 2)
+    usual = np.median(sigma[known]) if known.any() else robust_spread(steps, 6, ROUNDED)
     sigma = np.maximum(np.where(known, sigma, usual), max(LEAST_NOISE, BEST_TRIP * usual))
     value = tame(value)
     noise = estimate_noise(t, np.log(value), sigma, np.append(0.0, DIFFUSIONS))
@@ -270,64 +262,3 @@ def _checked_limits(limits_pair: tuple[float, float]) -> tuple[float, float]:
     if pair[1] != np.inf:
         check_number("limits_pair[1]", pair[1], above=1)
     return float(pair[0]), float(pair[1])
-
-
-def learn_fleet(
-    series: Sequence[tuple[ArrayLike, ArrayLike, ArrayLike]], *, level: float = 0.9
-) -> FleetPrior:
-    """Return the prior over models and rates of one type of suspension, by empirical Bayes.
-
-    The rate has a mixture of fixed normal distributions: those of ``DEFAULT_PRIOR`` and narrower
-    ones centred at ``FLEET_RATES`` with either sign. The weights of the components and of the
-    models are maximum a posteriori (expectation maximisation with a Dirichlet prior that counts as
-    ``PRIOR_SERIES`` series). Without any series the result is ``DEFAULT_PRIOR``.
-
-    Parameters
-    ----------
-    series : sequence of (mileage_km, values, half_widths)
-        Trips of one parameter, as in ``predict_life``; include series without wear.
-    level : float
-        Level of the intervals.
-
-    Returns
-    -------
-    FleetPrior
-
-    Raises
-    ------
-    TypeError, ValueError
-        If a series is invalid for ``predict_life``; the message gives its index.
-    """
-    if not series:
-        return DEFAULT_PRIOR
-    means = np.concatenate([DEFAULT_PRIOR.means, FLEET_RATES, -FLEET_RATES])
-    spreads = np.concatenate([DEFAULT_PRIOR.spreads, np.tile(FLEET_SPREAD * FLEET_RATES, 2)])
-    even = FleetPrior(DEFAULT_PRIOR.models, np.full(means.size, 1 / means.size), means, spreads)
-    evidence = np.full((len(series), even.models.size, means.size), -np.inf)
-    for i, one in enumerate(series):
-        try:
-            fits, _ = _fits(*one, level, even)
-        except (TypeError, ValueError) as error:
-            raise type(error)(f"series {i}: {error}") from None
-        for fit in fits:
-            evidence[i, fit.rows] = logsumexp(fit.log_weight, axis=(1, 2))
-    evidence -= np.log(even.models)[:, None]
-    evidence[:, 1:] -= np.log(even.weights)
-    default = np.pad(DEFAULT_PRIOR.weights, (0, means.size - DEFAULT_PRIOR.weights.size))
-    models, weights = even.models, (default + even.weights) / 2
-    for _ in range(MAX_STEPS):
-        share = evidence + np.log(models)[:, None] + np.log(np.maximum(weights, TINY))
-        share = np.exp(share - logsumexp(share, axis=(1, 2), keepdims=True))
-        # a series without a trend has no information about the rate: leave out the first model
-        old = models, weights
-        models = _counted(share.sum(axis=(0, 2)), even.models)
-        weights = _counted(share[:, 1:].sum(axis=(0, 1)), default)
-        if max(np.abs(models - old[0]).max(), np.abs(weights - old[1]).max()) < 1e-4:
-            break
-    return FleetPrior(models, weights, means, spreads)
-
-
-def _counted(counts: FloatArray, default: FloatArray) -> FloatArray:
-    """Return proportions from counts and a default that counts as ``PRIOR_SERIES`` series."""
-    total = counts + PRIOR_SERIES * default
-    return np.asarray(total / total.sum())

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from statistics import NormalDist
 
 import numpy as np
 
@@ -26,6 +28,9 @@ N_SLOWEST = 2
 """Number of lowest frequencies that are not used to estimate the noise."""
 MAX_BINS = 32
 """Largest number of frequencies of the Whittle likelihood."""
+QUARTILE = NormalDist().inv_cdf(0.75)
+ROUNDED = 0.6745
+"""Median magnitude of a standard normal number; lives use the rounded one, so that they stay."""
 OUTLYING = 6.0
 """Largest deviation of a trip from the median of five, in robust standard deviations."""
 
@@ -162,9 +167,14 @@ def noise_covariance(blocks: Blocks, variance: FloatArray, rho: FloatArray) -> F
     return np.asarray(scaled)
 
 
-def robust_spread(log_values: FloatArray) -> float:
-    """Return a robust standard deviation of the noise from second differences."""
-    return float(np.median(np.abs(np.diff(log_values, 2))) / 0.6745 / np.sqrt(6))
+def robust_spread(differences: FloatArray, variance: float, quartile: float = QUARTILE) -> float:
+    """Return a robust standard deviation of trips from differences between them; NaN if none.
+
+    The variance of a difference is `variance` times that of a trip.
+    """
+    if not len(differences):
+        return math.nan
+    return float(np.median(np.abs(differences)) / quartile / math.sqrt(variance))
 
 
 def tame(values: FloatArray) -> FloatArray:
@@ -174,5 +184,5 @@ def tame(values: FloatArray) -> FloatArray:
     middle = np.median(windows, axis=1)
     off = logs - middle
     scale = max(np.median(np.abs(off)), np.median(np.abs(np.diff(logs))), LEAST_NOISE)
-    most = OUTLYING * scale / 0.6745
+    most = OUTLYING * scale / ROUNDED
     return np.where(np.abs(off) > most, np.exp(middle + np.clip(off, -most, most)), values)

@@ -1,4 +1,4 @@
-"""A plan: visits with their jobs, as rows and as a text table."""
+"""Trains and parts, and the plan for them: visits with their jobs, as rows and as a text table."""
 
 from __future__ import annotations
 
@@ -10,8 +10,10 @@ from typing import Any
 import numpy as np
 from tabulate import tabulate
 
+from suspnet.ground.parameters import Severity
+from suspnet.ground.settings import check_number
+from suspnet.ground.types import FloatArray
 from suspnet.ground.wording import count
-from suspnet.maintenance.plan_inputs import Part, Train
 
 URGENCIES = ("unknown", "now", "soon", "later")
 """Urgencies of jobs: remaining life unknown, visit on the first possible day, visit to be decided
@@ -24,6 +26,91 @@ PROVEN = 1e-6
 """Relative gap between objective and bound that is due to the solver's rounding."""
 SLACK = 0.1
 """Largest extra cost at the latest date of a visit, as a share of the cost of a visit."""
+
+
+@dataclass(frozen=True)
+class Train:
+    """Mileage of a train now and per day.
+
+    Parameters
+    ----------
+    name : str
+    mileage_km : float, [km]
+    on : date
+        Day of that mileage.
+    km_per_day : float
+    is_assumed : bool
+        Whether `km_per_day` is that of the settings, as the trips do not determine it.
+    """
+
+    name: str
+    mileage_km: float
+    on: date
+    km_per_day: float
+    is_assumed: bool = False
+
+    def __post_init__(self) -> None:
+        check_number(f"mileage_km of train {self.name}", self.mileage_km)
+        check_number(f"km_per_day of train {self.name}", self.km_per_day, above=0)
+
+    def mileage_at(self, day: date) -> float:
+        """Return the mileage expected on a day, [km]."""
+        return self.mileage_km + self.km_per_day * (day - self.on).days
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """One parameter of one suspension, and its remaining life.
+
+    Parameters
+    ----------
+    train, suspension, parameter : str
+    samples_km : array of shape (n_samples,), [km]
+        Equally likely mileages from the last trip until a limit is passed, as in
+        ``Life.samples_km``; inf: never, 0: already passed.
+    mileage_km : float, [km]
+        Mileage of the last trip.
+    severity : Severity
+        Severity of its alarm.
+    car : str
+    unknown : str
+        Why its remaining life is unknown or unreliable; empty if it is known. The visits of an
+        unknown part then depend on its severity alone if `samples_km` is only inf.
+    """
+
+    train: str
+    suspension: str
+    parameter: str
+    samples_km: FloatArray
+    mileage_km: float
+    severity: Severity = Severity.NONE
+    car: str = ""
+    unknown: str = ""
+
+    def __post_init__(self) -> None:
+        samples = np.asarray(self.samples_km, dtype=float)
+        if samples.ndim != 1 or not samples.size or not (samples >= 0).all():
+            raise ValueError(
+                f"`samples_km` of {self} must be mileages >= 0, at least one, none of them NaN"
+            )
+        check_number(f"mileage_km of {self}", self.mileage_km)
+        object.__setattr__(self, "samples_km", samples)
+        object.__setattr__(self, "severity", Severity(self.severity))
+
+    @property
+    def place(self) -> tuple[str, str, str]:
+        """Train, car and suspension."""
+        return self.train, self.car, self.suspension
+
+    @property
+    def is_passed(self) -> bool:
+        """Whether the limit is passed already, with certainty."""
+        return bool((self.samples_km == 0).all())
+
+    def __str__(self) -> str:
+        """Return train, car, suspension and parameter as text."""
+        car = f"car {self.car}" if self.car else ""
+        return ", ".join(filter(None, (self.train, car, self.suspension, self.parameter)))
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from bisect import bisect_right
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
@@ -11,8 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from suspnet.ground.parameters import PARAMETERS
-from suspnet.ground.records import EVENT_KINDS, Key, Place, TripResult
+from suspnet.ground.parameters import PARAMETERS, PAYLOAD
+from suspnet.ground.records import EVENT_KINDS, OK, Key, Place, TripResult, by_mileage
 from suspnet.ground.types import BoolArray, FloatArray, IntArray
 from suspnet.ground.wording import kilometres
 
@@ -63,6 +64,8 @@ class Series:
         Of each parameter, as in ``TripResult``; NaN: none.
     events : tuple of Event
         Sorted by mileage.
+    n_first : int, optional
+        Number of first trips whose median is healthy; None: the model defines it.
     """
 
     vehicle: str
@@ -77,6 +80,7 @@ class Series:
     estimates: dict[str, FloatArray]
     half_widths: dict[str, FloatArray]
     events: tuple[Event, ...] = ()
+    n_first: int | None = None
 
     @property
     def key(self) -> Key:
@@ -108,6 +112,29 @@ class Series:
         since = max((event.mileage_km for event in self.events), default=-np.inf)
         return np.asarray(self.one_healthy & ~(self.mileage_km < since))
 
+    @property
+    def between(self) -> list[IntArray]:
+        """Indices of the trips before, between and after maintenance; without a mileage: after."""
+        known_km = self.mileage_km[np.isfinite(self.mileage_km)]
+        ends = np.searchsorted(known_km, [event.mileage_km for event in self.events])
+        return np.split(np.arange(len(self.trip)), ends)
+
+    def relative_to_first(self, n_first: int | None) -> Series:
+        """Return the trips as ``relative_to_first`` does, or this series if `n_first` is None."""
+        if n_first is None:
+            return self
+        estimates, half_widths = (
+            {name: column.copy() for name, column in part.items()}
+            for part in (self.estimates, self.half_widths)
+        )
+        for trips in self.between:
+            first = trips[self.done[trips]][:n_first]
+            for name in set(estimates) - {PAYLOAD} if len(first) else ():
+                estimates[name][trips] /= np.median(estimates[name][first])
+                own = half_widths[name]
+                own[trips] = np.hypot(own[trips], half_width_of_median(own[first]))
+        return replace(self, estimates=estimates, half_widths=half_widths, n_first=n_first)
+
     def part(self, chosen: BoolArray | IntArray) -> Series:
         """Return the trips chosen by a mask or by indices."""
         columns = {
@@ -121,11 +148,10 @@ class Series:
 
     def equals(self, other: Series) -> bool:
         """Return whether all fields are equal, with NaN equal to NaN."""
-        if (self.vehicle, self.place, self.events) != (other.vehicle, other.place, other.events):
-            return False
         mine, its = _columns(self), _columns(other)
         return (
-            mine.keys() == its.keys()
+            (self.key, self.events, self.n_first) == (other.key, other.events, other.n_first)
+            and mine.keys() == its.keys()
             and np.array_equal(self.trip, other.trip)
             and all(np.array_equal(one, its[name], equal_nan=True) for name, one in mine.items())
         )
@@ -193,6 +219,7 @@ def make_series(
         estimates=columns(estimates, PARAMETERS),
         half_widths=columns(half_widths or {}, PARAMETERS),
         events=tuple(sorted(events, key=lambda one: one.mileage_km)),
+        n_first=None,
         **columns({"mileage_km": km} | others, NUMBERS),
     )
 
@@ -230,3 +257,81 @@ def utc(text: str) -> datetime | None:
         return time.astimezone(UTC).replace(tzinfo=None) if time.tzinfo else time
     except (ValueError, OverflowError):
         raise ValueError(f"`start` must be a time in ISO 8601, not {text[:40]!r}") from None
+
+
+def between(events: Sequence[Event], results: Sequence[TripResult]) -> list[list[TripResult]]:
+    """Return the trips before, between and after maintenance; those without a mileage are after.
+
+    The n_events + 1 lists are in the order of the mileage; some may be empty.
+    """
+    ends = sorted(event.mileage_km for event in events)
+    found: list[list[TripResult]] = [[] for _ in range(len(ends) + 1)]
+    for result in results:
+        unknown = np.isnan(result.mileage_km)
+        found[len(ends) if unknown else bisect_right(ends, result.mileage_km)].append(result)
+    return found
+
+
+def first_trips(results: Iterable[TripResult], n_first: int) -> list[TripResult]:
+    """Return the `n_first` trips of least mileage with an estimate, or as many as there are.
+
+    Flagged trips are included: a vehicle unlike the model's is so from the first trip on.
+    """
+    return by_mileage(r for r in results if r.status == OK)[:n_first]
+
+
+def relative_to_first(results: list[TripResult], n_first: int) -> list[TripResult]:
+    """Return results whose k and c are relative to the median of the vehicle's first trips.
+
+    The truth, where known, is treated alike. The interval widens by the uncertainty of the median,
+    whose variance is pi / 2 times that of a mean of `n_first` trips. This is right for noise;
+    systematic errors (of a regression without refinement) cancel only while the vehicle does not
+    change. The car-body mass stays relative to nominal, as payload varies from the first trip on.
+    If fewer trips have an estimate, all of these are used.
+    """
+    done = first_trips(results, n_first)
+    if not done:
+        return results
+    names = [name for name in done[0].raw if name != PAYLOAD]
+    estimated = medians([r.raw for r in done], names)
+    true = medians([r.truth for r in done if set(names) <= set(r.truth)], names)
+    reference = {
+        name: half_width_of_median([r.half_widths.get(name, np.nan) for r in done])
+        for name in names
+    }
+    return [
+        replace(
+            r,
+            estimates=divided(r.raw, estimated),
+            truth=divided(r.truth, true),
+            half_widths={
+                k: float(np.hypot(h, reference.get(k, 0.0))) for k, h in r.half_widths.items()
+            },
+        )
+        for r in results
+    ]
+
+
+def relative_results(
+    results: list[TripResult], events: Sequence[Event], n_first: int | None
+) -> list[TripResult]:
+    """Return results relative to the first trips after each maintenance; None: as they are."""
+    if n_first is None:
+        return results
+    return [one for part in between(events, results) for one in relative_to_first(part, n_first)]
+
+
+def half_width_of_median(half_widths: ArrayLike) -> float:
+    """Return the half-width of the median of trips from their own; 0 if one is unknown."""
+    widths = np.asarray(half_widths, dtype=float)
+    return float(np.nan_to_num(np.sqrt(np.pi / 2 / len(widths)) * np.median(widths)))
+
+
+def medians(values: Sequence[Mapping[str, float]], names: Iterable[str]) -> dict[str, float]:
+    """Return the median of each name over several mappings; empty if there are none."""
+    return {name: float(np.median([v[name] for v in values])) for name in names if values}
+
+
+def divided(values: Mapping[str, float], by: Mapping[str, float]) -> dict[str, float]:
+    """Return values divided by those of another mapping, by 1 where it has none."""
+    return {name: value / by.get(name, 1.0) for name, value in values.items()}

@@ -23,15 +23,18 @@ import numpy as np
 from scipy import stats
 
 from suspnet.ground.parameters import Cause, Severity
-from suspnet.ground.records import Key
+from suspnet.ground.records import INTERVAL_LEVEL, Key
 from suspnet.ground.settings import Setting, check_number, check_settings, setting
-from suspnet.ground.types import BoolArray, FloatArray
-from suspnet.maintenance.alarms import Alarm
+from suspnet.ground.types import FloatArray
+from suspnet.maintenance.alarms import Alarm, spans
 from suspnet.maintenance.judge import N_LAST
+from suspnet.maintenance.noise import robust_spread
 from suspnet.maintenance.series import Series, of_same_car
 
 CORRELATION = 0.5
 """Largest assumed correlation between the errors of successive trips."""
+OF_STEPS = 2 * (1 - CORRELATION)
+"""Variance of the difference of successive trips over that of a trip."""
 N_REFERENCE = 20
 """Number of first trips of each suspension from which its scatter is estimated."""
 EFFICIENCY = 0.37
@@ -72,7 +75,7 @@ class SisterSettings:
         20_000.0, "Largest mileage by which a sister's newest trip may lag", "km", above=0
     )
     level: float = setting(
-        0.9,
+        INTERVAL_LEVEL,
         "Probability with which the intervals of the trips hold the truth",
         low=0.01,
         most=0.999,
@@ -200,21 +203,13 @@ def _of_mean() -> float:
 def _scatter_until(logs: FloatArray) -> FloatArray:
     """Return the robust standard deviation of the first 0, 1, ... ``N_REFERENCE`` trips, or NaN.
 
-    It uses differences of successive trips, to be insensitive to drifts and steps. Their variance
-    is 2 (1 - ``CORRELATION``) times that of the trips.
+    It uses differences of successive trips, to be insensitive to drifts and steps.
     """
     steps = np.abs(np.diff(logs[:N_REFERENCE]))
     found = np.full(N_REFERENCE + 1, np.nan)
     for n in range(N_LAST, N_REFERENCE + 1):
-        found[n] = _robust(steps[: n - 1])
+        found[n] = robust_spread(steps[: n - 1], OF_STEPS)
     return found
-
-
-def _robust(steps: FloatArray) -> float:
-    if len(steps) == 0:
-        return math.nan
-    of_steps = float(np.median(steps) / stats.norm.ppf(0.75))
-    return of_steps / math.sqrt(2 * (1 - CORRELATION))
 
 
 def _pooled(sisters: Sequence[Sister], km: FloatArray) -> list[tuple[int, FloatArray]]:
@@ -232,7 +227,7 @@ def _pooled(sisters: Sequence[Sister], km: FloatArray) -> list[tuple[int, FloatA
 def _pooled_scatter(sisters: Sequence[Sister], km: FloatArray) -> FloatArray:
     found = np.full(len(km), np.nan)
     for place, steps in _pooled(sisters, km):
-        found[place:] = _robust(steps)
+        found[place:] = robust_spread(steps, OF_STEPS)
     return found
 
 
@@ -272,7 +267,7 @@ def _alarms(
     is_odd = 2 * found.n_apart >= found.n_sisters + 1  # most of them are elsewhere, or half
     raised, cleared = is_odd & (size > threshold), size < threshold / 2
     alarms = []
-    for begin, end in _spans(raised, cleared):
+    for begin, end in spans(raised, cleared):
         last = len(km) if end is None else end
         # a cleared alarm reports its largest difference, an active one the newest
         place = begin + int(np.nanargmax(size[begin:last])) if end is not None else _newest(size)
@@ -286,19 +281,6 @@ def _alarms(
 
 def _newest(size: FloatArray) -> int:
     return int(np.flatnonzero(np.isfinite(size))[-1])
-
-
-def _spans(raised: BoolArray, cleared: BoolArray) -> list[tuple[int, int | None]]:
-    """Return the indices where each alarm starts and ends; None: it is active."""
-    spans: list[tuple[int, int | None]] = []
-    begin = None
-    for place in np.flatnonzero(raised | cleared):
-        if begin is None and raised[place]:
-            begin = int(place)
-        elif begin is not None and cleared[place]:
-            spans.append((begin, int(place)))
-            begin = None
-    return spans if begin is None else [*spans, (begin, None)]
 
 
 def _words(parameter: str, found: _Compared, place: int) -> str:

@@ -1,16 +1,18 @@
-"""State of a suspension, from which report, overview, fleet page, plan and exit code are made."""
+"""State of a suspension, of which all outputs are made: alarms, assessments, remaining lives."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from suspnet.ground.parameters import PAYLOAD, Limits, Severity
 from suspnet.ground.records import Key
-from suspnet.maintenance.alarms import Alarm, Watched, watch
+from suspnet.ground.types import FloatArray
+from suspnet.maintenance.alarms import Alarm, Watched
 from suspnet.maintenance.assessment import (
     ONE_FLAGGED,
     Assessment,
@@ -20,12 +22,14 @@ from suspnet.maintenance.assessment import (
     severity_of,
     worst_first,
 )
-from suspnet.maintenance.change import ChangeSettings
-from suspnet.maintenance.forecast import why_unknown
+from suspnet.maintenance.degradation import FleetPrior
 from suspnet.maintenance.judge import N_LAST, LastTrips, last_trips
-from suspnet.maintenance.life import Life
+from suspnet.maintenance.life import MIN_TRIPS, Life, predict_life
 from suspnet.maintenance.series import Series
 from suspnet.maintenance.trend import LEAST_PERCENT, flagged_trend
+
+UNKNOWN_HEALTHY = "healthy is not known yet"
+"""Doubt about limits as long as fewer trips have an estimate than define healthy."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,8 +51,6 @@ class State:
         Life until the act limit of each parameter with limits and enough trips.
     least_percent : mapping of float, [% of healthy]
         Smallest change of each parameter that counts; ``LEAST_PERCENT`` by default.
-    doubt : str
-        Why the limits cannot be applied; empty if they can.
     """
 
     series: Series
@@ -56,7 +58,6 @@ class State:
     watched: Watched = field(default_factory=Watched)
     lives: dict[str, Life] = field(default_factory=dict)
     least_percent: Mapping[str, float] = field(default_factory=dict)
-    doubt: str = ""
 
     @property
     def key(self) -> Key:
@@ -67,6 +68,12 @@ class State:
     def recent(self) -> Series:
         """Trips since the last commissioning and maintenance."""
         return self.series.part(self.series.recent)
+
+    @cached_property
+    def doubt(self) -> str:
+        """Why the limits cannot be applied; empty if they can."""
+        done = self.series.done[self.series.between[-1]]
+        return UNKNOWN_HEALTHY if done.sum() < (self.series.n_first or 0) else ""
 
     @cached_property
     def outputs(self) -> tuple[str, ...]:
@@ -180,17 +187,6 @@ class State:
         return replace(found, now=self.now(name), life=self.lives.get(name), unknown_life=unknown)
 
 
-def watched(series: Series, limits: Mapping[str, Limits], changes: ChangeSettings) -> State:
-    """Return the state with the suspension's own alarms, from trips since its commissioning."""
-    return State(series, limits, watch(series.part(series.one_healthy), limits, changes))
-
-
-def with_alarms(state: State, more: Sequence[Alarm]) -> State:
-    """Return a state with additional alarms."""
-    alarms = sorted([*state.watched.alarms, *more], key=lambda one: (one.begin_km, one.parameter))
-    return replace(state, watched=replace(state.watched, alarms=alarms))
-
-
 def by_urgency(states: Iterable[State]) -> list[State]:
     """Return states by severity, the worst first, then by remaining life."""
 
@@ -199,3 +195,94 @@ def by_urgency(states: Iterable[State]) -> list[State]:
         return -state.severity, life, state.series.vehicle, str(state.series.place)
 
     return sorted(states, key=order)
+
+
+MOST_RATIO = 100.0
+MOST_WIDTH = 1.0
+"""Factor from healthy, and half-width in logarithms, beyond which a trip is not used."""
+Trips = tuple[FloatArray, FloatArray, FloatArray]
+"""Mileage [km], estimates and half-widths of the trips from which a life is predicted."""
+
+
+def remaining_lives(
+    mileage_km: ArrayLike,
+    values: Mapping[str, ArrayLike],
+    half_widths: Mapping[str, ArrayLike],
+    flagged: ArrayLike,
+    limits: Mapping[str, Limits],
+    passed: Collection[str] = (),
+    fleet: Mapping[str, FleetPrior] | None = None,
+    seed: int = 0,
+) -> dict[str, Life]:
+    """Return the distribution of the mileage until each parameter passes its act limit.
+
+    Parameters without limits, or with fewer than ``MIN_TRIPS`` usable trips, are left out.
+
+    Parameters
+    ----------
+    mileage_km : array of shape (n_trips,), [km]
+        Since the last maintenance, in any order; NaN: not used.
+    values, half_widths : mapping from parameter to array of shape (n_trips,), [-]
+        Relative to healthy, and half-widths of their intervals in logarithms; NaN: none.
+    flagged : bool array of shape (n_trips,)
+        Trips that are not used.
+    limits : mapping from parameter to Limits
+    passed : collection of str
+        Parameters with an alarm of the act limit: their remaining life is 0.
+    fleet : mapping of FleetPrior, optional
+        Prior of each parameter from suspensions of this type (``learn_fleet``).
+    seed : int
+
+    Returns
+    -------
+    dict from parameter to Life
+    """
+    found = {}
+    for name, limit in limits.items():
+        if name not in values:
+            continue
+        trips = trips_of_life(mileage_km, values[name], half_widths[name], flagged)
+        if name in passed:
+            found[name] = Life("no trend", np.zeros(1))
+        elif trips is not None:
+            found[name] = predict_life(*trips, limit.act, fleet=(fleet or {}).get(name), seed=seed)
+    return found
+
+
+def why_unknown(
+    mileage_km: ArrayLike, values: ArrayLike, half_widths: ArrayLike, flagged: ArrayLike
+) -> str:
+    """Return why these trips do not determine a remaining life; empty if they do."""
+    if trips_of_life(mileage_km, values, half_widths, flagged) is not None:
+        return ""
+    known, doubtful = np.isfinite(np.asarray(values, dtype=float)), np.asarray(flagged, dtype=bool)
+    n_known, n_clear = int(known.sum()), int((known & ~doubtful).sum())
+    if not n_known:
+        return "no trip with an estimate"
+    if not n_clear:
+        return "all trips are flagged" if n_known > 1 else "the only trip is flagged"
+    if n_clear < MIN_TRIPS:
+        return (
+            f"too few trips ({n_clear} of {MIN_TRIPS}{' without a flag' if doubtful.any() else ''})"
+        )
+    return "too few trips with a mileage and an estimate that is certain enough"
+
+
+def trips_of_life(
+    mileage_km: ArrayLike, values: ArrayLike, half_widths: ArrayLike, flagged: ArrayLike
+) -> Trips | None:
+    """Return the trips usable for predicting a life, by mileage; None if there are too few.
+
+    Flagged trips, estimates beyond a factor of ``MOST_RATIO`` and half-widths above ``MOST_WIDTH``
+    are left out.
+    """
+    km, centre, width = (
+        np.asarray(column, dtype=float) for column in (mileage_km, values, half_widths)
+    )
+    with np.errstate(divide="ignore", invalid="ignore"):
+        known = (np.abs(np.log(centre)) <= np.log(MOST_RATIO)) & ~(width > MOST_WIDTH)
+    used = np.isfinite(km) & known & ~np.asarray(flagged, dtype=bool)
+    order = np.flatnonzero(used)[np.argsort(km[used], kind="stable")]
+    if len(order) < MIN_TRIPS or km[order[-1]] <= km[order[0]]:
+        return None
+    return km[order], centre[order], np.where(np.isfinite(width), width, np.nan)[order]

@@ -12,6 +12,7 @@ from scipy import stats
 
 from suspnet.ground.parameters import PAYLOAD
 from suspnet.ground.types import FloatArray
+from suspnet.maintenance.noise import robust_spread
 
 LEVEL = 0.01
 """False-alarm rate of the tests: the share of unchanged parameters reported as changed."""
@@ -220,10 +221,7 @@ def _spread(values: FloatArray) -> float:
     That deviation has 1.5 times the variance of a trip; a step or a slow drift hardly changes its
     median magnitude (Gasser, Sroka and Jennen-Steinmetz, Biometrika 73, 1986).
     """
-    if len(values) < 3:
-        return math.nan
-    deviations = values[1:-1] - (values[:-2] + values[2:]) / 2
-    return float(np.median(np.abs(deviations)) / stats.norm.ppf(0.75) / math.sqrt(1.5))
+    return robust_spread(values[1:-1] - (values[:-2] + values[2:]) / 2, 1.5)
 
 
 def _welch(first: FloatArray, last: FloatArray) -> float:

@@ -1,4 +1,4 @@
-"""Optimal dates of visits of a train, from the expected costs of its parts at each date.
+"""Settings of a plan, and the optimal dates of visits, from the expected costs of their parts.
 
 Letters: T is the mileage from today until a part passes its limit, t that until a visit, L the
 usual life of a new part; V, R, I and F are the costs of a visit, a replacement, an inspection and a
@@ -7,7 +7,8 @@ failure.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
@@ -24,6 +25,11 @@ MAX_SOLVE_S = 30.0
 A train of 40 parts and 128 dates takes 0.05 s."""
 SCALE = 1e4
 """Magnitude to which costs are scaled, as the solver's absolute tolerance is 1e-6."""
+
+MOST_DAYS = 36_525.0
+"""Longest horizon, a century, [days]."""
+MAX_DATES = 1000
+"""Largest number of possible dates before the horizon."""
 
 
 @dataclass(frozen=True)
@@ -53,6 +59,86 @@ class Costs:
 
     def __post_init__(self) -> None:
         check_settings(self)
+
+
+@dataclass(frozen=True)
+class PlanSettings:
+    """Costs, dates and risks of a plan.
+
+    Parameters
+    ----------
+    costs : Costs or mapping of parameter to Costs
+        Costs of all parts, or of the parts behind each parameter.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If a setting is out of range, or there are more than ``MAX_DATES`` dates.
+    """
+
+    visit: float = setting(
+        1.0, "Cost of taking a train out of service once, in the currency of the other costs", low=0
+    )
+    costs: Costs | Mapping[str, Costs] = field(default_factory=Costs)
+    lead_days: float = setting(
+        14.0, "Days from today until the first possible visit", "days", low=0
+    )
+    horizon_days: float = setting(
+        730.0,
+        "Days from today until the last date that is planned",
+        above=0,
+        high=MOST_DAYS,
+        rule="days; above lead_days, at most 36525",
+    )
+    step_days: float = setting(7.0, "Days between possible dates", "days", above=0)
+    notice_days: float = setting(
+        90.0,
+        "Days within which a notice is looked at where no passing of a limit is predicted",
+        "days",
+        low=0,
+    )
+    km_per_day: float = setting(
+        500.0, "Daily mileage of trains whose trips do not determine it", "km", above=0
+    )
+    plan_again_risk: float = setting(
+        0.01,
+        "Probability that a limit is passed at which a part without a visit is planned again at "
+        "the latest",
+        above=0,
+        below=1,
+    )
+    level: float = setting(
+        0.8,
+        "Probability of the interval in which a part passes its limit, as it is shown",
+        above=0,
+        below=1,
+    )
+
+    def __post_init__(self) -> None:
+        check_settings(self)
+        if self.horizon_days <= self.lead_days:
+            raise ValueError(
+                f"`horizon_days` must be > `lead_days` ({self.lead_days:g}), "
+                f"got {self.horizon_days:g}"
+            )
+        if self.horizon_days - self.lead_days > MAX_DATES * self.step_days:
+            raise ValueError(
+                f"`step_days` must leave at most {MAX_DATES} dates until `horizon_days`, "
+                f"got {self.step_days:g}"
+            )
+        given = self.costs.values() if isinstance(self.costs, Mapping) else [self.costs]
+        if not all(isinstance(one, Costs) for one in given):
+            raise TypeError(
+                f"`costs` must be Costs or a mapping of parameters to Costs, got {self.costs!r}"
+            )
+
+    def of(self, parameter: str) -> Costs:
+        """Return the costs of a parameter's part; ValueError if `costs` does not name it."""
+        if isinstance(self.costs, Costs):
+            return self.costs
+        if parameter not in self.costs:
+            raise ValueError(f"`costs` must name {parameter!r}, got {tuple(self.costs)}")
+        return self.costs[parameter]
 
 
 @dataclass(frozen=True, eq=False)

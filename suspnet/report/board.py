@@ -1,15 +1,15 @@
-"""The current state of a fleet, updated from a history."""
+"""The current state of a fleet, updated from a history, also by a thread."""
 
 from __future__ import annotations
 
 import logging
 import threading
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from datetime import date
+from datetime import UTC, date, datetime
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from suspnet.ground.parameters import DEFAULT_LIMITS, Cause, Limits, read_limits
 from suspnet.ground.records import Key
@@ -17,12 +17,12 @@ from suspnet.history import History, HistoryError
 from suspnet.maintenance.alarms import Alarm, Watched
 from suspnet.maintenance.change import ChangeSettings
 from suspnet.maintenance.fleet import Fleet
-from suspnet.maintenance.fleet_plan import Planner
-from suspnet.maintenance.plan_inputs import PlanSettings
+from suspnet.maintenance.plan import Planner
 from suspnet.maintenance.schedule import Plan
 from suspnet.maintenance.sisters import SisterSettings
 from suspnet.maintenance.state import State, by_urgency
-from suspnet.report.overview import FleetView, fleet_view
+from suspnet.maintenance.visit_costs import PlanSettings
+from suspnet.report.tables import FleetView, fleet_view
 
 log = logging.getLogger(__name__)
 SHOWN_S = 5.0
@@ -35,33 +35,23 @@ AT_ONCE = 50
 """Number of suspensions updated between two checks of the elapsed time."""
 
 
-class Limited(Protocol):
-    """A vehicle with a name and limits."""
-
-    @property
-    def name(self) -> str:
-        """Its name."""
-
-    @property
-    def known_limits(self) -> Mapping[str, Limits]:
-        """Limits of its parameters."""
-
-
 @dataclass(frozen=True)
 class BoardSettings:
     """Settings of the states and the plan of a fleet.
 
-    A vehicle that is not in `vehicles` has ``DEFAULT_LIMITS``; `limits` override them all, from a
-    parameter to `notice` and `act`. `today` is an ISO 8601 day (None: that of the computer's
-    clock), `seed` that of the predicted lives. ValueError is raised if `today` is not a day, or the
-    limits are inconsistent.
+    `vehicles` has the limits of vehicles by name; others have ``DEFAULT_LIMITS``. `limits` override
+    them all, from a parameter to `notice` and `act`. `n_first` is the number of first trips whose
+    median is healthy (None: the models define it), as of the evaluation of the trips. `today` is an
+    ISO 8601 day (None: that of the computer's clock), `seed` that of the predicted lives.
+    ValueError is raised if `today` is not a day, or the limits are inconsistent.
     """
 
-    vehicles: Mapping[str, Limited] = field(default_factory=dict)
+    vehicles: Mapping[str, Mapping[str, Limits]] = field(default_factory=dict)
     limits: Mapping[str, Any] | None = None
     changes: ChangeSettings = field(default_factory=ChangeSettings)
     sisters: SisterSettings = field(default_factory=SisterSettings)
     plan: PlanSettings = field(default_factory=PlanSettings)
+    n_first: int | None = None
     today: str | None = None
     seed: int = 0
 
@@ -70,8 +60,8 @@ class BoardSettings:
             self.day()
         except ValueError:
             raise ValueError(f"`today` must be a day like 2026-03-31, got {self.today!r}") from None
-        for one in self.vehicles.values():
-            self.limits_of(one.name)
+        for vehicle in self.vehicles:
+            self.limits_of(vehicle)
 
     def day(self) -> date:
         """Return the first day of the plan."""
@@ -79,8 +69,7 @@ class BoardSettings:
 
     def limits_of(self, vehicle: str) -> Mapping[str, Limits]:
         """Return the limits of a vehicle by its name; ValueError if `limits` cannot be read."""
-        known = {one.name: one.known_limits for one in self.vehicles.values()}
-        return read_limits(self.limits or {}, known.get(vehicle, DEFAULT_LIMITS))
+        return read_limits(self.limits or {}, self.vehicles.get(vehicle, DEFAULT_LIMITS))
 
 
 class Board:
@@ -176,7 +165,7 @@ class Board:
     def _read(self, history: History, revisions: dict[Key, int], changed: list[Key]) -> None:
         changed.sort(key=lambda key: (key[0], str(key[1])))  # suspensions of one car together
         series = [  # in parts: an SQLite file cannot be written while it is read
-            one
+            one.relative_to_first(self.settings.n_first)
             for begin in range(0, len(changed), READ_AT_ONCE)
             for one in history.series(changed[begin : begin + READ_AT_ONCE])
         ]
@@ -254,3 +243,89 @@ def file_number(store: str) -> tuple[int, int] | None:
     except OSError:
         return None
     return status.st_dev, status.st_ino
+
+
+class Refresher:
+    """Updates a board in its own thread; `every_s` [s] is the pause between two refreshes."""
+
+    def __init__(self, board: Board, every_s: float) -> None:
+        self.board = board
+        self.every_s = every_s
+        self._error = ""
+        self._started_at: datetime | None = None
+        self._looked: datetime | None = None
+        self._read: datetime | None = None
+        self._wake, self._end = threading.Event(), threading.Event()
+        self._thread = threading.Thread(target=self._run, name="refresher", daemon=True)
+
+    def start(self) -> None:
+        """Start the thread."""
+        self._thread.start()
+
+    def soon(self) -> None:
+        """Refresh now instead of after the usual pause."""
+        self._wake.set()
+
+    def stop(self, wait_s: float = 5.0) -> None:
+        """Stop the thread, and wait for it up to `wait_s` [s]."""
+        self._end.set()
+        self._wake.set()
+        if self._thread.is_alive():
+            self._thread.join(wait_s)
+
+    @property
+    def fault(self) -> str:
+        """Why the pages may be out of date; empty if they are not."""
+        if not self._thread.is_alive():
+            why = f" ({self._error})" if self._error else ""
+            return f"The history is no longer read{why}: start suspnet-serve again."
+        view = self.board.view
+        if self._error:
+            return f"The state of the fleet could not be computed: {self._error}."
+        return f"The store cannot be read: {view.trouble}." if view.trouble else ""
+
+    @property
+    def read_at(self) -> datetime:
+        """When the store was last read: the time of the data on the pages."""
+        return self._read or self.board.view.at
+
+    @property
+    def words(self) -> str:
+        """When the store was last read, as text."""
+        if self._started_at:
+            since = f", since {clock(self._started_at)}"
+            return f"reading changes{since}"
+        return f"last read at {clock(self._looked)}" if self._looked else "not read yet"
+
+    def _run(self) -> None:
+        """Refresh until stopped; after an error, try again."""
+        try:
+            while not self._end.is_set():
+                self._wake.clear()
+                self._look(self.board.refresh)
+                self._wake.wait(self.every_s)
+        except BaseException as error:
+            self._error = f"{type(error).__name__}: {error}"
+            raise
+
+    def _look(self, refresh: Callable[[], bool]) -> None:
+        started = self._started_at = datetime.now(UTC)
+        try:
+            refresh()
+            self._error = ""
+            self._looked = datetime.now(UTC)
+            if not self.board.view.trouble:
+                self._read = started
+        except Exception as error:
+            if not self._error:
+                log.exception("the state of the fleet could not be computed")
+            self._error = f"{type(error).__name__}: {error}"
+        finally:
+            self._started_at = None
+
+
+def clock(time: datetime) -> str:
+    """Return a time by this computer's clock, with its day unless it is today."""
+    local = time.astimezone()
+    is_today = local.date() == datetime.now().astimezone().date()
+    return f"{local:%H:%M:%S}" if is_today else f"{local:%Y-%m-%d %H:%M:%S}"

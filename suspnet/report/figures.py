@@ -1,10 +1,13 @@
-"""Figures of trips: signals, responses and quality of the recordings."""
+"""Figures of trips: signals, responses and quality of the recordings; figures as images."""
 
 from __future__ import annotations
 
+import base64
+import io
 from collections.abc import Sequence
 from typing import Any
 
+import matplotlib as mpl
 import numpy as np
 from matplotlib import colormaps
 from matplotlib.axes import Axes
@@ -16,7 +19,7 @@ from suspnet.ground.records import OK, TripResult, by_mileage
 from suspnet.ground.types import FloatArray
 from suspnet.ground.wording import kilometres
 from suspnet.recordings.recording import Overview
-from suspnet.report.responses import response
+from suspnet.report.tables import response
 
 CHANNEL_TITLES = ("axle box", "bogie frame", "car body")
 MILEAGE_LABEL = "mileage [1000 km]"
@@ -175,3 +178,31 @@ def say(axis: Axes, text: str, keep_x: bool = False) -> None:
     axis.set_yticks([])
     if not keep_x:
         axis.set_xticks([])
+
+
+SVG_LIMIT = 400_000
+"""Size of an SVG [bytes] above which a figure is embedded as PNG."""
+PNG_DPI = 130
+
+
+def as_png(figure: Figure, dpi: float = PNG_DPI) -> bytes:
+    """Return a figure as PNG."""
+    stream = io.BytesIO()
+    figure.savefig(stream, format="png", dpi=dpi)
+    return stream.getvalue()
+
+
+def as_svg(figure: Figure) -> bytes:
+    """Return a figure as SVG; the same figure gives the same bytes."""
+    stream = io.BytesIO()
+    with mpl.rc_context({"svg.hashsalt": "suspnet"}):
+        figure.savefig(stream, format="svg", metadata={"Date": None})
+    return stream.getvalue()
+
+
+def data_uri(figure: Figure) -> str:
+    """Return a figure as a data URI, SVG, or PNG if the SVG is large."""
+    kind, image = "svg+xml", as_svg(figure)
+    if len(image) > SVG_LIMIT:
+        kind, image = "png", as_png(figure)
+    return f"data:image/{kind};base64,{base64.b64encode(image).decode()}"

@@ -24,13 +24,13 @@ from suspnet.maintenance.assessment import overall, spoken
 from suspnet.maintenance.life import Life
 from suspnet.maintenance.schedule import Plan, joined
 from suspnet.report import figures
-from suspnet.report.images import as_png, data_uri
-from suspnet.report.overview import REPORT, Evaluated, FleetView, finding
+from suspnet.report.figures import as_png, data_uri
+from suspnet.report.maintenance_figures import health_trend
 from suspnet.report.report import Report, write_report
+from suspnet.report.tables import REPORT, Evaluated, FleetView, finding
 from suspnet.report.templates import render
 from suspnet.report.tensorboard import RunLog
 from suspnet.report.trend import trend_of_trips
-from suspnet.report.trend_figure import health_trend
 
 KNOWN_ERROR_PERCENT = "rms error %"
 COVERAGE_PERCENT = "intervals hold %"

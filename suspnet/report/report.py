@@ -13,7 +13,7 @@ from typing import Any
 from matplotlib.figure import Figure
 
 from suspnet.ground.parameters import NAMES
-from suspnet.ground.records import OK, Commissioning, TripResult, by_mileage
+from suspnet.ground.records import INTERVAL_LEVEL, OK, Commissioning, TripResult, by_mileage
 from suspnet.ground.storage import write_atomically
 from suspnet.ground.wording import count, span, thousands, unbroken
 from suspnet.maintenance.alarms import Acknowledgement, newest_of
@@ -21,9 +21,9 @@ from suspnet.maintenance.assessment import joined, overall, worst_first
 from suspnet.maintenance.judge import N_LAST
 from suspnet.maintenance.series import Event
 from suspnet.maintenance.state import State
-from suspnet.report.images import data_uri
+from suspnet.report.figures import data_uri
+from suspnet.report.tables import trip_table
 from suspnet.report.templates import KILO, SEVERITIES, render, with_unit
-from suspnet.report.trip_table import trip_table
 
 ROLES = {
     "k_p": ", between axle box and bogie frame.",
@@ -86,7 +86,7 @@ class Report:
     outputs: tuple[str, ...]
     state: State
     details: Mapping[str, str] = field(default_factory=dict)
-    level: float = 0.9
+    level: float = INTERVAL_LEVEL
     commissionings: Sequence[Commissioning] = ()
     seen: Sequence[Acknowledgement] = ()
 
@@ -210,15 +210,9 @@ def _ordered(figures: Mapping[str, Figure]) -> list[str]:
 
 def _embedded(name: str, figure: Figure, shown: Mapping[str, str]) -> dict[str, Any]:
     """Return a figure's heading, explanation of what is `shown`, and image as a data URI."""
-    heading, explanation = name.replace("_", " ").capitalize(), ""
-    if name in CAPTIONS:
-        heading, explanation = CAPTIONS[name][0], CAPTIONS[name][1].format(**shown)
-    return {
-        "name": name,
-        "heading": heading,
-        "explanation": explanation,
-        "image": data_uri(figure),
-    }
+    heading, explanation = CAPTIONS.get(name, (name.replace("_", " ").capitalize(), ""))
+    words = explanation.format(**shown)
+    return {"heading": heading, "explanation": words, "image": data_uri(figure)}
 
 
 def _healthy(trips: Sequence[TripResult]) -> dict[str, str]:

@@ -117,7 +117,8 @@ def _rounded(km: float) -> str:
     return _thousands(float(f"{km:.2g}")) if math.isfinite(km) else "no end"
 
 
-def _symbol(name: str) -> Markup:
+def symbol(name: str) -> Markup:
+    """Return the symbol of a parameter."""
     letter, _, index = name.partition("_")
     return Markup("<i>{}</i><sub>{}</sub>").format(letter, index)
 
@@ -127,7 +128,7 @@ def _range(pair: tuple[float, float]) -> str:
 
 
 def _columns(names: Iterable[str]) -> list[Markup]:
-    return [Markup("#{}\n[%]").format(_symbol(name)) for name in names]
+    return [Markup("#{}\n[%]").format(symbol(name)) for name in names]
 
 
 GLOBALS = {"labels": LABELS, "marks": MARKS}
@@ -137,7 +138,7 @@ FILTERS = {
     "number": number,
     "plus_minus": _plus_minus,
     "thousands": _thousands,
-    "symbol": _symbol,
+    "symbol": symbol,
     "range": _range,
     "si": _si,
     "unbroken": unbroken,

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from suspnet.ground.parameters import PAYLOAD, Severity
-from suspnet.ground.records import Commissioning, TripResult, by_mileage
+from suspnet.ground.records import INTERVAL_LEVEL, Commissioning, TripResult, by_mileage
 from suspnet.ground.types import BoolArray, FloatArray
 from suspnet.ground.wording import kilometres, thousands
 from suspnet.maintenance.alarms import Alarm
@@ -50,14 +50,7 @@ class Points:
 
     def chosen(self, which: BoolArray) -> Points:
         """Return some of the trips."""
-        return Points(
-            self.trips[which],
-            self.km[which],
-            self.values[which],
-            self.intervals[which],
-            self.flagged[which],
-            self.truth[which],
-        )
+        return Points(**{name: column[which] for name, column in vars(self).items()})
 
 
 @dataclass(frozen=True)
@@ -113,14 +106,14 @@ class Trend:
     again_km: tuple[float, ...] = ()
     again: str = AGAIN
     n_unplaced: int = 0
-    level: float = 0.9
+    level: float = INTERVAL_LEVEL
 
 
 def trend_of_trips(
     results: Sequence[TripResult],
     state: State,
     outputs: Sequence[str],
-    level: float = 0.9,
+    level: float = INTERVAL_LEVEL,
     commissionings: Sequence[Commissioning] = (),
 ) -> Trend:
     """Return the trend of a report.

@@ -21,12 +21,7 @@ from suspnet.estimation.checkpoint import load_model
 from suspnet.estimation.feature_information import feature_loss
 from suspnet.estimation.problem import TEST, Problem
 from suspnet.estimation.trained import TrainedModel
-from suspnet.ground.storage import (
-    content_hash,
-    dump_arrays,
-    read_json,
-    read_plain,
-)
+from suspnet.ground.storage import content_hash, dump_arrays, read_json, read_plain
 from suspnet.report.figures import SYMBOLS
 from suspnet.runs.plots import BOUND_COLOUR, OUR_COLOUR
 from suspnet.runs.tables import in_digits, mean_known, write_study

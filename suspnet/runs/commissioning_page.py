@@ -24,9 +24,8 @@ from suspnet.ground.storage import printable, write_atomically, write_json, writ
 from suspnet.ground.types import ComplexArray, FloatArray
 from suspnet.ground.wording import kilometres
 from suspnet.recordings.manifest import CHANNELS
-from suspnet.report.figures import SUSPENSIONS, say
-from suspnet.report.images import as_png, data_uri
-from suspnet.report.responses import band
+from suspnet.report.figures import SUSPENSIONS, as_png, data_uri, say
+from suspnet.report.tables import band
 from suspnet.report.templates import render
 
 log = logging.getLogger(__name__)

@@ -14,13 +14,14 @@ from suspnet.estimation.protocols import Protocol, Task
 from suspnet.ground.progress import stage
 from suspnet.ground.storage import write_json
 from suspnet.history import History
+from suspnet.history.database import check_exists
 from suspnet.maintenance.fleet import fleet_state
-from suspnet.maintenance.fleet_plan import Planner
+from suspnet.maintenance.plan import Planner
 from suspnet.maintenance.state import State
 from suspnet.report.board import BoardSettings
-from suspnet.report.calendar_figure import plan_calendar
+from suspnet.report.maintenance_figures import plan_calendar
 from suspnet.report.output import write_fleet
-from suspnet.report.overview import fleet_view, overview_table
+from suspnet.report.tables import fleet_view, overview_table
 from suspnet.report.tensorboard import RunLog
 from suspnet.runs.predict import predict_stream
 from suspnet.runs.scores import (
@@ -122,15 +123,14 @@ def fitting_task(trained: Task, protocol: Protocol) -> Task:
 def write_maintenance(store: str | None, folder: Path, settings: BoardSettings) -> list[State]:
     """Write overview, plan and calendar of all suspensions of a history, and store their alarms.
 
-    Returns the states, the worst first. HistoryError if the store cannot be used; ValueError if it
-    is empty.
+    Returns the states, the worst first. HistoryError if the store is missing or cannot be used;
+    ValueError if it is empty.
     """
     if not store:
         raise ValueError("which history? Give store=FILE, or store=postgresql://...")
-    if "://" not in store and not Path(store).is_file():
-        raise ValueError(f"{store}: there is no such store; evaluate.py trips=DIR store= makes one")
+    check_exists(store)
     with History(store) as history:
-        fleet = history.series()
+        fleet = [one.relative_to_first(settings.n_first) for one in history.series()]
         if not fleet:
             raise ValueError(f"{store}: no trip is stored here yet")
         own = {one.vehicle: settings.limits_of(one.vehicle) for one in fleet}

@@ -49,11 +49,9 @@ def write_identifiability(
     n_vehicles: int,
     seed: int,
 ) -> dict[str, Any]:
-    """Write identifiability.md, .csv, .json and .png and print the tables.
+    """Write identifiability.md, .csv, .json and .png; print the tables; return the JSON's content.
 
-    `group`: one group of the protocol, None is every group; `n_vehicles` are drawn from the
-    protocol's range. Returns the content of the JSON file, in which null means "cannot be
-    identified".
+    `group`: one group of the protocol, None is every group; `n_vehicles` are drawn from its range.
     """
     check_number("n_vehicles", n_vehicles, low=1, most=10_000_000, whole=True)
     check_number("seed", seed, low=0, whole=True)

@@ -54,18 +54,14 @@ def write_reliability(
     run: str,
     others: Mapping[str, Vehicle],
     folder: Path,
-    *,
-    n_test: int,
+    fresh: FreshCurves,
     n_odd: int,
-    seed: int,
-    threads: int | None,
     device: str,
-    progress: bool,
 ) -> list[Reliability]:
     """Write reliability.md, .csv, .json and .png of every model at or below `run`; print tables.
 
-    `others`: vehicles of another type than the model's, by name; `n_test`: curves like the training
-    curves; `n_odd`: curves in each set unlike them; `seed` must differ from that of each run.
+    `others`: vehicles of another type than the model's, by name; `fresh`: curves like the training
+    curves; `n_odd`: curves in each set unlike them.
     """
     check_number("n_odd", n_odd, low=1, most=MOST_CURVES, whole=True)
     found = []
@@ -75,8 +71,6 @@ def write_reliability(
             raise ValueError(
                 f"the model of {path} was not calibrated: train it with data.n_calibrate=30000"
             )
-        workers = torch.get_num_threads() if threads is None else threads
-        fresh = FreshCurves(seed, n_test, threads=workers, progress=progress)
         problem = fresh.problem(model, path)
         found.append(measure(problem, model, others, n_odd))
     text = "\n".join(markdown(one) for one in found)
@@ -201,9 +195,8 @@ def _shares(found: BoolArray) -> dict[str, float]:
 class Reliability:
     """Coverage and flags of one model; `name` is its method, protocol and group.
 
-    `intervals`: ``interval_scores`` of each kind of interval, with `slices`, the coverage of each
-    output in each fifth of each parameter, {parameter: {output: [..]}}. `flags`: {set of curves:
-    {kind of flag, or any: share [%]}}.
+    `intervals`: ``interval_scores`` of each kind, with `slices`, the coverage of each output in
+    each fifth of each parameter; `flags`: {set of curves: {kind of flag, or any: share [%]}}.
     """
 
     name: str

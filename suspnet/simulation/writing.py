@@ -11,7 +11,7 @@ from dataclasses import asdict, dataclass, replace
 from datetime import timedelta
 from fractions import Fraction
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -22,10 +22,9 @@ from numpy.typing import NDArray
 from scipy.signal import resample_poly
 
 from suspnet._version import __version__
-from suspnet.dynamics import PARAMETERS, Vehicle, VerticalVehicle
+from suspnet.dynamics import PARAMETERS, ResponseGenerator, VerticalVehicle
 from suspnet.dynamics.motion import LinearSystem
 from suspnet.dynamics.track import TrackProfile, cross_level_spectrum, make_profile, track_spectrum
-from suspnet.ground.parameters import Direction
 from suspnet.ground.progress import bar as progress_bar
 from suspnet.ground.storage import content_hash, write_atomically, write_json
 from suspnet.ground.types import FloatArray
@@ -64,42 +63,25 @@ def time_between(n_trips: int) -> timedelta:
     return min(DAYS_BETWEEN, LONGEST // n_trips // step * step)
 
 
-class SimulatedVehicle(Protocol):
-    """The interface of generators that can simulate trips."""
-
-    @property
-    def vehicle(self) -> Vehicle:
-        """The healthy vehicle."""
-        ...
-
-    def running(self, direction: Direction) -> SimulatedVehicle:
-        """Return the same vehicle for another direction of travel."""
-        ...
-
-    def motion_system(self, ratios: torch.Tensor) -> LinearSystem:
-        """Return the equations of motion of one vehicle."""
-        ...
-
-
 @dataclass(frozen=True)
 class Simulation:
     """Settings of a simulation: trips of suspensions that follow a scenario.
 
-    `fleet` applies to each suspension. Trip i draws track, noise and journey from (seed, i) only,
-    and the suspension its true numbers from the seed only. `scatter` scales the deviation of these
-    from the generator's nominal numbers: 0 is none, 1 that of the priors; see `scattered`.
+    Trip i draws track, noise and journey from (seed, i) only, and the suspension its true numbers
+    from the seed only. `scatter` scales the deviation of these from nominal: 1 is that of the
+    priors.
     """
 
     fleet: Fleet
     scenario: Scenario
-    generator: SimulatedVehicle
+    generator: ResponseGenerator
     seed: int = 0
     scatter: float = 0.0
 
     def made_from(self, place: Trains | Aboard | None) -> str:
         """Return a hash of all that the trips depend on."""
         parts: list[Any] = [asdict(self.fleet), asdict(self.scenario)]
-        parts += [type(self.generator).__name__, asdict(self.generator)]  # type: ignore[call-overload]
+        parts += [type(self.generator).__name__, asdict(self.generator)]
         parts += [self.seed, self.scatter, __version__]
         if place is not None:
             parts.append(asdict(place))
@@ -219,7 +201,7 @@ def _name(index: int) -> str:
 def _write_trip(
     trip: tuple[Path, int, float, FloatArray],
     fleet: Fleet,
-    generator: SimulatedVehicle,
+    generator: ResponseGenerator,
     seed: int,
     aboard: Aboard | None,
 ) -> Path:
@@ -314,7 +296,7 @@ def _write_channels(
     return channels
 
 
-def _check_sides(fleet: Fleet, generator: SimulatedVehicle) -> None:
+def _check_sides(fleet: Fleet, generator: ResponseGenerator) -> None:
     if fleet.sides == "both" and not generator.motion_system(torch.ones(5)).roll_per_m:
         raise ValueError(
             "`sides`=both needs a vehicle with roll and sensors off the middle (generator=family "

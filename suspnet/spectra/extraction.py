@@ -39,10 +39,9 @@ GAUSSIAN_WINDOW = 0.25
 
 @dataclass(frozen=True)
 class FeatureTable:
-    """Features of a batch of curves.
+    """Features (n_curves, n_features), NaN where missing, and reasons (n_curves, n_parts).
 
-    `values` (n_curves, n_features), for peaks position [Hz], height [-] and width [Hz] of each, is
-    NaN where a feature is missing. `reasons` is int64 (n_curves, n_parts), 0 where nothing is
+    For peaks these are position [Hz], height [-] and width [Hz] of each; a reason is 0 if none is
     missing.
     """
 

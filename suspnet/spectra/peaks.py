@@ -89,11 +89,9 @@ class PeakFit:
 
 @dataclass(frozen=True)
 class Peaks:
-    """One peak for each curve; NaN and a reason where there is none.
+    """One peak for each curve; NaN and a ``PeakReason`` where there is none, each (n_curves,).
 
-    `position_hz`, `height` [-] and `width_hz` have shape (n_curves,); the width is the full width
-    at half power, 2 zeta f_0 for one lightly damped mode. `reason` (n_curves,) holds ``PeakReason``
-    codes.
+    The width is the full width at half power, 2 zeta f_0 for one lightly damped mode.
     """
 
     position_hz: Tensor

@@ -115,8 +115,8 @@ def check_channels(
     direction, factor = shown_direction(spectra, frequencies_hz, generator)
     if factor > DIRECTION_MARGIN and direction != generator.direction:
         raise TripError(
-            f"direction: the phases fit a train that runs {direction_words(direction)} {factor:.2g} times "
-            "better; check `direction` and `bogie` in the manifest"
+            f"direction: the phases fit a train that runs {direction_words(direction)} "
+            f"{factor:.2g} times better; check `direction` and `bogie` in the manifest"
         )
     doubts = []
     if doubtful and speed > SPEED_MARGIN:

@@ -19,8 +19,7 @@ from suspnet.ground.records import Place
 from suspnet.ground.storage import printable, write_atomically, write_json
 from suspnet.ground.wording import span
 from suspnet.recordings.recording import Recording, overview
-from suspnet.report.figures import CHANNEL_TITLES, draw_signals, say
-from suspnet.report.images import as_png
+from suspnet.report.figures import CHANNEL_TITLES, as_png, draw_signals, say
 from suspnet.report.templates import render
 from suspnet.spectra.cross_spectra import CrossSpectra
 from suspnet.spectra.estimates import SPEED_HALF_WIDTH

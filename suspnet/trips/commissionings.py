@@ -13,14 +13,13 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 
-import numpy as np
-
 from suspnet.estimation.fitted import ModelFileError
 from suspnet.estimation.from_spectra import trip_settings
 from suspnet.estimation.steady_parts import speed_range
 from suspnet.estimation.trained import TrainedModel
 from suspnet.ground.parameters import PAYLOAD, REVERSE
-from suspnet.ground.records import OK, Commissioning, Place, TripResult
+from suspnet.ground.records import Commissioning, Place, TripResult
+from suspnet.maintenance.series import divided, medians
 from suspnet.spectra.segments import range_words
 
 NAMED = 6
@@ -107,63 +106,11 @@ def check_one_reference(models: Sequence[TrainedModel]) -> None:
         )
 
 
-def relative_to_first(results: list[TripResult], n_first: int) -> list[TripResult]:
-    """Return results whose k and c are relative to the median of the vehicle's first trips.
-
-    The truth, where known, is treated alike. The interval widens by the uncertainty of the median,
-    whose variance is pi / 2 times that of a mean of `n_first` trips. This is right for noise;
-    systematic errors (of a regression without refinement) cancel only while the vehicle does not
-    change. The car-body mass stays relative to nominal, as payload varies from the first trip on.
-    If fewer trips have an estimate, all of these are used.
-    """
-    done = first_trips(results, n_first)
-    if not done:
-        return results
-    names = [name for name in done[0].raw if name != PAYLOAD]
-    estimated = _medians([r.raw for r in done], names)
-    true = _medians([r.truth for r in done if set(names) <= set(r.truth)], names)
-    reference = {
-        name: np.sqrt(np.pi / 2 / len(done)) * np.median([r.half_widths[name] for r in done])
-        for name in names
-        if all(name in r.half_widths for r in done)
-    }
-    return [
-        replace(
-            r,
-            estimates=_divided(r.raw, estimated),
-            truth=_divided(r.truth, true),
-            half_widths={
-                k: float(np.hypot(h, reference.get(k, 0.0))) for k, h in r.half_widths.items()
-            },
-        )
-        for r in results
-    ]
-
-
 def relative_truth(result: TripResult, healthy: Sequence[TripResult]) -> TripResult:
     """Return a result whose true k and c, if known, are relative to the median of healthy trips."""
     known = [r.truth for r in healthy if r.truth]
     names = [name for name in result.truth if name != PAYLOAD and all(name in t for t in known)]
-    return replace(result, truth=_divided(result.truth, _medians(known, names)))
-
-
-def first_trips(results: list[TripResult], n_first: int) -> list[TripResult]:
-    """Return the `n_first` trips of least mileage with an estimate, or as many as there are.
-
-    Flagged trips are included: a vehicle unlike the model's is so from the first trip on.
-    """
-    return sorted((r for r in results if r.status == OK), key=lambda r: r.mileage_km)[:n_first]
-
-
-def _medians(values: list[dict[str, float]], names: list[str]) -> dict[str, float]:
-    if not values:
-        return {}
-    return {name: float(np.median([v[name] for v in values])) for name in names}
-
-
-def _divided(values: dict[str, float], by: dict[str, float]) -> dict[str, float]:
-    """Return values divided by those of another mapping, by 1 where it has none."""
-    return {name: value / by.get(name, 1.0) for name, value in values.items()}
+    return replace(result, truth=divided(result.truth, medians(known, names)))
 
 
 def check_models(models: Sequence[TrainedModel]) -> tuple[str, ...]:

@@ -13,10 +13,11 @@ from suspnet.ground.parameters import Limits, limits_words
 from suspnet.ground.records import TripResult
 from suspnet.ground.storage import printable
 from suspnet.ground.wording import count, kilometres
-from suspnet.report.trip_table import files_read_as
-from suspnet.trips.commissionings import eras, first_trips, speed_words
+from suspnet.maintenance.series import first_trips
+from suspnet.maintenance.state import UNKNOWN_HEALTHY
+from suspnet.report.tables import files_read_as
+from suspnet.trips.commissionings import eras, speed_words
 
-UNKNOWN_HEALTHY = "healthy is not known yet"
 ALONE = "by this suspension alone, as no other of its vehicle shows how fast such parts wear"
 NO_STORE = "; with those of a history (store=) the plan of a fleet may give others"
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-from bisect import bisect_right
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -29,10 +28,9 @@ from suspnet.ground.records import (
 )
 from suspnet.history import History
 from suspnet.history.schema import trip_key, undated_key
-from suspnet.maintenance.alarms import OWN_CAUSES, Alarm
+from suspnet.maintenance.alarms import OWN_CAUSES, Alarm, watch
 from suspnet.maintenance.change import ChangeSettings
-from suspnet.maintenance.series import Event, series_of
-from suspnet.maintenance.state import watched
+from suspnet.maintenance.series import series_of
 from suspnet.recordings.manifest_files import ManifestFile
 from suspnet.trips.commissionings import since_km
 
@@ -128,20 +126,6 @@ def _is_of(result: TripResult, model: TrainedModel) -> bool:
     return bool(same) and (since[0] == since[1] or bool(np.isnan(since).all()))
 
 
-def between(events: Sequence[Event], results: Sequence[TripResult]) -> list[list[TripResult]]:
-    """Return the trips before, between and after maintenance; those without a mileage are after.
-
-    The n_events + 1 lists are in the order of the mileage; some may be empty.
-    """
-    ends = sorted(event.mileage_km for event in events)
-    found: list[list[TripResult]] = [[] for _ in range(len(ends) + 1)]
-    for result in results:
-        unknown = np.isnan(result.mileage_km)
-        place = len(ends) if unknown else bisect_right(ends, result.mileage_km)
-        found[place].append(result)
-    return found
-
-
 def keep_trips(
     results: Sequence[TripResult],
     place: Place,
@@ -156,6 +140,6 @@ def keep_trips(
     """
     vehicle = models[0].vehicle.name
     every = with_earlier(results, place, models, store)
-    found = watched(series_of(every, store.events(vehicle, place)), limits, settings).watched
+    found = watch(series_of(every, store.events(vehicle, place)), limits, settings)
     store.keep_alarms(vehicle, place, found.alarms, OWN_CAUSES)
     return found.alarms

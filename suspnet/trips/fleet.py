@@ -26,23 +26,22 @@ from suspnet.maintenance.alarms import OWN_CAUSES, Acknowledgement, detector_wor
 from suspnet.maintenance.assessment import spoken
 from suspnet.maintenance.change import ChangeSettings
 from suspnet.maintenance.fleet import Fleet
-from suspnet.maintenance.series import Event, Series, series_of
+from suspnet.maintenance.series import Event, Series, between, relative_results, series_of
 from suspnet.maintenance.sisters import SisterSettings
 from suspnet.maintenance.trend import LEAST_PERCENT
 from suspnet.recordings.manifest_files import ManifestFile, partial_words
 from suspnet.report.output import summary, write_overview, write_pages, write_tables
-from suspnet.report.overview import Evaluated
 from suspnet.report.report import Report
+from suspnet.report.tables import Evaluated
 from suspnet.trips.commissionings import (
     check_one_reference,
     commissionings,
     eras,
     models_of,
-    relative_to_first,
     with_truth_of_each,
 )
-from suspnet.trips.details import UNKNOWN_HEALTHY, missing_reference, report_details, wear_words
-from suspnet.trips.earlier import FinishedTrips, between, with_earlier
+from suspnet.trips.details import missing_reference, report_details, wear_words
+from suspnet.trips.earlier import FinishedTrips, with_earlier
 from suspnet.trips.grouping import Group, find_groups
 from suspnet.trips.trip import evaluate_trip, lost_trip
 
@@ -159,7 +158,11 @@ def evaluate_fleet(
     # all suspensions are read before the first report: its lives use their rates of wear
     fleet = Fleet({one.vehicle: one.limits for one in read}, settings.changes, SISTERS, seed)
     if store is not None:
-        fleet.add(one for one in store.series() if one.vehicle in fleet.limits)
+        fleet.add(
+            one.relative_to_first(settings.n_first)
+            for one in store.series()
+            if one.vehicle in fleet.limits
+        )
     fleet.add(one.series for one in read)
     for one in read:
         with _reported(one.group, done, is_alone):
@@ -225,13 +228,12 @@ def _read_group(
         results = with_earlier(results, group.place, fitting, store)
         events = store.events(vehicle, group.place)
     results = by_mileage(results)
-    if settings.reference == "first_trips":
-        parts = between(events, results)
-        results = [r for part in parts for r in relative_to_first(part, settings.n_reference)]
+    series = replace(series_of(results, events), vehicle=vehicle)
+    results = relative_results(results, events, settings.n_first)
     found = commissionings(fitting, results)
     results = with_truth_of_each(results, found)
-    series = replace(series_of(results, events), vehicle=vehicle)
-    return _Read(group, fitting, output, limits, results, found, series)
+    relative = series.relative_to_first(settings.n_first)
+    return _Read(group, fitting, output, limits, results, found, relative)
 
 
 def _report(
@@ -247,7 +249,6 @@ def _report(
     state = replace(
         fleet.state_of(read.series),
         least_percent=least_percent(outputs, models),
-        doubt=UNKNOWN_HEALTHY if missing else "",
     )
     seen: list[Acknowledgement] = []
     if store is not None and any(r.status != ERROR for r in results):

@@ -12,7 +12,8 @@ from numpy.typing import ArrayLike
 from suspnet.ground.parameters import NAMES
 from suspnet.ground.wording import unbroken
 from suspnet.report import trend as shown
-from suspnet.report.responses import PARTS, Response
+from suspnet.report.tables import PARTS, Response
+from suspnet.report.templates import symbol
 from suspnet.report.trend import LIMIT_COLOURS, Panel, Points, Trend
 
 HEALTHY, BETWEEN = "#8a8f98", "#9cc3e6"
@@ -67,7 +68,7 @@ def trend_figure(trend: Trend, name: str) -> dict[str, Any]:
             "ticksuffix": " %",
             "nticks": 6,
         }
-        heading = f"{_symbol(panel.name)}, {NAMES[panel.name]}"
+        heading = f"{symbol(panel.name)}, {NAMES[panel.name]}"
         layout["annotations"].append(_axis_title(heading, axis))
         layout["shapes"] += _levels(panel, axis)
     # maintenance and commissionings are vertical lines through all panels
@@ -263,11 +264,6 @@ def _levels(panel: Panel, axis: str) -> list[dict[str, Any]]:
 def _line(*, colour: str = HEALTHY, dash: str, **place: Any) -> dict[str, Any]:
     line = {"color": colour, "width": 1.2, "dash": dash}
     return {"type": "line", "layer": "between", "line": line, "xref": "x", "yref": "y"} | place
-
-
-def _symbol(name: str) -> str:
-    letter, _, index = name.partition("_")
-    return f"<i>{letter}</i><sub>{index}</sub>"
 
 
 def _axis_title(text: str, axis: str) -> dict[str, Any]:

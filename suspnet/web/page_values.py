@@ -10,16 +10,14 @@ from typing import Any
 import numpy as np
 
 from suspnet.ground.parameters import NAMES, PARAMETERS, Severity
-from suspnet.ground.records import TripResult
+from suspnet.ground.records import INTERVAL_LEVEL, TripResult
 from suspnet.history.arrays import TripResponses
 from suspnet.maintenance.alarms import Acknowledgement, Alarm, newest_of
-from suspnet.maintenance.fleet_plan import suspension_of, train_of
+from suspnet.maintenance.plan import suspension_of, train_of
 from suspnet.maintenance.schedule import joined
 from suspnet.maintenance.state import State
-from suspnet.report.overview import FleetView
-from suspnet.report.responses import response, response_table
+from suspnet.report.tables import FleetView, files_read_as, response, response_table, trip_table
 from suspnet.report.trend import ranges, trend_of_state
-from suspnet.report.trip_table import files_read_as, trip_table
 
 SHORT = {"leading": "lead.", "trailing": "trail."}
 """Short words of a place, for a tile."""
@@ -160,8 +158,6 @@ def _tile(name: str, state: State, row: dict[str, Any], with_suspension: bool) -
 
 N_TRIPS = 20
 """Number of the newest trips in the table."""
-LEVEL = 0.9
-"""Probability of the intervals of trips, the default of evaluate.py and the monitor."""
 
 
 def suspension_values(
@@ -188,7 +184,7 @@ def suspension_values(
         "alarms": [(one, newest_of(one, seen)) for one in state.alarms],
         "over": [(one, newest_of(one, seen)) for one in reversed(over)],
         "ranges": ranges(trend_of_state(state)),
-        "trips": trip_table(newest, PARAMETERS, LEVEL),
+        "trips": trip_table(newest, PARAMETERS, INTERVAL_LEVEL),
         "read_as": files_read_as(newest),
         "n_trips": len(state.series.trip),
         "first_km": _end(state.series.mileage_km, np.min),

@@ -30,16 +30,15 @@ from suspnet.history import History, HistoryError
 from suspnet.history.store import acknowledge_alarms
 from suspnet.maintenance.alarms import Alarm
 from suspnet.maintenance.schedule import Plan
+from suspnet.maintenance.series import relative_results
 from suspnet.maintenance.state import State
-from suspnet.report.overview import FleetView, finding
-from suspnet.report.responses import response
+from suspnet.report.board import Refresher
+from suspnet.report.tables import FleetView, finding, response
 from suspnet.report.templates import MARKS
 from suspnet.report.trend import trend_of_state
 from suspnet.web import page_values
 from suspnet.web.figures import response_figure, trend_figure
 from suspnet.web.page_values import Choice, suspension_values
-from suspnet.web.refresher import Refresher
-from suspnet.web.server import WITH_PLOTS
 
 MOST_ROWS = 50
 """Largest number of rows of a table of the fleet, unless all are requested."""
@@ -50,6 +49,8 @@ READ_S, WRITE_S = 0.5, 2.0
 [s]."""
 REFRESHER = "suspnet_refresher"
 """Key, among an application's extensions, of the thread that holds the state of the fleet."""
+WITH_PLOTS = "suspnet.plots"
+"""Key in a request's environment that marks a page with plots."""
 OUTPUTS = tuple(name for name in PARAMETERS if name != PAYLOAD)
 
 pages = Blueprint("pages", __name__)
@@ -161,10 +162,8 @@ def state() -> ResponseReturnValue:
 
 @functools.lru_cache(maxsize=2)
 def _calendar(plan: Plan) -> bytes:
-    from suspnet.report.calendar_figure import (
-        plan_calendar,
-    )  # imports matplotlib, only for this picture
-    from suspnet.report.images import as_svg
+    from suspnet.report.figures import as_svg
+    from suspnet.report.maintenance_figures import plan_calendar
 
     with _drawing:
         return as_svg(plan_calendar(plan))
@@ -179,6 +178,8 @@ def _suspension_page(name: str, form: Seen) -> str:
         with _opened() as store:
             bad = store.bad_rows
             results, seen = store.read(*state.key), store.acknowledgements(*state.key)
+            n_first = _refresher().board.settings.n_first
+            results = relative_results(results, state.series.events, n_first)
             stored = store.responses(*state.key)  # last: damaged curves must not hide the trips
     except HistoryError as error:
         trouble = str(error)

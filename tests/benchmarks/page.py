@@ -32,9 +32,8 @@ from suspnet.ground.records import TripCurves, TripResult
 from suspnet.ground.storage import write_atomically
 from suspnet.history import History
 from suspnet.history.arrays import N_NEWEST
-from suspnet.report.board import Board, BoardSettings
+from suspnet.report.board import Board, BoardSettings, Refresher
 from suspnet.web.app import create_app
-from suspnet.web.refresher import Refresher
 
 RESULTS = Path(__file__).parent / "results" / "page.csv"
 TODAY = "2025-10-28"

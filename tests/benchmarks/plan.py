@@ -35,8 +35,8 @@ from wear_histories import KINDS, PER_TRAIN, WearHistory, make_histories
 from suspnet.ground.types import FloatArray
 from suspnet.maintenance.life import MIN_TRIPS, predict_life
 from suspnet.maintenance.plan import make_plan
-from suspnet.maintenance.plan_inputs import Part, PlanSettings, Train
-from suspnet.maintenance.visit_costs import Costs
+from suspnet.maintenance.schedule import Part, Train
+from suspnet.maintenance.visit_costs import Costs, PlanSettings
 
 STEP_KM = 20_000.0
 DURATION_KM = 3_000_000.0

@@ -25,7 +25,8 @@ from wear_histories import KINDS, WearHistory, make_histories
 
 from suspnet.maintenance.degradation import FleetPrior
 from suspnet.maintenance.first_passage import HORIZON_KM
-from suspnet.maintenance.life import Life, learn_fleet, predict_life
+from suspnet.maintenance.fleet import learn_fleet
+from suspnet.maintenance.life import Life, predict_life
 
 RESULTS = Path(__file__).parent / "results"
 LEVEL = 0.8

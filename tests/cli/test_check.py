@@ -31,6 +31,8 @@ from suspnet.spectra.welch import Welch
 from suspnet.trips.check import CheckSettings, check_trip
 from suspnet.trips.check_page import PROBLEM, READY, TOO_LITTLE, trip_figure
 
+N_GOOD = 2
+"""Number of trips that are checked and drawn; to draw one takes a second."""
 BROKEN = 10_000
 """Number of broken manifests of the slow test."""
 
@@ -52,9 +54,9 @@ def settings():
 
 @pytest.fixture(scope="module")
 def fleet(manifests, tmp_path_factory):
-    """Return the folder and the words of a check of six good trips."""
+    """Return the folder and the words of a check of good trips."""
     output = tmp_path_factory.mktemp("fleet")
-    done = typed(check, manifests[0].parent, "-o", output, cwd=output)
+    done = typed(check, *manifests[:N_GOOD], "-o", output, cwd=output)
     assert (done.returncode, errors(done)) == (0, "")
     return output, done.stdout
 
@@ -86,19 +88,19 @@ def test_coherence_and_averages_are_those_of_scipy_and_welch(manifests, settings
 
 def test_good_trips_are_ready_and_drawn(fleet, manifests):
     output, words = fleet
-    assert words.startswith("6 of 6 trips ready for an estimate\n")
-    assert "am96, simulated: 6 of 6 trips ready, 1000 to 6000 km, at 70.0 m/s" in words
+    assert words.startswith("2 of 2 trips ready for an estimate\n")
+    assert "am96, simulated: 2 of 2 trips ready, 1000 to 2000 km, at 70.0 m/s" in words
     assert "train with speed_m_per_s=70" in words
     assert "Problems" not in words
     trips = found_in(output)["trips"]
-    assert [trip["state"] for trip in trips] == [READY] * 6
+    assert [trip["state"] for trip in trips] == [READY] * N_GOOD
     assert trips[0]["band_hz"] == pytest.approx([0.595, 20.9], rel=1e-2)
     for trip in trips:
         assert imread(output / trip["picture"]).shape[:2] == (770, 1320)
     page = (output / "check.html").read_text(encoding="utf-8")
-    assert all(f'src="{path.stem}.png"' in page for path in manifests)
+    assert all(f'src="{path.stem}.png"' in page for path in manifests[:N_GOOD])
     assert sorted(path.name for path in output.iterdir()) == sorted(
-        ["check.html", "check.json", LEDGER, *(f"{path.stem}.png" for path in manifests)]
+        ["check.html", "check.json", LEDGER, *(f"{path.stem}.png" for path in manifests[:N_GOOD])]
     )
 
 
@@ -132,7 +134,7 @@ def test_each_steady_speed_is_a_part(manifests, tmp_path):
 @pytest.mark.parametrize("speed", [5.0, 9.0])
 def test_slow_trip_holds_too_little_but_is_no_mistake(manifests, tmp_path, speed):
     path = changed(manifests[0], tmp_path, speed=speed)
-    done = typed(check, path, "-o", tmp_path / "o", cwd=tmp_path)
+    done = typed(check, path, "--no-pictures", "-o", tmp_path / "o", cwd=tmp_path)
     assert done.returncode == 0
     (trip,) = found_in(tmp_path / "o")["trips"]
     assert trip["state"] == TOO_LITTLE
@@ -181,6 +183,7 @@ def test_figure_has_a_bounded_number_of_points(manifests, settings):
 # what is wrong
 
 
+@pytest.mark.usefixtures("blank", "read_apart")
 def test_problems_of_all_trips_and_arguments_are_told_at_once(manifests, tmp_path):
     good = manifests[0]
     (tmp_path / "trips").mkdir()
@@ -350,7 +353,7 @@ def test_commands_of_the_docs_are_understood():
 def test_two_workers_find_what_one_finds(manifests, fleet, tmp_path):
     output, words = fleet
     options = ["--workers", "2", "-o", tmp_path / "o"]
-    done = python("-m", "suspnet.check", manifests[0].parent, *options, cwd=tmp_path)
+    done = python("-m", "suspnet.check", *manifests[:N_GOOD], *options, cwd=tmp_path)
     assert (done.returncode, errors(done)) == (0, "")
     assert done.stdout.partition("->")[0] == words.partition("->")[0]
     assert found_in(tmp_path / "o") == found_in(output)

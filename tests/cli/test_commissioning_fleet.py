@@ -21,7 +21,8 @@ from suspnet.runs.evaluate import find_runs
 from suspnet.trips.commissionings import models_of, place_of
 
 pytestmark = pytest.mark.usefixtures("blank")
-TRIPS = [*SMALL, "experiment=trips", "data.minutes=5", "data.segment_s=5", "model=linear"]
+FEW = ["data.n_train=100", "data.n_test=20", "data.n_calibrate=null", *SMALL[3:]]
+TRIPS = [*FEW, "experiment=trips", "data.minutes=5", "data.segment_s=5", "model=linear"]
 PLACES = {
     "one": Place("S1", "leading", "", "1", "1"),
     "two": Place("S1", "trailing", "", "1", "1"),
@@ -87,7 +88,7 @@ def stamps(folder):
 def test_each_suspension_has_a_run_of_its_own(fitted, fleet, tmp_path, caplog):
     folder = tmp_path / "run"
     with caplog.at_level(logging.INFO):
-        assert trained(folder, fleet, "workers=1") == 0
+        assert trained(folder, fleet, "data.n_calibrate=100") == 0
     assert fitted == ["leading", "trailing"]
     assert find_runs(folder) == [folder / "one", folder / "two"]
     models = [load_model(one) for one in find_runs(folder)]

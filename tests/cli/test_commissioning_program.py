@@ -18,6 +18,7 @@ from suspnet.runs import commissioning as run
 from suspnet.spectra.estimates import SPEED_HALF_WIDTH
 from suspnet.spectra.segments import SpeedRange, range_words
 
+pytestmark = pytest.mark.usefixtures("blank")
 TRIPS = [*SMALL, "experiment=trips", "data.minutes=5", "data.segment_s=5", "model=linear"]
 
 

@@ -124,5 +124,5 @@ def test_a_mistake_is_one_line_and_makes_no_file(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr("sys.argv", ["suspnet-history", str(path), "list"])
     with pytest.raises(SystemExit) as ended:
         program.main("history")
-    assert "there is no such file; evaluate.py" in str(ended.value.code)
+    assert "there is no such store; evaluate.py" in str(ended.value.code)
     assert not path.exists()

@@ -13,12 +13,14 @@ from pathlib import Path
 import forked
 import numpy as np
 import pytest
+import yaml
 from cli_runner import ROOT, typed
 from forked import run_apart, started
 from served_fleet import fill
 from waitress.channel import HTTPChannel
 
-from suspnet.cli import serve
+from suspnet.cli import evaluate, serve
+from suspnet.cli.config_files import CONFIGS
 from suspnet.history import History
 
 WORDS = {signal.SIGINT: "interrupted", signal.SIGTERM: "terminated"}
@@ -65,6 +67,30 @@ def test_mistakes_are_one_line(refused, path, tmp_path):
     assert "Give hosts=[NAME, ...]" in refused(store, "host=0.0.0.0", "open_to_network=true")
     assert "must be an IPv4 address or a name" in refused(store, "host='::1'")
     assert "`today` must be a day" in refused(store, "today=soon")
+
+
+@pytest.mark.parametrize(
+    ("module", "where", "arguments"),
+    [(serve, "serve", ()), (evaluate, "write_maintenance", ("study=maintenance",))],
+)
+def test_limits_of_a_users_own_vehicle_are_found(
+    path, tmp_path, monkeypatch, module, where, arguments
+):
+    shipped = yaml.safe_load((Path(CONFIGS) / "vehicle" / "am96.yaml").read_text())
+    limits = {"k_p": {"notice": [0.97, 1.03], "act": [0.95, 1.05], "why": "our rule 7"}}
+    (tmp_path / "mine" / "vehicle").mkdir(parents=True)
+    own = yaml.safe_dump(shipped | {"name": "metro", "limits": limits})
+    (tmp_path / "mine" / "vehicle" / "metro.yaml").write_text(own)
+    given = []
+    monkeypatch.setattr(module, where, lambda *args: given.extend(args) or [])
+    first = {"serve": "reference=first_trips"}.get(where, "monitor.reference=first_trips")
+    named = ("--config-dir", "mine", *arguments, f"store={path}", first)
+    ended = typed(module, *named, cwd=tmp_path)
+    assert ended.returncode == 0, ended.stderr
+    settings = given[0].settings if module is serve else given[2]
+    assert settings.limits_of("metro")["k_p"].why == "our rule 7"
+    assert settings.limits_of("am96")["k_p"].act == (0.8, 1.25)
+    assert settings.n_first == 5
 
 
 def test_port_that_is_taken_is_one_line(refused, path):

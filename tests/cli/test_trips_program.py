@@ -103,6 +103,7 @@ def no_figures():
 # the way from nothing to a report
 
 
+@pytest.mark.usefixtures("blank", "read_apart")
 def test_simulated_trips_are_read(run, trips, tmp_path):
     assert run_program(evaluate, tmp_path, f"run={run}", f"trips={trips}", *EVALUATE) == 0
     found, test = metrics(tmp_path), json.loads((run / "model.json").read_text())["training"]
@@ -310,7 +311,10 @@ def test_wrong_limits_of_a_vehicle_name_file_and_key(tmp_path):
 @pytest.mark.parametrize(
     ("names", "codes", "worst"),
     [
-        (("115", "nowhere", "100"), ["3", "1", "0"], evaluate.MISTAKE),
+        pytest.param(
+            *(("115", "nowhere", "100"), ["3", "1", "0"], evaluate.MISTAKE),
+            marks=pytest.mark.slow,  # the order of codes is that of `evaluate.worst`, below
+        ),
         (("100", "nowhere", "150"), ["0", "1", "4"], evaluate.ACT),
     ],
 )
@@ -514,7 +518,7 @@ def test_mistake_with_trips_gets_one_line(run, trips, tmp_path, overrides, messa
 
 def test_run_of_another_protocol_is_refused(trips, no_figures, tmp_path):
     small = ["data.n_train=300", "data.n_test=16", "data.n_calibrate=150"]
-    small += ["data.cache_dir=null", "progress=false"]
+    small += ["data.cache_dir=null", "progress=false", "figures=false"]
     assert run_program(train, tmp_path / "run", *small, "model=linear", "threads=1") == 0
     given = [f"run={tmp_path / 'run'}", f"trips={trips}", *EVALUATE]
     words = run_program(evaluate, tmp_path / "out", *given)

@@ -21,7 +21,9 @@ from suspnet.spectra.estimates import EstimateSettings
 from suspnet.spectra.segments import Speeds
 
 RATES_HZ = (1000.0, 500.0, 500.0)
-RICH = EstimateSettings(rates_hz=RATES_HZ).bound(AM96)
+USUAL = EstimateSettings(rates_hz=RATES_HZ).bound(AM96)
+RICH = EstimateSettings(segment_s=10.0, rates_hz=RATES_HZ).bound(AM96)
+"""As usual, in half as many bins: enough for the trips of a rich train."""
 SETTINGS = EstimateSettings(segment_s=5.0, rates_hz=RATES_HZ, high_hz=9.9).bound(AM96)
 """Bins of 0.2 Hz, a quarter of the usual ones, below the notch at 13 Hz: they cannot resolve it."""
 MAY_BE_ABSENT = {quantity.name: float(quantity.may_be_absent) for quantity in QUANTITIES}
@@ -247,12 +249,13 @@ def test_trips_without_information_leave_the_prior():
 # Known answers
 
 
-def test_numbers_drawn_from_the_prior_are_found_within_their_deviations():
+@pytest.mark.parametrize("seeds", [(1,), pytest.param((0, 1, 3), marks=pytest.mark.slow)])
+def test_numbers_drawn_from_the_prior_are_found_within_their_deviations(seeds):
     generator, errors = with_parts("bushings", "guidance"), []
-    for seed in (0, 1, 3):
+    for seed in seeds:
         numbers = from_prior(generator, seed)
-        groups = trips(generator, numbers, seed, settings=RICH)
-        found = commission(generator, RICH, groups, n_starts=1)
+        groups = trips(generator, numbers, seed, settings=USUAL)
+        found = commission(generator, USUAL, groups, n_starts=1)
         assert found.converged
         assert found.misfit == pytest.approx(1.0, abs=0.1)
         np.testing.assert_allclose(found.masses, MASSES, rtol=0.02)
@@ -308,9 +311,9 @@ def test_a_wrong_vehicle_file_leads_to_the_same_vehicle(bushed, spring, damper):
         secondary_stiffness_n_per_m=spring * AM96.secondary_stiffness_n_per_m,
         secondary_damping_ns_per_m=damper * AM96.secondary_damping_ns_per_m,
     )
-    other = commission(replace(right, vehicle=wrong), SETTINGS, groups)
+    other = commission(replace(right, vehicle=wrong), SETTINGS, groups, n_starts=2)
     assert other.converged
-    assert other.n_agree >= 2
+    assert other.n_agree == 2
     expected, deviations = si(found, SPRINGS_AND_DAMPERS)
     logs, _ = si(other, SPRINGS_AND_DAMPERS)
     # the prior lies elsewhere: that is the share
@@ -355,10 +358,10 @@ def test_effects_outside_the_family_leave_a_misfit(effect, ratios):
 
 
 def test_the_same_trips_give_the_same_numbers(bushed):
-    generator, _, groups, found = bushed
-    again = commission(generator, SETTINGS, groups)
-    assert again.posterior == found.posterior
-    np.testing.assert_array_equal(again.masses, found.masses)
+    generator, _, groups, _ = bushed
+    first, again = (commission(generator, SETTINGS, groups[:1], n_starts=2) for _ in range(2))
+    assert again.posterior == first.posterior
+    np.testing.assert_array_equal(again.masses, first.masses)
 
 
 def test_curves_are_those_measured_nominal_and_commissioned(bushed):

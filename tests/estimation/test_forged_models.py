@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import torch
 from protocols import shipped_protocol
-from trip_fixtures import NoLog
+from trip_fixtures import BAND, NoLog
 from vehicles import AM96
 
 from suspnet.dynamics import QuarterCar, VerticalVehicle
@@ -59,7 +59,7 @@ ARRAY_NONSENSE = {
 def model_of(name):
     """Return a small calibrated model."""
     if name == "trips":
-        settings = EstimateSettings(400, 50, 150, cache_dir=None)
+        settings = EstimateSettings(400, 50, 150, cache_dir=None, **BAND)
         generator, task = VerticalVehicle(AM96), shipped_protocol("trips").task("all")
     else:
         settings = CurveSettings(400, 50, 150, step_hz=0.05, cache_dir=None)

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -55,12 +56,17 @@ def responses(generator, ratios, frequency_hz):
     return np.array([1, own[0], own[0] * own[1], other[0], other[0] * other[1], delay])
 
 
+@cache
+def healthy_gains(generator, rate_hz):
+    grid = np.geomspace(0.1, rate_hz / 2, 4000)
+    return grid, np.abs([responses(generator, np.ones(5), f) for f in grid]) ** 2
+
+
 def noise_densities(source, rates_hz):
     """Return each place's noise: its healthy signal's power, spread over the sensor's band."""
     densities = {}
     for rate_hz in set(rates_hz):
-        grid = np.geomspace(0.1, rate_hz / 2, 4000)
-        gain = np.abs([responses(source.generator, np.ones(5), f) for f in grid]) ** 2
+        grid, gain = healthy_gains(source.generator, rate_hz)
         power = np.trapezoid(gain * source.mean.track_density(grid)[:, None], grid, axis=0)
         densities[rate_hz] = 10 ** (-source.settings.snr_db / 10) * power / (rate_hz / 2)
     return np.array([densities[rate_hz][place] for place, rate_hz in enumerate(rates_hz)])

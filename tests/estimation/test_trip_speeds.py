@@ -155,12 +155,12 @@ def test_weak_bins_are_bridged_by_straight_lines_relative_to_healthy():
 
 
 def test_healthy_trips_of_the_own_vehicle_are_not_flagged_at_any_of_its_speeds():
-    model = model_at(STILL)
+    model = model_at(STILL, n_train=1000, n_calibrate=200)
     for i, speed in enumerate((STILL, 0.95 * STILL, 1.05 * STILL)):
         speeds = Speeds.of(speed, 0.2)
         observer = model.settings.observer(model.generator).at(speeds)
         source = torch.Generator().manual_seed(i)
-        mean = observer.expected(torch.ones(4, 5, dtype=torch.float64))
+        mean = observer.expected(torch.ones(2, 5, dtype=torch.float64))
         spectra = sample_spectra(mean, observer._correlating, source)
         for auto, cross in zip(spectra.auto, spectra.cross, strict=True):
             trip = CrossSpectra(auto, cross, spectra.n_averages)

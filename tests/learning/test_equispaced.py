@@ -363,7 +363,7 @@ def test_sums_run_over_ranks(n_inputs):
 
 
 @needs_finufft
-@intercepts
+@pytest.mark.parametrize("fit_intercept", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_ranks_together_reach_the_solution_of_all_samples(fit_intercept):
     X, Y = (torch.tensor(values) for values in smooth_data(3, 60))
     modes = equispaced_fourier(X, 1.0, 1, 0)

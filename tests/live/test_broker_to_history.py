@@ -7,7 +7,7 @@ from collections import Counter
 import numpy as np
 import pytest
 from live_frames import Mosquitto
-from trip_fixtures import OUTPUTS, model_at, small_fleet
+from trip_fixtures import OUTPUTS, model_at, recalled_trip, small_fleet
 
 from suspnet.estimation.from_recording import TripSettings
 from suspnet.history import History
@@ -21,7 +21,6 @@ from suspnet.live.sinks import MqttSink
 from suspnet.live.suspension import LiveSettings, LiveSuspension
 from suspnet.recordings.manifest_files import read_manifest
 from suspnet.trips.fleet import FleetSettings
-from suspnet.trips.trip import evaluate_trip
 
 pytest.importorskip("paho.mqtt.client")
 SETTINGS = FleetSettings(TripSettings())
@@ -75,7 +74,7 @@ def test_history_of_a_replay_over_a_restarted_broker_is_that_of_the_files(
         thread.join()
         source.close()
         broker.end()
-    expected = evaluate_trip(path, [model_at()], SETTINGS.trips)
+    expected = recalled_trip(path, [model_at()], SETTINGS.trips)
     for name in ("status", "flags", "mileage_km"):
         assert getattr(found, name) == getattr(expected, name)
     for name in OUTPUTS:

@@ -238,6 +238,7 @@ def test_there_are_many_configurations_of_distinct_names():
     assert len(set(names)) == len(names) >= 60
 
 
+@pytest.mark.every_value
 @pytest.mark.parametrize("group", ["source", "sink"])
 @pytest.mark.parametrize("way", ["typed", "environment"])
 def test_the_broker_that_a_user_names_is_connected(group, way, tmp_path, run, fleet):

@@ -24,6 +24,12 @@ NAMES = [f"train {k // 4}, car {k % 4}, leading bogie" for k in range(12)]
 ONE = "train 1, car 2"
 
 
+@pytest.fixture(autouse=True)
+def _impatient(monkeypatch):
+    """Connect again soon."""
+    monkeypatch.setattr("suspnet.live.broker.BACKOFF_S", (0.1, 1))
+
+
 @pytest.fixture
 def broker(tmp_path):
     found = Mosquitto(tmp_path).start()
@@ -385,7 +391,8 @@ def test_connection_with_tls(tmp_path, opened):
         pytest.skip("openssl is not installed")
     subprocess.run(
         [
-            *("openssl", "req", "-x509", "-newkey", "rsa:2048", "-nodes", "-days", "2"),
+            *("openssl", "req", "-x509", "-newkey", "ec", "-nodes", "-days", "2"),
+            *("-pkeyopt", "ec_paramgen_curve:prime256v1"),
             *("-keyout", tmp_path / "key.pem", "-out", tmp_path / "cert.pem"),
             *("-subj", "/CN=localhost", "-addext", "subjectAltName=DNS:localhost,IP:127.0.0.1"),
         ],

@@ -30,7 +30,9 @@ def cut(name, samples, rate_hz, rng):
     ]
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize(
+    "seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2))]
+)
 def test_estimate_of_the_stream_is_that_of_the_batch(trip, tmp_path, monkeypatch, seed):
     monkeypatch.setattr(cleaning, "CORE_SAMPLES", 2**13)
     rng, model = np.random.default_rng(seed), model_at()

@@ -8,7 +8,7 @@ import pyarrow.parquet as pq
 import pytest
 from cli_runner import typed
 from monitor_frames import ListSource
-from trip_fixtures import OUTPUTS, RATES_HZ, model_at, signal, small_fleet
+from trip_fixtures import OUTPUTS, RATES_HZ, model_at, recalled_trip, signal, small_fleet
 
 from suspnet.cli import init
 from suspnet.estimation.from_recording import TripSettings
@@ -24,7 +24,6 @@ from suspnet.recordings.manifest_files import read_manifest
 from suspnet.recordings.manifest_keys import TripError
 from suspnet.trips.fleet import FleetSettings
 from suspnet.trips.manifest_template import BLANK
-from suspnet.trips.trip import evaluate_trip
 
 SETTINGS = FleetSettings(TripSettings())
 UNITS = {"g": 9.80665, "m/s^2": 1.0, "mg": 9.80665e-3}
@@ -82,7 +81,7 @@ def test_template_of_init_gives_the_monitor_what_it_gives_for_files(tmp_path, fl
         monitor.run()
         (found,) = store.read(manifest.vehicle, manifest.place)
     assert monitor.counts == {"taken": len(frames)}
-    expected = evaluate_trip(path, [model], SETTINGS.trips)
+    expected = recalled_trip(path, [model], SETTINGS.trips)
     assert (found.status, found.trip) == ("ok", "2026-03-01 06:17")
     for name in OUTPUTS:
         np.testing.assert_allclose(found.estimates[name], expected.estimates[name], rtol=1e-6)

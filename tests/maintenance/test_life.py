@@ -10,7 +10,8 @@ from hypothesis.extra.numpy import arrays
 
 from suspnet.maintenance.degradation import MODELS
 from suspnet.maintenance.first_passage import HORIZON_KM
-from suspnet.maintenance.life import DEFAULT_PRIOR, MIN_TRIPS, Life, learn_fleet, predict_life
+from suspnet.maintenance.fleet import learn_fleet
+from suspnet.maintenance.life import DEFAULT_PRIOR, MIN_TRIPS, Life, predict_life
 from suspnet.maintenance.noise import UNIT_KM
 
 LIMITS = (0.7, 1.4)

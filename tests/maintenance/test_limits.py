@@ -260,9 +260,9 @@ def test_limits_are_read_from_plain_values():
 def test_limits_are_the_defaults_unless_others_are_given():
     settings = yaml.safe_load((CONFIGS / "base" / "alarms.yaml").read_text())["limits"]
     assert read_limits(settings, DEFAULT_LIMITS, "a setting") == DEFAULT_LIMITS
-    given = {"k_p": None, "c_p": {"act": [0.5, None]}, "M_s": {"notice": [0, 2], "act": [0, 3]}}
+    given = {"k_p": None, "c_p": {"act": [0.5, None]}, "M_s": {"notice": None, "act": None}}
     found = read_limits(given, DEFAULT_LIMITS, "a setting")
-    assert list(found) == ["c_p", "k_s", "c_s", "M_s"]
+    assert list(found) == ["c_p", "k_s", "c_s"]
     assert found["c_p"] == Limits((0.8, 1.25), (0.5, np.inf), "a setting")
     assert found["k_s"] is DEFAULT_LIMITS["k_s"]
     own = {"k_s": {"why": "our rule 7", "notice": [0.95, 1.05]}}
@@ -289,7 +289,8 @@ def test_every_default_has_a_reason_and_words_tell_it_once():
         ({"k_p": {"why": 7}}, r"`limits.k_p`: `why` must be text, got 7"),
         ({"k_p": {"notice": 0.9}}, r"`limits.k_p`: `notice` must be two numbers, .* got 0.9"),
         ({"k_p": {"notices": [0.9, 1.1]}}, r"`limits\.k_p` must have `notice` and `act`"),
-        ({"M_s": {"act": [0.5, 2]}}, r"`limits\.M_s` must have `notice` and `act`"),
+        ({"M_s": {"act": [0.5, 2]}}, r"`limits\.M_s` must be left out: the car-body mass varies"),
+        ({"M_s": DEFAULT_LIMITS["k_p"]}, r"`limits\.M_s` must be left out"),
     ],
 )
 def test_limits_that_do_not_go_with_the_defaults_are_refused(given, message):

@@ -51,7 +51,7 @@ def test_noise_is_found_whatever_the_half_widths_say(rho):
 def test_spread_of_a_straight_line_is_that_of_its_noise():
     rng = np.random.default_rng(2)
     line = np.linspace(0, 1, 5_000) + 0.01 * rng.normal(size=5_000)
-    assert robust_spread(line) == pytest.approx(0.01, rel=0.05)
+    assert robust_spread(np.diff(line, 2), 6) == pytest.approx(0.01, rel=0.05)
 
 
 def test_only_outlying_trips_are_tamed():

@@ -14,6 +14,7 @@ from suspnet.estimation.from_recording import TripSettings
 from suspnet.ground.parameters import Cause
 from suspnet.ground.records import Place
 from suspnet.history import History
+from suspnet.maintenance.series import relative_results
 from suspnet.report import report
 from suspnet.report.board import Board, BoardSettings
 from suspnet.report.tensorboard import RunLog
@@ -41,7 +42,9 @@ def made_up(where, vehicle):
         ],
         "few": trips(where, 4, {"k_p": 1 - 0.02 * np.arange(7)}, n_trips=7),
         "left": trips(where, 5, n_trips=12),
-        "right": trips(where, 6, {"k_p": np.full(12, 0.94)}, n_trips=12),  # within its limits
+        "right": trips(
+            where, 6, {"k_p": np.where(np.arange(12) < 5, 1, 0.94)}, n_trips=12
+        ),  # within its limits
         "unsure": [  # the newest trip is beyond a limit, but its interval reaches back
             replace(one, half_widths=one.half_widths | {"k_p": 0.2} if is_last else one.half_widths)
             for one, is_last in zip(
@@ -54,12 +57,12 @@ def made_up(where, vehicle):
     return [replace(one, vehicle=vehicle) for one in given[where.suspension]]
 
 
-@pytest.fixture(scope="module")
-def outcomes(tmp_path_factory):
+@pytest.fixture(scope="module", params=["vehicle", "first_trips"])
+def outcomes(request, tmp_path_factory):
     """Return the folder of four suspensions' reports, and the view that is served of them."""
     folder = tmp_path_factory.mktemp("same")
     model = model_at()
-    settings = FleetSettings(TripSettings())
+    settings = FleetSettings(TripSettings(), reference=request.param)
     of_place = {}
     for name in NAMES:
         where = Place(name, train="12", car="pair" if name in ("left", "right") else name)
@@ -81,8 +84,9 @@ def outcomes(tmp_path_factory):
         with History(store) as history:
             given = (folder / "trips", [model], folder / "out", settings, False, history, SEED)
             done = evaluate_fleet(*given)
-    vehicles = {model.vehicle.name: model.vehicle}
-    board = Board(str(store), BoardSettings(vehicles, today="2026-03-01", seed=SEED))
+    vehicles = {model.vehicle.name: model.vehicle.known_limits}
+    given = {"n_first": settings.n_first, "today": "2026-03-01", "seed": SEED}
+    board = Board(str(store), BoardSettings(vehicles, **given))
     board.refresh()
     return folder, board.view, done
 
@@ -184,7 +188,20 @@ def test_series_of_results_is_that_of_the_store(outcomes):
         stored = {one.place: one for one in history.series()}
     assert len(stored) == len(NAMES)
     for one in done:
-        assert one.state.series.equals(stored[one.place])
+        n_first = one.state.series.n_first
+        assert one.state.series.equals(stored[one.place].relative_to_first(n_first))
+
+
+def test_trips_in_the_table_of_a_page_are_those_of_the_report(outcomes):
+    folder, _, done = outcomes
+    with History(folder / "fleet.db") as history:
+        for one in done:
+            series = one.state.series
+            stored = relative_results(history.read(*series.key), series.events, series.n_first)
+            assert [r.estimates for r in stored] == [r.estimates for r in one.results]
+            assert [r.half_widths for r in stored] == [r.half_widths for r in one.results]
+            for name, column in series.estimates.items():
+                assert column.tolist() == [r.estimates[name] for r in stored]
 
 
 def test_report_of_one_suspension_says_that_no_fleet_is_known(tmp_path):

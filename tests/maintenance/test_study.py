@@ -14,12 +14,11 @@ from suspnet.history import Event, History
 from suspnet.maintenance.alarms import Acknowledgement
 from suspnet.maintenance.change import ChangeSettings
 from suspnet.maintenance.fleet import fleet_state
-from suspnet.maintenance.fleet_plan import parts_of, train_of, trains_of
-from suspnet.maintenance.plan import join_plans, make_plan
-from suspnet.maintenance.plan_inputs import PlanSettings
+from suspnet.maintenance.plan import join_plans, make_plan, parts_of, train_of, trains_of
 from suspnet.maintenance.sisters import SisterSettings
+from suspnet.maintenance.visit_costs import PlanSettings
 from suspnet.report.board import BoardSettings
-from suspnet.report.overview import overview_rows, overview_table
+from suspnet.report.tables import overview_rows, overview_table
 from suspnet.report.templates import render
 from suspnet.runs.evaluate import write_maintenance
 

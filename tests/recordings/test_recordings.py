@@ -1,6 +1,7 @@
 """Whole trips from files: one clock, known signals back, faults marked, mistakes named."""
 
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -26,6 +27,11 @@ def motion(times_s: np.ndarray) -> np.ndarray:
     return np.cos(2 * np.pi * times_s[:, None] * FREQUENCIES_HZ + PHASES).sum(axis=1)
 
 
+@cache
+def motion_at(rate_hz: float, duration_s: float, start_s: float) -> np.ndarray:
+    return motion(np.arange(int(duration_s * rate_hz)) / rate_hz + start_s)
+
+
 @pytest.fixture
 def trip(tmp_path: Path) -> Callable[..., Path]:
     """Write a trip of one motion seen by all channels, with changes."""
@@ -43,7 +49,7 @@ def trip(tmp_path: Path) -> Callable[..., Path]:
             channel |= {"rate_hz": RATES[name]} | changes.get(name, {})
             rate_hz = channel["rate_hz"] or RATES[name]
             at = np.arange(int(duration_s * rate_hz)) / rate_hz
-            values = motion(at + channel.get("start_s", 0.0))
+            values = motion_at(rate_hz, duration_s, channel.get("start_s", 0.0))
             columns = {"t": (times or {}).get(name, at), "a": (signals or {}).get(name, values)}
             columns["t"] = columns["t"][: len(columns["a"])]
             pq.write_table(pa.table(columns), tmp_path / channel["file"], row_group_size=2**16)

@@ -30,7 +30,7 @@ from suspnet.spectra.segments import recording_segments
 from suspnet.spectra.welch import Welch
 
 ORDER = OrderSettings(window=WINDOW)
-FAST, SLOW = range(6), range(6, 230)
+FAST, SLOW = range(3), range(3, 230)
 
 
 @pytest.fixture(autouse=True)

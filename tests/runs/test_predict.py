@@ -165,12 +165,9 @@ def test_curve_fit_and_refinement_end_in_the_same_optimum():
 @pytest.mark.parametrize("refined", [False, True])
 def test_same_seed_gives_the_same_numbers_whatever_the_threads(refined):
     *_, first = outcome_of("linear", refined)
-    for threads in (1, 2):
-        problem = problem_of(threads=threads)
-        model = calibrated(
-            problem, replace(fit(problem, LinearRegression(), None), refined=refined)
-        )
-        assert_same(first, predict_stream(problem, model, TEST, flags=True))
+    problem = problem_of(threads=2)  # the first one has 1
+    model = calibrated(problem, replace(fit(problem, LinearRegression(), None), refined=refined))
+    assert_same(first, predict_stream(problem, model, TEST, flags=True))
 
 
 def test_another_seed_gives_other_numbers():
@@ -262,7 +259,7 @@ def test_trips_have_intervals_and_flags_too():
 
 
 def test_curves_that_do_not_tell_the_outputs_cannot_be_refined():
-    problem = problem_of("secondary", "paper")
+    problem = problem_of("secondary", "paper", n_train=60, n_test=20, n_calibrate=100)
     model = replace(fit(problem, LinearRegression(), None), refined=True)
     with pytest.raises(ValueError, match="refine=true needs curves that identify k_s"):
         calibrated(problem, model)

@@ -16,6 +16,7 @@ from suspnet.estimation.estimate import KINDS
 from suspnet.estimation.from_curves import estimate_curves
 from suspnet.estimation.problem import TEST, Problem
 from suspnet.learning import MSVR, MVGPR
+from suspnet.runs.evaluate import FreshCurves
 from suspnet.runs.fit import fit
 from suspnet.runs.predict import calibrated, predict_stream
 from suspnet.runs.reliability import (
@@ -166,12 +167,9 @@ def test_report_holds_every_number(trained, tmp_path):
         str(tmp_path / "run"),
         {},
         folder,
-        n_test=150,
-        n_odd=10,
-        seed=7,
-        threads=1,
-        device="cpu",
-        progress=False,
+        FreshCurves(7, 150, progress=False),
+        10,
+        "cpu",
     )
     assert len(found) == 1
     stored = json.loads((folder / "reliability.json").read_text())
@@ -188,13 +186,14 @@ def test_report_holds_every_number(trained, tmp_path):
 
 
 def test_model_without_calibration_and_its_own_seed_are_refused(trained, tmp_path):
-    options = {"n_test": 10, "n_odd": 4, "threads": 1, "device": "cpu", "progress": False}
+    fresh = FreshCurves(7, 10, progress=False)
     save_model(tmp_path / "bare", replace(trained, intervals=None, ood=None))
     with pytest.raises(ValueError, match=r"not calibrated: train it with data\.n_calibrate"):
-        write_reliability(str(tmp_path / "bare"), {}, tmp_path / "out", seed=7, **options)
+        write_reliability(str(tmp_path / "bare"), {}, tmp_path / "out", fresh, 4, "cpu")
     save_model(tmp_path / "run", trained)
+    own = replace(fresh, seed=0)
     with pytest.raises(ValueError, match="seed=0 made the training curves"):
-        write_reliability(str(tmp_path / "run"), {}, tmp_path / "out", seed=0, **options)
+        write_reliability(str(tmp_path / "run"), {}, tmp_path / "out", own, 4, "cpu")
     assert not (tmp_path / "out").exists()
 
 
@@ -208,7 +207,7 @@ def test_figure_draws_every_slice_and_set(measured):
 
 
 def test_number_of_odd_curves_is_checked_before_anything_is_read(tmp_path):
-    options = {"n_test": 10, "seed": 1, "threads": 1, "device": "cpu", "progress": False}
+    fresh = FreshCurves(1, 10, progress=False)
     for wrong in (0, 1.5):
         with pytest.raises((ValueError, TypeError), match="`n_odd` must be a whole number >= 1"):
-            write_reliability(str(tmp_path / "none"), {}, tmp_path, n_odd=wrong, **options)
+            write_reliability(str(tmp_path / "none"), {}, tmp_path, fresh, wrong, "cpu")

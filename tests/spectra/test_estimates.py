@@ -3,6 +3,7 @@
 import dataclasses
 import itertools
 import math
+from functools import cache
 
 import numpy as np
 import pytest
@@ -121,10 +122,16 @@ def recorded():
 
 def relative_logs(recorded, method):
     """Return log-magnitude and phase of recorded and drawn estimates, relative to noise-free."""
+    return (recorded.responses(method) / observer(method).noise_free(RATIOS)).log(), drawn_logs(
+        method
+    )
+
+
+@cache
+def drawn_logs(method):
     source = observer(method)
-    free = source.noise_free(RATIOS)
     drawn = source.observe(RATIOS.expand(N_DRAWS, 5), seed=9)
-    return (recorded.responses(method) / free).log(), (drawn / free).log()
+    return (drawn / source.noise_free(RATIOS)).log()
 
 
 # reference

@@ -1,7 +1,10 @@
 """The small fleet on disk and the model that reads it, for all tests of trips."""
 
 import pytest
-from trip_fixtures import model_at, small_fleet
+from trip_fixtures import model_at, recalled_trip, small_fleet
+
+from suspnet.report import output
+from suspnet.trips import fleet
 
 
 @pytest.fixture(scope="module")
@@ -12,3 +15,17 @@ def manifests(tmp_path_factory):
 @pytest.fixture(scope="module")
 def model():
     return model_at()
+
+
+@pytest.fixture
+def no_figures(monkeypatch):
+    """Draw no figures and write no page."""
+    write = output.write_pages
+    monkeypatch.setattr(fleet, "write_pages", lambda *to, draw: write(*to, draw=False))
+    monkeypatch.setattr(output, "write_report", lambda *_: None)
+
+
+@pytest.fixture
+def recalled(monkeypatch):
+    """Read each trip of the small fleet once, where it does not matter how it is read."""
+    monkeypatch.setattr(fleet, "evaluate_trip", recalled_trip)

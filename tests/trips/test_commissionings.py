@@ -19,8 +19,8 @@ from suspnet.estimation.from_recording import TripSettings
 from suspnet.ground.parameters import DEFAULT_LIMITS
 from suspnet.ground.records import Commissioning, relative_to_first_healthy
 from suspnet.maintenance.series import series_of
+from suspnet.report.maintenance_figures import health_trend
 from suspnet.report.trend import AGAIN_OF_FIRST
-from suspnet.report.trend_figure import health_trend
 from suspnet.trips.commissionings import (
     check_models,
     commissionings,

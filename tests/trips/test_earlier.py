@@ -5,18 +5,19 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from test_fleet import SETTINGS, no_figures  # noqa: F401
-from trip_fixtures import changed
+from trip_fixtures import changed, recalled_trip
 from trip_records import fleet, trip
 
+from suspnet.estimation.from_recording import TripSettings
 from suspnet.ground.records import ERROR
 from suspnet.history import Event, History
 from suspnet.maintenance import Acknowledgement, Cause, Severity
+from suspnet.maintenance.series import between
 from suspnet.trips import fleet as fleet_module
-from suspnet.trips.earlier import between, with_earlier
-from suspnet.trips.fleet import evaluate_fleet
-from suspnet.trips.trip import evaluate_trip
+from suspnet.trips.earlier import with_earlier
+from suspnet.trips.fleet import FleetSettings, evaluate_fleet
 
+SETTINGS = FleetSettings(TripSettings())
 SEEN = "2026-02-01T08:00:00+00:00"
 
 
@@ -46,7 +47,8 @@ def test_a_folder_is_read_with_the_trips_of_earlier_ones(
     folders,
     model,
     store,
-    no_figures,  # noqa: F811
+    no_figures,
+    recalled,
     tmp_path,
     caplog,
 ):
@@ -108,11 +110,11 @@ def test_alarms_are_kept_and_say_who_has_seen_them(
     model,
     store,
     monkeypatch,
-    no_figures,  # noqa: F811
+    no_figures,
     tmp_path,
 ):
     def stiff(path, models, settings):
-        found = evaluate_trip(path, models, settings)
+        found = recalled_trip(path, models, settings)
         return replace(found, estimates=found.estimates | {"k_p": 1.5}, half_widths={"k_p": 0.01})
 
     monkeypatch.setattr(fleet_module, "evaluate_trip", stiff)

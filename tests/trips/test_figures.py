@@ -8,7 +8,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from trip_records import OUTPUTS, curves, fleet, trend_of, trip
 
 from suspnet.report import figures, trend
-from suspnet.report.trend_figure import health_trend
+from suspnet.report.maintenance_figures import health_trend
 
 
 def draw(figure):
@@ -115,9 +115,9 @@ def test_quality_marks_trips_without_an_estimate():
 
 
 def whole(results):
-    """Return all four figures."""
+    """Return all four figures, that of the trend with two panels."""
     return (
-        health_trend(trend_of(results, OUTPUTS)),
+        health_trend(trend_of(results, OUTPUTS[:2])),
         figures.trip_responses(results),
         figures.trip_signals(results[-1]),
         figures.quality(results),
@@ -131,7 +131,7 @@ def test_a_single_trip_can_be_drawn():
 
 def test_trips_without_any_estimate_say_so():
     drawn = [draw(f) for f in whole([trip(i, missing=True) for i in range(3)])]
-    assert drawn[0] == ["no trip with an estimate and a mileage"] * 5
+    assert drawn[0] == ["no trip with an estimate and a mileage"] * 2
     assert drawn[1] == ["no trip has curves"] * 4
     assert drawn[2] == ["no signals"] * 4
     assert drawn[3] == []
@@ -140,7 +140,7 @@ def test_trips_without_any_estimate_say_so():
 def test_trips_without_a_mileage_are_counted():
     unplaced = [replace(r, mileage_km=np.nan) for r in fleet(4, ())]
     drawn = [draw(f) for f in whole(unplaced)]
-    assert drawn[0] == ["no trip with an estimate and a mileage"] * 5
+    assert drawn[0] == ["no trip with an estimate and a mileage"] * 2
     assert drawn[1] == []
     assert drawn[3] == ["no trip with a mileage"] * 3
     figure = health_trend(trend_of([*fleet(3, ()), unplaced[0]], OUTPUTS))

@@ -14,12 +14,15 @@ import pyarrow.parquet as pq
 import pytest
 from dying_readers import open_dying
 from dying_trips import mortal
+from forked import forks
+from joblib.externals.loky import ProcessPoolExecutor
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
-from trip_fixtures import OUTPUTS, changed, model_at, signal
+from trip_fixtures import OUTPUTS, changed, recalled_trip, signal, slow_model
 from trip_records import fleet as made_up
 
 from suspnet.estimation.fitted import ModelFileError
 from suspnet.estimation.from_recording import TripSettings
+from suspnet.ground import workers
 from suspnet.ground.parameters import DEFAULT_LIMITS, Severity
 from suspnet.ground.storage import read_arrays, read_plain
 from suspnet.maintenance.series import series_of
@@ -36,7 +39,6 @@ from suspnet.trips import earlier as finished
 from suspnet.trips import fleet
 from suspnet.trips.commissionings import check_models
 from suspnet.trips.fleet import FleetSettings, evaluate_fleet
-from suspnet.trips.trip import evaluate_trip
 
 TRIPS = TripSettings()
 SETTINGS = FleetSettings(TRIPS)
@@ -52,7 +54,7 @@ def read(folder, models, out, settings=SETTINGS):
 @pytest.fixture(scope="module")
 def alone(manifests, model):
     """Each trip's result, evaluated by itself."""
-    return [evaluate_trip(path, [model], TRIPS) for path in manifests]
+    return [recalled_trip(path, [model], TRIPS) for path in manifests]
 
 
 @pytest.fixture(scope="module")
@@ -72,12 +74,6 @@ def done(broken, model, tmp_path_factory):
     """The folder written of `broken`, and the results."""
     folder = tmp_path_factory.mktemp("done")
     return folder, read(broken, [model], folder)
-
-
-@pytest.fixture
-def no_figures(monkeypatch):
-    monkeypatch.setattr(RunLog, "figure", lambda *_: None)
-    monkeypatch.setattr(output, "write_report", lambda *_: None)
 
 
 def estimates(results):
@@ -113,14 +109,9 @@ def test_bad_trips_are_rows_and_the_others_as_if_alone(done, alone):
     assert results[6].reason.startswith("is not valid YAML")
 
 
-@pytest.mark.parametrize(
-    "workers",
-    # with two, the trip that kills its reader costs no other one: see below
-    [1, pytest.param(2, marks=pytest.mark.slow)],
-)
-def test_workers_change_nothing(manifests, model, alone, no_figures, tmp_path, workers):
-    settings = FleetSettings(TRIPS, workers=workers)
-    results = read(manifests[0].parent, [model], tmp_path, settings)
+@pytest.mark.slow  # one of two workers that is killed costs its trip alone: see below
+def test_two_workers_change_nothing(manifests, model, alone, no_figures, tmp_path):
+    results = read(manifests[0].parent, [model], tmp_path, FleetSettings(TRIPS, workers=2))
     assert list(estimates(results)) == list(estimates(alone))
     are_as_if_alone(results, alone)
 
@@ -181,7 +172,9 @@ def three(manifests, tmp_path):
     return copied(manifests, tmp_path / "trips", "abc")
 
 
-def test_finished_trips_are_not_read_again(three, model, no_figures, monkeypatch, tmp_path):
+def test_finished_trips_are_not_read_again(
+    three, model, no_figures, recalled, monkeypatch, tmp_path
+):
     first = read(three, [model], tmp_path / "out")
     monkeypatch.setattr(fleet, "evaluate_trip", unread)
     again = read(three, [model], tmp_path / "out")
@@ -191,7 +184,7 @@ def test_finished_trips_are_not_read_again(three, model, no_figures, monkeypatch
             np.testing.assert_array_equal(values, getattr(other.curves, name))
 
 
-def test_each_manifest_is_read_once(three, model, no_figures, monkeypatch, tmp_path):
+def test_each_manifest_is_read_once(three, model, no_figures, recalled, monkeypatch, tmp_path):
     seen = []
     monkeypatch.setattr(
         manifest_files,
@@ -204,7 +197,7 @@ def test_each_manifest_is_read_once(three, model, no_figures, monkeypatch, tmp_p
 
 
 def test_interrupted_fleet_goes_on_and_ends_as_if_uninterrupted(
-    three, manifests, model, no_figures, monkeypatch, tmp_path
+    three, manifests, model, no_figures, recalled, monkeypatch, tmp_path
 ):
     seen = []
 
@@ -212,7 +205,7 @@ def test_interrupted_fleet_goes_on_and_ends_as_if_uninterrupted(
         seen.append(file.path.stem)
         if seen == ["a", "b"]:
             raise KeyboardInterrupt("stop")
-        return evaluate_trip(file, *arguments, **options)
+        return recalled_trip(file, *arguments, **options)
 
     monkeypatch.setattr(fleet, "evaluate_trip", interrupted)
     with pytest.raises(KeyboardInterrupt, match="stop"):
@@ -226,10 +219,12 @@ def test_interrupted_fleet_goes_on_and_ends_as_if_uninterrupted(
 
 @pytest.mark.parametrize("what", ["file", "manifest", "model", "settings", "kept"])
 def test_trip_is_read_again_if_anything_differs(
-    three, manifests, model, no_figures, monkeypatch, tmp_path, what
+    three, manifests, model, no_figures, recalled, monkeypatch, tmp_path, what
 ):
     seen, models, settings = [], [model], SETTINGS
-    target = changed(manifests[0], three, "a", {"body": signal(manifests[0], "body")})
+    target = three / "a.yaml"
+    if what == "file":
+        changed(manifests[0], three, "a", {"body": signal(manifests[0], "body")})
     read(three, models, tmp_path / "out")
     if what == "file":
         changed(manifests[0], three, "a", {"body": 1.01 * signal(manifests[0], "body")})
@@ -381,7 +376,7 @@ def test_nothing_works_at_all(broken, model, blank, tmp_path):
     assert not (tmp_path / "out" / "responses.parquet").exists()
 
 
-def test_reference_of_the_first_trips(manifests, model, alone, no_figures, tmp_path):
+def test_reference_of_the_first_trips(manifests, model, alone, no_figures, recalled, tmp_path):
     folder = manifests[0].parent
     settings = FleetSettings(TRIPS, reference="first_trips", n_reference=3)
     results = read(folder, [model], tmp_path, settings)
@@ -397,7 +392,9 @@ def test_reference_of_the_first_trips(manifests, model, alone, no_figures, tmp_p
     assert details["healthy is"] == "the median of the first 3 trips (k and c)"
 
 
-def test_report_is_there_where_too_few_trips_say_what_is_healthy(three, model, no_figures):
+def test_report_is_there_where_too_few_trips_say_what_is_healthy(
+    three, model, no_figures, recalled
+):
     out = three.parent / "out"
     settings = FleetSettings(TRIPS, reference="first_trips", n_reference=5)
     (one,) = evaluate_fleet(three, [model], out, settings, progress=False)
@@ -412,7 +409,7 @@ def test_report_is_there_where_too_few_trips_say_what_is_healthy(three, model, n
     assert sorted(r.estimates["k_p"] for r in one.results)[1] == 1.0
 
 
-def test_report_is_there_where_no_trip_says_what_is_healthy(three, model, no_figures):
+def test_report_is_there_where_no_trip_says_what_is_healthy(three, model, no_figures, recalled):
     for path in three.glob("*.yaml"):
         changed(path, three, path.stem, speed=20.0)
     out = three.parent / "out"
@@ -423,7 +420,7 @@ def test_report_is_there_where_no_trip_says_what_is_healthy(three, model, no_fig
     assert one.severity == Severity.UNKNOWN
 
 
-def test_names_of_the_files_do_not_matter(done, broken, model, no_figures, tmp_path):
+def test_names_of_the_files_do_not_matter(done, broken, model, no_figures, recalled, tmp_path):
     """The first trips are those of least mileage, here d, b and c."""
     _, absolute = done
     settings = FleetSettings(TRIPS, reference="first_trips", n_reference=3)
@@ -440,7 +437,7 @@ def test_models_of_two_speeds_read_one_folder(manifests, model, no_figures, tmp_
     folder.mkdir()
     changed(manifests[0], folder, "fast")
     changed(manifests[1], folder, "middle", speed=60.0)
-    models = [model_at(50.0), model]
+    models = [slow_model(), model]
     results = read(folder, models, tmp_path / "out")
     assert [r.status for r in results] == ["ok", "no estimate"]
     assert results[0].quality.speed_bins == "70.0 m/s: 27 averages"
@@ -451,7 +448,7 @@ def test_models_of_two_speeds_read_one_folder(manifests, model, no_figures, tmp_
 def test_change_below_what_the_model_resolves_does_not_changed_ones(model, monkeypatch):
     """k_p falls by 1 %, c_s by 40 % in the made-up fleet."""
     results = made_up(with_curves=False)
-    other = model_at(50.0)
+    other = slow_model()
 
     def changed_ones(*errors):
         models = [
@@ -482,6 +479,7 @@ def test_bad_trip_costs_its_row_and_the_report_exists(
     changed(manifests[0], three, "surrogate", suspension="a \ud800 b")
     changed(manifests[0], three, os.fsdecode(b"b\xffd"), channels={"body": {"rate_hz": 50.0}})
     monkeypatch.setattr(fleet, "evaluate_trip", mortal)
+    monkeypatch.setattr(workers, "guarded", lambda _: ProcessPoolExecutor(1, context=forks()))
     monkeypatch.setattr(RunLog, "figure", lambda *_: None)
     out = three.parent / "out"
     found = evaluate_fleet(three, [model], out, FleetSettings(TRIPS, workers=2), progress=False)
@@ -531,7 +529,7 @@ def test_file_that_kills_or_hangs_its_reader_costs_its_row(
 @pytest.mark.parametrize("place", ["write_table", "replace", "write_report"])
 @pytest.mark.parametrize("error", [OSError("disk full"), KeyboardInterrupt("stop")])
 def test_interrupted_run_leaves_only_whole_files(
-    manifests, model, alone, monkeypatch, tmp_path, place, error
+    manifests, model, no_figures, recalled, monkeypatch, tmp_path, place, error
 ):
     def fail(*_):
         raise error
@@ -539,7 +537,6 @@ def test_interrupted_run_leaves_only_whole_files(
     folder = tmp_path / "trips"
     folder.mkdir()
     changed(manifests[0], folder)
-    monkeypatch.setattr(RunLog, "figure", lambda *_: None)
     target = {"write_table": pq, "replace": os, "write_report": output}[place]
     monkeypatch.setattr(target, place, fail)
     out = tmp_path / "out"
@@ -577,7 +574,7 @@ def test_folder_without_trips_is_refused(model, tmp_path):
 
 
 def test_models_that_cannot_read_trips_are_refused(model):
-    assert check_models([model]) == check_models([model_at(50.0), model]) == OUTPUTS
+    assert check_models([model]) == check_models([slow_model(), model]) == OUTPUTS
     curves = replace(model, settings=CurveSettings())
     with pytest.raises(ModelFileError, match=r"protocol 'trips' was trained on curves of section"):
         check_models([model, curves])
@@ -653,15 +650,16 @@ def test_coverage_is_the_naive_one(alone):
     assert coverage_percent([*unknown, alone[2]], OUTPUTS) == coverage_percent([alone[2]], OUTPUTS)
 
 
-def test_level_and_calibration_are_told_and_flags_counted(manifests, model, monkeypatch, tmp_path):
+def test_level_and_calibration_are_told_and_flags_counted(
+    manifests, model, no_figures, monkeypatch, tmp_path
+):
     seen = {}
-    monkeypatch.setattr(RunLog, "figure", lambda *_: None)
     monkeypatch.setattr(output, "write_report", lambda *given: seen.update(level=given[2].level))
     monkeypatch.setattr(
         fleet,
         "evaluate_trip",
         lambda file, *_, **__: replace(
-            evaluate_trip(file, [model], TRIPS), flags="odd" if file.path == manifests[1] else ""
+            recalled_trip(file, [model], TRIPS), flags="odd" if file.path == manifests[1] else ""
         ),
     )
     settings = replace(

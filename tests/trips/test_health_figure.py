@@ -9,8 +9,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from trip_records import HALF_WIDTHS, OUTPUTS, flagged, fleet, trend_of, trip
 
 from suspnet.maintenance import Alarm, Cause, Life, Severity
+from suspnet.report.maintenance_figures import AHEAD, health_trend
 from suspnet.report.trend import LEAST_SPAN_PERCENT
-from suspnet.report.trend_figure import AHEAD, health_trend
 
 FEW = OUTPUTS[:2]
 FLAGGED, BEYOND, INTERVAL = "flagged: see the table", "beyond the axis", "its 90 % interval"

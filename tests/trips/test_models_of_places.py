@@ -9,18 +9,10 @@ from suspnet.estimation.fitted import ModelFileError
 from suspnet.estimation.from_recording import TripSettings
 from suspnet.estimation.validity import check_model
 from suspnet.ground.records import Place
-from suspnet.report import output
-from suspnet.report.tensorboard import RunLog
 from suspnet.trips.commissionings import NAMED, models_of, place_of
 from suspnet.trips.fleet import FleetSettings, evaluate_fleet
 
 HERE, THERE = Place("S1", "leading", "", "1", "1"), Place("S1", "leading", "", "1", "2")
-
-
-@pytest.fixture
-def no_figures(monkeypatch):
-    monkeypatch.setattr(RunLog, "figure", lambda *_: None)
-    monkeypatch.setattr(output, "write_report", lambda *_: None)
 
 
 def commissioned(place, first_km=1000.0, speed=70.0):

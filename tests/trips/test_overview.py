@@ -16,10 +16,8 @@ from suspnet.ground.parameters import DEFAULT_LIMITS, Severity
 from suspnet.ground.records import Place
 from suspnet.maintenance.series import series_of
 from suspnet.maintenance.state import State
-from suspnet.report import output
 from suspnet.report.output import write_overview
-from suspnet.report.overview import Evaluated, finding
-from suspnet.report.tensorboard import RunLog
+from suspnet.report.tables import Evaluated, finding
 from suspnet.trips import fleet
 from suspnet.trips.commissionings import models_of
 from suspnet.trips.fleet import FleetSettings, evaluate_fleet
@@ -32,12 +30,6 @@ def models():
     """A model of either bogie; that of the trailing one is the other's, under another name."""
     leading = model_at()
     return [leading, replace(leading, generator=replace(leading.generator, bogie="trailing"))]
-
-
-@pytest.fixture
-def no_figures(monkeypatch):
-    monkeypatch.setattr(RunLog, "figure", lambda *_: None)
-    monkeypatch.setattr(output, "write_report", lambda *_: None)
 
 
 @pytest.fixture
@@ -112,7 +104,7 @@ def test_bogie_and_side_are_in_the_table_of_trips(models, made_up, no_figures, t
 
 
 def test_recordings_of_two_suspensions_in_one_folder_are_read_apart(
-    models, no_figures, tmp_path_factory, tmp_path
+    models, no_figures, recalled, tmp_path_factory, tmp_path
 ):
     manifests, folder = small_fleet(tmp_path_factory), tmp_path / "trips"
     folder.mkdir()

@@ -18,9 +18,9 @@ from suspnet.maintenance.alarms import Watched
 from suspnet.maintenance.series import make_series, series_of
 from suspnet.maintenance.state import State
 from suspnet.report import figures, report
+from suspnet.report.maintenance_figures import health_trend
 from suspnet.report.report import Report
-from suspnet.report.trend_figure import health_trend
-from suspnet.report.trip_table import files_read_as
+from suspnet.report.tables import files_read_as
 
 HOSTILE = "<script>alert('x')</script> & \"$x_\" {{ 7 * 7 }} \u5217\u8eca \udcff"
 VOID = {"meta", "br", "img"}

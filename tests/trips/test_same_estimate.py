@@ -10,7 +10,7 @@ import pytest
 import yaml
 from recording_files import write_csv, write_hdf5, write_mat, write_mdf, write_tdms, write_uff
 from scipy.io import savemat, wavfile
-from trip_fixtures import RATES_HZ, signal
+from trip_fixtures import RATES_HZ, recalled_trip, signal
 
 from suspnet.estimation.from_recording import TripSettings
 from suspnet.recordings.manifest import CHANNELS
@@ -23,7 +23,7 @@ EPOCH_S = START.timestamp()
 
 @pytest.fixture(scope="module")
 def expected(manifests, model):
-    return evaluate_trip(manifests[0], [model], TripSettings())
+    return recalled_trip(manifests[0], [model], TripSettings())
 
 
 def stamps(n: int, rate_hz: float) -> list[str]:

@@ -1,6 +1,7 @@
 """Trips with sensors left and right: the same estimate, and which side is weaker, in words."""
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pyarrow as pa
@@ -22,8 +23,9 @@ RATE_HZ, TOP_HZ = 250.0, 30.0
 WEAK = (-0.111, 0.0, 0.0, 0.0)
 
 
-def write_pairs(folder, d, change=None, singles=()):
-    """Write a trip of the vehicle written out corner by corner; `change` alters a sensor."""
+@cache
+def pairs(d):
+    """Return the signals of the vehicle written out corner by corner."""
     rng = np.random.default_rng(4)
     n = int(60 * MINUTES * RATE_HZ)
     frequencies_hz = np.arange(1, int(TOP_HZ * 60 * MINUTES)) / (60 * MINUTES)
@@ -37,9 +39,13 @@ def write_pairs(folder, d, change=None, singles=()):
     )
     signals = np.fft.irfft(spectra, n)
     signals *= 5 / signals[0].std()
-    noise = 0.02 * signals.std(axis=2, keepdims=True) * rng.normal(size=signals.shape)
+    return signals + 0.02 * signals.std(axis=2, keepdims=True) * rng.normal(size=signals.shape)
+
+
+def write_pairs(folder, d, change=None, singles=()):
+    """Write a trip of pairs of sensors; `change` alters a sensor."""
     channels = {}
-    for name, pair in zip(CHANNELS, signals + noise, strict=True):
+    for name, pair in zip(CHANNELS, pairs(d), strict=True):
         columns = dict(zip(("left", "right"), pair, strict=True))
         if name in singles:
             columns = {"left": pair.mean(axis=0)}

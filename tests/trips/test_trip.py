@@ -15,7 +15,9 @@ from trip_fixtures import (
     RATES_HZ,
     changed,
     model_at,
+    recalled_trip,
     signal,
+    slow_model,
     write_trips,
 )
 
@@ -35,13 +37,15 @@ from suspnet.trips.trip import evaluate_trip
 
 SETTINGS = TripSettings()
 RATE = dict(zip(CHANNELS, RATES_HZ, strict=True))
+MARKED = {}
+"""Estimates of models of two speeds, of which flags are set."""
 N_SEGMENTS = 28  # (299.86 s - 20 s) // 10 s + 1
 
 
 @pytest.fixture(scope="module")
 def good(manifests, model):
     """The first trip as it is."""
-    return evaluate_trip(manifests[0], [model], SETTINGS)
+    return recalled_trip(manifests[0], [model], SETTINGS)
 
 
 @pytest.fixture
@@ -117,7 +121,7 @@ def test_estimates_are_as_close_to_the_truth_as_the_test_curves_are(manifests, m
 
 def test_intervals_hold_the_truth_and_nothing_is_flagged(manifests, model):
     """Six trips of five outputs at 90 %: at least 19 of 30, were all of a trip to err together."""
-    results = [evaluated(path, model) for path in manifests]
+    results = [recalled_trip(path, [model], SETTINGS) for path in manifests]
     inside = [
         result.interval(name)[0] <= result.truth[name] <= result.interval(name)[1]
         for result in results
@@ -191,11 +195,11 @@ def test_trip_is_described_as_its_manifest_says(manifests, model, tmp_path):
     assert evaluated(manifests[2], model).start == "2015-08-23T06:00:00+00:00"
 
 
-@pytest.mark.parametrize("seconds", [200, 280])
+@pytest.mark.parametrize("seconds", [200, pytest.param(280, marks=pytest.mark.slow)])
 def test_speed_bins_are_averaged_by_the_inverse_squares_of_their_half_widths(
     two_speeds, model, seconds, monkeypatch
 ):
-    path, models, shares = two_speeds(seconds), [model, model_at(50.0)], []
+    path, models, shares = two_speeds(seconds), [model, slow_model()], []
 
     def kept(*arguments):
         estimate, noise_share = estimate_with_noise(*arguments)
@@ -235,11 +239,11 @@ def test_speed_bins_are_averaged_by_the_inverse_squares_of_their_half_widths(
 
 def test_speed_bin_with_too_few_averages_is_left_out(two_speeds, model):
     path = two_speeds(100)
-    both = evaluate_trip(path, [model_at(50.0), model], SETTINGS)
+    both = evaluate_trip(path, [slow_model(), model], SETTINGS)
     alone = evaluate_trip(path, [model], SETTINGS)
     assert both.estimates == alone.estimates
     assert both.quality.speed_bins == alone.quality.speed_bins == "70.0 m/s: 27 averages"
-    many = evaluate_trip(path, [model_at(50.0), model], TripSettings(min_averages=30))
+    many = evaluate_trip(path, [slow_model(), model], TripSettings(min_averages=30))
     assert many.status == NO_ESTIMATE
     assert many.reason.count("at least 30 are needed") == 2
     assert "28 of 38 segments without faults are steady at 70.0 m/s" in many.reason
@@ -313,12 +317,14 @@ def test_flags_of_speed_bins_are_those_of_the_best_one_flagged(
     def marked(one, *arguments):
         words = given[one.generator.speed_m_per_s]
         flags = Flags(np.array([[bool(words), False, False, False, False]]), (words,))
-        estimate, noise_share = estimate_with_noise(one, *arguments)
+        if one.generator not in MARKED:
+            MARKED[one.generator] = estimate_with_noise(one, *arguments)
+        estimate, noise_share = MARKED[one.generator]
         return replace(estimate, flags=flags), noise_share
 
     monkeypatch.setattr(recording, "estimate_with_noise", marked)
     path = two_speeds(200)
-    assert evaluate_trip(path, [model_at(50.0), model], SETTINGS).flags == expected
+    assert evaluate_trip(path, [slow_model(), model], SETTINGS).flags == expected
     assert evaluated(path, model).flags == flags[0]
 
 
@@ -586,7 +592,7 @@ def test_channels_are_checked_at_the_speed_of_each_model(two_speeds, monkeypatch
         return ""
 
     monkeypatch.setattr(recording, "check_channels", spy)
-    models = [model_at(50.0), model]
+    models = [slow_model(), model]
     for order in (models, models[::-1]):
         asked.clear()
         result = evaluate_trip(two_speeds(200), order, SETTINGS)
@@ -596,7 +602,7 @@ def test_channels_are_checked_at_the_speed_of_each_model(two_speeds, monkeypatch
 
 def test_no_channel_is_checked_where_no_segment_is_at_the_speed(manifests, monkeypatch):
     monkeypatch.setattr(recording, "check_channels", lambda *_: pytest.fail("was checked"))
-    result = evaluated(manifests[0], model_at(50.0))
+    result = evaluated(manifests[0], slow_model())
     assert result.status == NO_ESTIMATE
 
 

@@ -5,6 +5,7 @@ import re
 import subprocess
 import sys
 import time
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -12,9 +13,8 @@ from served_fleet import EVIL, FAILED, HEALTHY, NAMED_EVIL, SETTINGS, WORN, fill
 
 from suspnet.ground.parameters import Severity
 from suspnet.history import History
-from suspnet.report.board import Board
+from suspnet.report.board import Board, Refresher
 from suspnet.web.app import create_app
-from suspnet.web.refresher import Refresher
 
 BASE = {"base_url": "http://127.0.0.1:8050"}
 
@@ -32,14 +32,30 @@ def path(filled, tmp_path):
     return found
 
 
-@pytest.fixture
-def refresher(path):
-    """The state of the fleet, worked out once; the thread runs and sleeps."""
+@contextmanager
+def refreshed(path):
+    """Give the state of a fleet, worked out once; the thread runs and sleeps."""
     found = Refresher(Board(str(path), SETTINGS), 3600.0)
     found.start()
     wait_for(lambda: found.words.startswith("last read"))
     yield found
     found.stop()
+
+
+@pytest.fixture(scope="module")
+def only_read(filled):
+    with refreshed(filled) as found:
+        yield found
+
+
+@pytest.fixture
+def refresher(request):
+    """The state of one fleet for all tests, but of a store of its own where a test has its path."""
+    if "path" not in request.fixturenames:
+        yield request.getfixturevalue("only_read")
+        return
+    with refreshed(request.getfixturevalue("path")) as found:
+        yield found
 
 
 @pytest.fixture
@@ -110,6 +126,7 @@ def test_suspension_has_all_that_is_known(client, refresher):
     assert not re.search(r"<script(?! src=)|\son\w+=|style=", page)
     healthy = client.get(f"/suspension/{name_of(refresher.board.view, HEALTHY)}", **BASE).text
     assert "No alarm is active." in healthy
+    assert "<form" not in healthy
 
 
 def test_figures_are_json_without_nan(client, refresher):
@@ -289,7 +306,7 @@ from pathlib import Path
 from served_fleet import FAILED, SETTINGS, name_of
 from suspnet.report.board import Board
 from suspnet.web.app import create_app
-from suspnet.web.refresher import Refresher
+from suspnet.report.board import Refresher
 
 board = Board(sys.argv[1], SETTINGS)
 board.refresh()
@@ -303,10 +320,12 @@ assert "torch" not in sys.modules
 """
 
 
-def test_pages_are_served_without_torch_and_matplotlib(filled):
+def test_pages_are_served_without_torch_and_matplotlib(tmp_path):
     """Only the calendar's picture needs matplotlib, when it is first asked for."""
+    with History(tmp_path / "fleet.db") as store:
+        store.write(trips(FAILED, 1, {"k_s": lambda i: 1.5 if i > 6 else 1.0}, n_trips=10))
     tests = str(Path(__file__).parent.parent)
-    command = [sys.executable, "-c", SERVE, str(filled)]
+    command = [sys.executable, "-c", SERVE, str(tmp_path / "fleet.db")]
     environment = {**os.environ, "PYTHONPATH": tests}
     done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
     assert (done.returncode, done.stdout.strip()) == (0, ""), done.stderr

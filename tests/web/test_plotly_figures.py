@@ -10,7 +10,7 @@ from served_fleet import FAILED, NAMED_EVIL, SETTINGS, WORN, trips
 
 from suspnet.history import Event, History
 from suspnet.report.board import Board
-from suspnet.report.responses import response, response_table
+from suspnet.report.tables import response, response_table
 from suspnet.report.trend import FLAGGED, PASSING, TRIP, ranges, trend_of_state
 from suspnet.web.figures import finite, html, response_figure, trend_figure
 

@@ -139,7 +139,7 @@ def ask_for(seconds, most, path, seed, caplog):
 
 
 def test_requests_give_no_error_of_the_program(tmp_path, caplog):
-    ask_for(10, 300, fill(tmp_path / "fleet.db"), 0, caplog)
+    ask_for(10, 100, fill(tmp_path / "fleet.db"), 0, caplog)
 
 
 @pytest.mark.slow

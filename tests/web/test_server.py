@@ -10,7 +10,7 @@ from contextlib import ExitStack, closing, contextmanager
 import pytest
 from served_fleet import fill, served
 
-from suspnet.web.server import MOST_CONNECTIONS
+from suspnet.web.app import MOST_CONNECTIONS
 
 HEAD = b"POST /suspension/x/acknowledge HTTP/1.1\r\nHost: localhost\r\nContent-Length: 9000\r\n\r\n"
 SENT = {"idle": b"", "half a head": b"GET / HTTP/1.1\r\nHost: local", "half a body": HEAD + b"a=1"}

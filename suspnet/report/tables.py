@@ -1,9 +1,12 @@
-"""Suspensions in one table, the worst first: those of a folder, and a fleet at one time."""
+"""Tables of suspensions, the worst first, of their trips and of their frequency responses."""
 
 from __future__ import annotations
 
 import hashlib
 import json
+import math
+import statistics
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import astuple, dataclass, field
 from datetime import UTC, datetime
@@ -13,8 +16,10 @@ import numpy as np
 from tabulate import tabulate
 
 from suspnet.ground.parameters import Limits, Severity
-from suspnet.ground.records import OK, PLACE_FROM_TRAIN, Key, Place, TripResult
-from suspnet.ground.wording import count
+from suspnet.ground.records import OK, PLACE_FROM_TRAIN, Key, Place, TripCurves, TripResult
+from suspnet.ground.types import FloatArray
+from suspnet.ground.wording import count, kilometres
+from suspnet.history.arrays import TripResponses
 from suspnet.history.schema import BadRow
 from suspnet.maintenance.alarms import Acknowledgement, newest_of
 from suspnet.maintenance.schedule import Plan
@@ -199,3 +204,125 @@ def finding(rows: Sequence[Mapping[str, Any]]) -> str:
     }
     found = ", ".join(f"{counts[level]} {text}" for level, text in words.items() if counts[level])
     return f"{count(len(rows), 'suspension')}: {found}."
+
+
+@dataclass(frozen=True)
+class TripTable:
+    """Arguments of the macro `trip_table` of macros.html.
+
+    `trips` are in the order of the rows; `outputs` are parameters, a column each. `halves` are half
+    widths of the intervals by parameter, [% of healthy], NaN for none or a flagged trip; `digits`
+    are decimals by parameter. `level` is the probability of the intervals, [%], empty if no trip
+    has one.
+    """
+
+    trips: tuple[TripResult, ...]
+    outputs: tuple[str, ...]
+    halves: dict[str, list[float]]
+    digits: dict[str, int]
+    level: str
+    ok: str = OK
+
+
+def trip_table(trips: Sequence[TripResult], outputs: Sequence[str], level: float) -> TripTable:
+    """Return trips as a table, in the order given; `level` is the probability of the intervals."""
+    halves = {name: [_half_width(one, name) for one in trips] for name in outputs}
+    known = any(math.isfinite(half) for column in halves.values() for half in column)
+    digits = {name: _digits(column) for name, column in halves.items()}
+    words = f"{100 * level:g}" if known else ""
+    return TripTable(tuple(trips), tuple(outputs), halves, digits, words)
+
+
+def _half_width(result: TripResult, name: str) -> float:
+    """Return half an interval, [% of healthy]; NaN if there is none or the trip is flagged."""
+    low, high = result.interval(name)
+    return math.nan if result.flags else 100 * (high - low) / 2
+
+
+def _digits(half_widths: Sequence[float]) -> int:
+    known = [half for half in half_widths if math.isfinite(half) and half > 0]
+    if not known:
+        return 1
+    further = math.ceil(math.log10(0.095 / statistics.median(known)))
+    return 1 + min(max(further, 0), 2)
+
+
+def files_read_as(results: Sequence[TripResult]) -> dict[str, str]:
+    """Return how the files of trips were read, as a detail; empty if nothing had to be detected.
+
+    Trips that were read alike share one remark, with their number if others were not.
+    """
+    counts = Counter(r.quality.read_as for r in results if r.quality.read_as)
+    if not counts:
+        return {}
+    remarks = [
+        words if n == len(results) else f"{words} ({count(n, 'trip')})"
+        for words, n in counts.most_common()
+    ]
+    return {"files read as": " · ".join(remarks)}
+
+
+PARTS = ("primary suspension: axle box to bogie frame", "secondary suspension: frame to car body")
+BAND = 1.96
+"""Standard deviations on each side that hold 95 % of normally distributed values."""
+LARGEST_BAND = 3.0
+"""Largest half width of a drawn band in log-magnitude; wider ones would flatten the axis."""
+N_ROWS = 12
+"""Number of frequencies in a table of responses."""
+
+
+@dataclass(frozen=True, eq=False)
+class Response:
+    """How the two suspensions amplified vibration on one trip.
+
+    `frequencies_hz`: (n_freq,) [Hz]. `magnitudes`, `coherences`, `low` and `high` are (2, n_freq),
+    of primary and secondary suspension; `low` and `high` are the ends of the 95 % band, NaN where
+    it is unknown.
+    """
+
+    trip: str
+    mileage_km: float
+    frequencies_hz: FloatArray
+    magnitudes: FloatArray
+    coherences: FloatArray
+    low: FloatArray
+    high: FloatArray
+
+    def __str__(self) -> str:
+        return f"{self.trip}, {kilometres(self.mileage_km)}"
+
+
+def response(trip: str, mileage_km: float, curves: TripCurves | TripResponses) -> Response:
+    """Return the response that is shown of a trip's curves."""
+    magnitudes = np.abs(curves.responses)
+    ends = band(magnitudes, curves.deviations)
+    shared = curves.frequencies_hz, magnitudes, curves.coherences
+    return Response(trip, mileage_km, *shared, *ends)
+
+
+def band(magnitudes: FloatArray, deviations: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the ends of the 95 % band around magnitudes; NaN where a deviation is not finite.
+
+    Deviations are standard deviations of the log-magnitude.
+    """
+    known = np.isfinite(deviations)
+    half = np.where(known, np.minimum(BAND * np.where(known, deviations, 0), LARGEST_BAND), np.nan)
+    return magnitudes * np.exp(-half), magnitudes * np.exp(half)
+
+
+def response_table(first: Response, newest: Response) -> list[list[float]]:
+    """Return amplifications as rows: frequency, then both suspensions' of first and newest trip."""
+    ends = (
+        max(first.frequencies_hz[0], newest.frequencies_hz[0]),
+        min(first.frequencies_hz[-1], newest.frequencies_hz[-1]),
+    )
+    if not ends[0] < ends[1]:
+        return []
+    chosen = np.geomspace(*ends, N_ROWS)
+    columns: Sequence[FloatArray] = [
+        np.interp(chosen, one.frequencies_hz, one.magnitudes[part])
+        for part in range(len(PARTS))
+        for one in (first, newest)
+    ]
+    rows: list[list[float]] = np.column_stack([chosen, *columns]).tolist()
+    return rows
