@@ -46,13 +46,21 @@ class NoLog:
 
 
 @cache
-def model_at(speed=SPEED, n_train=2000, snr_db=34.0, n_calibrate=N_CALIBRATE, **changes):
+def model_at(
+    speed=SPEED,
+    n_train=2000,
+    snr_db=34.0,
+    n_calibrate=N_CALIBRATE,
+    direction="forward",
+    **changes,
+):
     """Return a model for the small fleet's vehicle, sensors and length of trips."""
-    given = repr((speed, n_train, snr_db, n_calibrate, sorted(changes.items())))
+    generator = VerticalVehicle(AM96, speed_m_per_s=speed, direction=direction)
+    given = repr((speed, n_train, snr_db, n_calibrate, direction, sorted(changes.items())))
     name = f"model_{hashlib.sha256(given.encode()).hexdigest()[:16]}"
 
     def build(folder):
-        save_model(folder, _trained(speed, n_train, snr_db, n_calibrate, changes))
+        save_model(folder, _trained(generator, n_train, snr_db, n_calibrate, changes))
 
     return load_model(built_once(name, build))
 
@@ -62,11 +70,11 @@ def slow_model():
     return model_at(50.0, n_train=800, n_calibrate=100)
 
 
-def _trained(speed, n_train, snr_db, n_calibrate, changes):
-    task = shipped_protocol("trips", **changes).task("all")
+def _trained(generator, n_train, snr_db, n_calibrate, changes):
+    task, speed = shipped_protocol("trips", **changes).task("all"), generator.speed_m_per_s
     options = BAND | {"snr_db": snr_db, "minutes": MINUTES, "rates_hz": RATES_HZ}
     settings = EstimateSettings(n_train, 300, n_calibrate, speed, cache_dir=None, **options)
-    problem = Problem(VerticalVehicle(AM96, speed_m_per_s=speed), task, settings, progress=False)
+    problem = Problem(generator, task, settings, progress=False)
     model = calibrated(problem, fit(problem, MSVR(1e4, 8.0, 1e-3, "nystroem", 512), NoLog()))
     errors = {"test_rms_percent": rms_percent(task, predict_stream(problem, model, TEST))}
     return replace(model, training=model.training | errors)

@@ -19,7 +19,8 @@ from suspnet.dynamics import ResponseGenerator, VerticalVehicle
 from suspnet.estimation.flags import Residual
 from suspnet.estimation.from_recording import TripSettings
 from suspnet.estimation.problem import Problem
-from suspnet.ground.settings import check_values
+from suspnet.ground.parameters import DIRECTIONS, FORWARD, Direction
+from suspnet.ground.settings import check_choice, check_values
 from suspnet.learning import ranks
 from suspnet.recordings.manifest_files import ManifestFile
 from suspnet.runs.commissioning import check_generator, commission_folder
@@ -35,6 +36,12 @@ NO_SPEED = (
     "with a vehicle of known geometry; give one speed_m_per_s"
 )
 NO_HEALTHY = "speed_m_per_s=null is for healthy=DIR, whose trips show the speeds; give a speed"
+BOTH = "both"
+"""Setting `direction` of models for trips of either direction of travel."""
+NO_DIRECTION = (
+    "direction= is for models that read trips and depend on the direction of travel: "
+    "experiment=trips with a vehicle of known geometry"
+)
 FIRST_M_PER_S = 70.0
 """Assumed speed until the healthy trips have shown theirs, [m/s]; only leakage depends on it."""
 
@@ -85,12 +92,13 @@ def _run(
             raise ValueError(NO_HEALTHY)
         speeds = covering(healthy.speeds_m_per_s, config.data.speed_half_width)
         log.info("healthy trips at %s: %s", _span(healthy.speeds_m_per_s), setting_words(speeds))
-    if not isinstance(speeds, ListConfig | list):
+    directions = _directions(config, healthy)
+    if not isinstance(speeds, ListConfig | list) and len(directions) == 1:
         found = config.copy()
         found.speed_m_per_s = speeds
-        _train(found, folder, healthy, varied, draw, config)
+        _train(_running(found, directions[0]), folder, healthy, varied, draw, config)
         return
-    ranges = _ranges(config, speeds)
+    ranges = [replace(r, direction=d) for r in _ranges(config, speeds) for d in directions]
     program.save_config(config, folder)
     train_ranges(
         ranges, lambda one, where: _train(_bound(config, one), where, healthy, varied, draw), folder
@@ -113,10 +121,31 @@ def _at_a_speed(config: DictConfig) -> DictConfig:
     return found
 
 
-def _ranges(config: DictConfig, speeds: Sequence[float]) -> list[SpeedRange]:
-    """Return the speed ranges that are asked for, one for each model."""
+def _directions(config: DictConfig, healthy: _Healthy | None) -> Sequence[Direction]:
+    """Return the directions of travel to train for: as asked for, else those of healthy trips."""
+    if config.direction is None:
+        return healthy.directions if healthy else (config.generator.get("direction", FORWARD),)
+    if config.direction == BOTH:
+        return DIRECTIONS
+    check_choice("direction", config.direction, (*DIRECTIONS, BOTH))
+    return (config.direction,)
+
+
+def _running(config: DictConfig, direction: Direction) -> DictConfig:
+    found = config.copy()
+    if "direction" in found.generator:
+        found.generator.direction = found.direction = direction
+    elif direction != FORWARD:
+        raise ValueError(NO_DIRECTION)
+    return found
+
+
+def _ranges(config: DictConfig, speeds: float | Sequence[float]) -> list[SpeedRange]:
+    """Return the speed ranges that are asked for, one for each model of a direction."""
     if "speed_half_width" not in config.data:
-        raise ValueError(NO_SPEED)
+        raise ValueError(NO_SPEED if isinstance(speeds, ListConfig | list) else NO_DIRECTION)
+    if isinstance(speeds, float | int):
+        return [SpeedRange.around(speeds, config.data.speed_half_width)]
     ranges = speed_ranges(list(speeds), config.data.speed_half_width)
     if build(_bound(config, ranges[0]), "generator").speed_m_per_s is None:
         raise ValueError(NO_SPEED)
@@ -124,7 +153,7 @@ def _ranges(config: DictConfig, speeds: Sequence[float]) -> list[SpeedRange]:
 
 
 def _bound(config: DictConfig, one: SpeedRange) -> DictConfig:
-    found = config.copy()
+    found = _running(config, one.direction)
     found.speed_m_per_s = one.trained_m_per_s
     found.data.speed_half_width = one.half_width
     return found
@@ -138,6 +167,7 @@ class _Healthy:
     notes: dict[str, Any]
     residual: Residual
     speeds_m_per_s: tuple[float, ...]
+    directions: tuple[Direction, ...]
 
 
 def _check_healthy(config: DictConfig) -> EstimateSettings:
@@ -167,7 +197,9 @@ def _commissioned(
     )
     write_outcome(folder, found, outcome)
     speeds = tuple(group.speed_m_per_s for group in found.groups)
-    return _Healthy(outcome.generator, training_notes(found, outcome), outcome.residual, speeds)
+    run = tuple(one for one in DIRECTIONS if one in {group.direction for group in found.groups})
+    notes = training_notes(found, outcome)
+    return _Healthy(outcome.generator, notes, outcome.residual, speeds, run)
 
 
 def _generator(config: DictConfig, healthy: _Healthy | None) -> ResponseGenerator:
@@ -175,7 +207,8 @@ def _generator(config: DictConfig, healthy: _Healthy | None) -> ResponseGenerato
     plain: ResponseGenerator = build(config, "generator")
     if healthy is None or plain.speed_m_per_s is None:
         return plain
-    return replace(healthy.generator, speed_m_per_s=plain.speed_m_per_s, device=plain.device)
+    there = replace(healthy.generator, speed_m_per_s=plain.speed_m_per_s, device=plain.device)
+    return there.running(plain.direction or FORWARD)
 
 
 def _train(

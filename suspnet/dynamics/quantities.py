@@ -49,8 +49,6 @@ _NUMBERS: dict[str, tuple[tuple[Any, ...], ...]] = {
         ("speed", 0.0, "m/s", "speed"),
         ("other_k_p", 0.0, "", "primary stiffness of the other bogie over healthy"),
         ("other_c_p", 0.0, "", "primary damping of the other bogie over healthy"),
-        ("other_k_s", 0.0, "", "secondary stiffness of the other bogie over healthy"),
-        ("other_c_s", 0.0, "", "secondary damping of the other bogie over healthy"),
         ("bogie_mass", 0.0, "kg", "bogie mass a side, which fixes the scale of all forces"),
         ("half_wheelbase", 0.05, "m", "half wheelbase"),
         ("half_pivot_distance", 0.05, "m", "half pivot distance"),
@@ -119,6 +117,10 @@ _NUMBERS: dict[str, tuple[tuple[Any, ...], ...]] = {
         ("frame_lateral", 0.1, "m", "lateral place of the frame's sensor"),
         ("body_lateral", 0.1, "m", "lateral place of the body's sensor"),
     ),
+    "other_bogie": (
+        ("other_k_s", 0.2, "", "secondary stiffness of the other bogie over healthy", 1.0),
+        ("other_c_s", 0.2, "", "secondary damping of the other bogie over healthy", 1.0),
+    ),
     "payload": (
         (
             "bending_exponent",
@@ -185,6 +187,9 @@ UNMEASURED = tuple(quantity.name for quantity in QUANTITIES)
 """Names of the quantities: columns of ratios after ``PARAMETERS``, the speed first."""
 MEDIANS = {quantity.name: quantity.median for quantity in QUANTITIES}
 """Ratio of each number to nominal where nothing else is known."""
+OF_THE_TRIP = ("other_k_s", "other_c_s")
+"""Numbers that differ from trip to trip, as the other bogie wears: trips do not determine those of
+later ones."""
 OFFSETS = {quantity.name: float(quantity.may_be_absent) for quantity in QUANTITIES}
 """Number added to each ratio before its logarithm is taken: 1 if it may be absent, else 0."""
 
@@ -256,6 +261,19 @@ class LogNormal:
         if unknown:
             raise ValueError(f"`distribution` must be named as in {UNMEASURED}, got {unknown}")
         return cls.independent(given)
+
+    def renewed(self, names: Sequence[str]) -> LogNormal:
+        """Return the distribution with some numbers as uncertain as before, independent of others.
+
+        Their medians stay; their deviations are those of the priors.
+        """
+        known = {quantity.name: quantity.deviation for quantity in QUANTITIES}
+        covariance = np.array(self.covariance).reshape(len(self.names), len(self.names))
+        for i, name in enumerate(self.names):
+            if name in names:
+                covariance[i], covariance[:, i] = 0.0, 0.0
+                covariance[i, i] = known[name] ** 2
+        return LogNormal(self.names, self.mean, tuple(map(tuple, covariance.tolist())))
 
     @property
     def deviations(self) -> FloatArray:

@@ -40,11 +40,10 @@ from suspnet.ground.tensors import as_tensor, check_device
 
 End = Literal["leading", "trailing"]
 OTHER_END: dict[End, End] = {"leading": "trailing", "trailing": "leading"}
+NOT_IN_MOTION = ("sensors", "wheelsets")
+"""Parts that describe the measurement and the excitation, not the vehicle's motion."""
 N_ALL = len(PARAMETERS) + len(UNMEASURED)
-_OTHER = slice(
-    len(PARAMETERS) + UNMEASURED.index("other_k_p"),
-    len(PARAMETERS) + UNMEASURED.index("other_c_s") + 1,
-)
+_OTHER = [len(PARAMETERS) + UNMEASURED.index(f"other_{name}") for name in PARAMETERS[:4]]
 """Columns of the bogie that is not measured."""
 _OFFSETS = torch.tensor([0.0] * len(PARAMETERS) + list(OFFSETS.values()), dtype=torch.float64)
 """Added to ratios before they are checked: those that may be absent must be above -1, not 0."""
@@ -97,7 +96,8 @@ class VerticalVehicle:
     parts: tuple[str, ...] = setting(
         (),
         "What the vehicle has beyond rigid bodies on linear springs and dampers",
-        rule="list of bushings, rubber, guidance, longitudinal, bending, roll, air_spring",
+        rule="list of bushings, rubber, guidance, longitudinal, bending, roll, other_bogie, "
+        "payload, sensors, wheelsets, air_spring",
     )
     sensor_lateral_m: tuple[float, float, float] = setting(
         (0.0, 0.0, 0.0),
@@ -294,7 +294,16 @@ class VerticalVehicle:
         )
 
     def motion_system(self, ratios: Tensor | ArrayLike) -> LinearSystem:
-        """Return the equations of motion of one vehicle, its ratios (5,), (6,) or all columns."""
+        """Return the equations of motion of one vehicle, its ratios (5,), (6,) or all columns.
+
+        ValueError is raised for parts that are no part of the vehicle: sensors, wheelsets.
+        """
+        outside = [part for part in self.parts if part in NOT_IN_MOTION]
+        if outside:
+            raise ValueError(
+                f"`parts` of a vehicle whose motion is simulated cannot be {' or '.join(outside)}: "
+                "these are for reading trips"
+            )
         felt = tuple(part for part in self.parts if part != "roll" or self.rolls)
         layout = replace(self._layout, parts=felt)
         return vertical_motion(layout, self._numbers(as_tensor(ratios)[None]))

@@ -31,7 +31,7 @@ import torch
 from scipy.optimize import OptimizeResult, least_squares
 
 from suspnet.dynamics import VerticalVehicle
-from suspnet.dynamics.quantities import LogNormal
+from suspnet.dynamics.quantities import OF_THE_TRIP, LogNormal
 from suspnet.estimation.flags import Residual
 from suspnet.estimation.healthy_trips import MASS_MEAN, HealthyMisfit, HealthySpectra, row_of
 from suspnet.ground.progress import bar
@@ -183,7 +183,7 @@ def commission(
     plain = replace(generator, distribution=None)
     nominal = HealthyMisfit(plain, settings, groups).curves(theta[:, n:])[1]
     return Commissioned(
-        generator=replace(generator, distribution=posterior),
+        generator=replace(generator, distribution=posterior.renewed(OF_THE_TRIP)),
         prior=target.prior,
         posterior=posterior,
         masses=np.exp(best.x[n:]),

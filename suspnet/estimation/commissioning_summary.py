@@ -13,7 +13,7 @@ from suspnet.dynamics.quantities import PARTS, QUANTITIES, UNMEASURED, Quantity
 from suspnet.estimation.commissioning import Commissioned
 from suspnet.estimation.flags import INCOMPLETE
 from suspnet.estimation.healthy_trips import HealthyTrips
-from suspnet.ground.parameters import PARAMETERS
+from suspnet.ground.parameters import PARAMETERS, REVERSE
 from suspnet.ground.wording import count
 from suspnet.spectra.estimates import EstimateSettings
 
@@ -35,6 +35,10 @@ PART_TITLES = {
     "longitudinal": "Longitudinal links between car body and bogie",
     "bending": "First bending of the car body",
     "roll": "Roll, cross level and lateral places",
+    "other_bogie": "The bogie that is not measured",
+    "payload": "What changes with the payload",
+    "sensors": "Sensitivity and delay of the sensors",
+    "wheelsets": "Excitation of single wheelsets",
     "air_spring": "Air spring",
 }
 SYMBOLS = {
@@ -167,6 +171,8 @@ def verdict(found: HealthyTrips, outcome: Commissioned) -> str:
     """Return a sentence on whether the vehicle explains its healthy trips."""
     n_trips, n_groups = len(found.manifests), len(found.groups)
     stretches = f", {n_groups} stretches at one speed" if n_groups > n_trips else ""
+    n_reverse = len({group.trip for group in found.groups if group.direction == REVERSE})
+    stretches += f", {n_reverse} in reverse" if n_reverse else ""
     explains = "explains" if is_explained(outcome) else "does not explain"
     return (
         f"The vehicle {explains} its healthy trips ({count(n_trips, 'trip')}{stretches}): the "

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
+from suspnet.ground.parameters import FORWARD, REVERSE, Direction
 from suspnet.ground.types import FloatArray
 from suspnet.recordings.recording import Recording
 from suspnet.spectra.cross_spectra import CHAIN
@@ -127,10 +128,11 @@ class Speeds:
 
 @dataclass(frozen=True)
 class SpeedRange:
-    """Range of speeds that one model reads."""
+    """Range of speeds, and direction of travel, that one model reads."""
 
     low_m_per_s: float
     high_m_per_s: float
+    direction: Direction = FORWARD
 
     @classmethod
     def around(cls, trained_m_per_s: float, half_width: float) -> SpeedRange:
@@ -150,7 +152,8 @@ class SpeedRange:
     @property
     def name(self) -> str:
         """Name of the folder of the range's model."""
-        return f"{self.low_m_per_s:.1f}_to_{self.high_m_per_s:.1f}_m_per_s"
+        end = "_reverse" if self.direction == REVERSE else ""
+        return f"{self.low_m_per_s:.1f}_to_{self.high_m_per_s:.1f}_m_per_s{end}"
 
     def holds(self, speed_m_per_s: float) -> bool:
         """Return whether a speed is in the range, including its ends with rounding."""

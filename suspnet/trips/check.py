@@ -24,7 +24,12 @@ from suspnet.recordings.manifest_files import ManifestFile
 from suspnet.recordings.manifest_keys import TripError, all_of
 from suspnet.recordings.recording import Recording, load_recording
 from suspnet.spectra.estimates import EstimateSettings
-from suspnet.spectra.plausibility import check_channels, check_pairs
+from suspnet.spectra.plausibility import (
+    DIRECTION_MARGIN,
+    check_channels,
+    check_pairs,
+    shown_direction,
+)
 from suspnet.spectra.segments import difference_segments, recording_segments, segment_speeds
 from suspnet.spectra.welch import SegmentSpectra
 from suspnet.trips.check_page import (
@@ -42,6 +47,10 @@ from suspnet.trips.trip import evaluate_recording
 log = logging.getLogger(__name__)
 UNKNOWN_BAND_HZ = (0.5, 20.0)
 """Band used for an unknown vehicle, that of most railway vehicles, [Hz]."""
+NO_DIRECTION = (
+    "the phases do not show the direction of travel: give `direction: forward` or `direction: "
+    "reverse`"
+)
 Opened = dict[tuple[Path, str | None, str | None], tuple[str, ...]]
 """Why columns of a file cannot be opened, by file, times and column; empty if they can."""
 
@@ -296,9 +305,16 @@ def _with_plausibility(
 
     def check_order(chosen: Tensor) -> None:
         speed = float(segment_speeds(recording, segments)[chosen].mean())
-        generator = best_generator(vehicle, speed_m_per_s=speed)
-        spectra = segments.average(chosen)
-        frequencies_hz, single = segments.frequencies_hz, not all(recording.paired)
+        manifest, frequencies_hz = recording.manifest, segments.frequencies_hz
+        bogie = manifest.bogie or "leading"
+        generator = best_generator(vehicle, speed_m_per_s=speed, bogie=bogie)
+        spectra, single = segments.average(chosen), not all(recording.paired)
+        shown, factor = shown_direction(spectra, frequencies_hz, generator)
+        # in reverse the leading bogie moves like the trailing one: unnamed, either will do
+        said = manifest.direction if manifest.bogie else None
+        generator = generator.running(said or shown)
+        if generator.direction and not manifest.direction and factor < DIRECTION_MARGIN:
+            doubts.append(NO_DIRECTION)
         doubts.append(check_channels(spectra, frequencies_hz, generator, vehicle, doubtful=single))
 
     def check_sides(chosen: Tensor) -> None:

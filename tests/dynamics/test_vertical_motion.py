@@ -16,7 +16,8 @@ from suspnet.dynamics.vertical_motion import LOSS_HZ, LOSS_REFERENCE_HZ, LOSS_SH
 FREQUENCIES = torch.tensor([0.3, 0.9, 1.31, 1.9, 3.3, 5.4, 7.7, 11.0, 20.0]).double()
 NAMES = (*PARAMETERS, *UNMEASURED)
 ALL = torch.as_tensor(np.random.default_rng(5).uniform(0.7, 1.4, (2, len(NAMES))))
-COMBINATIONS = [(), *((part,) for part in PARTS), PARTS, PARTS[:-1]]
+IN_TIME = tuple(part for part in PARTS if part not in ("sensors", "wheelsets"))
+COMBINATIONS = [(), *((part,) for part in IN_TIME), IN_TIME, IN_TIME[:-1]]
 LATERAL = (1.0, 0.95, -1.1)
 
 
@@ -55,10 +56,12 @@ def channels_of(system, speed):
 # reference
 
 
-@pytest.mark.parametrize("trailing", [False, True])
+@pytest.mark.parametrize(
+    ("trailing", "direction"), [(False, "forward"), (True, "forward"), (True, "reverse")]
+)
 @pytest.mark.parametrize("parts", COMBINATIONS, ids=lambda parts: "+".join(parts) or "none")
-def test_motion_has_the_channels_of_the_generator(parts, trailing):
-    generator = family(parts, trailing)
+def test_motion_has_the_channels_of_the_generator(parts, trailing, direction):
+    generator = family(parts, trailing, direction=direction)
     expected = generator.channels(ALL, FREQUENCIES).numpy()
     for row, channels in zip(ALL, expected, strict=True):
         found = channels_of(generator.motion_system(row), 52.0 * float(row[len(PARAMETERS)]))
@@ -69,7 +72,7 @@ def test_motion_has_the_channels_of_the_generator(parts, trailing):
 
 
 def test_motion_in_time_is_that_of_the_state_space():
-    system = family(PARTS[:-1]).motion_system(ALL[0])
+    system = family(IN_TIME[:-1]).motion_system(ALL[0])
     inputs = np.random.default_rng(0).standard_normal((8, 1500))
     _, expected, _ = lsim(system.state_space(), inputs.T, np.arange(1500) / 500.0)
     found = SampledMotion(system, 500.0).advance(list(inputs))
@@ -109,14 +112,14 @@ def test_branches_of_one_rate_are_one():
 
 
 def test_sensors_in_the_middle_leave_roll_out():
-    pair = family(PARTS, sensor_lateral_m=(0.0, 0.0, 0.0)).motion_system(ALL[0])
+    pair = family(IN_TIME, sensor_lateral_m=(0.0, 0.0, 0.0)).motion_system(ALL[0])
     assert pair.roll_per_m == 0
     assert pair.sensors.shape[0] == 2
     assert pair.input_stiffness.shape[1] == 4
 
 
 def test_track_that_stays_tilted_tilts_every_sensor_with_it():
-    system = family(PARTS[:-1]).motion_system(ALL[0])
+    system = family(IN_TIME[:-1]).motion_system(ALL[0])
     a, b, c, _ = system.state_space()
     static = -c @ np.linalg.solve(a, b) @ np.repeat(np.eye(2), 4, axis=0)
     _, frame, body = system.lateral_m
@@ -149,6 +152,12 @@ def test_matrices_are_symmetric_and_no_element_gives_energy(parts):
 def test_healthy_vehicle_with_all_parts_has_independent_modes(off):
     ratios = torch.ones(len(NAMES), dtype=torch.float64)
     ratios[NAMES.index("rubber_frequency")] += off  # at 0 its branch is one of the ladder
-    system = family(PARTS[:-1]).motion_system(ratios)
+    system = family(IN_TIME[:-1]).motion_system(ratios)
     motion = SampledMotion(system, 2000.0)  # raises where modes coincide
     assert np.isfinite(motion.advance(list(np.ones((8, 10))))).all()
+
+
+@pytest.mark.parametrize("part", ["sensors", "wheelsets"])
+def test_what_does_not_move_has_no_motion(part):
+    with pytest.raises(ValueError, match=f"`parts` of a vehicle whose motion.*cannot be {part}"):
+        VerticalVehicle(AM96, parts=(part,)).motion_system(torch.ones(5))

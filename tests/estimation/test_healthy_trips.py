@@ -42,8 +42,9 @@ def folder(manifests, tmp_path):
     return tmp_path
 
 
-def read(folder, vehicle="am96", **options):
-    return read_healthy(folder, vehicle, SETTINGS, TripSettings(), **options)
+def read(folder, bogie="leading", **options):
+    generator = VerticalVehicle(AM96, bogie=bogie)
+    return read_healthy(folder, generator, SETTINGS, TripSettings(), **options)
 
 
 def speeds(manifest, *parts):
@@ -203,5 +204,4 @@ def test_trips_of_the_other_bogie_are_refused_before_they_are_read(manifests, tm
         changed(manifest, tmp_path, name, bogie="trailing")
     with pytest.raises(TripError, match=r"of the trailing bogie.*: give generator\.bogie=trailing"):
         read(tmp_path, bogie="leading")
-    for bogie in ("trailing", None):
-        assert len(read(tmp_path, bogie=bogie).manifests) == 3
+    assert len(read(tmp_path, bogie="trailing").manifests) == 3

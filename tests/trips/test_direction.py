@@ -1,0 +1,150 @@
+"""Trips run in reverse: read by models of their direction, found by their phases, or asked for."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from trip_fixtures import RATES_HZ, changed, model_at, write_trips
+from vehicles import AM96
+
+from suspnet.dynamics import PARAMETERS, VerticalVehicle
+from suspnet.dynamics.quantities import LogNormal
+from suspnet.estimation.from_recording import TripSettings
+from suspnet.estimation.healthy_trips import read_healthy
+from suspnet.recordings.manifest_files import read_manifest
+from suspnet.simulation import Scenario
+from suspnet.spectra.cross_spectra import CrossSpectra
+from suspnet.spectra.estimates import EstimateSettings
+from suspnet.spectra.plausibility import DIRECTION_MARGIN, shown_direction
+from suspnet.trips.trip import evaluate_trip
+
+SETTINGS = TripSettings()
+PARTS = ("bushings", "rubber", "guidance", "longitudinal", "bending")
+FREQUENCIES = torch.arange(0.05, 20, 0.05, dtype=torch.float64)
+
+
+@pytest.fixture(scope="module")
+def both_ways(tmp_path_factory):
+    """Return the manifests of four worn trips, the second and the fourth run in reverse."""
+    folder, wear = tmp_path_factory.mktemp("both"), Scenario("worn", spread=0.3)
+    return write_trips(folder / "trips", 4, wear, seed=2, direction="both")
+
+
+@pytest.fixture(scope="module")
+def models():
+    return [model_at(), model_at(n_train=800, direction="reverse")]
+
+
+def exact(generator, ratios):
+    """Return the spectra of a noiseless trip of a vehicle."""
+    channels = generator.channels(ratios, FREQUENCIES)[0]
+    pairs = [(0, 1), (1, 2), (0, 2)]
+    auto = channels.abs().square().sum(dim=0)
+    cross = torch.stack([(channels[:, x].conj() * channels[:, y]).sum(dim=0) for x, y in pairs])
+    return CrossSpectra(auto, cross, 100.0)
+
+
+# reference
+
+
+def test_manifests_alternate(both_ways):
+    found = [read_manifest(path).direction for path in both_ways]
+    assert found == ["forward", "reverse", "forward", "reverse"]
+
+
+@pytest.mark.parametrize("i", range(4))
+def test_trips_of_both_directions_are_as_close_to_the_truth(both_ways, models, i):
+    result = evaluate_trip(both_ways[i], models, SETTINGS)
+    assert result.status == "ok", result.reason
+    truth = read_manifest(both_ways[i]).truth
+    for name in PARAMETERS[:4]:
+        half = result.half_widths[name]
+        assert abs(np.log(result.estimates[name] / truth[name])) < 2.5 * half
+    assert not result.flags
+    assert (" in reverse: " in result.quality.speed_bins) == bool(i % 2)
+
+
+@pytest.mark.parametrize("i", [0, 1])
+def test_direction_that_is_not_said_is_found(both_ways, models, tmp_path, i):
+    silent = changed(both_ways[i], tmp_path, direction=None)
+    assert read_manifest(silent).direction is None
+    found, said = (evaluate_trip(path, models, SETTINGS) for path in (silent, both_ways[i]))
+    assert found.estimates == said.estimates
+    assert found.quality.speed_bins == said.quality.speed_bins
+
+
+@pytest.mark.parametrize("speed", [20.0, 45.0, 83.0])
+@pytest.mark.parametrize("bogie", ["leading", "trailing"])
+def test_phases_show_the_direction_of_worn_vehicles(speed, bogie):
+    generator = VerticalVehicle(AM96, speed_m_per_s=speed, bogie=bogie, parts=PARTS)
+    rng = np.random.default_rng(int(speed))
+    for direction in ("forward", "reverse"):
+        for _ in range(10):
+            ratios = torch.ones(1, 5, dtype=torch.float64)
+            ratios[0, :4] = torch.as_tensor(np.exp(rng.uniform(np.log(0.5), np.log(1.6), 4)))
+            ratios[0, 4] = rng.uniform(0.9, 1.25)
+            spectra = exact(generator.running(direction), ratios)
+            found, factor = shown_direction(spectra, FREQUENCIES, generator)
+            assert found == direction
+            assert factor > DIRECTION_MARGIN
+
+
+def test_phases_of_vehicles_unlike_their_drawing_never_show_the_wrong_direction():
+    for speed in (30.0, 45.0, 70.0):
+        drawing = VerticalVehicle(AM96, speed_m_per_s=speed, parts=PARTS)
+        family = replace(drawing, distribution=LogNormal.prior(PARTS))
+        rows = family.sample_unmeasured(torch.ones(30, 5), seed=int(speed))
+        for row in rows:
+            found, factor = shown_direction(exact(drawing, row[None]), FREQUENCIES, drawing)
+            assert found == "forward" or factor < DIRECTION_MARGIN
+
+
+def test_healthy_trips_have_their_direction_said_or_not(both_ways, tmp_path):
+    settings = EstimateSettings(rates_hz=RATES_HZ, minutes=5.0, cache_dir=None).bound(AM96)
+    said = read_healthy(both_ways[0].parent, VerticalVehicle(AM96), settings, SETTINGS)
+    expected = ["forward", "reverse", "forward", "reverse"]
+    assert [group.direction for group in said.groups] == expected
+    for i, path in enumerate(both_ways):
+        changed(path, tmp_path, f"trip_{i}", direction=None)
+    found = read_healthy(tmp_path, VerticalVehicle(AM96), settings, SETTINGS)
+    assert [group.direction for group in found.groups] == expected
+
+
+# failure
+
+
+def test_wrong_direction_is_refused(both_ways, models, tmp_path):
+    wrong = changed(both_ways[1], tmp_path, direction="forward")
+    found = evaluate_trip(wrong, models, SETTINGS)
+    assert found.status == "error"
+    assert "phases fit a train that runs in reverse" in found.reason
+    assert "check `direction` and `bogie`" in found.reason
+    # likewise where nothing is said and all models are of the other direction
+    silent = changed(both_ways[1], tmp_path, "silent", direction=None)
+    assert "runs in reverse" in evaluate_trip(silent, models[:1], SETTINGS).reason
+
+
+def test_models_of_the_other_direction_are_refused(both_ways, models):
+    found = evaluate_trip(both_ways[1], models[:1], SETTINGS)
+    assert found.status == "error"
+    assert found.reason == (
+        "the trip was run in reverse, the models are for trips forward: train with direction=both"
+    )
+
+
+def test_direction_is_asked_for_where_the_phases_do_not_show_it(
+    both_ways, models, tmp_path, monkeypatch
+):
+    monkeypatch.setattr("suspnet.estimation.from_recording.DIRECTION_MARGIN", 1e6)
+    silent = changed(both_ways[0], tmp_path, direction=None)
+    found = evaluate_trip(silent, models, SETTINGS)
+    assert found.status == "error"
+    assert "forward or in reverse" in found.reason
+    assert "give `direction: forward` or `direction: reverse`" in found.reason
+
+
+def test_manifest_with_another_word_is_refused(both_ways, tmp_path):
+    found = evaluate_trip(changed(both_ways[0], tmp_path, direction="back"), [model_at()], SETTINGS)
+    assert found.status == "error"
+    assert "`direction` must be" in found.reason
