@@ -49,6 +49,8 @@ _NUMBERS: dict[str, tuple[tuple[Any, ...], ...]] = {
         ("speed", 0.0, "m/s", "speed"),
         ("other_k_p", 0.0, "", "primary stiffness of the other bogie over healthy"),
         ("other_c_p", 0.0, "", "primary damping of the other bogie over healthy"),
+        ("other_k_s", 0.2, "", "secondary stiffness of the other bogie over healthy"),
+        ("other_c_s", 0.2, "", "secondary damping of the other bogie over healthy"),
         ("bogie_mass", 0.0, "kg", "bogie mass a side, which fixes the scale of all forces"),
         ("half_wheelbase", 0.05, "m", "half wheelbase"),
         ("half_pivot_distance", 0.05, "m", "half pivot distance"),
@@ -117,10 +119,7 @@ _NUMBERS: dict[str, tuple[tuple[Any, ...], ...]] = {
         ("frame_lateral", 0.1, "m", "lateral place of the frame's sensor"),
         ("body_lateral", 0.1, "m", "lateral place of the body's sensor"),
     ),
-    "other_bogie": (
-        ("other_k_s", 0.2, "", "secondary stiffness of the other bogie over healthy", 1.0),
-        ("other_c_s", 0.2, "", "secondary damping of the other bogie over healthy", 1.0),
-    ),
+    "other_bogie": (),  # ``OF_THE_TRIP``, which every vehicle has
     "payload": (
         (
             "bending_exponent",
@@ -181,15 +180,21 @@ _NUMBERS: dict[str, tuple[tuple[Any, ...], ...]] = {
 """Fields of ``Quantity`` after the part, by part; "" is for every vehicle."""
 PARTS = tuple(part for part in _NUMBERS if part)
 """Parts that a vehicle may have beyond rigid bodies on linear springs and dampers."""
-QUANTITIES = tuple(Quantity(part, *row) for part, rows in _NUMBERS.items() for row in rows)
+IN_MOTION = tuple(part for part in PARTS if part not in ("sensors", "wheelsets"))
+"""Parts of the vehicle's motion; the others describe measurement and excitation."""
+OF_THE_TRIP = ("other_k_s", "other_c_s")
+"""Numbers that differ from trip to trip, as the other bogie wears: trips do not determine those of
+later ones."""
+QUANTITIES = tuple(
+    Quantity("other_bogie" if row[0] in OF_THE_TRIP else part, *row)
+    for part, rows in _NUMBERS.items()
+    for row in rows
+)
 """Every number, in the order of ``UNMEASURED``."""
 UNMEASURED = tuple(quantity.name for quantity in QUANTITIES)
 """Names of the quantities: columns of ratios after ``PARAMETERS``, the speed first."""
 MEDIANS = {quantity.name: quantity.median for quantity in QUANTITIES}
 """Ratio of each number to nominal where nothing else is known."""
-OF_THE_TRIP = ("other_k_s", "other_c_s")
-"""Numbers that differ from trip to trip, as the other bogie wears: trips do not determine those of
-later ones."""
 OFFSETS = {quantity.name: float(quantity.may_be_absent) for quantity in QUANTITIES}
 """Number added to each ratio before its logarithm is taken: 1 if it may be absent, else 0."""
 

@@ -17,7 +17,15 @@ from numpy.typing import ArrayLike
 from torch import Tensor
 
 from suspnet.dynamics.motion import LinearSystem
-from suspnet.dynamics.quantities import MEDIANS, OFFSETS, PARTS, QUANTITIES, UNMEASURED, LogNormal
+from suspnet.dynamics.quantities import (
+    IN_MOTION,
+    MEDIANS,
+    OFFSETS,
+    PARTS,
+    QUANTITIES,
+    UNMEASURED,
+    LogNormal,
+)
 from suspnet.dynamics.quarter_car import QuarterCar
 from suspnet.dynamics.vehicle import (
     GEOMETRY,
@@ -40,8 +48,6 @@ from suspnet.ground.tensors import as_tensor, check_device
 
 End = Literal["leading", "trailing"]
 OTHER_END: dict[End, End] = {"leading": "trailing", "trailing": "leading"}
-NOT_IN_MOTION = ("sensors", "wheelsets")
-"""Parts that describe the measurement and the excitation, not the vehicle's motion."""
 N_ALL = len(PARAMETERS) + len(UNMEASURED)
 _OTHER = [len(PARAMETERS) + UNMEASURED.index(f"other_{name}") for name in PARAMETERS[:4]]
 """Columns of the bogie that is not measured."""
@@ -298,7 +304,7 @@ class VerticalVehicle:
 
         ValueError is raised for parts that are no part of the vehicle: sensors, wheelsets.
         """
-        outside = [part for part in self.parts if part in NOT_IN_MOTION]
+        outside = [part for part in self.parts if part not in IN_MOTION]
         if outside:
             raise ValueError(
                 f"`parts` of a vehicle whose motion is simulated cannot be {' or '.join(outside)}: "

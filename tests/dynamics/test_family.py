@@ -100,7 +100,7 @@ def naive(generator, ratios, frequency_hz):
     n, parts = numbers(generator, ratios), generator.parts
     s = 2j * math.pi * frequency_hz
     a, pivot = n["half_wheelbase"], n["half_pivot_distance"]
-    leading = generator.bogie == "leading"
+    leading, reverse = generator.bogie == "leading", generator.direction == "reverse"
     system = np.zeros((11, 11), dtype=complex)
     body, bogie = 4 * n["M_s"], 2 * n["bogie_mass"]
     inertias = [body, body * n["body_gyration"] ** 2, body * n["body_roll_gyration"] ** 2]
@@ -131,7 +131,7 @@ def naive(generator, ratios, frequency_hz):
                 system += kappa_p / 2 * np.outer(stretch, stretch)
                 delay = cmath.exp(s * (place + x - reference(generator, n)) / n["speed"])
                 # the rails are 0.75 m off the middle; the rigid axle continues their slope
-                wheelset = 2 * ((i == 0) != leading) + (x < 0)
+                wheelset = 2 * ((i == 0) != leading) + ((x < 0) != reverse)
                 own = math.sqrt(max(n["wheelset_share"], 0.0)) * np.eye(4)[wheelset]
                 track = np.array([delay, *own, delay * side * b_p / 0.75])
                 drive += kappa_p / 2 * np.outer(stretch, track)
@@ -163,7 +163,7 @@ def naive(generator, ratios, frequency_hz):
     place = (pivot if leading else -pivot) + generator.body_sensor_m
     at_sensor = n["bending_at_sensor"] if "bending" in parts else 0.0
     body_sensor[:4] = 1.0, place, n["body_lateral"], at_sensor
-    own = math.sqrt(max(n["wheelset_share"], 0.0)) * np.eye(4)[int(generator.axle == "trailing")]
+    own = math.sqrt(max(n["wheelset_share"], 0.0)) * np.eye(4)[int((generator.axle == "trailing") != reverse)]
     box = np.array([1.0, *own, n["axle_box_lateral"] / 0.75])
     waves = (2 * math.pi * frequency_hz / n["speed"]) ** 2
     share = n["cross_level"] * waves / (waves + 0.438**2)

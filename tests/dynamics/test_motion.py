@@ -13,7 +13,7 @@ from vehicles import AM96
 
 from suspnet.dynamics import QuarterCar, VerticalVehicle
 from suspnet.dynamics.motion import SERIES_BELOW, LinearSystem, SampledMotion, _foh_weights
-from suspnet.dynamics.quantities import PARTS, UNMEASURED
+from suspnet.dynamics.quantities import IN_MOTION, UNMEASURED
 
 SYSTEMS = {
     "quarter_car": QuarterCar(AM96).motion_system(torch.tensor([0.7, 1.5, 1.3, 0.6, 1.1])),
@@ -22,7 +22,7 @@ SYSTEMS = {
     "trailing": VerticalVehicle(
         AM96, bogie="trailing", axle="trailing", frame_sensor="centre", body_sensor_m=1.0
     ).motion_system(torch.linspace(0.7, 1.4, 5 + len(UNMEASURED))),
-    "all parts": VerticalVehicle(AM96, parts=PARTS).motion_system(torch.ones(5)),
+    "all parts": VerticalVehicle(AM96, parts=IN_MOTION).motion_system(torch.ones(5)),
 }
 
 

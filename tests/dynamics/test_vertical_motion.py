@@ -10,14 +10,13 @@ from vehicles import AM96
 
 from suspnet.dynamics import PARAMETERS, VerticalVehicle
 from suspnet.dynamics.motion import SampledMotion
-from suspnet.dynamics.quantities import PARTS, UNMEASURED
+from suspnet.dynamics.quantities import IN_MOTION, UNMEASURED
 from suspnet.dynamics.vertical_motion import LOSS_HZ, LOSS_REFERENCE_HZ, LOSS_SHARES, Element
 
 FREQUENCIES = torch.tensor([0.3, 0.9, 1.31, 1.9, 3.3, 5.4, 7.7, 11.0, 20.0]).double()
 NAMES = (*PARAMETERS, *UNMEASURED)
 ALL = torch.as_tensor(np.random.default_rng(5).uniform(0.7, 1.4, (2, len(NAMES))))
-IN_TIME = tuple(part for part in PARTS if part not in ("sensors", "wheelsets"))
-COMBINATIONS = [(), *((part,) for part in IN_TIME), IN_TIME, IN_TIME[:-1]]
+COMBINATIONS = [(), *((part,) for part in IN_MOTION), IN_MOTION, IN_MOTION[:-1]]
 LATERAL = (1.0, 0.95, -1.1)
 
 
@@ -72,7 +71,7 @@ def test_motion_has_the_channels_of_the_generator(parts, trailing, direction):
 
 
 def test_motion_in_time_is_that_of_the_state_space():
-    system = family(IN_TIME[:-1]).motion_system(ALL[0])
+    system = family(IN_MOTION[:-1]).motion_system(ALL[0])
     inputs = np.random.default_rng(0).standard_normal((8, 1500))
     _, expected, _ = lsim(system.state_space(), inputs.T, np.arange(1500) / 500.0)
     found = SampledMotion(system, 500.0).advance(list(inputs))
@@ -112,14 +111,14 @@ def test_branches_of_one_rate_are_one():
 
 
 def test_sensors_in_the_middle_leave_roll_out():
-    pair = family(IN_TIME, sensor_lateral_m=(0.0, 0.0, 0.0)).motion_system(ALL[0])
+    pair = family(IN_MOTION, sensor_lateral_m=(0.0, 0.0, 0.0)).motion_system(ALL[0])
     assert pair.roll_per_m == 0
     assert pair.sensors.shape[0] == 2
     assert pair.input_stiffness.shape[1] == 4
 
 
 def test_track_that_stays_tilted_tilts_every_sensor_with_it():
-    system = family(IN_TIME[:-1]).motion_system(ALL[0])
+    system = family(IN_MOTION[:-1]).motion_system(ALL[0])
     a, b, c, _ = system.state_space()
     static = -c @ np.linalg.solve(a, b) @ np.repeat(np.eye(2), 4, axis=0)
     _, frame, body = system.lateral_m
@@ -152,7 +151,7 @@ def test_matrices_are_symmetric_and_no_element_gives_energy(parts):
 def test_healthy_vehicle_with_all_parts_has_independent_modes(off):
     ratios = torch.ones(len(NAMES), dtype=torch.float64)
     ratios[NAMES.index("rubber_frequency")] += off  # at 0 its branch is one of the ladder
-    system = family(IN_TIME[:-1]).motion_system(ratios)
+    system = family(IN_MOTION[:-1]).motion_system(ratios)
     motion = SampledMotion(system, 2000.0)  # raises where modes coincide
     assert np.isfinite(motion.advance(list(np.ones((8, 10))))).all()
 

@@ -14,7 +14,7 @@ from suspnet.estimation.from_recording import TripSettings
 from suspnet.estimation.healthy_trips import read_healthy
 from suspnet.recordings.manifest_files import read_manifest
 from suspnet.simulation import Scenario
-from suspnet.spectra.cross_spectra import CrossSpectra
+from suspnet.spectra.cross_spectra import PAIRS, CrossSpectra
 from suspnet.spectra.estimates import EstimateSettings
 from suspnet.spectra.plausibility import DIRECTION_MARGIN, shown_direction
 from suspnet.trips.trip import evaluate_trip
@@ -39,9 +39,8 @@ def models():
 def exact(generator, ratios):
     """Return the spectra of a noiseless trip of a vehicle."""
     channels = generator.channels(ratios, FREQUENCIES)[0]
-    pairs = [(0, 1), (1, 2), (0, 2)]
     auto = channels.abs().square().sum(dim=0)
-    cross = torch.stack([(channels[:, x].conj() * channels[:, y]).sum(dim=0) for x, y in pairs])
+    cross = torch.stack([(channels[:, x].conj() * channels[:, y]).sum(dim=0) for x, y in PAIRS])
     return CrossSpectra(auto, cross, 100.0)
 
 
