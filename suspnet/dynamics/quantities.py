@@ -165,11 +165,10 @@ _NUMBERS: dict[str, tuple[tuple[Any, ...], ...]] = {
     "wheelsets": (
         (
             "wheelset_share",
-            0.7,
+            1.5,
             "",
             "density of what excites each wheelset alone over the mean track's",
-            0.005,
-            True,
+            0.002,
         ),
     ),
     "air_spring": (

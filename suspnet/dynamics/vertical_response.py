@@ -154,7 +154,7 @@ def excited_alone(
     Each of shape (5, n_vehicles, n_freq): the track under all wheelsets, then what excites one of
     them and not the next, scaled to the density of the mean track.
     """
-    size = p["wheelset_share"].clamp(min=0.0).sqrt() * torch.ones_like(wheels[0])
+    size = p["wheelset_share"].sqrt() * torch.ones_like(wheels[0])
     rows = [torch.zeros_like(size)] * len(wheels)
     found = [
         torch.stack([wheel, *rows[:i], size, *rows[i + 1 :]]) for i, wheel in enumerate(wheels)

@@ -20,7 +20,7 @@ from suspnet.spectra.estimates import EstimateSettings
 log = logging.getLogger(__name__)
 ONE_SIDE_M = 1.0
 """Assumed lateral position of a sensor if only its side is known, [m]."""
-FAMILY = tuple(part for part in PARTS if part not in ("air_spring", "sensors", "wheelsets"))
+FAMILY = tuple(part for part in PARTS if part != "air_spring")
 """Parts of the vehicle that is commissioned if the configuration names none."""
 
 

@@ -11,7 +11,7 @@ import numpy as np
 import torch
 
 from suspnet.dynamics import PARAMETERS, QuarterCar, VerticalVehicle
-from suspnet.dynamics.quantities import QUANTITIES, UNMEASURED, LogNormal
+from suspnet.dynamics.quantities import MEDIANS, QUANTITIES, UNMEASURED, LogNormal
 from suspnet.dynamics.track import track_spectrum
 from suspnet.ground.parameters import DIRECTIONS, FORWARD, Direction
 from suspnet.ground.records import Place
@@ -283,10 +283,12 @@ def scattered(generator: Any, scatter: float, seed: int) -> Any:
     if not isinstance(generator, QuarterCar | VerticalVehicle):
         raise TypeError(f"`scatter` needs a generator of suspnet, got {type(generator).__name__}")
     prior = LogNormal.prior(getattr(generator, "parts", ()))
+    medians = np.array([MEDIANS[name] for name in prior.names])
+    least = np.where((prior.offsets > 0) & (medians > 0), 0.0, -np.inf)  # others have either sign
     rng = np.random.default_rng([seed, *STREAM])
     for _ in range(MAX_DRAWS):
         steps = scatter * prior.deviations * rng.standard_normal(len(prior.names))
-        logs = np.maximum(np.array(prior.mean) + steps, np.where(prior.offsets > 0, 0.0, -np.inf))
+        logs = np.maximum(np.array(prior.mean) + steps, least)
         drawn = _with_numbers(generator, prior.names, logs)
         if drawn is not None and _decays(drawn):
             return drawn
@@ -307,7 +309,7 @@ def true_numbers(generator: Any) -> dict[str, dict[str, Any]]:
         names, nominal = UNMEASURED, generator.nominal_values()[len(PARAMETERS) :]
         given = generator.distribution or LogNormal((), (), ())
         medians = dict(zip(given.names, given.median, strict=True))
-        ratios = np.array([medians.get(name, 1.0) for name in names])
+        ratios = np.array([medians.get(name, MEDIANS[name]) for name in names])
     parts = getattr(generator, "parts", ())
     known = {q.name: q for q in QUANTITIES if q.part in parts or (q.unit and not q.part)}
     return {

@@ -11,7 +11,7 @@ from scipy.optimize import minimize
 from vehicles import AM96
 
 from suspnet.dynamics import VerticalVehicle
-from suspnet.dynamics.quantities import PARTS, QUANTITIES, UNMEASURED
+from suspnet.dynamics.quantities import OF_THE_TRIP, QUANTITIES, UNMEASURED
 from suspnet.estimation import commissioning as module
 from suspnet.estimation.commissioning import commission
 from suspnet.estimation.healthy_trips import HealthyMisfit, HealthySpectra
@@ -31,7 +31,8 @@ SHORT = EstimateSettings(minutes=5.0, segment_s=10.0, rates_hz=RATES_HZ).bound(A
 """The whole band of short trips: a bending mode, a period of the delay between bogies and the notch
 of a wheelbase make wrong valleys in it."""
 TAPS = moving_average_with(SETTINGS.welch.correlation().numpy())
-VERTICAL = [part for part in PARTS if part not in ("air_spring", "roll")]
+VERTICAL = ("bushings", "rubber", "guidance", "longitudinal", "bending")
+OF_TRIPS = ("bending", "payload", "sensors", "wheelsets", "other_bogie")
 SPRINGS_AND_DAMPERS = ["healthy_k_p", "healthy_c_p", "healthy_k_s", "healthy_c_s"]
 MASSES = [0.95, 1.05, 1.15]
 
@@ -275,6 +276,24 @@ def test_every_part_is_found_and_several_starts_agree():
     assert (found.posterior.deviations <= 1.001 * found.prior.deviations).all()
 
 
+def test_what_trips_and_sensors_add_is_found():
+    generator = with_parts(*OF_TRIPS)
+    numbers = from_prior(generator, 6)
+    found = commission(generator, SHORT, trips(generator, numbers, 3, settings=SHORT), n_starts=1)
+    assert found.converged
+    assert found.misfit == pytest.approx(1.0, abs=0.08)
+    assert np.abs(off(found.posterior, numbers)).max() < 4
+    # the exponents of the payload, the gains and the delays are determined
+    told = found.posterior.deviations < 0.5 * found.prior.deviations
+    names = [name for name, is_told in zip(found.prior.names, told, strict=True) if is_told]
+    assert {"bending_exponent", "stiffness_exponent", "frame_gain", "body_delay"} <= set(names)
+    # the other bogie of later trips is as uncertain as before
+    later = found.generator.distribution
+    row = later.names.index("other_c_s")
+    assert later.deviations[row] == found.prior.deviations[row]
+    assert found.posterior.deviations[row] < later.deviations[row]
+
+
 def test_a_vehicle_far_off_its_drawing_is_found():
     # searches in the whole band alone, from shifted springs and draws, left a misfit of 13
     check_scattered(1.5, 3002, n_starts=1)
@@ -351,7 +370,7 @@ def test_effects_outside_the_family_leave_a_misfit(effect, ratios):
     train = RichTrain.scattered(2, (*FAMILY, effect))
     found = commission(with_parts(*VERTICAL), RICH, rich_trips(train, 1, ratios), n_starts=1)
     assert found.misfit > 1.3
-    assert found.generator.distribution == found.posterior
+    assert found.generator.distribution == found.posterior.renewed(OF_THE_TRIP)
 
 
 # Properties and failures
