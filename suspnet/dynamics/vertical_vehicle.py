@@ -18,7 +18,6 @@ from torch import Tensor
 
 from suspnet.dynamics.motion import LinearSystem
 from suspnet.dynamics.quantities import (
-    IN_MOTION,
     MEDIANS,
     OFFSETS,
     PARTS,
@@ -302,14 +301,8 @@ class VerticalVehicle:
     def motion_system(self, ratios: Tensor | ArrayLike) -> LinearSystem:
         """Return the equations of motion of one vehicle, its ratios (5,), (6,) or all columns.
 
-        ValueError is raised for parts that are no part of the vehicle: sensors, wheelsets.
+        Sensitivity and delay of sensors, and what excites single wheelsets, are no part of it.
         """
-        outside = [part for part in self.parts if part not in IN_MOTION]
-        if outside:
-            raise ValueError(
-                f"`parts` of a vehicle whose motion is simulated cannot be {' or '.join(outside)}: "
-                "these are for reading trips"
-            )
         felt = tuple(part for part in self.parts if part != "roll" or self.rolls)
         layout = replace(self._layout, parts=felt)
         return vertical_motion(layout, self._numbers(as_tensor(ratios)[None]))

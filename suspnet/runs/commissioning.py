@@ -20,8 +20,9 @@ from suspnet.spectra.estimates import EstimateSettings
 log = logging.getLogger(__name__)
 ONE_SIDE_M = 1.0
 """Assumed lateral position of a sensor if only its side is known, [m]."""
-FAMILY = tuple(part for part in PARTS if part != "air_spring")
-"""Parts of the vehicle that is commissioned if the configuration names none."""
+FAMILY = tuple(part for part in PARTS if part not in ("air_spring", "wheelsets"))
+"""Parts of the vehicle that is commissioned if the configuration names none. What excites single
+wheelsets has to be asked for: with it reading a trip takes several times as long."""
 
 
 def commission_folder(

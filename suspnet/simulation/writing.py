@@ -24,6 +24,7 @@ from scipy.signal import resample_poly
 from suspnet._version import __version__
 from suspnet.dynamics import PARAMETERS, ResponseGenerator, VerticalVehicle
 from suspnet.dynamics.motion import LinearSystem
+from suspnet.dynamics.quantities import IN_MOTION
 from suspnet.dynamics.track import TrackProfile, cross_level_spectrum, make_profile, track_spectrum
 from suspnet.ground.progress import bar as progress_bar
 from suspnet.ground.storage import content_hash, write_atomically, write_json
@@ -297,6 +298,12 @@ def _write_channels(
 
 
 def _check_sides(fleet: Fleet, generator: ResponseGenerator) -> None:
+    outside = [part for part in getattr(generator, "parts", ()) if part not in IN_MOTION]
+    if outside:
+        raise ValueError(
+            f"`generator.parts` of simulated trips cannot be {' or '.join(outside)}: these are for "
+            "reading trips"
+        )
     if fleet.sides == "both" and not generator.motion_system(torch.ones(5)).roll_per_m:
         raise ValueError(
             "`sides`=both needs a vehicle with roll and sensors off the middle (generator=family "

@@ -157,6 +157,9 @@ def test_healthy_vehicle_with_all_parts_has_independent_modes(off):
 
 
 @pytest.mark.parametrize("part", ["sensors", "wheelsets"])
-def test_what_does_not_move_has_no_motion(part):
-    with pytest.raises(ValueError, match=f"`parts` of a vehicle whose motion.*cannot be {part}"):
-        VerticalVehicle(AM96, parts=(part,)).motion_system(torch.ones(5))
+def test_what_does_not_move_leaves_the_motion_as_it_is(part):
+    with_part, without = (
+        VerticalVehicle(AM96, parts=parts).motion_system(torch.ones(5)) for parts in ((part,), ())
+    )
+    for found, expected in zip(with_part.state_space(), without.state_space(), strict=True):
+        np.testing.assert_array_equal(found, expected)
