@@ -315,6 +315,8 @@ def read_suspensions(
                 f"{manifest.path}: the trip is of vehicle {manifest.vehicle!r}, the model was "
                 f"trained for {vehicle!r}"
             )
+        # a train runs both ways: the direction of that trip is not that of the next
+        manifest = replace(manifest, direction=None)
         found.append(LiveSuspension(manifest, fitting, settings.trips, live))
     return found
 

@@ -31,11 +31,11 @@ ROOT = Path(__file__).parents[2]
 sys.path.insert(0, str(ROOT / "tests"))
 
 from rich_spectra import drawn_estimates  # noqa: E402
-from rich_train import FAMILY, RichTrain  # noqa: E402
+from rich_train import FAMILY, OF_THE_TRIP, RichTrain  # noqa: E402
 from rich_train_trips import true_ratios, write_train_trips  # noqa: E402
 from rich_trips import SENSORS, drawn_ratios  # noqa: E402
 
-from suspnet.dynamics.quantities import PARTS, LogNormal  # noqa: E402
+from suspnet.dynamics.quantities import LogNormal  # noqa: E402
 from suspnet.estimation.commissioning import Commissioned, commission  # noqa: E402
 from suspnet.estimation.estimate import Estimate  # noqa: E402
 from suspnet.estimation.from_recording import NoEstimateError, TripSettings  # noqa: E402
@@ -43,6 +43,7 @@ from suspnet.estimation.healthy_trips import HealthySpectra  # noqa: E402
 from suspnet.estimation.problem import TRAIN, Problem  # noqa: E402
 from suspnet.estimation.trained import TrainedModel  # noqa: E402
 from suspnet.recordings.manifest_files import find_manifests  # noqa: E402
+from suspnet.runs.commissioning import FAMILY as FAMILY_PARTS  # noqa: E402
 from suspnet.runs.commissioning import commission_folder  # noqa: E402
 from suspnet.runs.fit import fit  # noqa: E402
 from suspnet.runs.predict import calibrated, with_unexplained  # noqa: E402
@@ -85,7 +86,8 @@ CASES = {
     "all": Case(FAMILY),
     "all, left": Case(FAMILY, "left"),
     **{
-        f"all+{name}": Case((*FAMILY, name)) for name in ("second_bending", "one_side", *NOT_LINEAR)
+        f"all+{name}": Case((*FAMILY, name))
+        for name in (*OF_THE_TRIP, "second_bending", "one_side", *NOT_LINEAR)
     },
 }
 
@@ -143,7 +145,8 @@ def commissioned(config, trips: Trips, folder: Path) -> Commissioned:
         n_first = trips.n_healthy
         return commission_folder(folder, generator, settings, TripSettings(), n_first=n_first)[1]
     seen = any(trips.case.lateral_m)
-    parts = tuple(part for part in PARTS if part != "air_spring" and (seen or part != "roll"))
+    given = generator.parts or FAMILY_PARTS
+    parts = tuple(part for part in given if seen or part != "roll")
     prior = replace(generator, parts=parts, distribution=LogNormal.prior(parts))
     speeds = Speeds((settings.speed_m_per_s,), (1.0,))
     healthy = enumerate(trips.given[: trips.n_healthy])
