@@ -59,6 +59,8 @@ def write_train_trips(
     """
     if sides not in WRITTEN:
         raise ValueError(f"`sides` must be one of {WRITTEN}, got {sides!r}")
+    if train.effects & {"sensors", "wheelsets"}:
+        raise ValueError("sensors and wheelsets are for spectra (rich_spectra.py), not in time")
     ratios = np.asarray(ratios, dtype=float)
     rate_hz = rate_hz or max(sensor.rate_hz for sensor in fleet.loggers().values())
     speeds = [fleet.speed_m_per_s] * len(ratios) if speeds_m_per_s is None else speeds_m_per_s

@@ -55,6 +55,7 @@ RESULTS = Path(__file__).parent / "results"
 NOMINAL, COMMISSIONED, REFINED = "nominal", "commissioned", "commissioned, refined"
 READINGS = (NOMINAL, COMMISSIONED, REFINED)
 NOT_LINEAR = ("blow_off", "friction")
+IN_SPECTRA = ("sensors", "wheelsets")
 LEVEL = 0.9
 IN_TABLE = ("bias_percent", "rms_percent", "coverage_percent")
 """What the table shows of each output, parted by a slash."""
@@ -71,6 +72,11 @@ class Case:
     def in_time_only(self) -> bool:
         """Whether the train has no exact spectra."""
         return bool(set(self.effects) & set(NOT_LINEAR))
+
+    @property
+    def in_spectra_only(self) -> bool:
+        """Whether trips in time do not have all effects of the train."""
+        return bool(set(self.effects) & set(IN_SPECTRA))
 
     @property
     def lateral_m(self) -> list[float]:
@@ -338,13 +344,13 @@ def main() -> None:
     parser.add_argument("--train", nargs="+", default=[], help="more settings, as for train.py")
     parser.add_argument("--output", type=Path, default=RESULTS, help="folder of the tables")
     options = parser.parse_args()
+    lacking = "in_spectra_only" if options.time else "in_time_only"
     if options.cases is None:
-        options.cases = [
-            name for name, case in CASES.items() if options.time or not case.in_time_only
-        ]
-    in_time = [name for name in options.cases if CASES[name].in_time_only]
-    if in_time and not options.time:
-        parser.error(f"no spectra of what is not linear: give --time for {', '.join(in_time)}")
+        options.cases = [name for name, case in CASES.items() if not getattr(case, lacking)]
+    wrong = [name for name in options.cases if getattr(CASES[name], lacking)]
+    if wrong:
+        give = "leave out --time" if options.time else "give --time"
+        parser.error(f"{give} for {', '.join(wrong)}")
     torch.set_num_threads(1)
     try:
         options.output.mkdir(parents=True, exist_ok=True)
