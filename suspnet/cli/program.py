@@ -27,7 +27,7 @@ from hydra.errors import HydraException, InstantiationException
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import GrammarParseError, OmegaConfBaseException
 
-from suspnet.cli import folders, reference, start
+from suspnet.cli import folders, reference, signals
 from suspnet.cli.config_files import CONFIGS, read_values, store_tables
 from suspnet.cli.loader import CheckedLoader
 from suspnet.cli.trusted import check_configuration
@@ -72,7 +72,7 @@ def main(name: str) -> None:
         run(lambda: sys.exit(getattr(_imported(name), name)(arguments)))
         return
     program = hydra.main(version_base="1.3", config_path=CONFIGS, config_name=name)(_task_of(name))
-    with start.until_it_listens() if name == "serve" else nullcontext():
+    with signals.until_it_listens() if name == "serve" else nullcontext():
         run(program, unwinds=name != "serve")
 
 
@@ -86,7 +86,7 @@ def _task_of(name: str) -> Callable[[DictConfig], None]:
 
 def _imported(name: str) -> ModuleType:
     """Return the module of a program; a signal while it is imported ends the process at once."""
-    with start.until_it_listens():
+    with signals.until_it_listens():
         return import_module(f"suspnet.cli.{name}")
 
 
@@ -100,7 +100,7 @@ def run(main: Callable[[], Any], *, unwinds: bool = True) -> None:
     try:
         with (
             progress.visible(),
-            start.terminable() if unwinds else nullcontext(),
+            signals.terminable() if unwinds else nullcontext(),
             _one_writer(),
             _whole_errors(),
             _checked_loader(),
@@ -110,9 +110,9 @@ def run(main: Callable[[], Any], *, unwinds: bool = True) -> None:
         if isinstance(ended.code, str):
             ended.code = printable(ended.code)
         raise
-    except (KeyboardInterrupt, start.Terminated) as ended:
-        number = signal.SIGTERM if isinstance(ended, start.Terminated) else signal.SIGINT
-        verb, code = start.VERBS[number], 128 + number
+    except (KeyboardInterrupt, signals.Terminated) as ended:
+        number = signal.SIGTERM if isinstance(ended, signals.Terminated) else signal.SIGINT
+        verb, code = signals.VERBS[number], 128 + number
         how = printable(folders.how_to_go_on())
         print(f"{verb}: nothing was half-written; {how}", file=sys.stderr)
         sys.exit(code)

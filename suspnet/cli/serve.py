@@ -18,7 +18,7 @@ from typing import Any
 
 from omegaconf import DictConfig, OmegaConf
 
-from suspnet.cli import program, start
+from suspnet.cli import program, signals
 from suspnet.cli.kinds import board_settings
 from suspnet.ground.settings import check_settings, setting
 from suspnet.history import History
@@ -89,7 +89,7 @@ def serve(board: Board, config: DictConfig) -> None:
     # The main thread only waits for a signal: the server would catch and log an exception that a
     # signal raises during a request, and continue.
     ended: SimpleQueue[int] = SimpleQueue()
-    for number in start.SIGNALS:
+    for number in signals.SIGNALS:
         signal.signal(number, lambda number, _: ended.put(number))
     log.info("the fleet is at %s (Ctrl-C ends it)", address)
     refresher.start()
@@ -97,12 +97,12 @@ def serve(board: Board, config: DictConfig) -> None:
     if config.open_browser:
         threading.Thread(target=webbrowser.open, args=(address,), daemon=True).start()
     code = ended.get()
-    start.end_at_once()  # a second signal
+    signals.end_at_once()  # a second signal
     refresher.stop(END_S)
     server.task_dispatcher.shutdown(timeout=END_S)
     if not code:
         raise ValueError("the server has ended by itself; start suspnet-serve again")
-    print(f"{start.VERBS[signal.Signals(code)]}: the pages are no longer served", file=sys.stderr)
+    print(f"{signals.VERBS[signal.Signals(code)]}: the pages are no longer served", file=sys.stderr)
     sys.exit(128 + code)
 
 
