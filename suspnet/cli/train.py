@@ -125,9 +125,11 @@ def _directions(config: DictConfig, healthy: _Healthy | None) -> Sequence[Direct
     """Return the directions of travel to train for: as asked for, else those of healthy trips."""
     if config.direction is None:
         return healthy.directions if healthy else (config.generator.get("direction", FORWARD),)
+    check_choice("direction", config.direction, (*DIRECTIONS, BOTH))
+    if build(_at_a_speed(config), "generator").direction is None:
+        raise ValueError(NO_DIRECTION)
     if config.direction == BOTH:
         return DIRECTIONS
-    check_choice("direction", config.direction, (*DIRECTIONS, BOTH))
     return (config.direction,)
 
 
@@ -135,8 +137,6 @@ def _running(config: DictConfig, direction: Direction) -> DictConfig:
     found = config.copy()
     if "direction" in found.generator:
         found.generator.direction = found.direction = direction
-    elif direction != FORWARD:
-        raise ValueError(NO_DIRECTION)
     return found
 
 

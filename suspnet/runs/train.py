@@ -25,6 +25,7 @@ from suspnet.estimation.checkpoint import save_model
 from suspnet.estimation.flags import Residual
 from suspnet.estimation.problem import TEST, Problem
 from suspnet.estimation.trained import TrainedModel
+from suspnet.ground.parameters import REVERSE
 from suspnet.ground.progress import stage
 from suspnet.ground.settings import check_number
 from suspnet.ground.storage import write_json
@@ -248,12 +249,17 @@ def _row(one: SpeedRange, metrics: Mapping[str, Any]) -> dict[str, Any]:
         "low_m_per_s": one.low_m_per_s,
         "high_m_per_s": one.high_m_per_s,
         "trained_m_per_s": one.trained_m_per_s,
+        "direction": one.direction,
     } | {key: metrics[key] for key in keys if key in metrics}
 
 
 def _table(rows: Sequence[Mapping[str, Any]]) -> str:
     body = [
-        [f"{row['low_m_per_s']:.1f} to {row['high_m_per_s']:.1f} m/s", *row["rms_percent"].values()]
+        [
+            f"{row['low_m_per_s']:.1f} to {row['high_m_per_s']:.1f} m/s"
+            + " in reverse" * (row["direction"] == REVERSE),
+            *row["rms_percent"].values(),
+        ]
         for row in rows
     ]
     return tabulate(body, ["speed", *rows[0]["rms_percent"]], tablefmt="github", floatfmt=".2g")
