@@ -71,8 +71,8 @@ settings = EstimateSettings(
     rates_hz=tuple(RATES_HZ.values()),
     cache_dir=None,
 ).bound(vehicle)
-healthy = read_healthy(trips, vehicle.name, settings, TripSettings(), n_first=N_HEALTHY)
 family = VerticalVehicle(vehicle, speed_m_per_s=70.0, parts=("bushings",), distribution="prior")
+healthy = read_healthy(trips, family, settings, TripSettings(), n_first=N_HEALTHY)
 found = commission(family, settings, healthy.groups, n_starts=2)
 print(f"misfit {found.misfit:.2f} (1: all that is seen is explained)")
 
