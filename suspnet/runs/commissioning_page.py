@@ -261,7 +261,11 @@ def responses(found: HealthyTrips, outcome: Commissioned) -> Figure:
 
 
 def number_ranges(found: Sequence[words.Number]) -> Figure:
-    """Draw the median and one standard deviation of each number, before and after, over nominal."""
+    """Draw the median and one standard deviation of each number, before and after, over nominal.
+
+    Numbers that are usually 0 have no nominal value to be drawn over; the table holds them.
+    """
+    found = [one for one in found if one.quantity.median]
     height = 1.2 + ROW_INCH * len(found)
     figure = Figure(figsize=(9.0, height), layout="constrained")
     axis = figure.subplots()
