@@ -151,12 +151,16 @@ def shown_direction(
         return FORWARD, 1.0
     modes, _ = QuarterCar(generator.vehicle).natural_modes()
     band = (frequencies_hz >= LOWEST_MODE * modes[0]) & (frequencies_hz <= SPEED_BAND_HZ)
+    slow = frequencies_hz[band] <= modes[0]
     inside, healthy = spectra.at(band), torch.ones(1, len(PARAMETERS), dtype=torch.float64)
     weights = 1 / (inside.deviations("IV").square() + DIRECTION_NOISE**2)
     distances: dict[Direction, float] = {}
     for direction in DIRECTIONS:
         responses = generator.running(direction).responses(healthy, frequencies_hz[band])
-        off = (inside.responses("IV") / torch.stack(responses, dim=1)[0].cpu()).angle().abs()
+        ratios = inside.responses("IV") / torch.stack(responses, dim=1)[0].cpu()
+        # a sensor may be upside down, which shows where everything moves with the track
+        signs = ratios[:, slow].real.nansum(dim=1, keepdim=True).sign()
+        off = (signs * ratios).angle().abs()
         distances[direction] = float((weights * off).nansum() / weights.nansum())
     best = min(DIRECTIONS, key=distances.__getitem__)
     return best, max(distances.values()) / max(distances[best], 1e-12)
