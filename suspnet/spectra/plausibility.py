@@ -113,7 +113,8 @@ def check_channels(
             "files and columns in the manifest"
         )
     direction, factor = shown_direction(spectra, frequencies_hz, generator)
-    if factor > DIRECTION_MARGIN and direction != generator.direction:
+    margin = DOUBTFUL_SPEED_MARGIN if doubtful else DIRECTION_MARGIN
+    if factor > margin and direction != generator.direction:
         raise TripError(
             f"direction: the phases fit a train that runs {direction_words(direction)} "
             f"{factor:.2g} times better; check `direction` and `bogie` in the manifest"
