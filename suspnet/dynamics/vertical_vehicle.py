@@ -189,8 +189,10 @@ class VerticalVehicle:
         """
         p, omega = self._prepared(ratios, frequencies_hz)
         frame, body = bounced(self._layout, p, omega)
-        recorded = self._gains(p, omega)
-        return frame * recorded[:, 1], body * recorded[:, 2] / (frame * recorded[:, 1])
+        if "sensors" in self.parts:
+            _, of_frame, of_body = self._gains(p, omega).unbind(dim=1)
+            frame, body = frame * of_frame, body * of_body
+        return frame, body / frame
 
     def channels(self, ratios: Tensor | ArrayLike, frequencies_hz: Tensor | ArrayLike) -> Tensor:
         """Return axle box, frame and body for each input, (n_vehicles, n_inputs, 3, n_freq), [-].
@@ -212,13 +214,10 @@ class VerticalVehicle:
 
     def _gains(self, p: Mapping[str, Tensor], omega: Tensor) -> Tensor:
         """Return what axle box, frame and body sensor make of an acceleration, (n, 3, n_freq)."""
-        one = torch.ones_like(p["frame_gain"] * omega)
-        if "sensors" not in self.parts:
-            return torch.stack([one, one, one], dim=1)
         late = [
             phasor(omega * p[f"{name}_delay"]) * p[f"{name}_gain"] for name in ("frame", "body")
         ]
-        return torch.stack([one.to(late[0]), *late], dim=1)
+        return torch.stack([torch.ones_like(late[0]), *late], dim=1)
 
     @property
     def rolls(self) -> bool:
