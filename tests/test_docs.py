@@ -131,7 +131,7 @@ def runs(tmp_path_factory, task, quarter_car):
         "outputs/train/RUN": folder / "train",
         "outputs/curves": folder / "train",
         "outputs/trips/RUN": folder / "trips",
-        "trip.yaml": small_fleet(tmp_path_factory)[0],
+        "trip.yaml": small_fleet()[0],
     }
 
 

@@ -112,9 +112,9 @@ def test_estimate_reads_aloud_and_goes_into_json(trained):
 
 
 @pytest.mark.parametrize("kind", ["path", "text", "recording"])
-def test_model_estimates_a_trip_as_the_program_does(kind, tmp_path_factory):
+def test_model_estimates_a_trip_as_the_program_does(kind):
     model = model_at()
-    path = small_fleet(tmp_path_factory)[0]
+    path = small_fleet()[0]
     settings = TripSettings()
     expected = recalled_trip(path, [model], settings)
     given = {
@@ -132,8 +132,8 @@ def test_model_estimates_a_trip_as_the_program_does(kind, tmp_path_factory):
         assert (wider.high > found.high).all()
 
 
-def test_trips_are_read_with_the_public_tfestimate(tmp_path_factory):
-    path = small_fleet(tmp_path_factory)[0]
+def test_trips_are_read_with_the_public_tfestimate():
+    path = small_fleet()[0]
     recording = load_recording(read_manifest(path), 100.0)
     model, welch = model_at(), suspnet.Welch()
     segments = recording_segments(recording, welch)
@@ -190,8 +190,8 @@ def test_known_mass_is_asked_for_and_checked(task, quarter_car):
         model.estimate(curves, mass=[1.0, -1.0])
 
 
-def test_trip_without_enough_averages_has_no_estimate(tmp_path_factory):
-    path = small_fleet(tmp_path_factory)[0]
+def test_trip_without_enough_averages_has_no_estimate():
+    path = small_fleet()[0]
     with pytest.raises(NoEstimateError, match=r"averages, at least 1e\+06 are needed"):
         model_at().estimate(path, settings=TripSettings(min_averages=1e6))
 

@@ -107,7 +107,7 @@ def recalled_trip(trip, models, settings):
     return replace(RECALLED[key][0], trip=file.path.stem, manifest=str(file.path))
 
 
-def small_fleet(_factory=None):
+def small_fleet():
     """Return the manifests of six trips, each of another vehicle, written once for all tests."""
 
     def build(folder):

@@ -43,8 +43,8 @@ def errors(done):
 
 
 @pytest.fixture(scope="module")
-def manifests(tmp_path_factory):
-    return small_fleet(tmp_path_factory)
+def manifests():
+    return small_fleet()
 
 
 @pytest.fixture(scope="module")

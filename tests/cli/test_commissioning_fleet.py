@@ -30,9 +30,9 @@ PLACES = {
 
 
 @pytest.fixture(scope="module")
-def manifests(tmp_path_factory):
+def manifests():
     """Return the manifests of three trips of 5 minutes."""
-    return small_fleet(tmp_path_factory)[:3]
+    return small_fleet()[:3]
 
 
 @pytest.fixture

@@ -23,9 +23,9 @@ TRIPS = [*SMALL, "experiment=trips", "data.minutes=5", "data.segment_s=5", "mode
 
 
 @pytest.fixture(scope="module")
-def fleet(tmp_path_factory):
+def fleet():
     """Return a folder of three trips of 5 minutes."""
-    return small_fleet(tmp_path_factory)[0].parent
+    return small_fleet()[0].parent
 
 
 @pytest.fixture

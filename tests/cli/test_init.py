@@ -22,8 +22,8 @@ FILLED = {"vehicle": "am96", "suspension": "car 7", "mileage_km": "1000.0"}
 
 
 @pytest.fixture(scope="module")
-def manifests(tmp_path_factory):
-    return small_fleet(tmp_path_factory)
+def manifests():
+    return small_fleet()
 
 
 @pytest.fixture(scope="module")

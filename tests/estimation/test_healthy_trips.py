@@ -30,8 +30,8 @@ NAMES = ["first", "second", "third"]
 
 
 @pytest.fixture(scope="module")
-def manifests(tmp_path_factory):
-    return small_fleet(tmp_path_factory)[:3]
+def manifests():
+    return small_fleet()[:3]
 
 
 @pytest.fixture

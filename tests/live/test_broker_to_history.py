@@ -37,10 +37,8 @@ class Ending(Mqtt):
         return None if self.is_sent and not frames else frames
 
 
-def test_history_of_a_replay_over_a_restarted_broker_is_that_of_the_files(
-    tmp_path, tmp_path_factory
-):
-    path = small_fleet(tmp_path_factory)[0]
+def test_history_of_a_replay_over_a_restarted_broker_is_that_of_the_files(tmp_path):
+    path = small_fleet()[0]
     manifest = read_manifest(path)
     frames = list(trip_frames(manifest, *trip_clock(manifest), Counter()))
     broker = Mosquitto(tmp_path).start()

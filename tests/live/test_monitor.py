@@ -34,8 +34,8 @@ SETTINGS = FleetSettings(TripSettings())
 
 
 @pytest.fixture(scope="module")
-def fleet(tmp_path_factory):
-    return small_fleet(tmp_path_factory)
+def fleet():
+    return small_fleet()
 
 
 def suspensions(fleet, live=LIVE, **changes):

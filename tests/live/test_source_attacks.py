@@ -171,8 +171,8 @@ def run(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def fleet(tmp_path_factory):
-    return small_fleet(tmp_path_factory)[0].parent
+def fleet():
+    return small_fleet()[0].parent
 
 
 @pytest.fixture(autouse=True)

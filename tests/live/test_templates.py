@@ -30,8 +30,8 @@ UNITS = {"g": 9.80665, "m/s^2": 1.0, "mg": 9.80665e-3}
 
 
 @pytest.fixture(scope="module")
-def fleet(tmp_path_factory):
-    return small_fleet(tmp_path_factory)
+def fleet():
+    return small_fleet()
 
 
 def templated(folder, manifest, how):

@@ -123,8 +123,8 @@ def test_lines_without_a_date_have_none():
 
 
 @pytest.fixture(scope="module")
-def trip(tmp_path_factory):
-    return small_fleet(tmp_path_factory)[0]
+def trip():
+    return small_fleet()[0]
 
 
 def stamped(trip, folder, start, **changes):

@@ -8,8 +8,8 @@ from suspnet.trips import fleet
 
 
 @pytest.fixture(scope="module")
-def manifests(tmp_path_factory):
-    return small_fleet(tmp_path_factory)
+def manifests():
+    return small_fleet()
 
 
 @pytest.fixture(scope="module")

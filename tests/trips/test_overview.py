@@ -104,9 +104,9 @@ def test_bogie_and_side_are_in_the_table_of_trips(models, made_up, no_figures, t
 
 
 def test_recordings_of_two_suspensions_in_one_folder_are_read_apart(
-    models, no_figures, recalled, tmp_path_factory, tmp_path
+    models, no_figures, recalled, tmp_path
 ):
-    manifests, folder = small_fleet(tmp_path_factory), tmp_path / "trips"
+    manifests, folder = small_fleet(), tmp_path / "trips"
     folder.mkdir()
     changed(manifests[0], folder, "a", suspension="x", bogie="leading")
     changed(manifests[1], folder, "b", suspension="y", bogie="leading")
