@@ -25,10 +25,11 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 import torch
-from scipy.optimize import OptimizeResult, least_squares
+from torch import Tensor
 
 from suspnet.dynamics import VerticalVehicle
 from suspnet.dynamics.quantities import OF_THE_TRIP, LogNormal
@@ -36,6 +37,7 @@ from suspnet.estimation.flags import Residual
 from suspnet.estimation.healthy_trips import MASS_MEAN, HealthyMisfit, HealthySpectra, row_of
 from suspnet.ground.progress import bar
 from suspnet.ground.types import ComplexArray, FloatArray
+from suspnet.learning import LevenbergMarquardt
 from suspnet.spectra.estimates import EstimateSettings
 
 SPREADS = (0.3, 0.1, 0.03, 0.01, 0.0)
@@ -43,9 +45,12 @@ SPREADS = (0.3, 0.1, 0.03, 0.01, 0.0)
 FEW, MANY = 12, 100
 """Largest numbers of evaluations of a search with allowed errors, and of the last search, which may
 follow a curved valley: a damper and its bushing can substitute for each other."""
-ROUGH_TOL, TOL = 1e-3, 1e-6
-"""Relative change of the sum of squares that ends a search with allowed errors, and the last
-search."""
+ROUGH_TOL, TOL = 1e-2, 1e-5
+ROUGH_DECREASE, LEAST_DECREASE = 1e-3, 1e-4
+"""A search with allowed errors, and the last search, end at such a step in standard deviations of
+the prior, or at such a further decrease of half the sum of squares."""
+ROUGH_DAMPING, DAMPING = 1e-2, 1e-3
+"""First damping of these searches."""
 BAND_RATIOS = (math.inf, 2.0, math.sqrt(2.0))
 """Ratio of the upper ends of successive bands, for each search from the median of the prior;
 infinity is the whole band at once. A single ratio may miss a valley that another one finds."""
@@ -170,13 +175,16 @@ def commission(
         target.on_step = steps.update
         # allow model errors first: a direct search would end in a valley far off
         first = target.first_searches(n_starts)
-        rough = [target.search(found.x, SPREADS[1:-1]) for found in first]
-        order = np.argsort([found.cost for found in rough], kind="stable")
-        best = target.search(rough[order[0]].x, SPREADS[-1:])
-        # the others show whether the best vehicle is the only one
-        posterior, mean_square = target.posterior(best)
-        others = [target.search(rough[i].x, SPREADS[-1:]) for i in order[1:]]
-    agree = [target.distance(best.x, other.x, posterior) < AGREEMENT for other in others]
+        rough = sorted((target.search(found.x, SPREADS[1:-1]) for found in first), key=_cost)
+        best = target.search(rough[0].x, SPREADS[-1:])
+        posterior, mean_square = target.posterior(best.x)
+        # the others show whether the best vehicle is the only one: those that met it end alike
+        agree = [
+            target.distance(rough[0].x, other.x, posterior) < AGREEMENT
+            or target.distance(best.x, target.search(other.x, SPREADS[-1:]).x, posterior)
+            < AGREEMENT
+            for other in rough[1:]
+        ]
     n = len(target.prior.names)
     theta = torch.as_tensor(best.x)[None]
     observed, fitted, deviations = target.curves(theta)
@@ -196,8 +204,17 @@ def commission(
         deviations=deviations,
         n_agree=1 + sum(agree),
         n_starts=len(first),
-        converged=bool(best.status > 0),
+        converged=best.converged,
     )
+
+
+@dataclass(frozen=True)
+class _Found:
+    """End of a search: its point theta, half the sum of squares there."""
+
+    x: FloatArray
+    cost: float
+    converged: bool
 
 
 class _Search(HealthyMisfit):
@@ -205,7 +222,7 @@ class _Search(HealthyMisfit):
 
     on_step: Callable[[], object] = staticmethod(lambda: None)
 
-    def first_searches(self, n_starts: int) -> list[OptimizeResult]:
+    def first_searches(self, n_starts: int) -> list[_Found]:
         """Return the results of the first searches that are to be continued, best first.
 
         They are the best ones that differ by more than ``AGREEMENT`` from all better ones, so that
@@ -222,8 +239,8 @@ class _Search(HealthyMisfit):
             if min(map(_cost, more), default=math.inf) >= (1 - LEAST_GAIN) * best.cost:
                 break
         # group the results by valley
-        separate: list[OptimizeResult] = []
-        again: list[OptimizeResult] = []
+        separate: list[_Found] = []
+        again: list[_Found] = []
         for one in sorted(found, key=_cost):
             near = any(np.abs(one.x - other.x).max() < AGREEMENT for other in separate)
             (again if near else separate).append(one)
@@ -266,24 +283,27 @@ class _Search(HealthyMisfit):
 
     def search(
         self, start: FloatArray, spreads: Sequence[float], high_hz: float = math.inf
-    ) -> OptimizeResult:
-        """Return the result of successive searches with some spreads, up to `high_hz`."""
-        found = OptimizeResult(x=start)
+    ) -> _Found:
+        """Return the end of successive searches with some spreads, up to `high_hz`."""
+        point, bound = row_of(start), torch.full((len(start),), Z_BOUND, dtype=torch.float64)
         for spread in spreads:
             last = spread == 0
-            found = least_squares(
-                lambda x, spread=spread: self.residuals(row_of(x), spread, high_hz)[0].numpy(),
-                np.clip(found.x, -0.99 * Z_BOUND, 0.99 * Z_BOUND),
-                jac=lambda x, spread=spread: self.jacobian(x, spread, high_hz),
-                bounds=(-Z_BOUND, Z_BOUND),
-                ftol=TOL if last else ROUGH_TOL,
-                xtol=TOL,
-                gtol=None,
-                max_nfev=MANY if last else FEW,
+            solver = LevenbergMarquardt(
+                max_iter=MANY if last else FEW,
+                tol=TOL if last else ROUGH_TOL,
+                first_damping=DAMPING if last else ROUGH_DAMPING,
+                bounds=(-bound, bound),
+                one_sided=True,
+                least_decrease=LEAST_DECREASE if last else ROUGH_DECREASE,
             )
+            found = solver.minimise(partial(self._residuals, spread, high_hz), point)
+            point = found.parameters
             self.on_step()
-        return found
+        return _Found(point[0].numpy(), float(found.cost[0]), bool(found.converged[0]))
+
+    def _residuals(self, spread: float, high_hz: float, theta: Tensor, _: Tensor) -> Tensor:
+        return self.residuals(theta, spread, high_hz)
 
 
-def _cost(found: OptimizeResult) -> float:
-    return float(found.cost)
+def _cost(found: _Found) -> float:
+    return found.cost

@@ -12,7 +12,6 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from scipy.optimize import OptimizeResult
 from torch import Tensor
 
 from suspnet.dynamics import PARAMETERS, VerticalVehicle
@@ -35,6 +34,9 @@ LEAST_TRIPS = 3
 """Smallest number of healthy trips; fewer contain too little information on a vehicle."""
 MASS_MEAN, MASS_DEVIATION = math.log(1.05), 0.15
 """Prior mean and standard deviation of the logarithm of a trip's car-body mass over nominal."""
+ROUGH, ROUGH_HZ = 0.03, 0.2
+"""Least allowed model error of a search that uses only a part of the bins, without leakage, and the
+distance of these bins."""
 STEP = 1e-5
 """Step of differences, in standard deviations of the prior."""
 
@@ -52,8 +54,7 @@ class HealthySpectra:
     @property
     def speed_m_per_s(self) -> float:
         """Mean speed, [m/s]."""
-        pairs = zip(self.speeds.m_per_s, self.speeds.weights, strict=True)
-        return sum(speed * weight for speed, weight in pairs)
+        return self.speeds.mean
 
 
 @dataclass(frozen=True)
@@ -207,9 +208,14 @@ class HealthyMisfit:
             direction: settings.observer(generator.running(direction))
             for direction in {group.direction for group in groups}
         }
-        self._groups = [
-            observers[group.direction].at(group.speeds).measured_misfit(group.spectra)
-            for group in groups
+        at = [observers[group.direction].at(group.speeds) for group in groups]
+        pairs = list(zip(at, groups, strict=True))
+        self._groups = [observer.measured_misfit(group.spectra) for observer, group in pairs]
+        # a search that allows large errors has no use for all bins, nor for their leakage
+        self._every = max(1, round(ROUGH_HZ * settings.segment_s))
+        self._thinned = [
+            observer.thinned(misfit, self._every)
+            for observer, misfit in zip(at, self._groups, strict=True)
         ]
 
     def ratios(self, theta: Tensor, trip: int) -> Tensor:
@@ -221,12 +227,14 @@ class HealthyMisfit:
 
     def part(self, theta: Tensor, group: int, spread: float, high_hz: float = math.inf) -> Tensor:
         """Return the residuals of one group, (n_rows, n_points), set to 0 above `high_hz`."""
-        misfit = self._groups[group]
+        is_rough = spread >= ROUGH
+        misfit = (self._thinned if is_rough else self._groups)[group]
         expected = misfit.observer.noise_free(self.ratios(theta, self._trips[group]))
         # logarithms converge from far off, but have the heavy tails of a ratio of noise
         u = (misfit.observed / expected).log() if spread else 1 - expected / misfit.observed
-        spreads = torch.where(self.frequencies_hz > high_hz, math.inf, spread)
-        return misfit.whitened(u, torch.zeros(len(theta), dtype=torch.int64), spreads)
+        spreads = torch.where(misfit.observer.frequencies_hz > high_hz, math.inf, spread)
+        values = misfit.whitened(u, torch.zeros(len(theta), dtype=torch.int64), spreads)
+        return values * math.sqrt(self._every) if is_rough else values
 
     def parts(self, theta: Tensor, spread: float, high_hz: float = math.inf) -> list[Tensor]:
         """Return the residuals of each group, (n_rows, n_points)."""
@@ -263,19 +271,19 @@ class HealthyMisfit:
             for part, misfit in zip(self.parts(theta, 0.0), self._groups, strict=True)
         ]
 
-    def posterior(self, found: OptimizeResult) -> tuple[LogNormal, float]:
+    def posterior(self, x: FloatArray) -> tuple[LogNormal, float]:
         """Return the posterior of the numbers, and the residuals' mean square over the noise."""
         n = len(self.prior.names)
-        residuals = torch.cat(self.parts(row_of(found.x), 0.0), dim=1)[0]
+        residuals = torch.cat(self.parts(row_of(x), 0.0), dim=1)[0]
         expected = math.fsum(misfit.expected for misfit in self._groups) / len(self._groups)
         mean_square = float(residuals.square().mean()) / expected
-        slopes = self.jacobian(found.x, 0.0)[: len(residuals)]
+        slopes = self.jacobian(x, 0.0)[: len(residuals)]
         prior = np.diag(self._prior_deviations() ** -2)
         information = slopes.T @ slopes / max(mean_square, 1.0) + prior
         spread = np.linalg.inv(information)[:n, :n]
         factor = self.every.factor.numpy()
         covariance = factor @ spread @ factor.T
-        logs = np.array(self.prior.mean) + factor @ found.x[:n]
+        logs = np.array(self.prior.mean) + factor @ x[:n]
         rows = tuple(map(tuple, ((covariance + covariance.T) / 2).tolist()))
         return LogNormal(self.prior.names, tuple(logs.tolist()), rows), mean_square
 

@@ -272,6 +272,14 @@ class EstimateObserver:
         observer._nominal = self._nominal  # share what it has already computed
         return observer
 
+    def thinned(self, misfit: EstimateMisfit, every: int) -> EstimateMisfit:
+        """Return a quicker `misfit` of this observer: every n-th bin, mean speed, no leakage."""
+        rough = EstimateObserver(self.settings, self.generator)
+        rough._nominal = self._nominal  # of the same noise
+        rough.mean, rough.frequencies_hz = self.mean.thinned(every), self.frequencies_hz[::every]
+        observed, covariance = misfit.observed[..., ::every], misfit.covariance[..., ::every]
+        return EstimateMisfit(rough, observed, covariance)
+
     @cached_property
     def _nominal(self) -> EstimateObserver:
         return self if self._is_nominal else EstimateObserver(self.settings, self.generator)
@@ -279,7 +287,7 @@ class EstimateObserver:
     @cached_property
     def _noise(self) -> Tensor:
         """Noise density of each sensor, (3,), [(m/s^2)^2/Hz]."""
-        if not self._is_nominal:
+        if self._nominal is not self:
             return self._nominal._noise
         settings = self.settings
         return self.mean.noise_densities(self.mean.gains, settings.rates_hz, settings.snr_db)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -29,6 +30,9 @@ SPEED = len(PARAMETERS)
 """Column of the relative speed in ratios that include it."""
 WIDE_BAND_LOW_HZ, WIDE_BAND_POINTS = 0.1, 4000
 """Lowest frequency [Hz] and number of points of the integral that gives a channel's rms."""
+IN_CACHE, AT_ONCE = 20_000, 4096
+"""Complex numbers of each kind that are computed at once on a CPU, 320 kB, as temporary arrays that
+leave the cache take twice to three times as long; and vehicles at once elsewhere."""
 WEAK, WEAK_OF_ONE = 4.0, 0.5
 """A bin is weak if the standard deviation of the healthy vehicle's log-response exceeds 4 times its
 median over the band, and 0.5 / sqrt(n_averages): the estimate is then a ratio of two nearly
@@ -61,14 +65,37 @@ class ExpectedSpectra:
 
     def __call__(self, ratios: Tensor) -> tuple[Tensor, Tensor]:
         """Return auto and cross spectra of each vehicle, each (n_vehicles, 3, n_freq)."""
+        found = [self._of(block) for block in torch.as_tensor(ratios).split(self._n_at_once)]
+        auto, cross = map(torch.cat, zip(*found, strict=True))
+        return auto, cross
+
+    @cached_property
+    def _n_at_once(self) -> int:
+        """Number of vehicles of which the channels stay in a core's cache."""
+        one = torch.ones(1, len(PARAMETERS), dtype=torch.float64)
+        n_inputs = self._generator.channels(one, self._bins[:1]).shape[1]
+        in_cache = IN_CACHE // (n_inputs * len(self._bins))
+        return max(1, in_cache) if self._generator.device == "cpu" else AT_ONCE
+
+    def _of(self, ratios: Tensor) -> tuple[Tensor, Tensor]:
+        """Return the spectra of a few vehicles."""
         if self._relative is None:
             auto, cross = self._spectra(ratios, self._density)
         else:
-            ratios = torch.as_tensor(ratios)
             pairs = zip(self._relative.m_per_s, self._relative.weights, strict=True)
             found = [self._spectra(*self._at_speed(ratios, v, w)) for v, w in pairs]
             auto, cross = (torch.stack(parts).sum(dim=0) for parts in zip(*found, strict=True))
         return self._smeared(auto), self._smeared(cross)
+
+    def thinned(self, every: int) -> ExpectedSpectra:
+        """Return the spectra on every n-th bin, at the mean speed, without leakage."""
+        rough, n = copy(self), len(self._smear) // 2
+        rough._bins, rough._smear = self._bins[n : len(self._bins) - n : every], torch.ones(1)
+        if self._relative is not None:
+            rough._relative = Speeds((self._relative.mean,), (1.0,))
+        rough.__dict__.pop("_n_at_once", None)
+        rough._density = rough._density_at(1.0)
+        return rough
 
     def track_density(self, frequencies_hz: FloatArray) -> FloatArray:
         """Return the power density of the axle box's acceleration, (n_freq,), [(m/s^2)^2/Hz]."""

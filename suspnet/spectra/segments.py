@@ -116,6 +116,11 @@ class Speeds:
     m_per_s: tuple[float, ...]
     weights: tuple[float, ...]
 
+    @property
+    def mean(self) -> float:
+        """Mean speed, [m/s]."""
+        return sum(v * weight for v, weight in zip(self.m_per_s, self.weights, strict=True))
+
     @classmethod
     def of(cls, mean_m_per_s: float, deviation_m_per_s: float) -> Speeds:
         """Return three-point Gauss-Hermite quadrature, exact to the fifth moment of a normal."""
