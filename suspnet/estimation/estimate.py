@@ -203,6 +203,10 @@ class Flags:
         """Whether any flag is set, shape (n_curves,)."""
         return np.asarray(self.found.any(axis=1))
 
+    def has(self, *kinds: str) -> BoolArray:
+        """Return whether any of some ``KINDS`` is set, shape (n_curves,)."""
+        return np.asarray(self.found[:, [KINDS.index(kind) for kind in kinds]].any(axis=1))
+
     def with_kind(self, kind: str, words: str) -> Flags:
         """Return the flags with one of ``KINDS`` set in every row, and its text added."""
         found = self.found.copy()

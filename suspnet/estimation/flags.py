@@ -30,7 +30,7 @@ from typing import Self
 import numpy as np
 from sklearn.neighbors import NearestNeighbors
 
-from suspnet.estimation.estimate import Flags
+from suspnet.estimation.estimate import KINDS, Flags
 from suspnet.estimation.protocols import Task
 from suspnet.estimation.refine import Refined
 from suspnet.ground.parameters import PAYLOAD
@@ -58,6 +58,9 @@ Short trips with sensors on one side are so noisy that their mean residual, to w
 contributes, can cost more than ``COSTLY``; the intervals include it (five trips of 5 minutes had a
 misfit of 0.95 and a cost of c_p of 8 %).
 """
+UNTRUSTED = 3.0
+"""Misfit of the healthy trips above which intervals do not hold in spite of the residual's cost:
+every estimate is flagged."""
 WORN = 2.0
 """Model error on worn vehicles over that on healthy ones, which the fit minimises: with this factor
 90 % intervals of worn trains with a second bending mode hold in 82 to 100 %, with 1 only in
@@ -121,10 +124,8 @@ class Unexplained:
         )
 
     def flagged(self, flags: Flags) -> Flags:
-        """Return the flags with that of incomplete physics set if applicable."""
-        if not self.is_incomplete:
-            return flags
-        return flags.with_kind("physics", self.words)
+        """Return the flags with that of incomplete physics set if intervals do not hold."""
+        return flags.with_kind("physics", self.words) if self.misfit > UNTRUSTED else flags
 
     def state(self) -> dict[str, FloatArray]:
         """Return the arrays of misfit and costs, for storage."""
@@ -192,12 +193,18 @@ class OODDetector:
         return np.asarray(self._neighbours.kneighbors(inputs)[0].mean(axis=1))
 
     def flags(
-        self, task: Task, missing: Sequence[str], inputs: FloatArray, refined: Refined
+        self,
+        task: Task,
+        missing: Sequence[str],
+        inputs: FloatArray,
+        refined: Refined,
+        settled: Sequence[str] = (),
     ) -> Flags:
         """Return the flags of the estimates of some curves.
 
         `missing` states what is missing of each curve's features (empty: nothing); `inputs`
-        (n_curves, n_inputs) are scaled, NaN where a peak is missing.
+        (n_curves, n_inputs) are scaled, NaN where a peak is missing. The kinds `settled` are not
+        set.
         """
         complete = np.isfinite(inputs).all(axis=1)
         distances = np.zeros(len(inputs))
@@ -217,6 +224,7 @@ class OODDetector:
             ],
             axis=1,
         )
+        found[:, [KINDS.index(kind) for kind in settled]] = False
         reasons = []
         for i, row in enumerate(found):
             words = [f"missing: {missing[i]}"] if row[0] else []
@@ -225,7 +233,7 @@ class OODDetector:
             words += [
                 _out_of_range(task, name, refined.ratios[i, j])
                 for j, name in enumerate(refined.names)
-                if outside[i, j]
+                if row[2] and outside[i, j]
             ]
             if row[3]:
                 words.append(

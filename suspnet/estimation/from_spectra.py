@@ -14,7 +14,9 @@ cost of what their healthy trips left unexplained (`suspnet.estimation.flags`), 
 and stiffness which do not wear (`unworn_deviations`), and w is ``COMMON``; for others w = 1 and
 b = f = 0. For refined estimates n is the Gauss-Newton deviation with all uncertain numbers known,
 and the rest of that deviation adds to l^2; for others n is the spread of estimates from drawn
-spectra.
+spectra. n is multiplied by the misfit of the trip if that is above 1.
+
+Where the regression was not trained, the refined estimate replaces it: the curve itself decides.
 """
 
 from __future__ import annotations
@@ -55,6 +57,11 @@ UNWORN = {"k_p": 0.003, "c_p": 0.05}
 """Standard deviation of the fraction of a healthy vehicle's stiffness and damping that does not
 wear. Dry friction in a primary suspension acts as a damper where it slips and as a spring where it
 sticks, and healthy trips cannot distinguish them."""
+OF_THE_TRAINING = ("cloud", "range")
+"""Kinds of flags that concern the regression alone, not an estimate from the curve itself."""
+LARGEST_MISFIT = 3.0
+"""Misfit of a trip, over that of the healthy trips if it is larger than 1, up to which its curve is
+explained: the misfit then widens the interval, above it the trip has no estimate."""
 CONFIRMED = 1.05
 """A calibration confirms the deviations of refined estimates up to this factor on them."""
 
@@ -87,14 +94,20 @@ def estimate_with_noise(
     # the thresholds of the flags are for the number of averages of the training
     seen = _as_in_training(refined, observer.settings.n_averages / spectra.n_averages)
     flags = method.flags(inputs, reasons, seen)
+    # outside the range of the training the curve decides; a misfit widens the interval
+    by_curve = method.refined or bool(flags.has(*OF_THE_TRAINING))
+    settled = OF_THE_TRAINING if by_curve else ()
+    if seen.misfit[0] <= largest_misfit(method):
+        settled = (*settled, "misfit")
+    flags = method.flags(inputs, reasons, seen, settled)
     factor, usual = (method.intervals.conformal.factors(p) for p in (level, ONE_SIGMA))
     ratios = torch.as_tensor(complete_ratios(task, predicted))
     # split the variance: noise of this trip, and the lasting part from the calibration
-    if method.refined:
+    if by_curve:
         values, deviation = (part[0] for part in refined.of(outputs))
         noise = refined.noise_of(outputs)[0]
         lasting = _lasting(deviation, noise)
-        if not (usual < CONFIRMED).all():
+        if method.refined and not (usual < CONFIRMED).all():
             bounds = output_bounds(task, observer, ratios.numpy())
             bounds = bounds[0] / ratios.numpy()[0, task.output_indices]
             lasting = lasting + _lasting(usual * bounds, bounds)
@@ -107,9 +120,16 @@ def estimate_with_noise(
     if method.unexplained is not None:
         costs = method.unexplained.costs**2 + unworn_deviations(outputs, values) ** 2
         lasting = COMMON**2 * (lasting + costs)
+    noise = noise * max(1.0, float(refined.misfit[0]))
     spread = np.sqrt(lasting + noise**2)
     estimate = _estimate(method, values, factor / usual * spread, level, flags)
     return estimate, 1 - np.divide(lasting, spread**2, out=np.zeros_like(lasting), where=spread > 0)
+
+
+def largest_misfit(method: FittedMethod) -> float:
+    """Return the misfit of a trip above which its curve is not explained; see `LARGEST_MISFIT`."""
+    healthy = 1.0 if method.unexplained is None else method.unexplained.misfit
+    return LARGEST_MISFIT * max(1.0, healthy)
 
 
 def unworn_deviations(outputs: Sequence[str], ratios: FloatArray) -> FloatArray:

@@ -14,7 +14,7 @@ from suspnet.ground.parameters import PAYLOAD, Cause, Limits, Severity
 from suspnet.ground.types import BoolArray, FloatArray
 from suspnet.ground.wording import kilometres
 from suspnet.maintenance.change import Change, Changes, ChangeSettings, find_changes
-from suspnet.maintenance.judge import N_LAST, capped, judge, level_words
+from suspnet.maintenance.judge import N_LAST, judge, level_words
 from suspnet.maintenance.series import Series
 
 N_QUIET = 3
@@ -245,7 +245,7 @@ def _beyond(name: str, one: Series, limits: Limits | None) -> list[Alarm]:
         low, high = (centre * np.exp(sign * one.half_widths[name][there]) for sign in (-1, 1))
     last, lowest, highest = (_windows(part, np.nan) for part in (centre, low, high))
     judged = judge(last, lowest, highest, _windows(doubtful, False), limits)
-    severity = capped(judged.severity, np.logical_and.accumulate(doubtful))
+    severity = judged.severity
     quiet = np.asarray(_windows(severity == Severity.NONE, False, N_QUIET).all(axis=-1))
     found = []
     for begin, end in spans(np.asarray(severity >= Severity.NOTICE), quiet):

@@ -122,7 +122,7 @@ def judge_last(last: LastTrips, limits: Limits | None) -> tuple[Severity, Judged
     """Return the severity of the last trips of a parameter, and the result of ``judge``.
 
     It is unknown without an estimate, and if all of the last trips are flagged and within the
-    limits; it is ``capped`` if all trips are. Without limits, as for the payload, it is none.
+    limits. Without limits, as for the payload, it is none.
     """
     if limits is None:
         return Severity.NONE, None
@@ -132,15 +132,7 @@ def judge_last(last: LastTrips, limits: Limits | None) -> tuple[Severity, Judged
     severity = Severity(int(judged.severity))
     if severity == Severity.NONE and last.flagged.all():
         return Severity.UNKNOWN, judged
-    return Severity(int(capped(severity, last.all_flagged))), judged
-
-
-def capped(severity: ArrayLike, all_flagged: ArrayLike) -> IntArray:
-    """Return severities, a notice at most where all trips so far are flagged.
-
-    The model is then in doubt rather than the vehicle.
-    """
-    return np.where(all_flagged, np.minimum(severity, Severity.NOTICE), severity)
+    return severity, judged
 
 
 def level_words(value: float, limit: float) -> str:

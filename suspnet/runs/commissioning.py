@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from suspnet.dynamics import ResponseGenerator, VerticalVehicle
-from suspnet.dynamics.quantities import LogNormal
+from suspnet.dynamics.quantities import PARTS, LogNormal
 from suspnet.estimation import commissioning_summary as words
 from suspnet.estimation.commissioning import Commissioned, commission
 from suspnet.estimation.from_recording import TripSettings
@@ -20,10 +20,8 @@ from suspnet.spectra.estimates import EstimateSettings
 log = logging.getLogger(__name__)
 ONE_SIDE_M = 1.0
 """Assumed lateral position of a sensor if only its side is known, [m]."""
-FAMILY = ("bushings", "rubber", "guidance", "longitudinal", "bending", "roll")
-"""Parts of the vehicle that is commissioned if the configuration names none. Those of payload,
-sensors, wheelsets and the other bogie have to be asked for: they make the fits several times as
-long."""
+FAMILY = tuple(part for part in PARTS if part != "air_spring")
+"""Parts of the vehicle that is commissioned if the configuration names none."""
 
 
 def commission_folder(

@@ -145,8 +145,8 @@ def _trusted(problem: Problem, model: TrainedModel, residual: Residual | None) -
     if model.unexplained.is_incomplete:
         costs = ", ".join(f"{name} {value:.2g} %" for name, value in _cost_percent(model).items())
         log.warning(
-            "the physics is incomplete: %s. Every estimate is flagged, and its interval is wider "
-            "by a standard deviation of %s",
+            "the physics is incomplete: %s. The interval of every estimate is wider by a standard "
+            "deviation of %s",
             model.unexplained.words,
             costs,
         )
