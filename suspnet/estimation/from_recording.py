@@ -342,8 +342,8 @@ def _speed_bin(
     except MissingFeaturesError as error:
         raise NoEstimateError(f"features are missing: {error}") from None
     late = delay_words(method, spectra, estimate, at)
-    if bool(estimate.flags.has("misfit").any()):
-        raise NoEstimateError(late or unexplained_words(estimate))
+    if estimate.flags.has("misfit").any() and not late:
+        raise NoEstimateError(unexplained_words(estimate))
     if late:
         estimate = replace(estimate, flags=estimate.flags.with_kind("misfit", late))
     speed = part.speed[0]
@@ -355,7 +355,7 @@ def unexplained_words(estimate: Estimate) -> str:
     furthest = int(np.argmax(np.abs(np.log(estimate.values[0]))))
     return (
         f"{estimate.flags.reasons[0]}. Nearest is {estimate.names[furthest]} at "
-        f"{100 * estimate.values[0, furthest]:.2g} % of healthy: look there first, and at the sensors"
+        f"{100 * estimate.values[0, furthest]:.2g} % of healthy: look there and at the sensors"
     )
 
 

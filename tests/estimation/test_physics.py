@@ -8,7 +8,7 @@ import torch
 from trip_fixtures import OUTPUTS, model_at
 
 from suspnet.estimation.estimate import KINDS, Estimate, Flags
-from suspnet.estimation.flags import COSTLY, INCOMPLETE, Residual, Unexplained
+from suspnet.estimation.flags import COSTLY, UNTRUSTED, Residual, Unexplained
 from suspnet.estimation.from_curves import estimate_curves
 from suspnet.estimation.from_spectra import COMMON, UNWORN, estimate_with_noise, unworn_deviations
 from suspnet.estimation.problem import Problem
@@ -161,18 +161,17 @@ def test_curves_are_flagged_and_wider_too():
 
 def test_words_follow_those_of_other_flags():
     flags = Flags(np.array([[False, False, False, True, False]]), ("odd",))
-    found = Unexplained(2.0, COSTS).flagged(flags)
-    assert found.reasons[0].startswith("odd; the commissioned vehicle leaves 2 times")
+    found = Unexplained(UNTRUSTED + 0.1, COSTS).flagged(flags)
+    assert found.reasons[0].startswith("odd; the commissioned vehicle leaves 3.1 times")
     assert not flags.found[0, -1]
-    assert Unexplained(INCOMPLETE, np.minimum(COSTS, COSTLY)).flagged(flags) is flags
+    assert Unexplained(UNTRUSTED, COSTS).flagged(flags) is flags
 
 
 def test_small_misfit_that_costs_much_is_incomplete_too():
     costs = np.array([0.0, 1.01 * COSTLY, 0.0, 0.0, 0.0])
-    found = Unexplained(1.05, costs).flagged(Flags.none(1))
-    assert found.reasons == (
+    assert Unexplained(1.05, costs).words == (
         "the commissioned vehicle leaves 1.05 times the noise of its healthy trips unexplained, "
-        "which can cost 5.1 %",
+        "which can cost 5.1 %"
     )
     assert not Unexplained(1.05, costs / 1.02).is_incomplete
 

@@ -126,11 +126,13 @@ def test_maintenance_ends_alarms_and_reference():
     assert found.changes.n_reference == 30
 
 
-def test_flagged_trips_alone_are_a_notice_at_most():
+def test_flags_do_not_silence_trips_that_agree():
     estimates = made_up()
     estimates[:, 2] *= 1.5
     (alarm,) = watched(estimates, flagged=range(N_TRIPS)).alarms
-    assert alarm.severity == Severity.NOTICE
+    assert alarm.severity == Severity.ACT
+    (first,) = watched(estimates[:2], flagged=range(2)).alarms
+    assert first.severity == Severity.NOTICE  # too few to confirm each other
 
 
 def test_change_below_the_least_size_is_none():
