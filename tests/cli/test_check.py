@@ -33,7 +33,7 @@ from suspnet.trips.check import CheckSettings, check_trip
 from suspnet.trips.check_page import PROBLEM, READY, TOO_LITTLE, trip_figure
 
 N_GOOD = 2
-"""Number of trips that are checked; to draw one takes a second, so the others' figures are blank."""
+"""Number of trips that are checked; the first is drawn, which takes a second, others are blank."""
 BROKEN = 10_000
 """Number of broken manifests of the slow test."""
 

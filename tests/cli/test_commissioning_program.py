@@ -19,7 +19,7 @@ from suspnet.spectra.estimates import SPEED_HALF_WIDTH
 from suspnet.spectra.segments import SpeedRange, range_words
 
 pytestmark = pytest.mark.usefixtures("blank")
-FEW = ["data.n_train=100", "data.n_test=20", "data.n_calibrate=50"]
+FEW = ["data.n_train=100", "data.n_test=20", "data.n_calibrate=null"]
 TRIPS = [*SMALL, *FEW, "experiment=trips", "data.minutes=5", "data.segment_s=5", "model=linear"]
 
 

@@ -19,6 +19,7 @@ from suspnet.estimation.problem import Problem
 
 pytestmark = pytest.mark.usefixtures("blank")
 """Figures are made by the fixture `run` only; tests/runs/test_plots.py draws them."""
+UNCALIBRATED = [*SMALL, "data.n_calibrate=null"]
 BARE = ["progress=false", "figures=false"]
 RECORD = "protocol group output metric model published measured bound n_train snr_db seed seconds"
 
@@ -70,7 +71,7 @@ def test_intervals_and_flags_are_scored(run, tmp_path):
 
 
 def test_refined_run_reaches_the_bound_and_is_called_so(tmp_path):
-    small = [*SMALL, "model=linear", "refine=true", "threads=1"]
+    small = [*UNCALIBRATED, "model=linear", "refine=true", "threads=1"]
     metrics = run_main(train, tmp_path / "run", *small)
     assert metrics["model"] == "linear+refine"
     for ratio in metrics["rms_ratio"].values():
@@ -104,15 +105,15 @@ def test_tensorboard_holds_iterations_figures_and_hyperparameters(run):
 def test_vehicle_that_loses_many_curves_is_reported(tmp_path, caplog):
     overrides = ["vehicle.secondary_damping_ns_per_m=32e3", "model=linear", "group=secondary"]
     with caplog.at_level("WARNING", logger="suspnet"):
-        metrics = run_main(train, tmp_path, *SMALL, "data.n_train=100", *overrides)
+        metrics = run_main(train, tmp_path, *UNCALIBRATED, "data.n_train=100", *overrides)
     assert metrics["n_test_complete"] < 0.98 * metrics["n_test"]
     assert "of the training curves lack a peak" in caplog.text
 
 
 def test_same_seed_same_numbers_other_seed_other_numbers(run, tmp_path):
     _, metrics = run
-    again = run_main(train, tmp_path / "a", *SMALL, "threads=1")
-    other = run_main(train, tmp_path / "b", *SMALL, "threads=1", "seed=1")
+    again = run_main(train, tmp_path / "a", *UNCALIBRATED, "threads=1")
+    other = run_main(train, tmp_path / "b", *UNCALIBRATED, "threads=1", "seed=1")
     assert again["scores"] == metrics["scores"]
     assert other["scores"] != metrics["scores"]
 
@@ -155,10 +156,12 @@ def test_evaluate_takes_a_protocol_that_fits_only(run, tmp_path):
 
 
 def test_mass_known_and_mass_estimated(tmp_path):
-    known = run_main(train, tmp_path / "known", *SMALL, "protocol.mass_known=true", "model=linear")
+    known = run_main(
+        train, tmp_path / "known", *UNCALIBRATED, "protocol.mass_known=true", "model=linear"
+    )
     assert known["mass_known"] is True
     mass = ["protocol=joint", "protocol.estimate_mass=true", "model=linear"]
-    asked = run_main(train, tmp_path / "asked", *SMALL, *mass)
+    asked = run_main(train, tmp_path / "asked", *UNCALIBRATED, *mass)
     assert list(asked["scores"]) == ["k_p", "c_p", "k_s", "c_s", "M_s"]
 
 
@@ -247,9 +250,10 @@ def test_interrupt_leaves_nothing_half_written_and_a_second_start_works(tmp_path
 
     with monkeypatch.context() as patch:
         patch.setattr(Problem, "curves", interrupted)
-        ended = typed(train, *SMALL, "hydra.run.dir=run", cwd=tmp_path)
+        ended = typed(train, *UNCALIBRATED, "hydra.run.dir=run", cwd=tmp_path)
     is_interrupted(ended.returncode, ended.stderr, tmp_path)
-    assert typed(train, *SMALL, "model=linear", "hydra.run.dir=run", cwd=tmp_path).returncode == 0
+    again = [*UNCALIBRATED, "model=linear", "hydra.run.dir=run"]
+    assert typed(train, *again, cwd=tmp_path).returncode == 0
     assert (tmp_path / "run" / "model.json").exists()
 
 
@@ -375,7 +379,7 @@ def test_table5_writes_an_override_file_that_works(tmp_path):
         "search.grids.msvr.C=[1.0,100.0]",
         "search.grids.msvr.sigma=[0.01,3.0]",
         "search.grids.msvr.epsilon=[1e-3]",
-        *SMALL,
+        *UNCALIBRATED,
         "data.n_train=150",
         "hydra.sweep.dir=sweep",
         cwd=tmp_path,
@@ -384,7 +388,7 @@ def test_table5_writes_an_override_file_that_works(tmp_path):
     (record,) = json.loads((tmp_path / "sweep" / "table5.json").read_text())
     assert record["best"] == {"C": 100.0, "epsilon": 1e-3, "sigma": 3.0}
     assert record["n_settings"] == 4
-    search = [f"--config-dir={tmp_path / 'sweep'}", "experiment=best", *SMALL]
+    search = [f"--config-dir={tmp_path / 'sweep'}", "experiment=best", *UNCALIBRATED]
     ended = typed(train, *search, "hydra.run.dir=tuned", cwd=tmp_path)
     assert ended.returncode == 0, ended.stderr
     metrics = json.loads((tmp_path / "tuned" / "metrics.json").read_text())
@@ -398,7 +402,7 @@ def test_sensitivity_error_grows_with_the_noise(tmp_path):
         "group=primary",
         "data.snr_db=26,54",
         "model=linear",
-        *SMALL,
+        *UNCALIBRATED,
         "data.n_train=100",
         "hydra.sweep.dir=sweep",
         cwd=tmp_path,
