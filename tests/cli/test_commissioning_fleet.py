@@ -149,6 +149,7 @@ def test_suspensions_of_one_folder_are_told_apart_by_their_names(fitted, quick, 
     assert fitted == ["leading", "trailing"]
 
 
+@pytest.mark.slow  # of one suspension: test_commissioning_program.py, its default speeds
 def test_range_of_speeds_is_several_models_of_each_suspension(fleet, tmp_path):
     assert trained(tmp_path / "run", fleet, "speed_m_per_s=[65,80]") == 0
     models = [load_model(one) for one in find_runs(tmp_path / "run")]
