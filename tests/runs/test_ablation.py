@@ -30,8 +30,8 @@ from suspnet.runs.tables import records_csv
 
 CONFIGS = ROOT / "configs"
 NAMES = list(OmegaConf.load(CONFIGS / "ablations.yaml"))
-SMALL = ["data.n_train=600", "data.n_test=100", "data.cache_dir=null", "progress=false"]
-N_VEHICLES = 16
+SMALL = ["data.n_train=300", "data.n_test=60", "data.cache_dir=null", "progress=false"]
+N_VEHICLES = 6
 BASE = {
     "seed": 0,
     "ablation_name": BASELINE,

@@ -58,14 +58,12 @@ def cases():
     """Yield method, protocol and group; slow are those whose code others of the method run too."""
     for (name, groups), model in itertools.product(PROTOCOLS.items(), MODELS):
         for group in groups:
-            again = model == "msvr_table5" and name != "paper"  # msvr, with other numbers
-            again |= group == "secondary" and model != "linear"  # as of primary
-            again |= name == "multi_location" and model in (
-                "curve_fit",
-                "mvgpr",
-                "svr",
-            )  # as of joint
-            again |= name == "trips" and model != "linear"  # msvr reads trips in tests/trips
+            if model == "linear":
+                again = False
+            elif model == "msvr_table5":  # msvr, with other numbers
+                again = (name, group) != ("paper", "primary")
+            else:  # msvr reads trips in tests/trips
+                again = name != "joint"
             yield pytest.param(model, name, group, marks=[pytest.mark.slow] * again)
 
 
