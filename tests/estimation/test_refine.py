@@ -130,15 +130,15 @@ def test_optimum_is_that_of_scipy(task, name, group, changes):
 def test_estimates_from_trips_reach_their_bound(task):
     problem = task("joint", "all", **WITH_MASS)
     observer = TRIPS.observer(VerticalVehicle(AM96))
-    ratios = np.array([0.9, 1.2, 1.1, 0.8, 1.05]) * np.ones((128, 1))
+    ratios = np.array([0.9, 1.2, 1.1, 0.8, 1.05]) * np.ones((64, 1))
     vehicles = torch.as_tensor(ratios)
     misfit = EstimateMisfit(observer, observer.observe(vehicles, 1), observer.covariance(vehicles))
     found = refine(problem, misfit, starts(problem, ratios))
     assert found.converged.all()
     bounds = output_bounds(problem, observer, ratios[:1]) / ratios[0]
     normalised = np.log(found.ratios / ratios) / bounds
-    # 128 trips: 6.3 %, four of those
-    np.testing.assert_allclose(np.sqrt((normalised**2).mean(axis=0)), 1.0, atol=0.25)
+    # 64 trips: 8.8 %, three of those
+    np.testing.assert_allclose(np.sqrt((normalised**2).mean(axis=0)), 1.0, atol=0.26)
     np.testing.assert_allclose(np.median(found.deviations, axis=0), bounds[0], rtol=0.1)
     assert np.median(found.misfit) == pytest.approx(1.0, abs=0.03)
 

@@ -159,7 +159,14 @@ def test_gp_s_own_limits_by_hand(quarter_car, task):
             np.testing.assert_allclose(limit[:, j], expected, rtol=1e-12)
 
 
-def test_report_holds_every_number(trained, tmp_path):
+def test_report_holds_every_number(trained, measured, tmp_path, monkeypatch):
+    def measured_before(problem, model, others, n_odd):
+        assert (problem.seed, problem.settings.n_test, n_odd) == (7, 60, 3)
+        np.testing.assert_array_equal(model.healthy_features, trained.healthy_features)
+        assert others == {}
+        return measured
+
+    monkeypatch.setattr("suspnet.runs.reliability.measure", measured_before)
     save_model(tmp_path / "run", trained)
     folder = tmp_path / "report"
     GlobalHydra.instance().clear()
