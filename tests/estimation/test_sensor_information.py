@@ -162,6 +162,7 @@ def test_information_of_three_sensors_equals_naive_matrices(parameters, count):
     assert_alike(found, by_matrices(source, DEGRADED, parameters, noise, np.array(count)), 1e-6)
 
 
+@pytest.mark.slow  # three of them by default
 def test_information_of_six_sensors_equals_naive_matrices():
     source = observer(PITCHING)
     noise = noise_densities(source, (5000, 2000, 2000, 2000, 2000, 5000))
