@@ -137,7 +137,7 @@ def test_each_trip_has_its_own_speed_and_its_own_draws(tmp_path):
 
 
 def test_service_journeys_begin_and_end_at_rest(tmp_path):
-    fleet = fleet_of(minutes=8.0, journey="service", n_stops=0, speed_m_per_s=50.0)
+    fleet = fleet_of(minutes=6.0, journey="service", n_stops=0, speed_m_per_s=50.0)
     (path,) = write_train_trips(tmp_path, RichTrain.scattered(1), [WORN], fleet, 0)
     speed = columns(path, "speed")["speed"]
     assert speed[0] == speed[-1] == 0
@@ -146,6 +146,7 @@ def test_service_journeys_begin_and_end_at_rest(tmp_path):
     assert np.abs(body[:250]).max() < 0.05 * np.abs(body).max()
 
 
+@pytest.mark.slow  # test_rich_train.py steps the same laws
 def test_trains_with_nonlinear_laws_are_stepped_and_written_alike(tmp_path):
     effects = {"bushings", "rubber", "roll", "blow_off", "friction"}
     train = RichTrain.scattered(1, effects)

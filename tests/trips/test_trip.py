@@ -300,9 +300,7 @@ def test_delay_that_is_the_same_all_along_is_named(manifests, model, good, tmp_p
     ("flags", "expected"),
     [
         pytest.param(("", ""), "", marks=pytest.mark.slow),
-        pytest.param(
-            ("odd", ""), "in 1 of 2 speed bins, at 70.0 m/s: odd", marks=pytest.mark.slow
-        ),
+        pytest.param(("odd", ""), "in 1 of 2 speed bins, at 70.0 m/s: odd", marks=pytest.mark.slow),
         (("", "odder"), "in 1 of 2 speed bins, at 50.0 m/s: odder"),
         (("odd", "odder"), "in 2 of 2 speed bins, at 70.0 m/s: odd"),
     ],
