@@ -37,14 +37,14 @@ class Ending(Mqtt):
         return None if self.is_sent and not frames else frames
 
 
-def test_history_of_a_replay_over_a_restarted_broker_is_that_of_the_files(tmp_path, monkeypatch):
-    monkeypatch.setattr("suspnet.live.broker.BACKOFF_S", (0.05, 0.2))
+@pytest.mark.slow  # test_source_mqtt.py restarts it by default, test_monitor.py compares
+def test_history_of_a_replay_over_a_restarted_broker_is_that_of_the_files(tmp_path):
     path = small_fleet()[0]
     manifest = read_manifest(path)
-    frames = list(trip_frames(manifest, *trip_clock(manifest), Counter(), frame_s=2.0))
+    frames = list(trip_frames(manifest, *trip_clock(manifest), Counter()))
     broker = Mosquitto(tmp_path).start()
     settings = Broker(port=broker.port)
-    source, sink = Ending(settings, in_flight=100), MqttSink(settings)
+    source, sink = Ending(settings, in_flight=300), MqttSink(settings)
 
     def send():
         while not source._is_connected:

@@ -8,7 +8,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from recording_files import WRITERS, write_csv
@@ -73,6 +73,7 @@ def test_missing_column_is_named(tmp_path, suffix):
         read(path, "b")
 
 
+@settings(max_examples=8)
 @given(hnp.arrays(np.float32, st.integers(1, 40), elements=st.floats(width=32)), st.integers(1, 9))
 def test_parquet_keeps_every_value(tmp_path_factory, values, rows):
     path = tmp_path_factory.mktemp("parquet") / "data.parquet"
@@ -200,6 +201,7 @@ def test_truncated_files_are_refused(tmp_path, suffix, kept):
         read(path, named(suffix, "a"))
 
 
+@settings(max_examples=14)
 @given(
     st.randoms(use_true_random=False),
     st.sampled_from([".parquet", ".mat", ".h5", ".tdms", ".mf4", ".uff", ".wav"]),
