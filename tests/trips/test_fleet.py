@@ -12,6 +12,7 @@ import pyarrow as pa
 import pyarrow.csv as pacsv
 import pyarrow.parquet as pq
 import pytest
+from cli_runner import blank_figures
 from dying_readers import open_dying
 from dying_trips import mortal
 from forked import forks
@@ -73,7 +74,8 @@ def broken(manifests, tmp_path_factory):
 def done(broken, model, tmp_path_factory):
     """The folder written of `broken`, and the results."""
     folder = tmp_path_factory.mktemp("done")
-    return folder, read(broken, [model], folder)
+    with blank_figures():
+        return folder, read(broken, [model], folder)
 
 
 def estimates(results):
@@ -505,6 +507,7 @@ def test_bad_trip_costs_its_row_and_the_report_exists(
     assert len(list(out.rglob("report.html"))) == len(found)
 
 
+@pytest.mark.slow  # test_reader_process.py has each of them by default
 def test_file_that_kills_or_hangs_its_reader_costs_its_row(
     three, manifests, model, blank, monkeypatch
 ):
