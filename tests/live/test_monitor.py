@@ -149,6 +149,7 @@ def test_a_trip_is_one_wherever_it_begins(tmp_path, fleet, section_s):
             assert abs(found.estimates[name] - expected.estimates[name]) < 0.03
 
 
+@pytest.mark.slow
 def test_a_rest_that_joins_is_told_with_its_section_when_a_suspension_falls_silent(tmp_path, fleet):
     frames, now_s = frames_of_trips(fleet[:1]), [0.0]
     source = ListSource([])
@@ -302,7 +303,8 @@ def test_a_section_that_waits_for_its_estimate_holds_up_frames_only_when_the_jou
     assert max(n for n, n_told in n_bytes if n_told) < 20_000
 
 
-@pytest.mark.parametrize("every_s", [pytest.param(None, marks=pytest.mark.slow), 100.0])
+@pytest.mark.slow  # test_killed_monitors_lose_and_double_nothing
+@pytest.mark.parametrize("every_s", [None, 100.0])
 def test_estimates_that_wait_are_made_after_kills(tmp_path, fleet, every_s):
     (one,), live = suspensions(fleet), replace(LIVE, every_s=every_s)
     frames = two_sections(fleet, [one])
@@ -464,6 +466,7 @@ def test_frames_that_cannot_be_used_stay_out_of_the_journal(tmp_path, fleet, cap
     assert n_bytes[0] == n_bytes[1] < 4e6
 
 
+@pytest.mark.slow  # test_frames_that_cannot_be_used_stay_out_of_the_journal
 def test_frames_that_cannot_be_used_do_not_keep_a_suspension_from_falling_silent(tmp_path, fleet):
     frames, now_s = frames_of_trips(fleet[:1]), [0.0]
     unknown = encode(replace(decode(frames[5]), sensor="cabin"))
@@ -564,6 +567,7 @@ def test_a_suspension_that_falls_silent_is_told_and_may_go_on(tmp_path, fleet, a
     assert_same_estimate(found, expected[0])
 
 
+@pytest.mark.slow
 def test_a_silent_section_that_is_over_before_its_estimate_is_made_is_one_trip(fleet):
     (one,) = suspensions(fleet)
     frames = [decode(data) for data in two_sections(fleet, [one])]

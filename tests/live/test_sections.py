@@ -239,7 +239,7 @@ def test_ten_minutes_between_two_stops_are_in_one_section(tmp_path, begin_s, lag
 def test_train_that_stops_for_less_than_a_pause_or_of_unknown_speed_is_not_cut(tmp_path):
     for speeds in ({}, {at: 0.0 if at % 1000 < 290 else 70.0 for at in range(0, 3600, 10)}):
         stream, found = sections(tmp_path, section_s=1200, late_s=10.0), []
-        for k, at in enumerate(range(0, 3600, 5)):
+        for k, at in enumerate(range(0, 3600, 10)):
             if at in speeds:
                 stream.add(speed_frame(at, speeds[at]))
             stream.add(frame(at, k))

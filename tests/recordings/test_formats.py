@@ -40,6 +40,7 @@ def test_every_format_is_tested():
     assert set(WRITERS) == set(formats.READERS)
 
 
+@pytest.mark.every_value
 @pytest.mark.parametrize("kind", ["float64", "float32", "int16", "uint8", "int64"])
 @pytest.mark.parametrize("suffix", WRITERS)
 def test_columns_are_read_in_the_order_asked_for(tmp_path, monkeypatch, suffix, kind):
@@ -181,6 +182,7 @@ def test_columns_without_samples_are_refused(tmp_path, suffix):
         read(path, named(suffix, "a"))
 
 
+@pytest.mark.every_value
 @pytest.mark.parametrize("content", [b"", b"\x00" * 300, b"not what it seems\n" * 30, b"TDSm" * 9])
 @pytest.mark.parametrize("suffix", WRITERS)
 def test_foreign_files_are_refused(tmp_path, suffix, content):
@@ -190,6 +192,7 @@ def test_foreign_files_are_refused(tmp_path, suffix, content):
         read(path, named(suffix, "a"))
 
 
+@pytest.mark.every_value
 @pytest.mark.parametrize("suffix", [suffix for suffix in WRITERS if suffix not in CSV_SUFFIXES])
 @pytest.mark.parametrize("kept", [0.1, 0.5, 0.9])
 def test_truncated_files_are_refused(tmp_path, suffix, kept):

@@ -60,7 +60,12 @@ def unrepaired(recording):
 
 
 @pytest.mark.parametrize(
-    ("channel", "kind"), [("axle_box", "nearly constant"), ("bogie", "hum"), ("body", "noise")]
+    ("channel", "kind"),
+    [
+        pytest.param("axle_box", "nearly constant", marks=pytest.mark.slow),
+        pytest.param("bogie", "hum", marks=pytest.mark.slow),
+        ("body", "noise"),
+    ],
 )
 def test_loose_sensor_is_named_with_its_time(ten_minutes, tmp_path, channel, kind):
     values = loosened(signal(ten_minutes, channel), kind, RATE[channel], (180, 600))

@@ -152,6 +152,7 @@ def test_range_is_in_the_unit_of_the_channel(trip):
     assert 0.1 < recording.usable.mean() < 0.9
 
 
+@pytest.mark.slow  # test_formats.py reads in blocks
 def test_pieces_of_the_file_change_nothing(trip, monkeypatch):
     path = trip(body={"time": "t"})
     whole = load(path)
@@ -249,10 +250,22 @@ def test_one_speed_is_not_enough_for_a_trip(tmp_path, trip):
     ("seconds", "speed", "source", "message"),
     [
         ([0.0, 1, 1], [1.0, 1, 1], {}, "`speed`: times must rise, but 1 s follows 1 s"),
-        ([0.0, np.nan, 2], [1.0, 1, 1], {}, "`speed`: its times hold an empty"),
+        pytest.param(
+            [0.0, np.nan, 2],
+            [1.0, 1, 1],
+            {},
+            "`speed`: its times hold an empty",
+            marks=pytest.mark.slow,
+        ),
         ([0.0, 1, 2], [1.0, 1, 1], {"rate_hz": 2.0}, "`speed`: `rate_hz` says 2 Hz, its times"),
         ([0.0, 1, 2], [-1.0, 300, np.nan], {}, "`speed` is never between 0 and 150 m/s"),
-        ([900.0, 901], [9.0, 9], {}, "`speed` is never between 0 and 150 m/s while"),
+        pytest.param(
+            [900.0, 901],
+            [9.0, 9],
+            {},
+            "`speed` is never between 0 and 150 m/s while",
+            marks=pytest.mark.slow,
+        ),
         ([0.0, 1], [9.0, 9], {"column": "w"}, r"speed\.parquet has no column 'w'"),
     ],
 )
@@ -331,8 +344,13 @@ def test_gap_in_one_sensor_of_a_pair_is_unusable(trip):
     ("right", "changes", "message"),
     [
         (np.full(32_000, 2.0), {}, r"channel 'body right' is constant \(2\) throughout: is the"),
-        (np.full(32_000, np.nan), {}, "channel 'body right' has no usable sample: body right: gap"),
-        (np.empty(0), {}, r"single\.parquet is empty"),
+        pytest.param(
+            np.full(32_000, np.nan),
+            {},
+            "channel 'body right' has no usable sample: body right: gap",
+            marks=pytest.mark.slow,
+        ),
+        pytest.param(np.empty(0), {}, r"single\.parquet is empty", marks=pytest.mark.slow),
         (np.ones(3200), {"rate_hz": 50.0}, "channel 'body right' has 50 Hz; at least 100 Hz"),
         (
             motion(np.arange(5000) / 500),
@@ -347,6 +365,7 @@ def test_bad_sensor_of_a_pair_is_named(trip, right, changes, message):
         load(paired(trip(), "body", right, **changes))
 
 
+@pytest.mark.slow  # test_formats.py has truncated files of all types
 def test_truncated_file_of_one_sensor_is_named(trip):
     path = paired(trip(), "body", motion(np.arange(32_000) / 500))
     file = path.parent / "single.parquet"

@@ -52,7 +52,7 @@ def test_manifests_alternate(both_ways):
     assert found == ["forward", "reverse", "forward", "reverse"]
 
 
-@pytest.mark.parametrize("i", range(4))
+@pytest.mark.parametrize("i", [0, 1, *(pytest.param(i, marks=pytest.mark.slow) for i in (2, 3))])
 def test_trips_of_both_directions_are_as_close_to_the_truth(both_ways, models, i):
     result = recalled_trip(both_ways[i], models, SETTINGS)
     assert result.status == "ok", result.reason

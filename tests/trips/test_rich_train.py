@@ -151,6 +151,7 @@ def test_modes_move_as_the_dynamic_stiffness_says():
     assert error.max() < 2e-4
 
 
+@pytest.mark.slow  # see test_laws_act_on_both_sides_as_on_the_half_vehicle
 def test_stepping_of_the_nonlinear_laws_gives_the_modes_where_they_do_not_act():
     effects = {*LINEAR, "blow_off", "friction"}
     train = RichTrain.scattered(3, effects, blow_off_m_per_s=1e6, friction_share=1e-12)

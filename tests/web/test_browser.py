@@ -200,10 +200,11 @@ def zoomed(browser, whole):
     return found != whole and found
 
 
-def test_zoom_focus_and_forms_outlast_an_update(browser, own):
+def test_zoom_focus_and_forms_outlast_an_update_and_the_end_of_the_server_is_told(browser, own):
     _, refresher, path = own
     browser.get(page_of(own, WORN))
     wait(browser, has_plots)
+    browser.execute_script("window.same = true")
     whole = browser.execute_script(KNOWN_RANGE)
     button = browser.find_element(By.XPATH, "//button[text()='Last 20 trips']")
     button.click()
@@ -224,6 +225,7 @@ def test_zoom_focus_and_forms_outlast_an_update(browser, own):
         store.write(trips(WORN, 2, n_trips=1, begin=N_MORE))
     wait(browser, lambda b: "trip_031" in shown(b))
     wait(browser, lambda b: b.execute_script(n) > before)
+    assert browser.execute_script("return window.same")  # it is the same page
     assert browser.execute_script(KNOWN_RANGE) == near
     assert focused(browser).text == "Last 20 trips"
     assert focused(browser).get_attribute("aria-pressed") == "false"  # 20 others by now
@@ -237,8 +239,12 @@ def test_zoom_focus_and_forms_outlast_an_update(browser, own):
     wait(browser, lambda b: "There is an update" in pulse.text)
     assert name.get_attribute("value") == "half a na"
     assert refresher.fault == ""
+    browser.execute_script("window.fetch = () => Promise.reject(new Error('gone'))")
+    lost = browser.find_element(By.ID, "lost")
+    wait(browser, lambda b: "No answer from the server since" in lost.text)
 
 
+@pytest.mark.slow  # a page of one suspension does so above
 def test_fleet_follows_the_store_and_tells_when_the_server_is_gone(browser, own):
     address, _, path = own
     browser.get(address)
