@@ -471,7 +471,7 @@ def test_change_below_what_the_model_resolves_does_not_changed_ones(model, monke
 # failure
 
 
-@pytest.mark.slow  # test_workers.py kills a worker, test_bad_trips_are_rows_and_the_others_as_if_alone has faults
+@pytest.mark.slow  # test_workers.py kills a worker, test_bad_trips_are_rows has faults
 def test_bad_trip_costs_its_row_and_the_report_exists(
     three, manifests, model, blank, alone, monkeypatch
 ):
