@@ -273,6 +273,7 @@ def test_an_estimate_on_the_way_is_of_what_had_come_when_it_was_begun(fleet):
     assert again.distance_km == made.distance_km == pytest.approx(14.0, rel=0.05)  # of 21 km
 
 
+@pytest.mark.slow  # a batch does so above
 def test_a_section_that_waits_for_its_estimate_holds_up_frames_only_when_the_journal_is_full(
     tmp_path, fleet, monkeypatch
 ):

@@ -99,6 +99,7 @@ def test_sections_of_the_stream_are_those_of_the_batch(tmp_path, seed):
         assert_same(running.recording(), batch_of_section(tmp_path, columns, number))
 
 
+@pytest.mark.slow  # test_a_trip_is_one_wherever_it_begins in test_monitor.py
 @pytest.mark.parametrize("seed", SEEDS)
 def test_short_rest_of_a_trip_joins_the_section_before(tmp_path, seed):
     columns, found, _ = streamed(tmp_path, seed, 480.0)
@@ -236,6 +237,7 @@ def test_ten_minutes_between_two_stops_are_in_one_section(tmp_path, begin_s, lag
     assert again == [400 * k for k in range(len(again))]  # while it stands, from a third on
 
 
+@pytest.mark.slow
 def test_train_that_stops_for_less_than_a_pause_or_of_unknown_speed_is_not_cut(tmp_path):
     for speeds in ({}, {at: 0.0 if at % 1000 < 290 else 70.0 for at in range(0, 3600, 10)}):
         stream, found = sections(tmp_path, section_s=1200, late_s=10.0), []

@@ -122,6 +122,7 @@ def whole(results):
     )
 
 
+@pytest.mark.slow  # test_gaps_in_every_curve_can_be_drawn draws all
 def test_a_single_trip_can_be_drawn():
     for figure in whole([trip()]):
         assert draw(figure) == []

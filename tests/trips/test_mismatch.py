@@ -433,6 +433,7 @@ def test_inertias_and_geometry_that_are_off_stand_in_their_columns():
     np.testing.assert_allclose(names, np.cumsum([0, 2.97, 17.1 - 2.97, 2.97]))
 
 
+@pytest.mark.slow  # as is the script's
 @pytest.mark.parametrize(
     ("effects", "output", "low", "high"),
     [
