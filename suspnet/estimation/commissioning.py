@@ -37,7 +37,7 @@ from suspnet.estimation.flags import Residual
 from suspnet.estimation.healthy_trips import MASS_MEAN, HealthyMisfit, HealthySpectra, row_of
 from suspnet.ground.progress import bar
 from suspnet.ground.types import ComplexArray, FloatArray
-from suspnet.learning import LevenbergMarquardt
+from suspnet.learning.least_squares import LevenbergMarquardt
 from suspnet.spectra.estimates import EstimateSettings
 
 SPREADS = (0.3, 0.1, 0.03, 0.01, 0.0)

@@ -58,7 +58,7 @@ Short trips with sensors on one side are so noisy that their mean residual, to w
 contributes, can cost more than ``COSTLY``; the intervals include it (five trips of 5 minutes had a
 misfit of 0.95 and a cost of c_p of 8 %).
 """
-UNTRUSTED = 3.0
+UNTRUSTED = 5.0
 """Misfit of the healthy trips above which intervals do not hold in spite of the residual's cost:
 every estimate is flagged."""
 WORN = 2.0

@@ -14,8 +14,10 @@ from scipy.signal import get_window
 from vehicles import AM96
 
 from suspnet.dynamics import QuarterCar, VerticalVehicle
+from suspnet.spectra import expected_spectra as module
 from suspnet.spectra.cross_spectra import PAIRS, CrossSpectra, moving_average_with, sample_spectra
 from suspnet.spectra.estimates import EstimateObserver, EstimateSettings
+from suspnet.spectra.segments import Speeds
 from suspnet.spectra.welch import Welch, segment_spectra
 
 METHODS = ["H1", "H2", "Hv", "IV"]
@@ -448,3 +450,29 @@ def test_band_must_be_bound_and_hold_bins():
         EstimateSettings(low_hz=1.0, body_high_hz=1.3).bound(AM96)
     bound = EstimateSettings(low_hz=1.0, body_high_hz=1.35).bound(AM96)
     assert int((~bound.observer(QuarterCar(AM96)).beyond[1]).sum()) == 8
+
+
+def test_thinned_misfit_has_every_nth_bin_at_the_mean_speed_without_leakage():
+    vehicle = VerticalVehicle(AM96, parts=("roll",), sensor_lateral_m=(1.0, 1.0, 1.0))
+    at = observer(generator=vehicle).at(Speeds((60.0, 80.0), (0.5, 0.5)))
+    drawn = at.expected(RATIOS)
+    misfit = at.measured_misfit(CrossSpectra(drawn.auto[0], drawn.cross[0], 20.0))
+    thin = at.thinned(misfit, 3)
+    bins = SETTINGS.frequencies_hz()[::3]
+    torch.testing.assert_close(thin.observer.frequencies_hz, bins)
+    torch.testing.assert_close(thin.observed, misfit.observed[..., ::3], rtol=0, atol=0)
+    torch.testing.assert_close(thin.covariance, misfit.covariance[..., ::3], rtol=0, atol=0)
+    w, z, y = vehicle.channels(RATIOS, bins)[0].unbind(dim=1)  # each input, at 70 m/s
+    expected = [(y.conj() * z).sum(0) / (y.conj() * w).sum(0)]
+    expected.append((w.conj() * y).sum(0) / (w.conj() * z).sum(0))
+    torch.testing.assert_close(thin.observer.noise_free(RATIOS)[0], torch.stack(expected))
+
+
+def test_vehicles_at_once_do_not_change_spectra(monkeypatch):
+    vehicle = VerticalVehicle(AM96)
+    ratios = torch.rand(7, 5, dtype=torch.float64, generator=torch.Generator().manual_seed(1)) + 0.5
+    usual = observer(generator=vehicle).expected(ratios)
+    monkeypatch.setattr(module, "IN_CACHE", 3 * (len(SETTINGS.frequencies_hz()) + 2))
+    found = observer(generator=vehicle).expected(ratios)
+    torch.testing.assert_close(found.auto, usual.auto, rtol=1e-13, atol=0)
+    torch.testing.assert_close(found.cross, usual.cross, rtol=1e-11, atol=0)

@@ -199,7 +199,7 @@ def ends_with(*last, n=N_TRIPS):
         ),
         (
             read(0.6 * ONES, flagged=range(N_TRIPS)),
-            "notice",
+            "act",
             "the last 5 trips are at 60 % of healthy, below the act limit of 80 %; "
             f"it has been so since the first trips; {ALL_FLAGGED}",
         ),

@@ -1,0 +1,172 @@
+"""Judge single faults of foreign trains: right parameter, right severity, after how many trips.
+
+Each train has the family's effects and those of its trips (rich_train.py). A model is commissioned
+on its healthy trips; then each parameter in turn is at each level for some trips, with everything
+else healthy, and the trips are judged as a report would, by the last of them.
+"""
+
+import csv
+import tempfile
+from pathlib import Path
+
+import numpy as np
+import torch
+from cells import Parser, at_least
+from mismatch import (
+    FAMILY,
+    RESULTS,
+    Case,
+    Trips,
+    build,
+    commissioned,
+    configuration,
+    made,
+    read,
+    trained,
+)
+from rich_spectra import drawn_estimates
+from rich_train import RichTrain
+from tabulate import tabulate
+
+from suspnet.dynamics import PARAMETERS
+from suspnet.ground.parameters import DEFAULT_LIMITS, PAYLOAD, Severity
+from suspnet.maintenance.judge import LastTrips, judge_last
+from suspnet.spectra.cross_spectra import CrossSpectra
+
+LEVELS = (0.05, 0.1, 0.3, 0.5, 0.62, 0.73, 0.8, 0.9, 1.1, 1.25, 1.5, 2.5, 4.0)
+LOADS = (0.9, 1.25)
+"""Range of the car body's mass over the trips."""
+NAMES = tuple(name for name in PARAMETERS if name != PAYLOAD)
+
+
+def worn_trips(options, case: Case, rows: np.ndarray) -> Trips:
+    """Return a trip of each row of ratios, of the train that `made` has."""
+    config = configuration(options, case)
+    settings = build(config, "data").bound(build(config, "generator").vehicle)
+    train = RichTrain.scattered(options.seed, case.effects)
+    drawn = drawn_estimates(train, rows, settings, options.seed + 1000, case.sides)
+    parts = zip(drawn.auto, drawn.cross, strict=True)
+    return Trips(case, [CrossSpectra(*p, drawn.n_averages) for p in parts], rows, 0)
+
+
+def due(name: str, level: float) -> Severity:
+    """Return the severity that a level deserves by the default limits."""
+    limits = DEFAULT_LIMITS[name]
+    for severity, (low, high) in ((Severity.ACT, limits.act), (Severity.NOTICE, limits.notice)):
+        if level < low or level > high:
+            return severity
+    return Severity.NONE
+
+
+def severities(estimates) -> dict[str, Severity]:
+    """Return the severity of each parameter after some trips; None is a trip without estimate."""
+    known = [e for e in estimates if e is not None and not e.flags.has("misfit")[0]]
+    flagged = np.array([bool(e.flags.flagged[0]) for e in known], dtype=bool)
+    found = {}
+    for j, name in enumerate(NAMES):
+        ends = [
+            np.array([getattr(e, part)[0, j] for e in known]) for part in ("values", "low", "high")
+        ]
+        last = LastTrips(*ends, flagged, bool(len(known)) and bool(flagged.all()))
+        found[name] = judge_last(last, DEFAULT_LIMITS[name])[0]
+    return found
+
+
+def train_rows(options) -> list[dict]:
+    """Return a row for each parameter and level of one train."""
+    case = Case((*FAMILY, *options.effects), options.sides)
+    config = configuration(options, case)
+    vehicle = commissioned(config, made(options, case, None), Path())
+    model = trained(config, vehicle.generator, options.refine, vehicle)[0]
+    rng = np.random.default_rng(options.seed)
+    faults = [(name, level) for name in NAMES for level in LEVELS] + [
+        ("none", 1.0)
+    ] * options.healthy
+    rows = []
+    for name, level in faults:
+        ratios = np.ones((options.last, len(PARAMETERS)))
+        ratios[:, -1] = rng.uniform(*LOADS, options.last)
+        if name != "none":
+            ratios[:, PARAMETERS.index(name)] = level
+        estimates = read(model, worn_trips(options, case, ratios))
+        after = [severities(estimates[: n + 1]) for n in range(options.last)]
+        wanted = due(name, level) if name != "none" else Severity.NONE
+        right = [name == "none" or found[name] == wanted for found in after]
+        others = [other for other in NAMES if other != name and after[-1][other] > Severity.UNKNOWN]
+        done = [e for e in estimates if e is not None and not e.flags.has("misfit")[0]]
+        at = [e.values[0, NAMES.index(name)] for e in done] if name != "none" else []
+        wrong = [i for i, is_right in enumerate(right) if not is_right]
+        rows.append(
+            {
+                "seed": options.seed,
+                "misfit": vehicle.misfit,
+                "parameter": name,
+                "level_percent": 100 * level,
+                "due": str(wanted),
+                "severity": str(after[-1].get(name, max(after[-1].values()))),
+                "after": max(wrong, default=-1) + 2 if right[-1] else "",
+                "others": " ".join(f"{other}={after[-1][other]!s}" for other in others),
+                "read_percent": 100 * float(np.median(at)) if at else float("nan"),
+                "n_read": len(done),
+                "n_flagged": sum(bool(e.flags.flagged[0]) for e in done),
+            }
+        )
+        print(*rows[-1].values(), flush=True)
+    return rows
+
+
+def summary(rows: list[dict]) -> str:
+    """Return the counts over all trains, by parameter."""
+    lines = []
+    for name in (*NAMES, "none"):
+        of = [row for row in rows if row["parameter"] == name]
+        right = [row for row in of if row["severity"] == row["due"]]
+        took = [row["after"] for row in right if row["after"] != ""]
+        lines.append(
+            {
+                "parameter": name,
+                "faults": len(of),
+                "right severity": len(right),
+                "too low": sum(LEAST[row["severity"]] < LEAST[row["due"]] for row in of),
+                "others accused": sum(bool(row["others"]) for row in of),
+                "trips, median": float(np.median(took)) if took else float("nan"),
+                "flagged trips": sum(row["n_flagged"] for row in of),
+                "trips without estimate": sum(ROWS_OF - row["n_read"] for row in of),
+            }
+        )
+    return tabulate(lines, headers="keys", tablefmt="github", floatfmt=".3g")
+
+
+LEAST = {str(one): int(one) for one in Severity}
+ROWS_OF = 5
+
+
+def main() -> None:
+    parser = Parser(description=__doc__.splitlines()[0])
+    parser.add_argument("--effects", nargs="*", default=["payload"], help="beyond the family's")
+    parser.add_argument("--sides", choices=["mean", "left"], default="mean")
+    parser.add_argument("--refine", action="store_true", help="refine estimates on the curve")
+    parser.add_argument("--healthy", type=at_least(3), default=5, help="trips to commission on")
+    parser.add_argument("--minutes", type=at_least(1, float), default=20.0, help="of a trip")
+    parser.add_argument("--seeds", nargs="+", type=int, default=[0], help="a train each")
+    parser.add_argument("--train", nargs="+", default=[], help="more settings, as for train.py")
+    parser.add_argument("--output", type=Path, default=RESULTS, help="folder of the table")
+    options = parser.parse_args()
+    options.trips, options.time, options.last = 1, False, ROWS_OF
+    torch.set_num_threads(1)
+    rows = []
+    with tempfile.TemporaryDirectory() as temporary:
+        options.cache = Path(temporary) / "cache"
+        for seed in options.seeds:
+            options.seed = seed
+            rows += train_rows(options)
+    print(summary(rows))
+    options.output.mkdir(parents=True, exist_ok=True)
+    with (options.output / "verdicts.csv").open("w", newline="") as file:
+        writer = csv.DictWriter(file, rows[0])
+        writer.writeheader()
+        writer.writerows(rows)
+
+
+if __name__ == "__main__":
+    main()
