@@ -49,6 +49,18 @@ def helps(tmp_path_factory):
     return folder
 
 
+def test_history_starts_as_a_module():
+    ended = subprocess.run(
+        [sys.executable, "-m", "suspnet.history", "--help"],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        timeout=100,
+        check=True,
+    )
+    assert ended.stdout.startswith("usage: suspnet-history")
+
+
 def test_help_writes_nothing(helps):
     ours = {f"{name}.{kind}" for name in PROGRAMS for kind in ("out", "json")}
     assert {path.name for path in helps.iterdir()} == ours
