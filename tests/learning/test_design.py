@@ -284,6 +284,6 @@ def test_gradient_norm_is_that_of_all_its_numbers():
 
 @pytest.mark.parametrize("bad", [float("nan"), float("inf")])
 def test_features_that_are_no_numbers_are_an_error(bad):
-    design = DenseDesign(lambda X: torch.full((len(X), 4), bad, dtype=X.dtype), samples())
+    design = DenseDesign(Mapped(lambda X: torch.full((len(X), 4), bad, dtype=X.dtype)), samples())
     with pytest.raises(ValueError, match=r"4 x 4 system .* singular to working precision"):
         design.fixed(1.0, True)
