@@ -25,7 +25,8 @@ from suspnet.recordings.columns import (
     needed,
     slices,
 )
-from suspnet.recordings.manifest_keys import CsvDialect, TripError
+from suspnet.recordings.errors import TripError
+from suspnet.recordings.manifest_keys import CsvDialect
 
 RATE_NAMES = ("rate_hz", "fs", "samplerate", "samplingrate", "samplefrequency", "samplingfrequency")
 UNIT_NAMES = ("unit", "units")

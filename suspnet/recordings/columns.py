@@ -14,8 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from suspnet.ground.storage import open_plain, stored_bytes
+from suspnet.recordings.errors import TripError
 from suspnet.recordings.manifest import ACCELERATION_UNITS, SPEED_UNITS, UNITS
-from suspnet.recordings.manifest_keys import CsvDialect, TripError
+from suspnet.recordings.manifest_keys import CsvDialect
 
 BLOCK = 2**18
 """Largest number of samples of a column in one block."""

@@ -17,8 +17,9 @@ from suspnet.ground.storage import open_plain
 from suspnet.recordings.array_files import open_hdf5, open_mat
 from suspnet.recordings.columns import BLOCK, Block, OpenFile, Reader, check_samples, choose
 from suspnet.recordings.csv_files import open_csv, open_parquet
+from suspnet.recordings.errors import TripError, opening
 from suspnet.recordings.logger_files import open_tdms, open_uff, open_wav
-from suspnet.recordings.manifest_keys import CsvDialect, TripError, opening
+from suspnet.recordings.manifest_keys import CsvDialect
 from suspnet.recordings.mdf_files import open_mdf
 from suspnet.recordings.reader_process import in_own_process
 

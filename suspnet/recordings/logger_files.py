@@ -26,7 +26,8 @@ from suspnet.recordings.columns import (
     needed,
     slices,
 )
-from suspnet.recordings.manifest_keys import CsvDialect, TripError
+from suspnet.recordings.errors import TripError
+from suspnet.recordings.manifest_keys import CsvDialect
 
 _WAV = Lock()
 """Lock for warning filters, which are global to the process, while sensors are read in threads."""

@@ -16,7 +16,8 @@ import numpy as np
 from suspnet.ground.types import FloatArray
 from suspnet.recordings.columns import Block, Column, OpenFile, Take, call, needed, slices
 from suspnet.recordings.dates import nanoseconds
-from suspnet.recordings.manifest_keys import CsvDialect, TripError
+from suspnet.recordings.errors import TripError
+from suspnet.recordings.manifest_keys import CsvDialect
 
 IDENTITY, LINEAR, RATIONAL, INTERPOLATED, TABLE, RANGES = range(6)
 KINDS = {
