@@ -151,16 +151,6 @@ def needed(path: Path, module: str, extra: str, what: str) -> Any:
         ) from error
 
 
-def call(read: Callable[..., Any], *arguments: Any, **named: Any) -> Any:
-    """Call a library; any error but MemoryError becomes a ValueError, as on damaged files."""
-    try:
-        return read(*arguments, **named)
-    except MemoryError:
-        raise
-    except Exception as error:
-        raise ValueError(f"{type(error).__name__}: {error}") from error
-
-
 MOST_SAMPLES = 48 * 3600 * 10_000
 """Largest number of samples of a channel: two days at 10 kHz."""
 FREE_SAMPLES = 2**26
