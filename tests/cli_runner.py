@@ -16,6 +16,7 @@ from omegaconf import open_dict
 
 from suspnet.cli import program
 from suspnet.cli.program import CONFIGS, DEBUG
+from suspnet.runs import scores, sweeps
 
 ROOT = Path(__file__).parents[1]
 FEW = ["data.n_train=300", "data.n_test=100", "data.n_calibrate=100"]
@@ -50,11 +51,24 @@ def run_program(module, folder, *overrides):
     return 0
 
 
+class _NoPlots:
+    """Makes an empty figure of whatever is to be plotted."""
+
+    def __getattr__(self, name):
+        return lambda *_, **__: Figure(figsize=(1, 1))
+
+
 @contextmanager
-def blank_figures():
-    """Leave figures blank: to draw them takes longest, and one run that draws is enough."""
+def blank_figures(*, made=False):
+    """Leave figures blank: to draw them takes longest, as to make those of training does.
+
+    Those of training are made, though not drawn, if `made`; one run that does so is enough.
+    """
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(Figure, "draw", lambda *_: None)
+        if not made:
+            for module in (scores, sweeps):
+                patch.setattr(module, "plots", _NoPlots())
         yield
 
 

@@ -63,7 +63,8 @@ def _loads_once(load):
 
     def loaded(file_):
         if not hasattr(file_, "read"):
-            return load(file_)
+            with Path(file_).open(encoding="utf-8") as stream:
+                return loaded(stream)
         begin, text = file_.tell(), file_.read()
         if text not in known:
             file_.seek(begin)

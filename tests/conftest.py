@@ -65,6 +65,14 @@ def _one_thread():
 
 
 @pytest.fixture(scope="session", autouse=True)
+def _nothing_forced_to_the_disk():
+    """Leave it to the kernel when files are written: each wait for the disk takes some ms."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(os, "fsync", lambda _: None)
+        yield
+
+
+@pytest.fixture(scope="session", autouse=True)
 def _built_in_one_folder(tmp_path_factory):
     """Name the folder of what the processes of this run build for each other."""
     root = tmp_path_factory.getbasetemp()

@@ -50,7 +50,7 @@ PROGRAMS = {
         [*SWEEP, "resume=run", "hydra/launcher=joblib", "hydra.launcher.n_jobs=2"],
     ),
     "simulate": (simulate, [*SIMULATE, "fleet.n_trips=6", "workers=2"], None),
-    "simulate alone": (simulate, [*SIMULATE, "fleet.n_trips=6", "workers=1"], None),
+    "simulate alone": (simulate, [*SIMULATE, "fleet.n_trips=4", "workers=1"], None),
     "evaluate": (
         evaluate,
         [*EVALUATE, "monitor.workers=2", "hydra.run.dir=run"],

@@ -89,15 +89,18 @@ def overrides_of(line):
     ]
 
 
+def is_of_group(key):
+    """Return whether a key of the command line chooses one of several files."""
+    return key in TABLES or (Path(CONFIGS) / key).is_dir()
+
+
 def jobs(overrides):
     """Return the overrides of jobs that try each option of a swept group, and a swept key once."""
     values = {}
     for one in OverridesParser.create().parse_overrides(overrides):
         swept = list(one.sweep_string_iterator()) if one.is_sweep_override() else None
-        is_group = one.key_or_group in TABLES or (Path(CONFIGS) / one.key_or_group).is_dir()
-        values[one.key_or_group] = (
-            swept[: None if is_group else 1] if swept else [one.get_value_string()]
-        )
+        which = slice(None if is_of_group(one.key_or_group) else 1)
+        values[one.key_or_group] = swept[which] if swept else [one.get_value_string()]
     return [
         tuple(f"{key}={each[k % len(each)]}" for key, each in values.items())
         for k in range(max(map(len, values.values()), default=1))
@@ -153,14 +156,19 @@ def test_every_command_composes():
     asked = {}
     for line in commands():
         program, overrides = overrides_of(line)
-        asked |= {(program, job): line for job in jobs(overrides)}
-    assert len(asked) > 30
+        for job in jobs(overrides):
+            plain = [one for one in job if not is_of_group(one.partition("=")[0])]
+            options = program, tuple(one for one in job if one not in plain)
+            keys, lines = asked.setdefault(options, ({}, []))
+            keys |= {one.partition("=")[0]: one for one in plain}  # to be composed all at once
+            lines.append(line)
+    assert sum(len(lines) for _, lines in asked.values()) > 30
     with initialize_config_dir(version_base="1.3", config_dir=CONFIGS):
-        for (program, job), line in asked.items():
+        for (program, options), (keys, lines) in asked.items():
             try:
-                check_configuration(compose(program, list(job)))
+                check_configuration(compose(program, [*options, *keys.values()]))
             except HydraException as error:
-                raise AssertionError(f"{line}: {error}") from error
+                raise AssertionError(f"one of {lines}: {error}") from error
 
 
 def test_settings_of_the_generator_in_sentences_compose():

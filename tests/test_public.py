@@ -32,7 +32,13 @@ from suspnet.spectra.segments import NoEstimateError, recording_segments
 SETTINGS = CurveSettings(300, 120, 300, low_hz=0.3, high_hz=12.0, step_hz=0.04, cache_dir=None)
 
 
-@pytest.fixture(scope="module", params=[False, True], ids=["plain", "refined"])
+@pytest.fixture(
+    scope="module",
+    params=[
+        pytest.param(False, id="plain"),
+        pytest.param(True, id="refined", marks=pytest.mark.slow),
+    ],
+)
 def trained(request, task, quarter_car):
     """Return a problem, a calibrated model of it and the estimates on its test curves."""
     problem = Problem(quarter_car, task(), SETTINGS)

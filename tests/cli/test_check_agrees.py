@@ -70,7 +70,13 @@ def read_and_checked(trip, folder, models, speed, spread):
 
 @pytest.mark.parametrize(
     ("speed", "spread"),
-    [*DEAD_CASES, (LOW, 0.0), (HIGH, 0.0), (60.4, 0.004), (78.8, 0.004)],
+    [
+        *(*DEAD_CASES, (78.8, 0.004)),
+        *(
+            pytest.param(*one, marks=pytest.mark.slow)
+            for one in ((LOW, 0.0), (HIGH, 0.0), (60.4, 0.004))
+        ),
+    ],
 )
 def test_check_and_evaluate_agree_at_the_ends_of_bins(trip, tmp_path, speed, spread):
     models = models_between(LOW, HIGH)

@@ -3,6 +3,7 @@
 import json
 import logging
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 from cli_runner import SMALL, run_composed, run_program
@@ -11,6 +12,7 @@ from omegaconf import OmegaConf
 from trip_fixtures import changed, small_fleet
 
 from suspnet.cli import commission_fleet, folders, train
+from suspnet.estimation import healthy_trips
 from suspnet.estimation.checkpoint import load_model
 from suspnet.ground import ledger
 from suspnet.ground.records import Place
@@ -61,6 +63,22 @@ def fitted(monkeypatch):
     return bogies
 
 
+@pytest.fixture(scope="module", autouse=True)
+def _read_once():
+    """Read the recording of a trip, under whatever name, once."""
+    load, known = healthy_trips.load_recording, {}
+
+    def loaded(manifest, *others):
+        key = repr((replace(manifest, path=Path(), name=""), others))
+        if key not in known:
+            known[key] = load(manifest, *others)
+        return known[key]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(healthy_trips, "load_recording", loaded)
+        yield
+
+
 @pytest.fixture
 def quick(monkeypatch):
     """Train and draw nothing: leave the files by which a run is known."""
@@ -85,10 +103,12 @@ def stamps(folder):
     return {path: path.stat().st_mtime_ns for path in folder.rglob("*") if path.is_file()}
 
 
-def test_each_suspension_has_a_run_of_its_own(fitted, fleet, tmp_path, caplog):
+def test_each_suspension_has_a_run_of_its_own_as_its_folder_alone_gives(
+    fitted, fleet, tmp_path, caplog
+):
     folder = tmp_path / "run"
     with caplog.at_level(logging.INFO):
-        assert trained(folder, fleet, "data.n_calibrate=100") == 0
+        assert trained(folder, fleet) == 0
     assert fitted == ["leading", "trailing"]
     assert find_runs(folder) == [folder / "one", folder / "two"]
     models = [load_model(one) for one in find_runs(folder)]
@@ -109,15 +129,11 @@ def test_each_suspension_has_a_run_of_its_own(fitted, fleet, tmp_path, caplog):
     saved = OmegaConf.load(folder / "two" / "config.yaml")
     assert (saved.healthy, saved.generator.bogie) == (str(fleet / "two"), "trailing")
     assert OmegaConf.load(folder / "config.yaml").healthy == str(fleet)
-
-
-def test_run_of_a_suspension_is_what_its_folder_alone_gives(fleet, tmp_path):
-    assert trained(tmp_path / "all", fleet) == 0
     run_composed(
         train, tmp_path / "two", *TRIPS, f"healthy={fleet / 'two'}", "generator.bogie=trailing"
     )
     for name in ("model.safetensors", "config.yaml"):
-        alone, of_all = ((tmp_path / x / name).read_bytes() for x in ("two", "all/two"))
+        alone, of_all = ((tmp_path / x / name).read_bytes() for x in ("two", "run/two"))
         assert alone.replace(b"workers: 2", b"workers: 1") == of_all
 
 
@@ -133,6 +149,7 @@ def test_suspensions_of_one_folder_are_told_apart_by_their_names(fitted, quick, 
     assert fitted == ["leading", "trailing"]
 
 
+@pytest.mark.slow  # of one suspension: test_commissioning_program.py, its default speeds
 def test_range_of_speeds_is_several_models_of_each_suspension(fleet, tmp_path):
     assert trained(tmp_path / "run", fleet, "speed_m_per_s=[65,80]") == 0
     models = [load_model(one) for one in find_runs(tmp_path / "run")]

@@ -19,7 +19,8 @@ from suspnet.spectra.estimates import SPEED_HALF_WIDTH
 from suspnet.spectra.segments import SpeedRange, range_words
 
 pytestmark = pytest.mark.usefixtures("blank")
-TRIPS = [*SMALL, "experiment=trips", "data.minutes=5", "data.segment_s=5", "model=linear"]
+FEW = ["data.n_train=100", "data.n_test=20", "data.n_calibrate=null"]
+TRIPS = [*SMALL, *FEW, "experiment=trips", "data.minutes=5", "data.segment_s=5", "model=linear"]
 
 
 @pytest.fixture(scope="module")

@@ -156,7 +156,13 @@ def test_protocol_file_shows_every_setting_of_peaks_and_its_default(name):
     assert settings == {key: p.default for key, p in parameters.items() if key != "peaks"}
 
 
-@pytest.mark.parametrize("name", NAMES["ablation"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        *NAMES["ablation"][:3],
+        *(pytest.param(name, marks=pytest.mark.slow) for name in NAMES["ablation"][3:]),
+    ],
+)
 def test_every_ablation_composes_with_trusted_targets(name):
     config = composed("experiment=ablation", f"ablation={name}")
     check_configuration(config)

@@ -15,9 +15,11 @@ from tensorboard.plugins.hparams.plugin_data_pb2 import HParamsPluginData
 
 from suspnet.cli import evaluate, program, train
 from suspnet.estimation.estimate import KINDS
+from suspnet.estimation.problem import Problem
 
 pytestmark = pytest.mark.usefixtures("blank")
-"""Figures are drawn by the fixture `run` only, which is made before they are blank."""
+"""Figures are made by the fixture `run` only; tests/runs/test_plots.py draws them."""
+UNCALIBRATED = [*SMALL, "data.n_calibrate=null"]
 BARE = ["progress=false", "figures=false"]
 RECORD = "protocol group output metric model published measured bound n_train snr_db seed seconds"
 
@@ -25,7 +27,8 @@ RECORD = "protocol group output metric model published measured bound n_train sn
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
     folder = tmp_path_factory.mktemp("run")
-    return folder, run_main(train, folder, *SMALL, "figures=true", "threads=1")
+    with blank_figures(made=True):
+        return folder, run_main(train, folder, *SMALL, "figures=true", "threads=1")
 
 
 def test_run_folder_holds_everything(run):
@@ -68,13 +71,13 @@ def test_intervals_and_flags_are_scored(run, tmp_path):
 
 
 def test_refined_run_reaches_the_bound_and_is_called_so(tmp_path):
-    small = [*SMALL, "model=linear", "refine=true", "threads=1"]
+    small = [*UNCALIBRATED, "model=linear", "refine=true", "threads=1"]
     metrics = run_main(train, tmp_path / "run", *small)
     assert metrics["model"] == "linear+refine"
     for ratio in metrics["rms_ratio"].values():
         assert ratio == pytest.approx(1, abs=0.28)  # 100 curves: 7 %, four of those
     fresh = run_main(
-        evaluate, tmp_path, f"run={tmp_path / 'run'}", "data.n_test=100", *BARE, *small[-1:]
+        evaluate, tmp_path, f"run={tmp_path / 'run'}", "data.n_test=40", *BARE, *small[-1:]
     )
     assert fresh["model"] == "linear+refine"
     assert fresh["scores"]["c_p"]["rmse"] < 1.5 * metrics["scores"]["c_p"]["rmse"]
@@ -102,31 +105,31 @@ def test_tensorboard_holds_iterations_figures_and_hyperparameters(run):
 def test_vehicle_that_loses_many_curves_is_reported(tmp_path, caplog):
     overrides = ["vehicle.secondary_damping_ns_per_m=32e3", "model=linear", "group=secondary"]
     with caplog.at_level("WARNING", logger="suspnet"):
-        metrics = run_main(train, tmp_path, *SMALL, *overrides)
+        metrics = run_main(train, tmp_path, *UNCALIBRATED, "data.n_train=100", *overrides)
     assert metrics["n_test_complete"] < 0.98 * metrics["n_test"]
     assert "of the training curves lack a peak" in caplog.text
 
 
 def test_same_seed_same_numbers_other_seed_other_numbers(run, tmp_path):
     _, metrics = run
-    again = run_main(train, tmp_path / "a", *SMALL, "threads=1")
-    other = run_main(train, tmp_path / "b", *SMALL, "threads=1", "seed=1")
+    again = run_main(train, tmp_path / "a", *UNCALIBRATED, "threads=1")
+    other = run_main(train, tmp_path / "b", *UNCALIBRATED, "threads=1", "seed=1")
     assert again["scores"] == metrics["scores"]
     assert other["scores"] != metrics["scores"]
 
 
 def test_evaluate_scores_fresh_curves_alike(run, tmp_path):
     folder, metrics = run
-    fresh = run_main(evaluate, tmp_path, f"run={folder}", "data.n_test=400", *BARE)
+    fresh = run_main(evaluate, tmp_path, f"run={folder}", "data.n_test=150", *BARE)
     assert fresh["seed"] == 1000
-    assert fresh["n_test"] == 400
+    assert fresh["n_test"] == 150
     for output, values in fresh["scores"].items():
         ratio = values["rmse"] / metrics["scores"][output]["rmse"]
         assert 0.5 < ratio < 2  # 300 training curves: the errors' tails vary between test sets
 
 
 def test_evaluate_draws_nothing_if_asked(run, tmp_path):
-    few = [f"run={run[0]}", "data.n_test=100", "progress=false"]
+    few = [f"run={run[0]}", "data.n_test=20", "progress=false"]
     run_main(evaluate, tmp_path / "bare", *few, "figures=false")
     assert (tmp_path / "bare" / "metrics.json").is_file()
     assert not (tmp_path / "bare" / "figures").exists()
@@ -136,7 +139,7 @@ def test_evaluate_draws_nothing_if_asked(run, tmp_path):
 
 def test_evaluate_sees_more_noise(run, tmp_path):
     folder, metrics = run
-    noise = ["data.snr_db=26", "data.n_test=400", *BARE]
+    noise = ["data.snr_db=26", "data.n_test=150", *BARE]
     noisy = run_main(evaluate, tmp_path, f"run={folder}", *noise)
     assert noisy["scores"]["c_p"]["rmse"] > 1.5 * metrics["scores"]["c_p"]["rmse"]
     assert noisy["bound"]["c_p"]["rmse"] > 2 * metrics["bound"]["c_p"]["rmse"]
@@ -144,7 +147,7 @@ def test_evaluate_sees_more_noise(run, tmp_path):
 
 def test_evaluate_takes_a_protocol_that_fits_only(run, tmp_path):
     folder, _ = run
-    small = ["data.n_test=50", *BARE, f"run={folder}"]
+    small = ["data.n_test=20", *BARE, f"run={folder}"]
     joint = run_main(evaluate, tmp_path / "joint", *small, "protocol=joint")
     assert joint["protocol"] == "joint"
     assert set(joint["scores"]) == {"k_p", "c_p"}
@@ -153,10 +156,12 @@ def test_evaluate_takes_a_protocol_that_fits_only(run, tmp_path):
 
 
 def test_mass_known_and_mass_estimated(tmp_path):
-    known = run_main(train, tmp_path / "known", *SMALL, "protocol.mass_known=true", "model=linear")
+    known = run_main(
+        train, tmp_path / "known", *UNCALIBRATED, "protocol.mass_known=true", "model=linear"
+    )
     assert known["mass_known"] is True
     mass = ["protocol=joint", "protocol.estimate_mass=true", "model=linear"]
-    asked = run_main(train, tmp_path / "asked", *SMALL, *mass)
+    asked = run_main(train, tmp_path / "asked", *UNCALIBRATED, *mass)
     assert list(asked["scores"]) == ["k_p", "c_p", "k_s", "c_s", "M_s"]
 
 
@@ -236,7 +241,32 @@ def test_traceback_in_a_process(tmp_path):
     assert "Traceback" in ended.stderr
 
 
-def test_interrupt_leaves_nothing_half_written_and_a_second_start_works(tmp_path):
+def test_interrupt_leaves_nothing_half_written_and_a_second_start_works(tmp_path, monkeypatch):
+    curves = Problem.curves
+
+    def interrupted(*arguments):
+        os.kill(os.getpid(), signal.SIGINT)
+        return curves(*arguments)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Problem, "curves", interrupted)
+        ended = typed(train, *UNCALIBRATED, "hydra.run.dir=run", cwd=tmp_path)
+    is_interrupted(ended.returncode, ended.stderr, tmp_path)
+    again = [*UNCALIBRATED, "model=linear", "hydra.run.dir=run"]
+    assert typed(train, *again, cwd=tmp_path).returncode == 0
+    assert (tmp_path / "run" / "model.json").exists()
+
+
+def is_interrupted(code, words, folder):
+    assert code == 130, words
+    assert "Traceback" not in words
+    assert "interrupted" in words
+    left = {path.name for path in folder.rglob("*") if path.is_file()}
+    assert not [name for name in left if name.endswith(".safetensors") or "metrics" in name]
+
+
+@pytest.mark.slow
+def test_interrupt_of_a_process_leaves_nothing_half_written_and_a_second_start_works(tmp_path):
     overrides = ["data.n_train=all", "data.n_test=100", "hydra.run.dir=run", "threads=1"]
     with started(train, *overrides, cwd=tmp_path) as (process, _, words):
         deadline = time.monotonic() + 120
@@ -247,11 +277,7 @@ def test_interrupt_leaves_nothing_half_written_and_a_second_start_works(tmp_path
         os.kill(process.pid, signal.SIGINT)
         process.join(60)
         errors = words.read_text()
-    assert process.exitcode == 130, errors
-    assert "Traceback" not in errors
-    assert "interrupted" in errors
-    left = {path.name for path in tmp_path.rglob("*") if path.is_file()}
-    assert not [name for name in left if name.endswith(".safetensors") or "metrics" in name]
+    is_interrupted(process.exitcode, errors, tmp_path)
     again = [*FEW, "hydra.run.dir=run", "progress=false", "figures=false"]
     assert typed(train, *again, cwd=tmp_path).returncode == 0
     assert (tmp_path / "run" / "model.json").exists()
@@ -353,7 +379,8 @@ def test_table5_writes_an_override_file_that_works(tmp_path):
         "search.grids.msvr.C=[1.0,100.0]",
         "search.grids.msvr.sigma=[0.01,3.0]",
         "search.grids.msvr.epsilon=[1e-3]",
-        *SMALL,
+        *UNCALIBRATED,
+        "data.n_train=150",
         "hydra.sweep.dir=sweep",
         cwd=tmp_path,
     )
@@ -361,7 +388,7 @@ def test_table5_writes_an_override_file_that_works(tmp_path):
     (record,) = json.loads((tmp_path / "sweep" / "table5.json").read_text())
     assert record["best"] == {"C": 100.0, "epsilon": 1e-3, "sigma": 3.0}
     assert record["n_settings"] == 4
-    search = [f"--config-dir={tmp_path / 'sweep'}", "experiment=best", *SMALL]
+    search = [f"--config-dir={tmp_path / 'sweep'}", "experiment=best", *UNCALIBRATED]
     ended = typed(train, *search, "hydra.run.dir=tuned", cwd=tmp_path)
     assert ended.returncode == 0, ended.stderr
     metrics = json.loads((tmp_path / "tuned" / "metrics.json").read_text())
@@ -375,7 +402,8 @@ def test_sensitivity_error_grows_with_the_noise(tmp_path):
         "group=primary",
         "data.snr_db=26,54",
         "model=linear",
-        *SMALL,
+        *UNCALIBRATED,
+        "data.n_train=100",
         "hydra.sweep.dir=sweep",
         cwd=tmp_path,
     )

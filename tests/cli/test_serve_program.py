@@ -24,7 +24,8 @@ from suspnet.cli.config_files import CONFIGS
 from suspnet.history import History
 
 WORDS = {signal.SIGINT: "interrupted", signal.SIGTERM: "terminated"}
-ENDS = [(signal.SIGINT, 130), (signal.SIGTERM, 143)]
+ENDS = [(signal.SIGINT, 130), pytest.param(signal.SIGTERM, 143, marks=pytest.mark.slow)]
+"""SIGTERM comes in the middle of a request by default."""
 
 
 @pytest.fixture(scope="module")

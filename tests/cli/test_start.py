@@ -13,7 +13,10 @@ pytestmark = pytest.mark.skipif(os.name != "posix", reason="signals are those of
 WORDS = {signal.SIGINT: "interrupted", signal.SIGTERM: "terminated"}
 
 
-@pytest.mark.parametrize("number", WORDS)
+@pytest.mark.parametrize(
+    "number",  # SIGTERM at the start of a program: test_serve_program.py
+    [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)],
+)
 def test_signal_while_a_program_is_imported_is_one_line(tmp_path, number):
     (tmp_path / "torch.py").write_text(  # stands for what takes seconds
         f"import pathlib, time\npathlib.Path({str(tmp_path / 'begun')!r}).touch()\ntime.sleep(60)\n"

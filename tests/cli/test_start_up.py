@@ -13,6 +13,8 @@ SLOW = {"torch", "matplotlib", "sklearn", "sqlalchemy", "plotly"}
 """What takes seconds to import."""
 WITHOUT_SCIPY = ("check", "history")
 """Programs whose options name what is read and written, and no number of a model."""
+QUICK = ("check", "train")
+"""A program with options and one with a configuration."""
 HELP = """
 import importlib, json, os, pathlib, sys
 from suspnet.cli import start
@@ -32,12 +34,10 @@ for name in json.loads(sys.argv[1]):
 """
 
 
-@pytest.fixture(scope="module")
-def helps(tmp_path_factory):
-    """Return the folder with the help of each program, and what it imports."""
-    folder = tmp_path_factory.mktemp("helps")
+def helped(folder, names):
+    """Write the help of each program into a folder, and what it imports."""
     ended = subprocess.run(
-        [sys.executable, "-c", HELP, json.dumps(PROGRAMS)],
+        [sys.executable, "-c", HELP, json.dumps(names)],
         cwd=folder,
         env={"PYTHONPATH": str(ROOT), "PATH": ""},
         capture_output=True,
@@ -46,7 +46,6 @@ def helps(tmp_path_factory):
         check=False,
     )
     assert ended.returncode == 0, ended.stderr
-    return folder
 
 
 def test_history_starts_as_a_module():
@@ -61,15 +60,14 @@ def test_history_starts_as_a_module():
     assert ended.stdout.startswith("usage: suspnet-history")
 
 
-def test_help_writes_nothing(helps):
-    ours = {f"{name}.{kind}" for name in PROGRAMS for kind in ("out", "json")}
-    assert {path.name for path in helps.iterdir()} == ours
-
-
-@pytest.mark.parametrize("name", PROGRAMS)
-def test_help_imports_nothing_slow(name, helps):
-    text = (helps / f"{name}.out").read_text()
-    imported = json.loads((helps / f"{name}.json").read_text())
-    assert "Usage" in text or "usage" in text
-    assert not SLOW & set(imported)
-    assert "scipy" not in imported or name not in WITHOUT_SCIPY
+@pytest.mark.parametrize("names", [QUICK, pytest.param(PROGRAMS, marks=pytest.mark.slow)])
+def test_help_writes_nothing_and_imports_nothing_slow(names, tmp_path):
+    helped(tmp_path, names)
+    ours = {f"{name}.{kind}" for name in names for kind in ("out", "json")}
+    assert {path.name for path in tmp_path.iterdir()} == ours
+    for name in names:
+        text = (tmp_path / f"{name}.out").read_text()
+        imported = json.loads((tmp_path / f"{name}.json").read_text())
+        assert "Usage" in text or "usage" in text
+        assert not SLOW & set(imported)
+        assert "scipy" not in imported or name not in WITHOUT_SCIPY

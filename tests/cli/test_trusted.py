@@ -11,10 +11,12 @@ from hydra import initialize_config_dir
 from hydra.core.global_hydra import GlobalHydra
 from hydra.types import RunMode
 from hydra.utils import get_object
+from omegaconf import OmegaConf, flag_override
+from omegaconf.errors import OmegaConfBaseException
 
 from suspnet.cli import evaluate, simulate, train, trusted
 from suspnet.cli.kinds import KINDS
-from suspnet.cli.loader import CheckedLoader
+from suspnet.cli.loader import CheckedLoader, check_typed
 
 RUNSTRING = (
     "{_target_: suspnet.estimation.checkpoint.np.testing.runstring, "
@@ -341,12 +343,82 @@ def is_refused(ended, folder, cwd):
     assert ended.stderr.count("\n") == 1
 
 
+BY_HYDRA = ("job_of_hydra", "cluster_of_hydra")
+"""Payloads that Hydra itself refuses as it composes them."""
+
+
+def text_of(payload):
+    """Return what a payload adds to a whole configuration, None if it does more than that."""
+    name, text = next(iter(payload.files.items()), ("", ""))
+    plain = text.startswith(EXPERIMENT) and payload.arguments[:1] == (f"{Path(name).parent}=evil",)
+    only = len(payload.files) == 1 and set(payload.arguments[1:]) <= {"run=x"}
+    others = ("!!", "&", "[[", "MULTIRUN")  # what the loader refuses before it is checked
+    checked = plain and only and payload.program != "simulate" and payload.name not in BY_HYDRA
+    return text if checked and not any(o in text for o in others) else None
+
+
+CHECKED = [payload for payload in PAYLOADS if text_of(payload) is not None]
+AS_ANOTHER = (
+    *("changes__runstring", "changes__torch_load", "cluster_swept_group", "shadowed_sweeper"),
+    *("another_launcher", "yaml_tag_new", "swept_logging", "expression_of_joblib"),
+    *("argument_of_the_launcher", "argument_of_the_sweeper", "pickle_to_run_again_abbreviated"),
+)
+"""Payloads that a program refuses as it does another one that it is handed by default."""
+WHOLE = ("model__touch", "hydra_callback__touch", "node_elsewhere", "cluster_resolved_late")
+"""Payloads of `CHECKED` that are handed to a whole program by default too."""
+
+
+@pytest.fixture(scope="module")
+def shipped():
+    """Return the configurations as shipped that take the payloads in, of each program."""
+    with initialize_config_dir(version_base="1.3", config_dir=trusted.CONFIGS):
+        loader = CheckedLoader(GlobalHydra.instance().config_loader().get_search_path())
+        return {
+            name: loader.load_configuration(name, arguments, RunMode.RUN)
+            for name, arguments in (("train", []), ("evaluate", ["run=x"]))
+        }
+
+
+def check_with(config, text):
+    """Check a configuration with a text merged into it, as Hydra's loader is to do."""
+    with flag_override(config, ["struct", "readonly"], False):
+        found = OmegaConf.merge(config, OmegaConf.create(text))
+    trusted.check_configuration(found)
+    check_typed(found, ())
+
+
+@pytest.mark.parametrize("program", ["train", "evaluate"])
+def test_configuration_that_sets_plain_values_is_trusted(shipped, program):
+    check_with(shipped[program], "x: 1\nseed: 2\nhydra: {job: {name: mine}}")
+
+
+@pytest.mark.parametrize("payload", CHECKED, ids=lambda payload: payload.name)
+def test_payload_is_refused_by_the_checks_of_a_configuration(
+    shipped, payload, tmp_path, monkeypatch
+):
+    monkeypatch.setenv("EVIL", "suspnet.cli.config_files.Path.touch")
+    laid_out(payload, tmp_path)
+    (file,) = (tmp_path / "theirs").rglob("*.yaml")
+    with pytest.raises(ValueError, match=r"\w") as refused:
+        check_with(shipped[payload.program], file.read_text())
+    assert not isinstance(refused.value, OmegaConfBaseException)  # by ours
+    assert not (tmp_path / "marker").exists(), "executed"
+    assert (tmp_path / "victim").exists(), "executed"
+
+
 @pytest.mark.filterwarnings(r"ignore:\s+'hydra/:UserWarning")  # a name of Hydra's own options
 @pytest.mark.parametrize(
     "payload",
     [
         pytest.param(
-            one, id=one.name, marks=[pytest.mark.slow] * (one.name.partition("__")[2] in SLOW)
+            one,
+            id=one.name,
+            marks=[pytest.mark.slow]
+            * (
+                one.name.partition("__")[2] in SLOW
+                or one.name in AS_ANOTHER
+                or (one in CHECKED and one.name not in WHOLE)
+            ),
         )
         for one in PAYLOADS
     ],

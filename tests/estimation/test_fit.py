@@ -59,13 +59,13 @@ def healthy(trip, at, drawn):
     return HealthySpectra(trip, f"trip_{trip}", at, spectra)
 
 
-def rich_trips(train, seed, ratios=(1.0, 1.0, 1.0, 1.0), speeds=(70.0,)):
+def rich_trips(train, seed, ratios=(1.0, 1.0, 1.0, 1.0), speeds=(70.0,), settings=RICH):
     """Return drawn spectra of trips of a rich train, sensors left and right averaged."""
     groups = []
     for trip, mass in enumerate(MASSES):
         speed = speeds[trip % len(speeds)]
         row = np.array([[*ratios, mass]])
-        drawn = drawn_estimates(train.at(speed), row, RICH, 10 * seed + trip)
+        drawn = drawn_estimates(train.at(speed), row, settings, 10 * seed + trip)
         groups.append(healthy(trip, Speeds((speed,), (1.0,)), drawn))
     return groups
 
@@ -120,7 +120,7 @@ def bushed():
     generator = with_parts("bushings")
     numbers = from_prior(generator, 3)
     groups = trips(generator, numbers, 4, speeds=(70.0, 55.0))
-    return generator, numbers, groups, commission(generator, SETTINGS, groups)
+    return generator, numbers, groups, commission(generator, SETTINGS, groups, n_starts=1)
 
 
 # Reference
@@ -222,19 +222,17 @@ def test_no_other_search_finds_a_more_probable_vehicle(bushed):
         residuals = target.residuals(torch.as_tensor(x)[None], 0.0)[0].numpy()
         return residuals @ residuals, 2 * target.jacobian(x, 0.0).T @ residuals
 
-    ends = []
-    for logs, masses in ((np.log(numbers), MASSES), (found.posterior.mean, found.masses)):
-        start = np.concatenate([np.linalg.solve(factor, logs), np.log(masses)])
-        ends.append(minimize(cost, start, jac=True, method="BFGS").fun)
+    truth = np.concatenate([np.linalg.solve(factor, np.log(numbers)), np.log(MASSES)])
+    end = minimize(cost, truth, jac=True, method="BFGS").fun
     at = np.concatenate([np.linalg.solve(factor, found.posterior.mean), np.log(found.masses)])
-    assert cost(at)[0] < min(ends) + 0.01
+    assert cost(at)[0] < end + 0.01
 
 
 # Limits
 
 
 def test_trips_without_information_leave_the_prior():
-    generator = with_parts("bushings")
+    generator = with_parts()
     groups = [
         replace(g, spectra=replace(g.spectra, cross=1e-7 * g.spectra.cross))
         for g in trips(generator, from_prior(generator, 1), 2)
@@ -250,7 +248,8 @@ def test_trips_without_information_leave_the_prior():
 # Known answers
 
 
-@pytest.mark.parametrize("seeds", [(1,), pytest.param((0, 1, 3), marks=pytest.mark.slow)])
+@pytest.mark.slow  # the train of the family's effects is found in this way
+@pytest.mark.parametrize("seeds", [(1,), (0, 1, 3)])
 def test_numbers_drawn_from_the_prior_are_found_within_their_deviations(seeds):
     generator, errors = with_parts("bushings", "guidance"), []
     for seed in seeds:
@@ -266,6 +265,7 @@ def test_numbers_drawn_from_the_prior_are_found_within_their_deviations(seeds):
     assert 0.3 < np.mean(np.square(errors)) < 2
 
 
+@pytest.mark.slow  # of the train of the family's effects too
 def test_every_part_is_found_and_several_starts_agree():
     generator = with_parts(*VERTICAL)
     numbers = from_prior(generator, 5)
@@ -276,17 +276,29 @@ def test_every_part_is_found_and_several_starts_agree():
     assert (found.posterior.deviations <= 1.001 * found.prior.deviations).all()
 
 
-def test_what_trips_and_sensors_add_is_found():
-    generator = with_parts(*OF_TRIPS)
-    numbers = from_prior(generator, 6)
-    found = commission(generator, SHORT, trips(generator, numbers, 3, settings=SHORT), n_starts=1)
+@pytest.mark.parametrize(
+    ("parts", "settings", "seed"),
+    [
+        (("payload", "sensors", "other_bogie"), SETTINGS, 7),
+        pytest.param(OF_TRIPS, SHORT, 6, marks=pytest.mark.slow),
+    ],
+    ids=["without_bending", "all"],
+)
+def test_what_trips_and_sensors_add_is_found(parts, settings, seed):
+    generator = with_parts(*parts)
+    numbers = from_prior(generator, seed)
+    groups = trips(generator, numbers, 3, settings=settings)
+    found = commission(generator, settings, groups, n_starts=1)
     assert found.converged
-    assert found.misfit == pytest.approx(1.0, abs=0.08)
+    # in 47 bins, what is fitted takes much of the noise
+    lowest = 0.92 if settings is SHORT else 0.75
+    assert lowest < found.misfit < 1.08
     assert np.abs(off(found.posterior, numbers)).max() < 4
     # the exponents of the payload, the gains and the delays are determined
     told = found.posterior.deviations < 0.5 * found.prior.deviations
-    names = [name for name, is_told in zip(found.prior.names, told, strict=True) if is_told]
-    assert {"bending_exponent", "stiffness_exponent", "frame_gain", "body_delay"} <= set(names)
+    names = {name for name, is_told in zip(found.prior.names, told, strict=True) if is_told}
+    assert {"gyration_exponent", "stiffness_exponent", "frame_gain", "body_delay"} <= names
+    assert "bending" not in parts or "bending_exponent" in names
     # the other bogie of later trips is as uncertain as before
     later = found.generator.distribution
     row = later.names.index("other_c_s")
@@ -294,6 +306,7 @@ def test_what_trips_and_sensors_add_is_found():
     assert found.posterior.deviations[row] < later.deviations[row]
 
 
+@pytest.mark.slow  # default: test_a_wrong_vehicle_file_leads_to_the_same_vehicle
 def test_a_vehicle_far_off_its_drawing_is_found():
     # searches in the whole band alone, from shifted springs and draws, left a misfit of 13
     check_scattered(1.5, 3002, n_starts=1)
@@ -343,14 +356,21 @@ def test_a_wrong_vehicle_file_leads_to_the_same_vehicle(bushed, spring, damper):
 
 
 @pytest.mark.parametrize(
-    "speeds", [pytest.param((70.0,), marks=pytest.mark.slow), (50.0, 65.0, 80.0)]
+    ("speeds", "settings"),
+    [
+        ((50.0, 65.0, 80.0), SETTINGS),
+        pytest.param((50.0, 65.0, 80.0), RICH, marks=pytest.mark.slow),
+        pytest.param((70.0,), RICH, marks=pytest.mark.slow),
+    ],
 )
-def test_a_train_of_the_familys_effects_is_explained(speeds):
-    train = RichTrain.scattered(2, FAMILY)
-    found = commission(with_parts(*VERTICAL), RICH, rich_trips(train, 1, speeds=speeds), n_starts=2)
+def test_a_train_of_the_familys_effects_is_explained(speeds, settings):
+    train, n_starts = RichTrain.scattered(2, FAMILY), 1 if settings is SETTINGS else 2
+    groups = rich_trips(train, 1, speeds=speeds, settings=settings)
+    found = commission(with_parts(*VERTICAL), settings, groups, n_starts=n_starts)
     assert found.converged
-    assert found.n_agree == 2
-    assert 0.9 < found.misfit < 1.1
+    assert found.n_agree == n_starts
+    # in 47 bins, what is fitted takes much of the noise
+    assert (0.75 if settings is SETTINGS else 0.9) < found.misfit < 1.1
     assert max(found.misfits) < 1.15
     np.testing.assert_allclose(found.masses, MASSES, rtol=0.02)
     rows = [found.posterior.names.index(name) for name in SPRINGS_AND_DAMPERS]
@@ -359,12 +379,23 @@ def test_a_train_of_the_familys_effects_is_explained(speeds):
     assert np.abs(error / found.posterior.deviations[rows]).max() < 4
 
 
+@pytest.mark.parametrize("effect", [None, "one_side"])
+def test_few_parts_leave_a_misfit_where_the_train_has_more(effect):
+    effects = ("healthy", "inertias", "geometry", "bushings")
+    train = RichTrain.scattered(2, effects if effect is None else (*effects, effect))
+    ratios = (0.6, 0.6, 1.0, 1.0) if effect == "one_side" else (1.0, 1.0, 1.0, 1.0)
+    groups = rich_trips(train, 1, ratios, settings=SETTINGS)
+    found = commission(with_parts("bushings"), SETTINGS, groups, n_starts=1)
+    if effect is None:
+        assert 0.75 < found.misfit < 1.1  # 47 bins and 27 numbers
+    else:
+        assert found.misfit > 1.3
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("effect", "ratios"),
-    [
-        ("second_bending", (1.0, 1.0, 1.0, 1.0)),
-        pytest.param("one_side", (0.6, 0.6, 1.0, 1.0), marks=pytest.mark.slow),
-    ],
+    [("second_bending", (1.0, 1.0, 1.0, 1.0)), ("one_side", (0.6, 0.6, 1.0, 1.0))],
 )
 def test_effects_outside_the_family_leave_a_misfit(effect, ratios):
     train = RichTrain.scattered(2, (*FAMILY, effect))
@@ -377,8 +408,8 @@ def test_effects_outside_the_family_leave_a_misfit(effect, ratios):
 
 
 def test_the_same_trips_give_the_same_numbers(bushed):
-    generator, _, groups, _ = bushed
-    first, again = (commission(generator, SETTINGS, groups[:1], n_starts=2) for _ in range(2))
+    generator, groups = with_parts(), bushed[2]
+    first, again = (commission(generator, SETTINGS, groups[:1], n_starts=1) for _ in range(2))
     assert again.posterior == first.posterior
     np.testing.assert_array_equal(again.masses, first.masses)
 

@@ -185,7 +185,7 @@ def tried(name, folders, folder, n_mutations, seed):
     return counts, others
 
 
-@pytest.mark.parametrize("name", ["linear", "trips"])
+@pytest.mark.parametrize("name", ["linear", pytest.param("trips", marks=pytest.mark.slow)])
 def test_some_forged_models_are_refused_or_harmless(name, folders, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     counts, _ = tried(name, folders, tmp_path, 12, 0)

@@ -74,7 +74,7 @@ def with_pairs(path, names=("axle_box", "bogie", "body")):
     [
         (None, None, (0.0, 0.0, 0.0)),
         ("left", None, (1.0, 1.0, 1.0)),
-        ("right", "middle", (-1.0, -1.0, 0.0)),
+        pytest.param("right", "middle", (-1.0, -1.0, 0.0), marks=pytest.mark.slow),
         ("right", "left", (-1.0, -1.0, 1.0)),
     ],
 )

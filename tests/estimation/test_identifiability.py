@@ -347,7 +347,7 @@ def test_quarter_car_has_no_further_places(task):
 
 
 def test_pairs_and_one_side_are_options_where_the_vehicle_rolls(task):
-    joint, short = task("joint", "all"), replace(TRIP, low_hz=0.6, high_hz=1.4)
+    joint, short = task("joint", "all"), replace(TRIP, low_hz=0.8, high_hz=1.2)
     deviations = {"cross_level": 0.7, "anti_roll_bar": 1.0, "body_lateral": 0.1}
     rolling = {"parts": ("roll",), "distribution": deviations}
     middle = VerticalVehicle(AM96, **rolling)
@@ -473,6 +473,7 @@ def test_program_reports_every_group(tmp_path):
     assert re.search(r"\| k_s, c_s and M_s move together +\| any +\| any +\| any", text)
 
 
+@pytest.mark.slow  # default: test_program_reports_every_group
 def test_program_takes_trips_one_group_and_the_speed_of_the_vehicle(tmp_path):
     trips = ["data=trips", "protocol=multi_location", "group=primary", "data.minutes=5"]
     found = run(tmp_path, *trips, "vehicle=sedan", "generator=best")

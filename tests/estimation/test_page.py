@@ -142,7 +142,7 @@ def test_page_stands_alone_and_holds_no_nan(written):
     assert all((folder / "figures" / name).read_bytes()[1:4] == b"PNG" for name in names)
 
 
-def test_names_are_escaped(commissioned, tmp_path):
+def test_names_are_escaped(commissioned, tmp_path, blank):
     found, outcome = commissioned
     manifests = tuple(trip(HOSTILE, float(i), suspension=HOSTILE) for i in range(3))
     groups = tuple(replace(group, name=HOSTILE) for group in found.groups)

@@ -25,8 +25,15 @@ def as_set(ratios):
 # reference
 
 
-@pytest.mark.parametrize("name", ["paper", "multi_location"])
-@pytest.mark.parametrize("group", ["primary", "secondary"])
+@pytest.mark.parametrize(
+    ("name", "group"),
+    [
+        ("paper", "primary"),
+        ("multi_location", "secondary"),
+        pytest.param("paper", "secondary", marks=pytest.mark.slow),
+        pytest.param("multi_location", "primary", marks=pytest.mark.slow),
+    ],
+)
 def test_grid_of_a_group_holds_364816_curves(task, name, group):
     problem = task(name, group)
     assert [len(problem.levels(p)) for p in problem.varied] == [151, 151, 16]

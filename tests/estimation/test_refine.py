@@ -130,15 +130,15 @@ def test_optimum_is_that_of_scipy(task, name, group, changes):
 def test_estimates_from_trips_reach_their_bound(task):
     problem = task("joint", "all", **WITH_MASS)
     observer = TRIPS.observer(VerticalVehicle(AM96))
-    ratios = np.array([0.9, 1.2, 1.1, 0.8, 1.05]) * np.ones((128, 1))
+    ratios = np.array([0.9, 1.2, 1.1, 0.8, 1.05]) * np.ones((64, 1))
     vehicles = torch.as_tensor(ratios)
     misfit = EstimateMisfit(observer, observer.observe(vehicles, 1), observer.covariance(vehicles))
     found = refine(problem, misfit, starts(problem, ratios))
     assert found.converged.all()
     bounds = output_bounds(problem, observer, ratios[:1]) / ratios[0]
     normalised = np.log(found.ratios / ratios) / bounds
-    # 128 trips: 6.3 %, four of those
-    np.testing.assert_allclose(np.sqrt((normalised**2).mean(axis=0)), 1.0, atol=0.25)
+    # 64 trips: 8.8 %, three of those
+    np.testing.assert_allclose(np.sqrt((normalised**2).mean(axis=0)), 1.0, atol=0.26)
     np.testing.assert_allclose(np.median(found.deviations, axis=0), bounds[0], rtol=0.1)
     assert np.median(found.misfit) == pytest.approx(1.0, abs=0.03)
 
@@ -203,7 +203,10 @@ def test_curves_that_do_not_tell_give_infinite_deviations(task):
     np.testing.assert_allclose(told, truth, rtol=0.02)
 
 
-@pytest.mark.parametrize("start", [math.nan, 1e-9, 1e9, -1.0, math.inf])
+@pytest.mark.parametrize(
+    "start",
+    [math.nan, -1.0, 1e9, *(pytest.param(x, marks=pytest.mark.slow) for x in (1e-9, math.inf))],
+)
 def test_starts_that_mean_nothing_end_where_good_ones_do(joint, start):
     problem, _, misfit, found = joint
     n = 32
@@ -215,6 +218,7 @@ def test_starts_that_mean_nothing_end_where_good_ones_do(joint, start):
     np.testing.assert_allclose(other.misfit, found.misfit[:n], rtol=1e-8)
 
 
+@pytest.mark.slow  # test_parameter_that_ran_against_its_bound_comes_back is tried again too
 def test_fits_that_end_elsewhere_are_tried_again(joint):
     """From the corners of the range one fit in twenty ends in another minimum, or in none."""
     problem, ratios, misfit, found = joint
@@ -282,7 +286,8 @@ class OtherRounding:
         return found + 1e-14 * noise
 
 
-@pytest.mark.parametrize("seed", [0, *(pytest.param(s, marks=pytest.mark.slow) for s in (1, 2))])
+@pytest.mark.slow  # a batch rounds otherwise: test_one_curve_gives_the_same_numbers_alone_...
+@pytest.mark.parametrize("seed", [0, 1, 2])
 def test_numbers_do_not_depend_on_rounding(joint, seed):
     problem, ratios, misfit, _ = joint
     start = starts(problem, ratios)

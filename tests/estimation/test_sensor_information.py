@@ -162,6 +162,7 @@ def test_information_of_three_sensors_equals_naive_matrices(parameters, count):
     assert_alike(found, by_matrices(source, DEGRADED, parameters, noise, np.array(count)), 1e-6)
 
 
+@pytest.mark.slow  # three of them by default
 def test_information_of_six_sensors_equals_naive_matrices():
     source = observer(PITCHING)
     noise = noise_densities(source, (5000, 2000, 2000, 2000, 2000, 5000))
@@ -173,7 +174,9 @@ def test_information_of_six_sensors_equals_naive_matrices():
         assert_alike(matrix, expected, 1e-6)
 
 
-@pytest.mark.parametrize("body_high_hz", [pytest.param(1.4, marks=pytest.mark.slow), 1.7, 2.0])
+@pytest.mark.parametrize(
+    "body_high_hz", [1.7, *(pytest.param(f, marks=pytest.mark.slow) for f in (1.4, 2.0))]
+)
 def test_sensors_on_the_body_tell_nothing_beyond_its_band(body_high_hz):
     source = observer(PITCHING, body_high_hz=body_high_hz)
     noise = noise_densities(source, (5000, 2000, 2000, 2000, 2000, 5000))
@@ -238,8 +241,7 @@ def test_information_is_the_curvature_of_the_gaussian_log_likelihood():
 @pytest.mark.parametrize(
     ("used", "body_high_hz"),
     [
-        ([0, 1, 2], None),
-        *(pytest.param(used, None, marks=pytest.mark.slow) for used in ([0, 2], [1, 2])),
+        *(pytest.param(used, None, marks=pytest.mark.slow) for used in ([0, 1, 2], [0, 2], [1, 2])),
         ([0, 2], 1.7),
         pytest.param([0, 1, 2], 1.7, marks=pytest.mark.slow),
     ],
@@ -311,7 +313,9 @@ def test_cross_level_of_next_to_nothing_leaves_the_information_of_one_input():
         assert_alike(one, other, 1e-8)
 
 
-@pytest.mark.parametrize("snr_db", [0.0, 15.0, 34.0, 60.0])
+@pytest.mark.parametrize(
+    "snr_db", [0.0, 34.0, *(pytest.param(snr, marks=pytest.mark.slow) for snr in (15.0, 60.0))]
+)
 @pytest.mark.parametrize("generator", [QUARTER_CAR, PITCHING], ids=["quarter_car", "pitching"])
 def test_recordings_hold_at_least_what_their_iv_estimate_tells(generator, snr_db):
     source = EstimateSettings(snr_db=snr_db, cache_dir=None).bound(AM96).observer(generator)

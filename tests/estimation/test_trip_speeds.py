@@ -155,7 +155,7 @@ def test_weak_bins_are_bridged_by_straight_lines_relative_to_healthy():
 
 
 def test_healthy_trips_of_the_own_vehicle_are_not_flagged_at_any_of_its_speeds():
-    model = model_at(STILL, n_train=1000, n_calibrate=200)
+    model = model_at(STILL, n_train=400, n_calibrate=100)
     for i, speed in enumerate((STILL, 0.95 * STILL, 1.05 * STILL)):
         speeds = Speeds.of(speed, 0.2)
         observer = model.settings.observer(model.generator).at(speeds)

@@ -57,6 +57,7 @@ def test_death_of_a_worker_costs_what_it_worked_on_alone(tmp_path):
     assert not any(isinstance(one, LostWorkerError) for one in found.values())
 
 
+@pytest.mark.slow
 def test_bar_in_a_worker_leaves_no_semaphore_behind():
     """Workers are killed at the end, and the system then warned of what they had left."""
     code = (
@@ -142,7 +143,9 @@ PARENTS = {
 
 
 @pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="needs Linux's /proc")
-@pytest.mark.parametrize("kind", PARENTS)
+@pytest.mark.parametrize(
+    "kind", ["joblib", *(pytest.param(kind, marks=pytest.mark.slow) for kind in ("each", "idle"))]
+)
 def test_no_worker_outlives_a_parent_that_is_killed(tmp_path, kind):
     code = (
         "from pathlib import Path; from test_workers import *; "

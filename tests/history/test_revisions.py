@@ -18,7 +18,7 @@ PLACES = [Place("a"), Place("b")]
 KEYS = [(VEHICLE, place) for place in PLACES]
 ALARM = Alarm("k_p", Cause.LIMIT, Severity.ACT, 20_000.0)
 SEEN = Acknowledgement("k_p", Cause.LIMIT, Severity.ACT, 4e4, "Kim", "2026-11-22T13:00:00Z")
-N_WRITERS, N_TRIPS = 2, 15
+N_WRITERS, N_TRIPS = 2, 6
 
 
 def write_many(place, worker):

@@ -67,7 +67,7 @@ def test_trips_are_read_back_as_they_were_written(store):
 words = st.text(st.characters(exclude_characters="\0", exclude_categories=["Cs"]), max_size=20)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=8, deadline=None)
 @given(
     words,
     words,
@@ -121,6 +121,7 @@ def test_trips_of_the_same_name_on_other_days_are_others(store):
     assert len(store.read(VEHICLE, PLACE)) == 3
 
 
+@pytest.mark.slow  # test_revisions.py has the same of trips and alarms
 def test_programs_that_write_at_once_lose_nothing(store, place):
     workers = [forks().Process(target=write_many, args=(place, i, 10)) for i in range(2)]
     for worker in workers:

@@ -63,13 +63,14 @@ def test_one_process_is_all_there_is():
     assert ranks.shard(5) == slice(0, 5)
 
 
-@pytest.mark.slow  # the next one starts the ranks as torchrun does, without its imports
+@pytest.mark.slow
 def test_torchrun_trains_the_model_of_one_process(tmp_path):
     ended = torchrun(N_TORCHRUN, "hydra.run.dir=two", cwd=tmp_path)
     assert ended.returncode == 0, ended.stderr
     is_the_model_of_one_process(tmp_path, ended.stdout)
 
 
+@pytest.mark.slow  # ranks find the same model in test_every_rank_finds_the_model_of_one_process
 def test_ranks_train_the_model_of_one_process(tmp_path):
     with socket.create_server(("127.0.0.1", 0)) as free:
         port = str(free.getsockname()[1])

@@ -353,10 +353,12 @@ def test_only_positive_numbers_with_neighbours_are_widened():
 
 
 @pytest.mark.parametrize(
-    "estimator", [MSVR(n_components=32), SVR(epsilon=1e-3)], ids=["msvr", "svr"]
+    "estimator",
+    [MSVR(n_components=32), pytest.param(SVR(epsilon=1e-3), marks=pytest.mark.slow)],
+    ids=["msvr", "svr"],
 )
 def test_optimum_of_a_real_method_is_found_from_a_small_box(estimator):
-    X, Y = smooth_data(1, n_samples=60)
+    X, Y = smooth_data(1, n_samples=40)
     grids = {"m": {"C": [0.1, 1.0], "sigma": [0.2, 0.4]}}
     near = GridSearch(grids).run("m", estimator, X, Y, IDENTITY)
     assert set(near.edges) == {"C", "sigma"}

@@ -37,6 +37,7 @@ class Ending(Mqtt):
         return None if self.is_sent and not frames else frames
 
 
+@pytest.mark.slow  # test_source_mqtt.py restarts it by default, test_monitor.py compares
 def test_history_of_a_replay_over_a_restarted_broker_is_that_of_the_files(tmp_path):
     path = small_fleet()[0]
     manifest = read_manifest(path)

@@ -105,7 +105,10 @@ def test_journal_stays_small_where_states_are_saved(tmp_path):
 # failure
 
 
-def test_journal_is_of_one_process(tmp_path):
+def test_journal_is_of_one_process(tmp_path, monkeypatch):
+    connect = sqlite3.connect
+    soon = {"timeout": 0.05}  # instead of a second
+    monkeypatch.setattr(sqlite3, "connect", lambda *path, **given: connect(*path, **given | soon))
     with (
         Journal(tmp_path / "journal"),
         pytest.raises(JournalError, match="another monitor has it open"),

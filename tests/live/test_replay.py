@@ -86,7 +86,7 @@ def test_stream_of_a_replay_is_the_batch(trips):
 
 
 def test_frames_have_the_length_that_was_asked_for(trips):
-    for frame_s in (0.01, 0.5, 60.0):
+    for frame_s in (0.05, 60.0):
         found = by_sensor(frames_of(trips[0], frame_s=frame_s))
         for name, rate_hz in (("axle_box", 400), ("body", 250), ("speed", 1)):
             sizes = [len(one.samples) for one in found[name]]

@@ -238,9 +238,16 @@ def test_there_are_many_configurations_of_distinct_names():
     assert len(set(names)) == len(names) >= 60
 
 
-@pytest.mark.every_value
-@pytest.mark.parametrize("group", ["source", "sink"])
-@pytest.mark.parametrize("way", ["typed", "environment"])
+@pytest.mark.parametrize(
+    ("group", "way"),
+    [
+        ("source", "environment"),
+        *(
+            pytest.param(*one, marks=pytest.mark.slow)
+            for one in (("source", "typed"), ("sink", "typed"), ("sink", "environment"))
+        ),
+    ],
+)
 def test_the_broker_that_a_user_names_is_connected(group, way, tmp_path, run, fleet):
     own = in_extra("own", "GROUP: {broker: {port: PORT, user: monitor}}", f"{group}=mqtt")
     named = (f"{group}.broker.host=127.0.0.1",) if way == "typed" else ()

@@ -27,14 +27,14 @@ ONE = "train 1, car 2"
 @pytest.fixture(autouse=True)
 def _impatient(monkeypatch):
     """Connect again soon."""
-    monkeypatch.setattr("suspnet.live.broker.BACKOFF_S", (0.1, 1))
+    monkeypatch.setattr("suspnet.live.broker.BACKOFF_S", (0.05, 0.2))
 
 
 @pytest.fixture
 def broker(tmp_path):
     found = Mosquitto(tmp_path).start()
     yield found
-    found.end()
+    found.end(signal.SIGKILL)
 
 
 @pytest.fixture
@@ -185,7 +185,8 @@ def test_killed_broker_keeps_what_it_had_saved(broker, opened):
 
 def test_broker_that_is_not_there_yet_is_waited_for(tmp_path, opened, caplog):
     broker = Mosquitto(tmp_path)
-    source = opened(Mqtt(at(broker)))
+    source = Mqtt(at(broker))
+    source.subscribe([ONE])
     begin = time.monotonic()
     assert source.receive(0.1) == []
     assert time.monotonic() - begin < 2

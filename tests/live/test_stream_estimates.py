@@ -30,6 +30,7 @@ def cut(name, samples, rate_hz, rng):
     ]
 
 
+@pytest.mark.slow  # test_the_history_of_a_stream_is_that_of_the_files
 @pytest.mark.parametrize(
     "seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2))]
 )

@@ -64,7 +64,7 @@ def templated(folder, manifest, how):
     return path
 
 
-@pytest.mark.parametrize("how", ["file", "times"])
+@pytest.mark.parametrize("how", ["times", pytest.param("file", marks=pytest.mark.slow)])
 def test_template_of_init_gives_the_monitor_what_it_gives_for_files(tmp_path, fleet, how):
     (folder := tmp_path / "trips").mkdir()
     path = templated(folder, fleet[0], how)

@@ -69,15 +69,15 @@ def test_measures_are_those_of_progpy():
 
 
 def test_intervals_hold_the_truth_on_simulated_wear():
-    """60 histories, every other at half and at three quarters of its life."""
+    """40 histories, every other at half and at three quarters of its life."""
     held = []
-    for i, history in enumerate(make_histories(60, seed=21)):
+    for i, history in enumerate(make_histories(40, seed=21)):
         share = (0.5, 0.75)[i % 2]
         mileage, values, half_widths = history.until(share * history.crossing_km)
         life = predict_life(mileage, values, half_widths, history.limits)
         low, high = life.interval_km()
         held.append(low <= history.crossing_km - mileage[-1] <= high)
-    # of 60 with 80 % each, fewer are 4.5 standard deviations off; all have a chance of 1e-6
+    # of 40 with 80 % each, fewer are 3.6 standard deviations off; all have a chance of 1e-4
     assert 0.57 < np.mean(held) < 1
 
 
@@ -161,7 +161,7 @@ def test_same_seed_gives_the_same_samples_and_no_input_changes():
     np.testing.assert_array_equal(values, before)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=12, deadline=None)
 @given(st.data())
 def test_any_history_gives_a_distribution(data):
     n = data.draw(st.integers(MIN_TRIPS, 60))

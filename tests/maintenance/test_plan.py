@@ -102,11 +102,11 @@ def test_expected_costs_are_the_means_of_the_docstring(visit, replacement):
 
 @pytest.mark.parametrize("n_parts", [1, 2, 4])
 def test_dates_cost_as_little_as_the_best_of_all_sets_of_dates(n_parts):
-    """50 tiny fleets with lives of any width, eight dates: 256 sets of dates each."""
+    """20 tiny fleets with lives of any width, eight dates: 256 sets of dates each."""
     rng = np.random.default_rng(n_parts)
     dates = np.linspace(7_000, 500_000, 8)
     n_visits = []
-    for _ in range(50):
+    for _ in range(20):
         tables = [
             part_costs(
                 rng.uniform(50_000, 400_000) * np.exp(rng.uniform(0, 0.6) * rng.normal(size=30)),
@@ -127,10 +127,10 @@ def test_dates_cost_as_little_as_the_best_of_all_sets_of_dates(n_parts):
 
 @pytest.mark.parametrize("n_parts", [2, 5, 16])
 def test_dates_for_costs_of_any_shape_are_the_best_of_all_sets(n_parts):
-    """50 random tables with eight dates, one in ten pairs forbidden: 256 sets of dates each."""
+    """20 random tables with eight dates, one in ten pairs forbidden: 256 sets of dates each."""
     rng = np.random.default_rng(n_parts)
     excess, proven = [], []
-    for _ in range(50):
+    for _ in range(20):
         costs = rng.uniform(0, 10, (n_parts, 9)) * rng.choice([0.1, 1.0, 10.0], (n_parts, 1))
         costs[rng.random(costs.shape) < 0.1] = np.inf
         costs[:, 0] = np.minimum(costs[:, 0], 100.0)
@@ -143,7 +143,7 @@ def test_dates_for_costs_of_any_shape_are_the_best_of_all_sets(n_parts):
     assert all(proven)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=12, deadline=None)
 @given(
     st.lists(
         st.lists(st.one_of(st.floats(0, 100), st.just(np.inf)), min_size=5, max_size=5),
@@ -366,7 +366,7 @@ def test_costs_may_differ_from_parameter_to_parameter():
         planned(part(60_000.0, parameter="k_s"), settings=spared)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=12, deadline=None)
 @given(
     lives=st.lists(
         st.lists(st.one_of(st.floats(0, 2e6), st.just(np.inf)), min_size=1, max_size=6),

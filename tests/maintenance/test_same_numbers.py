@@ -57,7 +57,9 @@ def made_up(where, vehicle):
     return [replace(one, vehicle=vehicle) for one in given[where.suspension]]
 
 
-@pytest.fixture(scope="module", params=["vehicle", "first_trips"])
+@pytest.fixture(
+    scope="module", params=[pytest.param("vehicle", marks=pytest.mark.slow), "first_trips"]
+)
 def outcomes(request, tmp_path_factory):
     """Return the folder of four suspensions' reports, and the view that is served of them."""
     folder = tmp_path_factory.mktemp("same")

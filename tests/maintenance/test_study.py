@@ -23,6 +23,8 @@ from suspnet.report.tables import overview_rows, overview_table
 from suspnet.report.templates import render
 from suspnet.runs.evaluate import write_maintenance
 
+pytestmark = pytest.mark.usefixtures("blank")
+
 TODAY = "2026-03-01"
 SEEN = "2026-02-01T08:00:00+00:00"
 

@@ -21,7 +21,7 @@ from suspnet.recordings.columns import (
 from suspnet.recordings.errors import TripError
 from suspnet.recordings.formats import open_columns
 
-RATE_HZ, MINUTES = 5000, 20
+RATE_HZ, MINUTES = 5000, 10
 
 
 def write_hdf5(path, values):
@@ -45,7 +45,9 @@ def count(path):
     return sum(len(block[0]) for block in open_columns(path, ["a"]))
 
 
-@pytest.mark.parametrize("suffix", PACKED)
+@pytest.mark.parametrize(
+    "suffix", [".h5", *(pytest.param(s, marks=pytest.mark.slow) for s in (".mat", ".parquet"))]
+)
 def test_channel_of_nothing_but_zeros_is_read(tmp_path, suffix):
     n = RATE_HZ * 60 * MINUTES
     PACKED[suffix](tmp_path / f"data{suffix}", np.zeros(n))

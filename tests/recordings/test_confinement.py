@@ -76,7 +76,7 @@ def test_reader_may_import_and_start_threads(file):
         assert opened.words == "done"
 
 
-@pytest.mark.parametrize("what", ["loop", "hog"])
+@pytest.mark.parametrize("what", ["hog", pytest.param("loop", marks=pytest.mark.slow)])
 def test_loop_and_hog_end_in_one_line_within_seconds(file, monkeypatch, what):
     monkeypatch.setenv(reader_process.LIMIT, "1")
     path, start = file(what), time.monotonic()

@@ -8,7 +8,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from recording_files import WRITERS, write_csv
@@ -40,6 +40,7 @@ def test_every_format_is_tested():
     assert set(WRITERS) == set(formats.READERS)
 
 
+@pytest.mark.every_value
 @pytest.mark.parametrize("kind", ["float64", "float32", "int16", "uint8", "int64"])
 @pytest.mark.parametrize("suffix", WRITERS)
 def test_columns_are_read_in_the_order_asked_for(tmp_path, monkeypatch, suffix, kind):
@@ -73,6 +74,7 @@ def test_missing_column_is_named(tmp_path, suffix):
         read(path, "b")
 
 
+@settings(max_examples=8)
 @given(hnp.arrays(np.float32, st.integers(1, 40), elements=st.floats(width=32)), st.integers(1, 9))
 def test_parquet_keeps_every_value(tmp_path_factory, values, rows):
     path = tmp_path_factory.mktemp("parquet") / "data.parquet"
@@ -180,6 +182,7 @@ def test_columns_without_samples_are_refused(tmp_path, suffix):
         read(path, named(suffix, "a"))
 
 
+@pytest.mark.every_value
 @pytest.mark.parametrize("content", [b"", b"\x00" * 300, b"not what it seems\n" * 30, b"TDSm" * 9])
 @pytest.mark.parametrize("suffix", WRITERS)
 def test_foreign_files_are_refused(tmp_path, suffix, content):
@@ -189,6 +192,7 @@ def test_foreign_files_are_refused(tmp_path, suffix, content):
         read(path, named(suffix, "a"))
 
 
+@pytest.mark.every_value
 @pytest.mark.parametrize("suffix", [suffix for suffix in WRITERS if suffix not in CSV_SUFFIXES])
 @pytest.mark.parametrize("kept", [0.1, 0.5, 0.9])
 def test_truncated_files_are_refused(tmp_path, suffix, kept):
@@ -200,6 +204,7 @@ def test_truncated_files_are_refused(tmp_path, suffix, kept):
         read(path, named(suffix, "a"))
 
 
+@settings(max_examples=14)
 @given(
     st.randoms(use_true_random=False),
     st.sampled_from([".parquet", ".mat", ".h5", ".tdms", ".mf4", ".uff", ".wav"]),

@@ -60,7 +60,12 @@ def unrepaired(recording):
 
 
 @pytest.mark.parametrize(
-    ("channel", "kind"), [("axle_box", "nearly constant"), ("bogie", "hum"), ("body", "noise")]
+    ("channel", "kind"),
+    [
+        pytest.param("axle_box", "nearly constant", marks=pytest.mark.slow),
+        pytest.param("bogie", "hum", marks=pytest.mark.slow),
+        ("body", "noise"),
+    ],
 )
 def test_loose_sensor_is_named_with_its_time(ten_minutes, tmp_path, channel, kind):
     values = loosened(signal(ten_minutes, channel), kind, RATE[channel], (180, 600))
@@ -75,6 +80,7 @@ def test_loose_sensor_is_named_with_its_time(ten_minutes, tmp_path, channel, kin
     assert recording.usable[at_s < 160].all()
 
 
+@pytest.mark.every_value
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("channel", CHANNELS)
 def test_whatever_a_loose_sensor_shows(ten_minutes, channel, kind):
@@ -113,7 +119,7 @@ def test_loose_from_the_start(ten_minutes, tmp_path):
     assert recording.usable[at_s > 320].all()
 
 
-@pytest.mark.parametrize("lost_s", [3.0, 40.0])
+@pytest.mark.parametrize("lost_s", [pytest.param(3.0, marks=pytest.mark.slow), 40.0])
 def test_jump_of_a_clock_is_no_loose_sensor(ten_minutes, tmp_path, lost_s):
     body, rate_hz = signal(ten_minutes, "body"), RATE["body"]
     kept = np.delete(body, slice(round(250 * rate_hz), round((250 + lost_s) * rate_hz)))
@@ -160,7 +166,9 @@ def six_sensors(tmp_path_factory):
     return simulated(tmp_path_factory.mktemp("six"), sides="both")
 
 
-@pytest.mark.parametrize("which", range(6))
+@pytest.mark.parametrize(
+    "which", [0, 4, *(pytest.param(k, marks=pytest.mark.slow) for k in (1, 2, 3, 5))]
+)
 def test_one_of_six_sensors(six_sensors, which):
     signals, usable, speed, faults = six_sensors
     assert faults == ()
@@ -196,7 +204,10 @@ def quieter(signals, factor, start_s, stop_s):
     return found
 
 
-@pytest.mark.parametrize("factor", [0.3, 0.1, 0.03, 0.01, 0.001, 0.0])
+@pytest.mark.parametrize(
+    "factor",
+    [0.1, 0.0, *(pytest.param(f, marks=pytest.mark.slow) for f in (0.3, 0.03, 0.01, 0.001))],
+)
 def test_smoother_track_and_standstill_are_no_fault(six_sensors, factor):
     """All sensors become quiet together, at last quieter than their own noise."""
     signals, usable, speed, _ = six_sensors
@@ -216,8 +227,8 @@ def test_smoother_track_and_standstill_are_no_fault(six_sensors, factor):
 
 HEALTHY = [
     (0, None, "service", "german_low", 45.0),
-    (1, "both", "steady", "chinese_ballastless", 20.0),
-    (2, "left", "service", "chinese_ballastless", 70.0),
+    pytest.param(1, "both", "steady", "chinese_ballastless", 20.0, marks=pytest.mark.slow),
+    pytest.param(2, "left", "service", "chinese_ballastless", 70.0, marks=pytest.mark.slow),
 ]
 """Seed, sides, journey, track and speed of healthy trips."""
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 import yaml
-from hypothesis import assume, given
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from suspnet.ground.records import Place
@@ -174,6 +174,7 @@ pairs = st.builds(
 )
 
 
+@settings(max_examples=10)
 @given(
     st.builds(
         TripManifest,

@@ -55,6 +55,7 @@ def written(folder: Path, version: str, kind: str, number: int, settings, place=
     return path
 
 
+@pytest.mark.every_value
 @pytest.mark.parametrize("kind", ["u1", "i4", "f4", "f8"])
 @pytest.mark.parametrize(
     ("version", "name"),

@@ -105,7 +105,9 @@ def test_what_libraries_print_goes_nowhere(file, capfd):
 
 
 @pytest.mark.skipif(os.name != "posix", reason="signals are those of POSIX")
-@pytest.mark.parametrize("when", ["", ":0", ":2"])
+@pytest.mark.parametrize(
+    "when", [":2", *(pytest.param(when, marks=pytest.mark.slow) for when in ("", ":0"))]
+)
 @pytest.mark.parametrize(
     ("what", "words"),
     [
@@ -129,7 +131,9 @@ def test_end_of_a_reader_is_one_error(file, what, words, when):
     np.testing.assert_array_equal(read(file("fine"))[0], A)
 
 
-@pytest.mark.parametrize("what", ["hang", "hang:2", "hang inside"])
+@pytest.mark.parametrize(
+    "what", ["hang inside", *(pytest.param(w, marks=pytest.mark.slow) for w in ("hang", "hang:2"))]
+)
 def test_reader_that_takes_too_long_is_ended_and_the_file_not_tried_again(file, monkeypatch, what):
     assert reader_of(file("fine"))  # the time is not that of the start
     monkeypatch.setenv(reader_process.LIMIT, "0.5")
@@ -170,7 +174,7 @@ def test_threads_have_readers_of_their_own(file):
 
 
 @pytest.mark.skipif(not os.path.exists("/proc/self/task"), reason="needs Linux's /proc")
-@pytest.mark.parametrize("what", ["fine", "hang inside:1"])
+@pytest.mark.parametrize("what", ["fine", pytest.param("hang inside:1", marks=pytest.mark.slow)])
 def test_reader_ends_with_the_process_that_is_killed(file, what):
     code = (
         "import os, signal, sys, threading; from pathlib import Path; "

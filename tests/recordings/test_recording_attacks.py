@@ -28,7 +28,7 @@ SECONDS, WALL_SECONDS = 10.0, 60.0
 The longest are 500 MB of packed zeros, unpacked twice; the first file starts the reader."""
 MOST_OWN_BYTES, MOST_READER_BYTES = 0.6e9, 1.7e9
 """Largest memory of the process that asks and of a reader, their libraries (0.2 GB) included."""
-FEW_ACTING = ("mdf system", "mdf 3.30", "hdf5 external file", "hdf5 virtual file", "tdms index")
+FEW_ACTING = ("mdf system", "mdf 3.30", "hdf5 external file", "tdms index")
 FEW_DECLARING = (
     "hdf5 of 1e+11",
     "mat of 1e+08",

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from suspnet.recordings.sensor import Decimator, Growing, interpolate, support
@@ -21,7 +21,14 @@ def resample(values, bad, input_hz, times_s, block=10_000):
     return interpolate(found.values, found.touched, positions, oversampling)
 
 
-RATES = [100.0, 123.4, 799.0, 800.0, 1999.7, 2000.0, 2048.0, 5000.0, 5120.0, 51_200.0]
+RATES = [
+    *(123.4, 799.0, 1999.7),
+    *(
+        pytest.param(rate_hz, marks=pytest.mark.slow)
+        for rate_hz in (100.0, 800.0, 2000.0, 2048.0, 5000.0, 5120.0, 51_200.0)
+    ),
+]
+FAST_RATES = RATES[1:3] + RATES[4:]
 TIMES_S = 0.3 + np.arange(500) / RATE_HZ
 
 
@@ -47,7 +54,7 @@ def test_pass_band_has_gain_one_and_no_delay(rate_hz):
             assert np.abs(got - exact).max() < 5e-5
 
 
-@pytest.mark.parametrize("rate_hz", [rate for rate in RATES if rate > 200])
+@pytest.mark.parametrize("rate_hz", FAST_RATES)
 def test_what_would_fall_into_the_pass_band_is_80_db_down(rate_hz):
     for alias_hz in (-25.0, -3.0, 3.0, 25.0):
         for multiple in range(1, int(rate_hz / 2 / RATE_HZ) + 1):
@@ -57,10 +64,11 @@ def test_what_would_fall_into_the_pass_band_is_80_db_down(rate_hz):
 
 
 def test_nyquist_band_of_fast_signals_is_80_db_down():
-    for frequency_hz in np.random.default_rng(0).uniform(75, 2500, 40):
+    for frequency_hz in np.random.default_rng(0).uniform(75, 2500, 20):
         assert np.abs(through(tone(frequency_hz, 5000.0), 5000.0)).max() < 1e-4
 
 
+@settings(max_examples=12)
 @given(
     st.sampled_from([123.4, 400.0, 1999.7, 5000.0]),
     st.sets(st.integers(0, 2000), max_size=3),

@@ -76,6 +76,7 @@ def test_intervals_hold_the_truth_as_often_as_asked_for(name, refined):
     assert (high / low).max() < 2
 
 
+@pytest.mark.slow  # the claim above, for many curves
 def test_coverage_on_fresh_curves_is_that_asked_for_output_by_output():
     problem = problem_of("all", "joint", sampling="sobol", n_calibrate=1200, n_test=3000)
     model = calibrated(problem, fit(problem, METHODS["msvr"](), None))
@@ -162,7 +163,7 @@ def test_curve_fit_and_refinement_end_in_the_same_optimum():
 # property
 
 
-@pytest.mark.parametrize("refined", [False, True])
+@pytest.mark.parametrize("refined", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_same_seed_gives_the_same_numbers_whatever_the_threads(refined):
     *_, first = outcome_of("linear", refined)
     problem = problem_of(threads=2)  # the first one has 1
@@ -201,7 +202,7 @@ def test_saved_model_gives_the_same_intervals_and_flags(name, refined, tmp_path)
         np.testing.assert_array_equal(limits[0], limits[1])
 
 
-@pytest.mark.parametrize("refined", [False, True])
+@pytest.mark.parametrize("refined", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_curves_that_lack_a_peak_are_flagged_and_have_no_estimate(refined):
     # the band begins above the lower peak of some heavy vehicles
     problem, _, outcome = outcome_of("linear", refined, low_hz=0.9)
@@ -234,6 +235,7 @@ def test_few_usual_curves_are_flagged_and_many_noisier_ones():
     assert estimate_curves(model, observer, curves, LEVEL).flags.found[:, 3].mean() > 0.9
 
 
+@pytest.mark.slow  # intervals: test_train.py; refined: tests/estimation/test_refine.py
 def test_trips_have_intervals_and_flags_too():
     settings = EstimateSettings(256, 48, 128, minutes=5.0, cache_dir=None)
     task = shipped_protocol("trips").task("all")

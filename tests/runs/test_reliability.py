@@ -34,7 +34,7 @@ from suspnet.runs.reliability import (
 from suspnet.spectra.curves import CurveSettings
 from tests.vehicles import AM96
 
-SETTINGS = CurveSettings(n_train=800, n_test=300, n_calibrate=900, step_hz=0.05, cache_dir=None)
+SETTINGS = CurveSettings(n_train=500, n_test=200, n_calibrate=600, step_hz=0.08, cache_dir=None)
 ICE3 = Vehicle("ice3", 1750.0, 10000.0, 1.2e6, 10e3, 0.35e6, 20e3)
 
 
@@ -52,12 +52,12 @@ def fresh(quarter_car, task):
 
 @pytest.fixture(scope="module")
 def measured(trained, fresh):
-    return measure(fresh, trained, {"am96": AM96, "ice3": ICE3}, 20)
+    return measure(fresh, trained, {"am96": AM96, "ice3": ICE3}, 8)
 
 
 def test_what_lies_out_of_range_is_flagged_and_what_lies_in_range_is_not(measured):
     shares = {name: kinds["any"] for name, kinds in measured.flags.items()}
-    assert shares.pop(IN_RANGE) < 2.5  # 300 curves
+    assert shares.pop(IN_RANGE) < 2.5  # 200 curves
     assert min(shares.values()) >= 95.0, shares
     assert set(shares) == {
         *(f"{name} at {percent} %" for name in PARAMETERS for percent in (30, 250)),
@@ -77,7 +77,7 @@ def test_parameters_that_are_fitted_are_called_out_of_range_others_unexplained(m
 def test_coverage_is_near_the_level(measured):
     scores = measured.intervals["conformal"]
     values = [v["coverage_percent"] for v in scores["outputs"].values()]
-    # calibrated on 300 curves and tested on 300: a standard deviation of 2.4 %
+    # 300 curves taught the scale, 300 and 200 tell: a standard deviation of 2.7 %
     assert all(82 < v < 98 for v in [*values, scores["joint_coverage_percent"]])
 
 
@@ -159,7 +159,14 @@ def test_gp_s_own_limits_by_hand(quarter_car, task):
             np.testing.assert_allclose(limit[:, j], expected, rtol=1e-12)
 
 
-def test_report_holds_every_number(trained, tmp_path):
+def test_report_holds_every_number(trained, measured, tmp_path, monkeypatch):
+    def measured_before(problem, model, others, n_odd):
+        assert (problem.seed, problem.settings.n_test, n_odd) == (7, 60, 3)
+        np.testing.assert_array_equal(model.healthy_features, trained.healthy_features)
+        assert others == {}
+        return measured
+
+    monkeypatch.setattr("suspnet.runs.reliability.measure", measured_before)
     save_model(tmp_path / "run", trained)
     folder = tmp_path / "report"
     GlobalHydra.instance().clear()
@@ -167,8 +174,8 @@ def test_report_holds_every_number(trained, tmp_path):
         str(tmp_path / "run"),
         {},
         folder,
-        FreshCurves(7, 150, progress=False),
-        10,
+        FreshCurves(7, 60, progress=False),
+        3,
         "cpu",
     )
     assert len(found) == 1

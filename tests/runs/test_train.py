@@ -58,14 +58,12 @@ def cases():
     """Yield method, protocol and group; slow are those whose code others of the method run too."""
     for (name, groups), model in itertools.product(PROTOCOLS.items(), MODELS):
         for group in groups:
-            again = model == "msvr_table5" and name != "paper"  # msvr, with other numbers
-            again |= group == "secondary" and model != "linear"  # as of primary
-            again |= name == "multi_location" and model in (
-                "curve_fit",
-                "mvgpr",
-                "svr",
-            )  # as of joint
-            again |= name == "trips" and model != "linear"  # msvr reads trips in tests/trips
+            if model == "linear":  # tests/runs/test_predict.py has these, calibrated
+                again = (name, group) in (("paper", "primary"), ("multi_location", "primary"))
+            elif model == "msvr_table5":  # msvr, with other numbers
+                again = (name, group) != ("paper", "primary")
+            else:  # msvr reads trips in tests/trips
+                again = name != "joint"
             yield pytest.param(model, name, group, marks=[pytest.mark.slow] * again)
 
 
@@ -101,7 +99,8 @@ def test_incomplete_physics_is_warned_of_and_kept(cache, tmp_path, caplog):
 
 
 def test_curve_fit_cannot_be_used_with_trips(cache, tmp_path):
-    small = ["data=trips", "generator=best", *SMALL[:3]]
+    few = ["data.n_train=20", "data.n_test=5", "data.n_calibrate=null"]
+    small = ["data=trips", "generator=best", *few]
     with pytest.raises(ValueError, match=r"model=curve_fit .* cannot be used with data=trips"):
         trained("curve_fit", "trips", "all", cache, tmp_path, *small)
     assert not (tmp_path / "model.json").exists()

@@ -2,12 +2,14 @@
 
 import json
 import logging
+from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 from trip_fixtures import SENSORS
 from vehicles import AM96
 
 from suspnet.dynamics import QuarterCar
+from suspnet.ground import workers
 from suspnet.ground.storage import locked
 from suspnet.recordings.manifest_files import UNFINISHED, partial_words
 from suspnet.simulation import writing
@@ -108,7 +110,20 @@ def test_mistake_before_the_first_trip_leaves_nothing(tmp_path):
     assert not (tmp_path / "fleet").exists()
 
 
-def test_workers_change_nothing(tmp_path):
+class Threads(ThreadPoolExecutor):
+    """Workers in this process: no import of their own."""
+
+    def __init__(self, n_workers):
+        super().__init__(1)
+
+    def shutdown(self, kill_workers=False, **options):
+        super().shutdown(**options)
+
+
+@pytest.mark.parametrize("kind", ["threads", pytest.param("processes", marks=pytest.mark.slow)])
+def test_workers_change_nothing(kind, tmp_path, monkeypatch):
+    if kind == "threads":
+        monkeypatch.setattr(workers, "guarded", Threads)
     for folder, n_jobs in (("one", 1), ("two", 2)):
         simulate(tmp_path / folder, n_jobs=n_jobs)
     assert contents(tmp_path / "one") == contents(tmp_path / "two")

@@ -83,8 +83,8 @@ def test_what_may_be_absent_is_never_negative():
     found = np.array(
         [
             [true_numbers(scattered(FAMILY, scale, seed))[name]["ratio"] for name in ABSENT]
-            for scale in (1.0, 3.0)
-            for seed in range(15)
+            for scale, seeds in ((1.0, range(3)), (3.0, range(12)))
+            for seed in seeds
         ]
     )
     assert (found >= 0).all()

@@ -90,6 +90,11 @@ def by_method(auto, cross, method):
     }[method]
 
 
+BIASED_AND_NOT = pytest.mark.parametrize(
+    "method", ["H1", "IV", *(pytest.param(name, marks=pytest.mark.slow) for name in ("H2", "Hv"))]
+)
+
+
 @pytest.fixture(scope="module")
 def recorded():
     """Spectra of many records made by inverse FFT, estimated as any recording is."""
@@ -151,7 +156,7 @@ def test_noise_free_curves_are_those_of_the_naive_spectra(method, ratios):
     assert (np.median(np.abs(bias)) > 2e-3) == (method != "IV")
 
 
-@pytest.mark.parametrize("method", METHODS)
+@BIASED_AND_NOT
 def test_mean_of_draws_is_that_of_recorded_estimates(recorded, method):
     simulated, drawn = relative_logs(recorded, method)
     for part in (lambda z: z.real, lambda z: z.imag):
@@ -163,7 +168,7 @@ def test_mean_of_draws_is_that_of_recorded_estimates(recorded, method):
         assert 0.5 < z.square().mean() < 1.7
 
 
-@pytest.mark.parametrize("method", METHODS)
+@BIASED_AND_NOT
 def test_scatter_of_draws_is_that_of_recorded_estimates(recorded, method):
     simulated, drawn = relative_logs(recorded, method)
     for part in (lambda z: z.real, lambda z: z.imag):
@@ -193,7 +198,7 @@ def test_correlations_of_draws_are_those_of_recorded_estimates(recorded, method)
     assert (both[0] - both[1]).abs().max() < 0.2  # 0.05 each
 
 
-@pytest.mark.parametrize("method", ["H1", "IV"])
+@pytest.mark.parametrize("method", [pytest.param("H1", marks=pytest.mark.slow), "IV"])
 def test_stated_covariance_is_that_of_the_draws(method):
     longer = {"minutes": 60.0, "snr_db": 30.0}  # small noise: the formula is of first order
     source = observer(method, **longer)

@@ -134,7 +134,7 @@ def test_secondary_group_has_every_feature_unless_the_body_is_strongly_damped(ta
 
 @pytest.mark.every_value
 @pytest.mark.parametrize("shape", ["lorentzian", "gaussian"])
-@pytest.mark.parametrize("size", [1, 7, 128])
+@pytest.mark.parametrize("size", [7, 128, pytest.param(1, marks=pytest.mark.slow)])
 def test_features_do_not_depend_on_how_curves_are_batched(task, quarter_car, shape, size):
     ratios = torch.as_tensor(task("joint", "all").sample(200, seed=1, stream=0))
     curves = add_noise(quarter_car.magnitudes(ratios, GRID), 34.0, seed=0)

@@ -12,8 +12,12 @@ from suspnet.report.maintenance_figures import health_trend
 
 
 def draw(figure):
-    """Draw a figure (a warning is an error) and return the texts on it."""
+    """Draw a figure (a warning is an error), which takes longest, and return the texts on it."""
     FigureCanvasAgg(figure).draw()
+    return texts(figure)
+
+
+def texts(figure):
     return [text.get_text() for axis in figure.axes for text in axis.texts]
 
 
@@ -35,7 +39,6 @@ def test_running_median_agrees_with_a_loop():
 def test_health_trend_shows_percent_of_healthy_over_thousands_of_km():
     trips = fleet(8, missing=(3,))
     figure = health_trend(trend_of(trips[::-1], OUTPUTS))
-    draw(figure)
     assert len(figure.axes) == len(OUTPUTS)
     known = [r for r in trips if r.status == "ok"]
     for axis, name in zip(figure.axes, OUTPUTS, strict=True):
@@ -51,7 +54,6 @@ def test_health_trend_shows_percent_of_healthy_over_thousands_of_km():
 def test_health_trend_shows_the_truth_only_where_it_is_known():
     trips = [replace(r, truth={"k_p": 0.9} if i < 4 else {}) for i, r in enumerate(fleet(6, ()))]
     figure = health_trend(trend_of(trips, ("k_p", "c_p")))
-    draw(figure)
     x, y = labelled(figure.axes[0], "truth (simulated)")
     np.testing.assert_allclose(x, [10, 20, 30, 40])
     np.testing.assert_allclose(y, 90.0)
@@ -62,7 +64,6 @@ def test_a_parameter_missing_from_one_trip_is_marked_in_its_panel_alone():
     trips = fleet(5, ())
     trips[2] = replace(trips[2], estimates=trips[2].estimates | {"c_p": np.nan})
     figure = health_trend(trend_of(trips, ("k_p", "c_p")))
-    draw(figure)
     assert "trip without an estimate" not in [line.get_label() for line in figure.axes[0].lines]
     np.testing.assert_allclose(labelled(figure.axes[1], "trip without an estimate")[0], [30.0])
 
@@ -70,19 +71,17 @@ def test_a_parameter_missing_from_one_trip_is_marked_in_its_panel_alone():
 def test_trip_signals_shows_kilometres_per_hour_and_the_time_in_minutes():
     result = trip()
     figure = figures.trip_signals(result)
-    assert draw(figure) == []
+    assert texts(figure) == []
     np.testing.assert_allclose(figure.axes[3].lines[0].get_ydata().max(), 252.0)
     np.testing.assert_allclose(figure.axes[0].lines[0].get_xdata(), result.curves.overview_s / 60)
     np.testing.assert_allclose(figure.axes[2].lines[0].get_ydata(), result.curves.overview_mean[2])
     short = figures.trip_signals(trip(curves=curves(n_windows=20)))
-    draw(short)
     assert short.axes[3].get_xlabel() == "time [s]"
 
 
 def test_trip_responses_draws_every_trip_with_curves_and_a_colour_bar():
     trips = fleet(6, missing=(2,))
     figure = figures.trip_responses(trips)
-    draw(figure)
     *axes, bar = figure.axes
     assert [len(axis.lines) for axis in axes] == [5] * 4
     assert bar.get_ylabel() == "mileage [1000 km]"
@@ -102,13 +101,12 @@ def test_bands_that_nothing_is_known_of_do_not_hide_the_curves():
 
 def figures_limits(shown):
     figure = figures.trip_responses([trip(curves=shown)])
-    draw(figure)
+    texts(figure)
     return figure.axes[0].get_ylim()
 
 
 def test_quality_marks_trips_without_an_estimate():
     figure = figures.quality(fleet(6, missing=(2,)))
-    draw(figure)
     solid, hollow = figure.axes[0].lines
     assert (len(solid.get_xdata()), len(hollow.get_xdata())) == (5, 1)
     assert hollow.get_markerfacecolor() == "none"
@@ -124,13 +122,14 @@ def whole(results):
     )
 
 
+@pytest.mark.slow  # test_gaps_in_every_curve_can_be_drawn draws all
 def test_a_single_trip_can_be_drawn():
     for figure in whole([trip()]):
         assert draw(figure) == []
 
 
 def test_trips_without_any_estimate_say_so():
-    drawn = [draw(f) for f in whole([trip(i, missing=True) for i in range(3)])]
+    drawn = [texts(f) for f in whole([trip(i, missing=True) for i in range(3)])]
     assert drawn[0] == ["no trip with an estimate and a mileage"] * 2
     assert drawn[1] == ["no trip has curves"] * 4
     assert drawn[2] == ["no signals"] * 4
@@ -139,13 +138,17 @@ def test_trips_without_any_estimate_say_so():
 
 def test_trips_without_a_mileage_are_counted():
     unplaced = [replace(r, mileage_km=np.nan) for r in fleet(4, ())]
-    drawn = [draw(f) for f in whole(unplaced)]
+    drawn = [texts(f) for f in whole(unplaced)]
     assert drawn[0] == ["no trip with an estimate and a mileage"] * 2
     assert drawn[1] == []
     assert drawn[3] == ["no trip with a mileage"] * 3
     figure = health_trend(trend_of([*fleet(3, ()), unplaced[0]], OUTPUTS))
-    draw(figure)
     assert figure.axes[0].get_title() == "without a mileage, not shown: 1"
+
+
+def failed():
+    """Return a trip that failed before it was read."""
+    return trip(1, missing=True, status="error", quality=type(trip().quality)(), truth={})
 
 
 def test_gaps_in_every_curve_can_be_drawn():
@@ -157,13 +160,10 @@ def test_gaps_in_every_curve_can_be_drawn():
     gaps.overview_high[2] = np.nan
     gaps.overview_speed[:] = np.nan
     gaps.responses[:, 5] = np.nan
-    for figure in whole([trip(0), trip(1, curves=gaps)]):
+    for figure in whole([trip(0), failed(), trip(2, curves=gaps)]):
         draw(figure)
 
 
 def test_a_trip_that_failed_before_it_was_read_can_be_drawn():
-    failed = trip(missing=True, status="error", quality=type(trip().quality)(), truth={})
-    for figure in whole([replace(failed, mileage_km=np.nan)]):
-        draw(figure)
-    for figure in whole([failed, trip(1)]):
+    for figure in whole([replace(failed(), mileage_km=np.nan)]):
         draw(figure)

@@ -12,6 +12,7 @@ import pyarrow as pa
 import pyarrow.csv as pacsv
 import pyarrow.parquet as pq
 import pytest
+from cli_runner import blank_figures
 from dying_readers import open_dying
 from dying_trips import mortal
 from forked import forks
@@ -73,7 +74,8 @@ def broken(manifests, tmp_path_factory):
 def done(broken, model, tmp_path_factory):
     """The folder written of `broken`, and the results."""
     folder = tmp_path_factory.mktemp("done")
-    return folder, read(broken, [model], folder)
+    with blank_figures():
+        return folder, read(broken, [model], folder)
 
 
 def estimates(results):
@@ -432,6 +434,7 @@ def test_names_of_the_files_do_not_matter(done, broken, model, no_figures, recal
             assert before.estimates["k_p"] / after.estimates["k_p"] == pytest.approx(expected)
 
 
+@pytest.mark.slow  # test_trip.py reads trips with models of two speeds
 def test_models_of_two_speeds_read_one_folder(manifests, model, no_figures, tmp_path):
     folder = tmp_path / "trips"
     folder.mkdir()
@@ -468,9 +471,12 @@ def test_change_below_what_the_model_resolves_does_not_changed_ones(model, monke
 # failure
 
 
+@pytest.mark.slow  # test_workers.py kills a worker, test_bad_trips_are_rows has faults
 def test_bad_trip_costs_its_row_and_the_report_exists(
     three, manifests, model, blank, alone, monkeypatch
 ):
+    (three / "b.yaml").unlink()
+    (three / "c.yaml").unlink()
     changed(manifests[0], three, "deadly")
     changed(manifests[0], three, "far", mileage_km=1e19)
     changed(manifests[0], three, "fast", channels={"body": {"rate_hz": 1e9}})
@@ -484,13 +490,8 @@ def test_bad_trip_costs_its_row_and_the_report_exists(
     out = three.parent / "out"
     found = evaluate_fleet(three, [model], out, FleetSettings(TRIPS, workers=2), progress=False)
     results = {r.trip: r for one in found for r in one.results}
-    assert {name for name, r in results.items() if r.status == "ok"} >= {
-        "a",
-        "b",
-        "c",
-        "n\\udcffme",
-    }
-    are_as_if_alone([results[name] for name in "abc"], alone[:3])
+    assert {name for name, r in results.items() if r.status == "ok"} >= {"a", "n\\udcffme"}
+    are_as_if_alone([results["a"]], alone[:1])
     reasons = {
         "deadly": "was killed (SIGKILL(-9)), and so was that of a second attempt",
         "far": "`mileage_km` must be at most 20000000 km (is it in metres?), got 1e+19",
@@ -500,11 +501,12 @@ def test_bad_trip_costs_its_row_and_the_report_exists(
     for name, reason in reasons.items():
         assert results[name].status == "error"
         assert reason in results[name].reason
-    assert results.keys() == {"a", "b", "c", "n\\udcffme", "surrogate", "untrue", *reasons}
+    assert results.keys() == {"a", "n\\udcffme", "surrogate", "untrue", *reasons}
     assert (out / "overview.html").is_file() == (len(found) > 1)
     assert len(list(out.rglob("report.html"))) == len(found)
 
 
+@pytest.mark.slow  # test_reader_process.py has each of them by default
 def test_file_that_kills_or_hangs_its_reader_costs_its_row(
     three, manifests, model, blank, monkeypatch
 ):

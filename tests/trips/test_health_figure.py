@@ -16,11 +16,16 @@ FEW = OUTPUTS[:2]
 FLAGGED, BEYOND, INTERVAL = "flagged: see the table", "beyond the axis", "its 90 % interval"
 
 
+def made(results, outputs=FEW, **options):
+    """Return a figure's panels."""
+    return health_trend(trend_of(results, outputs, **options)).axes
+
+
 def drawn(results, outputs=FEW, **options):
-    """Return a figure's panels, drawn (a warning is an error)."""
-    figure = health_trend(trend_of(results, outputs, **options))
-    FigureCanvasAgg(figure).draw()
-    return figure.axes
+    """Return a figure's panels, drawn (a warning is an error), which takes longest."""
+    axes = made(results, outputs, **options)
+    FigureCanvasAgg(axes[0].figure).draw()
+    return axes
 
 
 def labels(axis):
@@ -57,7 +62,7 @@ def legend(axis):
 def test_bars_are_the_intervals_in_percent():
     trips = measured(missing=(3,))
     known = [r for r in trips if r.estimates]
-    for axis, name in zip(drawn(trips[::-1], OUTPUTS), OUTPUTS, strict=True):
+    for axis, name in zip(made(trips[::-1], OUTPUTS), OUTPUTS, strict=True):
         expected = [[r.mileage_km / 1000, *(100 * v for v in r.interval(name))] for r in known]
         np.testing.assert_allclose(bars(axis), expected)
         low, high = axis.get_ylim()
@@ -66,7 +71,7 @@ def test_bars_are_the_intervals_in_percent():
 
 
 def test_level_is_that_of_the_legend():
-    axis = drawn(measured(), level=0.95)[0]
+    axis = made(measured(), level=0.95)[0]
     assert "its 95 % interval" in legend(axis)
     assert len(bars(axis, "its 95 % interval")) == 12
 
@@ -87,7 +92,7 @@ def test_flagged_trips_are_hollow_and_without_interval():
 
 
 def test_without_intervals_and_flags_the_figure_is_as_before():
-    axes = drawn(fleet(12, ()))
+    axes = made(fleet(12, ()))
     assert FLAGGED not in legend(axes[0])
     for axis, name in zip(axes, FEW, strict=True):
         assert not axis.collections
@@ -106,9 +111,9 @@ def test_without_intervals_and_flags_the_figure_is_as_before():
 @pytest.mark.parametrize("place", [0, 6, 11])
 def test_a_single_odd_trip_does_not_spoil_the_axis(value, edge, words, place):
     trips = measured()
-    usual = drawn(trips)[0].get_ylim()
+    usual = made(trips)[0].get_ylim()
     trips[place] = flagged(trips[place], k_p=value)
-    axis, other = drawn(trips)[:2]
+    axis, other = made(trips)[:2]
     assert np.ptp(axis.get_ylim()) < 1.5 * np.ptp(usual)
     np.testing.assert_allclose(points(axis, BEYOND)[:, 0], [10.0 * (place + 1), edge])
     assert [text.get_text() for text in axis.texts] == [words]
@@ -127,9 +132,9 @@ def test_a_lasting_change_stays_on_the_axis_though_flagged():
 
 def test_a_flagged_trip_near_the_others_widens_the_axis():
     trips = measured()
-    usual = drawn(trips)[0].get_ylim()
+    usual = made(trips)[0].get_ylim()
     trips[5] = flagged(trips[5], k_p=0.985)
-    axis = drawn(trips)[0]
+    axis = made(trips)[0]
     assert usual[0] > 98.5 > axis.get_ylim()[0]
     assert BEYOND not in labels(axis)
 
@@ -137,7 +142,7 @@ def test_a_flagged_trip_near_the_others_widens_the_axis():
 def test_all_flagged_are_all_shown():
     trips = measured(missing=(4,))
     trips = [flagged(r, k_p=0.2 + 0.1 * i) if r.estimates else r for i, r in enumerate(trips)]
-    axis = drawn(trips)[0]
+    axis = made(trips)[0]
     assert "trip" not in labels(axis)
     assert BEYOND not in labels(axis)
     assert axis.get_ylim()[0] < 20
@@ -147,7 +152,7 @@ def test_all_flagged_are_all_shown():
 
 def test_levels_that_no_suspension_has_are_beyond_the_axis():
     trips = [flagged(r, k_p=1.4e5 if i < 3 else 0.85) for i, r in enumerate(measured())]
-    axis = drawn(trips)[0]
+    axis = made(trips)[0]
     assert 85 < axis.get_ylim()[1] < 2000
     assert [text.get_text() for text in axis.texts] == ["over 1000 %"] * 3
     assert len(points(axis, BEYOND)[0]) == 3
@@ -156,8 +161,8 @@ def test_levels_that_no_suspension_has_are_beyond_the_axis():
 def test_a_wide_interval_is_cut_off_at_the_span_of_the_others():
     trips = measured()
     trips[5] = replace(trips[5], half_widths=HALF_WIDTHS | {"k_p": 2.0})
-    axis = drawn(trips)[0]
-    assert np.ptp(axis.get_ylim()) < 4 * np.ptp(drawn(measured())[0].get_ylim())
+    axis = made(trips)[0]
+    assert np.ptp(axis.get_ylim()) < 4 * np.ptp(made(measured())[0].get_ylim())
     assert len(bars(axis)) == 12
 
 
@@ -176,7 +181,7 @@ def test_unknown_intervals_are_left_out(half):
 
 
 def test_a_lone_flagged_trip_is_shown():
-    axis = drawn([flagged(trip(3), k_p=0.2)])[0]
+    axis = made([flagged(trip(3), k_p=0.2)])[0]
     np.testing.assert_allclose(points(axis, FLAGGED)[:, 0], [40.0, 20.0])
     assert BEYOND not in labels(axis)
 
@@ -202,7 +207,7 @@ def test_crossing_ahead_makes_room_for_itself():
         "c_p": Life("no trend", np.full(3, np.inf)),
         "k_s": Life("x", np.zeros(1)),
     }
-    axes = drawn(trips, OUTPUTS[:3], lives=lives)
+    axes = made(trips, OUTPUTS[:3], lives=lives)
     begin, end = points(axes[0], "act limit will be passed (80 %)")[0]
     assert begin == pytest.approx((last + near.interval_km()[0]) / 1000)
     assert end == pytest.approx((last + AHEAD * span) / 1000)
@@ -210,5 +215,5 @@ def test_crossing_ahead_makes_room_for_itself():
     for axis in axes[1:]:
         assert "act limit will be passed (80 %)" not in labels(axis)
     # far away, nothing is drawn
-    far = drawn(trips, FEW, lives={"k_p": Life("linear", np.array([9e6]))})
+    far = made(trips, FEW, lives={"k_p": Life("linear", np.array([9e6]))})
     assert far[0].get_xlim()[1] < last / 1000 + 0.1 * span / 1000

@@ -68,7 +68,7 @@ def small_figure():
 
 
 def write(path, results, drawn=None, details=None, title="Suspension report", level=0.9):
-    drawn = {"trend": small_figure()} if drawn is None else drawn
+    drawn = {} if drawn is None else drawn  # a figure takes longer than the page
     details = {"model": "msvr"} if details is None else details
     given = Report(results, OUTPUTS, state_of(results), details, level)
     report.write_report(path, title, given, drawn)
@@ -81,10 +81,10 @@ def whole(tmp_path_factory):
     """Return a report with all figures: its text, page and trips."""
     results = fleet()
     drawn = {
-        "quality": figures.quality(results),
-        "signals": figures.trip_signals(results[-1]),
+        "quality": small_figure(),
+        "signals": small_figure(),
         "extra_figure": small_figure(),
-        "responses": figures.trip_responses(results),
+        "responses": small_figure(),
         "trend": health_trend(trend_of(results)),
     }
     path = tmp_path_factory.mktemp("report") / "report.html"
@@ -242,7 +242,7 @@ def test_flagged_trips_are_told_with_their_reasons(tmp_path):
     results = measured()
     results[3] = flagged(results[3], k_p=0.27)
     results[7] = flagged(results[7])
-    text, page = write(tmp_path / "r.html", results)
+    text, page = write(tmp_path / "r.html", results, {"trend": small_figure()})
     assert "2 of 12 trips are flagged, see the table; " in page.text
     assert "12, of which 12 with an estimate, 2 of these flagged" in page.text
     assert page.named("div")[0]["class"] == "result plain"  # else it would be good

@@ -118,6 +118,7 @@ def test_pair_average_of_a_trip_is_that_on_the_mean_track_alone(tmp_path):
         np.testing.assert_allclose(a, b, rtol=0, atol=1e-6 * np.abs(b).max())
 
 
+@pytest.mark.slow
 def test_each_trip_has_its_own_speed_and_its_own_draws(tmp_path):
     fleet, train = fleet_of(3), RichTrain.scattered(1, {*FAMILY, "drift"})
     write = {"ratios": np.ones((3, 5)), "fleet": fleet, "seed": 4}
@@ -136,8 +137,9 @@ def test_each_trip_has_its_own_speed_and_its_own_draws(tmp_path):
         assert abs(np.corrcoef(first, columns(found[1], channel)["right"])[0, 1]) < 0.5
 
 
+@pytest.mark.slow
 def test_service_journeys_begin_and_end_at_rest(tmp_path):
-    fleet = fleet_of(minutes=8.0, journey="service", n_stops=0, speed_m_per_s=50.0)
+    fleet = fleet_of(minutes=6.0, journey="service", n_stops=0, speed_m_per_s=50.0)
     (path,) = write_train_trips(tmp_path, RichTrain.scattered(1), [WORN], fleet, 0)
     speed = columns(path, "speed")["speed"]
     assert speed[0] == speed[-1] == 0
@@ -146,6 +148,7 @@ def test_service_journeys_begin_and_end_at_rest(tmp_path):
     assert np.abs(body[:250]).max() < 0.05 * np.abs(body).max()
 
 
+@pytest.mark.slow  # test_rich_train.py steps the same laws
 def test_trains_with_nonlinear_laws_are_stepped_and_written_alike(tmp_path):
     effects = {"bushings", "rubber", "roll", "blow_off", "friction"}
     train = RichTrain.scattered(1, effects)

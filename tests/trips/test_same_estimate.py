@@ -14,11 +14,14 @@ from trip_fixtures import RATES_HZ, recalled_trip, signal
 
 from suspnet.estimation.from_recording import TripSettings
 from suspnet.recordings.manifest import CHANNELS
+from suspnet.recordings.manifest_files import read_manifest
+from suspnet.recordings.recording import load_recording
 from suspnet.trips.trip import evaluate_trip
 
 RATES = dict(zip(CHANNELS, RATES_HZ, strict=True))
 START = datetime(2015, 8, 3, 8, tzinfo=timezone(timedelta(hours=2)))
 EPOCH_S = START.timestamp()
+SECONDS = 70.0
 
 
 @pytest.fixture(scope="module")
@@ -74,6 +77,11 @@ def blanks(path: Path, values: np.ndarray, rate_hz: float) -> dict:
 def commas(path: Path, values: np.ndarray, rate_hz: float) -> dict:
     write_csv(path, {"a": values})
     return {"column": "a", "rate_hz": rate_hz}
+
+
+def parquet(path: Path, values: np.ndarray, rate_hz: float) -> dict:
+    pq.write_table(pa.table({"a": values}), path)
+    return {"rate_hz": rate_hz}
 
 
 def zoned(path: Path, values: np.ndarray, rate_hz: float) -> dict:
@@ -146,16 +154,20 @@ WAYS = {
 }  # fmt: skip
 
 
-def rewritten(manifest: Path, folder: Path, way, suffix: str) -> Path:
-    """Write a trip in another format; the manifest says only what the files do not."""
+def rewritten(manifest: Path, folder: Path, way, suffix: str, seconds: float = np.inf) -> Path:
+    """Write a trip in another format; the manifest says only what the files do not.
+
+    With `seconds`, only the begin of it is written.
+    """
     content = yaml.safe_load(manifest.read_text())
     content.pop("start")
     sources = {name: content["channels"][name] for name in CHANNELS} | {"speed": content["speed"]}
     for name, source in sources.items():
         path = folder / f"{name}{suffix}"
-        values = signal(manifest, name).astype(np.float64)
-        said = way(path, values, RATES.get(name, 1.0))
-        if way in (commas, tabs, blanks, mat, matrix, zoned):
+        rate_hz = RATES.get(name, 1.0)
+        values = signal(manifest, name).astype(np.float64)[: int(min(seconds, 1e6) * rate_hz)]
+        said = way(path, values, rate_hz)
+        if way in (commas, tabs, blanks, mat, matrix, parquet, zoned):
             said["unit"] = source["unit"]
         source.clear()
         source.update({"file": path.name} | said)
@@ -164,7 +176,36 @@ def rewritten(manifest: Path, folder: Path, way, suffix: str) -> Path:
     return path
 
 
-@pytest.mark.parametrize("way", WAYS, ids=lambda way: way.__name__)
+def slow_but(*ways):
+    """Return all ways, of which some are tested by default."""
+    return [
+        pytest.param(way, marks=[pytest.mark.slow] * (way not in ways), id=way.__name__)
+        for way in WAYS
+    ]
+
+
+@pytest.fixture(scope="module")
+def begin(manifests, tmp_path_factory):
+    """The begin of a trip."""
+    folder = tmp_path_factory.mktemp("as_it_was")
+    path = rewritten(manifests[0], folder, parquet, ".parquet", SECONDS)
+    return load_recording(read_manifest(path), 50.0)
+
+
+@pytest.mark.parametrize("way", slow_but(german, tabs, zoned, struct, hdf5, tdms, mdf, uff, wav))
+def test_every_format_gives_the_same_recording(manifests, begin, tmp_path, way):
+    """The begin of a trip in all formats; the estimate below hangs on nothing else."""
+    path = rewritten(manifests[0], tmp_path, way, WAYS[way], SECONDS)
+    found, expected = load_recording(read_manifest(path), 50.0), begin
+    assert found.usable.all()
+    assert found.signals.shape == expected.signals.shape
+    size = np.abs(expected.signals).max()
+    np.testing.assert_allclose(found.signals, expected.signals, rtol=0, atol=1e-5 * size)
+    np.testing.assert_allclose(found.speed_m_per_s, expected.speed_m_per_s, rtol=1e-6)
+    assert ("delimiter" in found.words) == (WAYS[way] in (".csv", ".txt", ".asc"))
+
+
+@pytest.mark.parametrize("way", slow_but(struct))
 def test_every_format_gives_the_same_estimate(manifests, model, expected, tmp_path, way):
     path = rewritten(manifests[0], tmp_path, way, WAYS[way])
     result = evaluate_trip(path, [model], TripSettings())

@@ -19,7 +19,7 @@ from suspnet.report.report import sides_finding
 from suspnet.spectra.side_difference import SideDifference
 from suspnet.trips.trip import evaluate_trip
 
-RATE_HZ, TOP_HZ = 250.0, 30.0
+RATE_HZ, TOP_HZ = 250.0, 15.0
 WEAK = (-0.111, 0.0, 0.0, 0.0)
 
 

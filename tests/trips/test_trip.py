@@ -1,5 +1,6 @@
 """One trip at a time: estimates near the truth, bins of speed, what is left out, every refusal."""
 
+import itertools
 import math
 import re
 from dataclasses import replace
@@ -109,7 +110,7 @@ def noisy(manifest, folder, channel, size, seconds=(100.0, 130.0)):
 
 @pytest.mark.parametrize("i", range(N_TRIPS))
 def test_estimates_are_as_close_to_the_truth_as_the_test_curves_are(manifests, model, i):
-    result = evaluated(manifests[i], model)
+    result = recalled_trip(manifests[i], [model], SETTINGS)
     assert result.status == OK
     assert max(abs(result.truth[name] - 1) for name in OUTPUTS) > 0.1
     for name in OUTPUTS:
@@ -183,16 +184,17 @@ def test_quality_says_what_the_estimate_is_made_of(good):
 
 
 def test_trip_is_described_as_its_manifest_says(manifests, model, tmp_path):
-    path = changed(manifests[2], tmp_path, suspension="bogie 7 left", truth=None, start=None)
+    changes = {"truth": None, "start": None, "temperature_c": -12.5}
+    path = changed(manifests[2], tmp_path, suspension="bogie 7 left", **changes)
     result = evaluated(path, model)
     assert (result.trip, result.manifest) == ("changed", str(path))
     assert (result.vehicle, result.place.suspension) == ("am96", "bogie 7 left")
     assert (result.mileage_km, result.start, result.truth) == (3000.0, "", {})
     assert result.status == OK
-    assert np.isnan(result.temperature_c)
-    cold = changed(manifests[2], tmp_path, "cold", temperature_c=-12.5)
-    assert evaluated(cold, model).temperature_c == -12.5
-    assert evaluated(manifests[2], model).start == "2015-08-23T06:00:00+00:00"
+    assert result.temperature_c == -12.5
+    as_written = recalled_trip(manifests[2], [model], SETTINGS)
+    assert np.isnan(as_written.temperature_c)
+    assert as_written.start == "2015-08-23T06:00:00+00:00"
 
 
 @pytest.mark.parametrize("seconds", [200, pytest.param(280, marks=pytest.mark.slow)])
@@ -237,6 +239,7 @@ def test_speed_bins_are_averaged_by_the_inverse_squares_of_their_half_widths(
     np.testing.assert_array_equal(swapped.curves.responses, alone[0].curves.responses)
 
 
+@pytest.mark.slow  # see test_nothing_to_estimate_from
 def test_speed_bin_with_too_few_averages_is_left_out(two_speeds, model):
     path = two_speeds(100)
     both = evaluate_trip(path, [slow_model(), model], SETTINGS)
@@ -254,13 +257,11 @@ def test_speed_bin_with_too_few_averages_is_left_out(two_speeds, model):
 def test_speed_must_stay_in_the_bin_throughout(manifests, model, tmp_path):
     speed = signal(manifests[0], "speed").copy()
     speed[150] = 71.5  # 2.1 % more than the model's, in two segments
+    speed[60] = 68.5
     path = changed(manifests[0], tmp_path, signals={"speed": speed})
-    assert evaluated(path, model).quality.segments_used == N_SEGMENTS - 2
+    assert evaluated(path, model).quality.segments_used == N_SEGMENTS - 4
     wide = evaluated(path, model, TripSettings(speed_tolerance=0.025))
     assert wide.quality.segments_used == N_SEGMENTS
-    speed[150] = 68.5
-    path = changed(manifests[0], tmp_path, signals={"speed": speed})
-    assert evaluated(path, model).quality.segments_used == N_SEGMENTS - 2
 
 
 def test_model_without_speed_takes_every_speed_that_is_high_enough(manifests, model, tmp_path):
@@ -268,8 +269,6 @@ def test_model_without_speed_takes_every_speed_that_is_high_enough(manifests, mo
     path = changed(manifests[0], tmp_path, signals={"speed": speed})
     anywhere = replace(model, generator=QuarterCar(model.vehicle))
     assert evaluated(path, anywhere).quality.segments_used == 13  # from 150 s on
-    everything = evaluated(path, anywhere, TripSettings(min_speed_m_per_s=9.0))
-    assert everything.quality.segments_used == N_SEGMENTS
     standing = evaluated(path, anywhere, TripSettings(min_speed_m_per_s=41.0, check_channels=False))
     assert standing.status == NO_ESTIMATE
     assert "0 of 28 segments without faults are at 41 m/s or faster throughout" in standing.reason
@@ -279,7 +278,6 @@ def test_swapped_channels_are_flagged_where_they_are_not_refused(manifests, mode
     """The bogie's and the body's files, with the check of the channels switched off."""
     signals = {"bogie": signal(manifests[0], "body"), "body": signal(manifests[0], "bogie")}
     path = changed(manifests[0], tmp_path, signals=signals)
-    assert evaluated(path, model).status == ERROR
     result = evaluated(path, model, TripSettings(check_channels=False, max_deviation=10.0))
     assert result.status == OK
     assert "the model cannot explain the curve" in result.flags
@@ -303,8 +301,8 @@ def test_delay_that_is_the_same_all_along_is_named(manifests, model, good, tmp_p
 @pytest.mark.parametrize(
     ("flags", "expected"),
     [
-        (("", ""), ""),
-        (("odd", ""), "in 1 of 2 speed bins, at 70.0 m/s: odd"),
+        pytest.param(("", ""), "", marks=pytest.mark.slow),
+        pytest.param(("odd", ""), "in 1 of 2 speed bins, at 70.0 m/s: odd", marks=pytest.mark.slow),
         (("", "odder"), "in 1 of 2 speed bins, at 50.0 m/s: odder"),
         (("odd", "odder"), "in 2 of 2 speed bins, at 70.0 m/s: odd"),
     ],
@@ -346,7 +344,7 @@ def test_fault_costs_averages_and_is_told(manifests, model, good, tmp_path):
 @pytest.mark.parametrize(
     ("change", "kinds"),
     [
-        (lambda v: v + 9.81, ["offset"]),
+        pytest.param(lambda v: v + 9.81, ["offset"], marks=pytest.mark.slow),
         (lambda v: v + np.linspace(-3, 3, len(v)), ["drift"]),
         (lambda v: v + 1e3 * (np.arange(len(v)) % 2500 == 1250), ["spike"]),
         (lambda v: np.where(np.arange(len(v)) % 5000 == 77, np.nan, v), ["gap"]),
@@ -361,9 +359,17 @@ def test_harmless_fault_changes_nothing(manifests, model, good, tmp_path, change
     assert close(result, good, 1.002)
 
 
-@pytest.mark.every_value
-@pytest.mark.parametrize("channel", CHANNELS)
-@pytest.mark.parametrize("size", [3.0, 1000.0])
+@pytest.mark.parametrize(
+    ("size", "channel"),
+    [
+        (3.0, "body"),
+        *(
+            pytest.param(size, channel, marks=pytest.mark.slow)
+            for size, channel in itertools.product((3.0, 1000.0), CHANNELS)
+            if (size, channel) != (3.0, "body")
+        ),
+    ],
+)
 def test_segments_with_unrelated_noise_are_left_out(
     no_loose_sensor, manifests, model, good, tmp_path, channel, size
 ):
@@ -374,9 +380,17 @@ def test_segments_with_unrelated_noise_are_left_out(
     assert close(result, good)
 
 
-@pytest.mark.every_value
-@pytest.mark.parametrize("channel", CHANNELS)
-@pytest.mark.parametrize("size", [10.0, 1000.0])
+@pytest.mark.parametrize(
+    ("size", "channel"),
+    [
+        (10.0, "bogie"),
+        *(
+            pytest.param(size, channel, marks=pytest.mark.slow)
+            for size, channel in itertools.product((10.0, 1000.0), CHANNELS)
+            if (size, channel) != (10.0, "bogie")
+        ),
+    ],
+)
 def test_unrelated_noise_counts_as_a_loose_sensor(manifests, model, good, tmp_path, channel, size):
     result = evaluated(noisy(manifests[0], tmp_path, channel, size), model)
     assert result.quality.faults.startswith(f"{channel}: loose from about ")
@@ -386,6 +400,7 @@ def test_unrelated_noise_counts_as_a_loose_sensor(manifests, model, good, tmp_pa
     assert close(result, good)
 
 
+@pytest.mark.slow
 def test_noise_in_all_segments_alike_leaves_none_out(manifests, model, tmp_path):
     path = noisy(manifests[0], tmp_path, "bogie", 5.0, seconds=(0, 300))
     result = evaluated(path, model, TripSettings(max_deviation=10.0))
@@ -401,6 +416,7 @@ def test_a_little_noise_in_a_part_leaves_none_out(manifests, model, good, tmp_pa
     assert close(result, good, 1.05)
 
 
+@pytest.mark.slow
 def test_what_happens_at_other_speeds_does_not_matter(no_loose_sensor, manifests, model, tmp_path):
     speed = np.where(np.arange(301) < 140, 70.0, 30.0)
     quiet = noisy(manifests[0], tmp_path, "body", 3.0, seconds=(60, 70))
@@ -540,7 +556,7 @@ def test_other_vehicle_is_refused(manifests, model, tmp_path):
 
 
 def test_missing_peak_is_named(tmp_path):
-    model = model_at(n_train=500, n_calibrate=None, feature_set="peaks")
+    model = model_at(n_train=100, n_calibrate=None, feature_set="peaks")
     change = {"from_km": 0, "to_km": 0, "ratio": 8.0}
     (path,) = write_trips(tmp_path, scenario=Scenario("no peak left", {"c_p": change}))
     result = evaluated(path, model)
@@ -584,6 +600,7 @@ def test_ctrl_c_is_not_taken_for_a_fault_of_the_trip(manifests, model, monkeypat
         evaluate_trip(manifests[0], [model], SETTINGS)
 
 
+@pytest.mark.slow
 def test_channels_are_checked_at_the_speed_of_each_model(two_speeds, monkeypatch, model):
     asked = []
 
@@ -593,11 +610,9 @@ def test_channels_are_checked_at_the_speed_of_each_model(two_speeds, monkeypatch
 
     monkeypatch.setattr(recording, "check_channels", spy)
     models = [slow_model(), model]
-    for order in (models, models[::-1]):
-        asked.clear()
-        result = evaluate_trip(two_speeds(200), order, SETTINGS)
-        assert result.status == OK
-        assert asked == [m.generator.speed_m_per_s for m in order]
+    result = evaluate_trip(two_speeds(200), models, SETTINGS)
+    assert result.status == OK
+    assert asked == [m.generator.speed_m_per_s for m in models]
 
 
 def test_no_channel_is_checked_where_no_segment_is_at_the_speed(manifests, monkeypatch):
@@ -608,11 +623,10 @@ def test_no_channel_is_checked_where_no_segment_is_at_the_speed(manifests, monke
 
 def test_segment_of_two_overlapping_bins_counts_once(manifests, model, good):
     near = replace(model, generator=replace(model.generator, speed_m_per_s=70.5))
-    for models in ([model, near], [near, model]):
-        result = evaluate_trip(manifests[0], models, SETTINGS)
-        assert result.quality.segments_used == N_SEGMENTS
-        assert result.quality.n_averages == good.quality.n_averages
-        assert result.estimates == pytest.approx(good.estimates)
+    result = evaluate_trip(manifests[0], [near, model], SETTINGS)
+    assert result.quality.segments_used == N_SEGMENTS
+    assert result.quality.n_averages == good.quality.n_averages
+    assert result.estimates == pytest.approx(good.estimates)
 
 
 def test_quality_of_a_refused_trip_is_kept(manifests, model, tmp_path):

@@ -153,6 +153,7 @@ def tab_until(browser, is_there, most=80):
     raise AssertionError("the keyboard does not get there")
 
 
+@pytest.mark.slow  # the same by keys is below
 def test_alarm_is_acknowledged_by_clicks(browser, own):
     address, _, path = own
     browser.get(address)
@@ -189,26 +190,9 @@ def test_alarm_is_acknowledged_by_keys_alone(browser, own):
     name.send_keys("Ada")
     tab_until(browser, lambda e: e.tag_name == "button").send_keys(Keys.ENTER)
     wait(browser, lambda b: "Acknowledged by Ada" in shown(b))
+    browser.execute_script("return replace()")
+    assert "Acknowledged by Ada" in shown(browser)  # an update leaves what was said
     assert acknowledged(path, NAMED_EVIL) == [("k_p", "Ada", "")]
-
-
-def test_buttons_zoom_by_mouse_and_keys(browser, site):
-    browser.get(page_of(site, WORN))
-    wait(browser, has_plots)
-    whole = browser.execute_script(KNOWN_RANGE)
-    assert whole[0] <= 2000
-    assert whole[1] >= 60_000
-    (button,) = browser.find_elements(By.XPATH, "//button[text()='Last 20 trips']")
-    button.click()
-    low, high = wait(browser, lambda b: zoomed(b, whole))
-    assert 18_000 < low < 22_000  # the 11th trip of 30
-    assert 60_000 < high < 64_000
-    assert button.get_attribute("aria-pressed") == "true"
-    (words,) = browser.find_elements(By.CSS_SELECTOR, ".ranges output")
-    assert words.text.endswith(" km")
-    (everything,) = browser.find_elements(By.XPATH, "//button[text()='All']")
-    everything.send_keys(Keys.SPACE)
-    wait(browser, lambda b: b.execute_script(KNOWN_RANGE) == whole)
 
 
 def zoomed(browser, whole):
@@ -216,12 +200,23 @@ def zoomed(browser, whole):
     return found != whole and found
 
 
-def test_zoom_focus_and_forms_outlast_an_update(browser, own):
+def test_zoom_focus_and_forms_outlast_an_update_and_the_end_of_the_server_is_told(browser, own):
     _, refresher, path = own
     browser.get(page_of(own, WORN))
     wait(browser, has_plots)
+    browser.execute_script("window.same = true")
     whole = browser.execute_script(KNOWN_RANGE)
     button = browser.find_element(By.XPATH, "//button[text()='Last 20 trips']")
+    button.click()
+    near = wait(browser, lambda b: zoomed(b, whole))
+    assert 18_000 < near[0] < 22_000  # the 11th trip of 30
+    assert 60_000 < near[1] < 64_000
+    assert button.get_attribute("aria-pressed") == "true"
+    (words,) = browser.find_elements(By.CSS_SELECTOR, ".ranges output")
+    assert words.text.endswith(" km")
+    (everything,) = browser.find_elements(By.XPATH, "//button[text()='All']")
+    everything.send_keys(Keys.SPACE)
+    wait(browser, lambda b: b.execute_script(KNOWN_RANGE) == whole)
     button.click()
     near = wait(browser, lambda b: zoomed(b, whole))
     n = "return document.getElementById('trend-plot').data.reduce((n, t) => n + t.x.length, 0)"
@@ -230,11 +225,13 @@ def test_zoom_focus_and_forms_outlast_an_update(browser, own):
         store.write(trips(WORN, 2, n_trips=1, begin=N_MORE))
     wait(browser, lambda b: "trip_031" in shown(b))
     wait(browser, lambda b: b.execute_script(n) > before)
+    assert browser.execute_script("return window.same")  # it is the same page
     assert browser.execute_script(KNOWN_RANGE) == near
     assert focused(browser).text == "Last 20 trips"
     assert focused(browser).get_attribute("aria-pressed") == "false"  # 20 others by now
     assert "Without JavaScript" not in shown(browser)
     name = browser.find_element(By.CSS_SELECTOR, "input[name=by]")
+    name.clear()  # of whom acknowledged before
     name.send_keys("half a na")
     with History(path) as store:
         store.write(trips(WORN, 2, n_trips=1, begin=N_MORE + 1))
@@ -242,8 +239,12 @@ def test_zoom_focus_and_forms_outlast_an_update(browser, own):
     wait(browser, lambda b: "There is an update" in pulse.text)
     assert name.get_attribute("value") == "half a na"
     assert refresher.fault == ""
+    browser.execute_script("window.fetch = () => Promise.reject(new Error('gone'))")
+    lost = browser.find_element(By.ID, "lost")
+    wait(browser, lambda b: "No answer from the server since" in lost.text)
 
 
+@pytest.mark.slow  # a page of one suspension does so above
 def test_fleet_follows_the_store_and_tells_when_the_server_is_gone(browser, own):
     address, _, path = own
     browser.get(address)
@@ -257,26 +258,13 @@ def test_fleet_follows_the_store_and_tells_when_the_server_is_gone(browser, own)
     wait(browser, lambda b: "No answer from the server since" in lost.text)
 
 
-def test_names_are_text_everywhere(browser, site):
-    for address in (site[0], page_of(site, NAMED_EVIL), f"{site[0]}/plan"):
-        browser.get(address)
-        if "suspension" in address:
-            wait(browser, has_plots)
-        assert EVIL in shown(browser)
-        assert browser.execute_script("return window.evil") is None
-    browser.get(site[0])
-    Select(browser.find_element(By.ID, "train")).select_by_visible_text(EVIL)
-    browser.find_element(By.CSS_SELECTOR, ".choose button").click()
-    wait(browser, lambda b: "1 suspension:" in shown(b))
-
-
-@pytest.mark.parametrize("width", [390, 1300])
-def test_no_page_is_wider_than_the_window(browser, site, width):
+@pytest.mark.parametrize("width", [390, pytest.param(1300, marks=pytest.mark.slow)])
+def test_every_page_fits_the_window_shows_names_as_text_and_names_its_parts(browser, site, width):
     size(browser, width)
     small = """const found = document.querySelectorAll('a.tile, .count, button, select, input');
         return [...found].filter(e => e.type !== 'hidden' && e.offsetParent)
         .filter(e => e.getBoundingClientRect().height < 43.5).map(e => e.outerHTML)"""
-    for address in (site[0], page_of(site, WORN), page_of(site, FAILED), f"{site[0]}/plan"):
+    for address in (site[0], page_of(site, NAMED_EVIL), f"{site[0]}/plan"):
         browser.get(address)
         if "suspension" in address:
             wait(browser, has_plots)
@@ -284,11 +272,17 @@ def test_no_page_is_wider_than_the_window(browser, site, width):
         page, window = browser.execute_script(widths)
         assert page <= window == width
         assert browser.execute_script(small) == []
+        assert EVIL in shown(browser)
+        assert browser.execute_script("return window.evil") is None
+        assert_all_parts_have_names(browser)
+    browser.get(site[0])
+    Select(browser.find_element(By.ID, "train")).select_by_visible_text(EVIL)
+    browser.find_element(By.CSS_SELECTOR, ".choose button").click()
+    wait(browser, lambda b: "1 suspension:" in shown(b))
 
 
-def test_headings_tables_and_fields_have_names(browser, site):
-    browser.get(page_of(site, FAILED))
-    wait(browser, has_plots)
+def assert_all_parts_have_names(browser):
+    """Check headings, tables and fields of a page."""
     assert len(browser.find_elements(By.TAG_NAME, "h1")) == 1
     for landmark in ("header", "nav", "main", "footer"):
         assert len(browser.find_elements(By.CSS_SELECTOR, f"body {landmark}")) == 1
@@ -302,7 +296,8 @@ def test_headings_tables_and_fields_have_names(browser, site):
     assert browser.execute_script(twice) == []
 
 
-@pytest.mark.parametrize("n_suspensions", [60, pytest.param(1000, marks=pytest.mark.slow)])
+@pytest.mark.slow  # a few are shown by test_pages.py
+@pytest.mark.parametrize("n_suspensions", [60, 1000])
 def test_many_suspensions_are_shown(browser, tmp_path, n_suspensions):
     with History(tmp_path / "large.db") as store:
         store.write(

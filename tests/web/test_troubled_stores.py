@@ -13,7 +13,9 @@ from served_fleet import FAILED, HEALTHY, SETTINGS, fill, name_of, trips
 
 from suspnet.cli import serve
 from suspnet.history import History
+from suspnet.report import board
 from suspnet.report.board import Board, Refresher
+from suspnet.web import pages
 from suspnet.web.app import create_app
 
 BASE = {"base_url": "http://127.0.0.1:8050"}
@@ -34,6 +36,17 @@ def path(good, tmp_path):
     found = tmp_path / "fleet.db"
     found.write_bytes(good)
     return found
+
+
+@pytest.fixture
+def waits_little(monkeypatch):
+    """Wait for a lock a tenth as long as programs do, which are seconds at most."""
+    assert board.LOOK_S == serve.LOOK_S <= 1
+    assert pages.READ_S <= pages.WRITE_S <= 2
+    monkeypatch.setattr(board, "LOOK_S", board.LOOK_S / 10)
+    monkeypatch.setattr(serve, "LOOK_S", serve.LOOK_S / 10)
+    monkeypatch.setattr(pages, "WRITE_S", pages.WRITE_S / 10)
+    monkeypatch.setattr(pages._opened, "__defaults__", (pages.READ_S / 10,))
 
 
 @contextmanager
@@ -80,9 +93,11 @@ def headless(content):
 
 
 DAMAGE = {"cut": cut, "overwritten": overwritten, "headless": headless, "empty": lambda _: b""}
+DAMAGES = ["cut", *(pytest.param(name, marks=pytest.mark.slow) for name in list(DAMAGE)[1:])]
+"""Of a store that is shown; all of them are refused by default where a program starts."""
 
 
-def test_locked_store_holds_no_page_up_and_is_shown_again(path):
+def test_locked_store_holds_no_page_up_and_is_shown_again(path, waits_little):
     with looked(path) as (client, look, board):
         address = f"/suspension/{name_of(board.view, FAILED)}"
         token = re.search(r'csrf_token" value="([^"]+)', client.get(address, **BASE).text)[1]
@@ -106,7 +121,7 @@ def test_locked_store_holds_no_page_up_and_is_shown_again(path):
         assert "trip_029" in client.get(address, **BASE).text
 
 
-def test_start_waits_for_no_lock(path):
+def test_start_waits_for_no_lock(path, waits_little):
     with locked(path):
         begin = time.monotonic()
         serve._check_store(str(path))
@@ -130,7 +145,7 @@ def test_bad_row_is_shown_on_the_pages(path):
         assert "could not be read" not in other
 
 
-@pytest.mark.parametrize("damage", DAMAGE)
+@pytest.mark.parametrize("damage", DAMAGES)
 def test_damaged_store_leaves_the_last_view_and_a_good_one_is_read(path, good, damage):
     with looked(path) as (client, look, board):
         address = f"/suspension/{name_of(board.view, FAILED)}"
@@ -148,7 +163,7 @@ def test_damaged_store_leaves_the_last_view_and_a_good_one_is_read(path, good, d
         assert "trip_029" in client.get(address, **BASE).text
 
 
-@pytest.mark.parametrize("damage", DAMAGE)
+@pytest.mark.parametrize("damage", DAMAGES)
 def test_damaged_store_that_was_never_read_is_one_page(path, good, damage):
     path.write_bytes(DAMAGE[damage](good))
     with looked(path) as (client, look, _):
@@ -239,7 +254,7 @@ def altered(path, seed):
     connection.close()
 
 
-def read_all_pages(path, counts, before=None):
+def read_all_pages(path, counts, before=None, most=6):
     """Ask for every page of a store; count the answers by their code."""
     with looked(path) as (client, look, board):
         if before is not None:
@@ -247,7 +262,7 @@ def read_all_pages(path, counts, before=None):
             look()
         assert "Traceback" not in client.get("/", **BASE).text
         addresses = ["/", "/?rows=all", "/plan", "/plan/calendar.svg", "/state"]
-        for name in list(board.view.keys)[:6]:
+        for name in list(board.view.keys)[:most]:
             addresses += [f"/suspension/{name}{end}" for end in ("", "/trend.json")]
             addresses += [f"/suspension/{name}/responses.json", f"/state?of={name}"]
         for address in addresses:
@@ -263,9 +278,9 @@ def read_all_pages(path, counts, before=None):
 
 
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")  # of absurd numbers
-@pytest.mark.parametrize("kind", ["bytes", "values"])
+@pytest.mark.parametrize("kind", ["values", pytest.param("bytes", marks=pytest.mark.slow)])
 def test_corrupted_stores_give_no_error_of_the_program(path, good, kind):
-    fuzz(path, good, kind, range(2), 60)
+    fuzz(path, good, kind, range(1), 60)
 
 
 @pytest.mark.slow
