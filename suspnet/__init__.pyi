@@ -28,8 +28,8 @@ from suspnet.learning.baselines import CurveFit as CurveFit
 from suspnet.learning.baselines import LinearRegression as LinearRegression
 from suspnet.learning.msvr import MSVR as MSVR
 from suspnet.learning.mvgpr import MVGPR as MVGPR
+from suspnet.recordings.errors import TripError as TripError
 from suspnet.recordings.manifest_files import read_manifest as read_manifest
-from suspnet.recordings.manifest_keys import TripError as TripError
 from suspnet.recordings.recording import Recording as Recording
 from suspnet.recordings.recording import load_recording as load_recording
 from suspnet.report.maintenance_figures import plan_calendar as plan_calendar

@@ -1,4 +1,4 @@
-"""Read frames as they come, and keep what they show: python -m suspnet.monitor [KEY=VALUE ...]."""
+"""Estimate from live frames, store the results: python -m suspnet.monitor [KEY=VALUE ...]."""
 
 from suspnet.cli.start import monitor
 

@@ -15,7 +15,7 @@ from contextlib import contextmanager
 import numpy as np
 
 from suspnet.recordings.columns import Column, OpenFile
-from suspnet.recordings.manifest_keys import TripError
+from suspnet.recordings.errors import TripError
 
 N_BLOCKS, N_SAMPLES = 3, 4
 

@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 
 from suspnet.recordings import reader_process
+from suspnet.recordings.errors import TripError
 from suspnet.recordings.formats import open_file, read_columns
-from suspnet.recordings.manifest_keys import TripError
 
 
 def cpu_s() -> float:

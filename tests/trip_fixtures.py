@@ -16,9 +16,9 @@ from suspnet.dynamics import VerticalVehicle
 from suspnet.estimation.checkpoint import load_model, save_model
 from suspnet.estimation.problem import TEST, Problem
 from suspnet.learning import MSVR
+from suspnet.recordings.errors import TripError
 from suspnet.recordings.manifest import CHANNELS
 from suspnet.recordings.manifest_files import ManifestFile
-from suspnet.recordings.manifest_keys import TripError
 from suspnet.runs.fit import fit
 from suspnet.runs.predict import calibrated, predict_stream
 from suspnet.runs.scores import rms_percent

@@ -7,7 +7,7 @@ from functools import partial
 
 from suspnet.ground.storage import write_atomically
 from suspnet.ground.wording import count
-from suspnet.recordings.manifest_keys import TripError, all_of
+from suspnet.recordings.errors import TripError, all_of
 from suspnet.trips.file_contents import look_into
 from suspnet.trips.manifest_template import template
 

@@ -100,7 +100,7 @@ class VerticalVehicle:
     )
     parts: tuple[str, ...] = setting(
         (),
-        "What the vehicle has beyond rigid bodies on linear springs and dampers",
+        "Parts of the vehicle in addition to rigid bodies on linear springs and dampers",
         rule="list of bushings, rubber, guidance, longitudinal, bending, roll, other_bogie, "
         "payload, sensors, wheelsets, air_spring",
     )

@@ -28,8 +28,8 @@ from suspnet.estimation.trip_flags import delay_words, with_sides
 from suspnet.ground.parameters import FORWARD, Direction, direction_words
 from suspnet.ground.records import INTERVAL_LEVEL
 from suspnet.ground.settings import check_settings, setting
+from suspnet.recordings.errors import TripError
 from suspnet.recordings.manifest import CHANNELS
-from suspnet.recordings.manifest_keys import TripError
 from suspnet.recordings.recording import Recording
 from suspnet.spectra.cross_spectra import CrossSpectra
 from suspnet.spectra.estimates import EstimateSettings

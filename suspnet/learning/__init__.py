@@ -4,7 +4,6 @@ from typing import Any
 
 from suspnet.learning.baselines import SVR, CurveFit, LinearRegression
 from suspnet.learning.feature_maps import Scaling
-from suspnet.learning.least_squares import LevenbergMarquardt
 from suspnet.learning.msvr import MSVR
 from suspnet.learning.mvgpr import MVGPR
 
@@ -29,7 +28,6 @@ __all__ = [
     "MVGPR",
     "SVR",
     "CurveFit",
-    "LevenbergMarquardt",
     "LinearRegression",
     "Scaling",
 ]

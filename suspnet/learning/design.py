@@ -1,8 +1,8 @@
 """The design matrix Phi of a training set, and the normal equations of Eq. (9) on it.
 
 Phi is in memory as a whole only if it is small: products are computed in blocks of its rows, and
-summed over ranks where the samples are spread over several processes. `DenseDesign` serves any
-feature map that can be called; ``equispaced`` has its own design in ``toeplitz``.
+summed over ranks where the samples are spread over several processes. `DenseDesign` serves every
+`FeatureMap`; ``equispaced`` has a faster design of its own in ``toeplitz``.
 """
 
 from __future__ import annotations
@@ -133,8 +133,7 @@ class DenseDesign:
     ) -> None:
         self.feature_map, self.X, self.all_reduce = feature_map, X, all_reduce
         self._gram_columns = gram_columns
-        self._basis: Tensor | None = getattr(feature_map, "basis", None)
-        self._make = getattr(feature_map, "raw", feature_map)
+        self._basis, self._make = feature_map.basis, feature_map.raw
         self.slices = [
             slice(start, min(start + block_rows, len(X))) for start in range(0, len(X), block_rows)
         ]

@@ -33,6 +33,15 @@ class FeatureMap:
         """Return the features of `X`."""
         raise NotImplementedError
 
+    @property
+    def basis(self) -> Tensor | None:
+        """Matrix V if the features are Phi = K V with a fixed V, else None."""
+        return None
+
+    def raw(self, X: Tensor) -> Tensor:
+        """Return K in Phi = K V; Phi itself if there is no `basis`."""
+        return self(X)
+
     def apply(self, X: Tensor, coef: Tensor) -> Tensor:
         """Return Phi coef, shape (n_samples, n_outputs)."""
         return self(X) @ coef

@@ -78,8 +78,10 @@ class LevenbergMarquardt:
 
     def minimise(self, residual: Residual, start: Tensor) -> LeastSquaresSolution:
         """Return the fit of each row from `start`, (n_rows, n_parameters)."""
-        unbounded = start.new_full((1,), -math.inf), start.new_full((1,), math.inf)
-        descent = _Descent(residual, start, self.bounds or unbounded, self.one_sided)
+        bounds = self.bounds
+        if bounds is None:
+            bounds = start.new_full((1,), -math.inf), start.new_full((1,), math.inf)
+        descent = _Descent(residual, start, bounds, self.one_sided)
         damping = _Damping(start.new_full((len(start),), self.first_damping))
         every = rows = torch.arange(len(start), device=start.device)
         converged = torch.zeros_like(rows, dtype=torch.bool)

@@ -25,6 +25,7 @@ from suspnet.learning import ranks
 from suspnet.learning.design import CACHE_BYTES, DenseDesign, Design, Direction
 from suspnet.learning.equispaced import EquispacedFeatures, equispaced_fourier
 from suspnet.learning.feature_maps import (
+    FeatureMap,
     FourierFeatures,
     LandmarkFeatures,
     exact,
@@ -33,6 +34,7 @@ from suspnet.learning.feature_maps import (
     random_fourier,
 )
 from suspnet.learning.irwls import IRWLS, Iteration, Solution, Status
+from suspnet.learning.ranks import AllReduce
 from suspnet.learning.toeplitz import EquispacedDesign
 
 PREDICT_ROWS = 8192
@@ -340,7 +342,7 @@ class MSVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mis
         self._single_output = targets.ndim == 1
         return samples, targets[:, None] if targets.ndim == 1 else targets
 
-    def _make_map(self, samples: Tensor) -> Any:
+    def _make_map(self, samples: Tensor) -> FeatureMap:
         seed = int(check_random_state(self.random_state).randint(2**31 - 1))
         make = MAPS[self.feature_map].make
         return make(samples, self.sigma, self.n_components, seed, self.kernel_tol)
@@ -376,9 +378,9 @@ class MapKind:
     than the CPU.
     """
 
-    make: Callable[[Tensor, float, int, int, float], Any]
-    holds: type[Any]
-    design: type[Any] = DenseDesign
+    make: Callable[[Tensor, float, int, int, float], FeatureMap]
+    holds: Callable[..., FeatureMap]
+    design: Callable[[Any, Tensor, AllReduce], Design] = DenseDesign
     of_data: bool = True
     float32: bool = False
     on_gpu: bool = True

@@ -58,7 +58,7 @@ class DropFolder:
 
     settings: ClassVar[Mapping[str, Setting]] = {
         "folder": Setting("Folder into which files are renamed once they are whole", rule="path"),
-        "then": Setting("What happens to a file that was read: moved to taken/, or deleted"),
+        "then": Setting("Whether a file that was read is moved to taken/ or deleted"),
         "poll_s": Setting("Time between two scans of the folder", "s", low=0.01, high=60),
         "once": Setting("Whether to end when all files were read"),
     }

@@ -21,9 +21,9 @@ from suspnet.live.operating_conditions import SlowValues
 from suspnet.live.sections import Sections
 from suspnet.recordings.assembler import OrderSettings
 from suspnet.recordings.dates import EPOCH, SECOND_NS
+from suspnet.recordings.errors import TripError
 from suspnet.recordings.frames import MOST_CHARACTERS, Frame
 from suspnet.recordings.manifest import TripManifest
-from suspnet.recordings.manifest_keys import TripError
 from suspnet.recordings.recording import Recording
 from suspnet.recordings.running import Running
 from suspnet.trips.commissionings import models_of

@@ -93,7 +93,7 @@ class PlanSettings:
     step_days: float = setting(7.0, "Days between possible dates", "days", above=0)
     notice_days: float = setting(
         90.0,
-        "Days within which a notice is looked at where no passing of a limit is predicted",
+        "Days within which a notice is inspected if no limit is predicted to be passed",
         "days",
         low=0,
     )

@@ -25,7 +25,8 @@ from suspnet.recordings.columns import (
     needed,
     slices,
 )
-from suspnet.recordings.manifest_keys import CsvDialect, TripError
+from suspnet.recordings.errors import TripError
+from suspnet.recordings.manifest_keys import CsvDialect
 
 RATE_NAMES = ("rate_hz", "fs", "samplerate", "samplingrate", "samplefrequency", "samplingfrequency")
 UNIT_NAMES = ("unit", "units")
@@ -49,7 +50,7 @@ def open_hdf5(path: Path, _: CsvDialect | None = None) -> Iterator[OpenFile]:
     h5py = needed(path, "h5py", "hdf5", "an HDF5 file")
     with h5py.File(path, "r", rdcc_nbytes=MOST_CHUNK_BYTES) as file:
         arrays: dict[str, Any] = {}
-        said: dict[str, Any] = {}
+        datasets: dict[str, Any] = {}
         refused: dict[str, str] = {}
 
         def collect(name: str, item: Any) -> None:  # h5py calls it for hard links only
@@ -61,17 +62,18 @@ def open_hdf5(path: Path, _: CsvDialect | None = None) -> Iterator[OpenFile]:
             if item.dtype.kind in "iuf" and item.size > 1 and len(item.shape) <= 2:
                 if "MATLAB_empty" not in item.attrs and "MATLAB_int_decode" not in item.attrs:
                     arrays[name] = item
-            said[name] = item
+            datasets[name] = item
 
+        # single values follow the vectors, as most describe one of them and are no signals
         file.visititems(collect)
         arrays |= {
             name: item
-            for name, item in said.items()
+            for name, item in datasets.items()
             if item.size <= 1 and item.dtype.kind in "iuf" and is_vector(item.shape)
         }
         whole = {key: one for key, one in _stated(dict(file.attrs)).items() if key == "date"}
-        notes = {name: whole | _notes(name, arrays[name], said) for name in arrays}
-        with _opened(path, arrays, notes) as found:
+        descriptions = {name: whole | _described(name, datasets) for name in arrays}
+        with _opened(path, arrays, descriptions) as found:
             yield _refusing(path, found, refused)
 
 
@@ -133,7 +135,8 @@ def open_mat(path: Path, _: CsvDialect | None = None) -> Iterator[OpenFile]:
         and not isinstance(leaf, bool)
         and np.ndim(leaf) <= 2
     }
-    with _opened(path, arrays, {name: _beside(name, leaves) for name in arrays}) as found:
+    descriptions = {name: _stated(_siblings(name, ".", leaves)) for name in arrays}
+    with _opened(path, arrays, descriptions) as found:
         yield found
 
 
@@ -163,7 +166,7 @@ class _Variable:
 
 @contextmanager
 def _opened(
-    path: Path, arrays: Mapping[str, Any], notes: Mapping[str, Mapping[str, Any]]
+    path: Path, arrays: Mapping[str, Any], descriptions: Mapping[str, Mapping[str, Any]]
 ) -> Iterator[OpenFile]:
     """Open arrays by name; a matrix has one column ``name[i]`` for each of its columns."""
     columns: list[Column] = []
@@ -172,13 +175,13 @@ def _opened(
     for name, array in arrays.items():
         shape = array.shape
         if is_vector(shape):
-            columns.append(Column(name, **notes[name]))
+            columns.append(Column(name, **descriptions[name]))
             takes[name] = (max(shape), _take(array, int(np.argmax(shape)), 0))
         elif 0 < min(shape) <= MOST_PARTS:
             axis = int(np.argmax(shape))  # time is the longer axis
             matrices.append(f"{name!r} has columns '{name}[0]' to '{name}[{min(shape) - 1}]'")
             for i in range(min(shape)):
-                columns.append(Column(f"{name}[{i}]", is_part=True, **notes[name]))
+                columns.append(Column(f"{name}[{i}]", is_part=True, **descriptions[name]))
                 takes[f"{name}[{i}]"] = (max(shape), _take(array, axis, i))
 
     def read(names: Sequence[str]) -> Iterator[Block]:
@@ -208,26 +211,20 @@ def _leaves(content: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str,
             yield f"{prefix}{name}", value
 
 
-def _beside(name: str, leaves: Mapping[str, Any]) -> dict[str, Any]:
-    """Return rate, unit and date among the fields of the same struct."""
-    struct, dot, _ = name.rpartition(".")
-    if not dot:
+def _siblings(name: str, separator: str, values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the values of the same struct or group by their names in it; none at the top level."""
+    parent, _, _ = name.rpartition(separator)
+    if not parent:
         return {}
-    beside = {key.rpartition(".")[2]: value for key, value in leaves.items()
-              if key.rpartition(".")[0] == struct}  # fmt: skip
-    return _stated(beside)
+    split = ((key.rpartition(separator), value) for key, value in values.items())
+    return {last: value for (first, _, last), value in split if first == parent}
 
 
-def _notes(name: str, dataset: Any, said: Mapping[str, Any]) -> dict[str, Any]:
+def _described(name: str, datasets: Mapping[str, Any]) -> dict[str, Any]:
     """Return rate, unit and date from a data set's attributes, or else from its group."""
-    group, slash, _ = name.rpartition("/")
-    beside = {}
-    if slash:
-        for key, item in said.items():
-            if key.rpartition("/")[0] == group and item.nbytes <= MOST_NOTE_BYTES:
-                is_text = item.dtype == np.uint16 and item.attrs.get("MATLAB_class") == b"char"
-                beside[key.rpartition("/")[2]] = _text(item[()]) if is_text else item[()]
-    return _stated(beside) | _stated(_attributes(dataset))
+    siblings = _siblings(name, "/", datasets)
+    small = {key: _value(one) for key, one in siblings.items() if one.nbytes <= MOST_NOTE_BYTES}
+    return _stated(small) | _stated(_attributes(datasets[name]))
 
 
 def _attributes(dataset: Any) -> dict[str, Any]:
@@ -236,9 +233,12 @@ def _attributes(dataset: Any) -> dict[str, Any]:
     return {key: dataset.attrs[key] for key, size in sizes.items() if size <= MOST_NOTE_BYTES}
 
 
-def _text(codes: Any) -> str:
-    """Decode a text that MATLAB 7.3 stores as character codes."""
-    return "".join(chr(code) for code in np.asarray(codes).ravel())
+def _value(dataset: Any) -> Any:
+    """Return the content of a data set, a text if MATLAB 7.3 stored its character codes."""
+    content = dataset[()]
+    if dataset.dtype != np.uint16 or dataset.attrs.get("MATLAB_class") != b"char":
+        return content
+    return "".join(chr(code) for code in np.asarray(content).ravel())
 
 
 def _stated(values: Mapping[str, Any]) -> dict[str, Any]:

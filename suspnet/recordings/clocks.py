@@ -24,8 +24,8 @@ from suspnet.recordings.dates import (
     read_date,
     time_zone,
 )
+from suspnet.recordings.errors import TripError
 from suspnet.recordings.manifest import TIME_UNITS, Source, TripManifest
-from suspnet.recordings.manifest_keys import TripError
 
 DATED_S = (3.15e8, 4.1e9)
 """Range of a first time [s] that is taken as seconds since 1970: the years 1979 to 2099."""

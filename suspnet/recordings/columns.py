@@ -14,8 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from suspnet.ground.storage import open_plain, stored_bytes
+from suspnet.recordings.errors import TripError
 from suspnet.recordings.manifest import ACCELERATION_UNITS, SPEED_UNITS, UNITS
-from suspnet.recordings.manifest_keys import CsvDialect, TripError
+from suspnet.recordings.manifest_keys import CsvDialect
 
 BLOCK = 2**18
 """Largest number of samples of a column in one block."""
@@ -148,16 +149,6 @@ def needed(path: Path, module: str, extra: str, what: str) -> Any:
         raise TripError(
             f'{path}: {what} needs {module}; run: pip install "suspnet[{extra}]"'
         ) from error
-
-
-def call(read: Callable[..., Any], *arguments: Any, **named: Any) -> Any:
-    """Call a library; any error but MemoryError becomes a ValueError, as on damaged files."""
-    try:
-        return read(*arguments, **named)
-    except MemoryError:
-        raise
-    except Exception as error:
-        raise ValueError(f"{type(error).__name__}: {error}") from error
 
 
 MOST_SAMPLES = 48 * 3600 * 10_000

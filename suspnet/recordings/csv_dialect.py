@@ -17,7 +17,8 @@ from pathlib import Path
 
 from suspnet.recordings.columns import is_unit, unit_in_name
 from suspnet.recordings.dates import date_in_lines, read_date
-from suspnet.recordings.manifest_keys import DELIMITERS, CsvDialect, TripError
+from suspnet.recordings.errors import TripError
+from suspnet.recordings.manifest_keys import DELIMITERS, CsvDialect
 
 SAMPLE_BYTES = 2**18
 """Number of bytes at the start of a file from which its dialect is detected."""

@@ -18,7 +18,8 @@ import pyarrow.parquet
 from suspnet.ground.types import FloatArray
 from suspnet.recordings.columns import Block, Column, OpenFile, as_block, check_samples
 from suspnet.recordings.csv_dialect import MISSING, Found, find_dialect
-from suspnet.recordings.manifest_keys import CsvDialect, TripError
+from suspnet.recordings.errors import TripError
+from suspnet.recordings.manifest_keys import CsvDialect
 
 BLOCK_BYTES = 2**19
 """Number of bytes that are parsed at once; Arrow reads 32 of these blocks ahead."""

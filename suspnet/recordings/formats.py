@@ -2,23 +2,18 @@
 
 from __future__ import annotations
 
-import struct
-import zlib
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-import pyarrow as pa
-import pyarrow.parquet
-from scipy.io.matlab import MatReadError
-
 from suspnet.ground.storage import open_plain
 from suspnet.recordings.array_files import open_hdf5, open_mat
 from suspnet.recordings.columns import BLOCK, Block, OpenFile, Reader, check_samples, choose
 from suspnet.recordings.csv_files import open_csv, open_parquet
+from suspnet.recordings.errors import TripError, opening
 from suspnet.recordings.logger_files import open_tdms, open_uff, open_wav
-from suspnet.recordings.manifest_keys import CsvDialect, TripError, opening
+from suspnet.recordings.manifest_keys import CsvDialect
 from suspnet.recordings.mdf_files import open_mdf
 from suspnet.recordings.reader_process import in_own_process
 
@@ -82,12 +77,15 @@ def read_columns(path: Path, file: OpenFile, columns: Sequence[str | None]) -> I
 
 @contextmanager
 def _named(path: Path) -> Iterator[None]:
-    """Turn the errors of readers on damaged files into TripError with the name of the file."""
+    """Turn the errors of readers on damaged files into TripError with the name of the file.
+
+    Libraries raise errors of any class on damaged files.
+    """
     try:
         yield
     except TripError:
         raise
-    except _DAMAGE as error:
+    except Exception as error:
         reason = " ".join(str(error).split())[:200]
         suffix = path.suffix.lower()
         raise TripError(f"{path} is damaged, cut off or not a {suffix} file ({reason})") from error
@@ -136,20 +134,3 @@ FORMATS = (
 )
 READERS: dict[str, Reader] = {suffix: one.reader for one in FORMATS for suffix in one.suffixes}
 """Readers by suffix."""
-_DAMAGE = (
-    pa.ArrowException,
-    MatReadError,
-    struct.error,
-    zlib.error,
-    OSError,
-    EOFError,
-    ValueError,
-    TypeError,
-    LookupError,
-    AttributeError,
-    RuntimeError,
-    OverflowError,
-    MemoryError,
-    UnboundLocalError,
-)
-"""Errors that the readers of the formats raise on damaged files."""

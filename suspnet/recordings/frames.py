@@ -38,8 +38,6 @@ RATES_HZ = (0.01, 1e6)
 BORDER_SAMPLES = 1e-3
 """A sample this close before a border, [samples], counts as on it, as times are whole
 nanoseconds."""
-REASONS = ("size", "foreign", "truncated", "sensor", "rate", "unit", "time", "sequence", "nan")
-"""Reasons to refuse a frame by itself, whatever came before."""
 
 
 class FrameError(ValueError):

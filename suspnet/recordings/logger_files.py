@@ -21,12 +21,12 @@ from suspnet.recordings.columns import (
     OpenFile,
     Take,
     as_block,
-    call,
     check_samples,
     needed,
     slices,
 )
-from suspnet.recordings.manifest_keys import CsvDialect, TripError
+from suspnet.recordings.errors import TripError
+from suspnet.recordings.manifest_keys import CsvDialect
 
 _WAV = Lock()
 """Lock for warning filters, which are global to the process, while sensors are read in threads."""
@@ -87,14 +87,14 @@ def _tdms_column(name: str, channel: Any) -> Column:
 def open_uff(path: Path, _: CsvDialect | None = None) -> Iterator[OpenFile]:
     """Open a universal file; each time record of type 58 is a column, which is read whole."""
     pyuff = needed(path, "pyuff", "uff", "a universal file")
-    file = call(pyuff.UFF, str(path))
+    file = pyuff.UFF(str(path))
     columns, records = _uff_columns(file)
 
     def read(names: Sequence[str]) -> Iterator[Block]:
         arrays = []
         for name in names:
             is_times = name not in records
-            record = call(file.read_sets, records[name.removesuffix(": times")])
+            record = file.read_sets(records[name.removesuffix(": times")])
             values = np.asarray(record["x" if is_times else "data"])
             if values.dtype.kind not in "iuf":
                 raise TripError(f"{path}: column {name!r} holds {values.dtype}, not real numbers")
@@ -109,10 +109,10 @@ def _uff_columns(file: Any) -> tuple[list[Column], dict[str, int]]:
     """Return the columns of a universal file, and their record numbers by name."""
     records: dict[str, int] = {}
     columns = []
-    for i, kind in enumerate(call(file.get_set_types)):
+    for i, kind in enumerate(file.get_set_types()):
         if kind != 58:
             continue
-        header = call(file.read_sets, i, header_only=True)
+        header = file.read_sets(i, header_only=True)
         if header.get("func_type") != TIME_RESPONSE:
             continue
         name = str(header.get("id1", "")).strip()
@@ -141,12 +141,12 @@ def open_wav(path: Path, _: CsvDialect | None = None) -> Iterator[OpenFile]:
         warnings.simplefilter("ignore", wavfile.WavFileWarning)  # of unknown chunks
         warnings.filterwarnings("error", "Reached EOF", wavfile.WavFileWarning)
         try:
-            rate_hz, data = call(wavfile.read, stream, mmap=True)
+            rate_hz, data = wavfile.read(stream, mmap=True)
         except ValueError as error:
             if "not compatible" not in str(error):
                 raise
             stream.seek(0)
-            rate_hz, data = call(wavfile.read, stream)  # 24 bits cannot be mapped to memory
+            rate_hz, data = wavfile.read(stream)  # 24 bits cannot be mapped to memory
     check_samples(path, len(data))
     data = data[:, None] if data.ndim == 1 else data
     names = [f"channel_{i + 1}" for i in range(data.shape[1])]

@@ -98,7 +98,7 @@ def find_loose(
     for name, its, its_alone in zip(values, loose, alone & loose, strict=True):
         if its.any():
             mask = _painted(its, n, rate_hz)
-            words = _words(its, its_alone, n / rate_hz, start_s)
+            words = _words(its, its_alone, start_s)
             n_loose, first_s = int(np.count_nonzero(mask)), start_s + mask.argmax() / rate_hz
             seconds = n_loose / rate_hz
             faults.append(Fault(name, "loose", n_loose, seconds, first_s, False, None, words))
@@ -234,7 +234,7 @@ def _painted(frames: BoolArray, n_samples: int, rate_hz: float) -> BoolArray:
     return np.asarray(np.cumsum(steps[:-1]) > 0)
 
 
-def _words(loose: BoolArray, alone: BoolArray, duration_s: float, start_s: float) -> str:
+def _words(loose: BoolArray, alone: BoolArray, start_s: float) -> str:
     stretches = []
     for start, stop in zip(*runs(loose), strict=True):
         at = np.flatnonzero(alone[start:stop]) + start

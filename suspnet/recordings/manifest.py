@@ -16,12 +16,11 @@ from typing import Any, ClassVar, Literal
 from suspnet.ground.parameters import DIRECTIONS, PARAMETERS
 from suspnet.ground.records import HIGHEST_KM, Place
 from suspnet.recordings import manifest_keys as check
+from suspnet.recordings.errors import TripError, all_of
 from suspnet.recordings.manifest_keys import (
     CsvDialect,
     Key,
-    TripError,
     Value,
-    all_of,
     key,
     keys_of,
     optional,

@@ -12,8 +12,9 @@ from typing import Any
 from suspnet.ground.records import Place
 from suspnet.ground.storage import printable, read_json, read_plain, why, write_atomically
 from suspnet.recordings.core_yaml import MOST_BYTES, dump_yaml, parse_yaml
+from suspnet.recordings.errors import TripError, all_of, opening
 from suspnet.recordings.manifest import BOGIES, FORMAT, MANIFEST, SIDES, TripManifest
-from suspnet.recordings.manifest_keys import TripError, Value, all_of, keys_of, opening
+from suspnet.recordings.manifest_keys import Value, keys_of
 
 UNFINISHED = "unfinished.json"
 """Name of the file that marks a folder of simulated trips as incomplete."""

@@ -8,16 +8,16 @@ from __future__ import annotations
 
 import math
 import reprlib
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from datetime import datetime
 from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
-from suspnet.ground.storage import NotPlainError
 from suspnet.recordings.dates import date_problem, time_zone
+from suspnet.recordings.errors import TripError as TripError
+from suspnet.recordings.errors import all_of
 
 POSITIVE = math.ulp(0.0)
 """Smallest number above 0."""
@@ -26,48 +26,6 @@ LARGEST = 1e300
 
 
 Kind = TypeVar("Kind")
-
-
-class TripError(ValueError):
-    """Something is wrong with one trip: its manifest, or the files that it names.
-
-    Its arguments are the problems, one sentence each; its text shows only the first.
-    """
-
-    @property
-    def problems(self) -> tuple[str, ...]:
-        """All problems, in the order in which they were found."""
-        return tuple(map(str, self.args))
-
-    def __str__(self) -> str:
-        more = len(self.args) - 1
-        if more < 1:
-            return super().__str__()
-        return f"{self.args[0]} (and {more} more: suspnet-check shows all)"
-
-
-@contextmanager
-def opening(path: Path) -> Iterator[None]:
-    """Turn the errors of opening a file that is missing, locked or not plain into TripError."""
-    try:
-        yield
-    except OSError as error:
-        raise TripError(f"{path}: cannot be read ({error.strerror})") from error
-    except NotPlainError as error:
-        raise TripError(str(error)) from error
-
-
-def all_of(parts: Iterable[Callable[[], Any]], problems: Iterable[str] = ()) -> list[Any]:
-    """Return the results of functions; one TripError with `problems` and those of all functions."""
-    found, problems = [], list(problems)
-    for part in parts:
-        try:
-            found.append(part())
-        except TripError as error:
-            problems += error.problems
-    if problems:
-        raise TripError(*dict.fromkeys(problems))
-    return found
 
 
 @dataclass(frozen=True)

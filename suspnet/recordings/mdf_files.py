@@ -14,9 +14,10 @@ from typing import Any, BinaryIO, NoReturn
 import numpy as np
 
 from suspnet.ground.types import FloatArray
-from suspnet.recordings.columns import Block, Column, OpenFile, Take, call, needed, slices
+from suspnet.recordings.columns import Block, Column, OpenFile, Take, needed, slices
 from suspnet.recordings.dates import nanoseconds
-from suspnet.recordings.manifest_keys import CsvDialect, TripError
+from suspnet.recordings.errors import TripError
+from suspnet.recordings.manifest_keys import CsvDialect
 
 IDENTITY, LINEAR, RATIONAL, INTERPOLATED, TABLE, RANGES = range(6)
 KINDS = {
@@ -99,7 +100,7 @@ def _disarm() -> None:
 
 
 def _opened_mdf(asammdf: Any, stream: BinaryIO) -> Any:
-    """Open an MDF file; ValueError if it is damaged."""
+    """Open an MDF file; asammdf raises any error if it is damaged."""
     try:
         return asammdf.MDF(stream, process_bus_logging=False)
     except Exception as error:
@@ -110,7 +111,7 @@ def _opened_mdf(asammdf: Any, stream: BinaryIO) -> Any:
                 with suppress(AttributeError):
                     opened._tempfile.close()
                 opened._closed = True
-        raise ValueError(f"{type(error).__name__}: {error}") from error
+        raise
 
 
 def _repeated(file: Any) -> set[str]:
@@ -131,9 +132,7 @@ def _take(path: Path, file: Any, name: str, group: int, index: int) -> Take:
             return convert(numbers)
         at = {"record_offset": part.start, "record_count": part.stop - part.start}
         # raw values, and the mask of invalid ones
-        values, invalid = call(
-            file.get, group=group, index=index, samples_only=True, raw=True, **at
-        )
+        values, invalid = file.get(group=group, index=index, samples_only=True, raw=True, **at)
         if values.dtype.kind not in "iufb" or values.ndim != 1:
             raise TripError(f"{path}: column {name!r} holds {values.dtype}, not numbers")
         values = convert(values)

@@ -39,7 +39,8 @@ from suspnet.recordings.columns import (
     memory_bytes,
     step_s,
 )
-from suspnet.recordings.manifest_keys import CsvDialect, TripError
+from suspnet.recordings.errors import TripError
+from suspnet.recordings.manifest_keys import CsvDialect
 
 LIMIT = "SUSPNET_READER_S"
 """Environment variable: longest time to open a file or to read its next block, [s].

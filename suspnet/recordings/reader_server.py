@@ -28,7 +28,7 @@ from typing import IO, Any
 import numpy as np
 
 from suspnet.recordings.columns import SHARED_BYTES, Block, OpenFile, Reader
-from suspnet.recordings.manifest_keys import TripError
+from suspnet.recordings.errors import TripError
 
 MEMORY_WORDS = (
     "reading it takes more memory than a recording of its size does, so the file is damaged or "

@@ -20,9 +20,9 @@ from suspnet.ground.types import BoolArray, FloatArray
 from suspnet.recordings.cleaning import Cleaner, CleaningSettings, Fault
 from suspnet.recordings.clock_drift import clock_faults
 from suspnet.recordings.clocks import first_moment, offsets_s
+from suspnet.recordings.errors import TripError, all_of
 from suspnet.recordings.loose import find_loose
 from suspnet.recordings.manifest import CHANNELS, SIDES, Channel, TripManifest
-from suspnet.recordings.manifest_keys import TripError, all_of
 from suspnet.recordings.sensor import Sensor, SensorSignal
 from suspnet.recordings.sources import open_source, zero_of
 from suspnet.recordings.speed import SpeedTrack, read_speed, speed_at

@@ -36,9 +36,9 @@ from suspnet.recordings.assembler import Assembler, OrderSettings, check_frame_r
 from suspnet.recordings.cleaning import Cleaner, CleaningSettings
 from suspnet.recordings.columns import size_of
 from suspnet.recordings.dates import SECOND_NS
+from suspnet.recordings.errors import TripError
 from suspnet.recordings.frames import Frame, FrameError, end_ns
 from suspnet.recordings.manifest import UNITS, SpeedSource, TripManifest
-from suspnet.recordings.manifest_keys import TripError
 from suspnet.recordings.recording import HIGHEST_HZ, Recording, followed, joined
 from suspnet.recordings.sensor import Sensor
 from suspnet.recordings.sources import TIMES_TOLERANCE

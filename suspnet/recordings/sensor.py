@@ -23,7 +23,7 @@ from scipy.signal import firwin, kaiser_beta, kaiserord, upfirdn
 
 from suspnet.ground.types import BoolArray, FloatArray, IntArray
 from suspnet.recordings.cleaning import Cleaner, Fault
-from suspnet.recordings.manifest_keys import TripError
+from suspnet.recordings.errors import TripError
 
 
 @dataclass(frozen=True)

@@ -86,10 +86,11 @@ class FleetView:
     `version` increases with each view of a board, from 0 before anything was read; `at` is in UTC.
     `states` are sorted by severity, then by life, and `rows` are their ``overview_rows``. `plan` is
     None until remaining lives are computed. `cars` are the indices in `states` of the suspensions
-    of each car that has several, and `keys` the index of each suspension by its ``address``.
-    `is_complete` is whether alarms, lives and plan cover all trips in `states`; otherwise some are
-    out of date or missing. `trouble` states why the store could not be read the last time, empty if
-    it could; `bad_rows` are rows of the store that cannot be read and are left out.
+    of each car that has several, `names` the ``address`` of each suspension, and `keys` its index
+    by this name. `is_complete` is whether alarms, lives and plan cover all trips in `states`;
+    otherwise some are out of date or missing. `trouble` states why the store could not be read the
+    last time, empty if it could; `bad_rows` are rows of the store that cannot be read and are left
+    out.
     """
 
     version: int = 0
@@ -98,6 +99,7 @@ class FleetView:
     rows: list[dict[str, Any]] = field(default_factory=list)
     plan: Plan | None = None
     cars: list[list[int]] = field(default_factory=list)
+    names: tuple[str, ...] = ()
     keys: dict[str, int] = field(default_factory=dict)
     limits: Mapping[str, Mapping[str, Limits]] = field(default_factory=dict)
     acknowledged: Mapping[Key, Sequence[Acknowledgement]] = field(default_factory=dict)
@@ -119,13 +121,15 @@ def fleet_view(
     """Return the view of a fleet; `states` come with the most severe first."""
     places = {id(state.series): i for i, state in enumerate(states)}
     cars = of_same_car([state.series for state in states])
+    names = tuple(address(state.key) for state in states)
     return FleetView(
         version=version,
         states=tuple(states),
         rows=overview_rows(states, acknowledged),
         plan=plan,
         cars=[[places[id(one)] for one in car] for car in cars],
-        keys={address(state.key): i for i, state in enumerate(states)},
+        names=names,
+        keys={name: i for i, name in enumerate(names)},
         limits=limits,
         acknowledged=acknowledged,
         is_complete=is_complete,

@@ -10,8 +10,8 @@ from pathlib import Path
 
 from suspnet.ground import ledger
 from suspnet.ground.storage import locked, read_json, write_json
+from suspnet.recordings.errors import TripError
 from suspnet.recordings.manifest_files import UNFINISHED, read_manifest
-from suspnet.recordings.manifest_keys import TripError
 
 log = logging.getLogger(__name__)
 TRUTH = "truth.json"

@@ -194,13 +194,12 @@ class Directions:
     """A few standard normal coordinates that replace all the uncertain numbers.
 
     `factor` (n_names, n) is the change of the logarithms of the distribution's numbers for a
-    coordinate of 1; `neglected` and `strongest` are the rms effect of all neglected directions, and
-    of the strongest direction, in standard deviations of the noise.
+    coordinate of 1; `strongest` is the rms effect of the strongest direction, in standard
+    deviations of the noise.
     """
 
     generator: ResponseGenerator
     factor: Tensor
-    neglected: float = 0.0
     strongest: float = 0.0
 
     @property
@@ -243,8 +242,7 @@ def directions(observer: Observer) -> Directions:
     effects = values.clamp(min=0).sqrt()
     kept = effects >= LEAST_EFFECT
     factor = (every.factor.to(vectors) @ vectors)[:, kept].flip(1)
-    neglected = float(effects[~kept].square().sum().sqrt())
-    return Directions(every.generator, factor, neglected, float(effects[-1]))
+    return Directions(every.generator, factor, float(effects[-1]))
 
 
 def _jacobian(observer: Observer, every: Directions, ratios: Tensor, standard: Tensor) -> Tensor:

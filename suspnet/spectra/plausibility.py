@@ -19,8 +19,8 @@ from torch import Tensor
 
 from suspnet.dynamics import PARAMETERS, QuarterCar, ResponseGenerator, Vehicle, VerticalVehicle
 from suspnet.ground.parameters import DIRECTIONS, FORWARD, Direction, direction_words
+from suspnet.recordings.errors import TripError
 from suspnet.recordings.manifest import CHANNELS
-from suspnet.recordings.manifest_keys import TripError
 from suspnet.recordings.speed import LARGEST_SPEED_M_PER_S
 from suspnet.spectra.cross_spectra import CrossSpectra
 from suspnet.spectra.estimates import LOWEST_MODE

@@ -18,10 +18,10 @@ from suspnet.estimation.from_recording import Steady, TripSettings, steady
 from suspnet.estimation.steady_parts import groups_to_read, readable_words
 from suspnet.estimation.trained import TrainedModel
 from suspnet.ground.records import ERROR, OK
+from suspnet.recordings.errors import TripError, all_of
 from suspnet.recordings.formats import open_columns
 from suspnet.recordings.manifest import CHANNELS, TripManifest
 from suspnet.recordings.manifest_files import ManifestFile
-from suspnet.recordings.manifest_keys import TripError, all_of
 from suspnet.recordings.recording import Recording, load_recording
 from suspnet.spectra.estimates import EstimateSettings
 from suspnet.spectra.plausibility import (

@@ -12,9 +12,9 @@ import numpy as np
 from suspnet.ground.types import FloatArray
 from suspnet.recordings.clocks import Times, Zero, header_date
 from suspnet.recordings.columns import Column, OpenFile, size_of, unit_in_name
+from suspnet.recordings.errors import TripError
 from suspnet.recordings.formats import open_file, read_columns
 from suspnet.recordings.manifest import SIDES, TIME_UNITS, Source
-from suspnet.recordings.manifest_keys import TripError
 
 ACCELERATION, SPEED = "acceleration", "speed"
 MOST_COLUMNS = 500

@@ -73,7 +73,7 @@ class FleetSettings:
     trips: TripSettings
     reference: Literal["vehicle", "first_trips"] = setting(
         "vehicle",
-        "What counts as healthy: the parameters of the vehicle, or what its first trips show",
+        "Reference for healthy: the vehicle's parameters, or the estimates of its first trips",
     )
     n_reference: int = setting(
         5, "Number of first trips, for reference=first_trips", low=1, most=1024

@@ -9,16 +9,28 @@ from typing import Any
 
 import numpy as np
 
-from suspnet.ground.parameters import NAMES, PARAMETERS, Severity
+from suspnet.ground.parameters import NAMES, PARAMETERS, PAYLOAD, Severity
 from suspnet.ground.records import INTERVAL_LEVEL, TripResult
 from suspnet.history.arrays import TripResponses
 from suspnet.maintenance.alarms import Acknowledgement, Alarm, newest_of
 from suspnet.maintenance.plan import suspension_of, train_of
 from suspnet.maintenance.schedule import joined
 from suspnet.maintenance.state import State
-from suspnet.report.tables import FleetView, files_read_as, response, response_table, trip_table
+from suspnet.report.tables import (
+    FleetView,
+    files_read_as,
+    finding,
+    response,
+    response_table,
+    trip_table,
+)
 from suspnet.report.trend import ranges, trend_of_state
 
+MOST_ROWS = 50
+"""Largest number of rows of a table of the fleet, unless all are requested."""
+MOST_JOBS = 10
+"""Largest number of jobs on the page of the fleet; the page of the plan has all."""
+OUTPUTS = tuple(name for name in PARAMETERS if name != PAYLOAD)
 SHORT = {"leading": "lead.", "trailing": "trail."}
 """Short words of a place, for a tile."""
 
@@ -70,19 +82,11 @@ class Raised:
     seen: Acknowledgement | None
 
 
-def names_of(view: FleetView) -> list[str]:
-    """Return the name in URLs of each suspension, in the order of the states."""
-    names = [""] * len(view.states)
-    for name, place in view.keys.items():
-        names[place] = name
-    return names
-
-
 def trains_of_view(view: FleetView, choice: Choice) -> list[Train]:
     """Return the trains with the chosen suspensions, in natural order of their names."""
     of_fleet = {state.series.place.suspension for state in view.states}
     found: dict[str, Train] = {}
-    several = zip(names_of(view), view.states, view.rows, strict=True)
+    several = zip(view.names, view.states, view.rows, strict=True)
     for name, state, row in sorted(several, key=lambda one: _place_order(one[1])):
         if choice.holds(state):
             place = state.series.place
@@ -107,17 +111,16 @@ def raised(view: FleetView, choice: Choice) -> list[Raised]:
     """Return the active alarms, the worst first, those not yet acknowledged before others."""
     found = [
         Raised(name, state, alarm, newest_of(alarm, view.acknowledged.get(state.key, ())))
-        for name, state in zip(names_of(view), view.states, strict=True)
+        for name, state in zip(view.names, view.states, strict=True)
         if choice.holds(state)
         for alarm in state.alarms
     ]
     return sorted(found, key=lambda one: (-one.alarm.severity, one.seen is not None))
 
 
-def rows_of(view: FleetView, places: Sequence[int], address: Any) -> list[dict[str, Any]]:
+def rows_of(view: FleetView, indices: Sequence[int], address: Any) -> list[dict[str, Any]]:
     """Return rows of the overview with the address of each suspension's page."""
-    names = names_of(view)
-    return [view.rows[i] | {"address": address(names[i])} for i in places]
+    return [view.rows[i] | {"address": address(view.names[i])} for i in indices]
 
 
 def jobs_of(view: FleetView, choice: Choice, address: Any) -> list[dict[str, Any]]:
@@ -126,7 +129,7 @@ def jobs_of(view: FleetView, choice: Choice, address: Any) -> list[dict[str, Any
         return []
     known = {
         (train_of(state), state.series.place.car, suspension_of(state)): name
-        for name, state in zip(names_of(view), view.states, strict=True)
+        for name, state in zip(view.names, view.states, strict=True)
         if choice.holds(state)
     }
     jobs = [
@@ -156,33 +159,55 @@ def _tile(name: str, state: State, row: dict[str, Any], with_suspension: bool) -
     return Tile(name, str(state.severity), words or state.series.vehicle, why)
 
 
+def fleet_values(view: FleetView, choice: Choice, all_rows: bool, address: Any) -> dict[str, Any]:
+    """Return the values for the template of the fleet; `address` gives a suspension's URL."""
+    chosen = [i for i, state in enumerate(view.states) if choice.holds(state)]
+    alarms, jobs = raised(view, choice), jobs_of(view, choice, address)
+    most = None if all_rows else MOST_ROWS
+    return {
+        "finding": finding([view.rows[i] for i in chosen]),
+        "choice": choice,
+        "train_names": train_names(view),
+        "counts": counts(view, choice.train),
+        "trains": trains_of_view(view, choice),
+        "alarms": alarms[:most],
+        "n_alarms": len(alarms),
+        "rows": rows_of(view, chosen[:most], address),
+        "n_rows": len(chosen),
+        "parameters": OUTPUTS,
+        "plan": view.plan,
+        "jobs": jobs[:MOST_JOBS],
+        "n_jobs": len(jobs),
+    }
+
+
 N_TRIPS = 20
 """Number of the newest trips in the table."""
 
 
 def suspension_values(
     view: FleetView,
-    place: int,
+    index: int,
     results: Sequence[TripResult],
     stored: Sequence[TripResponses],
     seen: Sequence[Acknowledgement],
 ) -> dict[str, Any]:
     """Return the values for the template of a suspension.
 
-    `place` is its index in the view; `results` (empty if the store cannot be read) and `stored` are
-    by mileage.
+    `index` is that of its state in the view; `results` (empty if the store cannot be read) and
+    `stored` are by mileage.
     """
-    state = view.states[place]
-    over = [one for one in state.watched.alarms if not one.is_open]
+    state = view.states[index]
+    cleared = [one for one in state.watched.alarms if not one.is_open]
     newest = list(reversed(results[-N_TRIPS:]))
     responses = [response(one.trip, one.mileage_km, one) for one in stored]
     return {
         "state": state,
-        "row": view.rows[place],
+        "row": view.rows[index],
         "limits": state.limits,
         "names": NAMES,
         "alarms": [(one, newest_of(one, seen)) for one in state.alarms],
-        "over": [(one, newest_of(one, seen)) for one in reversed(over)],
+        "cleared": [(one, newest_of(one, seen)) for one in reversed(cleared)],
         "ranges": ranges(trend_of_state(state)),
         "trips": trip_table(newest, PARAMETERS, INTERVAL_LEVEL),
         "read_as": files_read_as(newest),

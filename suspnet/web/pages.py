@@ -25,7 +25,7 @@ from flask_wtf import FlaskForm
 from wtforms import HiddenField, StringField
 from wtforms.validators import DataRequired, Length
 
-from suspnet.ground.parameters import PARAMETERS, PAYLOAD, Severity
+from suspnet.ground.parameters import Severity
 from suspnet.history import History, HistoryError
 from suspnet.history.store import acknowledge_alarms
 from suspnet.maintenance.alarms import Alarm
@@ -33,17 +33,13 @@ from suspnet.maintenance.schedule import Plan
 from suspnet.maintenance.series import relative_results
 from suspnet.maintenance.state import State
 from suspnet.report.board import Refresher
-from suspnet.report.tables import FleetView, finding, response
+from suspnet.report.tables import FleetView, response
 from suspnet.report.templates import MARKS
 from suspnet.report.trend import trend_of_state
 from suspnet.web import page_values
 from suspnet.web.figures import response_figure, trend_figure
-from suspnet.web.page_values import Choice, suspension_values
+from suspnet.web.page_values import Choice
 
-MOST_ROWS = 50
-"""Largest number of rows of a table of the fleet, unless all are requested."""
-MOST_JOBS = 10
-"""Largest number of jobs on the page of the fleet; the page of the plan has all."""
 READ_S, WRITE_S = 0.5, 2.0
 """Timeouts for reading from a store that is locked by other programs, and for writing to it,
 [s]."""
@@ -51,7 +47,6 @@ REFRESHER = "suspnet_refresher"
 """Key, among an application's extensions, of the thread that holds the state of the fleet."""
 WITH_PLOTS = "suspnet.plots"
 """Key in a request's environment that marks a page with plots."""
-OUTPUTS = tuple(name for name in PARAMETERS if name != PAYLOAD)
 
 pages = Blueprint("pages", __name__)
 _drawing = threading.Lock()
@@ -61,27 +56,9 @@ _drawing = threading.Lock()
 def fleet() -> ResponseReturnValue:
     """Return the page of the fleet."""
     view, choice = _view(), _choice()
-    places = [i for i, state in enumerate(view.states) if choice.holds(state)]
-    alarms, jobs = page_values.raised(view, choice), page_values.jobs_of(view, choice, _address)
     all_rows = request.args.get("rows") == "all"
-    most = None if all_rows else MOST_ROWS
-    page = _page(
-        "fleet_page.html",
-        _fleet_version(view),
-        finding=finding([view.rows[i] for i in places]),
-        choice=choice,
-        train_names=page_values.train_names(view),
-        counts=page_values.counts(view, choice.train),
-        trains=page_values.trains_of_view(view, choice),
-        alarms=alarms[:most],
-        n_alarms=len(alarms),
-        rows=page_values.rows_of(view, places[:most], _address),
-        n_rows=len(places),
-        parameters=OUTPUTS,
-        plan=view.plan,
-        jobs=jobs[:MOST_JOBS],
-        n_jobs=len(jobs),
-    )
+    values = page_values.fleet_values(view, choice, all_rows, _address)
+    page = _page("fleet_page.html", _fleet_version(view), **values)
     return page, 503 if view.trouble and not view.states else 200
 
 
@@ -111,13 +88,14 @@ def calendar() -> ResponseReturnValue:
 @pages.get("/suspension/<name>")
 def suspension(name: str) -> ResponseReturnValue:
     """Return the page of a suspension."""
-    return _suspension_page(name, Seen(formdata=None, by=session.get("by", "")))
+    form = AcknowledgementForm(formdata=None, by=session.get("by", ""))
+    return _suspension_page(name, form)
 
 
 @pages.post("/suspension/<name>/acknowledge")
 def acknowledge(name: str) -> ResponseReturnValue:
     """Store an acknowledgement of an alarm, and return to the page of its suspension."""
-    state, form = _state(name), Seen()
+    state, form = _state(name), AcknowledgementForm()
     if not form.validate_on_submit():
         return _suspension_page(name, form), 400
     chosen = [one for one in state.alarms if form.means(one)]
@@ -169,7 +147,7 @@ def _calendar(plan: Plan) -> bytes:
         return as_svg(plan_calendar(plan))
 
 
-def _suspension_page(name: str, form: Seen) -> str:
+def _suspension_page(name: str, form: AcknowledgementForm) -> str:
     view, state = _view(), _state(name)
     request.environ[WITH_PLOTS] = True
     results, stored, trouble = [], [], ""
@@ -184,7 +162,7 @@ def _suspension_page(name: str, form: Seen) -> str:
     except HistoryError as error:
         trouble = str(error)
     known = [one for one in view.bad_rows if one.key == state.key]
-    shown = suspension_values(view, view.keys[name], results, stored, seen)
+    shown = page_values.suspension_values(view, view.keys[name], results, stored, seen)
     car = next((one for one in view.cars if view.keys[name] in one), [])
     return _page(
         "suspension_page.html",
@@ -194,7 +172,7 @@ def _suspension_page(name: str, form: Seen) -> str:
         form=form,
         trouble=trouble,
         bad_rows=list(dict.fromkeys([*known, *bad])),
-        parameters=OUTPUTS,
+        parameters=page_values.OUTPUTS,
         sisters=[page_values.rows_of(view, car, _address)] if car else [],
         **shown,
     )
@@ -263,7 +241,7 @@ def _digest(*parts: Any) -> str:
     return hashlib.sha256(repr(parts).encode()).hexdigest()[:16]
 
 
-class Seen(FlaskForm):  # type: ignore[misc]
+class AcknowledgementForm(FlaskForm):  # type: ignore[misc]
     """Form of an acknowledgement: name, text, and the alarm as the page showed it."""
 
     by = StringField("Your name", [DataRequired("Enter your name."), Length(max=80)])

@@ -48,6 +48,18 @@ def helped(folder, names):
     assert ended.returncode == 0, ended.stderr
 
 
+def test_history_starts_as_a_module():
+    ended = subprocess.run(
+        [sys.executable, "-m", "suspnet.history", "--help"],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        timeout=100,
+        check=True,
+    )
+    assert ended.stdout.startswith("usage: suspnet-history")
+
+
 @pytest.mark.parametrize("names", [QUICK, pytest.param(PROGRAMS, marks=pytest.mark.slow)])
 def test_help_writes_nothing_and_imports_nothing_slow(names, tmp_path):
     helped(tmp_path, names)

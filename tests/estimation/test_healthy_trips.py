@@ -17,9 +17,9 @@ from suspnet.dynamics import VerticalVehicle
 from suspnet.estimation.commissioning_summary import unplaced
 from suspnet.estimation.from_recording import TripSettings
 from suspnet.estimation.healthy_trips import read_healthy
+from suspnet.recordings.errors import TripError
 from suspnet.recordings.formats import READERS
 from suspnet.recordings.manifest_files import read_manifest
-from suspnet.recordings.manifest_keys import TripError
 from suspnet.recordings.reader_process import in_own_process
 from suspnet.recordings.recording import load_recording
 from suspnet.runs.commissioning import _prior

@@ -26,8 +26,8 @@ from suspnet.ground.storage import (
     stored_bytes,
 )
 from suspnet.recordings.core_yaml import parse_yaml
+from suspnet.recordings.errors import TripError
 from suspnet.recordings.manifest_files import read_manifest
-from suspnet.recordings.manifest_keys import TripError
 
 SECONDS = 5.0
 

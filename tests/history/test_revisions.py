@@ -9,8 +9,9 @@ from trip_records import trip
 
 from suspnet.ground.parameters import Cause, Severity
 from suspnet.ground.records import Place
-from suspnet.history import Event, History
+from suspnet.history import History
 from suspnet.maintenance.alarms import OWN_CAUSES, Acknowledgement, Alarm
+from suspnet.maintenance.series import Event
 
 VEHICLE = "AM96 217"
 PLACES = [Place("a"), Place("b")]

@@ -7,8 +7,9 @@ import pytest
 from trip_records import HALF_WIDTHS, OUTPUTS, flagged, fleet, trip
 
 from suspnet.ground.records import Place
-from suspnet.history import Event, History
+from suspnet.history import History
 from suspnet.history import arrays as module
+from suspnet.maintenance.series import Event
 
 
 @pytest.fixture

@@ -15,9 +15,10 @@ from trip_records import fleet, trip
 
 from suspnet.ground.parameters import Cause, Severity
 from suspnet.ground.records import Place, TripResult
-from suspnet.history import Event, History, HistoryError
+from suspnet.history import History, HistoryError
 from suspnet.history.schema import suspensions
 from suspnet.maintenance.alarms import OWN_CAUSES, Acknowledgement, Alarm
+from suspnet.maintenance.series import Event
 
 PLACE = Place("bogie 1, left")
 VEHICLE = "AM96 217"

@@ -1,12 +1,15 @@
 """The design matrix in blocks, its products and its Gram matrix, against the whole matrix."""
 
+from collections.abc import Callable
+from dataclasses import dataclass
+
 import numpy as np
 import pytest
 import torch
 from learning_reference import smooth_data
 
 from suspnet.learning.design import DenseDesign, Direction, FixedGram, Gradient
-from suspnet.learning.feature_maps import orthogonal_fourier, random_fourier
+from suspnet.learning.feature_maps import FeatureMap, orthogonal_fourier, random_fourier
 from suspnet.learning.irwls import IRWLS
 
 SIGMA = 1.3
@@ -20,10 +23,20 @@ def normal(*shape, seed=9):
     return torch.tensor(np.random.default_rng(seed).standard_normal(shape))
 
 
+@dataclass(frozen=True)
+class Mapped(FeatureMap):
+    """The features that a function returns."""
+
+    function: Callable
+
+    def __call__(self, X):
+        return self.function(X)
+
+
 def linear(n_features):
     """A map to any number of features, odd ones too."""
     weights = normal(3, n_features, seed=5)
-    return lambda X: (X @ weights).sin()
+    return Mapped(lambda X: (X @ weights).sin())
 
 
 def total_of_two(values):
@@ -54,7 +67,7 @@ def test_blocks_are_made_again_only_without_room(cache_bytes, calls_of_a_second_
         calls.append(len(rows))
         return phi(rows)
 
-    blocks = DenseDesign(counting, X, block_rows=7, cache_bytes=cache_bytes)
+    blocks = DenseDesign(Mapped(counting), X, block_rows=7, cache_bytes=cache_bytes)
     first = [block.clone() for _, block in blocks]
     calls.clear()
     second = [block for _, block in blocks]
@@ -69,7 +82,7 @@ def test_products_are_those_of_the_whole_matrix(block_rows, cache_bytes, dtype):
     X, change, V = samples().to(dtype), Direction(normal(21, 2), normal(2)), normal(60, 4)
     feature_map = linear(21)
     design = DenseDesign(
-        lambda rows: feature_map(rows.double()).to(dtype),
+        Mapped(lambda rows: feature_map(rows.double()).to(dtype)),
         X,
         block_rows=block_rows,
         cache_bytes=cache_bytes,
@@ -122,7 +135,8 @@ def test_samples_of_weight_zero_cost_no_product():
             heights.append(self.shape[1])
             return super().__matmul__(other)
 
-    design = DenseDesign(lambda rows: feature_map(rows).as_subclass(Watched), X, block_rows=30)
+    watched = Mapped(lambda rows: feature_map(rows).as_subclass(Watched))
+    design = DenseDesign(watched, X, block_rows=30)
     design.weighted_gram(torch.cat([torch.ones(4), torch.zeros(56)]).double())
     assert sum(heights) == 4
 
@@ -135,7 +149,7 @@ def test_gram_is_made_once_and_float32_is_summed_in_float64():
         return feature_map(rows.double()).float()
 
     X = samples(3000).float()
-    design = DenseDesign(counting, X, block_rows=100, cache_bytes=0)
+    design = DenseDesign(Mapped(counting), X, block_rows=100, cache_bytes=0)
     calls.clear()
     assert design.gram() is design.gram()
     assert sum(calls) == 3000
@@ -270,6 +284,6 @@ def test_gradient_norm_is_that_of_all_its_numbers():
 
 @pytest.mark.parametrize("bad", [float("nan"), float("inf")])
 def test_features_that_are_no_numbers_are_an_error(bad):
-    design = DenseDesign(lambda X: torch.full((len(X), 4), bad, dtype=X.dtype), samples())
+    design = DenseDesign(Mapped(lambda X: torch.full((len(X), 4), bad, dtype=X.dtype)), samples())
     with pytest.raises(ValueError, match=r"4 x 4 system .* singular to working precision"):
         design.fixed(1.0, True)

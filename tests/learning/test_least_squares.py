@@ -5,8 +5,8 @@ import pytest
 import torch
 from scipy import optimize
 
-from suspnet.learning import CurveFit, LevenbergMarquardt
-from suspnet.learning.least_squares import _derivatives
+from suspnet.learning import CurveFit
+from suspnet.learning.least_squares import LevenbergMarquardt, _derivatives
 
 TIMES = torch.linspace(0, 4, 40, dtype=torch.float64)
 

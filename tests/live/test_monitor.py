@@ -23,9 +23,9 @@ from suspnet.live.results import Results
 from suspnet.live.sections import MOST_OPEN
 from suspnet.live.suspension import Job, LiveSettings, LiveSuspension, read_suspensions
 from suspnet.recordings.assembler import OrderSettings
+from suspnet.recordings.errors import TripError
 from suspnet.recordings.frames import Frame, decode, encode
 from suspnet.recordings.manifest_files import read_manifest
-from suspnet.recordings.manifest_keys import TripError
 from suspnet.trips.fleet import FleetSettings
 
 WINDOW = 6

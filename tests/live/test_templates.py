@@ -18,10 +18,10 @@ from suspnet.live.monitor import Monitor
 from suspnet.live.replay import Replay
 from suspnet.live.results import Results
 from suspnet.live.suspension import LiveSettings, read_suspensions
+from suspnet.recordings.errors import TripError
 from suspnet.recordings.frames import encode
 from suspnet.recordings.manifest import CHANNELS
 from suspnet.recordings.manifest_files import read_manifest
-from suspnet.recordings.manifest_keys import TripError
 from suspnet.trips.fleet import FleetSettings
 from suspnet.trips.manifest_template import BLANK
 

@@ -9,8 +9,9 @@ import pytest
 from depot_trips import place, trips
 
 from suspnet.ground.parameters import Cause, Severity
-from suspnet.history import Event, History
+from suspnet.history import History
 from suspnet.maintenance.alarms import Acknowledgement, Alarm
+from suspnet.maintenance.series import Event
 from suspnet.report.board import Board, BoardSettings
 
 SETTINGS = BoardSettings(today="2026-03-01")

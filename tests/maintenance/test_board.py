@@ -14,11 +14,12 @@ from empty_stores import KINDS, empty_store
 
 from suspnet.ground.parameters import Cause, Severity
 from suspnet.ground.records import Place
-from suspnet.history import Event, History, HistoryError
+from suspnet.history import History, HistoryError
 from suspnet.maintenance import fleet as fleet_module
 from suspnet.maintenance.alarms import OWN_CAUSES, Acknowledgement, Alarm
 from suspnet.maintenance.fleet import fleet_state
 from suspnet.maintenance.plan import make_plan, parts_of, trains_of
+from suspnet.maintenance.series import Event
 from suspnet.report import board as module
 from suspnet.report.board import Board, BoardSettings
 from suspnet.report.tables import address

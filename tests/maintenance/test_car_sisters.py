@@ -7,8 +7,8 @@ import pytest
 from trip_records import HALF_WIDTHS, trip
 
 from suspnet.ground.records import Place
-from suspnet.history import Event, History
-from suspnet.maintenance.series import of_same_car
+from suspnet.history import History
+from suspnet.maintenance.series import Event, of_same_car
 from suspnet.maintenance.sisters import SisterSettings, alarms_of_sisters
 
 CORNERS = [

@@ -10,11 +10,12 @@ from depot_trips import N_TRIPS, place, trips
 
 from suspnet.ground.parameters import DEFAULT_LIMITS, Cause, Severity
 from suspnet.ground.records import Place
-from suspnet.history import Event, History
+from suspnet.history import History
 from suspnet.maintenance.alarms import Acknowledgement
 from suspnet.maintenance.change import ChangeSettings
 from suspnet.maintenance.fleet import fleet_state
 from suspnet.maintenance.plan import join_plans, make_plan, parts_of, train_of, trains_of
+from suspnet.maintenance.series import Event
 from suspnet.maintenance.sisters import SisterSettings
 from suspnet.maintenance.visit_costs import PlanSettings
 from suspnet.report.board import BoardSettings

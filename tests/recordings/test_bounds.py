@@ -18,8 +18,8 @@ from suspnet.recordings.columns import (
     most_samples,
     step_s,
 )
+from suspnet.recordings.errors import TripError
 from suspnet.recordings.formats import open_columns
-from suspnet.recordings.manifest_keys import TripError
 
 RATE_HZ, MINUTES = 5000, 10
 

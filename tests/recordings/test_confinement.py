@@ -14,8 +14,8 @@ from misbehaving_readers import attempts, open_misbehaving
 
 from suspnet.recordings import formats, reader_process
 from suspnet.recordings import reader_server as confinement
+from suspnet.recordings.errors import TripError
 from suspnet.recordings.formats import open_file
-from suspnet.recordings.manifest_keys import TripError
 
 HAS_LANDLOCK = platform.system() == "Linux" and (
     ctypes.CDLL(None, use_errno=True).syscall(confinement._CREATE_RULESET, None, 0, 1) > 0

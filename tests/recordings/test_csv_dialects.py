@@ -9,8 +9,9 @@ from hypothesis import strategies as st
 
 from suspnet.recordings import csv_dialect, csv_files
 from suspnet.recordings.csv_dialect import find_dialect
+from suspnet.recordings.errors import TripError
 from suspnet.recordings.formats import open_columns, open_file
-from suspnet.recordings.manifest_keys import CsvDialect, TripError
+from suspnet.recordings.manifest_keys import CsvDialect
 
 ROWS = np.array([[0.0, 1.5, -0.25], [0.1, -2.5, 1e-5], [0.2, np.nan, 12.0], [0.3, 4.0, 0.125]])
 

@@ -14,8 +14,8 @@ from suspnet.estimation.from_recording import TripSettings
 from suspnet.recordings import dates
 from suspnet.recordings.clocks import Zero, first_moment
 from suspnet.recordings.dates import date_in_lines, date_problem, read_date
+from suspnet.recordings.errors import TripError
 from suspnet.recordings.manifest_files import read_manifest
-from suspnet.recordings.manifest_keys import TripError
 from suspnet.recordings.recording import load_recording
 from suspnet.simulation.writing import DAYS_BETWEEN, time_between
 from suspnet.trips.file_contents import look_into

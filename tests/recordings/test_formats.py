@@ -17,9 +17,9 @@ from scipy.io import savemat
 from suspnet.recordings import columns as columns_module
 from suspnet.recordings import csv_files, formats
 from suspnet.recordings.array_files import open_mat
+from suspnet.recordings.errors import TripError
 from suspnet.recordings.formats import CSV_SUFFIXES, open_columns
 from suspnet.recordings.logger_files import open_tdms
-from suspnet.recordings.manifest_keys import TripError
 
 
 def read(path: Path, *columns: str | None) -> list[np.ndarray]:

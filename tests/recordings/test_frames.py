@@ -7,13 +7,14 @@ import pytest
 from suspnet.recordings.frames import (
     MOST_BYTES,
     MOST_SAMPLES,
-    REASONS,
     Frame,
     FrameError,
     decode,
     encode,
 )
 
+REASONS = ("size", "foreign", "truncated", "sensor", "rate", "unit", "time", "sequence", "nan")
+"""Reasons to refuse a frame by itself, whatever came before."""
 SAMPLES = np.arange(1000, dtype="f4")
 FRAME = Frame("front left", "axle_box", 5, 1_700_000_000_000_000_000, 5000.0, "m/s2", SAMPLES)
 

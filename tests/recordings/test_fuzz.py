@@ -10,10 +10,10 @@ import yaml
 from recording_files import WRITERS
 
 from suspnet.recordings import reader_process
+from suspnet.recordings.errors import TripError
 from suspnet.recordings.formats import open_file, read_columns
 from suspnet.recordings.manifest import CHANNELS
 from suspnet.recordings.manifest_files import ManifestFile, read_manifest
-from suspnet.recordings.manifest_keys import TripError
 
 VALUES = (
     "no",

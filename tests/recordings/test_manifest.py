@@ -10,6 +10,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from suspnet.ground.records import Place
+from suspnet.recordings.errors import TripError
 from suspnet.recordings.manifest import CHANNELS, SIDES, Channel, SpeedSource, TripManifest
 from suspnet.recordings.manifest_files import (
     ManifestFile,
@@ -17,7 +18,7 @@ from suspnet.recordings.manifest_files import (
     read_manifest,
     write_manifest,
 )
-from suspnet.recordings.manifest_keys import DELIMITERS, CsvDialect, TripError
+from suspnet.recordings.manifest_keys import DELIMITERS, CsvDialect
 
 TRIP = """
 format: suspnet-trip-1

@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from suspnet.recordings.errors import TripError
 from suspnet.recordings.formats import open_columns
-from suspnet.recordings.manifest_keys import TripError
 
 asammdf = pytest.importorskip("asammdf")
 RAW = np.array([0, 1, 2, 3, 5, 8, 13, 21, 200, 255])

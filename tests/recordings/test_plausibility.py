@@ -13,8 +13,8 @@ from trip_fixtures import AM96
 from suspnet.cli.kinds import build
 from suspnet.dynamics import VerticalVehicle
 from suspnet.dynamics.track import make_profile, track_spectrum
+from suspnet.recordings.errors import TripError
 from suspnet.recordings.manifest import CHANNELS
-from suspnet.recordings.manifest_keys import TripError
 from suspnet.runs.commissioning import FAMILY
 from suspnet.simulation.fleet import scattered
 from suspnet.simulation.signals import steady_journey

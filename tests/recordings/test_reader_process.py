@@ -13,8 +13,8 @@ from dying_readers import N_BLOCKS, N_SAMPLES, open_dying
 
 from suspnet.recordings import formats, reader_process
 from suspnet.recordings.columns import Column
+from suspnet.recordings.errors import TripError
 from suspnet.recordings.formats import open_columns, open_file
-from suspnet.recordings.manifest_keys import TripError
 from suspnet.recordings.reader_server import MEMORY_WORDS
 
 A = np.arange(float(N_BLOCKS * N_SAMPLES))

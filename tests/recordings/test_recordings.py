@@ -11,9 +11,9 @@ import pytest
 import yaml
 
 from suspnet.recordings import csv_files
+from suspnet.recordings.errors import TripError
 from suspnet.recordings.manifest import CHANNELS
 from suspnet.recordings.manifest_files import read_manifest
-from suspnet.recordings.manifest_keys import TripError
 from suspnet.recordings.recording import Recording, load_recording
 
 FREQUENCIES_HZ = np.array([0.5, 1.3, 4.0, 7.7, 12.0, 20.0, 25.0])

@@ -23,8 +23,8 @@ from stream_signals import (
 from suspnet.live.journal import StateError, dump_state, load_state
 from suspnet.recordings import cleaning
 from suspnet.recordings.assembler import OrderSettings
+from suspnet.recordings.errors import TripError
 from suspnet.recordings.frames import Frame, FrameError, decode, encode
-from suspnet.recordings.manifest_keys import TripError
 from suspnet.recordings.running import Running
 from suspnet.spectra.segments import recording_segments
 from suspnet.spectra.welch import Welch

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from suspnet.recordings import sources as timeline
-from suspnet.recordings.manifest_keys import TripError
+from suspnet.recordings.errors import TripError
 from suspnet.recordings.sources import Timeline
 
 

@@ -10,9 +10,9 @@ from trip_records import fleet, trip
 
 from suspnet.estimation.from_recording import TripSettings
 from suspnet.ground.records import ERROR
-from suspnet.history import Event, History
+from suspnet.history import History
 from suspnet.maintenance import Acknowledgement, Cause, Severity
-from suspnet.maintenance.series import between
+from suspnet.maintenance.series import Event, between
 from suspnet.trips import fleet as fleet_module
 from suspnet.trips.earlier import with_earlier
 from suspnet.trips.fleet import FleetSettings, evaluate_fleet

@@ -30,8 +30,8 @@ from suspnet.estimation.from_recording import TripSettings
 from suspnet.estimation.from_spectra import estimate_with_noise
 from suspnet.ground.records import ERROR, NO_ESTIMATE, OK
 from suspnet.recordings import recording as loading
+from suspnet.recordings.errors import TripError
 from suspnet.recordings.manifest import CHANNELS
-from suspnet.recordings.manifest_keys import TripError
 from suspnet.simulation.fleet import Scenario
 from suspnet.spectra.welch import Welch
 from suspnet.trips import trip

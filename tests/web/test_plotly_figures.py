@@ -8,7 +8,8 @@ import plotly.graph_objects as go
 import pytest
 from served_fleet import FAILED, NAMED_EVIL, SETTINGS, WORN, trips
 
-from suspnet.history import Event, History
+from suspnet.history import History
+from suspnet.maintenance.series import Event
 from suspnet.report.board import Board
 from suspnet.report.tables import response, response_table
 from suspnet.report.trend import FLAGGED, PASSING, TRIP, ranges, trend_of_state

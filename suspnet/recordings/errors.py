@@ -1,0 +1,52 @@
+"""Errors of one trip: `TripError`, and how the problems of several checks become one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from suspnet.ground.storage import NotPlainError
+
+
+class TripError(ValueError):
+    """Something is wrong with one trip: its manifest, or the files that it names.
+
+    Its arguments are the problems, one sentence each; its text shows only the first.
+    """
+
+    @property
+    def problems(self) -> tuple[str, ...]:
+        """All problems, in the order in which they were found."""
+        return tuple(map(str, self.args))
+
+    def __str__(self) -> str:
+        more = len(self.args) - 1
+        if more < 1:
+            return super().__str__()
+        return f"{self.args[0]} (and {more} more: suspnet-check shows all)"
+
+
+@contextmanager
+def opening(path: Path) -> Iterator[None]:
+    """Turn the errors of opening a file that is missing, locked or not plain into TripError."""
+    try:
+        yield
+    except OSError as error:
+        raise TripError(f"{path}: cannot be read ({error.strerror})") from error
+    except NotPlainError as error:
+        raise TripError(str(error)) from error
+
+
+def all_of(parts: Iterable[Callable[[], Any]], problems: Iterable[str] = ()) -> list[Any]:
+    """Return the results of functions; one TripError with `problems` and those of all functions."""
+    found, problems = [], list(problems)
+    for part in parts:
+        try:
+            found.append(part())
+        except TripError as error:
+            problems += error.problems
+    if problems:
+        raise TripError(*dict.fromkeys(problems))
+    return found
