@@ -21,9 +21,9 @@ from suspnet.estimation.steady_parts import groups_to_read
 from suspnet.ground.parameters import FORWARD, Direction
 from suspnet.ground.progress import bar
 from suspnet.ground.types import ComplexArray, FloatArray
+from suspnet.recordings.errors import TripError
 from suspnet.recordings.manifest import TripManifest
 from suspnet.recordings.manifest_files import ManifestFile, find_manifests
-from suspnet.recordings.manifest_keys import TripError
 from suspnet.recordings.recording import Recording, load_recording
 from suspnet.spectra.cross_spectra import CrossSpectra
 from suspnet.spectra.estimates import EstimateSettings

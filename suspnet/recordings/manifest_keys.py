@@ -16,8 +16,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from suspnet.recordings.dates import date_problem, time_zone
-from suspnet.recordings.errors import TripError as TripError
-from suspnet.recordings.errors import all_of
+from suspnet.recordings.errors import TripError, all_of
 
 POSITIVE = math.ulp(0.0)
 """Smallest number above 0."""
