@@ -49,13 +49,13 @@ def worn_trips(options, case: Case, rows: np.ndarray) -> Trips:
     return Trips(case, [CrossSpectra(*p, drawn.n_averages) for p in parts], rows, 0)
 
 
-def due(name: str, level: float) -> Severity:
-    """Return the severity that a level deserves by the default limits."""
-    limits = DEFAULT_LIMITS[name]
-    for severity, (low, high) in ((Severity.ACT, limits.act), (Severity.NOTICE, limits.notice)):
-        if level < low or level > high:
-            return severity
-    return Severity.NONE
+def due(name: str, level: float) -> tuple[Severity, ...]:
+    """Return the severity that a level deserves by the default limits, both on a limit itself."""
+    limits, found = DEFAULT_LIMITS[name], set()
+    for at in (level * (1 - 1e-6), level * (1 + 1e-6)):
+        out = [not low <= at <= high for low, high in (limits.act, limits.notice)]
+        found.add(Severity.ACT if out[0] else Severity.NOTICE if out[1] else Severity.NONE)
+    return tuple(sorted(found))
 
 
 def severities(estimates) -> dict[str, Severity]:
@@ -90,8 +90,8 @@ def train_rows(options) -> list[dict]:
             ratios[:, PARAMETERS.index(name)] = level
         estimates = read(model, worn_trips(options, case, ratios))
         after = [severities(estimates[: n + 1]) for n in range(options.last)]
-        wanted = due(name, level) if name != "none" else Severity.NONE
-        right = [name == "none" or found[name] == wanted for found in after]
+        wanted = due(name, level) if name != "none" else (Severity.NONE,)
+        right = [name == "none" or found[name] in wanted for found in after]
         others = [other for other in NAMES if other != name and after[-1][other] > Severity.UNKNOWN]
         done = [e for e in estimates if e is not None and not e.flags.has("misfit")[0]]
         at = [e.values[0, NAMES.index(name)] for e in done] if name != "none" else []
@@ -102,7 +102,7 @@ def train_rows(options) -> list[dict]:
                 "misfit": vehicle.misfit,
                 "parameter": name,
                 "level_percent": 100 * level,
-                "due": str(wanted),
+                "due": " or ".join(map(str, wanted)),
                 "severity": str(after[-1].get(name, max(after[-1].values()))),
                 "after": max(wrong, default=-1) + 2 if right[-1] else "",
                 "others": " ".join(f"{other}={after[-1][other]!s}" for other in others),
@@ -120,14 +120,14 @@ def summary(rows: list[dict]) -> str:
     lines = []
     for name in (*NAMES, "none"):
         of = [row for row in rows if row["parameter"] == name]
-        right = [row for row in of if row["severity"] == row["due"]]
+        right = [row for row in of if row["severity"] in row["due"].split(" or ")]
         took = [row["after"] for row in right if row["after"] != ""]
         lines.append(
             {
                 "parameter": name,
                 "faults": len(of),
                 "right severity": len(right),
-                "too low": sum(LEAST[row["severity"]] < LEAST[row["due"]] for row in of),
+                "too low": sum(LEAST[row["severity"]] < LEAST[row["due"].split()[0]] for row in of),
                 "others accused": sum(bool(row["others"]) for row in of),
                 "trips, median": float(np.median(took)) if took else float("nan"),
                 "flagged trips": sum(row["n_flagged"] for row in of),
