@@ -1,9 +1,23 @@
 """Slow, naive oracles for suspnet.learning: loops, dense matrices and other people's optimisers."""
 
 import math
+from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 from scipy import optimize, stats
+
+from suspnet.learning.feature_maps import FeatureMap
+
+
+@dataclass(frozen=True)
+class Mapped(FeatureMap):
+    """The features that a function returns."""
+
+    function: Callable
+
+    def __call__(self, X):
+        return self.function(X)
 
 
 def naive_loss(u, epsilon):

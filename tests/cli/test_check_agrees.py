@@ -101,14 +101,14 @@ def test_check_with_a_run_shows_which_trips_its_models_read(trip, tmp_path):
     save_model(tmp_path / "run", model_at())
     trips = tmp_path / "trips"
     trips.mkdir()
-    run_at(trip, trips, 75.0, 0.0)
+    run_at(trip, trips, 71.0, 0.0)
     run_at(trip, trips, 90.0, 0.0)
     options = ["--run", tmp_path / "run", "-o", tmp_path / "o", "--no-pictures"]
     done = typed(check, trips, *options, cwd=tmp_path)
     lines = [line for line in done.stderr.splitlines() if not line.startswith("trips: ")]
     assert (done.returncode, lines) == (0, [])
     assert "1 of 2 trips ready" in done.stdout
-    assert "at 75.0 m/s: the model reads 64.4 to 75.6 m/s" in done.stdout
+    assert "at 71.0 m/s: the model reads 64.4 to 75.6 m/s" in done.stdout
     assert "the trip is run at 90.0 m/s, the model reads 64.4 to 75.6 m/s" in done.stdout
     states = [one["state"] for one in json.loads((tmp_path / "o/check.json").read_text())["trips"]]
     assert states == [READY, TOO_LITTLE]

@@ -1,15 +1,12 @@
 """The design matrix in blocks, its products and its Gram matrix, against the whole matrix."""
 
-from collections.abc import Callable
-from dataclasses import dataclass
-
 import numpy as np
 import pytest
 import torch
-from learning_reference import smooth_data
+from learning_reference import Mapped, smooth_data
 
 from suspnet.learning.design import DenseDesign, Direction, FixedGram, Gradient
-from suspnet.learning.feature_maps import FeatureMap, orthogonal_fourier, random_fourier
+from suspnet.learning.feature_maps import orthogonal_fourier, random_fourier
 from suspnet.learning.irwls import IRWLS
 
 SIGMA = 1.3
@@ -21,16 +18,6 @@ def samples(n_samples=60, n_inputs=3, seed=0):
 
 def normal(*shape, seed=9):
     return torch.tensor(np.random.default_rng(seed).standard_normal(shape))
-
-
-@dataclass(frozen=True)
-class Mapped(FeatureMap):
-    """The features that a function returns."""
-
-    function: Callable
-
-    def __call__(self, X):
-        return self.function(X)
 
 
 def linear(n_features):

@@ -10,6 +10,7 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 from learning_reference import (
+    Mapped,
     lbfgs_msvr,
     naive_lower_bound,
     naive_msvr_objective,
@@ -367,7 +368,7 @@ def test_float32_features_lead_to_the_float64_minimum(C, epsilon, n_components):
     X, Y = torch.tensor(X, dtype=torch.float32), torch.tensor(Y)
     phi = random_fourier(X, 1.0, n_components, 0)
     single = DenseDesign(phi, X)
-    double = DenseDesign(lambda rows: phi(rows.float()).double(), X.double())
+    double = DenseDesign(Mapped(lambda rows: phi(rows.float()).double()), X.double())
     found, best = (
         IRWLS(C, epsilon, max_iter=1000).minimise(design, Y) for design in (single, double)
     )
@@ -388,7 +389,7 @@ def test_float32_reaches_the_minimum_to_its_rounding(C):
     phi = random_fourier(X, 1.0, 40, 0)
     found = IRWLS(C, 0.0).minimise(DenseDesign(phi, X), Y)
     best = IRWLS(C, 0.0).minimise(
-        DenseDesign(lambda rows: phi(rows.float()).double(), X.double()), Y
+        DenseDesign(Mapped(lambda rows: phi(rows.float()).double()), X.double()), Y
     )
     reached = naive_msvr_objective(
         phi(X).double().numpy(), Y.numpy(), found.coef.numpy(), found.intercept.numpy(), C, 0.0

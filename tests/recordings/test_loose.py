@@ -9,11 +9,11 @@ from trip_fixtures import RATES_HZ, changed, signal, write_trips
 from vehicles import AM96
 
 from suspnet.dynamics import VerticalVehicle
+from suspnet.dynamics.quantities import IN_MOTION
 from suspnet.recordings.loose import find_loose
 from suspnet.recordings.manifest import CHANNELS
 from suspnet.recordings.manifest_files import read_manifest
 from suspnet.recordings.recording import load_recording
-from suspnet.runs.commissioning import FAMILY
 from suspnet.simulation.fleet import Fleet, Scenario
 from suspnet.simulation.writing import Simulation, write_fleet
 
@@ -143,7 +143,7 @@ def simulated(folder, seed=0, sides=None, vehicle=AM96, **options):
     if sides:
         places = (1.0, 1.0, 1.0)
         generator = VerticalVehicle(
-            vehicle, speed_m_per_s=speed, parts=FAMILY, sensor_lateral_m=places
+            vehicle, speed_m_per_s=speed, parts=IN_MOTION[:6], sensor_lateral_m=places
         )
     fleet = Fleet(sides=sides, **options)
     scenario = Scenario("random", spread=0.3)

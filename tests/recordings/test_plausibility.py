@@ -12,10 +12,10 @@ from trip_fixtures import AM96
 
 from suspnet.cli.kinds import build
 from suspnet.dynamics import VerticalVehicle
+from suspnet.dynamics.quantities import IN_MOTION
 from suspnet.dynamics.track import make_profile, track_spectrum
 from suspnet.recordings.errors import TripError
 from suspnet.recordings.manifest import CHANNELS
-from suspnet.runs.commissioning import FAMILY
 from suspnet.simulation.fleet import scattered
 from suspnet.simulation.signals import steady_journey
 from suspnet.simulation.writing import profile_length_m, simulate_trip
@@ -239,7 +239,9 @@ def seen_on_one_side(seed, order=(0, 1, 2), ratios=(1.0,) * 5, known=False):
     Expected is what the drawing has, or the vehicle itself in its healthy state if it is known.
     """
     drawing = VerticalVehicle(AM96)
-    rolling = scattered(replace(drawing, parts=FAMILY, sensor_lateral_m=(1.0,) * 3), 1.0, seed)
+    rolling = scattered(
+        replace(drawing, parts=IN_MOTION[:6], sensor_lateral_m=(1.0,) * 3), 1.0, seed
+    )
     frequencies_hz = torch.arange(0.1, RATE_HZ / 4, 0.05, dtype=torch.float64)
     worn = torch.tensor([ratios], dtype=torch.float64)
     channels = rolling.channels(worn, frequencies_hz)[0][:, list(order)]

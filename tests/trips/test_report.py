@@ -343,8 +343,8 @@ def test_flags_on_all_trips_contradict_nothing(tmp_path):
     """It was "2 of 4 parameters stand out: k_p: no change beyond the spread"."""
     results = [flagged(r, k_p=0.6) for r in measured()]
     _, page = write(tmp_path / "r.html", results)
-    assert page.named("div")[0]["class"] == "result notice"
-    assert "Notice: 1 of 4 parameters is to be looked at:" in page.text
+    assert page.named("div")[0]["class"] == "result act"
+    assert "Act: 1 of 4 parameters is beyond the act limit:" in page.text
     assert "below the act limit of 80 %; it has been so since the first trips; all" in page.text
     assert "All 12 trips are flagged" in page.text
 
