@@ -34,9 +34,8 @@ LEAST_TRIPS = 3
 """Smallest number of healthy trips; fewer contain too little information on a vehicle."""
 MASS_MEAN, MASS_DEVIATION = math.log(1.05), 0.15
 """Prior mean and standard deviation of the logarithm of a trip's car-body mass over nominal."""
-ROUGH, ROUGH_HZ = 0.03, 0.2
-"""Least allowed model error of a search that uses only a part of the bins, without leakage, and the
-distance of these bins."""
+ROUGH = 0.03
+"""Least allowed model error of a search on thinned bins, without leakage."""
 STEP = 1e-5
 """Step of differences, in standard deviations of the prior."""
 
@@ -208,15 +207,11 @@ class HealthyMisfit:
             direction: settings.observer(generator.running(direction))
             for direction in {group.direction for group in groups}
         }
-        at = [observers[group.direction].at(group.speeds) for group in groups]
-        pairs = list(zip(at, groups, strict=True))
-        self._groups = [observer.measured_misfit(group.spectra) for observer, group in pairs]
-        # a search that allows large errors has no use for all bins, nor for their leakage
-        self._every = max(1, round(ROUGH_HZ * settings.segment_s))
-        self._thinned = [
-            observer.thinned(misfit, self._every)
-            for observer, misfit in zip(at, self._groups, strict=True)
+        self._groups = [
+            observers[group.direction].at(group.speeds).measured_misfit(group.spectra)
+            for group in groups
         ]
+        self._thinned = [misfit.thinned() for misfit in self._groups]
 
     def ratios(self, theta: Tensor, trip: int) -> Tensor:
         """Return all columns of ratios for one trip, (n_rows, n_columns)."""
@@ -227,14 +222,12 @@ class HealthyMisfit:
 
     def part(self, theta: Tensor, group: int, spread: float, high_hz: float = math.inf) -> Tensor:
         """Return the residuals of one group, (n_rows, n_points), set to 0 above `high_hz`."""
-        is_rough = spread >= ROUGH
-        misfit = (self._thinned if is_rough else self._groups)[group]
+        misfit = (self._thinned if spread >= ROUGH else self._groups)[group]
         expected = misfit.observer.noise_free(self.ratios(theta, self._trips[group]))
         # logarithms converge from far off, but have the heavy tails of a ratio of noise
         u = (misfit.observed / expected).log() if spread else 1 - expected / misfit.observed
         spreads = torch.where(misfit.observer.frequencies_hz > high_hz, math.inf, spread)
-        values = misfit.whitened(u, torch.zeros(len(theta), dtype=torch.int64), spreads)
-        return values * math.sqrt(self._every) if is_rough else values
+        return misfit.whitened(u, torch.zeros(len(theta), dtype=torch.int64), spreads)
 
     def parts(self, theta: Tensor, spread: float, high_hz: float = math.inf) -> list[Tensor]:
         """Return the residuals of each group, (n_rows, n_points)."""

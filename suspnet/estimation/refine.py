@@ -204,13 +204,15 @@ class _Search:
         Uncertain numbers may change the curves by thousands of deviations of the noise: a single
         search would end far off.
         """
-        points = self.point(self._full)
+        points, misfit = self.point(self._full), self._misfit
         points[rows] = start
         for temperature in TEMPERATURES:
+            self._misfit = misfit.thinned()
             points[rows] = self._solved(rows, points[rows], temperature).parameters
             if near is not None:
                 every = torch.arange(len(points), device=points.device)
-                self._misfit = near(self._vehicles(points, every))
+                misfit = near(self._vehicles(points, every))
+        self._misfit = misfit
         return self.run(rows, points[rows])
 
     def run(self, rows: Tensor, start: Tensor) -> Refined:
@@ -271,11 +273,11 @@ class _Search:
         ratios = torch.exp(low + (high - low) * points.to(low))
         draws = np.random.default_rng(0).standard_normal((n_scattered, self.n_directions))
         scattered = torch.cat([ratios.log(), torch.as_tensor(draws).to(low)], dim=1)
-        starts = []
+        starts, misfit = [], self._misfit.thinned()
         for part in torch.as_tensor(rows, device=low.device).split(ROWS):
             repeated = part.repeat_interleave(n_scattered)
             tried = self._vehicles(scattered.repeat(len(part), 1), repeated)
-            cost = self._misfit(tried, repeated).square().sum(dim=1).reshape(len(part), -1)
+            cost = misfit(tried, repeated).square().sum(dim=1).reshape(len(part), -1)
             starts.append(scattered[cost.nan_to_num(torch.inf).argmin(dim=1)])
         return torch.cat(starts)
 

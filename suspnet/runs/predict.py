@@ -38,7 +38,7 @@ from suspnet.ground.progress import bar as progress_bar
 from suspnet.ground.types import FloatArray
 from suspnet.spectra.estimates import EstimateObserver
 
-N_FITS, N_UNCERTAIN_FITS = 2048, 128
+N_FITS, N_UNCERTAIN_FITS = 2048, 48
 """Refined calibration curves from which the usual misfit is learnt; the second number applies
 where uncertain numbers are fitted too, which takes 0.1 to 0.2 s per curve."""
 N_UNCERTAIN_REFINED = 512

@@ -123,6 +123,10 @@ class CurveObserver:
         """Return magnitudes unchanged."""
         return curves
 
+    def thinned(self) -> CurveObserver:
+        """Return the observer itself: there is no quicker one."""
+        return self
+
     def misfit(self, curves: Tensor, near: Tensor, used: Sequence[int] = (0, 1)) -> CurveMisfit:
         """Return the misfit of observed magnitudes; the noise follows from their own rms."""
         return CurveMisfit(self, curves, tuple(used))
@@ -140,6 +144,10 @@ class CurveMisfit:
     used: Sequence[int] = (0, 1)
     expected: float = 1.0
     """Mean square of a residual if the model is true."""
+
+    def thinned(self) -> CurveMisfit:
+        """Return the misfit itself: there is no quicker one."""
+        return self
 
     def __call__(self, ratios: Tensor, rows: Tensor) -> Tensor:
         """Return residuals (n, n_points) of the vehicles `ratios` (n, 5) to the curves `rows`."""

@@ -159,17 +159,26 @@ class EstimateMisfit:
     With L L^H the covariance of (log G_p, log G_s) in a bin, u the difference of observed and
     expected logarithms and r = ``Welch.correlated_bins``, the residuals are real and imaginary part
     of L^-1 u sqrt(2 / r). `observed`: (n_rows, 2, n_freq); `covariance`: (n_rows, 2, 2, n_freq),
-    infinite where an estimate is not used.
+    infinite where an estimate is not used; `weight` is that of a bin.
     """
 
     observer: Observer
     observed: Tensor
     covariance: Tensor
+    weight: float = 1.0
 
     @property
     def expected(self) -> float:
         """Mean square of a residual if the model is true: 1 / r times the fraction of used bins."""
-        return self._share / self._correlated
+        return self.weight * self._share / self._correlated
+
+    def thinned(self) -> EstimateMisfit:
+        """Return the misfit on every n-th bin, each with n times its weight; see `Observer`."""
+        observer = self.observer.thinned()
+        steps = [one.frequencies_hz[:2].diff().sum() for one in (observer, self.observer)]
+        every = max(1, round(float(steps[0] / steps[1])))
+        observed, covariance = self.observed[..., ::every], self.covariance[..., ::every]
+        return EstimateMisfit(observer, observed, covariance, self.weight * every)
 
     def __call__(self, ratios: Tensor, rows: Tensor) -> Tensor:
         """Return residuals (n, n_points) of the vehicles `ratios` (n, 5) to the estimates `rows`.
@@ -193,7 +202,7 @@ class EstimateMisfit:
         white_p = u[:, 0] / l_pp
         white_s = (u[:, 1] - l_sp * white_p) / l_ss
         parts = [white_p.real, white_p.imag, white_s.real, white_s.imag]
-        return torch.stack(parts, dim=1).flatten(1) * math.sqrt(2 / self._correlated)
+        return torch.stack(parts, dim=1).flatten(1) * math.sqrt(2 * self.weight / self._correlated)
 
     @cached_property
     def _share(self) -> float:

@@ -61,6 +61,10 @@ class Misfit(Protocol):
         """Return residuals (n, n_points) of the vehicles `ratios` (n, 5) to the curves `rows`."""
         ...
 
+    def thinned(self) -> Misfit:
+        """Return a quicker misfit of about the same sum of squares, if there is one."""
+        ...
+
 
 class Observer(Protocol):
     """Makes curves of vehicles as they would be observed.
@@ -91,6 +95,10 @@ class Observer(Protocol):
 
     def for_features(self, curves: Tensor) -> Tensor:
         """Return curves (n_curves, 2, n_freq) as the input of the feature set."""
+        ...
+
+    def thinned(self) -> Observer:
+        """Return a quicker, coarser observer, if there is one."""
         ...
 
     def misfit(self, curves: Tensor, near: Tensor, used: Sequence[int] = (0, 1)) -> Misfit:

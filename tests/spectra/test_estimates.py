@@ -457,15 +457,19 @@ def test_thinned_misfit_has_every_nth_bin_at_the_mean_speed_without_leakage():
     at = observer(generator=vehicle).at(Speeds((60.0, 80.0), (0.5, 0.5)))
     drawn = at.expected(RATIOS)
     misfit = at.measured_misfit(CrossSpectra(drawn.auto[0], drawn.cross[0], 20.0))
-    thin = at.thinned(misfit, 3)
-    bins = SETTINGS.frequencies_hz()[::3]
+    thin = misfit.thinned()
+    bins = SETTINGS.frequencies_hz()[::4]  # 0.2 Hz apart
     torch.testing.assert_close(thin.observer.frequencies_hz, bins)
-    torch.testing.assert_close(thin.observed, misfit.observed[..., ::3], rtol=0, atol=0)
-    torch.testing.assert_close(thin.covariance, misfit.covariance[..., ::3], rtol=0, atol=0)
+    torch.testing.assert_close(thin.observed, misfit.observed[..., ::4], rtol=0, atol=0)
+    torch.testing.assert_close(thin.covariance, misfit.covariance[..., ::4], rtol=0, atol=0)
     w, z, y = vehicle.channels(RATIOS, bins)[0].unbind(dim=1)  # each input, at 70 m/s
     expected = [(y.conj() * z).sum(0) / (y.conj() * w).sum(0)]
     expected.append((w.conj() * y).sum(0) / (w.conj() * z).sum(0))
     torch.testing.assert_close(thin.observer.noise_free(RATIOS)[0], torch.stack(expected))
+    rows = torch.zeros(1, dtype=torch.int64)
+    far = torch.full((1, 5), 1.3, dtype=torch.float64)
+    sums = [float(one(far, rows).square().sum()) for one in (misfit, thin)]
+    assert sums[1] == pytest.approx(sums[0], rel=0.05)
 
 
 def test_vehicles_at_once_do_not_change_spectra(monkeypatch):
