@@ -245,7 +245,7 @@ class _Search(HealthyMisfit):
             near = any(np.abs(one.x - other.x).max() < AGREEMENT for other in separate)
             (again if near else separate).append(one)
         n_separate = max(1, n_starts - 1)
-        return [*separate[:n_separate], *again, *separate[n_separate:]][:n_starts]
+        return [*separate[:n_separate], *again[:1], *separate[n_separate:]][:n_starts]
 
     def widened(self, ratio: float) -> FloatArray:
         """Return the end of searches in bands that widen by `ratio`, but for the whole band."""

@@ -34,7 +34,7 @@ LEAST_TRIPS = 3
 """Smallest number of healthy trips; fewer contain too little information on a vehicle."""
 MASS_MEAN, MASS_DEVIATION = math.log(1.05), 0.15
 """Prior mean and standard deviation of the logarithm of a trip's car-body mass over nominal."""
-ROUGH = 0.03
+ROUGH = 0.01
 """Least allowed model error of a search on thinned bins, without leakage."""
 STEP = 1e-5
 """Step of differences, in standard deviations of the prior."""
