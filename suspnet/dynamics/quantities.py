@@ -165,10 +165,12 @@ _NUMBERS: dict[str, tuple[tuple[Any, ...], ...]] = {
     "wheelsets": (
         (
             "wheelset_share",
-            1.5,
+            1.0,
             "",
             "density of what excites each wheelset alone over the mean track's",
             0.002,
+            True,
+            0.0,
         ),
     ),
     "air_spring": (
@@ -278,6 +280,14 @@ class LogNormal:
                 covariance[i], covariance[:, i] = 0.0, 0.0
                 covariance[i, i] = known[name] ** 2
         return LogNormal(self.names, self.mean, tuple(map(tuple, covariance.tolist())))
+
+    def without(self, names: Sequence[str]) -> LogNormal:
+        """Return the distribution of the other numbers, whatever these are."""
+        kept = [i for i, name in enumerate(self.names) if name not in names]
+        rows = tuple(tuple(self.covariance[i][j] for j in kept) for i in kept)
+        return LogNormal(
+            tuple(self.names[i] for i in kept), tuple(self.mean[i] for i in kept), rows
+        )
 
     @property
     def deviations(self) -> FloatArray:

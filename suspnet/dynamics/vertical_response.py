@@ -152,9 +152,10 @@ def excited_alone(
     """Return the wheelsets' motion for the track and for each wheelset alone, and the axle box's.
 
     Each of shape (5, n_vehicles, n_freq): the track under all wheelsets, then what excites one of
-    them and not the next, scaled to the density of the mean track.
+    them and not the next, scaled to the density of the mean track. A share counts by its size, so
+    that one of 0 has an effect on both sides of it, from which its uncertainty follows.
     """
-    size = p["wheelset_share"].sqrt() * torch.ones_like(wheels[0])
+    size = p["wheelset_share"].abs().sqrt() * torch.ones_like(wheels[0])
     rows = [torch.zeros_like(size)] * len(wheels)
     found = [
         torch.stack([wheel, *rows[:i], size, *rows[i + 1 :]]) for i, wheel in enumerate(wheels)

@@ -32,7 +32,7 @@ import torch
 from torch import Tensor
 
 from suspnet.dynamics import VerticalVehicle
-from suspnet.dynamics.quantities import OF_THE_TRIP, LogNormal
+from suspnet.dynamics.quantities import OF_THE_TRIP, QUANTITIES, LogNormal
 from suspnet.estimation.flags import Residual
 from suspnet.estimation.healthy_trips import MASS_MEAN, HealthyMisfit, HealthySpectra, row_of
 from suspnet.ground.progress import bar
@@ -89,6 +89,9 @@ N_STARTS = 4
 AGREEMENT = 0.25
 """Two searches agree if no number differs by more than this many deviations of the posterior, or of
 the prior while the model is allowed errors."""
+SHARE, NEGLIGIBLE_SHARE = "wheelset_share", 5e-4
+"""Density of what excites each wheelset alone over the mean track's below which it is left out: at
+0.01 it makes c_p 4.8 % wrong."""
 Z_BOUND = 8.0
 """Bound of the coordinates, in standard deviations of the prior."""
 
@@ -191,7 +194,7 @@ def commission(
     plain = replace(generator, distribution=None)
     nominal = HealthyMisfit(plain, settings, groups).curves(theta[:, n:])[1]
     return Commissioned(
-        generator=replace(generator, distribution=posterior.renewed(OF_THE_TRIP)),
+        generator=_simplest(generator, posterior),
         prior=target.prior,
         posterior=posterior,
         masses=np.exp(best.x[n:]),
@@ -206,6 +209,19 @@ def commission(
         n_starts=len(first),
         converged=best.converged,
     )
+
+
+def _simplest(generator: VerticalVehicle, posterior: LogNormal) -> VerticalVehicle:
+    """Return the generator with the posterior, without wheelsets that are not excited alone."""
+    if SHARE in posterior.names:
+        (usual,) = (quantity.nominal for quantity in QUANTITIES if quantity.name == SHARE)
+        share = float((generator.nominal or {}).get(SHARE, usual or 0.0))
+        most = share * float(posterior.quantile(2.0)[posterior.names.index(SHARE)])
+        if most < NEGLIGIBLE_SHARE:
+            parts = tuple(part for part in generator.parts if part != "wheelsets")
+            posterior = posterior.without((SHARE,))
+            generator = replace(generator, parts=parts, distribution=None)
+    return replace(generator, distribution=posterior.renewed(OF_THE_TRIP))
 
 
 @dataclass(frozen=True)
