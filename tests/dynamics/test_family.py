@@ -132,7 +132,7 @@ def naive(generator, ratios, frequency_hz):
                 delay = cmath.exp(s * (place + x - reference(generator, n)) / n["speed"])
                 # the rails are 0.75 m off the middle; the rigid axle continues their slope
                 wheelset = 2 * ((i == 0) != leading) + ((x < 0) != reverse)
-                own = math.sqrt(n["wheelset_share"]) * np.eye(4)[wheelset]
+                own = math.sqrt(abs(n["wheelset_share"])) * np.eye(4)[wheelset]
                 track = np.array([delay, *own, delay * side * b_p / 0.75])
                 drive += kappa_p / 2 * np.outer(stretch, track)
             if "longitudinal" in parts:
@@ -163,7 +163,10 @@ def naive(generator, ratios, frequency_hz):
     place = (pivot if leading else -pivot) + generator.body_sensor_m
     at_sensor = n["bending_at_sensor"] if "bending" in parts else 0.0
     body_sensor[:4] = 1.0, place, n["body_lateral"], at_sensor
-    own = math.sqrt(n["wheelset_share"]) * np.eye(4)[int((generator.axle == "trailing") != reverse)]
+    own = (
+        math.sqrt(abs(n["wheelset_share"]))
+        * np.eye(4)[int((generator.axle == "trailing") != reverse)]
+    )
     box = np.array([1.0, *own, n["axle_box_lateral"] / 0.75])
     waves = (2 * math.pi * frequency_hz / n["speed"]) ** 2
     share = n["cross_level"] * waves / (waves + 0.438**2)

@@ -308,6 +308,21 @@ def test_what_trips_and_sensors_add_is_found(parts, settings, seed):
     assert found.posterior.deviations[row] < later.deviations[row]
 
 
+@pytest.mark.parametrize("ratio", [0.0, 2.0])
+def test_wheelsets_that_are_not_excited_alone_are_left_out(ratio):
+    generator = with_parts("wheelsets")
+    numbers = np.ones(len(generator.distribution.names))
+    row = generator.distribution.names.index("wheelset_share")
+    numbers[row] = ratio
+    groups = trips(generator, numbers, 8, settings=RICH)
+    found = commission(generator, RICH, groups, n_starts=1)
+    reached = abs(found.posterior.median[row])  # a share counts by its size
+    assert abs(np.log((1 + reached) / (1 + ratio))) < 4 * found.posterior.deviations[row]
+    assert (found.generator.parts == ("wheelsets",)) is (ratio > 0)
+    assert ("wheelset_share" in found.generator.distribution.names) is (ratio > 0)
+    assert found.misfit < 1.1
+
+
 @pytest.mark.slow  # default: test_a_wrong_vehicle_file_leads_to_the_same_vehicle
 def test_a_vehicle_far_off_its_drawing_is_found():
     # searches in the whole band alone, from shifted springs and draws, left a misfit of 13
