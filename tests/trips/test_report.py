@@ -115,6 +115,7 @@ def test_headline_and_verdicts_appear(whole):
     assert words.count("▲") == 4  # k_p and c_s, and where the mark is explained
     assert "falls by 1.1 % at about 240 000 km, within its limits" in words
     assert "80 to 125 70 to 140" in words  # the limits of a damper
+    assert "They do not show lateral and yaw dampers" in words
 
 
 def test_numbers_are_percent_of_healthy_and_km_per_hour(whole):
