@@ -355,7 +355,7 @@ def unexplained_words(estimate: Estimate) -> str:
     furthest = int(np.argmax(np.abs(np.log(estimate.values[0]))))
     return (
         f"{estimate.flags.reasons[0]}. Nearest is {estimate.names[furthest]} at "
-        f"{100 * estimate.values[0, furthest]:.2g} % of healthy: look there and at the sensors"
+        f"{100 * estimate.values[0, furthest]:.3g} % of healthy: look there and at the sensors"
     )
 
 
