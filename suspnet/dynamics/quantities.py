@@ -283,10 +283,10 @@ class LogNormal:
 
     def without(self, names: Sequence[str]) -> LogNormal:
         """Return the distribution of the other numbers, whatever these are."""
-        kept = [i for i, name in enumerate(self.names) if name not in names]
-        rows = tuple(tuple(self.covariance[i][j] for j in kept) for i in kept)
+        rest = [i for i, name in enumerate(self.names) if name not in names]
+        rows = tuple(tuple(self.covariance[i][j] for j in rest) for i in rest)
         return LogNormal(
-            tuple(self.names[i] for i in kept), tuple(self.mean[i] for i in kept), rows
+            tuple(self.names[i] for i in rest), tuple(self.mean[i] for i in rest), rows
         )
 
     @property

@@ -343,14 +343,14 @@ def _speed_bin(
         raise NoEstimateError(f"features are missing: {error}") from None
     late = delay_words(method, spectra, estimate, at)
     if estimate.flags.has("misfit").any() and not late:
-        raise NoEstimateError(unexplained_words(estimate))
+        raise NoEstimateError(_unexplained_words(estimate))
     if late:
         estimate = replace(estimate, flags=estimate.flags.with_kind("misfit", late))
     speed = part.speed[0]
     return SpeedBin(method, spectra, part.band, chosen, speed, estimate, noise_share, doubts)
 
 
-def unexplained_words(estimate: Estimate) -> str:
+def _unexplained_words(estimate: Estimate) -> str:
     """Return why an estimate with an unexplained curve is none, and which part is suspected."""
     furthest = int(np.argmax(np.abs(np.log(estimate.values[0]))))
     return (

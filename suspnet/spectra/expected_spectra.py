@@ -65,17 +65,16 @@ class ExpectedSpectra:
 
     def __call__(self, ratios: Tensor) -> tuple[Tensor, Tensor]:
         """Return auto and cross spectra of each vehicle, each (n_vehicles, 3, n_freq)."""
-        found = [self._of(block) for block in torch.as_tensor(ratios).split(self._n_at_once)]
+        in_cache = max(1, IN_CACHE // (self._n_inputs * len(self._bins)))
+        n_at_once = in_cache if self._generator.device == "cpu" else AT_ONCE
+        found = [self._of(block) for block in torch.as_tensor(ratios).split(n_at_once)]
         auto, cross = map(torch.cat, zip(*found, strict=True))
         return auto, cross
 
     @cached_property
-    def _n_at_once(self) -> int:
-        """Number of vehicles of which the channels stay in a core's cache."""
+    def _n_inputs(self) -> int:
         one = torch.ones(1, len(PARAMETERS), dtype=torch.float64)
-        n_inputs = self._generator.channels(one, self._bins[:1]).shape[1]
-        in_cache = IN_CACHE // (n_inputs * len(self._bins))
-        return max(1, in_cache) if self._generator.device == "cpu" else AT_ONCE
+        return self._generator.channels(one, self._bins[:1]).shape[1]
 
     def _of(self, ratios: Tensor) -> tuple[Tensor, Tensor]:
         """Return the spectra of a few vehicles."""
@@ -93,7 +92,6 @@ class ExpectedSpectra:
         rough._bins, rough._smear = self._bins[n : len(self._bins) - n : every], torch.ones(1)
         if self._relative is not None:
             rough._relative = Speeds((self._relative.mean,), (1.0,))
-        rough.__dict__.pop("_n_at_once", None)
         rough._density = rough._density_at(1.0)
         return rough
 

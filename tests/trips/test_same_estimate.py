@@ -157,7 +157,7 @@ WAYS = {
 def rewritten(manifest: Path, folder: Path, way, suffix: str, seconds: float = np.inf) -> Path:
     """Write a trip in another format; the manifest says only what the files do not.
 
-    With `seconds`, only the begin of it is written.
+    With `seconds`, only the start of it is written.
     """
     content = yaml.safe_load(manifest.read_text())
     content.pop("start")
@@ -185,18 +185,18 @@ def slow_but(*ways):
 
 
 @pytest.fixture(scope="module")
-def begin(manifests, tmp_path_factory):
-    """The begin of a trip."""
+def start(manifests, tmp_path_factory):
+    """The start of a trip."""
     folder = tmp_path_factory.mktemp("as_it_was")
     path = rewritten(manifests[0], folder, parquet, ".parquet", SECONDS)
     return load_recording(read_manifest(path), 50.0)
 
 
 @pytest.mark.parametrize("way", slow_but(german, tabs, zoned, struct, hdf5, tdms, mdf, uff, wav))
-def test_every_format_gives_the_same_recording(manifests, begin, tmp_path, way):
-    """The begin of a trip in all formats; the estimate below hangs on nothing else."""
+def test_every_format_gives_the_same_recording(manifests, start, tmp_path, way):
+    """The start of a trip in all formats; the estimate below hangs on nothing else."""
     path = rewritten(manifests[0], tmp_path, way, WAYS[way], SECONDS)
-    found, expected = load_recording(read_manifest(path), 50.0), begin
+    found, expected = load_recording(read_manifest(path), 50.0), start
     assert found.usable.all()
     assert found.signals.shape == expected.signals.shape
     size = np.abs(expected.signals).max()

@@ -364,17 +364,14 @@ def test_harmless_fault_changes_nothing(manifests, model, good, tmp_path, change
     assert close(result, good, 1.002)
 
 
-@pytest.mark.parametrize(
-    ("size", "channel"),
-    [
-        (3.0, "body"),
-        *(
-            pytest.param(size, channel, marks=pytest.mark.slow)
-            for size, channel in itertools.product((3.0, 1000.0), CHANNELS)
-            if (size, channel) != (3.0, "body")
-        ),
-    ],
-)
+def sizes_of_noise(size, channel):
+    """Return one size of noise in one channel, then as slow cases all others and 1000."""
+    first, every = (size, channel), itertools.product((size, 1000.0), CHANNELS)
+    slow = [pytest.param(*one, marks=pytest.mark.slow) for one in every if one != first]
+    return [first, *slow]
+
+
+@pytest.mark.parametrize(("size", "channel"), sizes_of_noise(3.0, "body"))
 def test_segments_with_unrelated_noise_are_left_out(
     no_loose_sensor, manifests, model, good, tmp_path, channel, size
 ):
@@ -385,17 +382,7 @@ def test_segments_with_unrelated_noise_are_left_out(
     assert close(result, good)
 
 
-@pytest.mark.parametrize(
-    ("size", "channel"),
-    [
-        (10.0, "bogie"),
-        *(
-            pytest.param(size, channel, marks=pytest.mark.slow)
-            for size, channel in itertools.product((10.0, 1000.0), CHANNELS)
-            if (size, channel) != (10.0, "bogie")
-        ),
-    ],
-)
+@pytest.mark.parametrize(("size", "channel"), sizes_of_noise(10.0, "bogie"))
 def test_unrelated_noise_counts_as_a_loose_sensor(manifests, model, good, tmp_path, channel, size):
     result = evaluated(noisy(manifests[0], tmp_path, channel, size), model)
     assert result.quality.faults.startswith(f"{channel}: loose from about ")
