@@ -23,7 +23,7 @@ from vehicles import AM96
 
 from suspnet.dynamics import VerticalVehicle
 from suspnet.dynamics.motion import SampledMotion
-from suspnet.estimation.from_recording import TripSettings
+from suspnet.estimation.trip_settings import TripSettings
 from suspnet.recordings.manifest import CHANNELS
 from suspnet.recordings.manifest_files import read_manifest
 from suspnet.simulation import Fleet, Scenario, Simulation, write_fleet
