@@ -31,7 +31,7 @@ from suspnet.estimation.trained import TrainedModel
 from suspnet.ground.progress import bar as progress_bar
 from suspnet.ground.settings import check_number
 from suspnet.ground.types import BoolArray, FloatArray
-from suspnet.learning.search import covers, interval_scores
+from suspnet.learning.metrics import covers, interval_scores
 from suspnet.report.figures import SYMBOLS
 from suspnet.runs.evaluate import FreshCurves, find_runs
 from suspnet.runs.plots import BOUND_COLOUR, OUR_COLOUR
