@@ -33,7 +33,7 @@ from sklearn.neighbors import NearestNeighbors
 from suspnet.estimation.estimate import KINDS, Flags
 from suspnet.estimation.protocols import Task
 from suspnet.estimation.refine import Refined
-from suspnet.ground.parameters import PAYLOAD
+from suspnet.ground.parameters import BODY_MASS
 from suspnet.ground.types import BoolArray, ComplexArray, FloatArray
 
 INCOMPLETE = 1.09
@@ -287,7 +287,7 @@ def _range(task: Task, name: str) -> tuple[float, float]:
     low, high = task.range(name)
     if task.sampling == "sobol":
         return low, high
-    step = task.mass_step if name == PAYLOAD else task.step
+    step = task.mass_step if name == BODY_MASS else task.step
     return low - step / 2, high + step / 2
 
 

@@ -16,8 +16,10 @@ from torch import Tensor
 
 from suspnet.dynamics import PARAMETERS, VerticalVehicle
 from suspnet.dynamics.quantities import LogNormal
-from suspnet.estimation.from_recording import TripSettings, direction_of, steady, unrepaired_words
-from suspnet.estimation.steady_parts import groups_to_read
+from suspnet.estimation.direction import direction_of
+from suspnet.estimation.from_recording import unrepaired_words
+from suspnet.estimation.steady_parts import groups_to_read, steady
+from suspnet.estimation.trip_settings import TripSettings
 from suspnet.ground.parameters import FORWARD, Direction
 from suspnet.ground.progress import bar
 from suspnet.ground.types import ComplexArray, FloatArray

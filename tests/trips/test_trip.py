@@ -26,8 +26,8 @@ from suspnet.dynamics import PARAMETERS, QuarterCar
 from suspnet.estimation import from_recording as recording
 from suspnet.estimation import from_spectra
 from suspnet.estimation.estimate import Flags
-from suspnet.estimation.from_recording import TripSettings
 from suspnet.estimation.from_spectra import estimate_with_noise
+from suspnet.estimation.trip_settings import TripSettings
 from suspnet.ground.records import ERROR, NO_ESTIMATE, OK
 from suspnet.recordings import recording as loading
 from suspnet.recordings.errors import TripError
