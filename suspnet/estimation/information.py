@@ -19,11 +19,10 @@ from suspnet.dynamics import PARAMETERS
 from suspnet.estimation.protocols import BODY_MASS_COLUMN, RESPONSES, Task, columns_of
 from suspnet.ground.parameters import BODY_MASS
 from suspnet.ground.types import FloatArray
+from suspnet.learning.least_squares import ONE_SIDED_DIFFERENCE
 from suspnet.spectra.observation import Directions, Misfit, Observer
 
 ROWS = 256
-STEP = 1e-5
-"""Step of the differences with respect to uncertain numbers, in their standard deviations."""
 NODES = 24
 """Number of nodes of the quadrature over the noise."""
 WIDEST = 1e4
@@ -130,11 +129,11 @@ def _derivative(misfit: Misfit, ratios: Tensor, columns: Sequence[int]) -> Tenso
 def _nuisance(directions: Directions, misfit: Misfit, ratios: Tensor) -> Tensor:
     """Return the derivative of a misfit, 0 at `ratios`, with respect to z, (n, n_z, n_points)."""
     every = torch.arange(len(ratios))
-    steps = torch.eye(directions.n).to(ratios) * STEP
+    steps = torch.eye(directions.n).to(ratios) * ONE_SIDED_DIFFERENCE
     moved = [
         misfit(directions.vehicles(ratios, step.expand(len(ratios), -1)), every) for step in steps
     ]
-    return torch.stack(moved, dim=1) / STEP
+    return torch.stack(moved, dim=1) / ONE_SIDED_DIFFERENCE
 
 
 def cramer_rao(information: FloatArray) -> FloatArray:

@@ -280,4 +280,5 @@ def _flags(bins: Sequence[SpeedBin]) -> Flags:
         return Flags.none(1)
     worst = largest(found)
     at = f"in {len(found)} of {len(bins)} speed bins, at {worst.speed_m_per_s:.1f} m/s"
-    return Flags(worst.estimate.flags.found, (f"{at}: {worst.estimate.flags.reasons[0]}",))
+    (kind, words), *others = worst.estimate.flags.given[0]
+    return Flags((((kind, f"{at}: {words}"), *others),))
