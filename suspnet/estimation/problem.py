@@ -23,6 +23,7 @@ from suspnet.estimation.protocols import BODY_MASS_COLUMN, Task
 from suspnet.ground.cache import Cache, code_hash
 from suspnet.ground.progress import bar as progress_bar
 from suspnet.ground.settings import check_number
+from suspnet.ground.tensors import threads
 from suspnet.ground.types import BoolArray, FloatArray, IntArray
 from suspnet.spectra.extraction import FeatureSet
 from suspnet.spectra.observation import Observation, Observer
@@ -268,11 +269,9 @@ def pool_of(workers: int) -> Iterator[ThreadPoolExecutor]:
     The arrays of a block are too small to split, so blocks run in parallel rather than operations.
     Waiting blocks are cancelled when the pool is left by an error or Ctrl-C.
     """
-    before = torch.get_num_threads()
-    torch.set_num_threads(1 if workers > 1 else before)
     pool = ThreadPoolExecutor(workers)
-    try:
-        yield pool
-    finally:
-        pool.shutdown(cancel_futures=True)
-        torch.set_num_threads(before)
+    with threads(1 if workers > 1 else torch.get_num_threads()):
+        try:
+            yield pool
+        finally:
+            pool.shutdown(cancel_futures=True)

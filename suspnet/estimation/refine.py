@@ -23,6 +23,7 @@ from torch import Tensor
 from suspnet.dynamics import PARAMETERS
 from suspnet.estimation.information import cramer_rao
 from suspnet.estimation.protocols import BODY_MASS_COLUMN, Task, columns_of
+from suspnet.ground.tensors import threads
 from suspnet.ground.types import BoolArray, FloatArray, IntArray
 from suspnet.learning.least_squares import LeastSquaresSolution, LevenbergMarquardt
 from suspnet.spectra.observation import Directions, Misfit
@@ -125,6 +126,7 @@ def complete_ratios(
     return full
 
 
+@threads(1)
 def refine(
     task: Task,
     misfit: Misfit,

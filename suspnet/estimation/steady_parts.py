@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 from scipy.signal import get_window
+from scipy.stats import norm
 from torch import Tensor
 
 from suspnet.estimation.estimate import Estimate, Flags
@@ -87,7 +88,9 @@ def speed_range(method: FittedMethod) -> SpeedRange | None:
     speed = method.generator.speed_m_per_s
     if speed is None:
         return None
-    return SpeedRange.around(speed, trip_settings(method).speed_half_width)
+    half_width = trip_settings(method).speed_half_width
+    assert half_width is not None  # as the settings are bound
+    return SpeedRange.around(speed, half_width)
 
 
 def groups_of(
@@ -251,7 +254,9 @@ def combined(bins: Sequence[SpeedBin]) -> Estimate:
 
     Weights are the inverse squares of the half widths, or the averages where there are none. The
     noise of bins is independent, as they share no segment; the other errors are assumed to be fully
-    correlated, as models may have the same errors.
+    correlated, as models may have the same errors. Bins that differ by more than their noise show
+    how large these errors are, so that slow and fast parts of a trip check each other: the error
+    that is not noise is then at least this scatter.
     """
     if len(bins) == 1:
         return bins[0].estimate
@@ -263,7 +268,14 @@ def combined(bins: Sequence[SpeedBin]) -> Estimate:
     share = np.stack([b.noise_share for b in bins])
     noise = np.sum(weights**2 * share * half**2, axis=0)
     lasting = np.sum(weights * np.sqrt(1 - share) * half, axis=0) ** 2
-    values = np.exp(np.sum(weights * np.log([b.estimate.values[0] for b in bins]), axis=0))
+    logs = np.log([b.estimate.values[0] for b in bins])
+    mean = np.sum(weights * logs, axis=0)
+    values = np.exp(mean)
+    # scatter beyond noise, as the square of a half width
+    freedom = np.maximum(1 - np.sum(weights**2, axis=0), np.finfo(float).eps)
+    spread = np.sum(weights * (logs - mean) ** 2, axis=0) / freedom
+    widths = norm.ppf((1 + bins[0].estimate.level) / 2) ** 2 * spread
+    lasting = np.maximum(lasting, widths - np.mean(share * half**2, axis=0))
     ends = [values * np.exp(sign * np.sqrt(noise + lasting)) for sign in (-1, 1)]
     first = bins[0].estimate
     rows = values[None], ends[0][None], ends[1][None]
