@@ -29,7 +29,7 @@ def as_set(ratios):
     ("name", "group"),
     [
         ("paper", "primary"),
-        ("multi_location", "secondary"),
+        pytest.param("multi_location", "secondary", marks=pytest.mark.slow),
         pytest.param("paper", "secondary", marks=pytest.mark.slow),
         pytest.param("multi_location", "primary", marks=pytest.mark.slow),
     ],

@@ -2,6 +2,7 @@
 
 import functools
 import importlib
+import itertools
 import math
 
 import numpy as np
@@ -416,8 +417,10 @@ def test_gap_bounds_the_excess_on_the_way(n_iter):
     assert excess <= found.gap + 1e-8
 
 
+ALL = list(itertools.product((1, 2), (0.0, 1e-3, 0.1), (1, 2, 3)))
+DEFAULT = [(1, 0.0, 1), (1, 1e-3, 2), (1, 0.1, 3), (2, 0.0, 3), (2, 1e-3, 1), (2, 0.1, 2)]
 CASES = [
-    *((d, epsilon, q) for d in (1, 2) for epsilon in (0.0, 1e-3, 0.1) for q in (1, 2, 3)),
+    *(pytest.param(*case, marks=() if case in DEFAULT else pytest.mark.slow) for case in ALL),
     (3, 0.0, 2),
     pytest.param(3, 0.1, 2, marks=pytest.mark.slow),
 ]

@@ -363,6 +363,7 @@ def test_distributed_without_other_ranks_is_the_same(feature_map):
         one.fit(X[:0], Y[:0])  # only one of several ranks may have none
 
 
+@pytest.mark.every_value
 @pytest.mark.parametrize("fit_intercept", [False, True])
 @pytest.mark.parametrize("feature_map", ["rff", "orf"])
 def test_cross_predictions_are_those_of_separate_fits(feature_map, fit_intercept):
