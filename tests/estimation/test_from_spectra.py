@@ -27,7 +27,7 @@ ORDER = [PARAMETERS.index(name) for name in OUTPUTS]
 @pytest.fixture(scope="module")
 def model():
     """Sensors so noisy that noise is about half of the error at the averages of the training."""
-    return model_at(n_train=800, snr_db=20.0, n_calibrate=150)
+    return model_at(n_train=500, snr_db=20.0, n_calibrate=150)
 
 
 def refined(model, widened=1.0):

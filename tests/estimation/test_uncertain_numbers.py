@@ -54,7 +54,7 @@ def test_fit_is_that_of_scipy_on_every_number(problem):
     distribution = narrow(0.1)
     observer = observer_of(distribution)
     assert 0 < observer.directions.n < len(distribution.names)
-    ratios, misfit, start = observed(observer, problem, 3)
+    ratios, misfit, start = observed(observer, problem, 2)
     found = refine(problem, misfit, start, directions=observer.directions)
     assert found.converged.all()
     factor = distribution.factor

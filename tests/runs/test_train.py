@@ -23,7 +23,7 @@ PROTOCOLS = {
     "joint": ("all",),
     "trips": ("all",),
 }
-SMALL = ["data.n_train=300", "data.n_test=100", "data.n_calibrate=200", "data.step_hz=0.04"]
+SMALL = ["data.n_train=200", "data.n_test=100", "data.n_calibrate=200", "data.step_hz=0.04"]
 
 
 @pytest.fixture(scope="module")
