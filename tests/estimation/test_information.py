@@ -300,7 +300,7 @@ def test_knowing_the_mass_never_hurts(task, quarter_car):
 # best_possible
 
 
-def best(quarter_car, problem, n=400):
+def best(quarter_car, problem, n=200):
     ratios = problem.sample(n, seed=0, stream=TEST)
     bounds = output_bounds(problem, OBSERVED.observer(quarter_car), ratios)
     return best_possible(problem, bounds, ratios), ratios

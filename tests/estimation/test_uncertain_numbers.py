@@ -144,7 +144,9 @@ def test_known_numbers_give_a_poor_fit_where_they_are_uncertain(problem):
 # limit
 
 
-@pytest.mark.parametrize("distribution", [None, {}, {"body_gyration": 1e-9}])
+@pytest.mark.parametrize(
+    "distribution", [None, pytest.param({}, marks=pytest.mark.slow), {"body_gyration": 1e-9}]
+)
 def test_nothing_uncertain_is_the_fit_without(problem, distribution):
     generator = VerticalVehicle(AM96, distribution=distribution)
     observer = SETTINGS.observer(generator)

@@ -142,8 +142,10 @@ PENALISED_SOLVERS = {
 
 
 GRID = ("Toeplitz", "two ranks, Toeplitz", "MSVR equispaced")
+"""Solvers on a grid, which need finufft."""
 QUICK = ("ridge with intercept", "small tube", "wide kernel", "all within the tube")
-"""Solvers on a grid, which need finufft, and the problems that they solve by default."""
+"""Problems that every solver solves by default; the usual one and each path solve all."""
+ALL_BY_DEFAULT = ("alternating", "fixed", "reweighted")
 STEP_BY_STEP = ("fixed", "one output"), ("fixed", "wide tube")
 """Where the equations of a fixed Gram matrix alone take thousands of iterations."""
 
@@ -162,7 +164,9 @@ def known(name, shape, content):
     ("solver", "name"),
     [
         pytest.param(
-            solver, name, marks=[pytest.mark.slow] * (solver in GRID and name not in QUICK)
+            solver,
+            name,
+            marks=() if solver in ALL_BY_DEFAULT or name in QUICK else pytest.mark.slow,
         )
         for solver in PENALISED_SOLVERS
         for name in PENALISED

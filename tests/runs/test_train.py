@@ -58,8 +58,8 @@ def cases():
     """Yield method, protocol and group; slow are those whose code others of the method run too."""
     for (name, groups), model in itertools.product(PROTOCOLS.items(), MODELS):
         for group in groups:
-            if model == "linear":  # tests/runs/test_predict.py has the others, calibrated
-                again = name not in ("joint", "trips")
+            if model == "linear":  # test_predict.py has the others, calibrated
+                again = name != "trips"
             elif model == "msvr_table5":  # msvr, with other numbers
                 again = (name, group) != ("paper", "primary")
             else:  # msvr reads trips in tests/trips
