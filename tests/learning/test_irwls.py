@@ -45,18 +45,17 @@ def problem(sigma=1.0, seed=0, n_samples=150):
 
 
 @functools.cache
-def small_problem(n_outputs=2, n_samples=60):
-    """As `problem`, with any number of outputs."""
-    X, Y = smooth_data(1, n_samples)
+def small_problem():
+    """As `problem`, with fewer samples and features."""
+    X, Y = smooth_data(1, 60)
     X = torch.tensor(X)
     phi = random_fourier(X, 1.0, 20, 1)
-    Y = np.column_stack([Y, Y[:, 0] * Y[:, 1]])[:, :n_outputs]
     return DenseDesign(phi, X), phi(X).numpy(), torch.tensor(Y)
 
 
 @functools.cache
-def small_minimum(C, epsilon, fit_intercept, n_outputs=2):
-    _, Phi, Y = small_problem(n_outputs)
+def small_minimum(C, epsilon, fit_intercept):
+    _, Phi, Y = small_problem()
     return lbfgs_msvr(Phi, Y.numpy(), C, epsilon, fit_intercept)[2]
 
 
