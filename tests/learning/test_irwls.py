@@ -21,7 +21,8 @@ from sklearn.linear_model import Ridge
 
 from suspnet.learning.design import DenseDesign, Direction, Gram
 from suspnet.learning.feature_maps import random_fourier
-from suspnet.learning.irwls import IRWLS, Status, _Functional, loss
+from suspnet.learning.irwls import IRWLS, Status, _Functional
+from suspnet.learning.loss import loss
 
 N_COMPONENTS = 40
 PATHS = {
