@@ -18,7 +18,7 @@ from suspnet.learning import MSVR
 from suspnet.learning.design import DenseDesign
 from suspnet.learning.equispaced import equispaced_fourier
 from suspnet.learning.irwls import IRWLS, Status
-from suspnet.learning.least_squares import LevenbergMarquardt
+from suspnet.learning.least_squares import LevenbergMarquardt, RowStatus
 from suspnet.learning.toeplitz import EquispacedDesign
 
 TOL = 1e-10
@@ -319,6 +319,7 @@ def test_least_sum_of_squares_is_found(name, solver):
     problem = squares(name)
     options = {"max_iter": 200, "bounds": problem.bounds} | SQUARES_SOLVERS[solver]
     found = LevenbergMarquardt(**options).minimise(problem.residual, problem.start)
+    assert set(found.status.tolist()) == {RowStatus.SMALL_STEP}
     assert bool(found.converged.all())
     # one-sided differences are accurate to 1e-5, scipy's interior search ends 1e-7 short of a bound
     atol = 1e-5 if solver == "one-sided" else problem.atol
