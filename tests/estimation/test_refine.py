@@ -1,7 +1,7 @@
 """Refined estimates against the Cramer-Rao bound and scipy; bad starts, limits, other models."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -279,6 +279,9 @@ class OtherRounding:
     @property
     def expected(self):
         return self.misfit.expected
+
+    def thinned(self):
+        return replace(self, misfit=self.misfit.thinned())
 
     def __call__(self, ratios, rows):
         found = self.misfit(ratios, rows)
