@@ -169,12 +169,12 @@ class EstimateSettings(Counts):
                 f"{self.segment_s:g} s; at least 4 are needed"
             )
 
-    @property
+    @cached_property
     def welch(self) -> Welch:
         """Segment length, overlap and window as ``Welch`` settings."""
         return Welch(self.segment_s, self.overlap, self.window)
 
-    @property
+    @cached_property
     def n_averages(self) -> float:
         """Number of independent averages of a trip; 0 if it is shorter than a segment."""
         welch = self.welch
