@@ -100,8 +100,8 @@ def estimate_with_noise(
     flags = method.flags(inputs, reasons, seen)
     # outside the range of the training and at other speeds the curve decides; a misfit widens the
     # interval
-    at_other_speed = _at_other_speed(observer, speeds) and bool(refined.converged[0])
-    by_curve = method.refined or at_other_speed or bool(flags.has(*OF_THE_TRAINING))
+    outside = bool(flags.has(*OF_THE_TRAINING)) or _at_other_speed(observer, speeds)
+    by_curve = method.refined or outside
     if by_curve:
         flags = flags.without(*OF_THE_TRAINING)
     if seen.misfit[0] <= largest_misfit(method):

@@ -139,7 +139,7 @@ def test_speeds_of_the_healthy_trips_are_the_default(fitted, problems, folder, t
     given = [*TRIPS, f"healthy={folder}"]
     problems.clear()
     assert run_program(train, tmp_path / "wide", *given) == 0
-    assert [one.generator.speed_m_per_s for one in problems] == [pytest.approx(69.5, abs=0.2)]
+    assert [one.generator.speed_m_per_s for one in problems] == [69.7]
     # several models where one does not read all speeds
     problems.clear()
     given.append("data.speed_half_width=0.08")
