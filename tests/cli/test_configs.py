@@ -75,6 +75,7 @@ def test_every_model_instantiates_under_every_protocol(name, protocol):
         assert type(build(config, "model")) is METHODS[name.removesuffix("_table5")]
 
 
+@pytest.mark.representatives(10)
 @pytest.mark.parametrize(("group", "name"), OPTIONS)
 def test_every_option_shows_every_argument_and_the_same_defaults(group, name):
     program = PROGRAM.get(group, "train")

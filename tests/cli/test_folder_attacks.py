@@ -332,6 +332,7 @@ CHANGES = {
 }
 
 
+@pytest.mark.representatives(4)
 @pytest.mark.every_value
 @pytest.mark.parametrize("resume", [True, False])
 @pytest.mark.parametrize("change", CHANGES.values(), ids=CHANGES)
