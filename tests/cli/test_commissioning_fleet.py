@@ -211,6 +211,7 @@ def test_finished_suspensions_are_not_trained_again(fitted, quick, fleet, tmp_pa
     assert "run holds a finished run of other settings; give another folder" in said
 
 
+@pytest.mark.slow  # one that was not finished is, above
 def test_suspension_that_is_new_is_trained_alone(fitted, quick, fleet, manifests, tmp_path):
     folder = tmp_path / "run"
     assert trained(folder, fleet) == 0

@@ -250,10 +250,16 @@ GO_ON = "go on with the same command and resume=outputs/"
 @pytest.mark.parametrize(
     ("module", "step", "arguments", "hint"),
     [
-        (train, "train", LINEAR, "start again at any time"),
+        pytest.param(
+            *(train, "train", LINEAR, "start again at any time"),
+            marks=pytest.mark.slow,
+        ),
         (train, "train", ["-m", "seed=0,1", *LINEAR], GO_ON),
         (simulate, "write_fleet", ["out=trips"], "start again at any time"),
-        (evaluate, "named_runs", ["run=x", "trips=y"], GO_ON),
+        pytest.param(
+            *(evaluate, "named_runs", ["run=x", "trips=y"], GO_ON),
+            marks=pytest.mark.slow,
+        ),
     ],
 )
 def test_sigterm_ends_a_program_with_one_line(tmp_path, monkeypatch, module, step, arguments, hint):

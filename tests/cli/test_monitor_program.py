@@ -62,6 +62,7 @@ def test_replay_and_monitor_fill_the_history_and_tensorboard(tmp_path, run, flee
     assert again.stdout == ""
 
 
+@pytest.mark.representatives(3)
 @pytest.mark.parametrize(
     ("changes", "words"),
     [

@@ -168,6 +168,7 @@ def test_curve_fit_comes_close_to_the_bound(tmp_path):
         assert 0.8 < ratio < 1.25  # efficient: 1 within the sampling error of 128 curves
 
 
+@pytest.mark.representatives(5)
 @pytest.mark.parametrize(
     ("override", "message"),
     [
@@ -190,6 +191,7 @@ def test_mistake_gets_one_line(override, message, tmp_path):
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.representatives(4)
 @pytest.mark.parametrize(
     ("program", "overrides", "message"),
     [
@@ -390,6 +392,7 @@ def test_table5_writes_an_override_file_that_works(tmp_path):
     assert metrics["training"]["parameters"]["C"] == 100.0
 
 
+@pytest.mark.slow  # test_evaluate_sees_more_noise has the bound
 def test_sensitivity_error_grows_with_the_noise(tmp_path):
     ended = typed(
         train,

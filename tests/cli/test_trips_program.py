@@ -12,7 +12,15 @@ import pyarrow as pa
 import pyarrow.csv as pacsv
 import pyarrow.parquet as pq
 import pytest
-from cli_runner import ROOT, command, handlers_set_back, python, run_program, typed
+from cli_runner import (
+    ROOT,
+    blank_figures,
+    command,
+    handlers_set_back,
+    python,
+    run_program,
+    typed,
+)
 from hydra import compose, initialize_config_dir
 from omegaconf import OmegaConf
 from trip_fixtures import RATES_HZ, changed, model_at, signal
@@ -24,6 +32,7 @@ from suspnet.cli.kinds import build, named_runs
 from suspnet.cli.program import CONFIGS
 from suspnet.estimation.checkpoint import save_model
 from suspnet.ground.parameters import Severity
+from suspnet.recordings import formats
 from suspnet.recordings.manifest import CHANNELS
 from suspnet.report import output
 from suspnet.report.tensorboard import RunLog
@@ -87,19 +96,27 @@ def no_figures():
 # the way from nothing to a report
 
 
-@pytest.mark.usefixtures("blank", "read_apart")
-def test_simulated_trips_are_read(run, trips, tmp_path):
-    assert run_program(evaluate, tmp_path, f"run={run}", f"trips={trips}", *EVALUATE) == 0
-    found, test = metrics(tmp_path), json.loads((run / "model.json").read_text())["training"]
+@pytest.fixture(scope="module")
+def evaluated(run, trips, tmp_path_factory, _parquet_read_in_this_process):
+    """Return the folder of an evaluation that reads each file in a process, as users do."""
+    folder = tmp_path_factory.mktemp("evaluated")
+    with pytest.MonkeyPatch.context() as patch, blank_figures():
+        patch.setitem(formats.READERS, ".parquet", _parquet_read_in_this_process)
+        assert run_program(evaluate, folder, f"run={run}", f"trips={trips}", *EVALUATE) == 0
+    return folder
+
+
+def test_simulated_trips_are_read(run, trips, evaluated):
+    found, test = metrics(evaluated), json.loads((run / "model.json").read_text())["training"]
     assert (found["n_trips"], found["n_estimated"]) == (3, 3)
     for name, error in found["rms_error_percent"].items():
         assert 0 < error < 3 * test["test_rms_percent"][name]
-    names = {path.name for path in tmp_path.iterdir()}
+    names = {path.name for path in evaluated.iterdir()}
     assert {
         *("config.yaml", "figures", "metrics.json", "report.html", "responses.parquet"),
         *("trips.csv", "trips.parquet"),
     } <= names
-    config = (tmp_path / "config.yaml").read_text()
+    config = (evaluated / "config.yaml").read_text()
     assert "min_averages: 10.0" in config
     assert f"trips: {trips}" in config
 
@@ -403,12 +420,9 @@ def bad(run, trips, tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def alone(run, trips, tmp_path_factory):
+def alone(evaluated):
     """Return the rows of the good trips, evaluated without the bad ones."""
-    out = tmp_path_factory.mktemp("alone")
-    with undrawn():
-        assert run_program(evaluate, out, f"run={run}", f"trips={trips}", *EVALUATE) == 0
-    return pq.read_table(out / "trips.parquet").to_pylist()
+    return pq.read_table(evaluated / "trips.parquet").to_pylist()
 
 
 def test_bad_trips_end_with_code_2_and_do_no_harm_to_good_ones(bad, alone):
@@ -469,6 +483,7 @@ def test_bad_recording_is_a_row_with_its_reason(bad, name, status, reason):
 # mistakes of the user
 
 
+@pytest.mark.representatives(4)
 @pytest.mark.parametrize(
     ("overrides", "message"),
     [
@@ -525,6 +540,7 @@ def test_cluster_without_dask_gets_one_line(run, trips, monkeypatch, tmp_path):
     assert words == 'error: `cluster` needs dask: pip install "suspnet[cluster]"'
 
 
+@pytest.mark.representatives(6)
 @pytest.mark.parametrize(
     ("overrides", "message"),
     [

@@ -452,7 +452,7 @@ def test_there_are_many_payloads_of_distinct_names():
 @pytest.mark.parametrize(
     "name",
     [
-        "hydra_callback__touch",  # a process of its own takes seconds: one of them by default
+        pytest.param("hydra_callback__touch", marks=pytest.mark.slow),  # a process takes seconds
         pytest.param("handler_factory", marks=pytest.mark.slow),
         pytest.param("swept_experiments", marks=pytest.mark.slow),
     ],
@@ -494,6 +494,7 @@ def test_resolvers_are_found_as_omegaconf_finds_them(text, resolvers):
         trusted._check_resolvers("key", "${oc.decode:1}")
 
 
+@pytest.mark.representatives(2)
 @pytest.mark.parametrize(
     "arguments",
     [
@@ -511,6 +512,7 @@ def test_what_is_documented_is_allowed(arguments):
     assert found.model.kind in KINDS["model"]
 
 
+@pytest.mark.representatives(2)
 @pytest.mark.parametrize(
     ("arguments", "cluster"),
     [

@@ -76,6 +76,7 @@ def test_direction_that_is_not_said_is_found(both_ways, models, tmp_path, i):
     assert found.quality.speed_bins == said.quality.speed_bins
 
 
+@pytest.mark.representatives(2)
 @pytest.mark.parametrize("speed", [20.0, 45.0, 83.0])
 @pytest.mark.parametrize("bogie", ["leading", "trailing"])
 def test_phases_show_the_direction_of_worn_vehicles(speed, bogie):

@@ -451,12 +451,11 @@ def test_models_of_two_speeds_read_one_folder(manifests, model, no_figures, tmp_
 def test_change_below_what_the_model_resolves_does_not_changed_ones(model, monkeypatch):
     """k_p falls by 1 %, c_s by 40 % in the made-up fleet."""
     results = made_up(with_curves=False)
-    other = slow_model()
 
     def changed_ones(*errors):
         models = [
             replace(one, training={"test_rms_percent": {"k_p": e, "c_s": e}} if e else {})
-            for one, e in zip((model, other), errors, strict=False)
+            for one, e in zip((model, model), errors, strict=False)
         ]
         least = fleet.least_percent(OUTPUTS, models)
         found = State(series_of(results), DEFAULT_LIMITS, least_percent=least).assessments

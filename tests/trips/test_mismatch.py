@@ -316,6 +316,7 @@ def test_effects_that_are_switched_off_leave_no_trace_in_the_equations():
 # property
 
 
+@pytest.mark.slow  # an independent solver is compared below
 @pytest.mark.parametrize(
     ("rich", "error", "gain"),
     [pytest.param(LINEAR, 1e-6, 0.1, marks=pytest.mark.slow), (FULL, 2e-4, 0.6)],

@@ -60,6 +60,7 @@ def test_spread_is_the_standard_deviation_about_a_step_and_a_drift():
     assert found.spread_percent == pytest.approx(0.2, rel=0.06)  # three standard errors
 
 
+@pytest.mark.representatives(1)
 @pytest.mark.parametrize(
     ("n_trips", "draw"),
     [

@@ -265,6 +265,7 @@ def test_speed_must_stay_in_the_bin_throughout(manifests, model, tmp_path):
     assert wide.quality.segments_used == N_SEGMENTS
 
 
+@pytest.mark.slow  # its range of speeds: test_checkpoint.py
 def test_model_without_speed_takes_every_speed_that_is_high_enough(
     manifests, model, tmp_path, monkeypatch
 ):
@@ -346,6 +347,7 @@ def test_fault_costs_averages_and_is_told(manifests, model, good, tmp_path):
     assert close(result, good)
 
 
+@pytest.mark.representatives(1)
 @pytest.mark.parametrize(
     ("change", "kinds"),
     [
@@ -401,6 +403,7 @@ def test_noise_in_all_segments_alike_leaves_none_out(manifests, model, tmp_path)
     assert result.quality.warnings.startswith("units and signs not checked")
 
 
+@pytest.mark.slow  # the limit of the test before
 def test_a_little_noise_in_a_part_leaves_none_out(manifests, model, good, tmp_path):
     result = evaluated(noisy(manifests[0], tmp_path, "bogie", 0.2), model)
     assert result.quality.segments_used == N_SEGMENTS
@@ -450,6 +453,7 @@ def test_number_of_low_coherence_is_told(no_loose_sensor, manifests, model, tmp_
 # failure
 
 
+@pytest.mark.representatives(3)
 @pytest.mark.parametrize(
     ("speed", "settings", "message"),
     [
@@ -514,6 +518,7 @@ def test_no_segment_is_free_of_faults(manifests, model, tmp_path):
     assert "gap" in result.quality.faults
 
 
+@pytest.mark.representatives(1)
 @pytest.mark.every_value
 @pytest.mark.parametrize("check", [True, False])
 @pytest.mark.parametrize(
