@@ -188,6 +188,7 @@ def test_multirun_goes_on_and_ends_as_if_uninterrupted(interrupted, tmp_path):
     assert again.returncode == 0
 
 
+@pytest.mark.slow  # the test before and the next one
 @pytest.mark.usefixtures("untrained")
 def test_finished_run_is_not_run_again_and_another_one_is_refused(tmp_path):
     assert typed(train, *LINEAR, "hydra.run.dir=run", cwd=tmp_path).returncode == 0

@@ -122,6 +122,7 @@ def test_same_seed_same_numbers_other_seed_other_numbers(run, tmp_path):
     assert other["scores"] != metrics["scores"]
 
 
+@pytest.mark.slow  # of trips: test_report_has_no_figure_if_none_is_asked_for
 def test_evaluate_draws_nothing_if_asked(run, tmp_path):
     few = [f"run={run[0]}", "data.n_test=20", "progress=false"]
     run_main(evaluate, tmp_path / "bare", *few, "figures=false")

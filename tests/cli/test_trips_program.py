@@ -282,7 +282,11 @@ def fleets(no_figures, monkeypatch, tmp_path):
         *(
             pytest.param(*one, marks=pytest.mark.slow)
             for one in (
-                ("100", evaluate.FINE, "No parameter is beyond its limits; there are too few trips"),
+                (
+                    "100",
+                    evaluate.FINE,
+                    "No parameter is beyond its limits; there are too few trips",
+                ),
                 ("150", evaluate.ACT, "Act: 1 of 4 parameters is beyond the act limit:"),
             )
         ),
