@@ -26,6 +26,7 @@ TELLING = (
     "suspnet/spectra/segments.py",
     "suspnet/estimation/healthy_trips.py",
     "suspnet/trips/check.py",
+    "suspnet/estimation/direction.py",
     "suspnet/estimation/from_recording.py",
     "suspnet/estimation/from_spectra.py",
     "suspnet/estimation/trip_flags.py",

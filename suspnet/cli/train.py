@@ -17,8 +17,8 @@ from suspnet.cli.commission_fleet import HealthySettings, several_suspensions, t
 from suspnet.cli.kinds import build
 from suspnet.dynamics import ResponseGenerator, VerticalVehicle
 from suspnet.estimation.flags import Residual
-from suspnet.estimation.from_recording import TripSettings
 from suspnet.estimation.problem import Problem
+from suspnet.estimation.trip_settings import TripSettings
 from suspnet.ground.parameters import DIRECTIONS, FORWARD, Direction
 from suspnet.ground.settings import check_choice, check_values
 from suspnet.learning import ranks

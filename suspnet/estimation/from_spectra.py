@@ -96,10 +96,10 @@ def estimate_with_noise(
     flags = method.flags(inputs, reasons, seen)
     # outside the range of the training the curve decides; a misfit widens the interval
     by_curve = method.refined or bool(flags.has(*OF_THE_TRAINING))
-    settled = OF_THE_TRAINING if by_curve else ()
+    if by_curve:
+        flags = flags.without(*OF_THE_TRAINING)
     if seen.misfit[0] <= largest_misfit(method):
-        settled = (*settled, "misfit")
-    flags = method.flags(inputs, reasons, seen, settled)
+        flags = flags.without("misfit")
     factor, usual = (method.intervals.conformal.factors(p) for p in (level, ONE_SIGMA))
     ratios = torch.as_tensor(complete_ratios(task, predicted))
     # split the variance: noise of this trip, and the lasting part from the calibration

@@ -19,7 +19,7 @@ from torch import Tensor
 
 from suspnet._version import __version__
 from suspnet.dynamics import PARAMETERS, ResponseGenerator, Vehicle
-from suspnet.estimation.protocols import PAYLOAD_COLUMN, Task
+from suspnet.estimation.protocols import BODY_MASS_COLUMN, Task
 from suspnet.ground.cache import Cache, code_hash
 from suspnet.ground.progress import bar as progress_bar
 from suspnet.ground.settings import check_number
@@ -196,7 +196,7 @@ class Problem:
         with bar, pool_of(self.threads) as pool:
             for n_made in pool.map(make, batches):
                 bar.update(n_made)
-        mass = [ratios[:, PAYLOAD_COLUMN]] if self.task.mass_known else []
+        mass = [ratios[:, BODY_MASS_COLUMN]] if self.task.mass_known else []
         inputs = np.column_stack([values, *mass])
         outputs = ratios[:, self.task.output_indices]
         return FeatureData(inputs[asked], outputs[asked], ratios[asked], reasons[asked])

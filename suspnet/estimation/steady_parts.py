@@ -1,4 +1,4 @@
-"""Groups of segments of a recording at one speed, and the model that reads each group.
+"""Groups of segments of a recording at one speed, their spectra, and the model of each group.
 
 Checking, commissioning, reading and monitoring all use these functions, so that they agree.
 """
@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -17,10 +17,19 @@ from torch import Tensor
 from suspnet.estimation.estimate import Estimate, Flags
 from suspnet.estimation.fitted import FittedMethod
 from suspnet.estimation.from_spectra import trip_settings
+from suspnet.estimation.trip_settings import TripSettings
 from suspnet.ground.parameters import REVERSE
 from suspnet.ground.types import FloatArray
 from suspnet.spectra.cross_spectra import CrossSpectra
-from suspnet.spectra.segments import SpeedRange, range_words, reading_range
+from suspnet.spectra.estimates import EstimateSettings
+from suspnet.spectra.segments import (
+    SpeedRange,
+    in_band,
+    range_words,
+    reading_range,
+    without_incoherent,
+    without_loud,
+)
 from suspnet.spectra.welch import SegmentSpectra
 
 
@@ -141,6 +150,73 @@ def speed_of(speeds: Tensor, segments: SegmentSpectra) -> tuple[float, float]:
 
 
 @dataclass(frozen=True)
+class Steady:
+    """Segments of a recording at one speed, and whether they are enough for an estimate.
+
+    `band` holds all segments
+    on the bins of an estimate; of those of the `group` (n_segments,), `candidates` have no far too
+    large power and `chosen` no low coherence. `n_averages` counts independent averages of the
+    chosen ones, and `spectra` is their average. `coherences` of G_p and G_s are means over the bins
+    in use; `deviation` is the standard deviation of the log-magnitudes, [-]: median over the bins,
+    of the less certain response. `speed` is mean and deviation, [m/s]. `has_enough`: there are
+    enough averages; `is_certain`: the responses are certain enough.
+    """
+
+    band: SegmentSpectra
+    group: Tensor
+    candidates: Tensor
+    chosen: Tensor
+    n_incoherent: int
+    n_averages: float = 0.0
+    spectra: CrossSpectra | None = None
+    coherences: Sequence[float] = (math.nan, math.nan)
+    deviation: float = math.nan
+    speed: tuple[float, float] = (math.nan, math.nan)
+    has_enough: bool = False
+    is_certain: bool = False
+
+
+def steady(
+    segments: SegmentSpectra,
+    speeds: Tensor,
+    groups: Sequence[Tensor],
+    estimate: EstimateSettings,
+    settings: TripSettings,
+) -> list[Steady]:
+    """Return each group of segments with its usable spectra.
+
+    `speeds`: (n_segments, n_samples), [m/s]; `groups` from `groups_to_read`; `estimate` bound to a
+    vehicle. Raises NoEstimateError if the recording does not reach the bins of `estimate`.
+    """
+    parts: list[Steady] = []
+    if not groups:
+        return parts
+    band = in_band(segments, estimate.frequencies_hz())
+    beyond = estimate.beyond(band.frequencies_hz)
+    for group in groups:
+        candidates = without_loud(band, group)
+        chosen, n_incoherent = without_incoherent(band, candidates, settings.min_coherence)
+        part = Steady(band, group, candidates, chosen, n_incoherent)
+        if bool(chosen.any()):
+            n_averages, spectra = band.welch.n_averages(int(chosen.sum())), band.average(chosen)
+            coherences = spectra.coherences().masked_fill(beyond, math.nan).nanmean(dim=1)
+            deviations = spectra.deviations(estimate.method).masked_fill(beyond, math.nan)
+            deviation = float(deviations.nanmedian(dim=1).values.amax())
+            part = replace(
+                part,
+                n_averages=n_averages,
+                spectra=spectra,
+                coherences=coherences.tolist(),
+                deviation=deviation,
+                speed=speed_of(speeds[chosen], band),
+                has_enough=n_averages >= settings.min_averages,
+                is_certain=deviation <= settings.max_deviation,
+            )
+        parts.append(part)
+    return parts
+
+
+@dataclass(frozen=True)
 class SpeedBin:
     """One method's estimate from a group of segments, with its spectra and segments.
 
@@ -204,4 +280,5 @@ def _flags(bins: Sequence[SpeedBin]) -> Flags:
         return Flags.none(1)
     worst = largest(found)
     at = f"in {len(found)} of {len(bins)} speed bins, at {worst.speed_m_per_s:.1f} m/s"
-    return Flags(worst.estimate.flags.found, (f"{at}: {worst.estimate.flags.reasons[0]}",))
+    (kind, words), *others = worst.estimate.flags.given[0]
+    return Flags((((kind, f"{at}: {words}"), *others),))

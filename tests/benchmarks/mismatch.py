@@ -38,10 +38,10 @@ from rich_trips import SENSORS, drawn_ratios  # noqa: E402
 from suspnet.dynamics.quantities import LogNormal  # noqa: E402
 from suspnet.estimation.commissioning import Commissioned, commission  # noqa: E402
 from suspnet.estimation.estimate import Estimate  # noqa: E402
-from suspnet.estimation.from_recording import NoEstimateError, TripSettings  # noqa: E402
 from suspnet.estimation.healthy_trips import HealthySpectra  # noqa: E402
 from suspnet.estimation.problem import TRAIN, Problem  # noqa: E402
 from suspnet.estimation.trained import TrainedModel  # noqa: E402
+from suspnet.estimation.trip_settings import TripSettings  # noqa: E402
 from suspnet.recordings.manifest_files import find_manifests  # noqa: E402
 from suspnet.runs.commissioning import FAMILY as FAMILY_PARTS  # noqa: E402
 from suspnet.runs.commissioning import commission_folder  # noqa: E402
@@ -49,7 +49,7 @@ from suspnet.runs.fit import fit  # noqa: E402
 from suspnet.runs.predict import calibrated, with_unexplained  # noqa: E402
 from suspnet.simulation import Fleet  # noqa: E402
 from suspnet.spectra.cross_spectra import CrossSpectra  # noqa: E402
-from suspnet.spectra.segments import Speeds  # noqa: E402
+from suspnet.spectra.segments import NoEstimateError, Speeds  # noqa: E402
 
 RESULTS = Path(__file__).parent / "results"
 NOMINAL, COMMISSIONED, REFINED = "nominal", "commissioned", "commissioned, refined"

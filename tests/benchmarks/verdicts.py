@@ -29,14 +29,14 @@ from rich_train import RichTrain
 from tabulate import tabulate
 
 from suspnet.dynamics import PARAMETERS
-from suspnet.ground.parameters import DEFAULT_LIMITS, PAYLOAD, Severity
+from suspnet.ground.parameters import BODY_MASS, DEFAULT_LIMITS, Severity
 from suspnet.maintenance.judge import LastTrips, judge_last
 from suspnet.spectra.cross_spectra import CrossSpectra
 
 LEVELS = (0.05, 0.1, 0.3, 0.5, 0.62, 0.73, 0.8, 0.9, 1.1, 1.25, 1.5, 2.5, 4.0)
 LOADS = (0.9, 1.25)
 """Range of the car body's mass over the trips."""
-NAMES = tuple(name for name in PARAMETERS if name != PAYLOAD)
+NAMES = tuple(name for name in PARAMETERS if name != BODY_MASS)
 
 
 def worn_trips(options, case: Case, rows: np.ndarray) -> Trips:

@@ -13,22 +13,16 @@ from hydra import compose, initialize_config_dir
 from omegaconf import OmegaConf
 
 from suspnet.cli import check, evaluate, init, options, simulate, train
-from suspnet.cli.commission_fleet import HealthySettings
 from suspnet.cli.config_files import CONFIGS, SWITCHES, phrase, read_comments
-from suspnet.cli.kinds import KINDS, build, class_of
-from suspnet.cli.program import THREADS, n_threads
+from suspnet.cli.kinds import build
+from suspnet.cli.program import n_threads
 from suspnet.cli.reference import COLUMNS, Reference, _of_kinds
-from suspnet.cli.serve import ServeSettings
-from suspnet.cli.simulate import WORKERS
 from suspnet.ground.settings import settings_of
-from suspnet.live.replay import Pace, Replay
-from suspnet.simulation.fleet import Trains, scattered
-from suspnet.simulation.signals import Sensor
-from suspnet.spectra.components import CurveFeatures
-from suspnet.spectra.extraction import PeakFeatures
+from suspnet.simulation.fleet import scattered
 
 sys.path.append(str(Path(__file__).parents[1] / "benchmarks"))
 import configuration
+from config_comments import OF_PROGRAMS, commented, declaring
 
 LONGEST = 260
 """Number of characters of a sentence beyond which nobody reads it."""
@@ -191,32 +185,24 @@ def test_switches_are_those_called_so():
             assert is_switch == (key.limits == "true or false"), key
 
 
-def declared():
-    """Yield place, kind, path and class of everything that declares settings."""
-    for place, kinds in KINDS.items():
-        for kind in kinds:
-            if (
-                place not in ("generator",) or kind == "vertical_vehicle"
-            ):  # the others hand theirs on
-                yield place, kind, (), class_of(place, kind)
-    yield "protocol", "", ("features",), PeakFeatures
-    yield "protocol", "", ("curve",), CurveFeatures
-    yield "fleet", "", ("sensors", "axle_box"), Sensor
-
-
-@pytest.mark.parametrize(("place", "kind", "path", "class_"), [*declared()], ids=str)
+@pytest.mark.parametrize(("place", "kind", "path", "class_"), [*declaring()], ids=str)
 def test_comments_of_configurations_are_those_of_the_declaration(place, kind, path, class_):
     for name, one in settings_of(class_).items():
         assert _of_kinds()[place, kind, (*path, name)] == one.text, (place, kind, name)
 
 
-OF_PROGRAMS = {
-    "replay": [one for class_ in (Replay, Pace) for one in settings_of(class_).values()],
-    "simulate": [*settings_of(Trains).values(), WORKERS],
-    "serve": settings_of(ServeSettings).values(),
-    "train": [*settings_of(HealthySettings).values(), THREADS],
-    "evaluate": [THREADS],
-}
+@pytest.mark.parametrize("file", sorted(Path(CONFIGS).rglob("*.yaml")), ids=lambda one: one.stem)
+def test_comments_are_as_the_script_writes_them(file):
+    assert commented(file) == file.read_text(encoding="utf-8")
+
+
+def test_script_writes_the_declared_sentence_over_another_comment(tmp_path):
+    file = tmp_path / "model" / "svr.yaml"
+    file.parent.mkdir()
+    shipped = (Path(CONFIGS) / "model" / "svr.yaml").read_text(encoding="utf-8")
+    file.write_text(shipped.replace("Stopping tolerance of libsvm [above 0]", "Other\n# words [m]"))
+    assert "# Other\n# words [m]\ntol:" in file.read_text(encoding="utf-8")
+    assert commented(file) == shipped
 
 
 @pytest.mark.parametrize("program", OF_PROGRAMS)

@@ -15,8 +15,8 @@ from vehicles import AM96
 
 from suspnet.dynamics import VerticalVehicle
 from suspnet.estimation.commissioning_summary import unplaced
-from suspnet.estimation.from_recording import TripSettings
 from suspnet.estimation.healthy_trips import read_healthy
+from suspnet.estimation.trip_settings import TripSettings
 from suspnet.recordings.errors import TripError
 from suspnet.recordings.formats import READERS
 from suspnet.recordings.manifest_files import read_manifest

@@ -179,7 +179,7 @@ def test_segments_are_grouped_by_their_speed():
 
 def part(values, half, noise_share, averages=10.0, words=""):
     values, half = np.array([values]), np.array([half])
-    flags = Flags(np.array([[bool(words), False, False, False, False]]), (words,))
+    flags = Flags(((("missing", words),) if words else (),))
     ends = values * np.exp(-half), values * np.exp(half)
     estimate = Estimate(("k_p", "c_p"), values, *ends, 0.9, flags)
     return SimpleNamespace(

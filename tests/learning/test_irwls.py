@@ -22,7 +22,8 @@ from sklearn.svm import LinearSVR
 
 from suspnet.learning.design import DenseDesign, Direction, Gram
 from suspnet.learning.feature_maps import random_fourier
-from suspnet.learning.irwls import IRWLS, Status, _Functional, loss
+from suspnet.learning.irwls import IRWLS, Status, _Functional
+from suspnet.learning.loss import loss
 
 N_COMPONENTS = 40
 PATHS = {

@@ -6,7 +6,7 @@ import torch
 from scipy import optimize
 
 from suspnet.learning import CurveFit
-from suspnet.learning.least_squares import LevenbergMarquardt, _derivatives
+from suspnet.learning.least_squares import LevenbergMarquardt, RowStatus, _derivatives
 
 TIMES = torch.linspace(0, 4, 40, dtype=torch.float64)
 
@@ -293,10 +293,35 @@ def test_one_iteration_is_reported_as_not_converged():
     assert not bool(found.converged.any())
 
 
-def test_residual_that_is_not_finite_is_not_called_converged():
+def _ending_in_each_way(theta, rows):
+    """A linear row, a flat one, one at the least point of its kink, and one that is not finite."""
+    each = torch.cat([theta - 2, theta**8, 1 + theta.abs(), theta * torch.nan], dim=1)
+    return each.gather(1, rows[:, None])
+
+
+@pytest.mark.parametrize(
+    ("max_iter", "expected"),
+    [
+        (0, ["MAX_ITER", "MAX_ITER", "MAX_ITER", "NOT_FINITE"]),
+        (30, ["SMALL_STEP", "MAX_ITER", "NO_DECREASE", "NOT_FINITE"]),
+        (300, ["SMALL_STEP", "SMALL_STEP", "NO_DECREASE", "NOT_FINITE"]),
+    ],
+)
+def test_status_is_why_each_row_ended(max_iter, expected):
+    start = torch.tensor([[0.0], [1.0], [0.0], [1.0]], dtype=torch.float64)
+    solver = LevenbergMarquardt(max_iter=max_iter, one_sided=True)
+    found = solver.minimise(_ending_in_each_way, start)
+    assert [RowStatus(int(one)).name for one in found.status] == expected
+    assert found.converged.tolist() == [name == "SMALL_STEP" for name in expected]
+
+
+def test_small_decrease_ends_a_row_whose_steps_are_large():
     start = torch.tensor([[1.0]], dtype=torch.float64)
-    found = LevenbergMarquardt().minimise(lambda theta, rows: theta * torch.nan, start)
-    assert not bool(found.converged.any())
+    solver = LevenbergMarquardt(least_decrease=1e-6)
+    found = solver.minimise(lambda theta, rows: theta**8, start)
+    assert found.status.tolist() == [RowStatus.SMALL_DECREASE]
+    assert found.converged.tolist() == [True]
+    assert found.parameters[0, 0] > 0.1
 
 
 def test_curve_fit_recovers_noise_free_parameters():

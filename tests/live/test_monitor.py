@@ -14,7 +14,7 @@ from monitor_frames import AtOnce, ListSource, all_frames, by_time, mileage_fram
 from stream_signals import disturbed, interleaved
 from trip_fixtures import OUTPUTS, model_at, recalled_trip, small_fleet
 
-from suspnet.estimation.from_recording import TripSettings
+from suspnet.estimation.trip_settings import TripSettings
 from suspnet.ground.records import Place
 from suspnet.history import History, HistoryError
 from suspnet.live.journal import Journal, JournalError

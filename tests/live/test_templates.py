@@ -11,7 +11,7 @@ from monitor_frames import ListSource
 from trip_fixtures import OUTPUTS, RATES_HZ, model_at, recalled_trip, signal, small_fleet
 
 from suspnet.cli import init
-from suspnet.estimation.from_recording import TripSettings
+from suspnet.estimation.trip_settings import TripSettings
 from suspnet.history import History
 from suspnet.live.journal import Journal
 from suspnet.live.monitor import Monitor

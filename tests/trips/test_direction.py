@@ -10,8 +10,8 @@ from vehicles import AM96
 
 from suspnet.dynamics import PARAMETERS, VerticalVehicle
 from suspnet.dynamics.quantities import LogNormal
-from suspnet.estimation.from_recording import TripSettings
 from suspnet.estimation.healthy_trips import read_healthy
+from suspnet.estimation.trip_settings import TripSettings
 from suspnet.recordings.manifest_files import read_manifest
 from suspnet.simulation import Scenario
 from suspnet.spectra.cross_spectra import PAIRS, CrossSpectra
@@ -139,7 +139,7 @@ def test_models_of_the_other_direction_are_refused(both_ways, models):
 def test_direction_is_asked_for_where_the_phases_do_not_show_it(
     both_ways, models, tmp_path, monkeypatch
 ):
-    monkeypatch.setattr("suspnet.estimation.from_recording.DIRECTION_MARGIN", 1e6)
+    monkeypatch.setattr("suspnet.estimation.direction.DIRECTION_MARGIN", 1e6)
     silent = changed(both_ways[0], tmp_path, direction=None)
     found = evaluate_trip(silent, models, SETTINGS)
     assert found.status == "error"

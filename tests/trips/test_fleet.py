@@ -22,7 +22,7 @@ from trip_fixtures import OUTPUTS, changed, recalled_trip, signal, slow_model
 from trip_records import fleet as made_up
 
 from suspnet.estimation.fitted import ModelFileError
-from suspnet.estimation.from_recording import TripSettings
+from suspnet.estimation.trip_settings import TripSettings
 from suspnet.ground import workers
 from suspnet.ground.parameters import DEFAULT_LIMITS, Severity
 from suspnet.ground.storage import read_arrays, read_plain

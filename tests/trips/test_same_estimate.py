@@ -12,7 +12,7 @@ from recording_files import write_csv, write_hdf5, write_mat, write_mdf, write_t
 from scipy.io import savemat, wavfile
 from trip_fixtures import RATES_HZ, recalled_trip, signal
 
-from suspnet.estimation.from_recording import TripSettings
+from suspnet.estimation.trip_settings import TripSettings
 from suspnet.recordings.manifest import CHANNELS
 from suspnet.recordings.manifest_files import read_manifest
 from suspnet.recordings.recording import load_recording

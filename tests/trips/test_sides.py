@@ -12,8 +12,8 @@ from roll_reference import CHANNELS, sided_responses, track_amplitudes
 from trip_fixtures import MINUTES, OUTPUTS, SPEED
 from trip_records import trip
 
-from suspnet.estimation.from_recording import TripSettings
 from suspnet.estimation.trip_flags import UNEXPLAINED, spoken_sides
+from suspnet.estimation.trip_settings import TripSettings
 from suspnet.ground.records import ERROR, NO_ESTIMATE, OK
 from suspnet.report.report import sides_finding
 from suspnet.spectra.side_difference import SideDifference

@@ -131,7 +131,7 @@ def test_one_odd_trip_does_not_stand_out(position):
     assert not trend("k_p", MILEAGE_KM, values).changed
 
 
-def test_payload_never_changed():
+def test_body_mass_never_changed():
     values = series(np.where(MILEAGE_KM < 155_000, 0.0, 0.2), 0.002, 0)
     found = trend("M_s", MILEAGE_KM, values)
     assert not found.changed

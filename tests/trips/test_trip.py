@@ -26,8 +26,8 @@ from suspnet.dynamics import PARAMETERS, QuarterCar
 from suspnet.estimation import from_recording as recording
 from suspnet.estimation import from_spectra
 from suspnet.estimation.estimate import Flags
-from suspnet.estimation.from_recording import TripSettings
 from suspnet.estimation.from_spectra import estimate_with_noise
+from suspnet.estimation.trip_settings import TripSettings
 from suspnet.ground.records import ERROR, NO_ESTIMATE, OK
 from suspnet.recordings import recording as loading
 from suspnet.recordings.errors import TripError
@@ -320,7 +320,7 @@ def test_flags_of_speed_bins_are_those_of_the_best_one_flagged(
 
     def marked(one, *arguments):
         words = given[one.generator.speed_m_per_s]
-        flags = Flags(np.array([[bool(words), False, False, False, False]]), (words,))
+        flags = Flags(((("missing", words),) if words else (),))
         if one.generator not in MARKED:
             MARKED[one.generator] = estimate_with_noise(one, *arguments)
         estimate, noise_share = MARKED[one.generator]
