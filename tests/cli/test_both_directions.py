@@ -60,6 +60,7 @@ def test_one_direction_alone_is_one_model(tmp_path, changes):
     assert not (tmp_path / "speeds.json").exists()
 
 
+@pytest.mark.representatives(2)
 @pytest.mark.parametrize(
     ("changes", "message"),
     [

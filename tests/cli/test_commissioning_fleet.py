@@ -176,6 +176,7 @@ def test_failing_suspension_is_told_and_stops_no_other(quick, fleet, tmp_path, c
     assert not (folder / "fleet.json").exists()
 
 
+@pytest.mark.slow  # test_failed_job_stops_no_other has one
 def test_fault_of_the_program_leaves_its_traceback(quick, fleet, tmp_path, monkeypatch, caplog):
     def broken(*_, **__):
         raise LookupError("a fault")
@@ -224,6 +225,7 @@ def test_suspension_that_is_new_is_trained_alone(fitted, quick, fleet, manifests
     assert [row["suspension"] for row in rows] == ["new", "one", "two"]
 
 
+@pytest.mark.slow  # of one run: test_commissioning_program.py
 def test_warnings_of_a_run_are_told_with_its_name(quick, fleet, tmp_path, monkeypatch, caplog):
     outcome = replace(commissioned_example()[1], n_agree=1)
     monkeypatch.setattr(run, "commission", lambda *_, **__: outcome)

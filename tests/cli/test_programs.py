@@ -140,6 +140,7 @@ def test_evaluate_sees_more_noise(run, tmp_path):
     assert noisy["bound"]["c_p"]["rmse"] > 2 * metrics["bound"]["c_p"]["rmse"]
 
 
+@pytest.mark.slow  # test_run_of_another_protocol_is_refused
 def test_evaluate_takes_a_protocol_that_fits_only(run, tmp_path):
     folder, _ = run
     small = ["data.n_test=20", *BARE, f"run={folder}"]
@@ -161,6 +162,7 @@ def test_mass_known_and_mass_estimated(tmp_path):
     assert list(asked["scores"]) == ["k_p", "c_p", "k_s", "c_s", "M_s"]
 
 
+@pytest.mark.slow  # test_refined_run_reaches_the_bound does the same
 def test_curve_fit_comes_close_to_the_bound(tmp_path):
     small = [*SMALL, "model=curve_fit", "data.n_test=128", "data.n_calibrate=null"]
     metrics = run_main(train, tmp_path, *small)

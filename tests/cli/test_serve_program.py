@@ -189,6 +189,7 @@ def check_end(number, code, printed, wrong):
         assert wrong.startswith(f"{WORDS[number]}: ")
 
 
+@pytest.mark.slow  # test_start.py: a signal while a program is imported
 def test_signal_at_the_start_ends_the_program(path, tmp_path):
     check_end(signal.SIGTERM, *ended(path, tmp_path, signal.SIGTERM, 0.7))
 

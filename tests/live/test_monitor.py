@@ -489,6 +489,7 @@ def test_frames_that_cannot_be_used_do_not_keep_a_suspension_from_falling_silent
     assert len(told) == 2  # silent, and at the end
 
 
+@pytest.mark.slow  # clocks: test_sections.py
 def test_a_clock_that_is_set_back_is_counted_and_the_stream_goes_on(tmp_path, fleet):
     frames = trip_frames(fleet[0])
     for several in frames.values():
@@ -504,6 +505,7 @@ def test_a_clock_that_is_set_back_is_counted_and_the_stream_goes_on(tmp_path, fl
     assert found.quality.usable_percent < 90
 
 
+@pytest.mark.slow  # of wrong times: test_sections.py
 def test_frames_of_sections_that_are_given_up_are_told(tmp_path, fleet):
     frames = trip_frames(fleet[0])
     body = frames["body"][0]

@@ -269,6 +269,7 @@ def test_parts_of_names_are_disjoint_complete_and_of_like_size():
     assert read_part("12/12") == (12, 12)
 
 
+@pytest.mark.slow  # a busy monitor is sent ten at most
 def test_no_more_frames_are_on_the_way_than_asked_for(broker, opened):
     source, sink = opened(Mqtt(at(broker), in_flight=7)), opened(MqttSink(at(broker)))
     send(sink, 300)

@@ -65,6 +65,7 @@ def templated(folder, manifest, how):
     return path
 
 
+@pytest.mark.slow  # test_init.py, test_replay.py
 @pytest.mark.parametrize("how", ["times", pytest.param("file", marks=pytest.mark.slow)])
 def test_template_of_init_gives_the_monitor_what_it_gives_for_files(tmp_path, fleet, how):
     (folder := tmp_path / "trips").mkdir()

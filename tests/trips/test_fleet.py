@@ -219,6 +219,7 @@ def test_interrupted_fleet_goes_on_and_ends_as_if_uninterrupted(
     assert estimates(found) == estimates(read(three, [model], tmp_path / "whole"))
 
 
+@pytest.mark.representatives(2)
 @pytest.mark.parametrize("what", ["file", "manifest", "model", "settings", "kept"])
 def test_trip_is_read_again_if_anything_differs(
     three, manifests, model, no_figures, recalled, monkeypatch, tmp_path, what

@@ -120,6 +120,7 @@ def test_stiff_bushings_and_contacts_leave_the_plain_vehicle():
     assert relative_error(found, expected) < 4e-4
 
 
+@pytest.mark.representatives(1)
 @pytest.mark.parametrize(
     ("part", "friction"),
     [("dampers", 0), pytest.param("rubber", 1e-12, marks=pytest.mark.slow), ("rubber", 0.1)],

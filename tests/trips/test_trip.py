@@ -279,6 +279,7 @@ def test_model_without_speed_takes_every_speed_that_is_high_enough(
     assert "0 of 28 segments without faults are at 41 m/s or faster throughout" in standing.reason
 
 
+@pytest.mark.slow  # they are refused by default
 def test_swapped_channels_give_no_estimate_where_they_are_not_refused(manifests, model, tmp_path):
     """The bogie's and the body's files, with the check of the channels switched off."""
     signals = {"bogie": signal(manifests[0], "body"), "body": signal(manifests[0], "bogie")}
@@ -304,6 +305,7 @@ def test_delay_that_is_the_same_all_along_is_named(manifests, model, good, tmp_p
     assert re.search(r"body looks (4\.9\d?|5(\.[01]\d?)?) ms late relative to bogie", words)
 
 
+@pytest.mark.representatives(1)
 @pytest.mark.parametrize(
     ("flags", "expected"),
     [
