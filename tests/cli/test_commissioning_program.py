@@ -81,6 +81,7 @@ def test_run_goes_on_with_a_warning_if_one_start_alone_found_the_vehicle(
     assert 'class="result notice"' in (tmp_path / "run" / "commissioning.html").read_text()
 
 
+@pytest.mark.representatives(3)
 @pytest.mark.parametrize(
     ("overrides", "words"),
     [
@@ -103,6 +104,7 @@ def test_mistakes_are_one_line_and_leave_nothing(overrides, words, folder, tmp_p
     assert list((tmp_path / "run").iterdir()) == []
 
 
+@pytest.mark.representatives(1)
 @pytest.mark.parametrize("speed", ["70", "[60,80]"])
 def test_too_few_trips_leave_nothing(speed, folder, tmp_path):
     Path(sorted(folder.glob("*.yaml"))[0]).unlink()

@@ -1,6 +1,6 @@
 """`--help`: each key has a sentence with unit and range, and the ranges are those of checks."""
 
-import copy
+import pickle
 import re
 import sys
 import warnings
@@ -67,6 +67,7 @@ def composed(name, *overrides):
         return config, Reference(config).keys()
 
 
+@pytest.mark.representatives(6)
 @pytest.mark.parametrize(("program", "choice"), CHOSEN, ids=lambda one: one)
 def test_help_tells_every_key_its_value_unit_and_range(program, choice):
     with initialize_config_dir(version_base="1.3", config_dir=CONFIGS):
@@ -211,9 +212,9 @@ def test_comments_of_programs_are_those_of_the_declaration(program):
         assert above[(one.name,)] == one.text
 
 
-def refused(config, section, key, value):
+def refused(pickled, section, key, value):
     """Return what an object says of a value of a key, if it says that it must be another one."""
-    config = copy.deepcopy(config)
+    config = pickle.loads(pickled)  # faster than copy.deepcopy
     OmegaConf.update(config, key.name, value)
     try:
         with warnings.catch_warnings():
@@ -265,7 +266,7 @@ def choices(limits):
 def test_ranges_are_those_of_the_checks(line, sections):
     config, rows = composed(*line)
     config = OmegaConf.masked_copy(config, [key for key in config if key != "hydra"])
-    n_checked = 0
+    pickled, n_checked = pickle.dumps(config), 0
     for key in rows:
         section, name = key.name.partition(".")[0], key.name.rpartition(".")[2]
         inside, outside = points(key.limits)
@@ -277,14 +278,14 @@ def test_ranges_are_those_of_the_checks(line, sections):
         n_checked += 1
         is_list = key.value.startswith("[")
         for value in inside:
-            assert not refused(config, section, key, [value] * 3 if is_list else value), key
+            assert not refused(pickled, section, key, [value] * 3 if is_list else value), key
         for value in [*outside, *(["nonsense"] if words else [])]:
-            rule = refused(config, section, key, [value] * 3 if is_list else value)
+            rule = refused(pickled, section, key, [value] * 3 if is_list else value)
             assert rule, (key, value)
             if words:
                 assert set(re.findall(r"'(\w+)'", rule)) - {"nonsense"} == words
         if not is_list:
-            assert bool(refused(config, section, key, None)) == ("or null" not in key.limits), key
+            assert bool(refused(pickled, section, key, None)) == ("or null" not in key.limits), key
     assert n_checked > 0
 
 

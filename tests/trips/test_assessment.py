@@ -54,6 +54,7 @@ def ending(name, flags="none", half=0.01):
 COMBINATIONS = list(product(Shape, (1.0, 0.6), ENDINGS, FLAGS, (0.01, 0.3, np.nan)))
 
 
+@pytest.mark.representatives(4)
 @pytest.mark.parametrize("shape", Shape)
 def test_no_combination_contradicts_itself(shape):
     for _, first, name, flags, half in (c for c in COMBINATIONS if c[0] == shape):

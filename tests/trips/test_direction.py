@@ -76,6 +76,7 @@ def test_direction_that_is_not_said_is_found(both_ways, models, tmp_path, i):
     assert found.quality.speed_bins == said.quality.speed_bins
 
 
+@pytest.mark.representatives(2)
 @pytest.mark.parametrize("speed", [20.0, 45.0, 83.0])
 @pytest.mark.parametrize("bogie", ["leading", "trailing"])
 def test_phases_show_the_direction_of_worn_vehicles(speed, bogie):
@@ -92,6 +93,7 @@ def test_phases_show_the_direction_of_worn_vehicles(speed, bogie):
             assert factor > DIRECTION_MARGIN
 
 
+@pytest.mark.slow  # worn ones are above
 def test_phases_of_vehicles_unlike_their_drawing_never_show_the_wrong_direction():
     for speed in (30.0, 70.0):
         drawing = VerticalVehicle(AM96, speed_m_per_s=speed, parts=PARTS)

@@ -120,6 +120,7 @@ def test_stiff_bushings_and_contacts_leave_the_plain_vehicle():
     assert relative_error(found, expected) < 4e-4
 
 
+@pytest.mark.representatives(1)
 @pytest.mark.parametrize(
     ("part", "friction"),
     [("dampers", 0), pytest.param("rubber", 1e-12, marks=pytest.mark.slow), ("rubber", 0.1)],
@@ -316,6 +317,7 @@ def test_effects_that_are_switched_off_leave_no_trace_in_the_equations():
 # property
 
 
+@pytest.mark.slow  # an independent solver is compared below
 @pytest.mark.parametrize(
     ("rich", "error", "gain"),
     [pytest.param(LINEAR, 1e-6, 0.1, marks=pytest.mark.slow), (FULL, 2e-4, 0.6)],

@@ -80,7 +80,7 @@ def commas(path: Path, values: np.ndarray, rate_hz: float) -> dict:
 
 
 def parquet(path: Path, values: np.ndarray, rate_hz: float) -> dict:
-    pq.write_table(pa.table({"a": values}), path)
+    pq.write_table(pa.table({"a": values}), path, use_dictionary=False)
     return {"rate_hz": rate_hz}
 
 
@@ -88,7 +88,7 @@ def zoned(path: Path, values: np.ndarray, rate_hz: float) -> dict:
     at = np.datetime64("2015-08-03T06:00:00", "ns")
     steps = np.round(np.arange(len(values)) * 1e9 / rate_hz).astype("timedelta64[ns]")
     times = pa.array(at + steps, pa.timestamp("ns", "Europe/Berlin"))
-    pq.write_table(pa.table({"t": times, "a": values}), path)
+    pq.write_table(pa.table({"t": times, "a": values}), path, use_dictionary=False)
     return {}
 
 

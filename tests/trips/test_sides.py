@@ -51,7 +51,7 @@ def write_pairs(folder, d, change=None, singles=()):
             columns = {"left": pair.mean(axis=0)}
         for side, values in (change or {}).get(name, {}).items():
             columns[side] = values(columns[side])
-        pq.write_table(pa.table(columns), folder / f"{name}.parquet")
+        pq.write_table(pa.table(columns), folder / f"{name}.parquet", use_dictionary=False)
         source = {"file": f"{name}.parquet", "unit": "m/s2", "rate_hz": RATE_HZ}
         channels[name] = [source | {"column": side} for side in columns]
     content = {"format": "suspnet-trip-1", "vehicle": "am96", "suspension": "car 7"}
