@@ -85,7 +85,7 @@ SETTINGS = {
 REFERRED = {
     "host": "x: 127.0.0.1\nGROUP: {broker: {port: PORT, host: '${x}'}}",
     "settings": "x: {host: 127.0.0.1, port: PORT}\nGROUP: {broker: '${x}'}",
-    "option": "x: {broker: {port: PORT}}\nGROUP: '${x}'",
+    "option": "x: {kind: mqtt, broker: {port: PORT}}\nGROUP: '${x}'",
     "host_by_ours": "GROUP: {broker: {port: PORT, host: '${now:127.0.0.1}'}}",
     "host_by_hydra": "hydra: {job: {name: LOCALHOST}}\n"
     "GROUP: {broker: {port: PORT, host: '${hydra:job.name}'}}",
@@ -95,10 +95,6 @@ SWEPT = {
     "host": "{GROUP.broker.host: 127.0.0.1, GROUP.broker.port: PORT}",
     "settings": "{GROUP.broker: '{port: PORT}'}",
     "added": "{++GROUP.broker.port: PORT}",
-}
-OPTION = {
-    "source": "_target_: suspnet.live.mqtt.Mqtt",
-    "sink": "_target_: suspnet.live.sinks.MqttSink",
 }
 OTHERS_VARIABLES = (
     "AWS_SECRET_ACCESS_KEY",
@@ -123,7 +119,7 @@ def payloads(group):
     for name, text in SETTINGS.items():
         yield in_extra(f"extra_{name}", f"GROUP: {{broker: {{{text}}}}}", chosen)
     for name in ("host", "port"):
-        of_broker = f"{{defaults: [/base/broker@broker, _self_], {OPTION[group]}, "
+        of_broker = "{defaults: [/base/broker@broker, _self_], kind: mqtt, "
         option = f"{of_broker}broker: {{{SETTINGS[name]}}}}}"
         yield Sent(f"option_{name}", {f"{group}/evil.yaml": option}, (f"{group}=evil",))
         other = f"defaults: [PROGRAM, _self_]\nGROUP: {{broker: {{{SETTINGS[name]}}}}}"
