@@ -142,11 +142,12 @@ def unworn_deviations(outputs: Sequence[str], ratios: FloatArray) -> FloatArray:
     """Return the error of log outputs due to damping and stiffness that do not wear, (n_outputs,).
 
     A damper at the ratio r in parallel with a fraction u of the healthy damping that does not wear
-    is estimated as (1 - u) r + u, a relative error of u (1 - r) / r. The result is u |1 - r| / r
-    with u from ``UNWORN``, 0 for other outputs; `ratios` (n_outputs,) are the estimates r.
+    is estimated as (1 - u) r + u, a relative error of u (1 - r) / r. The result is
+    log(1 + u |1 - r| / r) with u from ``UNWORN``, 0 for other outputs; `ratios` (n_outputs,) are
+    the estimates r.
     """
     shares = np.array([UNWORN.get(name, 0.0) for name in outputs])
-    return np.asarray(shares * np.abs(1 - ratios) / ratios)
+    return np.asarray(np.log1p(shares * np.abs(1 - ratios) / ratios))
 
 
 def trip_settings(method: FittedMethod) -> EstimateSettings:

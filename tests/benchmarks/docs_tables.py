@@ -43,6 +43,7 @@ CASES = {
     "vertical all": "all of these but roll",
     "all": "all of these",
     "all, left": "all of these, sensors on one side",
+    "all, 48 to 78 m/s": "all of these, 48 to 78 m/s",
     "all+payload": "all, and laws of the payload of its own",
     "all+sensors": "all, sensors 2 % off and 0.5 ms late",
     "all+wheelsets": "all, each wheelset excited alone",
