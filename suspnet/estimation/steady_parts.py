@@ -147,7 +147,8 @@ class SpeedBin:
     `spectra` (3, n_freq) on the method's bins and `speed_m_per_s` are means over the `chosen`
     segments (n_segments,). `estimate` has one row; `noise_share` (n_outputs,) is the fraction of
     its squared half widths that is due to the noise of the segments. `doubts` are doubts and
-    impossible checks of the channels; empty if there are none.
+    impossible checks of the channels; empty if there are none. `left_out` (n_freq,) are bins with
+    lines of wheels.
     """
 
     method: FittedMethod
@@ -158,6 +159,7 @@ class SpeedBin:
     estimate: Estimate
     noise_share: FloatArray
     doubts: str
+    left_out: Tensor | None = None
 
     @property
     def is_reverse(self) -> bool:

@@ -72,6 +72,8 @@ class Quality:
     read_as : str
         How files were read if their format had to be detected, as for CSV files.
     warnings : str
+    wheels : str
+        Out-of-round wheels, or why none can be seen.
     """
 
     coherence_p: float = np.nan
@@ -87,6 +89,7 @@ class Quality:
     faults: str = ""
     read_as: str = ""
     warnings: str = ""
+    wheels: str = ""
 
 
 @dataclass(frozen=True, eq=False)

@@ -27,6 +27,7 @@ from suspnet.recordings.manifest_files import ManifestFile
 from suspnet.recordings.recording import Recording, load_recording, overview
 from suspnet.spectra.segments import NoEstimateError, recording_segments
 from suspnet.spectra.welch import Welch
+from suspnet.spectra.wheel_lines import wheel_lines, wheel_words
 from suspnet.trips.commissionings import models_at, since_km
 
 log = logging.getLogger(__name__)
@@ -128,12 +129,14 @@ def _estimated(
     )
     if not result.start and recording.started is not None:
         result = replace(result, start=recording.started.isoformat())
+    lines = wheel_lines(recording)
+    quality = replace(quality, wheels=wheel_words(recording, lines))
     segments = {one: recording_segments(recording, one) for one in map(_welch, models)}
     n_total = max(len(found.values) for found in segments.values())
     result = replace(result, quality=replace(quality, segments_total=n_total))
     try:
         pairs = [(model, segments[_welch(model)]) for model in models]
-        bins = all_bins(pairs, recording, settings)
+        bins = all_bins(pairs, recording, settings, lines)
     except TripError as error:  # reported only now, as the quality is known
         return replace(result, reason=str(error))
     except NoEstimateError as error:
