@@ -22,7 +22,7 @@ from suspnet.maintenance.judge import N_LAST
 from suspnet.maintenance.series import Event
 from suspnet.maintenance.state import State
 from suspnet.report.figures import data_uri
-from suspnet.report.tables import trip_table
+from suspnet.report.tables import sensor_rows, trip_table
 from suspnet.report.templates import KILO, SEVERITIES, render, with_unit
 
 ROLES = {
@@ -129,6 +129,7 @@ def write_report(path: Path, title: str, report: Report, figures: Mapping[str, F
         ],
         figures=[_embedded(name, figures[name], shown) for name in _ordered(figures)],
         table=table,
+        sensors=sensor_rows(state.series),
         since_when=_since_when(report.commissionings, state.series.events),
         healthy=_healthy(trips),
         level=table.level,

@@ -19,7 +19,7 @@ from scipy.signal import get_window, resample_poly
 from torch import Tensor
 
 from suspnet.ground.types import BoolArray, FloatArray, IntArray
-from suspnet.recordings.manifest import CHANNELS, SIDES
+from suspnet.recordings.manifest import CHANNELS
 from suspnet.recordings.recording import Recording
 
 WINDOW_M = 200.0
@@ -106,12 +106,11 @@ def wheel_lines(recording: Recording) -> tuple[WheelLine, ...]:
     All sensors are on one wheelset: its diameter is the one that explains most of the lines. The
     diameter is searched within ``DIAMETERS_M`` unless the manifest gives it.
     """
-    name, box = CHANNELS[0], recording.signals[0]
-    signals = {name: box}
-    if recording.paired[0]:
-        half = recording.differences[0]
-        signals = {f"{name} {SIDES[0]}": box + half, f"{name} {SIDES[1]}": box - half}
-    peaks = {one: _peaks(_windows(recording, signal)) for one, signal in signals.items()}
+    peaks = {
+        name: _peaks(_windows(recording, signal))
+        for name, signal in recording.sensors().items()
+        if name.startswith(CHANNELS[0])
+    }
     every = [peak for several in peaks.values() for peak in several]
     low, high = _diameters_m(recording)
     # each order that a peak may be gives a diameter; take the one with most lines

@@ -237,7 +237,10 @@ def test_all_or_none_of_the_alarms_of_many_are_kept(store):
 
 @pytest.mark.parametrize(
     ("fields", "message"),
-    [((np.nan,), "mileage in km"), ((1.0, "repaired"), "one of exchanged, reprofiled, other")],
+    [
+        ((np.nan,), "mileage in km"),
+        ((1.0, "repaired"), "one of exchanged, reprofiled, sensor, other"),
+    ],
 )
 def test_a_wrong_event_is_refused(fields, message):
     with pytest.raises(ValueError, match=message):
@@ -266,7 +269,7 @@ def test_a_store_of_another_version_is_refused(tmp_path):
     with sqlite3.connect(path) as connection:
         connection.execute("UPDATE suspnet_version SET schema = 99")
     connection.close()
-    with pytest.raises(HistoryError, match="a store of version 99, this suspnet reads version 4"):
+    with pytest.raises(HistoryError, match="a store of version 99, this suspnet reads version 5"):
         History(path)
 
 
