@@ -12,7 +12,6 @@ from suspnet.estimation.commissioning import Commissioned as Commissioned
 from suspnet.estimation.commissioning import commission as commission
 from suspnet.estimation.estimate import Estimate as Estimate
 from suspnet.estimation.fitted import ModelFileError as ModelFileError
-from suspnet.estimation.from_recording import TripSettings as TripSettings
 from suspnet.estimation.healthy_trips import read_healthy as read_healthy
 from suspnet.estimation.information import cramer_rao as cramer_rao
 from suspnet.estimation.information import fisher_information as fisher_information
@@ -22,6 +21,7 @@ from suspnet.estimation.protocols import Task as Task
 from suspnet.estimation.sensor_information import recording_information as recording_information
 from suspnet.estimation.sensor_information import sensor_places as sensor_places
 from suspnet.estimation.trained import TrainedModel as TrainedModel
+from suspnet.estimation.trip_settings import TripSettings as TripSettings
 from suspnet.ground.parameters import PARAMETERS as PARAMETERS
 from suspnet.learning.baselines import SVR as SVR
 from suspnet.learning.baselines import CurveFit as CurveFit

@@ -3,6 +3,7 @@
 import io
 import json
 import logging
+import signal
 import subprocess
 import sys
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
@@ -112,6 +113,17 @@ def _logging_set_back():
             handler.close()
         root.handlers[:] = handlers
         root.setLevel(level)
+
+
+@contextmanager
+def handlers_set_back():
+    """Set back the handlers of signals, which a program that starts sets for its whole process."""
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def command(program, *overrides, launcher=(), cwd=ROOT, **options):

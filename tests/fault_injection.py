@@ -14,6 +14,7 @@ import signal
 import sys
 import time
 from collections import Counter
+from importlib import import_module
 from pathlib import Path
 
 import pyarrow.csv as pacsv
@@ -21,7 +22,7 @@ import pyarrow.parquet as pq
 import yaml
 from PIL import Image
 
-from suspnet.cli import evaluate, program, simulate, train
+from suspnet.cli import program
 from suspnet.ground.storage import read_arrays, read_json
 from suspnet.recordings.manifest import CHANNELS
 from suspnet.trips.earlier import FOLDER
@@ -42,22 +43,22 @@ SIMULATE = [
 ]
 EVALUATE = ["run=../model", "trips=../trips", "progress=false"]
 PROGRAMS = {
-    "train": (train, [*FEW, "hydra.run.dir=run"], [*FEW, "resume=run"]),
-    "sweep": (train, [*SWEEP, "hydra.sweep.dir=run"], [*SWEEP, "resume=run"]),
+    "train": ("train", [*FEW, "hydra.run.dir=run"], [*FEW, "resume=run"]),
+    "sweep": ("train", [*SWEEP, "hydra.sweep.dir=run"], [*SWEEP, "resume=run"]),
     "joblib": (
-        train,
+        "train",
         [*SWEEP, "hydra.sweep.dir=run", "hydra/launcher=joblib", "hydra.launcher.n_jobs=2"],
         [*SWEEP, "resume=run", "hydra/launcher=joblib", "hydra.launcher.n_jobs=2"],
     ),
-    "simulate": (simulate, [*SIMULATE, "fleet.n_trips=6", "workers=2"], None),
-    "simulate alone": (simulate, [*SIMULATE, "fleet.n_trips=4", "workers=1"], None),
+    "simulate": ("simulate", [*SIMULATE, "fleet.n_trips=6", "workers=2"], None),
+    "simulate alone": ("simulate", [*SIMULATE, "fleet.n_trips=4", "workers=1"], None),
     "evaluate": (
-        evaluate,
+        "evaluate",
         [*EVALUATE, "monitor.workers=2", "hydra.run.dir=run"],
         [*EVALUATE, "monitor.workers=2", "resume=run"],
     ),
 }
-"""Of each program: its module, how it begins, and how it goes on (None: as it begins)."""
+"""Of each program: its name, how it begins, and how it goes on (None: as it begins)."""
 SIGNALS = (signal.SIGKILL, signal.SIGKILL, signal.SIGTERM, signal.SIGINT)
 IN_A_ROW = 3
 """Number of kills after which a program may go on to its end."""
@@ -65,7 +66,7 @@ END_S, ORPHANS_S, LONGEST_S = 30.0, 10.0, 300.0
 """Longest time to the end after a signal, to the end of the last worker, and of a whole run [s]."""
 
 
-def start(module, arguments, folder):
+def start(name, arguments, folder):
     """Start a program in a session of its own and return its process."""
     sys.stdout.flush()
     pid = os.fork()
@@ -78,7 +79,6 @@ def start(module, arguments, folder):
         output = os.open("output.log", os.O_WRONLY | os.O_CREAT | os.O_APPEND)
         for stream in (1, 2):
             os.dup2(output, stream)
-        name = module.__name__.rpartition(".")[2]
         sys.argv = [f"{name}.py", *arguments]
         program.main(name)
         code = 0
@@ -186,20 +186,20 @@ def result(folder):
 
 def prepare(folder):
     """Write a model and trips for the evaluation."""
-    for module, arguments, name in (
-        (train, [*MODEL, "hydra.run.dir=model"], "model"),
-        (simulate, [*SIMULATE, "fleet.n_trips=4", "workers=1"], "trips"),
+    for name, arguments, output in (
+        ("train", [*MODEL, "hydra.run.dir=model"], "model"),
+        ("simulate", [*SIMULATE, "fleet.n_trips=4", "workers=1"], "trips"),
     ):
-        if not (folder / name).exists():
-            assert ended(start(module, arguments, folder), LONGEST_S) == 0, arguments
+        if not (folder / output).exists():
+            assert ended(start(name, arguments, folder), LONGEST_S) == 0, arguments
 
 
 def whole(name, folder):
     """Run a program without a kill; return what it found and how long it took [s]."""
-    module, arguments, _ = PROGRAMS[name]
+    program_name, arguments, _ = PROGRAMS[name]
     folder.mkdir()
     begin = time.monotonic()
-    code = ended(start(module, arguments, folder), LONGEST_S)
+    code = ended(start(program_name, arguments, folder), LONGEST_S)
     assert code is not None
     assert code in (0, 2, 3, 4), (folder / "output.log").read_text()
     return result(folder), time.monotonic() - begin
@@ -207,7 +207,7 @@ def whole(name, folder):
 
 def inject(name, folder, n_kills, rng, counts):
     """Kill a program some times, a few in a row, and let it go on to its end."""
-    module, begin, go_on = PROGRAMS[name]
+    program_name, begin, go_on = PROGRAMS[name]
     expected, seconds = whole(name, folder / f"{name} whole")
     where, before, over = folder / name, {}, False
     for number in range(n_kills):
@@ -216,7 +216,7 @@ def inject(name, folder, n_kills, rng, counts):
             where.mkdir()
             before = {}
         again = go_on if go_on and (where / "run").is_dir() else begin
-        pid = start(module, again, where)
+        pid = start(program_name, again, where)
         sent = rng.choice(SIGNALS)
         code = ended(pid, rng.uniform(0, seconds))
         if code is None:
@@ -242,7 +242,7 @@ def inject(name, folder, n_kills, rng, counts):
             again = go_on if go_on and (where / "run").is_dir() else begin
             trips = where / "trips"
             if not any(trips.glob("*.yaml")) or (trips / "unfinished.json").exists():
-                code = ended(start(module, again, where), LONGEST_S)
+                code = ended(start(program_name, again, where), LONGEST_S)
                 counts["did not go on"] += code not in (0, 2, 3, 4)
             now = finished(where)
             counts["lost"] += sum(now.get(path) != content for path, content in before.items())
@@ -257,6 +257,9 @@ def inject(name, folder, n_kills, rng, counts):
 def main(folder, n_kills, seed, names):
     rng, counts = random.Random(seed), Counter()
     folder.mkdir(parents=True, exist_ok=True)
+    needed = ["train", "simulate"] if "evaluate" in names else []
+    for name in {*needed, *(PROGRAMS[name][0] for name in names)}:
+        import_module(f"suspnet.cli.{name}")
     if "evaluate" in names:
         prepare(folder)
     for i, name in enumerate(names):

@@ -13,11 +13,8 @@ from pathlib import Path
 
 from suspnet.cli.start import start
 
-IMPORTED = (
-    *("suspnet.cli.evaluate", "suspnet.cli.replay", "suspnet.cli.serve"),
-    *("suspnet.cli.simulate", "suspnet.cli.train"),
-)
-"""What the server imports once, for all processes."""
+IMPORTED = ("suspnet.cli.replay", "suspnet.cli.serve", "suspnet.cli.simulate")
+"""What the server imports once, for the processes of the tests that are not slow."""
 
 
 def forks():

@@ -83,7 +83,7 @@ class Structure:
         return found
 
     def _load(self, elements, kind, values, mass):
-        """Let the pay-load change what depends on it, and the other bogie wear, in place."""
+        """Let the payload change what depends on it, and the other bogie wear, in place."""
         t = self.train
         other = t.other_k_s, t.other_c_s
         laws = t.stiffness_exponent, t.damping_exponent
@@ -167,7 +167,7 @@ class Structure:
                     self.row[f"wheelset {i}", name] = row
 
     def _bodies(self):
-        """Set bodies, masses, and which of the masses carry the pay-load."""
+        """Set bodies, masses, and which of the masses carry the payload."""
         t = self.train
         shapes = []
         if "bending" in self.effects:
@@ -277,7 +277,7 @@ class Structure:
         """Give the bendings of the body their own stiffness and damping."""
         t, empty = self.train, 4 * AM96.body_mass_kg
         for name in ("bending", "second_bending"):
-            if name in self.effects:  # pay-load adds mass, not stiffness
+            if name in self.effects:  # payload adds mass, not stiffness
                 omega = 2 * math.pi * getattr(t, f"{name}_hz")
                 damping = 2 * getattr(t, f"{name}_damping") * empty * omega
                 self.parallel.add(self.row["body", name], empty * omega**2, damping, name)

@@ -120,7 +120,7 @@ class RichTrain:
     longitudinal_ns_per_m: float = 1e4
     body_arm_m: float = 0.75
     bogie_arm_m: float = 0.42
-    # Free body without pay-load: 6 to 12 Hz (Dumitriu et al., Appl. Sci. 14, 2024, 4687), damping
+    # Free body without payload: 6 to 12 Hz (Dumitriu et al., Appl. Sci. 14, 2024, 4687), damping
     # 1.5 to 2 % (Zhou et al., Proc. IMechE F 223, 2009)
     bending_hz: float = 10.0
     bending_damping: float = 0.015
@@ -157,7 +157,7 @@ class RichTrain:
     cross_level: float = 1.0
     alignment: float = 1.0
     # Exponents of the mass of the laden body over that of the empty one
-    bending_exponent: float = 0.5  # of the frequency, downwards: the pay-load stiffens nothing
+    bending_exponent: float = 0.5  # of the frequency, downwards: the payload stiffens nothing
     gyration_exponent: float = 0.0
     stiffness_exponent: float = 0.0  # secondary; 0.7 of air springs
     damping_exponent: float = 0.0

@@ -43,7 +43,7 @@ def rich_vehicle(effects):
 def drawn_ratios(n_healthy, fleet, seed):
     """Return k and c at 60 to 140 %, M_s at 90 to 120 % of nominal, (n_trips, 5), [-].
 
-    The first trips are healthy, but for the pay-load.
+    The first trips are healthy, but for the payload.
     """
     ratios = Scenario("random", spread=0.4).ratios(fleet.mileage_km(), seed)
     ratios[:n_healthy, :4] = 1.0

@@ -40,7 +40,7 @@ class RichVehicle:
     contact: bool = False
     # First bending of the body: 6 to 12 Hz for long light bodies (Dumitriu et al., Appl. Sci. 14,
     # 2024, 4687), damping 1.5 to 2 % (Zhou et al., Proc. IMechE F 223, 2009).
-    bending_hz: float = 9.0  # of the free body without pay-load
+    bending_hz: float = 9.0  # of the free body without payload
     bending_damping: float = 0.015
     body_length_m: float = 26.6  # a CRH1A's middle car, assumed
     # Bushings: the Manchester benchmark (Iwnicki, Veh. Syst. Dyn. 30, 1998), one damper each.
@@ -174,7 +174,7 @@ def _modes(numbers, rich):
     pitch = bogie * (numbers["bogie_gyration"] / numbers["a"]) ** 2
     mass = [body, body * (numbers["body_gyration"] / numbers["L"]) ** 2, *[bogie, pitch] * 2]
     omega, empty = 2 * math.pi * rich.bending_hz, 2 * AM96.body_mass_kg
-    # pay-load adds mass, not stiffness
+    # payload adds mass, not stiffness
     bending = [(body, empty * omega**2, 2 * rich.bending_damping * empty * omega)] * rich.bending
     wheels = [(rich.wheel_mass_kg, 0.0, 0.0)] * (N_WHEELS * rich.contact)
     return np.array([*((m, 0.0, 0.0) for m in mass), *bending, *wheels]).T

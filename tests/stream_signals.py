@@ -107,7 +107,7 @@ def batch(manifest, columns):
     """Return the recording that the batch reads from files."""
     for name, values in columns.items():
         table = pa.table({"value": values})
-        pq.write_table(table, manifest.path.parent / f"{name}.parquet")
+        pq.write_table(table, manifest.path.parent / f"{name}.parquet", use_dictionary=False)
     return load_recording(manifest)
 
 

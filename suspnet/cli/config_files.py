@@ -94,14 +94,17 @@ class Comments:
     """Comments of a file, by the keys that lead to each key.
 
     `above` holds the sentence on a key, `behind` the comment behind its value, `kinds` the `kind`
-    directly below it, and `names` the outermost keys. Items of a list have the keys of the list.
-    What an alias or a merged mapping repeats is left out.
+    directly below it, `names` the outermost keys and `lines` the line and the column of each key,
+    from 0. Items of a list have the keys of the list. What an alias or a merged mapping repeats is
+    left out. `is_global`: the keys are those of a whole configuration, not of the file's group.
     """
 
     above: dict[Keys, str]
     behind: dict[Keys, str]
     kinds: dict[Keys, str]
     names: list[str]
+    lines: dict[Keys, tuple[int, int]]
+    is_global: bool
 
 
 @functools.cache
@@ -119,8 +122,9 @@ def read_comments(file: Path) -> Comments:
     """
     text = file.read_text(encoding="utf-8", errors="replace")
     lines = text.splitlines()
-    found = Comments({}, {}, {}, [])
+    found = Comments({}, {}, {}, [], {}, text.startswith("# @package _global_\n"))
     for keys, value, mark in _keys(yaml.compose(text, Loader=LOADER)):
+        found.lines[keys] = (mark.line, mark.column)
         if above := _above(lines, mark.line, mark.column):
             found.above[keys] = above
         if behind := BEHIND.search(lines[mark.line]):

@@ -65,7 +65,7 @@ KINDS: Mapping[str, Mapping[str, str]] = {
     "scenario": {"": "suspnet.simulation.fleet.Scenario"},
     "search": {"": "suspnet.learning.search.GridSearch"},
     "sisters": {"": "suspnet.maintenance.sisters.SisterSettings"},
-    "trips": {"": "suspnet.estimation.from_recording.TripSettings"},
+    "trips": {"": "suspnet.estimation.trip_settings.TripSettings"},
     "vehicle": {"": "suspnet.dynamics.Vehicle"},
 }
 """Kinds and the class of each, by the key below which the object is configured."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import textwrap
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -100,7 +100,7 @@ class Reference:
         for group in self.groups():
             lines.append(f"{group.name}: {group.phrase}")
             if len(group.options) > MOST_OPTIONS and group.chosen is None:
-                lines += _wrapped(", ".join(group.options), 4)
+                lines += filled(", ".join(group.options), " " * 4)
             else:
                 for name, words in group.options.items():
                     mark = "*" if name == group.chosen else " "
@@ -200,35 +200,44 @@ def text(value: Any) -> str:
 def _of_kinds() -> dict[tuple[str, Any, Keys], str]:
     """Return the sentence on each setting of all objects, by place, kind and key."""
     found: dict[tuple[str, Any, Keys], str] = {}
-    tables = {file: group for group, (file, _) in TABLES.items()}
     for file in sorted(Path(CONFIGS).rglob("*.yaml")):
-        comments = read_comments(file)
-        folder = file.parent.name
-        group = file.stem if folder == "base" else tables.get(file.name, folder)
-        for keys, sentence in comments.above.items():
-            path = (group, *keys[file.name in tables :])  # after the name of an entry of a table
-            for n, place in enumerate(path[:-1]):
-                if place in KINDS:
-                    kind = comments.kinds.get(path[1 : n + 1], "")
-                    found.setdefault((place, kind, path[n + 1 :]), sentence)
+        for keys, sentence in read_comments(file).above.items():
+            for one in objects_of(file, keys):
+                found.setdefault(one, sentence)
     return found
+
+
+def objects_of(file: Path, keys: Keys) -> Iterator[tuple[str, Any, Keys]]:
+    """Yield each object that a key of a file belongs to: its place, its kind, the key below it."""
+    comments, tables = read_comments(file), {name: group for group, (name, _) in TABLES.items()}
+    folder = file.parent.name
+    group = file.stem if folder == "base" else tables.get(file.name, folder)
+    # an entry of a table has a name, after which come the keys
+    before = () if comments.is_global else (group,)
+    path = (*before, *keys[file.name in tables :])
+    for n, place in enumerate(path[:-1]):
+        if place in KINDS:
+            kind = comments.kinds.get(path[len(before) : n + 1], "")
+            yield place, kind, path[n + 1 :]
 
 
 def _two_columns(left: str, right: str, width: int) -> list[str]:
     """Return two texts in columns; below each other if the left one is long."""
-    first = _wrapped(left.lstrip(" "), len(left) - len(left.lstrip(" ")))
-    second = _wrapped(right, width)
+    words = left.lstrip(" ")
+    first = filled(words, " " * (len(left) - len(words)))
+    second = filled(right, " " * width)
     if second and len(first) == 1 and len(first[0]) < width - 1:
         return [first[0].ljust(width) + second[0].lstrip(), *second[1:]]
     return first + second
 
 
-def _wrapped(words: str, indent: int) -> list[str]:
+def filled(words: str, indent: str) -> list[str]:
+    """Return words as lines of at most `COLUMNS` characters, each after an indent."""
     return textwrap.wrap(
         words,
         COLUMNS,
-        initial_indent=" " * indent,
-        subsequent_indent=" " * indent,
+        initial_indent=indent,
+        subsequent_indent=indent,
         break_long_words=False,
         break_on_hyphens=False,
     )

@@ -17,8 +17,8 @@ from suspnet.cli.commission_fleet import HealthySettings, several_suspensions, t
 from suspnet.cli.kinds import build
 from suspnet.dynamics import ResponseGenerator, VerticalVehicle
 from suspnet.estimation.flags import Residual
-from suspnet.estimation.from_recording import TripSettings
 from suspnet.estimation.problem import Problem
+from suspnet.estimation.trip_settings import TripSettings
 from suspnet.ground.parameters import DIRECTIONS, FORWARD, Direction
 from suspnet.ground.settings import check_choice, check_values
 from suspnet.learning import ranks
@@ -27,7 +27,11 @@ from suspnet.runs.commissioning import check_generator, commission_folder
 from suspnet.runs.commissioning_page import training_notes, write_outcome
 from suspnet.runs.scores import Metrics
 from suspnet.runs.train import RunContext, speed_ranges, train, train_ranges
-from suspnet.spectra.estimates import EstimateSettings
+from suspnet.spectra.estimates import (
+    SPEED_HALF_WIDTH,
+    WIDE_SPEED_HALF_WIDTH,
+    EstimateSettings,
+)
 from suspnet.spectra.segments import SpeedRange, covering, setting_words
 
 log = logging.getLogger(__name__)
@@ -90,12 +94,14 @@ def _run(
     if speeds is None:
         if healthy is None:
             raise ValueError(NO_HEALTHY)
-        speeds = covering(healthy.speeds_m_per_s, config.data.speed_half_width)
+        speeds = covering(healthy.speeds_m_per_s, _half_width(config))
         log.info("healthy trips at %s: %s", _span(healthy.speeds_m_per_s), setting_words(speeds))
     directions = _directions(config, healthy)
     if not isinstance(speeds, ListConfig | list) and len(directions) == 1:
         found = config.copy()
         found.speed_m_per_s = speeds
+        if "speed_half_width" in found.data:
+            found.data.speed_half_width = _half_width(config)
         _train(_running(found, directions[0]), folder, healthy, varied, draw, config)
         return
     ranges = [replace(r, direction=d) for r in _ranges(config, speeds) for d in directions]
@@ -145,11 +151,18 @@ def _ranges(config: DictConfig, speeds: float | Sequence[float]) -> list[SpeedRa
     if "speed_half_width" not in config.data:
         raise ValueError(NO_SPEED if isinstance(speeds, ListConfig | list) else NO_DIRECTION)
     if isinstance(speeds, float | int):
-        return [SpeedRange.around(speeds, config.data.speed_half_width)]
-    ranges = speed_ranges(list(speeds), config.data.speed_half_width)
+        return [SpeedRange.around(speeds, _half_width(config))]
+    ranges = speed_ranges(list(speeds), _half_width(config))
     if build(_bound(config, ranges[0]), "generator").speed_m_per_s is None:
         raise ValueError(NO_SPEED)
     return ranges
+
+
+def _half_width(config: DictConfig) -> float:
+    """Return the half width of the range of speeds that one model reads, relative to its middle."""
+    usual = WIDE_SPEED_HALF_WIDTH if config.healthy is not None else SPEED_HALF_WIDTH
+    wanted: float | None = config.data.speed_half_width
+    return usual if wanted is None else wanted
 
 
 def _bound(config: DictConfig, one: SpeedRange) -> DictConfig:

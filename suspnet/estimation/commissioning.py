@@ -36,6 +36,7 @@ from suspnet.dynamics.quantities import OF_THE_TRIP, QUANTITIES, LogNormal
 from suspnet.estimation.flags import Residual
 from suspnet.estimation.healthy_trips import MASS_MEAN, HealthyMisfit, HealthySpectra, row_of
 from suspnet.ground.progress import bar
+from suspnet.ground.tensors import threads
 from suspnet.ground.types import ComplexArray, FloatArray
 from suspnet.learning.least_squares import LevenbergMarquardt
 from suspnet.spectra.estimates import EstimateSettings
@@ -173,7 +174,7 @@ def commission(
     """
     if generator.distribution is None or not generator.distribution.names:
         raise ValueError("nothing of the vehicle is uncertain: there is nothing to commission")
-    with bar("search of the vehicle", unit="step", shown=progress) as steps:
+    with threads(1), bar("search of the vehicle", unit="step", shown=progress) as steps:
         target = _Search(generator, settings, groups)
         target.on_step = steps.update
         # allow model errors first: a direct search would end in a valley far off

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Self
 
 import numpy as np
@@ -186,17 +187,27 @@ class HealthyValues:
 class Flags:
     """Reasons not to trust each estimate.
 
-    `found` (n_curves, 6) has one column for each of ``KINDS``; `reasons` are the reasons of each
-    curve as text, empty without any.
+    `given` has for each curve the reasons, each one of ``KINDS`` and its text.
     """
 
-    found: BoolArray
-    reasons: tuple[str, ...]
+    given: tuple[tuple[tuple[str, str], ...], ...]
 
     @classmethod
     def none(cls, n_curves: int) -> Self:
         """Return flags of `n_curves` estimates with none set."""
-        return cls(np.zeros((n_curves, len(KINDS)), dtype=bool), ("",) * n_curves)
+        return cls(((),) * n_curves)
+
+    @cached_property
+    def found(self) -> BoolArray:
+        """Which of ``KINDS`` are set, shape (n_curves, 6)."""
+        kinds = [{kind for kind, _ in reasons} for reasons in self.given]
+        rows = [[kind in some for kind in KINDS] for some in kinds]
+        return np.array(rows, dtype=bool).reshape(len(rows), len(KINDS))
+
+    @cached_property
+    def reasons(self) -> tuple[str, ...]:
+        """The reasons of each curve as text, empty without any."""
+        return tuple("; ".join(words for _, words in given if words) for given in self.given)
 
     @property
     def flagged(self) -> BoolArray:
@@ -209,6 +220,9 @@ class Flags:
 
     def with_kind(self, kind: str, words: str) -> Flags:
         """Return the flags with one of ``KINDS`` set in every row, and its text added."""
-        found = self.found.copy()
-        found[:, KINDS.index(kind)] = True
-        return Flags(found, tuple("; ".join(filter(None, (r, words))) for r in self.reasons))
+        return Flags(tuple((*reasons, (kind, words)) for reasons in self.given))
+
+    def without(self, *kinds: str) -> Flags:
+        """Return the flags without those of some ``KINDS``."""
+        kept = [tuple(one for one in reasons if one[0] not in kinds) for reasons in self.given]
+        return Flags(tuple(kept))

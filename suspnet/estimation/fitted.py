@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -139,18 +138,12 @@ class FittedMethod:
             return np.log(estimates)
         return np.column_stack([self.scaled(inputs), self.output_scaling.apply(estimates)])
 
-    def flags(
-        self,
-        inputs: FloatArray,
-        reasons: IntArray,
-        refined: Refined,
-        settled: Sequence[str] = (),
-    ) -> Flags:
-        """Return the flags that the OOD detector sets, without the kinds `settled`.
+    def flags(self, inputs: FloatArray, reasons: IntArray, refined: Refined) -> Flags:
+        """Return the flags that the OOD detector sets.
 
         `inputs` (n_curves, n_inputs) are not scaled; `reasons` are those of `features`.
         """
         assert self.ood is not None
         extractor = self.task.extractor
         missing = [extractor.missing(row) if row.any() else "" for row in reasons]
-        return self.ood.flags(self.task, missing, self.scaled(inputs), refined, settled)
+        return self.ood.flags(self.task, missing, self.scaled(inputs), refined)

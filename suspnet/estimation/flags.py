@@ -30,10 +30,10 @@ from typing import Self
 import numpy as np
 from sklearn.neighbors import NearestNeighbors
 
-from suspnet.estimation.estimate import KINDS, Flags
+from suspnet.estimation.estimate import Flags
 from suspnet.estimation.protocols import Task
 from suspnet.estimation.refine import Refined
-from suspnet.ground.parameters import PAYLOAD
+from suspnet.ground.parameters import BODY_MASS
 from suspnet.ground.types import BoolArray, ComplexArray, FloatArray
 
 INCOMPLETE = 1.09
@@ -198,13 +198,11 @@ class OODDetector:
         missing: Sequence[str],
         inputs: FloatArray,
         refined: Refined,
-        settled: Sequence[str] = (),
     ) -> Flags:
         """Return the flags of the estimates of some curves.
 
         `missing` states what is missing of each curve's features (empty: nothing); `inputs`
-        (n_curves, n_inputs) are scaled, NaN where a peak is missing. The kinds `settled` are not
-        set.
+        (n_curves, n_inputs) are scaled, NaN where a peak is missing.
         """
         complete = np.isfinite(inputs).all(axis=1)
         distances = np.zeros(len(inputs))
@@ -213,35 +211,28 @@ class OODDetector:
         outside = np.stack(
             [_outside(task, name, refined) for name in refined.names], axis=1
         )  # (n_curves, n_unknown)
-        odd = ~(refined.misfit <= self.misfit_threshold)
-        found = Flags.none(len(inputs)).found
-        found[:, :4] = np.stack(
-            [
-                np.array([bool(words) for words in missing]),
-                distances > self.distance_threshold,
-                outside.any(axis=1),
-                odd,
-            ],
-            axis=1,
-        )
-        found[:, [KINDS.index(kind) for kind in settled]] = False
-        reasons = []
-        for i, row in enumerate(found):
-            words = [f"missing: {missing[i]}"] if row[0] else []
-            if row[1]:
-                words.append(self._far(task, inputs[i], distances[i]))
-            words += [
-                _out_of_range(task, name, refined.ratios[i, j])
+        given = []
+        for i, (words, distance, misfit) in enumerate(
+            zip(missing, distances, refined.misfit, strict=True)
+        ):
+            reasons = [("missing", f"missing: {words}")] if words else []
+            if distance > self.distance_threshold:
+                reasons.append(("cloud", self._far(task, inputs[i], distance)))
+            reasons += [
+                ("range", _out_of_range(task, name, refined.ratios[i, j]))
                 for j, name in enumerate(refined.names)
-                if row[2] and outside[i, j]
+                if outside[i, j]
             ]
-            if row[3]:
-                words.append(
-                    f"the model cannot explain the curve: its misfit is {refined.misfit[i]:.3g} "
-                    f"times the noise, at most {self.misfit_threshold:.3g} is usual"
+            if not misfit <= self.misfit_threshold:
+                reasons.append(
+                    (
+                        "misfit",
+                        f"the model cannot explain the curve: its misfit is {misfit:.3g} "
+                        f"times the noise, at most {self.misfit_threshold:.3g} is usual",
+                    )
                 )
-            reasons.append("; ".join(words))
-        return Flags(found, tuple(reasons))
+            given.append(tuple(reasons))
+        return Flags(tuple(given))
 
     def _far(self, task: Task, inputs: FloatArray, distance: float) -> str:
         low, high = self.reference.min(axis=0), self.reference.max(axis=0)
@@ -287,7 +278,7 @@ def _range(task: Task, name: str) -> tuple[float, float]:
     low, high = task.range(name)
     if task.sampling == "sobol":
         return low, high
-    step = task.mass_step if name == PAYLOAD else task.step
+    step = task.mass_step if name == BODY_MASS else task.step
     return low - step / 2, high + step / 2
 
 

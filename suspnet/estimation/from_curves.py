@@ -13,7 +13,7 @@ from suspnet.estimation.estimate import Estimate, Flags
 from suspnet.estimation.fitted import FittedMethod
 from suspnet.estimation.protocols import Task
 from suspnet.estimation.refine import Refined, complete_ratios, refine
-from suspnet.ground.parameters import PAYLOAD
+from suspnet.ground.parameters import BODY_MASS
 from suspnet.ground.types import FloatArray
 from suspnet.spectra.observation import Misfit, Observer
 
@@ -184,7 +184,7 @@ def _fit_curves(
     def forward(unknown: Tensor, known: Tensor) -> Tensor:
         columns = dict(zip(task.unknown, unknown.unbind(1), strict=True))
         if task.mass_known:
-            columns[PAYLOAD] = known[:, 0]
+            columns[BODY_MASS] = known[:, 0]
         healthy = torch.ones_like(unknown[:, 0])
         ratios = torch.stack([columns.get(name, healthy) for name in PARAMETERS], dim=1)
         magnitudes = observer.generator.magnitudes(ratios, observer.frequencies_hz)

@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from torch import Tensor
 
 from suspnet.dynamics import ResponseGenerator
+from suspnet.estimation.direction import of_direction
 from suspnet.estimation.estimate import Estimate
 from suspnet.estimation.fitted import FittedMethod
 from suspnet.estimation.from_spectra import MissingFeaturesError, estimate_with_noise, trip_settings
 from suspnet.estimation.steady_parts import (
     SpeedBin,
+    Steady,
     combined,
     group_speed,
     groups_of,
@@ -22,93 +23,26 @@ from suspnet.estimation.steady_parts import (
     no_group_words,
     readable_words,
     reads_at_any_speed,
-    speed_of,
+    steady,
 )
 from suspnet.estimation.trip_flags import delay_words, with_sides
-from suspnet.ground.parameters import FORWARD, Direction, direction_words
-from suspnet.ground.records import INTERVAL_LEVEL
-from suspnet.ground.settings import check_settings, setting
+from suspnet.estimation.trip_settings import TripSettings
 from suspnet.recordings.errors import TripError
 from suspnet.recordings.manifest import CHANNELS
 from suspnet.recordings.recording import Recording
-from suspnet.spectra.cross_spectra import CrossSpectra
-from suspnet.spectra.estimates import EstimateSettings
 from suspnet.spectra.plausibility import (
-    DIRECTION_MARGIN,
     check_channels,
     check_pairs,
-    shown_direction,
 )
 from suspnet.spectra.segments import (
     NoEstimateError,
     Speeds,
     difference_segments,
-    in_band,
     recording_segments,
     segment_speeds,
-    without_incoherent,
-    without_loud,
 )
 from suspnet.spectra.welch import SegmentSpectra, Welch
-from suspnet.spectra.wheel_lines import WheelLine, line_bins, wheel_lines
-
-
-@dataclass(frozen=True)
-class TripSettings:
-    """How trips are read, and the conditions for an estimate.
-
-    Raises
-    ------
-    TypeError, ValueError
-        If a setting has the wrong type or is out of range.
-    """
-
-    rate_hz: float = setting(
-        100.0, "Rate to which the three channels are resampled", "Hz", low=20, high=1000
-    )
-    speed_tolerance: float = setting(
-        0.02,
-        "Largest deviation of the speed within a segment from its mean, and of segments that are "
-        "averaged from their middle, relative to it",
-        low=0,
-        high=0.5,
-    )
-    min_speed_m_per_s: float = setting(
-        10.0,
-        "Lowest speed that is used, for models that do not depend on the speed",
-        "m/s",
-        low=0,
-        high=200,
-    )
-    min_coherence: float = setting(
-        0.3,
-        "Coherence with the trip's response below which a segment is left out, if it is also "
-        "much lower than that of the others",
-        low=0,
-        high=1,
-    )
-    min_averages: float = setting(
-        10.0,
-        "Number of independent averages of a frequency bin below which it gives no estimate",
-        low=3,
-        high=1e6,
-    )
-    max_deviation: float = setting(
-        0.3,
-        "Standard deviation of the measured log-magnitudes, median over the bins, above which "
-        "there is no estimate",
-        low=0,
-        high=10,
-    )
-    level: float = setting(
-        INTERVAL_LEVEL, "Probability with which an interval holds the truth", low=0.01, high=0.999
-    )
-    check_channels: bool = setting(
-        True, "Whether to look for wrong units (the speed's too), wrong signs and swapped channels"
-    )
-
-    def __post_init__(self) -> None:
-        check_settings(self, "trips")
+from suspnet.spectra.wheel_lines import WheelLine, wheel_lines
 
 
 def estimate_recording(
@@ -135,7 +69,7 @@ def all_bins(
     """
     if not any(len(segments.values) for _, segments in pairs):
         raise NoEstimateError(no_segment(recording, pairs[0][1].welch))
-    pairs = _of_direction(pairs, recording, settings)
+    pairs = of_direction(pairs, recording, settings)
     bins, reasons = [], []
     methods = [method for method, _ in pairs]
     for method, segments in pairs:
@@ -146,61 +80,6 @@ def all_bins(
     if not bins:
         raise NoEstimateError("; ".join(dict.fromkeys(reasons)))
     return bins
-
-
-def _of_direction(
-    pairs: Sequence[tuple[FittedMethod, SegmentSpectra]],
-    recording: Recording,
-    settings: TripSettings,
-) -> list[tuple[FittedMethod, SegmentSpectra]]:
-    """Return the methods, with their segments, for the direction in which a trip was run.
-
-    A single direction of all methods is assumed where the manifest gives none; `check_channels`
-    compares it with the phases.
-    """
-    known = {method.generator.direction for method, _ in pairs} - {None}
-    direction = recording.manifest.direction
-    if direction is None and len(known) > 1:
-        method, segments = pairs[0]
-        direction = direction_of(recording, segments, method.generator, settings)
-    chosen = [
-        p for p in pairs if direction is None or p[0].generator.direction in (None, direction)
-    ]
-    if not chosen:
-        raise TripError(
-            f"the trip was run {direction_words(direction)}, the models are for trips "
-            f"{direction_words(known.pop())}: train with direction=both"
-        )
-    return chosen
-
-
-def direction_of(
-    recording: Recording,
-    segments: SegmentSpectra,
-    generator: ResponseGenerator,
-    settings: TripSettings,
-) -> Direction:
-    """Return the direction in which a trip was run: as its manifest says, else by its phases.
-
-    The phases are those of the largest group of segments at one speed. TripError is raised if they
-    do not show the direction.
-    """
-    if recording.manifest.direction or generator.speed_m_per_s is None or not len(segments.values):
-        return recording.manifest.direction or FORWARD
-    speeds = segment_speeds(recording, segments)
-    groups = groups_to_read(speeds, settings.speed_tolerance, settings.min_speed_m_per_s)
-    if not groups:
-        return FORWARD  # nothing is read of it
-    there = replace(generator, speed_m_per_s=float(speeds[groups[0]].mean()))
-    spectra = segments.average(groups[0])
-    direction, factor = shown_direction(spectra, segments.frequencies_hz, there)
-    if factor < DIRECTION_MARGIN:
-        raise TripError(
-            f"{recording.manifest.path}: the phases do not show whether the trip was run forward "
-            f"or in reverse ({direction_words(direction)} fits {factor:.2g} times better): give "
-            "`direction: forward` or `direction: reverse`"
-        )
-    return direction
 
 
 def speed_bins(
@@ -246,80 +125,6 @@ def speed_bins(
     if reasons and not bins:
         raise reasons[0]
     return bins
-
-
-@dataclass(frozen=True)
-class Steady:
-    """Segments of a recording at one speed, and whether they are enough for an estimate.
-
-    Checking, commissioning, reading and monitoring all use this decision. `band` holds all segments
-    on the bins of an estimate; of those of the `group` (n_segments,), `candidates` have no far too
-    large power and `chosen` no low coherence. `n_averages` counts independent averages of the
-    chosen ones, and `spectra` is their average. `coherences` of G_p and G_s are means over the bins
-    in use; `deviation` is the standard deviation of the log-magnitudes, [-]: median over the bins,
-    of the less certain response. `speed` is mean and deviation, [m/s]. `left_out` (n_freq,) are
-    bins with lines of wheels. `has_enough`: there are enough averages; `is_certain`: the responses
-    are certain enough.
-    """
-
-    band: SegmentSpectra
-    group: Tensor
-    candidates: Tensor
-    chosen: Tensor
-    n_incoherent: int
-    n_averages: float = 0.0
-    spectra: CrossSpectra | None = None
-    coherences: Sequence[float] = (math.nan, math.nan)
-    deviation: float = math.nan
-    speed: tuple[float, float] = (math.nan, math.nan)
-    left_out: Tensor | None = None
-    has_enough: bool = False
-    is_certain: bool = False
-
-
-def steady(
-    segments: SegmentSpectra,
-    speeds: Tensor,
-    groups: Sequence[Tensor],
-    estimate: EstimateSettings,
-    settings: TripSettings,
-    lines: Sequence[WheelLine] = (),
-) -> list[Steady]:
-    """Return each group of segments with its usable spectra.
-
-    `speeds`: (n_segments, n_samples), [m/s]; `groups` from `groups_to_read`; `estimate` bound to a
-    vehicle; `lines` are those of wheels. Raises NoEstimateError if the recording does not reach the
-    bins of `estimate`.
-    """
-    parts: list[Steady] = []
-    if not groups:
-        return parts
-    band = in_band(segments, estimate.frequencies_hz())
-    beyond = estimate.beyond(band.frequencies_hz)
-    for group in groups:
-        candidates = without_loud(band, group)
-        chosen, n_incoherent = without_incoherent(band, candidates, settings.min_coherence)
-        part = Steady(band, group, candidates, chosen, n_incoherent)
-        if bool(chosen.any()):
-            n_averages, spectra = band.welch.n_averages(int(chosen.sum())), band.average(chosen)
-            coherences = spectra.coherences().masked_fill(beyond, math.nan).nanmean(dim=1)
-            deviations = spectra.deviations(estimate.method).masked_fill(beyond, math.nan)
-            deviation = float(deviations.nanmedian(dim=1).values.amax())
-            part = replace(
-                part,
-                n_averages=n_averages,
-                spectra=spectra,
-                coherences=coherences.tolist(),
-                deviation=deviation,
-                speed=speed_of(speeds[chosen], band),
-                left_out=line_bins(
-                    lines, speeds[chosen], band.frequencies_hz, band.welch.segment_s
-                ),
-                has_enough=n_averages >= settings.min_averages,
-                is_certain=deviation <= settings.max_deviation,
-            )
-        parts.append(part)
-    return parts
 
 
 def _speed_bin(

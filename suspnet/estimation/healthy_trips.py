@@ -16,11 +16,14 @@ from torch import Tensor
 
 from suspnet.dynamics import PARAMETERS, VerticalVehicle
 from suspnet.dynamics.quantities import LogNormal
-from suspnet.estimation.from_recording import TripSettings, direction_of, steady, unrepaired_words
-from suspnet.estimation.steady_parts import groups_to_read
+from suspnet.estimation.direction import direction_of
+from suspnet.estimation.from_recording import unrepaired_words
+from suspnet.estimation.steady_parts import groups_to_read, steady
+from suspnet.estimation.trip_settings import TripSettings
 from suspnet.ground.parameters import FORWARD, Direction
 from suspnet.ground.progress import bar
 from suspnet.ground.types import ComplexArray, FloatArray
+from suspnet.learning.least_squares import ONE_SIDED_DIFFERENCE
 from suspnet.recordings.errors import TripError
 from suspnet.recordings.manifest import TripManifest
 from suspnet.recordings.manifest_files import ManifestFile, find_manifests
@@ -37,8 +40,6 @@ MASS_MEAN, MASS_DEVIATION = math.log(1.05), 0.15
 """Prior mean and standard deviation of the logarithm of a trip's car-body mass over nominal."""
 ROUGH = 0.01
 """Least allowed model error of a search on thinned bins, without leakage."""
-STEP = 1e-5
-"""Step of differences, in standard deviations of the prior."""
 
 
 @dataclass(frozen=True)
@@ -248,11 +249,11 @@ class HealthyMisfit:
         for group, trip in enumerate(self._trips):
             # the masses of other trips do not affect this group
             columns = [*range(n), n + trip]
-            steps = STEP * torch.eye(len(x), dtype=torch.float64)[[0, *columns]]
+            steps = ONE_SIDED_DIFFERENCE * torch.eye(len(x), dtype=torch.float64)[[0, *columns]]
             steps[0] = 0.0
             rows = self.part(row_of(x) + steps, group, spread, high_hz)
             own = np.zeros((rows.shape[1], len(x)))
-            own[:, columns] = ((rows[1:] - rows[:1]) / STEP).T.numpy()
+            own[:, columns] = ((rows[1:] - rows[:1]) / ONE_SIDED_DIFFERENCE).T.numpy()
             found.append(own)
         return np.concatenate([*found, np.diag(1 / self._prior_deviations())])
 

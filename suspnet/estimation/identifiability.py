@@ -27,7 +27,7 @@ from suspnet.estimation.sensor_information import (
     recording_information,
     sensor_places,
 )
-from suspnet.ground.parameters import PAYLOAD
+from suspnet.ground.parameters import BODY_MASS
 from suspnet.ground.types import FloatArray
 from suspnet.spectra.curves import CurveObserver, CurveSettings
 from suspnet.spectra.estimates import EstimateObserver, EstimateSettings
@@ -97,8 +97,8 @@ def options(task: Task, observer: Observer, ratios: FloatArray) -> list[Option]:
     now, *others = _OPTIONS[observer.settings.kind](task, observer, ratios)
     if task.mass_known:
         unmeasured = replace(now, title="car-body mass not measured", kind="less")
-        return [*(option.knowing(PAYLOAD) for option in (now, *others)), unmeasured]
-    measured = replace(now.knowing(PAYLOAD), title="+ measured car-body mass", kind="more")
+        return [*(option.knowing(BODY_MASS) for option in (now, *others)), unmeasured]
+    measured = replace(now.knowing(BODY_MASS), title="+ measured car-body mass", kind="more")
     return [now, *others, measured]
 
 

@@ -16,14 +16,13 @@ from scipy.special import erfcx
 from torch import Tensor
 
 from suspnet.dynamics import PARAMETERS
-from suspnet.estimation.protocols import PAYLOAD_COLUMN, RESPONSES, Task, columns_of
-from suspnet.ground.parameters import PAYLOAD
+from suspnet.estimation.protocols import BODY_MASS_COLUMN, RESPONSES, Task, columns_of
+from suspnet.ground.parameters import BODY_MASS
 from suspnet.ground.types import FloatArray
+from suspnet.learning.least_squares import ONE_SIDED_DIFFERENCE
 from suspnet.spectra.observation import Directions, Misfit, Observer
 
 ROWS = 256
-STEP = 1e-5
-"""Step of the differences with respect to uncertain numbers, in their standard deviations."""
 NODES = 24
 """Number of nodes of the quadrature over the noise."""
 WIDEST = 1e4
@@ -130,11 +129,11 @@ def _derivative(misfit: Misfit, ratios: Tensor, columns: Sequence[int]) -> Tenso
 def _nuisance(directions: Directions, misfit: Misfit, ratios: Tensor) -> Tensor:
     """Return the derivative of a misfit, 0 at `ratios`, with respect to z, (n, n_z, n_points)."""
     every = torch.arange(len(ratios))
-    steps = torch.eye(directions.n).to(ratios) * STEP
+    steps = torch.eye(directions.n).to(ratios) * ONE_SIDED_DIFFERENCE
     moved = [
         misfit(directions.vehicles(ratios, step.expand(len(ratios), -1)), every) for step in steps
     ]
-    return torch.stack(moved, dim=1) / STEP
+    return torch.stack(moved, dim=1) / ONE_SIDED_DIFFERENCE
 
 
 def cramer_rao(information: FloatArray) -> FloatArray:
@@ -167,8 +166,8 @@ def scale_ambiguity_bound(task: Task, ratios: FloatArray) -> dict[str, dict[str,
     quotients). The mean over the levels has the smallest RMSE, the median weighted by 1/k_s the
     smallest MAPE. Errors are averaged over `ratios`, (n_vehicles, 5).
     """
-    levels = task.levels(PAYLOAD)
-    mass = ratios[:, PAYLOAD_COLUMN]
+    levels = task.levels(BODY_MASS)
+    mass = ratios[:, BODY_MASS_COLUMN]
     stiffness, damping = (ratios[:, PARAMETERS.index(name)] / mass for name in ("k_s", "c_s"))
     candidates = levels[:, None]
     low, high = task.lower - 1e-9, task.upper + 1e-9
@@ -185,7 +184,7 @@ def scale_ambiguity_bound(task: Task, ratios: FloatArray) -> dict[str, dict[str,
             "mape_percent": mape,
             "rmse": float(np.sqrt(np.mean((ratio * (mean_mass - mass)) ** 2))),
         }
-        for name, ratio in (("k_s", stiffness), ("c_s", damping), (PAYLOAD, np.ones_like(mass)))
+        for name, ratio in (("k_s", stiffness), ("c_s", damping), (BODY_MASS, np.ones_like(mass)))
     }
 
 
@@ -206,7 +205,7 @@ def best_possible(
     From Cramer-Rao `bounds` (n_vehicles, n_outputs) of `ratios` (n_vehicles, 5), or from
     `scale_ambiguity_bound` where the car-body mass cannot be separated from the suspension.
     """
-    ambiguous = task.responses == ("G_s",) and PAYLOAD in task.unknown
+    ambiguous = task.responses == ("G_s",) and BODY_MASS in task.unknown
     if ambiguous and task.sampling == "grid":
         return {k: v for k, v in scale_ambiguity_bound(task, ratios).items() if k in task.outputs}
     mape = math.sqrt(2 / math.pi) * relative_percent(task, bounds, ratios)

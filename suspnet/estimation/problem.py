@@ -19,10 +19,11 @@ from torch import Tensor
 
 from suspnet._version import __version__
 from suspnet.dynamics import PARAMETERS, ResponseGenerator, Vehicle
-from suspnet.estimation.protocols import PAYLOAD_COLUMN, Task
+from suspnet.estimation.protocols import BODY_MASS_COLUMN, Task
 from suspnet.ground.cache import Cache, code_hash
 from suspnet.ground.progress import bar as progress_bar
 from suspnet.ground.settings import check_number
+from suspnet.ground.tensors import threads
 from suspnet.ground.types import BoolArray, FloatArray, IntArray
 from suspnet.spectra.extraction import FeatureSet
 from suspnet.spectra.observation import Observation, Observer
@@ -196,7 +197,7 @@ class Problem:
         with bar, pool_of(self.threads) as pool:
             for n_made in pool.map(make, batches):
                 bar.update(n_made)
-        mass = [ratios[:, PAYLOAD_COLUMN]] if self.task.mass_known else []
+        mass = [ratios[:, BODY_MASS_COLUMN]] if self.task.mass_known else []
         inputs = np.column_stack([values, *mass])
         outputs = ratios[:, self.task.output_indices]
         return FeatureData(inputs[asked], outputs[asked], ratios[asked], reasons[asked])
@@ -268,11 +269,9 @@ def pool_of(workers: int) -> Iterator[ThreadPoolExecutor]:
     The arrays of a block are too small to split, so blocks run in parallel rather than operations.
     Waiting blocks are cancelled when the pool is left by an error or Ctrl-C.
     """
-    before = torch.get_num_threads()
-    torch.set_num_threads(1 if workers > 1 else before)
     pool = ThreadPoolExecutor(workers)
-    try:
-        yield pool
-    finally:
-        pool.shutdown(cancel_futures=True)
-        torch.set_num_threads(before)
+    with threads(1 if workers > 1 else torch.get_num_threads()):
+        try:
+            yield pool
+        finally:
+            pool.shutdown(cancel_futures=True)

@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from scipy.stats import qmc
 
-from suspnet.ground.parameters import PARAMETERS, PAYLOAD
+from suspnet.ground.parameters import BODY_MASS, PARAMETERS
 from suspnet.ground.settings import (
     Setting,
     check_choice,
@@ -25,7 +25,7 @@ from suspnet.spectra.components import CurveFeatures
 from suspnet.spectra.extraction import FeatureSet, PeakFeatures
 
 RESPONSES = ("G_p", "G_s")
-PAYLOAD_COLUMN = PARAMETERS.index(PAYLOAD)
+BODY_MASS_COLUMN = PARAMETERS.index(BODY_MASS)
 """Column of the car-body mass in arrays ordered as ``PARAMETERS``."""
 SHARED = ("sampling", "lower", "upper", "step", "mass_step", "mass_known", "log_ratios")
 """Settings of a protocol that its tasks share."""
@@ -103,7 +103,7 @@ class Task:
     @property
     def inputs(self) -> tuple[str, ...]:
         """Name of each input of the model."""
-        return self.extractor.names + ((PAYLOAD,) if self.mass_known else ())
+        return self.extractor.names + ((BODY_MASS,) if self.mass_known else ())
 
     @property
     def output_indices(self) -> list[int]:
@@ -113,7 +113,7 @@ class Task:
     @property
     def unknown(self) -> tuple[str, ...]:
         """Varied parameters that are not measured and have to be estimated."""
-        known = (PAYLOAD,) if self.mass_known else ()
+        known = (BODY_MASS,) if self.mass_known else ()
         return tuple(name for name in self.varied if name not in known)
 
     @property
@@ -130,14 +130,14 @@ class Task:
 
     def levels(self, name: str) -> FloatArray:
         """Return the grid values of a parameter's ratio, e.g. 0.50, 0.51 ... 2.00."""
-        step = self.mass_step if name == PAYLOAD else self.step
+        step = self.mass_step if name == BODY_MASS else self.step
         lower, upper = self.range(name)
         n_steps = math.floor((upper - lower) / step + 1e-9)
         return np.asarray(np.round(lower + step * np.arange(n_steps + 1), 10))
 
     def range(self, name: str) -> tuple[float, float]:
         """Return the range of a parameter's ratio, [-]."""
-        return (self.mass_lower, self.mass_upper) if name == PAYLOAD else (self.lower, self.upper)
+        return (self.mass_lower, self.mass_upper) if name == BODY_MASS else (self.lower, self.upper)
 
     @property
     def grid_size(self) -> int:
@@ -289,8 +289,8 @@ class Protocol:
         return Task(
             protocol=self.name,
             group=group,
-            varied=(*outputs, PAYLOAD),
-            outputs=(*outputs, PAYLOAD) if self.estimate_mass else outputs,
+            varied=(*outputs, BODY_MASS),
+            outputs=(*outputs, BODY_MASS) if self.estimate_mass else outputs,
             responses=tuple(entry["responses"]),
             extractor=self._extractor(entry),
             mass_lower=self._mass_range()[0],

@@ -22,7 +22,8 @@ from torch import Tensor
 
 from suspnet.dynamics import PARAMETERS
 from suspnet.estimation.information import cramer_rao
-from suspnet.estimation.protocols import PAYLOAD_COLUMN, Task, columns_of
+from suspnet.estimation.protocols import BODY_MASS_COLUMN, Task, columns_of
+from suspnet.ground.tensors import threads
 from suspnet.ground.types import BoolArray, FloatArray, IntArray
 from suspnet.learning.least_squares import LeastSquaresSolution, LevenbergMarquardt
 from suspnet.spectra.observation import Directions, Misfit
@@ -121,10 +122,11 @@ def complete_ratios(
     inside = np.clip(predicted, ranges[:, 0], ranges[:, 1])
     full[:, task.output_indices] = np.where(np.isfinite(predicted), inside, 1.0)
     if mass is not None:
-        full[:, PAYLOAD_COLUMN] = mass
+        full[:, BODY_MASS_COLUMN] = mass
     return full
 
 
+@threads(1)
 def refine(
     task: Task,
     misfit: Misfit,

@@ -1,4 +1,4 @@
-"""Groups of segments of a recording at one speed, and the model that reads each group.
+"""Groups of segments of a recording at one speed, their spectra, and the model of each group.
 
 Checking, commissioning, reading and monitoring all use these functions, so that they agree.
 """
@@ -7,21 +7,32 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
 from scipy.signal import get_window
+from scipy.stats import norm
 from torch import Tensor
 
 from suspnet.estimation.estimate import Estimate, Flags
 from suspnet.estimation.fitted import FittedMethod
 from suspnet.estimation.from_spectra import trip_settings
+from suspnet.estimation.trip_settings import TripSettings
 from suspnet.ground.parameters import REVERSE
 from suspnet.ground.types import FloatArray
 from suspnet.spectra.cross_spectra import CrossSpectra
-from suspnet.spectra.segments import SpeedRange, range_words, reading_range
+from suspnet.spectra.estimates import EstimateSettings
+from suspnet.spectra.segments import (
+    SpeedRange,
+    in_band,
+    range_words,
+    reading_range,
+    without_incoherent,
+    without_loud,
+)
 from suspnet.spectra.welch import SegmentSpectra
+from suspnet.spectra.wheel_lines import WheelLine, line_bins
 
 
 def steady_segments(speeds: Tensor, tolerance: float) -> Tensor:
@@ -78,7 +89,9 @@ def speed_range(method: FittedMethod) -> SpeedRange | None:
     speed = method.generator.speed_m_per_s
     if speed is None:
         return None
-    return SpeedRange.around(speed, trip_settings(method).speed_half_width)
+    half_width = trip_settings(method).speed_half_width
+    assert half_width is not None  # as the settings are bound
+    return SpeedRange.around(speed, half_width)
 
 
 def groups_of(
@@ -141,6 +154,79 @@ def speed_of(speeds: Tensor, segments: SegmentSpectra) -> tuple[float, float]:
 
 
 @dataclass(frozen=True)
+class Steady:
+    """Segments of a recording at one speed, and whether they are enough for an estimate.
+
+    `band` holds all segments on the bins of an estimate; of those of the `group` (n_segments,),
+    `candidates` have no far too large power and `chosen` no low coherence. `n_averages` counts
+    independent averages of the chosen ones, and `spectra` is their average. `coherences` of G_p and
+    G_s are means over the bins in use; `deviation` is the standard deviation of the log-magnitudes,
+    [-]: median over the bins, of the less certain response. `speed` is mean and deviation, [m/s].
+    `left_out` (n_freq,) are bins with lines of wheels. `has_enough`: there are enough averages;
+    `is_certain`: the responses are certain enough.
+    """
+
+    band: SegmentSpectra
+    group: Tensor
+    candidates: Tensor
+    chosen: Tensor
+    n_incoherent: int
+    n_averages: float = 0.0
+    spectra: CrossSpectra | None = None
+    coherences: Sequence[float] = (math.nan, math.nan)
+    deviation: float = math.nan
+    speed: tuple[float, float] = (math.nan, math.nan)
+    left_out: Tensor | None = None
+    has_enough: bool = False
+    is_certain: bool = False
+
+
+def steady(
+    segments: SegmentSpectra,
+    speeds: Tensor,
+    groups: Sequence[Tensor],
+    estimate: EstimateSettings,
+    settings: TripSettings,
+    lines: Sequence[WheelLine] = (),
+) -> list[Steady]:
+    """Return each group of segments with its usable spectra.
+
+    `speeds`: (n_segments, n_samples), [m/s]; `groups` from `groups_to_read`; `estimate` bound to a
+    vehicle; `lines` are those of wheels. Raises NoEstimateError if the recording does not reach the
+    bins of `estimate`.
+    """
+    parts: list[Steady] = []
+    if not groups:
+        return parts
+    band = in_band(segments, estimate.frequencies_hz())
+    beyond = estimate.beyond(band.frequencies_hz)
+    for group in groups:
+        candidates = without_loud(band, group)
+        chosen, n_incoherent = without_incoherent(band, candidates, settings.min_coherence)
+        part = Steady(band, group, candidates, chosen, n_incoherent)
+        if bool(chosen.any()):
+            n_averages, spectra = band.welch.n_averages(int(chosen.sum())), band.average(chosen)
+            coherences = spectra.coherences().masked_fill(beyond, math.nan).nanmean(dim=1)
+            deviations = spectra.deviations(estimate.method).masked_fill(beyond, math.nan)
+            deviation = float(deviations.nanmedian(dim=1).values.amax())
+            part = replace(
+                part,
+                n_averages=n_averages,
+                spectra=spectra,
+                coherences=coherences.tolist(),
+                deviation=deviation,
+                speed=speed_of(speeds[chosen], band),
+                left_out=line_bins(
+                    lines, speeds[chosen], band.frequencies_hz, band.welch.segment_s
+                ),
+                has_enough=n_averages >= settings.min_averages,
+                is_certain=deviation <= settings.max_deviation,
+            )
+        parts.append(part)
+    return parts
+
+
+@dataclass(frozen=True)
 class SpeedBin:
     """One method's estimate from a group of segments, with its spectra and segments.
 
@@ -177,7 +263,9 @@ def combined(bins: Sequence[SpeedBin]) -> Estimate:
 
     Weights are the inverse squares of the half widths, or the averages where there are none. The
     noise of bins is independent, as they share no segment; the other errors are assumed to be fully
-    correlated, as models may have the same errors.
+    correlated, as models may have the same errors. Bins that differ by more than their noise show
+    how large these errors are, so that slow and fast parts of a trip check each other: the error
+    that is not noise is then at least this scatter.
     """
     if len(bins) == 1:
         return bins[0].estimate
@@ -189,7 +277,14 @@ def combined(bins: Sequence[SpeedBin]) -> Estimate:
     share = np.stack([b.noise_share for b in bins])
     noise = np.sum(weights**2 * share * half**2, axis=0)
     lasting = np.sum(weights * np.sqrt(1 - share) * half, axis=0) ** 2
-    values = np.exp(np.sum(weights * np.log([b.estimate.values[0] for b in bins]), axis=0))
+    logs = np.log([b.estimate.values[0] for b in bins])
+    mean = np.sum(weights * logs, axis=0)
+    values = np.exp(mean)
+    # scatter beyond noise, as the square of a half width
+    freedom = np.maximum(1 - np.sum(weights**2, axis=0), np.finfo(float).eps)
+    spread = np.sum(weights * (logs - mean) ** 2, axis=0) / freedom
+    widths = norm.ppf((1 + bins[0].estimate.level) / 2) ** 2 * spread
+    lasting = np.maximum(lasting, widths - np.mean(share * half**2, axis=0))
     ends = [values * np.exp(sign * np.sqrt(noise + lasting)) for sign in (-1, 1)]
     first = bins[0].estimate
     rows = values[None], ends[0][None], ends[1][None]
@@ -206,4 +301,5 @@ def _flags(bins: Sequence[SpeedBin]) -> Flags:
         return Flags.none(1)
     worst = largest(found)
     at = f"in {len(found)} of {len(bins)} speed bins, at {worst.speed_m_per_s:.1f} m/s"
-    return Flags(worst.estimate.flags.found, (f"{at}: {worst.estimate.flags.reasons[0]}",))
+    (kind, words), *others = worst.estimate.flags.given[0]
+    return Flags((((kind, f"{at}: {words}"), *others),))

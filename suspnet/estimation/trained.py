@@ -13,8 +13,9 @@ from torch import Tensor
 from suspnet.estimation.estimate import Estimate
 from suspnet.estimation.fitted import FittedMethod
 from suspnet.estimation.from_curves import estimate_curves
-from suspnet.estimation.from_recording import TripSettings, estimate_recording
+from suspnet.estimation.from_recording import estimate_recording
 from suspnet.estimation.from_spectra import estimate_with_noise
+from suspnet.estimation.trip_settings import TripSettings
 from suspnet.ground.records import INTERVAL_LEVEL
 from suspnet.recordings.manifest_files import read_manifest
 from suspnet.recordings.recording import Recording, load_recording

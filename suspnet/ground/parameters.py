@@ -13,7 +13,7 @@ from suspnet.ground.settings import check_number
 
 PARAMETERS = ("k_p", "c_p", "k_s", "c_s", "M_s")
 """The parameters that may vary, in the order of every array of parameter ratios (1 = healthy)."""
-PAYLOAD = "M_s"
+BODY_MASS = "M_s"
 """Name of the car-body mass, which varies with the payload from trip to trip."""
 SI_COLUMNS = {
     "k_p": "k_p_n_per_m",
@@ -139,7 +139,7 @@ DAMPER = Limits(
     "longer does its work",
 )
 DEFAULT_LIMITS = {"k_p": SPRING, "c_p": DAMPER, "k_s": SPRING, "c_s": DAMPER}
-"""Limits of a vehicle whose file gives none. The car-body mass is payload and has none."""
+"""Limits of a vehicle whose file gives none. The car-body mass varies by nature."""
 TIGHTEST = Limits((np.nextafter(1.0, 0.0), np.nextafter(1.0, 2.0)), (0.0, np.inf))
 """Tightest notice and widest act limits: either one is consistent with any other limit."""
 
@@ -151,7 +151,7 @@ def read_limits(
 
     `given` maps a parameter to its `notice`, `act` and `why`, or to null for no limits. `default`
     applies to missing parameters and to missing or null entries; `why` is the default reason. The
-    car-body mass is payload, which varies by nature, and has no limits.
+    car-body mass varies with the payload and has no limits.
     TypeError or ValueError, which names the parameter, is raised for an invalid entry.
     """
     if not isinstance(given, Mapping):
@@ -163,7 +163,7 @@ def read_limits(
         if entry is None:
             limits.pop(name, None)
             continue
-        if name == PAYLOAD and not _is_empty(entry):
+        if name == BODY_MASS and not _is_empty(entry):
             raise ValueError(
                 f"`limits.{name}` must be left out: the car-body mass varies with the payload and "
                 "does not wear"

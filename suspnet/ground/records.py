@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from suspnet.ground.parameters import PARAMETERS, PAYLOAD, SI_COLUMNS
+from suspnet.ground.parameters import BODY_MASS, PARAMETERS, SI_COLUMNS
 from suspnet.ground.types import ComplexArray, FloatArray
 from suspnet.ground.wording import kilometres
 
@@ -359,7 +359,7 @@ class Commissioning:
         ratios = ", ".join(
             f"{name} {100 * ratio:.3g} %"
             for name, ratio in self.relative.items()
-            if name != PAYLOAD
+            if name != BODY_MASS
         )
         return f"from {kilometres(self.since_km)} on healthy is {ratios} of the first commissioning"
 

@@ -3,9 +3,9 @@
 from typing import Any
 
 from suspnet.learning.baselines import SVR, CurveFit, LinearRegression
-from suspnet.learning.feature_maps import Scaling
 from suspnet.learning.msvr import MSVR
 from suspnet.learning.mvgpr import MVGPR
+from suspnet.learning.scaling import Scaling
 
 METHODS: dict[str, Any] = {
     "msvr": MSVR,

@@ -1,4 +1,4 @@
-"""Iterative reweighted least squares for MSVR: the loss, and its minimum in the primal.
+"""Iterative reweighted least squares for MSVR in the primal.
 
 Minimises the functional of Eq. (7), sums not means, b unpenalised::
 
@@ -21,6 +21,7 @@ import torch
 from torch import Tensor
 
 from suspnet.learning.design import Columns, Design, Direction, Gradient, NormalEquations
+from suspnet.learning.loss import loss, weight
 from suspnet.learning.ranks import all_reduce, broadcast
 
 SUFFICIENT_DECREASE = 1e-4
@@ -286,24 +287,3 @@ class _Functional:
 
 def _gap(objective: float, lower: float) -> float:
     return max(objective - lower, 0.0) / max(objective, torch.finfo(torch.float64).tiny)
-
-
-def loss(u: Tensor, epsilon: float) -> Tensor:
-    """Return L(u) = 0 below epsilon and (u - epsilon)^2 above, Eq. (8); same shape as `u`."""
-    return (u - epsilon).clamp(min=0).square()
-
-
-def derivative(u: Tensor, epsilon: float) -> Tensor:
-    """Return L'(u) = 2 (u - epsilon) above epsilon, 0 below; same shape as `u`."""
-    return 2 * (u - epsilon).clamp(min=0)
-
-
-def weight(u: Tensor, epsilon: float) -> Tensor:
-    """Return a(u) = L'(u) / u, so a_i of Eq. (10) is C a(u_i); 0 inside the tube and at u = 0.
-
-    For epsilon = 0 the weight is 2 everywhere, also at u = 0 (its limit).
-    """
-    if epsilon == 0:
-        return torch.full_like(u, 2.0)
-    outside = u > epsilon
-    return torch.where(outside, derivative(u, epsilon) / torch.where(outside, u, 1.0), 0.0)

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from enum import IntEnum
 
 import torch
 from torch import Tensor
@@ -32,18 +33,39 @@ AT_ONCE = 128
 """Smallest number of residuals of the Jacobian per call: a call for 1 takes as long as for 30."""
 
 
+class RowStatus(IntEnum):
+    """Why the fit of a row ended; the first two are convergence."""
+
+    SMALL_STEP = 0
+    """Every parameter moved by at most `tol` times 1 + |theta|."""
+    SMALL_DECREASE = 1
+    """The next step would have lowered the cost by at most `least_decrease`."""
+    MAX_ITER = 2
+    """The number of iterations was reached."""
+    NO_DECREASE = 3
+    """No step lowers the cost: the damping reached its largest value."""
+    NOT_FINITE = 4
+    """A residual at the parameters is not finite."""
+
+
 @dataclass(frozen=True)
 class LeastSquaresSolution:
-    """One fit for each row: `parameters` (n_rows, n_parameters), `cost`, `converged` (n_rows,).
+    """One fit for each row: `parameters` (n_rows, n_parameters), `cost` (n_rows,).
 
-    `information` is J^T J with J the derivative of the residuals at the parameters.
+    `information` is J^T J with J the derivative of the residuals at the parameters, `status`
+    (n_rows,) holds values of ``RowStatus``.
     """
 
     parameters: Tensor
     cost: Tensor
     information: Tensor
-    converged: Tensor
+    status: Tensor
     n_iter: int
+
+    @property
+    def converged(self) -> Tensor:
+        """Whether a row ended by a small step or a small decrease, (n_rows,)."""
+        return self.status <= RowStatus.SMALL_DECREASE
 
 
 @dataclass(frozen=True)
@@ -84,32 +106,37 @@ class LevenbergMarquardt:
         descent = _Descent(residual, start, bounds, self.one_sided)
         damping = _Damping(start.new_full((len(start),), self.first_damping))
         every = rows = torch.arange(len(start), device=start.device)
-        converged = torch.zeros_like(rows, dtype=torch.bool)
+        status = torch.full_like(rows, RowStatus.MAX_ITER)  # of rows that have not ended
         n_iter = 0
         while n_iter < self.max_iter and len(rows):
             n_iter += 1
             trial = descent.trial(rows, damping.value[rows])
             better = (trial.decrease >= 0) & trial.solved
             damping.follow(rows, better, trial.ratio)
-            converged[rows] = self._has_converged(trial, better, damping.value[rows])
+            status[rows] = self._status(trial, better, damping.value[rows])
             descent.take(rows, better, trial)
-            rows = rows[~converged[rows] & (damping.value[rows] < LARGEST_DAMPING)]
+            rows = rows[status[rows] == RowStatus.MAX_ITER]
         trial = descent.trial(every, damping.value)
         # Such a small step changes the cost by about its rounding, which must not reject the step.
-        last = converged & trial.solved & trial.is_small(self.tol)
+        last = (status <= RowStatus.SMALL_DECREASE) & trial.solved & trial.is_small(self.tol)
         last &= trial.cost <= trial.cost_before * (1 + 1e-12)
         descent.take(every, last, trial)
         descent.linearise()
-        return LeastSquaresSolution(
-            descent.theta, _cost(descent.values), descent.information, converged, n_iter
-        )
+        cost = _cost(descent.values)
+        status[~torch.isfinite(cost)] = RowStatus.NOT_FINITE
+        return LeastSquaresSolution(descent.theta, cost, descent.information, status, n_iter)
 
-    def _has_converged(self, trial: _Trial, better: Tensor, damping: Tensor) -> Tensor:
-        # A small step that raises the cost means convergence only if damping did not shorten it.
-        converged = trial.is_small(self.tol) & trial.solved & (better | (damping < 1))
+    def _status(self, trial: _Trial, better: Tensor, damping: Tensor) -> Tensor:
+        """Return the status of rows after a trial, MAX_ITER of those that have not ended."""
+        status = torch.full_like(damping, RowStatus.MAX_ITER, dtype=torch.int64)
+        status[damping >= LARGEST_DAMPING] = RowStatus.NO_DECREASE
         if self.least_decrease:
-            converged |= trial.solved & (trial.left <= self.least_decrease)
-        return converged
+            is_low = trial.solved & (trial.left <= self.least_decrease)
+            status[is_low] = RowStatus.SMALL_DECREASE
+        # A small step that raises the cost means convergence only if damping did not shorten it.
+        is_small = trial.is_small(self.tol) & trial.solved & (better | (damping < 1))
+        status[is_small] = RowStatus.SMALL_STEP
+        return status
 
 
 @dataclass(frozen=True)

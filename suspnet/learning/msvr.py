@@ -6,7 +6,6 @@ import functools
 import operator
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
@@ -23,19 +22,11 @@ from suspnet.ground.tensors import check_device
 from suspnet.ground.types import FloatArray, IntArray
 from suspnet.learning import ranks
 from suspnet.learning.design import CACHE_BYTES, DenseDesign, Design, Direction
-from suspnet.learning.equispaced import EquispacedFeatures, equispaced_fourier
 from suspnet.learning.feature_maps import (
     FeatureMap,
-    FourierFeatures,
-    LandmarkFeatures,
-    exact,
-    nystroem,
-    orthogonal_fourier,
-    random_fourier,
 )
 from suspnet.learning.irwls import IRWLS, Iteration, Solution, Status
-from suspnet.learning.ranks import AllReduce
-from suspnet.learning.toeplitz import EquispacedDesign
+from suspnet.learning.map_kinds import MAPS
 
 PREDICT_ROWS = 8192
 """Rows predicted at once, so that their features fit into memory."""
@@ -366,31 +357,3 @@ class MSVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mis
                 f"feature_map={self.feature_map!r} runs on the CPU: set device='cpu', or use "
                 "feature_map='rff'"
             )
-
-
-@dataclass(frozen=True)
-class MapKind:
-    """A kind of feature map: its constructor, its class and its design matrix.
-
-    ``make(X, sigma, n_components, seed, kernel_tol)`` returns the map for samples X, `holds` is the
-    class that `restore` rebuilds from its tensors. `of_data`: the map depends on the samples;
-    `float32`: its Gram matrix may be summed in single precision; `on_gpu`: it runs on other devices
-    than the CPU.
-    """
-
-    make: Callable[[Tensor, float, int, int, float], FeatureMap]
-    holds: Callable[..., FeatureMap]
-    design: Callable[[Any, Tensor, AllReduce], Design] = DenseDesign
-    of_data: bool = True
-    float32: bool = False
-    on_gpu: bool = True
-
-
-MAPS = {
-    "rff": MapKind(random_fourier, FourierFeatures, of_data=False, float32=True),
-    "orf": MapKind(orthogonal_fourier, FourierFeatures, of_data=False, float32=True),
-    "nystroem": MapKind(nystroem, LandmarkFeatures),
-    "equispaced": MapKind(equispaced_fourier, EquispacedFeatures, EquispacedDesign, on_gpu=False),
-    "exact": MapKind(exact, LandmarkFeatures),
-}
-"""Every feature map by name; a new one is added here."""

@@ -1,6 +1,4 @@
-"""Scores of estimates, and hyperparameters of least RMSE by cross-validation over a grid (Table V).
-
-MAPE and RMSE are those of Eqs. (14) and (15) on ratios to healthy.
+"""Hyperparameters of least RMSE by cross-validation over a grid (Table V).
 
 The grid is a box that can be widened until the optimum is not on its edge. The optimum is on the
 edge in a hyperparameter if its value is the smallest or largest tried and the edge is not flat. An
@@ -20,16 +18,14 @@ from typing import Annotated, Any
 import numpy as np
 from sklearn.base import clone
 from sklearn.exceptions import ConvergenceWarning
-from sklearn.metrics import mean_absolute_percentage_error, root_mean_squared_error
+from sklearn.metrics import root_mean_squared_error
 from sklearn.model_selection import KFold, ParameterGrid
 
 from suspnet.ground.settings import Setting, check_settings, setting
-from suspnet.ground.types import BoolArray, FloatArray, IntArray
-from suspnet.learning.feature_maps import Scaling
+from suspnet.ground.types import FloatArray, IntArray
 from suspnet.learning.msvr import MSVR, SAME_GRAM_PARAMETERS
+from suspnet.learning.scaling import Scaling
 
-METRICS = ("mape_percent", "rmse")
-Ends = tuple[FloatArray, FloatArray]
 Predictor = Callable[[Mapping[str, Any]], list[FloatArray]]
 Levels = dict[str, list[float]]
 FLAT = 0.005
@@ -278,46 +274,3 @@ def _predictor(
         return found
 
     return predict
-
-
-def score(
-    actual: FloatArray, predicted: FloatArray, outputs: Sequence[str]
-) -> dict[str, dict[str, float]]:
-    """Return {output: {"mape_percent": ..., "rmse": ...}} of ratios (n_samples, n_outputs).
-
-    MAPE = 100/n sum |A - F| / A (Eq. 14), RMSE = sqrt(1/n sum (A - F)^2) (Eq. 15), A actual and F
-    predicted. Relative *changes* would divide by 0 at healthy.
-    """
-    mape = 100 * mean_absolute_percentage_error(actual, predicted, multioutput="raw_values")
-    rmse = root_mean_squared_error(actual, predicted, multioutput="raw_values")
-    return {
-        name: {"mape_percent": float(mape[j]), "rmse": float(rmse[j])}
-        for j, name in enumerate(outputs)
-    }
-
-
-def interval_scores(
-    actual: FloatArray, intervals: Ends, joint: Ends, outputs: Sequence[str]
-) -> dict[str, Any]:
-    """Return coverage and width of intervals for each output, and of joint ones for all outputs.
-
-    `actual` and the lower and upper ends of intervals: (n_samples, n_outputs). Half widths are
-    relative to the actual value.
-    """
-    within = covers(actual, intervals)
-    half = 50 * (intervals[1] - intervals[0]) / actual
-    return {
-        "outputs": {
-            name: {
-                "coverage_percent": 100 * float(within[:, j].mean()),
-                "half_width_percent": float(half[:, j].mean()),
-            }
-            for j, name in enumerate(outputs)
-        },
-        "joint_coverage_percent": 100 * float(covers(actual, joint).all(axis=1).mean()),
-    }
-
-
-def covers(actual: FloatArray, intervals: Ends) -> BoolArray:
-    """Return whether each value lies within its interval, (n_samples, n_outputs)."""
-    return np.asarray((intervals[0] <= actual) & (actual <= intervals[1]))

@@ -12,8 +12,8 @@ from pathlib import Path
 
 import numpy as np
 
-from suspnet.estimation.from_recording import TripSettings
 from suspnet.estimation.trained import TrainedModel
+from suspnet.estimation.trip_settings import TripSettings
 from suspnet.ground.records import TripResult
 from suspnet.ground.settings import check_number, check_settings, setting
 from suspnet.live.journal import dump_state, load_state

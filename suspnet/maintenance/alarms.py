@@ -10,7 +10,7 @@ from datetime import datetime
 import numpy as np
 from tabulate import tabulate
 
-from suspnet.ground.parameters import PAYLOAD, Cause, Limits, Severity
+from suspnet.ground.parameters import BODY_MASS, Cause, Limits, Severity
 from suspnet.ground.types import BoolArray, FloatArray
 from suspnet.ground.wording import kilometres
 from suspnet.maintenance.change import Change, Changes, ChangeSettings, find_changes
@@ -204,11 +204,11 @@ def _sensor_alarms(series: Series) -> list[Alarm]:
 def _watch(
     one: Series, outputs: Iterable[str], limits: Mapping[str, Limits], settings: ChangeSettings
 ) -> Watched:
-    values = {name: one.estimates[name] for name in outputs if name != PAYLOAD}
+    values = {name: one.estimates[name] for name in outputs if name != BODY_MASS}
     if not values:
         return Watched()
     covariates = {
-        "payload": one.estimates[PAYLOAD],
+        "payload": one.estimates[BODY_MASS],
         "speed": one.speed_m_per_s,
         "temperature": one.temperature_c,
     }

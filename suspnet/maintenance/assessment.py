@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from suspnet.ground.parameters import PAYLOAD, Cause, Limits, Severity
+from suspnet.ground.parameters import BODY_MASS, Cause, Limits, Severity
 from suspnet.ground.wording import kilometres
 from suspnet.maintenance.alarms import Alarm
 from suspnet.maintenance.judge import (
@@ -70,7 +70,7 @@ def assess(
 ) -> Assessment:
     """Return the assessment of one parameter, with the severity of ``severity_of``.
 
-    `trend` is that of all trips. `limits` None means that no value is alarming, as for the payload.
+    `trend` is that of all trips. `limits` None means that no value is alarming, as for M_s.
     `alarms` are the active ones of the parameter. `doubt` is why the limits cannot be applied,
     empty if they can.
     """
@@ -138,7 +138,7 @@ def spoken(assessments: Sequence[Assessment]) -> str:
 
 def overall(assessments: Sequence[Assessment]) -> tuple[Severity, str]:
     """Return the largest severity of all parameters, and a sentence on them."""
-    judged = [a for a in assessments if a.parameter != PAYLOAD]
+    judged = [a for a in assessments if a.parameter != BODY_MASS]
     severity = max((a.severity for a in judged), default=Severity.UNKNOWN)
     n = {level: sum(a.severity == level for a in judged) for level in Severity}
     n_known = sum(a.trend.n_trips > 0 for a in judged)
@@ -226,7 +226,7 @@ def _not_judged(trend: Trend, last: LastTrips) -> str:
 def _calm(trend: Trend, last: LastTrips, limits: Limits | None = None) -> list[str]:
     """Return how the parameter develops if no limit is crossed or there are no limits."""
     change, median = _change(trend), float(np.median(last.values))
-    if trend.parameter == PAYLOAD:
+    if trend.parameter == BODY_MASS:
         return [f"{change} (payload: varies by nature, no fault)"]
     scatter = 3 * float(np.nan_to_num(trend.spread_percent))
     level = f"at {100 * median:.0f} % of healthy"

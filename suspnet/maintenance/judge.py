@@ -122,7 +122,7 @@ def judge_last(last: LastTrips, limits: Limits | None) -> tuple[Severity, Judged
     """Return the severity of the last trips of a parameter, and the result of ``judge``.
 
     It is unknown without an estimate, and if all of the last trips are flagged and within the
-    limits. Without limits, as for the payload, it is none.
+    limits. Without limits, as for the car-body mass, it is none.
     """
     if limits is None:
         return Severity.NONE, None

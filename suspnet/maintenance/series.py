@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from suspnet.ground.parameters import PARAMETERS, PAYLOAD
+from suspnet.ground.parameters import BODY_MASS, PARAMETERS
 from suspnet.ground.records import EVENT_KINDS, OK, SENSOR, Key, Place, TripResult, by_mileage
 from suspnet.ground.types import BoolArray, FloatArray, IntArray
 from suspnet.ground.wording import kilometres
@@ -155,7 +155,7 @@ class Series:
         )
         for trips in self.between:
             first = trips[self.done[trips]][:n_first]
-            for name in set(estimates) - {PAYLOAD} if len(first) else ():
+            for name in set(estimates) - {BODY_MASS} if len(first) else ():
                 estimates[name][trips] /= np.median(estimates[name][first])
                 own = half_widths[name]
                 own[trips] = np.hypot(own[trips], half_width_of_median(own[first]))
@@ -323,13 +323,13 @@ def relative_to_first(results: list[TripResult], n_first: int) -> list[TripResul
     The truth, where known, is treated alike. The interval widens by the uncertainty of the median,
     whose variance is pi / 2 times that of a mean of `n_first` trips. This is right for noise;
     systematic errors (of a regression without refinement) cancel only while the vehicle does not
-    change. The car-body mass stays relative to nominal, as payload varies from the first trip on.
+    change. The car-body mass stays relative to nominal, as it varies by nature.
     If fewer trips have an estimate, all of these are used.
     """
     done = first_trips(results, n_first)
     if not done:
         return results
-    names = [name for name in done[0].raw if name != PAYLOAD]
+    names = [name for name in done[0].raw if name != BODY_MASS]
     estimated = medians([r.raw for r in done], names)
     true = medians([r.truth for r in done if set(names) <= set(r.truth)], names)
     reference = {

@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
-from suspnet.ground.parameters import PAYLOAD, Limits, Severity
+from suspnet.ground.parameters import BODY_MASS, Limits, Severity
 from suspnet.ground.records import Key
 from suspnet.ground.types import FloatArray
 from suspnet.maintenance.alarms import Alarm, Watched
@@ -92,13 +92,13 @@ class State:
 
     @cached_property
     def severities(self) -> dict[str, Severity]:
-        """Severity of each parameter except the payload."""
+        """Severity of each parameter except the car-body mass."""
         return {
             name: severity_of(
                 self._last[name], self.limits.get(name), self.alarms_of(name), self.doubt
             )
             for name in self.outputs
-            if name != PAYLOAD
+            if name != BODY_MASS
         }
 
     @cached_property

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy import stats
 
-from suspnet.ground.parameters import PAYLOAD
+from suspnet.ground.parameters import BODY_MASS
 from suspnet.ground.types import FloatArray
 from suspnet.maintenance.noise import robust_spread
 
@@ -99,8 +99,8 @@ class Trend:
 
     @property
     def changed(self) -> bool:
-        """Whether the parameter changed; always false for the car-body mass, which is payload."""
-        return self.shape not in (Shape.TOO_FEW, Shape.NONE) and self.parameter != PAYLOAD
+        """Whether the parameter changed; always false for the car-body mass."""
+        return self.shape not in (Shape.TOO_FEW, Shape.NONE) and self.parameter != BODY_MASS
 
 
 def trend(

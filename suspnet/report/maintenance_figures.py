@@ -13,7 +13,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullLocator
 
-from suspnet.ground.parameters import PAYLOAD
+from suspnet.ground.parameters import BODY_MASS
 from suspnet.ground.wording import count
 from suspnet.maintenance.schedule import UNKNOWN, URGENCIES, Job, Plan, Visit
 from suspnet.report.figures import MILEAGE_LABEL, SYMBOLS, say
@@ -186,7 +186,7 @@ def health_trend(trend: Trend) -> Figure:
     figure = Figure(figsize=(7.0, 1.0 + 1.7 * n), layout="constrained")
     axes: list[Axes] = list(figure.subplots(n, 1, sharex=True, squeeze=False)[:, 0])
     for axis, panel in zip(axes, trend.panels, strict=True):
-        what = "nominal" if panel.name == PAYLOAD else "healthy"
+        what = "nominal" if panel.name == BODY_MASS else "healthy"
         axis.set_ylabel(f"{SYMBOLS[panel.name]} [% of {what}]")
         if len(panel.points.km):
             _draw_trips(axis, panel.points, trend.level)

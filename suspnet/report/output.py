@@ -15,7 +15,7 @@ import pyarrow.parquet as pq
 from matplotlib.figure import Figure
 from tabulate import tabulate
 
-from suspnet.ground.parameters import PARAMETERS, PAYLOAD
+from suspnet.ground.parameters import BODY_MASS, PARAMETERS
 from suspnet.ground.records import OK, TripResult, relative_to_first_healthy
 from suspnet.ground.storage import write_atomically, write_json, write_table
 from suspnet.ground.wording import count
@@ -241,7 +241,7 @@ def write_fleet(view: FleetView, plan: Plan, figure: Figure, output: Path) -> No
         jobs=joined(jobs),
         calendar=data_uri(figure),
         sisters=[[view.rows[i] for i in car] for car in view.cars],
-        parameters=[name for name in PARAMETERS if name != PAYLOAD],
+        parameters=[name for name in PARAMETERS if name != BODY_MASS],
     )
     write_atomically(output / "overview.html", page.encode("utf-8", errors="replace"))
 

@@ -19,7 +19,7 @@ from torch.utils.tensorboard.summary import hparams
 
 from suspnet.ground.parameters import PARAMETERS
 from suspnet.ground.storage import write_atomically
-from suspnet.learning.search import METRICS
+from suspnet.learning.metrics import METRICS
 
 HYPERPARAMETERS: dict[str, Any] = {
     "model": "",

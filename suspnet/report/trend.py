@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from suspnet.ground.parameters import PAYLOAD, Severity
+from suspnet.ground.parameters import BODY_MASS, Severity
 from suspnet.ground.records import INTERVAL_LEVEL, Commissioning, TripResult, by_mileage
 from suspnet.ground.types import BoolArray, FloatArray
 from suspnet.ground.wording import kilometres, thousands
@@ -151,7 +151,7 @@ def trend_of_state(state: State) -> Trend:
     series = state.series
     placed = np.isfinite(series.mileage_km)
     panels = []
-    for name in (name for name in series.estimates if name != PAYLOAD):
+    for name in (name for name in series.estimates if name != BODY_MASS):
         values, half = series.estimates[name], series.half_widths[name]
         with np.errstate(over="ignore"):
             intervals = np.stack([values * np.exp(-half), values * np.exp(half)], axis=1)

@@ -11,8 +11,8 @@ from suspnet.dynamics import ResponseGenerator, VerticalVehicle
 from suspnet.dynamics.quantities import PARTS, LogNormal
 from suspnet.estimation import commissioning_summary as words
 from suspnet.estimation.commissioning import Commissioned, commission
-from suspnet.estimation.from_recording import TripSettings
 from suspnet.estimation.healthy_trips import HealthyTrips, read_healthy
+from suspnet.estimation.trip_settings import TripSettings
 from suspnet.recordings.manifest import SIDES, Channel, Pair, TripManifest
 from suspnet.recordings.manifest_files import ManifestFile
 from suspnet.spectra.estimates import EstimateSettings

@@ -27,7 +27,7 @@ from suspnet.estimation.identifiability import (
 from suspnet.estimation.information import scale_ambiguity_bound
 from suspnet.estimation.problem import TEST
 from suspnet.estimation.protocols import Protocol, Task
-from suspnet.ground.parameters import PAYLOAD
+from suspnet.ground.parameters import BODY_MASS
 from suspnet.ground.settings import check_number
 from suspnet.report.figures import SYMBOLS
 from suspnet.runs.findings import Findings, group_markdown, plain, records
@@ -88,7 +88,7 @@ def identify(
     now = next((option for option in choices if option.kind == "estimate"), choices[0])
     guess = None
     curves = settings.kind == CurveSettings.kind and task.sampling == "grid"
-    if curves and task.responses == ("G_s",) and PAYLOAD in task.unknown:
+    if curves and task.responses == ("G_s",) and BODY_MASS in task.unknown:
         guess = scale_ambiguity_bound(task, ratios[1:])["k_s"]["mape_percent"]
     return Findings(
         vehicle=generator.vehicle,
@@ -114,7 +114,7 @@ def _setting(
 
 def _range(task: Task) -> str:
     low, high = (f"{100 * end:g}" for end in task.range("k_p"))
-    mass_low, mass_high = (f"{100 * end:g}" for end in task.range(PAYLOAD))
+    mass_low, mass_high = (f"{100 * end:g}" for end in task.range(BODY_MASS))
     if (low, high) == (mass_low, mass_high):
         return f"{low} to {high} %"
     return f"{low} to {high} %, mass {mass_low} to {mass_high} %"

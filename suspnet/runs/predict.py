@@ -32,7 +32,7 @@ from suspnet.estimation.problem import (
     Problem,
     pool_of,
 )
-from suspnet.estimation.protocols import PAYLOAD_COLUMN
+from suspnet.estimation.protocols import BODY_MASS_COLUMN
 from suspnet.estimation.refine import Refined
 from suspnet.ground.progress import bar as progress_bar
 from suspnet.ground.types import FloatArray
@@ -137,7 +137,7 @@ def _over_blocks(
     threads: int,
 ) -> list[Part]:
     """Return the results of `fit` for each block's curves, rows and known masses."""
-    mass = data.ratios[:, PAYLOAD_COLUMN] if problem.task.mass_known else None
+    mass = data.ratios[:, BODY_MASS_COLUMN] if problem.task.mass_known else None
     n_curves = len(data.ratios)
     title = f"fits of {STREAM_NAMES[stream]} curves"
     with progress_bar(title, n_curves, unit="curve", shown=problem.progress) as bar:

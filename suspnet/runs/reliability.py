@@ -26,12 +26,12 @@ from suspnet.estimation.checkpoint import load_model
 from suspnet.estimation.estimate import KINDS
 from suspnet.estimation.from_curves import estimate_curves
 from suspnet.estimation.problem import BLOCK, TEST, Problem
-from suspnet.estimation.protocols import PAYLOAD_COLUMN, Task
+from suspnet.estimation.protocols import BODY_MASS_COLUMN, Task
 from suspnet.estimation.trained import TrainedModel
 from suspnet.ground.progress import bar as progress_bar
 from suspnet.ground.settings import check_number
 from suspnet.ground.types import BoolArray, FloatArray
-from suspnet.learning.search import covers, interval_scores
+from suspnet.learning.metrics import covers, interval_scores
 from suspnet.report.figures import SYMBOLS
 from suspnet.runs.evaluate import FreshCurves, find_runs
 from suspnet.runs.plots import BOUND_COLOUR, OUR_COLOUR
@@ -93,7 +93,7 @@ def measure(
     n_all = len(sets) * n_odd
     with progress_bar("curves out of range", n_all, unit="curve", shown=problem.progress) as bar:
         for name, (ratios, curves) in sets.items():
-            known = ratios[:, PAYLOAD_COLUMN] if problem.task.mass_known else None
+            known = ratios[:, BODY_MASS_COLUMN] if problem.task.mass_known else None
             found = []
             for start in range(0, n_odd, BLOCK):
                 rows = slice(start, start + BLOCK)

@@ -22,7 +22,8 @@ from suspnet.estimation.information import (
 from suspnet.estimation.problem import TEST, Problem
 from suspnet.estimation.protocols import Task
 from suspnet.ground.types import FloatArray
-from suspnet.learning.search import METRICS, SearchResult, interval_scores, score
+from suspnet.learning.metrics import METRICS, interval_scores, score
+from suspnet.learning.search import SearchResult
 from suspnet.report.tensorboard import RunLog
 from suspnet.runs import plots
 from suspnet.runs.predict import Outcome

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from tabulate import tabulate
 
 from suspnet.ground.storage import write_atomically, write_json
-from suspnet.learning.search import METRICS
+from suspnet.learning.metrics import METRICS
 from suspnet.report.tensorboard import RunLog
 
 REFINED = "+refine"

@@ -321,5 +321,6 @@ def _resampled(signal: FloatArray, from_hz: float, to_hz: float) -> FloatArray:
 
 def _write_columns(path: Path, columns: Mapping[str, NDArray[Any]]) -> None:
     stream = io.BytesIO()
-    pq.write_table(pa.table(dict(columns)), stream, row_group_size=ROW_GROUP)
+    options = {"row_group_size": ROW_GROUP, "use_dictionary": False}  # no value comes twice
+    pq.write_table(pa.table(dict(columns)), stream, **options)
     write_atomically(path, stream.getvalue())

@@ -14,9 +14,9 @@ import torch
 from torch import Tensor
 
 from suspnet.dynamics import Vehicle, best_generator
-from suspnet.estimation.from_recording import Steady, TripSettings, steady
-from suspnet.estimation.steady_parts import groups_to_read, readable_words
+from suspnet.estimation.steady_parts import Steady, groups_to_read, readable_words, steady
 from suspnet.estimation.trained import TrainedModel
+from suspnet.estimation.trip_settings import TripSettings
 from suspnet.ground.records import ERROR, OK
 from suspnet.recordings.errors import TripError, all_of
 from suspnet.recordings.formats import open_columns

@@ -17,7 +17,7 @@ from suspnet.estimation.fitted import ModelFileError
 from suspnet.estimation.from_spectra import trip_settings
 from suspnet.estimation.steady_parts import speed_range
 from suspnet.estimation.trained import TrainedModel
-from suspnet.ground.parameters import PAYLOAD, REVERSE
+from suspnet.ground.parameters import BODY_MASS, REVERSE
 from suspnet.ground.records import Commissioning, Place, TripResult
 from suspnet.maintenance.series import divided, medians
 from suspnet.spectra.segments import range_words
@@ -109,7 +109,7 @@ def check_one_reference(models: Sequence[TrainedModel]) -> None:
 def relative_truth(result: TripResult, healthy: Sequence[TripResult]) -> TripResult:
     """Return a result whose true k and c, if known, are relative to the median of healthy trips."""
     known = [r.truth for r in healthy if r.truth]
-    names = [name for name in result.truth if name != PAYLOAD and all(name in t for t in known)]
+    names = [name for name in result.truth if name != BODY_MASS and all(name in t for t in known)]
     return replace(result, truth=divided(result.truth, medians(known, names)))
 
 

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from suspnet.estimation.checkpoint import fingerprint
-from suspnet.estimation.from_recording import TripSettings
 from suspnet.estimation.trained import TrainedModel
+from suspnet.estimation.trip_settings import TripSettings
 from suspnet.ground.cache import Cache, code_hash
 from suspnet.ground.parameters import Limits
 from suspnet.ground.records import (

@@ -14,11 +14,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from suspnet.estimation.from_recording import TripSettings, all_bins
+from suspnet.estimation.from_recording import all_bins
 from suspnet.estimation.from_spectra import trip_settings
 from suspnet.estimation.steady_parts import SpeedBin, combined, largest
 from suspnet.estimation.trained import TrainedModel
 from suspnet.estimation.trip_flags import with_sides
+from suspnet.estimation.trip_settings import TripSettings
 from suspnet.ground.records import (
     ERROR,
     NO_ESTIMATE,

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from suspnet.ground.parameters import NAMES, PARAMETERS, PAYLOAD, Severity
+from suspnet.ground.parameters import BODY_MASS, NAMES, PARAMETERS, Severity
 from suspnet.ground.records import INTERVAL_LEVEL, TripResult
 from suspnet.history.arrays import TripResponses
 from suspnet.maintenance.alarms import Acknowledgement, Alarm, newest_of
@@ -31,7 +31,7 @@ MOST_ROWS = 50
 """Largest number of rows of a table of the fleet, unless all are requested."""
 MOST_JOBS = 10
 """Largest number of jobs on the page of the fleet; the page of the plan has all."""
-OUTPUTS = tuple(name for name in PARAMETERS if name != PAYLOAD)
+OUTPUTS = tuple(name for name in PARAMETERS if name != BODY_MASS)
 SHORT = {"leading": "lead.", "trailing": "trail."}
 """Short words of a place, for a tile."""
 

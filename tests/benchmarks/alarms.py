@@ -39,7 +39,7 @@ SCATTER = np.array([0.0005, 0.005, 0.0006, 0.003])
 """Standard deviations of the logarithms."""
 EFFECTS = np.array(
     [
-        [0.002, 0.0, 0.01, 0.005],  # of the pay-load, 0 to 1
+        [0.002, 0.0, 0.01, 0.005],  # of the payload, 0 to 1
         [0.0, -2e-4, 0.0, 2e-4],  # per km/h
         [-1e-4, -4e-3, -2e-4, -3e-3],  # per K
     ]

@@ -1,4 +1,5 @@
-"""Write the tables of README and docs from the results that the scripts here left.
+"""Write the tables of README and docs from the results that the scripts here left, and the comments
+of configs/ from the sentences that settings are declared with.
 
 python tests/benchmarks/docs_tables.py
 
@@ -11,11 +12,13 @@ import re
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+import config_comments
 import configuration
 import coverage
 from cells import Parser, Row
 from tabulate import tabulate
 
+from suspnet.cli.config_files import read_comments
 from suspnet.dynamics.quantities import PARTS, QUANTITIES
 from suspnet.ground.storage import write_atomically
 from suspnet.runs.tables import MODEL_TITLES, table6_caption, table6_markdown
@@ -300,13 +303,22 @@ def filled(page: str) -> tuple[str, list[str]]:
 
 def main() -> None:
     Parser(description=__doc__.splitlines()[0]).parse_args()
+    # the pages list the comments
+    for path in sorted((ROOT / "configs").rglob("*.yaml")):
+        write(path, config_comments.commented(path))
+    read_comments.cache_clear()
     for path in PAGES:
-        old = path.read_text(encoding="utf-8")
-        new, missing = filled(old)
-        if new != old:
-            write_atomically(path, new)
-        left = f"; no results for {', '.join(missing)}" if missing else ""
-        print(f"{path.relative_to(ROOT)}: {'written' if new != old else 'unchanged'}{left}")
+        new, missing = filled(path.read_text(encoding="utf-8"))
+        write(path, new, f"; no results for {', '.join(missing)}" if missing else "")
+
+
+def write(path: Path, new: str, left: str = "") -> None:
+    """Write a file whose text is another one now, and report it."""
+    is_new = new != path.read_text(encoding="utf-8")
+    if is_new:
+        write_atomically(path, new)
+    if is_new or path in PAGES:
+        print(f"{path.relative_to(ROOT)}: {'written' if is_new else 'unchanged'}{left}")
 
 
 if __name__ == "__main__":

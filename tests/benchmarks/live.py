@@ -35,7 +35,7 @@ import numpy as np
 import torch
 
 from suspnet.estimation.checkpoint import load_model
-from suspnet.estimation.from_recording import TripSettings
+from suspnet.estimation.trip_settings import TripSettings
 from suspnet.history import History
 from suspnet.live.journal import Journal
 from suspnet.live.monitor import Monitor

@@ -72,7 +72,7 @@ def prepare(n_inputs: int, n: int, group: str, path: Path) -> None:
 def measure(cell: Row) -> Row:
     """Return the measurements of one map with one setting."""
     from suspnet.learning import MSVR, Scaling
-    from suspnet.learning.search import score
+    from suspnet.learning.metrics import score
 
     data = np.load(cell["data"])
     model = MSVR(cell["C"], cell["sigma"], EPSILON, cell["map"], cell["asked"], dtype=cell["dtype"])

@@ -38,10 +38,11 @@ from rich_trips import SENSORS, drawn_ratios  # noqa: E402
 from suspnet.dynamics.quantities import LogNormal  # noqa: E402
 from suspnet.estimation.commissioning import Commissioned, commission  # noqa: E402
 from suspnet.estimation.estimate import Estimate  # noqa: E402
-from suspnet.estimation.from_recording import NoEstimateError, TripSettings  # noqa: E402
+from suspnet.estimation.from_spectra import estimate_with_noise  # noqa: E402
 from suspnet.estimation.healthy_trips import HealthySpectra  # noqa: E402
 from suspnet.estimation.problem import TRAIN, Problem  # noqa: E402
 from suspnet.estimation.trained import TrainedModel  # noqa: E402
+from suspnet.estimation.trip_settings import TripSettings  # noqa: E402
 from suspnet.recordings.manifest_files import find_manifests  # noqa: E402
 from suspnet.runs.commissioning import FAMILY as FAMILY_PARTS  # noqa: E402
 from suspnet.runs.commissioning import commission_folder  # noqa: E402
@@ -49,24 +50,25 @@ from suspnet.runs.fit import fit  # noqa: E402
 from suspnet.runs.predict import calibrated, with_unexplained  # noqa: E402
 from suspnet.simulation import Fleet  # noqa: E402
 from suspnet.spectra.cross_spectra import CrossSpectra  # noqa: E402
-from suspnet.spectra.segments import Speeds  # noqa: E402
+from suspnet.spectra.segments import NoEstimateError, Speeds  # noqa: E402
 
 RESULTS = Path(__file__).parent / "results"
 NOMINAL, COMMISSIONED, REFINED = "nominal", "commissioned", "commissioned, refined"
 READINGS = (NOMINAL, COMMISSIONED, REFINED)
 NOT_LINEAR = ("blow_off", "friction")
 IN_SPECTRA = ("sensors", "wheelsets")
-LEVEL = 0.9
+LEVEL, SPEED = 0.9, 70.0
 IN_TABLE = ("bias_percent", "rms_percent", "coverage_percent")
 """What the table shows of each output, parted by a slash."""
 
 
 @dataclass(frozen=True)
 class Case:
-    """Effects of a train, and where its sensors are: "mean" of a pair, or "left"."""
+    """Effects of a train, where its sensors are, "mean" of a pair or "left", and its speeds."""
 
     effects: tuple[str, ...] = ()
     sides: str = "mean"
+    speeds: tuple[float, float] | None = None
 
     @property
     def in_time_only(self) -> bool:
@@ -77,6 +79,13 @@ class Case:
     def in_spectra_only(self) -> bool:
         """Whether trips in time do not have all effects of the train."""
         return bool(set(self.effects) & set(IN_SPECTRA))
+
+    def speeds_of(self, n_healthy: int, n_worn: int, seed: int) -> list[float]:
+        """Return the speed of each trip, [m/s]: even over the range of healthy ones, else drawn."""
+        if self.speeds is None:
+            return [SPEED] * (n_healthy + n_worn)
+        drawn = np.random.default_rng(seed + 7).uniform(*self.speeds, n_worn)
+        return [*np.linspace(*self.speeds, n_healthy).tolist(), *drawn.tolist()]
 
     @property
     def lateral_m(self) -> list[float]:
@@ -91,6 +100,7 @@ CASES = {
     "vertical all": Case(tuple(name for name in FAMILY if name != "roll")),
     "all": Case(FAMILY),
     "all, left": Case(FAMILY, "left"),
+    "all, 48 to 78 m/s": Case(FAMILY, speeds=(48.0, 78.0)),
     **{
         f"all+{name}": Case((*FAMILY, name))
         for name in (*OF_THE_TRIP, "second_bending", "one_side", *NOT_LINEAR)
@@ -109,12 +119,15 @@ class Trips:
         Spectra or manifests.
     truth : array of shape (n_trips, 5), [-]
     n_healthy : int
+    speeds : sequence of Speeds
+        Of each trip that is given as spectra.
     """
 
     case: Case
     given: Sequence[CrossSpectra | Path]
     truth: np.ndarray
     n_healthy: int
+    speeds: Sequence[Speeds] = ()
 
 
 def configuration(options, case, *overrides):
@@ -122,6 +135,8 @@ def configuration(options, case, *overrides):
     rates = [sensor["rate_hz"] for sensor in SENSORS.values()]
     given = [f"data.rates_hz={rates}", f"data.minutes={options.minutes}", *options.train]
     given += [f"generator.sensor_lateral_m={case.lateral_m}", f"data.cache_dir={options.cache}"]
+    if case.speeds is not None:
+        given += [f"speed_m_per_s={sum(case.speeds) / 2}"]
     with initialize_config_dir(str(ROOT / "configs"), version_base="1.3"):
         return compose("train", overrides=["experiment=trips", *given, *overrides])
 
@@ -139,9 +154,17 @@ def made(options, case: Case, folder: Path) -> Trips:
         return Trips(case, find_manifests(folder), truth, options.healthy)
     config = configuration(options, case)
     settings = build(config, "data").bound(build(config, "generator").vehicle)
-    drawn = drawn_estimates(train, ratios, settings, options.seed, case.sides)
-    parts = zip(drawn.auto, drawn.cross, strict=True)
-    return Trips(case, [CrossSpectra(*p, drawn.n_averages) for p in parts], truth, options.healthy)
+    speeds = case.speeds_of(options.healthy, options.trips, options.seed)
+    spectra = []
+    for speed in dict.fromkeys(speeds):
+        rows = [i for i, one in enumerate(speeds) if one == speed]
+        there = replace(train, speed_m_per_s=speed)
+        seed = options.seed + 1000 * rows[0]
+        drawn = drawn_estimates(there, ratios[rows], settings, seed, case.sides)
+        parts = zip(drawn.auto, drawn.cross, strict=True)
+        spectra += [CrossSpectra(*p, drawn.n_averages) for p in parts]
+    at = [Speeds((speed,), (1.0,)) for speed in speeds]
+    return Trips(case, spectra, truth, options.healthy, at)
 
 
 def commissioned(config, trips: Trips, folder: Path) -> Commissioned:
@@ -154,9 +177,8 @@ def commissioned(config, trips: Trips, folder: Path) -> Commissioned:
     given = generator.parts or FAMILY_PARTS
     parts = tuple(part for part in given if seen or part != "roll")
     prior = replace(generator, parts=parts, distribution=LogNormal.prior(parts))
-    speeds = Speeds((settings.speed_m_per_s,), (1.0,))
-    healthy = enumerate(trips.given[: trips.n_healthy])
-    groups = [HealthySpectra(i, f"trip {i}", speeds, spectra) for i, spectra in healthy]
+    healthy = zip(trips.given[: trips.n_healthy], trips.speeds, strict=False)
+    groups = [HealthySpectra(i, f"trip {i}", at, one) for i, (one, at) in enumerate(healthy)]
     return commission(prior, settings.bound(generator.vehicle), groups)
 
 
@@ -182,9 +204,12 @@ def trained(
 def read(model: TrainedModel, trips: Trips) -> list[Estimate | None]:
     """Return the estimate of each trip, None where there is none."""
     found: list[Estimate | None] = []
-    for one in trips.given:
+    for i, one in enumerate(trips.given):
         try:
-            found.append(model.estimate(one, level=LEVEL))
+            if isinstance(one, Path):
+                found.append(model.estimate(one, level=LEVEL))
+            else:
+                found.append(estimate_with_noise(model, one, LEVEL, trips.speeds[i])[0])
         except NoEstimateError as reason:
             print(reason, file=sys.stderr)
             found.append(None)

@@ -18,8 +18,8 @@ from trip_fixtures import AM96, SPEED, NoLog, write_trips
 
 from suspnet.dynamics import VerticalVehicle
 from suspnet.estimation.checkpoint import save_model
-from suspnet.estimation.from_recording import TripSettings
 from suspnet.estimation.problem import Problem
+from suspnet.estimation.trip_settings import TripSettings
 from suspnet.learning import MSVR
 from suspnet.runs.fit import fit
 from suspnet.spectra.estimates import EstimateSettings

@@ -15,6 +15,7 @@ from cells import Parser, at_least
 from mismatch import (
     FAMILY,
     RESULTS,
+    SPEED,
     Case,
     Trips,
     build,
@@ -29,14 +30,15 @@ from rich_train import RichTrain
 from tabulate import tabulate
 
 from suspnet.dynamics import PARAMETERS
-from suspnet.ground.parameters import DEFAULT_LIMITS, PAYLOAD, Severity
+from suspnet.ground.parameters import BODY_MASS, DEFAULT_LIMITS, Severity
 from suspnet.maintenance.judge import LastTrips, judge_last
 from suspnet.spectra.cross_spectra import CrossSpectra
+from suspnet.spectra.segments import Speeds
 
 LEVELS = (0.05, 0.1, 0.3, 0.5, 0.62, 0.73, 0.8, 0.9, 1.1, 1.25, 1.5, 2.5, 4.0)
 LOADS = (0.9, 1.25)
 """Range of the car body's mass over the trips."""
-NAMES = tuple(name for name in PARAMETERS if name != PAYLOAD)
+NAMES = tuple(name for name in PARAMETERS if name != BODY_MASS)
 
 
 def worn_trips(options, case: Case, rows: np.ndarray) -> Trips:
@@ -46,7 +48,8 @@ def worn_trips(options, case: Case, rows: np.ndarray) -> Trips:
     train = RichTrain.scattered(options.seed, case.effects)
     drawn = drawn_estimates(train, rows, settings, options.seed + 1000, case.sides)
     parts = zip(drawn.auto, drawn.cross, strict=True)
-    return Trips(case, [CrossSpectra(*p, drawn.n_averages) for p in parts], rows, 0)
+    spectra = [CrossSpectra(*p, drawn.n_averages) for p in parts]
+    return Trips(case, spectra, rows, 0, [Speeds((SPEED,), (1.0,))] * len(rows))
 
 
 def due(name: str, level: float) -> tuple[Severity, ...]:

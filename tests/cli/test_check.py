@@ -140,6 +140,7 @@ def test_each_steady_speed_is_a_part(manifests, tmp_path):
     assert "at 64.0 to 76.0 m/s: train with speed_m_per_s=[62,78]" in done.stdout
 
 
+@pytest.mark.representatives(1)
 @pytest.mark.parametrize("speed", [5.0, 9.0])
 def test_slow_trip_holds_too_little_but_is_no_mistake(manifests, tmp_path, speed):
     path = changed(manifests[0], tmp_path, speed=speed)
@@ -170,7 +171,8 @@ def test_pairs_are_named_and_mixed_sensors_told(manifests, tmp_path):
     content = yaml.safe_load((tmp_path / "single.yaml").read_text())
     for name in ("axle_box", "bogie"):
         source, values = content["channels"][name], signal(manifests[0], name)
-        pq.write_table(pa.table({"l": values, "r": 1.01 * values}), tmp_path / f"{name}.parquet")
+        table = pa.table({"l": values, "r": 1.01 * values})
+        pq.write_table(table, tmp_path / f"{name}.parquet", use_dictionary=False)
         pair = [source | {"file": f"{name}.parquet", "column": column} for column in "lr"]
         content["channels"][name] = pair
     (tmp_path / "pair.yaml").write_text(yaml.safe_dump(content))
@@ -309,6 +311,7 @@ def test_output_that_cannot_be_written_is_one_line(manifests, tmp_path):
     assert "Traceback" not in done.stderr
 
 
+@pytest.mark.slow  # folders are reserved: test_going_on.py
 def test_two_checks_at_once_have_two_folders(manifests, tmp_path):
     for _ in range(2):
         assert typed(check, manifests[0], "--no-pictures", cwd=tmp_path).returncode == 0

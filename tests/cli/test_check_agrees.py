@@ -13,7 +13,7 @@ from trip_fixtures import changed, model_at, write_trips
 from suspnet.cli import check
 from suspnet.cli.kinds import read_vehicles
 from suspnet.estimation.checkpoint import save_model
-from suspnet.estimation.from_recording import TripSettings
+from suspnet.estimation.trip_settings import TripSettings
 from suspnet.ground.records import NO_ESTIMATE, OK
 from suspnet.runs.train import speed_ranges
 from suspnet.spectra.estimates import SPEED_HALF_WIDTH

@@ -176,6 +176,7 @@ def test_failing_suspension_is_told_and_stops_no_other(quick, fleet, tmp_path, c
     assert not (folder / "fleet.json").exists()
 
 
+@pytest.mark.slow  # test_failed_job_stops_no_other has one
 def test_fault_of_the_program_leaves_its_traceback(quick, fleet, tmp_path, monkeypatch, caplog):
     def broken(*_, **__):
         raise LookupError("a fault")
@@ -211,6 +212,7 @@ def test_finished_suspensions_are_not_trained_again(fitted, quick, fleet, tmp_pa
     assert "run holds a finished run of other settings; give another folder" in said
 
 
+@pytest.mark.slow  # one that was not finished is, above
 def test_suspension_that_is_new_is_trained_alone(fitted, quick, fleet, manifests, tmp_path):
     folder = tmp_path / "run"
     assert trained(folder, fleet) == 0
@@ -223,6 +225,7 @@ def test_suspension_that_is_new_is_trained_alone(fitted, quick, fleet, manifests
     assert [row["suspension"] for row in rows] == ["new", "one", "two"]
 
 
+@pytest.mark.slow  # of one run: test_commissioning_program.py
 def test_warnings_of_a_run_are_told_with_its_name(quick, fleet, tmp_path, monkeypatch, caplog):
     outcome = replace(commissioned_example()[1], n_agree=1)
     monkeypatch.setattr(run, "commission", lambda *_, **__: outcome)

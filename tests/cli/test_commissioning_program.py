@@ -15,7 +15,7 @@ from suspnet.cli import train
 from suspnet.estimation.checkpoint import load_model
 from suspnet.ground.storage import write_json
 from suspnet.runs import commissioning as run
-from suspnet.spectra.estimates import SPEED_HALF_WIDTH
+from suspnet.spectra.estimates import WIDE_SPEED_HALF_WIDTH
 from suspnet.spectra.segments import SpeedRange, range_words
 
 pytestmark = pytest.mark.usefixtures("blank")
@@ -81,6 +81,7 @@ def test_run_goes_on_with_a_warning_if_one_start_alone_found_the_vehicle(
     assert 'class="result notice"' in (tmp_path / "run" / "commissioning.html").read_text()
 
 
+@pytest.mark.representatives(3)
 @pytest.mark.parametrize(
     ("overrides", "words"),
     [
@@ -103,6 +104,7 @@ def test_mistakes_are_one_line_and_leave_nothing(overrides, words, folder, tmp_p
     assert list((tmp_path / "run").iterdir()) == []
 
 
+@pytest.mark.representatives(1)
 @pytest.mark.parametrize("speed", ["70", "[60,80]"])
 def test_too_few_trips_leave_nothing(speed, folder, tmp_path):
     Path(sorted(folder.glob("*.yaml"))[0]).unlink()
@@ -132,12 +134,17 @@ def test_speeds_of_the_healthy_trips_are_the_default(fitted, problems, folder, t
     assert run_program(train, tmp_path / "one", *TRIPS, f"healthy={folder}") == 0
     (problem,) = problems
     assert problem.generator.speed_m_per_s == problem.settings.speed_m_per_s == 70.0
-    assert problem.settings.speed_half_width == SPEED_HALF_WIDTH
+    assert problem.settings.speed_half_width == WIDE_SPEED_HALF_WIDTH
     assert OmegaConf.load(tmp_path / "one" / "config.yaml").speed_m_per_s is None
-    problems.clear()
     for path, speed in zip(sorted(folder.glob("*.yaml")), (62.0, 69.1, 77.0), strict=True):
         changed(path, folder, path.stem, speed=speed)
     given = [*TRIPS, f"healthy={folder}"]
+    problems.clear()
+    assert run_program(train, tmp_path / "wide", *given) == 0
+    assert [one.generator.speed_m_per_s for one in problems] == [69.7]
+    # several models where one does not read all speeds
+    problems.clear()
+    given.append("data.speed_half_width=0.08")
     with caplog.at_level(logging.INFO):
         assert run_program(train, tmp_path / "several", *given) == 0
         assert "healthy trips at 62.0 to 77.0 m/s: speed_m_per_s=[60,79]" in caplog.text

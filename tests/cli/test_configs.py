@@ -64,6 +64,7 @@ def composed(*overrides, name="train"):
         return compose(name, overrides=list(overrides))
 
 
+@pytest.mark.representatives(3)
 @pytest.mark.every_value
 @pytest.mark.parametrize("name", NAMES["model"])
 @pytest.mark.parametrize("protocol", NAMES["protocol"])
@@ -75,6 +76,7 @@ def test_every_model_instantiates_under_every_protocol(name, protocol):
         assert type(build(config, "model")) is METHODS[name.removesuffix("_table5")]
 
 
+@pytest.mark.representatives(10)
 @pytest.mark.parametrize(("group", "name"), OPTIONS)
 def test_every_option_shows_every_argument_and_the_same_defaults(group, name):
     program = PROGRAM.get(group, "train")
@@ -280,6 +282,7 @@ def test_slurm_preset_asks_for_modest_jobs():
     assert (launcher.timeout_min, launcher.cpus_per_task, launcher.mem_gb) == (60, 8, 8)
 
 
+@pytest.mark.representatives(2)
 @pytest.mark.parametrize("name", NAMES["protocol"])
 def test_protocol_by_name_is_that_of_the_command_line(name):
     protocol, composed_one = read_protocol(name), build(composed(f"protocol={name}"), "protocol")

@@ -288,6 +288,7 @@ def test_there_are_enough_attacks():
     assert len(ALL) == len(CONFIGURATIONS) + len(NAMED)
 
 
+@pytest.mark.representatives(5)
 @pytest.mark.parametrize("attack", chosen(small=False))
 def test_attack_is_refused_in_one_line_and_changes_nothing(attack, tmp_path):
     is_harmless(attack, tmp_path)
@@ -332,6 +333,7 @@ CHANGES = {
 }
 
 
+@pytest.mark.representatives(4)
 @pytest.mark.every_value
 @pytest.mark.parametrize("resume", [True, False])
 @pytest.mark.parametrize("change", CHANGES.values(), ids=CHANGES)

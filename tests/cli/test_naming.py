@@ -21,6 +21,7 @@ def folder(program, *overrides, key="run"):
     return found[1], found[2]
 
 
+@pytest.mark.representatives(4)
 @pytest.mark.parametrize(
     ("program", "overrides", "expected"),
     [

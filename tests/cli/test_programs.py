@@ -55,12 +55,16 @@ def test_scores_lie_between_the_bound_and_a_guess(run):
         assert metrics["scores"][output]["mape_percent"] < 5  # a constant guess has about 38
 
 
-def test_intervals_and_flags_are_scored(run, tmp_path):
+def test_fresh_curves_have_like_scores_intervals_and_flags(run, tmp_path):
     folder, metrics = run
     assert metrics["intervals"]["level"] == 0.9
     assert set(metrics["intervals"]["outputs"]) == {"k_p", "c_p"}
     assert "flagged_percent" not in metrics  # training fits no test curve
-    fresh = run_main(evaluate, tmp_path, f"run={folder}", "data.n_test=100", *BARE)
+    fresh = run_main(evaluate, tmp_path, f"run={folder}", "data.n_test=150", *BARE)
+    assert (fresh["seed"], fresh["n_test"]) == (1000, 150)
+    for output, values in fresh["scores"].items():
+        ratio = values["rmse"] / metrics["scores"][output]["rmse"]
+        assert 0.5 < ratio < 2  # 300 training curves: the errors' tails vary between test sets
     for scored in (metrics, fresh):
         for values in scored["intervals"]["outputs"].values():
             # at least 33 calibration and 100 test curves: 5 % and 3 %; three of their root sum
@@ -118,16 +122,7 @@ def test_same_seed_same_numbers_other_seed_other_numbers(run, tmp_path):
     assert other["scores"] != metrics["scores"]
 
 
-def test_evaluate_scores_fresh_curves_alike(run, tmp_path):
-    folder, metrics = run
-    fresh = run_main(evaluate, tmp_path, f"run={folder}", "data.n_test=150", *BARE)
-    assert fresh["seed"] == 1000
-    assert fresh["n_test"] == 150
-    for output, values in fresh["scores"].items():
-        ratio = values["rmse"] / metrics["scores"][output]["rmse"]
-        assert 0.5 < ratio < 2  # 300 training curves: the errors' tails vary between test sets
-
-
+@pytest.mark.slow  # of trips: test_report_has_no_figure_if_none_is_asked_for
 def test_evaluate_draws_nothing_if_asked(run, tmp_path):
     few = [f"run={run[0]}", "data.n_test=20", "progress=false"]
     run_main(evaluate, tmp_path / "bare", *few, "figures=false")
@@ -145,6 +140,7 @@ def test_evaluate_sees_more_noise(run, tmp_path):
     assert noisy["bound"]["c_p"]["rmse"] > 2 * metrics["bound"]["c_p"]["rmse"]
 
 
+@pytest.mark.slow  # test_run_of_another_protocol_is_refused
 def test_evaluate_takes_a_protocol_that_fits_only(run, tmp_path):
     folder, _ = run
     small = ["data.n_test=20", *BARE, f"run={folder}"]
@@ -155,6 +151,7 @@ def test_evaluate_takes_a_protocol_that_fits_only(run, tmp_path):
         run_main(evaluate, tmp_path / "paper", *small, "protocol=paper")
 
 
+@pytest.mark.slow  # test_protocols.py; test_no_means_no knows no mass
 def test_mass_known_and_mass_estimated(tmp_path):
     known = run_main(
         train, tmp_path / "known", *UNCALIBRATED, "protocol.mass_known=true", "model=linear"
@@ -165,6 +162,7 @@ def test_mass_known_and_mass_estimated(tmp_path):
     assert list(asked["scores"]) == ["k_p", "c_p", "k_s", "c_s", "M_s"]
 
 
+@pytest.mark.slow  # test_refined_run_reaches_the_bound does the same
 def test_curve_fit_comes_close_to_the_bound(tmp_path):
     small = [*SMALL, "model=curve_fit", "data.n_test=128", "data.n_calibrate=null"]
     metrics = run_main(train, tmp_path, *small)
@@ -173,6 +171,7 @@ def test_curve_fit_comes_close_to_the_bound(tmp_path):
         assert 0.8 < ratio < 1.25  # efficient: 1 within the sampling error of 128 curves
 
 
+@pytest.mark.representatives(5)
 @pytest.mark.parametrize(
     ("override", "message"),
     [
@@ -195,6 +194,7 @@ def test_mistake_gets_one_line(override, message, tmp_path):
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.representatives(4)
 @pytest.mark.parametrize(
     ("program", "overrides", "message"),
     [
@@ -395,6 +395,7 @@ def test_table5_writes_an_override_file_that_works(tmp_path):
     assert metrics["training"]["parameters"]["C"] == 100.0
 
 
+@pytest.mark.slow  # test_evaluate_sees_more_noise has the bound
 def test_sensitivity_error_grows_with_the_noise(tmp_path):
     ended = typed(
         train,

@@ -1,6 +1,6 @@
 """`--help`: each key has a sentence with unit and range, and the ranges are those of checks."""
 
-import copy
+import pickle
 import re
 import sys
 import warnings
@@ -13,22 +13,16 @@ from hydra import compose, initialize_config_dir
 from omegaconf import OmegaConf
 
 from suspnet.cli import check, evaluate, init, options, simulate, train
-from suspnet.cli.commission_fleet import HealthySettings
 from suspnet.cli.config_files import CONFIGS, SWITCHES, phrase, read_comments
-from suspnet.cli.kinds import KINDS, build, class_of
-from suspnet.cli.program import THREADS, n_threads
+from suspnet.cli.kinds import build
+from suspnet.cli.program import n_threads
 from suspnet.cli.reference import COLUMNS, Reference, _of_kinds
-from suspnet.cli.serve import ServeSettings
-from suspnet.cli.simulate import WORKERS
 from suspnet.ground.settings import settings_of
-from suspnet.live.replay import Pace, Replay
-from suspnet.simulation.fleet import Trains, scattered
-from suspnet.simulation.signals import Sensor
-from suspnet.spectra.components import CurveFeatures
-from suspnet.spectra.extraction import PeakFeatures
+from suspnet.simulation.fleet import scattered
 
 sys.path.append(str(Path(__file__).parents[1] / "benchmarks"))
 import configuration
+from config_comments import OF_PROGRAMS, commented, declaring
 
 LONGEST = 260
 """Number of characters of a sentence beyond which nobody reads it."""
@@ -73,6 +67,7 @@ def composed(name, *overrides):
         return config, Reference(config).keys()
 
 
+@pytest.mark.representatives(6)
 @pytest.mark.parametrize(("program", "choice"), CHOSEN, ids=lambda one: one)
 def test_help_tells_every_key_its_value_unit_and_range(program, choice):
     with initialize_config_dir(version_base="1.3", config_dir=CONFIGS):
@@ -190,32 +185,24 @@ def test_switches_are_those_called_so():
             assert is_switch == (key.limits == "true or false"), key
 
 
-def declared():
-    """Yield place, kind, path and class of everything that declares settings."""
-    for place, kinds in KINDS.items():
-        for kind in kinds:
-            if (
-                place not in ("generator",) or kind == "vertical_vehicle"
-            ):  # the others hand theirs on
-                yield place, kind, (), class_of(place, kind)
-    yield "protocol", "", ("features",), PeakFeatures
-    yield "protocol", "", ("curve",), CurveFeatures
-    yield "fleet", "", ("sensors", "axle_box"), Sensor
-
-
-@pytest.mark.parametrize(("place", "kind", "path", "class_"), [*declared()], ids=str)
+@pytest.mark.parametrize(("place", "kind", "path", "class_"), [*declaring()], ids=str)
 def test_comments_of_configurations_are_those_of_the_declaration(place, kind, path, class_):
     for name, one in settings_of(class_).items():
         assert _of_kinds()[place, kind, (*path, name)] == one.text, (place, kind, name)
 
 
-OF_PROGRAMS = {
-    "replay": [one for class_ in (Replay, Pace) for one in settings_of(class_).values()],
-    "simulate": [*settings_of(Trains).values(), WORKERS],
-    "serve": settings_of(ServeSettings).values(),
-    "train": [*settings_of(HealthySettings).values(), THREADS],
-    "evaluate": [THREADS],
-}
+@pytest.mark.parametrize("file", sorted(Path(CONFIGS).rglob("*.yaml")), ids=lambda one: one.stem)
+def test_comments_are_as_the_script_writes_them(file):
+    assert commented(file) == file.read_text(encoding="utf-8")
+
+
+def test_script_writes_the_declared_sentence_over_another_comment(tmp_path):
+    file = tmp_path / "model" / "svr.yaml"
+    file.parent.mkdir()
+    shipped = (Path(CONFIGS) / "model" / "svr.yaml").read_text(encoding="utf-8")
+    file.write_text(shipped.replace("Stopping tolerance of libsvm [above 0]", "Other\n# words [m]"))
+    assert "# Other\n# words [m]\ntol:" in file.read_text(encoding="utf-8")
+    assert commented(file) == shipped
 
 
 @pytest.mark.parametrize("program", OF_PROGRAMS)
@@ -225,9 +212,9 @@ def test_comments_of_programs_are_those_of_the_declaration(program):
         assert above[(one.name,)] == one.text
 
 
-def refused(config, section, key, value):
+def refused(pickled, section, key, value):
     """Return what an object says of a value of a key, if it says that it must be another one."""
-    config = copy.deepcopy(config)
+    config = pickle.loads(pickled)  # faster than copy.deepcopy
     OmegaConf.update(config, key.name, value)
     try:
         with warnings.catch_warnings():
@@ -279,7 +266,7 @@ def choices(limits):
 def test_ranges_are_those_of_the_checks(line, sections):
     config, rows = composed(*line)
     config = OmegaConf.masked_copy(config, [key for key in config if key != "hydra"])
-    n_checked = 0
+    pickled, n_checked = pickle.dumps(config), 0
     for key in rows:
         section, name = key.name.partition(".")[0], key.name.rpartition(".")[2]
         inside, outside = points(key.limits)
@@ -291,14 +278,14 @@ def test_ranges_are_those_of_the_checks(line, sections):
         n_checked += 1
         is_list = key.value.startswith("[")
         for value in inside:
-            assert not refused(config, section, key, [value] * 3 if is_list else value), key
+            assert not refused(pickled, section, key, [value] * 3 if is_list else value), key
         for value in [*outside, *(["nonsense"] if words else [])]:
-            rule = refused(config, section, key, [value] * 3 if is_list else value)
+            rule = refused(pickled, section, key, [value] * 3 if is_list else value)
             assert rule, (key, value)
             if words:
                 assert set(re.findall(r"'(\w+)'", rule)) - {"nonsense"} == words
         if not is_list:
-            assert bool(refused(config, section, key, None)) == ("or null" not in key.limits), key
+            assert bool(refused(pickled, section, key, None)) == ("or null" not in key.limits), key
     assert n_checked > 0
 
 

@@ -138,7 +138,7 @@ def killed_while_reading(store, cwd):
 def test_signal_in_the_middle_of_a_request_is_not_lost(path, tmp_path):
     with run_apart(killed_while_reading, path, tmp_path) as (process, output, errors):
         address = listening(process, output)
-        with pytest.raises(OSError), urllib.request.urlopen(address, timeout=1) as answer:  # noqa: PT011, PT012
+        with pytest.raises(OSError), urllib.request.urlopen(address, timeout=0.3) as answer:  # noqa: PT011, PT012
             answer.read()
             raise ConnectionError
         process.join(20)
@@ -189,6 +189,7 @@ def check_end(number, code, printed, wrong):
         assert wrong.startswith(f"{WORDS[number]}: ")
 
 
+@pytest.mark.slow  # test_start.py: a signal while a program is imported
 def test_signal_at_the_start_ends_the_program(path, tmp_path):
     check_end(signal.SIGTERM, *ended(path, tmp_path, signal.SIGTERM, 0.7))
 

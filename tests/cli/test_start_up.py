@@ -1,11 +1,12 @@
 """`--help` answers before what takes seconds is imported; pages are served without torch."""
 
 import json
+import runpy
 import subprocess
 import sys
 
 import pytest
-from cli_runner import ROOT
+from cli_runner import ROOT, handlers_set_back
 
 from suspnet.cli.start import PROGRAMS
 
@@ -48,16 +49,12 @@ def helped(folder, names):
     assert ended.returncode == 0, ended.stderr
 
 
-def test_history_starts_as_a_module():
-    ended = subprocess.run(
-        [sys.executable, "-m", "suspnet.history", "--help"],
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        timeout=100,
-        check=True,
-    )
-    assert ended.stdout.startswith("usage: suspnet-history")
+def test_history_starts_as_a_module(monkeypatch, capsys):
+    monkeypatch.setattr(sys, "argv", ["suspnet-history", "--help"])
+    with handlers_set_back(), pytest.raises(SystemExit) as ended:
+        runpy.run_module("suspnet.history", run_name="__main__")
+    assert not ended.value.code
+    assert capsys.readouterr().out.startswith("usage: suspnet-history")
 
 
 @pytest.mark.parametrize("names", [QUICK, pytest.param(PROGRAMS, marks=pytest.mark.slow)])

@@ -80,6 +80,7 @@ NAMES = {
 }
 
 
+@pytest.mark.representatives(3)
 @pytest.mark.parametrize(("module", "arguments"), NAMES.values(), ids=NAMES)
 def test_programs_print_hostile_names_as_escapes(module, arguments, tmp_path):
     trips = tmp_path / "trips"

@@ -362,9 +362,12 @@ AS_ANOTHER = (
     *("changes__runstring", "changes__torch_load", "cluster_swept_group", "shadowed_sweeper"),
     *("another_launcher", "yaml_tag_new", "swept_logging", "expression_of_joblib"),
     *("argument_of_the_launcher", "argument_of_the_sweeper", "pickle_to_run_again_abbreviated"),
+    *("changes__touch", "fleet", "launcher", "sweeper", "hydra_logging_class", "another_logging"),
+    *("nested_in_swept", "swept_experiments", "package_to_compose_from", "cluster_swept"),
+    *("cluster_of_hydra", "yaml_alias_of_itself", "on_the_command_line", "shown"),
 )
 """Payloads that a program refuses as it does another one that it is handed by default."""
-WHOLE = ("model__touch", "hydra_callback__touch", "node_elsewhere", "cluster_resolved_late")
+WHOLE = ("model__touch", "hydra_callback__touch", "cluster_resolved_late")
 """Payloads of `CHECKED` that are handed to a whole program by default too."""
 
 
@@ -392,7 +395,17 @@ def test_configuration_that_sets_plain_values_is_trusted(shipped, program):
     check_with(shipped[program], "x: 1\nseed: 2\nhydra: {job: {name: mine}}")
 
 
-@pytest.mark.parametrize("payload", CHECKED, ids=lambda payload: payload.name)
+@pytest.mark.parametrize(
+    "payload",
+    [
+        pytest.param(
+            one,
+            id=one.name,
+            marks=[pytest.mark.slow] * (one.name.partition("__")[2] in SLOW),
+        )
+        for one in CHECKED
+    ],
+)
 def test_payload_is_refused_by_the_checks_of_a_configuration(
     shipped, payload, tmp_path, monkeypatch
 ):
@@ -439,7 +452,7 @@ def test_there_are_many_payloads_of_distinct_names():
 @pytest.mark.parametrize(
     "name",
     [
-        "hydra_callback__touch",  # a process of its own takes seconds: one of them by default
+        pytest.param("hydra_callback__touch", marks=pytest.mark.slow),  # a process takes seconds
         pytest.param("handler_factory", marks=pytest.mark.slow),
         pytest.param("swept_experiments", marks=pytest.mark.slow),
     ],
@@ -481,6 +494,7 @@ def test_resolvers_are_found_as_omegaconf_finds_them(text, resolvers):
         trusted._check_resolvers("key", "${oc.decode:1}")
 
 
+@pytest.mark.representatives(2)
 @pytest.mark.parametrize(
     "arguments",
     [
@@ -498,6 +512,7 @@ def test_what_is_documented_is_allowed(arguments):
     assert found.model.kind in KINDS["model"]
 
 
+@pytest.mark.representatives(2)
 @pytest.mark.parametrize(
     ("arguments", "cluster"),
     [

@@ -101,7 +101,9 @@ def test_wrong_value_gets_one_line_before_anything_is_written(module, overrides,
     assert not list((tmp_path / "run").iterdir())
 
 
-@pytest.mark.parametrize(("program", "n_values"), [("train", 4), ("simulate", 12)])
+@pytest.mark.parametrize(
+    ("program", "n_values"), [pytest.param("train", 4, marks=pytest.mark.slow), ("simulate", 12)]
+)
 def test_some_wrong_values_end_in_one_line(program, n_values, tmp_path):
     counts, failures = value_fuzz.fuzz(program, n_values, 5, tmp_path, n_bases=1)
     assert failures == []

@@ -67,9 +67,10 @@ def test_information_equals_finite_differences(observer, parameters):
     np.testing.assert_allclose(found / size, expected / size, rtol=0, atol=1e-6)
 
 
-@pytest.mark.every_value
-@pytest.mark.parametrize("method", ["H1", "IV"])
-@pytest.mark.parametrize("parameters", [("k_p", "c_p"), ("k_s", "c_s")])
+@pytest.mark.parametrize("method", [pytest.param("H1", marks=pytest.mark.slow), "IV"])
+@pytest.mark.parametrize(
+    "parameters", [("k_p", "c_p"), pytest.param(("k_s", "c_s"), marks=pytest.mark.slow)]
+)
 def test_bound_is_reached_by_least_squares(method, parameters):
     """Gauss-Newton on draws of the estimate, weighted by the inverse covariance of each bin."""
     settings = EstimateSettings(

@@ -35,16 +35,18 @@ VERTICAL = ("bushings", "rubber", "guidance", "longitudinal", "bending")
 OF_TRIPS = ("bending", "payload", "sensors", "wheelsets", "other_bogie")
 SPRINGS_AND_DAMPERS = ["healthy_k_p", "healthy_c_p", "healthy_k_s", "healthy_c_s"]
 MASSES = [0.95, 1.05, 1.15]
+TWO = MASSES[::2]
+"""Masses of the fewest trips that hold what a fit finds of each trip."""
 
 
 def with_parts(*parts, **changes):
     return VerticalVehicle(AM96, parts=parts, distribution="prior", **changes)
 
 
-def trips(generator, numbers, seed, speeds=(70.0,), settings=SETTINGS):
+def trips(generator, numbers, seed, speeds=(70.0,), settings=SETTINGS, masses=MASSES):
     """Return drawn spectra of healthy trips of a generator's vehicle, speeds taken in turn."""
     source, groups = torch.Generator().manual_seed(seed), []
-    for trip, mass in enumerate(MASSES):
+    for trip, mass in enumerate(masses):
         at = Speeds((speeds[trip % len(speeds)],), (1.0,))
         rows = torch.ones(1, 5, dtype=torch.float64)
         rows[0, 4] = mass
@@ -59,10 +61,12 @@ def healthy(trip, at, drawn):
     return HealthySpectra(trip, f"trip_{trip}", at, spectra)
 
 
-def rich_trips(train, seed, ratios=(1.0, 1.0, 1.0, 1.0), speeds=(70.0,), settings=RICH):
+def rich_trips(
+    train, seed, ratios=(1.0, 1.0, 1.0, 1.0), speeds=(70.0,), settings=RICH, masses=MASSES
+):
     """Return drawn spectra of trips of a rich train, sensors left and right averaged."""
     groups = []
-    for trip, mass in enumerate(MASSES):
+    for trip, mass in enumerate(masses):
         speed = speeds[trip % len(speeds)]
         row = np.array([[*ratios, mass]])
         drawn = drawn_estimates(train.at(speed), row, settings, 10 * seed + trip)
@@ -119,7 +123,7 @@ def bushed():
     """A vehicle with bushings drawn from its prior, its trips and what they show."""
     generator = with_parts("bushings")
     numbers = from_prior(generator, 3)
-    groups = trips(generator, numbers, 4, speeds=(70.0, 55.0))
+    groups = trips(generator, numbers, 4, speeds=(70.0, 55.0), masses=TWO)
     return generator, numbers, groups, commission(generator, SETTINGS, groups, n_starts=1)
 
 
@@ -130,8 +134,8 @@ def test_sum_of_squares_is_that_written_naively(bushed):
     generator, numbers, groups, _ = bushed
     target = HealthyMisfit(generator, SETTINGS, groups)
     z = np.linalg.solve(generator.distribution.factor, np.log(numbers))
-    theta = torch.as_tensor(np.concatenate([z, np.log(MASSES)]))[None]
-    expected = np.sum(naive_residuals(generator, groups, np.log(numbers), np.log(MASSES)) ** 2)
+    theta = torch.as_tensor(np.concatenate([z, np.log(TWO)]))[None]
+    expected = np.sum(naive_residuals(generator, groups, np.log(numbers), np.log(TWO)) ** 2)
     assert expected > 100
     assert float(target.residuals(theta, 0.0).square().sum()) == pytest.approx(expected, rel=1e-9)
 
@@ -141,7 +145,7 @@ def test_jacobian_is_that_of_finer_differences(bushed, spread):
     generator, _, groups, found = bushed
     target = HealthyMisfit(generator, SETTINGS, groups)
     n = len(found.prior.names)
-    x = np.concatenate([0.3 * np.cos(np.arange(n)), np.log(MASSES)])
+    x = np.concatenate([0.3 * np.cos(np.arange(n)), np.log(TWO)])
 
     def residuals(moved):
         return target.residuals(torch.as_tensor(moved)[None], spread)[0].numpy()
@@ -160,7 +164,7 @@ def test_jacobian_is_that_of_finer_differences(bushed, spread):
 def test_bins_above_a_band_count_for_nothing_and_those_below_as_before(bushed):
     generator, _, groups, _ = bushed
     target = HealthyMisfit(generator, SETTINGS, groups)
-    x = np.concatenate([0.3 * np.cos(np.arange(len(generator.distribution.names))), np.log(MASSES)])
+    x = np.concatenate([0.3 * np.cos(np.arange(len(generator.distribution.names))), np.log(TWO)])
     theta = torch.as_tensor(x)[None]
     spread = 0.01
     used = SETTINGS.frequencies_hz() <= 4.0
@@ -208,7 +212,7 @@ def test_posterior_is_the_closed_form_of_the_problem_linearised_there(bushed):
     step = -covariance @ (jacobian.T @ here)
     deviations = np.sqrt(np.diag(covariance))
     assert np.abs(step / deviations).max() < 0.03
-    told = jacobian[: -n - len(MASSES)]
+    told = jacobian[: -n - len(TWO)]
     excess = max(found.misfit**2, 1.0)
     expected = np.linalg.inv(information + told.T @ told * (1 / excess - 1))[:n, :n]
     error = np.array(found.posterior.covariance) - expected
@@ -224,7 +228,7 @@ def test_no_other_search_finds_a_more_probable_vehicle(bushed):
         residuals = target.residuals(torch.as_tensor(x)[None], 0.0)[0].numpy()
         return residuals @ residuals, 2 * target.jacobian(x, 0.0).T @ residuals
 
-    truth = np.concatenate([np.linalg.solve(factor, np.log(numbers)), np.log(MASSES)])
+    truth = np.concatenate([np.linalg.solve(factor, np.log(numbers)), np.log(TWO)])
     end = minimize(cost, truth, jac=True, method="BFGS").fun
     at = np.concatenate([np.linalg.solve(factor, found.posterior.mean), np.log(found.masses)])
     assert cost(at)[0] < end + 0.01
@@ -237,7 +241,7 @@ def test_trips_without_information_leave_the_prior():
     generator = with_parts()
     groups = [
         replace(g, spectra=replace(g.spectra, cross=1e-7 * g.spectra.cross))
-        for g in trips(generator, from_prior(generator, 1), 2)
+        for g in trips(generator, from_prior(generator, 1), 2, masses=TWO[:1])
     ]
     found = commission(generator, SETTINGS, groups)
     assert np.abs(found.posterior.mean).max() < 1e-6
@@ -289,7 +293,8 @@ def test_every_part_is_found_and_several_starts_agree():
 def test_what_trips_and_sensors_add_is_found(parts, settings, seed):
     generator = with_parts(*parts)
     numbers = from_prior(generator, seed)
-    groups = trips(generator, numbers, 3, settings=settings)
+    masses = TWO if settings is SETTINGS else MASSES
+    groups = trips(generator, numbers, 3, settings=settings, masses=masses)
     found = commission(generator, settings, groups, n_starts=1)
     assert found.converged
     # in 47 bins, what is fitted takes much of the noise
@@ -314,7 +319,7 @@ def test_wheelsets_that_are_not_excited_alone_are_left_out(ratio):
     numbers = np.ones(len(generator.distribution.names))
     row = generator.distribution.names.index("wheelset_share")
     numbers[row] = ratio
-    groups = trips(generator, numbers, 8, settings=RICH)
+    groups = trips(generator, numbers, 8, settings=RICH, masses=TWO)
     found = commission(generator, RICH, groups, n_starts=1)
     reached = abs(found.posterior.median[row])  # a share counts by its size
     assert abs(np.log((1 + reached) / (1 + ratio))) < 4 * found.posterior.deviations[row]
@@ -360,9 +365,8 @@ def test_a_wrong_vehicle_file_leads_to_the_same_vehicle(bushed, spring, damper):
         secondary_stiffness_n_per_m=spring * AM96.secondary_stiffness_n_per_m,
         secondary_damping_ns_per_m=damper * AM96.secondary_damping_ns_per_m,
     )
-    other = commission(replace(right, vehicle=wrong), SETTINGS, groups, n_starts=2)
+    other = commission(replace(right, vehicle=wrong), SETTINGS, groups, n_starts=1)
     assert other.converged
-    assert other.n_agree == 2
     expected, deviations = si(found, SPRINGS_AND_DAMPERS)
     logs, _ = si(other, SPRINGS_AND_DAMPERS)
     # the prior lies elsewhere: that is the share
@@ -375,21 +379,22 @@ def test_a_wrong_vehicle_file_leads_to_the_same_vehicle(bushed, spring, damper):
 @pytest.mark.parametrize(
     ("speeds", "settings"),
     [
-        ((50.0, 65.0, 80.0), SETTINGS),
+        ((50.0, 80.0), SETTINGS),
         pytest.param((50.0, 65.0, 80.0), RICH, marks=pytest.mark.slow),
         pytest.param((70.0,), RICH, marks=pytest.mark.slow),
     ],
 )
 def test_a_train_of_the_familys_effects_is_explained(speeds, settings):
     train, n_starts = RichTrain.scattered(2, FAMILY), 1 if settings is SETTINGS else 2
-    groups = rich_trips(train, 1, speeds=speeds, settings=settings)
+    masses = TWO if settings is SETTINGS else MASSES
+    groups = rich_trips(train, 1, speeds=speeds, settings=settings, masses=masses)
     found = commission(with_parts(*VERTICAL), settings, groups, n_starts=n_starts)
     assert found.converged
     assert found.n_agree == n_starts
     # in 47 bins, what is fitted takes much of the noise
     assert (0.75 if settings is SETTINGS else 0.9) < found.misfit < 1.1
     assert max(found.misfits) < 1.15
-    np.testing.assert_allclose(found.masses, MASSES, rtol=0.02)
+    np.testing.assert_allclose(found.masses, masses, rtol=0.02)
     rows = [found.posterior.names.index(name) for name in SPRINGS_AND_DAMPERS]
     truth = np.log([getattr(train, name[8:]) for name in SPRINGS_AND_DAMPERS])
     error = np.array(found.posterior.mean)[rows] - truth
@@ -401,7 +406,7 @@ def test_few_parts_leave_a_misfit_where_the_train_has_more(effect):
     effects = ("healthy", "inertias", "geometry", "bushings")
     train = RichTrain.scattered(2, effects if effect is None else (*effects, effect))
     ratios = (0.6, 0.6, 1.0, 1.0) if effect == "one_side" else (1.0, 1.0, 1.0, 1.0)
-    groups = rich_trips(train, 1, ratios, settings=SETTINGS)
+    groups = rich_trips(train, 1, ratios, settings=SETTINGS, masses=TWO[:1])
     found = commission(with_parts("bushings"), SETTINGS, groups, n_starts=1)
     if effect is None:
         assert 0.75 < found.misfit < 1.1  # 47 bins and 27 numbers

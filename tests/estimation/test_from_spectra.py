@@ -27,7 +27,7 @@ ORDER = [PARAMETERS.index(name) for name in OUTPUTS]
 @pytest.fixture(scope="module")
 def model():
     """Sensors so noisy that noise is about half of the error at the averages of the training."""
-    return model_at(n_train=800, snr_db=20.0, n_calibrate=150)
+    return model_at(n_train=500, snr_db=20.0, n_calibrate=150)
 
 
 def refined(model, widened=1.0):
@@ -127,6 +127,7 @@ def test_a_trip_like_those_of_the_training_has_the_calibrated_interval(model, mo
     assert (found.half_widths > 0.005).all()
 
 
+@pytest.mark.every_value
 @pytest.mark.parametrize("noise", [0.5, 1.0, 3.0])
 @pytest.mark.parametrize("expected_noise", [0.5, 2.0])
 def test_noise_of_the_training_is_replaced(model, monkeypatch, noise, expected_noise):
@@ -171,7 +172,9 @@ def test_refined_interval_is_that_of_the_information(model):
     np.testing.assert_allclose(found, stats.norm.ppf(0.95) * bounds, rtol=0.06)
 
 
-@pytest.mark.parametrize("share", [0.25, 1.0, 4.0])
+@pytest.mark.parametrize(
+    "share", [0.25, *(pytest.param(one, marks=pytest.mark.slow) for one in (1.0, 4.0))]
+)
 def test_error_of_the_generator_does_not_average_out(model, share):
     """Calibrated errors six times the deviations are not noise."""
     observer = model.settings.observer(model.generator)
@@ -336,7 +339,7 @@ def test_beyond_the_range_of_the_training_the_curve_decides(model, change):
     assert inside.mean() >= 0.7  # 90 %, less two deviations of a draw of 15
 
 
-@pytest.mark.parametrize("order", [(1, 0, 2), (0, 2, 1)])
+@pytest.mark.parametrize("order", [(1, 0, 2), pytest.param((0, 2, 1), marks=pytest.mark.slow)])
 def test_swapped_channels_are_flagged(model, order):
     spectra = row(drawn(expected(model, ratios_of(WORN)), model))
     cross = [spectra.between(order[x], order[y]) for x, y in ((0, 1), (0, 2), (1, 2))]

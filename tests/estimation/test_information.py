@@ -109,6 +109,7 @@ def least_error_by_sums(theta, s, low, high):
     return math.sqrt(weights @ (mean - theta) ** 2 / weights.sum())
 
 
+@pytest.mark.every_value
 @pytest.mark.parametrize("s", [0.02, 0.1, 0.5, 3.0])
 @pytest.mark.parametrize("theta", [0.5, 0.55, 0.8, 1.25, 1.9, 2.0])
 def test_range_limited_error_is_that_of_the_posterior_mean(s, theta):
@@ -299,7 +300,7 @@ def test_knowing_the_mass_never_hurts(task, quarter_car):
 # best_possible
 
 
-def best(quarter_car, problem, n=400):
+def best(quarter_car, problem, n=200):
     ratios = problem.sample(n, seed=0, stream=TEST)
     bounds = output_bounds(problem, OBSERVED.observer(quarter_car), ratios)
     return best_possible(problem, bounds, ratios), ratios
@@ -317,9 +318,9 @@ def test_best_possible_is_the_ambiguity_where_the_mass_cannot_be_told_apart(task
     ("name", "group", "changes"),
     [
         ("paper", "primary", {}),
-        ("paper", "secondary", {"mass_known": True}),
-        ("multi_location", "primary", {}),
-        ("multi_location", "secondary", {}),
+        pytest.param("paper", "secondary", {"mass_known": True}, marks=pytest.mark.slow),
+        pytest.param("multi_location", "primary", {}, marks=pytest.mark.slow),
+        pytest.param("multi_location", "secondary", {}, marks=pytest.mark.slow),
         ("multi_location", "secondary", {"mass_known": True}),
         ("multi_location", "secondary", {"estimate_mass": True}),
         ("joint", "all", {}),

@@ -265,8 +265,19 @@ def test_all_that_speaks_against_a_curve_is_said_in_order(detector, problem):
 
 
 def test_flagged_is_any_of_the_kinds():
-    found = np.eye(6, 5, dtype=bool)
-    assert Flags(found, ("",) * 6).flagged.tolist() == [True] * 5 + [False]
+    flags = Flags((*(((kind, kind),) for kind in KINDS), ()))
+    np.testing.assert_array_equal(flags.found, np.eye(7, 6, dtype=bool))
+    assert flags.flagged.tolist() == [True] * 6 + [False]
+
+
+def test_flags_without_a_kind_keep_the_order_of_the_others():
+    both = Flags.none(2).with_kind("range", "low").with_kind("misfit", "odd")
+    both = both.with_kind("range", "high")
+    assert both.reasons == ("low; odd; high",) * 2
+    assert both.without("misfit").reasons == ("low; high",) * 2
+    assert both.without("range", "cloud") == Flags.none(2).with_kind("misfit", "odd")
+    assert not both.without("range", "misfit").flagged.any()
+    assert Flags.none(0).found.shape == (0, len(KINDS))
 
 
 def test_few_curves_like_the_training_curves_are_flagged(problem):

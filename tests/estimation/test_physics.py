@@ -160,10 +160,10 @@ def test_curves_are_flagged_and_wider_too():
 
 
 def test_words_follow_those_of_other_flags():
-    flags = Flags(np.array([[False, False, False, True, False]]), ("odd",))
+    flags = Flags(((("misfit", "odd"),),))
     found = Unexplained(UNTRUSTED + 0.1, COSTS).flagged(flags)
     assert found.reasons[0].startswith("odd; the commissioned vehicle leaves 5.1 times")
-    assert not flags.found[0, -1]
+    assert not flags.has("physics")[0]
     assert Unexplained(UNTRUSTED, COSTS).flagged(flags) is flags
 
 

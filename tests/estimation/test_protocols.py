@@ -29,7 +29,7 @@ def as_set(ratios):
     ("name", "group"),
     [
         ("paper", "primary"),
-        ("multi_location", "secondary"),
+        pytest.param("multi_location", "secondary", marks=pytest.mark.slow),
         pytest.param("paper", "secondary", marks=pytest.mark.slow),
         pytest.param("multi_location", "primary", marks=pytest.mark.slow),
     ],
@@ -71,7 +71,10 @@ def test_sample_lies_on_the_grid_and_leaves_the_rest_healthy(task, group):
         assert ratios[:, column].std() > 0.3  # uniform in 0.5-2 has 0.43
 
 
-@pytest.mark.parametrize(("name", "group"), [("multi_location", "primary"), ("joint", "all")])
+@pytest.mark.parametrize(
+    ("name", "group"),
+    [pytest.param("multi_location", "primary", marks=pytest.mark.slow), ("joint", "all")],
+)
 def test_vehicles_of_the_three_streams_are_disjoint(task, name, group):
     problem = task(name, group)
     numbers = {TRAIN: 20_000, TEST: 4000, CALIBRATE: 30_000}  # those of CurveSettings

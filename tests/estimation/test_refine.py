@@ -1,7 +1,7 @@
 """Refined estimates against the Cramer-Rao bound and scipy; bad starts, limits, other models."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -205,11 +205,11 @@ def test_curves_that_do_not_tell_give_infinite_deviations(task):
 
 @pytest.mark.parametrize(
     "start",
-    [math.nan, -1.0, 1e9, *(pytest.param(x, marks=pytest.mark.slow) for x in (1e-9, math.inf))],
+    [math.nan, 1e9, *(pytest.param(x, marks=pytest.mark.slow) for x in (-1.0, 1e-9, math.inf))],
 )
 def test_starts_that_mean_nothing_end_where_good_ones_do(joint, start):
     problem, _, misfit, found = joint
-    n = 32
+    n = 16
     some = CurveMisfit(OBSERVER, misfit.observed[:n])
     other = refine(problem, some, np.full((n, 5), start))
     assert other.converged.all()
@@ -279,6 +279,9 @@ class OtherRounding:
     @property
     def expected(self):
         return self.misfit.expected
+
+    def thinned(self):
+        return replace(self, misfit=self.misfit.thinned())
 
     def __call__(self, ratios, rows):
         found = self.misfit(ratios, rows)

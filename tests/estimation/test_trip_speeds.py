@@ -7,6 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import torch
+from scipy.stats import norm
 from trip_fixtures import OUTPUTS, model_at
 from vehicles import AM96
 
@@ -179,7 +180,7 @@ def test_segments_are_grouped_by_their_speed():
 
 def part(values, half, noise_share, averages=10.0, words=""):
     values, half = np.array([values]), np.array([half])
-    flags = Flags(np.array([[bool(words), False, False, False, False]]), (words,))
+    flags = Flags(((("missing", words),) if words else (),))
     ends = values * np.exp(-half), values * np.exp(half)
     estimate = Estimate(("k_p", "c_p"), values, *ends, 0.9, flags)
     return SimpleNamespace(
@@ -191,11 +192,21 @@ def part(values, half, noise_share, averages=10.0, words=""):
 
 
 def test_noise_of_several_speeds_averages_out_and_the_rest_does_not():
-    parts = [part([0.9, 1.0], [0.02, 0.1], [1.0, 0.0]), part([1.0, 1.1], [0.02, 0.2], [1.0, 0.0])]
+    parts = [part([0.99, 1.0], [0.02, 0.1], [1.0, 0.0]), part([1.0, 1.1], [0.02, 0.2], [1.0, 0.0])]
     found = combined(parts)
     np.testing.assert_allclose(found.half_widths[0, 0], 0.02 / math.sqrt(2))
     np.testing.assert_allclose(found.half_widths[0, 1], 0.8 * 0.1 + 0.2 * 0.2)
-    np.testing.assert_allclose(found.values[0], [math.sqrt(0.9), 1.1**0.2])
+    np.testing.assert_allclose(found.values[0], [math.sqrt(0.99), 1.1**0.2])
+
+
+def test_speeds_that_differ_by_more_than_their_noise_widen_the_interval():
+    values, half = ([0.9, 1.0], [1.0, 1.0], [1.1, 1.0]), [0.02, 0.05]
+    found = combined([part(pair, half, [0.5, 1.0]) for pair in values])
+    spread = np.var(np.log([0.9, 1.0, 1.1]), ddof=1)
+    lasting = norm.ppf(0.95) ** 2 * spread - 0.5 * 0.02**2
+    expected = math.sqrt(0.5 * 0.02**2 / 3 + lasting)
+    np.testing.assert_allclose(found.half_widths[0, 0], expected)
+    np.testing.assert_allclose(found.half_widths[0, 1], 0.05 / math.sqrt(3))
 
 
 def test_groups_without_intervals_are_weighed_by_their_averages():

@@ -54,7 +54,7 @@ def test_fit_is_that_of_scipy_on_every_number(problem):
     distribution = narrow(0.1)
     observer = observer_of(distribution)
     assert 0 < observer.directions.n < len(distribution.names)
-    ratios, misfit, start = observed(observer, problem, 3)
+    ratios, misfit, start = observed(observer, problem, 2)
     found = refine(problem, misfit, start, directions=observer.directions)
     assert found.converged.all()
     factor = distribution.factor
@@ -144,7 +144,9 @@ def test_known_numbers_give_a_poor_fit_where_they_are_uncertain(problem):
 # limit
 
 
-@pytest.mark.parametrize("distribution", [None, {}, {"body_gyration": 1e-9}])
+@pytest.mark.parametrize(
+    "distribution", [None, pytest.param({}, marks=pytest.mark.slow), {"body_gyration": 1e-9}]
+)
 def test_nothing_uncertain_is_the_fit_without(problem, distribution):
     generator = VerticalVehicle(AM96, distribution=distribution)
     observer = SETTINGS.observer(generator)

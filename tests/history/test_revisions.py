@@ -35,6 +35,7 @@ def write_many(place, worker):
 # property
 
 
+@pytest.mark.representatives(5)
 @pytest.mark.parametrize(
     "change",
     [

@@ -3,11 +3,10 @@
 import numpy as np
 import pytest
 import torch
-from learning_reference import Mapped, smooth_data
+from learning_reference import Mapped
 
 from suspnet.learning.design import DenseDesign, Direction, FixedGram, Gradient
 from suspnet.learning.feature_maps import orthogonal_fourier, random_fourier
-from suspnet.learning.irwls import IRWLS
 
 SIGMA = 1.3
 
@@ -218,22 +217,6 @@ def test_products_are_summed_over_ranks():
     np.testing.assert_allclose(found.products, expected.products, atol=1e-12, rtol=0)
     np.testing.assert_allclose(found.sums, expected.sums, atol=1e-12, rtol=0)
     assert found.weight_sum == pytest.approx(expected.weight_sum, rel=1e-14)
-
-
-@pytest.mark.parametrize("fit_intercept", [False, True])
-@pytest.mark.parametrize("epsilon", [1e-3, 0.3])
-def test_ranks_together_reach_the_solution_of_all_samples(epsilon, fit_intercept):
-    X, Y = (torch.tensor(values) for values in smooth_data(3, 60))
-    feature_map = random_fourier(X, 1.0, 20, 0)
-    setting = {"fit_intercept": fit_intercept, "max_iter": 500, "tol": 1e-12}
-    rank = IRWLS(10.0, epsilon, **setting).minimise(DenseDesign(feature_map, X, total_of_two), Y)
-    both = IRWLS(10.0, epsilon, **setting).minimise(
-        DenseDesign(feature_map, X.repeat(2, 1)), Y.repeat(2, 1)
-    )
-    assert rank.objective == pytest.approx(both.objective, rel=1e-11)
-    assert rank.support_fraction == both.support_fraction
-    np.testing.assert_allclose(rank.coef, both.coef, atol=1e-5, rtol=0)
-    np.testing.assert_allclose(rank.intercept, both.intercept, atol=1e-5, rtol=0)
 
 
 @pytest.mark.parametrize("weights", ["fixed", "some", "a third", "all zero"])

@@ -8,16 +8,18 @@ from suspnet.learning import MSVR, MVGPR, SVR, LinearRegression
 
 # The array API check is skipped, with this warning, unless array_api_compat is installed.
 @pytest.mark.filterwarnings("ignore::sklearn.exceptions.SkipTestWarning")
-@parametrize_with_checks([MSVR(n_components=64), SVR(), LinearRegression(), MVGPR()])
+@parametrize_with_checks(
+    [MSVR(n_components=64), SVR(), LinearRegression(), MVGPR(n_restarts=0, n_optimize=100)]
+)
 def test_estimator_keeps_the_contract(estimator, check):
     check(estimator)
 
 
-OF_A_MAP = (
-    *("check_estimators_pickle", "check_fit2d_predict1d", "check_fit_idempotent"),
-    *("check_methods_sample_order_invariance", "check_methods_subset_invariance"),
-)
-"""Checks that depend on the feature map; the others are those of `MSVR` with any."""
+OF_A_MAP = ("check_fit_idempotent", "check_methods_subset_invariance")
+"""Checks that depend on the feature map; the others are those of `MSVR` with any.
+
+tests/learning/test_msvr.py has the model that is stored, for every map.
+"""
 
 
 def of_a_map(estimator):

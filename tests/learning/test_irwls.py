@@ -18,11 +18,11 @@ from learning_reference import (
     smooth_data,
 )
 from sklearn.linear_model import Ridge
-from sklearn.svm import LinearSVR
 
 from suspnet.learning.design import DenseDesign, Direction, Gram
 from suspnet.learning.feature_maps import random_fourier
-from suspnet.learning.irwls import IRWLS, Status, _Functional, loss
+from suspnet.learning.irwls import IRWLS, Status, _Functional
+from suspnet.learning.loss import loss
 
 N_COMPONENTS = 40
 PATHS = {
@@ -45,54 +45,19 @@ def problem(sigma=1.0, seed=0, n_samples=150):
     return DenseDesign(phi, X), phi(X).numpy(), torch.tensor(Y)
 
 
-@pytest.mark.parametrize("epsilon", [1e-6, 1e-3, 0.05, 0.3])
-@pytest.mark.parametrize("sigma", [0.3, 1.0, 3.0])
-@pytest.mark.parametrize("C", [1.0, 10.0, 100.0])
-def test_minimum_is_that_of_lbfgs(C, sigma, epsilon):
-    blocks, Phi, Y = problem(sigma)
-    _, _, minimum = lbfgs_msvr(Phi, Y.numpy(), C, epsilon)
-    assert minimum > 0.1
-    found = IRWLS(C, epsilon, fit_intercept=False, max_iter=1000).minimise(blocks, Y)
-    assert found.status == Status.CONVERGED
-    assert found.objective == pytest.approx(minimum, rel=1e-6)
-    # F is at least its quadratic model with the reweighted Hessian, so the gap is a bound, not
-    # only an estimate; 1e-12 is rounding in sums of 150 terms.
-    excess = (found.objective - minimum) / found.objective
-    assert excess <= found.gap + 1e-12
-
-
 @functools.cache
-def small_problem(n_outputs=2, n_samples=60):
-    """As `problem`, with any number of outputs."""
-    X, Y = smooth_data(1, n_samples)
+def small_problem():
+    """As `problem`, with fewer samples and features."""
+    X, Y = smooth_data(1, 60)
     X = torch.tensor(X)
     phi = random_fourier(X, 1.0, 20, 1)
-    Y = np.column_stack([Y, Y[:, 0] * Y[:, 1]])[:, :n_outputs]
     return DenseDesign(phi, X), phi(X).numpy(), torch.tensor(Y)
 
 
 @functools.cache
-def small_minimum(C, epsilon, fit_intercept, n_outputs=2):
-    _, Phi, Y = small_problem(n_outputs)
+def small_minimum(C, epsilon, fit_intercept):
+    _, Phi, Y = small_problem()
     return lbfgs_msvr(Phi, Y.numpy(), C, epsilon, fit_intercept)[2]
-
-
-@pytest.mark.parametrize("n_outputs", [1, 2, 3])
-@pytest.mark.parametrize("fit_intercept", [False, True])
-@pytest.mark.parametrize("epsilon", [0.0, 1e-3, 0.1, 0.3])
-@pytest.mark.parametrize("C", [0.5, 10.0, 1e3])
-def test_every_path_leads_to_the_minimum(path, C, epsilon, fit_intercept, n_outputs):
-    design, _, Y = small_problem(n_outputs)
-    minimum = small_minimum(C, epsilon, fit_intercept, n_outputs)
-    slow = path == "fixed" and C * epsilon > 1  # thousands of iterations
-    found = IRWLS(
-        C, epsilon, fit_intercept=fit_intercept, max_iter=100 if slow else 3000, **PATHS[path]
-    ).minimise(design, Y)
-    assert found.status == Status.CONVERGED or slow
-    assert minimum > 0.1
-    # L-BFGS stops at a relative decrease of 1e-15 a step, within about 1e-11 of the minimum.
-    assert -1e-10 < found.objective / minimum - 1 < found.gap + 1e-10
-    assert fit_intercept or found.intercept.count_nonzero() == 0
 
 
 @pytest.mark.parametrize("fit_intercept", [False, True])
@@ -406,18 +371,6 @@ def test_float32_says_when_it_cannot():
         IRWLS(1e7, 1e-3).minimise(design, Y)
 
 
-@pytest.mark.parametrize("epsilon", [0.0, 1e-3, 0.3])
-def test_minimum_with_intercept_is_that_of_lbfgs(epsilon):
-    blocks, Phi, Y = problem()
-    W, b, minimum = lbfgs_msvr(Phi, Y.numpy(), 10.0, epsilon, fit_intercept=True)
-    found = IRWLS(10.0, epsilon, tol=1e-13, max_iter=5000).minimise(blocks, Y)
-    assert np.abs(b).max() > 0.1
-    assert found.objective == pytest.approx(minimum, rel=1e-9)
-    # |W - W*|^2 <= 2 (F - F*): relative 1e-12 in F of order 10 leaves 1e-5 in W.
-    np.testing.assert_allclose(found.coef, W, atol=2e-5, rtol=0)
-    np.testing.assert_allclose(found.intercept, b, atol=2e-5, rtol=0)
-
-
 def test_objective_is_equation_7():
     blocks, Phi, Y = problem(n_samples=60)
     found = IRWLS(10.0, 0.05).minimise(blocks, Y)
@@ -427,48 +380,6 @@ def test_objective_is_equation_7():
     assert found.objective == pytest.approx(naive, rel=1e-10)
     start = naive_msvr_objective(Phi, Y.numpy(), np.zeros_like(found.coef), np.zeros(2), 10.0, 0.05)
     assert found.objectives[0] == pytest.approx(start, rel=1e-12)
-
-
-@pytest.mark.parametrize("C", [0.5, 10.0])
-def test_without_tube_and_intercept_it_is_ridge(C):
-    blocks, Phi, Y = problem()
-    ridge = Ridge(alpha=1 / (2 * C), fit_intercept=False, solver="cholesky").fit(Phi, Y.numpy())
-    found = IRWLS(C, 0.0, fit_intercept=False, tol=1e-14).minimise(blocks, Y)
-    assert found.n_iter == 1
-    assert np.abs(ridge.coef_).max() > 0.1
-    # One linear system of condition 1e4 or less, solved twice.
-    np.testing.assert_allclose(found.coef, ridge.coef_.T, rtol=0, atol=1e-10)
-
-
-def test_without_tube_but_with_intercept_it_is_ridge_with_free_intercept():
-    blocks, Phi, Y = problem()
-    ridge = Ridge(alpha=1 / 20, solver="cholesky").fit(Phi, Y.numpy())
-    found = IRWLS(10.0, 0.0, tol=1e-14).minimise(blocks, Y)
-    np.testing.assert_allclose(found.coef, ridge.coef_.T, rtol=0, atol=1e-10)
-    np.testing.assert_allclose(found.intercept, ridge.intercept_, rtol=0, atol=1e-10)
-
-
-@pytest.mark.parametrize("epsilon", [1e-3, 0.2])
-@pytest.mark.parametrize("C", [1.0, 10.0])
-def test_one_output_is_linear_svr_with_squared_loss(C, epsilon):
-    blocks, Phi, Y = problem()
-    y = Y[:, 0].numpy()
-    other = LinearSVR(
-        C=C,
-        epsilon=epsilon,
-        loss="squared_epsilon_insensitive",
-        fit_intercept=False,
-        dual=False,
-        tol=1e-12,
-        max_iter=100_000,
-    ).fit(Phi, y)
-    found = IRWLS(C, epsilon, fit_intercept=False, tol=1e-13, max_iter=5000).minimise(
-        blocks, Y[:, :1]
-    )
-    reference = naive_msvr_objective(Phi, y[:, None], other.coef_[:, None], np.zeros(1), C, epsilon)
-    assert found.objective == pytest.approx(reference, rel=1e-8)
-    # liblinear stops at a relative gradient of 1e-12, whose effect here is below 1e-5.
-    np.testing.assert_allclose(Phi @ found.coef[:, 0].numpy(), other.predict(Phi), atol=1e-5)
 
 
 @pytest.mark.parametrize("fit_intercept", [False, True])
@@ -508,14 +419,6 @@ def test_objective_never_rises(path, C, epsilon, fit_intercept):
     assert found.n_iter >= 1
     assert (np.diff(found.objectives) <= 0).all()
     assert found.objectives[-1] == found.objective
-
-
-def test_support_fraction_counts_samples_outside_the_tube():
-    blocks, Phi, Y = problem()
-    found = IRWLS(10.0, 0.1, max_iter=1000).minimise(blocks, Y)
-    u = np.linalg.norm(Y.numpy() - Phi @ found.coef.numpy() - found.intercept.numpy(), axis=1)
-    assert 0.05 < found.support_fraction < 0.95
-    assert found.support_fraction == pytest.approx(np.mean(u > 0.1), abs=1e-12)
 
 
 def test_status_and_gap_tell_of_an_early_end():

@@ -86,6 +86,7 @@ def naive_residual(X, pivots, sigma):
     return 1 - np.einsum("ij,ji->i", known, np.linalg.solve(K[np.ix_(pivots, pivots)], known.T))
 
 
+@pytest.mark.every_value
 @pytest.mark.parametrize("kernel_tol", [1e-2, 1e-4, 1e-6])
 @pytest.mark.parametrize("sigma", [0.7, 3.0])
 def test_landmarks_are_as_many_as_the_tolerance_needs(sigma, kernel_tol):

@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from learning_reference import naive_loss
 
-from suspnet.learning.irwls import derivative, loss, weight
+from suspnet.learning.loss import derivative, loss, weight
 
 EPSILONS = (0.0, 1e-6, 1e-3, 0.05, 0.3)
 seeded = settings(derandomize=True, deadline=None, max_examples=100)

@@ -9,7 +9,7 @@ import pytest
 from live_frames import Mosquitto
 from trip_fixtures import OUTPUTS, model_at, recalled_trip, small_fleet
 
-from suspnet.estimation.from_recording import TripSettings
+from suspnet.estimation.trip_settings import TripSettings
 from suspnet.history import History
 from suspnet.live.broker import Broker
 from suspnet.live.journal import Journal

@@ -14,7 +14,7 @@ from monitor_frames import AtOnce, ListSource, all_frames, by_time, mileage_fram
 from stream_signals import disturbed, interleaved
 from trip_fixtures import OUTPUTS, model_at, recalled_trip, small_fleet
 
-from suspnet.estimation.from_recording import TripSettings
+from suspnet.estimation.trip_settings import TripSettings
 from suspnet.ground.records import Place
 from suspnet.history import History, HistoryError
 from suspnet.live.journal import Journal, JournalError
@@ -489,6 +489,7 @@ def test_frames_that_cannot_be_used_do_not_keep_a_suspension_from_falling_silent
     assert len(told) == 2  # silent, and at the end
 
 
+@pytest.mark.slow  # clocks: test_sections.py
 def test_a_clock_that_is_set_back_is_counted_and_the_stream_goes_on(tmp_path, fleet):
     frames = trip_frames(fleet[0])
     for several in frames.values():
@@ -504,6 +505,7 @@ def test_a_clock_that_is_set_back_is_counted_and_the_stream_goes_on(tmp_path, fl
     assert found.quality.usable_percent < 90
 
 
+@pytest.mark.slow  # of wrong times: test_sections.py
 def test_frames_of_sections_that_are_given_up_are_told(tmp_path, fleet):
     frames = trip_frames(fleet[0])
     body = frames["body"][0]
@@ -549,8 +551,6 @@ def test_nothing_is_confirmed_that_is_not_in_the_journal(tmp_path, fleet, monkey
 @pytest.mark.parametrize("at", [300, pytest.param(600, marks=pytest.mark.slow)])
 def test_a_suspension_that_falls_silent_is_told_and_may_go_on(tmp_path, fleet, at):
     frames, now_s = frames_of_trips(fleet[:1]), [0.0]
-    (tmp_path / "whole").mkdir()
-    expected, _ = monitored(tmp_path / "whole", fleet, ListSource(frames))
     source = ListSource([])
     rounds = [frames[:at], [], [], frames[at:], [], [], []]
 
@@ -565,7 +565,7 @@ def test_a_suspension_that_falls_silent_is_told_and_may_go_on(tmp_path, fleet, a
     n_told = sum(kind == "estimates" for kind, *_ in source.published)
     assert n_told == (3 if at < len(frames) else 2)  # silent, perhaps again, and at the end
     (found,) = kept(tmp_path, fleet)
-    assert_same_estimate(found, expected[0])
+    assert_same_estimate(found, recalled_trip(fleet[0], [model_at()], SETTINGS.trips))
 
 
 @pytest.mark.slow

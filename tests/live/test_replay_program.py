@@ -121,6 +121,7 @@ def test_faulty_trip_is_told_and_the_exit_code_is_one(trip, tmp_path):
     assert {decode(one).suspension for one in splitter.push(data)} == {"simulated"}
 
 
+@pytest.mark.representatives(3)
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [

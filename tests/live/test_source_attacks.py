@@ -238,6 +238,7 @@ def test_there_are_many_configurations_of_distinct_names():
     assert len(set(names)) == len(names) >= 60
 
 
+@pytest.mark.slow  # test_source_mqtt.py: host, password
 @pytest.mark.parametrize(
     ("group", "way"),
     [

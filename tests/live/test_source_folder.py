@@ -79,6 +79,7 @@ def test_files_that_are_being_written_are_left_alone(tmp_path):
     assert source.counts == {}
 
 
+@pytest.mark.representatives(4)
 @pytest.mark.parametrize(
     ("content", "counts", "reason"),
     [

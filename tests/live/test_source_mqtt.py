@@ -106,6 +106,7 @@ def test_confirmed_frames_never_come_again(broker, opened):
     assert second.counts == {}
 
 
+@pytest.mark.slow  # test_confirmed_frames_never_come_again
 def test_frames_are_confirmed_in_the_order_in_which_they_came(broker, opened):
     source, sink = opened(Mqtt(at(broker))), opened(MqttSink(at(broker)))
     send(sink, 30)
@@ -118,6 +119,7 @@ def test_frames_are_confirmed_in_the_order_in_which_they_came(broker, opened):
     assert [number for *_, number in found] == list(range(12, 30))
 
 
+@pytest.mark.slow  # those of a monitor that ended come again above
 def test_frames_come_again_to_a_monitor_that_was_killed_before_it_confirmed(broker, opened):
     script = (
         "import sys\n"
@@ -171,6 +173,7 @@ def test_broker_restarted_while_frames_flow_loses_none(broker, opened):
     assert sink.counts["disconnect"] == 1
 
 
+@pytest.mark.slow  # one that is restarted while frames flow is above
 def test_killed_broker_keeps_what_it_had_saved(broker, opened):
     source, sink = opened(Mqtt(at(broker))), opened(MqttSink(at(broker)))
     abandon(source)
@@ -212,6 +215,7 @@ def quoted(name):
     return name.replace(" ", "%20").replace(",", "%2C")
 
 
+@pytest.mark.slow  # the latest of one topic is above
 def test_results_are_retained_the_latest_of_each_topic(broker, opened):
     source = opened(Mqtt(at(broker)), NAMES)
     for k in range(20):
@@ -265,6 +269,7 @@ def test_parts_of_names_are_disjoint_complete_and_of_like_size():
     assert read_part("12/12") == (12, 12)
 
 
+@pytest.mark.slow  # a busy monitor is sent ten at most
 def test_no_more_frames_are_on_the_way_than_asked_for(broker, opened):
     source, sink = opened(Mqtt(at(broker), in_flight=7)), opened(MqttSink(at(broker)))
     send(sink, 300)
@@ -323,6 +328,7 @@ def test_frames_of_others_do_not_come_and_those_without_acknowledgement_do(broke
     client.loop_stop()
 
 
+@pytest.mark.slow  # that such messages cost no other is below
 def test_sender_of_messages_that_are_too_large_is_disconnected_alone(broker, opened):
     source, sink = opened(Mqtt(at(broker))), opened(MqttSink(at(broker)))
     client, ends = raw_client(broker), []

@@ -11,7 +11,7 @@ from monitor_frames import ListSource
 from trip_fixtures import OUTPUTS, RATES_HZ, model_at, recalled_trip, signal, small_fleet
 
 from suspnet.cli import init
-from suspnet.estimation.from_recording import TripSettings
+from suspnet.estimation.trip_settings import TripSettings
 from suspnet.history import History
 from suspnet.live.journal import Journal
 from suspnet.live.monitor import Monitor
@@ -45,7 +45,8 @@ def templated(folder, manifest, how):
             fields.insert(0, pa.field("t", pa.float64()))
             columns.insert(0, np.arange(len(values)) / (rate_hz * 0.9998))
         files.append(folder / f"{name}.parquet")
-        pq.write_table(pa.table(columns, schema=pa.schema(fields)), files[-1])
+        table = pa.table(columns, schema=pa.schema(fields))
+        pq.write_table(table, files[-1], use_dictionary=False)
     done = typed(init, *files, "-o", folder / "trip.yaml", cwd=folder)
     assert done.returncode == 0, done.stderr
     path = folder / "trip.yaml"
@@ -64,6 +65,7 @@ def templated(folder, manifest, how):
     return path
 
 
+@pytest.mark.slow  # test_init.py, test_replay.py
 @pytest.mark.parametrize("how", ["times", pytest.param("file", marks=pytest.mark.slow)])
 def test_template_of_init_gives_the_monitor_what_it_gives_for_files(tmp_path, fleet, how):
     (folder := tmp_path / "trips").mkdir()

@@ -94,6 +94,7 @@ def test_no_failure_at_the_end_is_missed_whatever_the_number_of_trips_and_the_pl
     assert ALARMING < set(SCENARIOS)
 
 
+@pytest.mark.every_value
 @pytest.mark.parametrize("n_trips", [1, 4, 12, 29])
 @pytest.mark.parametrize("name", SCENARIOS)
 def test_sentence_and_reason_name_what_lies_beyond_at_the_end(name, n_trips):

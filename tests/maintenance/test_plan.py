@@ -100,7 +100,7 @@ def test_expected_costs_are_the_means_of_the_docstring(visit, replacement):
     assert got.least[-1] == got.failing[-1]
 
 
-@pytest.mark.parametrize("n_parts", [1, 2, 4])
+@pytest.mark.parametrize("n_parts", [*(pytest.param(n, marks=pytest.mark.slow) for n in (1, 4)), 2])
 def test_dates_cost_as_little_as_the_best_of_all_sets_of_dates(n_parts):
     """20 tiny fleets with lives of any width, eight dates: 256 sets of dates each."""
     rng = np.random.default_rng(n_parts)
@@ -125,7 +125,9 @@ def test_dates_cost_as_little_as_the_best_of_all_sets_of_dates(n_parts):
     assert len(set(n_visits)) > 1
 
 
-@pytest.mark.parametrize("n_parts", [2, 5, 16])
+@pytest.mark.parametrize(
+    "n_parts", [*(pytest.param(n, marks=pytest.mark.slow) for n in (2, 16)), 5]
+)
 def test_dates_for_costs_of_any_shape_are_the_best_of_all_sets(n_parts):
     """20 random tables with eight dates, one in ten pairs forbidden: 256 sets of dates each."""
     rng = np.random.default_rng(n_parts)

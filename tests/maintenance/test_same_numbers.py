@@ -10,7 +10,7 @@ from depot_trips import trips
 from trip_fixtures import model_at
 
 from suspnet.cli.evaluate import ALARMS, exit_code
-from suspnet.estimation.from_recording import TripSettings
+from suspnet.estimation.trip_settings import TripSettings
 from suspnet.ground.parameters import Cause
 from suspnet.ground.records import Place
 from suspnet.history import History

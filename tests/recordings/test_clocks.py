@@ -57,7 +57,7 @@ def write(folder: Path, times: dict, said: dict | None = None, **changes) -> Pat
     for name in (*CHANNELS, "speed"):
         values = np.full(70, 30.0) if name == "speed" else motion(elapsed(name))
         columns = {"a": values} | ({} if times[name] is None else {"t": times[name]})
-        pq.write_table(pa.table(columns), folder / f"{name}.parquet")
+        pq.write_table(pa.table(columns), folder / f"{name}.parquet", use_dictionary=False)
         sources[name] = {"file": f"{name}.parquet", "column": "a"}
         sources[name]["unit"] = "m/s" if name == "speed" else "m/s2"
         timing = {"time": "t"} if times[name] is not None else {"rate_hz": len(values) / 70}
@@ -84,6 +84,7 @@ def assert_aligned(recording: Recording, first_s: float = 0.0) -> None:
 # --- reference -----------------------------------------------------------------------------------
 
 
+@pytest.mark.representatives(3)
 @pytest.mark.parametrize("way", WAYS)
 def test_dated_sources_are_aligned(tmp_path, way):
     path = write(tmp_path, {name: WAYS[way](name) for name in LATE_S})
@@ -167,6 +168,7 @@ def test_numbers_are_in_their_unit(source, unit, size):
 # --- failure -------------------------------------------------------------------------------------
 
 
+@pytest.mark.representatives(5)
 @pytest.mark.parametrize(
     ("times", "said", "changes", "message"),
     [

@@ -10,7 +10,7 @@ from recording_files import WRITERS
 from scipy.io import savemat
 from trip_fixtures import changed, model_at, signal, small_fleet
 
-from suspnet.estimation.from_recording import TripSettings
+from suspnet.estimation.trip_settings import TripSettings
 from suspnet.recordings import dates
 from suspnet.recordings.clocks import Zero, first_moment
 from suspnet.recordings.dates import date_in_lines, date_problem, read_date

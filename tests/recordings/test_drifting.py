@@ -37,6 +37,7 @@ def found(second, usable=None, speed=None):
     return find_drift(sensor(AT, smoothing=0.0, seed=2), second, usable, speed, RATE_HZ)
 
 
+@pytest.mark.representatives(2)
 @pytest.mark.parametrize("ppm", [0.0, 5.0, -30.0, 100.0, -1000.0])
 def test_drift_comes_back(ppm):
     drift = found(sensor(AT * (1 - 1e-6 * ppm)))
@@ -46,6 +47,7 @@ def test_drift_comes_back(ppm):
     assert drift.seconds == SECONDS - 20
 
 
+@pytest.mark.representatives(2)
 @pytest.mark.parametrize("lost_s", [0.005, -0.02, 0.5, -3.0])
 def test_jump_comes_back(lost_s):
     drift = found(sensor(AT + lost_s * (AT > 250) + 3.0 * (lost_s < 0)))

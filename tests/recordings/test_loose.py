@@ -80,6 +80,7 @@ def test_loose_sensor_is_named_with_its_time(ten_minutes, tmp_path, channel, kin
     assert recording.usable[at_s < 160].all()
 
 
+@pytest.mark.representatives(3)
 @pytest.mark.every_value
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("channel", CHANNELS)
@@ -166,6 +167,7 @@ def six_sensors(tmp_path_factory):
     return simulated(tmp_path_factory.mktemp("six"), sides="both")
 
 
+@pytest.mark.representatives(1)
 @pytest.mark.parametrize(
     "which", [0, 4, *(pytest.param(k, marks=pytest.mark.slow) for k in (1, 2, 3, 5))]
 )

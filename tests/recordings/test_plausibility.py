@@ -76,6 +76,7 @@ def test_noise_is_not_called_swapped_channels():
     assert check(generator, noise) == ("channels not checked: two of them are not coherent")
 
 
+@pytest.mark.representatives(4)
 @pytest.mark.every_value
 @pytest.mark.parametrize("state", RATIOS)
 @pytest.mark.parametrize("vehicle", VEHICLES)
@@ -83,6 +84,7 @@ def test_right_channels_pass(vehicle, state):
     assert check(*simulated(vehicle, state)) == ""
 
 
+@pytest.mark.representatives(2)
 @pytest.mark.parametrize("bogie", ["leading", "trailing"])
 @pytest.mark.parametrize("axle", ["leading", "trailing"])
 @pytest.mark.parametrize("frame_sensor", ["axle", "centre"])

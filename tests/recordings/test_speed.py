@@ -69,6 +69,7 @@ SLOWING = np.concatenate([np.full(60, 50.0), np.arange(50.0, 20.0, -0.5), np.ful
 EACH_S = np.arange(180.0)
 
 
+@pytest.mark.representatives(3)
 @pytest.mark.parametrize("resolution", [1e-9, 0.01, 1 / 3.6, 5 / 3.6])
 @pytest.mark.parametrize("noise", [0.0, 0.05, 0.3])
 def test_receiver_that_repeats_its_speed_while_the_train_brakes_is_stuck(noise, resolution):

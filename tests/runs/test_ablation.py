@@ -30,7 +30,7 @@ from suspnet.runs.tables import records_csv
 
 CONFIGS = ROOT / "configs"
 NAMES = list(OmegaConf.load(CONFIGS / "ablations.yaml"))
-SMALL = ["data.n_train=300", "data.n_test=60", "data.cache_dir=null", "progress=false"]
+SMALL = ["data.n_train=150", "data.n_test=40", "data.cache_dir=null", "progress=false"]
 N_VEHICLES = 6
 BASE = {
     "seed": 0,

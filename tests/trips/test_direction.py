@@ -10,8 +10,8 @@ from vehicles import AM96
 
 from suspnet.dynamics import PARAMETERS, VerticalVehicle
 from suspnet.dynamics.quantities import LogNormal
-from suspnet.estimation.from_recording import TripSettings
 from suspnet.estimation.healthy_trips import read_healthy
+from suspnet.estimation.trip_settings import TripSettings
 from suspnet.recordings.manifest_files import read_manifest
 from suspnet.simulation import Scenario
 from suspnet.spectra.cross_spectra import PAIRS, CrossSpectra
@@ -76,6 +76,7 @@ def test_direction_that_is_not_said_is_found(both_ways, models, tmp_path, i):
     assert found.quality.speed_bins == said.quality.speed_bins
 
 
+@pytest.mark.representatives(2)
 @pytest.mark.parametrize("speed", [20.0, 45.0, 83.0])
 @pytest.mark.parametrize("bogie", ["leading", "trailing"])
 def test_phases_show_the_direction_of_worn_vehicles(speed, bogie):
@@ -92,6 +93,7 @@ def test_phases_show_the_direction_of_worn_vehicles(speed, bogie):
             assert factor > DIRECTION_MARGIN
 
 
+@pytest.mark.slow  # worn ones are above
 def test_phases_of_vehicles_unlike_their_drawing_never_show_the_wrong_direction():
     for speed in (30.0, 70.0):
         drawing = VerticalVehicle(AM96, speed_m_per_s=speed, parts=PARTS)
@@ -138,7 +140,7 @@ def test_models_of_the_other_direction_are_refused(both_ways, models):
 def test_direction_is_asked_for_where_the_phases_do_not_show_it(
     both_ways, models, tmp_path, monkeypatch
 ):
-    monkeypatch.setattr("suspnet.estimation.from_recording.DIRECTION_MARGIN", 1e6)
+    monkeypatch.setattr("suspnet.estimation.direction.DIRECTION_MARGIN", 1e6)
     silent = changed(both_ways[0], tmp_path, direction=None)
     found = evaluate_trip(silent, models, SETTINGS)
     assert found.status == "error"

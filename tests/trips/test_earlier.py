@@ -8,7 +8,7 @@ import pytest
 from trip_fixtures import changed, recalled_trip
 from trip_records import fleet, trip
 
-from suspnet.estimation.from_recording import TripSettings
+from suspnet.estimation.trip_settings import TripSettings
 from suspnet.ground.records import ERROR
 from suspnet.history import History
 from suspnet.maintenance import Acknowledgement, Cause, Severity

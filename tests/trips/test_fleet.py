@@ -22,7 +22,7 @@ from trip_fixtures import OUTPUTS, changed, recalled_trip, signal, slow_model
 from trip_records import fleet as made_up
 
 from suspnet.estimation.fitted import ModelFileError
-from suspnet.estimation.from_recording import TripSettings
+from suspnet.estimation.trip_settings import TripSettings
 from suspnet.ground import workers
 from suspnet.ground.parameters import DEFAULT_LIMITS, Severity
 from suspnet.ground.storage import read_arrays, read_plain
@@ -219,6 +219,7 @@ def test_interrupted_fleet_goes_on_and_ends_as_if_uninterrupted(
     assert estimates(found) == estimates(read(three, [model], tmp_path / "whole"))
 
 
+@pytest.mark.representatives(2)
 @pytest.mark.parametrize("what", ["file", "manifest", "model", "settings", "kept"])
 def test_trip_is_read_again_if_anything_differs(
     three, manifests, model, no_figures, recalled, monkeypatch, tmp_path, what
@@ -451,12 +452,11 @@ def test_models_of_two_speeds_read_one_folder(manifests, model, no_figures, tmp_
 def test_change_below_what_the_model_resolves_does_not_changed_ones(model, monkeypatch):
     """k_p falls by 1 %, c_s by 40 % in the made-up fleet."""
     results = made_up(with_curves=False)
-    other = slow_model()
 
     def changed_ones(*errors):
         models = [
             replace(one, training={"test_rms_percent": {"k_p": e, "c_s": e}} if e else {})
-            for one, e in zip((model, other), errors, strict=False)
+            for one, e in zip((model, model), errors, strict=False)
         ]
         least = fleet.least_percent(OUTPUTS, models)
         found = State(series_of(results), DEFAULT_LIMITS, least_percent=least).assessments

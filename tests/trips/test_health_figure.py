@@ -169,6 +169,7 @@ def test_a_wide_interval_is_cut_off_at_the_span_of_the_others():
 # failure
 
 
+@pytest.mark.representatives(1)
 @pytest.mark.parametrize("half", [np.nan, np.inf, 1000.0])
 def test_unknown_intervals_are_left_out(half):
     trips = measured()

@@ -3,7 +3,7 @@
 import pytest
 from trip_fixtures import OUTPUTS, RATES_HZ, changed, recalled_trip, signal
 
-from suspnet.estimation.from_recording import TripSettings
+from suspnet.estimation.trip_settings import TripSettings
 from suspnet.ground.records import NO_ESTIMATE, OK
 from suspnet.recordings.manifest import CHANNELS
 from suspnet.trips.check import CheckSettings, check_trip

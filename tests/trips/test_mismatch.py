@@ -23,7 +23,7 @@ from vehicles import AM96
 
 from suspnet.dynamics import VerticalVehicle
 from suspnet.dynamics.motion import SampledMotion
-from suspnet.estimation.from_recording import TripSettings
+from suspnet.estimation.trip_settings import TripSettings
 from suspnet.recordings.manifest import CHANNELS
 from suspnet.recordings.manifest_files import read_manifest
 from suspnet.simulation import Fleet, Scenario, Simulation, write_fleet
@@ -120,6 +120,7 @@ def test_stiff_bushings_and_contacts_leave_the_plain_vehicle():
     assert relative_error(found, expected) < 4e-4
 
 
+@pytest.mark.representatives(1)
 @pytest.mark.parametrize(
     ("part", "friction"),
     [("dampers", 0), pytest.param("rubber", 1e-12, marks=pytest.mark.slow), ("rubber", 0.1)],
@@ -197,7 +198,7 @@ def test_dampers_that_blow_off_move_as_an_independent_solver_says():
 
 def test_bending_has_the_frequency_the_damping_and_the_shape_of_a_free_beam():
     soft = np.array([1, 1, 1e-9, 1e-9, 1])
-    for mass_ratio in (1.0, 1.2):  # pay-load lowers the frequency
+    for mass_ratio in (1.0, 1.2):  # payload lowers the frequency
         roots = np.linalg.eigvals(
             build([*soft[:4], mass_ratio, 1, 1, 1, 1e-9, 1e-9, *[1] * 5], BENT).a
         )
@@ -316,6 +317,7 @@ def test_effects_that_are_switched_off_leave_no_trace_in_the_equations():
 # property
 
 
+@pytest.mark.slow  # an independent solver is compared below
 @pytest.mark.parametrize(
     ("rich", "error", "gain"),
     [pytest.param(LINEAR, 1e-6, 0.1, marks=pytest.mark.slow), (FULL, 2e-4, 0.6)],
@@ -410,7 +412,7 @@ def test_first_trips_are_healthy_and_the_others_are_not():
     assert ratios[5:, :4].std(axis=0).min() > 0.15
     assert 0.9 < ratios[:, 4].min() < 0.95
     assert 1.15 < ratios[:, 4].max() < 1.2
-    assert ratios[:5, 4].std() > 0.02  # pay-load from the first trip on
+    assert ratios[:5, 4].std() > 0.02  # payload from the first trip on
 
 
 def test_drift_changes_the_speed_by_three_percent(tmp_path):

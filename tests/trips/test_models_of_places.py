@@ -6,7 +6,7 @@ import pytest
 from trip_fixtures import changed, model_at
 
 from suspnet.estimation.fitted import ModelFileError
-from suspnet.estimation.from_recording import TripSettings
+from suspnet.estimation.trip_settings import TripSettings
 from suspnet.estimation.validity import check_model
 from suspnet.ground.records import Place
 from suspnet.trips.commissionings import NAMED, models_of, place_of

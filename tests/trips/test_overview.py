@@ -11,7 +11,7 @@ from trip_fixtures import OUTPUTS, changed, model_at, small_fleet
 from trip_records import HALF_WIDTHS, flagged, trip
 
 from suspnet.estimation.fitted import ModelFileError
-from suspnet.estimation.from_recording import TripSettings
+from suspnet.estimation.trip_settings import TripSettings
 from suspnet.ground.parameters import DEFAULT_LIMITS, Severity
 from suspnet.ground.records import Place
 from suspnet.maintenance.series import series_of

@@ -133,6 +133,7 @@ def test_row_has_the_limits_and_the_flags():
     assert np.isnan([trip(3).row(FEW)["k_p_low"], trip(3).row(FEW)["M_s_high"]]).all()
 
 
+@pytest.mark.representatives(1)
 @pytest.mark.parametrize("n_first", [4, 5])
 def test_interval_relative_to_the_first_trips_holds_the_truth(n_first):
     """Where the error is noise: 400 vehicles, each read at once and relative to its first trips."""

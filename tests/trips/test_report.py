@@ -186,6 +186,7 @@ def test_hostile_names_are_escaped(tmp_path):
     assert "49" not in page.named("img")[0]["alt"]
 
 
+@pytest.mark.representatives(3)
 @pytest.mark.parametrize(
     ("results", "sentence"),
     [
@@ -229,6 +230,7 @@ def test_estimates_have_their_half_widths_in_small_print(tmp_path):
             assert float(half) == pytest.approx(50 * (high - low), abs=0.051)
 
 
+@pytest.mark.representatives(2)
 @pytest.mark.parametrize(
     ("half", "shown"), [(0.3, "30.5"), (0.003, "0.3"), (0.0003, "0.03"), (0.00003, "0.003")]
 )
@@ -318,6 +320,7 @@ def test_a_folder_that_is_a_file_is_reported(tmp_path):
         write(tmp_path / "taken" / "report.html", [trip()])
 
 
+@pytest.mark.representatives(2)
 @pytest.mark.parametrize(
     ("k_s", "tone"), [(1.0, "good"), (1.15, "notice"), (1.5, "act"), (0.99, "plain")]
 )

@@ -246,6 +246,7 @@ def test_train_without_effects_has_the_states_of_plain_bodies():
 # property
 
 
+@pytest.mark.representatives(1)
 @pytest.mark.parametrize("speed", [30.0, 60.0, 90.0])
 def test_every_train_is_stable_and_has_mass(speed):
     for seed in range(10):
@@ -321,6 +322,7 @@ def test_scatter_depends_on_seed_and_name_alone():
     assert 1.35 < draws.max() <= math.exp(0.4)
 
 
+@pytest.mark.slow  # the expected ones are tested
 def test_drawn_estimates_scatter_about_the_expected_ones():
     train, ratios = RichTrain.scattered(1), np.tile(WORN, (40, 1))
     expected = expected_estimates(train, WORN[None], SETTINGS)

@@ -57,6 +57,7 @@ def test_trips_without_effects_are_those_of_suspnet(tmp_path):
             np.testing.assert_allclose(left, plain, rtol=0, atol=3e-3 * np.abs(plain).max())
 
 
+@pytest.mark.slow  # test_rich_train.py: expected estimates
 def test_spectra_of_a_trip_are_the_expected_ones(tmp_path):
     train = RichTrain.scattered(3).at(60.0)
     fleet = fleet_of(minutes=6.0, speed_m_per_s=60.0, sensors=NOISY)

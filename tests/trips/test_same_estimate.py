@@ -12,7 +12,7 @@ from recording_files import write_csv, write_hdf5, write_mat, write_mdf, write_t
 from scipy.io import savemat, wavfile
 from trip_fixtures import RATES_HZ, recalled_trip, signal
 
-from suspnet.estimation.from_recording import TripSettings
+from suspnet.estimation.trip_settings import TripSettings
 from suspnet.recordings.manifest import CHANNELS
 from suspnet.recordings.manifest_files import read_manifest
 from suspnet.recordings.recording import load_recording
@@ -80,7 +80,7 @@ def commas(path: Path, values: np.ndarray, rate_hz: float) -> dict:
 
 
 def parquet(path: Path, values: np.ndarray, rate_hz: float) -> dict:
-    pq.write_table(pa.table({"a": values}), path)
+    pq.write_table(pa.table({"a": values}), path, use_dictionary=False)
     return {"rate_hz": rate_hz}
 
 
@@ -88,7 +88,7 @@ def zoned(path: Path, values: np.ndarray, rate_hz: float) -> dict:
     at = np.datetime64("2015-08-03T06:00:00", "ns")
     steps = np.round(np.arange(len(values)) * 1e9 / rate_hz).astype("timedelta64[ns]")
     times = pa.array(at + steps, pa.timestamp("ns", "Europe/Berlin"))
-    pq.write_table(pa.table({"t": times, "a": values}), path)
+    pq.write_table(pa.table({"t": times, "a": values}), path, use_dictionary=False)
     return {}
 
 

@@ -12,8 +12,8 @@ from roll_reference import CHANNELS, sided_responses, track_amplitudes
 from trip_fixtures import MINUTES, OUTPUTS, SPEED
 from trip_records import trip
 
-from suspnet.estimation.from_recording import TripSettings
 from suspnet.estimation.trip_flags import UNEXPLAINED, spoken_sides
+from suspnet.estimation.trip_settings import TripSettings
 from suspnet.ground.records import ERROR, NO_ESTIMATE, OK
 from suspnet.report.report import sides_finding
 from suspnet.spectra.side_difference import SideDifference
@@ -51,7 +51,7 @@ def write_pairs(folder, d, change=None, singles=()):
             columns = {"left": pair.mean(axis=0)}
         for side, values in (change or {}).get(name, {}).items():
             columns[side] = values(columns[side])
-        pq.write_table(pa.table(columns), folder / f"{name}.parquet")
+        pq.write_table(pa.table(columns), folder / f"{name}.parquet", use_dictionary=False)
         source = {"file": f"{name}.parquet", "unit": "m/s2", "rate_hz": RATE_HZ}
         channels[name] = [source | {"column": side} for side in columns]
     content = {"format": "suspnet-trip-1", "vehicle": "am96", "suspension": "car 7"}

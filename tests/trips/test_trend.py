@@ -60,6 +60,7 @@ def test_spread_is_the_standard_deviation_about_a_step_and_a_drift():
     assert found.spread_percent == pytest.approx(0.2, rel=0.06)  # three standard errors
 
 
+@pytest.mark.representatives(1)
 @pytest.mark.parametrize(
     ("n_trips", "draw"),
     [
@@ -130,7 +131,7 @@ def test_one_odd_trip_does_not_stand_out(position):
     assert not trend("k_p", MILEAGE_KM, values).changed
 
 
-def test_payload_never_changed():
+def test_body_mass_never_changed():
     values = series(np.where(MILEAGE_KM < 155_000, 0.0, 0.2), 0.002, 0)
     found = trend("M_s", MILEAGE_KM, values)
     assert not found.changed
@@ -248,6 +249,7 @@ def test_odd_flagged_trips_do_not_hide_a_change_of_the_others():
     assert not flagged_trend("k_p", MILEAGE_KM, values, flags(3)).changed
 
 
+@pytest.mark.slow  # the rate of false changes is above
 def test_looking_twice_finds_no_change_that_is_not_there():
     """Odd trips that are flagged, 150 times: at most LEVEL for each look, and three sigma."""
     found = 0

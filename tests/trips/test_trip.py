@@ -26,8 +26,8 @@ from suspnet.dynamics import PARAMETERS, QuarterCar
 from suspnet.estimation import from_recording as recording
 from suspnet.estimation import from_spectra
 from suspnet.estimation.estimate import Flags
-from suspnet.estimation.from_recording import TripSettings
 from suspnet.estimation.from_spectra import estimate_with_noise
+from suspnet.estimation.trip_settings import TripSettings
 from suspnet.ground.records import ERROR, NO_ESTIMATE, OK
 from suspnet.recordings import recording as loading
 from suspnet.recordings.errors import TripError
@@ -265,6 +265,7 @@ def test_speed_must_stay_in_the_bin_throughout(manifests, model, tmp_path):
     assert wide.quality.segments_used == N_SEGMENTS
 
 
+@pytest.mark.slow  # its range of speeds: test_checkpoint.py
 def test_model_without_speed_takes_every_speed_that_is_high_enough(
     manifests, model, tmp_path, monkeypatch
 ):
@@ -278,6 +279,7 @@ def test_model_without_speed_takes_every_speed_that_is_high_enough(
     assert "0 of 28 segments without faults are at 41 m/s or faster throughout" in standing.reason
 
 
+@pytest.mark.slow  # they are refused by default
 def test_swapped_channels_give_no_estimate_where_they_are_not_refused(manifests, model, tmp_path):
     """The bogie's and the body's files, with the check of the channels switched off."""
     signals = {"bogie": signal(manifests[0], "body"), "body": signal(manifests[0], "bogie")}
@@ -303,6 +305,7 @@ def test_delay_that_is_the_same_all_along_is_named(manifests, model, good, tmp_p
     assert re.search(r"body looks (4\.9\d?|5(\.[01]\d?)?) ms late relative to bogie", words)
 
 
+@pytest.mark.representatives(1)
 @pytest.mark.parametrize(
     ("flags", "expected"),
     [
@@ -319,7 +322,7 @@ def test_flags_of_speed_bins_are_those_of_the_best_one_flagged(
 
     def marked(one, *arguments):
         words = given[one.generator.speed_m_per_s]
-        flags = Flags(np.array([[bool(words), False, False, False, False]]), (words,))
+        flags = Flags(((("missing", words),) if words else (),))
         if one.generator not in MARKED:
             MARKED[one.generator] = estimate_with_noise(one, *arguments)
         estimate, noise_share = MARKED[one.generator]
@@ -346,6 +349,7 @@ def test_fault_costs_averages_and_is_told(manifests, model, good, tmp_path):
     assert close(result, good)
 
 
+@pytest.mark.representatives(1)
 @pytest.mark.parametrize(
     ("change", "kinds"),
     [
@@ -401,6 +405,7 @@ def test_noise_in_all_segments_alike_leaves_none_out(manifests, model, tmp_path)
     assert result.quality.warnings.startswith("units and signs not checked")
 
 
+@pytest.mark.slow  # the limit of the test before
 def test_a_little_noise_in_a_part_leaves_none_out(manifests, model, good, tmp_path):
     result = evaluated(noisy(manifests[0], tmp_path, "bogie", 0.2), model)
     assert result.quality.segments_used == N_SEGMENTS
@@ -450,6 +455,7 @@ def test_number_of_low_coherence_is_told(no_loose_sensor, manifests, model, tmp_
 # failure
 
 
+@pytest.mark.representatives(3)
 @pytest.mark.parametrize(
     ("speed", "settings", "message"),
     [
@@ -514,6 +520,7 @@ def test_no_segment_is_free_of_faults(manifests, model, tmp_path):
     assert "gap" in result.quality.faults
 
 
+@pytest.mark.representatives(1)
 @pytest.mark.every_value
 @pytest.mark.parametrize("check", [True, False])
 @pytest.mark.parametrize(

@@ -318,6 +318,7 @@ print(*sorted({"torch", "matplotlib", "hydra", "sklearn"} & sys.modules.keys()))
 """
 
 
+@pytest.mark.slow  # lint-imports holds that pages import no torch
 def test_pages_are_served_without_torch_and_matplotlib(tmp_path):
     """Only the calendar's picture needs matplotlib, when it is first asked for (not here)."""
     with History(tmp_path / "fleet.db") as store:

@@ -1,0 +1,51 @@
+"""The feature maps that MSVR may use, by name, each with its design matrix."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from torch import Tensor
+
+from suspnet.learning.design import DenseDesign, Design
+from suspnet.learning.equispaced import EquispacedFeatures, equispaced_fourier
+from suspnet.learning.feature_maps import (
+    FeatureMap,
+    FourierFeatures,
+    LandmarkFeatures,
+    exact,
+    nystroem,
+    orthogonal_fourier,
+    random_fourier,
+)
+from suspnet.learning.ranks import AllReduce
+from suspnet.learning.toeplitz import EquispacedDesign
+
+
+@dataclass(frozen=True)
+class MapKind:
+    """A kind of feature map: its constructor, its class and its design matrix.
+
+    ``make(X, sigma, n_components, seed, kernel_tol)`` returns the map for samples X, `holds` is the
+    class that `restore` rebuilds from its tensors. `of_data`: the map depends on the samples;
+    `float32`: its Gram matrix may be summed in single precision; `on_gpu`: it runs on other devices
+    than the CPU.
+    """
+
+    make: Callable[[Tensor, float, int, int, float], FeatureMap]
+    holds: Callable[..., FeatureMap]
+    design: Callable[[Any, Tensor, AllReduce], Design] = DenseDesign
+    of_data: bool = True
+    float32: bool = False
+    on_gpu: bool = True
+
+
+MAPS = {
+    "rff": MapKind(random_fourier, FourierFeatures, of_data=False, float32=True),
+    "orf": MapKind(orthogonal_fourier, FourierFeatures, of_data=False, float32=True),
+    "nystroem": MapKind(nystroem, LandmarkFeatures),
+    "equispaced": MapKind(equispaced_fourier, EquispacedFeatures, EquispacedDesign, on_gpu=False),
+    "exact": MapKind(exact, LandmarkFeatures),
+}
+"""Every feature map by name; a new one is added here."""

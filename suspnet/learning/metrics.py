@@ -1,0 +1,58 @@
+"""Scores of estimates: MAPE and RMSE, Eqs. (14) and (15), on ratios to healthy; coverage."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from sklearn.metrics import mean_absolute_percentage_error, root_mean_squared_error
+
+from suspnet.ground.types import BoolArray, FloatArray
+
+METRICS = ("mape_percent", "rmse")
+Ends = tuple[FloatArray, FloatArray]
+"""Lower and upper ends of intervals."""
+
+
+def score(
+    actual: FloatArray, predicted: FloatArray, outputs: Sequence[str]
+) -> dict[str, dict[str, float]]:
+    """Return {output: {"mape_percent": ..., "rmse": ...}} of ratios (n_samples, n_outputs).
+
+    MAPE = 100/n sum |A - F| / A (Eq. 14), RMSE = sqrt(1/n sum (A - F)^2) (Eq. 15), A actual and F
+    predicted. Relative *changes* would divide by 0 at healthy.
+    """
+    mape = 100 * mean_absolute_percentage_error(actual, predicted, multioutput="raw_values")
+    rmse = root_mean_squared_error(actual, predicted, multioutput="raw_values")
+    return {
+        name: {"mape_percent": float(mape[j]), "rmse": float(rmse[j])}
+        for j, name in enumerate(outputs)
+    }
+
+
+def interval_scores(
+    actual: FloatArray, intervals: Ends, joint: Ends, outputs: Sequence[str]
+) -> dict[str, Any]:
+    """Return coverage and width of intervals for each output, and of joint ones for all outputs.
+
+    `actual` and the lower and upper ends of intervals: (n_samples, n_outputs). Half widths are
+    relative to the actual value.
+    """
+    within = covers(actual, intervals)
+    half = 50 * (intervals[1] - intervals[0]) / actual
+    return {
+        "outputs": {
+            name: {
+                "coverage_percent": 100 * float(within[:, j].mean()),
+                "half_width_percent": float(half[:, j].mean()),
+            }
+            for j, name in enumerate(outputs)
+        },
+        "joint_coverage_percent": 100 * float(covers(actual, joint).all(axis=1).mean()),
+    }
+
+
+def covers(actual: FloatArray, intervals: Ends) -> BoolArray:
+    """Return whether each value lies within its interval, (n_samples, n_outputs)."""
+    return np.asarray((intervals[0] <= actual) & (actual <= intervals[1]))

@@ -1,0 +1,63 @@
+"""Scaling of the columns of inputs and outputs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from suspnet.ground.types import FloatArray
+from suspnet.learning.ranks import AllReduce, identity
+
+
+@dataclass(frozen=True)
+class Scaling:
+    """Scaling of each column, z = (log v - mean) / scale, or without the logarithm.
+
+    Attributes
+    ----------
+    mean, scale : arrays of shape (n_columns,)
+    log : bool
+        Whether to take the logarithm; values must then be positive.
+    """
+
+    mean: FloatArray
+    scale: FloatArray
+    log: bool = True
+
+    @classmethod
+    def of(cls, values: FloatArray, log: bool = True, all_reduce: AllReduce = identity) -> Scaling:
+        """Return the scaling that gives `values` (n_rows, n_columns) mean 0 and deviation 1.
+
+        `all_reduce` sums over ranks if the rows are spread over them; a rank may have none.
+
+        Raises
+        ------
+        ValueError
+            If a value is not finite, a value is not positive and `log` is True, or a column is
+            constant.
+        """
+        if not np.isfinite(values).all():
+            raise ValueError("values must be finite to be scaled")
+        if log and not (values > 0).all():
+            raise ValueError("values must be positive for a logarithmic scaling")
+        moved = np.log(values) if log else values
+        n_rows = float(all_reduce(torch.tensor([float(len(moved))])))
+        mean = all_reduce(torch.from_numpy(moved.sum(axis=0))).numpy() / n_rows
+        centred = moved - mean
+        scale = np.sqrt(all_reduce(torch.from_numpy((centred**2).sum(axis=0))).numpy() / n_rows)
+        constant = np.flatnonzero(scale <= np.finfo(float).eps * np.abs(mean))
+        if constant.size:
+            raise ValueError(f"columns {constant.tolist()} are constant; nothing can be learnt")
+        return cls(mean, scale, log)
+
+    def apply(self, values: FloatArray) -> FloatArray:
+        """Return scaled values, same shape."""
+        moved = np.log(values) if self.log else values
+        return np.asarray((moved - self.mean) / self.scale)
+
+    def undo(self, scaled: FloatArray) -> FloatArray:
+        """Return values from scaled ones, same shape."""
+        moved = scaled * self.scale + self.mean
+        return np.exp(moved) if self.log else np.asarray(moved)
