@@ -146,7 +146,11 @@ def history_parser() -> ArgumentParser:
         "--at-km", type=float, required=True, metavar="KM", help="mileage at which it was done [km]"
     )
     event.add_argument("--kind", choices=EVENT_KINDS, default="other", help="[other if not given]")
-    event.add_argument("--words", default="", help="what was done [text]")
+    event.add_argument(
+        "--words",
+        default="",
+        help="what was done; of --kind sensor the sensor's name, as body left [text]",
+    )
     alarms = does.add_parser(
         "alarms", help="open alarms, the worst first, and who acknowledged them"
     )
@@ -154,7 +158,10 @@ def history_parser() -> ArgumentParser:
     seen = does.add_parser("acknowledge", help="acknowledge the open alarms of a parameter")
     _add_suspension(seen)
     seen.add_argument(
-        "--parameter", choices=PARAMETERS, required=True, help="parameter of the alarms"
+        "--parameter",
+        required=True,
+        metavar="NAME",
+        help=f"parameter of the alarms, {', '.join(PARAMETERS)}, or a sensor, as body left [text]",
     )
     seen.add_argument("--cause", choices=tuple(Cause), help="[all causes if not given]")
     seen.add_argument("--by", required=True, metavar="NAME", help="who acknowledges them [text]")

@@ -42,6 +42,7 @@ from suspnet.spectra.segments import (
     segment_speeds,
 )
 from suspnet.spectra.welch import SegmentSpectra, Welch
+from suspnet.spectra.wheel_lines import WheelLine, wheel_lines
 
 
 def estimate_recording(
@@ -49,7 +50,7 @@ def estimate_recording(
 ) -> Estimate:
     """Return a method's estimate from a recording, one row; raises as `speed_bins` does."""
     segments = recording_segments(recording, trip_settings(method).welch)
-    bins = all_bins([(method, segments)], recording, settings)
+    bins = all_bins([(method, segments)], recording, settings, wheel_lines(recording))
     return with_sides(combined(bins), bins, recording)[0]
 
 
@@ -57,10 +58,12 @@ def all_bins(
     pairs: Sequence[tuple[FittedMethod, SegmentSpectra]],
     recording: Recording,
     settings: TripSettings,
+    lines: Sequence[WheelLine] = (),
 ) -> list[SpeedBin]:
     """Return the estimates of all groups of segments, each by the method that reads its speed.
 
-    `pairs` are the methods with their segments. NoEstimateError is raised with the reasons of all
+    `pairs` are the methods with their segments, `lines` those of out-of-round wheels, whose bins
+    are left out. NoEstimateError is raised with the reasons of all
     methods if none gives an estimate, TripError as by `speed_bins`, or if no method is for the
     direction of travel, or it is neither given nor shown by the phases.
     """
@@ -71,7 +74,7 @@ def all_bins(
     methods = [method for method, _ in pairs]
     for method, segments in pairs:
         try:
-            bins += speed_bins(method, recording, segments, settings, methods)
+            bins += speed_bins(method, recording, segments, settings, methods, lines)
         except NoEstimateError as reason:
             reasons.append(str(reason))
     if not bins:
@@ -85,12 +88,14 @@ def speed_bins(
     segments: SegmentSpectra,
     settings: TripSettings,
     models: Sequence[FittedMethod],
+    lines: Sequence[WheelLine] = (),
 ) -> list[SpeedBin]:
     """Return a method's estimate from each group of segments at one of its speeds.
 
     `segments` are the recording's, cut as for the method's training. `models` are all that read the
     recording, the method included: each group belongs to one of them; empty means the method alone.
-    The result is empty if all readable groups belong to other models.
+    The result is empty if all readable groups belong to other models. The bins of `lines` are left
+    out, unless responses do not depend on the speed: these hold for one wheelset alone.
 
     Raises NoEstimateError if the recording is valid but gives no estimate, with the reason of the
     largest group, or that no model reads the trip's speeds; TripError if a channel or one sensor of
@@ -111,7 +116,8 @@ def speed_bins(
     bins, reasons = [], []
     trained = trip_settings(method)
     own = groups_of(method, models, speeds, groups)
-    for part in steady(segments, speeds, own, trained, settings):
+    lines = () if any_speed else lines
+    for part in steady(segments, speeds, own, trained, settings, lines):
         try:
             bins.append(_speed_bin(method, recording, part, models, speeds, segments, settings))
         except NoEstimateError as reason:
@@ -150,16 +156,19 @@ def _speed_bin(
         )
     at = Speeds.of(*part.speed)
     try:
-        estimate, noise_share = estimate_with_noise(method, spectra, settings.level, at)
+        estimate, noise_share = estimate_with_noise(
+            method, spectra, settings.level, at, part.left_out
+        )
     except MissingFeaturesError as error:
         raise NoEstimateError(f"features are missing: {error}") from None
-    late = delay_words(method, spectra, estimate, at)
+    late = delay_words(method, spectra, estimate, at, part.left_out)
     if estimate.flags.has("misfit").any() and not late:
         raise NoEstimateError(_unexplained_words(estimate))
     if late:
         estimate = replace(estimate, flags=estimate.flags.with_kind("misfit", late))
     speed = part.speed[0]
-    return SpeedBin(method, spectra, part.band, chosen, speed, estimate, noise_share, doubts)
+    found = SpeedBin(method, spectra, part.band, chosen, speed, estimate, noise_share, doubts)
+    return replace(found, left_out=part.left_out)
 
 
 def _unexplained_words(estimate: Estimate) -> str:

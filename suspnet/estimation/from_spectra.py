@@ -26,6 +26,7 @@ from dataclasses import replace
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from suspnet.estimation.estimate import Estimate, Flags
 from suspnet.estimation.fitted import FittedMethod, ModelFileError
@@ -71,17 +72,23 @@ CONFIRMED = 1.05
 
 
 def estimate_with_noise(
-    method: FittedMethod, spectra: CrossSpectra, level: float, speeds: Speeds | None = None
+    method: FittedMethod,
+    spectra: CrossSpectra,
+    level: float,
+    speeds: Speeds | None = None,
+    left_out: Tensor | None = None,
 ) -> tuple[Estimate, FloatArray]:
     """Return one trip's estimate from its spectra, and the share of noise in its variance.
 
     `spectra` are those of the trip on the method's bins, (3, n_freq), `speeds` those of the
-    segments behind them; None is the training speed. The estimate has one row; the share n^2 / s^2
+    segments behind them; None is the training speed. `left_out` are bins (n_freq,) that are not
+    used. The estimate has one row; the share n^2 / s^2
     (n_outputs,) is 1 without an interval. Raises MissingFeaturesError if the regression lacks a
     feature.
     """
     task, outputs = method.task, method.task.outputs
     observer = trip_observer(method) if speeds is None else trip_observer(method).at(speeds)
+    observer = observer if left_out is None else observer.without(left_out)
     responses = spectra.responses(observer.settings.method)[None]
     inputs, reasons = method.features(observer.for_features(responses), observer.frequencies_hz)
     if not np.isfinite(inputs).all():

@@ -6,7 +6,7 @@ Its symbols are those of `suspnet.estimation.commissioning`.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -29,9 +29,10 @@ from suspnet.recordings.manifest import TripManifest
 from suspnet.recordings.manifest_files import ManifestFile, find_manifests
 from suspnet.recordings.recording import Recording, load_recording
 from suspnet.spectra.cross_spectra import CrossSpectra
-from suspnet.spectra.estimates import EstimateSettings
+from suspnet.spectra.estimates import EstimateObserver, EstimateSettings
 from suspnet.spectra.observation import every_direction
 from suspnet.spectra.segments import Speeds, recording_segments, segment_speeds
+from suspnet.spectra.wheel_lines import wheel_lines
 
 LEAST_TRIPS = 3
 """Smallest number of healthy trips; fewer contain too little information on a vehicle."""
@@ -43,13 +44,17 @@ ROUGH = 0.01
 
 @dataclass(frozen=True)
 class HealthySpectra:
-    """Spectra (3, n_freq) at one speed of trip number `trip`: one car-body mass, one direction."""
+    """Spectra (3, n_freq) at one speed of trip number `trip`: one car-body mass, one direction.
+
+    `left_out` (n_freq,) are bins with lines of out-of-round wheels.
+    """
 
     trip: int
     name: str
     speeds: Speeds
     spectra: CrossSpectra
     direction: Direction = FORWARD
+    left_out: Tensor | None = None
 
     @property
     def speed_m_per_s(self) -> float:
@@ -180,12 +185,11 @@ def _spectra(
     speeds = segment_speeds(recording, segments)
     groups = groups_to_read(speeds, trips.speed_tolerance, trips.min_speed_m_per_s)
     direction = direction_of(recording, segments, generator, trips)
+    name = recording.manifest.name
     # uncertain groups are included, as the fit of the vehicle weights each by its noise
     return [
-        HealthySpectra(
-            trip, recording.manifest.name, Speeds.of(*part.speed), part.spectra, direction
-        )
-        for part in steady(segments, speeds, groups, settings, trips)
+        HealthySpectra(trip, name, Speeds.of(*part.speed), part.spectra, direction, part.left_out)
+        for part in steady(segments, speeds, groups, settings, trips, wheel_lines(recording))
         if part.spectra is not None and part.has_enough
     ]
 
@@ -209,8 +213,7 @@ class HealthyMisfit:
             for direction in {group.direction for group in groups}
         }
         self._groups = [
-            observers[group.direction].at(group.speeds).measured_misfit(group.spectra)
-            for group in groups
+            _observer(observers, group).measured_misfit(group.spectra) for group in groups
         ]
         self._thinned = [misfit.thinned() for misfit in self._groups]
 
@@ -294,6 +297,13 @@ class HealthyMisfit:
         observed = torch.cat([misfit.observed for misfit, _ in pairs])
         power = torch.cat([m.covariance.diagonal(dim1=1, dim2=2).mT.real for m, _ in pairs])
         return observed.numpy(), torch.cat(fitted).numpy(), (power / 2).sqrt().numpy()
+
+
+def _observer(
+    observers: Mapping[Direction, EstimateObserver], group: HealthySpectra
+) -> EstimateObserver:
+    observer = observers[group.direction].at(group.speeds)
+    return observer if group.left_out is None else observer.without(group.left_out)
 
 
 def row_of(x: FloatArray) -> Tensor:

@@ -32,6 +32,7 @@ from suspnet.spectra.segments import (
     without_loud,
 )
 from suspnet.spectra.welch import SegmentSpectra
+from suspnet.spectra.wheel_lines import WheelLine, line_bins
 
 
 def steady_segments(speeds: Tensor, tolerance: float) -> Tensor:
@@ -156,13 +157,13 @@ def speed_of(speeds: Tensor, segments: SegmentSpectra) -> tuple[float, float]:
 class Steady:
     """Segments of a recording at one speed, and whether they are enough for an estimate.
 
-    `band` holds all segments
-    on the bins of an estimate; of those of the `group` (n_segments,), `candidates` have no far too
-    large power and `chosen` no low coherence. `n_averages` counts independent averages of the
-    chosen ones, and `spectra` is their average. `coherences` of G_p and G_s are means over the bins
-    in use; `deviation` is the standard deviation of the log-magnitudes, [-]: median over the bins,
-    of the less certain response. `speed` is mean and deviation, [m/s]. `has_enough`: there are
-    enough averages; `is_certain`: the responses are certain enough.
+    `band` holds all segments on the bins of an estimate; of those of the `group` (n_segments,),
+    `candidates` have no far too large power and `chosen` no low coherence. `n_averages` counts
+    independent averages of the chosen ones, and `spectra` is their average. `coherences` of G_p and
+    G_s are means over the bins in use; `deviation` is the standard deviation of the log-magnitudes,
+    [-]: median over the bins, of the less certain response. `speed` is mean and deviation, [m/s].
+    `left_out` (n_freq,) are bins with lines of wheels. `has_enough`: there are enough averages;
+    `is_certain`: the responses are certain enough.
     """
 
     band: SegmentSpectra
@@ -175,6 +176,7 @@ class Steady:
     coherences: Sequence[float] = (math.nan, math.nan)
     deviation: float = math.nan
     speed: tuple[float, float] = (math.nan, math.nan)
+    left_out: Tensor | None = None
     has_enough: bool = False
     is_certain: bool = False
 
@@ -185,11 +187,13 @@ def steady(
     groups: Sequence[Tensor],
     estimate: EstimateSettings,
     settings: TripSettings,
+    lines: Sequence[WheelLine] = (),
 ) -> list[Steady]:
     """Return each group of segments with its usable spectra.
 
     `speeds`: (n_segments, n_samples), [m/s]; `groups` from `groups_to_read`; `estimate` bound to a
-    vehicle. Raises NoEstimateError if the recording does not reach the bins of `estimate`.
+    vehicle; `lines` are those of wheels. Raises NoEstimateError if the recording does not reach the
+    bins of `estimate`.
     """
     parts: list[Steady] = []
     if not groups:
@@ -212,6 +216,9 @@ def steady(
                 coherences=coherences.tolist(),
                 deviation=deviation,
                 speed=speed_of(speeds[chosen], band),
+                left_out=line_bins(
+                    lines, speeds[chosen], band.frequencies_hz, band.welch.segment_s
+                ),
                 has_enough=n_averages >= settings.min_averages,
                 is_certain=deviation <= settings.max_deviation,
             )
@@ -226,7 +233,8 @@ class SpeedBin:
     `spectra` (3, n_freq) on the method's bins and `speed_m_per_s` are means over the `chosen`
     segments (n_segments,). `estimate` has one row; `noise_share` (n_outputs,) is the fraction of
     its squared half widths that is due to the noise of the segments. `doubts` are doubts and
-    impossible checks of the channels; empty if there are none.
+    impossible checks of the channels; empty if there are none. `left_out` (n_freq,) are bins with
+    lines of wheels.
     """
 
     method: FittedMethod
@@ -237,6 +245,7 @@ class SpeedBin:
     estimate: Estimate
     noise_share: FloatArray
     doubts: str
+    left_out: Tensor | None = None
 
     @property
     def is_reverse(self) -> bool:

@@ -59,11 +59,16 @@ LARGEST_MISFIT = 2.0
 
 
 def delay_words(
-    method: FittedMethod, spectra: CrossSpectra, estimate: Estimate, speeds: Speeds
+    method: FittedMethod,
+    spectra: CrossSpectra,
+    estimate: Estimate,
+    speeds: Speeds,
+    left_out: Tensor | None = None,
 ) -> str:
     """Return which channels are delayed against the previous one, as text; empty if none is.
 
-    `spectra` (3, n_freq) are those of a trip on the method's bins; `estimate` has one row.
+    `spectra` (3, n_freq) are those of a trip on the method's bins; `estimate` has one row;
+    bins `left_out` (n_freq,) are not used.
     """
     observer = trip_observer(method).at(speeds)
     ratios = torch.as_tensor(complete_ratios(method.task, estimate.values))
@@ -73,6 +78,8 @@ def delay_words(
     deviations = spectra.deviations(kind).masked_fill(
         observer.settings.beyond(observer.frequencies_hz), math.inf
     )
+    if left_out is not None:
+        deviations = deviations.masked_fill(left_out, math.inf)
     delays_s, shares = find_delays(
         spectra.responses(kind), fitted.responses(kind), deviations, observer.frequencies_hz
     )
@@ -148,12 +155,13 @@ def weaker_sides(
     differences = in_band(difference_segments(recording, segments.welch), segments.frequencies_hz)
     values = torch.cat([segments.values[chosen, 1:2], differences.values[chosen]], dim=1)
     ratios = complete_ratios(method.task, estimates[None])[0]
-    frequencies_hz = segments.frequencies_hz.numpy()
-    to_frame, to_body = speed_bin.spectra.responses("IV").numpy()
+    used = slice(None) if speed_bin.left_out is None else ~speed_bin.left_out
+    frequencies_hz = segments.frequencies_hz[used].numpy()
+    to_frame, to_body = speed_bin.spectra.responses("IV")[:, used].numpy()
     generator, speed = method.generator.on("cpu"), speed_bin.speed_m_per_s
     return side_difference(
         frequencies_hz,
-        values.numpy(),
+        values[..., used].numpy(),
         bounce_of(generator, ratios, frequencies_hz, to_frame, to_body, speed),
         speed_bin.spectra.n_averages,
         segments.welch.correlated_bins,

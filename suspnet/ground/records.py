@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, fields, replace
+from dataclasses import asdict, astuple, dataclass, field, fields, replace
 from typing import Any
 
 import numpy as np
@@ -48,6 +49,40 @@ OK, NO_ESTIMATE, ERROR = "ok", "no estimate", "error"
 
 
 @dataclass(frozen=True)
+class SensorHealth:
+    """Health of one sensor on a trip; NaN: unknown.
+
+    `noise` [m/s^2/sqrt(Hz)]. `gain`, log of the sensitivity relative to the other sensors, `tilt`,
+    how much it rises over the band, and the delay [s] have a meaning only against those of other
+    trips. `faulty` is the share of the trip in which samples were lost or repaired.
+    """
+
+    noise: float = math.nan
+    gain: float = math.nan
+    tilt: float = math.nan
+    delay_s: float = math.nan
+    faulty: float = math.nan
+
+
+def sensors_text(sensors: Mapping[str, SensorHealth]) -> str:
+    """Return the health of a trip's sensors as JSON: {name: [noise, gain, tilt, delay, faulty]}."""
+    rows = {
+        name: [float(f"{x:.4g}") if math.isfinite(x) else None for x in astuple(one)]
+        for name, one in sensors.items()
+    }
+    return json.dumps(rows, separators=(",", ":")) if rows else ""
+
+
+def sensors_from_text(text: str) -> dict[str, SensorHealth]:
+    """Return the health of sensors from ``sensors_text``; empty if it is not such a text."""
+    try:
+        rows = json.loads(text) if text else {}
+        return {str(name): SensorHealth(*map(or_nan, row)) for name, row in rows.items()}
+    except (ValueError, TypeError, AttributeError):
+        return {}
+
+
+@dataclass(frozen=True)
 class Quality:
     """Quality of a trip's signals and transfer functions.
 
@@ -72,6 +107,10 @@ class Quality:
     read_as : str
         How files were read if their format had to be detected, as for CSV files.
     warnings : str
+    wheels : str
+        Out-of-round wheels, or why none can be seen.
+    sensors : str
+        The health of each sensor as JSON, as ``sensors_text`` writes it.
     """
 
     coherence_p: float = np.nan
@@ -87,6 +126,8 @@ class Quality:
     faults: str = ""
     read_as: str = ""
     warnings: str = ""
+    wheels: str = ""
+    sensors: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -230,8 +271,12 @@ PLACE = tuple(one.name for one in fields(Place))
 """Columns of a suspension's place; empty if unknown."""
 PLACE_FROM_TRAIN = ("train", "car", "suspension", "bogie", "side")
 """The same columns from the train down, as in the store and in tables of a fleet."""
-EVENT_KINDS = ("exchanged", "reprofiled", "other")
-"""Kinds of maintenance: a part exchanged, wheels reprofiled, or other work that the text names."""
+SENSOR = "sensor"
+"""Kind of maintenance after which the sensors that its text names have a new reference, not the
+parts."""
+EVENT_KINDS = ("exchanged", "reprofiled", SENSOR, "other")
+"""Kinds of maintenance: a part exchanged, wheels reprofiled, a sensor replaced, or other work that
+the text names."""
 NUMBERS = ("mileage_km", "healthy_since_km", "temperature_c", "seconds")
 TEXTS = ("trip", "start", "flags", "status", "reason", "sides", "manifest")
 """Columns of a trip's numbers and texts, named as in ``TripResult``."""

@@ -16,7 +16,7 @@ from sqlalchemy.engine import URL, Connection, Engine, make_url
 from sqlalchemy.exc import ArgumentError, DBAPIError, NoSuchModuleError, SQLAlchemyError
 
 from suspnet.ground.ledger import ACTING, check_own
-from suspnet.history.schema import SCHEMA, metadata, versions
+from suspnet.history.schema import OLDEST, SCHEMA, metadata, versions
 
 log = logging.getLogger(__name__)
 WAIT_S = 60.0
@@ -138,11 +138,11 @@ def reading(engine: Engine) -> Engine:
     return engine.execution_options(isolation_level="REPEATABLE READ", postgresql_readonly=True)
 
 
-def is_prepared(connection: Connection, name: str) -> bool:
-    """Return whether the tables of a store exist.
+def version_of(connection: Connection, name: str) -> int | None:
+    """Return the version of the tables of a store, None if there are none yet.
 
-    HistoryError, whose message starts with `name`, is raised if they are of another version or of
-    another application.
+    HistoryError, whose message starts with `name`, is raised if they are of a version that cannot
+    be brought to this one, or of another application.
     """
     is_file = connection.dialect.name == "sqlite"
     if is_file and connection.exec_driver_sql(ACTING).first() is not None:
@@ -153,21 +153,28 @@ def is_prepared(connection: Connection, name: str) -> bool:
             raise HistoryError(
                 f"{name}: this is not a store of suspnet, but has tables of the same names"
             )
-        return False
+        return None
     version = connection.execute(sql.select(versions.c.schema)).scalar()
-    if version != SCHEMA:
+    if not isinstance(version, int) or not OLDEST <= version <= SCHEMA:
         raise HistoryError(
             f"{name}: a store of version {version}, this suspnet reads version {SCHEMA}; use "
             "the suspnet that wrote it, or start a new store and evaluate the trips again"
         )
-    return True
+    return version
 
 
 def prepare(connection: Connection, name: str) -> None:
-    """Create the tables unless another program has just done so; errors as in ``is_prepared``."""
+    """Create the tables, or those that an older version lacks; errors as in ``version_of``.
+
+    Nothing is done if another program has just done so.
+    """
     if connection.dialect.name == "postgresql":  # two programs may create them concurrently
         connection.execute(sql.select(sql.func.pg_advisory_xact_lock(LOCK)))
-    if is_prepared(connection, name):
+    version = version_of(connection, name)
+    if version == SCHEMA:
+        return
+    if version is not None:
+        _add_missing(connection)
         return
     if connection.dialect.name == "sqlite":
         connection.exec_driver_sql(f"PRAGMA application_id = {APPLICATION_ID}")
@@ -175,6 +182,22 @@ def prepare(connection: Connection, name: str) -> None:
         log.warning("%s: new tables of a store, next to %d other tables", name, len(others))
     metadata.create_all(connection)
     connection.execute(versions.insert().values(schema=SCHEMA))
+
+
+def _add_missing(connection: Connection) -> None:
+    """Add the tables and columns that an older version lacks; a missing text is empty."""
+    metadata.create_all(connection)
+    there = sql.inspect(connection)
+    quote = connection.dialect.identifier_preparer.quote
+    for table in metadata.tables.values():
+        known = {one["name"] for one in there.get_columns(table.name)}
+        for column in table.columns:
+            if column.name not in known:
+                kind = column.type.compile(connection.dialect)
+                default = " DEFAULT ''" if isinstance(column.type, sql.String) else ""
+                added = f"{quote(column.name)} {kind}{default}"
+                connection.exec_driver_sql(f"ALTER TABLE {quote(table.name)} ADD COLUMN {added}")
+    connection.execute(versions.update().values(schema=SCHEMA))
 
 
 def error_of(error: SQLAlchemyError | UnicodeDecodeError, name: str) -> HistoryError:

@@ -21,12 +21,12 @@ from suspnet.history.database import (
     connect,
     database_url,
     error_of,
-    is_prepared,
     prepare,
     reading,
     upsert,
+    version_of,
 )
-from suspnet.history.schema import BadRow, log_once, row_of, trips, undated_key
+from suspnet.history.schema import SCHEMA, BadRow, log_once, row_of, trips, undated_key
 from suspnet.history.suspensions import (
     Stored,
     add_suspensions,
@@ -82,9 +82,9 @@ class History:
         self._engine = connect(self._url, wait_s, must_exist=must_exist)
         try:
             with self._reading() as connection:
-                is_there = is_prepared(connection, str(self))
-            if not is_there:
-                if must_exist:
+                version = version_of(connection, str(self))
+            if version != SCHEMA:
+                if must_exist and version is None:
                     raise HistoryError(f"{self}: the store is empty, no trip was ever stored in it")
                 with self._writing() as connection:
                     prepare(connection, str(self))

@@ -5,12 +5,13 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from suspnet.estimation.trained import TrainedModel
 from suspnet.ground.parameters import Severity
-from suspnet.ground.records import ERROR, OK, TripResult
+from suspnet.ground.records import ERROR, OK, TripResult, sensors_from_text
 from suspnet.ground.storage import json_bytes
 from suspnet.ground.wording import kilometres
 from suspnet.history import History, HistoryError
@@ -131,6 +132,10 @@ def estimate_row(name: str, estimate: Estimate, level: float) -> dict[str, Any]:
         "duration_s": result.quality.duration_s,
         "usable_percent": result.quality.usable_percent,
         "faults": result.quality.faults,
+        "wheels": result.quality.wheels,
+        "sensors": {
+            name: asdict(one) for name, one in sensors_from_text(result.quality.sensors).items()
+        },
         "frames": estimate.frames,
     }
 

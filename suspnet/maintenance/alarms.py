@@ -23,7 +23,7 @@ GOES_ON = 1.5
 """Ratio of a change now to its size at the alarm above which the text gives both."""
 
 
-OWN_CAUSES = (Cause.LIMIT, Cause.CHANGE)
+OWN_CAUSES = (Cause.LIMIT, Cause.CHANGE, Cause.SENSOR)
 """Causes that need only the trips of the suspension itself."""
 
 
@@ -154,8 +154,9 @@ def watch(
     """Return the alarms that the trips of a suspension raise, in order of mileage.
 
     Each trip is judged together with earlier ones only, by ``judge`` against the limits and by
-    ``find_changes``; later trips do not change past alarms. An alarm of a limit is active until
-    ``N_QUIET`` trips in a row are within the limits, and retains its worst severity. A change
+    ``find_changes``; later trips do not change past alarms. A sensor that differs from its first
+    trips raises a notice, and trips that it `misled` are not used. An alarm of a limit is active
+    until ``N_QUIET`` trips in a row are within the limits, and retains its worst severity. A change
     raises a notice unless an alarm of a limit is already active. Maintenance ends all alarms, and
     the reference starts again after it.
 
@@ -174,14 +175,30 @@ def watch(
         `alarms`, a list of Alarm by the mileage where they start, and `changes`, the result of
         ``find_changes`` for the trips since the last maintenance.
     """
+    of_sensors = _sensor_alarms(series)
     series = series.part(series.one_healthy & np.isfinite(series.mileage_km))
-    ends = [event.mileage_km for event in series.events]
-    alarms: list[Alarm] = []
+    alarms, ends = of_sensors, series.repairs
     found = Watched()
     for part, end in zip(series.between, [*ends, np.nan], strict=True):
         found = _watch(series.part(part), series.outputs, limits, settings or ChangeSettings())
         alarms += [replace(one, end_km=end) if one.is_open else one for one in found.alarms]
-    return replace(found, alarms=alarms)
+    return replace(found, alarms=sorted(alarms, key=lambda one: (one.begin_km, one.parameter)))
+
+
+def _sensor_alarms(series: Series) -> list[Alarm]:
+    """Return the alarms of sensors; a trip without a mileage raises and clears none."""
+    km, found = series.mileage_km, []
+    for one in series.sensor_trends:
+        active = one.active & np.isfinite(km)
+        for begin, end in spans(active, ~active & np.isfinite(km)):
+            during = np.arange(begin, len(km) if end is None else end)
+            last = next(trip for trip in during[::-1] if one.words(trip) or trip == begin)
+            words = f"sensor {one.name}: {one.words(last)}"
+            until = np.nan if end is None else float(km[end])
+            found.append(
+                Alarm(one.name, Cause.SENSOR, Severity.NOTICE, float(km[begin]), until, words)
+            )
+    return found
 
 
 def _watch(

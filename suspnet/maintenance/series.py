@@ -7,15 +7,17 @@ from bisect import bisect_right
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from suspnet.ground.parameters import BODY_MASS, PARAMETERS
-from suspnet.ground.records import EVENT_KINDS, OK, Key, Place, TripResult, by_mileage
+from suspnet.ground.records import EVENT_KINDS, OK, SENSOR, Key, Place, TripResult, by_mileage
 from suspnet.ground.types import BoolArray, FloatArray, IntArray
 from suspnet.ground.wording import kilometres
+from suspnet.maintenance.sensors import SensorTrend, sensor_trends
 
 NUMBERS = ("mileage_km", "healthy_since_km", "speed_m_per_s", "temperature_c")
 """Numeric columns of a series, in addition to those of each parameter."""
@@ -25,6 +27,7 @@ NUMBERS = ("mileage_km", "healthy_since_km", "speed_m_per_s", "temperature_c")
 class Event:
     """Maintenance of a suspension: later trips are judged without earlier ones.
 
+    After that of the kind ``SENSOR`` only the sensors are, those that `words` names.
     Trips of at least `mileage_km` are after it. `kind` is one of ``EVENT_KINDS``; `words` say what.
     """
 
@@ -66,6 +69,8 @@ class Series:
         Sorted by mileage.
     n_first : int, optional
         Number of first trips whose median is healthy; None: the model defines it.
+    sensors : array of str, optional
+        Health of the sensors, as in ``Quality``; None: unknown.
     """
 
     vehicle: str
@@ -81,11 +86,32 @@ class Series:
     half_widths: dict[str, FloatArray]
     events: tuple[Event, ...] = ()
     n_first: int | None = None
+    sensors: NDArray[np.str_] | None = None
 
     @property
     def key(self) -> Key:
         """Vehicle and place."""
         return self.vehicle, self.place
+
+    @property
+    def repairs(self) -> list[float]:
+        """Mileages of the maintenance after which parameters are judged anew, [km]."""
+        return [event.mileage_km for event in self.events if event.kind != SENSOR]
+
+    @cached_property
+    def sensor_trends(self) -> list[SensorTrend]:
+        """Each sensor along the trips with a mileage, which ``part`` drops."""
+        if self.sensors is None or not self.sensors.any():
+            return []
+        replaced = [(one.mileage_km, one.words) for one in self.events if one.kind == SENSOR]
+        return sensor_trends(self.sensors.tolist(), self.mileage_km, replaced)
+
+    @cached_property
+    def misled(self) -> BoolArray:
+        """Mask of the trips whose estimates are wrong by a sensor's sensitivity or delay."""
+        none = np.zeros(len(self.trip), dtype=np.bool_)
+        wrong = [one.misleads for one in self.sensor_trends]
+        return np.asarray(np.logical_or.reduce([none, *wrong]))
 
     @property
     def outputs(self) -> tuple[str, ...]:
@@ -109,14 +135,14 @@ class Series:
     @property
     def recent(self) -> BoolArray:
         """Mask of the trips since the last commissioning and the last maintenance."""
-        since = max((event.mileage_km for event in self.events), default=-np.inf)
+        since = max(self.repairs, default=-np.inf)
         return np.asarray(self.one_healthy & ~(self.mileage_km < since))
 
     @property
     def between(self) -> list[IntArray]:
         """Indices of the trips before, between and after maintenance; without a mileage: after."""
         known_km = self.mileage_km[np.isfinite(self.mileage_km)]
-        ends = np.searchsorted(known_km, [event.mileage_km for event in self.events])
+        ends = np.searchsorted(known_km, self.repairs)
         return np.split(np.arange(len(self.trip)), ends)
 
     def relative_to_first(self, n_first: int | None) -> Series:
@@ -136,15 +162,18 @@ class Series:
         return replace(self, estimates=estimates, half_widths=half_widths, n_first=n_first)
 
     def part(self, chosen: BoolArray | IntArray) -> Series:
-        """Return the trips chosen by a mask or by indices."""
+        """Return the trips chosen by a mask or by indices, as they are to be judged.
+
+        Those that a sensor `misled` have no estimate there; the sensors themselves are dropped.
+        """
         columns = {
             name: getattr(self, name)[chosen] for name in ("trip", "start", "flagged", *NUMBERS)
         }
         estimates, half_widths = (
-            {name: column[chosen] for name, column in part.items()}
+            {name: np.where(self.misled, np.nan, column)[chosen] for name, column in part.items()}
             for part in (self.estimates, self.half_widths)
         )
-        return replace(self, estimates=estimates, half_widths=half_widths, **columns)
+        return replace(self, estimates=estimates, half_widths=half_widths, sensors=None, **columns)
 
     def equals(self, other: Series) -> bool:
         """Return whether all fields are equal, with NaN equal to NaN."""
@@ -153,8 +182,13 @@ class Series:
             (self.key, self.events, self.n_first) == (other.key, other.events, other.n_first)
             and mine.keys() == its.keys()
             and np.array_equal(self.trip, other.trip)
+            and np.array_equal(_texts(self), _texts(other))
             and all(np.array_equal(one, its[name], equal_nan=True) for name, one in mine.items())
         )
+
+
+def _texts(one: Series) -> NDArray[np.str_]:
+    return np.full(len(one.trip), "") if one.sensors is None else one.sensors
 
 
 def _columns(one: Series) -> dict[str, NDArray[Any]]:
@@ -203,6 +237,7 @@ def make_series(
     n = len(km)
     trip = np.broadcast_to(np.asarray(others.pop("trip", ""), dtype=str), n)
     start = np.broadcast_to(np.asarray(others.pop("start", "NaT"), dtype="datetime64[s]"), n)
+    sensors = np.broadcast_to(np.asarray(others.pop("sensors", ""), dtype=str), n)
     marks = np.broadcast_to(np.asarray(flagged, dtype=bool), n)
     order = np.lexsort((trip, km))  # NaN last
 
@@ -220,6 +255,7 @@ def make_series(
         half_widths=columns(half_widths or {}, PARAMETERS),
         events=tuple(sorted(events, key=lambda one: one.mileage_km)),
         n_first=None,
+        sensors=sensors[order],
         **columns({"mileage_km": km} | others, NUMBERS),
     )
 
@@ -244,6 +280,7 @@ def series_of(results: Sequence[TripResult], events: Iterable[Event] = ()) -> Se
         start=np.array([utc(one.start) for one in results], dtype="datetime64[s]"),
         healthy_since_km=[one.healthy_since_km for one in results],
         speed_m_per_s=[one.quality.speed_m_per_s for one in results],
+        sensors=[one.quality.sensors for one in results],
         temperature_c=[one.temperature_c for one in results],
     )
 
@@ -264,7 +301,7 @@ def between(events: Sequence[Event], results: Sequence[TripResult]) -> list[list
 
     The n_events + 1 lists are in the order of the mileage; some may be empty.
     """
-    ends = sorted(event.mileage_km for event in events)
+    ends = sorted(event.mileage_km for event in events if event.kind != SENSOR)
     found: list[list[TripResult]] = [[] for _ in range(len(ends) + 1)]
     for result in results:
         unknown = np.isnan(result.mileage_km)

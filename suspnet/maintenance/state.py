@@ -23,13 +23,15 @@ from suspnet.maintenance.assessment import (
     worst_first,
 )
 from suspnet.maintenance.degradation import FleetPrior
-from suspnet.maintenance.judge import N_LAST, LastTrips, last_trips
+from suspnet.maintenance.judge import N_CONFIRMING, N_LAST, LastTrips, last_trips
 from suspnet.maintenance.life import MIN_TRIPS, Life, predict_life
 from suspnet.maintenance.series import Series
 from suspnet.maintenance.trend import LEAST_PERCENT, flagged_trend
 
 UNKNOWN_HEALTHY = "healthy is not known yet"
 """Doubt about limits as long as fewer trips have an estimate than define healthy."""
+SENSOR_FAILED = "a sensor has failed, see its alarm"
+"""Doubt about limits while a sensor misleads the newest trips."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,6 +74,8 @@ class State:
     @cached_property
     def doubt(self) -> str:
         """Why the limits cannot be applied; empty if they can."""
+        if len(self.series.misled) >= N_CONFIRMING and self.series.misled[-N_CONFIRMING:].all():
+            return SENSOR_FAILED
         done = self.series.done[self.series.between[-1]]
         return UNKNOWN_HEALTHY if done.sum() < (self.series.n_first or 0) else ""
 

@@ -275,6 +275,13 @@ class TripManifest:
         "°C",
         "none",
     )
+    wheel_diameter_m: float | None = optional(
+        check.number("a number from 0.2 to 2", 0.2, 2.0),
+        "number, 0.2 to 2",
+        "diameter of the measured wheelset's wheels within 2 %, to find wheels out of round",
+        "m",
+        "searched from 0.76 to 0.92 m",
+    )
     speed: float | SpeedSource = required(
         _speed,
         "number above 0, also with its unit (`252 km/h`), or a source",

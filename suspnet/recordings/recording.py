@@ -79,6 +79,18 @@ class Recording:
     words: str = ""
     started: datetime | None = None
 
+    def sensors(self) -> dict[str, FloatArray]:
+        """Return the signal (n,) of each sensor, by the names of ``TripManifest.sensors``."""
+        found: dict[str, FloatArray] = {}
+        differences = iter(self.differences)
+        for name, signal, is_pair in zip(CHANNELS, self.signals, self.paired, strict=True):
+            if is_pair:
+                half = next(differences)
+                found |= {f"{name} {SIDES[0]}": signal + half, f"{name} {SIDES[1]}": signal - half}
+            else:
+                found[name] = signal
+        return found
+
 
 def load_recording(
     manifest: TripManifest, rate_hz: float = 100.0, cleaning: CleaningSettings | None = None

@@ -22,7 +22,7 @@ from suspnet.maintenance.judge import N_LAST
 from suspnet.maintenance.series import Event
 from suspnet.maintenance.state import State
 from suspnet.report.figures import data_uri
-from suspnet.report.tables import trip_table
+from suspnet.report.tables import sensor_rows, trip_table
 from suspnet.report.templates import KILO, SEVERITIES, render, with_unit
 
 ROLES = {
@@ -101,7 +101,7 @@ def write_report(path: Path, title: str, report: Report, figures: Mapping[str, F
     trips = by_mileage(report.results)
     severity, finding = overall(assessments)
     found = joined(worst_first(assessments))
-    doubts, sides = _doubts(trips), sides_finding(trips)
+    doubts, sides, wheels = _doubts(trips), sides_finding(trips), wheels_finding(trips)
     table = trip_table(trips, report.outputs, report.level)
     shown = {
         "intervals": INTERVALS_SHOWN.format(level=table.level) if table.level else "",
@@ -113,10 +113,11 @@ def write_report(path: Path, title: str, report: Report, figures: Mapping[str, F
         title=title,
         headline=_headline(trips),
         # without an alarm but with remarks the page is neutral
-        tone="plain" if tone == "good" and (doubts or found or sides) else tone,
+        tone="plain" if tone == "good" and (doubts or found or sides or wheels) else tone,
         finding=finding,
         doubts=doubts,
         sides=sides,
+        wheels=wheels,
         findings=found,
         assessments=[list(run) for _, run in groupby(assessments, lambda a: (a.severity, a.words))],
         limits=state.limits,
@@ -128,6 +129,7 @@ def write_report(path: Path, title: str, report: Report, figures: Mapping[str, F
         ],
         figures=[_embedded(name, figures[name], shown) for name in _ordered(figures)],
         table=table,
+        sensors=sensor_rows(state.series),
         since_when=_since_when(report.commissionings, state.series.events),
         healthy=_healthy(trips),
         level=table.level,
@@ -156,6 +158,17 @@ def sides_finding(trips: Sequence[TripResult]) -> str:
         "An estimate is the mean of both sides. Sensors of a pair that differ in place or "
         "sensitivity, and a track with one rail worse than the other, can look alike: compare "
         "several trips."
+    )
+
+
+def wheels_finding(trips: Sequence[TripResult]) -> str:
+    """Return a sentence on out-of-round wheels, from the last trips; empty without a finding."""
+    last = list(trips)[-N_LAST:]
+    found = [r for r in last if r.quality.wheels]
+    if not found:
+        return ""
+    return f"Wheels on {found[-1].trip} ({len(found)} of the last {len(last)} trips): " + (
+        found[-1].quality.wheels
     )
 
 

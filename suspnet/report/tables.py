@@ -23,7 +23,7 @@ from suspnet.history.arrays import TripResponses
 from suspnet.history.schema import BadRow
 from suspnet.maintenance.alarms import Acknowledgement, newest_of
 from suspnet.maintenance.schedule import Plan
-from suspnet.maintenance.series import of_same_car
+from suspnet.maintenance.series import Series, of_same_car
 from suspnet.maintenance.state import State
 
 REPORT = "report.html"
@@ -249,6 +249,40 @@ def _digits(half_widths: Sequence[float]) -> int:
         return 1
     further = math.ceil(math.log10(0.095 / statistics.median(known)))
     return 1 + min(max(further, 0), 2)
+
+
+def sensor_rows(series: Series) -> list[dict[str, Any]]:
+    """Return the sensors on the newest trip that has their health, for the macro `sensor_table`.
+
+    They are a factor on the noise, the relative change of the sensitivity, the delay [s] and the
+    share of drop-outs; `beyond` tells which of them count.
+    """
+    rows = []
+    for one in series.sensor_trends:
+        known = np.flatnonzero(np.isfinite(one.values["faulty"]))
+        if not len(known):
+            continue
+        at = int(known[-1])
+        change = {name: float(column[at]) for name, column in one.changes.items()}
+        armed = any(map(math.isfinite, change.values()))
+        rows.append(
+            {
+                "name": one.name,
+                "active": bool(one.active[at]),
+                "words": one.words(at),
+                "state": "as in its first trips" if armed else "too few trips to compare",
+                "noise": float(one.values["noise"][at]),
+                "times": math.exp(change["noise"]),
+                "gain": math.expm1(change["gain"]),
+                "delay_s": change["delay_s"],
+                "faulty": float(one.values["faulty"][at]),
+                "beyond": {
+                    "times" if name == "noise" else name: bool(column[at])
+                    for name, column in one.beyond.items()
+                },
+            }
+        )
+    return rows
 
 
 def files_read_as(results: Sequence[TripResult]) -> dict[str, str]:

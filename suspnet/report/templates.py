@@ -118,7 +118,9 @@ def _rounded(km: float) -> str:
 
 
 def symbol(name: str) -> Markup:
-    """Return the symbol of a parameter."""
+    """Return the symbol of a parameter; the name of anything else, as of a sensor, as it is."""
+    if name not in UNITS:
+        return Markup.escape(name)
     letter, _, index = name.partition("_")
     return Markup("<i>{}</i><sub>{}</sub>").format(letter, index)
 

@@ -23,12 +23,30 @@ STANDARD_GRAVITY = 9.80665
 """Standard acceleration of gravity [m/s^2]."""
 
 
+@dataclass(frozen=True)
+class OutOfRound:
+    """Wheels whose radius varies by `size_m` cos(`order` times the angle), of one diameter."""
+
+    order: int
+    size_m: float
+    diameter_m: float
+
+    def acceleration(
+        self, position_m: FloatArray, speed: FloatArray, acceleration: FloatArray
+    ) -> FloatArray:
+        """Return the vertical acceleration of the wheelset, [m/s^2]."""
+        per_m = 2 * self.order / self.diameter_m
+        bend, slope = np.cos(per_m * position_m), np.sin(per_m * position_m)
+        return -self.size_m * per_m * (per_m * speed**2 * bend + acceleration * slope)
+
+
 def simulate_trip(
     system: LinearSystem,
     profile: TrackProfile,
     journey: Journey,
     rate_hz: float,
     cross: TrackProfile | None = None,
+    wheels_of: OutOfRound | None = None,
 ) -> FloatArray:
     """Return accelerations of axle box, frame and body along a trip, shape (3, n_samples), [m/s^2].
 
@@ -38,6 +56,7 @@ def simulate_trip(
 
     `profile` must be at least `profile_length_m` long. With roll, `cross` is an independent profile
     of `cross_level_spectrum`; the angle of the track is the system's `roll_per_m` times it.
+    `wheels_of` the measured wheelset are both out of round alike.
     """
     motion = SampledMotion(system, rate_hz)
     n_lead = round(_lead_in_s(journey) * rate_hz)
@@ -58,6 +77,8 @@ def simulate_trip(
             for behind in system.behind_m:
                 _, slope, curvature = track.at(start_m + position - behind)
                 wheels.append(squared * curvature + scaled * slope)
+        if wheels_of is not None:
+            wheels[measured] += wheels_of.acceleration(position, speed, acceleration)
         outputs = motion.advance(wheels).reshape(n_sides, 2, len(times))
         # The lead-in is not part of the trip.
         kept = slice(max(0, -first), None)

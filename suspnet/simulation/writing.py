@@ -223,8 +223,9 @@ def _write_trip(
     if fleet.sides == "left":
         system = replace(system, sensors=system.sensors[:2])
     profiles = _profiles(fleet, system, journey, rate_hz, (track, cross))
-    signals = simulate_trip(system, profiles[0], journey, rate_hz, *profiles[1:])
-    del profiles  # as large as the signals
+    cross_level = profiles[1] if len(profiles) > 1 else None
+    signals = simulate_trip(system, profiles[0], journey, rate_hz, cross_level, fleet.wheels())
+    del profiles, cross_level  # as large as the signals
     name = _name(index)
     channels = _write_channels(folder, name, fleet, system, signals, rate_hz, noise)
     whole_s = np.arange(math.floor(journey.duration_s) + 1, dtype=np.float64)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, ClassVar
@@ -268,6 +269,7 @@ class EstimateObserver:
             relative = None if ratios == (1.0,) else replace(speeds, m_per_s=ratios)
         self._is_nominal = relative is None
         self._correlating = moving_average_with(settings.welch.correlation().numpy())
+        self._left_out = torch.zeros(len(self.frequencies_hz), dtype=torch.bool)
         self.mean = ExpectedSpectra(
             generator,
             settings.welch,
@@ -291,7 +293,18 @@ class EstimateObserver:
         rough = EstimateObserver(self.settings, self.generator)
         rough._nominal = self._nominal  # of the same noise
         rough.mean, rough.frequencies_hz = self.mean.thinned(every), self.frequencies_hz[::every]
+        rough._left_out = self._left_out[::every]
         return rough
+
+    def without(self, bins: Tensor) -> EstimateObserver:
+        """Return the observer of a trip some of whose bins, bool (n_freq,), are not to be used."""
+        if not bool(bins.any()):
+            return self
+        observer = copy(self)
+        observer.__dict__.pop("weak", None)  # cached of the other
+        observer._nominal, observer._is_nominal = self._nominal, False
+        observer._left_out = bins
+        return observer
 
     @cached_property
     def _nominal(self) -> EstimateObserver:
@@ -312,13 +325,14 @@ class EstimateObserver:
 
     @cached_property
     def weak(self) -> Tensor:
-        """Which bins in use are weak (see `WEAK`) for the healthy vehicle, bool (2, n_freq).
+        """Which bins in use are weak (see `WEAK`) or left out, bool (2, n_freq).
 
         Near f = v / (2 wheelbase) the axles of a bogie move in antiphase: the bogie does not
         bounce, and the body is no useful instrument.
         """
         covariance = self._healthy.covariance(self.settings.method)[0]
-        return weak_bins(covariance, self.beyond, self.settings.n_averages)
+        weak = weak_bins(covariance, self.beyond, self.settings.n_averages)
+        return weak | (self._left_out & ~self.beyond)
 
     @cached_property
     def beyond(self) -> Tensor:

@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -41,6 +42,12 @@ def recording_segments(recording: Recording, welch: Welch) -> SegmentSpectra:
 def difference_segments(recording: Recording, welch: Welch) -> SegmentSpectra:
     """Return the same segments of the half differences (left - right) / 2 of pairs of sensors."""
     return _faultless(recording, recording.differences, welch)
+
+
+def sensor_segments(recording: Recording, welch: Welch) -> tuple[list[str], SegmentSpectra]:
+    """Return the names of all sensors and the same segments of their signals."""
+    sensors = recording.sensors()
+    return list(sensors), _faultless(recording, np.stack(list(sensors.values())), welch)
 
 
 def _faultless(recording: Recording, signals: FloatArray, welch: Welch) -> SegmentSpectra:

@@ -20,14 +20,25 @@ from suspnet.estimation.steady_parts import SpeedBin, combined, largest
 from suspnet.estimation.trained import TrainedModel
 from suspnet.estimation.trip_flags import with_sides
 from suspnet.estimation.trip_settings import TripSettings
-from suspnet.ground.records import ERROR, NO_ESTIMATE, OK, Place, Quality, TripCurves, TripResult
+from suspnet.ground.records import (
+    ERROR,
+    NO_ESTIMATE,
+    OK,
+    Place,
+    Quality,
+    TripCurves,
+    TripResult,
+    sensors_text,
+)
 from suspnet.ground.storage import printable
 from suspnet.recordings.errors import TripError
 from suspnet.recordings.manifest import TripManifest
 from suspnet.recordings.manifest_files import ManifestFile
 from suspnet.recordings.recording import Recording, load_recording, overview
 from suspnet.spectra.segments import NoEstimateError, recording_segments
+from suspnet.spectra.sensor_health import sensor_health
 from suspnet.spectra.welch import Welch
+from suspnet.spectra.wheel_lines import wheel_lines, wheel_words
 from suspnet.trips.commissionings import models_at, since_km
 
 log = logging.getLogger(__name__)
@@ -129,12 +140,15 @@ def _estimated(
     )
     if not result.start and recording.started is not None:
         result = replace(result, start=recording.started.isoformat())
+    lines = wheel_lines(recording)
+    sensors = sensor_health(recording, models[0].generator, _welch(models[0]))
+    quality = replace(quality, wheels=wheel_words(recording, lines), sensors=sensors_text(sensors))
     segments = {one: recording_segments(recording, one) for one in map(_welch, models)}
     n_total = max(len(found.values) for found in segments.values())
     result = replace(result, quality=replace(quality, segments_total=n_total))
     try:
         pairs = [(model, segments[_welch(model)]) for model in models]
-        bins = all_bins(pairs, recording, settings)
+        bins = all_bins(pairs, recording, settings, lines)
     except TripError as error:  # reported only now, as the quality is known
         return replace(result, reason=str(error))
     except NoEstimateError as error:

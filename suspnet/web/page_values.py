@@ -22,6 +22,7 @@ from suspnet.report.tables import (
     finding,
     response,
     response_table,
+    sensor_rows,
     trip_table,
 )
 from suspnet.report.trend import ranges, trend_of_state
@@ -214,6 +215,7 @@ def suspension_values(
         "n_trips": len(state.series.trip),
         "first_km": _end(state.series.mileage_km, np.min),
         "newest_km": _end(state.series.mileage_km, np.max),
+        "sensors": sensor_rows(state.series),
         "responses": responses,
         "gains": response_table(responses[0], responses[-1]) if responses else [],
     }

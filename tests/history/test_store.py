@@ -237,7 +237,10 @@ def test_all_or_none_of_the_alarms_of_many_are_kept(store):
 
 @pytest.mark.parametrize(
     ("fields", "message"),
-    [((np.nan,), "mileage in km"), ((1.0, "repaired"), "one of exchanged, reprofiled, other")],
+    [
+        ((np.nan,), "mileage in km"),
+        ((1.0, "repaired"), "one of exchanged, reprofiled, sensor, other"),
+    ],
 )
 def test_a_wrong_event_is_refused(fields, message):
     with pytest.raises(ValueError, match=message):
@@ -266,8 +269,25 @@ def test_a_store_of_another_version_is_refused(tmp_path):
     with sqlite3.connect(path) as connection:
         connection.execute("UPDATE suspnet_version SET schema = 99")
     connection.close()
-    with pytest.raises(HistoryError, match="a store of version 99, this suspnet reads version 3"):
+    with pytest.raises(HistoryError, match="a store of version 99, this suspnet reads version 5"):
         History(path)
+
+
+def test_a_store_of_version_3_is_brought_to_this_version(place):
+    before = trip(0, with_curves=False)
+    with History(place) as store:
+        store.write([before])
+        with store._engine.begin() as connection:
+            connection.exec_driver_sql("ALTER TABLE trips DROP COLUMN wheels")
+            connection.exec_driver_sql("UPDATE suspnet_version SET schema = 3")
+    for _ in range(2):
+        with History(place, must_exist=True) as store:
+            (found,) = store.read(before.vehicle, before.place)
+            assert same(found, before)
+    after = replace(before, quality=replace(before.quality, wheels="order 2"))
+    with History(place) as store:
+        store.write([after])
+        assert same(store.read(before.vehicle, before.place)[0], after)
 
 
 def test_a_foreign_database_with_tables_of_these_names_is_refused(tmp_path):

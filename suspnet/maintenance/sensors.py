@@ -1,0 +1,182 @@
+"""Alarms of sensors along the mileage, so that a failing sensor is never a failing damper.
+
+Each number of ``SensorHealth`` is compared with its median over the sensor's first trips, since it
+was replaced. A change counts if it exceeds a size that matters and the spread of those trips, in
+several trips in a row. What all sensors share is the track: it is subtracted.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from suspnet.ground.records import SensorHealth, sensors_from_text
+from suspnet.ground.types import BoolArray, FloatArray, IntArray
+
+N_FIRST = 8
+"""Number of first trips that are the reference of a sensor."""
+N_CONFIRMING = 3
+"""Trips in a row that raise an alarm of a sensor, or clear it."""
+LEAST = {"noise": math.log(2.0), "gain": 0.05, "delay_s": 0.005, "faulty": 0.01}
+"""Smallest change that counts: twice the noise, 5 % of sensitivity, 5 ms, and 1 % of a trip."""
+SPREADS = 4.0
+"""A change counts if it exceeds this multiple of the standard deviation of the first trips."""
+FLAT = 0.5
+"""Largest change of the gain's rise over the band, relative to that of the gain: a side of which a
+spring or damper is worn changes the gain by frequency, a sensor does not."""
+TOGETHER = (("axle_box", "bogie"), ("body",))
+"""Places whose gains are relative to each other: the one that differs from most has changed."""
+
+
+@dataclass(frozen=True)
+class SensorTrend:
+    """One sensor along the trips: (n_trips,) arrays, NaN where unknown.
+
+    `values` has the numbers of ``SensorHealth``, `changes` their changes from the first trips
+    [log, log, s, 1], and `beyond` whether they count; `active` marks the trips with an alarm, from
+    the first that confirms it. `fellow` is a sensor that may be at fault in its place.
+    """
+
+    name: str
+    values: dict[str, FloatArray]
+    changes: dict[str, FloatArray]
+    beyond: dict[str, BoolArray]
+    active: BoolArray
+    fellow: str = ""
+
+    @property
+    def misleads(self) -> BoolArray:
+        """Mask of the trips whose estimates it makes wrong; noise and drop-outs widen them only."""
+        return np.asarray(self.beyond["gain"] | self.beyond["delay_s"])
+
+    def words(self, trip: int) -> str:
+        """Return what has changed on a trip, as text."""
+        size = {name: float(change[trip]) for name, change in self.changes.items()}
+        texts = {
+            "noise": f"noise {math.exp(size['noise']):.2g} times as in its first trips",
+            "gain": f"sensitivity {100 * math.expm1(size['gain']):+.2g} % since its first trips",
+            "delay_s": f"{1e3 * size['delay_s']:+.2g} ms late since its first trips",
+            "faulty": f"drop-outs in {100 * float(self.values['faulty'][trip]):.2g} % of the trip",
+        }
+        if self.fellow:  # of two that differ, each may have changed by all of it
+            apart = 100 * math.expm1(2 * size["gain"])
+            texts["gain"] = (
+                f"sensitivity {apart:+.2g} % against {self.fellow} since the first trips: one of "
+                "the two"
+            )
+        return ", ".join(texts[name] for name in texts if self.beyond[name][trip])
+
+
+def sensor_trends(
+    texts: Sequence[str], mileage_km: FloatArray, replaced: Sequence[tuple[float, str]] = ()
+) -> list[SensorTrend]:
+    """Return the trend of each sensor over trips in the order of the mileage.
+
+    `texts` are those of ``Quality.sensors``, `mileage_km` (n_trips,). `replaced` are mileages and
+    words of maintenance: a sensor that the words name starts anew, all do if they name none.
+    """
+    trips = [sensors_from_text(text) for text in texts]
+    names = list(dict.fromkeys(name for trip in trips for name in trip))
+    since = {name: _eras(name, names, mileage_km, replaced) for name in names}
+    values = {name: _columns(trips, name) for name in names}
+    changes: dict[str, dict[str, FloatArray]] = {name: {} for name in names}
+    for name in names:
+        for number, column in values[name].items():
+            scaled = np.log(column) if number == "noise" else column
+            changes[name][number] = scaled - _of_first(scaled, since[name], np.median)
+    groups: dict[str, list[list[str]]] = {"noise": [names], "gain": [], "delay_s": []}
+    for places in TOGETHER:
+        own = [name for name in names if name.split()[0] in places]
+        groups["gain"].append(own)
+        groups["delay_s"].append(own)
+    for number, several in groups.items():
+        for own in several:
+            _subtract_common([changes[name] for name in own], number)
+    for own in groups["gain"]:  # noise in one sensor hides the gains of its fellows
+        noisy = np.any([changes[name]["noise"] > LEAST["noise"] for name in own], axis=0)
+        for name in own:
+            for number in ("gain", "delay_s"):
+                changes[name][number] = np.where(noisy, np.nan, changes[name][number])
+    return [
+        _trend(name, values[name], changes[name], since[name], groups["gain"]) for name in names
+    ]
+
+
+def _columns(trips: Sequence[Mapping[str, SensorHealth]], name: str) -> dict[str, FloatArray]:
+    found = [trip.get(name, SensorHealth()) for trip in trips]
+    return {
+        number: np.array([getattr(one, number) for one in found], dtype=float)
+        for number in (*LEAST, "tilt")
+    }
+
+
+def _eras(
+    name: str, names: Sequence[str], km: FloatArray, replaced: Sequence[tuple[float, str]]
+) -> IntArray:
+    """Return how often a sensor had been replaced before each trip, (n_trips,)."""
+    own = [at for at, words in replaced if name in words or not any(n in words for n in names)]
+    return np.asarray(np.searchsorted(np.sort(own), np.nan_to_num(km, nan=np.inf), side="right"))
+
+
+def _of_first(
+    column: FloatArray, eras: IntArray, number: Callable[[FloatArray], Any]
+) -> FloatArray:
+    """Return a number of the first trips of each era for all its trips; NaN if they are few."""
+    found = np.full_like(column, np.nan)
+    for era in np.unique(eras):
+        first = np.flatnonzero((eras == era) & np.isfinite(column))[:N_FIRST]
+        if len(first) == N_FIRST:
+            found[eras == era] = number(column[first])
+    return found
+
+
+def _subtract_common(own: Sequence[dict[str, FloatArray]], number: str) -> None:
+    """Subtract the median over some sensors from their changes; of noise only a common rise."""
+    if len(own) < 2:
+        return
+    rows = np.stack([one[number] for one in own])
+    known = np.isfinite(rows).any(axis=0)
+    common = np.zeros(rows.shape[1])
+    common[known] = np.nanmedian(rows[:, known], axis=0)
+    if number == "noise":
+        common = np.maximum(common, 0)
+    for one in own:
+        one[number] = one[number] - common
+
+
+def _trend(
+    name: str,
+    values: dict[str, FloatArray],
+    changes: dict[str, FloatArray],
+    eras: IntArray,
+    groups: Sequence[Sequence[str]],
+) -> SensorTrend:
+    beyond = {}
+    for number, least in LEAST.items():
+        size = changes[number] if number in ("noise", "faulty") else np.abs(changes[number])
+        with np.errstate(invalid="ignore"):  # NaN is never beyond
+            spread = _of_first(changes[number], eras, np.std)
+            beyond[number] = size > np.maximum(least, SPREADS * spread)
+    with np.errstate(invalid="ignore"):
+        beyond["gain"] &= np.abs(changes["tilt"]) <= FLAT * np.abs(changes["gain"])
+    is_out = np.logical_or.reduce(list(beyond.values()))
+    known = np.isfinite(values["faulty"])
+    (group,) = [one for one in groups if name in one] or [[name]]
+    fellow = next(one for one in group if one != name) if len(group) == 2 else ""
+    return SensorTrend(name, values, changes, beyond, _active(is_out, known), fellow)
+
+
+def _active(is_out: BoolArray, known: BoolArray) -> BoolArray:
+    """Return the trips with an alarm, raised and cleared by ``N_CONFIRMING`` ones in a row."""
+    active, run, state = np.zeros(len(is_out), dtype=np.bool_), 0, False
+    for trip in range(len(is_out)):
+        if known[trip]:
+            run = run + 1 if is_out[trip] != state else 0
+        if run == N_CONFIRMING:
+            state, run = not state, 0
+        active[trip] = state
+    return active
