@@ -23,7 +23,7 @@ def unworn(model, ratios):
     """Return what `UNWORN` costs at some ratios, written out."""
     costs = [UNWORN.get(name, 0) * abs(1 - r) / r for name, r in zip(OUTPUTS, ratios, strict=True)]
     factors = model.intervals.conformal
-    return np.array(costs) * factors.factors(LEVEL) / factors.factors(0.6827)
+    return np.log(1 + np.array(costs)) * factors.factors(LEVEL) / factors.factors(0.6827)
 
 
 def groups(error, n_groups=5, n_freq=400, seed=0):
@@ -72,7 +72,7 @@ def test_what_does_not_wear_costs_the_worn_primary_suspension_only(ratio):
     costs = unworn_deviations(("c_p", "k_p", "c_s", "k_s"), np.full(4, ratio))
     shares = np.array([UNWORN["c_p"], UNWORN["k_p"]])
     read = (1 - shares) * ratio + shares  # the damper wears, the share beside it stays
-    np.testing.assert_allclose(costs[:2], np.abs(read - ratio) / ratio, atol=1e-12)
+    np.testing.assert_allclose(costs[:2], np.log(1 + np.abs(read - ratio) / ratio), atol=1e-12)
     assert (costs[2:] == 0).all()
 
 
