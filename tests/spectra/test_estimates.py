@@ -16,7 +16,7 @@ from vehicles import AM96
 from suspnet.dynamics import QuarterCar, VerticalVehicle
 from suspnet.spectra import expected_spectra as module
 from suspnet.spectra.cross_spectra import PAIRS, CrossSpectra, moving_average_with, sample_spectra
-from suspnet.spectra.estimates import EstimateObserver, EstimateSettings
+from suspnet.spectra.estimates import SPEED_HALF_WIDTH, EstimateObserver, EstimateSettings
 from suspnet.spectra.segments import Speeds
 from suspnet.spectra.welch import Welch, segment_spectra
 
@@ -356,7 +356,8 @@ def test_band_follows_from_the_vehicle(ratio, high_hz):
     assert bound.low_hz <= bins[0] < bound.low_hz + 0.05
     assert bound.high_hz - 0.05 < bins[-1] <= bound.high_hz
     np.testing.assert_allclose(np.diff(bins), 0.05, rtol=1e-9)
-    ends = dict.fromkeys(("low_hz", "high_hz", "body_high_hz"))
+    assert bound.speed_half_width == SPEED_HALF_WIDTH
+    ends = dict.fromkeys(("low_hz", "high_hz", "body_high_hz", "speed_half_width"))
     assert dataclasses.replace(bound, **ends) == EstimateSettings()
 
 
