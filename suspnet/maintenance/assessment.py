@@ -175,7 +175,7 @@ def _level(judged: Judged, last: LastTrips, limits: Limits) -> str:
     name = "act" if severity == Severity.ACT else "notice"
     limit = getattr(limits, name)[(side + 1) // 2]
     beyond = f"{'above' if side > 0 else 'below'} the {name} limit of {100 * limit:g} %"
-    if count >= N_CONFIRMING and run < count:
+    if count >= N_CONFIRMING and run < count and severity != Severity.UNKNOWN:
         out = last.values[side * (last.values - limit) > 0]
         where = level_words(np.median(out), limit)
         words = f"{count} of the last {n_last} trips are {where} of healthy, {beyond}"

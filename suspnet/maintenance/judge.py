@@ -83,10 +83,10 @@ def judge(
     A flagged trip, or one without an interval, raises at most a notice by itself. If the newest
     trip is beyond the notice limit, but not with certainty, the severity is unknown.
 
-    False alarms of a healthy suspension, with intervals of 90 % (measured, 200,000 series): 0.1 % of
-    cases with independent errors and a half width of the distance of the limit from healthy, less
-    than 0.01 % at 60 % of it. Shorter recordings raise more: 1.6 % at twice and 6 % at four times
-    the half width. If 80 % of the variance is common to the trips, 0.34 % and 0.01 %.
+    False alarms of a healthy suspension, with intervals of 90 % (measured, 200,000 series): 0.1 %
+    of cases with independent errors and a half width of the distance of the limit from healthy,
+    less than 0.01 % at 60 % of it. Shorter recordings raise more: 1.6 % at twice and 6 % at four
+    times the half width. If 80 % of the variance is common to the trips, 0.34 % and 0.01 %.
 
     `values`, `low`, `high` and `flagged`: (..., n_last), the newest last; NaN: none. The result has
     the shape (...).
