@@ -25,6 +25,11 @@ LEAST = {"noise": math.log(2.0), "gain": 0.05, "delay_s": 0.005, "faulty": 0.01}
 """Smallest change that counts: twice the noise, 5 % of sensitivity, 5 ms, and 1 % of a trip."""
 SPREADS = 4.0
 """A change counts if it exceeds this multiple of the standard deviation of the first trips."""
+FAR = 2.0
+"""Factor on these two for a single trip: of eight first trips a deviation is so uncertain that one
+of 100 healthy trips exceeds four, one of 4,900 eight."""
+MISLEADING = ("gain", "delay_s")
+"""Numbers whose change makes estimates wrong."""
 FLAT = 0.5
 """Largest change of the gain's rise over the band, relative to that of the gain: a side of which a
 spring or damper is worn changes the gain by frequency, a sensor does not."""
@@ -38,7 +43,9 @@ class SensorTrend:
 
     `values` has the numbers of ``SensorHealth``, `changes` their changes from the first trips
     [log, log, s, 1], and `beyond` whether they count; `active` marks the trips with an alarm, from
-    the first that confirms it. `fellow` is a sensor that may be at fault in its place.
+    the first that confirms it. `misleads` marks those whose estimates the sensor makes wrong, by
+    its gain or delay: with an alarm, or with a change that is no chance in a single trip; noise and
+    drop-outs widen intervals only. `fellow` is a sensor that may be at fault in its place.
     """
 
     name: str
@@ -46,12 +53,8 @@ class SensorTrend:
     changes: dict[str, FloatArray]
     beyond: dict[str, BoolArray]
     active: BoolArray
+    misleads: BoolArray
     fellow: str = ""
-
-    @property
-    def misleads(self) -> BoolArray:
-        """Mask of the trips whose estimates it makes wrong; noise and drop-outs widen them only."""
-        return np.asarray(self.beyond["gain"] | self.beyond["delay_s"])
 
     def words(self, trip: int) -> str:
         """Return what has changed on a trip, as text."""
@@ -155,19 +158,24 @@ def _trend(
     eras: IntArray,
     groups: Sequence[Sequence[str]],
 ) -> SensorTrend:
-    beyond = {}
-    for number, least in LEAST.items():
-        size = changes[number] if number in ("noise", "faulty") else np.abs(changes[number])
-        with np.errstate(invalid="ignore"):  # NaN is never beyond
+    beyond, far = {}, np.zeros(len(eras), dtype=np.bool_)
+    with np.errstate(invalid="ignore"):  # NaN is never beyond
+        of_sensor = np.abs(changes["tilt"]) <= FLAT * np.abs(changes["gain"])
+        for number, least in LEAST.items():
+            size = changes[number] if number in ("noise", "faulty") else np.abs(changes[number])
             spread = _of_first(changes[number], eras, np.std)
-            beyond[number] = size > np.maximum(least, SPREADS * spread)
-    with np.errstate(invalid="ignore"):
-        beyond["gain"] &= np.abs(changes["tilt"]) <= FLAT * np.abs(changes["gain"])
+            limit = np.maximum(least, SPREADS * spread)
+            counts = of_sensor if number == "gain" else np.isfinite(size)
+            beyond[number] = counts & (size > limit)
+            if number in MISLEADING:
+                far |= counts & (size > FAR * limit)
     is_out = np.logical_or.reduce(list(beyond.values()))
     known = np.isfinite(values["faulty"])
     (group,) = [one for one in groups if name in one] or [[name]]
     fellow = next(one for one in group if one != name) if len(group) == 2 else ""
-    return SensorTrend(name, values, changes, beyond, _active(is_out, known), fellow)
+    active = _active(is_out, known)
+    misleads = far | active & np.logical_or.reduce([beyond[number] for number in MISLEADING])
+    return SensorTrend(name, values, changes, beyond, active, misleads, fellow)
 
 
 def _active(is_out: BoolArray, known: BoolArray) -> BoolArray:
