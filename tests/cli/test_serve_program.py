@@ -135,6 +135,7 @@ def killed_while_reading(store, cwd):
     forked.as_typed("serve", [f"store={store}", "port=0"], cwd, {})
 
 
+@pytest.mark.slow  # signals between requests are in the test above
 def test_signal_in_the_middle_of_a_request_is_not_lost(path, tmp_path):
     with run_apart(killed_while_reading, path, tmp_path) as (process, output, errors):
         address = listening(process, output)
