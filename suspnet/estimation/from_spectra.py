@@ -88,7 +88,7 @@ def estimate_with_noise(
     """
     task, outputs = method.task, method.task.outputs
     observer = trip_observer(method) if speeds is None else trip_observer(method).at(speeds)
-    observer = observer if left_out is None else observer.without(left_out)
+    observer = observer.without(left_out)
     responses = spectra.responses(observer.settings.method)[None]
     inputs, reasons = method.features(observer.for_features(responses), observer.frequencies_hz)
     if not np.isfinite(inputs).all():

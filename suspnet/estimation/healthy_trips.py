@@ -6,7 +6,7 @@ Its symbols are those of `suspnet.estimation.commissioning`.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -29,7 +29,7 @@ from suspnet.recordings.manifest import TripManifest
 from suspnet.recordings.manifest_files import ManifestFile, find_manifests
 from suspnet.recordings.recording import Recording, load_recording
 from suspnet.spectra.cross_spectra import CrossSpectra
-from suspnet.spectra.estimates import EstimateObserver, EstimateSettings
+from suspnet.spectra.estimates import EstimateSettings
 from suspnet.spectra.observation import every_direction
 from suspnet.spectra.segments import Speeds, recording_segments, segment_speeds
 from suspnet.spectra.wheel_lines import wheel_lines
@@ -213,7 +213,11 @@ class HealthyMisfit:
             for direction in {group.direction for group in groups}
         }
         self._groups = [
-            _observer(observers, group).measured_misfit(group.spectra) for group in groups
+            observers[group.direction]
+            .at(group.speeds)
+            .without(group.left_out)
+            .measured_misfit(group.spectra)
+            for group in groups
         ]
         self._thinned = [misfit.thinned() for misfit in self._groups]
 
@@ -297,13 +301,6 @@ class HealthyMisfit:
         observed = torch.cat([misfit.observed for misfit, _ in pairs])
         power = torch.cat([m.covariance.diagonal(dim1=1, dim2=2).mT.real for m, _ in pairs])
         return observed.numpy(), torch.cat(fitted).numpy(), (power / 2).sqrt().numpy()
-
-
-def _observer(
-    observers: Mapping[Direction, EstimateObserver], group: HealthySpectra
-) -> EstimateObserver:
-    observer = observers[group.direction].at(group.speeds)
-    return observer if group.left_out is None else observer.without(group.left_out)
 
 
 def row_of(x: FloatArray) -> Tensor:

@@ -19,7 +19,7 @@ from suspnet.ground.types import BoolArray, FloatArray, IntArray
 
 N_FIRST = 8
 """Number of first trips that are the reference of a sensor."""
-N_CONFIRMING = 3
+IN_A_ROW = 3
 """Trips in a row that raise an alarm of a sensor, or clear it."""
 LEAST = {"noise": math.log(2.0), "gain": 0.05, "delay_s": 0.005, "faulty": 0.01}
 """Smallest change that counts: twice the noise, 5 % of sensitivity, 5 ms, and 1 % of a trip."""
@@ -80,7 +80,7 @@ def sensor_trends(
     """Return the trend of each sensor over trips in the order of the mileage.
 
     `texts` are those of ``Quality.sensors``, `mileage_km` (n_trips,). `replaced` are mileages and
-    words of maintenance: a sensor that the words name starts anew, all do if they name none.
+    words of maintenance: a sensor that the words name starts again, all do if they name none.
     """
     trips = [sensors_from_text(text) for text in texts]
     names = list(dict.fromkeys(name for trip in trips for name in trip))
@@ -179,12 +179,12 @@ def _trend(
 
 
 def _active(is_out: BoolArray, known: BoolArray) -> BoolArray:
-    """Return the trips with an alarm, raised and cleared by ``N_CONFIRMING`` ones in a row."""
+    """Return the trips with an alarm, raised and cleared by ``IN_A_ROW`` ones in a row."""
     active, run, state = np.zeros(len(is_out), dtype=np.bool_), 0, False
     for trip in range(len(is_out)):
         if known[trip]:
             run = run + 1 if is_out[trip] != state else 0
-        if run == N_CONFIRMING:
+        if run == IN_A_ROW:
             state, run = not state, 0
         active[trip] = state
     return active

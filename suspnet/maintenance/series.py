@@ -95,7 +95,7 @@ class Series:
 
     @property
     def repairs(self) -> list[float]:
-        """Mileages of the maintenance after which parameters are judged anew, [km]."""
+        """Mileages of the maintenance that gives parameters a new reference, [km]."""
         return [event.mileage_km for event in self.events if event.kind != SENSOR]
 
     @cached_property

@@ -23,8 +23,9 @@ from suspnet.maintenance.assessment import (
     worst_first,
 )
 from suspnet.maintenance.degradation import FleetPrior
-from suspnet.maintenance.judge import N_CONFIRMING, N_LAST, LastTrips, last_trips
+from suspnet.maintenance.judge import N_LAST, LastTrips, last_trips
 from suspnet.maintenance.life import MIN_TRIPS, Life, predict_life
+from suspnet.maintenance.sensors import IN_A_ROW
 from suspnet.maintenance.series import Series
 from suspnet.maintenance.trend import LEAST_PERCENT, flagged_trend
 
@@ -74,7 +75,7 @@ class State:
     @cached_property
     def doubt(self) -> str:
         """Why the limits cannot be applied; empty if they can."""
-        if len(self.series.misled) >= N_CONFIRMING and self.series.misled[-N_CONFIRMING:].all():
+        if len(self.series.misled) >= IN_A_ROW and self.series.misled[-IN_A_ROW:].all():
             return SENSOR_FAILED
         done = self.series.done[self.series.between[-1]]
         return UNKNOWN_HEALTHY if done.sum() < (self.series.n_first or 0) else ""

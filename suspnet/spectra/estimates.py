@@ -296,9 +296,9 @@ class EstimateObserver:
         rough._left_out = self._left_out[::every]
         return rough
 
-    def without(self, bins: Tensor) -> EstimateObserver:
+    def without(self, bins: Tensor | None) -> EstimateObserver:
         """Return the observer of a trip some of whose bins, bool (n_freq,), are not to be used."""
-        if not bool(bins.any()):
+        if bins is None or not bool(bins.any()):
             return self
         observer = copy(self)
         observer.__dict__.pop("weak", None)  # cached of the other

@@ -10,7 +10,7 @@ from suspnet.ground.parameters import DEFAULT_LIMITS, Cause, Severity
 from suspnet.ground.records import SensorHealth, sensors_from_text, sensors_text
 from suspnet.history import History
 from suspnet.maintenance.alarms import watch
-from suspnet.maintenance.sensors import N_CONFIRMING, N_FIRST, sensor_trends
+from suspnet.maintenance.sensors import IN_A_ROW, N_FIRST, sensor_trends
 from suspnet.maintenance.series import Event, series_of
 from suspnet.maintenance.state import SENSOR_FAILED, State
 from suspnet.report.tables import sensor_rows
@@ -98,7 +98,7 @@ def test_a_failing_sensor_is_named_within_few_trips(sensor, number, per_trip, wo
         found = trends(health(40, seed=seed, changes=failing(sensor, number, per_trip)))
         assert [one.name for one in found.values() if one.active.any()] == [sensor]
         begin = int(np.flatnonzero(found[sensor].active)[0])
-        assert BEGIN + N_CONFIRMING - 1 <= begin < BEGIN + most
+        assert BEGIN + IN_A_ROW - 1 <= begin < BEGIN + most
         assert words in found[sensor].words(begin)
 
 
@@ -159,7 +159,7 @@ def test_an_alarm_ends_with_the_failure():
     passing = failing("bogie left", "faulty", 0.0, step=0.1)
     texts = health(40, changes=lambda i, *which: passing(i, *which) if i < 20 else 0.0)
     active = np.flatnonzero(trends(texts)["bogie left"].active)
-    assert (active[0], active[-1]) == (BEGIN + N_CONFIRMING - 1, 20 + N_CONFIRMING - 2)
+    assert (active[0], active[-1]) == (BEGIN + IN_A_ROW - 1, 20 + IN_A_ROW - 2)
 
 
 # sensors and parts
