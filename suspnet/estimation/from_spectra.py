@@ -26,6 +26,7 @@ from dataclasses import replace
 
 import numpy as np
 import torch
+from scipy.stats import norm
 from torch import Tensor
 
 from suspnet.estimation.estimate import Estimate, Flags
@@ -50,10 +51,6 @@ same random numbers, so their errors cancel: with a quarter of the averages half
 CORRECTIONS = 3
 """Number of steps that correct a trip's estimate; a fourth changes nothing where the speed is
 within a tenth of the training speed (measured)."""
-OTHER_SPEED = 0.01
-"""Largest relative distance of a trip's speed from that of the training at which the regression
-reads a vehicle with uncertain numbers. Its correction takes them at their median: at 3 % of the
-speed k_s was up to 6 % wrong, while the fit of the curve knows speed and numbers."""
 COMMON = 1.8
 """Factor on the lasting errors of a commissioned vehicle: the error that healthy trips leave is a
 single draw for all later trips. Without it 90 % intervals hold in 90 % of the trips of many
@@ -105,15 +102,17 @@ def estimate_with_noise(
     # the thresholds of the flags are for the number of averages of the training
     seen = _as_in_training(refined, observer.settings.n_averages / spectra.n_averages)
     flags = method.flags(inputs, reasons, seen)
-    # outside the range of the training and at other speeds the curve decides; a misfit widens the
-    # interval
-    outside = bool(flags.has(*OF_THE_TRAINING)) or _at_other_speed(observer, speeds)
-    by_curve = method.refined or outside
+    # a vehicle with uncertain numbers is read by the curve, as the regression takes them at their
+    # median; so is any trip outside the range of the training
+    outside = bool(flags.has(*OF_THE_TRAINING))
+    by_curve = method.refined or outside or observer.directions.n > 0
     if by_curve:
         flags = flags.without(*OF_THE_TRAINING)
     if seen.misfit[0] <= largest_misfit(method):
         flags = flags.without("misfit")
     factor, usual = (method.intervals.conformal.factors(p) for p in (level, ONE_SIGMA))
+    if by_curve and not method.refined:
+        factor, usual = np.full(len(outputs), norm.ppf((1 + level) / 2)), np.ones(len(outputs))
     ratios = torch.as_tensor(complete_ratios(task, predicted))
     # split the variance: noise of this trip, and the lasting part from the calibration
     if by_curve:
@@ -189,14 +188,6 @@ def _estimate(
         flags = method.unexplained.flagged(flags)
     rows = values[None], low[None], high[None]
     return Estimate(method.task.outputs, *rows, level, flags, method.healthy)
-
-
-def _at_other_speed(observer: EstimateObserver, speeds: Speeds | None) -> bool:
-    """Return whether a correction for the trip's speed is too coarse; see `OTHER_SPEED`."""
-    trained = observer.generator.speed_m_per_s
-    if trained is None or speeds is None or not observer.directions.n:
-        return False
-    return abs(speeds.mean / trained - 1) > OTHER_SPEED
 
 
 def _lasting(usual: FloatArray, noise_0: FloatArray) -> FloatArray:

@@ -74,17 +74,37 @@ def joint_information(
     Informations of independent curves add; `without_uncertain` includes the prior once.
     """
     directions = observer.directions if directions is None else directions
-    columns = columns_of(parameters)
     used = [RESPONSES.index(name) for name in responses]
     blocks = []
     for rows in torch.as_tensor(ratios).split(ROWS):
         misfit = observer.misfit(observer.noise_free(rows), rows, used)
-        jacobian = _derivative(misfit, rows, columns)
-        if directions.n:
-            nuisance = _nuisance(directions, misfit, rows.to(jacobian))
-            jacobian = torch.cat([jacobian, nuisance], dim=1)
-        blocks.append((jacobian @ jacobian.transpose(1, 2)).cpu().numpy())
+        jacobian = _joint_derivative(misfit, rows, parameters, directions)
+        blocks.append((jacobian @ jacobian.mT).cpu().numpy())
     return np.concatenate(blocks)
+
+
+def shifts(
+    observer: Observer, ratios: FloatArray, parameters: Sequence[str], logs: FloatArray
+) -> FloatArray:
+    """Return how a systematic error of both responses moves a fit, (n_vehicles, n_parameters), [-].
+
+    With r the error `logs` (2, n_freq) of the curves' logarithms in units of the noise, and J the
+    derivative to parameters and uncertain numbers z, whose prior has the information P (0 for a
+    parameter, 1 for a coordinate of z), the change is (J^T J + P)^-1 J^T r, to first order. It is
+    that of the parameters' logarithms.
+    """
+    rows = torch.as_tensor(ratios)
+    curves, directions = observer.noise_free(rows), observer.directions
+    misfit = observer.misfit(curves, rows)
+    jacobian = _joint_derivative(misfit, rows, parameters, directions)
+    # the misfit is that of the vehicle to the curves: a parameter that raises a curve lowers it
+    moved = observer.misfit(curves * torch.as_tensor(logs).exp().to(curves), rows)
+    error = moved(rows, torch.arange(len(rows)))
+    prior = torch.cat([torch.zeros(len(parameters)), torch.ones(directions.n)]).to(jacobian)
+    information = jacobian @ jacobian.mT + prior.diag()
+    found = -torch.linalg.solve(information, jacobian @ error[:, :, None])[:, :, 0]
+    absolute = found[:, : len(parameters)].cpu().numpy()
+    return np.asarray(absolute / np.asarray(ratios)[:, columns_of(parameters)])
 
 
 def without_uncertain(information: FloatArray, n_parameters: int) -> FloatArray:
@@ -105,6 +125,16 @@ def without_uncertain(information: FloatArray, n_parameters: int) -> FloatArray:
     prior = np.eye(information.shape[-1] - n)
     solved = np.linalg.solve(information[..., n:, n:] + prior, np.swapaxes(both, -1, -2))
     return np.asarray(found - both @ solved)
+
+
+def _joint_derivative(
+    misfit: Misfit, ratios: Tensor, parameters: Sequence[str], directions: Directions
+) -> Tensor:
+    """Return the derivative of a misfit to parameters and uncertain numbers, (n, n, n_points)."""
+    jacobian = _derivative(misfit, ratios, columns_of(parameters))
+    if not directions.n:
+        return jacobian
+    return torch.cat([jacobian, _nuisance(directions, misfit, ratios.to(jacobian))], dim=1)
 
 
 def _derivative(misfit: Misfit, ratios: Tensor, columns: Sequence[int]) -> Tensor:

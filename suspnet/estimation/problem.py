@@ -75,12 +75,18 @@ class Problem:
     def __post_init__(self) -> None:
         check_number("seed", self.seed, low=0, whole=True)
         check_number("threads", self.threads, low=1, most=1024, whole=True)
-        object.__setattr__(self, "settings", self.settings.bound(self.vehicle))
+        bound = self.settings.bound(self.vehicle).counted(self.is_uncertain)
+        object.__setattr__(self, "settings", bound)
 
     @property
     def vehicle(self) -> Vehicle:
         """The healthy vehicle."""
         return self.generator.vehicle
+
+    @property
+    def is_uncertain(self) -> bool:
+        """Whether numbers of the vehicle are uncertain, so that fits of the curve read trips."""
+        return bool(self.generator.distribution and self.generator.distribution.names)
 
     @cached_property
     def observer(self) -> Observer:
@@ -135,6 +141,7 @@ class Problem:
     def _wanted(self, stream: int) -> int | str:
         """Return the number of curves of a stream, or "all" for the whole grid."""
         settings = self.settings
+        assert settings.n_train is not None  # filled in above
         return (settings.n_train, settings.n_test, settings.n_calibrate or 0)[stream]
 
     def curves(self, ratios: FloatArray, stream: int, block: int) -> Tensor:

@@ -21,6 +21,7 @@ from suspnet.estimation.from_curves import (
     regress,
     residual_scales,
 )
+from suspnet.estimation.information import shifts
 from suspnet.estimation.intervals import Conformal, Intervals, residuals
 from suspnet.estimation.problem import (
     BATCH,
@@ -41,15 +42,16 @@ from suspnet.spectra.estimates import EstimateObserver
 N_FITS, N_UNCERTAIN_FITS = 2048, 48
 """Refined calibration curves from which the usual misfit is learnt; the second number applies
 where uncertain numbers are fitted too, which takes 0.1 to 0.2 s per curve."""
+N_UNCERTAIN = 2048
+"""Largest number of calibration curves where the fit of the curve reads trips and the regression
+only starts it: enough for the thresholds of flags."""
 N_UNCERTAIN_REFINED = 512
 """Calibration curves of a refined model where uncertain numbers are fitted too: with these the
 coverage of a 90 % interval has a standard deviation of 1.3 %."""
 N_TRIED = 1024
 """Calibration curves that show whether correcting the estimates lowers their error."""
-N_COST, N_UNCERTAIN_COST = 256, 16
-"""Curves for the cost of the unexplained residual; the second number is for a refined model
-where uncertain numbers are fitted too, which takes about a second per curve if they do not
-explain it."""
+N_COST = 64
+"""Curves for the cost of the unexplained residual."""
 Model = TypeVar("Model", bound=FittedMethod)
 Part = TypeVar("Part")
 
@@ -162,10 +164,11 @@ def calibrated(problem: Problem, model: Model) -> Model:
     """
     if problem.settings.n_calibrate is None:
         return model
-    data = problem.features(CALIBRATE)
     uncertain = problem.observer.directions.n > 0
-    if uncertain and model.refined:
-        data = data.first(min(N_UNCERTAIN_REFINED, len(data.valid)))
+    n_enough = N_UNCERTAIN_REFINED if model.refined else N_UNCERTAIN
+    data = problem.features(CALIBRATE, slice(-(-n_enough // BATCH)) if uncertain else None)
+    if uncertain:
+        data = data.first(n_enough)
     # decide on the correction first: intervals must describe the estimates that the model will give
     kept = data.valid
     model = replace(model, corrected=_is_corrected(problem, model, data))
@@ -198,8 +201,12 @@ def with_unexplained(problem: Problem, model: Model, residual: Residual) -> Mode
     if not residual.logs.any():
         nothing = np.zeros(len(model.task.outputs))
         return replace(model, unexplained=Unexplained(residual.misfit, nothing))
-    slow = model.refined and problem.observer.directions.n > 0
-    ratios = problem.task.sample(N_UNCERTAIN_COST if slow else N_COST, problem.seed, CALIBRATE)
+    ratios = problem.task.sample(N_COST, problem.seed, CALIBRATE)
+    if problem.observer.directions.n:
+        changes = shifts(problem.observer, ratios, problem.task.unknown, residual.logs)
+        columns = [problem.task.unknown.index(name) for name in problem.task.outputs]
+        costs = WORN * np.sqrt(np.mean(changes[:, columns] ** 2, axis=0))
+        return replace(model, unexplained=Unexplained(residual.misfit, costs))
     curves = problem.noise_free(ratios)
     bare = replace(model, intervals=None, ood=None, unexplained=None)
     factor = torch.as_tensor(residual.logs).exp().to(curves.device)

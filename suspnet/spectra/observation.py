@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, Any, ClassVar, Protocol, Self
 
 import numpy as np
@@ -114,7 +114,7 @@ class Observation(Protocol):
     """Settings of an observation, as in a file of configs/data.
 
     `kind` is its name in model files. `n_train` and `n_test` are numbers of curves, or "all" for
-    the whole grid of the protocol; `n_calibrate` curves calibrate intervals and thresholds (None:
+    the whole grid of the protocol (None: see `Counts.counted`); `n_calibrate` curves calibrate intervals and thresholds (None:
     neither). `cache_dir` stores feature tables between runs (None: no cache).
     """
 
@@ -122,7 +122,7 @@ class Observation(Protocol):
     kind: ClassVar[str]
 
     @property
-    def n_train(self) -> int | str: ...  # noqa: D102
+    def n_train(self) -> int | str | None: ...  # noqa: D102
 
     @property
     def n_test(self) -> int | str: ...  # noqa: D102
@@ -146,6 +146,10 @@ class Observation(Protocol):
         """Return the settings with the values that follow from the vehicle filled in."""
         ...
 
+    def counted(self, uncertain: bool) -> Self:
+        """Return the settings with the number of training curves filled in."""
+        ...
+
     def frequencies_hz(self) -> Tensor:
         """Return the frequency bins, shape (n_freq,), [Hz]."""
         ...
@@ -159,6 +163,9 @@ class Observation(Protocol):
         ...
 
 
+N_TRAIN, N_UNCERTAIN_TRAIN = 20_000, 4_000
+"""Default numbers of training curves; the second for a vehicle with uncertain numbers, where the
+regression is only the start of the fit that reads a trip: with 20,000 its results are the same."""
 CACHE_FOLDER = ".cache/suspnet"
 CacheFolder = Annotated[
     str | None,
@@ -172,9 +179,10 @@ CacheFolder = Annotated[
 class Counts:
     """Numbers of curves, which the settings of every observation start with."""
 
-    n_train: int | str = setting(
-        20_000,
-        "Number of training curves, or all for the whole grid of the protocol",
+    n_train: int | str | None = setting(
+        None,
+        "Number of training curves, or all for the whole grid of the protocol; null is "
+        f"{N_TRAIN}, and {N_UNCERTAIN_TRAIN} of a vehicle with uncertain numbers",
         rule="whole number; 1 to 1e8",
     )
     n_test: int | str = setting(
@@ -188,11 +196,16 @@ class Counts:
         most=MOST_CURVES,
     )
 
+    def counted(self, uncertain: bool) -> Self:
+        """Return the settings with `n_train` filled in, for a vehicle with `uncertain` numbers."""
+        usual = N_UNCERTAIN_TRAIN if uncertain else N_TRAIN
+        return self if self.n_train is not None else replace(self, n_train=usual)
+
     def check(self) -> None:
         """Raise TypeError or ValueError unless the settings of an observation are valid."""
         for name in ("n_train", "n_test"):
             value = getattr(self, name)
-            if value != "all":
+            if value != "all" and not (value is None and name == "n_train"):
                 check_number(f"data.{name}", value, low=1, most=MOST_CURVES, whole=True)
         check_settings(self, "data")
 
