@@ -302,21 +302,35 @@ class _Search(HealthyMisfit):
         self, start: FloatArray, spreads: Sequence[float], high_hz: float = math.inf
     ) -> _Found:
         """Return the end of successive searches with some spreads, up to `high_hz`."""
-        point, bound = row_of(start), torch.full((len(start),), Z_BOUND, dtype=torch.float64)
+        point, bounds = row_of(start), self._bounds(len(start))
         for spread in spreads:
             last = spread == 0
             solver = LevenbergMarquardt(
                 max_iter=MANY if last else FEW,
                 tol=TOL if last else ROUGH_TOL,
                 first_damping=DAMPING if last else ROUGH_DAMPING,
-                bounds=(-bound, bound),
+                bounds=bounds,
                 one_sided=True,
+                accelerated=last,
                 least_decrease=LEAST_DECREASE if last else ROUGH_DECREASE,
             )
             found = solver.minimise(partial(self._residuals, spread, high_hz), point)
             point = found.parameters
             self.on_step()
         return _Found(point[0].numpy(), float(found.cost[0]), bool(found.converged[0]))
+
+    def _bounds(self, n_coordinates: int) -> tuple[Tensor, Tensor]:
+        """Return the bounds of theta; a share that counts by its size is not negative.
+
+        At 0 it has an edge: a search that may step to either side finds no decrease any more.
+        """
+        high = torch.full((n_coordinates,), Z_BOUND, dtype=torch.float64)
+        low = -high
+        if SHARE in self.prior.names:
+            row = self.prior.names.index(SHARE)
+            (column,) = np.flatnonzero(self.every.factor[row].numpy())  # the prior is independent
+            low[column] = -self.prior.mean[row] / self.every.factor[row, column]
+        return low, high
 
     def _residuals(self, spread: float, high_hz: float, theta: Tensor, _: Tensor) -> Tensor:
         return self.residuals(theta, spread, high_hz)
