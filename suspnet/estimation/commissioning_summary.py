@@ -39,6 +39,7 @@ PART_TITLES = {
     "payload": "What changes with the payload",
     "sensors": "Sensitivity and delay of the sensors",
     "wheelsets": "Excitation of single wheelsets",
+    "axle_box_arm": "Sensor on the arm of the axle box",
     "air_spring": "Air spring",
 }
 SYMBOLS = {
@@ -51,6 +52,7 @@ SYMBOLS = {
     "bogie_lever": "h_3",
     "bending_at_pivot": "p",
     "bending_slope": "\N{GREEK SMALL LETTER SIGMA}",
+    "arm_share": "e",
 }
 """Symbols of those quantities that have one in the equations of the vehicle."""
 
