@@ -188,7 +188,7 @@ def agreement(outcome: Commissioned) -> str:
 
 
 def reference(outcome: Commissioned) -> str:
-    """Return a sentence that defines what healthy means for models of this vehicle."""
+    """Return what healthy means for models of this vehicle, as text."""
     told = {one.quantity.name: one for one in numbers(outcome)}
     values = [
         f"{name} = {spoken(told[f'healthy_{name}'])}"
@@ -198,7 +198,8 @@ def reference(outcome: Commissioned) -> str:
     shown = f": 100 % is {', '.join(values)}" if values else ""
     if "±" in shown:
         shown += " (± one standard deviation)"
-    return f"Healthy now means what these trips showed{shown}."
+    at = f" {outcome.damping}" if outcome.damping else ""
+    return f"Healthy now means what these trips showed{shown}.{at}"
 
 
 def untold(found: Sequence[Number]) -> str:
