@@ -27,6 +27,7 @@ from suspnet.simulation.fleet import Scenario
 from suspnet.spectra.cross_spectra import CrossSpectra, moving_average_with, sample_spectra
 from suspnet.spectra.estimates import EstimateSettings
 from suspnet.spectra.segments import Speeds
+from suspnet.trips.details import healthy_words
 from suspnet.trips.trip import evaluate_trip
 
 SETTINGS = EstimateSettings(
@@ -143,6 +144,7 @@ def test_a_warm_trip_reads_healthy_where_its_temperature_is_known(warm_trip):
         assert abs(math.log(warm.estimates[name])) < warm.half_widths[name]
         assert warm.half_widths[name] > norm.ppf(0.95) * 0.04
     assert warm.estimates["k_s"] == cold.estimates["k_s"]
+    assert healthy_words(model) == "what 3 trips from 0 to 10 km showed, damping at 15 °C"
     alone = model.estimate(known)
     assert dict(zip(alone.names, alone.values[0].tolist(), strict=True)) == warm.estimates
 
