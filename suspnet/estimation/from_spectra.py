@@ -51,10 +51,11 @@ same random numbers, so their errors cancel: with a quarter of the averages half
 CORRECTIONS = 3
 """Number of steps that correct a trip's estimate; a fourth changes nothing where the speed is
 within a tenth of the training speed (measured)."""
-COMMON = 1.8
+COMMON = 1.3
 """Factor on the lasting errors of a commissioned vehicle: the error that healthy trips leave is a
 single draw for all later trips. Without it 90 % intervals hold in 90 % of the trips of many
-vehicles, but in far fewer of those of a vehicle with a bad draw."""
+vehicles, but in far fewer of those of a vehicle with a bad draw. With 1.8 they held in all trips
+of most trains (docs/trust.md)."""
 UNWORN = {"k_p": 0.003, "c_p": 0.05}
 """Standard deviation of the fraction of a healthy vehicle's stiffness and damping that does not
 wear. Dry friction in a primary suspension acts as a damper where it slips and as a spring where it

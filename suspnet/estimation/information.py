@@ -18,7 +18,7 @@ from torch import Tensor
 from suspnet.dynamics import PARAMETERS
 from suspnet.estimation.protocols import BODY_MASS_COLUMN, RESPONSES, Task, columns_of
 from suspnet.ground.parameters import BODY_MASS
-from suspnet.ground.types import FloatArray
+from suspnet.ground.types import ComplexArray, FloatArray
 from suspnet.learning.least_squares import ONE_SIDED_DIFFERENCE
 from suspnet.spectra.observation import Directions, Misfit, Observer
 
@@ -84,7 +84,7 @@ def joint_information(
 
 
 def shifts(
-    observer: Observer, ratios: FloatArray, parameters: Sequence[str], logs: FloatArray
+    observer: Observer, ratios: FloatArray, parameters: Sequence[str], logs: ComplexArray
 ) -> FloatArray:
     """Return how a systematic error of both responses moves a fit, (n_vehicles, n_parameters), [-].
 

@@ -114,8 +114,9 @@ class Observation(Protocol):
     """Settings of an observation, as in a file of configs/data.
 
     `kind` is its name in model files. `n_train` and `n_test` are numbers of curves, or "all" for
-    the whole grid of the protocol (None: see `Counts.counted`); `n_calibrate` curves calibrate intervals and thresholds (None:
-    neither). `cache_dir` stores feature tables between runs (None: no cache).
+    the whole grid of the protocol (None: see `Counts.counted`); `n_calibrate` curves calibrate
+    intervals and thresholds (None: neither). `cache_dir` stores feature tables between runs (None:
+    no cache).
     """
 
     __dataclass_fields__: ClassVar[dict[str, Any]]
