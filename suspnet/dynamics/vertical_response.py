@@ -77,10 +77,11 @@ class _Bogie:
 
 def bounced(
     layout: Layout, p: Mapping[str, Tensor], omega: Tensor
-) -> tuple[list[Tensor], list[Tensor]]:
-    """Return the motion under the sensors on frame and body per metre under one wheelset, [-].
+) -> tuple[list[Tensor], list[Tensor], list[Tensor]]:
+    """Return the motion of the places of axle box, frame and body sensor, [-].
 
-    Each is a list of four, the measured bogie's wheelsets first, (n_vehicles, n_freq).
+    Each is a list of the motion per metre under one wheelset, the measured bogie's first, of shape
+    (n_vehicles, n_freq), or (n_vehicles, 1) if it does not depend on frequency.
     """
     forward = 1.0 if layout.bogie == "leading" else -1.0
     # phi is positive if the measured bogie rises, psi if the leading axle rises: the lever of the
@@ -91,18 +92,31 @@ def bounced(
     first = _bogie(p, "", omega, link_x, layout.parts)
     other = _bogie(p, "other_", omega, link_x, layout.parts)
     body = _body(layout, p, omega, first, other)
-    # What a sensor sees of the body's bounce, pitch and bending. The matrix of the body is
-    # symmetric, so that one solution for each sensor serves the forces of all wheelsets.
-    at_frame = (first.link, first.link, first.link * body.at_pivot)
-    own_swing: Tensor | float = 0.0
-    if layout.frame_sensor == "axle":
-        sign = 1.0 if layout.axle == "leading" else -1.0
-        tilt, own_swing = sign * first.tilt, sign * first.swing
-        at_frame = (first.link, first.link - tilt, at_frame[2] - tilt * body.slope)
+    # What a place sees of the body's bounce, pitch and bending. The matrix of the body is
+    # symmetric, so that one solution for each place serves the forces of all wheelsets.
     ahead = 1 + forward * layout.body_sensor_m / p["half_pivot_distance"]
-    at_body = (torch.ones_like(ahead), ahead, p["bending_at_sensor"])
-    frame = _per_wheel(body.answer(at_frame), first, other, first.free, own_swing)
-    return frame, _per_wheel(body.answer(at_body), first, other)
+    at_body = body.answer((torch.ones_like(ahead), ahead, p["bending_at_sensor"]))
+    frame = first.link, first.link, first.link * body.at_pivot
+    has_arm, is_above = "axle_box_arm" in layout.parts, layout.frame_sensor == "axle"
+    if has_arm or is_above:
+        sign = 1.0 if layout.axle == "leading" else -1.0
+        tilt, swing = sign * first.tilt, sign * first.swing
+        above = body.answer((frame[0], frame[1] - tilt, frame[2] - tilt * body.slope))
+        at_axle = _per_wheel(above, first, other, first.free, swing)
+    measured = 0 if layout.axle == "leading" else 1
+    box = [torch.full_like(ahead, float(i == measured)) for i in range(4)]
+    if has_arm:
+        box = [on_arm(p, *pair) for pair in zip(box, at_axle, strict=True)]
+    at_frame = at_axle if is_above else _per_wheel(body.answer(frame), first, other, first.free)
+    return box, at_frame, _per_wheel(at_body, first, other)
+
+
+def on_arm(p: Mapping[str, Tensor], box: Tensor, above: Tensor) -> Tensor:
+    """Return (1 - e) w + e z, what a sensor on the arm of the axle box measures, [-].
+
+    The arm leads from the axle box, which moves by w, to the frame, which moves by z above it.
+    """
+    return box + p["arm_share"] * (above - box)
 
 
 @dataclass(frozen=True)
@@ -192,23 +206,19 @@ def excited(
     layout: Layout,
     p: Mapping[str, Tensor],
     wheels: Sequence[Tensor],
-    frame: Sequence[Tensor],
-    body: Sequence[Tensor],
+    places: Sequence[Sequence[Tensor]],
 ) -> Tensor:
     """Return axle box, frame and body for each input, (n_vehicles, n_inputs, 3, n_freq).
 
-    `frame` and `body` are from `bounced`, `wheels` from `wheels_of`. The inputs are the track under
-    all wheelsets, then, if the vehicle has the part wheelsets, what excites one of them and not the
+    `places` are from `bounced`, `wheels` from `wheels_of`. The inputs are the track under all
+    wheelsets, then, if the vehicle has the part wheelsets, what excites one of them and not the
     next, scaled to the density of the mean track. A share counts by its size, so that one of 0 has
     an effect on both sides of it, from which its uncertainty follows.
     """
-    rows = [torch.ones_like(wheels[0]), moved(frame, wheels), moved(body, wheels)]
+    rows = [moved(place, wheels) for place in places]
     if "wheelsets" in layout.parts:
-        size = p["wheelset_share"].abs().sqrt() * rows[0]
-        measured = 0 if layout.axle == "leading" else 1
-        for i, pair in enumerate(zip(frame, body, strict=True)):
-            box = size if i == measured else torch.zeros_like(size)
-            rows += [box, *(size * gain for gain in pair)]
+        size = p["wheelset_share"].abs().sqrt() * torch.ones_like(wheels[0])
+        rows += [size * place[i] for i in range(len(wheels)) for place in places]
     return torch.stack(rows, dim=1).unflatten(1, (-1, 3))
 
 
@@ -294,6 +304,8 @@ def rolled(layout: Layout, p: Mapping[str, Tensor], omega: Tensor) -> Tensor:
     link, yielding, free = bogies[0]
     frame = link * body - yielding * over + free
     box = torch.full_like(frame, 1 / RAIL_LATERAL_M)
+    if "axle_box_arm" in layout.parts:
+        box = on_arm(p, box, frame)
     places = [p[f"{name}_lateral"] for name in ("axle_box", "frame", "body")]
     angles = torch.stack(
         [y * angle for y, angle in zip(places, (box, frame, body), strict=True)], 1

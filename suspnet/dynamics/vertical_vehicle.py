@@ -36,6 +36,7 @@ from suspnet.dynamics.vehicle import (
 )
 from suspnet.dynamics.vertical_motion import (
     Layout,
+    laden,
     primary_element,
     secondary_element,
     vertical_motion,
@@ -52,7 +53,6 @@ _OTHER = [len(PARAMETERS) + UNMEASURED.index(f"other_{name}") for name in PARAME
 """Columns of the bogie that is not measured."""
 _OFFSETS = torch.tensor([0.0] * len(PARAMETERS) + list(OFFSETS.values()), dtype=torch.float64)
 """Added to ratios before they are checked: those that may be absent must be above -1, not 0."""
-
 _DEFAULTS = torch.tensor([1.0] * len(PARAMETERS) + list(MEDIANS.values()), dtype=torch.float64)
 
 
@@ -102,7 +102,7 @@ class VerticalVehicle:
         (),
         "Parts of the vehicle in addition to rigid bodies on linear springs and dampers",
         rule="list of bushings, rubber, guidance, longitudinal, bending, roll, other_bogie, "
-        "payload, sensors, wheelsets, air_spring",
+        "payload, sensors, wheelsets, axle_box_arm, air_spring",
     )
     sensor_lateral_m: tuple[float, float, float] = setting(
         (0.0, 0.0, 0.0),
@@ -188,10 +188,9 @@ class VerticalVehicle:
         finite (not above -1 for numbers that may be absent).
         """
         p, omega = self._prepared(ratios, frequencies_hz)
-        frame, body = (
-            moved(one, wheels_of(self._layout, p, omega)) for one in self._felt(p, omega)
-        )
-        return frame, body / frame
+        wheels = wheels_of(self._layout, p, omega)
+        box, frame, body = (moved(place, wheels) for place in self._felt(p, omega))
+        return frame / box, body / frame
 
     def channels(self, ratios: Tensor | ArrayLike, frequencies_hz: Tensor | ArrayLike) -> Tensor:
         """Return axle box, frame and body for each input, (n_vehicles, n_inputs, 3, n_freq), [-].
@@ -201,8 +200,8 @@ class VerticalVehicle:
         the mean.
         """
         p, omega = self._prepared(ratios, frequencies_hz)
-        frame, body = self._felt(p, omega)
-        found = excited(self._layout, p, wheels_of(self._layout, p, omega), frame, body)
+        places, wheels = self._felt(p, omega), wheels_of(self._layout, p, omega)
+        found = excited(self._layout, p, wheels, places)
         if not self.rolls:
             return found
         turned = rolled(self._layout, p, omega)
@@ -212,11 +211,12 @@ class VerticalVehicle:
         return torch.cat([found, turned[:, None]], dim=1)
 
     def _felt(self, p: Mapping[str, Tensor], omega: Tensor) -> list[list[Tensor]]:
-        """Return what frame and body sensor measure per metre under each wheelset."""
-        moved_by = zip(("frame", "body"), bounced(self._layout, p, omega), strict=True)
-        if "sensors" not in self.parts:
-            return [one for _, one in moved_by]
-        return [list(map(_gain(p, name, omega).mul, one)) for name, one in moved_by]
+        """Return what axle box, frame and body sensor measure per metre under each wheelset."""
+        box, *others = bounced(self._layout, p, omega)
+        if "sensors" in self.parts:
+            gains = [_gain(p, name, omega) for name in ("frame", "body")]
+            others = [list(map(gain.mul, one)) for gain, one in zip(gains, others, strict=True)]
+        return [box, *others]
 
     @property
     def rolls(self) -> bool:
@@ -244,8 +244,12 @@ class VerticalVehicle:
         """
         channels = self._elsewhere.channels(ratios, frequencies_hz)
         both = wheels_of(self._layout, *self._prepared(ratios, frequencies_hz))[:2]
-        second = both[1 if self.axle == "leading" else 0][:, None, None]
-        return torch.cat([channels[:, :, 1:], second * channels[:, :, :1]], dim=2)
+        late = both[1 if self._layout.axle == "leading" else 0][:, None, None]
+        second = replace(self, axle=OTHER_END[self.axle]).channels(ratios, frequencies_hz)[:, :, :1]
+        # what excites a wheelset alone has no delay between axles
+        of_track = [0, -1] if self.rolls else [0]
+        second[:, of_track] = late * second[:, of_track]
+        return torch.cat([channels[:, :, 1:], second], dim=2)
 
     @property
     def _elsewhere(self) -> VerticalVehicle:
@@ -354,18 +358,7 @@ class VerticalVehicle:
         for name in PARAMETERS[:4]:  # these columns are relative to the uncertain healthy values
             p[name] = p[name] * p[f"healthy_{name}"]
             p[f"other_{name}"] = p[f"other_{name}"] * p[f"healthy_{name}"]
-        return self._laden(p) if "payload" in self.parts else p
-
-    def _laden(self, p: dict[str, Tensor]) -> dict[str, Tensor]:
-        """Return the numbers with what the payload changes; the suspension is that when empty."""
-        mass = p["M_s"] / self.vehicle.body_mass_kg
-        stiffer, tighter = mass ** p["stiffness_exponent"], mass ** p["damping_exponent"]
-        laden = {f"{bogie}k_s": p[f"{bogie}k_s"] * stiffer for bogie in ("", "other_")}
-        laden |= {f"{bogie}c_s": p[f"{bogie}c_s"] * tighter for bogie in ("", "other_")}
-        # the stiffness of the empty body alone makes it fall with the root of the mass
-        laden["bending_frequency"] = p["bending_frequency"] * mass ** (0.5 - p["bending_exponent"])
-        laden["body_gyration"] = p["body_gyration"] * mass ** p["gyration_exponent"]
-        return p | laden
+        return laden(p, self.vehicle.body_mass_kg) if "payload" in self.parts else p
 
     def nominal_values(self) -> tuple[float, ...]:
         """Return the values at a ratio of 1, SI units; those that multiply healthy values are 1."""

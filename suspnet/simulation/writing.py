@@ -102,9 +102,9 @@ def write_fleet(
     The true numbers of the healthy vehicle are stored in ``truth.json``. An unfinished simulation
     continues with the missing trips; if another one is writing to the folder, folder_2 (and so on)
     is used. `aboard` is None for a suspension without a train; `n_jobs` trips are simulated in
-    parallel (None: see `workers_for`). Raises ValueError if no physical vehicle can be drawn, if both sides are required of a
-    vehicle without roll, or if the folder holds other trips; LostWorkerError if a writing process
-    was killed.
+    parallel (None: see `workers_for`). Raises ValueError if no physical vehicle can be drawn, if
+    both sides are required of a vehicle without roll, or if the folder holds other trips;
+    LostWorkerError if a writing process was killed.
     """
     fleet, scenario, seed = simulation.fleet, simulation.scenario, simulation.seed
     made_from = simulation.made_from(aboard)
