@@ -12,6 +12,7 @@ from omegaconf import DictConfig
 from suspnet.cli import program
 from suspnet.cli.kinds import build
 from suspnet.ground.settings import Declared, Setting
+from suspnet.ground.workers import ITEMS_A_WORKER, USUAL_WORKERS
 from suspnet.simulation.fleet import Trains
 from suspnet.simulation.folders import FolderTakenError
 from suspnet.simulation.writing import Simulation, write_fleet, write_trains
@@ -20,9 +21,10 @@ log = logging.getLogger(__name__)
 WORKERS = Declared(
     "workers",
     int,
-    False,
+    True,
     Setting(
-        "Number of trips, of a fleet of suspensions, that are simulated at the same time",
+        "Number of trips, of a fleet of suspensions, that are simulated at the same time; null is "
+        f"1 for up to {ITEMS_A_WORKER} trips, else {USUAL_WORKERS}",
         low=1,
         most=1024,
     ),

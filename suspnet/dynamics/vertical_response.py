@@ -58,10 +58,11 @@ from suspnet.dynamics.vertical_motion import (
 
 @dataclass(frozen=True)
 class _Bogie:
-    """One eliminated bogie: bounce z_i = link y_i + free, pitch psi_i = swing - tilt phi_i.
+    """One eliminated bogie: bounce z_i = link y_i + free m_i, pitch psi_i = swing d_i - tilt phi_i.
 
-    Its secondary suspension acts on the body with the force resistance y_i - force downwards, its
-    links with the moment upright phi_i - push against the body's pitch phi_i above the bogie.
+    Its secondary suspension acts on the body with the force resistance y_i - force m_i downwards,
+    its links with the moment upright phi_i - push d_i against the body's pitch phi_i above the
+    bogie.
     """
 
     link: Tensor
@@ -71,80 +72,43 @@ class _Bogie:
     swing: Tensor
     tilt: Tensor | float
     upright: Tensor | float
-    push: Tensor
+    push: Tensor | float
 
 
 def bounced(
-    layout: Layout,
-    p: Mapping[str, Tensor],
-    omega: Tensor,
-    wheels: Sequence[Tensor] | None = None,
-) -> tuple[Tensor, Tensor, Tensor]:
-    """Return the motion per metre of mean track, [-]: frame above the axle, frame, body sensor.
+    layout: Layout, p: Mapping[str, Tensor], omega: Tensor
+) -> tuple[list[Tensor], list[Tensor], list[Tensor]]:
+    """Return the motion of the places of axle box, frame and body sensor, [-].
 
-    `wheels` is the motion of each wheelset, the measured bogie's first; None is one track for all.
-    They may have a leading dimension of inputs, as then has the motion.
+    Each is a list of the motion per metre under one wheelset, the measured bogie's first, of shape
+    (n_vehicles, n_freq), or (n_vehicles, 1) if it does not depend on frequency.
     """
-    wheels = wheels_of(layout, p, omega) if wheels is None else wheels
     forward = 1.0 if layout.bogie == "leading" else -1.0
     # phi is positive if the measured bogie rises, psi if the leading axle rises: the lever of the
     # links below the body changes its sign for a trailing bogie.
     p = {**p, "body_lever": forward * p["body_lever"]}
     link_x = longitudinal_element(p).at(omega) if "longitudinal" in layout.parts else None
     # Each bogie is eliminated: it acts as a force and a stiffness under the body.
-    first = _bogie(p, "", omega, wheels[:2], link_x, layout.parts)
-    other = _bogie(p, "other_", omega, wheels[2:], link_x, layout.parts)
-    # Bounce and pitch of the body: a symmetric matrix (bounce, coupling, pitch) and two forces.
-    inertia = 2 * p["M_s"] * omega**2
-    total = first.resistance + other.resistance
-    difference = first.resistance - other.resistance
-    bounce_force, pitch_force = first.force + other.force, first.force - other.force
-    pitch_inertia = inertia * (p["body_gyration"] / p["half_pivot_distance"]) ** 2
-    matrix = [total - inertia, difference, total - pitch_inertia]
-    if link_x is not None:
-        matrix[2] = matrix[2] + first.upright + other.upright
-        pitch_force = pitch_force + first.push + other.push
-    bending: Tensor | float = 0.0
-    if "bending" in layout.parts:
-        own, at_pivot = _modal(layout, p, omega), p["bending_at_pivot"]
-        row = [at_pivot * total, at_pivot * difference, own + at_pivot**2 * total]
-        force = at_pivot * bounce_force
-        if link_x is not None:
-            slope = p["bending_slope"]
-            row[1] = row[1] + slope * (first.upright - other.upright)
-            row[2] = row[2] + slope**2 * (first.upright + other.upright)
-            force = force + slope * (first.push - other.push)
-        # The bending is the last of three equations. It is eliminated, so that a closed form of
-        # order two serves vehicles with and without it.
-        share = [row[0] / row[2], row[1] / row[2]]
-        matrix = [
-            matrix[0] - share[0] * row[0],
-            matrix[1] - share[0] * row[1],
-            matrix[2] - share[1] * row[1],
-        ]
-        bounce_force = bounce_force - share[0] * force
-        pitch_force = pitch_force - share[1] * force
-        bending = force / row[2]
-    a, coupling, b = matrix
-    determinant = a * b - coupling**2
-    bounce = (b * bounce_force - coupling * pitch_force) / determinant
-    pitch = (a * pitch_force - coupling * bounce_force) / determinant
-    # Substitute back: the bending, then the motion and the turn of the body above the bogie.
-    turned, over = pitch, bounce + pitch
-    at_sensor: Tensor | float = 0.0
-    if "bending" in layout.parts:
-        bending = bending - share[0] * bounce - share[1] * pitch
-        turned = pitch + p["bending_slope"] * bending
-        over = over + p["bending_at_pivot"] * bending
-        at_sensor = p["bending_at_sensor"] * bending
-    # Motion at the places of the sensors, which need not be at the centres.
-    frame = first.link * over + first.free
-    tilted = first.swing - first.tilt * turned
-    above = frame + (tilted if layout.axle == "leading" else -tilted)
-    if layout.frame_sensor == "axle":
-        frame = above
+    first = _bogie(p, "", omega, link_x, layout.parts)
+    other = _bogie(p, "other_", omega, link_x, layout.parts)
+    body = _body(layout, p, omega, first, other)
+    # What a place sees of the body's bounce, pitch and bending. The matrix of the body is
+    # symmetric, so that one solution for each place serves the forces of all wheelsets.
     ahead = 1 + forward * layout.body_sensor_m / p["half_pivot_distance"]
-    return above, frame, bounce + ahead * pitch + at_sensor
+    at_body = body.answer((torch.ones_like(ahead), ahead, p["bending_at_sensor"]))
+    frame = first.link, first.link, first.link * body.at_pivot
+    has_arm, is_above = "axle_box_arm" in layout.parts, layout.frame_sensor == "axle"
+    if has_arm or is_above:
+        sign = 1.0 if layout.axle == "leading" else -1.0
+        tilt, swing = sign * first.tilt, sign * first.swing
+        above = body.answer((frame[0], frame[1] - tilt, frame[2] - tilt * body.slope))
+        at_axle = _per_wheel(above, first, other, first.free, swing)
+    measured = 0 if layout.axle == "leading" else 1
+    box = [torch.full_like(ahead, float(i == measured)) for i in range(4)]
+    if has_arm:
+        box = [on_arm(p, *pair) for pair in zip(box, at_axle, strict=True)]
+    at_frame = at_axle if is_above else _per_wheel(body.answer(frame), first, other, first.free)
+    return box, at_frame, _per_wheel(at_body, first, other)
 
 
 def on_arm(p: Mapping[str, Tensor], box: Tensor, above: Tensor) -> Tensor:
@@ -155,28 +119,113 @@ def on_arm(p: Mapping[str, Tensor], box: Tensor, above: Tensor) -> Tensor:
     return box + p["arm_share"] * (above - box)
 
 
-def excited_alone(
-    layout: Layout, p: Mapping[str, Tensor], wheels: Sequence[Tensor]
-) -> tuple[list[Tensor], Tensor]:
-    """Return the wheelsets' motion for the track and for each wheelset alone, and the axle box's.
+@dataclass(frozen=True)
+class _Body:
+    """The symmetric matrix of bounce, pitch and bending, with the bending eliminated.
 
-    Each of shape (5, n_vehicles, n_freq): the track under all wheelsets, then what excites one of
-    them and not the next, scaled to the density of the mean track. A share counts by its size, so
-    that one of 0 has an effect on both sides of it, from which its uncertainty follows.
+    `bounce`, `coupling` and `pitch` are the entries of what is left; `shares` are those of bounce
+    and pitch in the bending, `own` the entry of the bending itself, None without it.
     """
-    size = p["wheelset_share"].abs().sqrt() * torch.ones_like(wheels[0])
-    rows = [torch.zeros_like(size)] * len(wheels)
-    found = [
-        torch.stack([wheel, *rows[:i], size, *rows[i + 1 :]]) for i, wheel in enumerate(wheels)
-    ]
-    return found, found[0 if layout.axle == "leading" else 1]
+
+    bounce: Tensor
+    coupling: Tensor
+    pitch: Tensor
+    shares: tuple[Tensor, Tensor] | None
+    own: Tensor | None
+    at_pivot: Tensor | float
+    slope: Tensor | float
+
+    def answer(self, place: tuple[Tensor, Tensor, Tensor | float]) -> tuple[Tensor, ...]:
+        """Return the motion of a place for unit forces under both pivots, then unit moments.
+
+        `place` holds what it sees of bounce, pitch and bending.
+        """
+        up, turn, bend = place
+        if self.shares is not None:
+            up, turn = up - bend * self.shares[0], turn - bend * self.shares[1]
+        determinant = self.bounce * self.pitch - self.coupling**2
+        z = (self.pitch * up - self.coupling * turn) / determinant
+        phi = (self.bounce * turn - self.coupling * up) / determinant
+        if self.shares is None or self.own is None:
+            return z + phi, z - phi, phi, phi
+        q = bend / self.own - self.shares[0] * z - self.shares[1] * phi
+        risen, turned = z + self.at_pivot * q, self.slope * q
+        return risen + phi, risen - phi, phi + turned, phi - turned
+
+
+def _body(
+    layout: Layout, p: Mapping[str, Tensor], omega: Tensor, first: _Bogie, other: _Bogie
+) -> _Body:
+    """Return the equations of the body on its bogies."""
+    inertia = 2 * p["M_s"] * omega**2
+    total = first.resistance + other.resistance
+    difference = first.resistance - other.resistance
+    upright = first.upright + other.upright
+    pitch_inertia = inertia * (p["body_gyration"] / p["half_pivot_distance"]) ** 2
+    bounce, pitch = total - inertia, total - pitch_inertia + upright
+    if "bending" not in layout.parts:
+        return _Body(bounce, difference, pitch, None, None, 0.0, 0.0)
+    at_pivot, slope = p["bending_at_pivot"], p["bending_slope"]
+    own = _modal(layout, p, omega) + at_pivot**2 * total + slope**2 * upright
+    row = at_pivot * total, at_pivot * difference + slope * (first.upright - other.upright)
+    shares = row[0] / own, row[1] / own
+    return _Body(
+        bounce - shares[0] * row[0],
+        difference - shares[0] * row[1],
+        pitch - shares[1] * row[1],
+        shares,
+        own,
+        at_pivot,
+        slope,
+    )
+
+
+def _per_wheel(
+    answer: tuple[Tensor, ...],
+    first: _Bogie,
+    other: _Bogie,
+    free: Tensor | float = 0.0,
+    swing: Tensor | float = 0.0,
+) -> list[Tensor]:
+    """Return the motion of a place per metre under each wheelset, from its answer to forces.
+
+    `free` and `swing` are what it moves with m_1 and d_1 alone, with the body at rest.
+    """
+    means = answer[0] * first.force + free, answer[1] * other.force
+    differences = answer[2] * first.push + swing, answer[3] * other.push
+    pairs = zip(means, differences, strict=True)
+    return [0.5 * (m + sign * d) for m, d in pairs for sign in (1, -1)]
+
+
+def moved(per_wheel: Sequence[Tensor], wheels: Sequence[Tensor]) -> Tensor:
+    """Return the motion of a place, summed over its motion per metre under each wheelset."""
+    return sum(gain * wheel for gain, wheel in zip(per_wheel, wheels, strict=True))  # type: ignore[return-value]
+
+
+def excited(
+    layout: Layout,
+    p: Mapping[str, Tensor],
+    wheels: Sequence[Tensor],
+    places: Sequence[Sequence[Tensor]],
+) -> Tensor:
+    """Return axle box, frame and body for each input, (n_vehicles, n_inputs, 3, n_freq).
+
+    `places` are from `bounced`, `wheels` from `wheels_of`. The inputs are the track under all
+    wheelsets, then, if the vehicle has the part wheelsets, what excites one of them and not the
+    next, scaled to the density of the mean track. A share counts by its size, so that one of 0 has
+    an effect on both sides of it, from which its uncertainty follows.
+    """
+    rows = [moved(place, wheels) for place in places]
+    if "wheelsets" in layout.parts:
+        size = p["wheelset_share"].abs().sqrt() * torch.ones_like(wheels[0])
+        rows += [size * place[i] for i in range(len(wheels)) for place in places]
+    return torch.stack(rows, dim=1).unflatten(1, (-1, 3))
 
 
 def _bogie(
     p: Mapping[str, Tensor],
     which: str,
     omega: Tensor,
-    wheels: Sequence[Tensor],
     link_x: Tensor | None,
     parts: tuple[str, ...],
 ) -> _Bogie:
@@ -188,30 +237,30 @@ def _bogie(
     inertia = p["bogie_mass"] * omega**2
     # Bounce: driven by the mean of both wheelsets, and by the body above.
     below = kappa_p + kappa_s - inertia
-    link = kappa_s / below
-    free = 0.5 * (wheels[0] + wheels[1]) * kappa_p / below
+    link, free = kappa_s / below, kappa_p / below
     # Pitch: driven by their difference, and by the body only through the longitudinal links.
     upright = kappa_p - inertia * (p["bogie_gyration"] / p["half_wheelbase"]) ** 2
     if "guidance" in parts:
         upright = upright + guidance_element(p).at(omega)
     tilt: Tensor | float = 0.0
     righting: Tensor | float = 0.0
-    driven = 0.5 * (wheels[0] - wheels[1]) * kappa_p
+    push: Tensor | float = 0.0
     if link_x is not None:
         lever = p["bogie_lever"] / p["half_wheelbase"]
         body_lever = p["body_lever"] / p["half_pivot_distance"]
         upright = upright + link_x * lever**2
         tilt = link_x * lever * body_lever / upright
         righting = link_x * body_lever * (body_lever - lever * tilt)
+        push = -tilt * kappa_p
     return _Bogie(
         link=link,
         free=free,
         resistance=kappa_s * (1 - link),
         force=kappa_s * free,
-        swing=driven / upright,
+        swing=kappa_p / upright,
         tilt=tilt,
         upright=righting,
-        push=-tilt * driven,
+        push=push,
     )
 
 

@@ -7,7 +7,7 @@ This module holds its numbers, sensors and uncertain quantities. The equations a
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Annotated, Any, Literal
 
@@ -41,14 +41,7 @@ from suspnet.dynamics.vertical_motion import (
     secondary_element,
     vertical_motion,
 )
-from suspnet.dynamics.vertical_response import (
-    bounced,
-    excited_alone,
-    on_arm,
-    phasor,
-    rolled,
-    wheels_of,
-)
+from suspnet.dynamics.vertical_response import bounced, excited, moved, phasor, rolled, wheels_of
 from suspnet.ground.parameters import FORWARD, REVERSE, Direction
 from suspnet.ground.settings import Setting, check_choice, check_number, check_settings, setting
 from suspnet.ground.tensors import as_tensor, check_device
@@ -195,11 +188,8 @@ class VerticalVehicle:
         finite (not above -1 for numbers that may be absent).
         """
         p, omega = self._prepared(ratios, frequencies_hz)
-        above, frame, body = bounced(self._layout, p, omega)
-        if "sensors" in self.parts:
-            _, of_frame, of_body = self._gains(p, omega).unbind(dim=1)
-            frame, body = frame * of_frame, body * of_body
-        box = on_arm(p, torch.ones_like(above), above) if "axle_box_arm" in self.parts else 1.0
+        wheels = wheels_of(self._layout, p, omega)
+        box, frame, body = (moved(place, wheels) for place in self._felt(p, omega))
         return frame / box, body / frame
 
     def channels(self, ratios: Tensor | ArrayLike, frequencies_hz: Tensor | ArrayLike) -> Tensor:
@@ -210,25 +200,23 @@ class VerticalVehicle:
         the mean.
         """
         p, omega = self._prepared(ratios, frequencies_hz)
-        wheels: Sequence[Tensor] = wheels_of(self._layout, p, omega)
-        box = torch.ones_like(wheels[0])
-        if "wheelsets" in self.parts:
-            wheels, box = excited_alone(self._layout, p, wheels)
-        above, frame, body = bounced(self._layout, p, omega, wheels)
-        if "axle_box_arm" in self.parts:
-            box = on_arm(p, box, above)
-        found = torch.stack([box, frame, body], dim=-2)
-        found = found.movedim(0, 1) if "wheelsets" in self.parts else found[:, None]
-        if self.rolls:
-            found = torch.cat([found, rolled(self._layout, p, omega)[:, None]], dim=1)
-        return found * self._gains(p, omega)[:, None] if "sensors" in self.parts else found
+        places, wheels = self._felt(p, omega), wheels_of(self._layout, p, omega)
+        found = excited(self._layout, p, wheels, places)
+        if not self.rolls:
+            return found
+        turned = rolled(self._layout, p, omega)
+        if "sensors" in self.parts:
+            gains = [_gain(p, name, omega) for name in ("frame", "body")]
+            turned = turned * torch.stack([torch.ones_like(gains[0]), *gains], dim=1)
+        return torch.cat([found, turned[:, None]], dim=1)
 
-    def _gains(self, p: Mapping[str, Tensor], omega: Tensor) -> Tensor:
-        """Return what axle box, frame and body sensor make of an acceleration, (n, 3, n_freq)."""
-        late = [
-            phasor(omega * p[f"{name}_delay"]) * p[f"{name}_gain"] for name in ("frame", "body")
-        ]
-        return torch.stack([torch.ones_like(late[0]), *late], dim=1)
+    def _felt(self, p: Mapping[str, Tensor], omega: Tensor) -> list[list[Tensor]]:
+        """Return what axle box, frame and body sensor measure per metre under each wheelset."""
+        box, *others = bounced(self._layout, p, omega)
+        if "sensors" in self.parts:
+            gains = [_gain(p, name, omega) for name in ("frame", "body")]
+            others = [list(map(gain.mul, one)) for gain, one in zip(gains, others, strict=True)]
+        return [box, *others]
 
     @property
     def rolls(self) -> bool:
@@ -387,6 +375,11 @@ class VerticalVehicle:
         return first + tuple(
             float(given.get(q.name, value)) for q, value in zip(QUANTITIES, standard, strict=True)
         )
+
+
+def _gain(p: Mapping[str, Tensor], sensor: str, omega: Tensor) -> Tensor:
+    """Return what the sensor on "frame" or "body" makes of an acceleration, (n, n_freq)."""
+    return phasor(omega * p[f"{sensor}_delay"]) * p[f"{sensor}_gain"]
 
 
 def best_generator(vehicle: Vehicle, device: str = "cpu", **settings: Any) -> ResponseGenerator:

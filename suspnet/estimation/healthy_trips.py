@@ -37,6 +37,7 @@ from suspnet.recordings.manifest_files import ManifestFile, find_manifests
 from suspnet.recordings.recording import Recording, load_recording
 from suspnet.spectra.cross_spectra import CrossSpectra
 from suspnet.spectra.estimates import EstimateSettings
+from suspnet.spectra.expected_spectra import EstimateMisfit
 from suspnet.spectra.observation import every_direction
 from suspnet.spectra.segments import Speeds, recording_segments, segment_speeds
 from suspnet.spectra.wheel_lines import wheel_lines
@@ -249,6 +250,11 @@ class HealthyMisfit:
             for group in groups
         ]
         self._thinned = [misfit.thinned() for misfit in self._groups]
+        conditions = [(group.direction, group.speeds) for group in groups]
+        self._alike = [
+            [i for i, other in enumerate(conditions) if other == one]
+            for one in dict.fromkeys(conditions)
+        ]
 
     def ratios(self, theta: Tensor, trip: int) -> Tensor:
         """Return all columns of ratios for one trip, (n_rows, n_columns)."""
@@ -266,14 +272,29 @@ class HealthyMisfit:
         """Return the residuals of one group, (n_rows, n_points), set to 0 above `high_hz`."""
         misfit = (self._thinned if spread >= ROUGH else self._groups)[group]
         expected = misfit.observer.noise_free(self.ratios(theta, self._trips[group]))
+        return self._compared(misfit, expected, spread, high_hz)
+
+    @staticmethod
+    def _compared(
+        misfit: EstimateMisfit, expected: Tensor, spread: float, high_hz: float
+    ) -> Tensor:
+        """Return the residuals of a group whose curves are expected to be those."""
         # logarithms converge from far off, but have the heavy tails of a ratio of noise
         u = (misfit.observed / expected).log() if spread else 1 - expected / misfit.observed
         spreads = torch.where(misfit.observer.frequencies_hz > high_hz, math.inf, spread)
-        return misfit.whitened(u, torch.zeros(len(theta), dtype=torch.int64), spreads)
+        return misfit.whitened(u, torch.zeros(len(u), dtype=torch.int64), spreads)
 
     def parts(self, theta: Tensor, spread: float, high_hz: float = math.inf) -> list[Tensor]:
         """Return the residuals of each group, (n_rows, n_points)."""
-        return [self.part(theta, i, spread, high_hz) for i in range(len(self._groups))]
+        misfits = self._thinned if spread >= ROUGH else self._groups
+        found: dict[int, Tensor] = {}
+        # one call for all groups at the same speeds: a call for 1 row takes as long as for 10
+        for alike in self._alike:
+            rows = torch.cat([self.ratios(theta, self._trips[group]) for group in alike])
+            expected = misfits[alike[0]].observer.noise_free(rows).split(len(theta))
+            for group, one in zip(alike, expected, strict=True):
+                found[group] = self._compared(misfits[group], one, spread, high_hz)
+        return [found[group] for group in range(len(misfits))]
 
     def residuals(self, theta: Tensor, spread: float, high_hz: float = math.inf) -> Tensor:
         """Return all residuals, including those of the priors, (n_rows, n_points)."""

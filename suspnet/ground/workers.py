@@ -7,6 +7,7 @@ waiting and running items; here each worker is a pool of one process.
 from __future__ import annotations
 
 import functools
+import math
 import multiprocessing
 import os
 import re
@@ -30,12 +31,22 @@ ATTEMPTS = 2
 """Largest number of attempts at one item whose process is killed."""
 THREADS = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 """Environment variables for the number of threads of a process."""
+USUAL_WORKERS, ITEMS_A_WORKER = 2, 10
+"""Number of processes if none is asked for, and smallest number of trips for each of them: one
+takes 2 s to start, about as long as 10 trips of 5 minutes."""
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 
 class LostWorkerError(RuntimeError):
     """Every process that worked on an item was killed."""
+
+
+def workers_for(n_items: int, wanted: int | None) -> int:
+    """Return the number of processes for some trips, as wanted; None is as many as save time."""
+    if wanted is not None:
+        return wanted
+    return max(1, min(USUAL_WORKERS, math.ceil(n_items / ITEMS_A_WORKER)))
 
 
 def guarded(n_workers: int) -> ProcessPoolExecutor:

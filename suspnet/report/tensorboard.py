@@ -96,6 +96,7 @@ class RunLog:
         """Write a figure as an image, and as folder/name.png if a folder is given."""
         canvas = FigureCanvasAgg(figure)
         canvas.draw()
+        figure.set_layout_engine("none")  # it is laid out; once more would double the time
         pixels = np.asarray(canvas.buffer_rgba())[:, :, :3]
         sections = [f"{s}/{name}" for s, names in SECTIONS.items() if name.startswith(names)]
         self._writer.add_image([*sections, name][0], pixels, dataformats="HWC")

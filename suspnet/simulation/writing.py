@@ -29,7 +29,7 @@ from suspnet.dynamics.track import TrackProfile, cross_level_spectrum, make_prof
 from suspnet.ground.progress import bar as progress_bar
 from suspnet.ground.storage import content_hash, write_atomically, write_json
 from suspnet.ground.types import FloatArray
-from suspnet.ground.workers import LostWorkerError, each
+from suspnet.ground.workers import LostWorkerError, each, workers_for
 from suspnet.recordings.manifest import CHANNELS, SIDES, Channel, Pair, SpeedSource, TripManifest
 from suspnet.recordings.manifest_files import write_manifest
 from suspnet.simulation.fleet import (
@@ -94,7 +94,7 @@ def write_fleet(
     simulation: Simulation,
     *,
     aboard: Aboard | None = None,
-    n_jobs: int = 1,
+    n_jobs: int | None = 1,
     progress: bool = False,
 ) -> list[Path]:
     """Simulate trips, write each as a manifest and Parquet files, and return the manifests.
@@ -102,9 +102,9 @@ def write_fleet(
     The true numbers of the healthy vehicle are stored in ``truth.json``. An unfinished simulation
     continues with the missing trips; if another one is writing to the folder, folder_2 (and so on)
     is used. `aboard` is None for a suspension without a train; `n_jobs` trips are simulated in
-    parallel. Raises ValueError if no physical vehicle can be drawn, if both sides are required of a
-    vehicle without roll, or if the folder holds other trips; LostWorkerError if a writing process
-    was killed.
+    parallel (None: see `workers_for`). Raises ValueError if no physical vehicle can be drawn, if
+    both sides are required of a vehicle without roll, or if the folder holds other trips;
+    LostWorkerError if a writing process was killed.
     """
     fleet, scenario, seed = simulation.fleet, simulation.scenario, simulation.seed
     made_from = simulation.made_from(aboard)
@@ -130,7 +130,7 @@ def write_fleet(
         missing = [i for i, path in enumerate(paths) if not is_whole(path)]
         with unfinished(folder, made_from, fleet.n_trips, len(missing)):
             jobs = ((folder, i, float(mileage[i]), ratios[i]) for i in missing)
-            _write_all(write, jobs, len(missing), "trip", n_jobs, progress)
+            _write_all(write, jobs, len(missing), "trip", n_jobs, len(missing), progress)
             write_json(folder / TRUTH, truth)
     return paths
 
@@ -140,7 +140,7 @@ def write_trains(
     trains: Trains,
     simulation: Simulation,
     *,
-    n_jobs: int = 1,
+    n_jobs: int | None = 1,
     progress: bool = False,
 ) -> list[Path]:
     """Simulate the trips of every suspension of some trains, and return the suspensions' folders.
@@ -165,7 +165,8 @@ def write_trains(
         missing = [one for one in suspensions if not is_finished(folder / one.name)]
         with unfinished(folder, made_from, trains.n_all, len(missing), "suspensions"):
             jobs = ((folder, one) for one in missing)
-            _write_all(write, jobs, len(missing), "suspension", n_jobs, progress)
+            n_trips = len(missing) * simulation.fleet.n_trips
+            _write_all(write, jobs, len(missing), "suspension", n_jobs, n_trips, progress)
             write_json(folder / TRUTH, truth)
         return [folder / one.name for one in suspensions]
 
@@ -175,10 +176,11 @@ def _write_all(
     jobs: Iterable[Any],
     n: int,
     unit: str,
-    n_jobs: int,
+    n_jobs: int | None,
+    n_trips: int,
     progress: bool,
 ) -> None:
-    done = each(write, jobs, effective_n_jobs(n_jobs))
+    done = each(write, jobs, effective_n_jobs(workers_for(n_trips, n_jobs)))
     for _, outcome in progress_bar(f"{unit}s", n, items=done, unit=unit, shown=progress):
         if isinstance(outcome, LostWorkerError):
             raise outcome

@@ -20,7 +20,13 @@ from suspnet.ground.progress import stage
 from suspnet.ground.records import ERROR, Commissioning, TripResult, by_mileage
 from suspnet.ground.settings import check_settings, setting
 from suspnet.ground.storage import printable
-from suspnet.ground.workers import LostWorkerError, each
+from suspnet.ground.workers import (
+    ITEMS_A_WORKER,
+    USUAL_WORKERS,
+    LostWorkerError,
+    each,
+    workers_for,
+)
 from suspnet.history import History
 from suspnet.maintenance.alarms import OWN_CAUSES, Acknowledgement, detector_words
 from suspnet.maintenance.assessment import spoken
@@ -78,8 +84,12 @@ class FleetSettings:
     n_reference: int = setting(
         5, "Number of first trips, for reference=first_trips", low=1, most=1024
     )
-    workers: int = setting(
-        1, "Number of processes on this machine that read trips", low=1, most=1024
+    workers: int | None = setting(
+        1,
+        "Number of processes on this machine that read trips; null is 1 for up to "
+        f"{ITEMS_A_WORKER} trips, else {USUAL_WORKERS}",
+        low=1,
+        most=1024,
     )
     cluster: str | None = setting(
         None,
@@ -313,11 +323,12 @@ def _read_by_workers(
     settings: FleetSettings,
 ) -> Iterator[tuple[ManifestFile, TripResult | LostWorkerError]]:
     """Yield trips with their results as they are read, in local processes or on a dask cluster."""
+    n_workers = workers_for(len(files), settings.workers)
     if settings.cluster is None:
-        yield from each(read, files, settings.workers)
+        yield from each(read, files, n_workers)
         return
     address = None if settings.cluster == "local" else settings.cluster
-    options = {} if address else {"n_workers": settings.workers, "dashboard_address": None}
+    options = {} if address else {"n_workers": n_workers, "dashboard_address": None}
     with distributed.Client(address, **options) as client:
         trips = {client.submit(read, file, pure=False, retries=1): file for file in files}
         for future in distributed.as_completed(trips):

@@ -31,6 +31,7 @@ from suspnet.ground.records import (
     sensors_text,
 )
 from suspnet.ground.storage import printable
+from suspnet.ground.tensors import threads
 from suspnet.recordings.errors import TripError
 from suspnet.recordings.manifest import TripManifest
 from suspnet.recordings.manifest_files import ManifestFile
@@ -65,6 +66,7 @@ def evaluate_trip(
     return replace(result, seconds=time.perf_counter() - start)
 
 
+@threads(1)
 def evaluate_recording(
     manifest: TripManifest,
     read: Callable[[], Recording],
