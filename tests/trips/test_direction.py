@@ -62,6 +62,7 @@ def test_trips_of_both_directions_are_as_close_to_the_truth(both_ways, models, i
         assert abs(np.log(result.estimates[name] / truth[name])) < 2.5 * half
     assert not result.flags
     assert (" in reverse: " in result.quality.speed_bins) == bool(i % 2)
+    assert result.quality.direction == ("forward", "reverse")[i % 2]
 
 
 @pytest.mark.parametrize("i", [pytest.param(0, marks=pytest.mark.slow), 1])
