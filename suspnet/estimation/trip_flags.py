@@ -54,6 +54,8 @@ the four parts does on one of 4,000 trips."""
 UNEXPLAINED = "left and right differ, but which part and side is weaker is unknown"
 LEAST = 0.1
 """Smallest relative deficit of the weaker side that is reported."""
+SIDE_COSTS = {"k_p": 0.12, "c_p": 0.7, "k_s": 0.19, "c_s": 0.26, "M_s": 0.14}
+"""Standard deviation of the error of an estimate's logarithm per sum of d^2 of the four parts."""
 LARGEST_MISFIT = 2.0
 """Above this misfit the equations do not explain how the sides differ, and no part is named."""
 
@@ -132,13 +134,29 @@ def with_sides(
 ) -> tuple[Estimate, str]:
     """Return a trip's estimate, flagged if its sides differ, and the difference as text.
 
-    The largest speed bin decides. The text is empty without a clear difference.
+    The largest speed bin decides. The text is empty without a clear difference. The interval holds
+    the ``side_errors`` of any difference.
     """
-    words = spoken_sides(weaker_sides(largest(bins), recording, estimate.values[0]))
+    found = weaker_sides(largest(bins), recording, estimate.values[0])
+    if found is not None:
+        estimate = estimate.widened(side_errors(found, estimate.names))
+    words = spoken_sides(found)
     if not words:
         return estimate, ""
     text = f"both sides are assumed to be equal, but {words}"
     return replace(estimate, flags=estimate.flags.with_kind("sides", text)), words
+
+
+def side_errors(found: SideDifference, names: Sequence[str]) -> FloatArray:
+    """Return the standard deviations of the errors of log estimates of unequal sides, (n_names,).
+
+    Bounce makes a bogie with unequal sides roll, and roll changes its bounce: an effect of second
+    order in the differences d_i of the four parts, whose deviations are s_i::
+
+        e_j = c_j sum_i max(d_i^2 - s_i^2, 0),    c_j of ``SIDE_COSTS``.
+    """
+    size = float(np.maximum(found.d**2 - found.deviations**2, 0.0).sum())
+    return np.array([SIDE_COSTS[name] for name in names]) * size
 
 
 def weaker_sides(

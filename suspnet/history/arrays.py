@@ -25,12 +25,13 @@ from suspnet.ground.records import (
     to_responses,
 )
 from suspnet.ground.storage import DamagedFileError, dump_arrays, load_arrays
+from suspnet.ground.times import utc
 from suspnet.ground.types import ComplexArray, FloatArray
 from suspnet.history.database import HistoryError, upsert
 from suspnet.history.schema import BadRow, bad_row, check_types, curves, suspensions, trips
 from suspnet.history.suspensions import is_one_of, known_suspensions, read_stored
 from suspnet.maintenance.directions import SIGNS
-from suspnet.maintenance.series import NUMBERS, Event, Series, utc
+from suspnet.maintenance.series import NUMBERS, Event, Series
 
 ROWS = 20_000
 """Number of rows that are Python objects at the same time, which bounds the memory."""

@@ -11,11 +11,13 @@ Half of the part of m beyond its noise is the standard deviation of an error tha
 
     e^2 = max(m^2 - v, 0) / 4,    (half width)^2 = h^2 + (z e)^2.
 
-e of a trip is of the pairs up to this trip, so that later trips do not change its interval.
+e of a trip is of the pairs up to this trip, so that later trips do not change its interval. Where
+the first trip of every pair ran in one direction, m includes the wear from one trip to the next.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from statistics import NormalDist
 
 import numpy as np
@@ -39,22 +41,21 @@ def widened(
     signs: IntArray,
     states: IntArray,
     healthy_since_km: FloatArray,
-    estimates: FloatArray,
-    half_widths: FloatArray,
-) -> FloatArray:
-    """Return the half widths with the errors that both directions show, (n_trips,), [-].
+    estimates: Mapping[str, FloatArray],
+    half_widths: Mapping[str, FloatArray],
+) -> dict[str, FloatArray]:
+    """Return the half widths with the errors that both directions show, each (n_trips,), [-].
 
     Trips of different `healthy_since_km`, [km], NaN for nominal vehicles, are read by different
     models, whose errors differ. The others are as in ``opposite_pairs`` and ``direction_errors``.
     """
-    with np.errstate(divide="ignore"):
-        logs = np.log(estimates)
-    found = half_widths.copy()
+    found = {name: column.copy() for name, column in half_widths.items()}
     for since_km in np.unique(healthy_since_km):
         own = (healthy_since_km == since_km) | (np.isnan(healthy_since_km) & np.isnan(since_km))
-        pairs = opposite_pairs(np.where(own & np.isfinite(logs), signs, 0), states)
-        errors = direction_errors(pairs, signs, logs, half_widths)
-        found[own] = np.hypot(half_widths, Z * errors)[own]
+        pairs = opposite_pairs(np.where(own, signs, 0), states)
+        for name, half in half_widths.items() if len(pairs) >= LEAST_PAIRS else ():
+            errors = direction_errors(pairs, signs, estimates[name], half)
+            found[name][own] = np.hypot(half, Z * errors)[own]
     return found
 
 
@@ -75,17 +76,18 @@ def opposite_pairs(signs: IntArray, states: IntArray) -> IntArray:
 
 
 def direction_errors(
-    pairs: IntArray, signs: IntArray, logs: FloatArray, half_widths: FloatArray
+    pairs: IntArray, signs: IntArray, estimates: FloatArray, half_widths: FloatArray
 ) -> FloatArray:
     """Return e after each trip, (n_trips,), [-]; 0 before ``LEAST_PAIRS`` pairs.
 
-    `pairs` and `signs` as in ``opposite_pairs``; `logs`, of the estimates, and `half_widths`, in
-    logarithms: (n_trips,). Pairs without a half width are left out.
+    `pairs` and `signs` as in ``opposite_pairs``; `estimates` and `half_widths`, in logarithms:
+    (n_trips,). Pairs without an estimate or a half width are left out.
     """
     first, second = pairs.T
-    with np.errstate(divide="ignore"):
+    with np.errstate(divide="ignore", invalid="ignore"):
+        logs = np.log(estimates)
         weights = 1 / (half_widths[first] ** 2 + half_widths[second] ** 2)
-    d = signs[first] * (logs[first] - logs[second])
+        d = signs[first] * (logs[first] - logs[second])
     known = np.isfinite(d) & np.isfinite(weights) & (weights > 0)
     weights, d, ends = weights[known], d[known], second[known]
     most = MOST / np.sqrt(weights)

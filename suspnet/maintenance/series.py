@@ -6,7 +6,6 @@ import math
 from bisect import bisect_right
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from datetime import UTC, datetime
 from functools import cached_property
 from typing import Any
 
@@ -15,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from suspnet.ground.parameters import BODY_MASS, PARAMETERS
 from suspnet.ground.records import EVENT_KINDS, OK, SENSOR, Key, Place, TripResult, by_mileage
+from suspnet.ground.times import utc
 from suspnet.ground.types import BoolArray, FloatArray, IntArray
 from suspnet.ground.wording import kilometres
 from suspnet.maintenance.directions import SIGNS, widened
@@ -173,13 +173,11 @@ class Series:
         if len(set(self.direction[np.isfinite(self.direction)])) < 2:
             return self
         states = np.concatenate([np.full(len(own), i) for i, own in enumerate(self.between)])
-        unused = self.flagged | self.misled | np.isnan(self.mileage_km)
+        unused = ~self.done | self.flagged | self.misled | np.isnan(self.mileage_km)
         signs = np.where(unused, 0, np.nan_to_num(self.direction)).astype(int)
-        half_widths = {
-            name: widened(signs, states, self.healthy_since_km, self.estimates[name], own)
-            for name, own in self.half_widths.items()
-        }
-        return replace(self, half_widths=half_widths)
+        since_km = self.healthy_since_km
+        found = widened(signs, states, since_km, self.estimates, self.half_widths)
+        return replace(self, half_widths=found)
 
     def part(self, chosen: BoolArray | IntArray) -> Series:
         """Return the trips chosen by a mask or by indices, as they are to be judged.
@@ -307,17 +305,6 @@ def series_of(results: Sequence[TripResult], events: Iterable[Event] = ()) -> Se
         temperature_c=[one.temperature_c for one in results],
         direction=[SIGNS.get(one.quality.direction, np.nan) for one in results],
     ).widened()
-
-
-def utc(text: str) -> datetime | None:
-    """Return a start without a zone, converted to UTC if it has one; None if it is empty."""
-    if not text:
-        return None
-    try:
-        time = datetime.fromisoformat(text)
-        return time.astimezone(UTC).replace(tzinfo=None) if time.tzinfo else time
-    except (ValueError, OverflowError):
-        raise ValueError(f"`start` must be a time in ISO 8601, not {text[:40]!r}") from None
 
 
 def between(events: Sequence[Event], results: Sequence[TripResult]) -> list[list[TripResult]]:

@@ -37,7 +37,7 @@ def test_errors_are_those_of_the_formula_evaluated_naively():
     logs, half = 0.02 * rng.normal(size=n), rng.uniform(0.01, 0.03, n)
     logs[12] += 0.4  # further than `MOST` allows
     pairs = opposite_pairs(signs, states)
-    found = direction_errors(pairs, signs, logs, half)
+    found = direction_errors(pairs, signs, np.exp(logs), half)
     clipped = 0
     for i in range(n):
         done = [(a, b) for a, b in pairs.tolist() if b <= i]
