@@ -47,6 +47,7 @@ CASES = {
     "all+payload": "all, and laws of the payload of its own",
     "all+sensors": "all, sensors 2 % off and 0.5 ms late",
     "all+wheelsets": "all, each wheelset excited alone",
+    "all+axle_box_arm": "all, axle boxes' sensors on their arms",
     "all+second_bending": "all, and second bending",
     "all+one_side": "all, wear on one side",
     "all+blow_off": "all, dampers that blow off",
