@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Self
 
@@ -57,6 +57,17 @@ class Estimate:
     level: float
     flags: Flags
     healthy: HealthyValues | None = None
+
+    def widened(self, deviations: FloatArray) -> Estimate:
+        """Return the estimates with intervals that hold one more, independent error.
+
+        With h the half width in logarithms, `deviations` (n_outputs,) or (n, n_outputs) those of
+        the error and z the normal quantile of the level: (half width)^2 = h^2 + (z deviation)^2.
+        """
+        half = np.hypot(self.half_widths, stats.norm.ppf((1 + self.level) / 2) * deviations)
+        with np.errstate(over="ignore"):  # a half width without information gives 0 to infinity
+            low, high = self.values * np.exp(-half), self.values * np.exp(half)
+        return replace(self, low=low, high=high)
 
     @property
     def half_widths(self) -> FloatArray:

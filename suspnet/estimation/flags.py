@@ -3,8 +3,8 @@
 There are six kinds of flags. `OODDetector` sets four: a peak is missing; the features lie outside
 the cloud of the training curves; a parameter lies outside the training range; the generator does
 not explain the curve with any parameters. `Unexplained` sets one if the generator did not explain
-the healthy trips of its commissioning, and `suspnet.estimation.trip_flags` one if left and right
-differ, while estimates assume equal sides.
+the healthy trips of its commissioning, and `suspnet.estimation.trip_flags` one if the equations do
+not explain how left and right differ.
 
 Unexplained residual: with d_gf the logarithm of the response of group g of the healthy trips in bin
 f over that of the commissioned vehicle, and s_gf the standard deviation of its real and imaginary

@@ -101,6 +101,8 @@ class Quality:
         Mean over the segments used.
     speed_bins : str
         Each bin with its number of averages.
+    direction : {"forward", "reverse", ""}
+        Direction of travel; empty if unknown.
     features_found : str
     faults : str
         Faults that cleaning found in each channel, the speed and the clocks.
@@ -122,6 +124,7 @@ class Quality:
     usable_percent: float = np.nan
     speed_m_per_s: float = np.nan
     speed_bins: str = ""
+    direction: str = ""
     features_found: str = ""
     faults: str = ""
     read_as: str = ""

@@ -25,11 +25,13 @@ from suspnet.ground.records import (
     to_responses,
 )
 from suspnet.ground.storage import DamagedFileError, dump_arrays, load_arrays
+from suspnet.ground.times import utc
 from suspnet.ground.types import ComplexArray, FloatArray
 from suspnet.history.database import HistoryError, upsert
 from suspnet.history.schema import BadRow, bad_row, check_types, curves, suspensions, trips
 from suspnet.history.suspensions import is_one_of, known_suspensions, read_stored
-from suspnet.maintenance.series import NUMBERS, Event, Series, utc
+from suspnet.maintenance.directions import SIGNS
+from suspnet.maintenance.series import NUMBERS, Event, Series
 
 ROWS = 20_000
 """Number of rows that are Python objects at the same time, which bounds the memory."""
@@ -82,7 +84,7 @@ def read_series(
                 events=tuple(events.get((vehicle, place), ())),
                 sensors=sensors[part],
                 **scalars,
-            )
+            ).widened()
         )
     return sorted(found, key=lambda s: (s.vehicle, str(s.place)))
 
@@ -90,7 +92,10 @@ def read_series(
 def _columns(
     connection: Connection, chosen: list[int] | None, names: Mapping[int, Key], bad: list[BadRow]
 ) -> Block:
-    columns = [trips.c[name] for name in (*NUMBERS, *VALUE_COLUMNS)]
+    sign = sql.case(*((trips.c.direction == one, number) for one, number in SIGNS.items()))
+    columns = [
+        sign if name == "direction" else trips.c[name] for name in (*NUMBERS, *VALUE_COLUMNS)
+    ]
     flagged = sql.case((trips.c.flags == "", 0), else_=1)
     texts = [trips.c[name] for name in TEXTS]
     query = sql.select(trips.c.suspension_id, flagged, *columns, *texts, trips.c.id)

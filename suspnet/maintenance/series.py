@@ -6,7 +6,6 @@ import math
 from bisect import bisect_right
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from datetime import UTC, datetime
 from functools import cached_property
 from typing import Any
 
@@ -15,11 +14,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from suspnet.ground.parameters import BODY_MASS, PARAMETERS
 from suspnet.ground.records import EVENT_KINDS, OK, SENSOR, Key, Place, TripResult, by_mileage
+from suspnet.ground.times import utc
 from suspnet.ground.types import BoolArray, FloatArray, IntArray
 from suspnet.ground.wording import kilometres
+from suspnet.maintenance.directions import SIGNS, widened
 from suspnet.maintenance.sensors import SensorTrend, sensor_trends
 
-NUMBERS = ("mileage_km", "healthy_since_km", "speed_m_per_s", "temperature_c")
+NUMBERS = ("mileage_km", "healthy_since_km", "speed_m_per_s", "temperature_c", "direction")
 """Numeric columns of a series, in addition to those of each parameter."""
 
 
@@ -63,6 +64,8 @@ class Series:
     speed_m_per_s : array, [m/s]
     temperature_c : array, [°C]
         Temperature of the outside air.
+    direction : array
+        Of travel, one of ``SIGNS``; NaN: unknown.
     estimates, half_widths : dict of arrays, [-]
         Of each parameter, as in ``TripResult``; NaN: none.
     events : tuple of Event
@@ -82,6 +85,7 @@ class Series:
     healthy_since_km: FloatArray
     speed_m_per_s: FloatArray
     temperature_c: FloatArray
+    direction: FloatArray
     estimates: dict[str, FloatArray]
     half_widths: dict[str, FloatArray]
     events: tuple[Event, ...] = ()
@@ -160,6 +164,20 @@ class Series:
                 own = half_widths[name]
                 own[trips] = np.hypot(own[trips], half_width_of_median(own[first]))
         return replace(self, estimates=estimates, half_widths=half_widths, n_first=n_first)
+
+    def widened(self) -> Series:
+        """Return the trips with intervals that hold what both directions of travel show.
+
+        Flagged trips, and those without a mileage or that a sensor misled, show nothing.
+        """
+        if len(set(self.direction[np.isfinite(self.direction)])) < 2:
+            return self
+        states = np.concatenate([np.full(len(own), i) for i, own in enumerate(self.between)])
+        unused = ~self.done | self.flagged | self.misled | np.isnan(self.mileage_km)
+        signs = np.where(unused, 0, np.nan_to_num(self.direction)).astype(int)
+        since_km = self.healthy_since_km
+        found = widened(signs, states, since_km, self.estimates, self.half_widths)
+        return replace(self, half_widths=found)
 
     def part(self, chosen: BoolArray | IntArray) -> Series:
         """Return the trips chosen by a mask or by indices, as they are to be judged.
@@ -261,7 +279,10 @@ def make_series(
 
 
 def series_of(results: Sequence[TripResult], events: Iterable[Event] = ()) -> Series:
-    """Return the trips of one suspension, at least one, as arrays by mileage."""
+    """Return the trips of one suspension, at least one, as arrays by mileage.
+
+    Their intervals are ``Series.widened``.
+    """
 
     def values(kind: str) -> dict[str, list[float]]:
         return {
@@ -282,18 +303,8 @@ def series_of(results: Sequence[TripResult], events: Iterable[Event] = ()) -> Se
         speed_m_per_s=[one.quality.speed_m_per_s for one in results],
         sensors=[one.quality.sensors for one in results],
         temperature_c=[one.temperature_c for one in results],
-    )
-
-
-def utc(text: str) -> datetime | None:
-    """Return a start without a zone, converted to UTC if it has one; None if it is empty."""
-    if not text:
-        return None
-    try:
-        time = datetime.fromisoformat(text)
-        return time.astimezone(UTC).replace(tzinfo=None) if time.tzinfo else time
-    except (ValueError, OverflowError):
-        raise ValueError(f"`start` must be a time in ISO 8601, not {text[:40]!r}") from None
+        direction=[SIGNS.get(one.quality.direction, np.nan) for one in results],
+    ).widened()
 
 
 def between(events: Sequence[Event], results: Sequence[TripResult]) -> list[list[TripResult]]:
@@ -352,7 +363,18 @@ def relative_to_first(results: list[TripResult], n_first: int) -> list[TripResul
 def relative_results(
     results: list[TripResult], events: Sequence[Event], n_first: int | None
 ) -> list[TripResult]:
-    """Return results relative to the first trips after each maintenance; None: as they are."""
+    """Return results relative to the first trips after each maintenance; None: to the model.
+
+    Their intervals are ``Series.widened``.
+    """
+    if not results:
+        return results
+    columns = series_of(results, events).half_widths
+    rows = np.argsort(np.lexsort(([r.trip for r in results], [r.mileage_km for r in results])))
+    results = [
+        replace(one, half_widths={name: float(columns[name][row]) for name in one.half_widths})
+        for row, one in zip(rows, results, strict=True)
+    ]
     if n_first is None:
         return results
     return [one for part in between(events, results) for one in relative_to_first(part, n_first)]

@@ -178,6 +178,9 @@ def _combined(result: TripResult, recording: Recording, bins: Sequence[SpeedBin]
         w * b.spectra.coherences().mean(dim=1).numpy() for w, b in zip(weights, bins, strict=True)
     )
     names = bins[0].method.task.extractor.names
+    # direction, curves and healthy values are those of the bin with the most averages
+    best = largest(bins)
+    healthy = best.method.healthy
     used = _used(bins)
     quality = replace(
         result.quality,
@@ -191,12 +194,10 @@ def _combined(result: TripResult, recording: Recording, bins: Sequence[SpeedBin]
             f"{b.spectra.n_averages:.0f} averages"
             for b in bins
         ),
+        direction=best.method.generator.direction or recording.manifest.direction or "",
         features_found=f"{len(names)} of {len(names)}",
         warnings="; ".join(dict.fromkeys(b.doubts for b in bins if b.doubts)),
     )
-    # curves and healthy values are those of the bin with the most averages
-    best = largest(bins)
-    healthy = best.method.healthy
     return replace(
         result,
         status=OK,

@@ -3,9 +3,17 @@
 from dataclasses import replace
 
 import numpy as np
+import pyarrow.csv as pacsv
 import pytest
 import torch
-from trip_fixtures import RATES_HZ, changed, model_at, recalled_trip, write_trips
+from trip_fixtures import (
+    RATES_HZ,
+    changed,
+    model_at,
+    recalled_trip,
+    small_fleet,
+    write_trips,
+)
 from vehicles import AM96
 
 from suspnet.dynamics import PARAMETERS, VerticalVehicle
@@ -17,6 +25,7 @@ from suspnet.simulation import Scenario
 from suspnet.spectra.cross_spectra import PAIRS, CrossSpectra
 from suspnet.spectra.estimates import EstimateSettings
 from suspnet.spectra.plausibility import DIRECTION_MARGIN, shown_direction
+from suspnet.trips import fleet
 from suspnet.trips.trip import evaluate_trip
 
 SETTINGS = TripSettings()
@@ -62,6 +71,31 @@ def test_trips_of_both_directions_are_as_close_to_the_truth(both_ways, models, i
         assert abs(np.log(result.estimates[name] / truth[name])) < 2.5 * half
     assert not result.flags
     assert (" in reverse: " in result.quality.speed_bins) == bool(i % 2)
+    assert result.quality.direction == ("forward", "reverse")[i % 2]
+
+
+def test_evaluation_of_a_folder_widens_intervals_by_a_bias_of_the_directions(
+    monkeypatch, no_figures, tmp_path
+):
+    paths = small_fleet()
+
+    def biased(file, *_, **__):
+        i = [path.stem for path in paths].index(file.path.stem)
+        given = recalled_trip(paths[i], [model_at()], SETTINGS)
+        quality = replace(given.quality, direction=("forward", "reverse")[i % 2])
+        c_s = {"c_s": 1 + 0.001 * i + 0.04 * (i % 2)}
+        return replace(given, estimates=given.estimates | c_s, quality=quality, flags="")
+
+    monkeypatch.setattr(fleet, "evaluate_trip", biased)
+    settings = fleet.FleetSettings(SETTINGS)
+    (one,) = fleet.evaluate_fleet(paths[0].parent, [model_at()], tmp_path, settings, False)
+    plain = [recalled_trip(path, [model_at()], SETTINGS).half_widths["c_s"] for path in paths]
+    found = [result.half_widths["c_s"] for result in one.results]
+    assert found[:5] == plain[:5]
+    assert np.sqrt(found[5] ** 2 - plain[5] ** 2) == pytest.approx(1.645 * 0.02, rel=0.1)
+    np.testing.assert_array_equal(one.state.series.half_widths["c_s"], found)
+    high = pacsv.read_csv(tmp_path / "trips.csv")["c_s_high"].to_pylist()
+    assert high[5] == pytest.approx(one.results[5].interval("c_s")[1], rel=1e-4)
 
 
 @pytest.mark.parametrize("i", [pytest.param(0, marks=pytest.mark.slow), 1])

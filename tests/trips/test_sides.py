@@ -9,10 +9,12 @@ import pyarrow.parquet as pq
 import pytest
 import yaml
 from roll_reference import CHANNELS, sided_responses, track_amplitudes
+from scipy.stats import norm
 from trip_fixtures import MINUTES, OUTPUTS, SPEED
 from trip_records import trip
 
-from suspnet.estimation.trip_flags import UNEXPLAINED, spoken_sides
+from suspnet.estimation import trip_flags
+from suspnet.estimation.trip_flags import SIDE_COSTS, UNEXPLAINED, side_errors, spoken_sides
 from suspnet.estimation.trip_settings import TripSettings
 from suspnet.ground.records import ERROR, NO_ESTIMATE, OK
 from suspnet.report.report import sides_finding
@@ -84,9 +86,38 @@ def test_weaker_side_is_told(tmp_path, model):
     assert result.sides.startswith("primary spring: the left side is weaker (about ")
     assert float(result.sides.split("about ")[1].split(" ")[0]) == pytest.approx(20, abs=4)
     assert result.row(OUTPUTS)["sides"] == result.sides
-    assert result.flags.endswith(f"both sides are assumed to be equal, but {result.sides}")
-    assert model.estimate(tmp_path / "trip.yaml").flags.reasons == (result.flags,)
+    assert result.flags == "" == model.estimate(tmp_path / "trip.yaml").flags.reasons[0]
     assert "; " not in result.sides
+
+
+def test_errors_of_unequal_sides_are_those_of_the_formula():
+    d, deviations = (0.3, -0.2, 0.01, 0.0), (0.02, 0.01, 0.05, 0.01)
+    sizes = (0.3**2 - 0.02**2, 0.2**2 - 0.01**2)
+    wanted = [
+        sum(cost * size for cost, size in zip(SIDE_COSTS[name], sizes, strict=False))
+        for name in ("c_p", "M_s")
+    ]
+    np.testing.assert_allclose(
+        side_errors(difference(d, deviations), ("c_p", "M_s")), wanted, rtol=1e-12
+    )
+
+
+def test_a_difference_of_the_sides_widens_the_intervals(tmp_path, model, monkeypatch):
+    path = write_pairs(tmp_path, WEAK)
+    wide = model.estimate(path, level=0.8)
+    monkeypatch.setattr(trip_flags, "SIDE_COSTS", dict.fromkeys(OUTPUTS, (0.0,) * 4))
+    plain = model.estimate(path, level=0.8)
+    np.testing.assert_array_equal(wide.values, plain.values)
+    errors = np.sqrt(wide.half_widths**2 - plain.half_widths**2)[0] / norm.ppf(0.9)
+    known = [SIDE_COSTS[name][0] * WEAK[0] ** 2 for name in OUTPUTS]
+    np.testing.assert_allclose(errors, known, rtol=0.5)
+
+
+def test_a_difference_that_is_not_explained_is_a_flag(tmp_path, model, monkeypatch):
+    monkeypatch.setattr(trip_flags, "LARGEST_MISFIT", 0.0)
+    result = evaluate_trip(write_pairs(tmp_path, WEAK), [model], TripSettings())
+    assert result.sides == UNEXPLAINED
+    assert result.flags == f"both sides are assumed to be equal, but {UNEXPLAINED}"
 
 
 def test_two_pairs_do_not_tell_the_sides(tmp_path, model):
