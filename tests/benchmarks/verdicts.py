@@ -12,11 +12,9 @@ from pathlib import Path
 import numpy as np
 import torch
 from cells import Parser, at_least
+from foreign_trains import SPEED, Case
 from mismatch import (
-    FAMILY,
     RESULTS,
-    SPEED,
-    Case,
     Trips,
     build,
     commissioned,
@@ -26,7 +24,7 @@ from mismatch import (
     trained,
 )
 from rich_spectra import drawn_estimates
-from rich_train import RichTrain
+from rich_train import FAMILY
 from tabulate import tabulate
 
 from suspnet.dynamics import PARAMETERS
@@ -45,8 +43,9 @@ def worn_trips(options, case: Case, rows: np.ndarray) -> Trips:
     """Return a trip of each row of ratios, of the train that `made` has."""
     config = configuration(options, case)
     settings = build(config, "data").bound(build(config, "generator").vehicle)
-    train = RichTrain.scattered(options.seed, case.effects)
-    drawn = drawn_estimates(train, rows, settings, options.seed + 1000, case.sides)
+    drawn = drawn_estimates(
+        case.train(options.seed), rows, settings, options.seed + 1000, case.sides
+    )
     parts = zip(drawn.auto, drawn.cross, strict=True)
     spectra = [CrossSpectra(*p, drawn.n_averages) for p in parts]
     return Trips(case, spectra, rows, 0, [Speeds((SPEED,), (1.0,))] * len(rows))
