@@ -177,6 +177,22 @@ def mismatch(rows: Sequence[Row]) -> str:
     return markdown(lines, header)
 
 
+def mixed_fleet(rows: Sequence[Row]) -> str:
+    """Return after how many trips of both directions each change was found."""
+    lines = []
+    for r in rows:
+        found = f"{r['after']}, at {r['true_percent']:.1f} %" if "after" in r else "never"
+        severity = f"{r['severity']} ({r['due']})"
+        flagged = f"{r['n_flagged']} of {r['n_read']}"
+        rms = digits(r[f"{r['parameter']}_rms_percent"])
+        change = f"{r['parameter']}: {r['change']}"
+        lines.append(
+            [str(r["seed"]), change, found, severity, r.get("others", "none"), flagged, rms]
+        )
+    header = ["train", "change", "alarm after trips", "by limits (due)", "others accused"]
+    return markdown(lines, [*header, "flagged", "rms error %"])
+
+
 def against_n(rows: Sequence[Row]) -> str:
     """Return time, memory and error of each method at the largest number of samples."""
     largest = max(r["n"] for r in rows)
@@ -260,6 +276,7 @@ TABLES: dict[str, tuple[str | None, Callable[[Sequence[Row]], str]]] = {
     "coverage": ("coverage.csv", coverage.table),
     "mismatch": ("mismatch.csv", mismatch),
     "mismatch_short": ("mismatch.csv", mismatch_short),
+    "mixed_fleet": ("mixed_fleet.csv", mixed_fleet),
     "family": (None, family),
     "against_n": ("against_n.csv", against_n),
     "plan": ("plan.csv", plan),

@@ -24,6 +24,7 @@ from cells import Parser, Row, at_least
 from foreign_trains import CASES, TESTS, Case
 from hydra import compose, initialize_config_dir
 from rich_spectra import drawn_estimates
+from rich_train import RichTrain
 from rich_train_trips import true_ratios, write_train_trips
 from rich_trips import SENSORS, drawn_ratios
 from tabulate import tabulate
@@ -38,6 +39,7 @@ from suspnet.estimation.healthy_trips import HealthySpectra
 from suspnet.estimation.problem import TRAIN, Problem
 from suspnet.estimation.trained import TrainedModel
 from suspnet.estimation.trip_settings import TripSettings
+from suspnet.ground.parameters import FORWARD, Direction
 from suspnet.recordings.manifest_files import find_manifests
 from suspnet.runs.commissioning import FAMILY as FAMILY_PARTS
 from suspnet.runs.commissioning import commission_folder
@@ -45,6 +47,7 @@ from suspnet.runs.fit import fit
 from suspnet.runs.predict import calibrated, with_unexplained
 from suspnet.simulation import Fleet
 from suspnet.spectra.cross_spectra import CrossSpectra
+from suspnet.spectra.estimates import EstimateSettings
 from suspnet.spectra.segments import NoEstimateError, Speeds
 
 RESULTS = TESTS / "benchmarks" / "results"
@@ -66,8 +69,8 @@ class Trips:
         Spectra or manifests.
     truth : array of shape (n_trips, 5), [-]
     n_healthy : int
-    speeds : sequence of Speeds
-        Of each trip that is given as spectra.
+    speeds, directions : sequence of Speeds, of Direction
+        Of each trip that is given as spectra; no direction is forward.
     """
 
     case: Case
@@ -75,6 +78,7 @@ class Trips:
     truth: np.ndarray
     n_healthy: int
     speeds: Sequence[Speeds] = ()
+    directions: Sequence[Direction] = ()
 
 
 def configuration(options, case, *overrides):
@@ -88,6 +92,21 @@ def configuration(options, case, *overrides):
         return compose("train", overrides=["experiment=trips", *given, *overrides])
 
 
+def settings_of(options, case: Case) -> EstimateSettings:
+    """Return the bins, leakage, averages and noise of the trips of a case."""
+    config = configuration(options, case)
+    return build(config, "data").bound(build(config, "generator").vehicle)
+
+
+def drawn_spectra(
+    case: Case, train: RichTrain, ratios: np.ndarray, settings: EstimateSettings, seed: int
+) -> list[CrossSpectra]:
+    """Return the spectra of a trip of each row of ratios."""
+    drawn = drawn_estimates(train, ratios, settings, seed, case.sides)
+    parts = zip(drawn.auto, drawn.cross, strict=True)
+    return [CrossSpectra(*p, drawn.n_averages) for p in parts]
+
+
 def made(options, case: Case, folder: Path) -> Trips:
     """Return the trips of a case."""
     n_trips = options.healthy + options.trips
@@ -99,8 +118,7 @@ def made(options, case: Case, folder: Path) -> Trips:
         sides = "pair" if case.sides == "mean" else case.sides
         write_train_trips(folder, train, ratios, fleet, options.seed, sides)
         return Trips(case, find_manifests(folder), truth, options.healthy)
-    config = configuration(options, case)
-    settings = build(config, "data").bound(build(config, "generator").vehicle)
+    settings = settings_of(options, case)
     speeds = case.speeds_of(options.healthy, options.trips, options.seed)
     at_fault = [bool(case.faults) and i >= options.healthy for i in range(n_trips)]
     alike = list(zip(speeds, at_fault, strict=True))
@@ -109,9 +127,7 @@ def made(options, case: Case, folder: Path) -> Trips:
         rows = [i for i, one in enumerate(alike) if one == (speed, with_faults)]
         there = case.train(options.seed, with_faults).at(speed)
         seed = options.seed + 1000 * rows[0]
-        drawn = drawn_estimates(there, ratios[rows], settings, seed, case.sides)
-        parts = zip(drawn.auto, drawn.cross, strict=True)
-        spectra += [CrossSpectra(*p, drawn.n_averages) for p in parts]
+        spectra += drawn_spectra(case, there, ratios[rows], settings, seed)
     at = [Speeds((speed,), (1.0,)) for speed in speeds]
     return Trips(case, spectra, truth, options.healthy, at)
 
@@ -126,8 +142,9 @@ def commissioned(config, trips: Trips, folder: Path) -> Commissioned:
     given = generator.parts or FAMILY_PARTS
     parts = tuple(part for part in given if seen or part != "roll")
     prior = replace(generator, parts=parts, distribution=LogNormal.prior(parts))
-    healthy = zip(trips.given[: trips.n_healthy], trips.speeds, strict=False)
-    groups = [HealthySpectra(i, f"trip {i}", at, one) for i, (one, at) in enumerate(healthy)]
+    n = trips.n_healthy
+    healthy = zip(trips.speeds[:n], trips.given[:n], trips.directions or [FORWARD] * n, strict=True)
+    groups = [HealthySpectra(i, f"trip {i}", *one) for i, one in enumerate(healthy)]
     return commission(prior, settings.bound(generator.vehicle), groups)
 
 
