@@ -137,13 +137,18 @@ class Structure:
             ("bogie 1", t.half_wheelbase_m),
             ("body", t.half_pivot_m),
         ]
-        return np.stack(
+        found = np.stack(
             [
                 self.bodies[name].motion((x, side * t.sensor_half_m, 0.0))[2]
                 for name, x in places
                 for side in (1, -1)
             ]
         )
+        # an arm is a rigid rod between two points: along it the motion changes evenly
+        on_arm = np.eye(len(found))
+        on_arm[:2, :2] *= 1 - t.sensor_on_arm
+        on_arm[:2, 2:4] = t.sensor_on_arm * np.eye(2)
+        return on_arm @ found
 
     def _name_coordinates(self):
         """Give each motion its column of u."""

@@ -30,7 +30,7 @@ FAMILY = (
     "roll",
     "contact",
 )
-OF_THE_TRIP = ("payload", "sensors", "wheelsets")
+OF_THE_TRIP = ("payload", "sensors", "wheelsets", "axle_box_arm")
 OUTSIDE = ("second_bending", "one_side", "blow_off", "friction", "drift", "bogie_mass")
 EFFECTS = (*FAMILY, *OF_THE_TRIP, *OUTSIDE)
 """What a train can have; drift is of its speed (rich_train_trips.py).
@@ -81,6 +81,7 @@ SHIFTS = {
         **{f"late_s_{i}": (-3e-4, 3e-4) for i in range(6)},
     },
     "wheelsets": {"wheelset_share": (0.001, 0.01)},
+    "axle_box_arm": {"sensor_on_arm": (-0.1, 0.1)},
 }
 """Ends of the ranges of numbers that are drawn evenly."""
 
@@ -176,6 +177,8 @@ class RichTrain:
     late_s_5: float = 0.0
     # Excitation of each wheelset alone, as a share of the mean track's density
     wheelset_share: float = 0.0
+    # Axle boxes' sensors on their arms: at the axle (0), at the frame above (1), beyond (below 0)
+    sensor_on_arm: float = 0.0
     # Secondary suspension of the bogie that is not measured
     other_k_s: float = 1.0
     other_c_s: float = 1.0

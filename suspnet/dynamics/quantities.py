@@ -173,6 +173,17 @@ _NUMBERS: dict[str, tuple[tuple[Any, ...], ...]] = {
             0.0,
         ),
     ),
+    "axle_box_arm": (
+        (
+            "arm_share",
+            0.1,
+            "",
+            "share of the frame's motion under the axle box's sensor, which sits on its arm",
+            1.0,
+            True,
+            0.0,
+        ),
+    ),
     "air_spring": (
         ("volume_ratio", 0.5, "", "auxiliary volume over the air spring's", 2.0),
         ("area_share", 1.0, "", "change of area over k_s", 0.1),
@@ -181,7 +192,7 @@ _NUMBERS: dict[str, tuple[tuple[Any, ...], ...]] = {
 """Fields of ``Quantity`` after the part, by part; "" is for every vehicle."""
 PARTS = tuple(part for part in _NUMBERS if part)
 """Parts that a vehicle may have beyond rigid bodies on linear springs and dampers."""
-IN_MOTION = tuple(part for part in PARTS if part not in ("sensors", "wheelsets"))
+IN_MOTION = tuple(part for part in PARTS if part not in ("sensors", "wheelsets", "axle_box_arm"))
 """Parts of the vehicle's motion; the others describe measurement and excitation."""
 OF_THE_TRIP = ("other_k_s", "other_c_s")
 """Numbers that differ from trip to trip, as the other bogie wears: trips do not determine those of

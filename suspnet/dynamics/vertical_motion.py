@@ -176,6 +176,18 @@ def bending_element(p: Mapping[str, Tensor], empty_kg: float) -> Element:
     return Element(empty_kg * own**2, 2 * p["bending_damping"] * empty_kg * own)
 
 
+def laden(p: dict[str, Tensor], empty_kg: float) -> dict[str, Tensor]:
+    """Return the numbers with what the payload changes; the suspension is that when empty."""
+    mass = p["M_s"] / empty_kg
+    stiffer, tighter = mass ** p["stiffness_exponent"], mass ** p["damping_exponent"]
+    changed = {f"{bogie}k_s": p[f"{bogie}k_s"] * stiffer for bogie in ("", "other_")}
+    changed |= {f"{bogie}c_s": p[f"{bogie}c_s"] * tighter for bogie in ("", "other_")}
+    # the stiffness of the empty body alone makes it fall with the root of the mass
+    changed["bending_frequency"] = p["bending_frequency"] * mass ** (0.5 - p["bending_exponent"])
+    changed["body_gyration"] = p["body_gyration"] * mass ** p["gyration_exponent"]
+    return p | changed
+
+
 Acting = tuple[Element, FloatArray]
 """An element and the vector (g, -h) of its stretch over coordinates and inputs."""
 

@@ -79,11 +79,11 @@ def bounced(
     p: Mapping[str, Tensor],
     omega: Tensor,
     wheels: Sequence[Tensor] | None = None,
-) -> tuple[Tensor, Tensor]:
-    """Return the motion under the sensors on frame and body per metre of mean track, [-].
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Return the motion per metre of mean track, [-]: frame above the axle, frame, body sensor.
 
     `wheels` is the motion of each wheelset, the measured bogie's first; None is one track for all.
-    They may have a leading dimension of inputs, as then have frame and body.
+    They may have a leading dimension of inputs, as then has the motion.
     """
     wheels = wheels_of(layout, p, omega) if wheels is None else wheels
     forward = 1.0 if layout.bogie == "leading" else -1.0
@@ -139,11 +139,20 @@ def bounced(
         at_sensor = p["bending_at_sensor"] * bending
     # Motion at the places of the sensors, which need not be at the centres.
     frame = first.link * over + first.free
+    tilted = first.swing - first.tilt * turned
+    above = frame + (tilted if layout.axle == "leading" else -tilted)
     if layout.frame_sensor == "axle":
-        tilted = first.swing - first.tilt * turned
-        frame = frame + (tilted if layout.axle == "leading" else -tilted)
+        frame = above
     ahead = 1 + forward * layout.body_sensor_m / p["half_pivot_distance"]
-    return frame, bounce + ahead * pitch + at_sensor
+    return above, frame, bounce + ahead * pitch + at_sensor
+
+
+def on_arm(p: Mapping[str, Tensor], box: Tensor, above: Tensor) -> Tensor:
+    """Return (1 - e) w + e z, what a sensor on the arm of the axle box measures, [-].
+
+    The arm leads from the axle box, which moves by w, to the frame, which moves by z above it.
+    """
+    return box + p["arm_share"] * (above - box)
 
 
 def excited_alone(
@@ -246,6 +255,8 @@ def rolled(layout: Layout, p: Mapping[str, Tensor], omega: Tensor) -> Tensor:
     link, yielding, free = bogies[0]
     frame = link * body - yielding * over + free
     box = torch.full_like(frame, 1 / RAIL_LATERAL_M)
+    if "axle_box_arm" in layout.parts:
+        box = on_arm(p, box, frame)
     places = [p[f"{name}_lateral"] for name in ("axle_box", "frame", "body")]
     angles = torch.stack(
         [y * angle for y, angle in zip(places, (box, frame, body), strict=True)], 1

@@ -36,11 +36,19 @@ from suspnet.dynamics.vehicle import (
 )
 from suspnet.dynamics.vertical_motion import (
     Layout,
+    laden,
     primary_element,
     secondary_element,
     vertical_motion,
 )
-from suspnet.dynamics.vertical_response import bounced, excited_alone, phasor, rolled, wheels_of
+from suspnet.dynamics.vertical_response import (
+    bounced,
+    excited_alone,
+    on_arm,
+    phasor,
+    rolled,
+    wheels_of,
+)
 from suspnet.ground.parameters import FORWARD, REVERSE, Direction
 from suspnet.ground.settings import Setting, check_choice, check_number, check_settings, setting
 from suspnet.ground.tensors import as_tensor, check_device
@@ -52,7 +60,6 @@ _OTHER = [len(PARAMETERS) + UNMEASURED.index(f"other_{name}") for name in PARAME
 """Columns of the bogie that is not measured."""
 _OFFSETS = torch.tensor([0.0] * len(PARAMETERS) + list(OFFSETS.values()), dtype=torch.float64)
 """Added to ratios before they are checked: those that may be absent must be above -1, not 0."""
-
 _DEFAULTS = torch.tensor([1.0] * len(PARAMETERS) + list(MEDIANS.values()), dtype=torch.float64)
 
 
@@ -102,7 +109,7 @@ class VerticalVehicle:
         (),
         "Parts of the vehicle in addition to rigid bodies on linear springs and dampers",
         rule="list of bushings, rubber, guidance, longitudinal, bending, roll, other_bogie, "
-        "payload, sensors, wheelsets, air_spring",
+        "payload, sensors, wheelsets, axle_box_arm, air_spring",
     )
     sensor_lateral_m: tuple[float, float, float] = setting(
         (0.0, 0.0, 0.0),
@@ -188,11 +195,12 @@ class VerticalVehicle:
         finite (not above -1 for numbers that may be absent).
         """
         p, omega = self._prepared(ratios, frequencies_hz)
-        frame, body = bounced(self._layout, p, omega)
+        above, frame, body = bounced(self._layout, p, omega)
         if "sensors" in self.parts:
             _, of_frame, of_body = self._gains(p, omega).unbind(dim=1)
             frame, body = frame * of_frame, body * of_body
-        return frame, body / frame
+        box = on_arm(p, torch.ones_like(above), above) if "axle_box_arm" in self.parts else 1.0
+        return frame / box, body / frame
 
     def channels(self, ratios: Tensor | ArrayLike, frequencies_hz: Tensor | ArrayLike) -> Tensor:
         """Return axle box, frame and body for each input, (n_vehicles, n_inputs, 3, n_freq), [-].
@@ -206,7 +214,10 @@ class VerticalVehicle:
         box = torch.ones_like(wheels[0])
         if "wheelsets" in self.parts:
             wheels, box = excited_alone(self._layout, p, wheels)
-        found = torch.stack([box, *bounced(self._layout, p, omega, wheels)], dim=-2)
+        above, frame, body = bounced(self._layout, p, omega, wheels)
+        if "axle_box_arm" in self.parts:
+            box = on_arm(p, box, above)
+        found = torch.stack([box, frame, body], dim=-2)
         found = found.movedim(0, 1) if "wheelsets" in self.parts else found[:, None]
         if self.rolls:
             found = torch.cat([found, rolled(self._layout, p, omega)[:, None]], dim=1)
@@ -245,8 +256,12 @@ class VerticalVehicle:
         """
         channels = self._elsewhere.channels(ratios, frequencies_hz)
         both = wheels_of(self._layout, *self._prepared(ratios, frequencies_hz))[:2]
-        second = both[1 if self.axle == "leading" else 0][:, None, None]
-        return torch.cat([channels[:, :, 1:], second * channels[:, :, :1]], dim=2)
+        late = both[1 if self._layout.axle == "leading" else 0][:, None, None]
+        second = replace(self, axle=OTHER_END[self.axle]).channels(ratios, frequencies_hz)[:, :, :1]
+        # what excites a wheelset alone has no delay between axles
+        of_track = [0, -1] if self.rolls else [0]
+        second[:, of_track] = late * second[:, of_track]
+        return torch.cat([channels[:, :, 1:], second], dim=2)
 
     @property
     def _elsewhere(self) -> VerticalVehicle:
@@ -355,18 +370,7 @@ class VerticalVehicle:
         for name in PARAMETERS[:4]:  # these columns are relative to the uncertain healthy values
             p[name] = p[name] * p[f"healthy_{name}"]
             p[f"other_{name}"] = p[f"other_{name}"] * p[f"healthy_{name}"]
-        return self._laden(p) if "payload" in self.parts else p
-
-    def _laden(self, p: dict[str, Tensor]) -> dict[str, Tensor]:
-        """Return the numbers with what the payload changes; the suspension is that when empty."""
-        mass = p["M_s"] / self.vehicle.body_mass_kg
-        stiffer, tighter = mass ** p["stiffness_exponent"], mass ** p["damping_exponent"]
-        laden = {f"{bogie}k_s": p[f"{bogie}k_s"] * stiffer for bogie in ("", "other_")}
-        laden |= {f"{bogie}c_s": p[f"{bogie}c_s"] * tighter for bogie in ("", "other_")}
-        # the stiffness of the empty body alone makes it fall with the root of the mass
-        laden["bending_frequency"] = p["bending_frequency"] * mass ** (0.5 - p["bending_exponent"])
-        laden["body_gyration"] = p["body_gyration"] * mass ** p["gyration_exponent"]
-        return p | laden
+        return laden(p, self.vehicle.body_mass_kg) if "payload" in self.parts else p
 
     def nominal_values(self) -> tuple[float, ...]:
         """Return the values at a ratio of 1, SI units; those that multiply healthy values are 1."""

@@ -18,6 +18,9 @@ There are several searches of the first kind, which choose the valley:
 
 The best of these continue. The inverse of J^T J at the end, without the rows of the masses, is the
 posterior covariance of z. If the final misfit exceeds the noise, the noise is scaled up to match.
+
+Where the temperatures of the trips differ, the slopes of damping over temperature are fitted, too
+(`suspnet.estimation.temperature`).
 """
 
 from __future__ import annotations
@@ -35,6 +38,7 @@ from suspnet.dynamics import VerticalVehicle
 from suspnet.dynamics.quantities import OF_THE_TRIP, QUANTITIES, LogNormal
 from suspnet.estimation.flags import Residual
 from suspnet.estimation.healthy_trips import MASS_MEAN, HealthyMisfit, HealthySpectra, row_of
+from suspnet.estimation.temperature import DampingByTemperature
 from suspnet.ground.progress import bar
 from suspnet.ground.tensors import threads
 from suspnet.ground.types import ComplexArray, FloatArray
@@ -121,6 +125,8 @@ class Commissioned:
     n_agree, n_starts : int
         Number of completed searches that found this vehicle, and of all.
     converged : bool
+    damping : DampingByTemperature, optional
+        None if the temperature of no trip is known.
     """
 
     generator: VerticalVehicle
@@ -137,6 +143,7 @@ class Commissioned:
     n_agree: int
     n_starts: int
     converged: bool
+    damping: DampingByTemperature | None = None
 
     @property
     def residual(self) -> Residual:
@@ -181,7 +188,7 @@ def commission(
         first = target.first_searches(n_starts)
         rough = sorted((target.search(found.x, SPREADS[1:-1]) for found in first), key=_cost)
         best = target.search(rough[0].x, SPREADS[-1:])
-        posterior, mean_square = target.posterior(best.x)
+        posterior, damping, mean_square = target.posterior(best.x)
         # the others show whether the best vehicle is the only one: those that met it end alike
         agree = [
             target.distance(rough[0].x, other.x, posterior) < AGREEMENT
@@ -198,7 +205,7 @@ def commission(
         generator=_simplest(generator, posterior),
         prior=target.prior,
         posterior=posterior,
-        masses=np.exp(best.x[n:]),
+        masses=np.exp(best.x[n : n + target.n_trips]),
         misfit=math.sqrt(mean_square),
         misfits=tuple(target.misfits(theta)),
         frequencies_hz=settings.frequencies_hz().numpy(),
@@ -209,6 +216,7 @@ def commission(
         n_agree=1 + sum(agree),
         n_starts=len(first),
         converged=best.converged,
+        damping=damping,
     )
 
 
@@ -266,7 +274,8 @@ class _Search(HealthyMisfit):
 
     def widened(self, ratio: float) -> FloatArray:
         """Return the end of searches in bands that widen by `ratio`, but for the whole band."""
-        x = np.append(np.zeros(len(self.prior.names)), np.full(self.n_trips, MASS_MEAN))
+        masses = np.full(self.n_trips, MASS_MEAN)
+        x = np.concatenate([np.zeros(len(self.prior.names)), masses, np.zeros(self.n_slopes)])
         low_hz, high_hz = self.frequencies_hz[[0, -1]].tolist()
         n_bands = int(math.log(max(high_hz / (LOWEST_BAND * low_hz), 1.0), ratio))
         for i in range(n_bands, 0, -1):
@@ -302,21 +311,35 @@ class _Search(HealthyMisfit):
         self, start: FloatArray, spreads: Sequence[float], high_hz: float = math.inf
     ) -> _Found:
         """Return the end of successive searches with some spreads, up to `high_hz`."""
-        point, bound = row_of(start), torch.full((len(start),), Z_BOUND, dtype=torch.float64)
+        point, bounds = row_of(start), self._bounds(len(start))
         for spread in spreads:
             last = spread == 0
             solver = LevenbergMarquardt(
                 max_iter=MANY if last else FEW,
                 tol=TOL if last else ROUGH_TOL,
                 first_damping=DAMPING if last else ROUGH_DAMPING,
-                bounds=(-bound, bound),
+                bounds=bounds,
                 one_sided=True,
+                accelerated=last,
                 least_decrease=LEAST_DECREASE if last else ROUGH_DECREASE,
             )
             found = solver.minimise(partial(self._residuals, spread, high_hz), point)
             point = found.parameters
             self.on_step()
         return _Found(point[0].numpy(), float(found.cost[0]), bool(found.converged[0]))
+
+    def _bounds(self, n_coordinates: int) -> tuple[Tensor, Tensor]:
+        """Return the bounds of theta; a share that counts by its size is not negative.
+
+        At 0 it has an edge: a search that may step to either side finds no decrease any more.
+        """
+        high = torch.full((n_coordinates,), Z_BOUND, dtype=torch.float64)
+        low = -high
+        if SHARE in self.prior.names:
+            row = self.prior.names.index(SHARE)
+            (column,) = np.flatnonzero(self.every.factor[row].numpy())  # the prior is independent
+            low[column] = -self.prior.mean[row] / self.every.factor[row, column]
+        return low, high
 
     def _residuals(self, spread: float, high_hz: float, theta: Tensor, _: Tensor) -> Tensor:
         return self.residuals(theta, spread, high_hz)

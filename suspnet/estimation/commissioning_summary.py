@@ -39,6 +39,7 @@ PART_TITLES = {
     "payload": "What changes with the payload",
     "sensors": "Sensitivity and delay of the sensors",
     "wheelsets": "Excitation of single wheelsets",
+    "axle_box_arm": "Sensor on the arm of the axle box",
     "air_spring": "Air spring",
 }
 SYMBOLS = {
@@ -51,6 +52,7 @@ SYMBOLS = {
     "bogie_lever": "h_3",
     "bending_at_pivot": "p",
     "bending_slope": "\N{GREEK SMALL LETTER SIGMA}",
+    "arm_share": "e",
 }
 """Symbols of those quantities that have one in the equations of the vehicle."""
 
@@ -186,7 +188,7 @@ def agreement(outcome: Commissioned) -> str:
 
 
 def reference(outcome: Commissioned) -> str:
-    """Return a sentence that defines what healthy means for models of this vehicle."""
+    """Return what healthy means for models of this vehicle, as text."""
     told = {one.quantity.name: one for one in numbers(outcome)}
     values = [
         f"{name} = {spoken(told[f'healthy_{name}'])}"
@@ -196,7 +198,8 @@ def reference(outcome: Commissioned) -> str:
     shown = f": 100 % is {', '.join(values)}" if values else ""
     if "±" in shown:
         shown += " (± one standard deviation)"
-    return f"Healthy now means what these trips showed{shown}."
+    at = f" {outcome.damping}" if outcome.damping else ""
+    return f"Healthy now means what these trips showed{shown}.{at}"
 
 
 def untold(found: Sequence[Number]) -> str:

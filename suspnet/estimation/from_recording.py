@@ -25,6 +25,7 @@ from suspnet.estimation.steady_parts import (
     reads_at_any_speed,
     steady,
 )
+from suspnet.estimation.temperature import DampingByTemperature
 from suspnet.estimation.trip_flags import delay_words, with_sides
 from suspnet.estimation.trip_settings import TripSettings
 from suspnet.recordings.errors import TripError
@@ -51,7 +52,16 @@ def estimate_recording(
     """Return a method's estimate from a recording, one row; raises as `speed_bins` does."""
     segments = recording_segments(recording, trip_settings(method).welch)
     bins = all_bins([(method, segments)], recording, settings, wheel_lines(recording))
-    return with_sides(combined(bins), bins, recording)[0]
+    estimate = with_sides(combined(bins), bins, recording)[0]
+    return at_healthy_temperature(method, estimate, recording)
+
+
+def at_healthy_temperature(
+    method: FittedMethod, estimate: Estimate, recording: Recording
+) -> Estimate:
+    """Return a recording's estimate with damping at the temperature of the healthy trips."""
+    law = DampingByTemperature.noted(method.training)
+    return law.compared(estimate, recording.manifest.temperature_c) if law else estimate
 
 
 def all_bins(

@@ -15,10 +15,17 @@ import torch
 from torch import Tensor
 
 from suspnet.dynamics import PARAMETERS, VerticalVehicle
-from suspnet.dynamics.quantities import LogNormal
+from suspnet.dynamics.quantities import UNMEASURED, LogNormal
 from suspnet.estimation.direction import direction_of
 from suspnet.estimation.from_recording import unrepaired_words
 from suspnet.estimation.steady_parts import groups_to_read, steady
+from suspnet.estimation.temperature import (
+    DAMPINGS,
+    SLOPE_DEVIATION,
+    USUAL_SLOPE,
+    DampingByTemperature,
+    kelvins_warmer,
+)
 from suspnet.estimation.trip_settings import TripSettings
 from suspnet.ground.parameters import FORWARD, Direction
 from suspnet.ground.progress import bar
@@ -38,6 +45,9 @@ LEAST_TRIPS = 3
 """Smallest number of healthy trips; fewer contain too little information on a vehicle."""
 MASS_MEAN, MASS_DEVIATION = math.log(1.05), 0.15
 """Prior mean and standard deviation of the logarithm of a trip's car-body mass over nominal."""
+_COLUMNS = (*PARAMETERS, *UNMEASURED)
+_OF_DAMPING = [_COLUMNS.index(bogie + name) for bogie in ("", "other_") for name in DAMPINGS]
+"""Columns of the damping of the measured and of the other bogie."""
 ROUGH = 0.01
 """Least allowed model error of a search on thinned bins, without leakage."""
 
@@ -46,7 +56,8 @@ ROUGH = 0.01
 class HealthySpectra:
     """Spectra (3, n_freq) at one speed of trip number `trip`: one car-body mass, one direction.
 
-    `left_out` (n_freq,) are bins with lines of out-of-round wheels.
+    `left_out` (n_freq,) are bins with lines of out-of-round wheels; `temperature_c` [°C] is that of
+    the trip, None if unknown.
     """
 
     trip: int
@@ -55,6 +66,7 @@ class HealthySpectra:
     spectra: CrossSpectra
     direction: Direction = FORWARD
     left_out: Tensor | None = None
+    temperature_c: float | None = None
 
     @property
     def speed_m_per_s(self) -> float:
@@ -185,17 +197,29 @@ def _spectra(
     speeds = segment_speeds(recording, segments)
     groups = groups_to_read(speeds, trips.speed_tolerance, trips.min_speed_m_per_s)
     direction = direction_of(recording, segments, generator, trips)
-    name = recording.manifest.name
+    manifest = recording.manifest
     # uncertain groups are included, as the fit of the vehicle weights each by its noise
     return [
-        HealthySpectra(trip, name, Speeds.of(*part.speed), part.spectra, direction, part.left_out)
+        HealthySpectra(
+            trip,
+            manifest.name,
+            Speeds.of(*part.speed),
+            part.spectra,
+            direction,
+            part.left_out,
+            manifest.temperature_c,
+        )
         for part in steady(segments, speeds, groups, settings, trips, wheel_lines(recording))
         if part.spectra is not None and part.has_enough
     ]
 
 
 class HealthyMisfit:
-    """The sum of squares of healthy trips, as a function of theta = (z, logarithms of masses)."""
+    """The sum of squares of healthy trips, as a function of theta.
+
+    theta = (z, logarithms of masses), followed, where trips differ in temperature, by the slopes of
+    damping over temperature (`suspnet.estimation.temperature`) in deviations from their priors.
+    """
 
     def __init__(
         self,
@@ -204,8 +228,13 @@ class HealthyMisfit:
         groups: Sequence[HealthySpectra],
     ) -> None:
         self.prior = generator.distribution or LogNormal((), (), ())
+        self._generator = generator
         self._trips = [group.trip for group in groups]
         self.n_trips = 1 + max(self._trips)
+        given = {group.trip: group.temperature_c for group in groups}
+        self.healthy_c, warmer = kelvins_warmer([given.get(i) for i in range(self.n_trips)])
+        self._warmer = torch.tensor(warmer, dtype=torch.float64)
+        self.n_slopes = len(DAMPINGS) if any(warmer) else 0
         self.every = every_direction(generator)
         self.frequencies_hz = settings.frequencies_hz()
         observers = {
@@ -226,7 +255,12 @@ class HealthyMisfit:
         n = len(self.prior.names)
         healthy = torch.ones(len(theta), len(PARAMETERS), dtype=torch.float64)
         healthy[:, -1] = theta[:, n + trip].exp()
-        return self.every.vehicles(healthy, theta[:, :n])
+        rows = self.every.vehicles(healthy, theta[:, :n])
+        if self.n_slopes:
+            rows = self._generator.complete(rows)  # both bogies are as warm
+            slopes = USUAL_SLOPE + SLOPE_DEVIATION * theta[:, -self.n_slopes :]
+            rows[:, _OF_DAMPING] *= (slopes * self._warmer[trip]).exp().repeat(1, 2)
+        return rows
 
     def part(self, theta: Tensor, group: int, spread: float, high_hz: float = math.inf) -> Tensor:
         """Return the residuals of one group, (n_rows, n_points), set to 0 above `high_hz`."""
@@ -244,15 +278,16 @@ class HealthyMisfit:
     def residuals(self, theta: Tensor, spread: float, high_hz: float = math.inf) -> Tensor:
         """Return all residuals, including those of the priors, (n_rows, n_points)."""
         n = len(self.prior.names)
-        masses = (theta[:, n:] - MASS_MEAN) / MASS_DEVIATION
-        return torch.cat([*self.parts(theta, spread, high_hz), theta[:, :n], masses], dim=1)
+        masses = (theta[:, n : n + self.n_trips] - MASS_MEAN) / MASS_DEVIATION
+        priors = theta[:, :n], masses, theta[:, n + self.n_trips :]
+        return torch.cat([*self.parts(theta, spread, high_hz), *priors], dim=1)
 
     def jacobian(self, x: FloatArray, spread: float, high_hz: float = math.inf) -> FloatArray:
         """Return the finite-difference derivative of all residuals, (n_points, n_coordinates)."""
         n, found = len(self.prior.names), []
         for group, trip in enumerate(self._trips):
             # the masses of other trips do not affect this group
-            columns = [*range(n), n + trip]
+            columns = [*range(n), n + trip, *range(n + self.n_trips, len(x))]
             steps = ONE_SIDED_DIFFERENCE * torch.eye(len(x), dtype=torch.float64)[[0, *columns]]
             steps[0] = 0.0
             rows = self.part(row_of(x) + steps, group, spread, high_hz)
@@ -263,7 +298,8 @@ class HealthyMisfit:
 
     def _prior_deviations(self) -> FloatArray:
         """Return the prior standard deviations of theta, (n_coordinates,)."""
-        return np.array([1.0] * len(self.prior.names) + [MASS_DEVIATION] * self.n_trips)
+        masses = [MASS_DEVIATION] * self.n_trips
+        return np.array([1.0] * len(self.prior.names) + masses + [1.0] * self.n_slopes)
 
     def misfits(self, theta: Tensor) -> list[float]:
         """Return the rms residual of each group over that of the noise."""
@@ -272,8 +308,12 @@ class HealthyMisfit:
             for part, misfit in zip(self.parts(theta, 0.0), self._groups, strict=True)
         ]
 
-    def posterior(self, x: FloatArray) -> tuple[LogNormal, float]:
-        """Return the posterior of the numbers, and the residuals' mean square over the noise."""
+    def posterior(self, x: FloatArray) -> tuple[LogNormal, DampingByTemperature | None, float]:
+        """Return the posterior of the numbers and of the slopes of damping over temperature.
+
+        The slopes are None if no temperature is known. The last result is the mean square of the
+        residuals over that of the noise.
+        """
         n = len(self.prior.names)
         residuals = torch.cat(self.parts(row_of(x), 0.0), dim=1)[0]
         expected = math.fsum(misfit.expected for misfit in self._groups) / len(self._groups)
@@ -281,12 +321,24 @@ class HealthyMisfit:
         slopes = self.jacobian(x, 0.0)[: len(residuals)]
         prior = np.diag(self._prior_deviations() ** -2)
         information = slopes.T @ slopes / max(mean_square, 1.0) + prior
-        spread = np.linalg.inv(information)[:n, :n]
+        spread: FloatArray = np.linalg.inv(information).astype(np.float64)
         factor = self.every.factor.numpy()
-        covariance = factor @ spread @ factor.T
+        covariance = factor @ spread[:n, :n] @ factor.T
         logs = np.array(self.prior.mean) + factor @ x[:n]
         rows = tuple(map(tuple, ((covariance + covariance.T) / 2).tolist()))
-        return LogNormal(self.prior.names, tuple(logs.tolist()), rows), mean_square
+        found = LogNormal(self.prior.names, tuple(logs.tolist()), rows)
+        return found, self._damping(x, spread), mean_square
+
+    def _damping(self, x: FloatArray, spread: FloatArray) -> DampingByTemperature | None:
+        """Return the slopes of damping over temperature, of theta = x with covariance `spread`."""
+        if self.healthy_c is None or not self.n_slopes:
+            return None if self.healthy_c is None else DampingByTemperature(self.healthy_c)
+        own = slice(-self.n_slopes, None)
+        slopes = USUAL_SLOPE + SLOPE_DEVIATION * x[own]
+        deviations = SLOPE_DEVIATION * np.sqrt(np.diag(spread)[own])
+        return DampingByTemperature(
+            self.healthy_c, tuple(slopes.tolist()), tuple(deviations.tolist())
+        )
 
     def distance(self, one: FloatArray, other: FloatArray, posterior: LogNormal) -> float:
         """Return the largest difference of a number, in deviations of the posterior."""

@@ -256,6 +256,7 @@ class _Search:
             bounds=self._bounds,
             one_sided=bool(self.n_directions),
             least_decrease=LEAST_DECREASE if self.n_directions else 0.0,
+            accelerated=last and bool(self.n_directions),
         )
         return solver.minimise(
             lambda point, which: self._residual(point, rows[which], temperature), start

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from suspnet.estimation.problem import Problem
+from suspnet.estimation.temperature import DampingByTemperature
 from suspnet.estimation.trained import TrainedModel
 from suspnet.ground.records import Place
 from suspnet.ground.settings import LARGEST, check_flag, check_number
@@ -162,6 +163,7 @@ def _check_training(training: Any) -> None:
     if not all(isinstance(name, str) for name in healthy.get("trips", [])):
         raise TypeError("`training.commissioned.trips` must be names")
     _check_place(healthy.get("place"))
+    DampingByTemperature.noted(training)  # its numbers are checked
 
 
 def _check_place(place: Any) -> None:

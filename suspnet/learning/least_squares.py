@@ -29,6 +29,13 @@ DIFFERENCE, ONE_SIDED_DIFFERENCE = 1e-4, 1e-5
 """Steps of central and of one-sided differences, for parameters of the order of 1.
 
 Second differences of a shorter step would be mostly rounding."""
+NEARLY_UNDAMPED = 1e-9
+"""Damping of the step whose decrease tells whether a row has converged."""
+PROBE, STEEPEST_BEND = 0.1, 0.75
+"""Fraction of a step at which its acceleration is measured, and the largest acceleration over half
+a step (Transtrum and Sethna): beyond it the step is rejected."""
+SMALL_LEFT = 10.0
+"""Largest decrease still possible, over `least_decrease`, at which a small step is convergence."""
 AT_ONCE = 128
 """Smallest number of residuals of the Jacobian per call: a call for 1 takes as long as for 30."""
 
@@ -89,6 +96,11 @@ class LevenbergMarquardt:
     diagonal of J^T J; a good start needs little. `bounds` are two tensors (n_parameters,); a
     parameter pressed against one counts as having no effect. `one_sided` differences need half the
     evaluations: the Jacobian is accurate to 1e-5, without second derivatives.
+
+    `accelerated` steps follow a bent valley: half the second derivative of the residuals along a
+    step d, projected as the step is, -(H + lambda diag H)^-1 J^T r''(d, d) / 2, is added to it
+    (Transtrum and Sethna, Improvements to the Levenberg-Marquardt algorithm, 2012). It takes one
+    more evaluation a step and stores the Jacobian of every row.
     """
 
     max_iter: int = 100
@@ -97,13 +109,14 @@ class LevenbergMarquardt:
     bounds: tuple[Tensor, Tensor] | None = None
     one_sided: bool = False
     least_decrease: float = 0.0
+    accelerated: bool = False
 
     def minimise(self, residual: Residual, start: Tensor) -> LeastSquaresSolution:
         """Return the fit of each row from `start`, (n_rows, n_parameters)."""
         bounds = self.bounds
         if bounds is None:
             bounds = start.new_full((1,), -math.inf), start.new_full((1,), math.inf)
-        descent = _Descent(residual, start, bounds, self.one_sided)
+        descent = _Descent(residual, start, bounds, self.one_sided, self.accelerated)
         damping = _Damping(start.new_full((len(start),), self.first_damping))
         every = rows = torch.arange(len(start), device=start.device)
         status = torch.full_like(rows, RowStatus.MAX_ITER)  # of rows that have not ended
@@ -131,10 +144,12 @@ class LevenbergMarquardt:
         status = torch.full_like(damping, RowStatus.MAX_ITER, dtype=torch.int64)
         status[damping >= LARGEST_DAMPING] = RowStatus.NO_DECREASE
         if self.least_decrease:
-            is_low = trial.solved & (trial.left <= self.least_decrease)
+            is_low = torch.isfinite(trial.left) & (trial.left <= self.least_decrease)
             status[is_low] = RowStatus.SMALL_DECREASE
         # A small step that raises the cost means convergence only if damping did not shorten it.
         is_small = trial.is_small(self.tol) & trial.solved & (better | (damping < 1))
+        if self.least_decrease:  # a step may be small in a bent valley far from its lowest point
+            is_small &= trial.left <= SMALL_LEFT * self.least_decrease
         status[is_small] = RowStatus.SMALL_STEP
         return status
 
@@ -150,7 +165,7 @@ class _Trial:
     cost_before: Tensor
     predicted: Tensor
     left: Tensor
-    """-g^T d / 2 of the step before bounds shorten it: about the decrease still possible."""
+    """-g^T d / 2 of the undamped step d: about the decrease still possible."""
 
     @property
     def cost(self) -> Tensor:
@@ -174,12 +189,20 @@ class _Descent:
     """The point of every row and its quadratic models, recomputed only for rows that moved."""
 
     def __init__(
-        self, residual: Residual, start: Tensor, bounds: tuple[Tensor, Tensor], one_sided: bool
+        self,
+        residual: Residual,
+        start: Tensor,
+        bounds: tuple[Tensor, Tensor],
+        one_sided: bool,
+        accelerated: bool,
     ) -> None:
         self.residual, self.bounds, self.one_sided = residual, bounds, one_sided
         rows = torch.arange(len(start), device=start.device)
         self.theta = start.clamp(*bounds)
         self.values = residual(self.theta, rows)
+        self.jacobian: Tensor | None = None
+        if accelerated:
+            self.jacobian = self.values.new_zeros(*self.theta.shape, self.values.shape[1])
         self.gradient, self.second = torch.zeros_like(self.theta), torch.zeros_like(self.theta)
         self.information = self.theta.new_zeros(*self.theta.shape, self.theta.shape[1])
         self.is_curved = torch.zeros_like(rows, dtype=torch.bool)
@@ -196,6 +219,8 @@ class _Descent:
         # A parameter pressed against a bound cannot move: it is left out of this row's model.
         pressed = ((theta <= low) & (slope > 0)) | ((theta >= high) & (slope < 0))
         jacobian = jacobian.masked_fill(pressed[:, :, None], 0.0)
+        if self.jacobian is not None:
+            self.jacobian[rows] = jacobian
         self.gradient[rows] = slope.masked_fill(pressed, 0.0)
         self.information[rows] = jacobian @ jacobian.transpose(1, 2)
         self.second[rows] = second.clamp(min=0).masked_fill(pressed, 0.0)
@@ -206,17 +231,39 @@ class _Descent:
         self.linearise()
         before, gradient, plain = self.theta[rows], self.gradient[rows], self.information[rows]
         is_curved, curvature = self.is_curved[rows], torch.diag_embed(self.second[rows])
-        step, solved = _damped_step(gradient, plain + is_curved[:, None, None] * curvature, damping)
-        theta = (before + step).clamp(*self.bounds)
+        hessian = plain + is_curved[:, None, None] * curvature
+        step, solved = _damped_step(gradient, hessian, damping)
+        straight = theta = (before + step).clamp(*self.bounds)
+        if self.jacobian is not None:
+            bend, is_slight = self._bend(rows, step, hessian, damping)
+            theta, solved = (before + step + bend).clamp(*self.bounds), solved & is_slight
         values = self.residual(theta, rows)
         cost_before = _cost(self.values[rows])
         decrease = cost_before - _cost(values)
-        by_plain = _model_decrease(gradient, plain, theta - before)
-        by_curved = _model_decrease(gradient, plain + curvature, theta - before)
+        by_plain = _model_decrease(gradient, plain, straight - before)
+        by_curved = _model_decrease(gradient, plain + curvature, straight - before)
         self.is_curved[rows] = (decrease - by_curved).abs() < (decrease - by_plain).abs()
         predicted = torch.where(is_curved, by_curved, by_plain)
-        left = -0.5 * (gradient * step).sum(dim=1)
+        whole, _ = _damped_step(gradient, plain, torch.full_like(damping, NEARLY_UNDAMPED))
+        left = -0.5 * (gradient * whole).sum(dim=1)
         return _Trial(before, theta, values, solved, cost_before, predicted, left)
+
+    def _bend(
+        self, rows: Tensor, step: Tensor, hessian: Tensor, damping: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """Return half the geodesic acceleration along steps, and whether it is slight enough."""
+        assert self.jacobian is not None
+        before, values, jacobian = self.theta[rows], self.values[rows], self.jacobian[rows]
+        probed = self.residual(before + PROBE * step, rows)
+        straight = (step[:, None] @ jacobian)[:, 0]
+        second = (2 / PROBE) * ((probed - values) / PROBE - straight)
+        slope = (jacobian @ second[:, :, None])[:, :, 0]
+        bend = 0.5 * _damped_step(slope, hessian, damping)[0]
+        scale = hessian.diagonal(dim1=1, dim2=2)
+        sizes = [(scale * one.square()).sum(dim=1).sqrt() for one in (bend, step)]
+        is_slight = 4 * sizes[0] <= STEEPEST_BEND * sizes[1]
+        usable = (is_slight & torch.isfinite(bend).all(dim=1))[:, None]
+        return torch.where(usable, bend, 0.0), is_slight
 
     def take(self, rows: Tensor, taken: Tensor, trial: _Trial) -> None:
         """Move the rows whose steps are `taken` to the end of their steps."""

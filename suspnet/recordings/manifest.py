@@ -271,7 +271,7 @@ class TripManifest:
             f"a number from {TEMPERATURES_C[0]:g} to {TEMPERATURES_C[1]:g}", *TEMPERATURES_C
         ),
         "number, -60 to 60",
-        "outside air temperature; shown in the tables, as oil and rubber depend on it",
+        "outside air temperature; damping is compared at that of the healthy trips",
         "°C",
         "none",
     )

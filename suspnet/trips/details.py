@@ -8,6 +8,7 @@ from pathlib import Path
 
 from suspnet._version import __version__
 from suspnet.estimation.from_spectra import trip_settings
+from suspnet.estimation.temperature import DampingByTemperature
 from suspnet.estimation.trained import TrainedModel
 from suspnet.ground.parameters import Limits, limits_words
 from suspnet.ground.records import TripResult
@@ -85,7 +86,9 @@ def healthy_words(model: TrainedModel) -> str:
         return "the vehicle file's drawing"
     first, last = map(kilometres, found["mileage_km"])
     span = f"at {first}" if first == last else f"from {first.removesuffix(' km')} to {last}"
-    return f"what {count(found['n_trips'], 'trip')} {span} showed"
+    law = DampingByTemperature.noted(model.training)
+    at = f", damping at {law.healthy_c:.0f} °C" if law else ""
+    return f"what {count(found['n_trips'], 'trip')} {span} showed{at}"
 
 
 def _interval_words(model: TrainedModel, level: float) -> str:

@@ -14,7 +14,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from suspnet.estimation.from_recording import all_bins
+from suspnet.estimation.from_recording import all_bins, at_healthy_temperature
 from suspnet.estimation.from_spectra import trip_settings
 from suspnet.estimation.steady_parts import SpeedBin, combined, largest
 from suspnet.estimation.trained import TrainedModel
@@ -169,6 +169,7 @@ def _combined(result: TripResult, recording: Recording, bins: Sequence[SpeedBin]
     weights = np.array([b.spectra.n_averages for b in bins])
     weights = weights / weights.sum()
     estimate, sides = with_sides(combined(bins), bins, recording)
+    estimate = at_healthy_temperature(bins[0].method, estimate, recording)
     outputs = bins[0].method.task.outputs
     estimates = dict(zip(outputs, estimate.values[0].tolist(), strict=True))
     coherence = sum(

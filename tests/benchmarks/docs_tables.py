@@ -52,6 +52,7 @@ CASES = {
     "all+wheelsets 5 %": "all, each wheelset excited alone at 5 % of the track",
     "all+other bogie at 70 %": "all, c_s of the other bogie at 70 % on worn trips",
     "all+other bogie flat": "all, air spring of the other bogie flat on worn trips",
+    "all+axle_box_arm": "all, axle boxes' sensors on their arms",
     "all+second_bending": "all, and second bending",
     "all+one_side": "all, wear on one side",
     "all+blow_off": "all, dampers that blow off",

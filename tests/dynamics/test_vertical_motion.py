@@ -156,7 +156,7 @@ def test_healthy_vehicle_with_all_parts_has_independent_modes(off):
     assert np.isfinite(motion.advance(list(np.ones((8, 10))))).all()
 
 
-@pytest.mark.parametrize("part", ["sensors", "wheelsets"])
+@pytest.mark.parametrize("part", ["sensors", "wheelsets", "axle_box_arm"])
 def test_what_does_not_move_leaves_the_motion_as_it_is(part):
     with_part, without = (
         VerticalVehicle(AM96, parts=parts).motion_system(torch.ones(5)) for parts in ((part,), ())

@@ -15,6 +15,7 @@ from commissioned_example import MASSES, SETTINGS, UNCERTAIN, commissioned_examp
 from suspnet.estimation import commissioning_summary as words
 from suspnet.estimation.flags import INCOMPLETE
 from suspnet.estimation.healthy_trips import HealthyTrips
+from suspnet.estimation.temperature import NOTE, DampingByTemperature
 from suspnet.runs import commissioning_page as figures
 from suspnet.runs.commissioning_page import training_notes, write_outcome
 
@@ -105,6 +106,19 @@ def test_curves_are_kept_with_what_is_left(commissioned, written):
         np.testing.assert_array_equal(table[f"{what}_magnitude_s"], expected)
     shape = outcome.deviations[:, 0].ravel()
     np.testing.assert_array_equal(table["deviation_p"], shape)
+
+
+def test_notes_hold_the_law_of_damping_over_temperature(commissioned):
+    found, outcome = commissioned
+    law = DampingByTemperature(12.0, (-0.004, -0.0051), (0.002, 0.0003))
+    notes = json.loads(json.dumps(training_notes(found, replace(outcome, damping=law))))
+    assert DampingByTemperature.noted({"commissioned": notes}) == law
+    assert NOTE not in training_notes(found, outcome)
+    text = words.reference(replace(outcome, damping=law))
+    assert text.endswith(
+        "Damping is compared at 12 °C, their mean temperature; per kelvin c_p 0.40 ± 0.2 % and "
+        "c_s 0.51 ± 0.03 % are lost."
+    )
 
 
 # properties

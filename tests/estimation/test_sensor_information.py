@@ -12,6 +12,7 @@ from trips_reference import pitching_numbers, pitching_transfer
 from vehicles import AM96
 
 from suspnet.dynamics import PARAMETERS, QuarterCar, VerticalVehicle
+from suspnet.dynamics.quantities import UNMEASURED
 from suspnet.estimation.information import cramer_rao, fisher_information
 from suspnet.estimation.sensor_information import (
     ROWS,
@@ -471,6 +472,26 @@ def test_second_axle_box_leads_where_the_trailing_one_is_measured():
     ahead = place_channels(VerticalVehicle(AM96, axle="trailing"), ratios, bins)[0, 0, 5]
     torch.testing.assert_close(ahead, delayed.conj(), rtol=1e-12, atol=1e-12)
     assert 0 < float(ahead[0].angle()) < 1
+
+
+@pytest.mark.parametrize("axle", ["leading", "trailing"])
+def test_second_axle_box_is_the_one_that_is_measured_there(axle):
+    options = {"parts": ("wheelsets", "axle_box_arm"), "direction": "reverse"}
+    other = {"leading": "trailing", "trailing": "leading"}[axle]
+    mine, its = (VerticalVehicle(AM96, axle=one, **options) for one in (axle, other))
+    bins = SETTINGS.frequencies_hz()
+    row = mine.complete(torch.as_tensor(DEGRADED[None]))
+    for name, value in (("wheelset_share", 3.0), ("arm_share", 0.2)):
+        row[0, 5 + UNMEASURED.index(name)] = value
+    second = place_channels(mine, row, bins)[0, :, 5]
+    there = its.channels(row, bins)[0, :, 0]
+    torch.testing.assert_close(second.abs(), there.abs())
+    torch.testing.assert_close(second[1:], there[1:])  # of single wheelsets: no delay
+    late = second[0] / there[0]
+    sign = 1 if axle == "trailing" else -1  # in reverse the trailing axle runs ahead
+    delay = 2 * AM96.half_wheelbase_m / mine.speed_m_per_s
+    expected = torch.exp(-1j * sign * 2 * np.pi * delay * bins)
+    torch.testing.assert_close(late, expected)
 
 
 def test_quarter_car_has_three_places():

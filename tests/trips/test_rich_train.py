@@ -113,6 +113,29 @@ def test_vertical_train_moves_as_the_half_vehicle_written_by_hand(parts):
     np.testing.assert_allclose(found, expected, rtol=1e-9)
 
 
+@pytest.mark.parametrize("share", [-0.1, 0.3])
+def test_sensor_on_the_arm_feels_the_frame_above_the_axle(share):
+    train = RichTrain.scattered(6, {"roll", "axle_box_arm"}, sensor_on_arm=share)
+    plain, found = (
+        responses_of(replace(train, sensor_on_arm=one), WORN, BINS) for one in (0.0, share)
+    )
+    for side in (0, 1):  # the frame's sensor is above the axle
+        expected = (1 - share) * plain[:, side] + share * plain[:, 2 + side]
+        np.testing.assert_allclose(found[:, side], expected, rtol=1e-12)
+    np.testing.assert_array_equal(found[:, 2:], plain[:, 2:])
+
+
+def test_sensor_on_the_arm_is_the_part_of_the_family():
+    train = RichTrain(sensor_on_arm=0.07)
+    box, frame, body = responses_of(train, WORN, BINS, "mean")[..., 0].T
+    vehicle = VerticalVehicle(AM96, parts=("axle_box_arm",))
+    row = vehicle.complete(torch.as_tensor(np.array([WORN])))
+    row[0, len(PARAMETERS) + UNMEASURED.index("arm_share")] = 0.07
+    g_p, g_s = vehicle.responses(row, torch.as_tensor(BINS))
+    np.testing.assert_allclose(frame / box, g_p[0].numpy(), rtol=1e-10)
+    np.testing.assert_allclose(body / frame, g_s[0].numpy(), rtol=1e-10)
+
+
 def test_guidance_and_longitudinal_parts_act_by_their_lever_arms():
     train = RichTrain(frozenset({"guidance", "longitudinal"}))
     n = pitching_numbers(AM96, WORN, SPEED)

@@ -1,0 +1,102 @@
+"""Damping at equal temperature, for trips warmer or colder than the healthy ones.
+
+The oil of dampers, and rubber, lose damping as they get warmer. With T the temperature of a trip
+and T_0 the mean of the healthy trips, the damping c of a suspension follows::
+
+    log c(T) = log c(T_0) + b (T - T_0)
+
+b [1/K] is normal, of primary and of secondary damping each; healthy trips of different temperatures
+narrow it (`suspnet.estimation.healthy_trips`). Estimates are compared at T_0, and the uncertainty
+of b widens their intervals with abs(T - T_0). Springs change by a tenth of that and are left alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Self
+
+import numpy as np
+from scipy.stats import norm
+
+from suspnet.estimation.estimate import Estimate
+from suspnet.ground.settings import check_number
+
+DAMPINGS = ("c_p", "c_s")
+"""Parameters that depend on the temperature."""
+USUAL_SLOPE, SLOPE_DEVIATION = -0.004, 0.002
+"""Prior mean and standard deviation of b, [1/K]; dampers lose more below -10 °C."""
+NOTE = "damping_by_temperature"
+"""Key of the law in the notes of a commissioning."""
+
+
+@dataclass(frozen=True)
+class DampingByTemperature:
+    """The law of a commissioned vehicle.
+
+    `healthy_c` is T_0 [°C]; `slopes` and `deviations` [1/K] are the mean and the standard deviation
+    of b, of each of ``DAMPINGS``.
+    """
+
+    healthy_c: float
+    slopes: tuple[float, ...] = (USUAL_SLOPE,) * len(DAMPINGS)
+    deviations: tuple[float, ...] = (SLOPE_DEVIATION,) * len(DAMPINGS)
+
+    def __post_init__(self) -> None:
+        check_number(f"{NOTE}.healthy_c", self.healthy_c)
+        for name in ("slopes", "deviations"):
+            values = tuple(getattr(self, name))
+            if len(values) != len(DAMPINGS):
+                raise ValueError(f"`{NOTE}.{name}` must be {len(DAMPINGS)} numbers, got {values}")
+            for value in values:
+                check_number(f"{NOTE}.{name}", value)
+            object.__setattr__(self, name, values)
+
+    def __str__(self) -> str:
+        each = [
+            f"{name} {-100 * slope:.2f} ± {100 * deviation:.2g} %"
+            for name, slope, deviation in zip(DAMPINGS, self.slopes, self.deviations, strict=True)
+        ]
+        return (
+            f"Damping is compared at {self.healthy_c:.0f} °C, their mean temperature; per kelvin "
+            f"{' and '.join(each)} are lost."
+        )
+
+    @classmethod
+    def noted(cls, training: Mapping[str, Any]) -> Self | None:
+        """Return the law from the record of a model's training; None if it has none."""
+        note = training.get("commissioned", {}).get(NOTE)
+        return cls(**note) if note else None
+
+    def compared(self, estimate: Estimate, temperature_c: float | None) -> Estimate:
+        """Return a trip's estimate with damping as it would be at the healthy trips' temperature.
+
+        An unknown temperature (None) changes nothing.
+        """
+        if temperature_c is None:
+            return estimate
+        warmer = temperature_c - self.healthy_c
+        values, low, high = (part.copy() for part in (estimate.values, estimate.low, estimate.high))
+        known = norm.ppf((1 + estimate.level) / 2) * abs(warmer) * np.array(self.deviations)
+        for name, slope, half in zip(DAMPINGS, self.slopes, known, strict=True):
+            if name not in estimate.names:
+                continue
+            j = estimate.names.index(name)
+            values[:, j] *= np.exp(-slope * warmer)
+            for end, sign in ((low, -1), (high, 1)):
+                with np.errstate(divide="ignore", over="ignore"):  # an interval may reach 0
+                    own = np.log(end[:, j] / estimate.values[:, j])
+                    end[:, j] = values[:, j] * np.exp(sign * np.hypot(own, half))
+        return replace(estimate, values=values, low=low, high=high)
+
+
+def kelvins_warmer(temperatures_c: Sequence[float | None]) -> tuple[float | None, list[float]]:
+    """Return the mean of the known temperatures of trips [°C], and each one's difference to it [K].
+
+    The mean is None if none is known; the difference of a trip of unknown temperature is 0.
+    """
+    known = [one for one in temperatures_c if one is not None]
+    if not known:
+        return None, [0.0] * len(temperatures_c)
+    mean = float(np.mean(known))
+    return mean, [0.0 if one is None else one - mean for one in temperatures_c]
