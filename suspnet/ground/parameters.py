@@ -130,7 +130,7 @@ SPRING = Limits(
     act=(0.8, 1.25),
     why="assumed: a spring does not wear, so that 10 % off asks for a look (a wrong part, a "
     "cracked coil, a wrong pressure of an air spring); 20 % less or a quarter more is what a "
-    "broken coil or an emergency spring gives",
+    "broken coil gives, and an emergency spring gives more",
 )
 DAMPER = Limits(
     notice=(0.8, 1.25),

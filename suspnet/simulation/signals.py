@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
+from scipy.ndimage import shift
 
 from suspnet.dynamics.motion import LinearSystem, SampledMotion
 from suspnet.dynamics.track import TrackProfile
@@ -228,9 +229,15 @@ class Sensor:
         most=100000,
     )
     dropout_s: float = setting(2.0, "Length of a drop-out", "s", above=0, most=1e6)
+    gain: float = setting(
+        1.0,
+        "What is recorded of an acceleration of 1, 1.02 for a sensitivity that is 2 % too high",
+        above=0,
+        most=1000,
+    )
     clock_offset_s: float = setting(
         0.0,
-        "Delay of the sensor's clock, which the manifest does not state",
+        "Delay of the sensor or its clock, which the manifest does not state",
         "s",
         low=-1e6,
         most=1e6,
@@ -248,14 +255,17 @@ class Sensor:
 
     def record(self, signal: FloatArray, rng: np.random.Generator) -> FloatArray:
         """Return the recording of an acceleration [m/s^2] sampled at `rate_hz`, (n_samples,)."""
-        noise = 0.0
+        signal, noise = self.gain * signal, 0.0
         if self.snr_db is not None:
             noise = float(np.sqrt(np.mean(signal**2))) * 10 ** (-self.snr_db / 20)
         full_scale = self.range_m_per_s2 or math.inf
         if self.precision > 0:
             noise = math.hypot(noise, self.precision * full_scale)
-        late = np.arange(len(signal)) - round(self.clock_offset_s * self.rate_hz)
+        delay = self.clock_offset_s * self.rate_hz
+        late = np.arange(len(signal)) - round(delay)
         recorded = signal[late.clip(0, len(signal) - 1)]
+        if delay != round(delay):  # the rest of a sample, by cubic splines
+            recorded = shift(recorded, delay - round(delay), mode="nearest")
         recorded += noise * rng.standard_normal(len(signal))
         hours = np.arange(len(signal)) / (self.rate_hz * 3600)
         recorded += self.offset_m_per_s2 + self.drift_m_per_s2_per_h * hours

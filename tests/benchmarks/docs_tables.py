@@ -46,7 +46,12 @@ CASES = {
     "all, 48 to 78 m/s": "all of these, 48 to 78 m/s",
     "all+payload": "all, and laws of the payload of its own",
     "all+sensors": "all, sensors 2 % off and 0.5 ms late",
-    "all+wheelsets": "all, each wheelset excited alone",
+    "all+wheelsets": "all, each wheelset excited alone at 0.1 to 1 % of the track",
+    "all+wheelsets 0.1 %": "all, each wheelset excited alone at 0.1 % of the track",
+    "all+wheelsets 1 %": "all, each wheelset excited alone at 1 % of the track",
+    "all+wheelsets 5 %": "all, each wheelset excited alone at 5 % of the track",
+    "all+other bogie at 70 %": "all, c_s of the other bogie at 70 % on worn trips",
+    "all+other bogie flat": "all, air spring of the other bogie flat on worn trips",
     "all+axle_box_arm": "all, axle boxes' sensors on their arms",
     "all+second_bending": "all, and second bending",
     "all+one_side": "all, wear on one side",
@@ -173,6 +178,22 @@ def mismatch(rows: Sequence[Row]) -> str:
     return markdown(lines, header)
 
 
+def mixed_fleet(rows: Sequence[Row]) -> str:
+    """Return after how many trips of both directions each change was found."""
+    lines = []
+    for r in rows:
+        found = f"{r['after']}, at {r['true_percent']:.1f} %" if "after" in r else "never"
+        severity = f"{r['severity']} ({r['due']})"
+        flagged = f"{r['n_flagged']} of {r['n_read']}"
+        rms = digits(r[f"{r['parameter']}_rms_percent"])
+        change = f"{r['parameter']}: {r['change']}"
+        lines.append(
+            [str(r["seed"]), change, found, severity, r.get("others", "none"), flagged, rms]
+        )
+    header = ["train", "change", "alarm after trips", "by limits (due)", "others accused"]
+    return markdown(lines, [*header, "flagged", "rms error %"])
+
+
 def against_n(rows: Sequence[Row]) -> str:
     """Return time, memory and error of each method at the largest number of samples."""
     largest = max(r["n"] for r in rows)
@@ -256,6 +277,7 @@ TABLES: dict[str, tuple[str | None, Callable[[Sequence[Row]], str]]] = {
     "coverage": ("coverage.csv", coverage.table),
     "mismatch": ("mismatch.csv", mismatch),
     "mismatch_short": ("mismatch.csv", mismatch_short),
+    "mixed_fleet": ("mixed_fleet.csv", mixed_fleet),
     "family": (None, family),
     "against_n": ("against_n.csv", against_n),
     "plan": ("plan.csv", plan),

@@ -21,91 +21,41 @@ from pathlib import Path
 import numpy as np
 import torch
 from cells import Parser, Row, at_least
+from foreign_trains import CASES, TESTS, Case
 from hydra import compose, initialize_config_dir
+from rich_spectra import drawn_estimates
+from rich_train import RichTrain
+from rich_train_trips import true_ratios, write_train_trips
+from rich_trips import SENSORS, drawn_ratios
 from tabulate import tabulate
 
 from suspnet.cli import program  # noqa: F401 - makes our resolvers known to Hydra
 from suspnet.cli.kinds import build
+from suspnet.dynamics.quantities import LogNormal
+from suspnet.estimation.commissioning import Commissioned, commission
+from suspnet.estimation.estimate import Estimate
+from suspnet.estimation.from_spectra import estimate_with_noise
+from suspnet.estimation.healthy_trips import HealthySpectra
+from suspnet.estimation.problem import TRAIN, Problem
+from suspnet.estimation.trained import TrainedModel
+from suspnet.estimation.trip_settings import TripSettings
+from suspnet.ground.parameters import FORWARD, Direction
+from suspnet.recordings.manifest_files import find_manifests
+from suspnet.runs.commissioning import FAMILY as FAMILY_PARTS
+from suspnet.runs.commissioning import commission_folder
+from suspnet.runs.fit import fit
+from suspnet.runs.predict import calibrated, with_unexplained
+from suspnet.simulation import Fleet
+from suspnet.spectra.cross_spectra import CrossSpectra
+from suspnet.spectra.estimates import EstimateSettings
+from suspnet.spectra.segments import NoEstimateError, Speeds
 
-ROOT = Path(__file__).parents[2]
-sys.path.insert(0, str(ROOT / "tests"))
-
-from rich_spectra import drawn_estimates  # noqa: E402
-from rich_train import FAMILY, OF_THE_TRIP, RichTrain  # noqa: E402
-from rich_train_trips import true_ratios, write_train_trips  # noqa: E402
-from rich_trips import SENSORS, drawn_ratios  # noqa: E402
-
-from suspnet.dynamics.quantities import LogNormal  # noqa: E402
-from suspnet.estimation.commissioning import Commissioned, commission  # noqa: E402
-from suspnet.estimation.estimate import Estimate  # noqa: E402
-from suspnet.estimation.from_spectra import estimate_with_noise  # noqa: E402
-from suspnet.estimation.healthy_trips import HealthySpectra  # noqa: E402
-from suspnet.estimation.problem import TRAIN, Problem  # noqa: E402
-from suspnet.estimation.trained import TrainedModel  # noqa: E402
-from suspnet.estimation.trip_settings import TripSettings  # noqa: E402
-from suspnet.recordings.manifest_files import find_manifests  # noqa: E402
-from suspnet.runs.commissioning import FAMILY as FAMILY_PARTS  # noqa: E402
-from suspnet.runs.commissioning import commission_folder  # noqa: E402
-from suspnet.runs.fit import fit  # noqa: E402
-from suspnet.runs.predict import calibrated, with_unexplained  # noqa: E402
-from suspnet.simulation import Fleet  # noqa: E402
-from suspnet.spectra.cross_spectra import CrossSpectra  # noqa: E402
-from suspnet.spectra.segments import NoEstimateError, Speeds  # noqa: E402
-
-RESULTS = Path(__file__).parent / "results"
+RESULTS = TESTS / "benchmarks" / "results"
 NOMINAL, COMMISSIONED, REFINED = "nominal", "commissioned", "commissioned, refined"
 READINGS = (NOMINAL, COMMISSIONED, REFINED)
-NOT_LINEAR = ("blow_off", "friction")
-IN_SPECTRA = ("sensors", "wheelsets")
-LEVEL, SPEED = 0.9, 70.0
+LEVEL = 0.9
 IN_TABLE = ("bias_percent", "rms_percent", "coverage_percent")
 """What the table shows of each output, parted by a slash."""
-
-
-@dataclass(frozen=True)
-class Case:
-    """Effects of a train, where its sensors are, "mean" of a pair or "left", and its speeds."""
-
-    effects: tuple[str, ...] = ()
-    sides: str = "mean"
-    speeds: tuple[float, float] | None = None
-
-    @property
-    def in_time_only(self) -> bool:
-        """Whether the train has no exact spectra."""
-        return bool(set(self.effects) & set(NOT_LINEAR))
-
-    @property
-    def in_spectra_only(self) -> bool:
-        """Whether trips in time do not have all effects of the train."""
-        return bool(set(self.effects) & set(IN_SPECTRA))
-
-    def speeds_of(self, n_healthy: int, n_worn: int, seed: int) -> list[float]:
-        """Return the speed of each trip, [m/s]: even over the range of healthy ones, else drawn."""
-        if self.speeds is None:
-            return [SPEED] * (n_healthy + n_worn)
-        drawn = np.random.default_rng(seed + 7).uniform(*self.speeds, n_worn)
-        return [*np.linspace(*self.speeds, n_healthy).tolist(), *drawn.tolist()]
-
-    @property
-    def lateral_m(self) -> list[float]:
-        """Return the lateral place of each channel's sensor, [m]."""
-        return [0.0 if self.sides == "mean" else 1.0] * 3
-
-
-CASES = {
-    "none": Case(),
-    **{name: Case((name,)) for name in FAMILY},
-    "roll, left": Case(("roll",), "left"),
-    "vertical all": Case(tuple(name for name in FAMILY if name != "roll")),
-    "all": Case(FAMILY),
-    "all, left": Case(FAMILY, "left"),
-    "all, 48 to 78 m/s": Case(FAMILY, speeds=(48.0, 78.0)),
-    **{
-        f"all+{name}": Case((*FAMILY, name))
-        for name in (*OF_THE_TRIP, "second_bending", "one_side", *NOT_LINEAR)
-    },
-}
 
 
 @dataclass(frozen=True)
@@ -119,8 +69,8 @@ class Trips:
         Spectra or manifests.
     truth : array of shape (n_trips, 5), [-]
     n_healthy : int
-    speeds : sequence of Speeds
-        Of each trip that is given as spectra.
+    speeds, directions : sequence of Speeds, of Direction
+        Of each trip that is given as spectra; no direction is forward.
     """
 
     case: Case
@@ -128,6 +78,7 @@ class Trips:
     truth: np.ndarray
     n_healthy: int
     speeds: Sequence[Speeds] = ()
+    directions: Sequence[Direction] = ()
 
 
 def configuration(options, case, *overrides):
@@ -137,8 +88,23 @@ def configuration(options, case, *overrides):
     given += [f"generator.sensor_lateral_m={case.lateral_m}", f"data.cache_dir={options.cache}"]
     if case.speeds is not None:
         given += [f"speed_m_per_s={sum(case.speeds) / 2}"]
-    with initialize_config_dir(str(ROOT / "configs"), version_base="1.3"):
+    with initialize_config_dir(str(TESTS.parent / "configs"), version_base="1.3"):
         return compose("train", overrides=["experiment=trips", *given, *overrides])
+
+
+def settings_of(options, case: Case) -> EstimateSettings:
+    """Return the bins, leakage, averages and noise of the trips of a case."""
+    config = configuration(options, case)
+    return build(config, "data").bound(build(config, "generator").vehicle)
+
+
+def drawn_spectra(
+    case: Case, train: RichTrain, ratios: np.ndarray, settings: EstimateSettings, seed: int
+) -> list[CrossSpectra]:
+    """Return the spectra of a trip of each row of ratios."""
+    drawn = drawn_estimates(train, ratios, settings, seed, case.sides)
+    parts = zip(drawn.auto, drawn.cross, strict=True)
+    return [CrossSpectra(*p, drawn.n_averages) for p in parts]
 
 
 def made(options, case: Case, folder: Path) -> Trips:
@@ -146,23 +112,22 @@ def made(options, case: Case, folder: Path) -> Trips:
     n_trips = options.healthy + options.trips
     fleet = Fleet(n_trips=n_trips, minutes=options.minutes, sensors=SENSORS)
     ratios = drawn_ratios(options.healthy, fleet, options.seed)
-    train = RichTrain.scattered(options.seed, case.effects)
+    train = case.train(options.seed)
     truth = np.array([list(true_ratios(train, row, case.sides).values()) for row in ratios])
     if options.time:
         sides = "pair" if case.sides == "mean" else case.sides
         write_train_trips(folder, train, ratios, fleet, options.seed, sides)
         return Trips(case, find_manifests(folder), truth, options.healthy)
-    config = configuration(options, case)
-    settings = build(config, "data").bound(build(config, "generator").vehicle)
+    settings = settings_of(options, case)
     speeds = case.speeds_of(options.healthy, options.trips, options.seed)
+    at_fault = [bool(case.faults) and i >= options.healthy for i in range(n_trips)]
+    alike = list(zip(speeds, at_fault, strict=True))
     spectra = []
-    for speed in dict.fromkeys(speeds):
-        rows = [i for i, one in enumerate(speeds) if one == speed]
-        there = replace(train, speed_m_per_s=speed)
+    for speed, with_faults in dict.fromkeys(alike):
+        rows = [i for i, one in enumerate(alike) if one == (speed, with_faults)]
+        there = case.train(options.seed, with_faults).at(speed)
         seed = options.seed + 1000 * rows[0]
-        drawn = drawn_estimates(there, ratios[rows], settings, seed, case.sides)
-        parts = zip(drawn.auto, drawn.cross, strict=True)
-        spectra += [CrossSpectra(*p, drawn.n_averages) for p in parts]
+        spectra += drawn_spectra(case, there, ratios[rows], settings, seed)
     at = [Speeds((speed,), (1.0,)) for speed in speeds]
     return Trips(case, spectra, truth, options.healthy, at)
 
@@ -177,8 +142,9 @@ def commissioned(config, trips: Trips, folder: Path) -> Commissioned:
     given = generator.parts or FAMILY_PARTS
     parts = tuple(part for part in given if seen or part != "roll")
     prior = replace(generator, parts=parts, distribution=LogNormal.prior(parts))
-    healthy = zip(trips.given[: trips.n_healthy], trips.speeds, strict=False)
-    groups = [HealthySpectra(i, f"trip {i}", at, one) for i, (one, at) in enumerate(healthy)]
+    n = trips.n_healthy
+    healthy = zip(trips.speeds[:n], trips.given[:n], trips.directions or [FORWARD] * n, strict=True)
+    groups = [HealthySpectra(i, f"trip {i}", *one) for i, one in enumerate(healthy)]
     return commission(prior, settings.bound(generator.vehicle), groups)
 
 

@@ -12,27 +12,24 @@ from pathlib import Path
 import numpy as np
 import torch
 from cells import Parser, at_least
+from foreign_trains import SPEED, Case
 from mismatch import (
-    FAMILY,
     RESULTS,
-    SPEED,
-    Case,
     Trips,
-    build,
     commissioned,
     configuration,
+    drawn_spectra,
     made,
     read,
+    settings_of,
     trained,
 )
-from rich_spectra import drawn_estimates
-from rich_train import RichTrain
+from rich_train import FAMILY
 from tabulate import tabulate
 
 from suspnet.dynamics import PARAMETERS
 from suspnet.ground.parameters import BODY_MASS, DEFAULT_LIMITS, Severity
 from suspnet.maintenance.judge import LastTrips, judge_last
-from suspnet.spectra.cross_spectra import CrossSpectra
 from suspnet.spectra.segments import Speeds
 
 LEVELS = (0.05, 0.1, 0.3, 0.5, 0.62, 0.73, 0.8, 0.9, 1.1, 1.25, 1.5, 2.5, 4.0)
@@ -43,12 +40,8 @@ NAMES = tuple(name for name in PARAMETERS if name != BODY_MASS)
 
 def worn_trips(options, case: Case, rows: np.ndarray) -> Trips:
     """Return a trip of each row of ratios, of the train that `made` has."""
-    config = configuration(options, case)
-    settings = build(config, "data").bound(build(config, "generator").vehicle)
-    train = RichTrain.scattered(options.seed, case.effects)
-    drawn = drawn_estimates(train, rows, settings, options.seed + 1000, case.sides)
-    parts = zip(drawn.auto, drawn.cross, strict=True)
-    spectra = [CrossSpectra(*p, drawn.n_averages) for p in parts]
+    train, settings = case.train(options.seed), settings_of(options, case)
+    spectra = drawn_spectra(case, train, rows, settings, options.seed + 1000)
     return Trips(case, spectra, rows, 0, [Speeds((SPEED,), (1.0,))] * len(rows))
 
 

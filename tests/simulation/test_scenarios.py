@@ -1,15 +1,24 @@
 """Degradation along the mileage, trip by trip."""
 
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 import trips_reference
+import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
 from suspnet.dynamics import PARAMETERS
+from suspnet.dynamics.quantities import QUANTITIES
+from suspnet.dynamics.vertical_motion import secondary_element
 from suspnet.simulation.fleet import Scenario
+
+SHIPPED = yaml.safe_load(
+    (Path(__file__).parents[2] / "configs" / "scenarios.yaml").read_text(encoding="utf-8")
+)
 
 MILEAGE = np.linspace(0, 300_000, 61)
 FADE = {"from_km": 100_000.0, "to_km": 200_000.0, "ratio": 0.6}
@@ -47,6 +56,24 @@ def test_values_by_hand():
     ratios = steady({"c_p": FADE}).ratios(mileage, seed=0)
     np.testing.assert_allclose(ratios[:, 1], [1.0, 1.0, 0.9, 0.8, 0.6, 0.6], rtol=1e-12)
     np.testing.assert_array_equal(ratios[:, [0, 2, 3, 4]], 1.0)
+
+
+def test_blocked_choke_has_the_stiffness_of_the_air_spring_with_no_flow():
+    nominal = {one.name: one.nominal for one in QUANTITIES if one.part == "air_spring"}
+    numbers = {
+        name: torch.tensor(x, dtype=torch.float64)
+        for name, x in ({"k_s": 1.0, "c_s": 1e9} | nominal).items()
+    }
+    blocked = secondary_element(numbers, "", ["air_spring"])
+    stiffness = blocked.at(2 * math.pi * torch.linspace(0.5, 10, 20, dtype=torch.float64)).numpy()
+    np.testing.assert_allclose(stiffness, SHIPPED["blocked_choke"]["changes"]["k_s"]["ratio"])
+
+
+def test_emergency_spring_alone_is_stiffer_than_in_series_with_the_air_spring():
+    air, emergency = 1.0, 5.0
+    in_series = 1 / (1 / air + 1 / emergency)
+    changes = SHIPPED["failed_air_spring"]["changes"]
+    assert changes["k_s"]["ratio"] == pytest.approx(emergency / in_series)
 
 
 # limit

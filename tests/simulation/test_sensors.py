@@ -82,6 +82,27 @@ def test_clock_is_late_by_its_offset(late_s, n_samples):
         np.testing.assert_array_equal(recorded[150:900], clean[100:850])
 
 
+def test_a_delay_of_part_of_a_sample_moves_a_wave_by_it():
+    times = np.arange(1000) / RATE_HZ
+    for late_s in (0.0004, 0.0123, -0.0176):
+        recorded = Sensor(RATE_HZ, snr_db=None, clock_offset_s=late_s).record(
+            np.sin(2 * math.pi * 3.0 * times), rng()
+        )
+        expected = np.sin(2 * math.pi * 3.0 * (times - late_s))
+        # cubic splines on 33 samples a wave
+        np.testing.assert_allclose(recorded[50:-50], expected[50:-50], atol=2e-5)
+
+
+def test_gain_multiplies_the_signal_and_leaves_the_noise_at_its_level():
+    clean = signal()
+    np.testing.assert_array_equal(
+        Sensor(RATE_HZ, snr_db=None, gain=1.02).record(clean, rng()), 1.02 * clean
+    )
+    plain = Sensor(RATE_HZ, offset_m_per_s2=0.5).record(clean, rng()) - 0.5
+    loud = Sensor(RATE_HZ, offset_m_per_s2=0.5, gain=3.0).record(clean, rng()) - 0.5
+    np.testing.assert_allclose(loud, 3 * plain, rtol=1e-9, atol=1e-12)
+
+
 def test_range_applies_to_what_is_recorded():
     """Noise, offset and drift are cut off with the signal."""
     clean = signal()

@@ -326,6 +326,27 @@ def test_sensors_add_their_own_noise_on_each_trip(tmp_path):
     assert np.abs(np.corrcoef(tracks) - np.eye(4)).max() < 0.3
 
 
+def test_secondary_spring_of_a_laden_body_follows_its_law_of_the_load(tmp_path):
+    laden = Scenario("laden", mass_low=1.25, mass_high=1.25)
+    stiffer = replace(laden, changes={"k_s": {"from_km": -1.0, "to_km": -1.0, "ratio": 1.25**0.7}})
+    plain = VerticalVehicle(AM96, other_bogie="same")  # the load is on both bogies
+    law = VerticalVehicle(AM96, parts=("payload",), nominal={"stiffness_exponent": 0.7})
+    sensors = {name: {"rate_hz": 200.0, "snr_db": None} for name in CHANNELS}
+    bodies = {}
+    for name, scenario, generator in (
+        ("law", laden, law),
+        ("by hand", stiffer, plain),
+        ("none", laden, plain),
+    ):
+        (path, *_) = write_fleet(
+            tmp_path / name, Simulation(fleet(sensors=sensors, n_trips=1), scenario, generator)
+        )
+        bodies[name] = column(tmp_path / name / "trip_001" / "body.parquet")
+        assert (read_manifest(path).truth["k_s"] == 1) == (name != "by hand")
+    np.testing.assert_allclose(bodies["law"], bodies["by hand"], rtol=1e-4, atol=1e-6)
+    assert np.abs(bodies["none"] - bodies["by hand"]).max() > 0.01 * bodies["none"].std()
+
+
 def test_service_journey_is_written_with_its_speed(tmp_path):
     trips = fleet(n_trips=1, journey="service", n_stops=1, minutes=10.0, speed_m_per_s=20.0)
     (path,) = write_fleet(tmp_path, Simulation(trips, ONE_LOAD, GENERATORS["quarter_car"], seed=2))

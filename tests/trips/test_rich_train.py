@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from benchmarks.foreign_trains import CASES
 from rich_modes import Modes, simulate_modes
 from rich_motion import simulate
 from rich_spectra import (
@@ -395,3 +396,26 @@ def test_effects_must_be_known():
 def test_nonlinear_trains_have_no_spectra():
     with pytest.raises(ValueError, match="simulate trips"):
         spectra(RichTrain(frozenset({"friction"})), [WORN], BINS)
+
+
+@pytest.mark.parametrize(
+    ("name", "faults"),
+    [
+        ("all+other bogie at 70 %", {"other_c_s": 0.7}),
+        ("all+other bogie flat", {"other_k_s": 8.0, "other_c_s": 0.1}),
+    ],
+)
+def test_other_bogie_of_a_case_is_healthy_until_its_train_wears(name, faults):
+    healthy = CASES["all"].train(3)
+    assert CASES[name].train(3) == healthy
+    assert CASES[name].train(3, with_faults=True) == replace(healthy, **faults)
+    frequencies = np.array([1.0, 5.0])
+    worn = spectra(replace(healthy, **faults), [HEALTHY], frequencies)
+    assert np.abs(worn / spectra(healthy, [HEALTHY], frequencies) - 1).max() > 0.01
+
+
+@pytest.mark.parametrize(("percent", "share"), [("0.1", 0.001), ("1", 0.01), ("5", 0.05)])
+def test_wheelsets_of_a_case_are_excited_at_the_share_of_its_name(percent, share):
+    case = CASES[f"all+wheelsets {percent} %"]
+    assert case.in_spectra_only
+    assert case.train(3) == replace(CASES["all+wheelsets"].train(3), wheelset_share=share)
