@@ -199,7 +199,10 @@ def _per_wheel(
 
 def moved(per_wheel: Sequence[Tensor], wheels: Sequence[Tensor]) -> Tensor:
     """Return the motion of a place, summed over its motion per metre under each wheelset."""
-    return sum(gain * wheel for gain, wheel in zip(per_wheel, wheels, strict=True))  # type: ignore[return-value]
+    total = torch.zeros_like(wheels[0])
+    for gain, wheel in zip(per_wheel, wheels, strict=True):
+        total = total + gain * wheel
+    return total
 
 
 def excited(
@@ -217,9 +220,10 @@ def excited(
     """
     rows = [moved(place, wheels) for place in places]
     if "wheelsets" in layout.parts:
-        size = p["wheelset_share"].abs().sqrt() * torch.ones_like(wheels[0])
+        size: Tensor = p["wheelset_share"].abs().sqrt() * torch.ones_like(wheels[0])
         rows += [size * place[i] for i in range(len(wheels)) for place in places]
-    return torch.stack(rows, dim=1).unflatten(1, (-1, 3))
+    found: Tensor = torch.stack(rows, dim=1).unflatten(1, (-1, 3))
+    return found
 
 
 def _bogie(

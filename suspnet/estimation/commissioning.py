@@ -187,15 +187,15 @@ def commission(
         # allow model errors first: a direct search would end in a valley far off
         first = target.first_searches(n_starts)
         rough = sorted((target.search(found.x, SPREADS[1:-1]) for found in first), key=_cost)
-        best = target.search(rough[0].x, SPREADS[-1:])
-        posterior, damping, mean_square = target.posterior(best.x)
+        ends = [target.search(rough[0].x, SPREADS[-1:])]
+        posterior = target.posterior(ends[0].x)[0]
         # the others show whether the best vehicle is the only one: those that met it end alike
-        agree = [
-            target.distance(rough[0].x, other.x, posterior) < AGREEMENT
-            or target.distance(best.x, target.search(other.x, SPREADS[-1:]).x, posterior)
-            < AGREEMENT
-            for other in rough[1:]
-        ]
+        for other in rough[1:]:
+            met = target.distance(rough[0].x, other.x, posterior) < AGREEMENT
+            ends.append(ends[0] if met else target.search(other.x, SPREADS[-1:]))
+        best = min(ends, key=_cost)
+        posterior, damping, mean_square = target.posterior(best.x)
+        n_agree = sum(target.distance(best.x, end.x, posterior) < AGREEMENT for end in ends)
     n = len(target.prior.names)
     theta = torch.as_tensor(best.x)[None]
     observed, fitted, deviations = target.curves(theta)
@@ -213,7 +213,7 @@ def commission(
         nominal=nominal,
         fitted=fitted,
         deviations=deviations,
-        n_agree=1 + sum(agree),
+        n_agree=n_agree,
         n_starts=len(first),
         converged=best.converged,
         damping=damping,
@@ -312,19 +312,23 @@ class _Search(HealthyMisfit):
     ) -> _Found:
         """Return the end of successive searches with some spreads, up to `high_hz`."""
         point, bounds = row_of(start), self._bounds(len(start))
+        rough = LevenbergMarquardt(
+            FEW, ROUGH_TOL, ROUGH_DAMPING, bounds, one_sided=True, least_decrease=ROUGH_DECREASE
+        )
+        fine = LevenbergMarquardt(
+            MANY,
+            TOL,
+            DAMPING,
+            bounds,
+            one_sided=True,
+            least_decrease=LEAST_DECREASE,
+            accelerated=True,
+        )
         for spread in spreads:
-            last = spread == 0
-            solver = LevenbergMarquardt(
-                max_iter=MANY if last else FEW,
-                tol=TOL if last else ROUGH_TOL,
-                first_damping=DAMPING if last else ROUGH_DAMPING,
-                bounds=bounds,
-                one_sided=True,
-                accelerated=last,
-                least_decrease=LEAST_DECREASE if last else ROUGH_DECREASE,
-            )
-            found = solver.minimise(partial(self._residuals, spread, high_hz), point)
-            point = found.parameters
+            # steps are accelerated along the valley, not far from it, where they may be led astray
+            for solver in (rough,) if spread else (rough, fine):
+                found = solver.minimise(partial(self._residuals, spread, high_hz), point)
+                point = found.parameters
             self.on_step()
         return _Found(point[0].numpy(), float(found.cost[0]), bool(found.converged[0]))
 

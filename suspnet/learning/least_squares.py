@@ -148,7 +148,9 @@ class LevenbergMarquardt:
             status[is_low] = RowStatus.SMALL_DECREASE
         # A small step that raises the cost means convergence only if damping did not shorten it.
         is_small = trial.is_small(self.tol) & trial.solved & (better | (damping < 1))
-        if self.least_decrease:  # a step may be small in a bent valley far from its lowest point
+        if (
+            self.accelerated and self.least_decrease
+        ):  # a step may be small in a bent valley far from its lowest point
             is_small &= trial.left <= SMALL_LEFT * self.least_decrease
         status[is_small] = RowStatus.SMALL_STEP
         return status
@@ -165,7 +167,8 @@ class _Trial:
     cost_before: Tensor
     predicted: Tensor
     left: Tensor
-    """-g^T d / 2 of the undamped step d: about the decrease still possible."""
+    """-g^T d / 2 of the step d before bounds shorten it, undamped if steps are accelerated: about
+    the decrease still possible."""
 
     @property
     def cost(self) -> Tensor:
@@ -244,7 +247,9 @@ class _Descent:
         by_curved = _model_decrease(gradient, plain + curvature, straight - before)
         self.is_curved[rows] = (decrease - by_curved).abs() < (decrease - by_plain).abs()
         predicted = torch.where(is_curved, by_curved, by_plain)
-        whole, _ = _damped_step(gradient, plain, torch.full_like(damping, NEARLY_UNDAMPED))
+        whole = step
+        if self.jacobian is not None:  # a valley is bent: damped steps in it are short
+            whole, _ = _damped_step(gradient, plain, torch.full_like(damping, NEARLY_UNDAMPED))
         left = -0.5 * (gradient * whole).sum(dim=1)
         return _Trial(before, theta, values, solved, cost_before, predicted, left)
 
