@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from suspnet.learning import CurveFit
-from suspnet.learning.least_squares import LevenbergMarquardt, RowStatus, _derivatives
+from suspnet.learning.least_squares import LevenbergMarquardt, RowStatus, _derivatives, _Descent
 
 TIMES = torch.linspace(0, 4, 40, dtype=torch.float64)
 
@@ -139,6 +139,68 @@ def test_step_that_is_not_taken_costs_one_evaluation(one_sided):
     n_places = (len(points) - 1 - found.n_iter - 1) / for_jacobian  # the start, trials, the last
     assert n_places < found.n_iter - 4  # some steps were not taken
     np.testing.assert_allclose(found.parameters, [[1.0, 1.0]], rtol=1e-7)
+
+
+def test_acceleration_is_half_the_second_derivative_along_a_step():
+    _, data = decays(1)
+
+    def residual(theta, rows):
+        return data[rows] - _decay(theta)
+
+    def of_row(theta):
+        return residual(theta[None], [0])[0]
+
+    theta, damping = torch.tensor([1.2, 0.9, 0.1], dtype=torch.float64), 0.3
+    step = torch.tensor([0.05, -0.1, 0.02], dtype=torch.float64)
+    bounds = (torch.full((3,), -9.0).double(), torch.full((3,), 9.0).double())
+    descent = _Descent(residual, theta[None], bounds, one_sided=False, accelerated=True)
+    descent.linearise()
+    bend, is_slight = descent._bend(
+        torch.tensor([0]), step[None], descent.information, torch.tensor([damping]).double()
+    )
+    J = torch.autograd.functional.jacobian(of_row, theta).numpy()
+    h = 1e-3
+    along = (of_row(theta + h * step) - 2 * of_row(theta) + of_row(theta - h * step)) / h**2
+    H = J.T @ J
+    expected = -0.5 * np.linalg.solve(H + damping * np.diag(np.diag(H)), J.T @ along.numpy())
+    # the second derivative is from one side: third derivatives remain, a tenth of a step long
+    np.testing.assert_allclose(bend[0], expected, rtol=0.05, atol=1e-6)
+    assert np.abs(expected).max() > 1e-3
+    assert bool(is_slight.all())
+
+
+def test_accelerated_steps_follow_a_bent_valley_in_fewer_iterations():
+    start = torch.tensor([[-1.2, 1.0], [-3.0, 8.0]], dtype=torch.float64)
+
+    def residual(theta, rows):
+        x, y = theta[:, 0], theta[:, 1]
+        return torch.stack([100 * (y - x**2), 1 - x], dim=1)
+
+    n_iter = {}
+    for accelerated in (False, True):
+        solver = LevenbergMarquardt(max_iter=1000, accelerated=accelerated)
+        found = solver.minimise(residual, start)
+        assert bool(found.converged.all())
+        np.testing.assert_allclose(found.parameters, 1.0, rtol=1e-6)
+        n_iter[accelerated] = found.n_iter
+    assert n_iter[True] < 0.5 * n_iter[False]
+
+
+def test_search_does_not_end_by_short_steps_in_a_bent_valley():
+    start = torch.tensor([[-3.0, 9.0]], dtype=torch.float64)
+
+    def residual(theta, rows):
+        x, y = theta[:, 0], theta[:, 1]
+        return torch.stack([1e4 * (y - x**2), 10 * (1 - x)], dim=1)
+
+    options = {"max_iter": 1000, "tol": 0.1, "least_decrease": 1e-4}
+    ends = [
+        LevenbergMarquardt(**options, accelerated=accelerated).minimise(residual, start)
+        for accelerated in (False, True)
+    ]
+    assert all(bool(end.converged.all()) for end in ends)
+    assert float(ends[0].cost) > 100
+    assert float(ends[1].cost) < 1e-2
 
 
 @pytest.mark.parametrize("first_damping", [1e-3, 1e-6, 1e-12])

@@ -305,6 +305,7 @@ SQUARES_SOLVERS = {
     "one-sided": {"one_sided": True},
     "little damping": {"first_damping": 1e-9},
     "much damping": {"first_damping": 10.0},
+    "accelerated": {"accelerated": True},
 }
 
 
