@@ -220,7 +220,10 @@ def excited(
     """
     rows = [moved(place, wheels) for place in places]
     if "wheelsets" in layout.parts:
-        size: Tensor = p["wheelset_share"].abs().sqrt() * torch.ones_like(wheels[0])
+        # the derivative of the root of a constant 0 is to be 0, not infinity times 0
+        share = p["wheelset_share"].abs()
+        size = torch.where(share > 0, share.masked_fill(share == 0, 1.0).sqrt(), 0.0)
+        size = size * torch.ones_like(wheels[0])
         rows += [size * place[i] for i in range(len(wheels)) for place in places]
     found: Tensor = torch.stack(rows, dim=1).unflatten(1, (-1, 3))
     return found

@@ -369,7 +369,8 @@ def relative_results(
     """
     if not results:
         return results
-    columns = series_of(results, events).half_widths
+    # intervals do not depend on starts, and those of a store may be unreadable
+    columns = series_of([replace(one, start="") for one in results], events).half_widths
     rows = np.argsort(np.lexsort(([r.trip for r in results], [r.mileage_km for r in results])))
     results = [
         replace(one, half_widths={name: float(columns[name][row]) for name in one.half_widths})

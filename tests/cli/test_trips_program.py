@@ -501,7 +501,10 @@ def test_bad_recording_is_a_row_with_its_reason(bad, name, status, reason):
             ["trips={trips}", "monitor.reference=x"],
             "`reference` must be one of .*'vehicle', 'first_trips'",
         ),
-        (["trips={trips}", "monitor.workers=0"], "`workers` must be a whole number >= 1, got 0"),
+        (
+            ["trips={trips}", "monitor.workers=0"],
+            "`workers` must be a whole number >= 1 or null, got 0",
+        ),
         (["trips={trips}", "monitor.n_reference=two"], "`n_reference` must be a whole number >= 1"),
         (
             ["trips={trips}", "monitor.trips.rate_hz=5"],

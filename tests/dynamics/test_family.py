@@ -316,3 +316,18 @@ def test_every_quantity_of_a_full_vehicle_changes_its_channels():
             before, after = vehicle.channels(ratios, FREQUENCIES)
             changes.append(float((after - before).abs().max()))
         assert max(changes) > 1e-6, name
+
+
+def test_derivatives_are_finite_where_no_wheelset_is_excited_alone():
+    generator = VerticalVehicle(AM96, parts=("wheelsets",))
+    row = generator.complete(torch.as_tensor(np.full((1, 5), 0.9)))
+    row[0, 5 + UNMEASURED.index("wheelset_share")] = 0.0
+    row.requires_grad_()
+    bins = torch.linspace(0.5, 20, 9, dtype=torch.float64)
+    every = generator.channels(row, bins).abs().square()
+    (alone,) = torch.autograd.grad(every[:, 1:].sum(), row, retain_graph=True)
+    (slope,) = torch.autograd.grad(every.sum(), row)
+    assert (every[:, 1:] == 0).all()
+    assert (alone == 0).all()
+    assert bool(torch.isfinite(slope).all())
+    assert bool((slope[0, :4].abs() > 0.01).all())

@@ -595,8 +595,8 @@ def test_models_that_cannot_read_trips_are_refused(model):
     ("change", "message"),
     [
         ({"reference": "x"}, "`reference` must be one of .*'vehicle', 'first_trips'.*, got 'x'"),
-        ({"workers": 0}, "`workers` must be a whole number >= 1, got 0"),
-        ({"workers": True}, "`workers` must be a whole number >= 1, got True"),
+        ({"workers": 0}, "`workers` must be a whole number >= 1 or null, got 0"),
+        ({"workers": True}, "`workers` must be a whole number >= 1 or null, got True"),
         ({"n_reference": 1.5}, r"`n_reference` must be a whole number >= 1, got 1\.5"),
     ],
 )
