@@ -121,6 +121,13 @@ class Vehicle:
     body_gyration_m: float | None = setting(
         None, "Radius of gyration of the car body in pitch", "m", above=0
     )
+    primary_friction_share: float = setting(
+        0.05,
+        "Largest share of the healthy primary damping that may be dry friction, which does not "
+        "wear with the damper; 0 for hydraulic dampers and steel springs alone",
+        low=0,
+        most=0.5,
+    )
     limits: Annotated[
         Mapping[str, Any] | None,
         Setting(

@@ -56,10 +56,10 @@ COMMON = 1.3
 single draw for all later trips. Without it 90 % intervals hold in 90 % of the trips of many
 vehicles, but in far fewer of those of a vehicle with a bad draw. With 1.8 they held in all trips
 of most trains (docs/trust.md)."""
-UNWORN = {"k_p": 0.003, "c_p": 0.05}
-"""Standard deviation of the fraction of a healthy vehicle's stiffness and damping that does not
-wear. Dry friction in a primary suspension acts as a damper where it slips and as a spring where it
-sticks, and healthy trips cannot distinguish them."""
+UNWORN = {"k_p": 0.06, "c_p": 1.0}
+"""Fraction of the healthy stiffness and damping that does not wear, over the share of the primary
+damping that is dry friction. It acts as a damper where it slips and as a spring where it sticks,
+and healthy trips at one speed cannot distinguish them."""
 OF_THE_TRAINING = ("cloud", "range")
 """Kinds of flags that concern the regression alone, not an estimate from the curve itself."""
 LARGEST_MISFIT = 3.0
@@ -131,7 +131,8 @@ def estimate_with_noise(
         noise_0, noise = (_noise(method, observer, drawn) for drawn in (mean, spectra))
         lasting = _lasting(usual * _residual_scale(method, inputs, predicted), noise_0)
     if method.unexplained is not None:
-        costs = method.unexplained.costs**2 + unworn_deviations(outputs, values) ** 2
+        unworn = unworn_deviations(outputs, values, method.vehicle.primary_friction_share)
+        costs = method.unexplained.costs**2 + unworn**2
         lasting = COMMON**2 * (lasting + costs)
     noise = noise * max(1.0, float(refined.misfit[0]))
     spread = np.sqrt(lasting + noise**2)
@@ -145,15 +146,17 @@ def largest_misfit(method: FittedMethod) -> float:
     return LARGEST_MISFIT * max(1.0, healthy)
 
 
-def unworn_deviations(outputs: Sequence[str], ratios: FloatArray) -> FloatArray:
+def unworn_deviations(
+    outputs: Sequence[str], ratios: FloatArray, friction_share: float
+) -> FloatArray:
     """Return the error of log outputs due to damping and stiffness that do not wear, (n_outputs,).
 
     A damper at the ratio r in parallel with a fraction u of the healthy damping that does not wear
     is estimated as (1 - u) r + u, a relative error of u (1 - r) / r. The result is
-    log(1 + u |1 - r| / r) with u from ``UNWORN``, 0 for other outputs; `ratios` (n_outputs,) are
-    the estimates r.
+    log(1 + u |1 - r| / r) with u from ``UNWORN`` and the vehicle's share of friction, 0 for other
+    outputs; `ratios` (n_outputs,) are the estimates r.
     """
-    shares = np.array([UNWORN.get(name, 0.0) for name in outputs])
+    shares = friction_share * np.array([UNWORN.get(name, 0.0) for name in outputs])
     return np.asarray(np.log1p(shares * np.abs(1 - ratios) / ratios))
 
 

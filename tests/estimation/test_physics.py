@@ -20,8 +20,9 @@ LEVEL = 0.9
 
 
 def unworn(model, ratios):
-    """Return what `UNWORN` costs at some ratios, written out."""
-    costs = [UNWORN.get(name, 0) * abs(1 - r) / r for name, r in zip(OUTPUTS, ratios, strict=True)]
+    """Return what friction costs at some ratios, written out."""
+    shares = {name: model.vehicle.primary_friction_share * u for name, u in UNWORN.items()}
+    costs = [shares.get(name, 0) * abs(1 - r) / r for name, r in zip(OUTPUTS, ratios, strict=True)]
     factors = model.intervals.conformal
     return np.log(1 + np.array(costs)) * factors.factors(LEVEL) / factors.factors(0.6827)
 
@@ -67,10 +68,11 @@ def test_residual_is_the_weighted_mean_less_what_noise_makes():
 # limit
 
 
+@pytest.mark.parametrize("share", [0.0, 0.1])
 @pytest.mark.parametrize("ratio", [0.6, 1.0, 1.4])
-def test_what_does_not_wear_costs_the_worn_primary_suspension_only(ratio):
-    costs = unworn_deviations(("c_p", "k_p", "c_s", "k_s"), np.full(4, ratio))
-    shares = np.array([UNWORN["c_p"], UNWORN["k_p"]])
+def test_what_does_not_wear_costs_the_worn_primary_suspension_only(ratio, share):
+    costs = unworn_deviations(("c_p", "k_p", "c_s", "k_s"), np.full(4, ratio), share)
+    shares = share * np.array([UNWORN["c_p"], UNWORN["k_p"]])
     read = (1 - shares) * ratio + shares  # the damper wears, the share beside it stays
     np.testing.assert_allclose(costs[:2], np.log(1 + np.abs(read - ratio) / ratio), atol=1e-12)
     assert (costs[2:] == 0).all()
