@@ -8,17 +8,20 @@ are missing stays as it is, and is named.
 """
 
 import csv
+import itertools
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import config_comments
 import configuration
 import coverage
+import numpy as np
 from cells import Parser, Row
 from tabulate import tabulate
 
 from suspnet.cli.config_files import read_comments
+from suspnet.dynamics import PARAMETERS
 from suspnet.dynamics.quantities import PARTS, QUANTITIES
 from suspnet.ground.storage import write_atomically
 from suspnet.runs.tables import MODEL_TITLES, table6_caption, table6_markdown
@@ -123,59 +126,68 @@ def digits(percent: float) -> str:
 
 def mismatch_short(rows: Sequence[Row]) -> str:
     """Return the rows of `mismatch` that README shows; ValueError if none were commissioned."""
-    found: dict[tuple[str, ...], list[Row]] = {}
-    for row in rows:
-        case = row.get("case")
-        if row.get("reference") != "vehicle" or row["trips"] != "spectra":
-            continue
-        if case in SHOWN and "refined" not in row["reading"]:
-            found.setdefault((case, row["trips"], row["reading"]), []).append(row)
-    if not any(reading == "commissioned" for *_, reading in found):
-        raise ValueError("no trips of commissioned trains")
     lines = []
-    for (case, _, reading), same in found.items():
-        errors = [digits(row["rms_percent"]) if "rms_percent" in row else "-" for row in same[:4]]
-        flagged = f"{same[0]['n_flagged']} of {same[0]['n_read']}"
-        lines.append([SHOWN[case], READINGS[reading], *errors, flagged])
-    return markdown(lines, ["sensors", "read with", *(r["output"] for r in same[:4]), "flagged"])
+    for case, sensors in SHOWN.items():
+        for reading, words in READINGS.items():
+            some = of_trains(rows, case, "spectra", reading)
+            errors = [over_trains(same, "rms_percent") for same in some.values()]
+            lines.append([sensors, words, *errors[:4], flagged(some)])
+    if all("-" in line for line in lines):
+        raise ValueError("no trips of commissioned trains")
+    return markdown(lines, ["sensors", "read with", *PARAMETERS[:4], "flagged"])
 
 
 def mismatch(rows: Sequence[Row]) -> str:
-    """Return the rms errors of trips of foreign trains; ValueError if there are no cases."""
+    """Return errors and intervals of trips of foreign trains; ValueError if there are no cases."""
     if not all("case" in row for row in rows):
         raise ValueError("results of another benchmark")
-    readings = (
-        ("nominal", "vehicle"),
-        ("nominal", "first_trips"),
-        ("commissioned", "vehicle"),
-        ("commissioned, refined", "vehicle"),
-    )
     lines = []
-    for case, words in CASES.items():
-        for trips in ("spectra", "time"):
-            here = [r for r in rows if (r["case"], r["trips"]) == (case, trips)]
-            if not here:
-                continue
-            by_reading = [
-                [r for r in here if (r["reading"], r["reference"]) == key][:4] for key in readings
-            ]
-            line = [", ".join(digits(r["rms_percent"]) for r in some) or "-" for some in by_reading]
-            for some in by_reading[2:]:
-                held = [r["coverage_percent"] for r in some]
-                line.append(f"{min(held):.0f} to {max(held):.0f}" if some else "-")
-                line.append(f"{some[0]['n_flagged']} of {some[0]['n_read']}" if some else "-")
-            misfit = next((f"{r['misfit']:.2f}" for r in here if "misfit" in r), "-")
-            lines.append([words, trips, *line[:4], misfit, *line[4:]])
-    header = [
-        "the train has",
-        "trips",
-        "nominal",
-        "nominal, first trips",
-        "commissioned",
-        "refined",
-    ]
-    header += ["misfit", "hold %", "flagged", "refined hold %", "flagged"]
-    return markdown(lines, header)
+    for (case, words), trips in itertools.product(CASES.items(), ("spectra", "time")):
+        nominal, first = (
+            of_trains(rows, case, trips, "nominal", reference)
+            for reference in ("vehicle", "first_trips")
+        )
+        some = of_trains(rows, case, trips, "commissioned")
+        if not some:
+            continue
+        line = [words, trips]
+        for each in (nominal, first, some):
+            errors = [over_trains(same, "rms_percent") for same in each.values()]
+            line.append(", ".join(errors) or "-")
+        held = [f"{np.mean([r['coverage_percent'] for r in same]):.0f}" for same in some.values()]
+        widths = [
+            digits(np.median([r["half_width_percent"] for r in same])) for same in some.values()
+        ]
+        misfits = [row["misfit"] for row in next(iter(some.values()))]
+        lines.append(
+            [*line, ", ".join(widths), ", ".join(held), f"{max(misfits):.2f}", flagged(some)]
+        )
+    header = ["the train has", "trips", "nominal", "nominal, first trips", "commissioned"]
+    return markdown(lines, [*header, "half widths", "hold %", "misfit", "flagged"])
+
+
+def of_trains(
+    rows: Sequence[Row], case: str, trips: str, reading: str, reference: str = "vehicle"
+) -> dict[str, list[Row]]:
+    """Return the rows of some trips by output, a row for each train."""
+    found: dict[str, list[Row]] = {}
+    for row in rows:
+        key = tuple(row[name] for name in ("case", "trips", "reading", "reference"))
+        if key == (case, trips, reading, reference) and "rms_percent" in row:
+            found.setdefault(row["output"], []).append(row)
+    return found
+
+
+def over_trains(rows: Sequence[Row], name: str) -> str:
+    """Return the root of the mean square of a column."""
+    return digits(float(np.sqrt(np.mean([row[name] ** 2 for row in rows]))))
+
+
+def flagged(by_output: Mapping[str, Sequence[Row]]) -> str:
+    """Return how many trips of some trains are flagged."""
+    for rows in by_output.values():
+        return f"{sum(r['n_flagged'] for r in rows)} of {sum(r['n_read'] for r in rows)}"
+    return "-"
 
 
 def mixed_fleet(rows: Sequence[Row]) -> str:

@@ -1,16 +1,19 @@
 """What it costs to read trips of a vehicle that is not the one that a model was trained for.
 
-python tests/benchmarks/mismatch.py [--time] [--cases none bending ... all] [--readings nominal ...]
+python tests/benchmarks/mismatch.py [--time] [--cases none bending ...] [--readings nominal ...]
+    [--seeds 0 1 2]
 
-Each case is one train of tests/rich_train.py with true numbers of its own: first healthy trips,
-then trips of worn vehicles, one each. Trips are drawn as spectra, exact in distribution, or with
---time stepped in time, written to files and read as recordings are. "Commissioned" fits the vehicle
-to the healthy trips and trains on what they leave open; "nominal" trains on the vehicle file alone.
+Each case is a train of tests/rich_train.py, for each seed with numbers of its own: first healthy
+trips, then trips of worn vehicles, one each. Trips are drawn as spectra, exact in distribution, or
+with --time stepped in time, written to files and read as recordings are. "Commissioned" fits the
+vehicle to the healthy trips and trains on what they leave open; "nominal" trains on the vehicle
+file alone.
 Adds bias, rms error and coverage of the 90 % intervals to mismatch.csv, case by case, in place of
 what it held of the same ones, and writes mismatch.md.
 """
 
 import csv
+import itertools
 import sys
 import tempfile
 import time
@@ -51,8 +54,9 @@ from suspnet.spectra.estimates import EstimateSettings
 from suspnet.spectra.segments import NoEstimateError, Speeds
 
 RESULTS = TESTS / "benchmarks" / "results"
-NOMINAL, COMMISSIONED, REFINED = "nominal", "commissioned", "commissioned, refined"
-READINGS = (NOMINAL, COMMISSIONED, REFINED)
+NOMINAL, COMMISSIONED = READINGS = ("nominal", "commissioned")
+KEYS = ("case", "trips", "reading", "seed")
+"""Columns that tell the rows of one run."""
 LEVEL = 0.9
 IN_TABLE = ("bias_percent", "rms_percent", "coverage_percent")
 """What the table shows of each output, parted by a slash."""
@@ -150,9 +154,7 @@ def commissioned(config, trips: Trips, folder: Path) -> Commissioned:
     return commission(prior, settings.bound(generator.vehicle), groups)
 
 
-def trained(
-    config, generator, refined: bool, vehicle: Commissioned | None = None
-) -> tuple[TrainedModel, float]:
+def trained(config, generator, vehicle: Commissioned | None = None) -> tuple[TrainedModel, float]:
     """Return the calibrated model of a generator's vehicles, and the seconds of its training.
 
     A commissioned vehicle's model knows what its healthy trips leave unexplained.
@@ -161,9 +163,7 @@ def trained(
     problem = Problem(generator, task, settings, seed=config.seed)
     start = time.process_time()
     problem.features(TRAIN)
-    model = calibrated(
-        problem, replace(fit(problem, build(config, "model"), None), refined=refined)
-    )
+    model = calibrated(problem, fit(problem, build(config, "model"), None))
     if vehicle is not None:
         model = with_unexplained(problem, model, vehicle.residual)
     return model, time.process_time() - start
@@ -222,7 +222,7 @@ def measured(trips: Trips, estimates: Sequence[Estimate | None], relative: bool)
 def case_rows(options, name: str, folder: Path) -> list[Row]:
     """Return the rows of one case."""
     case, trips = CASES[name], made(options, CASES[name], folder)
-    head = {"case": name, "trips": "time" if options.time else "spectra"}
+    head = {"case": name, "trips": "time" if options.time else "spectra", "seed": options.seed}
     rows = []
 
     def add(reading, model, seconds, more, references=("vehicle",)):
@@ -236,14 +236,12 @@ def case_rows(options, name: str, folder: Path) -> list[Row]:
 
     if NOMINAL in options.readings:
         add(NOMINAL, *nominal(options, case), {}, ("vehicle", "first_trips"))
-    readings = [reading for reading in options.readings if reading != NOMINAL]
-    if readings:
+    if COMMISSIONED in options.readings:
         config = configuration(options, case)
         start = time.process_time()
         vehicle = commissioned(config, trips, folder)
         more = {"misfit": vehicle.misfit, "commission_s": time.process_time() - start}
-        for reading in readings:
-            add(reading, *trained(config, vehicle.generator, reading == REFINED, vehicle), more)
+        add(COMMISSIONED, *trained(config, vehicle.generator, vehicle), more)
     return rows
 
 
@@ -251,7 +249,7 @@ def nominal(options, case: Case) -> tuple[TrainedModel, float]:
     """Return the model of the vehicle file's numbers, the same one for cases of the same sides."""
     if case.sides not in _NOMINAL:
         config = configuration(options, Case(), "generator.parts=[]")
-        _NOMINAL[case.sides] = trained(config, build(config, "generator"), False)
+        _NOMINAL[case.sides] = trained(config, build(config, "generator"))
     return _NOMINAL[case.sides]
 
 
@@ -260,10 +258,15 @@ _NOMINAL: dict[str, tuple[TrainedModel, float]] = {}
 
 def merged(old: Sequence[Row], new: Sequence[Row]) -> list[Row]:
     """Return old and new rows in the order of `CASES`, without old ones of the same runs."""
-    runs = {tuple(row[key] for key in ("case", "trips", "reading")) for row in new}
-    kept = [r for r in old if tuple(r[key] for key in ("case", "trips", "reading")) not in runs]
+    runs = {tuple(str(row[key]) for key in KEYS) for row in new}
+    kept = [r for r in old if tuple(str(r[key]) for key in KEYS) not in runs]
     order = list(CASES)
-    return sorted([*kept, *new], key=lambda row: (order.index(row["case"]), row["trips"]))
+
+    def place(row: Row) -> tuple[int, str, str, int]:
+        reading = READINGS.index(row["reading"])
+        return order.index(row["case"]), row["trips"], reading, int(row["seed"])
+
+    return sorted([*kept, *new], key=place)
 
 
 def read_table(path: Path) -> list[Row]:
@@ -271,7 +274,8 @@ def read_table(path: Path) -> list[Row]:
     if not path.exists():
         return []
     with path.open(newline="") as file:
-        return [row for row in csv.DictReader(file) if row.get("case") in CASES]
+        rows = csv.DictReader(file)
+        return [r for r in rows if r.get("case") in CASES and r.get("reading") in READINGS]
 
 
 def write(rows: Sequence[Row], path: Path) -> None:
@@ -284,16 +288,16 @@ def write(rows: Sequence[Row], path: Path) -> None:
 
 
 def table(rows: Sequence[Row]) -> str:
-    """Return one line for each case, reading and reference."""
+    """Return one line for each case, reading, reference and seed."""
     lines: dict[tuple[str, ...], list[str]] = {}
     for row in rows:
-        key = tuple(row[name] for name in ("case", "trips", "reading", "reference"))
+        key = tuple(row[name] for name in ("case", "trips", "reading", "reference", "seed"))
         counts = [f"{row['n_read']} of {row['n_trips']}", str(row["n_flagged"])]
         counts += [short(row.get(name)) for name in ("misfit", "train_s")]
         line = lines.setdefault(key, [*key, *counts])
         line.append(" / ".join(short(row.get(name)) for name in IN_TABLE))
     outputs = list(dict.fromkeys(row["output"] for row in rows))
-    headers = ["train has", "trips", "reading", "healthy is", "read", "flagged", "misfit"]
+    headers = ["train has", "trips", "reading", "healthy is", "seed", "read", "flagged", "misfit"]
     headers += ["training, s", *outputs]
     return tabulate(list(lines.values()), headers, tablefmt="pipe", disable_numparse=True)
 
@@ -308,21 +312,24 @@ def short(number) -> str:
 
 def run_all(options, folder: Path) -> None:
     """Make and read each case; the results are complete up to the last at any time."""
-    for name in options.cases:
-        start = time.perf_counter()
+    for seed, name in itertools.product(options.seeds, options.cases):
+        options.seed, start = seed, time.perf_counter()
         with tempfile.TemporaryDirectory(dir=folder) as trips:
             new = case_rows(options, name, Path(trips) / "trips")
         rows = merged(read_table(options.output / "mismatch.csv"), new)
         write(rows, options.output / "mismatch.csv")
         words = (
             f"Worn vehicles after {options.healthy} healthy trips, {options.minutes:g} minutes "
-            f"each, seed {options.seed}; bias / rms error / coverage of {100 * LEVEL:.0f} % "
+            f"each; bias / rms error / coverage of {100 * LEVEL:.0f} % "
             "intervals in %; seconds are of one processor."
         )
         if options.train:
             words += f" Settings: {', '.join(options.train)}."
         (options.output / "mismatch.md").write_text(f"{table(rows)}\n\n{words}\n")
-        print(f"{name}: {time.perf_counter() - start:.0f} s\n{table(new)}", flush=True)
+        print(
+            f"{name}, seed {options.seed}: {time.perf_counter() - start:.0f} s\n{table(new)}",
+            flush=True,
+        )
 
 
 def main() -> None:
@@ -333,7 +340,7 @@ def main() -> None:
     parser.add_argument("--trips", type=at_least(1), default=30, help="worn vehicles, a trip each")
     parser.add_argument("--healthy", type=at_least(3), default=5, help="trips to commission on")
     parser.add_argument("--minutes", type=at_least(1, float), default=20.0, help="of a trip")
-    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--seeds", nargs="+", type=int, default=[0, 1, 2], help="a train each")
     parser.add_argument("--train", nargs="+", default=[], help="more settings, as for train.py")
     parser.add_argument("--output", type=Path, default=RESULTS, help="folder of the tables")
     options = parser.parse_args()

@@ -76,7 +76,7 @@ def models_of(options) -> tuple[dict[Direction, TrainedModel], float]:
     )
     vehicle = commissioned(config, both, Path())
     models = {
-        direction: trained(config, vehicle.generator.running(direction), False, vehicle)[0]
+        direction: trained(config, vehicle.generator.running(direction), vehicle)[0]
         for direction in DIRECTIONS
     }
     return models, vehicle.misfit

@@ -73,7 +73,7 @@ def train_rows(options) -> list[dict]:
     case = Case((*FAMILY, *options.effects), options.sides)
     config = configuration(options, case)
     vehicle = commissioned(config, made(options, case, None), Path())
-    model = trained(config, vehicle.generator, options.refine, vehicle)[0]
+    model = trained(config, vehicle.generator, vehicle)[0]
     rng = np.random.default_rng(options.seed)
     faults = [(name, level) for name in NAMES for level in LEVELS] + [
         ("none", 1.0)
@@ -141,7 +141,6 @@ def main() -> None:
     parser = Parser(description=__doc__.splitlines()[0])
     parser.add_argument("--effects", nargs="*", default=["payload"], help="beyond the family's")
     parser.add_argument("--sides", choices=["mean", "left"], default="mean")
-    parser.add_argument("--refine", action="store_true", help="refine estimates on the curve")
     parser.add_argument("--healthy", type=at_least(3), default=5, help="trips to commission on")
     parser.add_argument("--minutes", type=at_least(1, float), default=20.0, help="of a trip")
     parser.add_argument("--seeds", nargs="+", type=int, default=[0], help="a train each")

@@ -100,7 +100,7 @@ def check_arguments(config, of_the_option=OF_THE_OPTION):
         if target is best_generator:
             target = VerticalVehicle  # which it hands its settings to
         parameters = dict(inspect.signature(target).parameters)
-        optional = (*GEOMETRY, "limits") if target is Vehicle else ()
+        optional = (*GEOMETRY, "primary_friction_share", "limits") if target is Vehicle else ()
         assert set(parameters) - set(optional) <= set(node) <= set(parameters), target
         if target.__name__ in of_the_option:
             continue
