@@ -113,6 +113,22 @@ def drawn_spectra(
     return [CrossSpectra(*p, drawn.n_averages) for p in parts]
 
 
+def drawn_at(
+    options, case: Case, ratios: np.ndarray, alike: Sequence[tuple[float, bool]], first: int = 0
+) -> list[CrossSpectra]:
+    """Return the spectra of trips in order of `alike`: the speed [m/s] of each, and if at fault.
+
+    `first` is the number of the first trip, from which its noise follows.
+    """
+    settings, spectra = settings_of(options, case), []
+    for speed, with_faults in dict.fromkeys(alike):
+        rows = [i for i, one in enumerate(alike) if one == (speed, with_faults)]
+        there = case.train(options.seed, with_faults).at(speed)
+        seed = options.seed + 1000 * (first + rows[0])
+        spectra += drawn_spectra(case, there, ratios[rows], settings, seed)
+    return spectra
+
+
 def made(options, case: Case, folder: Path) -> Trips:
     """Return the trips of a case."""
     n_trips = options.healthy + options.trips
@@ -124,16 +140,9 @@ def made(options, case: Case, folder: Path) -> Trips:
         sides = "pair" if case.sides == "mean" else case.sides
         write_train_trips(folder, train, ratios, fleet, options.seed, sides)
         return Trips(case, find_manifests(folder), truth, options.healthy)
-    settings = settings_of(options, case)
     speeds = case.speeds_of(options.healthy, options.trips, options.seed)
     at_fault = [bool(case.faults) and i >= options.healthy for i in range(n_trips)]
-    alike = list(zip(speeds, at_fault, strict=True))
-    spectra = []
-    for speed, with_faults in dict.fromkeys(alike):
-        rows = [i for i, one in enumerate(alike) if one == (speed, with_faults)]
-        there = case.train(options.seed, with_faults).at(speed)
-        seed = options.seed + 1000 * rows[0]
-        spectra += drawn_spectra(case, there, ratios[rows], settings, seed)
+    spectra = drawn_at(options, case, ratios, list(zip(speeds, at_fault, strict=True)))
     at = [Speeds((speed,), (1.0,)) for speed in speeds]
     return Trips(case, spectra, truth, options.healthy, at)
 
