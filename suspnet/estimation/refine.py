@@ -32,9 +32,9 @@ TOL = 1e-5
 """Tolerance of the logarithms of the parameters, far below their deviations."""
 FIRST_DAMPING = 1e-6
 """First damping of `LevenbergMarquardt`; a good start needs little."""
-BEYOND = 10.0
+BEYOND = 20.0
 """Parameters stay within this factor of the range of the training curves: with the usual range they
-may be 5 % to 20 times healthy."""
+may be 2.5 % to 30 times healthy. At a bound nothing is known of a parameter."""
 N_LEVELS = 9
 """Number of start values tried for a parameter without an estimate."""
 SCATTER = 1.5
