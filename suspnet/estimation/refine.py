@@ -34,7 +34,7 @@ FIRST_DAMPING = 1e-6
 """First damping of `LevenbergMarquardt`; a good start needs little."""
 BEYOND = 20.0
 """Parameters stay within this factor of the range of the training curves: with the usual range they
-may be 2.5 % to 30 times healthy. At a bound nothing is known of a parameter."""
+may be 2.5 % to 32 times healthy. At a bound nothing is known of a parameter."""
 N_LEVELS = 9
 """Number of start values tried for a parameter without an estimate."""
 SCATTER = 1.5
