@@ -16,7 +16,10 @@ b = f = 0. For refined estimates n is the Gauss-Newton deviation with all uncert
 and the rest of that deviation adds to l^2; for others n is the spread of estimates from drawn
 spectra. n is multiplied by the misfit of the trip if that is above 1.
 
-Where the regression was not trained, the refined estimate replaces it: the curve itself decides.
+The refined estimate replaces the regression's where the regression was not trained, and for every
+vehicle with uncertain numbers: the regression takes them at their median, the fit of the curve
+fits them along. s_0 is then the Gauss-Newton deviation, and q the normal distribution's unless the
+model was calibrated for refined estimates.
 """
 
 from __future__ import annotations
