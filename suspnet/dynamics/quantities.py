@@ -197,6 +197,14 @@ IN_MOTION = tuple(part for part in PARTS if part not in ("sensors", "wheelsets",
 OF_THE_TRIP = ("other_k_s", "other_c_s")
 """Numbers that differ from trip to trip, as the other bogie wears: trips do not determine those of
 later ones."""
+FAILED_OTHER = {
+    "its air spring looks flat": (8.0, 0.1),
+    "the choke of its air spring looks blocked": (2.8, 0.1),
+}
+"""Medians of ``OF_THE_TRIP`` over healthy where the other bogie's air spring has failed, assumed as
+in configs/scenarios.yaml."""
+FAILED_DEVIATION = 0.5
+"""Standard deviation of their logarithms then: a flat one is 4 to 12 times as stiff."""
 QUANTITIES = tuple(
     Quantity("other_bogie" if row[0] in OF_THE_TRIP else part, *row)
     for part, rows in _NUMBERS.items()
@@ -279,18 +287,28 @@ class LogNormal:
             raise ValueError(f"`distribution` must be named as in {UNMEASURED}, got {unknown}")
         return cls.independent(given)
 
-    def renewed(self, names: Sequence[str]) -> LogNormal:
+    def renewed(
+        self,
+        names: Sequence[str],
+        changes: Sequence[float] | None = None,
+        deviation: float | None = None,
+    ) -> LogNormal:
         """Return the distribution with some numbers as uncertain as before, independent of others.
 
-        Their medians stay; their deviations are those of the priors.
+        Their medians are multiplied by `changes`, one for each name; None: they stay. `deviation`
+        is that of their logarithms; None: of the priors.
         """
         known = {quantity.name: quantity.deviation for quantity in QUANTITIES}
+        factors = dict(zip(names, [1.0] * len(names) if changes is None else changes, strict=True))
         covariance = np.array(self.covariance).reshape(len(self.names), len(self.names))
+        mean = np.array(self.mean)
         for i, name in enumerate(self.names):
             if name in names:
                 covariance[i], covariance[:, i] = 0.0, 0.0
-                covariance[i, i] = known[name] ** 2
-        return LogNormal(self.names, self.mean, tuple(map(tuple, covariance.tolist())))
+                covariance[i, i] = (known[name] if deviation is None else deviation) ** 2
+                mean[i] += math.log(factors[name])
+        rows = tuple(map(tuple, covariance.tolist()))
+        return LogNormal(self.names, tuple(mean.tolist()), rows)
 
     def without(self, names: Sequence[str]) -> LogNormal:
         """Return the distribution of the other numbers, whatever these are."""

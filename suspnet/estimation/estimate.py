@@ -42,6 +42,8 @@ class Estimate:
         Reasons not to trust a row; none if the model was not calibrated.
     healthy : HealthyValues or None
         Healthy values in SI units.
+    found : str
+        What the fit of a trip's curve found beside the parameters; empty if nothing.
 
     Examples
     --------
@@ -57,6 +59,7 @@ class Estimate:
     level: float
     flags: Flags
     healthy: HealthyValues | None = None
+    found: str = ""
 
     def widened(self, deviations: FloatArray) -> Estimate:
         """Return the estimates with intervals that hold one more, independent error.

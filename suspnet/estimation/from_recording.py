@@ -176,7 +176,7 @@ def _speed_bin(
         raise NoEstimateError(_unexplained_words(estimate))
     if late:
         estimate = replace(estimate, flags=estimate.flags.with_kind("misfit", late))
-    speed = part.speed[0]
+    speed, doubts = part.speed[0], "; ".join(filter(None, (doubts, estimate.found)))
     found = SpeedBin(method, spectra, part.band, chosen, speed, estimate, noise_share, doubts)
     return replace(found, left_out=part.left_out)
 

@@ -32,6 +32,8 @@ import torch
 from scipy.stats import norm
 from torch import Tensor
 
+from suspnet.dynamics.quantities import FAILED_DEVIATION, FAILED_OTHER, OF_THE_TRIP
+from suspnet.dynamics.vertical_vehicle import VerticalVehicle
 from suspnet.estimation.estimate import Estimate, Flags
 from suspnet.estimation.fitted import FittedMethod, ModelFileError
 from suspnet.estimation.from_curves import ONE_SIGMA, corrected, residual_scales
@@ -68,6 +70,9 @@ OF_THE_TRAINING = ("cloud", "range")
 LARGEST_MISFIT = 3.0
 """Misfit of a trip, over that of the healthy trips if it is larger than 1, up to which its curve is
 explained: the misfit then widens the interval, above it the trip has no estimate."""
+FAILED_FROM, FAILED_GAIN = 1.3, 1.1
+"""Misfit of a trip, over that of the healthy trips if it is larger than 1, from which failures of
+the other bogie are tried, and how much smaller a failure has to make it."""
 CONFIRMED = 1.05
 """A calibration confirms the deviations of refined estimates up to this factor on them."""
 
@@ -99,7 +104,7 @@ def estimate_with_noise(
     unknown = np.full(len(outputs), np.nan)
     if method.intervals is None and not method.refined:
         return _estimate(method, predicted[0], unknown, level), np.ones(len(outputs))
-    refined = _refined(method, observer, spectra, predicted)
+    refined, found = _refined(method, observer, spectra, predicted)
     if method.intervals is None or method.ood is None:
         values = refined.of(outputs)[0][0]
         return _estimate(method, values, unknown, level), np.ones(len(outputs))
@@ -140,6 +145,7 @@ def estimate_with_noise(
     noise = noise * max(1.0, float(refined.misfit[0]))
     spread = np.sqrt(lasting + noise**2)
     estimate = _estimate(method, values, factor / usual * spread, level, flags)
+    estimate = replace(estimate, found=found)
     return estimate, 1 - np.divide(lasting, spread**2, out=np.zeros_like(lasting), where=spread > 0)
 
 
@@ -205,9 +211,31 @@ def _lasting(usual: FloatArray, noise_0: FloatArray) -> FloatArray:
 
 def _refined(
     method: FittedMethod, observer: EstimateObserver, spectra: CrossSpectra, predicted: FloatArray
-) -> Refined:
+) -> tuple[Refined, str]:
+    """Return the fit of a trip's curve, and which failure of the other bogie it assumes, if any.
+
+    A failure is far outside what the other bogie's springs and dampers usually vary by: each of
+    ``FAILED_OTHER`` is tried where the usual state does not explain the curve.
+    """
     misfit = observer.measured_misfit(spectra)
-    return refine(method.task, misfit, predicted, directions=observer.directions)
+    best, found = refine(method.task, misfit, predicted, directions=observer.directions), ""
+    usual = observer.generator
+    if not isinstance(usual, VerticalVehicle) or usual.distribution is None:
+        return best, found
+    healthy = 1.0 if method.unexplained is None else method.unexplained.misfit
+    if float(best.misfit[0]) < FAILED_FROM * max(1.0, healthy):
+        return best, found
+    if not set(OF_THE_TRIP) <= set(usual.distribution.names):
+        return best, found
+    for words, changes in FAILED_OTHER.items():
+        failed = usual.distribution.renewed(OF_THE_TRIP, changes, FAILED_DEVIATION)
+        other = observer.of(replace(usual, distribution=failed))
+        one = refine(
+            method.task, other.measured_misfit(spectra), predicted, directions=other.directions
+        )
+        if float(one.misfit[0]) < float(best.misfit[0]) / FAILED_GAIN:
+            best, found = one, f"the other bogie has failed: {words}"
+    return best, found
 
 
 def _residual_scale(method: FittedMethod, inputs: FloatArray, predicted: FloatArray) -> FloatArray:

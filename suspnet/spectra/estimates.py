@@ -260,7 +260,7 @@ class EstimateObserver:
         generator: ResponseGenerator,
         speeds: Speeds | None = None,
     ) -> None:
-        self.settings, self.generator = settings, generator
+        self.settings, self.generator, self._speeds = settings, generator, speeds
         self.frequencies_hz = settings.frequencies_hz()
         nominal = generator.speed_m_per_s
         relative = None
@@ -286,6 +286,10 @@ class EstimateObserver:
             return self._nominal
         observer._nominal = self._nominal  # share what it has already computed
         return observer
+
+    def of(self, generator: ResponseGenerator) -> EstimateObserver:
+        """Return the observer of the same trip for vehicles of a similar generator."""
+        return EstimateObserver(self.settings, generator, self._speeds).without(self._left_out)
 
     def thinned(self) -> EstimateObserver:
         """Return a quicker observer: bins ``THINNED_HZ`` apart, mean speed, no leakage."""
