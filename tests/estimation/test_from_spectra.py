@@ -11,7 +11,9 @@ from scipy import stats
 from trip_fixtures import OUTPUTS, model_at
 
 from suspnet.dynamics import PARAMETERS
+from suspnet.dynamics.quantities import FAILED_OTHER, OF_THE_TRIP, UNMEASURED, LogNormal
 from suspnet.estimation import from_spectra as trust
+from suspnet.estimation.flags import Unexplained
 from suspnet.estimation.from_curves import corrected, estimate_curves
 from suspnet.estimation.from_spectra import CORRECTIONS, ONE_SIGMA, estimate_with_noise
 from suspnet.estimation.information import output_bounds
@@ -437,3 +439,37 @@ def test_what_a_curve_does_not_tell_has_an_infinite_interval(model, monkeypatch,
     monkeypatch.setattr(trust, "_refined", lambda *_: blind)
     # without a warning either: these are errors in all tests
     assert (read(refined(model, widened), spectra).half_widths == np.inf).all()
+
+
+# the other bogie
+
+
+@pytest.mark.parametrize("words", ["", *FAILED_OTHER])
+def test_failed_air_spring_of_the_other_bogie_is_found_and_misleads_nothing(words):
+    model = model_at()
+    prior = LogNormal.independent(dict.fromkeys(OF_THE_TRIP, 0.2))
+    uncertain = replace(model.generator, distribution=prior)
+    nothing = Unexplained(1.0, np.zeros(len(OUTPUTS)))
+    model = replace(model, generator=uncertain, unexplained=nothing)
+    row = uncertain.complete(ratios_of(WORN))
+    for name, ratio in zip(OF_THE_TRIP, FAILED_OTHER.get(words, (0.9, 1.2)), strict=True):
+        row[0, len(PARAMETERS) + UNMEASURED.index(name)] = 1.1 * ratio
+    mean = expected(model, row)
+    spectra = CrossSpectra(mean.auto[0], mean.cross[0], mean.n_averages)
+    found, _ = estimate_with_noise(model, spectra, LEVEL)
+    assert found.found == (f"the other bogie has failed: {words}" if words else "")
+    truth = ratios_of(WORN)[0, ORDER].numpy()
+    np.testing.assert_allclose(found.values[0], truth, rtol=2e-3)
+    assert not found.flags.flagged.any()
+
+
+def test_numbers_are_renewed_about_changed_medians():
+    posterior = LogNormal(
+        ("other_k_s", "half_wheelbase"), (0.1, 0.02), ((0.01, 0.002), (0.002, 0.0004))
+    )
+    usual = posterior.renewed(("other_k_s",))
+    failed = posterior.renewed(("other_k_s",), (8.0,), 0.5)
+    np.testing.assert_allclose(usual.mean, posterior.mean)
+    np.testing.assert_allclose(failed.median, posterior.median * [8.0, 1.0])
+    np.testing.assert_allclose(usual.covariance, [[0.2**2, 0], [0, 0.0004]])
+    np.testing.assert_allclose(failed.covariance, [[0.5**2, 0], [0, 0.0004]])
