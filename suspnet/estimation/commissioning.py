@@ -45,11 +45,13 @@ from suspnet.ground.types import ComplexArray, FloatArray
 from suspnet.learning.least_squares import LevenbergMarquardt
 from suspnet.spectra.estimates import EstimateSettings
 
-SPREADS = (0.3, 0.1, 0.03, 0.01, 0.0)
-"""Rms model errors allowed in addition to the noise, in successive searches."""
-FEW, MANY = 12, 100
-"""Largest numbers of evaluations of a search with allowed errors, and of the last search, which may
-follow a curved valley: a damper and its bushing can substitute for each other."""
+SPREADS = (0.3, 0.1, 0.03, 0.01)
+"""Rms model errors allowed in addition to the noise, in successive searches before the last one."""
+FEW = 12
+"""Largest number of iterations of a search with allowed errors."""
+ROUND, N_ROUNDS = 15, 6
+"""Number of iterations of the last search after which it may have met another one, and how often:
+it may follow a curved valley, as a damper and its bushing can substitute for each other."""
 ROUGH_TOL, TOL = 1e-2, 1e-5
 ROUGH_DECREASE, LEAST_DECREASE = 1e-3, 1e-4
 """A search with allowed errors, and the last search, end at such a step in standard deviations of
@@ -91,6 +93,8 @@ MAX_ROUNDS, LEAST_GAIN = 4, 0.02
 """Largest number of rounds of redrawing, and the fraction of the cost that a round must save for
 another one to follow."""
 N_STARTS = 4
+UNLIKELY = 1.5
+"""Mean square of the residuals, over that of the noise, above which a vehicle explains badly."""
 AGREEMENT = 0.25
 """Two searches agree if no number differs by more than this many deviations of the posterior, or of
 the prior while the model is allowed errors."""
@@ -186,16 +190,18 @@ def commission(
         target.on_step = steps.update
         # allow model errors first: a direct search would end in a valley far off
         first = target.first_searches(n_starts)
-        rough = sorted((target.search(found.x, SPREADS[1:-1]) for found in first), key=_cost)
-        ends = [target.search(rough[0].x, SPREADS[-1:])]
-        posterior = target.posterior(ends[0].x)[0]
-        # the others show whether the best vehicle is the only one: those that met it end alike
+        rough = sorted((target.search(found.x, SPREADS[1:]) for found in first), key=_cost)
+        ends = [target.finished(rough[0].x)]
+        # the others show whether the best vehicle is the only one: those that meet it end alike
+        first_posterior = target.posterior(ends[0].x)[0]
         for other in rough[1:]:
-            met = target.distance(rough[0].x, other.x, posterior) < AGREEMENT
-            ends.append(ends[0] if met else target.search(other.x, SPREADS[-1:]))
+            best = min(ends, key=_cost)
+            alike = partial(target.agrees, best.x, target.posterior(best.x)[0])
+            is_same = target.agrees(rough[0].x, first_posterior, other.x)
+            ends.append(ends[0] if is_same else target.finished(other.x, alike))
         best = min(ends, key=_cost)
         posterior, damping, mean_square = target.posterior(best.x)
-        n_agree = sum(target.distance(best.x, end.x, posterior) < AGREEMENT for end in ends)
+        n_agree = sum(target.agrees(best.x, posterior, end.x) for end in ends)
     n = len(target.prior.names)
     theta = torch.as_tensor(best.x)[None]
     observed, fitted, deviations = target.curves(theta)
@@ -311,26 +317,53 @@ class _Search(HealthyMisfit):
         self, start: FloatArray, spreads: Sequence[float], high_hz: float = math.inf
     ) -> _Found:
         """Return the end of successive searches with some spreads, up to `high_hz`."""
-        point, bounds = row_of(start), self._bounds(len(start))
-        rough = LevenbergMarquardt(
-            FEW, ROUGH_TOL, ROUGH_DAMPING, bounds, one_sided=True, least_decrease=ROUGH_DECREASE
-        )
-        fine = LevenbergMarquardt(
-            MANY,
-            TOL,
-            DAMPING,
-            bounds,
+        point = row_of(start)
+        solver = LevenbergMarquardt(
+            max_iter=FEW,
+            tol=ROUGH_TOL,
+            first_damping=ROUGH_DAMPING,
+            bounds=self._bounds(len(start)),
             one_sided=True,
-            least_decrease=LEAST_DECREASE,
-            accelerated=True,
+            least_decrease=ROUGH_DECREASE,
         )
         for spread in spreads:
-            # steps are accelerated along the valley, not far from it, where they may be led astray
-            for solver in (rough,) if spread else (rough, fine):
-                found = solver.minimise(partial(self._residuals, spread, high_hz), point)
-                point = found.parameters
+            found = solver.minimise(partial(self._residuals, spread, high_hz), point)
+            point = found.parameters
             self.on_step()
         return _Found(point[0].numpy(), float(found.cost[0]), bool(found.converged[0]))
+
+    def finished(
+        self, start: FloatArray, met: Callable[[FloatArray], bool] = lambda _: False
+    ) -> _Found:
+        """Return the end of a search without allowed errors, or the point where it has `met` one.
+
+        Steps are accelerated along the valley, not far from it, where they may be led astray. What
+        is left to gain counts in units of the noise, which is as large as the residuals. A search
+        that explains the trips badly ends with the first round of little gain.
+        """
+        found = self.search(start, (0.0,))
+        level = float(np.mean(np.square(self.misfits(row_of(found.x)))))
+        solver = LevenbergMarquardt(
+            max_iter=ROUND,
+            tol=TOL,
+            first_damping=DAMPING,
+            bounds=self._bounds(len(start)),
+            one_sided=True,
+            least_decrease=LEAST_DECREASE * max(1.0, level),
+            accelerated=True,
+        )
+        for _ in range(N_ROUNDS):
+            one = solver.minimise(partial(self._residuals, 0.0, math.inf), row_of(found.x))
+            gain = 1 - float(one.cost[0]) / found.cost
+            found = _Found(one.parameters[0].numpy(), float(one.cost[0]), bool(one.converged[0]))
+            if found.converged or met(found.x) or (level > UNLIKELY and gain < LEAST_GAIN):
+                break
+        self.on_step()
+        return found
+
+    def agrees(self, one: FloatArray, posterior: LogNormal, other: FloatArray) -> bool:
+        """Return whether two points are one vehicle, by the posterior of one of them."""
+        return self.distance(one, other, posterior) < AGREEMENT
 
     def _bounds(self, n_coordinates: int) -> tuple[Tensor, Tensor]:
         """Return the bounds of theta; a share that counts by its size is not negative.
