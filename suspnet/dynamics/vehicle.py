@@ -122,7 +122,7 @@ class Vehicle:
         None, "Radius of gyration of the car body in pitch", "m", above=0
     )
     primary_friction_share: float = setting(
-        0.05,
+        0.1,
         "Largest share of the healthy primary damping that may be dry friction, which does not "
         "wear with the damper; 0 for hydraulic dampers and steel springs alone",
         low=0,

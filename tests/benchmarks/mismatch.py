@@ -91,7 +91,7 @@ def configuration(options, case, *overrides):
     given = [f"data.rates_hz={rates}", f"data.minutes={options.minutes}", *options.train]
     given += [f"generator.sensor_lateral_m={case.lateral_m}", f"data.cache_dir={options.cache}"]
     if "friction" in case.effects:  # its file says so, that of the others says that there is none
-        given += ["vehicle.primary_friction_share=0.05"]
+        given += ["vehicle.primary_friction_share=0.1"]
     if case.speeds is not None:
         given += [f"speed_m_per_s={sum(case.speeds) / 2}"]
     with initialize_config_dir(str(TESTS.parent / "configs"), version_base="1.3"):
