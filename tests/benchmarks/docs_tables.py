@@ -206,6 +206,20 @@ def mixed_fleet(rows: Sequence[Row]) -> str:
     return markdown(lines, [*header, "flagged", "rms error %"])
 
 
+def healthy_km(rows: Sequence[Row]) -> str:
+    """Return the alarms on healthy foreign trains, over all trains of a case."""
+    lines = []
+    for case in dict.fromkeys(row["case"] for row in rows):
+        some = [row for row in rows if row["case"] == case]
+        alarms, km = (sum(row[name] for row in some) for name in ("alarms", "km"))
+        flags = f"{sum(r['n_flagged'] for r in some)} of {sum(r['n_read'] for r in some)}"
+        largest = digits(max(row["largest_error_percent"] for row in some))
+        rate = f"{1e6 * alarms / km:.2g}"
+        lines.append([CASES[case], flags, largest, f"{km:,.0f}", f"{alarms:.0f}", rate])
+    header = ["the train has", "flagged", "largest error %", "km", "alarms", "in 1,000,000 km"]
+    return markdown(lines, header)
+
+
 def against_n(rows: Sequence[Row]) -> str:
     """Return time, memory and error of each method at the largest number of samples."""
     largest = max(r["n"] for r in rows)
@@ -289,6 +303,7 @@ TABLES: dict[str, tuple[str | None, Callable[[Sequence[Row]], str]]] = {
     "coverage": ("coverage.csv", coverage.table),
     "mismatch": ("mismatch.csv", mismatch),
     "mismatch_short": ("mismatch.csv", mismatch_short),
+    "healthy_km": ("healthy_km.csv", healthy_km),
     "mixed_fleet": ("mixed_fleet.csv", mixed_fleet),
     "family": (None, family),
     "against_n": ("against_n.csv", against_n),
