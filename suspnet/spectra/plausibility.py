@@ -34,6 +34,10 @@ GRAVITY = 9.80665
 CHANCE = 2.0
 """The order of channels is checked only where the mean coherence exceeds CHANCE / n_averages:
 unrelated channels have a coherence of 1 / n_averages."""
+SWAPPED = 2.0
+"""Mean ratio of the powers of left and right above which sensors of two pairs may be swapped."""
+ISOLATED = 2.0
+"""Multiple of the second natural frequency above which a lower place moves more than a higher."""
 COHERENT = 0.5
 """Lowest coherence at which gains are checked."""
 IN_ORDER = tuple(range(len(CHANNELS)))
@@ -182,8 +186,16 @@ def check_pairs(
     ``GAIN_TOLERANCE``. `differences` are half of left minus right for each pair, of the same
     segments as those of the three channels; `chosen`: (n_segments,); `paired` tells which channels
     are pairs.
+
+    Sensors of two pairs that are swapped on one side are found in the whole band, where the axle
+    box moves most and the body least.
     """
     modes, _ = QuarterCar(vehicle).natural_modes()
+    average = segments.values[chosen][:, [i for i, is_pair in enumerate(paired) if is_pair]]
+    half = differences.values[chosen]
+    isolated = segments.frequencies_hz >= ISOLATED * modes[1]
+    if bool(isolated.any()):
+        _check_swapped(torch.stack([average + half, average - half], dim=-1), isolated, paired)
     slow = (segments.frequencies_hz >= SLOW[0] * modes[0]) & (segments.frequencies_hz <= modes[0])
     if not bool(slow.any()):
         return
@@ -209,6 +221,29 @@ def check_pairs(
             )
     if problems:
         raise TripError(*problems)
+
+
+def _check_swapped(sides: Tensor, isolated: Tensor, paired: Sequence[bool]) -> None:
+    """Raise TripError if exchanging the sensors of one side makes two pairs agree that do not.
+
+    `sides` (n_segments, n_pairs, n_freq, 2) are the spectra of left and right; `isolated` (n_freq,)
+    are bins in which a lower place moves more than the one above it.
+    """
+    channels = [i for i, is_pair in enumerate(paired) if is_pair]
+    power = sides.abs().square().mean(dim=0).clamp(min=1e-30)
+    for one, other in itertools.combinations(range(len(channels)), 2):
+        given = (power[[one, other], :, 0] / power[[one, other], :, 1]).log().abs().mean(dim=1)
+        exchanged = (power[[other, one], :, 0] / power[[one, other], :, 1]).log().abs().mean(dim=1)
+        differ, agree = float(given.min()), float(exchanged.max())
+        if differ < math.log(SWAPPED) or agree > differ / 2:
+            continue
+        left = power[[one, other]][:, isolated, 0].sum(dim=1)
+        side = "left" if left[0] < left[1] else "right"
+        names = " and ".join(CHANNELS[channels[i]] for i in (one, other))
+        raise TripError(
+            f"{names}: their {side} sensors look swapped: with them exchanged left and right of "
+            "both agree; exchange them in the manifest"
+        )
 
 
 def _other_order(spectra: CrossSpectra, expected: Tensor) -> tuple[float, str]:

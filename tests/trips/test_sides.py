@@ -150,6 +150,17 @@ def test_wrong_sign_or_unit_of_one_sensor_is_named(tmp_path, model, change, reas
     assert "manifest" in result.reason
 
 
+@pytest.mark.parametrize("side", [0, 1])
+def test_sensors_swapped_on_one_side_are_named(tmp_path, model, side):
+    name, (box, frame, _) = ("left", "right")[side], pairs((0,) * 4)
+    change = {"axle_box": {name: lambda _: frame[side]}, "bogie": {name: lambda _: box[side]}}
+    result = evaluate_trip(write_pairs(tmp_path, (0,) * 4, change), [model], TripSettings())
+    assert result.status == ERROR
+    assert result.reason.startswith(
+        f"axle_box and bogie: their {name} sensors look swapped: with them"
+    )
+
+
 def test_pair_needs_a_model_of_pairs(tmp_path, model):
     generator = replace(model.generator, parts=("roll",), sensor_lateral_m=(1.0, 0.0, 0.9))
     one_sided = replace(model, generator=generator)
