@@ -359,7 +359,7 @@ def test_another_vehicle_is_flagged(model):
 @pytest.mark.parametrize(("share", "seen"), [(0.25, 1.5), (1.0, 2.0), (4.0, 2.0)])
 def test_misfit_is_that_of_trips_as_long_as_in_training(model, share, seen):
     """With a misfit of 2 the generator's errors are 3 times the noise in mean square."""
-    found = trust._refined(
+    found, _ = trust._refined(
         model,
         model.settings.observer(model.generator),
         row(expected(model, ratios_of({}))),
@@ -431,12 +431,12 @@ def test_draws_without_features_make_the_interval_infinite(model, monkeypatch):
 @pytest.mark.parametrize("widened", [1.0, 6.0])
 def test_what_a_curve_does_not_tell_has_an_infinite_interval(model, monkeypatch, widened):
     spectra = row(expected(model, ratios_of(WORN)))
-    found = trust._refined(
+    found, _ = trust._refined(
         model, model.settings.observer(model.generator), spectra, np.ones((1, len(OUTPUTS)))
     )
     infinite = np.full_like(found.deviations, np.inf)
     blind = replace(found, deviations=infinite, noise=infinite)
-    monkeypatch.setattr(trust, "_refined", lambda *_: blind)
+    monkeypatch.setattr(trust, "_refined", lambda *_: (blind, ""))
     # without a warning either: these are errors in all tests
     assert (read(refined(model, widened), spectra).half_widths == np.inf).all()
 
