@@ -354,9 +354,9 @@ class _Search(HealthyMisfit):
         )
         for _ in range(N_ROUNDS):
             one = solver.minimise(partial(self._residuals, 0.0, math.inf), row_of(found.x))
-            gain = 1 - float(one.cost[0]) / found.cost
+            gains_little = found.cost - float(one.cost[0]) < LEAST_GAIN * found.cost
             found = _Found(one.parameters[0].numpy(), float(one.cost[0]), bool(one.converged[0]))
-            if found.converged or met(found.x) or (level > UNLIKELY and gain < LEAST_GAIN):
+            if found.converged or met(found.x) or (level > UNLIKELY and gains_little):
                 break
         self.on_step()
         return found
@@ -374,8 +374,10 @@ class _Search(HealthyMisfit):
         low = -high
         if SHARE in self.prior.names:
             row = self.prior.names.index(SHARE)
-            (column,) = np.flatnonzero(self.every.factor[row].numpy())  # the prior is independent
-            low[column] = -self.prior.mean[row] / self.every.factor[row, column]
+            columns = np.flatnonzero(self.every.factor[row].numpy())
+            if len(columns) == 1:  # more, of a prior that is correlated, bound no coordinate
+                (column,) = columns
+                low[column] = -self.prior.mean[row] / self.every.factor[row, column]
         return low, high
 
     def _residuals(self, spread: float, high_hz: float, theta: Tensor, _: Tensor) -> Tensor:

@@ -60,7 +60,7 @@ COMMON = 1.3
 """Factor on the lasting errors of a commissioned vehicle: the error that healthy trips leave is a
 single draw for all later trips. Without it 90 % intervals hold in 90 % of the trips of many
 vehicles, but in far fewer of those of a vehicle with a bad draw. With 1.8 they held in all trips
-of most trains (docs/trust.md)."""
+of most trains: they were too wide."""
 UNWORN = {"k_p": 0.06, "c_p": 1.0}
 """Fraction of the healthy stiffness and damping that does not wear, over the share of the primary
 damping that is dry friction. It acts as a damper where it slips and as a spring where it sticks,
