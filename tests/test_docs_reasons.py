@@ -30,6 +30,7 @@ TELLING = (
     "suspnet/estimation/from_recording.py",
     "suspnet/estimation/from_spectra.py",
     "suspnet/estimation/trip_flags.py",
+    "suspnet/estimation/lone_sensors.py",
     "suspnet/estimation/steady_parts.py",
     "suspnet/trips/grouping.py",
     "suspnet/trips/trip.py",

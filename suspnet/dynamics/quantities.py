@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from suspnet.ground.settings import check_choice, check_number
 from suspnet.ground.types import FloatArray
@@ -317,6 +318,13 @@ class LogNormal:
         return LogNormal(
             tuple(self.names[i] for i in rest), tuple(self.mean[i] for i in rest), rows
         )
+
+    def extended(self, other: LogNormal) -> LogNormal:
+        """Return the joint distribution with the numbers that only another one has, independent."""
+        more = other.without(self.names)
+        rows = block_diag(self.covariance, more.covariance) if self.names else more.covariance
+        rows = tuple(map(tuple, np.asarray(rows).tolist()))
+        return LogNormal(self.names + more.names, self.mean + more.mean, rows)
 
     @property
     def deviations(self) -> FloatArray:

@@ -67,7 +67,14 @@ class Estimate:
         With h the half width in logarithms, `deviations` (n_outputs,) or (n, n_outputs) those of
         the error and z the normal quantile of the level: (half width)^2 = h^2 + (z deviation)^2.
         """
-        half = np.hypot(self.half_widths, stats.norm.ppf((1 + self.level) / 2) * deviations)
+        z = stats.norm.ppf((1 + self.level) / 2)
+        return self._with_half_widths(np.hypot(self.half_widths, z * deviations))
+
+    def scaled(self, factor: float) -> Estimate:
+        """Return the estimate with half widths multiplied by a factor."""
+        return self._with_half_widths(factor * self.half_widths)
+
+    def _with_half_widths(self, half: FloatArray) -> Estimate:
         with np.errstate(over="ignore"):  # a half width without information gives 0 to infinity
             low, high = self.values * np.exp(-half), self.values * np.exp(half)
         return replace(self, low=low, high=high)

@@ -13,6 +13,7 @@ from suspnet.estimation.direction import of_direction
 from suspnet.estimation.estimate import Estimate
 from suspnet.estimation.fitted import FittedMethod
 from suspnet.estimation.from_spectra import MissingFeaturesError, estimate_with_noise, trip_settings
+from suspnet.estimation.lone_sensors import placed, with_lone
 from suspnet.estimation.steady_parts import (
     SpeedBin,
     Steady,
@@ -84,7 +85,9 @@ def all_bins(
     methods = [method for method, _ in pairs]
     for method, segments in pairs:
         try:
-            bins += speed_bins(method, recording, segments, settings, methods, lines)
+            own = placed(method, recording)
+            found = speed_bins(own, recording, segments, settings, methods, lines)
+            bins += [with_lone(one, method, recording) for one in found]
         except NoEstimateError as reason:
             reasons.append(str(reason))
     if not bins:

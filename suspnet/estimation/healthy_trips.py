@@ -137,6 +137,10 @@ def read_healthy(
     left_out = []
     for manifest in bar("healthy trips", items=manifests, unit="trip", shown=progress):
         recording = load_recording(manifest, trips.rate_hz)
+        if recording.dead:
+            faults = [str(fault) for fault in recording.faults if fault.channel in recording.dead]
+            left_out.append(": ".join([manifest.name, *faults]))
+            continue
         found = _spectra(recording, len(kept), generator, settings, trips)
         if not found:
             words = f"{manifest.name}: no stretch at one speed is long enough and free of faults"

@@ -25,9 +25,9 @@ from suspnet.recordings.faults import (
 
 KINDS = (
     *("gap", "spike", "saturation", "constant", "offset", "drift", "zero", "jump", "stuck"),
-    *("loose", "clock"),
+    *("loose", "clock", "dead"),
 )
-"""Kinds of faults; zero, jump and stuck concern the speed, loose and clock several sensors."""
+"""Kinds of faults; zero, jump and stuck concern the speed, the last three several sensors."""
 CORE_SAMPLES = 2**18
 """Approximate number of samples checked at once, which fit in the processor's cache."""
 SEGMENT_S, SEGMENT_SAMPLES = 1.0, 64
@@ -80,7 +80,7 @@ class Fault:
     `first_s` the first occurrence on the trip's clock. `repaired` samples were interpolated, or a
     later high-pass filter removes the fault (offset and drift); others are marked as unusable.
     `size_m_per_s2` is the mean of an offset or the change of level of a drift. `words` describes a
-    clock fault or a loose sensor.
+    clock fault, or a loose or dead sensor.
     """
 
     channel: str

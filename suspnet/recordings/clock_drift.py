@@ -8,7 +8,7 @@ time; if a logger loses samples, the delay jumps.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -19,7 +19,7 @@ from scipy.signal import get_window
 from suspnet.ground.types import BoolArray, ComplexArray, FloatArray, IntArray
 from suspnet.recordings.cleaning import Fault
 from suspnet.recordings.errors import TripError
-from suspnet.recordings.manifest import CHANNELS, SIDES, Channel, TripManifest
+from suspnet.recordings.manifest import CHANNELS, TripManifest
 from suspnet.recordings.speed import STANDING_M_PER_S
 
 WINDOW_S = 20.0
@@ -80,7 +80,7 @@ def clock_faults(
     Raises TripError if two sensors drift by more than ``REFUSED_S``.
     """
     faults = []
-    for first, second in _compared(manifest):
+    for first, second in _compared(values):
         drift = find_drift(values[first], values[second], usable, speed_m_per_s, rate_hz)
         if drift is None:
             continue
@@ -97,12 +97,9 @@ def clock_faults(
     return tuple(faults)
 
 
-def _compared(manifest: TripManifest) -> list[tuple[str, str]]:
+def _compared(names: Iterable[str]) -> list[tuple[str, str]]:
     """Return the pairs of sensors to compare: neighbouring places, and both sides of each place."""
-    sides = {
-        name: [name] if isinstance(one, Channel) else [f"{name} {side}" for side in SIDES]
-        for name, one in manifest.channels.items()
-    }
+    sides = {place: [name for name in names if name.split()[0] == place] for place in CHANNELS}
     firsts = [sides[name][0] for name in CHANNELS]
     pairs = [(sides[name][0], sides[name][1]) for name in CHANNELS if len(sides[name]) == 2]
     return [*pairwise(firsts), *pairs]

@@ -28,6 +28,10 @@ class TripError(ValueError):
         return f"{self.args[0]} (and {more} more: suspnet-check shows all)"
 
 
+class DeadSensorError(TripError):
+    """A sensor shows nothing: it is constant, or has no usable sample."""
+
+
 @contextmanager
 def opening(path: Path) -> Iterator[None]:
     """Turn the errors of opening a file that is missing, locked or not plain into TripError."""

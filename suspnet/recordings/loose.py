@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -24,6 +24,7 @@ from scipy.signal import get_window
 from suspnet.ground.types import BoolArray, ComplexArray, FloatArray
 from suspnet.recordings.cleaning import Fault
 from suspnet.recordings.faults import runs
+from suspnet.recordings.manifest import partner_of
 
 FRAME_S, STEP_S = 2.0, 1.0
 """Length of the frames whose spectra are averaged, and step from one to the next, [s]."""
@@ -47,6 +48,9 @@ sensors that were alone reached 1.1."""
 SLOW_SHARE, SLOW_QUANTILE = 0.7, 0.1
 """A sensor is judged only above SLOW_SHARE times this quantile of the speeds at which it shared the
 others' motion: its signal at far lower speeds is unknown."""
+MOSTLY = 0.9
+"""A sensor of a pair is loose all along if it shares no motion in at least this fraction of the
+frames, while the other one does in more than half of them."""
 LEAST_FRAMES = 5
 """Least number of frames with evidence in a loose stretch."""
 SAME_MOTION = 18.0
@@ -93,6 +97,7 @@ def find_loose(
     # a sensor without shared motion is loose, has a shifted clock, or there is little motion
     alone = (frames.coherences < ALONE) & frames.known
     loose, late = _divided(signals, frames, alone, rate_hz)
+    loose |= alone & _never_shared(list(values), frames)[:, None]
     n = len(usable)
     faults, anywhere = [], np.zeros(n, dtype=np.bool_)
     for name, its, its_alone in zip(values, loose, alone & loose, strict=True):
@@ -172,6 +177,18 @@ def _divided(
                 where[i, part] = True
         loose = found
     return loose, late
+
+
+def _never_shared(names: Sequence[str], frames: _Frames) -> BoolArray:
+    """Return which sensors of pairs never show the motion that the other one of the pair shows."""
+    shares = np.count_nonzero((frames.coherences >= SHARED) & frames.known, axis=1)
+    is_alone = (frames.coherences < ALONE) & frames.known
+    n_known, n_alone = np.count_nonzero(frames.known), np.count_nonzero(is_alone, axis=1)
+    found = np.zeros(len(names), dtype=np.bool_)
+    for i, name in enumerate(names):
+        if (partner := partner_of(name)) in names:
+            found[i] = n_alone[i] >= MOSTLY * n_known and shares[names.index(partner)] > n_known / 2
+    return found
 
 
 def _evidence(frames: _Frames, levels: FloatArray, i: int) -> BoolArray:

@@ -156,6 +156,16 @@ Pair = tuple[Channel, Channel]
 """Two accelerometers at one place, the left one first."""
 
 
+def partner_of(name: str) -> str:
+    """Return the name of the other sensor of a pair; empty for a single sensor.
+
+    >>> partner_of("bogie left"), partner_of("body")
+    ('bogie right', '')
+    """
+    place, _, side = name.partition(" ")
+    return f"{place} {SIDES[side == SIDES[0]]}" if side else ""
+
+
 def _speed(value: Value) -> float | SpeedSource:
     """Return a constant speed [m/s] or where the speed is stored."""
     given = value.content

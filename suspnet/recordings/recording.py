@@ -2,6 +2,7 @@
 
 A place may have a sensor on the left and one on the right. Each is read, cleaned and resampled
 separately. Their mean is the channel, in which roll cancels; half their difference is also stored.
+Where one of them is dead, the other one alone is the channel.
 """
 
 from __future__ import annotations
@@ -20,15 +21,18 @@ from suspnet.ground.types import BoolArray, FloatArray
 from suspnet.recordings.cleaning import Cleaner, CleaningSettings, Fault
 from suspnet.recordings.clock_drift import clock_faults
 from suspnet.recordings.clocks import first_moment, offsets_s
+from suspnet.recordings.dead_sensors import DEAD, dead_faults, living, nearly_dead
 from suspnet.recordings.errors import TripError, all_of
 from suspnet.recordings.loose import find_loose
-from suspnet.recordings.manifest import CHANNELS, SIDES, Channel, TripManifest
+from suspnet.recordings.manifest import CHANNELS, SIDES, Channel, Pair, TripManifest, partner_of
 from suspnet.recordings.sensor import Sensor, SensorSignal
 from suspnet.recordings.sources import open_source, zero_of
 from suspnet.recordings.speed import SpeedTrack, read_speed, speed_at
 
 MOST_AT_ONCE = 2
 """Number of sensors that are read in parallel, which bounds the memory."""
+NO_DEAD: Mapping[str, str] = {}
+"""No sensor is dead."""
 SHORTEST_S = 60.0
 """Shortest length of a recording, [s]."""
 HIGHEST_HZ = 1e6
@@ -57,7 +61,7 @@ class Recording:
     start_s : float, [s]
         Time of the first sample on the trip's clock, a multiple of ``1 / rate_hz``.
     paired : tuple of 3 bool
-        Which channels are pairs of sensors, in the order of ``CHANNELS``.
+        Which channels are pairs of sensors of which none is dead, in the order of ``CHANNELS``.
     differences : array of shape (n_pairs, n), [m/s2]
         (left - right) / 2 of each pair, in the order of ``CHANNELS``.
     words : str
@@ -80,7 +84,7 @@ class Recording:
     started: datetime | None = None
 
     def sensors(self) -> dict[str, FloatArray]:
-        """Return the signal (n,) of each sensor, by the names of ``TripManifest.sensors``."""
+        """Return the signal (n,) of each living one of ``TripManifest.sensors``, by name."""
         found: dict[str, FloatArray] = {}
         differences = iter(self.differences)
         for name, signal, is_pair in zip(CHANNELS, self.signals, self.paired, strict=True):
@@ -88,8 +92,33 @@ class Recording:
                 half = next(differences)
                 found |= {f"{name} {SIDES[0]}": signal + half, f"{name} {SIDES[1]}": signal - half}
             else:
-                found[name] = signal
+                found[self._alone.get(name, name)] = signal
         return found
+
+    @property
+    def dead(self) -> tuple[str, ...]:
+        """Names of the sensors of pairs that are left out."""
+        dead = (fault.channel for fault in self.faults if fault.kind == DEAD)
+        return tuple(dict.fromkeys(dead))
+
+    @property
+    def sides(self) -> tuple[str | None, ...]:
+        """Side of each channel's only sensor; None for a pair, in the middle, or if unknown."""
+        channels = zip(CHANNELS, self.manifest.channels.values(), self.paired, strict=True)
+        given = (
+            None if is_pair else self._side(name, channel) for name, channel, is_pair in channels
+        )
+        return tuple(side if side in SIDES else None for side in given)
+
+    @property
+    def _alone(self) -> dict[str, str]:
+        """Names of the sensors whose partners are dead, by place."""
+        return {name.split()[0]: partner_of(name) for name in self.dead}
+
+    def _side(self, place: str, channel: Channel | Pair) -> str | None:
+        if place in self._alone:
+            return self._alone[place].split()[1]
+        return self.manifest.side_of(channel) if isinstance(channel, Channel) else None
 
 
 def load_recording(
@@ -97,7 +126,8 @@ def load_recording(
 ) -> Recording:
     """Return a trip, cleaned and resampled to one clock.
 
-    Files are read block by block, ``MOST_AT_ONCE`` sensors in parallel. The result covers the time
+    Files are read block by block, ``MOST_AT_ONCE`` sensors in parallel. A dead sensor of a pair is
+    left out, with a fault. The result covers the time
     common to all sensors, less about ``8 / rate_hz`` at both ends, where the low-pass filter is
     incomplete.
 
@@ -111,9 +141,10 @@ def load_recording(
     Raises
     ------
     TripError
-        If a file cannot be read, a rate is lower than `rate_hz`, a sensor is constant or has no
-        usable sample, less than ``SHORTEST_S`` is common to all sensors, times are wrong, or the
-        speed is unknown throughout. Its `problems` are those of all sensors and the speed.
+        If a file cannot be read, a rate is lower than `rate_hz`, a single sensor or a pair is
+        constant or has no usable sample, less than ``SHORTEST_S`` is common to all sensors, times
+        are wrong, or the speed is unknown throughout. Its `problems` are those of all sensors and
+        the speed.
     ValueError
         If `rate_hz` is not positive and finite.
     """
@@ -126,13 +157,13 @@ def load_recording(
     except TripError as error:  # read the sensors anyway, to report their problems as well
         track, offsets, problems = None, dict.fromkeys(sensors, 0.0), error.problems
     with ThreadPoolExecutor(MOST_AT_ONCE) as pool:
-        read = [
-            pool.submit(_read_sensor, manifest, name, offsets[name], rate_hz, cleaning)
+        read = {
+            name: pool.submit(_read_sensor, manifest, name, offsets[name], rate_hz, cleaning).result
             for name in sensors
-        ]
-        streams: list[SensorSignal] = all_of([one.result for one in read], problems)
+        }
+        streams, dead = living(manifest, read, problems)
     del read
-    found = joined(manifest, streams, track, offsets.get("speed", 0.0), rate_hz)
+    found = joined(manifest, streams, track, offsets.get("speed", 0.0), rate_hz, dead)
     # the date is not known to `joined`, which also serves streams
     return replace(found, started=started, words="; ".join(filter(None, (found.words, doubt))))
 
@@ -143,12 +174,21 @@ def joined(
     track: SpeedTrack | None,
     offset_s: float,
     rate_hz: float,
+    dead: Mapping[str, str] = NO_DEAD,
 ) -> Recording:
     """Combine all sensors of a trip over their common time; raises what `load_recording` does.
 
     `track` is None if the manifest gives a constant speed; `offset_s` is the zero of its times on
-    the trip's clock; `rate_hz` is the rate of the common clock.
+    the trip's clock; `rate_hz` is the rate of the common clock; `dead` are the reasons why sensors
+    are missing.
     """
+
+    def without(more: Mapping[str, str]) -> Recording:
+        rest = [stream for stream in streams if stream.name not in more]
+        return joined(manifest, rest, track, offset_s, rate_hz, {**dead, **more})
+
+    if more := nearly_dead(streams, rate_hz):
+        return without(more)
     first, last = _common(manifest, streams, rate_hz)
     times_s = np.arange(first, last + 1) / rate_hz
     speed, speed_faults = speed_at(manifest, track, offset_s, times_s)
@@ -162,7 +202,10 @@ def joined(
     # faults between sensors: loose ones first, as they have no clock to compare
     usable = np.isfinite(speed) & ~touched
     found, loose, silent = find_loose(values, usable, speed, rate_hz, float(times_s[0]))
+    if more := nearly_dead(streams, rate_hz, found):
+        return without(more)
     faults = (*(fault for stream in streams for fault in stream.faults), *speed_faults, *found)
+    faults += dead_faults(dead, len(times_s) / rate_hz, rate_hz)
     usable &= ~loose
     if not usable.any():
         raise TripError(
@@ -171,7 +214,7 @@ def joined(
         )
     faults += clock_faults(manifest, values, usable & ~silent, speed, rate_hz)
     read_as = [track.words if track else "", *(stream.words for stream in streams)]
-    paired, signals, differences = _combined(manifest, values)
+    paired, signals, differences = _combined(values)
     duration_s = len(times_s) / rate_hz
     return Recording(
         manifest,
@@ -202,19 +245,17 @@ def _clocks(
 
 
 def _combined(
-    manifest: TripManifest, values: Mapping[str, FloatArray]
+    values: Mapping[str, FloatArray],
 ) -> tuple[tuple[bool, bool, bool], FloatArray, FloatArray]:
     """Return which channels are pairs, signals (3, n), and half differences (n_pairs, n)."""
     signals, differences = [], []
-    axle_box, bogie, body = (not isinstance(manifest.channels[name], Channel) for name in CHANNELS)
+    places = [[values[one] for one in values if one.split()[0] == place] for place in CHANNELS]
+    axle_box, bogie, body = (len(own) == len(SIDES) for own in places)
     paired = axle_box, bogie, body
-    for name, is_pair in zip(CHANNELS, paired, strict=True):
+    for own, is_pair in zip(places, paired, strict=True):
+        signals.append(np.mean(own, axis=0))
         if is_pair:
-            left, right = (values[f"{name} {side}"] for side in SIDES)
-            signals.append((left + right) / 2)
-            differences.append((left - right) / 2)
-        else:
-            signals.append(values[name])
+            differences.append((own[0] - own[1]) / 2)
     n = len(signals[0])
     return paired, np.stack(signals), np.array(differences).reshape(len(differences), n)
 

@@ -26,6 +26,7 @@ from __future__ import annotations
 import zlib
 from collections import Counter
 from dataclasses import asdict, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -36,6 +37,7 @@ from suspnet.recordings.assembler import Assembler, OrderSettings, check_frame_r
 from suspnet.recordings.cleaning import Cleaner, CleaningSettings
 from suspnet.recordings.columns import size_of
 from suspnet.recordings.dates import SECOND_NS
+from suspnet.recordings.dead_sensors import living
 from suspnet.recordings.errors import TripError
 from suspnet.recordings.frames import Frame, FrameError, end_ns
 from suspnet.recordings.manifest import UNITS, SpeedSource, TripManifest
@@ -223,7 +225,8 @@ class Running:
         """Return the recording of the samples so far, as the batch would.
 
         Its clock starts at the whole second of `begin_ns`. Frames that wait for earlier ones are
-        left out unless `flush` is called first. A `rest` that gives no recording is ignored.
+        left out unless `flush` is called first. A `rest` that gives no recording, or
+        one without the same dead sensors, is ignored.
 
         Raises
         ------
@@ -235,16 +238,21 @@ class Running:
         missing = [name for name in self._sources if name not in started]
         if missing:
             raise TripError(f"{self.manifest.path}: nothing has come from {', '.join(missing)}")
-        signals = [
-            self._sensors[name].signal((self._clock_ns - self._zero_ns(name)) / SECOND_NS)
+        read = {
+            name: partial(
+                self._sensors[name].signal, (self._clock_ns - self._zero_ns(name)) / SECOND_NS
+            )
             for name in self._accelerations
-        ]
-        found = joined(self.manifest, signals, self._track(), 0.0, self.rate_hz)
+        }
+        signals, dead = living(self.manifest, read)
+        found = joined(self.manifest, signals, self._track(), 0.0, self.rate_hz, dead)
         if self.rest is None:
             return found
         try:
             rest = self.rest.recording()
         except TripError:
+            return found
+        if rest.dead != found.dead:
             return found
         return followed(found, rest, (self.rest._clock_ns - self._clock_ns) / SECOND_NS)
 

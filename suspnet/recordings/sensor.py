@@ -23,7 +23,7 @@ from scipy.signal import firwin, kaiser_beta, kaiserord, upfirdn
 
 from suspnet.ground.types import BoolArray, FloatArray, IntArray
 from suspnet.recordings.cleaning import Cleaner, Fault
-from suspnet.recordings.errors import TripError
+from suspnet.recordings.errors import DeadSensorError
 
 
 @dataclass(frozen=True)
@@ -80,8 +80,9 @@ class Sensor:
         self._take(self._cleaner.push(self.size * values))
 
     def finish(self, shift_s: float = 0.0) -> SensorSignal:
-        """Return the signal on the common clock, after the last sample; TripError if unusable.
+        """Return the signal on the common clock, after the last sample.
 
+        Raises DeadSensorError if no sample is usable.
         `shift_s` is the zero of the result's times on the sensor's clock, a multiple of the common
         step.
         """
@@ -148,14 +149,14 @@ class Sensor:
 
 
 def _check_alive(where: str, cleaner: Cleaner, faults: tuple[Fault, ...]) -> None:
-    """Raise TripError if a sensor has no usable sample."""
+    """Raise DeadSensorError if a sensor has no usable sample."""
     if cleaner.n_bad < cleaner.n_samples:
         return
     n_constant = sum(fault.n_samples for fault in faults if fault.kind == "constant")
     if n_constant == cleaner.n_samples and cleaner.lowest == cleaner.highest:
         value = f"{cleaner.lowest:g}"
-        raise TripError(f"{where} is constant ({value}) throughout: is the sensor connected?")
-    raise TripError(f"{where} has no usable sample: {'; '.join(map(str, faults))}")
+        raise DeadSensorError(f"{where} is constant ({value}) throughout: is the sensor connected?")
+    raise DeadSensorError(f"{where} has no usable sample: {'; '.join(map(str, faults))}")
 
 
 PASS, STOP = 0.25, 0.75

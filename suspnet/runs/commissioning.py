@@ -12,14 +12,13 @@ from suspnet.dynamics.quantities import PARTS, LogNormal
 from suspnet.estimation import commissioning_summary as words
 from suspnet.estimation.commissioning import Commissioned, commission
 from suspnet.estimation.healthy_trips import HealthyTrips, read_healthy
+from suspnet.estimation.lone_sensors import SIDE_M
 from suspnet.estimation.trip_settings import TripSettings
-from suspnet.recordings.manifest import SIDES, Channel, Pair, TripManifest
+from suspnet.recordings.manifest import Channel, Pair, TripManifest
 from suspnet.recordings.manifest_files import ManifestFile
 from suspnet.spectra.estimates import EstimateSettings
 
 log = logging.getLogger(__name__)
-ONE_SIDE_M = 1.0
-"""Assumed lateral position of a sensor if only its side is known, [m]."""
 FAMILY = tuple(part for part in PARTS if part != "air_spring")
 """Parts of the vehicle that is commissioned if the configuration names none."""
 
@@ -101,4 +100,4 @@ def _lateral_m(given: Sequence[float], found: HealthyTrips) -> tuple[float, floa
 def _place_m(manifest: TripManifest, channel: Channel | Pair) -> float:
     """Return the approximate lateral position of a single sensor, positive to the left, [m]."""
     side = manifest.side_of(channel) if isinstance(channel, Channel) else None
-    return {SIDES[0]: ONE_SIDE_M, SIDES[1]: -ONE_SIDE_M}.get(side or "", 0.0)
+    return SIDE_M.get(side or "", 0.0)

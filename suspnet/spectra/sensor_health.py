@@ -40,7 +40,7 @@ INFLUENCE, STEP = 0.1, 0.01
 part at half its value changes it by 7 % at most; and the step of the differences."""
 LEAST_BINS, COHERENT = 6, 0.5
 """Smallest number of bins of a gain, and their least coherence with the instrument."""
-FAULTS = ("gap", "spike", "saturation", "constant", "loose")
+FAULTS = ("gap", "spike", "saturation", "constant", "loose", "dead")
 """Kinds of faults that are drop-outs of a sensor."""
 
 
@@ -54,7 +54,7 @@ def sensor_health(
     speed = float(speeds.median()) if len(speeds) else math.nan
     chosen = (speeds > SLOWEST_M_PER_S) & ((speeds / speed - 1).abs() <= SPEED_TOLERANCE)
     if int(chosen.sum()) < LEAST_SEGMENTS:
-        return {name: SensorHealth(faulty=faulty[name]) for name in names}
+        return {name: SensorHealth(faulty=share) for name, share in faulty.items()}
     low, high = BAND_HZ
     inside = (segments.frequencies_hz >= low) & (segments.frequencies_hz <= high)
     bins, values = segments.frequencies_hz[inside], segments.values[chosen][..., inside]
@@ -62,7 +62,7 @@ def sensor_health(
     means = torch.stack([values[:, own].mean(dim=1) for own in places], dim=1)
     generator = generator.on("cpu").running(recording.manifest.direction or FORWARD)
     expected, calm = _healthy(generator, speed, bins)
-    found = {}
+    found = {name: SensorHealth(faulty=faulty[name]) for name in recording.dead}
     for place, own in enumerate(places):
         for i in own:
             x = values[:, i]
@@ -74,7 +74,7 @@ def sensor_health(
 
 def dropouts(recording: Recording) -> dict[str, float]:
     """Return the share of a trip in which each sensor has faulty samples, repaired ones too."""
-    lost = dict.fromkeys(recording.sensors(), 0.0)
+    lost = dict.fromkeys([*recording.sensors(), *recording.dead], 0.0)
     for fault in recording.faults:
         if fault.channel in lost and fault.kind in FAULTS:
             lost[fault.channel] += fault.seconds / recording.duration_s
@@ -85,7 +85,8 @@ def _cross(x: Tensor, y: Tensor) -> Tensor:
     return (x.conj() * y).mean(dim=0)
 
 
-def _coherence(x: Tensor, y: Tensor) -> Tensor:
+def coherences(x: Tensor, y: Tensor) -> Tensor:
+    """Return the coherence of two signals' segments, each (n_segments, n_freq), in each bin."""
     return _cross(x, y).abs().square() / (_cross(x, x).real * _cross(y, y).real)
 
 
@@ -117,7 +118,7 @@ def _gain(
     if is_body and n_own == 1:
         return math.nan, math.nan, math.nan
     h = _cross(z, x) / _cross(z, m) / (expected if place == 1 else 1.0)
-    coherence = _coherence(z, m)
+    coherence = coherences(z, m)
     used = used & (coherence >= COHERENT)
     if int(used.sum()) < LEAST_BINS:
         return math.nan, math.nan, math.nan

@@ -184,6 +184,15 @@ def test_one_of_six_sensors(six_sensors, which):
     assert not silent.any()
 
 
+def test_sensor_of_a_pair_that_never_shows_the_motion(six_sensors):
+    signals, usable, speed, _ = six_sensors
+    name = "bogie right"
+    values = signals | {name: loosened(signals[name], "noise", COMMON_HZ, (0, 600))}
+    (fault,), loose, _ = find_loose(values, usable, speed, COMMON_HZ)
+    assert (fault.channel, fault.kind) == (name, "loose")
+    assert loose.all()
+
+
 def test_two_sensors_of_three_at_once(ten_minutes):
     recording = loaded(ten_minutes)
     signals = dict(zip(CHANNELS, recording.signals, strict=True))

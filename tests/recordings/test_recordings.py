@@ -342,24 +342,40 @@ def test_gap_in_one_sensor_of_a_pair_is_unusable(trip):
     ]
 
 
+@pytest.mark.parametrize(
+    ("right", "reason"),
+    [
+        (np.full(32_000, 2.0), r"it is constant (2) throughout: is the sensor connected?"),
+        (np.full(32_000, np.nan), "it has no usable sample: body right: gap of 32000 samples"),
+        (motion(np.arange(5000) / 500), "it is usable for 10 s only, the other one for 64 s"),
+    ],
+)
+def test_dead_sensor_of_a_pair_is_left_out(trip, right, reason):
+    recording = load(paired(trip(), "body", right))
+    words = "body right: dead and left out, body is read by its left sensor alone: "
+    assert words + reason in "; ".join(map(str, recording.faults))
+    assert (recording.dead, recording.sides) == (("body right",), (None, None, "left"))
+    assert list(recording.sensors()) == ["axle_box", "bogie", "body left"]
+    assert recording.paired == (False, False, False)
+    assert recording.usable.all()
+    assert recording.duration_s > 63
+    np.testing.assert_allclose(recording.signals[2], motion(clock(recording)), atol=3e-4)
+
+
+def test_pair_of_dead_sensors_is_refused(trip):
+    dead = np.full(32_000, 2.0)
+    path = paired(trip(signals={"body": dead}), "body", dead)
+    with pytest.raises(TripError, match=r"'body left' is constant .*\(and 1 more") as caught:
+        load(path)
+    assert "'body right' is constant" in caught.value.problems[1]
+
+
 @pytest.mark.representatives(2)
 @pytest.mark.parametrize(
     ("right", "changes", "message"),
     [
-        (np.full(32_000, 2.0), {}, r"channel 'body right' is constant \(2\) throughout: is the"),
-        pytest.param(
-            np.full(32_000, np.nan),
-            {},
-            "channel 'body right' has no usable sample: body right: gap",
-            marks=pytest.mark.slow,
-        ),
         pytest.param(np.empty(0), {}, r"single\.parquet is empty", marks=pytest.mark.slow),
         (np.ones(3200), {"rate_hz": 50.0}, "channel 'body right' has 50 Hz; at least 100 Hz"),
-        (
-            motion(np.arange(5000) / 500),
-            {},
-            r"only 10\.0 s are common .*body right from 0\.0 to 10",
-        ),
         (motion(np.arange(32_000) / 500), {"column": "b"}, r"single\.parquet has no column 'b'"),
     ],
 )
