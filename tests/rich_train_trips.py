@@ -34,7 +34,16 @@ TOGETHER = 16
 
 
 def write_train_trips(
-    folder, train, ratios, fleet, seed, sides="pair", speeds_m_per_s=None, rate_hz=None, n_jobs=1
+    folder,
+    train,
+    ratios,
+    fleet,
+    seed,
+    sides="pair",
+    speeds_m_per_s=None,
+    rate_hz=None,
+    n_jobs=1,
+    roughness=None,
 ):
     """Simulate trips, write each as ``write_fleet`` does, and return the manifests.
 
@@ -56,6 +65,8 @@ def write_train_trips(
         Of the steps; the fastest sensor's if not given.
     n_jobs : int
         Trips at the same time. Trains with blow-off or friction are stepped together.
+    roughness : sequence of float, optional, [-]
+        Amplitude of the track of each trip over the fleet's.
     """
     if sides not in WRITTEN:
         raise ValueError(f"`sides` must be one of {WRITTEN}, got {sides!r}")
@@ -65,9 +76,10 @@ def write_train_trips(
     rate_hz = rate_hz or max(sensor.rate_hz for sensor in fleet.loggers().values())
     speeds = [fleet.speed_m_per_s] * len(ratios) if speeds_m_per_s is None else speeds_m_per_s
     sources = [np.random.SeedSequence([seed, i]).spawn(3) for i in range(len(ratios))]
+    rough = [1.0] * len(ratios) if roughness is None else roughness
     drives = [
-        Drive(train.at(v), replace(fleet, speed_m_per_s=float(v)), rate_hz, track, journey)
-        for v, (track, _, journey) in zip(speeds, sources, strict=True)
+        Drive(train.at(v), replace(fleet, speed_m_per_s=float(v)), rate_hz, track, journey, by)
+        for v, by, (track, _, journey) in zip(speeds, rough, sources, strict=True)
     ]
 
     def write(i, signals):
@@ -100,9 +112,12 @@ class Drive:
         With the speed of this trip.
     rate_hz : float, [Hz]
     track, journey : SeedSequence
+    roughness : float, [-]
+        Amplitude of the track over the fleet's.
     """
 
-    def __init__(self, train, fleet, rate_hz, track, journey):
+    def __init__(self, train, fleet, rate_hz, track, journey, roughness=1.0):
+        self.roughness = roughness
         self.train, self.fleet, self.rate_hz = train, fleet, rate_hz
         self.journey, self._source = self._journey(journey), track
         moving = self.journey.speeds_m_per_s[0] > 0
@@ -131,7 +146,8 @@ class Drive:
             position, speed, acceleration = self.journey.at(times)
             places = start_m + position - behind_m[:, None]
             r, slope, curvature = np.concatenate([p.at(places) for p in profiles], axis=1)
-            return np.stack([r, slope * speed, curvature * speed**2 + slope * acceleration])
+            motion = np.stack([r, slope * speed, curvature * speed**2 + slope * acceleration])
+            return self.roughness * motion
 
         return inputs
 

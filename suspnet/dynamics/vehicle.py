@@ -128,6 +128,13 @@ class Vehicle:
         low=0,
         most=0.5,
     )
+    secondary_degression: float = setting(
+        0.1,
+        "Largest d of secondary dampers whose damping falls with the relative velocity as v^-d; 0 "
+        "for linear ones, 0.4 for dampers that often blow off",
+        low=0,
+        most=0.5,
+    )
     limits: Annotated[
         Mapping[str, Any] | None,
         Setting(

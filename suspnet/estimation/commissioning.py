@@ -20,14 +20,15 @@ The best of these continue. The inverse of J^T J at the end, without the rows of
 posterior covariance of z. If the final misfit exceeds the noise, the noise is scaled up to match.
 
 Where the temperatures of the trips differ, the slopes of damping over temperature are fitted, too
-(`suspnet.estimation.temperature`).
+(`suspnet.estimation.temperature`), and where their relative velocities differ, its exponents over
+these (`suspnet.estimation.relative_velocity`).
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
@@ -36,9 +37,9 @@ from torch import Tensor
 
 from suspnet.dynamics import VerticalVehicle
 from suspnet.dynamics.quantities import OF_THE_TRIP, QUANTITIES, LogNormal
+from suspnet.estimation.damping_laws import Laws
 from suspnet.estimation.flags import Residual
 from suspnet.estimation.healthy_trips import MASS_MEAN, HealthyMisfit, HealthySpectra, row_of
-from suspnet.estimation.temperature import DampingByTemperature
 from suspnet.ground.progress import bar
 from suspnet.ground.tensors import threads
 from suspnet.ground.types import ComplexArray, FloatArray
@@ -129,8 +130,8 @@ class Commissioned:
     n_agree, n_starts : int
         Number of completed searches that found this vehicle, and of all.
     converged : bool
-    damping : DampingByTemperature, optional
-        None if the temperature of no trip is known.
+    laws : Laws
+        How damping depends on temperature and on relative velocity.
     """
 
     generator: VerticalVehicle
@@ -147,7 +148,7 @@ class Commissioned:
     n_agree: int
     n_starts: int
     converged: bool
-    damping: DampingByTemperature | None = None
+    laws: Laws = field(default_factory=Laws)
 
     @property
     def residual(self) -> Residual:
@@ -200,7 +201,7 @@ def commission(
             is_same = target.agrees(rough[0].x, first_posterior, other.x)
             ends.append(ends[0] if is_same else target.finished(other.x, alike))
         best = min(ends, key=_cost)
-        posterior, damping, mean_square = target.posterior(best.x)
+        posterior, laws, mean_square = target.posterior(best.x)
         n_agree = sum(target.agrees(best.x, posterior, end.x) for end in ends)
     n = len(target.prior.names)
     theta = torch.as_tensor(best.x)[None]
@@ -222,7 +223,7 @@ def commission(
         n_agree=n_agree,
         n_starts=len(first),
         converged=best.converged,
-        damping=damping,
+        laws=laws,
     )
 
 

@@ -198,8 +198,8 @@ def reference(outcome: Commissioned) -> str:
     shown = f": 100 % is {', '.join(values)}" if values else ""
     if "±" in shown:
         shown += " (± one standard deviation)"
-    at = f" {outcome.damping}" if outcome.damping else ""
-    return f"Healthy now means what these trips showed{shown}.{at}"
+    laws = [law for law in (outcome.laws.temperature, outcome.laws.velocity) if law is not None]
+    return " ".join([f"Healthy now means what these trips showed{shown}.", *map(str, laws)])
 
 
 def untold(found: Sequence[Number]) -> str:

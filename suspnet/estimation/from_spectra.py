@@ -10,11 +10,11 @@ that of the trip::
 with s_0 the standard deviation from the calibration and q its quantiles, n_0 the noise part
 expected of such a vehicle in training, n that of the trip. l^2 is the variance due to the
 regression's own error and the generator's uncertain quantities. For commissioned vehicles, b is the
-cost of what their healthy trips left unexplained (`suspnet.estimation.flags`), f that of damping
-and stiffness which do not wear (`unworn_deviations`), and w is ``COMMON``; for others w = 1 and
-b = f = 0. For refined estimates n is the Gauss-Newton deviation with all uncertain numbers known,
-and the rest of that deviation adds to l^2; for others n is the spread of estimates from drawn
-spectra. n is multiplied by the misfit of the trip if that is above 1.
+cost of what their healthy trips left unexplained (`suspnet.estimation.flags`), f that of stiffness
+which does not wear (`unworn_deviations`), and w is ``COMMON``; for others w = 1 and b = f = 0. For
+refined estimates n is the Gauss-Newton deviation with all uncertain numbers known, and the rest of
+that deviation adds to l^2; for others n is the spread of estimates from drawn spectra. n is
+multiplied by the misfit of the trip if that is above 1.
 
 The refined estimate replaces the regression's where the regression was not trained, and for every
 vehicle with uncertain numbers: the regression takes them at their median, the fit of the curve
@@ -39,6 +39,7 @@ from suspnet.estimation.fitted import FittedMethod, ModelFileError
 from suspnet.estimation.from_curves import ONE_SIGMA, corrected, residual_scales
 from suspnet.estimation.information import output_bounds
 from suspnet.estimation.refine import Refined, complete_ratios, refine
+from suspnet.estimation.relative_velocity import DampingByVelocity, relative_velocities
 from suspnet.ground.types import FloatArray
 from suspnet.spectra.cross_spectra import CrossSpectra
 from suspnet.spectra.estimates import EstimateObserver, EstimateSettings
@@ -61,10 +62,10 @@ COMMON = 1.3
 single draw for all later trips. Without it 90 % intervals hold in 90 % of the trips of many
 vehicles, but in far fewer of those of a vehicle with a bad draw. With 1.8 they held in all trips
 of most trains: they were too wide."""
-UNWORN = {"k_p": 0.06, "c_p": 1.0}
-"""Fraction of the healthy stiffness and damping that does not wear, over the share of the primary
-damping that is dry friction. It acts as a damper where it slips and as a spring where it sticks,
-and healthy trips at one speed cannot distinguish them."""
+UNWORN = {"k_p": 0.06}
+"""Fraction of the healthy stiffness that does not wear, over the share of the primary damping that
+is dry friction: it acts as a spring where it sticks. What it is as a damper, where it slips, is in
+`suspnet.estimation.relative_velocity`."""
 OF_THE_TRAINING = ("cloud", "range")
 """Kinds of flags that concern the regression alone, not an estimate from the curve itself."""
 LARGEST_MISFIT = 3.0
@@ -146,6 +147,10 @@ def estimate_with_noise(
     spread = np.sqrt(lasting + noise**2)
     estimate = _estimate(method, values, factor / usual * spread, level, flags)
     estimate = replace(estimate, found=found)
+    law = DampingByVelocity.noted(method.training)
+    if law is not None:
+        own = relative_velocities(spectra, observer.frequencies_hz)
+        estimate = law.compared(estimate, own.tolist())
     return estimate, 1 - np.divide(lasting, spread**2, out=np.zeros_like(lasting), where=spread > 0)
 
 
@@ -158,10 +163,10 @@ def largest_misfit(method: FittedMethod) -> float:
 def unworn_deviations(
     outputs: Sequence[str], ratios: FloatArray, friction_share: float
 ) -> FloatArray:
-    """Return the error of log outputs due to damping and stiffness that do not wear, (n_outputs,).
+    """Return the error of log outputs due to stiffness that does not wear, (n_outputs,).
 
-    A damper at the ratio r in parallel with a fraction u of the healthy damping that does not wear
-    is estimated as (1 - u) r + u, a relative error of u (1 - r) / r. The result is
+    A spring at the ratio r in parallel with a fraction u of the healthy one that does not wear is
+    estimated as (1 - u) r + u, a relative error of u (1 - r) / r. The result is
     log(1 + u |1 - r| / r) with u from ``UNWORN`` and the vehicle's share of friction, 0 for other
     outputs; `ratios` (n_outputs,) are the estimates r.
     """

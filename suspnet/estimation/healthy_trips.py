@@ -16,16 +16,12 @@ from torch import Tensor
 
 from suspnet.dynamics import PARAMETERS, VerticalVehicle
 from suspnet.dynamics.quantities import UNMEASURED, LogNormal
+from suspnet.estimation.damping_laws import DampingSlopes, Laws
 from suspnet.estimation.direction import direction_of
 from suspnet.estimation.from_recording import unrepaired_words
+from suspnet.estimation.relative_velocity import relative_velocities
 from suspnet.estimation.steady_parts import groups_to_read, steady
-from suspnet.estimation.temperature import (
-    DAMPINGS,
-    SLOPE_DEVIATION,
-    USUAL_SLOPE,
-    DampingByTemperature,
-    kelvins_warmer,
-)
+from suspnet.estimation.temperature import DAMPINGS
 from suspnet.estimation.trip_settings import TripSettings
 from suspnet.ground.parameters import FORWARD, Direction
 from suspnet.ground.progress import bar
@@ -223,7 +219,9 @@ class HealthyMisfit:
     """The sum of squares of healthy trips, as a function of theta.
 
     theta = (z, logarithms of masses), followed, where trips differ in temperature, by the slopes of
-    damping over temperature (`suspnet.estimation.temperature`) in deviations from their priors.
+    damping over temperature (`suspnet.estimation.temperature`), and where they differ in relative
+    velocity, by the exponents of damping over it (`suspnet.estimation.relative_velocity`), in
+    deviations from their priors.
     """
 
     def __init__(
@@ -236,12 +234,14 @@ class HealthyMisfit:
         self._generator = generator
         self._trips = [group.trip for group in groups]
         self.n_trips = 1 + max(self._trips)
-        given = {group.trip: group.temperature_c for group in groups}
-        self.healthy_c, warmer = kelvins_warmer([given.get(i) for i in range(self.n_trips)])
-        self._warmer = torch.tensor(warmer, dtype=torch.float64)
-        self.n_slopes = len(DAMPINGS) if any(warmer) else 0
-        self.every = every_direction(generator)
         self.frequencies_hz = settings.frequencies_hz()
+        self._slopes = DampingSlopes(
+            generator.vehicle,
+            [group.temperature_c for group in groups],
+            np.array([relative_velocities(one.spectra, self.frequencies_hz) for one in groups]),
+        )
+        self.n_slopes = len(self._slopes)
+        self.every = every_direction(generator)
         observers = {
             direction: settings.observer(generator.running(direction))
             for direction in {group.direction for group in groups}
@@ -260,22 +260,23 @@ class HealthyMisfit:
             for one in dict.fromkeys(conditions)
         ]
 
-    def ratios(self, theta: Tensor, trip: int) -> Tensor:
-        """Return all columns of ratios for one trip, (n_rows, n_columns)."""
+    def ratios(self, theta: Tensor, group: int) -> Tensor:
+        """Return all columns of ratios for the trip of one group, (n_rows, n_columns)."""
         n = len(self.prior.names)
         healthy = torch.ones(len(theta), len(PARAMETERS), dtype=torch.float64)
-        healthy[:, -1] = theta[:, n + trip].exp()
+        healthy[:, -1] = theta[:, n + self._trips[group]].exp()
         rows = self.every.vehicles(healthy, theta[:, :n])
         if self.n_slopes:
-            rows = self._generator.complete(rows)  # both bogies are as warm
-            slopes = USUAL_SLOPE + SLOPE_DEVIATION * theta[:, -self.n_slopes :]
-            rows[:, _OF_DAMPING] *= (slopes * self._warmer[trip]).exp().repeat(1, 2)
+            rows = self._generator.complete(rows)  # both bogies are alike
+            rows[:, _OF_DAMPING] *= self._slopes.factors(theta[:, -self.n_slopes :], group).repeat(
+                1, 2
+            )
         return rows
 
     def part(self, theta: Tensor, group: int, spread: float, high_hz: float = math.inf) -> Tensor:
         """Return the residuals of one group, (n_rows, n_points), set to 0 above `high_hz`."""
         misfit = (self._thinned if spread >= ROUGH else self._groups)[group]
-        expected = misfit.observer.noise_free(self.ratios(theta, self._trips[group]))
+        expected = misfit.observer.noise_free(self.ratios(theta, group))
         return self._compared(misfit, expected, spread, high_hz)
 
     @staticmethod
@@ -294,7 +295,7 @@ class HealthyMisfit:
         found: dict[int, Tensor] = {}
         # one call for all groups at the same speeds: a call for 1 row takes as long as for 10
         for alike in self._alike:
-            rows = torch.cat([self.ratios(theta, self._trips[group]) for group in alike])
+            rows = torch.cat([self.ratios(theta, group) for group in alike])
             expected = misfits[alike[0]].observer.noise_free(rows).split(len(theta))
             for group, one in zip(alike, expected, strict=True):
                 found[group] = self._compared(misfits[group], one, spread, high_hz)
@@ -333,11 +334,10 @@ class HealthyMisfit:
             for part, misfit in zip(self.parts(theta, 0.0), self._groups, strict=True)
         ]
 
-    def posterior(self, x: FloatArray) -> tuple[LogNormal, DampingByTemperature | None, float]:
-        """Return the posterior of the numbers and of the slopes of damping over temperature.
+    def posterior(self, x: FloatArray) -> tuple[LogNormal, Laws, float]:
+        """Return the posterior of the numbers and the laws of damping.
 
-        The slopes are None if no temperature is known. The last result is the mean square of the
-        residuals over that of the noise.
+        The last result is the mean square of the residuals over that of the noise.
         """
         n = len(self.prior.names)
         residuals = torch.cat(self.parts(row_of(x), 0.0), dim=1)[0]
@@ -352,18 +352,9 @@ class HealthyMisfit:
         logs = np.array(self.prior.mean) + factor @ x[:n]
         rows = tuple(map(tuple, ((covariance + covariance.T) / 2).tolist()))
         found = LogNormal(self.prior.names, tuple(logs.tolist()), rows)
-        return found, self._damping(x, spread), mean_square
-
-    def _damping(self, x: FloatArray, spread: FloatArray) -> DampingByTemperature | None:
-        """Return the slopes of damping over temperature, of theta = x with covariance `spread`."""
-        if self.healthy_c is None or not self.n_slopes:
-            return None if self.healthy_c is None else DampingByTemperature(self.healthy_c)
-        own = slice(-self.n_slopes, None)
-        slopes = USUAL_SLOPE + SLOPE_DEVIATION * x[own]
-        deviations = SLOPE_DEVIATION * np.sqrt(np.diag(spread)[own])
-        return DampingByTemperature(
-            self.healthy_c, tuple(slopes.tolist()), tuple(deviations.tolist())
-        )
+        own = slice(len(x) - self.n_slopes, None)
+        laws = self._slopes.laws(x[own], np.sqrt(np.diag(spread)[own]))
+        return found, laws, mean_square
 
     def distance(self, one: FloatArray, other: FloatArray, posterior: LogNormal) -> float:
         """Return the largest difference of a number, in deviations of the posterior."""
@@ -373,10 +364,12 @@ class HealthyMisfit:
 
     def curves(self, theta: Tensor) -> tuple[ComplexArray, ComplexArray, FloatArray]:
         """Return measured and fitted responses and deviations, each (n_groups, 2, n_freq)."""
-        pairs = list(zip(self._groups, self._trips, strict=True))
-        fitted = [misfit.observer.noise_free(self.ratios(theta, trip)) for misfit, trip in pairs]
-        observed = torch.cat([misfit.observed for misfit, _ in pairs])
-        power = torch.cat([m.covariance.diagonal(dim1=1, dim2=2).mT.real for m, _ in pairs])
+        fitted = [
+            misfit.observer.noise_free(self.ratios(theta, group))
+            for group, misfit in enumerate(self._groups)
+        ]
+        observed = torch.cat([misfit.observed for misfit in self._groups])
+        power = torch.cat([m.covariance.diagonal(dim1=1, dim2=2).mT.real for m in self._groups])
         return observed.numpy(), torch.cat(fitted).numpy(), (power / 2).sqrt().numpy()
 
 

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from suspnet.estimation.problem import Problem
+from suspnet.estimation.relative_velocity import DampingByVelocity
 from suspnet.estimation.temperature import DampingByTemperature
 from suspnet.estimation.trained import TrainedModel
 from suspnet.ground.records import Place
@@ -163,7 +164,8 @@ def _check_training(training: Any) -> None:
     if not all(isinstance(name, str) for name in healthy.get("trips", [])):
         raise TypeError("`training.commissioned.trips` must be names")
     _check_place(healthy.get("place"))
-    DampingByTemperature.noted(training)  # its numbers are checked
+    for law in (DampingByTemperature, DampingByVelocity):
+        law.noted(training)  # its numbers are checked
 
 
 def _check_place(place: Any) -> None:

@@ -20,6 +20,7 @@ from suspnet.estimation import commissioning_summary as words
 from suspnet.estimation.commissioning import Commissioned
 from suspnet.estimation.flags import INCOMPLETE
 from suspnet.estimation.healthy_trips import HealthyTrips
+from suspnet.estimation.relative_velocity import NOTE as VELOCITY
 from suspnet.estimation.temperature import NOTE
 from suspnet.ground.storage import printable, write_atomically, write_json, write_table
 from suspnet.ground.types import ComplexArray, FloatArray
@@ -76,8 +77,12 @@ def training_notes(found: HealthyTrips, outcome: Commissioned) -> dict[str, Any]
     """Return the healthy trips and their suspension, for a model's file."""
     place = asdict(found.manifests[0].place)
     mileage_km = [manifest.mileage_km for manifest in found.manifests]
-    damping = {NOTE: asdict(outcome.damping)} if outcome.damping else {}
-    return damping | {
+    laws = {
+        note: asdict(law)
+        for note, law in ((NOTE, outcome.laws.temperature), (VELOCITY, outcome.laws.velocity))
+        if law is not None
+    }
+    return laws | {
         "n_trips": len(found.manifests),
         "misfit": outcome.misfit,
         "explained": words.is_explained(outcome),

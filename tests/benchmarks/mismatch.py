@@ -18,7 +18,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -40,6 +40,7 @@ from suspnet.estimation.estimate import Estimate
 from suspnet.estimation.from_spectra import estimate_with_noise
 from suspnet.estimation.healthy_trips import HealthySpectra
 from suspnet.estimation.problem import TRAIN, Problem
+from suspnet.estimation.relative_velocity import NOTE
 from suspnet.estimation.trained import TrainedModel
 from suspnet.estimation.trip_settings import TripSettings
 from suspnet.ground.parameters import FORWARD, Direction
@@ -92,6 +93,8 @@ def configuration(options, case, *overrides):
     given += [f"generator.sensor_lateral_m={case.lateral_m}", f"data.cache_dir={options.cache}"]
     if "friction" in case.effects:  # its file says so, that of the others says that there is none
         given += ["vehicle.primary_friction_share=0.1"]
+    if "blow_off" in case.effects:
+        given += ["vehicle.secondary_degression=0.4"]
     if case.speeds is not None:
         given += [f"speed_m_per_s={sum(case.speeds) / 2}"]
     with initialize_config_dir(str(TESTS.parent / "configs"), version_base="1.3"):
@@ -138,7 +141,9 @@ def made(options, case: Case, folder: Path) -> Trips:
     truth = np.array([list(true_ratios(train, row, case.sides).values()) for row in ratios])
     if options.time:
         sides = "pair" if case.sides == "mean" else case.sides
-        write_train_trips(folder, train, ratios, fleet, options.seed, sides)
+        each = options.healthy, options.trips, options.seed
+        ways = {"speeds_m_per_s": case.speeds_of(*each), "roughness": case.roughness_of(*each)}
+        write_train_trips(folder, train, ratios, fleet, options.seed, sides, **ways)
         return Trips(case, find_manifests(folder), truth, options.healthy)
     speeds = case.speeds_of(options.healthy, options.trips, options.seed)
     at_fault = [bool(case.faults) and i >= options.healthy for i in range(n_trips)]
@@ -175,6 +180,10 @@ def trained(config, generator, vehicle: Commissioned | None = None) -> tuple[Tra
     model = calibrated(problem, fit(problem, build(config, "model"), None))
     if vehicle is not None:
         model = with_unexplained(problem, model, vehicle.residual)
+        if vehicle.laws.velocity is not None:
+            noted = {NOTE: asdict(vehicle.laws.velocity)}
+            model = replace(model, training=model.training | {"commissioned": noted})
+            print(vehicle.laws.velocity, file=sys.stderr)
     return model, time.process_time() - start
 
 

@@ -105,7 +105,7 @@ def test_trips_of_all_temperatures_have_the_sum_of_squares_of_the_damping_there(
 
 def test_slopes_are_found_where_healthy_trips_differ_in_temperature():
     found = commission(GENERATOR, SETTINGS, healthy((-5.0, 10.0, 31.0)), n_starts=1)
-    law = found.damping
+    law = found.laws.temperature
     assert law.healthy_c == 12.0
     for name, slope, deviation in zip(DAMPINGS, law.slopes, law.deviations, strict=True):
         assert deviation < 0.3 * SLOPE_DEVIATION
@@ -113,7 +113,7 @@ def test_slopes_are_found_where_healthy_trips_differ_in_temperature():
     assert found.misfit < 1.1
     np.testing.assert_allclose(found.masses, MASSES, rtol=0.02)
     unknown = commission(GENERATOR, SETTINGS, healthy((-5.0, 10.0, 31.0), False), n_starts=1)
-    assert unknown.damping is None
+    assert unknown.laws.temperature is None
     assert unknown.misfit > 1.5  # one damping does not explain trips of all temperatures
 
 
