@@ -58,9 +58,12 @@ class DampingSlopes:
     ----------
     vehicle : Vehicle
     temperatures_c : sequence of float or None, [°C]
-        Of each group of spectra, None if unknown.
+        Of each trip, None if unknown.
     velocities_m_per_s : array of shape (n_groups, 2), [m/s]
-        Relative velocities across the primary and the secondary suspension.
+        Relative velocities across the primary and the secondary suspension, of each group of
+        spectra.
+    trips : sequence of int
+        Number of the trip of each group.
     """
 
     def __init__(
@@ -68,14 +71,17 @@ class DampingSlopes:
         vehicle: Vehicle,
         temperatures_c: Sequence[float | None],
         velocities_m_per_s: FloatArray,
+        trips: Sequence[int],
     ) -> None:
         self._most = allowed(vehicle)
-        self._healthy_c, warmer = kelvins_warmer(temperatures_c)
+        self.healthy_c, warmer = kelvins_warmer(temperatures_c)
         logs = np.log(velocities_m_per_s)
         self._healthy_log = logs.mean(axis=0)
         self._exponents, self._deviations = prior(vehicle)
         both = range(len(DAMPINGS))
-        self._warm = [_Slope(j, USUAL_SLOPE, SLOPE_DEVIATION, np.array(warmer)) for j in both]
+        self._warm = [
+            _Slope(j, USUAL_SLOPE, SLOPE_DEVIATION, np.array(warmer)[list(trips)]) for j in both
+        ]
         self._fast = [
             _Slope(j, -self._exponents[j], self._deviations[j], logs[:, j] - self._healthy_log[j])
             for j in both
@@ -106,9 +112,9 @@ class DampingSlopes:
             else:
                 slopes[j], deviations[j] = found, deviation
         temperature = velocity = None
-        if self._healthy_c is not None:
+        if self.healthy_c is not None:
             both = tuple(slopes.tolist()), tuple(deviations.tolist())
-            temperature = DampingByTemperature(self._healthy_c, *both)
+            temperature = DampingByTemperature(self.healthy_c, *both)
         if self._most.any():
             healthy = tuple(np.exp(self._healthy_log).tolist())
             both = tuple(exponents.tolist()), tuple(uncertain.tolist())

@@ -235,10 +235,12 @@ class HealthyMisfit:
         self._trips = [group.trip for group in groups]
         self.n_trips = 1 + max(self._trips)
         self.frequencies_hz = settings.frequencies_hz()
+        given = {group.trip: group.temperature_c for group in groups}
         self._slopes = DampingSlopes(
             generator.vehicle,
-            [group.temperature_c for group in groups],
+            [given.get(i) for i in range(self.n_trips)],
             np.array([relative_velocities(one.spectra, self.frequencies_hz) for one in groups]),
+            self._trips,
         )
         self.n_slopes = len(self._slopes)
         self.every = every_direction(generator)

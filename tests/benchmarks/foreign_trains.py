@@ -21,7 +21,8 @@ IN_SPECTRA = ("sensors", "wheelsets")
 class Case:
     """Effects of a train, where its sensors are, "mean" of a pair or "left", and its speeds.
 
-    `tracks` are the least and the largest amplitude of its tracks over the usual one, [-]. `numbers` of the train are fixed instead of drawn; its worn trips alone have the `faults`.
+    `tracks` are the least and the largest amplitude of its tracks over the usual one, [-].
+    `numbers` of the train are fixed instead of drawn; its worn trips alone have the `faults`.
     """
 
     effects: tuple[str, ...] = ()

@@ -70,12 +70,12 @@ def test_residual_is_the_weighted_mean_less_what_noise_makes():
 
 @pytest.mark.parametrize("share", [0.0, 0.1])
 @pytest.mark.parametrize("ratio", [0.6, 1.0, 1.4])
-def test_what_does_not_wear_costs_the_worn_primary_suspension_only(ratio, share):
-    costs = unworn_deviations(("c_p", "k_p", "c_s", "k_s"), np.full(4, ratio), share)
-    shares = share * np.array([UNWORN["c_p"], UNWORN["k_p"]])
-    read = (1 - shares) * ratio + shares  # the damper wears, the share beside it stays
-    np.testing.assert_allclose(costs[:2], np.log(1 + np.abs(read - ratio) / ratio), atol=1e-12)
-    assert (costs[2:] == 0).all()
+def test_what_does_not_wear_costs_the_worn_primary_spring_only(ratio, share):
+    costs = unworn_deviations(("k_p", "c_p", "c_s", "k_s"), np.full(4, ratio), share)
+    unworn = share * UNWORN["k_p"]
+    read = (1 - unworn) * ratio + unworn  # the spring wears, the share beside it stays
+    np.testing.assert_allclose(costs[0], np.log(1 + abs(read - ratio) / ratio), atol=1e-12)
+    assert (costs[1:] == 0).all()
 
 
 def test_noise_alone_leaves_next_to_nothing():
