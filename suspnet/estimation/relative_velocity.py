@@ -28,7 +28,7 @@ from typing import Any, Self
 
 import numpy as np
 import torch
-from scipy.stats import norm, uniform
+from scipy.stats import norm
 from torch import Tensor
 
 from suspnet.dynamics import Vehicle
@@ -120,8 +120,7 @@ def allowed(vehicle: Vehicle) -> FloatArray:
 
 def prior(vehicle: Vehicle) -> tuple[FloatArray, FloatArray]:
     """Return the prior mean and standard deviation of d, each (2,), [-]."""
-    known = uniform(scale=allowed(vehicle))
-    return known.mean(), known.std()
+    return allowed(vehicle) / 2, allowed(vehicle) / math.sqrt(12)
 
 
 def relative_velocities(spectra: CrossSpectra, frequencies_hz: Tensor) -> FloatArray:

@@ -116,6 +116,9 @@ def test_alike_trips_keep_the_prior_and_a_stiff_vehicle_file_has_no_law():
     found = slopes.laws(np.zeros(0), np.zeros(0)).velocity
     assert len(slopes) == 0
     assert (found.exponents, found.deviations) == tuple(tuple(one.tolist()) for one in prior(SOFT))
+    stiff = DampingSlopes(replace(SOFT, primary_friction_share=0.0), [None] * 3, alike, range(3))
+    half = stiff.laws(np.zeros(0), np.zeros(0)).velocity
+    assert (half.exponents[0], half.deviations[0]) == (0.0, 0.0)
     assert DampingSlopes(AM96, [None] * 3, alike, range(3)).laws(np.zeros(0), np.zeros(0)) == (
         type(slopes.laws(np.zeros(0), np.zeros(0)))()
     )
