@@ -126,13 +126,11 @@ def prior(vehicle: Vehicle) -> tuple[FloatArray, FloatArray]:
 def relative_velocities(spectra: CrossSpectra, frequencies_hz: Tensor) -> FloatArray:
     """Return the rms relative velocity across each suspension, (2,), [m/s].
 
-    `spectra` (3, n_freq) are those of a trip on bins `frequencies_hz` (n_freq,); bins without a
-    finite value count as none.
+    `spectra` (3, n_freq) are those of a trip on bins `frequencies_hz` (n_freq,).
     """
     powers = []
     for x, y in SUSPENSIONS.values():
         between = spectra.auto[x] + spectra.auto[y] - 2 * spectra.between(x, y).real
-        power = between.clamp(min=0.0) / (2 * math.pi * frequencies_hz) ** 2
-        powers.append(power.where(power.isfinite(), 0.0))
+        powers.append(between.clamp(min=0.0) / (2 * math.pi * frequencies_hz) ** 2)
     total = torch.trapezoid(torch.stack(powers), frequencies_hz.expand(len(powers), -1))
     return np.asarray(total.sqrt().cpu().numpy())
