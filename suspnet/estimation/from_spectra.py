@@ -42,7 +42,8 @@ from suspnet.estimation.refine import Refined, complete_ratios, refine
 from suspnet.estimation.relative_velocity import DampingByVelocity, relative_velocities
 from suspnet.ground.types import FloatArray
 from suspnet.spectra.cross_spectra import CrossSpectra
-from suspnet.spectra.estimates import EstimateObserver, EstimateSettings
+from suspnet.spectra.estimate_observer import EstimateObserver
+from suspnet.spectra.estimates import EstimateSettings
 from suspnet.spectra.segments import Speeds
 
 

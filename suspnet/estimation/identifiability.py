@@ -30,7 +30,8 @@ from suspnet.estimation.sensor_information import (
 from suspnet.ground.parameters import BODY_MASS
 from suspnet.ground.types import FloatArray
 from suspnet.spectra.curves import CurveObserver, CurveSettings
-from suspnet.spectra.estimates import EstimateObserver, EstimateSettings
+from suspnet.spectra.estimate_observer import EstimateObserver
+from suspnet.spectra.estimates import EstimateSettings
 from suspnet.spectra.observation import Observer
 
 SECOND_SET = "a second set of sensors"

@@ -45,7 +45,7 @@ from suspnet.dynamics import PARAMETERS, ResponseGenerator
 from suspnet.estimation.information import without_uncertain
 from suspnet.estimation.protocols import columns_of
 from suspnet.ground.types import FloatArray
-from suspnet.spectra.estimates import EstimateObserver
+from suspnet.spectra.estimate_observer import EstimateObserver
 from suspnet.spectra.observation import Directions, every_direction
 
 ROWS = 32

@@ -37,7 +37,7 @@ from suspnet.estimation.protocols import BODY_MASS_COLUMN
 from suspnet.estimation.refine import Refined
 from suspnet.ground.progress import bar as progress_bar
 from suspnet.ground.types import FloatArray
-from suspnet.spectra.estimates import EstimateObserver
+from suspnet.spectra.estimate_observer import EstimateObserver
 
 N_FITS, N_UNCERTAIN_FITS = 2048, 48
 """Refined calibration curves from which the usual misfit is learnt; the second number applies
