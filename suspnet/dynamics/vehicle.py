@@ -128,12 +128,19 @@ class Vehicle:
         low=0,
         most=0.5,
     )
-    secondary_degression: float = setting(
+    primary_blow_off_m_per_s: float | None = setting(
         0.1,
-        "Largest d of secondary dampers whose damping falls with the relative velocity as v^-d; 0 "
-        "for linear ones, 0.4 for dampers that often blow off",
-        low=0,
-        most=0.5,
+        "Lowest relative velocity at which the primary dampers may blow off, beyond which they "
+        "resist less; null for linear dampers",
+        "m/s",
+        above=0,
+    )
+    secondary_blow_off_m_per_s: float | None = setting(
+        0.1,
+        "Lowest relative velocity at which the secondary dampers may blow off; null for linear "
+        "dampers and chokes",
+        "m/s",
+        above=0,
     )
     limits: Annotated[
         Mapping[str, Any] | None,

@@ -20,8 +20,8 @@ The best of these continue. The inverse of J^T J at the end, without the rows of
 posterior covariance of z. If the final misfit exceeds the noise, the noise is scaled up to match.
 
 Where the temperatures of the trips differ, the slopes of damping over temperature are fitted, too
-(`suspnet.estimation.temperature`), and where their relative velocities differ, its exponents over
-these (`suspnet.estimation.relative_velocity`).
+(`suspnet.estimation.temperature`), and where their relative velocities differ, what dampers lose as
+they move faster (`suspnet.estimation.relative_velocity`).
 """
 
 from __future__ import annotations
@@ -282,7 +282,7 @@ class _Search(HealthyMisfit):
     def widened(self, ratio: float) -> FloatArray:
         """Return the end of searches in bands that widen by `ratio`, but for the whole band."""
         masses = np.full(self.n_trips, MASS_MEAN)
-        x = np.concatenate([np.zeros(len(self.prior.names)), masses, np.zeros(self.n_slopes)])
+        x = np.concatenate([np.zeros(len(self.prior.names)), masses, np.zeros(self.n_of_damping)])
         low_hz, high_hz = self.frequencies_hz[[0, -1]].tolist()
         n_bands = int(math.log(max(high_hz / (LOWEST_BAND * low_hz), 1.0), ratio))
         for i in range(n_bands, 0, -1):

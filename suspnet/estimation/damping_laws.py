@@ -1,8 +1,8 @@
 """What healthy trips tell of how damping depends on temperature and on relative velocity.
 
-The laws are in `suspnet.estimation.temperature` and `suspnet.estimation.relative_velocity`. Each is
-a slope of log damping, of primary and of secondary damping, which is fitted where healthy trips
-differ in what it depends on; elsewhere it keeps its prior.
+The laws are in `suspnet.estimation.temperature` and `suspnet.estimation.relative_velocity`. Their
+numbers are fitted where healthy trips differ in what damping depends on; elsewhere they keep their
+prior.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from suspnet.dynamics import Vehicle
-from suspnet.estimation.relative_velocity import DampingByVelocity, allowed, prior
+from suspnet.estimation.relative_velocity import DampingByVelocity, linear, most, prior
 from suspnet.estimation.temperature import (
     DAMPINGS,
     SLOPE_DEVIATION,
@@ -41,18 +41,8 @@ class Laws:
     velocity: DampingByVelocity | None = None
 
 
-@dataclass(frozen=True)
-class _Slope:
-    """Slope of the logarithm of damping number `damping` over `over` (n_groups,)."""
-
-    damping: int
-    mean: float
-    deviation: float
-    over: FloatArray
-
-
-class DampingSlopes:
-    """Slopes of log damping that healthy trips tell, as coordinates in deviations from the prior.
+class DampingNumbers:
+    """Numbers of both laws that healthy trips tell, as coordinates in deviations from the prior.
 
     Parameters
     ----------
@@ -73,50 +63,54 @@ class DampingSlopes:
         velocities_m_per_s: FloatArray,
         trips: Sequence[int],
     ) -> None:
-        self._most = allowed(vehicle)
         self.healthy_c, warmer = kelvins_warmer(temperatures_c)
-        logs = np.log(velocities_m_per_s)
-        self._healthy_log = logs.mean(axis=0)
-        self._exponents, self._deviations = prior(vehicle)
-        both = range(len(DAMPINGS))
-        self._warm = [
-            _Slope(j, USUAL_SLOPE, SLOPE_DEVIATION, np.array(warmer)[list(trips)]) for j in both
-        ]
-        self._fast = [
-            _Slope(j, -self._exponents[j], self._deviations[j], logs[:, j] - self._healthy_log[j])
-            for j in both
-            if self._most[j] > 0 and logs[:, j].std() > DIFFERENT
-        ]
-        self._slopes = [*(self._warm if any(warmer) else []), *self._fast]
+        self._warmer = np.array(warmer)[list(trips)]
+        self._velocities, logs = velocities_m_per_s, np.log(velocities_m_per_s)
+        self._healthy = np.exp(logs.mean(axis=0))
+        self._most = most(vehicle)
+        mean, deviation = prior(vehicle)
+        varied = logs.std(axis=0)[[0, 0, 1]] > DIFFERENT  # friction and blow-off of c_p, of c_s
+        # all numbers; those that the trips tell
+        self._mean = np.array([*[USUAL_SLOPE] * len(DAMPINGS), *mean])
+        self._deviation = np.array([*[SLOPE_DEVIATION] * len(DAMPINGS), *deviation])
+        warm = [bool(any(warmer))] * len(DAMPINGS)
+        self._told = np.flatnonzero([*warm, *(varied & (self._most > 0))])
 
     def __len__(self) -> int:
-        return len(self._slopes)
+        return len(self._told)
 
     def factors(self, standard: Tensor, group: int) -> Tensor:
         """Return what multiplies the damping of a group, (n_rows, 2); `standard` (n_rows, len)."""
-        logs = torch.zeros(len(standard), len(DAMPINGS), dtype=torch.float64)
-        for slope, own in zip(self._slopes, standard.T, strict=True):
-            logs[:, slope.damping] += (slope.mean + slope.deviation * own) * slope.over[group]
-        return logs.exp()
+        numbers = torch.as_tensor(self._mean).repeat(len(standard), 1)
+        numbers[:, self._told] += torch.as_tensor(self._deviation[self._told]) * standard
+        slopes, shapes = numbers[:, : len(DAMPINGS)], numbers[:, len(DAMPINGS) :]
+        of_velocity = [
+            torch.stack(linear(shapes, i, float(own), float(healthy))).sum(dim=0)
+            for i, (own, healthy) in enumerate(
+                zip(self._velocities[group], self._healthy, strict=True)
+            )
+        ]
+        of_temperature: Tensor = (slopes * self._warmer[group]).exp()
+        return of_temperature * torch.stack(of_velocity, dim=1)
 
-    def laws(self, standard: FloatArray, spread: FloatArray) -> Laws:
-        """Return the laws at coordinates (len,) with posterior deviations `spread` (len,)."""
-        slopes = np.array([USUAL_SLOPE] * len(DAMPINGS))
-        deviations = np.array([SLOPE_DEVIATION] * len(DAMPINGS))
-        exponents, uncertain = self._exponents.copy(), self._deviations.copy()
-        for slope, own, its in zip(self._slopes, standard, spread, strict=True):
-            found, deviation = slope.mean + slope.deviation * own, slope.deviation * its
-            j = slope.damping
-            if slope in self._fast:
-                exponents[j], uncertain[j] = np.clip(-found, 0, self._most[j]), deviation
-            else:
-                slopes[j], deviations[j] = found, deviation
+    def laws(self, standard: FloatArray, covariance: FloatArray) -> Laws:
+        """Return the laws at coordinates (len,) with their posterior covariance (len, len)."""
+        numbers, spread = self._mean.copy(), np.diag(self._deviation**2)
+        scale = self._deviation[self._told]
+        numbers[self._told] += scale * standard
+        spread[np.ix_(self._told, self._told)] = scale[:, None] * covariance * scale
+        spread = (spread + spread.T) / 2
+        n = len(DAMPINGS)
         temperature = velocity = None
         if self.healthy_c is not None:
-            both = tuple(slopes.tolist()), tuple(deviations.tolist())
+            deviations = np.sqrt(np.diag(spread)[:n])
+            both = tuple(numbers[:n].tolist()), tuple(deviations.tolist())
             temperature = DampingByTemperature(self.healthy_c, *both)
         if self._most.any():
-            healthy = tuple(np.exp(self._healthy_log).tolist())
-            both = tuple(exponents.tolist()), tuple(uncertain.tolist())
-            velocity = DampingByVelocity(healthy, *both)
+            velocity = DampingByVelocity(
+                tuple(self._healthy.tolist()),
+                tuple(np.clip(numbers[n:], 0.0, self._most).tolist()),
+                tuple(self._most.tolist()),
+                tuple(map(tuple, spread[n:, n:].tolist())),
+            )
         return Laws(temperature, velocity)

@@ -16,7 +16,7 @@ from torch import Tensor
 
 from suspnet.dynamics import PARAMETERS, VerticalVehicle
 from suspnet.dynamics.quantities import UNMEASURED, LogNormal
-from suspnet.estimation.damping_laws import DampingSlopes, Laws
+from suspnet.estimation.damping_laws import DampingNumbers, Laws
 from suspnet.estimation.direction import direction_of
 from suspnet.estimation.from_recording import unrepaired_words
 from suspnet.estimation.relative_velocity import relative_velocities
@@ -220,8 +220,8 @@ class HealthyMisfit:
 
     theta = (z, logarithms of masses), followed, where trips differ in temperature, by the slopes of
     damping over temperature (`suspnet.estimation.temperature`), and where they differ in relative
-    velocity, by the exponents of damping over it (`suspnet.estimation.relative_velocity`), in
-    deviations from their priors.
+    velocity, by friction and blow-off (`suspnet.estimation.relative_velocity`), in deviations from
+    their priors.
     """
 
     def __init__(
@@ -236,13 +236,13 @@ class HealthyMisfit:
         self.n_trips = 1 + max(self._trips)
         self.frequencies_hz = settings.frequencies_hz()
         given = {group.trip: group.temperature_c for group in groups}
-        self._slopes = DampingSlopes(
+        self._of_damping = DampingNumbers(
             generator.vehicle,
             [given.get(i) for i in range(self.n_trips)],
             np.array([relative_velocities(one.spectra, self.frequencies_hz) for one in groups]),
             self._trips,
         )
-        self.n_slopes = len(self._slopes)
+        self.n_of_damping = len(self._of_damping)
         self.every = every_direction(generator)
         observers = {
             direction: settings.observer(generator.running(direction))
@@ -268,11 +268,10 @@ class HealthyMisfit:
         healthy = torch.ones(len(theta), len(PARAMETERS), dtype=torch.float64)
         healthy[:, -1] = theta[:, n + self._trips[group]].exp()
         rows = self.every.vehicles(healthy, theta[:, :n])
-        if self.n_slopes:
+        if self.n_of_damping:
             rows = self._generator.complete(rows)  # both bogies are alike
-            rows[:, _OF_DAMPING] *= self._slopes.factors(theta[:, -self.n_slopes :], group).repeat(
-                1, 2
-            )
+            own = theta[:, -self.n_of_damping :]
+            rows[:, _OF_DAMPING] *= self._of_damping.factors(own, group).repeat(1, 2)
         return rows
 
     def part(self, theta: Tensor, group: int, spread: float, high_hz: float = math.inf) -> Tensor:
@@ -327,7 +326,7 @@ class HealthyMisfit:
     def _prior_deviations(self) -> FloatArray:
         """Return the prior standard deviations of theta, (n_coordinates,)."""
         masses = [MASS_DEVIATION] * self.n_trips
-        return np.array([1.0] * len(self.prior.names) + masses + [1.0] * self.n_slopes)
+        return np.array([1.0] * len(self.prior.names) + masses + [1.0] * self.n_of_damping)
 
     def misfits(self, theta: Tensor) -> list[float]:
         """Return the rms residual of each group over that of the noise."""
@@ -354,8 +353,8 @@ class HealthyMisfit:
         logs = np.array(self.prior.mean) + factor @ x[:n]
         rows = tuple(map(tuple, ((covariance + covariance.T) / 2).tolist()))
         found = LogNormal(self.prior.names, tuple(logs.tolist()), rows)
-        own = slice(len(x) - self.n_slopes, None)
-        laws = self._slopes.laws(x[own], np.sqrt(np.diag(spread)[own]))
+        own = slice(len(x) - self.n_of_damping, None)
+        laws = self._of_damping.laws(x[own], spread[own, own])
         return found, laws, mean_square
 
     def distance(self, one: FloatArray, other: FloatArray, posterior: LogNormal) -> float:

@@ -1,22 +1,23 @@
 """Damping at equal relative velocity, for trips rougher, smoother or faster than the healthy ones.
 
-Dampers that blow off lose damping as they move faster. Dry friction beside a damper is a force that
-does not grow with velocity: where it slips, it is worth sqrt(2 / pi) F / sigma of damping. With
-sigma the rms relative velocity across a suspension on a trip and sigma_0 its geometric mean over
-the healthy trips, the damping of a healthy vehicle follows::
+A damper that blows off has the slope c up to the relative velocity v_b, and ``SLOPE_AFTER`` c
+beyond. Dry friction beside a damper is a force that does not grow with velocity. With sigma the rms
+relative velocity across a suspension, normal, statistical linearisation gives the damping ::
 
-    c(sigma) = c(sigma_0) (sigma / sigma_0)^-d
+    c g(sigma / v_b) + sqrt(2 / pi) F / sigma,    g(y) = rho + (1 - rho) erf(1 / (sqrt(2) y))
 
-d [-] is uniform from 0 to what the vehicle file allows for: `primary_friction_share`, as d is the
-share of friction in the primary damping, and `secondary_degression`. Healthy trips of different
-sigma narrow it (`suspnet.estimation.healthy_trips`). Friction does not wear with the damper beside
-it: an estimate x relative to healthy is that of a damper at r with ::
+(Roberts and Spanos, Random vibration and statistical linearization, 1990.) With sigma_0 the
+geometric mean over the healthy trips, u = 1 / v_b [s/m] and s [-] such that friction is the share
+s / (s + (1 - s) g(sigma_0 u)) of the healthy damping, an estimate x relative to healthy is that of
+a damper at the ratio r with ::
 
-    x = (1 - d) r + d sigma_0 / sigma        primary
-    x = r (sigma / sigma_0)^-d               secondary
+    x = ((1 - s) r g(sigma u) + s sigma_0 / sigma) / ((1 - s) g(sigma_0 u) + s)
 
-Estimates are compared as r, and the uncertainty of d widens their intervals by its deviation times
-abs(d log r / d d).
+Friction does not wear with the damper beside it. Worn dampers blow off at the same velocity, with
+less force. s is between 0 and the vehicle file's `primary_friction_share`, u between 0 and the
+inverse of `primary_blow_off_m_per_s` or `secondary_blow_off_m_per_s`. Healthy trips of different
+sigma narrow s and u (`suspnet.estimation.damping_laws`). Estimates are compared as r; draws of s
+and u give its mean and its uncertainty, which widens the intervals.
 """
 
 from __future__ import annotations
@@ -24,11 +25,12 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import Any, Self
 
 import numpy as np
 import torch
-from scipy.stats import norm
+from scipy.stats import norm, qmc
 from torch import Tensor
 
 from suspnet.dynamics import Vehicle
@@ -39,45 +41,69 @@ from suspnet.spectra.cross_spectra import CrossSpectra
 
 SUSPENSIONS = {"c_p": (0, 1), "c_s": (1, 2)}
 """Damping of each suspension, and the sensors on both sides of it."""
+UNKNOWN = ("s of c_p", "u of c_p", "u of c_s")
+"""What the law does not know, in the order of its numbers."""
 NOTE = "damping_by_velocity"
 """Key of the law in the notes of a commissioning."""
+SLOPE_AFTER = 0.2
+"""rho, the slope beyond blow-off over that before it: assumed, as data sheets give 0.1 to 0.3."""
 LEAST_RATIO = 0.01
 """Smallest ratio r of a damper beside friction, which may be all that is left of the damping."""
+FASTER = 1.3
+"""Velocity over the healthy trips' for which the loss of damping is told."""
+N_DRAWS = 256
+"""Draws of s and u; their mean and spread are of log r, to a hundredth of that spread."""
 
 
 @dataclass(frozen=True)
 class DampingByVelocity:
-    """The law of a commissioned vehicle, each of primary and secondary damping.
+    """The law of a commissioned vehicle.
 
-    `healthy_m_per_s` is sigma_0 [m/s]; `exponents` and `deviations` [-] are the mean and the
-    standard deviation of d.
+    `healthy_m_per_s` (2,) is sigma_0 [m/s] of each suspension. `numbers`, `most` (3,) and
+    `covariance` (3, 3) are the mean of ``UNKNOWN``, their upper ends and their covariance: normal,
+    moved to 0 or to the upper end where beyond.
     """
 
     healthy_m_per_s: tuple[float, ...]
-    exponents: tuple[float, ...]
-    deviations: tuple[float, ...]
+    numbers: tuple[float, ...]
+    most: tuple[float, ...]
+    covariance: tuple[tuple[float, ...], ...]
 
     def __post_init__(self) -> None:
-        limits = {"healthy_m_per_s": (0.0, math.inf), "exponents": (-1e-9, 0.9)}
-        for name in ("healthy_m_per_s", "exponents", "deviations"):
+        shapes = {"healthy_m_per_s": 2, "numbers": 3, "most": 3}
+        for name, n in shapes.items():
             values = tuple(getattr(self, name))
-            if len(values) != len(SUSPENSIONS):
-                raise ValueError(f"`{NOTE}.{name}` must be {len(SUSPENSIONS)} numbers: {values}")
-            above, most = limits.get(name, (-1e-9, math.inf))
+            if len(values) != n:
+                raise ValueError(f"`{NOTE}.{name}` must be {n} numbers, got {values}")
             for value in values:
-                check_number(f"{NOTE}.{name}", value, above=above, most=most)
+                if name == "healthy_m_per_s":
+                    check_number(f"{NOTE}.{name}", value, above=0)
+                else:
+                    check_number(f"{NOTE}.{name}", value, low=0)
             object.__setattr__(self, name, values)
+        rows = tuple(tuple(row) for row in self.covariance)
+        wrong = f"`{NOTE}.covariance` must be 3 x 3, symmetric, without negative variances"
+        if len(rows) != 3 or any(len(row) != 3 for row in rows):
+            raise ValueError(wrong)
+        for row in rows:
+            for value in row:
+                check_number(f"{NOTE}.covariance", value)
+        matrix = np.array(rows)
+        scale = np.abs(matrix).max()
+        if (matrix != matrix.T).any() or np.linalg.eigvalsh(matrix).min() < -1e-9 * scale:
+            raise ValueError(wrong)
+        object.__setattr__(self, "covariance", rows)
 
     def __str__(self) -> str:
         at = " and ".join(f"{1000 * one:.3g}" for one in self.healthy_m_per_s)
-        powers = [
-            f"{name} falls with its power {d:.2g} ± {deviation:.1g}"
-            for name, d, deviation in zip(SUSPENSIONS, self.exponents, self.deviations, strict=True)
-            if d or deviation
-        ]
+        losses = []
+        for i, (name, healthy) in enumerate(zip(SUSPENSIONS, self.healthy_m_per_s, strict=True)):
+            left = torch.stack(linear(self.drawn(), i, FASTER * healthy, healthy)).sum(dim=0)
+            low, high = np.quantile(100 * (1 - left.numpy()), [0.05, 0.95])
+            losses.append(f"{name} loses {max(low, 0.0):.2g} to {max(high, 0.0):.2g} %")
         return (
-            f"Damping is compared at {at} mm/s (rms) across primary and secondary suspension; "
-            f"{' and '.join(powers)}."
+            f"Damping is compared at {at} mm/s (rms) across primary and secondary suspension; at "
+            f"{100 * (FASTER - 1):.0f} % more {' and '.join(losses)}."
         )
 
     @classmethod
@@ -86,41 +112,65 @@ class DampingByVelocity:
         note = training.get("commissioned", {}).get(NOTE)
         return cls(**note) if note else None
 
+    def drawn(self) -> Tensor:
+        """Return draws of the numbers, (n_draws, 3)."""
+        power, vectors = np.linalg.eigh(np.array(self.covariance))
+        spread = _standard() @ (vectors * np.sqrt(np.clip(power, 0.0, None))).T
+        return torch.as_tensor(np.clip(np.array(self.numbers) + spread, 0.0, self.most))
+
     def compared(self, estimate: Estimate, velocities_m_per_s: Sequence[float]) -> Estimate:
         """Return a trip's estimate with damping as it would be at the healthy trips' velocities.
 
         `velocities_m_per_s` are the trip's sigma of each suspension, from `relative_velocities`.
         """
         values, low, high = (part.copy() for part in (estimate.values, estimate.low, estimate.high))
-        z = norm.ppf((1 + estimate.level) / 2)
-        rows = zip(SUSPENSIONS, self.exponents, self.deviations, self.healthy_m_per_s, strict=True)
-        for (name, d, deviation, healthy), own in zip(rows, velocities_m_per_s, strict=True):
+        z, numbers = norm.ppf((1 + estimate.level) / 2), self.drawn()
+        ways = zip(SUSPENSIONS, self.healthy_m_per_s, velocities_m_per_s, strict=True)
+        for i, (name, healthy, own) in enumerate(ways):
             if name not in estimate.names:
                 continue
             j = estimate.names.index(name)
-            found, slower = estimate.values[:, j], healthy / own
-            if name == "c_p":
-                ratio = np.maximum((found - d * slower) / (1 - d), LEAST_RATIO)
-                slope, gain = np.abs(found - slower) / (1 - d) ** 2 / ratio, found / ratio / (1 - d)
-            else:
-                ratio = found * slower**-d
-                slope, gain = np.full_like(found, abs(math.log(slower))), np.ones_like(found)
-            values[:, j] = ratio
+            slope, offset = (part.numpy()[:, None] for part in linear(numbers, i, own, healthy))
+            logs = np.log(np.maximum((estimate.values[:, j] - offset) / slope, LEAST_RATIO))
+            values[:, j] = np.exp(logs.mean(axis=0))
+            # friction is the same absolute amount of a small damping and of a large one
+            gain = np.maximum(estimate.values[:, j] / (slope.mean() * values[:, j]), 1.0)
             for end, sign in ((low, -1), (high, 1)):
                 with np.errstate(divide="ignore", over="ignore"):  # an interval may reach 0
-                    half = gain * np.log(end[:, j] / found)
-                    end[:, j] = ratio * np.exp(sign * np.hypot(half, z * deviation * slope))
+                    half = gain * np.log(end[:, j] / estimate.values[:, j])
+                    end[:, j] = values[:, j] * np.exp(sign * np.hypot(half, z * logs.std(axis=0)))
         return replace(estimate, values=values, low=low, high=high)
 
 
-def allowed(vehicle: Vehicle) -> FloatArray:
-    """Return the largest d of primary and secondary damping, (2,), [-]."""
-    return np.array([vehicle.primary_friction_share, vehicle.secondary_degression])
+def linear(
+    numbers: Tensor, suspension: int, own_m_per_s: float, healthy_m_per_s: float
+) -> tuple[Tensor, Tensor]:
+    """Return slope and offset of an estimate over the damper's ratio, each (n_rows,), [-].
+
+    `numbers` (n_rows, 3) are those of ``UNKNOWN``, `suspension` is 0 of the primary one.
+    """
+    share = numbers[:, 0] if suspension == 0 else torch.zeros_like(numbers[:, 0])
+    inverse = numbers[:, 1 + suspension]
+    whole = (1 - share) * _slope(healthy_m_per_s * inverse) + share
+    slope = (1 - share) * _slope(own_m_per_s * inverse) / whole
+    return slope, share * (healthy_m_per_s / own_m_per_s) / whole
+
+
+def _slope(over_blow_off: Tensor) -> Tensor:
+    """Return g(y), which does not depend on the sign of y and has no edge at 0."""
+    small = over_blow_off.abs().clamp(min=1e-3)
+    return SLOPE_AFTER + (1 - SLOPE_AFTER) * torch.erf(1 / (math.sqrt(2) * small))
+
+
+def most(vehicle: Vehicle) -> FloatArray:
+    """Return the upper ends of the numbers of ``UNKNOWN`` for a vehicle, (3,)."""
+    ends = vehicle.primary_blow_off_m_per_s, vehicle.secondary_blow_off_m_per_s
+    return np.array([vehicle.primary_friction_share, *(0.0 if v is None else 1 / v for v in ends)])
 
 
 def prior(vehicle: Vehicle) -> tuple[FloatArray, FloatArray]:
-    """Return the prior mean and standard deviation of d, each (2,), [-]."""
-    return allowed(vehicle) / 2, allowed(vehicle) / math.sqrt(12)
+    """Return prior mean and standard deviation of ``UNKNOWN``, (3,) each, of uniform numbers."""
+    return most(vehicle) / 2, most(vehicle) / math.sqrt(12)
 
 
 def relative_velocities(spectra: CrossSpectra, frequencies_hz: Tensor) -> FloatArray:
@@ -134,3 +184,10 @@ def relative_velocities(spectra: CrossSpectra, frequencies_hz: Tensor) -> FloatA
         powers.append(between.clamp(min=0.0) / (2 * math.pi * frequencies_hz) ** 2)
     total = torch.trapezoid(torch.stack(powers), frequencies_hz.expand(len(powers), -1))
     return np.asarray(total.sqrt().cpu().numpy())
+
+
+@cache
+def _standard() -> FloatArray:
+    """Return standard normal points that fill the space evenly, (n_draws, 3)."""
+    points = qmc.Sobol(len(UNKNOWN), scramble=True, rng=0).random(N_DRAWS)
+    return np.asarray(norm.ppf(points))

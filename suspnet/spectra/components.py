@@ -146,8 +146,11 @@ class CurveFeatures:
         noise = (_rows(noisy, healthy, floor) - rows).square().mean(dim=0).sqrt()
         noise = noise.where(noise > ROUNDING, 1.0)  # avoids division by 0: no information there
         mean = rows.mean(dim=0)
-        _, singular, directions = torch.linalg.svd((rows - mean) / noise, full_matrices=False)
-        share = singular.square() / singular.square().sum()
+        # eigenvectors of the covariance: a few times quicker than the singular vectors of all rows
+        power, vectors = torch.linalg.eigh(torch.cov(((rows - mean) / noise).T))
+        n_possible = min(len(clean) - 1, rows.shape[1])
+        directions = vectors.T.flip(0)[:n_possible]
+        share = power.flip(0)[:n_possible].clamp(min=0.0) / power.sum()
         count = self.n_components
         if count is None:
             count = int((share.cumsum(dim=0) < self.explained).sum()) + 1

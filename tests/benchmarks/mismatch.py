@@ -94,7 +94,7 @@ def configuration(options, case, *overrides):
     if "friction" in case.effects:  # its file says so, that of the others says that there is none
         given += ["vehicle.primary_friction_share=0.1"]
     if "blow_off" in case.effects:
-        given += ["vehicle.secondary_degression=0.4"]
+        given += [f"vehicle.{which}_blow_off_m_per_s=0.06" for which in ("primary", "secondary")]
     if case.speeds is not None:
         given += [f"speed_m_per_s={sum(case.speeds) / 2}"]
     with initialize_config_dir(str(TESTS.parent / "configs"), version_base="1.3"):

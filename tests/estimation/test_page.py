@@ -13,6 +13,7 @@ import pytest
 from commissioned_example import MASSES, SETTINGS, UNCERTAIN, commissioned_example, trip
 
 from suspnet.estimation import commissioning_summary as words
+from suspnet.estimation.damping_laws import Laws
 from suspnet.estimation.flags import INCOMPLETE
 from suspnet.estimation.healthy_trips import HealthyTrips
 from suspnet.estimation.temperature import NOTE, DampingByTemperature
@@ -111,10 +112,10 @@ def test_curves_are_kept_with_what_is_left(commissioned, written):
 def test_notes_hold_the_law_of_damping_over_temperature(commissioned):
     found, outcome = commissioned
     law = DampingByTemperature(12.0, (-0.004, -0.0051), (0.002, 0.0003))
-    notes = json.loads(json.dumps(training_notes(found, replace(outcome, damping=law))))
+    notes = json.loads(json.dumps(training_notes(found, replace(outcome, laws=Laws(law)))))
     assert DampingByTemperature.noted({"commissioned": notes}) == law
     assert NOTE not in training_notes(found, outcome)
-    text = words.reference(replace(outcome, damping=law))
+    text = words.reference(replace(outcome, laws=Laws(law)))
     assert text.endswith(
         "Damping is compared at 12 °C, their mean temperature; per kelvin c_p 0.40 ± 0.2 % and "
         "c_s 0.51 ± 0.03 % are lost."

@@ -12,13 +12,14 @@ from vehicles import AM96
 
 from suspnet.dynamics import VerticalVehicle
 from suspnet.estimation.commissioning import commission
-from suspnet.estimation.damping_laws import DampingSlopes
+from suspnet.estimation.damping_laws import DampingNumbers
 from suspnet.estimation.estimate import Estimate, Flags
 from suspnet.estimation.from_spectra import estimate_with_noise
 from suspnet.estimation.healthy_trips import HealthySpectra
 from suspnet.estimation.relative_velocity import (
     NOTE,
     DampingByVelocity,
+    linear,
     prior,
     relative_velocities,
 )
@@ -26,13 +27,30 @@ from suspnet.spectra.cross_spectra import CrossSpectra, moving_average_with, sam
 from suspnet.spectra.estimates import EstimateSettings
 from suspnet.spectra.segments import Speeds
 
-LAW = DampingByVelocity((0.05, 0.03), (0.08, 0.3), (0.01, 0.05))
+COVARIANCE = ((1e-4, 1e-3, 0.0), (1e-3, 1.0, 0.0), (0.0, 0.0, 0.25))
+LAW = DampingByVelocity((0.05, 0.03), (0.05, 8.0, 16.0), (0.1, 20.0, 20.0), COVARIANCE)
 NAMES = ("k_p", "c_p", "k_s", "c_s")
 SETTINGS = EstimateSettings(
     segment_s=5.0, rates_hz=(1000.0, 500.0, 500.0), high_hz=9.9, body_high_hz=9.0
 ).bound(AM96)
-SOFT = replace(AM96, primary_friction_share=0.1, secondary_degression=0.4)
+SOFT = replace(
+    AM96,
+    primary_friction_share=0.1,
+    primary_blow_off_m_per_s=0.05,
+    secondary_blow_off_m_per_s=0.05,
+)
 GENERATOR = VerticalVehicle(SOFT, distribution={f"healthy_{name}": 0.3 for name in ("c_p", "c_s")})
+
+
+def slope(y):
+    """Return what is left of a damper's slope at y blow-off velocities, written out."""
+    return 0.2 + 0.8 * math.erf(1 / (math.sqrt(2) * y)) if y else 1.0
+
+
+def seen(ratio, share, inverse, own, healthy):
+    """Return the estimate relative to healthy of a damper at a ratio, written out."""
+    whole = (1 - share) * slope(healthy * inverse) + share
+    return ((1 - share) * ratio * slope(own * inverse) + share * healthy / own) / whole
 
 
 def read(ratios):
@@ -47,34 +65,57 @@ def read(ratios):
 
 @pytest.mark.parametrize("velocities", [(0.05, 0.03), (0.04, 0.02), (0.09, 0.06)])
 def test_estimates_are_compared_as_the_formula_says(velocities):
-    c_p, c_s = 0.7, 1.2
-    x_p = (1 - 0.08) * c_p + 0.08 * 0.05 / velocities[0]
-    x_s = c_s * (velocities[1] / 0.03) ** -0.3
+    known = replace(LAW, covariance=np.zeros((3, 3)).tolist())
+    ratios, numbers = (0.7, 1.2), ((0.05, 8.0), (0.0, 16.0))
+    x_p, x_s = (
+        seen(ratio, *own, v, healthy)
+        for ratio, own, v, healthy in zip(
+            ratios, numbers, velocities, LAW.healthy_m_per_s, strict=True
+        )
+    )
     given = read([1.01, x_p, 0.97, x_s])
-    found = LAW.compared(given, velocities)
+    found = known.compared(given, velocities)
     np.testing.assert_array_equal(found.values[:, ::2], given.values[:, ::2])  # springs
     np.testing.assert_array_equal(found.low[:, ::2], given.low[:, ::2])
-    assert found.values[0, [1, 3]] == pytest.approx([c_p, c_s])
+    assert found.values[0, [1, 3]] == pytest.approx(ratios)
 
-    def ratios(x, d):
-        slower = 0.05 / velocities[0], 0.03 / velocities[1]
-        return (x[0] - d[0] * slower[0]) / (1 - d[0]), x[1] * slower[1] ** -d[1]
 
-    z, step = norm.ppf(0.95), 1e-5
-    for i, j in ((0, 1), (1, 3)):
-        # differences of the formula by d and by the logarithm of the estimate
-        up, down = np.array(LAW.exponents), np.array(LAW.exponents)
-        up[i], down[i] = up[i] + step, down[i] - step
-        by_d = math.log(ratios((x_p, x_s), up)[i] / ratios((x_p, x_s), down)[i]) / (2 * step)
-        grown = [x * math.exp(step * (k == i)) for k, x in enumerate((x_p, x_s))]
-        shrunk = [x * math.exp(-step * (k == i)) for k, x in enumerate((x_p, x_s))]
-        gain = math.log(ratios(grown, LAW.exponents)[i] / ratios(shrunk, LAW.exponents)[i])
-        gain /= 2 * step
-        common = z * LAW.deviations[i] * by_d
-        below = math.hypot(gain * math.log(given.values[0, j] / given.low[0, j]), common)
-        above = math.hypot(gain * math.log(given.high[0, j] / given.values[0, j]), common)
-        assert found.low[0, j] == pytest.approx(found.values[0, j] * math.exp(-below), rel=1e-6)
-        assert found.high[0, j] == pytest.approx(found.values[0, j] * math.exp(above), rel=1e-6)
+def test_what_the_law_does_not_know_widens_the_interval():
+    velocities = (0.09, 0.06)
+    given = read([1.0, 0.8, 1.0, 0.9])
+    found = LAW.compared(given, velocities)
+    rng = np.random.default_rng(0)
+    drawn = rng.multivariate_normal(LAW.numbers, COVARIANCE, 20_000).clip(0, LAW.most)
+    for j, own, i in ((1, (0, 1), 0), (3, (None, 2), 1)):
+        share = drawn[:, 0] if own[0] == 0 else np.zeros(len(drawn))
+        ends = LAW.healthy_m_per_s[i], velocities[i]
+        at_0, at_1 = (
+            [seen(r, s, u, ends[1], ends[0]) for s, u in zip(share, drawn[:, own[1]], strict=True)]
+            for r in (0.0, 1.0)
+        )
+        gains = np.subtract(at_1, at_0)
+        logs = np.log((given.values[0, j] - at_0) / gains)
+        assert found.values[0, j] == pytest.approx(math.exp(logs.mean()), rel=2e-3)
+        common = norm.ppf(0.95) * logs.std()
+        gain = max(given.values[0, j] / gains.mean() / math.exp(logs.mean()), 1.0)
+        for end, before in ((found.low, given.low), (found.high, given.high)):
+            own_part = gain * math.log(before[0, j] / given.values[0, j])
+            assert abs(math.log(end[0, j] / found.values[0, j])) == pytest.approx(
+                math.hypot(own_part, common), rel=0.02
+            )
+
+
+@pytest.mark.parametrize("over", [0.3, 0.65, 2.0])
+def test_the_slope_is_that_of_statistical_linearisation(over):
+    # least squares of the force of a damper that blows off at 1, over normal velocities
+    velocity = np.linspace(-12, 12, 400_001) * over
+    density = norm.pdf(velocity, scale=over)
+    force = np.where(
+        np.abs(velocity) < 1, velocity, np.sign(velocity) * (1 + 0.2 * (np.abs(velocity) - 1))
+    )
+    best = (force * velocity * density).sum() / (velocity**2 * density).sum()
+    found, _ = linear(torch.tensor([[0.0, 0.0, over]], dtype=torch.float64), 1, 1.0, 1e-6)
+    assert float(found) == pytest.approx(best, rel=1e-4)
 
 
 def test_relative_velocities_are_those_of_signals():
@@ -101,7 +142,7 @@ def test_relative_velocities_are_those_of_signals():
 
 
 def test_the_prior_is_uniform_up_to_what_the_vehicle_file_allows():
-    draws = np.random.default_rng(0).uniform(0, [0.1, 0.4], (200_000, 2))
+    draws = np.random.default_rng(0).uniform(0, [0.1, 20.0, 20.0], (200_000, 3))
     mean, deviation = prior(SOFT)
     np.testing.assert_allclose(mean, draws.mean(axis=0), rtol=0.01)
     np.testing.assert_allclose(deviation, draws.std(axis=0), rtol=0.01)
@@ -110,40 +151,58 @@ def test_the_prior_is_uniform_up_to_what_the_vehicle_file_allows():
 # property
 
 
-def test_alike_trips_keep_the_prior_and_a_stiff_vehicle_file_has_no_law():
+def test_trips_that_are_alike_keep_the_prior():
     alike = np.array([[0.05, 0.03], [0.051, 0.03], [0.049, 0.031]])
-    slopes = DampingSlopes(SOFT, [None] * 3, alike, range(3))
-    found = slopes.laws(np.zeros(0), np.zeros(0)).velocity
-    assert len(slopes) == 0
-    assert (found.exponents, found.deviations) == tuple(tuple(one.tolist()) for one in prior(SOFT))
-    stiff = DampingSlopes(replace(SOFT, primary_friction_share=0.0), [None] * 3, alike, range(3))
-    half = stiff.laws(np.zeros(0), np.zeros(0)).velocity
-    assert (half.exponents[0], half.deviations[0]) == (0.0, 0.0)
-    assert DampingSlopes(AM96, [None] * 3, alike, range(3)).laws(np.zeros(0), np.zeros(0)) == (
-        type(slopes.laws(np.zeros(0), np.zeros(0)))()
-    )
+    numbers = DampingNumbers(SOFT, [None] * 3, alike, range(3))
+    assert len(numbers) == 0
+    found = numbers.laws(np.zeros(0), np.zeros((0, 0))).velocity
+    assert (found.numbers, found.most) == ((0.05, 10.0, 10.0), (0.1, 20.0, 20.0))
+    np.testing.assert_allclose(np.diag(found.covariance), prior(SOFT)[1] ** 2)
 
 
-def test_exponents_of_damping_are_learnt_from_rough_and_smooth_trips():
-    groups, amplitudes, truth = [], (0.6, 0.95, 1.5), (0.06, 0.25)
+def test_a_vehicle_file_of_linear_dampers_has_no_law():
+    apart = np.array([[0.05, 0.03], [0.1, 0.06], [0.15, 0.09]])
+    numbers = DampingNumbers(AM96, [None] * 3, apart, range(3))
+    assert len(numbers) == 0
+    assert numbers.laws(np.zeros(0), np.zeros((0, 0))).velocity is None
+    in_part = replace(AM96, secondary_blow_off_m_per_s=0.1)
+    assert len(DampingNumbers(in_part, [None] * 3, apart, range(3))) == 1
+
+
+def test_friction_and_blow_off_are_learnt_from_rough_and_smooth_trips():
+    groups, truth = [], (0.06, 12.0, 15.0)
     taps = moving_average_with(SETTINGS.welch.correlation().numpy())
     source, at = torch.Generator().manual_seed(0), Speeds((70.0,), (1.0,))
-    bogies = replace(GENERATOR, distribution=None, other_bogie="same")
-    for i, amplitude in enumerate(amplitudes):
-        # velocities grow with the amplitude, less a little of what the damping loses
-        c_p, c_s = (amplitude**-d for d in truth)
-        rows = torch.tensor([[1.0, c_p, 1.0, c_s, 1.0]], dtype=torch.float64)
-        drawn = sample_spectra(SETTINGS.observer(bogies).at(at).expected(rows), taps, source)
-        power = amplitude**2
+    observer = SETTINGS.observer(replace(GENERATOR, distribution=None, other_bogie="same")).at(at)
+    bins = SETTINGS.frequencies_hz()
+
+    def moving(amplitude, damping):
+        """Return rows of ratios with this damping, and the velocities there."""
+        rows = torch.tensor([[1.0, damping[0], 1.0, damping[1], 1.0]], dtype=torch.float64)
+        mean = observer.expected(rows)
+        one = CrossSpectra(mean.auto[0], mean.cross[0], mean.n_averages)
+        return rows, amplitude * relative_velocities(one, bins)
+
+    healthy = moving(1.0, (1.0, 1.0))[1]
+    for i, amplitude in enumerate((0.4, 0.7, 1.2, 2.0)):
+        rows, own = moving(amplitude, (1.0, 1.0))
+        for _ in range(8):  # less damping is more motion is less damping
+            each = zip((truth[0], 0.0), truth[1:], own, healthy, strict=True)
+            rows, own = moving(amplitude, [seen(1.0, *one) for one in each])
+        drawn, power = sample_spectra(observer.expected(rows), taps, source), amplitude**2
         spectra = CrossSpectra(power * drawn.auto[0], power * drawn.cross[0], drawn.n_averages)
         groups.append(HealthySpectra(i, f"trip_{i}", at, spectra))
     law = commission(GENERATOR, SETTINGS, groups).laws.velocity
-    for d, deviation, wide, true in zip(
-        law.exponents, law.deviations, prior(SOFT)[1], truth, strict=True
-    ):
-        assert abs(d - true) < 4 * deviation + 0.03  # the velocities' own change
-        assert deviation < wide
-    assert "power" in str(law)
+    assert "Damping is compared at" in str(law)
+    # friction and blow-off both lose damping: what counts is the loss at other velocities
+    for i, (share, u) in enumerate(zip((truth[0], 0.0), truth[1:], strict=True)):
+        for faster in (0.7, 1.5):
+            own, at_rest = faster * healthy[i], law.healthy_m_per_s[i]
+            slope_of, offset = linear(law.drawn(), i, own, at_rest)
+            left = (slope_of + offset).numpy()
+            true, reference = (seen(1.0, share, u, v, healthy[i]) for v in (own, at_rest))
+            assert abs(left.mean() - true / reference) < 0.03, (i, faster)
+            assert left.std() < 0.02
 
 
 def test_a_trip_is_compared_at_the_noted_velocities():
@@ -168,10 +227,13 @@ def test_a_trip_is_compared_at_the_noted_velocities():
     "change",
     [
         {"healthy_m_per_s": (0.0, 0.1)},
-        {"exponents": (0.1,)},
-        {"exponents": (0.1, 2.0)},
-        {"deviations": (-0.1, 0.1)},
-        {"deviations": (math.nan, 0.1)},
+        {"numbers": (0.1,)},
+        {"numbers": (0.1, -2.0, 1.0)},
+        {"most": (0.1, math.inf, 1.0)},
+        {"covariance": ((1.0, 0.0), (0.0, 1.0))},
+        {"covariance": ((1.0, 0.5, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))},
+        {"covariance": ((-1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))},
+        {"covariance": ((math.nan, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))},
     ],
 )
 def test_a_law_of_foreign_numbers_is_refused(change):

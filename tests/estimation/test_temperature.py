@@ -82,7 +82,7 @@ def test_a_trip_is_compared_as_the_formula_says(warm_c):
 def test_trips_of_all_temperatures_have_the_sum_of_squares_of_the_damping_there():
     groups = healthy((-5.0, 10.0, 31.0))
     target = HealthyMisfit(GENERATOR, SETTINGS, groups)
-    assert target.n_slopes == 2
+    assert target.n_of_damping == 2
     standard = np.array([0.4, -1.3])
     z = np.array([0.1, -0.2])
     theta = np.concatenate([z, np.log(MASSES), standard])
@@ -159,7 +159,7 @@ def test_trips_of_one_temperature_leave_the_prior(temperatures_c):
         for one, warm_c in zip(healthy((0.0, 0.0, 0.0)), temperatures_c, strict=True)
     ]
     target = HealthyMisfit(GENERATOR, SETTINGS, groups)
-    assert target.n_slopes == 0
+    assert target.n_of_damping == 0
     _, laws, _ = target.posterior(np.concatenate([np.zeros(2), np.log(MASSES)]))
     assert laws.temperature == DampingByTemperature(
         12.0, (USUAL_SLOPE,) * 2, (SLOPE_DEVIATION,) * 2
