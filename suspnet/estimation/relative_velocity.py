@@ -11,10 +11,10 @@ geometric mean over the healthy trips, u = 1 / v_b [s/m] and s [-] such that fri
 s / (s + (1 - s) g(sigma_0 u)) of the healthy damping, an estimate x relative to healthy is that of
 a damper at the ratio r with ::
 
-    x = ((1 - s) r g(sigma u) + s sigma_0 / sigma) / ((1 - s) g(sigma_0 u) + s)
+    x = ((1 - s) r g(sigma u) + s k sigma_0 / sigma) / ((1 - s) g(sigma_0 u) + s)
 
-Friction does not wear with the damper beside it. Worn dampers blow off at the same velocity, with
-less force. s is between 0 and the vehicle file's `primary_friction_share`, u between 0 and the
+The friction is that of rubber or leaves: it does not wear with the damper, but changes as much as
+the spring, k times. Worn dampers blow off at the same velocity, with less force. s is between 0 and the vehicle file's `primary_friction_share`, u between 0 and the
 inverse of `primary_blow_off_m_per_s` or `secondary_blow_off_m_per_s`. Healthy trips of different
 sigma narrow s and u (`suspnet.estimation.damping_laws`). Estimates are compared as r; draws of s
 and u give its mean and its uncertainty, which widens the intervals.
@@ -131,6 +131,8 @@ class DampingByVelocity:
                 continue
             j = estimate.names.index(name)
             slope, offset = (part.numpy()[:, None] for part in linear(numbers, i, own, healthy))
+            if "k_p" in estimate.names:
+                offset = offset * estimate.values[:, estimate.names.index("k_p")]
             logs = np.log(np.maximum((estimate.values[:, j] - offset) / slope, LEAST_RATIO))
             values[:, j] = np.exp(logs.mean(axis=0))
             # friction is the same absolute amount of a small damping and of a large one
@@ -146,6 +148,8 @@ def linear(
     numbers: Tensor, suspension: int, own_m_per_s: float, healthy_m_per_s: float
 ) -> tuple[Tensor, Tensor]:
     """Return slope and offset of an estimate over the damper's ratio, each (n_rows,), [-].
+
+    The offset is that of a healthy spring.
 
     `numbers` (n_rows, 3) are those of ``UNKNOWN``, `suspension` is 0 of the primary one.
     """

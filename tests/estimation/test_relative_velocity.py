@@ -47,10 +47,10 @@ def slope(y):
     return 0.2 + 0.8 * math.erf(1 / (math.sqrt(2) * y)) if y else 1.0
 
 
-def seen(ratio, share, inverse, own, healthy):
+def seen(ratio, share, inverse, own, healthy, spring=1.0):
     """Return the estimate relative to healthy of a damper at a ratio, written out."""
     whole = (1 - share) * slope(healthy * inverse) + share
-    return ((1 - share) * ratio * slope(own * inverse) + share * healthy / own) / whole
+    return ((1 - share) * ratio * slope(own * inverse) + share * spring * healthy / own) / whole
 
 
 def read(ratios):
@@ -68,12 +68,12 @@ def test_estimates_are_compared_as_the_formula_says(velocities):
     known = replace(LAW, covariance=np.zeros((3, 3)).tolist())
     ratios, numbers = (0.7, 1.2), ((0.05, 8.0), (0.0, 16.0))
     x_p, x_s = (
-        seen(ratio, *own, v, healthy)
+        seen(ratio, *own, v, healthy, 1.3)
         for ratio, own, v, healthy in zip(
             ratios, numbers, velocities, LAW.healthy_m_per_s, strict=True
         )
     )
-    given = read([1.01, x_p, 0.97, x_s])
+    given = read([1.3, x_p, 0.97, x_s])
     found = known.compared(given, velocities)
     np.testing.assert_array_equal(found.values[:, ::2], given.values[:, ::2])  # springs
     np.testing.assert_array_equal(found.low[:, ::2], given.low[:, ::2])
