@@ -92,7 +92,7 @@ def configuration(options, case, *overrides):
     given = [f"data.rates_hz={rates}", f"data.minutes={options.minutes}", *options.train]
     given += [f"generator.sensor_lateral_m={case.lateral_m}", f"data.cache_dir={options.cache}"]
     if "friction" in case.effects:  # its file says so, that of the others says that there is none
-        given += ["vehicle.primary_friction_share=0.1"]
+        given += ["vehicle.primary_friction_share=0.15"]
     if "blow_off" in case.effects:
         given += [f"vehicle.{which}_blow_off_m_per_s=0.06" for which in ("primary", "secondary")]
     if case.speeds is not None:
