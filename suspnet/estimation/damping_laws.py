@@ -15,7 +15,13 @@ import torch
 from torch import Tensor
 
 from suspnet.dynamics import Vehicle
-from suspnet.estimation.relative_velocity import DampingByVelocity, linear, most, prior
+from suspnet.estimation.relative_velocity import (
+    CHANGING,
+    DampingByVelocity,
+    linear,
+    most,
+    prior,
+)
 from suspnet.estimation.temperature import (
     DAMPINGS,
     SLOPE_DEVIATION,
@@ -69,7 +75,9 @@ class DampingNumbers:
         self._healthy = np.exp(logs.mean(axis=0))
         self._most = most(vehicle)
         mean, deviation = prior(vehicle)
-        varied = logs.std(axis=0)[[0, 0, 1]] > DIFFERENT  # friction and blow-off of c_p, of c_s
+        varied = (
+            logs.std(axis=0)[[0, 0, 0, 1]] > DIFFERENT
+        )  # friction twice, blow-off of c_p, of c_s
         # all numbers; those that the trips tell
         self._mean = np.array([*[USUAL_SLOPE] * len(DAMPINGS), *mean])
         self._deviation = np.array([*[SLOPE_DEVIATION] * len(DAMPINGS), *deviation])
@@ -80,18 +88,17 @@ class DampingNumbers:
         return len(self._told)
 
     def factors(self, standard: Tensor, group: int) -> Tensor:
-        """Return what multiplies the damping of a group, (n_rows, 2); `standard` (n_rows, len)."""
+        """Return what multiplies ``CHANGING`` in a group, (n_rows, 3); `standard` (n_rows, len)."""
         numbers = torch.as_tensor(self._mean).repeat(len(standard), 1)
         numbers[:, self._told] += torch.as_tensor(self._deviation[self._told]) * standard
         slopes, shapes = numbers[:, : len(DAMPINGS)], numbers[:, len(DAMPINGS) :]
-        of_velocity = [
-            torch.stack(linear(shapes, i, float(own), float(healthy))).sum(dim=0)
-            for i, (own, healthy) in enumerate(
-                zip(self._velocities[group], self._healthy, strict=True)
-            )
-        ]
-        of_temperature: Tensor = (slopes * self._warmer[group]).exp()
-        return of_temperature * torch.stack(of_velocity, dim=1)
+        warmed: Tensor = (slopes * self._warmer[group]).exp()
+        found = []
+        for name, i in CHANGING.items():
+            ends = float(self._velocities[group, i]), float(self._healthy[i])
+            factor = torch.stack(linear(shapes, name, *ends)).sum(dim=0)
+            found.append(factor * warmed[:, i] if name in DAMPINGS else factor)
+        return torch.stack(found, dim=1)
 
     def laws(self, standard: FloatArray, covariance: FloatArray) -> Laws:
         """Return the laws at coordinates (len,) with their posterior covariance (len, len)."""

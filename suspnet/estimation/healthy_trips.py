@@ -19,9 +19,8 @@ from suspnet.dynamics.quantities import UNMEASURED, LogNormal
 from suspnet.estimation.damping_laws import DampingNumbers, Laws
 from suspnet.estimation.direction import direction_of
 from suspnet.estimation.from_recording import unrepaired_words
-from suspnet.estimation.relative_velocity import relative_velocities
+from suspnet.estimation.relative_velocity import CHANGING, relative_velocities
 from suspnet.estimation.steady_parts import groups_to_read, steady
-from suspnet.estimation.temperature import DAMPINGS
 from suspnet.estimation.trip_settings import TripSettings
 from suspnet.ground.parameters import FORWARD, Direction
 from suspnet.ground.progress import bar
@@ -43,8 +42,8 @@ LEAST_TRIPS = 3
 MASS_MEAN, MASS_DEVIATION = math.log(1.05), 0.15
 """Prior mean and standard deviation of the logarithm of a trip's car-body mass over nominal."""
 _COLUMNS = (*PARAMETERS, *UNMEASURED)
-_OF_DAMPING = [_COLUMNS.index(bogie + name) for bogie in ("", "other_") for name in DAMPINGS]
-"""Columns of the damping of the measured and of the other bogie."""
+_CHANGING = [_COLUMNS.index(bogie + name) for bogie in ("", "other_") for name in CHANGING]
+"""Columns of what depends on temperature or velocity, of the measured and of the other bogie."""
 ROUGH = 0.01
 """Least allowed model error of a search on thinned bins, without leakage."""
 
@@ -271,7 +270,7 @@ class HealthyMisfit:
         if self.n_of_damping:
             rows = self._generator.complete(rows)  # both bogies are alike
             own = theta[:, -self.n_of_damping :]
-            rows[:, _OF_DAMPING] *= self._of_damping.factors(own, group).repeat(1, 2)
+            rows[:, _CHANGING] *= self._of_damping.factors(own, group).repeat(1, 2)
         return rows
 
     def part(self, theta: Tensor, group: int, spread: float, high_hz: float = math.inf) -> Tensor:

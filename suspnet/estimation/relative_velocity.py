@@ -14,10 +14,12 @@ a damper at the ratio r with ::
     x = ((1 - s) r g(sigma u) + s k sigma_0 / sigma) / ((1 - s) g(sigma_0 u) + s)
 
 The friction is that of rubber or leaves: it does not wear with the damper, but changes as much as
-the spring, k times. Worn dampers blow off at the same velocity, with less force. s is between 0 and the vehicle file's `primary_friction_share`, u between 0 and the
-inverse of `primary_blow_off_m_per_s` or `secondary_blow_off_m_per_s`. Healthy trips of different
-sigma narrow s and u (`suspnet.estimation.damping_laws`). Estimates are compared as r; draws of s
-and u give its mean and its uncertainty, which widens the intervals.
+the spring, k times; where it sticks it is a share s' of the spring, x = k (1 - s' + s' sigma_0 /
+sigma). Worn dampers blow off at the same velocity, with less force. s and s' are between 0 and the
+vehicle file's `primary_friction_share`, u between 0 and the inverse of `primary_blow_off_m_per_s`
+or `secondary_blow_off_m_per_s`. Healthy trips of different sigma narrow all of them
+(`suspnet.estimation.damping_laws`). Estimates are compared as r and k; draws of s, s' and u give
+the mean and the uncertainty, which widens the intervals.
 """
 
 from __future__ import annotations
@@ -39,9 +41,11 @@ from suspnet.ground.settings import check_number
 from suspnet.ground.types import FloatArray
 from suspnet.spectra.cross_spectra import CrossSpectra
 
-SUSPENSIONS = {"c_p": (0, 1), "c_s": (1, 2)}
-"""Damping of each suspension, and the sensors on both sides of it."""
-UNKNOWN = ("s of c_p", "u of c_p", "u of c_s")
+SUSPENSIONS = ((0, 1), (1, 2))
+"""Sensors on both sides of primary and secondary suspension."""
+CHANGING = {"k_p": 0, "c_p": 0, "c_s": 1}
+"""Parameters that depend on the relative velocity, each with its suspension."""
+UNKNOWN = ("s' of k_p", "s of c_p", "u of c_p", "u of c_s")
 """What the law does not know, in the order of its numbers."""
 NOTE = "damping_by_velocity"
 """Key of the law in the notes of a commissioning."""
@@ -59,8 +63,8 @@ N_DRAWS = 256
 class DampingByVelocity:
     """The law of a commissioned vehicle.
 
-    `healthy_m_per_s` (2,) is sigma_0 [m/s] of each suspension. `numbers`, `most` (3,) and
-    `covariance` (3, 3) are the mean of ``UNKNOWN``, their upper ends and their covariance: normal,
+    `healthy_m_per_s` (2,) is sigma_0 [m/s] of each suspension. `numbers`, `most` (4,) and
+    `covariance` (4, 4) are the mean of ``UNKNOWN``, their upper ends and their covariance: normal,
     moved to 0 or to the upper end where beyond.
     """
 
@@ -70,7 +74,8 @@ class DampingByVelocity:
     covariance: tuple[tuple[float, ...], ...]
 
     def __post_init__(self) -> None:
-        shapes = {"healthy_m_per_s": 2, "numbers": 3, "most": 3}
+        n_numbers = len(UNKNOWN)
+        shapes = {"healthy_m_per_s": 2, "numbers": n_numbers, "most": n_numbers}
         for name, n in shapes.items():
             values = tuple(getattr(self, name))
             if len(values) != n:
@@ -82,8 +87,8 @@ class DampingByVelocity:
                     check_number(f"{NOTE}.{name}", value, low=0)
             object.__setattr__(self, name, values)
         rows = tuple(tuple(row) for row in self.covariance)
-        wrong = f"`{NOTE}.covariance` must be 3 x 3, symmetric, without negative variances"
-        if len(rows) != 3 or any(len(row) != 3 for row in rows):
+        wrong = f"`{NOTE}.covariance` must be 4 x 4, symmetric, without negative variances"
+        if len(rows) != n_numbers or any(len(row) != n_numbers for row in rows):
             raise ValueError(wrong)
         for row in rows:
             for value in row:
@@ -97,13 +102,14 @@ class DampingByVelocity:
     def __str__(self) -> str:
         at = " and ".join(f"{1000 * one:.3g}" for one in self.healthy_m_per_s)
         losses = []
-        for i, (name, healthy) in enumerate(zip(SUSPENSIONS, self.healthy_m_per_s, strict=True)):
-            left = torch.stack(linear(self.drawn(), i, FASTER * healthy, healthy)).sum(dim=0)
+        for name, i in CHANGING.items():
+            healthy = self.healthy_m_per_s[i]
+            left = torch.stack(linear(self.drawn(), name, FASTER * healthy, healthy)).sum(dim=0)
             low, high = np.quantile(100 * (1 - left.numpy()), [0.05, 0.95])
             losses.append(f"{name} loses {max(low, 0.0):.2g} to {max(high, 0.0):.2g} %")
         return (
-            f"Damping is compared at {at} mm/s (rms) across primary and secondary suspension; at "
-            f"{100 * (FASTER - 1):.0f} % more {' and '.join(losses)}."
+            f"Suspensions are compared at {at} mm/s (rms) across primary and secondary ones; at "
+            f"{100 * (FASTER - 1):.0f} % more {', '.join(losses)}."
         )
 
     @classmethod
@@ -113,7 +119,7 @@ class DampingByVelocity:
         return cls(**note) if note else None
 
     def drawn(self) -> Tensor:
-        """Return draws of the numbers, (n_draws, 3)."""
+        """Return draws of the numbers, (n_draws, 4)."""
         power, vectors = np.linalg.eigh(np.array(self.covariance))
         spread = _standard() @ (vectors * np.sqrt(np.clip(power, 0.0, None))).T
         return torch.as_tensor(np.clip(np.array(self.numbers) + spread, 0.0, self.most))
@@ -125,16 +131,21 @@ class DampingByVelocity:
         """
         values, low, high = (part.copy() for part in (estimate.values, estimate.low, estimate.high))
         z, numbers = norm.ppf((1 + estimate.level) / 2), self.drawn()
-        ways = zip(SUSPENSIONS, self.healthy_m_per_s, velocities_m_per_s, strict=True)
-        for i, (name, healthy, own) in enumerate(ways):
+        springs: FloatArray = np.ones(len(values))
+        for name, i in CHANGING.items():
             if name not in estimate.names:
                 continue
-            j = estimate.names.index(name)
-            slope, offset = (part.numpy()[:, None] for part in linear(numbers, i, own, healthy))
-            if "k_p" in estimate.names:
-                offset = offset * estimate.values[:, estimate.names.index("k_p")]
+            j, own, healthy = (
+                estimate.names.index(name),
+                velocities_m_per_s[i],
+                self.healthy_m_per_s[i],
+            )
+            slope, offset = (part.numpy()[:, None] for part in linear(numbers, name, own, healthy))
+            offset = offset * springs
             logs = np.log(np.maximum((estimate.values[:, j] - offset) / slope, LEAST_RATIO))
             values[:, j] = np.exp(logs.mean(axis=0))
+            if name == "k_p":
+                springs = values[:, j]
             # friction is the same absolute amount of a small damping and of a large one
             gain = np.maximum(estimate.values[:, j] / (slope.mean() * values[:, j]), 1.0)
             for end, sign in ((low, -1), (high, 1)):
@@ -145,19 +156,22 @@ class DampingByVelocity:
 
 
 def linear(
-    numbers: Tensor, suspension: int, own_m_per_s: float, healthy_m_per_s: float
+    numbers: Tensor, name: str, own_m_per_s: float, healthy_m_per_s: float
 ) -> tuple[Tensor, Tensor]:
-    """Return slope and offset of an estimate over the damper's ratio, each (n_rows,), [-].
+    """Return slope and offset of an estimate over the part's ratio, each (n_rows,), [-].
 
-    The offset is that of a healthy spring.
-
-    `numbers` (n_rows, 3) are those of ``UNKNOWN``, `suspension` is 0 of the primary one.
+    `numbers` (n_rows, 4) are those of ``UNKNOWN``, `name` is of ``CHANGING``. The offset is that of
+    a healthy spring.
     """
-    share = numbers[:, 0] if suspension == 0 else torch.zeros_like(numbers[:, 0])
-    inverse = numbers[:, 1 + suspension]
+    slower = healthy_m_per_s / own_m_per_s
+    if name == "k_p":
+        return 1 - numbers[:, 0] + numbers[:, 0] * slower, torch.zeros_like(numbers[:, 0])
+    is_primary = name == "c_p"
+    share = numbers[:, 1] if is_primary else torch.zeros_like(numbers[:, 1])
+    inverse = numbers[:, 2 if is_primary else 3]
     whole = (1 - share) * _slope(healthy_m_per_s * inverse) + share
     slope = (1 - share) * _slope(own_m_per_s * inverse) / whole
-    return slope, share * (healthy_m_per_s / own_m_per_s) / whole
+    return slope, share * slower / whole
 
 
 def _slope(over_blow_off: Tensor) -> Tensor:
@@ -167,13 +181,14 @@ def _slope(over_blow_off: Tensor) -> Tensor:
 
 
 def most(vehicle: Vehicle) -> FloatArray:
-    """Return the upper ends of the numbers of ``UNKNOWN`` for a vehicle, (3,)."""
+    """Return the upper ends of the numbers of ``UNKNOWN`` for a vehicle, (4,)."""
     ends = vehicle.primary_blow_off_m_per_s, vehicle.secondary_blow_off_m_per_s
-    return np.array([vehicle.primary_friction_share, *(0.0 if v is None else 1 / v for v in ends)])
+    share = vehicle.primary_friction_share
+    return np.array([share, share, *(0.0 if v is None else 1 / v for v in ends)])
 
 
 def prior(vehicle: Vehicle) -> tuple[FloatArray, FloatArray]:
-    """Return prior mean and standard deviation of ``UNKNOWN``, (3,) each, of uniform numbers."""
+    """Return prior mean and standard deviation of ``UNKNOWN``, (4,) each, of uniform numbers."""
     return most(vehicle) / 2, most(vehicle) / math.sqrt(12)
 
 
@@ -183,7 +198,7 @@ def relative_velocities(spectra: CrossSpectra, frequencies_hz: Tensor) -> FloatA
     `spectra` (3, n_freq) are those of a trip on bins `frequencies_hz` (n_freq,).
     """
     powers = []
-    for x, y in SUSPENSIONS.values():
+    for x, y in SUSPENSIONS:
         between = spectra.auto[x] + spectra.auto[y] - 2 * spectra.between(x, y).real
         powers.append(between.clamp(min=0.0) / (2 * math.pi * frequencies_hz) ** 2)
     total = torch.trapezoid(torch.stack(powers), frequencies_hz.expand(len(powers), -1))
@@ -192,6 +207,6 @@ def relative_velocities(spectra: CrossSpectra, frequencies_hz: Tensor) -> FloatA
 
 @cache
 def _standard() -> FloatArray:
-    """Return standard normal points that fill the space evenly, (n_draws, 3)."""
+    """Return standard normal points that fill the space evenly, (n_draws, 4)."""
     points = qmc.Sobol(len(UNKNOWN), scramble=True, rng=0).random(N_DRAWS)
     return np.asarray(norm.ppf(points))
