@@ -1,0 +1,178 @@
+"""Subspace fitting of the spectral matrix of any sensors; it assumes nothing of the track.
+
+With H(theta) the responses of m sensors to p < m inputs, D the inputs' spectra and N the sensors'
+noise, the spectral matrix is S = H D H^* + N. With A = N^-1/2 H, P_A the projector on its columns,
+and lambda_k, u_k the largest eigenvalues and the eigenvectors of N^-1/2 S N^-1/2, estimated from n
+averages, the residuals of a bin are ::
+
+    r_k(theta) = sqrt(2 n) (I - P_A) u_k (lambda_k - 1) / sqrt(lambda_k),    k = 1 ... p
+
+D may be any Hermitian matrix in every bin. Where the model is right, real and imaginary parts are
+standard normal in the m - p directions that P_A leaves, and their minimum is asymptotically as
+accurate as maximum likelihood (weighted subspace fitting: Viberg and Ottersten, IEEE Transactions
+on Signal Processing 39, 1110, 1991). An input of no power has lambda_k = 1 and no weight.
+
+Model errors of a fraction eps of each sensor's signal are allowed for by adding eps^2 diag S to N.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Self
+
+import torch
+from torch import Tensor
+
+from suspnet.spectra.welch import SegmentSpectra
+
+
+@dataclass(frozen=True)
+class SpectralMatrix:
+    """Averaged spectral matrix E[X X^*] of sensors, complex (n_freq, m, m), [(m/s^2)^2/Hz]."""
+
+    values: Tensor
+    n_averages: float
+
+    @classmethod
+    def of(cls, segments: SegmentSpectra, chosen: Tensor) -> Self:
+        """Return the average over chosen segments of sensors, a bool tensor (n_segments,).
+
+        ValueError if none is chosen.
+        """
+        n_segments = int(chosen.sum())
+        if n_segments == 0:
+            raise ValueError("no segment is chosen: there is nothing to average")
+        values = segments.values[chosen].permute(2, 1, 0)
+        n_averages = segments.welch.n_averages(n_segments)
+        return cls(values @ values.mH / n_segments, n_averages)
+
+    def at(self, bins: Tensor) -> SpectralMatrix:
+        """Return the matrices of chosen bins, a bool tensor (n_freq,) or their numbers."""
+        return SpectralMatrix(self.values[bins], self.n_averages)
+
+    @property
+    def densities(self) -> Tensor:
+        """Spectral density of each sensor, (n_freq, m)."""
+        return self.values.diagonal(dim1=-2, dim2=-1).real
+
+
+@dataclass(frozen=True)
+class SubspaceMisfit:
+    """Residuals of a trip's spectral matrix from responses.
+
+    Parameters
+    ----------
+    spectra : SpectralMatrix
+    noise : Tensor of shape (n_freq, m) or (m,), [(m/s^2)^2/Hz]
+        Density of each sensor's noise.
+    n_inputs : int
+        Number p of inputs, less than m.
+    spread : float
+        Fraction eps of each signal that the model may err by.
+    weight : float
+        Share of a bin's information that is its own: neighbours are correlated.
+
+    Raises
+    ------
+    ValueError
+        If there are not more sensors than inputs.
+    """
+
+    spectra: SpectralMatrix
+    noise: Tensor
+    n_inputs: int
+    spread: float = 0.0
+    weight: float = 1.0
+
+    def __post_init__(self) -> None:
+        m = self.spectra.values.shape[-1]
+        if not 0 < self.n_inputs < m:
+            raise ValueError(
+                f"{m} sensors do not tell the responses to {self.n_inputs} inputs whose spectra "
+                "are unknown; at least one sensor more is needed"
+            )
+
+    @property
+    def expected(self) -> float:
+        """Mean square of a residual where the model is right."""
+        m = self.spectra.values.shape[-1]
+        return self.weight * (m - self.n_inputs) / m
+
+    @cached_property
+    def _scale(self) -> Tensor:
+        """The diagonal of N^-1/2, (n_freq, m)."""
+        noise = self.noise.expand(self.spectra.densities.shape)
+        return (noise + self.spread**2 * self.spectra.densities).rsqrt()
+
+    @cached_property
+    def _signals(self) -> Tensor:
+        """u_k (lambda_k - 1) / sqrt(lambda_k) sqrt(2 n), (n_freq, m, p)."""
+        scale = self._scale
+        white = scale[:, :, None] * self.spectra.values * scale[:, None, :]
+        power, vectors = torch.linalg.eigh(white)
+        power, vectors = power[:, -self.n_inputs :], vectors[:, :, -self.n_inputs :]
+        weights = (power - 1).clamp(min=0.0) / power.clamp(min=1.0).sqrt()
+        size = math.sqrt(2 * self.spectra.n_averages * self.weight)
+        found: Tensor = size * vectors * weights[:, None, :]
+        return found
+
+    def __call__(self, responses: Tensor) -> Tensor:
+        """Return the residuals (n_rows, n_points) of responses (n_rows, p, m, n_freq)."""
+        return _flat(self._left(torch.linalg.qr(self._white(responses))[0]))
+
+    def derivative(self, responses: Tensor, changes: Tensor) -> tuple[Tensor, Tensor]:
+        """Return residuals (n_points,) and their derivatives (n_directions, n_points).
+
+        `responses` (p, m, n_freq) are those of one vehicle, `changes` (n_directions, p, m, n_freq)
+        their derivatives. With M the signals and A^+ the pseudo-inverse of A::
+
+            dr = -((I - P) dA A^+ + (A^+)^* dA^* (I - P)) M
+        """
+        basis, triangle = torch.linalg.qr(self._white(responses[None])[0])
+        left = self._left(basis)
+        inverse = torch.linalg.solve_triangular(triangle, basis.mH, upper=True)
+        moved = self._white(changes)
+        first = moved @ (inverse @ self._signals)
+        first = first - basis @ (basis.mH @ first)
+        second = inverse.mH @ (moved.mH @ left)
+        return _flat(left[None])[0], _flat(-(first + second))
+
+    def _white(self, responses: Tensor) -> Tensor:
+        """Return A, (n_rows, n_freq, m, p)."""
+        return self._scale[:, :, None] * responses.permute(0, 3, 2, 1)
+
+    def _left(self, basis: Tensor) -> Tensor:
+        """Return what the columns of a basis (..., n_freq, m, p) leave of the signals."""
+        return self._signals - basis @ (basis.mH @ self._signals)
+
+
+def noise_of(spectra: SpectralMatrix, responses: Tensor, rounds: int = 3) -> Tensor:
+    """Return the noise density of each sensor, (m,), if it is white.
+
+    `responses` (p, m, n_freq) are those of the vehicle. The part of a sensor's signal that the
+    others do not explain is 1 / (S^-1)_ii = N_ii / (1 - P_ii) with n large and P the projector of
+    `SubspaceMisfit`; the mean of (S^-1)_ii is n / (n - m) times as large. Each bin tells 1 / N_ii
+    with the weight 1 - P_ii. ValueError if there are not more averages than sensors.
+    """
+    m = spectra.values.shape[-1]
+    if spectra.n_averages <= m:
+        raise ValueError(
+            f"{spectra.n_averages:.3g} averages do not tell the noise of {m} sensors; take a "
+            "longer trip or shorter segments"
+        )
+    inverse = torch.linalg.inv(spectra.values).diagonal(dim1=-2, dim2=-1).real
+    alone = (spectra.n_averages - m) / spectra.n_averages * inverse
+    noise = (1 / alone).amin(dim=0)
+    for _ in range(rounds):
+        white = noise.rsqrt()[:, None] * responses.permute(2, 1, 0)
+        basis = torch.linalg.qr(white)[0]
+        free = 1 - basis.abs().square().sum(dim=-1)
+        noise = free.sum(dim=0) / alone.sum(dim=0)
+    found: Tensor = noise
+    return found
+
+
+def _flat(values: Tensor) -> Tensor:
+    return torch.view_as_real(values).flatten(1)
