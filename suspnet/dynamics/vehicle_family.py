@@ -231,12 +231,18 @@ class VehicleFamily:
         self, ratios: Tensor | ArrayLike, frequencies_hz: Tensor | ArrayLike
     ) -> tuple[dict[str, Tensor], Tensor]:
         """Return every number of the vehicles in SI units, and the angular frequencies [rad/s]."""
-        bins = as_tensor(frequencies_hz).to(self.device, torch.float64)
-        return self._numbers(ratios), 2 * math.pi * bins
+        return self._numbers(ratios), self._omega(frequencies_hz)
+
+    def _omega(self, frequencies_hz: Tensor | ArrayLike) -> Tensor:
+        return 2 * math.pi * as_tensor(frequencies_hz).to(self.device, torch.float64)
+
+    def _rows(self, ratios: Tensor | ArrayLike) -> Tensor:
+        """Return checked ratios with all columns on the generator's device."""
+        return self.complete(as_tensor(ratios).to(self.device, torch.float64))
 
     def _numbers(self, ratios: Tensor | ArrayLike) -> dict[str, Tensor]:
         """Return every number of the vehicle in SI units, each of shape (n_vehicles, 1)."""
-        return self._in_si(self.complete(as_tensor(ratios).to(self.device, torch.float64)))
+        return self._in_si(self._rows(ratios))
 
     def _in_si(self, columns: Tensor) -> dict[str, Tensor]:
         """Return every number in SI units from ratios with all columns, which are not checked."""
