@@ -60,9 +60,10 @@ from suspnet.dynamics.vertical_motion import (
     primary_element,
     secondary_element,
 )
+from suspnet.ground.types import FloatArray
 
 T = TypeVar("T")
-Row = Mapping[str, Tensor | float]
+Row = dict[str, Tensor | float]
 """Factors of coordinates and inputs by name, numbers or tensors of shape (n_vehicles, 1)."""
 SIGNS = {"left": 1.0, "right": -1.0, "middle": 0.0}
 """Lateral place of a side in units of that of the left one."""
@@ -153,11 +154,11 @@ def _suspensions(layout: Layout, p: Mapping[str, Tensor]) -> list[Part]:
                 wheel = axle + 2 * (i - 1)
                 corner = f"_axle{axle}_{side}"
                 spring = other or primary_element(p, which, parts, corner).times(0.5)
-                track = {f"w{wheel}": -1.0, f"x{wheel}": -lateral}
+                track: Row = {f"w{wheel}": -1.0, f"x{wheel}": -lateral}
                 found.append(Part(spring, {**_corner(i, end, lateral, p), **track}))
             spring = across or secondary_element(p, which, parts, f"_{side}")
             lateral = SIGNS[side] * p["secondary_lateral"]
-            body = {"z": 1.0, "q": p["bending_at_pivot"], "phi": sigma, "theta": lateral}
+            body: Row = {"z": 1.0, "q": p["bending_at_pivot"], "phi": sigma, "theta": lateral}
             found.append(Part(spring, {**body, f"z_{i}": -1.0, f"theta_{i}": -lateral}))
         if "guidance" in parts:
             found.append(Part(guidance, {f"psi_{i}": 1.0}))
@@ -173,12 +174,12 @@ def _linked(layout: Layout, p: Mapping[str, Tensor]) -> list[Part]:
     found = []
     for i, sigma in (1, 1.0), (2, -1.0):
         body, bogie = f * p["body_lever"] / pivot, t * p["bogie_lever"] / a
-        pitched = {"phi": body, "q": sigma * p["bending_slope"] * body, f"psi_{i}": bogie}
+        pitched: Row = {"phi": body, "q": sigma * p["bending_slope"] * body, f"psi_{i}": bogie}
         for sign in (1.0, -1.0) if "longitudinal" in layout.parts else ():
             lateral = sign * p["secondary_lateral"]
-            yawed = {"chi": -f * lateral / pivot, f"chi_{i}": t * lateral / a}
+            yawed: Row = {"chi": -f * lateral / pivot, f"chi_{i}": t * lateral / a}
             found.append(Part(links, {**pitched, **yawed}))
-        swayed = {"y": 1.0, "chi": sigma, "theta": p["body_lever"]}
+        swayed: Row = {"y": 1.0, "chi": sigma, "theta": p["body_lever"]}
         swayed |= {f"y_{i}": -1.0, f"theta_{i}": p["bogie_lever"]}
         found.append(Part(aside, swayed))
     return found
@@ -191,9 +192,9 @@ def _guided(layout: Layout, p: Mapping[str, Tensor]) -> list[Part]:
     found = []
     for wheel in range(1, 5):
         i, end = 1 + (wheel > 2), 1.0 if wheel % 2 else -1.0
-        aside = {f"y_{i}": 1.0, f"chi_{i}": end, f"theta_{i}": p["guide_lever"]}
+        aside: Row = {f"y_{i}": 1.0, f"chi_{i}": end, f"theta_{i}": p["guide_lever"]}
         if "creep" not in layout.parts:
-            held = {f"v{wheel}": -1.0, f"x{wheel}": p["wheel_radius"]}
+            held: Row = {f"v{wheel}": -1.0, f"x{wheel}": p["wheel_radius"]}
             found.append(Part(guide, {**aside, **held}))
             continue
         found.append(Part(guide, {**aside, f"y_w{wheel}": -1.0}))
@@ -234,7 +235,7 @@ def _seen(layout: Layout, p: Mapping[str, Tensor], place: str) -> Row:
     if place.startswith("body"):
         f, _ = _ends(layout)
         ahead = 1 + f * layout.body_sensor_m / p["half_pivot_distance"]
-        bent = {"z": 1.0, "q": p["bending_at_sensor"], "phi": ahead}
+        bent: Row = {"z": 1.0, "q": p["bending_at_sensor"], "phi": ahead}
         return {**bent, "theta": sign * p["body_lateral"]}
     axle = next((axle for axle in (1, 2) if f"axle{axle}" in place), 0)
     end = (0.0, 1.0, -1.0)[axle]
@@ -244,11 +245,10 @@ def _seen(layout: Layout, p: Mapping[str, Tensor], place: str) -> Row:
     box: Row = {f"w{axle}": 1.0, f"x{axle}": lateral}
     if "axle_box_arm" not in layout.parts:
         return box
-    arm = p["arm_share"]
-    above = _corner(1, end, lateral, p)
-    return {name: (1 - arm) * value for name, value in box.items()} | {
-        name: arm * value for name, value in above.items()
-    }
+    arm, above = p["arm_share"], _corner(1, end, lateral, p)
+    seen: Row = {name: (1 - arm) * value for name, value in box.items()}
+    seen |= {name: arm * value for name, value in above.items()}
+    return seen
 
 
 def _ends(layout: Layout) -> tuple[float, float]:
@@ -263,16 +263,16 @@ def by_axle(layout: Layout, wheels: Sequence[T]) -> list[T]:
     return [wheels[i] for i in order]
 
 
-def spatial_motion(
-    layout: Layout, p: Mapping[str, Tensor], sensors: Sequence[str]
-) -> LinearSystem:
+def spatial_motion(layout: Layout, p: Mapping[str, Tensor], sensors: Sequence[str]) -> LinearSystem:
     """Return the equations of motion of one vehicle, its inputs as `wheel_inputs` names them."""
     names = [*coordinates(layout.parts), *wheel_inputs(layout.parts)]
     units = dict(zip(names, np.eye(len(names)), strict=True))
 
-    def vector(row: Row) -> np.ndarray:
-        known = [float(value) * units[name] for name, value in row.items() if name in units]
-        return np.sum([np.zeros(len(names)), *known], axis=0)
+    def vector(row: Row) -> FloatArray:
+        found = np.zeros(len(names))
+        for name in row.keys() & units.keys():
+            found += float(row[name]) * units[name]
+        return found
 
     elements = [
         Acting(one.element, vector(one.stretch), None if one.pull is None else vector(one.pull))

@@ -10,16 +10,17 @@ adds its kappa to the dynamic stiffness Z and to the forces B of the inputs::
 with gamma the sensitivities of the sensors and C, D what they see. The derivative of H with respect
 to numbers of the vehicle is that of
 
-    f = gamma (A_0 r + C X_0 + D E),   r = B - Z X_0 = -(A^T kappa G - omega^2 M) (X_0, E),
+    f = gamma (A_0 (B - Z X_0) + C X_0 + D E) = gamma (C - A_0 (A^T kappa G - omega^2 M)) (X_0, E)
 
-where X_0 and A_0 = C Z^-1 are held: r is 0 where they belong, and neither Z nor its inverse is
-differentiated.
+(C with D, and 0 under E for M), where X_0 and A_0 = C Z^-1 are held: Z X_0 is B where they belong,
+and neither Z nor its inverse is differentiated.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import cast
 
 import torch
 from torch import Tensor
@@ -47,8 +48,8 @@ class Equations:
 
     `kappa` (n_vehicles, n_elements, n_freq), of which stretch k has the element `element[k]`;
     `stretches` (n_vehicles, n_stretches, n_coordinates + n_wheel_inputs), `pulls` (n_vehicles,
-    n_stretches, n_coordinates), `inertia` (n_vehicles, n_coordinates, 1, n_freq) is omega^2 M,
-    `inputs` (n_vehicles, n_wheel_inputs, n_inputs, n_freq), `places` (n_vehicles, n_sensors,
+    n_stretches, n_coordinates), `inertia` (n_vehicles, n_coordinates, n_freq) is omega^2 M,
+    `inputs` (n_vehicles, n_freq, n_wheel_inputs, n_inputs) is E, `places` (n_vehicles, n_sensors,
     n_coordinates + n_wheel_inputs), `gains` (n_vehicles, n_sensors, n_freq), None if all are 1.
     """
 
@@ -67,7 +68,7 @@ class Equations:
         return self.pulls.shape[2]
 
     def solved(self) -> tuple[Tensor, Tensor]:
-        """Return X (n_vehicles, n_coordinates, n_inputs, n_freq) and A_0 for `derivative`.
+        """Return X (n_vehicles, n_freq, n_coordinates, n_inputs) and A_0.
 
         A_0 has the shape (n_vehicles, n_freq, n_sensors, n_coordinates).
         """
@@ -79,40 +80,39 @@ class Equations:
         whole = torch.complex(self.kappa.real.mT @ summed, self.kappa.imag.mT @ summed)
         whole = whole.unflatten(2, squares.shape[2:])
         stiffness, below = whole[..., : self.n].contiguous(), whole[..., self.n :]
-        stiffness.diagonal(dim1=2, dim2=3).sub_(self.inertia[:, :, 0].mT)
-        forces = -(below @ self.inputs.permute(0, 3, 1, 2))
+        stiffness.diagonal(dim1=2, dim2=3).sub_(self.inertia.mT)
+        forces = -(below @ self.inputs)
         factors, pivots = torch.linalg.lu_factor(stiffness)
         motion = torch.linalg.lu_solve(factors, pivots, forces)
         places = self.places[:, None, :, : self.n].to(stiffness.dtype)
         places = places.mT.expand(-1, stiffness.shape[1], -1, -1)
         adjoint = torch.linalg.lu_solve(factors, pivots, places, adjoint=True)
-        return motion.permute(0, 2, 3, 1).contiguous(), adjoint.mH.contiguous()
+        return motion, adjoint.mH
 
-    def measured(self, motion: Tensor) -> Tensor:
-        """Return gamma (C X + D E), (n_vehicles, n_inputs, n_sensors, n_freq)."""
-        seen = _product(self.places[..., : self.n], motion)
-        return self._amplified(seen + _product(self.places[..., self.n :], self.inputs))
+    def measured(self, motion: Tensor, adjoint: Tensor | None = None) -> Tensor:
+        """Return f, or H without an `adjoint`: (n_vehicles, n_inputs, n_sensors, n_freq).
 
-    def linearised(self, motion: Tensor, adjoint: Tensor) -> Tensor:
-        """Return f for X_0 and A_0 from `solved`, (n_vehicles, n_inputs, n_sensors, n_freq)."""
-        stretched = _product(self.stretches[..., : self.n], motion)
-        stretched = stretched + _product(self.stretches[..., self.n :], self.inputs)
-        forces = self.kappa[:, self.element, None] * stretched
-        residual = self.inertia * motion - _product(self.pulls.mT, forces)
-        moved = (adjoint @ residual.permute(0, 3, 1, 2)).permute(0, 2, 3, 1)
-        seen = _product(self.places[..., : self.n], motion)
-        seen = seen + _product(self.places[..., self.n :], self.inputs)
-        return self._amplified(seen + moved)
-
-    def _amplified(self, seen: Tensor) -> Tensor:
-        seen = seen if self.gains is None else self.gains[:, :, None] * seen
-        return seen.transpose(1, 2)
+        `motion` is X_0 and `adjoint` A_0 from `solved`.
+        """
+        seen: Tensor = self.places[:, None]
+        if adjoint is not None:
+            # the few sensors come first: their rows are shorter than those of the coordinates
+            pulled = _product(adjoint, self.pulls.mT)
+            loads = _product(pulled * self.kappa[:, self.element].mT[:, :, None], self.stretches)
+            moving = loads[..., : self.n] - adjoint * self.inertia.mT[:, :, None]
+            seen = seen - torch.cat([moving, loads[..., self.n :]], dim=3)
+        else:
+            seen = seen.to(motion.dtype)
+        found = seen[..., : self.n] @ motion + seen[..., self.n :] @ self.inputs
+        found = found.permute(0, 3, 2, 1)
+        return found if self.gains is None else found * self.gains[:, None]
 
 
-def _product(matrix: Tensor, arrays: Tensor) -> Tensor:
-    """Return a real matrix (..., m, n) times complex arrays (..., n, n_inputs, n_freq)."""
-    flat = torch.view_as_real(arrays).flatten(-3)
-    return torch.view_as_complex((matrix @ flat).unflatten(-1, (*arrays.shape[-2:], 2)))
+def _product(rows: Tensor, matrix: Tensor) -> Tensor:
+    """Return complex rows (n_vehicles, n_freq, n_sensors, m) times a real (n_vehicles, m, n)."""
+    flat = rows.flatten(1, 2)
+    found = torch.complex(flat.real @ matrix, flat.imag @ matrix)
+    return found.reshape(*rows.shape[:3], matrix.shape[-1])
 
 
 def equations(
@@ -125,7 +125,7 @@ def equations(
     elements = {id(one.element): one.element for one in found}
     place = {key: i for i, key in enumerate(elements)}
     kappa = [element.at(omega).expand(-1, len(omega)) for element in elements.values()]
-    inertia = torch.stack(masses(parts, p), dim=1)[:, :, None] * omega**2
+    inertia = torch.stack(masses(parts, p), dim=1) * omega**2
     like = p["speed"]
     pulls = [one.stretch if one.pull is None else one.pull for one in found]
     return Equations(
@@ -134,7 +134,7 @@ def equations(
         stretches=_matrix([one.stretch for one in found], (*moving, *wheels), like),
         pulls=_matrix(pulls, moving, like),
         inertia=inertia,
-        inputs=_inputs(layout, p, omega),
+        inputs=_inputs(layout, p, omega).permute(0, 3, 1, 2),
         places=_matrix(sensed(layout, p, sensors), (*moving, *wheels), like),
         gains=_gains(p, sensors, omega) if "sensors" in parts else None,
     )
@@ -158,7 +158,7 @@ def _matrix(rows: Sequence[Row], names: Sequence[str], like: Tensor) -> Tensor:
     if values:
         places = torch.tensor(where, device=like.device)
         flat = flat.index_copy(1, places, torch.cat(values, dim=1))
-    return flat.unflatten(1, (len(rows), len(names)))
+    return flat.reshape(len(like), len(rows), len(names))
 
 
 def input_names(parts: Sequence[str]) -> tuple[str, ...]:
@@ -235,23 +235,23 @@ def derivatives(
     n_directions, n_inputs, n_sensors, n_freq).
     """
     found, slopes = [], []
-    n_inputs = len(input_names(layout.parts))
     n_at_once = _n_at_once(layout, omega)
     for rows, along in zip(columns.split(n_at_once), steps.split(n_at_once, dim=1), strict=True):
         system = equations(layout, numbers(rows), sensors, omega)
         motion, adjoint = system.solved()
         found.append(system.measured(motion))
 
-        def linearised(rows: Tensor, motion: Tensor = motion, adjoint: Tensor = adjoint) -> Tensor:
-            system = equations(layout, numbers(rows), sensors, omega)
-            return system.linearised(motion, adjoint)
+        def slope(step: Tensor, rows: Tensor, motion: Tensor, adjoint: Tensor) -> Tensor:
+            def f(rows: Tensor) -> Tensor:
+                system = equations(layout, numbers(rows), sensors, omega)
+                return system.measured(motion, adjoint)
 
-        def slope(step: Tensor, rows: Tensor = rows, f: Numbers = linearised) -> Tensor:
-            return torch.func.jvp(f, (rows,), (step,))[1]
+            return cast(Tensor, torch.func.jvp(f, (rows,), (step,))[1])
 
-        size = system.stretches[..., 0].numel() * n_inputs * len(omega)
-        chunk = max(1, MOST_NUMBERS // size)
-        slopes.append(torch.vmap(slope, chunk_size=chunk)(along).transpose(0, 1))
+        # the largest array has a number for each stretch, sensor and frequency
+        n_steps = MOST_NUMBERS // (system.pulls[..., 0].numel() * len(sensors) * len(omega))
+        mapped = torch.vmap(slope, (0, None, None, None), 1, chunk_size=max(1, n_steps))
+        slopes.append(mapped(along, rows, motion, adjoint))
     return torch.cat(found), torch.cat(slopes)
 
 

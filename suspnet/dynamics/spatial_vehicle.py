@@ -106,6 +106,10 @@ class SpatialVehicle(VehicleFamily):
         )
 
     @property
+    def _groups(self) -> tuple[str, ...]:
+        return (*self.parts, "lateral") if is_lateral(self.parts) else self.parts
+
+    @property
     def _places(self) -> tuple[str, ...]:
         assert self.sensors is not None
         return self.sensors
@@ -160,9 +164,7 @@ class SpatialVehicle(VehicleFamily):
         `inputs` has it, its alignment [m]; the outputs are the sensors. Sensitivity and delay of
         sensors, and what excites single wheelsets, are no part of it.
         """
-        return spatial_motion(
-            self._layout, self._numbers(as_tensor(ratios)[None]), self._places
-        )
+        return spatial_motion(self._layout, self._numbers(as_tensor(ratios)[None]), self._places)
 
     def _measured(self, p: Mapping[str, Tensor]) -> dict[str, Tensor]:
         return {

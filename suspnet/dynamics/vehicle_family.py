@@ -113,7 +113,7 @@ class VehicleFamily:
         object.__setattr__(self, "parts", tuple(p for p in self.possible_parts if p in self.parts))
         self._check_places()
         self._check_nominal()
-        given = LogNormal.read(self.distribution, self.parts, self.quantities)
+        given = LogNormal.read(self.distribution, self._groups, self.quantities)
         object.__setattr__(self, "distribution", given)
 
     def _check_places(self) -> None:
@@ -135,6 +135,11 @@ class VehicleFamily:
     def quantities(self) -> tuple[Quantity, ...]:
         """Every number that may differ from nominal, the speed first."""
         return QUANTITIES
+
+    @property
+    def _groups(self) -> tuple[str, ...]:
+        """Values of `Quantity.part` of the numbers that the vehicle has, besides ""."""
+        return self.parts
 
     @cached_property
     def columns(self) -> tuple[str, ...]:
