@@ -4,6 +4,7 @@ from suspnet._version import __version__ as __version__
 from suspnet.cli.kinds import read_protocol as read_protocol
 from suspnet.cli.kinds import read_vehicles as read_vehicles
 from suspnet.dynamics.quarter_car import QuarterCar as QuarterCar
+from suspnet.dynamics.spatial_vehicle import SpatialVehicle as SpatialVehicle
 from suspnet.dynamics.vehicle import Vehicle as Vehicle
 from suspnet.dynamics.vertical_vehicle import VerticalVehicle as VerticalVehicle
 from suspnet.estimation.checkpoint import load_model as load_model
@@ -22,6 +23,7 @@ from suspnet.estimation.sensor_information import recording_information as recor
 from suspnet.estimation.sensor_information import sensor_places as sensor_places
 from suspnet.estimation.trained import TrainedModel as TrainedModel
 from suspnet.estimation.trip_settings import TripSettings as TripSettings
+from suspnet.ground.parameters import COMPONENTS as COMPONENTS
 from suspnet.ground.parameters import PARAMETERS as PARAMETERS
 from suspnet.learning.baselines import SVR as SVR
 from suspnet.learning.baselines import CurveFit as CurveFit

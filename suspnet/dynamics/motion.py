@@ -41,10 +41,11 @@ class LinearSystem:
     `input_stiffness` (n_dof, n_inputs) D_w and K_w. The inputs are the track's height under each
     wheelset and, with roll, then its angle there. `sensors` (2 or 4, n_dof) map z to the
     displacement under the sensors on frame and body; with roll the last two are at the mirrored
-    lateral place. `behind_m`: distance of each wheelset behind the one whose axle box is measured,
-    negative is ahead; `roll_per_m`: the track's angle over a profile of `cross_level_spectrum`
-    [rad/m], 0 without roll; `lateral_m`: lateral place of the first sensors on axle box, frame and
-    body.
+    lateral place. `feedthrough` (n_sensors, n_inputs) is what they measure of the inputs directly,
+    None if nothing. `behind_m`: distance of each wheelset behind the one whose axle box is
+    measured, negative is ahead; `roll_per_m`: the track's angle over a profile of
+    `cross_level_spectrum` [rad/m], 0 without roll; `lateral_m`: lateral place of the first sensors
+    on axle box, frame and body.
     """
 
     mass: FloatArray
@@ -57,6 +58,7 @@ class LinearSystem:
     branches: tuple[Branch, ...] = ()
     roll_per_m: float = 0.0
     lateral_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    feedthrough: FloatArray | None = None
 
     def state_space(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         """Return A, B, C, D with inputs w and the displacements under the sensors as outputs.
@@ -78,7 +80,8 @@ class LinearSystem:
         force = inverse @ (self.input_stiffness + pull @ h)
         inputs = np.vstack([jump, force - inverse @ self.damping @ jump, -r[:, None] * h])
         c = np.hstack([self.sensors, np.zeros((len(self.sensors), n + m))])
-        return a, inputs, c, np.zeros((len(self.sensors), inputs.shape[1]))
+        d = self.feedthrough
+        return a, inputs, c, np.zeros((len(c), inputs.shape[1])) if d is None else d
 
 
 class SampledMotion:
@@ -95,7 +98,7 @@ class SampledMotion:
     """
 
     def __init__(self, system: LinearSystem, rate_hz: float) -> None:
-        a, b, c, _ = system.state_space()
+        a, b, c, self._direct = system.state_space()
         eigenvalues, vectors = np.linalg.eig(a)
         condition = np.linalg.cond(vectors / np.linalg.norm(vectors, axis=0))
         if condition > LARGEST_CONDITION:
@@ -151,7 +154,10 @@ class SampledMotion:
                 mode = self._filter(j, decay, modes[j] + 1j * imaginary)
                 modes[j], imaginary[:] = mode.real, mode.imag
         self._last = block[:, -1:].copy()
-        return np.asarray(self._outputs @ modes)
+        outputs = self._outputs @ modes
+        if self._direct.any():
+            outputs += self._direct @ block
+        return np.asarray(outputs)
 
     def _filter(self, j: int, decay: complex, forcing: Any) -> Any:
         """Return mode j, q[k+1] = decay q[k] + forcing[k+1], and store its last value."""

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from scipy.linalg import block_diag
 
+from suspnet.dynamics.spatial_numbers import SPATIAL_NUMBERS
 from suspnet.ground.settings import check_choice, check_number
 from suspnet.ground.types import FloatArray
 
@@ -43,6 +44,11 @@ class Quantity:
     nominal: float | None = None
     may_be_absent: bool = False
     median: float = 1.0
+
+    @property
+    def offset(self) -> float:
+        """Number added to the ratio before its logarithm is taken, [-]."""
+        return float(self.may_be_absent)
 
 
 _NUMBERS: dict[str, tuple[tuple[Any, ...], ...]] = {
@@ -216,8 +222,11 @@ UNMEASURED = tuple(quantity.name for quantity in QUANTITIES)
 """Names of the quantities: columns of ratios after ``PARAMETERS``, the speed first."""
 MEDIANS = {quantity.name: quantity.median for quantity in QUANTITIES}
 """Ratio of each number to nominal where nothing else is known."""
-OFFSETS = {quantity.name: float(quantity.may_be_absent) for quantity in QUANTITIES}
-"""Number added to each ratio before its logarithm is taken: 1 if it may be absent, else 0."""
+SPATIAL_QUANTITIES = tuple(
+    Quantity(part, *row) for part, rows in SPATIAL_NUMBERS.items() for row in rows
+)
+"""Numbers that only a vehicle of twelve separate springs and dampers has."""
+_KNOWN = {quantity.name: quantity for quantity in (*QUANTITIES, *SPATIAL_QUANTITIES)}
 
 
 @dataclass(frozen=True)
@@ -225,7 +234,7 @@ class LogNormal:
     """A joint log-normal distribution of numbers relative to their nominal values.
 
     For numbers that may be absent, 1 + ratio is log-normal: the ratio can reach 0, and estimates of
-    an absent part may lie between -1 and 0. `names` are from ``UNMEASURED``; `mean` and
+    an absent part may lie between -1 and 0. `names` are those of quantities; `mean` and
     `covariance` are those of the logarithms: nominal is 0, or log 2 for numbers that may be absent.
     ValueError if names are unknown or repeated, shapes differ, or `covariance` is not a covariance
     matrix.
@@ -240,9 +249,9 @@ class LogNormal:
         object.__setattr__(self, "mean", tuple(float(value) for value in self.mean))
         rows = tuple(tuple(float(value) for value in row) for row in self.covariance)
         object.__setattr__(self, "covariance", rows)
-        unknown = [name for name in self.names if name not in UNMEASURED]
+        unknown = [name for name in self.names if name not in _KNOWN]
         if unknown or len(set(self.names)) < len(self.names):
-            raise ValueError(f"`names` must be from {UNMEASURED}, each once, got {self.names}")
+            raise ValueError(f"`names` must be from {tuple(_KNOWN)}, each once, got {self.names}")
         n = len(self.names)
         if len(self.mean) != n or len(rows) != n or any(len(row) != n for row in rows):
             raise ValueError(f"`mean` and `covariance` must have {n} numbers, one for each name")
@@ -262,31 +271,39 @@ class LogNormal:
             check_number(f"distribution.{name}", value, low=0, below=10)
         names = tuple(name for name, value in deviations.items() if value > 0)
         variances = np.diag([float(deviations[name]) ** 2 for name in names])
-        mean = tuple(math.log(MEDIANS[name] + OFFSETS[name]) for name in names)
+        mean = tuple(math.log(_KNOWN[name].median + _KNOWN[name].offset) for name in names)
         return cls(names, mean, tuple(map(tuple, variances.tolist())))
 
     @classmethod
-    def prior(cls, parts: Sequence[str]) -> LogNormal:
-        """Return the prior of a vehicle with these of ``PARTS``."""
+    def prior(cls, parts: Sequence[str], quantities: Sequence[Quantity] = QUANTITIES) -> LogNormal:
+        """Return the prior of a vehicle with these parts and of those `quantities` they have."""
         known = ("", *parts)
-        return cls.independent({q.name: q.deviation for q in QUANTITIES if q.part in known})
+        return cls.independent({q.name: q.deviation for q in quantities if q.part in known})
 
     @classmethod
     def read(
-        cls, given: LogNormal | Mapping[str, Any] | str | None, parts: Sequence[str]
+        cls,
+        given: LogNormal | Mapping[str, Any] | str | None,
+        parts: Sequence[str],
+        quantities: Sequence[Quantity] = QUANTITIES,
     ) -> LogNormal | None:
-        """Return a distribution from its form in a configuration or in a model file."""
-        if given is None or isinstance(given, LogNormal):
-            return given
+        """Return a distribution from its form in a configuration or in a model file.
+
+        ValueError if it has a name that is none of `quantities`.
+        """
+        if given is None:
+            return None
         if isinstance(given, str):
             check_choice("distribution", given, ("prior",))
-            return cls.prior(parts)
-        if set(given) == {"names", "mean", "covariance"}:
-            return cls(**given)
-        unknown = sorted(set(given) - set(UNMEASURED))
+            return cls.prior(parts, quantities)
+        if not isinstance(given, LogNormal) and set(given) == {"names", "mean", "covariance"}:
+            given = cls(**given)
+        names = given.names if isinstance(given, LogNormal) else tuple(given)
+        allowed = tuple(quantity.name for quantity in quantities)
+        unknown = sorted(set(names) - set(allowed))
         if unknown:
-            raise ValueError(f"`distribution` must be named as in {UNMEASURED}, got {unknown}")
-        return cls.independent(given)
+            raise ValueError(f"`distribution` must be named as in {allowed}, got {unknown}")
+        return given if isinstance(given, LogNormal) else cls.independent(given)
 
     def renewed(
         self,
@@ -299,14 +316,13 @@ class LogNormal:
         Their medians are multiplied by `changes`, one for each name; None: they stay. `deviation`
         is that of their logarithms; None: of the priors.
         """
-        known = {quantity.name: quantity.deviation for quantity in QUANTITIES}
         factors = dict(zip(names, [1.0] * len(names) if changes is None else changes, strict=True))
         covariance = np.array(self.covariance).reshape(len(self.names), len(self.names))
         mean = np.array(self.mean)
         for i, name in enumerate(self.names):
             if name in names:
                 covariance[i], covariance[:, i] = 0.0, 0.0
-                covariance[i, i] = (known[name] if deviation is None else deviation) ** 2
+                covariance[i, i] = (_KNOWN[name].deviation if deviation is None else deviation) ** 2
                 mean[i] += math.log(factors[name])
         rows = tuple(map(tuple, covariance.tolist()))
         return LogNormal(self.names, tuple(mean.tolist()), rows)
@@ -334,7 +350,7 @@ class LogNormal:
     @property
     def offsets(self) -> FloatArray:
         """Number subtracted from the exponential of each logarithm, shape (n,), [-]."""
-        return np.array([OFFSETS[name] for name in self.names])
+        return np.array([_KNOWN[name].offset for name in self.names])
 
     @property
     def median(self) -> FloatArray:

@@ -30,6 +30,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -91,6 +92,15 @@ class Element:
             real, imaginary = real + share * omega, imaginary + share * rate
         return torch.complex(*torch.broadcast_tensors(real, imaginary))
 
+    def times(self, factor: float) -> Element:
+        """Return as many of these elements side by side as a factor."""
+        return Element(
+            self.stiffness * factor,
+            None if self.damping is None else self.damping * factor,
+            [(factor * stiffness, rate) for stiffness, rate in self.branches],
+            self.loss,
+        )
+
     def causal(self) -> tuple[float, float, dict[float, float]]:
         """Return stiffness [N/m], damping [N s/m] and branches of one vehicle for motion in time.
 
@@ -121,9 +131,14 @@ def _ladder(omega: Tensor) -> Tensor:
     return ((branches - square / (square + rates**2)) * shares).sum(dim=1)
 
 
-def primary_element(p: Mapping[str, Tensor], which: str, parts: Sequence[str]) -> Element:
-    """Return the primary suspension of the measured ("") or the other bogie ("other_")."""
-    stiffness, damping = p[which + "k_p"], p[which + "c_p"]
+def primary_element(
+    p: Mapping[str, Tensor], which: str, parts: Sequence[str], place: str = ""
+) -> Element:
+    """Return the primary suspension of the measured ("") or the other bogie ("other_").
+
+    `place` is the end of the names of its numbers, "" or that of a corner, "_axle1_left".
+    """
+    stiffness, damping = p[f"{which}k_p{place}"], p[f"{which}c_p{place}"]
     branches: list[tuple[Tensor, Tensor]] = []
     if "bushings" in parts:
         branches.append((p["primary_bushing"], p["primary_bushing"] / damping))
@@ -137,9 +152,14 @@ def primary_element(p: Mapping[str, Tensor], which: str, parts: Sequence[str]) -
     )
 
 
-def secondary_element(p: Mapping[str, Tensor], which: str, parts: Sequence[str]) -> Element:
-    """Return the secondary suspension of the measured ("") or the other bogie ("other_")."""
-    stiffness, damping = p[which + "k_s"], p[which + "c_s"]
+def secondary_element(
+    p: Mapping[str, Tensor], which: str, parts: Sequence[str], place: str = ""
+) -> Element:
+    """Return the secondary suspension of the measured ("") or the other bogie ("other_").
+
+    `place` is the end of the names of its numbers, "" or that of a side, "_left".
+    """
+    stiffness, damping = p[f"{which}k_s{place}"], p[f"{which}c_s{place}"]
     if "air_spring" in parts:
         ratio = p["volume_ratio"]
         volumes = (1 - p["area_share"]).clamp(min=0.0) * stiffness
@@ -180,16 +200,23 @@ def laden(p: dict[str, Tensor], empty_kg: float) -> dict[str, Tensor]:
     """Return the numbers with what the payload changes; the suspension is that when empty."""
     mass = p["M_s"] / empty_kg
     stiffer, tighter = mass ** p["stiffness_exponent"], mass ** p["damping_exponent"]
-    changed = {f"{bogie}k_s": p[f"{bogie}k_s"] * stiffer for bogie in ("", "other_")}
-    changed |= {f"{bogie}c_s": p[f"{bogie}c_s"] * tighter for bogie in ("", "other_")}
+    changed = {name: p[name] * stiffer for name in p if name.startswith(("k_s", "other_k_s"))}
+    changed |= {name: p[name] * tighter for name in p if name.startswith(("c_s", "other_c_s"))}
     # the stiffness of the empty body alone makes it fall with the root of the mass
     changed["bending_frequency"] = p["bending_frequency"] * mass ** (0.5 - p["bending_exponent"])
     changed["body_gyration"] = p["body_gyration"] * mass ** p["gyration_exponent"]
     return p | changed
 
 
-Acting = tuple[Element, FloatArray]
-"""An element and the vector (g, -h) of its stretch over coordinates and inputs."""
+class Acting(NamedTuple):
+    """An element with the vector (g, -h) of its stretch over coordinates and inputs.
+
+    `pull` is the vector of its force, None where that is the stretch's: creep pulls elsewhere.
+    """
+
+    element: Element
+    stretch: FloatArray
+    pull: FloatArray | None = None
 
 
 def vertical_motion(layout: Layout, p: Mapping[str, Tensor]) -> LinearSystem:
@@ -208,7 +235,7 @@ def vertical_motion(layout: Layout, p: Mapping[str, Tensor]) -> LinearSystem:
     if "longitudinal" in parts:
         acting += vehicle.links(forward)
     if "bending" in parts:
-        acting.append((bending_element(p, layout.empty_body_kg), e["q"]))
+        acting.append(Acting(bending_element(p, layout.empty_body_kg), e["q"]))
     if "roll" in parts:
         acting += vehicle.rolling()
     frame, body = e["z_1"].copy(), vehicle.above("bending_at_sensor")
@@ -219,7 +246,7 @@ def vertical_motion(layout: Layout, p: Mapping[str, Tensor]) -> LinearSystem:
     if "roll" in parts:
         lean = np.array([n["frame_lateral"] * e["theta_1"], n["body_lateral"] * e["theta"]])
         sensors = np.vstack([sensors + lean, sensors - lean])
-    system = _assembled(list(masses.values()), acting, sensors, _behind(n, bogie, axle))
+    system = assembled(list(masses.values()), acting, sensors, behind_of(n, bogie, axle))
     if "roll" not in parts:
         return system
     roll_per_m = math.sqrt(n["cross_level"]) / RAIL_LATERAL_M
@@ -266,12 +293,12 @@ class _Vehicle:
         for which, i, sign, (first, last) in BOGIES:
             primary = primary_element(p, which, parts)
             acting += [
-                (primary, e[f"z_{i}"] - 0.5 * (e[f"w_{first}"] + e[f"w_{last}"])),
-                (primary, e[f"psi_{i}"] - 0.5 * (e[f"w_{first}"] - e[f"w_{last}"])),
-                (secondary_element(p, which, parts), body + sign * e["phi"] - e[f"z_{i}"]),
+                Acting(primary, e[f"z_{i}"] - 0.5 * (e[f"w_{first}"] + e[f"w_{last}"])),
+                Acting(primary, e[f"psi_{i}"] - 0.5 * (e[f"w_{first}"] - e[f"w_{last}"])),
+                Acting(secondary_element(p, which, parts), body + sign * e["phi"] - e[f"z_{i}"]),
             ]
             if "guidance" in parts:
-                acting.append((guidance_element(p), e[f"psi_{i}"]))
+                acting.append(Acting(guidance_element(p), e[f"psi_{i}"]))
         return acting
 
     def links(self, forward: float) -> list[Acting]:
@@ -285,7 +312,7 @@ class _Vehicle:
             if "bending" in self.parts:
                 turned += sign * n["bending_slope"] * e["q"]
             stretch = body_lever * turned + lever * e[f"psi_{i}"]
-            acting.append((longitudinal_element(self.p), stretch))
+            acting.append(Acting(longitudinal_element(self.p), stretch))
         return acting
 
     def rolling(self) -> list[Acting]:
@@ -297,24 +324,24 @@ class _Vehicle:
             own, track = e[f"theta_{i}"], 0.5 * (e[f"x_{first}"] + e[f"x_{last}"])
             across = e["theta"] - own
             acting += [
-                (primary_element(p, which, parts), n["primary_lateral"] * (own - track)),
-                (secondary_element(p, which, parts), n["secondary_lateral"] * across),
-                (Element(p["anti_roll_bar"] / 2, None), across),
-                (lateral_element(p), aside + n["bogie_lever"] * own),
+                Acting(primary_element(p, which, parts), n["primary_lateral"] * (own - track)),
+                Acting(secondary_element(p, which, parts), n["secondary_lateral"] * across),
+                Acting(Element(p["anti_roll_bar"] / 2, None), across),
+                Acting(lateral_element(p), aside + n["bogie_lever"] * own),
             ]
         return acting
 
 
-def _assembled(
+def assembled(
     masses: list[float], acting: list[Acting], sensors: FloatArray, behind_m: tuple[float, ...]
 ) -> LinearSystem:
     """Return the system of these masses, with each element added along its stretch."""
     n, n_all = len(masses), sensors.shape[1]
     stiffness, damping = np.zeros((2, n_all, n_all))
     branches = []
-    for element, stretch in acting:
+    for element, stretch, pull in acting:
         k, c, relaxing = element.causal()
-        square = np.outer(stretch, stretch)
+        square = np.outer(stretch if pull is None else pull, stretch)
         stiffness += k * square
         damping += c * square
         branches += [Branch(b, rate, stretch[:n], -stretch[n:]) for rate, b in relaxing.items()]
@@ -325,12 +352,13 @@ def _assembled(
         input_damping=-damping[:n, n:],
         input_stiffness=-stiffness[:n, n:],
         sensors=sensors[:, :n],
+        feedthrough=sensors[:, n:] if sensors[:, n:].any() else None,
         behind_m=behind_m,
         branches=tuple(branches),
     )
 
 
-def _behind(n: Mapping[str, float], bogie: str, axle: str) -> tuple[float, ...]:
+def behind_of(n: Mapping[str, float], bogie: str, axle: str) -> tuple[float, ...]:
     """Return the distances of the wheelsets behind the measured one, its own bogie first, [m]."""
     shift = n["half_wheelbase"] if axle == "leading" else -n["half_wheelbase"]
     pivots = 2 * n["half_pivot_distance"] * (1 if bogie == "leading" else -1)

@@ -220,13 +220,16 @@ def excited(
     """
     rows = [moved(place, wheels) for place in places]
     if "wheelsets" in layout.parts:
-        # the derivative of the root of a constant 0 is to be 0, not infinity times 0
-        share = p["wheelset_share"].abs()
-        size = torch.where(share > 0, share.masked_fill(share == 0, 1.0).sqrt(), 0.0)
-        size = size * torch.ones_like(wheels[0])
+        size = root_of_size(p["wheelset_share"]) * torch.ones_like(wheels[0])
         rows += [size * place[i] for i in range(len(wheels)) for place in places]
     found: Tensor = torch.stack(rows, dim=1).unflatten(1, (-1, 3))
     return found
+
+
+def root_of_size(share: Tensor) -> Tensor:
+    """Return the root of abs(share), whose derivative at a share of 0 is 0 and not infinite."""
+    size = share.abs()
+    return torch.where(size > 0, size.masked_fill(size == 0, 1.0).sqrt(), 0.0)
 
 
 def _bogie(
@@ -318,9 +321,13 @@ def rolled(layout: Layout, p: Mapping[str, Tensor], omega: Tensor) -> Tensor:
         [y * angle for y, angle in zip(places, (box, frame, body), strict=True)], 1
     )
     # The angles are for a cross level of the mean's density: scale them to its own density.
+    return cross_level_size(p, omega)[:, None] * angles
+
+
+def cross_level_size(p: Mapping[str, Tensor], omega: Tensor) -> Tensor:
+    """Return the root of the density of half the cross level over the mean's, (n, n_freq)."""
     waves = (omega / p["speed"]) ** 2
-    share = p["cross_level"] * waves / (waves + CROSS_LEVEL_RAD_PER_M**2)
-    return share.sqrt()[:, None] * angles
+    return (p["cross_level"] * waves / (waves + CROSS_LEVEL_RAD_PER_M**2)).sqrt()
 
 
 def phasor(angle: Tensor) -> Tensor:

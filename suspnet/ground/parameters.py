@@ -13,6 +13,16 @@ from suspnet.ground.settings import check_number
 
 PARAMETERS = ("k_p", "c_p", "k_s", "c_s", "M_s")
 """The parameters that may vary, in the order of every array of parameter ratios (1 = healthy)."""
+SIDES = ("left", "right")
+CORNERS = tuple(f"axle{axle}_{side}" for axle in (1, 2) for side in SIDES)
+"""Corners of the measured bogie: axle 1 is that of the sensors, left as seen in the direction
+forward."""
+COMPONENTS = (
+    *(f"{name}_{corner}" for corner in CORNERS for name in ("k_p", "c_p")),
+    *(f"{name}_{side}" for side in SIDES for name in ("k_s", "c_s")),
+    "M_s",
+)
+"""Springs and dampers of the measured bogie one by one, and the car-body mass."""
 BODY_MASS = "M_s"
 """Name of the car-body mass, which varies with the payload from trip to trip."""
 SI_COLUMNS = {

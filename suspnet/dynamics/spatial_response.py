@@ -1,0 +1,261 @@
+"""Frequency responses of a vehicle of twelve separate parts, and their exact derivatives.
+
+With X the motion of the coordinates for the inputs, E the motion of the track under the wheelsets,
+G the stretches of the elements (`suspnet.dynamics.spatial_motion`) and A their pulls, each element
+adds its kappa to the dynamic stiffness Z and to the forces B of the inputs::
+
+    (A^T kappa G - omega^2 M) (X, E) = 0,   that is  Z X = B,
+    H = gamma (C X + D E)
+
+with gamma the sensitivities of the sensors and C, D what they see. The derivative of H with respect
+to numbers of the vehicle is that of
+
+    f = gamma (A_0 (B - Z X_0) + C X_0 + D E) = gamma (C - A_0 (A^T kappa G - omega^2 M)) (X_0, E)
+
+(C with D, and 0 under E for M), where X_0 and A_0 = C Z^-1 are held: Z X_0 is B where they belong,
+and neither Z nor its inverse is differentiated.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import cast
+
+import torch
+from torch import Tensor
+
+from suspnet.dynamics.spatial_motion import (
+    Row,
+    acting,
+    by_axle,
+    coordinates,
+    is_lateral,
+    masses,
+    sensed,
+    wheel_inputs,
+)
+from suspnet.dynamics.vertical_motion import RAIL_LATERAL_M, Layout
+from suspnet.dynamics.vertical_response import cross_level_size, phasor, root_of_size, wheels_of
+
+MOST_NUMBERS = 1 << 22
+"""Complex numbers of the largest array at once; it takes 64 MB."""
+
+
+@dataclass(frozen=True)
+class Equations:
+    """Vehicles at some frequencies: their elements, masses, inputs and sensors.
+
+    `kappa` (n_vehicles, n_elements, n_freq), of which stretch k has the element `element[k]`;
+    `stretches` (n_vehicles, n_stretches, n_coordinates + n_wheel_inputs), `pulls` (n_vehicles,
+    n_stretches, n_coordinates), `inertia` (n_vehicles, n_coordinates, n_freq) is omega^2 M,
+    `inputs` (n_vehicles, n_freq, n_wheel_inputs, n_inputs) is E, `places` (n_vehicles, n_sensors,
+    n_coordinates + n_wheel_inputs), `gains` (n_vehicles, n_sensors, n_freq), None if all are 1.
+    """
+
+    kappa: Tensor
+    element: Tensor
+    stretches: Tensor
+    pulls: Tensor
+    inertia: Tensor
+    inputs: Tensor
+    places: Tensor
+    gains: Tensor | None
+
+    @property
+    def n(self) -> int:
+        """Number of coordinates."""
+        return self.pulls.shape[2]
+
+    def solved(self) -> tuple[Tensor, Tensor]:
+        """Return X (n_vehicles, n_freq, n_coordinates, n_inputs) and A_0.
+
+        A_0 has the shape (n_vehicles, n_freq, n_sensors, n_coordinates).
+        """
+        n_vehicles, n_elements, _ = self.kappa.shape
+        squares = self.pulls[..., :, None] * self.stretches[..., None, :]
+        # stretches of one element are added up first: kappa is the same for all of them
+        summed = squares.new_zeros(n_vehicles, n_elements, *squares.shape[2:])
+        summed = summed.index_add(1, self.element, squares).flatten(2)
+        whole = torch.complex(self.kappa.real.mT @ summed, self.kappa.imag.mT @ summed)
+        whole = whole.unflatten(2, squares.shape[2:])
+        stiffness, below = whole[..., : self.n].contiguous(), whole[..., self.n :]
+        stiffness.diagonal(dim1=2, dim2=3).sub_(self.inertia.mT)
+        forces = -(below @ self.inputs)
+        factors, pivots = torch.linalg.lu_factor(stiffness)
+        motion = torch.linalg.lu_solve(factors, pivots, forces)
+        places = self.places[:, None, :, : self.n].to(stiffness.dtype)
+        places = places.mT.expand(-1, stiffness.shape[1], -1, -1)
+        adjoint = torch.linalg.lu_solve(factors, pivots, places, adjoint=True)
+        return motion, adjoint.mH
+
+    def measured(self, motion: Tensor, adjoint: Tensor | None = None) -> Tensor:
+        """Return f, or H without an `adjoint`: (n_vehicles, n_inputs, n_sensors, n_freq).
+
+        `motion` is X_0 and `adjoint` A_0 from `solved`.
+        """
+        seen: Tensor = self.places[:, None]
+        if adjoint is not None:
+            # the few sensors come first: their rows are shorter than those of the coordinates
+            pulled = _product(adjoint, self.pulls.mT)
+            loads = _product(pulled * self.kappa[:, self.element].mT[:, :, None], self.stretches)
+            moving = loads[..., : self.n] - adjoint * self.inertia.mT[:, :, None]
+            seen = seen - torch.cat([moving, loads[..., self.n :]], dim=3)
+        else:
+            seen = seen.to(motion.dtype)
+        found = seen[..., : self.n] @ motion + seen[..., self.n :] @ self.inputs
+        found = found.permute(0, 3, 2, 1)
+        return found if self.gains is None else found * self.gains[:, None]
+
+
+def _product(rows: Tensor, matrix: Tensor) -> Tensor:
+    """Return complex rows (n_vehicles, n_freq, n_sensors, m) times a real (n_vehicles, m, n)."""
+    flat = rows.flatten(1, 2)
+    found = torch.complex(flat.real @ matrix, flat.imag @ matrix)
+    return found.reshape(*rows.shape[:3], matrix.shape[-1])
+
+
+def equations(
+    layout: Layout, p: Mapping[str, Tensor], sensors: Sequence[str], omega: Tensor
+) -> Equations:
+    """Return the equations of vehicles whose numbers `p` have the shape (n_vehicles, 1)."""
+    parts = layout.parts
+    moving, wheels = coordinates(parts), wheel_inputs(parts)
+    found = acting(layout, p)
+    elements = {id(one.element): one.element for one in found}
+    place = {key: i for i, key in enumerate(elements)}
+    kappa = [element.at(omega).expand(-1, len(omega)) for element in elements.values()]
+    inertia = torch.stack(masses(parts, p), dim=1) * omega**2
+    like = p["speed"]
+    pulls = [one.stretch if one.pull is None else one.pull for one in found]
+    return Equations(
+        kappa=torch.stack(kappa, dim=1),
+        element=torch.tensor([place[id(one.element)] for one in found], device=omega.device),
+        stretches=_matrix([one.stretch for one in found], (*moving, *wheels), like),
+        pulls=_matrix(pulls, moving, like),
+        inertia=inertia,
+        inputs=_inputs(layout, p, omega).permute(0, 3, 1, 2),
+        places=_matrix(sensed(layout, p, sensors), (*moving, *wheels), like),
+        gains=_gains(p, sensors, omega) if "sensors" in parts else None,
+    )
+
+
+def _matrix(rows: Sequence[Row], names: Sequence[str], like: Tensor) -> Tensor:
+    """Return factors of the coordinates `names`, (n_vehicles, n_rows, n_names); others are held."""
+    column = {name: i for i, name in enumerate(names)}
+    known = like.new_zeros(len(rows) * len(names))
+    values, where = [], []
+    for i, row in enumerate(rows):
+        for name, value in row.items():
+            if name not in column:
+                continue
+            if isinstance(value, Tensor):
+                values.append(value)
+                where.append(i * len(names) + column[name])
+            else:
+                known[i * len(names) + column[name]] = value
+    flat = known.expand(len(like), -1)
+    if values:
+        places = torch.tensor(where, device=like.device)
+        flat = flat.index_copy(1, places, torch.cat(values, dim=1))
+    return flat.reshape(len(like), len(rows), len(names))
+
+
+def input_names(parts: Sequence[str]) -> tuple[str, ...]:
+    """Return the names of the inputs of a vehicle with these parts."""
+    track = ("mean", "cross_level", *(["alignment"] if is_lateral(parts) else []))
+    if "wheelsets" not in parts:
+        return track
+    alone = (f"wheelset{wheel}{kind}" for kind in ("", "_roll") for wheel in range(1, 5))
+    return (*track, *alone)
+
+
+def _inputs(layout: Layout, p: Mapping[str, Tensor], omega: Tensor) -> Tensor:
+    """Return height, angle and lateral place under each wheelset for each input.
+
+    Each input has the density of the mean; shape (n_vehicles, n_wheel_inputs, n_inputs, n_freq).
+    """
+    parts = layout.parts
+    delayed = torch.stack(by_axle(layout, wheels_of(layout, p, omega)), dim=1)
+    sizes = [torch.ones_like(omega), cross_level_size(p, omega) / RAIL_LATERAL_M]
+    if is_lateral(parts):
+        sizes.append(p["alignment"].sqrt())
+    n_kinds = len(sizes)
+    columns = []
+    for kind, size in enumerate(sizes):
+        blocks = [torch.zeros_like(delayed)] * n_kinds
+        blocks[kind] = delayed * size[..., None, :]
+        columns.append(torch.cat(blocks, dim=1))
+    found = torch.stack(columns, dim=2)
+    if "wheelsets" not in parts:
+        return found
+    shares = root_of_size(p["wheelset_share"]), root_of_size(p["wheelset_roll_share"])
+    alone = torch.cat([shares[0].expand(-1, 4), shares[1].expand(-1, 4) / RAIL_LATERAL_M], dim=1)
+    alone = torch.diag_embed(alone)[..., None].expand(-1, -1, -1, len(omega))
+    if is_lateral(parts):
+        alone = torch.cat([alone, torch.zeros_like(alone[:, :4])], dim=1)
+    return torch.cat([found, alone.to(found.dtype)], dim=2)
+
+
+def _gains(p: Mapping[str, Tensor], sensors: Sequence[str], omega: Tensor) -> Tensor:
+    """Return what sensors make of an acceleration, relative to the first one."""
+    one = torch.ones_like(p["speed"] * omega)
+    gains = [torch.complex(one, torch.zeros_like(one))]
+    for name in sensors[1:]:
+        gains.append(phasor(omega * p[f"delay_{name}"]) * p[f"gain_{name}"])
+    return torch.stack(gains, dim=1)
+
+
+Numbers = Callable[[Tensor], dict[str, Tensor]]
+"""Numbers of vehicles, each (n_vehicles, 1), from columns (n_vehicles, n_columns)."""
+
+
+def responses(
+    layout: Layout, numbers: Numbers, sensors: Sequence[str], columns: Tensor, omega: Tensor
+) -> Tensor:
+    """Return H of vehicles, (n_vehicles, n_inputs, n_sensors, n_freq)."""
+    found = []
+    for rows in columns.split(_n_at_once(layout, omega)):
+        system = equations(layout, numbers(rows), sensors, omega)
+        found.append(system.measured(system.solved()[0]))
+    return torch.cat(found)
+
+
+def derivatives(
+    layout: Layout,
+    numbers: Numbers,
+    sensors: Sequence[str],
+    columns: Tensor,
+    omega: Tensor,
+    steps: Tensor,
+) -> tuple[Tensor, Tensor]:
+    """Return H and its derivatives along steps of the columns.
+
+    `steps` (n_directions, n_vehicles, n_columns); the derivatives have the shape (n_vehicles,
+    n_directions, n_inputs, n_sensors, n_freq).
+    """
+    found, slopes = [], []
+    n_at_once = _n_at_once(layout, omega)
+    for rows, along in zip(columns.split(n_at_once), steps.split(n_at_once, dim=1), strict=True):
+        system = equations(layout, numbers(rows), sensors, omega)
+        motion, adjoint = system.solved()
+        found.append(system.measured(motion))
+
+        def slope(step: Tensor, rows: Tensor, motion: Tensor, adjoint: Tensor) -> Tensor:
+            def f(rows: Tensor) -> Tensor:
+                system = equations(layout, numbers(rows), sensors, omega)
+                return system.measured(motion, adjoint)
+
+            return cast(Tensor, torch.func.jvp(f, (rows,), (step,))[1])
+
+        # the largest array has a number for each stretch, sensor and frequency
+        n_steps = MOST_NUMBERS // (system.pulls[..., 0].numel() * len(sensors) * len(omega))
+        mapped = torch.vmap(slope, (0, None, None, None), 1, chunk_size=max(1, n_steps))
+        slopes.append(mapped(along, rows, motion, adjoint))
+    return torch.cat(found), torch.cat(slopes)
+
+
+def _n_at_once(layout: Layout, omega: Tensor) -> int:
+    """Return the number of vehicles for which Z and B fit into memory."""
+    n = len(coordinates(layout.parts))
+    return max(1, MOST_NUMBERS // (len(omega) * n * (n + len(wheel_inputs(layout.parts)))))

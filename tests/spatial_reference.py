@@ -1,0 +1,284 @@
+"""A vehicle of twelve separate parts as rigid bodies in space, one vehicle and frequency at a time.
+
+Axes are fixed to the vehicle: x ahead in the direction forward, y to the left, z up. Each spring
+joins a point of one body to a point of another one and acts along one axis; bodies turn by small
+angles about their axes. In reverse the speed is negative.
+"""
+
+import cmath
+import math
+
+import numpy as np
+
+from suspnet.dynamics.quantities import QUANTITIES, SPATIAL_QUANTITIES
+from suspnet.dynamics.vertical_motion import LOSS_HZ, LOSS_SHARES
+
+X, Y, Z = np.eye(3)
+RAIL_M = 0.75
+BODY, FRAMES, WHEELSETS = 0, (1, 2), (3, 4, 5, 6)
+FREE = ("q", "tau_1", "tau_2")
+SIZE = 7 * 6 + len(FREE)
+INPUTS = 12  # height, angle and lateral place of the track under wheelsets 1 to 4
+
+
+def numbers(vehicle, ratios):
+    """Return every number of one vehicle in SI units from the tables of quantities."""
+    v = vehicle.vehicle
+    nominal = {q.name: q.nominal for q in (*QUANTITIES, *SPATIAL_QUANTITIES) if q.nominal}
+    nominal |= {"M_s": v.body_mass_kg, "bogie_mass": v.bogie_mass_kg}
+    nominal |= {"speed": vehicle.speed_m_per_s * (-1 if vehicle.direction == "reverse" else 1)}
+    nominal |= {
+        "half_wheelbase": v.half_wheelbase_m,
+        "half_pivot_distance": v.half_pivot_distance_m,
+        "bogie_gyration": v.bogie_gyration_m,
+        "body_gyration": v.body_gyration_m,
+        "healthy_k_p": v.primary_stiffness_n_per_m,
+        "healthy_c_p": v.primary_damping_ns_per_m,
+        "healthy_k_s": v.secondary_stiffness_n_per_m,
+        "healthy_c_s": v.secondary_damping_ns_per_m,
+    }
+    places = zip(("axle_box", "frame", "body"), vehicle.sensor_lateral_m, strict=True)
+    nominal |= {f"{name}_lateral": place for name, place in places}
+    columns = zip(vehicle.columns, np.asarray(ratios, dtype=float), strict=True)
+    n = {name: ratio * nominal.get(name, 1.0) for name, ratio in columns}
+    mass = n["M_s"] / v.body_mass_kg if "payload" in vehicle.parts else 1.0
+    n["healthy_k_s"] *= mass ** n["stiffness_exponent"]
+    n["healthy_c_s"] *= mass ** n["damping_exponent"]
+    n["body_gyration"] *= mass ** n["gyration_exponent"]
+    n["bending_frequency"] *= mass ** (0.5 - n["bending_exponent"])
+    n["empty"] = v.body_mass_kg
+    return n
+
+
+def in_series(*stiffnesses):
+    return 1 / sum(1 / one for one in stiffnesses)
+
+
+def primary(n, parts, k, c, s):
+    """Return the dynamic stiffness of a corner: half a bogie side's."""
+    damper = in_series(c * s, n["primary_bushing"]) if "bushings" in parts else c * s
+    if "rubber" not in parts:
+        return (k + damper) / 2
+    branch = n["rubber_share"] * k
+    spring = k + in_series(branch, branch / (2 * math.pi * n["rubber_frequency"]) * s)
+    for share, hertz in zip(LOSS_SHARES, LOSS_HZ, strict=True):
+        share = share * n["rubber_loss"] * k
+        middle = in_series(share, share / (2 * math.pi * hertz) * 2j * math.pi * 2.7)
+        spring += in_series(share, share / (2 * math.pi * hertz) * s) - middle.real
+    return (spring + damper) / 2
+
+
+def secondary(n, parts, k, c, s):
+    """Return the dynamic stiffness of a side."""
+    if "air_spring" in parts:
+        volume = (1 - n["area_share"]) * k  # k_1 k_2 / (k_1 + k_2)
+        k_2 = volume * (1 + n["volume_ratio"]) / n["volume_ratio"]
+        k_1 = n["volume_ratio"] * k_2
+        orifice = c * ((k_1 + k_2) / k_1) ** 2
+        return n["area_share"] * k + in_series(k_1, k_2 + orifice * s)
+    return k + (in_series(c * s, n["secondary_bushing"]) if "bushings" in parts else c * s)
+
+
+def moved(body, place, axis):
+    """Return the motion along an axis of a point of a body, over all coordinates."""
+    row = np.zeros(SIZE)
+    row[6 * body : 6 * body + 6] = np.hstack([axis, np.cross(place, axis)])
+    return row
+
+
+class Train:
+    """One vehicle at s = j omega: `system` maps its motion to forces, `drive` the track's."""
+
+    def __init__(self, vehicle, ratios, s):
+        n = self.n = numbers(vehicle, ratios)
+        self.vehicle, self.parts, self.s = vehicle, vehicle.parts, s
+        a, pivot = n["half_wheelbase"], n["half_pivot_distance"]
+        self.ahead = 1.0 if vehicle.bogie == "leading" else -1.0
+        self.toward = 1.0 if vehicle.axle == "leading" else -1.0
+        self.centres = self.ahead * pivot, -self.ahead * pivot
+        self.axles = [self.toward * a * sign for sign in (1, -1, 1, -1)]
+        self.system = np.zeros((SIZE, SIZE), dtype=complex)
+        self.drive = np.zeros((SIZE, INPUTS), dtype=complex)
+        # what wheelsets are made to do: rows of coordinates that follow the track
+        self.led = np.zeros((SIZE, INPUTS))
+        for wheel, body in enumerate(WHEELSETS):
+            self.led[6 * body + 2, wheel] = self.led[6 * body + 3, 4 + wheel] = 1.0
+            if "creep" not in self.parts:
+                self.led[6 * body + 1, 8 + wheel] = 1.0
+                self.led[6 * body + 1, 4 + wheel] = -n["wheel_radius"]
+        self.masses()
+        self.springs()
+        if "creep" in self.parts:
+            self.creep()
+
+    def bend(self, row, height, place):
+        """Add the first bending of the body to a motion there."""
+        row[6 * 7] += height
+        return row
+
+    def frame(self, i, place, axis):
+        """Return the motion of a point of a frame, its torsion included."""
+        row = moved(FRAMES[i], place, axis)
+        n = self.n
+        twist = place[0] * self.toward / n["half_wheelbase"] * place[1] / n["primary_lateral"]
+        row[6 * 7 + 1 + i] = twist * axis[2]
+        return row
+
+    def add(self, kappa, one, other=None):
+        """Join two points by an element."""
+        stretch = one if other is None else one - other
+        self.system += kappa * np.outer(stretch, stretch)
+
+    def masses(self):
+        n, s, squares = self.n, self.s, np.zeros(SIZE)
+        body, frame = 4 * n["M_s"], 2 * n["bogie_mass"]
+        yaw = n["body_gyration"] * n["body_yaw"]
+        squares[:6] = np.array([1, 1, 1, n["body_roll_gyration"], n["body_gyration"], yaw])
+        squares[:6] = body * squares[:6] ** 2
+        yaw = n["bogie_gyration"] * n["bogie_yaw"]
+        own = np.array([1, 1, 1, n["bogie_roll_gyration"], n["bogie_gyration"], yaw])
+        squares[6:18] = np.tile(frame * own**2, 2)
+        own = np.array([0, 1, 0, 0, 0, n["wheelset_yaw_gyration"]])
+        squares[18:42] = np.tile(n["wheelset_mass"] * own**2, 4)
+        squares[42:] = body / 2, *[frame * n["torsion_mass"]] * 2
+        self.system += np.diag(squares) * s**2
+        bending = 2 * math.pi * n["bending_frequency"]
+        modal = 2 * n["empty"] * (bending**2 + 2 * n["bending_damping"] * bending * s)
+        twisting = 2 * math.pi * n["torsion_frequency"]
+        torsion = twisting**2 + 2 * n["torsion_damping"] * twisting * s
+        torsion *= frame * n["torsion_mass"]
+        self.system += np.diag([0] * 42 + [modal, torsion, torsion])
+
+    def springs(self):
+        n, parts, s = self.n, self.parts, self.s
+        for i, centre in enumerate(self.centres):
+            section = np.zeros(SIZE)  # the slope of the bent body, its front up
+            section[42] = n["bending_slope"] / centre
+            for side, y in (("left", 1.0), ("right", -1.0)):
+                beside = y * n["secondary_lateral"]
+                k, c = self.own(i, "s", side)
+                over = self.bend(moved(BODY, [centre, beside, 0], Z), n["bending_at_pivot"], 0)
+                under = self.frame(i, np.array([0, beside, 0]), Z)
+                self.add(secondary(n, parts, k, c, s), over, under)
+                if "longitudinal" in parts:
+                    low = moved(BODY, [centre, beside, -n["body_lever"]], X)
+                    high = self.frame(i, np.array([0, beside, n["bogie_lever"]]), X)
+                    kappa = n["longitudinal_stiffness"] + n["longitudinal_damping"] * s
+                    self.add(kappa, low + n["body_lever"] * section, high)
+                low = moved(BODY, [centre, beside, -n["body_lever"]], Y)
+                high = self.frame(i, np.array([0, beside, n["bogie_lever"]]), Y)
+                self.add(n["lateral_stiffness"] + n["lateral_damping"] * s, low, high)
+                for axle in (1, 2):
+                    self.corner(i, axle, side, y * n["primary_lateral"])
+            if "guidance" in parts:
+                gamma = n["guidance_stiffness"] * n["healthy_k_p"]
+                gamma += n["guidance_damping"] * n["healthy_c_p"] * s
+                pitch = np.zeros(SIZE)
+                pitch[6 * FRAMES[i] + 4] = n["half_wheelbase"]
+                self.add(2 * gamma, pitch)
+            roll, over = np.zeros(SIZE), np.zeros(SIZE)
+            roll[6 * FRAMES[i] + 3] = over[3] = 1.0
+            self.add(n["anti_roll_bar"], over, roll)
+
+    def corner(self, i, axle, side, beside):
+        n, wheel = self.n, 2 * i + axle - 1
+        ahead, body = self.axles[wheel], WHEELSETS[wheel]
+        kappa = primary(n, self.parts, *self.own(i, "p", f"axle{axle}_{side}"), self.s)
+        low, end = np.array([0, beside, 0.0]), np.array([ahead, beside, 0.0])
+        self.add(kappa, self.frame(i, end, Z), moved(body, low, Z))
+        if {"frame_sway", "frame_yaw", "creep"} & set(self.parts):
+            kappa = n["guide_stiffness"] + n["guide_damping"] * self.s
+            at_axle = self.frame(i, end - n["guide_lever"] * Z, Y)
+            self.add(kappa, at_axle, moved(body, low, Y))
+        if "creep" in self.parts:
+            self.add(n["axle_box_stiffness"], self.frame(i, end, X), moved(body, low, X))
+
+    def own(self, i, suspension, place):
+        """Return stiffness and damping of a part in SI units."""
+        n, names = self.n, (f"k_{suspension}", f"c_{suspension}")
+        if i == 1:
+            return [n[f"other_{name}"] * n[f"healthy_{name}"] for name in names]
+        ratios = [n[f"{name}_{place}"] * n[f"healthy_{name}_{place}"] for name in names]
+        return [r * n[f"healthy_{name}"] for r, name in zip(ratios, names, strict=True)]
+
+    def creep(self):
+        """Add the forces of both wheels from the motion of their contacts against the rails."""
+        n, s, r = self.n, self.s, self.n["wheel_radius"]
+        v, c, size = n["speed"], n["creep_coefficient"], abs(n["speed"])
+        for wheel, body in enumerate(WHEELSETS):
+            # over all coordinates, then the inputs of the track
+            place = np.hstack([moved(body, [0, 0, -r], Y), np.zeros(INPUTS)])
+            rails = np.hstack([np.zeros(SIZE), np.eye(INPUTS)[8 + wheel]])
+            yaw = np.hstack([moved(body, [0, 1.0, 0], -X), np.zeros(INPUTS)])
+            for y in (RAIL_M, -RAIL_M):
+                aside = s * place / size - v / size * yaw
+                rolled = r + n["conicity"] * y / RAIL_M * (place - rails)  # without its constant
+                along = (-s * y * yaw - v / r * (rolled - r)) / size
+                for creepage, axis in ((aside, Y), (along, X)):
+                    at = moved(body, [0, y, 0], axis)
+                    force = c * np.outer(at, creepage)
+                    self.system += force[:, :SIZE]
+                    self.drive -= force[:, SIZE:]
+
+    def motion(self):
+        """Return all coordinates for each input of the wheelsets."""
+        led = np.abs(self.led).any(axis=1)
+        keep = np.zeros(SIZE, dtype=bool)
+        keep[[1, 2, 3, 4]] = True
+        keep[5] = "body_yaw" in self.parts
+        keep[42] = "bending" in self.parts
+        for i, body in enumerate(FRAMES):
+            keep[6 * body + 2 : 6 * body + 5] = True
+            keep[6 * body + 1] = "frame_sway" in self.parts
+            keep[6 * body + 5] = "frame_yaw" in self.parts
+            keep[43 + i] = "torsion" in self.parts
+        for body in WHEELSETS:
+            keep[6 * body + 1] = keep[6 * body + 5] = "creep" in self.parts
+        keep &= ~led
+        forces = self.drive[keep] - self.system[np.ix_(keep, led)] @ self.led[led]
+        # wheelset coordinates led by the track are known, all others are locked
+        moved = self.led.astype(complex)
+        moved[keep] = np.linalg.solve(self.system[np.ix_(keep, keep)], forces)
+        return moved
+
+    def seen(self, place):
+        """Return what a sensor sees over all coordinates."""
+        n, v = self.n, self.vehicle
+        y = {"left": 1.0, "right": -1.0, "middle": 0.0}[place.split("_")[-1]]
+        if place.startswith("body"):
+            row = moved(BODY, [self.centres[0] + v.body_sensor_m, y * n["body_lateral"], 0], Z)
+            return self.bend(row, n["bending_at_sensor"], 0)
+        axle = 1 if "axle1" in place else 2
+        if place.startswith("frame"):
+            ahead = 0.0 if "centre" in place else self.axles[axle - 1]
+            return self.frame(0, np.array([ahead, y * n["frame_lateral"], 0]), Z)
+        beside = y * n["axle_box_lateral"]
+        box = moved(WHEELSETS[axle - 1], [0, beside, 0], Z)
+        arm = n["arm_share"] if "axle_box_arm" in self.parts else 0.0
+        above = self.frame(0, np.array([self.axles[axle - 1], beside, 0]), Z)
+        return (1 - arm) * box + arm * above
+
+
+def channels(vehicle, ratios, frequency_hz):
+    """Return the response of each sensor to each input, (n_inputs, n_sensors)."""
+    s = 2j * math.pi * frequency_hz
+    train = Train(vehicle, ratios, s)
+    n, motion = train.n, train.motion()
+    rows = []
+    for i, place in enumerate(vehicle.sensors):
+        row = train.seen(place) @ motion
+        if i and "sensors" in vehicle.parts:
+            row = row * n[f"gain_{place}"] * cmath.exp(-s * n[f"delay_{place}"])
+        rows.append(row)
+    rows = np.array(rows)
+    places = [train.centres[i // 2] + ahead for i, ahead in enumerate(train.axles)]
+    delays = np.array([cmath.exp(-s * (places[0] - place) / n["speed"]) for place in places])
+    wave = abs(s / n["speed"]) ** 2
+    cross = math.sqrt(n["cross_level"] * wave / (wave + 0.438**2)) / RAIL_M
+    found = [rows[:, :4] @ delays, cross * rows[:, 4:8] @ delays]
+    if {"frame_sway", "frame_yaw", "creep"} & set(vehicle.parts):
+        found.append(math.sqrt(n["alignment"]) * rows[:, 8:] @ delays)
+    if "wheelsets" in vehicle.parts:
+        found += list(math.sqrt(n["wheelset_share"]) * rows[:, :4].T)
+        found += list(math.sqrt(n["wheelset_roll_share"]) / RAIL_M * rows[:, 4:8].T)
+    return np.array(found)
