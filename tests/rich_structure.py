@@ -23,6 +23,22 @@ SENSORS = (
 )
 
 
+PARTS = (
+    *((f"{kind}_p", side, f"axle{axle}") for axle in "12" for side in ("left", "right") for kind in "kc"),
+    *((f"{kind}_s", side) for side in ("left", "right") for kind in "kc"),
+)
+"""Words that tell each of the twelve parts of a bogie."""
+
+
+def wear(ratios, one_side=False):
+    """Return (words, ratio) of the parts of the first bogie for ratios (5,) or (13,)."""
+    if len(ratios) == len(PARTS) + 1:
+        return [((name, "1", *where), r) for (name, *where), r in zip(PARTS, ratios, strict=False)]
+    side = ("left",) if one_side else ()
+    names = ("k_p", "c_p", "k_s", "c_s")
+    return [((name, "1", *side), ratio) for name, ratio in zip(names, ratios, strict=False)]
+
+
 class Structure:
     """The elements of a healthy train, worn and laden on demand.
 
@@ -41,7 +57,7 @@ class Structure:
         for bogie, sign in (("1", 1.0), ("2", -1.0)):
             self._secondary(bogie, sign * train.half_pivot_m)
             for axle, x in (("1", train.half_wheelbase_m), ("2", -train.half_wheelbase_m)):
-                self._primary(bogie, x, 2 * (int(bogie) - 1) + int(axle) - 1)
+                self._primary(bogie, axle, x, 2 * (int(bogie) - 1) + int(axle) - 1)
         for wheelset in range(N_WHEELS):
             self._rail(wheelset)
         self._bend()
@@ -49,11 +65,11 @@ class Structure:
         self.sensors = self._sensors()
 
     def matrices(self, ratios):
-        """Return `Matrices` of ratios (5,)."""
+        """Return `Matrices` of ratios (5,) or (13,)."""
         mass = self.mass.copy()
-        mass[self.laden] *= ratios[4]
+        mass[self.laden] *= ratios[-1]
         turning = np.array([one in (("body", "pitch"), ("body", "yaw")) for one in self.names])
-        mass[turning] *= ratios[4] ** (2 * self.train.gyration_exponent)
+        mass[turning] *= ratios[-1] ** (2 * self.train.gyration_exponent)
         rows, series = self.parallel.rows, self.series.rows
         k, c, k_f, c_f = self.worn(ratios)
         n = len(mass)
@@ -69,16 +85,16 @@ class Structure:
 
     def worn(self, ratios):
         """Return stiffness and damping of the elements, then of those in series."""
-        side = ("left",) if "one_side" in self.effects else ()
+        changes = [*wear(ratios, "one_side" in self.effects), *self.train.unequal()]
         found = []
         for elements in (self.parallel, self.series):
             for kind, values in enumerate((elements.stiffness, elements.damping)):
                 values = np.array(values, dtype=float)
-                for ratio, name in zip(ratios, ("k_p", "c_p", "k_s", "c_s"), strict=False):
+                for (name, *where), ratio in changes:
                     # rubber keeps its frequency: its damping follows k_p
                     if kind == "kc".index(name[0]) or (name == "k_p" and elements is self.series):
-                        values[elements.where(name, "1", *side)] *= ratio
-                self._load(elements, kind, values, ratios[4])
+                        values[elements.where(name, *where)] *= ratio
+                self._load(elements, kind, values, ratios[-1])
                 found.append(values)
         return found
 
@@ -237,13 +253,13 @@ class Structure:
         twist = self.row["body", "roll"] - self.row[frame, "roll"]
         self.parallel.add(twist, t.anti_roll_nm, 0.0, "anti-roll bar")
 
-    def _primary(self, bogie, x, wheelset):
+    def _primary(self, bogie, its_axle, x, wheelset):
         """Add springs and dampers between bogie and one of its wheelsets."""
         t, frame, axle = self.train, f"bogie {bogie}", f"wheelset {wheelset}"
         height = -t.guidance_height_m if "guidance" in self.effects else 0.0
         for side, sign in (("left", 1.0), ("right", -1.0)):
             y = sign * t.primary_half_m
-            where, box = f"{bogie} {side}", (0.0, y, 0.0)
+            where, box = f"{bogie} {side} axle{its_axle}", (0.0, y, 0.0)
             k_p = 0.5 * t.k_p * AM96.primary_stiffness_n_per_m
             top = (x, y, -t.axle_below_m)
             stretch = self._join(frame, top, axle, box, (0, 0, 1), k_p, 0.0, f"k_p {where} spring")

@@ -15,7 +15,7 @@ from dataclasses import dataclass, fields, replace
 from functools import cached_property
 
 import numpy as np
-from rich_structure import PROCESSES, Structure
+from rich_structure import PARTS, PROCESSES, Structure
 from vehicles import AM96
 
 FAMILY = (
@@ -31,7 +31,7 @@ FAMILY = (
     "contact",
 )
 OF_THE_TRIP = ("payload", "sensors", "wheelsets", "axle_box_arm")
-OUTSIDE = ("second_bending", "one_side", "blow_off", "friction", "drift", "bogie_mass")
+OUTSIDE = ("second_bending", "one_side", "unequal", "blow_off", "friction", "drift", "bogie_mass")
 EFFECTS = (*FAMILY, *OF_THE_TRIP, *OUTSIDE)
 """What a train can have; drift is of its speed (rich_train_trips.py).
 
@@ -39,6 +39,8 @@ EFFECTS = (*FAMILY, *OF_THE_TRIP, *OUTSIDE)
 bushings, whether these are asked for or not.
 """
 
+UNEQUAL = 0.05
+"""Standard deviation of the logarithm of each spring and damper of a train that is unequal."""
 SCATTER = {
     "healthy": {"k_p": 0.2, "c_p": 0.4, "k_s": 0.2, "c_s": 0.3},
     "inertias": {"body_gyration": 0.15, "bogie_gyration": 0.15},
@@ -182,6 +184,8 @@ class RichTrain:
     # Secondary suspension of the bogie that is not measured
     other_k_s: float = 1.0
     other_c_s: float = 1.0
+    # Each spring and damper of both bogies, in the order of rich_structure.PARTS; none: equal ones
+    parts: tuple = ()
     # Laws of rich_motion.py
     blow_off_m_per_s: float = 0.1
     slope_after: float = 0.2
@@ -211,7 +215,15 @@ class RichTrain:
             own = np.random.default_rng([seed, 13, *group.encode()])
             draws |= {name: (group, own.uniform(*ends)) for name, ends in ranges.items()}
         found = {name: value for name, (group, value) in draws.items() if group in effects}
+        if "unequal" in effects:
+            own = np.random.default_rng([seed, 14])
+            found["parts"] = tuple(np.exp(UNEQUAL * own.standard_normal(2 * len(PARTS))).tolist())
         return cls(effects=frozenset(effects), **(found | changes))
+
+    def unequal(self):
+        """Return (words, ratio) of each part over what it should be."""
+        words = [(name, bogie, *where) for bogie in "12" for name, *where in PARTS]
+        return list(zip(words, self.parts or [1.0] * len(words), strict=True))
 
     def at(self, speed_m_per_s):
         """Return the train at another speed."""
@@ -271,8 +283,9 @@ class RichTrain:
 
         Parameters
         ----------
-        ratios : array of shape (5,), [-]
-            k_p, c_p, k_s, c_s relative to the train's own, M_s relative to nominal.
+        ratios : array of shape (5,) or (13,), [-]
+            k_p, c_p, k_s, c_s relative to the train's own, or each of rich_structure.PARTS; M_s
+            relative to nominal.
         """
         return self._structure.matrices(np.asarray(ratios, dtype=float))
 

@@ -19,7 +19,7 @@ angle and its lateral place, the stretches are::
     anti-roll bar       k_bar         theta - theta_i
     lateral             2 kappa_y     y + sigma chi + h_2 theta - y_i + h_3 theta_i
     axle guide          2 kappa_g     y_i + eps chi_i + h_g theta_i - y_w
-    axle boxes          2 k_b         (b_p / a) (chi_i - chi_w)
+    axle boxes          2 kappa_b     (b_p / a) (chi_i - chi_w)
     bending, torsion    kappa_q, k_t  q, tau_i
 
 y_w is v - r_0 x, so that the wheelset stays on its track, or a coordinate with creep. With the
@@ -145,18 +145,15 @@ def _suspensions(layout: Layout, p: Mapping[str, Tensor]) -> list[Part]:
     guidance = guidance_element(p).times(2)
     bar = Element(p["anti_roll_bar"], None)
     for i, which, sigma in ((1, "", 1.0), (2, "other_", -1.0)):
-        # the other bogie's corners are alike: one element has four stretches
-        other = primary_element(p, which, parts).times(0.5) if which else None
-        across = secondary_element(p, which, parts) if which else None
         for side in ("left", "right"):
             lateral = SIGNS[side] * p["primary_lateral"]
             for axle, end in ((1, 1.0), (2, -1.0)):
                 wheel = axle + 2 * (i - 1)
                 corner = f"_axle{axle}_{side}"
-                spring = other or primary_element(p, which, parts, corner).times(0.5)
+                spring = primary_element(p, which, parts, corner).times(0.5)
                 track: Row = {f"w{wheel}": -1.0, f"x{wheel}": -lateral}
                 found.append(Part(spring, {**_corner(i, end, lateral, p), **track}))
-            spring = across or secondary_element(p, which, parts, f"_{side}")
+            spring = secondary_element(p, which, parts, f"_{side}")
             lateral = SIGNS[side] * p["secondary_lateral"]
             body: Row = {"z": 1.0, "q": p["bending_at_pivot"], "phi": sigma, "theta": lateral}
             found.append(Part(spring, {**body, f"z_{i}": -1.0, f"theta_{i}": -lateral}))
@@ -188,7 +185,7 @@ def _linked(layout: Layout, p: Mapping[str, Tensor]) -> list[Part]:
 def _guided(layout: Layout, p: Mapping[str, Tensor]) -> list[Part]:
     """Return what holds the wheelsets in the frames."""
     guide = Element(2 * p["guide_stiffness"], 2 * p["guide_damping"])
-    yawing = Element(2 * p["axle_box_stiffness"], None)
+    yawing = Element(2 * p["axle_box_stiffness"], 2 * p["axle_box_damping"])
     found = []
     for wheel in range(1, 5):
         i, end = 1 + (wheel > 2), 1.0 if wheel % 2 else -1.0

@@ -35,6 +35,10 @@ SPATIAL_NUMBERS: dict[str, tuple[tuple[Any, ...], ...]] = {
     "": tuple(
         (f"healthy_{name}", 0.05, "", f"healthy {name} over the mean of its kind")
         for name in COMPONENTS[:-1]
+    )
+    + tuple(
+        (f"other_{name}", 0.05, "", f"{name} of the other bogie over the mean of its kind")
+        for name in COMPONENTS[:-1]
     ),
     "lateral": (
         ("guide_stiffness", 0.5, "N/m", "lateral stiffness of an axle box to the frame", 4e6),
@@ -53,6 +57,7 @@ SPATIAL_NUMBERS: dict[str, tuple[tuple[Any, ...], ...]] = {
         ("wheelset_mass", 0.2, "kg", "mass of a wheelset", 1800.0),
         ("wheelset_yaw_gyration", 0.1, "m", "radius of gyration of a wheelset in yaw", 0.8),
         ("axle_box_stiffness", 0.7, "N/m", "longitudinal stiffness of an axle box", 1.5e7),
+        ("axle_box_damping", 0.7, "N s/m", "longitudinal damping of an axle box", 3e4, True),
         ("creep_coefficient", 0.4, "N", "creep force of a wheel over its creepage", 6e6),
         ("conicity", 0.7, "", "equivalent conicity of the wheels", 0.05),
     ),

@@ -37,7 +37,8 @@ class SpatialVehicle(VehicleFamily):
 
     Ratios have the columns ``COMPONENTS`` and, if given, the speed or all of ``columns``. Those of
     springs and dampers are relative to the healthy ones of this vehicle, which differ by their own
-    quantities ("healthy_k_p_axle1_left", ...) from the healthy mean of their kind. `parts` may
+    quantities ("healthy_k_p_axle1_left", ...) from the healthy mean of their kind, as those of the
+    other bogie do ("other_k_p_axle1_left", ...). `parts` may
     also hold frame_sway, frame_yaw, body_yaw, creep (sway and yaw of the wheelsets) and torsion (of
     the frames); roll is always one of them. The vehicle is the vertical one where nothing differs
     and these are absent. `sensors` are from ``PLACES``, by default a pair at axle box 1, at
@@ -167,7 +168,11 @@ class SpatialVehicle(VehicleFamily):
         return spatial_motion(self._layout, self._numbers(as_tensor(ratios)[None]), self._places)
 
     def _measured(self, p: Mapping[str, Tensor]) -> dict[str, Tensor]:
-        return {
+        own = {
             name: p[name] * p[f"healthy_{name}"] * p[f"healthy_{name[:3]}"]
             for name in COMPONENTS[:-1]
         }
+        other = {
+            f"other_{name}": p[f"other_{name}"] * p[f"other_{name[:3]}"] for name in COMPONENTS[:-1]
+        }
+        return own | other
