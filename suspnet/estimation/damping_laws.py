@@ -76,8 +76,8 @@ class DampingNumbers:
         self._most = most(vehicle)
         mean, deviation = prior(vehicle)
         varied = (
-            logs.std(axis=0)[[0, 0, 0, 1]] > DIFFERENT
-        )  # friction twice, blow-off of c_p, of c_s
+            logs.std(axis=0)[[0, 0, 0, 0, 1]] > DIFFERENT
+        )  # friction and its exponent, blow-off of c_p, of c_s
         # all numbers; those that the trips tell
         self._mean = np.array([*[USUAL_SLOPE] * len(DAMPINGS), *mean])
         self._deviation = np.array([*[SLOPE_DEVIATION] * len(DAMPINGS), *deviation])

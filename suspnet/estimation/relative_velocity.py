@@ -4,22 +4,23 @@ A damper that blows off has the slope c up to the relative velocity v_b, and ``S
 beyond. Dry friction beside a damper is a force that does not grow with velocity. With sigma the rms
 relative velocity across a suspension, normal, statistical linearisation gives the damping ::
 
-    c g(sigma / v_b) + sqrt(2 / pi) F / sigma,    g(y) = rho + (1 - rho) erf(1 / (sqrt(2) y))
+    c g(sigma / v_b) + c_f,    g(y) = rho + (1 - rho) erf(1 / (sqrt(2) y))
 
-(Roberts and Spanos, Random vibration and statistical linearization, 1990.) With sigma_0 the
-geometric mean over the healthy trips, u = 1 / v_b [s/m] and s [-] such that friction is the share
-s / (s + (1 - s) g(sigma_0 u)) of the healthy damping, an estimate x relative to healthy is that of
-a damper at the ratio r with ::
+(Roberts and Spanos, Random vibration and statistical linearization, 1990.) The friction's c_f goes
+with sigma^-a: a is 1 where it slips, and 0 where it creeps before it slips, as that of rubber does.
+With sigma_0 the geometric mean over the healthy trips, u = 1 / v_b [s/m] and s [-] such that
+friction is the share s / (s + (1 - s) g(sigma_0 u)) of the healthy damping, an estimate x relative
+to healthy is that of a damper at the ratio r with ::
 
-    x = ((1 - s) r g(sigma u) + s k sigma_0 / sigma) / ((1 - s) g(sigma_0 u) + s)
+    x = ((1 - s) r g(sigma u) + s k (sigma_0 / sigma)^a) / ((1 - s) g(sigma_0 u) + s)
 
 The friction is that of rubber or leaves: it does not wear with the damper, but changes as much as
 the spring, k times; where it sticks it is a share s' of the spring, x = k (1 - s' + s' sigma_0 /
 sigma). Worn dampers blow off at the same velocity, with less force. s and s' are between 0 and the
 vehicle file's `primary_friction_share`, u between 0 and the inverse of `primary_blow_off_m_per_s`
 or `secondary_blow_off_m_per_s`. Healthy trips of different sigma narrow all of them
-(`suspnet.estimation.damping_laws`). Estimates are compared as r and k; draws of s, s' and u give
-the mean and the uncertainty, which widens the intervals.
+(`suspnet.estimation.damping_laws`). Estimates are compared as r and k; draws of them give the
+mean and the uncertainty, which widens the intervals.
 """
 
 from __future__ import annotations
@@ -45,7 +46,7 @@ SUSPENSIONS = ((0, 1), (1, 2))
 """Sensors on both sides of primary and secondary suspension."""
 CHANGING = {"k_p": 0, "c_p": 0, "c_s": 1}
 """Parameters that depend on the relative velocity, each with its suspension."""
-UNKNOWN = ("s' of k_p", "s of c_p", "u of c_p", "u of c_s")
+UNKNOWN = ("s' of k_p", "s of c_p", "a of c_p", "u of c_p", "u of c_s")
 """What the law does not know, in the order of its numbers."""
 NOTE = "damping_by_velocity"
 """Key of the law in the notes of a commissioning."""
@@ -63,8 +64,8 @@ N_DRAWS = 256
 class DampingByVelocity:
     """The law of a commissioned vehicle.
 
-    `healthy_m_per_s` (2,) is sigma_0 [m/s] of each suspension. `numbers`, `most` (4,) and
-    `covariance` (4, 4) are the mean of ``UNKNOWN``, their upper ends and their covariance: normal,
+    `healthy_m_per_s` (2,) is sigma_0 [m/s] of each suspension. `numbers`, `most` (5,) and
+    `covariance` (5, 5) are the mean of ``UNKNOWN``, their upper ends and their covariance: normal,
     moved to 0 or to the upper end where beyond.
     """
 
@@ -87,7 +88,7 @@ class DampingByVelocity:
                     check_number(f"{NOTE}.{name}", value, low=0)
             object.__setattr__(self, name, values)
         rows = tuple(tuple(row) for row in self.covariance)
-        wrong = f"`{NOTE}.covariance` must be 4 x 4, symmetric, without negative variances"
+        wrong = f"`{NOTE}.covariance` must be 5 x 5, symmetric, without negative variances"
         if len(rows) != n_numbers or any(len(row) != n_numbers for row in rows):
             raise ValueError(wrong)
         for row in rows:
@@ -119,7 +120,7 @@ class DampingByVelocity:
         return cls(**note) if note else None
 
     def drawn(self) -> Tensor:
-        """Return draws of the numbers, (n_draws, 4)."""
+        """Return draws of the numbers, (n_draws, 5)."""
         power, vectors = np.linalg.eigh(np.array(self.covariance))
         spread = _standard() @ (vectors * np.sqrt(np.clip(power, 0.0, None))).T
         return torch.as_tensor(np.clip(np.array(self.numbers) + spread, 0.0, self.most))
@@ -160,7 +161,7 @@ def linear(
 ) -> tuple[Tensor, Tensor]:
     """Return slope and offset of an estimate over the part's ratio, each (n_rows,), [-].
 
-    `numbers` (n_rows, 4) are those of ``UNKNOWN``, `name` is of ``CHANGING``. The offset is that of
+    `numbers` (n_rows, 5) are those of ``UNKNOWN``, `name` is of ``CHANGING``. The offset is that of
     a healthy spring.
     """
     slower = healthy_m_per_s / own_m_per_s
@@ -168,10 +169,10 @@ def linear(
         return 1 - numbers[:, 0] + numbers[:, 0] * slower, torch.zeros_like(numbers[:, 0])
     is_primary = name == "c_p"
     share = numbers[:, 1] if is_primary else torch.zeros_like(numbers[:, 1])
-    inverse = numbers[:, 2 if is_primary else 3]
+    inverse = numbers[:, 3 if is_primary else 4]
     whole = (1 - share) * _slope(healthy_m_per_s * inverse) + share
     slope = (1 - share) * _slope(own_m_per_s * inverse) / whole
-    return slope, share * slower / whole
+    return slope, share * slower ** numbers[:, 2] / whole
 
 
 def _slope(over_blow_off: Tensor) -> Tensor:
@@ -181,14 +182,14 @@ def _slope(over_blow_off: Tensor) -> Tensor:
 
 
 def most(vehicle: Vehicle) -> FloatArray:
-    """Return the upper ends of the numbers of ``UNKNOWN`` for a vehicle, (4,)."""
+    """Return the upper ends of the numbers of ``UNKNOWN`` for a vehicle, (5,)."""
     ends = vehicle.primary_blow_off_m_per_s, vehicle.secondary_blow_off_m_per_s
     share = vehicle.primary_friction_share
-    return np.array([share, share, *(0.0 if v is None else 1 / v for v in ends)])
+    return np.array([share, share, float(share > 0), *(0.0 if v is None else 1 / v for v in ends)])
 
 
 def prior(vehicle: Vehicle) -> tuple[FloatArray, FloatArray]:
-    """Return prior mean and standard deviation of ``UNKNOWN``, (4,) each, of uniform numbers."""
+    """Return prior mean and standard deviation of ``UNKNOWN``, (5,) each, of uniform numbers."""
     return most(vehicle) / 2, most(vehicle) / math.sqrt(12)
 
 
@@ -207,6 +208,6 @@ def relative_velocities(spectra: CrossSpectra, frequencies_hz: Tensor) -> FloatA
 
 @cache
 def _standard() -> FloatArray:
-    """Return standard normal points that fill the space evenly, (n_draws, 4)."""
+    """Return standard normal points that fill the space evenly, (n_draws, 5)."""
     points = qmc.Sobol(len(UNKNOWN), scramble=True, rng=0).random(N_DRAWS)
     return np.asarray(norm.ppf(points))

@@ -27,13 +27,14 @@ from suspnet.spectra.cross_spectra import CrossSpectra, moving_average_with, sam
 from suspnet.spectra.estimates import EstimateSettings
 from suspnet.spectra.segments import Speeds
 
-COVARIANCE = (
-    (1e-4, 0.0, 0.0, 0.0),
-    (0.0, 1e-4, 1e-3, 0.0),
-    (0.0, 1e-3, 1.0, 0.0),
-    (0.0, 0.0, 0.0, 0.25),
+COVARIANCE = np.diag([1e-4, 1e-4, 0.04, 1.0, 0.25])
+COVARIANCE[1, 3] = COVARIANCE[3, 1] = 1e-3
+LAW = DampingByVelocity(
+    (0.05, 0.03),
+    (0.04, 0.05, 0.7, 8.0, 16.0),
+    (0.1, 0.1, 1.0, 20.0, 20.0),
+    tuple(map(tuple, COVARIANCE.tolist())),
 )
-LAW = DampingByVelocity((0.05, 0.03), (0.04, 0.05, 8.0, 16.0), (0.1, 0.1, 20.0, 20.0), COVARIANCE)
 NAMES = ("k_p", "c_p", "k_s", "c_s")
 SETTINGS = EstimateSettings(
     segment_s=5.0, rates_hz=(1000.0, 500.0, 500.0), high_hz=9.9, body_high_hz=9.0
@@ -52,10 +53,12 @@ def slope(y):
     return 0.2 + 0.8 * math.erf(1 / (math.sqrt(2) * y)) if y else 1.0
 
 
-def seen(ratio, share, inverse, own, healthy, spring=1.0):
+def seen(ratio, share, inverse, own, healthy, spring=1.0, power=0.7):
     """Return the estimate relative to healthy of a damper at a ratio, written out."""
     whole = (1 - share) * slope(healthy * inverse) + share
-    return ((1 - share) * ratio * slope(own * inverse) + share * spring * healthy / own) / whole
+    return (
+        (1 - share) * ratio * slope(own * inverse) + share * spring * (healthy / own) ** power
+    ) / whole
 
 
 def read(ratios):
@@ -70,7 +73,7 @@ def read(ratios):
 
 @pytest.mark.parametrize("velocities", [(0.05, 0.03), (0.04, 0.02), (0.09, 0.06)])
 def test_estimates_are_compared_as_the_formula_says(velocities):
-    known = replace(LAW, covariance=np.zeros((4, 4)).tolist())
+    known = replace(LAW, covariance=np.zeros((5, 5)).tolist())
     ratios, numbers = (0.7, 1.2), ((0.05, 8.0), (0.0, 16.0))
     x_p, x_s = (
         seen(ratio, *own, v, healthy, 1.3)
@@ -93,11 +96,14 @@ def test_what_the_law_does_not_know_widens_the_interval():
     assert found.values[0, 0] == pytest.approx(1.0)
     rng = np.random.default_rng(0)
     drawn = rng.multivariate_normal(LAW.numbers, COVARIANCE, 20_000).clip(0, LAW.most)
-    for j, own, i in ((1, (1, 2), 0), (3, (None, 3), 1)):
+    for j, own, i in ((1, (1, 3), 0), (3, (None, 4), 1)):
         share = drawn[:, 1] if own[0] else np.zeros(len(drawn))
         ends = LAW.healthy_m_per_s[i], velocities[i]
         at_0, at_1 = (
-            [seen(r, s, u, ends[1], ends[0]) for s, u in zip(share, drawn[:, own[1]], strict=True)]
+            [
+                seen(r, s, u, ends[1], ends[0], 1.0, a)
+                for s, a, u in zip(share, drawn[:, 2], drawn[:, own[1]], strict=True)
+            ]
             for r in (0.0, 1.0)
         )
         gains = np.subtract(at_1, at_0)
@@ -121,7 +127,9 @@ def test_the_slope_is_that_of_statistical_linearisation(over):
         np.abs(velocity) < 1, velocity, np.sign(velocity) * (1 + 0.2 * (np.abs(velocity) - 1))
     )
     best = (force * velocity * density).sum() / (velocity**2 * density).sum()
-    found, _ = linear(torch.tensor([[0.0, 0.0, 0.0, over]], dtype=torch.float64), "c_s", 1.0, 1e-6)
+    found, _ = linear(
+        torch.tensor([[0.0, 0.0, 1.0, 0.0, over]], dtype=torch.float64), "c_s", 1.0, 1e-6
+    )
     assert float(found) == pytest.approx(best, rel=1e-4)
 
 
@@ -149,7 +157,7 @@ def test_relative_velocities_are_those_of_signals():
 
 
 def test_the_prior_is_uniform_up_to_what_the_vehicle_file_allows():
-    draws = np.random.default_rng(0).uniform(0, [0.1, 0.1, 20.0, 20.0], (200_000, 4))
+    draws = np.random.default_rng(0).uniform(0, [0.1, 0.1, 1.0, 20.0, 20.0], (200_000, 5))
     mean, deviation = prior(SOFT)
     np.testing.assert_allclose(mean, draws.mean(axis=0), rtol=0.01)
     np.testing.assert_allclose(deviation, draws.std(axis=0), rtol=0.01)
@@ -163,7 +171,10 @@ def test_trips_that_are_alike_keep_the_prior():
     numbers = DampingNumbers(SOFT, [None] * 3, alike, range(3))
     assert len(numbers) == 0
     found = numbers.laws(np.zeros(0), np.zeros((0, 0))).velocity
-    assert (found.numbers, found.most) == ((0.05, 0.05, 10.0, 10.0), (0.1, 0.1, 20.0, 20.0))
+    assert (found.numbers, found.most) == (
+        (0.05, 0.05, 0.5, 10.0, 10.0),
+        (0.1, 0.1, 1.0, 20.0, 20.0),
+    )
     np.testing.assert_allclose(np.diag(found.covariance), prior(SOFT)[1] ** 2)
 
 
@@ -235,12 +246,12 @@ def test_a_trip_is_compared_at_the_noted_velocities():
     [
         {"healthy_m_per_s": (0.0, 0.1)},
         {"numbers": (0.1,)},
-        {"numbers": (0.1, 0.1, -2.0, 1.0)},
-        {"most": (0.1, 0.1, math.inf, 1.0)},
+        {"numbers": (0.1, 0.1, 1.0, -2.0, 1.0)},
+        {"most": (0.1, 0.1, 1.0, math.inf, 1.0)},
         {"covariance": ((1.0, 0.0), (0.0, 1.0))},
-        {"covariance": (np.eye(4) + np.eye(4, k=1)).tolist()},
-        {"covariance": np.diag([1.0, 1.0, 1.0, -1.0]).tolist()},
-        {"covariance": np.diag([1.0, 1.0, 1.0, math.nan]).tolist()},
+        {"covariance": (np.eye(5) + np.eye(5, k=1)).tolist()},
+        {"covariance": np.diag([1.0, 1.0, 1.0, 1.0, -1.0]).tolist()},
+        {"covariance": np.diag([1.0, 1.0, 1.0, 1.0, math.nan]).tolist()},
     ],
 )
 def test_a_law_of_foreign_numbers_is_refused(change):
