@@ -3,6 +3,7 @@
 from typing import Any
 
 from suspnet.dynamics.quarter_car import QuarterCar
+from suspnet.dynamics.spatial_vehicle import SpatialVehicle
 from suspnet.dynamics.vehicle import PARAMETERS, ResponseGenerator, Vehicle
 from suspnet.dynamics.vertical_vehicle import VerticalVehicle, best_generator
 
@@ -14,6 +15,7 @@ __all__ = [
     "PARAMETERS",
     "QuarterCar",
     "ResponseGenerator",
+    "SpatialVehicle",
     "Vehicle",
     "VerticalVehicle",
     "best_generator",

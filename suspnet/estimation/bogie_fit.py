@@ -1,0 +1,354 @@
+"""Each spring and damper of a bogie from the spectral matrices of its sensors.
+
+A vehicle's uncertain numbers z, with the prior of its distribution, are fitted to healthy trips, of
+which each has its own car-body mass; then the twelve parts and the mass of a later trip, with z
+under the posterior of the healthy trips. Both minimise the sum of squares of ::
+
+    the residuals of `suspnet.spectra.subspace`, F^-1 (log z - mean), (log M_s - log 1.05) / 0.15
+    and, of a later trip, (log part) / WEAR
+
+with F F^T the covariance of log z. Starting from the healthy vehicle, model errors of 30 % of each
+signal are allowed first, in bands that widen, then less and less: the direct search ends in another
+valley. A part's interval is that of the posterior at the minimum, J^T J, for which the noise is
+taken to be as large as the residuals.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+import torch
+from scipy.optimize import least_squares
+from scipy.stats import norm
+from torch import Tensor
+
+from suspnet.dynamics import SpatialVehicle
+from suspnet.dynamics.quantities import LogNormal
+from suspnet.estimation.estimate import Estimate, Flags
+from suspnet.estimation.healthy_trips import MASS_DEVIATION, MASS_MEAN
+from suspnet.ground.parameters import COMPONENTS, FORWARD, Direction
+from suspnet.ground.types import FloatArray
+from suspnet.spectra.subspace import SpectralMatrix, SubspaceMisfit, noise_of
+
+ROUGH, SPREADS = 0.3, (0.1, 0.03, 0.01, 0.003, 0.0)
+"""Model errors allowed first, as fractions of each signal, and then one after the other."""
+WIDENING = 1.45
+"""Ratio of the upper ends of the bands of the first searches."""
+LOWEST_BANDS = 6
+"""Number of bands of the first searches."""
+ROUGH_SPACING_HZ = 0.5
+"""Distance of the bins of searches that allow for errors."""
+STEPS, TOL, ROUGH_TOL = 16, 1e-3, 1e-2
+"""Most evaluations of one search, and the relative decreases of the cost that end it, the last one
+and those before."""
+WEAR = 0.5
+"""Standard deviation of the logarithm of a part's ratio before the trip: wide, as wear is."""
+N_OWN = len(COMPONENTS)
+LEAST_TRIPS = 3
+"""Smallest number of healthy trips."""
+
+
+@dataclass(frozen=True)
+class BogieTrip:
+    """Spectral matrix of a trip at one speed, its sensors those of the vehicle.
+
+    `weight` is the share of a bin's information that is its own.
+    """
+
+    spectra: SpectralMatrix
+    speed_m_per_s: float
+    direction: Direction = FORWARD
+    weight: float = 1.0
+
+
+@dataclass(frozen=True)
+class CommissionedBogie:
+    """A bogie as its healthy trips show it.
+
+    `generator` has the posterior of its numbers as its distribution, `noise` (n_sensors,)
+    [(m/s^2)^2/Hz] is that of its sensors, `misfit` the rms of the residuals over that of the noise,
+    `masses` [-] the car-body mass of each trip over nominal.
+    """
+
+    generator: SpatialVehicle
+    frequencies_hz: Tensor
+    noise: Tensor
+    masses: FloatArray
+    misfit: float
+    converged: bool
+
+    def estimate(self, trip: BogieTrip, level: float = 0.9) -> PartsEstimate:
+        """Return the ratio to healthy of every part on a later trip.
+
+        ValueError if the trip has other sensors or bins.
+        """
+        fit = _Fit(self.generator, self.frequencies_hz, self.noise, [trip], are_healthy=False)
+        x = fit.start()
+        for spread in (ROUGH, *SPREADS[:2]):
+            x, _ = fit.search(x, spread, fit.thinned)
+        x, converged = fit.search(x, 0.0, fit.all_bins)
+        misfit = fit.misfit(x)
+        covariance = fit.covariance(x)[-N_OWN:, -N_OWN:]
+        return PartsEstimate(np.exp(x[-N_OWN:]), covariance, misfit, converged, level)
+
+
+@dataclass(frozen=True)
+class PartsEstimate:
+    """The ratio to healthy of each of ``COMPONENTS``, M_s to nominal.
+
+    `covariance` (13, 13) is that of their logarithms.
+    """
+
+    values: FloatArray
+    covariance: FloatArray
+    misfit: float
+    converged: bool
+    level: float
+
+    @property
+    def deviations(self) -> FloatArray:
+        """Standard deviation of each logarithm, (13,), [-]."""
+        return np.sqrt(np.diag(self.covariance))
+
+    def as_estimate(self) -> Estimate:
+        """Return the estimate as one row, with intervals of the level."""
+        half = norm.ppf((1 + self.level) / 2) * self.deviations
+        rows = self.values[None], (self.values * np.exp(-half))[None]
+        high = (self.values * np.exp(half))[None]
+        return Estimate(COMPONENTS, *rows, high, self.level, Flags.none(1))
+
+
+def commission_bogie(
+    generator: SpatialVehicle, frequencies_hz: Tensor, trips: Sequence[BogieTrip]
+) -> CommissionedBogie:
+    """Return the most probable vehicle given healthy trips.
+
+    Parameters
+    ----------
+    generator : SpatialVehicle
+        With the prior as its distribution, and the sensors of the trips.
+    frequencies_hz : Tensor of shape (n_freq,), [Hz]
+        Bins of the trips.
+    trips : sequence of BogieTrip
+
+    Raises
+    ------
+    ValueError
+        If nothing of the vehicle is uncertain, there are fewer than three trips, or they have other
+        sensors or bins.
+    """
+    if generator.distribution is None or not generator.distribution.names:
+        raise ValueError("nothing of the vehicle is uncertain: there is nothing to commission")
+    if len(trips) < LEAST_TRIPS:
+        raise ValueError(f"{len(trips)} healthy trips are given, at least {LEAST_TRIPS} are needed")
+    # the free spectra hold the densities of cross level and alignment
+    prior = generator.distribution.without(("cross_level", "alignment"))
+    generator = replace(generator, distribution=prior)
+    noise = torch.stack([_smallest(trip.spectra) for trip in trips]).amin(dim=0)
+    fit = _Fit(generator, frequencies_hz, noise, trips, are_healthy=True)
+    x = fit.start()
+    for bins in fit.widening:
+        x, _ = fit.search(x, ROUGH, bins)
+    for spread in SPREADS[:-1]:
+        fit = replace(fit, noise=fit.noise_at(x))
+        x, _ = fit.search(x, spread, fit.thinned)
+    fit = replace(fit, noise=fit.noise_at(x))
+    x, converged = fit.search(x, 0.0, fit.all_bins)
+    n = fit.n_numbers
+    covariance = fit.covariance(x)[:n, :n]
+    factor = prior.factor
+    spread_of = factor @ covariance @ factor.T
+    logs = np.array(prior.mean) + factor @ x[:n]
+    rows = tuple(map(tuple, ((spread_of + spread_of.T) / 2).tolist()))
+    posterior = LogNormal(prior.names, tuple(logs.tolist()), rows)
+    return CommissionedBogie(
+        replace(generator, distribution=posterior),
+        frequencies_hz,
+        fit.noise,
+        np.exp(x[n:]),
+        fit.misfit(x),
+        converged,
+    )
+
+
+def _smallest(spectra: SpectralMatrix) -> Tensor:
+    """Return the least that the other sensors do not explain of each one, (m,)."""
+    inverse = torch.linalg.inv(spectra.values).diagonal(dim1=-2, dim2=-1).real
+    return (1 / inverse).amin(dim=0)
+
+
+@dataclass(frozen=True)
+class _Fit:
+    """The sum of squares of some trips: coordinates of z, then each trip's own numbers.
+
+    Healthy trips have the logarithm of their mass as their own number, others those of all parts.
+    """
+
+    generator: SpatialVehicle
+    frequencies_hz: Tensor
+    noise: Tensor
+    trips: Sequence[BogieTrip]
+    are_healthy: bool
+
+    def __post_init__(self) -> None:
+        assert self.generator.sensors is not None
+        n = len(self.generator.sensors)
+        for trip in self.trips:
+            if trip.spectra.values.shape != (len(self.frequencies_hz), n, n):
+                raise ValueError(
+                    f"the spectra must be {n} x {n} on {len(self.frequencies_hz)} bins for the "
+                    f"sensors {', '.join(self.generator.sensors)}, got "
+                    f"{tuple(trip.spectra.values.shape)}"
+                )
+
+    @cached_property
+    def _numbers(self) -> LogNormal:
+        assert self.generator.distribution is not None
+        return self.generator.distribution
+
+    @property
+    def n_numbers(self) -> int:
+        return len(self._numbers.names)
+
+    @property
+    def _n_own(self) -> int:
+        return 1 if self.are_healthy else N_OWN
+
+    @cached_property
+    def all_bins(self) -> Tensor:
+        return torch.arange(len(self.frequencies_hz))
+
+    @cached_property
+    def thinned(self) -> Tensor:
+        spacing = float(self.frequencies_hz[:2].diff())
+        return self.all_bins[:: max(1, round(ROUGH_SPACING_HZ / spacing))]
+
+    @property
+    def widening(self) -> Iterator[Tensor]:
+        """Bins of the first searches, from low frequencies to all."""
+        for i in reversed(range(LOWEST_BANDS)):
+            end = float(self.frequencies_hz[-1]) / WIDENING**i
+            yield self.thinned[self.frequencies_hz[self.thinned] <= end + 1e-9]
+
+    @cached_property
+    def _own(self) -> tuple[FloatArray, FloatArray]:
+        """Prior mean and standard deviation of each trip's own numbers, (n_own,) each."""
+        mean = np.zeros(self._n_own)
+        mean[-1] = MASS_MEAN
+        deviation = np.full(self._n_own, WEAR)
+        deviation[-1] = MASS_DEVIATION
+        return mean, deviation
+
+    def start(self) -> FloatArray:
+        """Return the median vehicle, nothing worn."""
+        return np.concatenate([np.zeros(self.n_numbers), np.tile(self._own[0], len(self.trips))])
+
+    def search(self, x: FloatArray, spread: float, bins: Tensor) -> tuple[FloatArray, bool]:
+        """Return the end of a search from x, and whether it converged."""
+        misfits = [self._misfit(trip, spread, bins) for trip in self.trips]
+        found = least_squares(
+            lambda y: self._residuals(y, misfits, bins),
+            x,
+            lambda y: self._jacobian(y, misfits, bins),
+            method="lm",
+            x_scale="jac",
+            ftol=ROUGH_TOL if spread else TOL,
+            max_nfev=STEPS,
+        )
+        return found.x, bool(found.status > 0)
+
+    def misfit(self, x: FloatArray) -> float:
+        """Return the rms residual over that of the noise."""
+        squares = []
+        for i, trip in enumerate(self.trips):
+            one = self._misfit(trip, 0.0, self.all_bins)
+            values = one(self._responses(x, i, self.all_bins)[None])
+            squares.append(float(values.square().mean()) / one.expected)
+        return math.sqrt(math.fsum(squares) / len(squares))
+
+    def noise_at(self, x: FloatArray) -> Tensor:
+        """Return the mean noise of the sensors for the vehicle at x, (m,)."""
+        found = [
+            noise_of(trip.spectra, self._responses(x, i, self.all_bins))
+            for i, trip in enumerate(self.trips)
+        ]
+        return torch.stack(found).mean(dim=0)
+
+    def covariance(self, x: FloatArray) -> FloatArray:
+        """Return the posterior covariance of all coordinates."""
+        misfits = [self._misfit(trip, 0.0, self.all_bins) for trip in self.trips]
+        jacobian = self._jacobian(x, misfits, self.all_bins)
+        n_prior = len(self._prior(x))
+        data, prior = jacobian[:-n_prior], jacobian[-n_prior:]
+        information = data.T @ data / max(1.0, self.misfit(x) ** 2) + prior.T @ prior
+        return np.asarray(np.linalg.inv(information))
+
+    def _misfit(self, trip: BogieTrip, spread: float, bins: Tensor) -> SubspaceMisfit:
+        return SubspaceMisfit(
+            trip.spectra.at(bins), self.noise, len(self._inputs), spread, trip.weight
+        )
+
+    @cached_property
+    def _inputs(self) -> list[int]:
+        """Numbers of the inputs that drive all wheelsets."""
+        alone = [name.startswith("wheelset") for name in self.generator.inputs]
+        return [i for i, own in enumerate(alone) if not own]
+
+    def _of(self, trip: BogieTrip) -> SpatialVehicle:
+        there = replace(self.generator, speed_m_per_s=trip.speed_m_per_s)
+        return there.running(trip.direction)
+
+    def _rows(self, x: FloatArray, i: int) -> Tensor:
+        """Return all columns of ratios of trip i, (1, n_columns)."""
+        own = np.zeros(N_OWN)
+        own[-self._n_own :] = x[self.n_numbers :].reshape(len(self.trips), -1)[i]
+        numbers = self._numbers.ratios(x[None, : self.n_numbers])
+        parts = torch.as_tensor(np.exp(own))[None]
+        return self.generator.with_uncertain(parts, torch.as_tensor(numbers))
+
+    def _responses(self, x: FloatArray, i: int, bins: Tensor) -> Tensor:
+        there = self._of(self.trips[i])
+        return there.channels(self._rows(x, i), self.frequencies_hz[bins])[0, self._inputs]
+
+    @cached_property
+    def _directions(self) -> Tensor:
+        """Changes of the logarithms of the columns with each coordinate, (n, n_columns)."""
+        n, columns = self.n_numbers, self.generator.uncertain_columns
+        found = torch.zeros(n + N_OWN, len(self.generator.columns), dtype=torch.float64)
+        found[:n, columns] = torch.as_tensor(np.ascontiguousarray(self._numbers.factor.T))
+        found[n + torch.arange(N_OWN), torch.arange(N_OWN)] = 1.0
+        return torch.cat([found[:n], found[n + N_OWN - self._n_own :]])
+
+    def _residuals(
+        self, x: FloatArray, misfits: Sequence[SubspaceMisfit], bins: Tensor
+    ) -> FloatArray:
+        found = [
+            one(self._responses(x, i, bins)[None])[0].numpy() for i, one in enumerate(misfits)
+        ]
+        return np.concatenate([*found, self._prior(x)])
+
+    def _prior(self, x: FloatArray) -> FloatArray:
+        mean, deviation = self._own
+        own = x[self.n_numbers :].reshape(len(self.trips), -1)
+        return np.concatenate([x[: self.n_numbers], ((own - mean) / deviation).ravel()])
+
+    def _jacobian(
+        self, x: FloatArray, misfits: Sequence[SubspaceMisfit], bins: Tensor
+    ) -> FloatArray:
+        n, n_own, found = self.n_numbers, self._n_own, []
+        for i, (trip, misfit) in enumerate(zip(self.trips, misfits, strict=True)):
+            responses, changes = self._of(trip).channels_along(
+                self._rows(x, i), self.frequencies_hz[bins], self._directions
+            )
+            inputs = self._inputs
+            slopes = misfit.derivative(responses[0, inputs], changes[0][:, inputs])[1].numpy().T
+            block = np.zeros((len(slopes), len(x)))
+            block[:, :n] = slopes[:, :n]
+            block[:, n + n_own * i : n + n_own * (i + 1)] = slopes[:, n:]
+            found.append(block)
+        deviations = np.concatenate([np.ones(n), np.tile(self._own[1], len(self.trips))])
+        return np.concatenate([*found, np.diag(1 / deviations)])
