@@ -8,9 +8,9 @@ import pytest
 import torch
 from vehicles import AM96
 
-from suspnet import SpatialVehicle
 from suspnet.dynamics.quantities import PARTS
 from suspnet.dynamics.spatial_numbers import ADDITIONS
+from suspnet.dynamics.spatial_vehicle import SpatialVehicle
 
 FREQUENCIES = torch.linspace(0.3, 20.0, 170, dtype=torch.float64)
 N_VEHICLES, N_DIRECTIONS = 200, 50
