@@ -24,7 +24,12 @@ SENSORS = (
 
 
 PARTS = (
-    *((f"{kind}_p", side, f"axle{axle}") for axle in "12" for side in ("left", "right") for kind in "kc"),
+    *(
+        (f"{kind}_p", side, f"axle{axle}")
+        for axle in "12"
+        for side in ("left", "right")
+        for kind in "kc"
+    ),
     *((f"{kind}_s", side) for side in ("left", "right") for kind in "kc"),
 )
 """Words that tell each of the twelve parts of a bogie."""

@@ -70,8 +70,8 @@ SIGNS = {"left": 1.0, "right": -1.0, "middle": 0.0}
 
 
 @dataclass(frozen=True)
-class Part:
-    """An element, its stretch, and the coordinates that it pulls: those of the stretch if None."""
+class Joint:
+    """An element, its stretch, and what it pulls: the coordinates of the stretch if None."""
 
     element: Element
     stretch: Row
@@ -115,17 +115,17 @@ def masses(parts: Sequence[str], p: Mapping[str, Tensor]) -> list[Tensor]:
     return [known[name] for name in coordinates(parts)]
 
 
-def acting(layout: Layout, p: Mapping[str, Tensor]) -> list[Part]:
+def acting(layout: Layout, p: Mapping[str, Tensor]) -> list[Joint]:
     """Return every element of vehicles whose numbers `p` have the shape (n_vehicles, 1)."""
     parts = layout.parts
     found = [*_suspensions(layout, p), *_linked(layout, p)]
     if "bending" in parts:
-        found.append(Part(bending_element(p, layout.empty_body_kg).times(2), {"q": 1.0}))
+        found.append(Joint(bending_element(p, layout.empty_body_kg).times(2), {"q": 1.0}))
     if "torsion" in parts:
         own = 2 * math.pi * p["torsion_frequency"]
         mass = 2 * p["bogie_mass"] * p["torsion_mass"]
         torsion = Element(mass * own**2, 2 * p["torsion_damping"] * mass * own)
-        found += [Part(torsion, {f"tau_{i}": 1.0}) for i in "12"]
+        found += [Joint(torsion, {f"tau_{i}": 1.0}) for i in "12"]
     if is_lateral(parts):
         found += _guided(layout, p)
     if "creep" in parts:
@@ -139,7 +139,7 @@ def _corner(i: int, end: float, lateral: Tensor | float, p: Mapping[str, Tensor]
     return {f"z_{i}": 1.0, f"psi_{i}": end, f"theta_{i}": lateral, f"tau_{i}": twist}
 
 
-def _suspensions(layout: Layout, p: Mapping[str, Tensor]) -> list[Part]:
+def _suspensions(layout: Layout, p: Mapping[str, Tensor]) -> list[Joint]:
     """Return the springs and dampers of both bogies, and what acts on their pitch and roll."""
     parts, found = layout.parts, []
     guidance = guidance_element(p).times(2)
@@ -152,18 +152,18 @@ def _suspensions(layout: Layout, p: Mapping[str, Tensor]) -> list[Part]:
                 corner = f"_axle{axle}_{side}"
                 spring = primary_element(p, which, parts, corner).times(0.5)
                 track: Row = {f"w{wheel}": -1.0, f"x{wheel}": -lateral}
-                found.append(Part(spring, {**_corner(i, end, lateral, p), **track}))
+                found.append(Joint(spring, {**_corner(i, end, lateral, p), **track}))
             spring = secondary_element(p, which, parts, f"_{side}")
             lateral = SIGNS[side] * p["secondary_lateral"]
             body: Row = {"z": 1.0, "q": p["bending_at_pivot"], "phi": sigma, "theta": lateral}
-            found.append(Part(spring, {**body, f"z_{i}": -1.0, f"theta_{i}": -lateral}))
+            found.append(Joint(spring, {**body, f"z_{i}": -1.0, f"theta_{i}": -lateral}))
         if "guidance" in parts:
-            found.append(Part(guidance, {f"psi_{i}": 1.0}))
-        found.append(Part(bar, {"theta": 1.0, f"theta_{i}": -1.0}))
+            found.append(Joint(guidance, {f"psi_{i}": 1.0}))
+        found.append(Joint(bar, {"theta": 1.0, f"theta_{i}": -1.0}))
     return found
 
 
-def _linked(layout: Layout, p: Mapping[str, Tensor]) -> list[Part]:
+def _linked(layout: Layout, p: Mapping[str, Tensor]) -> list[Joint]:
     """Return the longitudinal links and the lateral suspension between body and bogies."""
     f, t = _ends(layout)
     a, pivot = p["half_wheelbase"], p["half_pivot_distance"]
@@ -175,14 +175,14 @@ def _linked(layout: Layout, p: Mapping[str, Tensor]) -> list[Part]:
         for sign in (1.0, -1.0) if "longitudinal" in layout.parts else ():
             lateral = sign * p["secondary_lateral"]
             yawed: Row = {"chi": -f * lateral / pivot, f"chi_{i}": t * lateral / a}
-            found.append(Part(links, {**pitched, **yawed}))
+            found.append(Joint(links, {**pitched, **yawed}))
         swayed: Row = {"y": 1.0, "chi": sigma, "theta": p["body_lever"]}
         swayed |= {f"y_{i}": -1.0, f"theta_{i}": p["bogie_lever"]}
-        found.append(Part(aside, swayed))
+        found.append(Joint(aside, swayed))
     return found
 
 
-def _guided(layout: Layout, p: Mapping[str, Tensor]) -> list[Part]:
+def _guided(layout: Layout, p: Mapping[str, Tensor]) -> list[Joint]:
     """Return what holds the wheelsets in the frames."""
     guide = Element(2 * p["guide_stiffness"], 2 * p["guide_damping"])
     yawing = Element(2 * p["axle_box_stiffness"], 2 * p["axle_box_damping"])
@@ -192,15 +192,15 @@ def _guided(layout: Layout, p: Mapping[str, Tensor]) -> list[Part]:
         aside: Row = {f"y_{i}": 1.0, f"chi_{i}": end, f"theta_{i}": p["guide_lever"]}
         if "creep" not in layout.parts:
             held: Row = {f"v{wheel}": -1.0, f"x{wheel}": p["wheel_radius"]}
-            found.append(Part(guide, {**aside, **held}))
+            found.append(Joint(guide, {**aside, **held}))
             continue
-        found.append(Part(guide, {**aside, f"y_w{wheel}": -1.0}))
+        found.append(Joint(guide, {**aside, f"y_w{wheel}": -1.0}))
         lever = p["primary_lateral"] / p["half_wheelbase"]
-        found.append(Part(yawing, {f"chi_{i}": lever, f"chi_w{wheel}": -lever}))
+        found.append(Joint(yawing, {f"chi_{i}": lever, f"chi_w{wheel}": -lever}))
     return found
 
 
-def _creeping(layout: Layout, p: Mapping[str, Tensor]) -> list[Part]:
+def _creeping(layout: Layout, p: Mapping[str, Tensor]) -> list[Joint]:
     """Return the creepages of the wheelsets; those that depend on speed are dampers."""
     _, t = _ends(layout)
     both = 2 * p["creep_coefficient"]
@@ -210,10 +210,10 @@ def _creeping(layout: Layout, p: Mapping[str, Tensor]) -> list[Part]:
     for wheel in range(1, 5):
         y, chi = f"y_w{wheel}", f"chi_w{wheel}"
         found += [
-            Part(damper, {y: 1.0, f"x{wheel}": p["wheel_radius"]}),
-            Part(damper, {chi: lever}),
-            Part(creep, {chi: t / p["half_wheelbase"]}, {y: -1.0}),
-            Part(
+            Joint(damper, {y: 1.0, f"x{wheel}": p["wheel_radius"]}),
+            Joint(damper, {chi: lever}),
+            Joint(creep, {chi: t / p["half_wheelbase"]}, {y: -1.0}),
+            Joint(
                 creep,
                 {y: cone, f"x{wheel}": p["conicity"], f"v{wheel}": -cone},
                 {chi: t * lever},

@@ -67,11 +67,8 @@ class Equations:
         """Number of coordinates."""
         return self.pulls.shape[2]
 
-    def solved(self) -> tuple[Tensor, Tensor]:
-        """Return X (n_vehicles, n_freq, n_coordinates, n_inputs) and A_0.
-
-        A_0 has the shape (n_vehicles, n_freq, n_sensors, n_coordinates).
-        """
+    def solved(self) -> tuple[Tensor, tuple[Tensor, Tensor]]:
+        """Return X (n_vehicles, n_freq, n_coordinates, n_inputs) and the factors of Z."""
         n_vehicles, n_elements, _ = self.kappa.shape
         squares = self.pulls[..., :, None] * self.stretches[..., None, :]
         # stretches of one element are added up first: kappa is the same for all of them
@@ -81,18 +78,20 @@ class Equations:
         whole = whole.unflatten(2, squares.shape[2:])
         stiffness, below = whole[..., : self.n].contiguous(), whole[..., self.n :]
         stiffness.diagonal(dim1=2, dim2=3).sub_(self.inertia.mT)
-        forces = -(below @ self.inputs)
-        factors, pivots = torch.linalg.lu_factor(stiffness)
-        motion = torch.linalg.lu_solve(factors, pivots, forces)
-        places = self.places[:, None, :, : self.n].to(stiffness.dtype)
-        places = places.mT.expand(-1, stiffness.shape[1], -1, -1)
-        adjoint = torch.linalg.lu_solve(factors, pivots, places, adjoint=True)
-        return motion, adjoint.mH
+        factors = torch.linalg.lu_factor(stiffness)
+        return torch.linalg.lu_solve(*factors, -(below @ self.inputs)), tuple(factors)
+
+    def adjoint(self, factors: tuple[Tensor, Tensor]) -> Tensor:
+        """Return A_0 from the factors of Z, (n_vehicles, n_freq, n_sensors, n_coordinates)."""
+        seen = self.places[:, None, :, : self.n].mT.to(factors[0].dtype)
+        seen = seen.expand(-1, factors[0].shape[1], -1, -1)
+        found: Tensor = torch.linalg.lu_solve(*factors, seen, adjoint=True).mH
+        return found
 
     def measured(self, motion: Tensor, adjoint: Tensor | None = None) -> Tensor:
         """Return f, or H without an `adjoint`: (n_vehicles, n_inputs, n_sensors, n_freq).
 
-        `motion` is X_0 and `adjoint` A_0 from `solved`.
+        `motion` is X_0 of `solved`, `adjoint` A_0.
         """
         seen: Tensor = self.places[:, None]
         if adjoint is not None:
@@ -177,16 +176,13 @@ def _inputs(layout: Layout, p: Mapping[str, Tensor], omega: Tensor) -> Tensor:
     """
     parts = layout.parts
     delayed = torch.stack(by_axle(layout, wheels_of(layout, p, omega)), dim=1)
-    sizes = [torch.ones_like(omega), cross_level_size(p, omega) / RAIL_LATERAL_M]
+    one = torch.ones_like(p["speed"] * omega)
+    sizes = [one, cross_level_size(p, omega) / RAIL_LATERAL_M]
     if is_lateral(parts):
-        sizes.append(p["alignment"].sqrt())
-    n_kinds = len(sizes)
-    columns = []
-    for kind, size in enumerate(sizes):
-        blocks = [torch.zeros_like(delayed)] * n_kinds
-        blocks[kind] = delayed * size[..., None, :]
-        columns.append(torch.cat(blocks, dim=1))
-    found = torch.stack(columns, dim=2)
+        sizes.append(p["alignment"].sqrt() * one)
+    kinds = torch.eye(len(sizes), dtype=one.dtype, device=one.device)
+    of_kind = torch.stack(sizes, dim=1)[:, :, None] * kinds[..., None]
+    found = (delayed[:, None, :, None] * of_kind[:, :, None]).flatten(1, 2)
     if "wheelsets" not in parts:
         return found
     shares = root_of_size(p["wheelset_share"]), root_of_size(p["wheelset_roll_share"])
@@ -238,7 +234,8 @@ def derivatives(
     n_at_once = _n_at_once(layout, omega)
     for rows, along in zip(columns.split(n_at_once), steps.split(n_at_once, dim=1), strict=True):
         system = equations(layout, numbers(rows), sensors, omega)
-        motion, adjoint = system.solved()
+        motion, factors = system.solved()
+        adjoint = system.adjoint(factors)
         found.append(system.measured(motion))
 
         def slope(step: Tensor, rows: Tensor, motion: Tensor, adjoint: Tensor) -> Tensor:

@@ -131,9 +131,9 @@ class SpatialVehicle(VehicleFamily):
         Complex, (n_vehicles, n_inputs, n_sensors, n_freq), [-]; the inputs are scaled to the
         density of the mean and delayed from wheelset to wheelset, axle 1 first. `frequencies_hz`:
         (n_freq,), above 0. ValueError if `ratios` has another shape or a value that is not positive
-        and finite (not above -1 for numbers that may be absent).
+        and finite (not above -1 for numbers that may be absent), or if a frequency is not.
         """
-        rows, omega = self._rows(ratios), self._omega(frequencies_hz)
+        rows, omega = self._rows(ratios), self._bins(frequencies_hz)
         return responses(self._layout, self._in_si, self._places, rows, omega)
 
     def channels_along(
@@ -148,7 +148,7 @@ class SpatialVehicle(VehicleFamily):
         1 + ratio for those that may be absent). The derivatives are exact and have the shape
         (n_vehicles, n_directions, n_inputs, n_sensors, n_freq), [-].
         """
-        rows, omega = self._rows(ratios), self._omega(frequencies_hz)
+        rows, omega = self._rows(ratios), self._bins(frequencies_hz)
         along = as_tensor(directions).to(self.device, torch.float64)
         if along.ndim != 2 or along.shape[1] != len(self.columns):
             raise ValueError(
@@ -166,6 +166,12 @@ class SpatialVehicle(VehicleFamily):
         sensors, and what excites single wheelsets, are no part of it.
         """
         return spatial_motion(self._layout, self._numbers(as_tensor(ratios)[None]), self._places)
+
+    def _bins(self, frequencies_hz: Tensor | ArrayLike) -> Tensor:
+        omega = self._omega(frequencies_hz)
+        if omega.ndim != 1 or not bool((torch.isfinite(omega) & (omega > 0)).all()):
+            raise ValueError("`frequencies_hz` must be positive and finite, of shape (n_freq,)")
+        return omega
 
     def _measured(self, p: Mapping[str, Tensor]) -> dict[str, Tensor]:
         own = {

@@ -272,11 +272,10 @@ class _Fit:
 
     def noise_at(self, x: FloatArray) -> Tensor:
         """Return the mean noise of the sensors for the vehicle at x, (m,)."""
-        found = [
-            noise_of(trip.spectra, self._responses(x, i, self.all_bins))
-            for i, trip in enumerate(self.trips)
-        ]
-        return torch.stack(found).mean(dim=0)
+        found = torch.zeros_like(self.noise)
+        for i, trip in enumerate(self.trips):
+            found += noise_of(trip.spectra, self._responses(x, i, self.all_bins))
+        return found / len(self.trips)
 
     def covariance(self, x: FloatArray) -> FloatArray:
         """Return the posterior covariance of all coordinates."""
@@ -319,16 +318,14 @@ class _Fit:
         """Changes of the logarithms of the columns with each coordinate, (n, n_columns)."""
         n, columns = self.n_numbers, self.generator.uncertain_columns
         found = torch.zeros(n + N_OWN, len(self.generator.columns), dtype=torch.float64)
-        found[:n, columns] = torch.as_tensor(np.ascontiguousarray(self._numbers.factor.T))
+        found[:n, columns] = torch.tensor(self._numbers.factor.T.copy())
         found[n + torch.arange(N_OWN), torch.arange(N_OWN)] = 1.0
         return torch.cat([found[:n], found[n + N_OWN - self._n_own :]])
 
     def _residuals(
         self, x: FloatArray, misfits: Sequence[SubspaceMisfit], bins: Tensor
     ) -> FloatArray:
-        found = [
-            one(self._responses(x, i, bins)[None])[0].numpy() for i, one in enumerate(misfits)
-        ]
+        found = [one(self._responses(x, i, bins)[None])[0].numpy() for i, one in enumerate(misfits)]
         return np.concatenate([*found, self._prior(x)])
 
     def _prior(self, x: FloatArray) -> FloatArray:

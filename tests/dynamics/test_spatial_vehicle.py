@@ -218,6 +218,12 @@ def test_ratios_that_are_not_positive_and_finite_are_rejected(value, column):
         generator.motion_system(ratios[1])
 
 
+@pytest.mark.parametrize("bins", [[0.0, 1.0], [-1.0], [math.nan], [[1.0, 2.0]]])
+def test_frequencies_that_are_not_positive_are_rejected(bins):
+    with pytest.raises(ValueError, match="`frequencies_hz` must be positive and finite"):
+        SpatialVehicle(AM96).channels(HEALTHY, bins)
+
+
 def test_directions_of_the_wrong_shape_are_rejected():
     with pytest.raises(ValueError, match=r"`directions` must have shape \(n_directions, \d+\)"):
         SpatialVehicle(AM96).channels_along(HEALTHY, FREQUENCIES, torch.eye(13))

@@ -1,0 +1,155 @@
+"""Parts of a bogie from spectral matrices: derivatives, known answers, bad input."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from vehicles import AM96
+
+from suspnet.dynamics import SpatialVehicle
+from suspnet.estimation.bogie_fit import BogieTrip, CommissionedBogie, _Fit, commission_bogie
+from suspnet.ground.parameters import COMPONENTS, REVERSE
+from suspnet.spectra.subspace import SpectralMatrix
+
+BINS = torch.arange(1.0, 12.0, 0.75, dtype=torch.float64)
+N_AVERAGES = 400
+MASSES = (0.95, 1.05, 1.15)
+UNCERTAIN = {f"healthy_{name}": 0.05 for name in COMPONENTS[:-1]} | {"healthy_k_s": 0.2}
+VEHICLE = SpatialVehicle(
+    AM96, parts=("bushings", "frame_sway", "frame_yaw", "body_yaw"), distribution=UNCERTAIN
+)
+NOISE = torch.tensor([4e-3, 4e-3, 5e-6, 5e-6, 2e-7, 2e-7], dtype=torch.float64)
+
+
+def drawn(vehicle, ratios, seed, n_averages=N_AVERAGES, exact=False):
+    """Return the spectral matrix of a trip, its inputs of any spectra and coherence."""
+    rng = np.random.default_rng(seed)
+    responses = vehicle.channels(ratios, BINS)[0].permute(2, 1, 0).numpy()
+    n_freq, n_sensors, n_inputs = responses.shape
+
+    def normal(*shape):
+        return (rng.standard_normal(shape) + 1j * rng.standard_normal(shape)) / math.sqrt(2)
+
+    inputs = normal(n_freq, n_inputs, n_inputs)
+    spectra = responses @ inputs @ inputs.conj().swapaxes(1, 2) @ responses.conj().swapaxes(1, 2)
+    spectra += np.diag(NOISE[:n_sensors])
+    if not exact:
+        root = np.linalg.cholesky(spectra)
+        signals = root @ normal(n_freq, n_sensors, n_averages)
+        spectra = signals @ signals.conj().swapaxes(1, 2) / n_averages
+    return SpectralMatrix(torch.as_tensor(spectra), n_averages)
+
+
+def true_vehicle(seed=0):
+    """Return a vehicle with numbers of its own, as one row of all columns."""
+    rng = np.random.default_rng(seed)
+    numbers = VEHICLE.distribution.ratios(rng.standard_normal((1, len(UNCERTAIN))))
+    return torch.as_tensor(numbers)
+
+
+def row(parts, mass=1.05, seed=0):
+    """Return all columns of the true vehicle with these ratios of parts."""
+    given = torch.ones(1, len(COMPONENTS), dtype=torch.float64)
+    for name, ratio in parts.items():
+        given[0, COMPONENTS.index(name)] = ratio
+    given[0, -1] = mass
+    return VEHICLE.with_uncertain(given, true_vehicle(seed))
+
+
+@pytest.fixture(scope="module")
+def commissioned():
+    masses = MASSES
+    trips = [BogieTrip(drawn(VEHICLE, row({}, m), i), 70.0) for i, m in enumerate(masses)]
+    return commission_bogie(VEHICLE, BINS, trips)
+
+
+# reference
+
+
+@pytest.mark.parametrize("are_healthy", [True, False])
+def test_derivatives_are_those_of_differences(are_healthy):
+    trips = [
+        BogieTrip(drawn(VEHICLE, row({"k_p_axle1_left": 0.8}), 5), 70.0),
+        BogieTrip(drawn(VEHICLE, row({}, 1.1), 6), 60.0, REVERSE),
+    ]
+    fit = _Fit(VEHICLE, BINS, NOISE, trips, are_healthy)
+    x = fit.start() + 0.03 * np.random.default_rng(1).standard_normal(len(fit.start()))
+    misfits = [fit._misfit(trip, 0.01, fit.all_bins) for trip in trips]
+    found, step = fit._jacobian(x, misfits, fit.all_bins), 1e-5
+    scale = np.abs(found).max()
+    for j in range(len(x)):
+        moved = np.eye(len(x))[j] * step
+        ends = [fit._residuals(x + sign * moved, misfits, fit.all_bins) for sign in (1, -1)]
+        numeric = (ends[0] - ends[1]) / (2 * step)
+        np.testing.assert_allclose(found[:, j], numeric, atol=1e-6 * scale, rtol=1e-4)
+
+
+def test_exact_spectra_give_the_exact_parts():
+    worn = {"c_p_axle2_left": 0.6, "k_s_right": 1.2, "k_p_axle1_right": 0.7}
+    plain = replace(VEHICLE, distribution={"healthy_k_s": 1e-3})
+    given = torch.ones(1, 13, dtype=torch.float64)
+    for name, ratio in worn.items():
+        given[0, COMPONENTS.index(name)] = ratio
+    spectra = drawn(plain, given, 0, 10**6, exact=True)
+    known = CommissionedBogie(plain, BINS, NOISE, np.ones(3), 1.0, True)
+    found = known.estimate(BogieTrip(spectra, 70.0))
+    assert found.converged
+    np.testing.assert_allclose(found.values, given[0].numpy(), rtol=2e-3)
+
+
+# property
+
+
+def test_healthy_trips_show_the_vehicle(commissioned):
+    assert commissioned.converged
+    assert commissioned.misfit == pytest.approx(1, abs=0.1)
+    np.testing.assert_allclose(commissioned.noise.numpy(), NOISE.numpy(), rtol=0.3)
+    np.testing.assert_allclose(commissioned.masses, MASSES, rtol=0.02)
+    found = commissioned.generator.distribution
+    z = (np.log(found.median) - np.log(true_vehicle()[0].numpy())) / found.deviations
+    assert np.sqrt(np.mean(z**2)) < 2.5
+
+
+@pytest.mark.parametrize(
+    "worn", [{"c_p_axle2_left": 0.62}, {"k_p_axle1_right": 0.73, "c_s_left": 0.5}, {}]
+)
+def test_the_worn_part_is_found_and_no_other_one_is(commissioned, worn):
+    found = commissioned.estimate(BogieTrip(drawn(VEHICLE, row(worn), 50), 70.0))
+    truth = np.array([worn.get(name, 1.0) for name in COMPONENTS[:-1]] + [1.05])
+    errors = np.log(found.values / truth)
+    springs = np.array([name.startswith("k") for name in COMPONENTS])
+    assert np.abs(errors[springs]).max() < 0.01
+    assert np.abs(errors).max() < 0.06
+    assert np.sqrt(np.mean((errors / found.deviations) ** 2)) < 2
+    estimate = found.as_estimate()
+    assert estimate.names == COMPONENTS
+    half = np.log(estimate.high / estimate.low)[0] / 2
+    np.testing.assert_allclose(half, 1.6449 * found.deviations, rtol=1e-4)
+
+
+def test_a_trip_in_reverse_and_at_another_speed_is_read_too(commissioned):
+    there = replace(VEHICLE, speed_m_per_s=55.0).running(REVERSE)
+    spectra = drawn(there, row({"k_s_left": 0.8}), 60)
+    found = commissioned.estimate(BogieTrip(spectra, 55.0, REVERSE))
+    assert found.values[COMPONENTS.index("k_s_left")] == pytest.approx(0.8, rel=0.01)
+    assert found.misfit < 1.2
+
+
+# error
+
+
+def test_spectra_of_other_sensors_are_refused(commissioned):
+    spectra = drawn(VEHICLE, row({}), 0)
+    fewer = SpectralMatrix(spectra.values[:, :5, :5], spectra.n_averages)
+    with pytest.raises(ValueError, match="6 x 6 on 15 bins for the sensors axle_box_axle1_left"):
+        commissioned.estimate(BogieTrip(fewer, 70.0))
+
+
+def test_too_few_trips_and_certain_vehicles_are_refused():
+    trip = BogieTrip(drawn(VEHICLE, row({}), 0), 70.0)
+    with pytest.raises(ValueError, match="at least 3 are needed"):
+        commission_bogie(VEHICLE, BINS, [trip] * 2)
+    with pytest.raises(ValueError, match="nothing of the vehicle is uncertain"):
+        commission_bogie(replace(VEHICLE, distribution=None), BINS, [trip] * 3)
