@@ -191,13 +191,15 @@ class Train:
             at_axle = self.frame(i, end - n["guide_lever"] * Z, Y)
             self.add(kappa, at_axle, moved(body, low, Y))
         if "creep" in self.parts:
-            self.add(n["axle_box_stiffness"], self.frame(i, end, X), moved(body, low, X))
+            kappa = n["axle_box_stiffness"] + n["axle_box_damping"] * self.s
+            self.add(kappa, self.frame(i, end, X), moved(body, low, X))
 
     def own(self, i, suspension, place):
         """Return stiffness and damping of a part in SI units."""
         n, names = self.n, (f"k_{suspension}", f"c_{suspension}")
         if i == 1:
-            return [n[f"other_{name}"] * n[f"healthy_{name}"] for name in names]
+            common = [n[f"other_{name}"] * n[f"healthy_{name}"] for name in names]
+            return [n[f"other_{name}_{place}"] * v for name, v in zip(names, common, strict=True)]
         ratios = [n[f"{name}_{place}"] * n[f"healthy_{name}_{place}"] for name in names]
         return [r * n[f"healthy_{name}"] for r, name in zip(ratios, names, strict=True)]
 

@@ -1,4 +1,4 @@
-"""Frequency responses of a vehicle of twelve separate parts, and their exact derivatives.
+"""Frequency responses of a vehicle of twelve separate parts, and their derivatives.
 
 With X the motion of the coordinates for the inputs, E the motion of the track under the wheelsets,
 G the stretches of the elements (`suspnet.dynamics.spatial_motion`) and A their pulls, each element
@@ -13,7 +13,8 @@ to numbers of the vehicle is that of
     f = gamma (A_0 (B - Z X_0) + C X_0 + D E) = gamma (C - A_0 (A^T kappa G - omega^2 M)) (X_0, E)
 
 (C with D, and 0 under E for M), where X_0 and A_0 = C Z^-1 are held: Z X_0 is B where they belong,
-and neither Z nor its inverse is differentiated.
+and neither Z nor its inverse is differentiated. f is
+differentiated by central differences, in one batch.
 """
 
 from __future__ import annotations

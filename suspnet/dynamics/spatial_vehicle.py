@@ -145,7 +145,7 @@ class SpatialVehicle(VehicleFamily):
         """Return `channels` and their derivatives along directions of the columns' logarithms.
 
         `directions` (n_directions, n_columns) are changes of the logarithms of all ``columns`` (of
-        1 + ratio for those that may be absent). The derivatives are exact and have the shape
+        1 + ratio for those that may be absent). The derivatives have the shape
         (n_vehicles, n_directions, n_inputs, n_sensors, n_freq), [-].
         """
         rows, omega = self._rows(ratios), self._bins(frequencies_hz)

@@ -97,8 +97,9 @@ def test_prior_is_of_the_parts_and_sensors_that_there_are():
     plain = SpatialVehicle(AM96, distribution="prior").distribution
     vertical = VerticalVehicle(AM96, parts=("roll",), distribution="prior").distribution
     healthy = tuple(f"healthy_{name}" for name in COMPONENTS[:-1])
-    assert plain.names == (*vertical.names, *healthy)
-    assert plain.deviations[-12:] == pytest.approx(0.05)
+    other = tuple(f"other_{name}" for name in COMPONENTS[:-1])
+    assert plain.names == (*vertical.names, *healthy, *other)
+    assert plain.deviations[-24:] == pytest.approx(0.05)
     every = SpatialVehicle(AM96, parts=EVERY, distribution="prior").distribution
     measuring = [
         f"{kind}_{place}_{side}"
