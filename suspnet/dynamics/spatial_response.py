@@ -13,8 +13,7 @@ to numbers of the vehicle is that of
     f = gamma (A_0 (B - Z X_0) + C X_0 + D E) = gamma (C - A_0 (A^T kappa G - omega^2 M)) (X_0, E)
 
 (C with D, and 0 under E for M), where X_0 and A_0 = C Z^-1 are held: Z X_0 is B where they belong,
-and neither Z nor its inverse is differentiated. f is
-differentiated by central differences, in one batch.
+and neither Z nor its inverse is differentiated; central differences of f come in one batch.
 """
 
 from __future__ import annotations

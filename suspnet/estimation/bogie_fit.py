@@ -224,8 +224,9 @@ class _Fit:
 
     @cached_property
     def thinned(self) -> Tensor:
-        spacing = float(self.frequencies_hz[:2].diff())
-        return self.all_bins[:: max(1, round(ROUGH_SPACING_HZ / spacing))]
+        every = max(1, round(ROUGH_SPACING_HZ / float(self.frequencies_hz[:2].diff())))
+        found: Tensor = self.all_bins[::every]
+        return found
 
     @property
     def widening(self) -> Iterator[Tensor]:

@@ -218,5 +218,7 @@ def test_chunks_do_not_change_the_results(monkeypatch):
     monkeypatch.setattr(module, "MOST_NUMBERS", 20_000)
     found = generator.channels_along(rows, FREQUENCIES, along)
     for one, other in zip(found, expected, strict=True):
-        torch.testing.assert_close(one, other, rtol=1e-8, atol=1e-10)  # rounding over the step of differences
+        torch.testing.assert_close(
+            one, other, rtol=1e-8, atol=1e-10
+        )  # rounding over the step of differences
     torch.testing.assert_close(generator.channels(rows, FREQUENCIES), expected[0])
