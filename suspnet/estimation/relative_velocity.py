@@ -17,10 +17,10 @@ to healthy is that of a damper at the ratio r with ::
 The friction is that of rubber or leaves: it does not wear with the damper, but changes as much as
 the spring, k times; where it sticks it is a share s' of the spring, x = k (1 - s' + s' sigma_0 /
 sigma). Worn dampers blow off at the same velocity, with less force. s is between 0 and the vehicle
-file's `primary_friction_share`, s' up to a quarter of it, u between 0 and the inverse of `primary_blow_off_m_per_s`
-or `secondary_blow_off_m_per_s`. Healthy trips of different sigma narrow all of them
-(`suspnet.estimation.damping_laws`). Estimates are compared as r and k; draws of them give the
-mean and the uncertainty, which widens the intervals.
+file's `primary_friction_share`, s' up to a quarter of it, u between 0 and the inverse of
+`primary_blow_off_m_per_s` or `secondary_blow_off_m_per_s`. Healthy trips of different sigma narrow
+all of them (`suspnet.estimation.damping_laws`). Estimates are compared as r and k; draws of them
+give the mean and the uncertainty, which widens the intervals.
 """
 
 from __future__ import annotations
