@@ -16,11 +16,11 @@ to healthy is that of a damper at the ratio r with ::
 
 The friction is that of rubber or leaves: it does not wear with the damper, but changes as much as
 the spring, k times; where it sticks it is a share s' of the spring, x = k (1 - s' + s' sigma_0 /
-sigma). Worn dampers blow off at the same velocity, with less force. s and s' are between 0 and the
-vehicle file's `primary_friction_share`, u between 0 and the inverse of `primary_blow_off_m_per_s`
-or `secondary_blow_off_m_per_s`. Healthy trips of different sigma narrow all of them
-(`suspnet.estimation.damping_laws`). Estimates are compared as r and k; draws of them give the
-mean and the uncertainty, which widens the intervals.
+sigma). Worn dampers blow off at the same velocity, with less force. s is between 0 and the vehicle
+file's `primary_friction_share`, s' up to a quarter of it, u between 0 and the inverse of
+`primary_blow_off_m_per_s` or `secondary_blow_off_m_per_s`. Healthy trips of different sigma narrow
+all of them (`suspnet.estimation.damping_laws`). Estimates are compared as r and k; draws of them
+give the mean and the uncertainty, which widens the intervals.
 """
 
 from __future__ import annotations
@@ -52,6 +52,9 @@ NOTE = "damping_by_velocity"
 """Key of the law in the notes of a commissioning."""
 SLOPE_AFTER = 0.2
 """rho, the slope beyond blow-off over that before it: assumed, as data sheets give 0.1 to 0.3."""
+STUCK = 0.25
+"""Largest s' over that of s: friction that slips for most of the time is no spring. Trips of a
+train with rubber friction, on tracks of different roughness, gave s' / s of about 0.15."""
 LEAST_RATIO = 0.01
 """Smallest ratio r of a damper beside friction, which may be all that is left of the damping."""
 FASTER = 1.3
@@ -185,7 +188,9 @@ def most(vehicle: Vehicle) -> FloatArray:
     """Return the upper ends of the numbers of ``UNKNOWN`` for a vehicle, (5,)."""
     ends = vehicle.primary_blow_off_m_per_s, vehicle.secondary_blow_off_m_per_s
     share = vehicle.primary_friction_share
-    return np.array([share, share, float(share > 0), *(0.0 if v is None else 1 / v for v in ends)])
+    return np.array(
+        [STUCK * share, share, float(share > 0), *(0.0 if v is None else 1 / v for v in ends)]
+    )
 
 
 def prior(vehicle: Vehicle) -> tuple[FloatArray, FloatArray]:

@@ -157,7 +157,7 @@ def test_relative_velocities_are_those_of_signals():
 
 
 def test_the_prior_is_uniform_up_to_what_the_vehicle_file_allows():
-    draws = np.random.default_rng(0).uniform(0, [0.1, 0.1, 1.0, 20.0, 20.0], (200_000, 5))
+    draws = np.random.default_rng(0).uniform(0, [0.025, 0.1, 1.0, 20.0, 20.0], (200_000, 5))
     mean, deviation = prior(SOFT)
     np.testing.assert_allclose(mean, draws.mean(axis=0), rtol=0.01)
     np.testing.assert_allclose(deviation, draws.std(axis=0), rtol=0.01)
@@ -172,8 +172,8 @@ def test_trips_that_are_alike_keep_the_prior():
     assert len(numbers) == 0
     found = numbers.laws(np.zeros(0), np.zeros((0, 0))).velocity
     assert (found.numbers, found.most) == (
-        (0.05, 0.05, 0.5, 10.0, 10.0),
-        (0.1, 0.1, 1.0, 20.0, 20.0),
+        (0.0125, 0.05, 0.5, 10.0, 10.0),
+        (0.025, 0.1, 1.0, 20.0, 20.0),
     )
     np.testing.assert_allclose(np.diag(found.covariance), prior(SOFT)[1] ** 2)
 
