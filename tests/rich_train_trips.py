@@ -52,8 +52,9 @@ def write_train_trips(
     folder : Path
     train : RichTrain
         Of all trips; its speed is replaced by that of each.
-    ratios : array of shape (n_trips, 5), [-]
-        ``PARAMETERS`` relative to the train's own, M_s to nominal.
+    ratios : array of shape (n_trips, 5) or (n_trips, 13), [-]
+        ``PARAMETERS``, or each of rich_structure.PARTS and M_s, relative to the train's own, M_s to
+        nominal.
     fleet : Fleet
     seed : int
         Trip i draws track, noise and journey from (seed, i) alone.
@@ -163,9 +164,13 @@ class Drive:
 def true_ratios(train, ratios, sides):
     """Return what a trip's estimates should be, {name: ratio}.
 
-    Where one side wears, the left, a pair sees the mean of both.
+    Where one side wears, the left, a pair sees the mean of both; of thirteen ratios the mean of
+    each kind.
     """
     ratios = np.array(ratios, dtype=float)
+    if len(ratios) > len(PARAMETERS):
+        kinds = ratios[0:8:2], ratios[1:8:2], ratios[8:12:2], ratios[9:12:2], ratios[12]
+        ratios = np.array([np.mean(kind) for kind in kinds])
     if "one_side" in train.effects:
         share = {"left": 1.0, "right": 0.0}.get(sides, 0.5)
         ratios[:4] = 1 + share * (ratios[:4] - 1)

@@ -10,7 +10,8 @@ under the posterior of the healthy trips. Both minimise the sum of squares of ::
 with F F^T the covariance of log z. Starting from the healthy vehicle, model errors of 30 % of each
 signal are allowed first, in bands that widen, then less and less: the direct search ends in another
 valley. A part's interval is that of the posterior at the minimum, J^T J, for which the noise is
-taken to be as large as the residuals.
+taken to be as large as the residuals, times ``COMMON``: what healthy trips leave open is one draw
+for all later ones.
 """
 
 from __future__ import annotations
@@ -29,6 +30,7 @@ from torch import Tensor
 from suspnet.dynamics import SpatialVehicle
 from suspnet.dynamics.quantities import LogNormal
 from suspnet.estimation.estimate import Estimate, Flags
+from suspnet.estimation.from_spectra import COMMON
 from suspnet.estimation.healthy_trips import MASS_DEVIATION, MASS_MEAN
 from suspnet.ground.parameters import COMPONENTS, FORWARD, Direction
 from suspnet.ground.types import FloatArray
@@ -54,15 +56,15 @@ LEAST_TRIPS = 3
 
 @dataclass(frozen=True)
 class BogieTrip:
-    """Spectral matrix of a trip at one speed, its sensors those of the vehicle.
+    """Spectral matrix of a trip at one speed, its sensors in the order of the vehicle's.
 
-    `weight` is the share of a bin's information that is its own.
+    `frequencies_hz` (n_freq,) are bins that are independent of each other.
     """
 
+    frequencies_hz: Tensor
     spectra: SpectralMatrix
     speed_m_per_s: float
     direction: Direction = FORWARD
-    weight: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -75,7 +77,6 @@ class CommissionedBogie:
     """
 
     generator: SpatialVehicle
-    frequencies_hz: Tensor
     noise: Tensor
     masses: FloatArray
     misfit: float
@@ -84,15 +85,15 @@ class CommissionedBogie:
     def estimate(self, trip: BogieTrip, level: float = 0.9) -> PartsEstimate:
         """Return the ratio to healthy of every part on a later trip.
 
-        ValueError if the trip has other sensors or bins.
+        ValueError if the trip has another number of sensors.
         """
-        fit = _Fit(self.generator, self.frequencies_hz, self.noise, [trip], are_healthy=False)
+        fit = _Fit(self.generator, self.noise, [trip], are_healthy=False)
         x = fit.start()
         for spread in (ROUGH, *SPREADS[:2]):
             x, _ = fit.search(x, spread, fit.thinned)
         x, converged = fit.search(x, 0.0, fit.all_bins)
         misfit = fit.misfit(x)
-        covariance = fit.covariance(x)[-N_OWN:, -N_OWN:]
+        covariance = COMMON**2 * fit.covariance(x)[-N_OWN:, -N_OWN:]
         return PartsEstimate(np.exp(x[-N_OWN:]), covariance, misfit, converged, level)
 
 
@@ -122,18 +123,15 @@ class PartsEstimate:
         return Estimate(COMPONENTS, *rows, high, self.level, Flags.none(1))
 
 
-def commission_bogie(
-    generator: SpatialVehicle, frequencies_hz: Tensor, trips: Sequence[BogieTrip]
-) -> CommissionedBogie:
+def commission_bogie(generator: SpatialVehicle, trips: Sequence[BogieTrip]) -> CommissionedBogie:
     """Return the most probable vehicle given healthy trips.
 
     Parameters
     ----------
     generator : SpatialVehicle
         With the prior as its distribution, and the sensors of the trips.
-    frequencies_hz : Tensor of shape (n_freq,), [Hz]
-        Bins of the trips.
     trips : sequence of BogieTrip
+        At least three, on the same bins.
 
     Raises
     ------
@@ -149,7 +147,7 @@ def commission_bogie(
     prior = generator.distribution.without(("cross_level", "alignment"))
     generator = replace(generator, distribution=prior)
     noise = torch.stack([_smallest(trip.spectra) for trip in trips]).amin(dim=0)
-    fit = _Fit(generator, frequencies_hz, noise, trips, are_healthy=True)
+    fit = _Fit(generator, noise, trips, are_healthy=True)
     x = fit.start()
     for bins in fit.widening:
         x, _ = fit.search(x, ROUGH, bins)
@@ -167,7 +165,6 @@ def commission_bogie(
     posterior = LogNormal(prior.names, tuple(logs.tolist()), rows)
     return CommissionedBogie(
         replace(generator, distribution=posterior),
-        frequencies_hz,
         fit.noise,
         np.exp(x[n:]),
         fit.misfit(x),
@@ -178,7 +175,8 @@ def commission_bogie(
 def _smallest(spectra: SpectralMatrix) -> Tensor:
     """Return the least that the other sensors do not explain of each one, (m,)."""
     inverse = torch.linalg.inv(spectra.values).diagonal(dim1=-2, dim2=-1).real
-    return (1 / inverse).amin(dim=0)
+    found: Tensor = (1 / inverse).amin(dim=0)
+    return found
 
 
 @dataclass(frozen=True)
@@ -189,7 +187,6 @@ class _Fit:
     """
 
     generator: SpatialVehicle
-    frequencies_hz: Tensor
     noise: Tensor
     trips: Sequence[BogieTrip]
     are_healthy: bool
@@ -198,12 +195,18 @@ class _Fit:
         assert self.generator.sensors is not None
         n = len(self.generator.sensors)
         for trip in self.trips:
+            if not torch.equal(trip.frequencies_hz, self.frequencies_hz):
+                raise ValueError("the trips must have the same bins")
             if trip.spectra.values.shape != (len(self.frequencies_hz), n, n):
                 raise ValueError(
                     f"the spectra must be {n} x {n} on {len(self.frequencies_hz)} bins for the "
                     f"sensors {', '.join(self.generator.sensors)}, got "
                     f"{tuple(trip.spectra.values.shape)}"
                 )
+
+    @property
+    def frequencies_hz(self) -> Tensor:
+        return self.trips[0].frequencies_hz
 
     @cached_property
     def _numbers(self) -> LogNormal:
@@ -288,9 +291,7 @@ class _Fit:
         return np.asarray(np.linalg.inv(information))
 
     def _misfit(self, trip: BogieTrip, spread: float, bins: Tensor) -> SubspaceMisfit:
-        return SubspaceMisfit(
-            trip.spectra.at(bins), self.noise, len(self._inputs), spread, trip.weight
-        )
+        return SubspaceMisfit(trip.spectra.at(bins), self.noise, len(self._inputs), spread)
 
     @cached_property
     def _inputs(self) -> list[int]:

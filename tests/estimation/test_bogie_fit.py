@@ -10,7 +10,7 @@ from vehicles import AM96
 
 from suspnet.dynamics import SpatialVehicle
 from suspnet.estimation.bogie_fit import BogieTrip, CommissionedBogie, _Fit, commission_bogie
-from suspnet.ground.parameters import COMPONENTS, REVERSE
+from suspnet.ground.parameters import COMPONENTS, FORWARD, REVERSE
 from suspnet.spectra.subspace import SpectralMatrix
 
 BINS = torch.arange(1.0, 12.0, 0.75, dtype=torch.float64)
@@ -42,6 +42,11 @@ def drawn(vehicle, ratios, seed, n_averages=N_AVERAGES, exact=False):
     return SpectralMatrix(torch.as_tensor(spectra), n_averages)
 
 
+def trip(spectra, speed_m_per_s, direction=FORWARD):
+    """Return a trip on the bins of all of them."""
+    return BogieTrip(BINS, spectra, speed_m_per_s, direction)
+
+
 def true_vehicle(seed=0):
     """Return a vehicle with numbers of its own, as one row of all columns."""
     rng = np.random.default_rng(seed)
@@ -61,8 +66,8 @@ def row(parts, mass=1.05, seed=0):
 @pytest.fixture(scope="module")
 def commissioned():
     masses = MASSES
-    trips = [BogieTrip(drawn(VEHICLE, row({}, m), i), 70.0) for i, m in enumerate(masses)]
-    return commission_bogie(VEHICLE, BINS, trips)
+    trips = [trip(drawn(VEHICLE, row({}, m), i), 70.0) for i, m in enumerate(masses)]
+    return commission_bogie(VEHICLE, trips)
 
 
 # reference
@@ -71,12 +76,12 @@ def commissioned():
 @pytest.mark.parametrize("are_healthy", [True, False])
 def test_derivatives_are_those_of_differences(are_healthy):
     trips = [
-        BogieTrip(drawn(VEHICLE, row({"k_p_axle1_left": 0.8}), 5), 70.0),
-        BogieTrip(drawn(VEHICLE, row({}, 1.1), 6), 60.0, REVERSE),
+        trip(drawn(VEHICLE, row({"k_p_axle1_left": 0.8}), 5), 70.0),
+        trip(drawn(VEHICLE, row({}, 1.1), 6), 60.0, REVERSE),
     ]
-    fit = _Fit(VEHICLE, BINS, NOISE, trips, are_healthy)
+    fit = _Fit(VEHICLE, NOISE, trips, are_healthy)
     x = fit.start() + 0.03 * np.random.default_rng(1).standard_normal(len(fit.start()))
-    misfits = [fit._misfit(trip, 0.01, fit.all_bins) for trip in trips]
+    misfits = [fit._misfit(one, 0.01, fit.all_bins) for one in trips]
     found, step = fit._jacobian(x, misfits, fit.all_bins), 1e-5
     scale = np.abs(found).max()
     for j in range(len(x)):
@@ -93,8 +98,8 @@ def test_exact_spectra_give_the_exact_parts():
     for name, ratio in worn.items():
         given[0, COMPONENTS.index(name)] = ratio
     spectra = drawn(plain, given, 0, 10**6, exact=True)
-    known = CommissionedBogie(plain, BINS, NOISE, np.ones(3), 1.0, True)
-    found = known.estimate(BogieTrip(spectra, 70.0))
+    known = CommissionedBogie(plain, NOISE, np.ones(3), 1.0, True)
+    found = known.estimate(trip(spectra, 70.0))
     assert found.converged
     np.testing.assert_allclose(found.values, given[0].numpy(), rtol=2e-3)
 
@@ -116,7 +121,7 @@ def test_healthy_trips_show_the_vehicle(commissioned):
     "worn", [{"c_p_axle2_left": 0.62}, {"k_p_axle1_right": 0.73, "c_s_left": 0.5}, {}]
 )
 def test_the_worn_part_is_found_and_no_other_one_is(commissioned, worn):
-    found = commissioned.estimate(BogieTrip(drawn(VEHICLE, row(worn), 50), 70.0))
+    found = commissioned.estimate(trip(drawn(VEHICLE, row(worn), 50), 70.0))
     truth = np.array([worn.get(name, 1.0) for name in COMPONENTS[:-1]] + [1.05])
     errors = np.log(found.values / truth)
     springs = np.array([name.startswith("k") for name in COMPONENTS])
@@ -132,7 +137,7 @@ def test_the_worn_part_is_found_and_no_other_one_is(commissioned, worn):
 def test_a_trip_in_reverse_and_at_another_speed_is_read_too(commissioned):
     there = replace(VEHICLE, speed_m_per_s=55.0).running(REVERSE)
     spectra = drawn(there, row({"k_s_left": 0.8}), 60)
-    found = commissioned.estimate(BogieTrip(spectra, 55.0, REVERSE))
+    found = commissioned.estimate(trip(spectra, 55.0, REVERSE))
     assert found.values[COMPONENTS.index("k_s_left")] == pytest.approx(0.8, rel=0.01)
     assert found.misfit < 1.2
 
@@ -144,12 +149,12 @@ def test_spectra_of_other_sensors_are_refused(commissioned):
     spectra = drawn(VEHICLE, row({}), 0)
     fewer = SpectralMatrix(spectra.values[:, :5, :5], spectra.n_averages)
     with pytest.raises(ValueError, match="6 x 6 on 15 bins for the sensors axle_box_axle1_left"):
-        commissioned.estimate(BogieTrip(fewer, 70.0))
+        commissioned.estimate(trip(fewer, 70.0))
 
 
 def test_too_few_trips_and_certain_vehicles_are_refused():
-    trip = BogieTrip(drawn(VEHICLE, row({}), 0), 70.0)
+    one = trip(drawn(VEHICLE, row({}), 0), 70.0)
     with pytest.raises(ValueError, match="at least 3 are needed"):
-        commission_bogie(VEHICLE, BINS, [trip] * 2)
+        commission_bogie(VEHICLE, [one] * 2)
     with pytest.raises(ValueError, match="nothing of the vehicle is uncertain"):
-        commission_bogie(replace(VEHICLE, distribution=None), BINS, [trip] * 3)
+        commission_bogie(replace(VEHICLE, distribution=None), [one] * 3)

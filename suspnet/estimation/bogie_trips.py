@@ -1,0 +1,92 @@
+"""From a recording with sensors on both sides to the spectral matrix of a trip."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from suspnet.dynamics import SpatialVehicle
+from suspnet.estimation.bogie_fit import BogieTrip
+from suspnet.estimation.steady_parts import groups_to_read
+from suspnet.estimation.trip_settings import TripSettings
+from suspnet.ground.parameters import FORWARD
+from suspnet.recordings.recording import Recording
+from suspnet.spectra.segments import NoEstimateError, segment_speeds, sensor_segments, without_loud
+from suspnet.spectra.subspace import SpectralMatrix
+from suspnet.spectra.welch import Welch
+
+SEGMENT_S = 120.0
+"""Length of a segment. The leakage of a Hann window of 20 s leaves a misfit of 4 to 7, of 60 s 1.4
+and of 120 s 1.05 (stepped trips of 20 minutes of the tests' rich train)."""
+LOW_HZ, HIGH_HZ = 0.5, 18.0
+"""Ends of the band: below, accelerometers drift; above, frame and body have modes of their own."""
+SPACING_HZ = 0.1
+"""Distance of the bins, far enough for them to be independent."""
+
+
+def bogie_trip(
+    recording: Recording, generator: SpatialVehicle, settings: TripSettings | None = None
+) -> BogieTrip:
+    """Return the spectral matrix of a recording's largest stretch at one speed.
+
+    Parameters
+    ----------
+    recording : Recording
+        With a sensor at each place of the generator's.
+    generator : SpatialVehicle
+    settings : TripSettings, optional
+        Tolerance of the speed, lowest speed.
+
+    Raises
+    ------
+    ValueError
+        If a place of the generator has no sensor.
+    NoEstimateError
+        If no stretch at one speed is long enough for more averages than sensors.
+    """
+    settings = settings or TripSettings()
+    assert generator.sensors is not None
+    names, segments = sensor_segments(recording, Welch(SEGMENT_S))
+    places = [_place(name, generator.frame_sensor == "axle") for name in names]
+    missing = [place for place in generator.sensors if place not in places]
+    if missing:
+        raise ValueError(
+            f"{recording.manifest.path}: no sensor at {', '.join(missing)}; parts are read from "
+            f"the sensors of {', '.join(generator.sensors)}"
+        )
+    order = [places.index(place) for place in generator.sensors]
+    speeds = segment_speeds(recording, segments)
+    groups = groups_to_read(speeds, settings.speed_tolerance, settings.min_speed_m_per_s)
+    chosen = without_loud(segments, groups[0]) if groups else torch.zeros(0, dtype=torch.bool)
+    n_averages = segments.welch.n_averages(int(chosen.sum())) if bool(chosen.any()) else 0.0
+    if n_averages <= len(order) + 1:
+        raise NoEstimateError(
+            f"the longest stretch at one speed gives {n_averages:.1f} averages of {SEGMENT_S:g} s; "
+            f"{len(order)} sensors need more than {len(order) + 1}: at least "
+            f"{SEGMENT_S / 60 * (len(order) + 2) / 2:.0f} to "
+            f"{SEGMENT_S / 60 * (len(order) + 2):.0f} minutes"
+        )
+    bins = _bins(segments.frequencies_hz)
+    matrix = SpectralMatrix.of(segments, chosen).at(bins)
+    matrix = SpectralMatrix(matrix.values[:, order][:, :, order], matrix.n_averages)
+    return BogieTrip(
+        segments.frequencies_hz[bins],
+        matrix,
+        float(speeds[chosen].mean()),
+        recording.manifest.direction or FORWARD,
+    )
+
+
+def _place(name: str, is_above_axle: bool) -> str:
+    """Return the place of a sensor of a pair, from its name such as "axle_box left"."""
+    channel, _, side = name.partition(" ")
+    frame = "frame_axle1" if is_above_axle else "frame_centre"
+    known = {"axle_box": "axle_box_axle1", "bogie": frame, "body": "body"}
+    return f"{known[channel]}_{side or 'middle'}"
+
+
+def _bins(frequencies_hz: Tensor) -> Tensor:
+    """Return the numbers of the bins in use."""
+    inside = (frequencies_hz >= LOW_HZ - 1e-9) & (frequencies_hz <= HIGH_HZ + 1e-9)
+    found: Tensor = inside.nonzero()[:: round(SPACING_HZ * SEGMENT_S), 0]
+    return found

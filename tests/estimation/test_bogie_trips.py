@@ -1,0 +1,101 @@
+"""Recordings with sensors on both sides as spectral matrices: layouts, whole trips, bad input."""
+
+import numpy as np
+import pytest
+import torch
+from rich_train import FAMILY, RichTrain
+from rich_train_trips import write_train_trips
+from rich_trips import SENSORS
+from vehicles import AM96
+
+from suspnet.dynamics import SpatialVehicle
+from suspnet.estimation.bogie_fit import commission_bogie
+from suspnet.estimation.bogie_trips import SPACING_HZ, bogie_trip
+from suspnet.estimation.trip_settings import TripSettings
+from suspnet.ground.parameters import COMPONENTS
+from suspnet.recordings.manifest_files import read_manifest
+from suspnet.recordings.recording import load_recording
+from suspnet.simulation import Fleet
+from suspnet.spectra.segments import NoEstimateError
+
+PARTS = (
+    "bushings",
+    "rubber",
+    "guidance",
+    "longitudinal",
+    "bending",
+    "payload",
+    "sensors",
+    "frame_sway",
+    "frame_yaw",
+    "body_yaw",
+    "creep",
+)
+VEHICLE = SpatialVehicle(AM96, parts=PARTS, distribution="prior")
+RATE_HZ = 100.0
+
+
+def recordings(folder, ratios, minutes, effects=(*FAMILY, "unequal"), sides="pair"):
+    """Return recordings of trips of a train whose parts differ, stepped in time."""
+    fleet = Fleet(n_trips=len(ratios), minutes=minutes, sensors=SENSORS)
+    train = RichTrain.scattered(0, effects)
+    paths = write_train_trips(folder, train, ratios, fleet, 0, sides)
+    return [load_recording(read_manifest(path), RATE_HZ) for path in paths]
+
+
+@pytest.fixture(scope="module")
+def short(tmp_path_factory):
+    return recordings(tmp_path_factory.mktemp("short"), np.ones((1, 13)), 12.0)[0]
+
+
+def test_bins_averages_and_speed_are_those_of_the_recording(short):
+    trip = bogie_trip(short, VEHICLE)
+    spacing = trip.frequencies_hz.diff()
+    torch.testing.assert_close(spacing, torch.full_like(spacing, SPACING_HZ))
+    assert trip.spectra.values.shape == (len(trip.frequencies_hz), 6, 6)
+    assert trip.spectra.n_averages == pytest.approx(10, abs=1.5)
+    assert trip.speed_m_per_s == pytest.approx(70.0, abs=0.5)
+
+
+def test_sensors_come_in_the_order_of_the_vehicle(short):
+    turned = SpatialVehicle(
+        AM96, parts=PARTS, sensors=("body_left", "axle_box_axle1_right", "frame_axle1_left")
+    )
+    found, every = bogie_trip(short, turned).spectra, bogie_trip(short, VEHICLE).spectra
+    order = [VEHICLE.sensors.index(place) for place in turned.sensors]
+    torch.testing.assert_close(found.values, every.values[:, order][:, :, order])
+
+
+def test_sensors_of_other_places_are_missing(short):
+    other = SpatialVehicle(AM96, parts=PARTS, sensors=("axle_box_axle2_left", "body_left"))
+    with pytest.raises(ValueError, match="no sensor at axle_box_axle2_left"):
+        bogie_trip(short, other)
+
+
+def test_single_sensors_name_no_part(tmp_path):
+    (single,) = recordings(tmp_path, np.ones((1, 13)), 12.0, ("roll",), sides="mean")
+    with pytest.raises(ValueError, match="no sensor at axle_box_axle1_left"):
+        bogie_trip(single, VEHICLE)
+
+
+def test_a_short_or_slow_trip_has_no_estimate(tmp_path, short):
+    (one,) = recordings(tmp_path, np.ones((1, 13)), 6.0, ("roll",))
+    with pytest.raises(NoEstimateError, match="more than 7"):
+        bogie_trip(one, VEHICLE)
+    with pytest.raises(NoEstimateError, match=r"0\.0 averages"):
+        bogie_trip(short, VEHICLE, TripSettings(min_speed_m_per_s=90.0))
+
+
+@pytest.mark.slow  # test_bogie_fit.py: drawn spectra of a smaller vehicle
+def test_the_worn_part_of_an_unknown_train_is_found_from_recordings(tmp_path):
+    ratios = np.ones((6, 13))
+    ratios[:, -1] = (1.0, 1.1, 1.05, 1.12, 1.02, 1.07)
+    ratios[5, COMPONENTS.index("c_p_axle2_left")] = 0.62
+    trips = [bogie_trip(one, VEHICLE) for one in recordings(tmp_path, ratios, 20.0)]
+    commissioned = commission_bogie(VEHICLE, trips[:5])
+    assert commissioned.misfit < 1.2
+    found = commissioned.estimate(trips[5])
+    errors = found.values / ratios[5] - 1
+    springs = np.array([name.startswith("k") for name in COMPONENTS])
+    assert np.abs(errors[springs]).max() < 0.01
+    assert np.abs(errors).max() < 0.06
