@@ -7,6 +7,11 @@ from suspnet.dynamics.quarter_car import QuarterCar as QuarterCar
 from suspnet.dynamics.spatial_vehicle import SpatialVehicle as SpatialVehicle
 from suspnet.dynamics.vehicle import Vehicle as Vehicle
 from suspnet.dynamics.vertical_vehicle import VerticalVehicle as VerticalVehicle
+from suspnet.estimation.bogie_fit import BogieTrip as BogieTrip
+from suspnet.estimation.bogie_fit import CommissionedBogie as CommissionedBogie
+from suspnet.estimation.bogie_fit import PartsEstimate as PartsEstimate
+from suspnet.estimation.bogie_fit import commission_bogie as commission_bogie
+from suspnet.estimation.bogie_trips import bogie_trip as bogie_trip
 from suspnet.estimation.checkpoint import load_model as load_model
 from suspnet.estimation.checkpoint import save_model as save_model
 from suspnet.estimation.commissioning import Commissioned as Commissioned
@@ -23,6 +28,8 @@ from suspnet.estimation.sensor_information import recording_information as recor
 from suspnet.estimation.sensor_information import sensor_places as sensor_places
 from suspnet.estimation.trained import TrainedModel as TrainedModel
 from suspnet.estimation.trip_settings import TripSettings as TripSettings
+from suspnet.estimation.worn_parts import WornPart as WornPart
+from suspnet.estimation.worn_parts import worn_parts as worn_parts
 from suspnet.ground.parameters import COMPONENTS as COMPONENTS
 from suspnet.ground.parameters import PARAMETERS as PARAMETERS
 from suspnet.learning.baselines import SVR as SVR

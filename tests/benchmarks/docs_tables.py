@@ -12,6 +12,7 @@ import itertools
 import re
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import config_comments
 import configuration
@@ -296,6 +297,19 @@ def page(rows: Sequence[Row]) -> str:
     return markdown(cells, header)
 
 
+def parts(rows: Sequence[Row]) -> str:
+    """Return each train and kind of wear: three numbers of each kind of part."""
+    lines: dict[tuple[Any, ...], list[str]] = {}
+    for row in rows:
+        key = row["seed"], row["wear"]
+        line = lines.setdefault(key, [*map(str, key), str(row["n_trips"]), digits(row["misfit"])])
+        unworn = row.get("largest_unworn_percent")
+        shown = [digits(row["rms_percent"]), "-" if unworn is None else digits(unworn)]
+        line.append(" / ".join([*shown, f"{row['coverage_percent']:.0f}"]))
+    outputs = list(dict.fromkeys(row["output"] for row in rows))
+    return markdown(list(lines.values()), ["train", "worn", "trips", "misfit", *outputs])
+
+
 TABLES: dict[str, tuple[str | None, Callable[[Sequence[Row]], str]]] = {
     "table6": ("table6.csv", table6),
     "table6_short": ("table6.csv", table6_short),
@@ -313,6 +327,7 @@ TABLES: dict[str, tuple[str | None, Callable[[Sequence[Row]], str]]] = {
     "alarms_delays": ("alarms_delays.csv", alarms_delays),
     "life": ("remaining_life.csv", life),
     "page": ("page.csv", page),
+    "parts": ("parts.csv", parts),
     "configuration": (None, lambda rows: configuration.page()),
 }
 """Results, None where the package itself says it, and what makes a table of them, by name."""
