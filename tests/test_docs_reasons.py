@@ -35,7 +35,7 @@ TELLING = (
     "suspnet/trips/grouping.py",
     "suspnet/trips/trip.py",
     "suspnet/estimation/flags.py",
-    "suspnet/estimation/flags.py",
+    "suspnet/estimation/bogie_trips.py",
     "suspnet/ground/workers.py",
 )
 """Modules whose every sentence is a reason."""
