@@ -16,7 +16,7 @@ from omegaconf import DictConfig, OmegaConf
 from tabulate import tabulate
 
 from suspnet.cli import folders, program
-from suspnet.estimation.healthy_trips import LEAST_TRIPS
+from suspnet.estimation.trip_settings import LEAST_TRIPS
 from suspnet.ground import ledger
 from suspnet.ground.progress import bar as progress_bar
 from suspnet.ground.settings import check_values, setting

@@ -13,8 +13,8 @@ import pyarrow as pa
 from tabulate import tabulate
 
 from suspnet.ground import ledger
-from suspnet.ground.parameters import PARAMETERS, Cause
-from suspnet.ground.records import PLACE, Place
+from suspnet.ground.parameters import Cause
+from suspnet.ground.records import PLACE, Place, TripResult, outputs_of
 from suspnet.ground.storage import write_table
 from suspnet.ground.wording import thousands
 from suspnet.history import History, HistoryError
@@ -108,13 +108,16 @@ def _export(store: History, arguments: Namespace) -> str:
     tables: dict[str, list[dict[str, Any]]] = {
         name: [] for name in ("trips", "events", "alarms", "acknowledgements")
     }
+    several: list[list[TripResult]] = []
     for vehicle, place in store.places():
         results = store.read(vehicle, place)
-        tables["trips"] += [result.row(PARAMETERS) for result in results]
+        several.append(results)
         where = {"vehicle": vehicle, **asdict(place)}
         for name in list(tables)[1:]:
             entries = getattr(store, name)(vehicle, place)
             tables[name] += [where | _plain(one) for one in entries]
+    outputs = outputs_of(one for results in several for one in results)
+    tables["trips"] = [one.row(outputs) for results in several for one in results]
     ledger.begin(arguments.folder)
     for name, rows in tables.items():
         if rows:

@@ -161,7 +161,8 @@ def history_parser() -> ArgumentParser:
         "--parameter",
         required=True,
         metavar="NAME",
-        help=f"parameter of the alarms, {', '.join(PARAMETERS)}, or a sensor, as body left [text]",
+        help=f"parameter of the alarms, {', '.join(PARAMETERS)}, a part, as c_p_axle1_left, or a "
+        "sensor, as body left [text]",
     )
     seen.add_argument("--cause", choices=tuple(Cause), help="[all causes if not given]")
     seen.add_argument("--by", required=True, metavar="NAME", help="who acknowledges them [text]")

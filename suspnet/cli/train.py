@@ -16,6 +16,7 @@ from suspnet.cli import folders, program
 from suspnet.cli.commission_fleet import HealthySettings, several_suspensions, train_fleet
 from suspnet.cli.kinds import build
 from suspnet.dynamics import ResponseGenerator, VerticalVehicle
+from suspnet.estimation.bogie_fit import CommissionedBogie
 from suspnet.estimation.flags import Residual
 from suspnet.estimation.problem import Problem
 from suspnet.estimation.trip_settings import TripSettings
@@ -23,7 +24,7 @@ from suspnet.ground.parameters import DIRECTIONS, FORWARD, Direction
 from suspnet.ground.settings import check_choice, check_values
 from suspnet.learning import ranks
 from suspnet.recordings.manifest_files import ManifestFile
-from suspnet.runs.commissioning import check_generator, commission_folder
+from suspnet.runs.commissioning import check_generator, commission_folder, commission_parts
 from suspnet.runs.commissioning_page import training_notes, write_outcome
 from suspnet.runs.scores import Metrics
 from suspnet.runs.train import RunContext, speed_ranges, train, train_ranges
@@ -40,6 +41,9 @@ NO_SPEED = (
     "with a vehicle of known geometry; give one speed_m_per_s"
 )
 NO_HEALTHY = "speed_m_per_s=null is for healthy=DIR, whose trips show the speeds; give a speed"
+NO_PARTS = (
+    "each part is read relative to that of healthy trips: give healthy=DIR, or take protocol=trips"
+)
 BOTH = "both"
 """Setting `direction` of models for trips of either direction of travel."""
 NO_DIRECTION = (
@@ -181,6 +185,7 @@ class _Healthy:
     residual: Residual
     speeds_m_per_s: tuple[float, ...]
     directions: tuple[Direction, ...]
+    bogie: CommissionedBogie | None = None
 
 
 def _check_healthy(config: DictConfig) -> EstimateSettings:
@@ -196,14 +201,17 @@ def _commissioned(
     config: DictConfig, folder: Path, paths: Sequence[ManifestFile] | None
 ) -> _Healthy | None:
     """Return the vehicle that healthy trips show; None without a folder of them."""
+    by_part = build(config, "protocol").by_part
     if config.healthy is None:
+        if by_part:
+            raise ValueError(NO_PARTS)
         return None
-    settings = _check_healthy(config)
+    settings, trips = _check_healthy(config), TripSettings()
     found, outcome = commission_folder(
         Path(config.healthy),
         build(config, "generator"),
         settings,
-        TripSettings(),
+        trips,
         paths=paths,
         n_first=config.n_healthy,
         progress=config.progress,
@@ -212,7 +220,8 @@ def _commissioned(
     speeds = tuple(group.speed_m_per_s for group in found.groups)
     run = tuple(one for one in DIRECTIONS if one in {group.direction for group in found.groups})
     notes = training_notes(found, outcome)
-    return _Healthy(outcome.generator, notes, outcome.residual, speeds, run)
+    bogie = commission_parts(found, outcome.generator, trips) if by_part else None
+    return _Healthy(outcome.generator, notes, outcome.residual, speeds, run, bogie)
 
 
 def _generator(config: DictConfig, healthy: _Healthy | None) -> ResponseGenerator:
@@ -257,5 +266,6 @@ def _train(
             draw_vehicle=draw,
             notes={"commissioned": healthy.notes} if healthy else {},
             residual=healthy.residual if healthy else None,
+            bogie=healthy.bogie if healthy else None,
         ),
     )

@@ -155,6 +155,10 @@ class VehicleFamily:
         offsets = [0.0] * len(self.outputs) + [quantity.offset for quantity in self.quantities]
         return torch.tensor(offsets, dtype=torch.float64)
 
+    def with_prior(self) -> Self:
+        """Return the vehicle with every number that it has as uncertain as before any trip."""
+        return replace(self, distribution=LogNormal.prior(self._groups, self.quantities))
+
     def sample_unmeasured(self, ratios: Tensor | ArrayLike, seed: int) -> Tensor:
         """Return ratios (n_vehicles, n_outputs or 1 more) with all ``columns``.
 

@@ -28,10 +28,10 @@ from scipy.stats import norm
 from torch import Tensor
 
 from suspnet.dynamics import SpatialVehicle
-from suspnet.dynamics.quantities import LogNormal
-from suspnet.estimation.estimate import Estimate, Flags
-from suspnet.estimation.from_spectra import COMMON
-from suspnet.estimation.healthy_trips import MASS_DEVIATION, MASS_MEAN
+from suspnet.dynamics.quantities import MASS_DEVIATION, MASS_MEAN, LogNormal
+from suspnet.estimation.estimate import Estimate, Flags, HealthyValues
+from suspnet.estimation.intervals import COMMON
+from suspnet.estimation.trip_settings import LEAST_TRIPS
 from suspnet.ground.parameters import COMPONENTS, FORWARD, Direction
 from suspnet.ground.types import FloatArray
 from suspnet.spectra.subspace import SpectralMatrix, SubspaceMisfit, noise_of
@@ -50,8 +50,6 @@ and those before."""
 WEAR = 0.5
 """Standard deviation of the logarithm of a part's ratio before the trip: wide, as wear is."""
 N_OWN = len(COMPONENTS)
-LEAST_TRIPS = 3
-"""Smallest number of healthy trips."""
 
 
 @dataclass(frozen=True)
@@ -81,6 +79,11 @@ class CommissionedBogie:
     masses: FloatArray
     misfit: float
     converged: bool
+
+    @cached_property
+    def healthy(self) -> HealthyValues:
+        """Healthy values of ``COMPONENTS`` in SI units, which estimates are relative to."""
+        return HealthyValues.of(self.generator, COMPONENTS)
 
     def estimate(self, trip: BogieTrip, level: float = 0.9) -> PartsEstimate:
         """Return the ratio to healthy of every part on a later trip.

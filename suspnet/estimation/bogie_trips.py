@@ -1,15 +1,21 @@
-"""From a recording with sensors on both sides to the spectral matrix of a trip."""
+"""From a recording with sensors on both sides to the estimate of each part of a bogie."""
 
 from __future__ import annotations
 
+from dataclasses import replace
+
+import numpy as np
 import torch
 from torch import Tensor
 
 from suspnet.dynamics import SpatialVehicle
-from suspnet.estimation.bogie_fit import BogieTrip
+from suspnet.estimation.bogie_fit import BogieTrip, CommissionedBogie
+from suspnet.estimation.estimate import Estimate
+from suspnet.estimation.intervals import LARGEST_MISFIT
 from suspnet.estimation.steady_parts import groups_to_read
 from suspnet.estimation.trip_settings import TripSettings
-from suspnet.ground.parameters import FORWARD
+from suspnet.estimation.worn_parts import worn_parts, worn_words
+from suspnet.ground.parameters import COMPONENTS, FORWARD, Direction
 from suspnet.recordings.recording import Recording
 from suspnet.spectra.segments import NoEstimateError, segment_speeds, sensor_segments, without_loud
 from suspnet.spectra.subspace import SpectralMatrix
@@ -25,7 +31,10 @@ SPACING_HZ = 0.1
 
 
 def bogie_trip(
-    recording: Recording, generator: SpatialVehicle, settings: TripSettings | None = None
+    recording: Recording,
+    generator: SpatialVehicle,
+    settings: TripSettings | None = None,
+    direction: Direction | None = None,
 ) -> BogieTrip:
     """Return the spectral matrix of a recording's largest stretch at one speed.
 
@@ -36,13 +45,14 @@ def bogie_trip(
     generator : SpatialVehicle
     settings : TripSettings, optional
         Tolerance of the speed, lowest speed.
+    direction : {"forward", "reverse"}, optional
+        Direction of travel; None: as the manifest says, else forward.
 
     Raises
     ------
-    ValueError
-        If a place of the generator has no sensor.
     NoEstimateError
-        If no stretch at one speed is long enough for more averages than sensors.
+        If a place of the generator has no sensor, or no stretch at one speed is long enough for
+        more averages than sensors.
     """
     settings = settings or TripSettings()
     assert generator.sensors is not None
@@ -50,9 +60,9 @@ def bogie_trip(
     places = [_place(name, generator.frame_sensor == "axle") for name in names]
     missing = [place for place in generator.sensors if place not in places]
     if missing:
-        raise ValueError(
-            f"{recording.manifest.path}: no sensor at {', '.join(missing)}; parts are read from "
-            f"the sensors of {', '.join(generator.sensors)}"
+        raise NoEstimateError(
+            f"no sensor at {', '.join(missing)}; parts are read from the sensors of "
+            f"{', '.join(generator.sensors)}"
         )
     order = [places.index(place) for place in generator.sensors]
     speeds = segment_speeds(recording, segments)
@@ -73,8 +83,38 @@ def bogie_trip(
         segments.frequencies_hz[bins],
         matrix,
         float(speeds[chosen].mean()),
-        recording.manifest.direction or FORWARD,
+        direction or recording.manifest.direction or FORWARD,
     )
+
+
+def estimate_parts(
+    bogie: CommissionedBogie,
+    recording: Recording,
+    settings: TripSettings,
+    direction: Direction | None = None,
+) -> Estimate:
+    """Return the ratio to healthy of each part on a trip, one row; `found` names the worn ones.
+
+    NoEstimateError is raised as by `bogie_trip`, or if the vehicle does not explain the trip.
+    """
+    trip = bogie_trip(recording, bogie.generator, settings, direction)
+    parts = bogie.estimate(trip, settings.level)
+    most = LARGEST_MISFIT * max(1.0, bogie.misfit)
+    if not parts.misfit <= most:  # also NaN
+        furthest = COMPONENTS[int(np.argmax(np.abs(np.log(parts.values[:-1]))))]
+        raise NoEstimateError(
+            f"no bogie whose parts alone have changed explains the trip: misfit {parts.misfit:.2g} "
+            f"times that of noise, at most {most:.2g} is accepted. Nearest is {furthest} at "
+            f"{100 * parts.values[COMPONENTS.index(furthest)]:.3g} % of healthy: look there and at "
+            "the sensors"
+        )
+    estimate = replace(
+        parts.as_estimate(), healthy=bogie.healthy, found=worn_words(worn_parts(parts))
+    )
+    if parts.converged:
+        return estimate
+    text = "the search for the parts did not end within its steps"
+    return replace(estimate, flags=estimate.flags.with_kind("misfit", text))
 
 
 def _place(name: str, is_above_axle: bool) -> str:

@@ -11,9 +11,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 
 from suspnet._version import __version__
-from suspnet.dynamics import GENERATORS, Vehicle
+from suspnet.dynamics import GENERATORS, SpatialVehicle, Vehicle
+from suspnet.estimation.bogie_fit import CommissionedBogie
 from suspnet.estimation.fitted import ModelFileError
 from suspnet.estimation.flags import OODDetector, Unexplained
 from suspnet.estimation.intervals import Intervals
@@ -36,7 +38,7 @@ from suspnet.learning import METHODS, Scaling
 from suspnet.spectra.components import FEATURE_SETS
 from suspnet.spectra.estimates import OBSERVATIONS
 
-SCHEMA_VERSION = 7
+SCHEMA_VERSION = 8
 FEATURES = "features."
 """Name prefix of the feature set's arrays."""
 CALIBRATED: dict[str, tuple[str, Any]] = {
@@ -116,6 +118,7 @@ def _described(model: TrainedModel) -> dict[str, Any]:
         "corrected": model.corrected,
         "refined": model.refined,
         "training": model.training,
+        "bogie": model.bogie and _bogie_json(model.bogie),
     }
     plain: dict[str, Any] = json.loads(json.dumps(description, default=lambda a: a.tolist()))
     if model.vehicle.limits is None:
@@ -165,6 +168,8 @@ def _checked(content: dict[str, Any], arrays: dict[str, FloatArray], device: str
         built = _described(model)
     for part, key in (("parameters", "device"), ("generator", "device"), ("settings", "cache_dir")):
         built[part][key] = content[part].get(key)  # depends on the machine, not on the model
+    if model.bogie is not None:
+        built["bogie"]["generator"]["device"] = content["bogie"]["generator"].get("device")
     described = {key: value for key, value in content.items() if key not in NOT_OF_THE_MODEL}
     check_same(described, built)
     return model
@@ -226,6 +231,7 @@ def _build(content: dict[str, Any], arrays: dict[str, FloatArray], device: str) 
         corrected=content["corrected"],
         refined=content["refined"],
         training=content["training"],
+        bogie=_bogie(content["bogie"], device),
         **calibrated,
     )
 
@@ -255,6 +261,26 @@ def _untagged(content: Mapping[str, Any], kinds: Mapping[str, type]) -> Any:
 
 def _with_tuples(content: Mapping[str, Any]) -> dict[str, Any]:
     return {key: tuple(v) if isinstance(v, list) else v for key, v in content.items()}
+
+
+def _bogie_json(bogie: CommissionedBogie) -> dict[str, Any]:
+    """Return what asdict would but for tensors, which it does not take apart."""
+    others = {name: getattr(bogie, name) for name in ("masses", "misfit", "converged")}
+    return others | {"generator": asdict(bogie.generator), "noise": bogie.noise.numpy()}
+
+
+def _bogie(content: dict[str, Any] | None, device: str) -> CommissionedBogie | None:
+    if content is None:
+        return None
+    generator = _with_tuples(content["generator"])
+    generator |= {"vehicle": Vehicle(**generator["vehicle"]), "device": device}
+    return CommissionedBogie(
+        SpatialVehicle(**generator),
+        torch.tensor(content["noise"], dtype=torch.float64),
+        np.array(content["masses"], dtype=np.float64),
+        content["misfit"],
+        content["converged"],
+    )
 
 
 def _scaling_json(names: tuple[str, ...], scaling: Scaling | None) -> dict[str, Any]:

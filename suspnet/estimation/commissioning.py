@@ -36,10 +36,10 @@ import torch
 from torch import Tensor
 
 from suspnet.dynamics import VerticalVehicle
-from suspnet.dynamics.quantities import OF_THE_TRIP, QUANTITIES, LogNormal
+from suspnet.dynamics.quantities import MASS_MEAN, OF_THE_TRIP, QUANTITIES, LogNormal
 from suspnet.estimation.damping_laws import Laws
 from suspnet.estimation.flags import Residual
-from suspnet.estimation.healthy_trips import MASS_MEAN, HealthyMisfit, HealthySpectra, row_of
+from suspnet.estimation.healthy_trips import HealthyMisfit, HealthySpectra, row_of
 from suspnet.ground.progress import bar
 from suspnet.ground.tensors import threads
 from suspnet.ground.types import ComplexArray, FloatArray

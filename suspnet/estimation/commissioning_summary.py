@@ -10,10 +10,11 @@ from typing import Any
 import numpy as np
 
 from suspnet.dynamics.quantities import PARTS, QUANTITIES, UNMEASURED, Quantity
+from suspnet.estimation.bogie_fit import CommissionedBogie
 from suspnet.estimation.commissioning import Commissioned
 from suspnet.estimation.flags import INCOMPLETE
 from suspnet.estimation.healthy_trips import HealthyTrips
-from suspnet.ground.parameters import PARAMETERS, REVERSE
+from suspnet.ground.parameters import BOGIE_PARTS, PARAMETERS, REVERSE, kind_of
 from suspnet.ground.wording import count
 from suspnet.spectra.estimates import EstimateSettings
 
@@ -179,6 +180,23 @@ def verdict(found: HealthyTrips, outcome: Commissioned) -> str:
     return (
         f"The vehicle {explains} its healthy trips ({count(n_trips, 'trip')}{stretches}): the "
         f"misfit is {outcome.misfit:.2f} times the noise, 1 is noise alone."
+    )
+
+
+def of_parts(bogie: CommissionedBogie) -> str:
+    """Return a sentence on a bogie of which each part is read."""
+    healthy = dict(zip(bogie.healthy.names, bogie.healthy.values, strict=True))
+    apart = []
+    for kind, name in (("k", "springs"), ("c", "dampers")):
+        ratios = [
+            healthy[one] / np.mean([healthy[o] for o in BOGIE_PARTS if kind_of(o) == kind_of(one)])
+            for one in BOGIE_PARTS
+            if one.startswith(kind)
+        ]
+        apart.append(f"{name} by up to {100 * max(abs(ratio - 1) for ratio in ratios):.1f} %")
+    return (
+        f"Each part of the bogie is read: its misfit is {bogie.misfit:.2f} times the noise; "
+        f"{' and '.join(apart)} differ from the mean of their kind while healthy."
     )
 
 

@@ -11,8 +11,9 @@ from typing import Any, Self
 import numpy as np
 from scipy import stats
 
-from suspnet.dynamics import PARAMETERS, ResponseGenerator
-from suspnet.ground.parameters import UNITS
+from suspnet.dynamics import PARAMETERS, ResponseGenerator, SpatialVehicle
+from suspnet.dynamics.quantities import LogNormal
+from suspnet.ground.parameters import UNITS, kind_of
 from suspnet.ground.settings import check_number
 from suspnet.ground.types import BoolArray, FloatArray
 
@@ -156,8 +157,9 @@ class HealthyValues:
 
     They are the median of the generator's distribution, if it has one: the posterior of
     commissioning, or a prior about the vehicle file's values. The car body's is the nominal mass,
-    without payload. `names` are from ``PARAMETERS``, `values` (n,) in SI units; `deviations` (n,)
-    are standard deviations of their logarithms, 0 where they are assumed to be known.
+    without payload. `names` are from ``PARAMETERS`` or ``COMPONENTS``, `values` (n,) in SI units;
+    `deviations` (n,) are standard deviations of their logarithms, 0 where they are assumed to be
+    known.
     """
 
     names: tuple[str, ...]
@@ -165,20 +167,21 @@ class HealthyValues:
     deviations: FloatArray
 
     @classmethod
-    def of(cls, generator: ResponseGenerator, names: Sequence[str]) -> HealthyValues:
+    def of(
+        cls, generator: ResponseGenerator | SpatialVehicle, names: Sequence[str]
+    ) -> HealthyValues:
         """Return the healthy values of a generator's vehicle."""
         nominal = dict(zip(PARAMETERS, generator.vehicle.healthy_values(), strict=True))
-        values = {name: nominal[name] for name in names}
-        deviations = dict.fromkeys(names, 0.0)
-        known = generator.distribution
-        if known is not None:
-            numbers = zip(known.names, known.mean, known.deviations.tolist(), strict=True)
-            for full, mean, deviation in numbers:
-                name = full.removeprefix(HEALTHY)
-                if full.startswith(HEALTHY) and name in values:
-                    values[name] *= math.exp(mean)
-                    deviations[name] = deviation
-        return cls(tuple(names), np.array(list(values.values())), np.array([*deviations.values()]))
+        known = generator.distribution or LogNormal((), (), ())
+        covariance = np.array(known.covariance).reshape(2 * (len(known.names),))
+        values, deviations = [], []
+        for name in names:
+            # a part differs by a factor of its own from the mean of its kind
+            factors = {f"{HEALTHY}{kind_of(name)}", f"{HEALTHY}{name}"} & set(known.names)
+            of = [known.names.index(factor) for factor in sorted(factors)]
+            values.append(nominal[kind_of(name)] * math.exp(sum(known.mean[i] for i in of)))
+            deviations.append(math.sqrt(max(0.0, covariance[np.ix_(of, of)].sum())))
+        return cls(tuple(names), np.array(values), np.array(deviations))
 
     @property
     def units(self) -> tuple[str, ...]:

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 from torch import Tensor
 
 from suspnet.dynamics import ResponseGenerator, Vehicle
+from suspnet.estimation.bogie_fit import CommissionedBogie
 from suspnet.estimation.estimate import Flags, HealthyValues
 from suspnet.estimation.flags import OODDetector, Unexplained
 from suspnet.estimation.intervals import Intervals
@@ -56,6 +57,8 @@ class FittedMethod:
         Unexplained residual of a commissioned vehicle's healthy trips; None for a nominal vehicle.
     training : dict
         Record of the training.
+    bogie : CommissionedBogie or None
+        The bogie of which each part is read on trips with its sensors; None: of none.
     """
 
     name: str
@@ -72,6 +75,7 @@ class FittedMethod:
     ood: OODDetector | None = None
     unexplained: Unexplained | None = None
     training: dict[str, Any] = field(default_factory=dict)
+    bogie: CommissionedBogie | None = None
 
     @property
     def vehicle(self) -> Vehicle:

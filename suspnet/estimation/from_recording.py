@@ -9,7 +9,8 @@ import numpy as np
 from torch import Tensor
 
 from suspnet.dynamics import ResponseGenerator
-from suspnet.estimation.direction import of_direction
+from suspnet.estimation.bogie_trips import estimate_parts
+from suspnet.estimation.direction import direction_of, of_direction
 from suspnet.estimation.estimate import Estimate
 from suspnet.estimation.fitted import FittedMethod
 from suspnet.estimation.from_spectra import MissingFeaturesError, estimate_with_noise, trip_settings
@@ -50,10 +51,37 @@ from suspnet.spectra.wheel_lines import WheelLine, wheel_lines
 def estimate_recording(
     method: FittedMethod, recording: Recording, settings: TripSettings
 ) -> Estimate:
-    """Return a method's estimate from a recording, one row; raises as `speed_bins` does."""
+    """Return a method's estimate from a recording, one row; raises as `speed_bins` does.
+
+    It is that of each part if the method has a bogie and the recording shows its parts.
+    """
     segments = recording_segments(recording, trip_settings(method).welch)
-    bins = all_bins([(method, segments)], recording, settings, wheel_lines(recording))
+    without_parts = None
+    try:
+        bins = all_bins([(method, segments)], recording, settings, wheel_lines(recording))
+    except NoEstimateError as reason:
+        without_parts = reason
+    if method.bogie is not None:
+        try:
+            return estimate_bogie(method, recording, segments, settings)
+        except NoEstimateError as reason:
+            without_parts = without_parts and NoEstimateError(f"{without_parts}; {reason}")
+    if without_parts is not None:
+        raise without_parts
     estimate = with_sides(combined(bins), bins, recording)[0]
+    return at_healthy_temperature(method, estimate, recording)
+
+
+def estimate_bogie(
+    method: FittedMethod, recording: Recording, segments: SegmentSpectra, settings: TripSettings
+) -> Estimate:
+    """Return the estimate of each part by a method with a bogie, with damping as while healthy.
+
+    `segments` are the recording's, cut as for the method's training; raises as `estimate_parts`.
+    """
+    assert method.bogie is not None
+    direction = direction_of(recording, segments, method.generator, settings)
+    estimate = estimate_parts(method.bogie, recording, settings, direction)
     return at_healthy_temperature(method, estimate, recording)
 
 

@@ -38,6 +38,7 @@ from suspnet.estimation.estimate import Estimate, Flags
 from suspnet.estimation.fitted import FittedMethod, ModelFileError
 from suspnet.estimation.from_curves import ONE_SIGMA, corrected, residual_scales
 from suspnet.estimation.information import output_bounds
+from suspnet.estimation.intervals import COMMON, LARGEST_MISFIT
 from suspnet.estimation.refine import Refined, complete_ratios, refine
 from suspnet.estimation.relative_velocity import DampingByVelocity, relative_velocities
 from suspnet.ground.types import FloatArray
@@ -58,20 +59,12 @@ same random numbers, so their errors cancel: with a quarter of the averages half
 CORRECTIONS = 3
 """Number of steps that correct a trip's estimate; a fourth changes nothing where the speed is
 within a tenth of the training speed (measured)."""
-COMMON = 1.3
-"""Factor on the lasting errors of a commissioned vehicle: the error that healthy trips leave is a
-single draw for all later trips. Without it 90 % intervals hold in 90 % of the trips of many
-vehicles, but in far fewer of those of a vehicle with a bad draw. With 1.8 they held in all trips
-of most trains: they were too wide."""
 UNWORN = {"k_p": 0.06}
 """Fraction of the healthy stiffness that does not wear, over the share of the primary damping that
 is dry friction: it acts as a spring where it sticks. What it is as a damper, where it slips, is in
 `suspnet.estimation.relative_velocity`."""
 OF_THE_TRAINING = ("cloud", "range")
 """Kinds of flags that concern the regression alone, not an estimate from the curve itself."""
-LARGEST_MISFIT = 3.0
-"""Misfit of a trip, over that of the healthy trips if it is larger than 1, up to which its curve is
-explained: the misfit then widens the interval, above it the trip has no estimate."""
 FAILED_FROM, FAILED_GAIN = 1.3, 1.1
 """Misfit of a trip, over that of the healthy trips if it is larger than 1, from which failures of
 the other bogie are tried, and how much smaller a failure has to make it."""
@@ -156,7 +149,7 @@ def estimate_with_noise(
 
 
 def largest_misfit(method: FittedMethod) -> float:
-    """Return the misfit of a trip above which its curve is not explained; see `LARGEST_MISFIT`."""
+    """Return the misfit of a trip above which its curve is not explained: ``LARGEST_MISFIT``."""
     healthy = 1.0 if method.unexplained is None else method.unexplained.misfit
     return LARGEST_MISFIT * max(1.0, healthy)
 

@@ -15,13 +15,13 @@ import torch
 from torch import Tensor
 
 from suspnet.dynamics import PARAMETERS, VerticalVehicle
-from suspnet.dynamics.quantities import UNMEASURED, LogNormal
+from suspnet.dynamics.quantities import MASS_DEVIATION, MASS_MEAN, UNMEASURED, LogNormal
 from suspnet.estimation.damping_laws import DampingNumbers, Laws
 from suspnet.estimation.direction import direction_of
 from suspnet.estimation.from_recording import unrepaired_words
 from suspnet.estimation.relative_velocity import CHANGING, relative_velocities
 from suspnet.estimation.steady_parts import groups_to_read, steady
-from suspnet.estimation.trip_settings import TripSettings
+from suspnet.estimation.trip_settings import LEAST_TRIPS, TripSettings
 from suspnet.ground.parameters import FORWARD, Direction
 from suspnet.ground.progress import bar
 from suspnet.ground.types import ComplexArray, FloatArray
@@ -37,10 +37,6 @@ from suspnet.spectra.observation import every_direction
 from suspnet.spectra.segments import Speeds, recording_segments, segment_speeds
 from suspnet.spectra.wheel_lines import wheel_lines
 
-LEAST_TRIPS = 3
-"""Smallest number of healthy trips; fewer contain too little information on a vehicle."""
-MASS_MEAN, MASS_DEVIATION = math.log(1.05), 0.15
-"""Prior mean and standard deviation of the logarithm of a trip's car-body mass over nominal."""
 _COLUMNS = (*PARAMETERS, *UNMEASURED)
 _CHANGING = [_COLUMNS.index(bogie + name) for bogie in ("", "other_") for name in CHANGING]
 """Columns of what depends on temperature or velocity, of the measured and of the other bogie."""

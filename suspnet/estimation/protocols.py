@@ -249,6 +249,11 @@ class Protocol:
         "Whether inputs and outputs are logarithms of the ratios to healthy, or the ratios "
         "themselves",
     )
+    by_part: bool = setting(
+        False,
+        "Whether each spring and damper of a bogie is read on trips with a sensor left and right "
+        "at axle box, frame and body; needs healthy=DIR",
+    )
     feature_set: Literal["peaks", "curve"] = setting(
         "peaks",
         "Inputs of the model: position, height and width of peaks, or principal components of "

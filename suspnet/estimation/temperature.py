@@ -20,6 +20,7 @@ import numpy as np
 from scipy.stats import norm
 
 from suspnet.estimation.estimate import Estimate
+from suspnet.ground.parameters import kind_of
 from suspnet.ground.settings import check_number
 
 DAMPINGS = ("c_p", "c_s")
@@ -78,10 +79,11 @@ class DampingByTemperature:
         warmer = temperature_c - self.healthy_c
         values, low, high = (part.copy() for part in (estimate.values, estimate.low, estimate.high))
         known = norm.ppf((1 + estimate.level) / 2) * abs(warmer) * np.array(self.deviations)
-        for name, slope, half in zip(DAMPINGS, self.slopes, known, strict=True):
-            if name not in estimate.names:
+        own_law = dict(zip(DAMPINGS, zip(self.slopes, known, strict=True), strict=True))
+        for j, name in enumerate(estimate.names):
+            if kind_of(name) not in own_law:
                 continue
-            j = estimate.names.index(name)
+            slope, half = own_law[kind_of(name)]
             values[:, j] *= np.exp(-slope * warmer)
             for end, sign in ((low, -1), (high, 1)):
                 with np.errstate(divide="ignore", over="ignore"):  # an interval may reach 0

@@ -7,6 +7,9 @@ from dataclasses import dataclass
 from suspnet.ground.records import INTERVAL_LEVEL
 from suspnet.ground.settings import check_settings, setting
 
+LEAST_TRIPS = 3
+"""Smallest number of healthy trips; fewer contain too little information on a vehicle."""
+
 
 @dataclass(frozen=True)
 class TripSettings:

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from suspnet.estimation.bogie_fit import CommissionedBogie
 from suspnet.estimation.problem import Problem
 from suspnet.estimation.relative_velocity import DampingByVelocity
 from suspnet.estimation.temperature import DampingByTemperature
@@ -80,6 +81,8 @@ def check_model(model: TrainedModel) -> None:
         _check_estimator(model, n_inputs, n_outputs)
     _check_calibration(model, n_inputs, n_outputs)
     _check_training(model.training)
+    if model.bogie is not None:
+        _check_bogie(model.bogie, model)
 
 
 def _check_vector(name: str, values: FloatArray, size: int) -> None:
@@ -145,6 +148,21 @@ def _check_calibration(model: TrainedModel, n_inputs: int, n_outputs: int) -> No
             raise ValueError("the thresholds of the OOD detector must be finite")
     if model.unexplained is not None:
         _check_vector("physics.costs", model.unexplained.costs, n_outputs)
+
+
+def _check_bogie(bogie: CommissionedBogie, model: TrainedModel) -> None:
+    assert bogie.generator.sensors is not None
+    if bogie.generator.vehicle != model.vehicle:
+        raise ValueError("`bogie.generator.vehicle` must be the model's vehicle")
+    if bogie.generator.distribution is None:
+        raise ValueError("`bogie.generator.distribution` is missing")
+    _check_vector("bogie.noise", bogie.noise.numpy(), len(bogie.generator.sensors))
+    _check_vector("bogie.masses", bogie.masses, len(bogie.masses))
+    for name, values in (("noise", bogie.noise.numpy()), ("masses", bogie.masses)):
+        if not (values > 0).all():
+            raise ValueError(f"`bogie.{name}` must be positive")
+    check_number("bogie.misfit", bogie.misfit, low=0)
+    check_flag("bogie.converged", bogie.converged)
 
 
 def _check_training(training: Any) -> None:

@@ -14,12 +14,13 @@ themselves are not changed by this.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from suspnet.estimation.bogie_fit import WEAR, PartsEstimate
-from suspnet.ground.parameters import COMPONENTS
+from suspnet.ground.parameters import BOGIE_PARTS, kind_of, place_words
 from suspnet.ground.types import FloatArray
 
 USUAL = {"k": 0.005, "c": 0.015}
@@ -29,7 +30,8 @@ RARE = 0.01
 """Prior probability that a part has worn."""
 ODDS = 20.0
 """Odds from which a part is named."""
-_PARTS = COMPONENTS[:-1]
+MOST_ODDS = 1000.0
+"""Odds above which no number is told: they are those of a model."""
 
 
 @dataclass(frozen=True)
@@ -50,16 +52,28 @@ class WornPart:
         return len(self.names) == 1
 
 
+def worn_words(worn: Sequence[WornPart]) -> str:
+    """Return the worn parts as text: "c_p of axle 1, left at 62 % (odds over 1000 : 1)"."""
+    return "; ".join(map(_words, worn))
+
+
+def _words(one: WornPart) -> str:
+    odds = f"over {MOST_ODDS:.0f}" if one.odds > MOST_ODDS else f"{one.odds:.0f}"
+    where = " or ".join(f"{kind_of(name)} of {place_words(name)}" for name in one.names)
+    unknown = "" if one.is_named else ", which of them is not known"
+    return f"{where} at {100 * one.ratio:.3g} % of healthy (odds {odds} : 1{unknown})"
+
+
 def worn_parts(estimate: PartsEstimate) -> list[WornPart]:
     """Return the parts that have worn, the most certain first; none if none has."""
-    logs = np.log(estimate.values[: len(_PARTS)])
-    usual = np.diag([USUAL[name[0]] ** 2 for name in _PARTS])
-    covariance = estimate.covariance[: len(_PARTS), : len(_PARTS)] + usual
+    logs = np.log(estimate.values[: len(BOGIE_PARTS)])
+    usual = np.diag([USUAL[name[0]] ** 2 for name in BOGIE_PARTS])
+    covariance = estimate.covariance[: len(BOGIE_PARTS), : len(BOGIE_PARTS)] + usual
     worn: list[int] = []
     found: list[WornPart] = []
     prior = math.log(RARE / (1 - RARE))
-    for _ in _PARTS:  # each round names one part or ends
-        rest = [j for j in range(len(_PARTS)) if j not in worn]
+    for _ in BOGIE_PARTS:  # each round names one part or ends
+        rest = [j for j in range(len(BOGIE_PARTS)) if j not in worn]
         without = _log_probability(logs, covariance, worn)
         gains = {j: _log_probability(logs, covariance, [*worn, j]) - without + prior for j in rest}
         order = sorted(rest, key=gains.__getitem__, reverse=True)
@@ -69,9 +83,9 @@ def worn_parts(estimate: PartsEstimate) -> list[WornPart]:
         alike = [j for j in order if gains[best] - gains[j] < math.log(ODDS)]
         worn.append(best)
         odds = math.exp(min(gains[best], 700.0))
-        names = tuple(_PARTS[j] for j in alike)
+        names = tuple(BOGIE_PARTS[j] for j in alike)
         found.append(WornPart(names, odds, float(estimate.values[best])))
-        if len(worn) == len(_PARTS):
+        if len(worn) == len(BOGIE_PARTS):
             break
     return found
 

@@ -25,22 +25,36 @@ COMPONENTS = (
 """Springs and dampers of the measured bogie one by one, and the car-body mass."""
 BODY_MASS = "M_s"
 """Name of the car-body mass, which varies with the payload from trip to trip."""
-SI_COLUMNS = {
-    "k_p": "k_p_n_per_m",
-    "c_p": "c_p_ns_per_m",
-    "k_s": "k_s_n_per_m",
-    "c_s": "c_s_ns_per_m",
-    "M_s": "M_s_kg",
+BOGIE_PARTS = COMPONENTS[:-1]
+"""The springs and dampers alone."""
+ESTIMATED = (*PARAMETERS, *BOGIE_PARTS)
+"""Everything that a trip may have an estimate of: of the parameters of both sides and axles as
+equal, or of each part."""
+
+
+def kind_of(name: str) -> str:
+    """Return the parameter of which a part is one, "k_p" of "k_p_axle1_left"; others as given."""
+    return name[:3] if name in BOGIE_PARTS else name
+
+
+def place_words(part: str) -> str:
+    """Return where a part is: "axle 1, left" of "k_p_axle1_left", "left" of "k_s_left"."""
+    return part[4:].replace("axle", "axle ").replace("_", ", ")
+
+
+SI_COLUMNS = {name: f"{name}_{'ns' if name[0] == 'c' else 'n'}_per_m" for name in ESTIMATED} | {
+    BODY_MASS: f"{BODY_MASS}_kg"
 }
 """Columns of the parameters in SI units."""
-NAMES = {
+KIND_NAMES = {
     "k_p": "stiffness of the primary spring",
     "c_p": "damping of the primary damper",
     "k_s": "stiffness of the secondary spring",
     "c_s": "damping of the secondary damper",
-    "M_s": "mass of the car body",
+    BODY_MASS: "mass of the car body",
 }
-UNITS = {"k_p": "N/m", "c_p": "N s/m", "k_s": "N/m", "c_s": "N s/m", "M_s": "kg"}
+NAMES = KIND_NAMES | {one: f"{KIND_NAMES[kind_of(one)]}, {place_words(one)}" for one in BOGIE_PARTS}
+UNITS = {name: "N s/m" if name[0] == "c" else "N/m" for name in ESTIMATED} | {BODY_MASS: "kg"}
 """SI unit of each parameter."""
 Direction = Literal["forward", "reverse"]
 FORWARD: Direction = "forward"
@@ -148,7 +162,9 @@ DAMPER = Limits(
     why="assumed: a damper wears and is made to wider tolerances than a spring; below 70 % it no "
     "longer does its work",
 )
-DEFAULT_LIMITS = {"k_p": SPRING, "c_p": DAMPER, "k_s": SPRING, "c_s": DAMPER}
+DEFAULT_LIMITS = {
+    name: DAMPER if name[0] == "c" else SPRING for name in ESTIMATED if name != BODY_MASS
+}
 """Limits of a vehicle whose file gives none. The car-body mass varies by nature."""
 TIGHTEST = Limits((np.nextafter(1.0, 0.0), np.nextafter(1.0, 2.0)), (0.0, np.inf))
 """Tightest notice and widest act limits: either one is consistent with any other limit."""
@@ -157,19 +173,22 @@ TIGHTEST = Limits((np.nextafter(1.0, 0.0), np.nextafter(1.0, 2.0)), (0.0, np.inf
 def read_limits(
     given: Mapping[str, Any], default: Mapping[str, Limits] | None = None, why: str = ""
 ) -> dict[str, Limits]:
-    """Return the limits of each parameter of a configuration.
+    """Return the limits of each parameter of a configuration, and of each part.
 
     `given` maps a parameter to its `notice`, `act` and `why`, or to null for no limits. `default`
-    applies to missing parameters and to missing or null entries; `why` is the default reason. The
+    applies to missing parameters and to missing or null entries; `why` is the default reason. Those
+    of a parameter such as k_p are those of each of its parts that has none of its own. The
     car-body mass varies with the payload and has no limits.
     TypeError or ValueError, which names the parameter, is raised for an invalid entry.
     """
     if not isinstance(given, Mapping):
         raise TypeError(f"`limits` must map parameters to their limits, got {given!r}")
     limits = dict(default or {})
-    for name, entry in given.items():
-        if name not in PARAMETERS:
-            raise ValueError(f"`limits` must be named as in {PARAMETERS}, got {name!r}")
+    for name in given:
+        if name not in ESTIMATED:
+            raise ValueError(f"`limits` must be named as in {ESTIMATED}, got {name!r}")
+    of_parts = {one: given[kind_of(one)] for one in BOGIE_PARTS if kind_of(one) in given}
+    for name, entry in (of_parts | dict(given)).items():
         if entry is None:
             limits.pop(name, None)
             continue
@@ -181,16 +200,16 @@ def read_limits(
         if isinstance(entry, Limits):
             limits[name] = entry
             continue
-        own = limits.get(name)
+        before = limits.get(name)
         if not isinstance(entry, Mapping) or not set(entry) <= {"notice", "act", "why"}:
             raise ValueError(f"`limits.{name}` must have `notice` and `act`, or be null: {entry}")
         known = {key: value for key, value in entry.items() if value is not None}
         if not known:
             continue
-        if own is None and not {"notice", "act"} <= set(known):
+        if before is None and not {"notice", "act"} <= set(known):
             raise ValueError(f"`limits.{name}` must have `notice` and `act`, or be null: {entry}")
         try:
-            base = {} if own is None else {"notice": own.notice, "act": own.act}
+            base = {} if before is None else {"notice": before.notice, "act": before.act}
             limits[name] = Limits(**base | {"why": why} | known)
         except (TypeError, ValueError) as error:
             raise type(error)(f"`limits.{name}`: {error}") from None
@@ -202,10 +221,14 @@ def _is_empty(entry: Any) -> bool:
 
 
 def limits_words(limits: Mapping[str, Limits]) -> str:
-    """Return limits and their reasons as text, with parameters of equal limits grouped."""
+    """Return limits and their reasons as text, with parameters of equal limits grouped.
+
+    A part is named only if its limits are not those of its parameter.
+    """
     alike: dict[Limits, list[str]] = {}
     for name, one in limits.items():
-        alike.setdefault(one, []).append(name)
+        if name == kind_of(name) or one != limits.get(kind_of(name)):
+            alike.setdefault(one, []).append(name)
     parts = [
         f"{', '.join(names)}: {one}{f' ({one.why})' * bool(one.why)}"
         for one, names in alike.items()

@@ -10,7 +10,14 @@ from typing import Any
 
 import numpy as np
 
-from suspnet.ground.parameters import BODY_MASS, PARAMETERS, SI_COLUMNS
+from suspnet.ground.parameters import (
+    BODY_MASS,
+    BOGIE_PARTS,
+    COMPONENTS,
+    ESTIMATED,
+    PARAMETERS,
+    SI_COLUMNS,
+)
 from suspnet.ground.types import ComplexArray, FloatArray
 from suspnet.ground.wording import kilometres
 
@@ -195,6 +202,8 @@ class TripResult:
         Flags of the estimate as text; empty if there are none.
     sides : str
         Which side of which part is weaker; empty without pairs of sensors or without a difference.
+    worn : str
+        Which parts have worn, with odds; empty unless each part was read, or if none has.
     quality : Quality
     seconds : float, [s]
         Duration of the evaluation.
@@ -220,6 +229,7 @@ class TripResult:
     healthy_half_widths: dict[str, float] = field(default_factory=dict)
     flags: str = ""
     sides: str = ""
+    worn: str = ""
     quality: Quality = field(default_factory=Quality)
     seconds: float = 0.0
     temperature_c: float = np.nan
@@ -265,7 +275,7 @@ class TripResult:
             ),
             *("healthy_since_km", "temperature_c"),
             *QUALITY_TYPES,
-            *("sides", "seconds", "manifest"),
+            *("sides", "worn", "seconds", "manifest"),
         ]
         return {name: flat[name] for name in columns}
 
@@ -281,7 +291,7 @@ EVENT_KINDS = ("exchanged", "reprofiled", SENSOR, "other")
 """Kinds of maintenance: a part exchanged, wheels reprofiled, a sensor replaced, or other work that
 the text names."""
 NUMBERS = ("mileage_km", "healthy_since_km", "temperature_c", "seconds")
-TEXTS = ("trip", "start", "flags", "status", "reason", "sides", "manifest")
+TEXTS = ("trip", "start", "flags", "status", "reason", "sides", "worn", "manifest")
 """Columns of a trip's numbers and texts, named as in ``TripResult``."""
 VALUES = {
     "estimates": "{}",
@@ -304,7 +314,7 @@ def to_row(result: TripResult) -> dict[str, Any]:
     row: dict[str, Any] = {"vehicle": result.vehicle} | asdict(result.place)
     row |= {name: getattr(result, name) for name in (*TEXTS, *NUMBERS)}
     for name, column in VALUES.items():
-        row |= {column.format(one): getattr(result, name).get(one) for one in PARAMETERS}
+        row |= {column.format(one): getattr(result, name).get(one) for one in ESTIMATED}
     return row | asdict(result.quality)
 
 
@@ -313,7 +323,7 @@ def from_row(row: Mapping[str, Any]) -> TripResult:
     given: dict[str, Any] = {name: row[name] for name in ("vehicle", *TEXTS)}
     given |= {name: or_nan(row[name]) for name in NUMBERS}
     for name, column in VALUES.items():
-        values = {one: row[column.format(one)] for one in PARAMETERS}
+        values = {one: row[column.format(one)] for one in ESTIMATED}
         given[name] = {one: value for one, value in values.items() if value is not None}
     quality: dict[str, Any] = {
         name: or_nan(row[name]) if kind == "float" else row[name]
@@ -365,6 +375,14 @@ class Commissioning:
             if name != BODY_MASS
         )
         return f"from {kilometres(self.since_km)} on healthy is {ratios} of the first commissioning"
+
+
+def outputs_of(results: Iterable[TripResult]) -> tuple[str, ...]:
+    """Return what any trip has an estimate of, in the order of tables; the parameters if none."""
+    known = {name for one in results for name in one.estimates}
+    if not known & set(BOGIE_PARTS):
+        return tuple(name for name in PARAMETERS if name in known) or PARAMETERS
+    return tuple(name for name in (*PARAMETERS[:-1], *COMPONENTS) if name in known)
 
 
 def by_mileage(results: Iterable[TripResult]) -> list[TripResult]:

@@ -13,7 +13,7 @@ import sqlalchemy as sql
 from numpy.typing import NDArray
 from sqlalchemy.engine import Connection
 
-from suspnet.ground.parameters import PARAMETERS
+from suspnet.ground.parameters import ESTIMATED
 from suspnet.ground.records import (
     HIGHEST_KM,
     VALUES,
@@ -31,17 +31,17 @@ from suspnet.history.database import HistoryError, upsert
 from suspnet.history.schema import BadRow, bad_row, check_types, curves, suspensions, trips
 from suspnet.history.suspensions import is_one_of, known_suspensions, read_stored
 from suspnet.maintenance.directions import SIGNS
-from suspnet.maintenance.series import NUMBERS, Event, Series
+from suspnet.maintenance.series import NUMBERS, Event, Series, with_estimates
 
 ROWS = 20_000
 """Number of rows that are Python objects at the same time, which bounds the memory."""
 TEXTS = ("trip", "start", "sensors")
 VALUE_COLUMNS = [
-    VALUES[key].format(name) for key in ("estimates", "half_widths") for name in PARAMETERS
+    VALUES[key].format(name) for key in ("estimates", "half_widths") for name in ESTIMATED
 ]
 N_NUMBERS = 2 + len(NUMBERS) + len(VALUE_COLUMNS)
 """Number of numeric columns: suspension, whether flagged, ``NUMBERS`` and ``VALUE_COLUMNS``."""
-NOT_NEGATIVE = {"mileage_km", *VALUE_COLUMNS[len(PARAMETERS) :]}
+NOT_NEGATIVE = {"mileage_km", *VALUE_COLUMNS[len(ESTIMATED) :]}
 Block = tuple[FloatArray, NDArray[np.str_], NDArray[np.datetime64], NDArray[np.str_]]
 """Columns of some trips: numbers of shape (n_trips, ``N_NUMBERS``), names, starts and sensors."""
 
@@ -71,7 +71,9 @@ def read_series(
         columns = iter(numbers[part].T[1:].copy())
         flagged = next(columns) > 0
         scalars = {name: next(columns) for name in NUMBERS}
-        values = [{name: next(columns) for name in PARAMETERS} for _ in range(2)]
+        values = [{name: next(columns) for name in ESTIMATED} for _ in range(2)]
+        kept = with_estimates(values[0])
+        values = [{name: part[name] for name in kept} for part in values]
         found.append(
             Series(
                 vehicle,

@@ -31,7 +31,7 @@ from sqlalchemy import (
 )
 from sqlalchemy.engine import RowMapping
 
-from suspnet.ground.parameters import PARAMETERS
+from suspnet.ground.parameters import ESTIMATED
 from suspnet.ground.records import (
     NUMBERS,
     PLACE,
@@ -53,7 +53,7 @@ _LOGGED: set[str] = set()
 """Bad rows that this process has logged: a program that polls a store reads them often."""
 KINDS: dict[type, Any] = {sql.String: str, sql.Double: (int, float), sql.Integer: int}
 """Python types of values by column type; SQLite itself accepts any value in any column."""
-SCHEMA, OLDEST = 6, 3
+SCHEMA, OLDEST = 7, 3
 """Version of the tables, and the oldest that is brought to it; a store of any other is refused."""
 
 metadata = MetaData()
@@ -80,7 +80,7 @@ trips = Table(
     Column("id", Integer, primary_key=True),
     Column("suspension_id", ForeignKey("suspensions.id", ondelete="CASCADE"), nullable=False),
     *(Column(name, Double) for name in NUMBERS),
-    *(Column(column.format(name), Double) for column in VALUES.values() for name in PARAMETERS),
+    *(Column(column.format(name), Double) for column in VALUES.values() for name in ESTIMATED),
     *(Column(name, String, nullable=False) for name in TEXTS),
     *(Column(name, QUALITY[kind]) for name, kind in QUALITY_TYPES.items()),
     Column("key", LargeBinary(16), nullable=False),

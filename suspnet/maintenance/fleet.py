@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import logsumexp
 
-from suspnet.ground.parameters import DEFAULT_LIMITS, Limits
+from suspnet.ground.parameters import BOGIE_PARTS, DEFAULT_LIMITS, Limits, kind_of
 from suspnet.ground.records import INTERVAL_LEVEL, Key
 from suspnet.ground.types import FloatArray
 from suspnet.maintenance.alarms import Alarm, watch
@@ -219,18 +219,26 @@ def fleet_state(
 
 
 def learn_priors(fleet: Sequence[Series], limits: Iterable[str]) -> dict[str, FleetPrior]:
-    """Return the prior of each parameter in `limits` from all suspensions of one vehicle."""
-    found = {}
+    """Return the prior of each parameter in `limits` from all suspensions of one vehicle.
+
+    All parts of a kind have one prior.
+    """
+    found: dict[str, FleetPrior] = {}
     recent = [one.part(one.recent) for one in fleet]
+    alike: dict[str, list[str]] = defaultdict(list)
     for name in limits:
+        alike[f"parts {kind_of(name)}" if name in BOGIE_PARTS else name].append(name)
+    for names in alike.values():
         trips = [
             trips_of_life(one.mileage_km, one.estimates[name], one.half_widths[name], one.flagged)
             for one in recent
+            for name in names
+            if name in one.estimates
         ]
         known = [one for one in trips if one is not None]
         if len(known) > 1:
             every = -(-len(known) // MOST_LEARNT)
-            found[name] = learn_fleet(known[::every])
+            found |= dict.fromkeys(names, learn_fleet(known[::every]))
     return found
 
 

@@ -11,7 +11,7 @@ from itertools import chain
 import numpy as np
 from numpy.typing import NDArray
 
-from suspnet.ground.parameters import PARAMETERS, Severity
+from suspnet.ground.parameters import ESTIMATED, Severity
 from suspnet.ground.types import FloatArray
 from suspnet.maintenance.schedule import (
     SLACK,
@@ -264,7 +264,7 @@ def parts_of(states: Sequence[State]) -> list[Part]:
     found = []
     for state in states:
         named = {*state.lives, *state.unknown, *(one.parameter for one in state.alarms)}
-        for name in (one for one in PARAMETERS if one in named):
+        for name in (one for one in ESTIMATED if one in named):
             life = state.lives.get(name)
             samples = np.array([np.inf]) if life is None else life.samples_km
             place = state.series.place

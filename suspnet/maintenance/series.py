@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from suspnet.ground.parameters import BODY_MASS, PARAMETERS
+from suspnet.ground.parameters import BODY_MASS, ESTIMATED, PARAMETERS
 from suspnet.ground.records import EVENT_KINDS, OK, SENSOR, Key, Place, TripResult, by_mileage
 from suspnet.ground.times import utc
 from suspnet.ground.types import BoolArray, FloatArray, IntArray
@@ -67,7 +67,7 @@ class Series:
     direction : array
         Of travel, one of ``SIGNS``; NaN: unknown.
     estimates, half_widths : dict of arrays, [-]
-        Of each parameter, as in ``TripResult``; NaN: none.
+        Of each parameter, as in ``TripResult``, and of each part that any trip has; NaN: none.
     events : tuple of Event
         Sorted by mileage.
     n_first : int, optional
@@ -263,19 +263,27 @@ def make_series(
         whole = {name: np.asarray(given.get(name, np.nan), dtype=float) for name in names}
         return {name: np.broadcast_to(one, n)[order] for name, one in whole.items()}
 
+    names = with_estimates(estimates)
     return Series(
         others.pop("vehicle", ""),
         others.pop("place", Place()),
         trip[order],
         start[order],
         marks[order],
-        estimates=columns(estimates, PARAMETERS),
-        half_widths=columns(half_widths or {}, PARAMETERS),
+        estimates=columns(estimates, names),
+        half_widths=columns(half_widths or {}, names),
         events=tuple(sorted(events, key=lambda one: one.mileage_km)),
         n_first=None,
         sensors=sensors[order],
         **columns({"mileage_km": km} | others, NUMBERS),
     )
+
+
+def with_estimates(estimates: Mapping[str, ArrayLike]) -> tuple[str, ...]:
+    """Return the names of a series' columns: all parameters, and parts with any estimate."""
+    parts = (name for name in ESTIMATED if name not in PARAMETERS and name in estimates)
+    known = (name for name in parts if np.isfinite(np.asarray(estimates[name], dtype=float)).any())
+    return (*PARAMETERS, *known)
 
 
 def series_of(results: Sequence[TripResult], events: Iterable[Event] = ()) -> Series:
@@ -286,7 +294,7 @@ def series_of(results: Sequence[TripResult], events: Iterable[Event] = ()) -> Se
 
     def values(kind: str) -> dict[str, list[float]]:
         return {
-            name: [getattr(one, kind).get(name, np.nan) for one in results] for name in PARAMETERS
+            name: [getattr(one, kind).get(name, np.nan) for one in results] for name in ESTIMATED
         }
 
     return make_series(

@@ -22,7 +22,7 @@ from typing import Annotated
 import numpy as np
 from scipy import stats
 
-from suspnet.ground.parameters import Cause, Severity
+from suspnet.ground.parameters import BOGIE_PARTS, Cause, Severity, kind_of
 from suspnet.ground.records import INTERVAL_LEVEL, Key
 from suspnet.ground.settings import Setting, check_number, check_settings, setting
 from suspnet.ground.types import FloatArray
@@ -67,7 +67,8 @@ class SisterSettings:
     least_percent: Annotated[
         Mapping[str, float],
         Setting(
-            "Smallest reported difference of each parameter from the sisters",
+            "Smallest reported difference of each parameter, and of each of its parts, from the "
+            "sisters",
             rule="%; at least 0 and below 100",
         ),
     ] = field(default_factory=lambda: dict(LEAST_PERCENT))
@@ -134,14 +135,16 @@ def sister_alarms(
     list of n_sisters lists of Alarm
     """
     nothing: list[list[Alarm]] = [[] for _ in sisters]
-    if len(sisters) < 2 or parameter not in settings.least_percent:
+    kind = kind_of(parameter)
+    if len(sisters) < 2 or kind not in settings.least_percent:
         return nothing
     km = np.unique(np.concatenate([_known(one)[0] for one in sisters]))
     if len(km) < N_LAST:
         return nothing
     levels, variances = _levels(sisters, km, settings)
-    scale = _quantiles(sisters, km, settings, len(settings.least_percent))
-    least = -math.log1p(-settings.least_percent[parameter] / 100)
+    n_compared = len(settings.least_percent) if kind == parameter else len(BOGIE_PARTS)
+    scale = _quantiles(sisters, km, settings, n_compared)
+    least = -math.log1p(-settings.least_percent[kind] / 100)
     return [
         _alarms(parameter, km, _compared(i, levels, variances), scale, least)
         for i in range(len(sisters))
@@ -303,9 +306,11 @@ def alarms_of_sisters(series: Sequence[Series], settings: SisterSettings) -> dic
     """
     found: dict[Key, list[Alarm]] = {}
     for car in of_same_car(series):
-        for parameter in settings.least_percent:
-            alarms = sister_alarms(parameter, [_sister(one, parameter) for one in car], settings)
-            for one, own in zip(car, alarms, strict=True):
+        names = dict.fromkeys(name for one in car for name in one.estimates)
+        for parameter in (name for name in names if kind_of(name) in settings.least_percent):
+            those = [one for one in car if parameter in one.estimates]
+            alarms = sister_alarms(parameter, [_sister(one, parameter) for one in those], settings)
+            for one, own in zip(those, alarms, strict=True):
                 if own:
                     found.setdefault((one.vehicle, one.place), []).extend(own)
     return found

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -9,7 +10,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
-from suspnet.ground.parameters import BODY_MASS, Limits, Severity
+from suspnet.ground.parameters import BODY_MASS, Limits, Severity, kind_of
 from suspnet.ground.records import Key
 from suspnet.ground.types import FloatArray
 from suspnet.maintenance.alarms import Alarm, Watched
@@ -149,7 +150,7 @@ class State:
             name: self.unjudged
             or why_unknown(one.mileage_km, one.estimates[name], one.half_widths[name], one.flagged)
             for name in self.limits
-            if name in one.estimates and name not in passed
+            if name in self.outputs and name not in passed
         }
         return {name: why for name, why in reasons.items() if why}
 
@@ -173,6 +174,12 @@ class State:
         """
         values = self._last[name].values
         return float(np.median(values)) if len(values) else np.nan
+
+    def furthest(self, name: str) -> float:
+        """Return the present value of a parameter, or of that of its parts furthest from 1, [-]."""
+        parts = [one for one in self.outputs if one != name and kind_of(one) == name]
+        values = [self.now(one) for one in parts] or [self.now(name)]
+        return max(values, key=lambda one: abs(math.log(one)) if one > 0 else -1.0)
 
     def alarms_of(self, name: str) -> list[Alarm]:
         """Return the active alarms of a parameter by the mileage where they start."""

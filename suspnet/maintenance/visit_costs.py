@@ -15,6 +15,7 @@ import numpy as np
 from scipy.optimize import Bounds, LinearConstraint, milp
 from scipy.sparse import coo_array
 
+from suspnet.ground.parameters import kind_of
 from suspnet.ground.settings import check_settings, setting
 from suspnet.ground.types import FloatArray, IntArray
 
@@ -136,9 +137,10 @@ class PlanSettings:
         """Return the costs of a parameter's part; ValueError if `costs` does not name it."""
         if isinstance(self.costs, Costs):
             return self.costs
-        if parameter not in self.costs:
-            raise ValueError(f"`costs` must name {parameter!r}, got {tuple(self.costs)}")
-        return self.costs[parameter]
+        name = parameter if parameter in self.costs else kind_of(parameter)
+        if name not in self.costs:
+            raise ValueError(f"`costs` must name {name!r}, got {tuple(self.costs)}")
+        return self.costs[name]
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,7 +13,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
-from suspnet.ground.parameters import DIRECTIONS, PARAMETERS
+from suspnet.ground.parameters import DIRECTIONS, ESTIMATED
 from suspnet.ground.records import HIGHEST_KM, Place
 from suspnet.recordings import manifest_keys as check
 from suspnet.recordings.errors import TripError, all_of
@@ -223,7 +223,7 @@ def _mileage(value: Value) -> float:
 
 def _truth(value: Value) -> dict[str, float]:
     one = Key(check.positive, "", "", default="")
-    found: dict[str, float] = value.read(dict.fromkeys(PARAMETERS, one))
+    found: dict[str, float] = value.read(dict.fromkeys(ESTIMATED, one))
     return found
 
 

@@ -15,6 +15,7 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
+from suspnet.ground.parameters import BOGIE_PARTS, ESTIMATED, kind_of, place_words
 from suspnet.ground.records import OK, TripResult, by_mileage
 from suspnet.ground.types import FloatArray
 from suspnet.ground.wording import kilometres
@@ -24,7 +25,10 @@ from suspnet.report.tables import response
 CHANNEL_TITLES = ("axle box", "bogie frame", "car body")
 MILEAGE_LABEL = "mileage [1000 km]"
 SUSPENSIONS = ("primary suspension, $G_p$", "secondary suspension, $G_s$")
-SYMBOLS = {"k_p": "$k_p$", "c_p": "$c_p$", "k_s": "$k_s$", "c_s": "$c_s$", "M_s": "$M_s$"}
+SYMBOLS = {
+    name: f"${kind_of(name)}$" + (f" {place_words(name)}" if name in BOGIE_PARTS else "")
+    for name in ESTIMATED
+}
 
 
 def trip_signals(result: TripResult) -> Figure:

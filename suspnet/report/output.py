@@ -15,7 +15,7 @@ import pyarrow.parquet as pq
 from matplotlib.figure import Figure
 from tabulate import tabulate
 
-from suspnet.ground.parameters import BODY_MASS, PARAMETERS
+from suspnet.ground.parameters import BODY_MASS, BOGIE_PARTS, PARAMETERS
 from suspnet.ground.records import OK, TripResult, relative_to_first_healthy
 from suspnet.ground.storage import write_atomically, write_json, write_table
 from suspnet.ground.wording import count
@@ -38,24 +38,28 @@ COVERAGE_PERCENT = "intervals hold %"
 
 def summary(results: Sequence[TripResult], outputs: Sequence[str]) -> str:
     """Return a table of all trips, errors where the truth is known, and all reasons and flags."""
-    header = ["trip", "1000 km", *outputs, "averages", "state"]
+    of_parts = [name for name in outputs if name in BOGIE_PARTS]
+    columns = [name for name in outputs if name not in BOGIE_PARTS]
+    header = ["trip", "1000 km", *columns, *["worn parts"] * bool(of_parts), "averages", "state"]
     rows = [
         [
             r.trip,
             r.mileage_km / 1000,
-            *(r.estimates.get(name) for name in outputs),
+            *(r.estimates.get(name) for name in columns),
+            *[r.worn] * bool(of_parts),
             r.quality.n_averages,
             "flagged" if r.flags else "" if r.status == OK else r.status,
         ]
         for r in results
     ]
-    errors = errors_percent(results, outputs)
-    if errors:
-        rows.append([KNOWN_ERROR_PERCENT, None, *(errors[name] for name in outputs), None, None])
-    held = coverage_percent(results, outputs)
-    if held:
-        rows.append([COVERAGE_PERCENT, None, *(held[name] for name in outputs), None, None])
-    words = [0, len(header) - 1]
+    for label, known in (
+        (KNOWN_ERROR_PERCENT, errors_percent(results, outputs)),
+        (COVERAGE_PERCENT, coverage_percent(results, outputs)),
+    ):
+        if known:
+            more = [None] * (len(header) - 2 - len(columns))
+            rows.append([label, None, *(known.get(name) for name in columns), *more])
+    words = [0, *[2 + len(columns)] * bool(of_parts), len(header) - 1]
     table = tabulate(
         rows,
         header,
@@ -68,7 +72,29 @@ def summary(results: Sequence[TripResult], outputs: Sequence[str]) -> str:
     are = "is" if flagged == 1 else "are"
     have = "has" if done == 1 else "have"
     head = f"{done} of {count(len(results), 'trip')} {have} an estimate, {flagged} {are} flagged"
-    return "\n".join([head, table, *_reasons(results)])
+    parts = [f"\n{_part_table(results, of_parts)}"] if of_parts else []
+    return "\n".join([head, table, *parts, *_reasons(results)])
+
+
+def _part_table(results: Sequence[TripResult], parts: Sequence[str]) -> str:
+    """Return a row for each part: first and newest trip [%], and errors where truth is known."""
+    errors, held = errors_percent(results, parts), coverage_percent(results, parts)
+    rows = []
+    for name in parts:
+        done = [r for r in results if name in r.estimates]
+        low, high = (100 * end for end in done[-1].interval(name))
+        ends = [100 * r.estimates[name] for r in (done[0], done[-1])]
+        interval = f"{low:.2f} to {high:.2f}"
+        rows.append([name, *ends, interval, errors.get(name), held.get(name)])
+    header = ["part", "first %", "newest %", "interval %", KNOWN_ERROR_PERCENT, COVERAGE_PERCENT]
+    kept = [i for i in range(len(header)) if any(row[i] is not None for row in rows)]
+    return tabulate(
+        [[row[i] for i in kept] for row in rows],
+        [header[i] for i in kept],
+        tablefmt="github",
+        floatfmt=".4g",
+        disable_numparse=[0, 3],
+    )
 
 
 def _reasons(results: Sequence[TripResult]) -> list[str]:
@@ -82,38 +108,28 @@ def _reasons(results: Sequence[TripResult]) -> list[str]:
 
 def errors_percent(results: Sequence[TripResult], outputs: Sequence[str]) -> dict[str, float]:
     """Return the rms relative error of each output over trips with known truth, [%]."""
-    known = [r for r in results if r.status == OK and all(name in r.truth for name in outputs)]
-    if not known:
-        return {}
-    found, truth = (
-        np.array([[values[name] for name in outputs] for values in part])
-        for part in ([r.estimates for r in known], [r.truth for r in known])
-    )
-    with np.errstate(over="ignore"):  # a manifest may contain any truth
-        rms = 100 * np.sqrt(np.mean((found / truth - 1) ** 2, axis=0))
-    return dict(zip(outputs, rms.tolist(), strict=True))
+    found = {}
+    for name in outputs:
+        known = [r for r in results if name in r.truth and name in r.estimates]
+        ratios = np.array([r.estimates[name] / r.truth[name] for r in known])
+        if known:
+            with np.errstate(over="ignore"):  # a manifest may contain any truth
+                found[name] = 100 * float(np.sqrt(np.mean((ratios - 1) ** 2)))
+    return found
 
 
 def coverage_percent(results: Sequence[TripResult], outputs: Sequence[str]) -> dict[str, float]:
     """Return how often the intervals hold the truth, over trips with known truth, [%].
 
-    It is empty if no trip has both truth and intervals.
+    Outputs without a trip that has both truth and interval are left out.
     """
-    known = [
-        r
-        for r in results
-        if r.status == OK
-        and all(n in r.truth and np.isfinite(r.interval(n)).all() for n in outputs)
-    ]
-    if not known:
-        return {}
-    return {
-        name: 100
-        * float(
-            np.mean([r.interval(name)[0] <= r.truth[name] <= r.interval(name)[1] for r in known])
-        )
-        for name in outputs
-    }
+    found = {}
+    for name in outputs:
+        ends = [(*r.interval(name), r.truth[name]) for r in results if name in r.truth]
+        held = [low <= truth <= high for low, high, truth in ends if np.isfinite([low, high]).all()]
+        if held:
+            found[name] = 100 * float(np.mean(held))
+    return found
 
 
 def write_tables(results: Sequence[TripResult], outputs: tuple[str, ...], output: Path) -> None:

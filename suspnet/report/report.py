@@ -12,7 +12,7 @@ from typing import Any
 
 from matplotlib.figure import Figure
 
-from suspnet.ground.parameters import NAMES
+from suspnet.ground.parameters import KIND_NAMES, NAMES
 from suspnet.ground.records import INTERVAL_LEVEL, OK, Commissioning, TripResult, by_mileage
 from suspnet.ground.storage import write_atomically
 from suspnet.ground.wording import count, span, thousands, unbroken
@@ -101,7 +101,8 @@ def write_report(path: Path, title: str, report: Report, figures: Mapping[str, F
     trips = by_mileage(report.results)
     severity, finding = overall(assessments)
     found = joined(worst_first(assessments))
-    doubts, sides, wheels = _doubts(trips), sides_finding(trips), wheels_finding(trips)
+    doubts, wheels = _doubts(trips), wheels_finding(trips)
+    sides = worn_finding(trips) or sides_finding(trips)
     table = trip_table(trips, report.outputs, report.level)
     shown = {
         "intervals": INTERVALS_SHOWN.format(level=table.level) if table.level else "",
@@ -135,6 +136,7 @@ def write_report(path: Path, title: str, report: Report, figures: Mapping[str, F
         level=table.level,
         healthy_level=f"{100 * report.level:g}",
         names=NAMES,
+        kinds=KIND_NAMES,
         roles=ROLES,
         details=report.details,
     )
@@ -159,6 +161,19 @@ def sides_finding(trips: Sequence[TripResult]) -> str:
         "sensitivity, and a track with one rail worse than the other, can look alike: compare "
         "several trips."
     )
+
+
+def worn_finding(trips: Sequence[TripResult]) -> str:
+    """Return a sentence on the worn parts of a bogie, from the last trips; empty without any.
+
+    `trips` are in the order of the mileage.
+    """
+    last = [r for r in trips if r.status == OK][-N_LAST:]
+    found = [r for r in last if r.worn]
+    if not found:
+        return ""
+    on = f"{len(found)} of the last {len(last)} trips" if len(last) > 1 else "the last trip"
+    return f"Worn parts on {on}; on {found[-1].trip}: {found[-1].worn}."
 
 
 def wheels_finding(trips: Sequence[TripResult]) -> str:

@@ -10,7 +10,7 @@ from typing import Any
 from jinja2 import Environment, FunctionLoader, StrictUndefined
 from markupsafe import Markup
 
-from suspnet.ground.parameters import UNITS, Severity
+from suspnet.ground.parameters import BOGIE_PARTS, UNITS, Severity, kind_of, place_words
 from suspnet.ground.wording import NO_NUMBER, number, thousands, unbroken
 from suspnet.maintenance.judge import ABSURD
 from suspnet.maintenance.life import Life
@@ -121,8 +121,13 @@ def symbol(name: str) -> Markup:
     """Return the symbol of a parameter; the name of anything else, as of a sensor, as it is."""
     if name not in UNITS:
         return Markup.escape(name)
-    letter, _, index = name.partition("_")
-    return Markup("<i>{}</i><sub>{}</sub>").format(letter, index)
+    letter, _, index = kind_of(name).partition("_")
+    words = Markup("<i>{}</i><sub>{}</sub>").format(letter, index)
+    return (
+        Markup("{} <small>{}</small>").format(words, place_words(name))
+        if name in BOGIE_PARTS
+        else words
+    )
 
 
 def _range(pair: tuple[float, float]) -> str:

@@ -151,7 +151,7 @@ def trend_of_state(state: State) -> Trend:
     series = state.series
     placed = np.isfinite(series.mileage_km)
     panels = []
-    for name in (name for name in series.estimates if name != BODY_MASS):
+    for name in (name for name in series.outputs if name != BODY_MASS):
         values, half = series.estimates[name], series.half_widths[name]
         with np.errstate(over="ignore"):
             intervals = np.stack([values * np.exp(-half), values * np.exp(half)], axis=1)

@@ -7,18 +7,29 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from suspnet.dynamics import ResponseGenerator, VerticalVehicle
+from suspnet.dynamics import ResponseGenerator, SpatialVehicle, VerticalVehicle
 from suspnet.dynamics.quantities import PARTS, LogNormal
 from suspnet.estimation import commissioning_summary as words
+from suspnet.estimation.bogie_fit import CommissionedBogie, commission_bogie
+from suspnet.estimation.bogie_trips import bogie_trip
 from suspnet.estimation.commissioning import Commissioned, commission
 from suspnet.estimation.healthy_trips import HealthyTrips, read_healthy
 from suspnet.estimation.lone_sensors import SIDE_M
 from suspnet.estimation.trip_settings import TripSettings
-from suspnet.recordings.manifest import Channel, Pair, TripManifest
+from suspnet.recordings.errors import TripError
+from suspnet.recordings.manifest import CHANNELS, Channel, Pair, TripManifest
 from suspnet.recordings.manifest_files import ManifestFile
+from suspnet.recordings.recording import load_recording
 from suspnet.spectra.estimates import EstimateSettings
 
 log = logging.getLogger(__name__)
+SETTINGS = ("bogie", "axle", "frame_sensor", "body_sensor_m", "nominal")
+"""Settings that the vehicle of the parts shares with the vertical one."""
+PARTS_OF_BOGIE = (
+    *("bushings", "rubber", "guidance", "longitudinal", "bending", "payload", "sensors"),
+    *("frame_sway", "frame_yaw", "body_yaw", "creep"),
+)
+"""What the vehicle whose parts are read may have beside rigid bodies on springs and dampers."""
 FAMILY = tuple(part for part in PARTS if part != "air_spring")
 """Parts of the vehicle that is commissioned if the configuration names none."""
 
@@ -62,6 +73,36 @@ def commission_folder(
     if hint := words.other_minutes(found, settings):
         log.info("%s", hint)
     return found, outcome
+
+
+def commission_parts(
+    found: HealthyTrips, generator: VerticalVehicle, trips: TripSettings
+) -> CommissionedBogie:
+    """Return the bogie that healthy trips with sensors left and right show, part by part.
+
+    `generator` gives vehicle, bogie and places of sensors. TripError is raised if a place has no
+    pair, NoEstimateError if a trip is too short for its parts.
+    """
+    single = [place for place, pair in zip(CHANNELS, found.paired, strict=True) if not pair]
+    if single:
+        raise TripError(
+            f"{found.manifests[0].path.parent}: each part is read from a sensor left and right at "
+            f"axle box, frame and body, the healthy trips have one sensor at {', '.join(single)}: "
+            "give the pairs in the manifests, or take protocol=trips"
+        )
+    vehicle = SpatialVehicle(
+        generator.vehicle,
+        **{name: getattr(generator, name) for name in SETTINGS},
+        parts=PARTS_OF_BOGIE,
+    ).with_prior()
+    directions = {group.trip: group.direction for group in found.groups}
+    read = [
+        bogie_trip(load_recording(manifest, trips.rate_hz), vehicle, trips, directions[i])
+        for i, manifest in enumerate(found.manifests)
+    ]
+    bogie = commission_bogie(vehicle, read)
+    log.info("%s", words.of_parts(bogie))
+    return bogie
 
 
 def check_generator(generator: ResponseGenerator) -> VerticalVehicle:

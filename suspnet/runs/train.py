@@ -21,6 +21,7 @@ from typing import Any
 import torch
 from tabulate import tabulate
 
+from suspnet.estimation.bogie_fit import CommissionedBogie
 from suspnet.estimation.checkpoint import save_model
 from suspnet.estimation.flags import Residual
 from suspnet.estimation.problem import TEST, Problem
@@ -57,7 +58,7 @@ class RunContext:
     what a multirun varies, by configuration key: TensorBoard's first columns. `draw_vehicle`: once
     is enough in a multirun. `notes` are further entries of the model's `training`, such as the
     healthy trips as "commissioned"; `residual` is the unexplained part of a commissioned vehicle's
-    healthy trips.
+    healthy trips, `bogie` its bogie if each part is to be read.
     """
 
     config: Mapping[str, Any] = field(default_factory=dict)
@@ -65,6 +66,7 @@ class RunContext:
     draw_vehicle: bool = True
     notes: Mapping[str, Any] = field(default_factory=dict)
     residual: Residual | None = None
+    bogie: CommissionedBogie | None = None
 
 
 def train(
@@ -116,7 +118,7 @@ def train(
         model = replace(fit(problem, estimator, run_log), refined=refine)
         model = _trusted(problem, model, context.residual)
         stage("test")
-        model = replace(model, training=model.training | dict(context.notes))
+        model = replace(model, training=model.training | dict(context.notes), bogie=context.bogie)
         outcome = predict_stream(problem, model, TEST)
         metrics = _metrics(problem, model, outcome, found, context)
         # the accuracy goes into the model's file for those who have no run folder

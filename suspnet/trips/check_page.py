@@ -14,7 +14,7 @@ from tabulate import tabulate
 from torch import Tensor
 
 from suspnet._version import __version__
-from suspnet.estimation.healthy_trips import LEAST_TRIPS
+from suspnet.estimation.trip_settings import LEAST_TRIPS
 from suspnet.ground.records import Place
 from suspnet.ground.storage import printable, write_atomically, write_json
 from suspnet.ground.wording import span

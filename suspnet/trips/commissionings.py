@@ -13,6 +13,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 
+from suspnet.dynamics import Vehicle
 from suspnet.estimation.fitted import ModelFileError
 from suspnet.estimation.from_spectra import trip_settings
 from suspnet.estimation.steady_parts import speed_range
@@ -72,16 +73,26 @@ def commissionings(
     used = [era[0] for era in eras(models) if since_km(era[0]) in seen]
     if len(used) < 2:
         return []
-    first = used[0].healthy
+    values = [_healthy_si(model) for model in used]
     return [
         Commissioning(
             since_km(model),
-            dict(zip(first.names, model.healthy.values.tolist(), strict=True)),
-            dict(zip(first.names, (model.healthy.values / first.values).tolist(), strict=True)),
+            own,
+            {name: value / values[0][name] for name, value in own.items()},
             tuple(model.training["commissioned"].get("trips", ())),
         )
-        for model in used
+        for model, own in zip(used, values, strict=True)
     ]
+
+
+def _healthy_si(model: TrainedModel) -> dict[str, float]:
+    """Return the healthy value of each parameter, and of each part if these are read."""
+    several = [model.healthy, *([model.bogie.healthy] if model.bogie else [])]
+    return {
+        name: value
+        for one in several
+        for name, value in zip(one.names, one.values.tolist(), strict=True)
+    }
 
 
 def with_truth_of_each(
@@ -125,13 +136,17 @@ def check_models(models: Sequence[TrainedModel]) -> tuple[str, ...]:
             raise ModelFileError("models with protocol.mass_known=true cannot read trips")
     first = models[0]
     for model in models[1:]:
-        if (model.vehicle, model.task.outputs) != (first.vehicle, first.task.outputs):
+        if _read_by(model) != _read_by(first):
             raise ModelFileError(
                 "the models of `run` must share vehicle and outputs; give runs of one vehicle"
             )
     for era in eras(models):
         _check_together(era)
     return first.task.outputs
+
+
+def _read_by(model: TrainedModel) -> tuple[Vehicle, tuple[str, ...], bool]:
+    return model.vehicle, model.task.outputs, model.bogie is None
 
 
 def _check_together(models: Sequence[TrainedModel]) -> None:

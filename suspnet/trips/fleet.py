@@ -17,7 +17,7 @@ from suspnet.estimation.trip_settings import TripSettings
 from suspnet.ground.parameters import PARAMETERS, TIGHTEST, Limits, read_limits
 from suspnet.ground.progress import bar as progress_bar
 from suspnet.ground.progress import stage
-from suspnet.ground.records import ERROR, Commissioning, TripResult, by_mileage
+from suspnet.ground.records import ERROR, Commissioning, TripResult, by_mileage, outputs_of
 from suspnet.ground.settings import check_settings, setting
 from suspnet.ground.storage import printable
 from suspnet.ground.workers import (
@@ -251,7 +251,7 @@ def _report(
 ) -> Evaluated:
     stage(f"trend and report of {read.group.place}")
     group, results, models = read.group, read.results, read.models
-    outputs, level = models[0].task.outputs, settings.trips.level
+    outputs, level = outputs_of(results), settings.trips.level
     write_tables(results, outputs, read.output)
     missing = missing_reference(between(read.series.events, results)[-1], settings.n_first)
     if missing:

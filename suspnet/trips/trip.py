@@ -14,7 +14,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from suspnet.estimation.from_recording import all_bins, at_healthy_temperature
+from suspnet.estimation.estimate import Estimate, HealthyValues
+from suspnet.estimation.from_recording import all_bins, at_healthy_temperature, estimate_bogie
 from suspnet.estimation.from_spectra import trip_settings
 from suspnet.estimation.steady_parts import SpeedBin, combined, largest
 from suspnet.estimation.trained import TrainedModel
@@ -38,7 +39,7 @@ from suspnet.recordings.manifest_files import ManifestFile
 from suspnet.recordings.recording import Recording, load_recording, overview
 from suspnet.spectra.segments import NoEstimateError, recording_segments
 from suspnet.spectra.sensor_health import sensor_health
-from suspnet.spectra.welch import Welch
+from suspnet.spectra.welch import SegmentSpectra, Welch
 from suspnet.spectra.wheel_lines import wheel_lines, wheel_words
 from suspnet.trips.commissionings import models_at, since_km
 
@@ -148,14 +149,56 @@ def _estimated(
     segments = {one: recording_segments(recording, one) for one in map(_welch, models)}
     n_total = max(len(found.values) for found in segments.values())
     result = replace(result, quality=replace(quality, segments_total=n_total))
+    pairs = [(model, segments[_welch(model)]) for model in models]
     try:
-        pairs = [(model, segments[_welch(model)]) for model in models]
         bins = all_bins(pairs, recording, settings, lines)
     except TripError as error:  # reported only now, as the quality is known
         return replace(result, reason=str(error))
     except NoEstimateError as error:
-        return replace(result, status=NO_ESTIMATE, reason=str(error))
-    return _combined(result, recording, bins)
+        result = replace(result, status=NO_ESTIMATE, reason=str(error))
+    else:
+        result = _combined(result, recording, bins)
+    return _with_parts(result, recording, pairs[0], settings)
+
+
+def _with_parts(
+    result: TripResult,
+    recording: Recording,
+    pair: tuple[TrainedModel, SegmentSpectra],
+    settings: TripSettings,
+) -> TripResult:
+    """Return a result with the estimate of each part in place of that of both sides as equal.
+
+    If the trip does not show the parts, it stays as it is, and a warning says why.
+    """
+    model, segments = pair
+    if model.bogie is None:
+        return result
+    try:
+        estimate = estimate_bogie(model, recording, segments, settings)
+    except NoEstimateError as error:
+        words = "; ".join(filter(None, (result.quality.warnings, f"no part is named: {error}")))
+        return replace(result, quality=replace(result.quality, warnings=words))
+    result = replace(result, reason="", sides="", worn=estimate.found)
+    return _with_values(result, estimate, model.bogie.healthy)
+
+
+def _with_values(result: TripResult, estimate: Estimate, healthy: HealthyValues) -> TripResult:
+    """Return a result with an estimate of one row."""
+    names = estimate.names
+    values = dict(zip(names, estimate.values[0].tolist(), strict=True))
+    return replace(
+        result,
+        status=OK,
+        estimates=values,
+        raw=dict(values),
+        half_widths=dict(zip(names, estimate.half_widths[0].tolist(), strict=True)),
+        healthy_si=dict(zip(names, healthy.values.tolist(), strict=True)),
+        healthy_half_widths=dict(
+            zip(names, healthy.half_widths(estimate.level).tolist(), strict=True)
+        ),
+        flags=estimate.flags.reasons[0],
+    )
 
 
 def _welch(model: TrainedModel) -> Welch:
@@ -172,15 +215,12 @@ def _combined(result: TripResult, recording: Recording, bins: Sequence[SpeedBin]
     weights = weights / weights.sum()
     estimate, sides = with_sides(combined(bins), bins, recording)
     estimate = at_healthy_temperature(bins[0].method, estimate, recording)
-    outputs = bins[0].method.task.outputs
-    estimates = dict(zip(outputs, estimate.values[0].tolist(), strict=True))
     coherence = sum(
         w * b.spectra.coherences().mean(dim=1).numpy() for w, b in zip(weights, bins, strict=True)
     )
     names = bins[0].method.task.extractor.names
     # direction, curves and healthy values are those of the bin with the most averages
     best = largest(bins)
-    healthy = best.method.healthy
     used = _used(bins)
     quality = replace(
         result.quality,
@@ -198,21 +238,8 @@ def _combined(result: TripResult, recording: Recording, bins: Sequence[SpeedBin]
         features_found=f"{len(names)} of {len(names)}",
         warnings="; ".join(dict.fromkeys(b.doubts for b in bins if b.doubts)),
     )
-    return replace(
-        result,
-        status=OK,
-        estimates=estimates,
-        raw=dict(estimates),
-        half_widths=dict(zip(outputs, estimate.half_widths[0].tolist(), strict=True)),
-        healthy_si=dict(zip(outputs, healthy.values.tolist(), strict=True)),
-        healthy_half_widths=dict(
-            zip(outputs, healthy.half_widths(estimate.level).tolist(), strict=True)
-        ),
-        flags=estimate.flags.reasons[0],
-        sides=sides,
-        quality=quality,
-        curves=_curves(best, recording),
-    )
+    result = replace(result, sides=sides, quality=quality, curves=_curves(best, recording))
+    return _with_values(result, estimate, best.method.healthy)
 
 
 def _used(bins: Sequence[SpeedBin]) -> dict[Welch, int]:

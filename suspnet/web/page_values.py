@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from suspnet.ground.parameters import BODY_MASS, NAMES, PARAMETERS, Severity
-from suspnet.ground.records import INTERVAL_LEVEL, TripResult
+from suspnet.ground.records import INTERVAL_LEVEL, TripResult, outputs_of
 from suspnet.history.arrays import TripResponses
 from suspnet.maintenance.alarms import Acknowledgement, Alarm, newest_of
 from suspnet.maintenance.plan import suspension_of, train_of
@@ -204,13 +204,14 @@ def suspension_values(
     responses = [response(one.trip, one.mileage_km, one) for one in stored]
     return {
         "state": state,
+        "parameters": [name for name in state.outputs if name != BODY_MASS],
         "row": view.rows[index],
         "limits": state.limits,
         "names": NAMES,
         "alarms": [(one, newest_of(one, seen)) for one in state.alarms],
         "cleared": [(one, newest_of(one, seen)) for one in reversed(cleared)],
         "ranges": ranges(trend_of_state(state)),
-        "trips": trip_table(newest, PARAMETERS, INTERVAL_LEVEL),
+        "trips": trip_table(newest, outputs_of(newest), INTERVAL_LEVEL),
         "read_as": files_read_as(newest),
         "n_trips": len(state.series.trip),
         "first_km": _end(state.series.mileage_km, np.min),

@@ -172,7 +172,7 @@ def _suspension_page(name: str, form: AcknowledgementForm) -> str:
         form=form,
         trouble=trouble,
         bad_rows=list(dict.fromkeys([*known, *bad])),
-        parameters=page_values.OUTPUTS,
+        kinds=page_values.OUTPUTS,
         sisters=[page_values.rows_of(view, car, _address)] if car else [],
         **shown,
     )
