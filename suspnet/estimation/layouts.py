@@ -62,7 +62,7 @@ HEALTHY_MASSES = (0.95, 1.05, 1.15)
 """Ratios of the car-body masses of the healthy trips, a third of them each."""
 NUISANCES = ("cross_level", "alignment", "wheelset_share", "wheelset_roll_share")
 """Numbers of the vehicle that scale the unknown spectra of the inputs."""
-_GRID_POINTS, _LOWEST_HZ = 1000, 0.1
+_GRID_POINTS, _LOWEST_HZ = 500, 0.1
 """Number of points and lowest frequency of the integral of a sensor's power."""
 
 
@@ -269,12 +269,14 @@ def _noise(
 ) -> Tensor:
     """Return the noise density of each sensor, (m,): white, below its signal by `snr_db`."""
     assert vehicle.sensors is not None
-    rates = dict(zip(("axle_box", "frame", "body"), settings.rates_hz, strict=True))
-    found = []
-    for i, place in enumerate(vehicle.sensors):
-        (rate_hz,) = (rate for kind, rate in rates.items() if place.startswith(kind))
+    kinds = dict(zip(("axle_box", "frame", "body"), settings.rates_hz, strict=True))
+    rates = [next(kinds[kind] for kind in kinds if p.startswith(kind)) for p in vehicle.sensors]
+    noise = torch.zeros(len(rates), dtype=torch.float64)
+    for rate_hz in set(rates):
         grid = np.geomspace(_LOWEST_HZ, rate_hz / 2, _GRID_POINTS)
-        gain = vehicle.channels(medians, grid)[0, :, i].abs().square().sum(dim=0).numpy()
-        power = np.trapezoid(gain * acceleration_density(track, grid, vehicle.speed_m_per_s), grid)
-        found.append(10 ** (-settings.snr_db / 10) * power / (rate_hz / 2))
-    return torch.tensor(found, dtype=torch.float64)
+        density = acceleration_density(track, grid, vehicle.speed_m_per_s)
+        gains = vehicle.channels(medians, grid)[0].abs().square().sum(dim=0).numpy()
+        power = torch.as_tensor(np.trapezoid(gains * density, grid, axis=1))
+        chosen = torch.tensor([rate == rate_hz for rate in rates])
+        noise[chosen] = 10 ** (-settings.snr_db / 10) * power[chosen] / (rate_hz / 2)
+    return noise
