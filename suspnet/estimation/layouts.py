@@ -24,11 +24,10 @@ import torch
 from torch import Tensor
 
 from suspnet.dynamics import SpatialVehicle
-from suspnet.dynamics.quantities import LogNormal
+from suspnet.dynamics.quantities import MASS_DEVIATION, MASS_MEAN, LogNormal
 from suspnet.dynamics.track import TrackSpectrum, acceleration_density, track_spectrum
 from suspnet.estimation.bogie_fit import N_OWN, WEAR
 from suspnet.estimation.bogie_trips import HIGH_HZ, LOW_HZ
-from suspnet.estimation.healthy_trips import MASS_DEVIATION, MASS_MEAN
 from suspnet.ground.parameters import COMPONENTS
 from suspnet.ground.settings import check_number
 from suspnet.ground.types import FloatArray
