@@ -23,6 +23,7 @@ from suspnet.history import History
 from suspnet.report.tables import Evaluated
 from suspnet.runs.evaluate import FreshCurves, evaluate, write_maintenance
 from suspnet.runs.identifiability import write_identifiability
+from suspnet.runs.layouts import write_layouts
 from suspnet.runs.reliability import write_reliability
 from suspnet.runs.sweeps import write_table6
 from suspnet.trips.fleet import evaluate_fleet
@@ -107,7 +108,9 @@ def main(config: DictConfig) -> int:
 
 def run_study(config: DictConfig, folder: Path) -> int:
     """Run the chosen study; return the exit code for the worst state that it found."""
-    check_choice("study", config.study, ("identifiability", "maintenance", "reliability"))
+    check_choice(
+        "study", config.study, ("identifiability", "layouts", "maintenance", "reliability")
+    )
     threads = program.n_threads(config.threads)
     program.save_config(config, folder)
     if config.study == "identifiability":
@@ -119,6 +122,15 @@ def run_study(config: DictConfig, folder: Path) -> int:
             group=config.group,
             n_vehicles=config.n_vehicles,
             seed=config.seed,
+        )
+        return FINE
+    if config.study == "layouts":
+        write_layouts(
+            build(config, "vehicle"),
+            build(config, "data"),
+            folder,
+            n_healthy=config.n_healthy,
+            wheelset_share=config.wheelset_share,
         )
         return FINE
     if config.study == "reliability":

@@ -119,7 +119,7 @@ def layout_bounds(
     ((13,), True)
     """
     settings = settings or EstimateSettings()
-    check_number("n_healthy", n_healthy, low=1, whole=True)
+    check_number("n_healthy", n_healthy, low=1, most=1000, whole=True)
     check_number("wheelset_share", wheelset_share, low=0, most=1)
     found = []
     for name, places in layouts.items():
@@ -257,9 +257,7 @@ class _Trip:
         alone = [list(further[i : i + 4]) for i in range(0, len(further), 4)]  # four wheelsets
         if self.are_independent:
             n, alone = 0, [[i] for i in range(n)] + alone
-        found = spectral_information(
-            responses[0], changes[0], self.density, self.noise, n, alone
-        )
+        found = spectral_information(responses[0], changes[0], self.density, self.noise, n, alone)
         return self.n_averages * found
 
 
