@@ -14,7 +14,7 @@ from tabulate import tabulate
 from suspnet.dynamics import SpatialVehicle, Vehicle
 from suspnet.dynamics.vehicle import GEOMETRY
 from suspnet.estimation.bogie_trips import HIGH_HZ, LOW_HZ
-from suspnet.estimation.layouts import WORN, LayoutBounds, layout_bounds
+from suspnet.estimation.layouts import LAYOUTS, WORN, LayoutBounds, layout_bounds
 from suspnet.ground.parameters import BODY_MASS, COMPONENTS, PARAMETERS, kind_of
 from suspnet.ground.settings import check_number
 from suspnet.report.figures import SYMBOLS
@@ -50,15 +50,10 @@ def write_layouts(
             "from each other by any layout; give them in its file"
         )
     generator = SpatialVehicle(vehicle, speed_m_per_s=settings.speed_m_per_s, parts=PARTS_OF_BOGIE)
-    shares = [0.0, wheelset_share] if wheelset_share else [0.0]
-    records = [
-        record
-        for share in shares
-        for one in layout_bounds(
-            generator, settings=settings, n_healthy=n_healthy, wheelset_share=share
-        )
-        for record in _records(one, share)
-    ]
+    records = []
+    for share in [0.0, wheelset_share] if wheelset_share else [0.0]:
+        for one in layout_bounds(generator, LAYOUTS, settings, n_healthy, share):
+            records += _records(one, share)
     title = f"Sensor layouts: {vehicle.name}"
     text = f"# {title}\n\n{_setting(settings, n_healthy)}\n\n{layouts_markdown(records)}\n"
     content = {
