@@ -21,6 +21,8 @@ from suspnet.estimation.fitted import ModelFileError as ModelFileError
 from suspnet.estimation.healthy_trips import read_healthy as read_healthy
 from suspnet.estimation.information import cramer_rao as cramer_rao
 from suspnet.estimation.information import fisher_information as fisher_information
+from suspnet.estimation.layouts import LayoutBounds as LayoutBounds
+from suspnet.estimation.layouts import layout_bounds as layout_bounds
 from suspnet.estimation.problem import Problem as Problem
 from suspnet.estimation.protocols import Protocol as Protocol
 from suspnet.estimation.protocols import Task as Task

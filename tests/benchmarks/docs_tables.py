@@ -25,6 +25,7 @@ from suspnet.cli.config_files import read_comments
 from suspnet.dynamics import PARAMETERS
 from suspnet.dynamics.quantities import PARTS, QUANTITIES
 from suspnet.ground.storage import write_atomically
+from suspnet.runs.layouts import layouts_markdown
 from suspnet.runs.tables import MODEL_TITLES, table6_caption, table6_markdown
 
 ROOT = Path(__file__).parents[2]
@@ -328,6 +329,7 @@ TABLES: dict[str, tuple[str | None, Callable[[Sequence[Row]], str]]] = {
     "life": ("remaining_life.csv", life),
     "page": ("page.csv", page),
     "parts": ("parts.csv", parts),
+    "layouts": ("layouts.csv", layouts_markdown),
     "configuration": (None, lambda rows: configuration.page()),
 }
 """Results, None where the package itself says it, and what makes a table of them, by name."""

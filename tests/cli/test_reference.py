@@ -32,6 +32,7 @@ CHOSEN = [
     ("train", "search=widened"),
     ("evaluate", "protocol=joint"),
     ("evaluate", "study=identifiability"),
+    ("evaluate", "study=layouts"),
     ("evaluate", "study=reliability"),
     ("simulate", "scenario=random"),
     *(("replay", f"sink={file.stem}") for file in sorted((Path(CONFIGS) / "sink").glob("*"))),
