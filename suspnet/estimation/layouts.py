@@ -1,17 +1,9 @@
 """How well layouts of sensors show each spring and damper of a bogie, before sensors are bought.
 
-With H the responses of the sensors (`SpatialVehicle`), D the spectral matrix of the inputs and N
-the sensors' noise, S = H D H^* + N is the spectral matrix of a trip. The Fisher information of n
-averages about numbers theta is that of Slepian and Bangs::
-
-    I_jk = sum over the bins of n tr(W_j W_k),    W_j = L^-1 (dS / d theta_j) L^-*,    S = L L^*
-
-D is unknown in every bin: W_j is projected off the W of D's own numbers. For D of any coherence
-this is J^T J of the residuals of `suspnet.spectra.subspace` at the exact S, so that subspace
-fitting can reach it.
-
-A trip of a known vehicle has its twelve parts and its mass unknown; that of a vehicle that was
-learnt has all its numbers z unknown too, with the information of its prior and its healthy trips.
+The Fisher information of a trip is that of the spectral matrix of its sensors
+(`suspnet.spectra.matrix_information`), the inputs' spectra unknown in every bin. On a trip of a
+known vehicle its twelve parts and its mass are unknown; on one of a vehicle that was learnt, all
+its numbers z are too, with the information of their prior and of the healthy trips.
 """
 
 from __future__ import annotations
@@ -32,6 +24,7 @@ from suspnet.ground.parameters import COMPONENTS
 from suspnet.ground.settings import check_number
 from suspnet.ground.types import FloatArray
 from suspnet.spectra.estimates import EstimateSettings
+from suspnet.spectra.matrix_information import spectral_information
 
 _BOXES = tuple(f"axle_box_axle{axle}_{side}" for axle in (1, 2) for side in ("left", "right"))
 _FRAME, _BODY = ("frame_axle1_left", "frame_axle1_right"), ("body_left", "body_right")
@@ -113,9 +106,8 @@ def layout_bounds(
     --------
     >>> from suspnet import SpatialVehicle, layout_bounds, read_vehicles
     >>> vehicle = SpatialVehicle(read_vehicles()["am96"], parts=("frame_sway", "frame_yaw"))
-    >>> boxes = [f"axle_box_axle{axle}_{side}" for axle in "12" for side in ("left", "right")]
-    >>> (found,) = layout_bounds(vehicle, {"boxes and body": [*boxes, "body_left"]})
-    >>> found.known.shape, bool(found.learnt[0] > found.known[0])
+    >>> (found,) = layout_bounds(vehicle, {"pairs": vehicle.sensors})
+    >>> found.known.shape, bool((found.learnt > found.known).all())
     ((13,), True)
     """
     settings = settings or EstimateSettings()
@@ -127,52 +119,6 @@ def layout_bounds(
         known, learnt = trip.bounds(n_healthy)
         found.append(LayoutBounds(name, tuple(places), known, learnt, trip.are_independent))
     return found
-
-
-def spectral_information(
-    responses: Tensor,
-    changes: Tensor,
-    density: Tensor,
-    noise: Tensor,
-    n_coherent: int,
-    alone: Sequence[Sequence[int]] = (),
-) -> FloatArray:
-    """Return the Fisher information of one average, (n_directions, n_directions).
-
-    Parameters
-    ----------
-    responses, changes : Tensor of shape (p, m, n_freq), (n_directions, p, m, n_freq)
-        H and its derivatives, complex.
-    density : Tensor of shape (n_freq,), [(m/s^2)^2/Hz]
-        True density of each input, which are independent of each other.
-    noise : Tensor of shape (m,), [(m/s^2)^2/Hz]
-    n_coherent : int
-        Number of first inputs whose spectral matrix may be anything.
-    alone : sequence of sequences of int
-        Further inputs; those of each sequence are independent, and of one unknown density.
-    """
-    a = responses.permute(2, 1, 0)
-    s = density[:, None, None] * (a @ a.mH) + torch.diag(noise).to(a.dtype)
-    root = torch.linalg.cholesky(s)
-    a = torch.linalg.solve_triangular(root, a, upper=False)
-    n_freq, m, p = a.shape
-    moved = changes.permute(3, 2, 0, 1).reshape(n_freq, m, -1)
-    moved = torch.linalg.solve_triangular(root, moved, upper=False)
-    moved = moved.reshape(n_freq, m, -1, p).transpose(1, 2)  # (n_freq, n_directions, m, p)
-    half = density[:, None, None, None] * (moved @ a.mH[:, None])
-    own = [a[:, :, list(one)] @ a[:, :, list(one)].mH for one in alone]
-    w = torch.cat([half + half.mH, *(one[:, None] for one in own)], dim=1)
-    if n_coherent:
-        basis = torch.linalg.qr(a[:, :, :n_coherent])[0]
-        projector = (basis @ basis.mH)[:, None]
-        w = w - projector @ w @ projector
-    rows = torch.view_as_real(w).flatten(2)
-    n = len(changes)
-    rows, nuisances = rows[:, :n], rows[:, n:]
-    inverse = torch.linalg.pinv(nuisances @ nuisances.mT, hermitian=True)
-    shared = rows @ nuisances.mT
-    found = rows @ rows.mT - shared @ inverse @ shared.mT
-    return np.asarray(found.sum(dim=0).numpy())
 
 
 @dataclass(frozen=True)

@@ -17,9 +17,10 @@ from suspnet.dynamics import SpatialVehicle
 from suspnet.dynamics.quantities import MASS_DEVIATION, MASS_MEAN
 from suspnet.estimation import layouts
 from suspnet.estimation.bogie_fit import WEAR, BogieTrip, _Fit, commission_bogie
-from suspnet.estimation.layouts import LAYOUTS, _Trip, layout_bounds, spectral_information
+from suspnet.estimation.layouts import LAYOUTS, _Trip, layout_bounds
 from suspnet.ground.parameters import COMPONENTS
 from suspnet.spectra.estimates import EstimateSettings
+from suspnet.spectra.matrix_information import spectral_information
 from suspnet.spectra.subspace import SpectralMatrix, SubspaceMisfit
 
 PARTS = ("bushings", "sensors", "frame_sway", "frame_yaw", "body_yaw")
