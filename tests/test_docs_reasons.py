@@ -45,6 +45,7 @@ RAISING = (
     "suspnet/trips/commissionings.py",
     "suspnet/trips/fleet.py",
     "suspnet/trips/check_page.py",
+    "suspnet/runs/commissioning.py",
 )
 """Modules of which only what is raised or listed here is one."""
 OF_FILES = ("suspnet/trips/file_contents.py",)
@@ -90,6 +91,8 @@ NO_REASON = (
     "exit code ",  # how a reader crashed, in other words
     ", or there was too little memory",
     "a formula in the file is not",  # the channel has been refused by then
+    "no part is named: ",  # another reason follows
+    "vehicle  cannot be commissioned as a ",  # a mistake in the command
     "its reader has ended",  # not printed: a file is opened again
     "%s holds manifests of its own",
 )

@@ -181,6 +181,7 @@ def _keys(root: yaml.Node | None) -> Iterator[tuple[Keys, yaml.Node, yaml.Mark]]
 
 SWITCHES = frozenset(
     {
+        "by_part",
         "check_channels",
         "distributed",
         "estimate_mass",

@@ -187,33 +187,42 @@ def read_limits(
     for name in given:
         if name not in ESTIMATED:
             raise ValueError(f"`limits` must be named as in {ESTIMATED}, got {name!r}")
-    of_parts = {one: given[kind_of(one)] for one in BOGIE_PARTS if kind_of(one) in given}
-    for name, entry in (of_parts | dict(given)).items():
-        if entry is None:
-            limits.pop(name, None)
+    for name in sorted(given, key=ESTIMATED.index):  # parameters come before their parts
+        _set_limits(name, given[name], limits, why)
+        if _is_empty(given[name]):
             continue
-        if name == BODY_MASS and not _is_empty(entry):
-            raise ValueError(
-                f"`limits.{name}` must be left out: the car-body mass varies with the payload and "
-                "does not wear"
-            )
-        if isinstance(entry, Limits):
-            limits[name] = entry
-            continue
-        before = limits.get(name)
-        if not isinstance(entry, Mapping) or not set(entry) <= {"notice", "act", "why"}:
-            raise ValueError(f"`limits.{name}` must have `notice` and `act`, or be null: {entry}")
-        known = {key: value for key, value in entry.items() if value is not None}
-        if not known:
-            continue
-        if before is None and not {"notice", "act"} <= set(known):
-            raise ValueError(f"`limits.{name}` must have `notice` and `act`, or be null: {entry}")
-        try:
-            base = {} if before is None else {"notice": before.notice, "act": before.act}
-            limits[name] = Limits(**base | {"why": why} | known)
-        except (TypeError, ValueError) as error:
-            raise type(error)(f"`limits.{name}`: {error}") from None
+        for part in (one for one in BOGIE_PARTS if kind_of(one) == name):
+            limits.pop(part, None)
+            limits |= {part: limits[name]} if name in limits else {}
     return limits
+
+
+def _set_limits(name: str, entry: Any, limits: dict[str, Limits], why: str) -> None:
+    """Set the limits of one parameter or part from its entry; None removes them."""
+    if entry is None:
+        limits.pop(name, None)
+        return
+    if name == BODY_MASS and not _is_empty(entry):
+        raise ValueError(
+            f"`limits.{name}` must be left out: the car-body mass varies with the payload and "
+            "does not wear"
+        )
+    if isinstance(entry, Limits):
+        limits[name] = entry
+        return
+    before = limits.get(name)
+    if not isinstance(entry, Mapping) or not set(entry) <= {"notice", "act", "why"}:
+        raise ValueError(f"`limits.{name}` must have `notice` and `act`, or be null: {entry}")
+    known = {key: value for key, value in entry.items() if value is not None}
+    if not known:
+        return
+    if before is None and not {"notice", "act"} <= set(known):
+        raise ValueError(f"`limits.{name}` must have `notice` and `act`, or be null: {entry}")
+    try:
+        base = {} if before is None else {"notice": before.notice, "act": before.act}
+        limits[name] = Limits(**base | {"why": why} | known)
+    except (TypeError, ValueError) as error:
+        raise type(error)(f"`limits.{name}`: {error}") from None
 
 
 def _is_empty(entry: Any) -> bool:

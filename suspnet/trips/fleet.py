@@ -14,7 +14,7 @@ from typing import Any, Literal
 from suspnet.estimation.from_spectra import trip_settings
 from suspnet.estimation.trained import TrainedModel
 from suspnet.estimation.trip_settings import TripSettings
-from suspnet.ground.parameters import PARAMETERS, TIGHTEST, Limits, read_limits
+from suspnet.ground.parameters import ESTIMATED, TIGHTEST, Limits, read_limits
 from suspnet.ground.progress import bar as progress_bar
 from suspnet.ground.progress import stage
 from suspnet.ground.records import ERROR, Commissioning, TripResult, by_mileage, outputs_of
@@ -102,7 +102,7 @@ class FleetSettings:
 
     def __post_init__(self) -> None:
         check_settings(self)
-        any_limits = dict.fromkeys(PARAMETERS, TIGHTEST)
+        any_limits = dict.fromkeys(ESTIMATED, TIGHTEST)
         read_limits(
             self.limits or {}, any_limits
         )  # checks these limits, whatever the vehicle's are
