@@ -90,7 +90,8 @@ class Train:
         for one in fields(cls):
             value = getattr(cls(), one.name)
             wide = 0.3 if "bushing" in one.name else 0.1
-            z = np.clip(rng.standard_normal(np.size(value) if isinstance(value, tuple) else 1), -1.5, 1.5)
+            n = np.size(value) if isinstance(value, tuple) else 1
+            z = np.clip(rng.standard_normal(n), -1.5, 1.5)
             if one.name in ("half_wheelbase_m", "half_pivot_m"):
                 wide = geometry
             if one.name in ("sensitivity", "delay_s"):
