@@ -81,7 +81,7 @@ class Train:
     delay_s: np.ndarray = field(default_factory=lambda: np.zeros(6))
 
     @classmethod
-    def scattered(cls, seed, geometry=0.1, unequal=0.05, sensors=False, torsion=False):
+    def scattered(cls, seed, geometry=0.1, unequal=0.05, sensors=False, torsion=False, scatter=0.1):
         """Return a train with numbers of its own; `geometry` scatters wheelbase and pivots."""
         rng = np.random.default_rng([seed, 1])
         parts = np.random.default_rng([seed, 2])
@@ -89,11 +89,11 @@ class Train:
         drawn = {}
         for one in fields(cls):
             value = getattr(cls(), one.name)
-            wide = 0.3 if "bushing" in one.name else 0.1
+            wide = 3 * scatter if "bushing" in one.name else scatter
             n = np.size(value) if isinstance(value, tuple) else 1
             z = np.clip(rng.standard_normal(n), -1.5, 1.5)
             if one.name in ("half_wheelbase_m", "half_pivot_m"):
-                wide = geometry
+                wide = min(geometry, scatter)
             if one.name in ("sensitivity", "delay_s"):
                 continue
             new = np.exp(wide * z) * np.asarray(value)
@@ -182,7 +182,8 @@ class Motion:
 
     def frame(self, bogie, x, y, z):
         at = np.zeros((3, self.n_coordinates))
-        warp = x * y / (self.train.half_wheelbase_m * self.train.primary_y_m)
+        corner = self.train.half_wheelbase_m * self.train.primary_y_m
+        warp = x * y / corner if self.train.torsion_hz else 0.0
         at[:, 6 + 6 * bogie : 12 + 6 * bogie] = [
             [0, 0, 0, z, -y, 0],
             [1, 0, -z, 0, x, 0],
@@ -222,8 +223,8 @@ class Motion:
             diagonal[first : first + 2] = t.frame_kg
             diagonal[first + 2 : first + 5] = t.frame_kg * np.square(t.frame_gyration_m)
             diagonal[first + 5] = warp = t.torsion_share * t.frame_kg
-            # without torsion, its coordinate is held
-            omega = 2 * np.pi * (t.torsion_hz or 1e5)
+            # without torsion, its coordinate moves nothing
+            omega = 2 * np.pi * (t.torsion_hz or 35.0)
             self.stiffness[first + 5, first + 5] = warp * omega**2
             self.damping[first + 5, first + 5] = 2 * t.torsion_damping * omega * warp
         for axle in range(4):

@@ -45,6 +45,7 @@ class Case:
     geometry: float = 0.1  # scatter of wheelbase and pivots, which the estimator has as nominal
     drawings: bool = False  # the estimator knows wheelbase and pivots
     unequal: float = 0.05
+    scatter: float = 0.1  # of all other numbers
     sensors: bool = False
     torsion: bool = False
     numbers: dict = field(default_factory=dict)  # numbers of the train that are given
@@ -73,7 +74,11 @@ CASES = {
     "plain, parts equal": replace(PLAIN, unequal=0.0),
     "plain, rigid contact": replace(PLAIN, numbers={"contact_k": 1e12}),
     "plain, no anti-roll bar": replace(PLAIN, numbers={"antiroll": 0.0}),
-    "plain, no yaw dampers": replace(PLAIN, numbers={"yaw_damper_c": 1.0}),
+    "plain, yaw dampers of a half": replace(PLAIN, numbers={"yaw_damper_c": 1e5}),
+    "plain, all numbers nominal": replace(PLAIN, scatter=0.0),
+    "plain, all numbers nominal, parts equal": replace(PLAIN, scatter=0.0, unequal=0.0),
+    "plain, springs at 1 m": replace(PLAIN, numbers={"primary_y_m": 1.0, "secondary_y_m": 1.0}),
+    "plain, no arms of springs": replace(PLAIN, numbers={"primary_z_m": 0.0}),
     "plain, no bushings": replace(
         PLAIN, numbers={n: 1e9 for n in ("primary_bushing", "secondary_bushing")}
     ),
@@ -98,10 +103,10 @@ CASES = {
 }
 
 
-def drawn_trips(levels, n_each, n_healthy, rng):
+def drawn_trips(parts, levels, n_each, n_healthy, rng):
     """Return (kind, level, ratios) of each trip; the level is that of the one worn part, in %."""
     trips = [("commission", 100, np.ones(13)) for _ in range(n_healthy)]
-    for part, level in itertools.product(range(12), levels):
+    for part, level in itertools.product([COMPONENTS.index(p) for p in parts], levels):
         ratios = np.ones(13)
         ratios[part] = level / 100
         trips.append(("one part", level, ratios))
@@ -144,10 +149,12 @@ def read_train(name, seed, options, folder):
     """Return a row of every part on every trip of one train."""
     case = CASES[name]
     rng = np.random.default_rng([seed, 10])
-    train = Train.scattered(seed, case.geometry, case.unequal, case.sensors, case.torsion)
+    train = Train.scattered(
+        seed, case.geometry, case.unequal, case.sensors, case.torsion, case.scatter
+    )
     train = replace(train, **case.numbers)
     family = family_of(case, train)
-    trips = drawn_trips(options.levels, options.trips, options.healthy, rng)
+    trips = drawn_trips(options.parts, options.levels, options.trips, options.healthy, rng)
     runs, loads = runs_of(case, len(trips), options.minutes, rng)
     healthy, commissioned, rows, begun = [], None, [], time.perf_counter()
     for i, ((kind, level, ratios), run, load) in enumerate(zip(trips, runs, loads, strict=True)):
@@ -327,6 +334,7 @@ def main():
     parser.add_argument("--seeds", nargs="+", type=int, default=[0, 1], help="a train each")
     parser.add_argument("--trips", type=int, default=8, help="of healthy, two parts, and all each")
     parser.add_argument("--levels", nargs="*", type=int, default=list(LEVELS), help="of one part")
+    parser.add_argument("--parts", nargs="*", default=COMPONENTS[:-1], help="that wear alone")
     parser.add_argument("--healthy", type=int, default=5, help="trips to commission on")
     parser.add_argument("--minutes", type=float, default=20.0, help="of a trip")
     parser.add_argument("--output", type=Path, default=RESULTS, help="folder of the tables")
