@@ -79,6 +79,7 @@ class Train:
     cone_lift: float = 0.0  # 1: a wheelset that moves sideways also rolls on its cones
     sensitivity: np.ndarray = field(default_factory=lambda: np.ones(6))
     delay_s: np.ndarray = field(default_factory=lambda: np.zeros(6))
+    yaw_damper_z_m: float = 0.0  # above the secondary springs
 
     @classmethod
     def scattered(cls, seed, geometry=0.1, unequal=0.05, sensors=False, torsion=False, scatter=0.1):
@@ -248,8 +249,9 @@ class Motion:
         t = self.train
         x = t.half_pivot_m * (1 - 2 * bogie)
 
-        def elongation(y):
-            return self.body(x, y, t.body_z_m) - self.frame(bogie, 0.0, y, t.secondary_z_m)
+        def elongation(y, z=0.0):
+            body = self.body(x, y, t.body_z_m + z)
+            return body - self.frame(bogie, 0.0, y, t.secondary_z_m + z)
 
         for side, left in enumerate(SIDES):
             e = elongation(left * t.secondary_y_m)
@@ -257,7 +259,7 @@ class Motion:
                 self.spring(row, t.secondary_k[bogie, side] if k is None else k)
             outside = elongation(left * (t.secondary_y_m + t.secondary_damper_y_m))
             self.damper(outside[2], t.secondary_c[bogie, side], t.secondary_bushing)
-            far = elongation(left * t.yaw_damper_y_m)
+            far = elongation(left * t.yaw_damper_y_m, t.yaw_damper_z_m)
             self.damper(far[0], t.yaw_damper_c, t.yaw_damper_bushing)
         middle = elongation(0.0)[1]
         self.damping += t.lateral_c * np.outer(middle, middle)

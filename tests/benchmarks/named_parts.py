@@ -75,6 +75,17 @@ CASES = {
     "plain, rigid contact": replace(PLAIN, numbers={"contact_k": 1e12}),
     "plain, no anti-roll bar": replace(PLAIN, numbers={"antiroll": 0.0}),
     "plain, yaw dampers of a half": replace(PLAIN, numbers={"yaw_damper_c": 1e5}),
+    "plain, yaw dampers without bushings": replace(PLAIN, numbers={"yaw_damper_bushing": 1e9}),
+    "plain, likewise, low": replace(
+        PLAIN, numbers={"yaw_damper_bushing": 1e9, "yaw_damper_z_m": -0.3}
+    ),
+    "plain, likewise, bending damped": replace(
+        PLAIN,
+        numbers={"yaw_damper_bushing": 1e9, "yaw_damper_z_m": -0.3, "bending_damping": 0.1},
+    ),
+    "plain, guidance and rubber in the family": replace(
+        PLAIN, family=(*FAMILY, "guidance", "rubber")
+    ),
     "plain, all numbers nominal": replace(PLAIN, scatter=0.0),
     "plain, all numbers nominal, parts equal": replace(PLAIN, scatter=0.0, unequal=0.0),
     "plain, springs at 1 m": replace(PLAIN, numbers={"primary_y_m": 1.0, "secondary_y_m": 1.0}),
