@@ -9,7 +9,14 @@ import torch
 from vehicles import AM96
 
 from suspnet.dynamics import SpatialVehicle
-from suspnet.estimation.bogie_fit import BogieTrip, CommissionedBogie, _Fit, commission_bogie
+from suspnet.estimation.bogie_fit import (
+    ALIGNED,
+    EXPLAINED,
+    BogieTrip,
+    CommissionedBogie,
+    _Fit,
+    commission_bogie,
+)
 from suspnet.ground.parameters import COMPONENTS, FORWARD, REVERSE
 from suspnet.spectra.subspace import SpectralMatrix
 
@@ -89,6 +96,22 @@ def test_derivatives_are_those_of_differences(are_healthy):
         ends = [fit._residuals(x + sign * moved, misfits, fit.all_bins) for sign in (1, -1)]
         numeric = (ends[0] - ends[1]) / (2 * step)
         np.testing.assert_allclose(found[:, j], numeric, atol=1e-6 * scale, rtol=1e-4)
+
+
+@pytest.mark.parametrize("misfit", [1.0, 1.1, 1.6])
+def test_unexplained_residuals_widen_intervals(commissioned, misfit):
+    one = trip(drawn(VEHICLE, row({}), 5), 70.0)
+    explained = commissioned.estimate(one)
+    found = replace(commissioned, misfit=misfit).estimate(one)
+    n_inputs, n_sensors = len(VEHICLE.inputs), 6
+    n = 2 * len(BINS) * n_inputs * (n_sensors - n_inputs)
+    excess = ALIGNED**2 * n * max(0.0, max(misfit, found.misfit) ** 2 - EXPLAINED**2)
+    wider = math.sqrt(1 + excess / max(1.0, found.misfit) ** 2)
+    # what the healthy trips tell of the vehicle is not less certain, so that it is a bit less
+    ratios = found.deviations / explained.deviations
+    assert (ratios <= 1.001 * wider).all()
+    assert (ratios >= 0.75 * wider).all()
+    assert (wider == 1) == (max(misfit, found.misfit) <= EXPLAINED)
 
 
 def test_exact_spectra_give_the_exact_parts():

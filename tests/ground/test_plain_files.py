@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from suspnet.estimation.checkpoint import load_model
+from suspnet.estimation.checkpoint import SCHEMA_VERSION, load_model
 from suspnet.estimation.fitted import ModelFileError
 from suspnet.ground import storage
 from suspnet.ground.cache import Cache
@@ -91,7 +91,7 @@ def test_cache_file_that_is_no_plain_file_is_not_used(tmp_path, make, caplog):
 
 @pytest.mark.parametrize("make", OTHERS)
 def test_model_whose_arrays_are_no_plain_file_is_refused_at_once(tmp_path, make):
-    content = {"schema_version": 7, "model": "msvr", "arrays_sha256": "0"}
+    content = {"schema_version": SCHEMA_VERSION, "model": "msvr", "arrays_sha256": "0"}
     content["description_sha256"] = content_hash(content)
     (tmp_path / "model.json").write_text(json.dumps(content))
     make(tmp_path / "model.safetensors")
