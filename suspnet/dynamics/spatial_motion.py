@@ -168,6 +168,9 @@ def _linked(layout: Layout, p: Mapping[str, Tensor]) -> list[Joint]:
     f, t = _ends(layout)
     a, pivot = p["half_wheelbase"], p["half_pivot_distance"]
     links, aside = longitudinal_element(p), lateral_element(p).times(2)
+    dampers = Element(
+        torch.zeros_like(a), None, [(p["yaw_bushing"], p["yaw_bushing"] / p["yaw_damping"])]
+    )
     found = []
     for i, sigma in (1, 1.0), (2, -1.0):
         body, bogie = f * p["body_lever"] / pivot, t * p["bogie_lever"] / a
@@ -176,6 +179,13 @@ def _linked(layout: Layout, p: Mapping[str, Tensor]) -> list[Joint]:
             lateral = sign * p["secondary_lateral"]
             yawed: Row = {"chi": -f * lateral / pivot, f"chi_{i}": t * lateral / a}
             found.append(Joint(links, {**pitched, **yawed}))
+        for sign in (1.0, -1.0) if "yaw_dampers" in layout.parts else ():
+            lateral = sign * p["yaw_lateral"]
+            body_arm, arm = p["body_lever"] - p["yaw_height"], p["bogie_lever"] + p["yaw_height"]
+            turned: Row = {"phi": f * body_arm / pivot, f"psi_{i}": t * arm / a}
+            turned |= {"q": sigma * p["bending_slope"] * f * body_arm / pivot}
+            turned |= {"chi": -f * lateral / pivot, f"chi_{i}": t * lateral / a}
+            found.append(Joint(dampers, turned))
         swayed: Row = {"y": 1.0, "chi": sigma, "theta": p["body_lever"]}
         swayed |= {f"y_{i}": -1.0, f"theta_{i}": p["bogie_lever"]}
         found.append(Joint(aside, swayed))
@@ -205,14 +215,16 @@ def _creeping(layout: Layout, p: Mapping[str, Tensor]) -> list[Joint]:
     _, t = _ends(layout)
     both = 2 * p["creep_coefficient"]
     creep, damper = Element(both, None), Element(torch.zeros_like(both), both / p["speed"])
+    aside = Element(both * p["creep_ratio"], None)
+    dragged = Element(torch.zeros_like(both), both * p["creep_ratio"] / p["speed"])
     lever, cone = RAIL_LATERAL_M / p["half_wheelbase"], p["conicity"] / p["wheel_radius"]
     found = []
     for wheel in range(1, 5):
         y, chi = f"y_w{wheel}", f"chi_w{wheel}"
         found += [
-            Joint(damper, {y: 1.0, f"x{wheel}": p["wheel_radius"]}),
+            Joint(dragged, {y: 1.0, f"x{wheel}": p["wheel_radius"]}),
             Joint(damper, {chi: lever}),
-            Joint(creep, {chi: t / p["half_wheelbase"]}, {y: -1.0}),
+            Joint(aside, {chi: t / p["half_wheelbase"]}, {y: -1.0}),
             Joint(
                 creep,
                 {y: cone, f"x{wheel}": p["conicity"], f"v{wheel}": -cone},

@@ -31,7 +31,7 @@ import suspnet  # noqa: E402
 
 RESULTS = TESTS / "benchmarks" / "results"
 FAMILY = ("bushings", "longitudinal", "bending", "payload", "sensors")
-FAMILY += ("frame_sway", "frame_yaw", "body_yaw", "creep")
+FAMILY += ("frame_sway", "frame_yaw", "body_yaw", "creep", "guidance", "yaw_dampers")
 LEVELS = (30, 62, 80, 90, 95)
 KINDS = ("k_p", "c_p", "k_s", "c_s", "M_s", "M_s change")
 Z90 = 1.6448536269514722
