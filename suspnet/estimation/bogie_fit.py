@@ -7,9 +7,10 @@ under the posterior of the healthy trips. Both minimise the sum of squares of ::
     the residuals of `suspnet.spectra.subspace`, F^-1 (log z - mean), (log M_s - log 1.05) / 0.15
     and, of a later trip, (log part) / WEAR
 
-with F F^T the covariance of log z. Starting from the healthy vehicle, model errors of 30 % of each
-signal are allowed first, in bands that widen, then less and less: the direct search ends in another
-valley. A part's interval is that of the posterior at the minimum, times ``COMMON``: what healthy
+with F F^T the covariance of log z. The noise of each trip and what excites each wheelset alone are
+those that its spectra show with the vehicle as found so far (`suspnet.spectra.noise_subspace`).
+Starting from the healthy vehicle, model errors of 30 % of each signal are allowed first, in bands
+that widen, then less and less: the direct search ends in another valley. A part's interval is that of the posterior at the minimum, times ``COMMON``: what healthy
 trips leave open is one draw for all later ones. The information J^T J of n residuals is divided by
 that of the misfit mu, the rms residual over that of the noise::
 
@@ -206,7 +207,8 @@ def _smallest(spectra: SpectralMatrix) -> Tensor:
 class _Fit:
     """The sum of squares of some trips: coordinates of z, then each trip's own numbers.
 
-    `noises` are those of the trips as `SubspaceMisfit` takes them. Healthy trips have the logarithm of their mass as their own number, others those of all parts.
+    `noises` are those of the trips as `SubspaceMisfit` takes them. Healthy trips have the logarithm
+    of their mass as their own number, others those of all parts.
     """
 
     generator: SpatialVehicle

@@ -20,7 +20,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
 import torch
 from scipy.optimize import nnls
 from torch import Tensor
@@ -75,7 +74,9 @@ def trip_noise(
         left = root.mH @ vectors[:, :, : m - p]
         target = torch.diag_embed(power[:, : m - p] * n_averages / (n_averages - p))
         densities = _densities(white, root @ responses.permute(2, 1, 0))[: len(alone)]
-        patterns = torch.cat([units.expand(-1, len(own[0]), -1, -1), densities[..., None, None] * own])
+        patterns = torch.cat(
+            [units.expand(-1, len(own[0]), -1, -1), densities[..., None, None] * own]
+        )
         seen = left.mH @ patterns @ left
         sizes = seen.diagonal(dim1=-2, dim2=-1).real.mean(dim=(1, 2)).clamp(min=1e-300)
         columns = torch.view_as_real(seen / sizes[:, None, None, None]).flatten(1).T.numpy()

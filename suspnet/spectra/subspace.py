@@ -108,7 +108,8 @@ class SubspaceMisfit:
         errors = torch.diag_embed(self.spread**2 * self.spectra.densities)
         factor = torch.linalg.cholesky(noise + errors)
         unit = torch.eye(factor.shape[-1], dtype=factor.dtype)
-        return torch.linalg.solve_triangular(factor, unit, upper=False).to(torch.complex128)
+        root: Tensor = torch.linalg.solve_triangular(factor, unit, upper=False)
+        return root.to(torch.complex128)
 
     @cached_property
     def _signals(self) -> Tensor:
