@@ -10,8 +10,9 @@ under the posterior of the healthy trips. Both minimise the sum of squares of ::
 with F F^T the covariance of log z. The noise of each trip and what excites each wheelset alone are
 those that its spectra show with the vehicle as found so far (`suspnet.spectra.noise_subspace`).
 Starting from the healthy vehicle, model errors of 30 % of each signal are allowed first, in bands
-that widen, then less and less: the direct search ends in another valley. A part's interval is that of the posterior at the minimum, times ``COMMON``: what healthy
-trips leave open is one draw for all later ones. The information J^T J of n residuals is divided by
+that widen, then less and less: the direct search ends in another valley. A part's interval is that
+of the posterior at the minimum, times ``COMMON``: what healthy trips leave open is one draw for all
+later ones. The information J^T J of n residuals is divided by
 that of the misfit mu, the rms residual over that of the noise::
 
     max(1, mu)^2 + ALIGNED^2 n max(0, mu^2 - EXPLAINED^2)
@@ -69,13 +70,15 @@ N_OWN = len(COMPONENTS)
 class BogieTrip:
     """Spectral matrix of a trip at one speed, its sensors in the order of the vehicle's.
 
-    `frequencies_hz` (n_freq,) are bins that are independent of each other.
+    `frequencies_hz` (n_freq,) are bins that are independent of each other; `lost` are those of the
+    vehicle's sensors that the trip has not.
     """
 
     frequencies_hz: Tensor
     spectra: SpectralMatrix
     speed_m_per_s: float
     direction: Direction = FORWARD
+    lost: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -104,6 +107,7 @@ class CommissionedBogie:
         ValueError if the trip has another number of sensors.
         """
         fit = _Fit(self.generator, [self.noise], [trip], are_healthy=False)
+        fit = replace(fit, noises=[self.noise[fit.sensors_of(trip)]])
         x = fit.start()
         # without axle boxes, the search in the whole band ends in another valley
         for bins in fit.widening:
@@ -159,13 +163,15 @@ def commission_bogie(generator: SpatialVehicle, trips: Sequence[BogieTrip]) -> C
     Raises
     ------
     ValueError
-        If nothing of the vehicle is uncertain, there are fewer than three trips, or they have other
-        sensors or bins.
+        If nothing of the vehicle is uncertain, there are fewer than three trips, they have other
+        sensors or bins, or one has lost a sensor.
     """
     if generator.distribution is None or not generator.distribution.names:
         raise ValueError("nothing of the vehicle is uncertain: there is nothing to commission")
     if len(trips) < LEAST_TRIPS:
         raise ValueError(f"{len(trips)} healthy trips are given, at least {LEAST_TRIPS} are needed")
+    if lost := sorted({name for trip in trips for name in trip.lost}):
+        raise ValueError(f"healthy trips need all sensors, one has none at {', '.join(lost)}")
     # the free spectra hold the densities of cross level and alignment
     prior = generator.distribution.without(("cross_level", "alignment"))
     generator = replace(generator, distribution=prior)
@@ -207,8 +213,8 @@ def _smallest(spectra: SpectralMatrix) -> Tensor:
 class _Fit:
     """The sum of squares of some trips: coordinates of z, then each trip's own numbers.
 
-    `noises` are those of the trips as `SubspaceMisfit` takes them. Healthy trips have the logarithm
-    of their mass as their own number, others those of all parts.
+    `noises` are those of the trips' sensors as `SubspaceMisfit` takes them. Healthy trips have the
+    logarithm of their mass as their own number, others those of all parts.
     """
 
     generator: SpatialVehicle
@@ -217,17 +223,29 @@ class _Fit:
     are_healthy: bool
 
     def __post_init__(self) -> None:
-        assert self.generator.sensors is not None
-        n = len(self.generator.sensors)
         for trip in self.trips:
+            n = len(self.sensors_of(trip))
             if not torch.equal(trip.frequencies_hz, self.frequencies_hz):
                 raise ValueError("the trips must have the same bins")
             if trip.spectra.values.shape != (len(self.frequencies_hz), n, n):
                 raise ValueError(
                     f"the spectra must be {n} x {n} on {len(self.frequencies_hz)} bins for the "
-                    f"sensors {', '.join(self.generator.sensors)}, got "
+                    f"sensors {', '.join(self._sensors[i] for i in self.sensors_of(trip))}, got "
                     f"{tuple(trip.spectra.values.shape)}"
                 )
+
+    @property
+    def _sensors(self) -> tuple[str, ...]:
+        assert self.generator.sensors is not None
+        return self.generator.sensors
+
+    def sensors_of(self, trip: BogieTrip) -> list[int]:
+        """Return the numbers of the vehicle's sensors that a trip has.
+
+        Sensitivities and delays are relative to the first sensor of the vehicle, also if the trip
+        has not that one.
+        """
+        return [i for i, name in enumerate(self._sensors) if name not in trip.lost]
 
     @property
     def frequencies_hz(self) -> Tensor:
@@ -305,6 +323,7 @@ class _Fit:
             start = noise if noise.ndim == 1 else _smallest(trip.spectra)
             responses = self._responses(x, i, self.all_bins)
             alone = self._of(trip).channels_alone(self._rows(x, i), self.frequencies_hz)[0]
+            alone = alone[:, :, self.sensors_of(trip)]
             found.append(trip_noise(trip.spectra, responses, alone, start))
         return found
 
@@ -363,7 +382,8 @@ class _Fit:
 
     def _responses(self, x: FloatArray, i: int, bins: Tensor) -> Tensor:
         there = self._of(self.trips[i])
-        return there.channels(self._rows(x, i), self.frequencies_hz[bins])[0, self._inputs]
+        every = there.channels(self._rows(x, i), self.frequencies_hz[bins])[0, self._inputs]
+        return every[:, self.sensors_of(self.trips[i])]
 
     @cached_property
     def _directions(self) -> Tensor:
@@ -393,8 +413,9 @@ class _Fit:
             responses, changes = self._of(trip).channels_along(
                 self._rows(x, i), self.frequencies_hz[bins], self._directions
             )
-            inputs = self._inputs
-            slopes = misfit.derivative(responses[0, inputs], changes[0][:, inputs])[1].numpy().T
+            inputs, sensors = self._inputs, self.sensors_of(trip)
+            seen = responses[0, inputs][:, sensors], changes[0][:, inputs][:, :, sensors]
+            slopes = misfit.derivative(*seen)[1].numpy().T
             block = np.zeros((len(slopes), len(x)))
             block[:, :n] = slopes[:, :n]
             block[:, n + n_own * i : n + n_own * (i + 1)] = slopes[:, n:]

@@ -1,14 +1,17 @@
-"""From a recording with sensors on both sides to the estimate of each part of a bogie."""
+"""From a recording with sensors left and right to the estimate of each part of a bogie."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
+from typing import Literal
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from suspnet.dynamics import SpatialVehicle
+from suspnet.dynamics.spatial_numbers import PLACES
 from suspnet.estimation.bogie_fit import BogieTrip, CommissionedBogie
 from suspnet.estimation.estimate import Estimate
 from suspnet.estimation.intervals import LARGEST_MISFIT
@@ -16,6 +19,7 @@ from suspnet.estimation.steady_parts import groups_to_read
 from suspnet.estimation.trip_settings import TripSettings
 from suspnet.estimation.worn_parts import worn_parts, worn_words
 from suspnet.ground.parameters import COMPONENTS, FORWARD, Direction
+from suspnet.recordings.manifest import LEAST_SENSORS, MIDDLE, SIDES, TripManifest
 from suspnet.recordings.recording import Recording
 from suspnet.spectra.segments import NoEstimateError, segment_speeds, sensor_segments, without_loud
 from suspnet.spectra.subspace import SpectralMatrix
@@ -38,10 +42,13 @@ def bogie_trip(
 ) -> BogieTrip:
     """Return the spectral matrix of a recording's largest stretch at one speed.
 
+    If sensors of the generator's are missing or dead, it is that of the others (`lost` of the
+    result).
+
     Parameters
     ----------
     recording : Recording
-        With a sensor at each place of the generator's.
+        With sensors at places of the generator's, named by its manifest.
     generator : SpatialVehicle
     settings : TripSettings, optional
         Tolerance of the speed, lowest speed.
@@ -51,20 +58,16 @@ def bogie_trip(
     Raises
     ------
     NoEstimateError
-        If a place of the generator has no sensor, or no stretch at one speed is long enough for
-        more averages than sensors.
+        If places of the generator have no sensor and the others do not show the parts, or no
+        stretch at one speed is long enough for more averages than sensors.
     """
     settings = settings or TripSettings()
     assert generator.sensors is not None
+    lost = lost_sensors(recording, generator)
     names, segments = sensor_segments(recording, Welch(SEGMENT_S))
-    places = [_place(name, generator.frame_sensor == "axle") for name in names]
-    missing = [place for place in generator.sensors if place not in places]
-    if missing:
-        raise NoEstimateError(
-            f"no sensor at {', '.join(missing)}; parts are read from the sensors of "
-            f"{', '.join(generator.sensors)}"
-        )
-    order = [places.index(place) for place in generator.sensors]
+    there = _places(recording.manifest, generator.frame_sensor)
+    places = [there.get(name) for name in names]
+    order = [places.index(place) for place in generator.sensors if place not in lost]
     speeds = segment_speeds(recording, segments)
     groups = groups_to_read(speeds, settings.speed_tolerance, settings.min_speed_m_per_s)
     chosen = without_loud(segments, groups[0]) if groups else torch.zeros(0, dtype=torch.bool)
@@ -84,7 +87,44 @@ def bogie_trip(
         matrix,
         float(speeds[chosen].mean()),
         direction or recording.manifest.direction or FORWARD,
+        lost,
     )
+
+
+def lost_sensors(recording: Recording, generator: SpatialVehicle) -> tuple[str, ...]:
+    """Return the places of the generator's at which a recording has no living sensor.
+
+    NoEstimateError if the sensors at its other places do not show the parts.
+    """
+    assert generator.sensors is not None
+    places = _places(recording.manifest, generator.frame_sensor)
+    living = {places.get(name) for name in recording.sensors()}
+    kept = [place for place in generator.sensors if place in living]
+    lost = tuple(place for place in generator.sensors if place not in living)
+    if lost and not show_parts(kept):
+        raise NoEstimateError(
+            f"no sensor at {', '.join(lost)}; parts are read from the sensors of "
+            f"{', '.join(generator.sensors)}, at least {LEAST_SENSORS} of them on both sides"
+        )
+    return lost
+
+
+def sensor_places(
+    manifest: TripManifest, frame_sensor: Literal["axle", "centre"]
+) -> tuple[str, ...]:
+    """Return the places of a trip's sensors, in the order of ``PLACES``.
+
+    Sensors in between, such as the mean of two axle boxes, are left out. `frame_sensor` is where
+    sensors on the frame at axle 1 really are.
+    """
+    found = set(_places(manifest, frame_sensor).values())
+    return tuple(place for place in PLACES if place in found)
+
+
+def show_parts(places: Sequence[str]) -> bool:
+    """Return whether sensors at these places show each part: more than inputs, on both sides."""
+    sides = {place.rpartition("_")[2] for place in places}
+    return len(places) >= LEAST_SENSORS and sides.issuperset(SIDES)
 
 
 def estimate_parts(
@@ -117,12 +157,15 @@ def estimate_parts(
     return replace(estimate, flags=estimate.flags.with_kind("misfit", text))
 
 
-def _place(name: str, is_above_axle: bool) -> str:
-    """Return the place of a sensor of a pair, from its name such as "axle_box left"."""
-    channel, _, side = name.partition(" ")
-    frame = "frame_axle1" if is_above_axle else "frame_centre"
-    known = {"axle_box": "axle_box_axle1", "bogie": frame, "body": "body"}
-    return f"{known[channel]}_{side or 'middle'}"
+def _places(manifest: TripManifest, frame_sensor: Literal["axle", "centre"]) -> dict[str, str]:
+    """Return the place of each sensor by its name, such as "axle_box axle2 left"."""
+    found = {}
+    for name, one in manifest.sensors().items():
+        axle = "axle2" if one.is_elsewhere else "axle1"
+        frame = "centre" if frame_sensor == "centre" and not one.is_elsewhere else axle
+        known = {"axle_box": f"axle_box_{axle}", "bogie": f"frame_{frame}", "body": "body"}
+        found[name] = f"{known[name.split()[0]]}_{manifest.side_of(one) or MIDDLE}"
+    return found
 
 
 def _bins(frequencies_hz: Tensor) -> Tensor:

@@ -56,6 +56,12 @@ def direction_of(
     """
     if recording.manifest.direction or generator.speed_m_per_s is None or not len(segments.values):
         return recording.manifest.direction or FORWARD
+    if recording.absent:
+        raise TripError(
+            f"{recording.manifest.path}: without a sensor on {' and '.join(recording.absent)} the "
+            "phases do not show the direction of travel: give `direction: forward` or `direction: "
+            "reverse`"
+        )
     speeds = segment_speeds(recording, segments)
     groups = groups_to_read(speeds, settings.speed_tolerance, settings.min_speed_m_per_s)
     if not groups:

@@ -108,6 +108,8 @@ def all_bins(
     """
     if not any(len(segments.values) for _, segments in pairs):
         raise NoEstimateError(no_segment(recording, pairs[0][1].welch))
+    if recording.absent:
+        raise NoEstimateError(no_channel(recording))
     pairs = of_direction(pairs, recording, settings)
     bins, reasons = [], []
     methods = [method for method, _ in pairs]
@@ -271,6 +273,15 @@ def _check_places(recording: Recording, generator: ResponseGenerator) -> None:
 def no_segment(recording: Recording, welch: Welch) -> str:
     """Return the message that no segment of a recording is free of faults."""
     return f"no segment of {welch.segment_s:g} s is free of faults: {unrepaired_words(recording)}"
+
+
+def no_channel(recording: Recording) -> str:
+    """Return why a recording without a sensor of some channel shows no mean of both sides."""
+    return (
+        f"no sensor at axle 1 gives {' and '.join(recording.absent)}; the springs and dampers of "
+        "both sides as equal are read from axle_box, bogie and body: give a sensor of each without "
+        "`axle`, or read the parts alone"
+    )
 
 
 def unrepaired_words(recording: Recording) -> str:

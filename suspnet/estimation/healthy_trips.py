@@ -18,7 +18,7 @@ from suspnet.dynamics import PARAMETERS, VerticalVehicle
 from suspnet.dynamics.quantities import MASS_DEVIATION, MASS_MEAN, UNMEASURED, LogNormal
 from suspnet.estimation.damping_laws import DampingNumbers, Laws
 from suspnet.estimation.direction import direction_of
-from suspnet.estimation.from_recording import unrepaired_words
+from suspnet.estimation.from_recording import no_channel, unrepaired_words
 from suspnet.estimation.relative_velocity import CHANGING, relative_velocities
 from suspnet.estimation.steady_parts import groups_to_read, steady
 from suspnet.estimation.trip_settings import LEAST_TRIPS, TripSettings
@@ -132,6 +132,8 @@ def read_healthy(
             faults = [str(fault) for fault in recording.faults if fault.channel in recording.dead]
             left_out.append(": ".join([manifest.name, *faults]))
             continue
+        if recording.absent:
+            raise TripError(f"{manifest.path}: {no_channel(recording)}")
         found = _spectra(recording, len(kept), generator, settings, trips)
         if not found:
             words = f"{manifest.name}: no stretch at one speed is long enough and free of faults"

@@ -19,7 +19,7 @@ from scipy.signal import get_window
 from suspnet.ground.types import BoolArray, ComplexArray, FloatArray, IntArray
 from suspnet.recordings.cleaning import Fault
 from suspnet.recordings.errors import TripError
-from suspnet.recordings.manifest import CHANNELS, TripManifest
+from suspnet.recordings.manifest import CHANNELS, TripManifest, channel_of
 from suspnet.recordings.speed import STANDING_M_PER_S
 
 WINDOW_S = 20.0
@@ -98,11 +98,15 @@ def clock_faults(
 
 
 def _compared(names: Iterable[str]) -> list[tuple[str, str]]:
-    """Return the pairs of sensors to compare: neighbouring places, and both sides of each place."""
-    sides = {place: [name for name in names if name.split()[0] == place] for place in CHANNELS}
-    firsts = [sides[name][0] for name in CHANNELS]
-    pairs = [(sides[name][0], sides[name][1]) for name in CHANNELS if len(sides[name]) == 2]
-    return [*pairwise(firsts), *pairs]
+    """Return the pairs of sensors to compare.
+
+    They are neighbouring channels, both sides of each, and those of the other axle with the first.
+    """
+    every = [[name for name in names if channel_of(name) == channel] for channel in CHANNELS]
+    sides = [own for own in every if own]
+    elsewhere = [(sides[0][0], name) for name in names if sides and not channel_of(name)]
+    pairs = [(own[0], own[1]) for own in sides if len(own) == 2]
+    return [*pairwise(own[0] for own in sides), *pairs, *elsewhere]
 
 
 def _words(manifest: TripManifest, first: str, second: str, drift: Drift) -> tuple[str, float]:

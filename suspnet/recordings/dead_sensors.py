@@ -1,15 +1,18 @@
-"""Dead sensors of pairs: they are left out, and their place is read by the other sensor alone."""
+"""Dead sensors: they are left out.
+
+The place of one of a pair is read by the other one alone. A single one is left out if enough others
+remain to read each part.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from functools import partial
 
 import numpy as np
 
 from suspnet.recordings.cleaning import Fault
-from suspnet.recordings.errors import DeadSensorError, TripError, all_of
-from suspnet.recordings.manifest import TripManifest, partner_of
+from suspnet.recordings.errors import DeadSensorError, TripError
+from suspnet.recordings.manifest import LEAST_SENSORS, TripManifest, partner_of
 from suspnet.recordings.sensor import SensorSignal
 
 DEAD = "dead"
@@ -30,42 +33,49 @@ def living(
     read: Mapping[str, Callable[[], SensorSignal]],
     problems: Iterable[str] = (),
 ) -> tuple[list[SensorSignal], dict[str, str]]:
-    """Return the signals of sensors, and why others of pairs have none, by name.
+    """Return the signals of sensors, and why others have none, by name.
 
     `read` returns the signal of each sensor. Raises one TripError with `problems` and those of all
-    sensors if any has another problem, is single, or is dead as its partner is.
+    sensors if any has another problem, or if less than ``LEAST_SENSORS`` are alive and one is dead
+    that is single or whose partner is dead, too.
     """
-    dead: dict[str, DeadSensorError] = {}
-
-    def signal(name: str) -> SensorSignal | None:
+    found: list[SensorSignal] = []
+    refused: dict[str, TripError] = {}
+    for name, signal in read.items():
         try:
-            return read[name]()
-        except DeadSensorError as error:
-            partner = partner_of(name)
-            if not partner:
-                raise
-            if partner in dead:
-                raise TripError(*dead[partner].problems, *error.problems) from None
-            dead[name] = error
-            return None
-
-    found = all_of((partial(signal, name) for name in read), problems)
-    words = {name: str(one).removeprefix(f"{manifest.where(name)} ") for name, one in dead.items()}
-    return [one for one in found if one is not None], words
+            found.append(signal())
+        except TripError as error:
+            refused[name] = error
+    dead = {name: one for name, one in refused.items() if isinstance(one, DeadSensorError)}
+    enough = len(read) - len(dead) >= LEAST_SENSORS
+    spared = [name for name in dead if enough or partner_of(name) not in ("", *dead)]
+    faults = [
+        words for name, one in refused.items() if name not in spared for words in one.problems
+    ]
+    if every := dict.fromkeys([*problems, *faults]):
+        raise TripError(*every)
+    where = manifest.where
+    return found, {name: str(one).removeprefix(f"{where(name)} ") for name, one in dead.items()}
 
 
 def nearly_dead(
     streams: Sequence[SensorSignal], rate_hz: float, loose: Sequence[Fault] = ()
 ) -> dict[str, str]:
-    """Return why sensors of pairs are to be left out, by name: too little of them is usable."""
+    """Return why sensors are to be left out, by name: too little of them is usable.
+
+    One without a partner is left out only if nothing of it is usable, and enough others are there.
+    """
     usable_s = {one.name: np.count_nonzero(~one.touched) / rate_hz for one in streams}
     faults = {one.name: [*one.faults] for one in streams}
     for fault in loose:
         usable_s[fault.channel] -= fault.seconds
         faults[fault.channel].append(fault)
-    found = {}
+    found: dict[str, str] = {}
     for name, own_s in usable_s.items():
         other_s = usable_s.get(partner_of(name), 0.0)
+        can_spare = len(usable_s) - len(found) > LEAST_SENSORS
+        if partner_of(name) not in usable_s and can_spare and own_s < LEAST_S:
+            other_s = max(usable_s.values())
         if own_s < min(max(FEW_S, FEW_SHARE * other_s), LARGEST_SHARE * other_s):
             listed = "; ".join(str(one) for one in faults[name] if not one.repaired)
             if own_s < LEAST_S:
@@ -80,8 +90,10 @@ def dead_faults(dead: Mapping[str, str], seconds: float, rate_hz: float) -> tupl
     """Return the faults of sensors that are left out, for these reasons, from so long a trip."""
     found = []
     for name, reason in dead.items():
-        place, side = partner_of(name).split()
-        words = f"and left out, {place} is read by its {side} sensor alone: it {reason}"
+        place, _, side = partner_of(name).rpartition(" ")
+        is_alone = place and partner_of(name) not in dead
+        instead = f", {place} is read by its {side} sensor alone" if is_alone else ""
+        words = f"and left out{instead}: it {reason}"
         n = round(seconds * rate_hz)
         found.append(Fault(name, DEAD, n, seconds, 0.0, True, None, words))
     return tuple(found)

@@ -6,7 +6,7 @@ The fields of the dataclasses are the keys of the YAML file, documented by their
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import datetime
 from functools import partial
@@ -44,6 +44,11 @@ SIDES = ("left", "right")
 """Sides of a vehicle, as it runs forward."""
 MIDDLE = "middle"
 """Side of a single sensor midway between left and right, or of the mean of both."""
+OTHER_AXLE = "axle2"
+"""Word in the names of sensors at the other axle of the bogie; only estimates of parts use them."""
+LEAST_SENSORS = 4
+"""Least number of sensors that show the parts: one more than elevation, cross level and alignment
+of the track, whose spectra are unknown."""
 TEMPERATURES_C = (-60.0, 60.0)
 """Lowest and highest plausible outside temperature, [°C]."""
 _CONSTANT_SPEED = re.compile(r"([1-9]\d{0,2}(?:\.\d+)?) *(m/s|km/h)")
@@ -133,7 +138,10 @@ class Channel(Source):
     sign: int = field(
         default=1,
         metadata=key(
-            check.sign, "1 or -1", "-1 for a sensor that is mounted upside down", default="1"
+            check.either(1, -1),
+            "1 or -1",
+            "-1 for a sensor that is mounted upside down",
+            default="1",
         ),
     )
     range: float | None = optional(
@@ -150,8 +158,22 @@ class Channel(Source):
         "side of a sensor",
         default="the first is left; the suspension's",
     )
+    axle: int | None = optional(
+        check.either(1, 2),
+        "1 or 2",
+        "axle of a sensor on `axle_box` or `bogie`; [each part](parts.md) is read with those of "
+        "the bogie's other axle, 2, too",
+        default="1",
+    )
+
+    @property
+    def is_elsewhere(self) -> bool:
+        """Whether the sensor is at the other axle of the bogie."""
+        return self.axle == 2
 
 
+Several = tuple[Channel, ...]
+"""Accelerometers of one channel, those of axle 1 first, the left one of a pair first."""
 Pair = tuple[Channel, Channel]
 """Two accelerometers at one place, the left one first."""
 
@@ -159,11 +181,21 @@ Pair = tuple[Channel, Channel]
 def partner_of(name: str) -> str:
     """Return the name of the other sensor of a pair; empty for a single sensor.
 
-    >>> partner_of("bogie left"), partner_of("body")
-    ('bogie right', '')
+    >>> partner_of("bogie left"), partner_of("axle_box axle2 right"), partner_of("bogie axle2")
+    ('bogie right', 'axle_box axle2 left', '')
     """
-    place, _, side = name.partition(" ")
-    return f"{place} {SIDES[side == SIDES[0]]}" if side else ""
+    place, _, side = name.rpartition(" ")
+    return f"{place} {SIDES[side == SIDES[0]]}" if side in SIDES else ""
+
+
+def channel_of(name: str) -> str:
+    """Return the channel to which a sensor belongs; empty for one at the bogie's other axle.
+
+    >>> channel_of("bogie left"), channel_of("bogie axle2")
+    ('bogie', '')
+    """
+    channel, *where = name.split()
+    return "" if OTHER_AXLE in where else channel
 
 
 def _speed(value: Value) -> float | SpeedSource:
@@ -179,23 +211,40 @@ def _speed(value: Value) -> float | SpeedSource:
     )(value)
 
 
-def _sensor_of_pair(value: Value) -> Channel:
+def _sensor(value: Value) -> Channel:
     keys = keys_of(Channel)
-    return Channel(**value.read(keys | {"side": replace(keys["side"], check=check.one_of(SIDES))}))
+    if value.name.startswith(f"channels.{CHANNELS[2]}"):
+        del keys["axle"]
+    return Channel(**value.read(keys))
 
 
-def _sensors(value: Value) -> Channel | Pair:
-    """Return one sensor, or a pair whose missing sides are inferred: the first is left."""
+def _sensors(value: Value) -> Channel | Several:
+    """Return one sensor, or several: at each axle one, or a pair."""
     if not isinstance(value.content, list):
-        return check.mapping_of(Channel)(value)
-    if len(value.content) == 1:
-        return check.mapping_of(Channel)(value.at(0))
-    if len(value.content) != 2:
+        return _sensor(value)
+    found: list[Channel] = all_of(partial(_sensor, value.at(i)) for i in range(len(value.content)))
+    if len(found) == 1:
+        return found[0]
+    axles = [[i for i, one in enumerate(found) if (one.axle or 1) == axle] for axle in (1, 2)]
+    if not found or max(map(len, axles)) > 2:
+        at = " at each axle" * (len(found) > 2 and bool(axles[1]))
         raise TripError(
             f"{value.path}: `{value.name}` must be a sensor, or a list of one on the left and one "
-            f"on the right, got a list of {len(value.content)}"
+            f"on the right{at}, got a list of {len(found)}"
         )
-    first, second = all_of(partial(_sensor_of_pair, value.at(i)) for i in range(2))
+    several: list[Channel] = []
+    for places in axles:
+        own = [found[i] for i in places]
+        several += own if len(own) < 2 else _pair(value, places, own)
+    return tuple(several)
+
+
+def _pair(value: Value, places: Sequence[int], both: Sequence[Channel]) -> Pair:
+    """Return two sensors, left first, whose missing sides are inferred: the first is left."""
+    for place, one in zip(places, both, strict=True):
+        if one.side == MIDDLE:
+            check.one_of(SIDES)(value.at(place).at("side"))
+    first, second = both
     left, right = SIDES
     if first.side is None:
         first = replace(first, side=left if second.side in (None, right) else right)
@@ -209,8 +258,22 @@ def _sensors(value: Value) -> Channel | Pair:
     return (first, second) if first.side == left else (second, first)
 
 
-def _channels(value: Value) -> dict[str, Channel | Pair]:
-    found: dict[str, Channel | Pair] = value.read(dict.fromkeys(CHANNELS, Key(_sensors, "", "")))
+def _channels(value: Value) -> dict[str, Channel | Several]:
+    """Return the sensors of each channel; one without any at axle 1 if the parts can be read."""
+    one = Key(_sensors, "", "", default="")
+    found: dict[str, Channel | Several] = value.read(dict.fromkeys(CHANNELS, one))
+    several = {name: (own,) if isinstance(own, Channel) else own for name, own in found.items()}
+    if sum(map(len, several.values())) >= LEAST_SENSORS:
+        return found
+    problems = [f"`{value.name}.{name}` is missing" for name in CHANNELS if name not in found]
+    problems += [
+        f"`{value.name}.{name}` has a sensor at axle 2 only: call its axle 1 if it is the only one "
+        f"measured, or give at least {LEAST_SENSORS} sensors, from which each part is read"
+        for name, own in several.items()
+        if own[0].is_elsewhere
+    ]
+    if problems:
+        raise TripError(*(f"{value.path}: {words}" for words in problems))
     return found
 
 
@@ -233,8 +296,7 @@ class TripManifest:
 
     Its keys are those of the table in docs/recordings.md. `path` is the YAML file, `name` its name
     without suffix. `start` is the zero of the trip's clock if only some sources have absolute
-    times. A constant `speed` is in m/s. `channels` has one sensor or a left and right pair for each
-    of ``CHANNELS``.
+    times. A constant `speed` is in m/s. `channels` has one sensor or several for ``CHANNELS``.
     """
 
     path: Path
@@ -298,8 +360,8 @@ class TripManifest:
         "the constant speed, or where it is stored",
         "m/s",
     )
-    channels: Mapping[str, Channel | Pair] = required(
-        _channels, "mapping", "`axle_box`, `bogie` and `body`: each a source, or a list of two"
+    channels: Mapping[str, Channel | Several] = required(
+        _channels, "mapping", "`axle_box`, `bogie` and `body`: each a source, or a list of them"
     )
     truth: dict[str, float] = field(
         default_factory=dict,
@@ -322,20 +384,37 @@ class TripManifest:
         """Return the side of a single sensor: its own or else the suspension's; None if unknown."""
         return channel.side or self.side
 
+    def is_pair(self, channel: str) -> bool:
+        """Return whether a channel has a sensor left and right at axle 1."""
+        own = self.channels.get(channel)
+        return isinstance(own, tuple) and not any(one.is_elsewhere for one in own[:2])
+
     @property
     def unplaced(self) -> tuple[str, ...]:
         """Names of the single sensors of unknown side, which are assumed to be in the middle."""
-        singles = {n: one for n, one in self.channels.items() if isinstance(one, Channel)}
-        return tuple(name for name, one in singles.items() if self.side_of(one) is None)
+        return tuple(
+            name
+            for name, one in self.sensors().items()
+            if not partner_of(name) and self.side_of(one) is None
+        )
 
     def sensors(self) -> dict[str, Channel]:
-        """Return all sensors by name: that of the channel, followed by the side in a pair."""
+        """Return all sensors by name.
+
+        That of the channel is followed by ``OTHER_AXLE`` if the sensor is there, and by the side in
+        a pair.
+        """
         found: dict[str, Channel] = {}
-        for name, channel in self.channels.items():
-            if isinstance(channel, Channel):
-                found[name] = channel
-            else:
-                found |= {f"{name} {one.side}": one for one in channel}
+        for channel, own in self.channels.items():
+            for is_elsewhere in (False, True):
+                name = f"{channel} {OTHER_AXLE}" if is_elsewhere else channel
+                here = [
+                    one
+                    for one in ((own,) if isinstance(own, Channel) else own)
+                    if one.is_elsewhere == is_elsewhere
+                ]
+                names = [name] if len(here) == 1 else [f"{name} {one.side}" for one in here]
+                found |= dict(zip(names, here, strict=True))
         return found
 
     def sources(self) -> dict[str, Source]:

@@ -172,12 +172,17 @@ def mapping_of(kind: type[Kind]) -> Callable[[Value], Kind]:
     return lambda value: kind(**value.read(keys_of(kind)))
 
 
-def sign(value: Value) -> int:
-    """Return 1 or -1."""
-    found = number("1 or -1")(value)
-    if found not in (1.0, -1.0):
-        raise value.refuse("1 or -1")
-    return int(found)
+def either(first: int, second: int) -> Callable[[Value], int]:
+    """Return a check for one of two whole numbers."""
+    rule = f"{first} or {second}"
+
+    def check(value: Value) -> int:
+        found = number(rule)(value)
+        if found not in (first, second):
+            raise value.refuse(rule)
+        return int(found)
+
+    return check
 
 
 def start(value: Value) -> datetime:

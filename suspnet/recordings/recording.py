@@ -2,7 +2,8 @@
 
 A place may have a sensor on the left and one on the right. Each is read, cleaned and resampled
 separately. Their mean is the channel, in which roll cancels; half their difference is also stored.
-Where one of them is dead, the other one alone is the channel.
+Where one of them is dead, the other one alone is the channel. Sensors at the bogie's other axle are
+part of no channel.
 """
 
 from __future__ import annotations
@@ -24,7 +25,13 @@ from suspnet.recordings.clocks import first_moment, offsets_s
 from suspnet.recordings.dead_sensors import DEAD, dead_faults, living, nearly_dead
 from suspnet.recordings.errors import TripError, all_of
 from suspnet.recordings.loose import find_loose
-from suspnet.recordings.manifest import CHANNELS, SIDES, Channel, Pair, TripManifest, partner_of
+from suspnet.recordings.manifest import (
+    CHANNELS,
+    SIDES,
+    TripManifest,
+    channel_of,
+    partner_of,
+)
 from suspnet.recordings.sensor import Sensor, SensorSignal
 from suspnet.recordings.sources import open_source, zero_of
 from suspnet.recordings.speed import SpeedTrack, read_speed, speed_at
@@ -49,7 +56,8 @@ class Recording:
     rate_hz : float, [Hz]
     signals : array of shape (3, n), [m/s2]
         Accelerations in the order of ``CHANNELS``, with the signs of the manifest, zero phase and
-        gain 1 up to ``rate_hz / 4``. For a pair of sensors, (left + right) / 2.
+        gain 1 up to ``rate_hz / 4``. For a pair of sensors, (left + right) / 2. NaN without a
+        living sensor at axle 1.
     usable : array of shape (n,)
         False where an unrepaired fault affects a signal, or the speed is unknown.
     speed_m_per_s : array of shape (n,), [m/s]
@@ -64,6 +72,8 @@ class Recording:
         Which channels are pairs of sensors of which none is dead, in the order of ``CHANNELS``.
     differences : array of shape (n_pairs, n), [m/s2]
         (left - right) / 2 of each pair, in the order of ``CHANNELS``.
+    elsewhere : mapping of str to array of shape (n,), [m/s2]
+        Signals of the sensors at the bogie's other axle, by name.
     words : str
         How files were read, where this was detected, as in CSV files.
     started : datetime or None
@@ -80,6 +90,7 @@ class Recording:
     start_s: float = 0.0
     paired: tuple[bool, bool, bool] = (False, False, False)
     differences: FloatArray = field(default_factory=lambda: np.empty((0, 0)))
+    elsewhere: Mapping[str, FloatArray] = field(default_factory=dict)
     words: str = ""
     started: datetime | None = None
 
@@ -91,34 +102,37 @@ class Recording:
             if is_pair:
                 half = next(differences)
                 found |= {f"{name} {SIDES[0]}": signal + half, f"{name} {SIDES[1]}": signal - half}
-            else:
+            elif name not in self.absent:
                 found[self._alone.get(name, name)] = signal
-        return found
+        return {**found, **self.elsewhere}
+
+    @property
+    def absent(self) -> tuple[str, ...]:
+        """Channels without a living sensor at axle 1."""
+        firsts = zip(CHANNELS, self.signals[:, 0], strict=True)
+        return tuple(name for name, first in firsts if np.isnan(first))
 
     @property
     def dead(self) -> tuple[str, ...]:
-        """Names of the sensors of pairs that are left out."""
+        """Names of the sensors that are left out."""
         dead = (fault.channel for fault in self.faults if fault.kind == DEAD)
         return tuple(dict.fromkeys(dead))
 
     @property
     def sides(self) -> tuple[str | None, ...]:
         """Side of each channel's only sensor; None for a pair, in the middle, or if unknown."""
-        channels = zip(CHANNELS, self.manifest.channels.values(), self.paired, strict=True)
-        given = (
-            None if is_pair else self._side(name, channel) for name, channel, is_pair in channels
-        )
+        sensors = self.manifest.sensors()
+        given = []
+        for name, is_pair in zip(CHANNELS, self.paired, strict=True):
+            own = sensors.get(self._alone.get(name, name))
+            given.append(None if is_pair or own is None else self.manifest.side_of(own))
         return tuple(side if side in SIDES else None for side in given)
 
     @property
     def _alone(self) -> dict[str, str]:
         """Names of the sensors whose partners are dead, by place."""
-        return {name.split()[0]: partner_of(name) for name in self.dead}
-
-    def _side(self, place: str, channel: Channel | Pair) -> str | None:
-        if place in self._alone:
-            return self._alone[place].split()[1]
-        return self.manifest.side_of(channel) if isinstance(channel, Channel) else None
+        partners = map(partner_of, self.dead)
+        return {channel_of(one): one for one in partners if one and channel_of(one)}
 
 
 def load_recording(
@@ -126,10 +140,9 @@ def load_recording(
 ) -> Recording:
     """Return a trip, cleaned and resampled to one clock.
 
-    Files are read block by block, ``MOST_AT_ONCE`` sensors in parallel. A dead sensor of a pair is
-    left out, with a fault. The result covers the time
-    common to all sensors, less about ``8 / rate_hz`` at both ends, where the low-pass filter is
-    incomplete.
+    Files are read block by block, ``MOST_AT_ONCE`` sensors in parallel. A dead sensor of a pair, or
+    of more than ``LEAST_SENSORS``, is left out, with a fault. The result covers the time common to
+    all sensors, less about ``8 / rate_hz`` at both ends, where the low-pass filter is incomplete.
 
     Parameters
     ----------
@@ -141,8 +154,8 @@ def load_recording(
     Raises
     ------
     TripError
-        If a file cannot be read, a rate is lower than `rate_hz`, a single sensor or a pair is
-        constant or has no usable sample, less than ``SHORTEST_S`` is common to all sensors, times
+        If a file cannot be read, a rate is lower than `rate_hz`, too many sensors are constant or
+        have no usable sample, less than ``SHORTEST_S`` is common to all sensors, times
         are wrong, or the speed is unknown throughout. Its `problems` are those of all sensors and
         the speed.
     ValueError
@@ -214,7 +227,7 @@ def joined(
         )
     faults += clock_faults(manifest, values, usable & ~silent, speed, rate_hz)
     read_as = [track.words if track else "", *(stream.words for stream in streams)]
-    paired, signals, differences = _combined(values)
+    paired, signals, differences = _combined(values, len(times_s))
     duration_s = len(times_s) / rate_hz
     return Recording(
         manifest,
@@ -227,6 +240,7 @@ def joined(
         float(times_s[0]),
         paired,
         differences,
+        {name: signal for name, signal in values.items() if not channel_of(name)},
         "; ".join(dict.fromkeys(words for words in read_as if words)),
     )
 
@@ -245,18 +259,17 @@ def _clocks(
 
 
 def _combined(
-    values: Mapping[str, FloatArray],
+    values: Mapping[str, FloatArray], n: int
 ) -> tuple[tuple[bool, bool, bool], FloatArray, FloatArray]:
     """Return which channels are pairs, signals (3, n), and half differences (n_pairs, n)."""
     signals, differences = [], []
-    places = [[values[one] for one in values if one.split()[0] == place] for place in CHANNELS]
+    places = [[values[one] for one in values if channel_of(one) == place] for place in CHANNELS]
     axle_box, bogie, body = (len(own) == len(SIDES) for own in places)
     paired = axle_box, bogie, body
     for own, is_pair in zip(places, paired, strict=True):
-        signals.append(np.mean(own, axis=0))
+        signals.append(np.mean(own, axis=0) if own else np.full(n, np.nan))
         if is_pair:
             differences.append((own[0] - own[1]) / 2)
-    n = len(signals[0])
     return paired, np.stack(signals), np.array(differences).reshape(len(differences), n)
 
 
@@ -329,6 +342,10 @@ def followed(one: Recording, other: Recording, offset_s: float) -> Recording:
         faults=(*one.faults, *later),
         duration_s=sum(map(len, usable)) / one.rate_hz,
         differences=np.concatenate(pairs, axis=1),
+        elsewhere={
+            name: np.concatenate([own, np.zeros(n_gap), other.elsewhere[name][n_skip:]])
+            for name, own in one.elsewhere.items()
+        },
         words="; ".join(words),
     )
 

@@ -11,13 +11,13 @@ from suspnet.dynamics import ResponseGenerator, SpatialVehicle, VerticalVehicle
 from suspnet.dynamics.quantities import PARTS, LogNormal
 from suspnet.estimation import commissioning_summary as words
 from suspnet.estimation.bogie_fit import CommissionedBogie, commission_bogie
-from suspnet.estimation.bogie_trips import bogie_trip
+from suspnet.estimation.bogie_trips import bogie_trip, sensor_places, show_parts
 from suspnet.estimation.commissioning import Commissioned, commission
 from suspnet.estimation.healthy_trips import HealthyTrips, read_healthy
 from suspnet.estimation.lone_sensors import SIDE_M
 from suspnet.estimation.trip_settings import TripSettings
 from suspnet.recordings.errors import TripError
-from suspnet.recordings.manifest import CHANNELS, Channel, Pair, TripManifest
+from suspnet.recordings.manifest import CHANNELS, LEAST_SENSORS
 from suspnet.recordings.manifest_files import ManifestFile
 from suspnet.recordings.recording import load_recording
 from suspnet.spectra.estimates import EstimateSettings
@@ -78,22 +78,28 @@ def commission_folder(
 def commission_parts(
     found: HealthyTrips, generator: VerticalVehicle, trips: TripSettings
 ) -> CommissionedBogie:
-    """Return the bogie that healthy trips with sensors left and right show, part by part.
+    """Return the bogie that healthy trips show, part by part.
 
-    `generator` gives vehicle, bogie and places of sensors. TripError is raised if a place has no
-    pair, NoEstimateError if a trip is too short for its parts.
+    `generator` gives vehicle and bogie, the manifests give the places of sensors. TripError is
+    raised if these do not show the parts, NoEstimateError if a trip is too short for its parts.
     """
-    single = [place for place, pair in zip(CHANNELS, found.paired, strict=True) if not pair]
-    if single:
+    folder, frame_sensor = found.manifests[0].path.parent, generator.frame_sensor
+    several = {sensor_places(manifest, frame_sensor) for manifest in found.manifests}
+    if len(several) > 1:
+        raise TripError(f"{folder}: the healthy trips differ in their sensors; take those of one")
+    sensors = several.pop()
+    if not show_parts(sensors):
         raise TripError(
-            f"{found.manifests[0].path.parent}: each part is read from a sensor left and right at "
-            f"axle box, frame and body, the healthy trips have one sensor at {', '.join(single)}: "
-            "give the pairs in the manifests, or take protocol=trips"
+            f"{folder}: each part is read from at least {LEAST_SENSORS} sensors on both sides, "
+            f"best left and right at axle box, frame and body, the healthy trips have "
+            f"{', '.join(sensors) or 'none of known side'}: give all sensors in the manifests with "
+            "`side` and `axle`, or take protocol=trips"
         )
     vehicle = SpatialVehicle(
         generator.vehicle,
         **{name: getattr(generator, name) for name in SETTINGS},
         parts=PARTS_OF_BOGIE,
+        sensors=sensors,
     ).with_prior()
     directions = {group.trip: group.direction for group in found.groups}
     read = [
@@ -130,15 +136,9 @@ def _prior(generator: VerticalVehicle, found: HealthyTrips) -> VerticalVehicle:
 def _lateral_m(given: Sequence[float], found: HealthyTrips) -> tuple[float, float, float]:
     """Return each channel's lateral position: 0 for a pair, else as given, else by its side."""
     manifest = found.manifests[0]
-    channels = zip(given, found.paired, manifest.channels.values(), strict=True)
+    sensors = manifest.sensors()
     box, frame, body = (
-        0.0 if is_pair else lateral_m or _place_m(manifest, channel)
-        for lateral_m, is_pair, channel in channels
+        0.0 if is_pair else lateral_m or SIDE_M.get(manifest.side_of(sensors[name]) or "", 0.0)
+        for lateral_m, is_pair, name in zip(given, found.paired, CHANNELS, strict=True)
     )
     return box, frame, body
-
-
-def _place_m(manifest: TripManifest, channel: Channel | Pair) -> float:
-    """Return the approximate lateral position of a single sensor, positive to the left, [m]."""
-    side = manifest.side_of(channel) if isinstance(channel, Channel) else None
-    return SIDE_M.get(side or "", 0.0)

@@ -23,7 +23,7 @@ from torch import Tensor
 from suspnet.dynamics import PARAMETERS, ResponseGenerator
 from suspnet.ground.parameters import FORWARD
 from suspnet.ground.records import SensorHealth
-from suspnet.recordings.manifest import CHANNELS
+from suspnet.recordings.manifest import CHANNELS, channel_of
 from suspnet.recordings.recording import Recording
 from suspnet.spectra.segments import segment_speeds, sensor_segments
 from suspnet.spectra.welch import Welch
@@ -47,22 +47,26 @@ FAULTS = ("gap", "spike", "saturation", "constant", "loose", "dead")
 def sensor_health(
     recording: Recording, generator: ResponseGenerator, welch: Welch
 ) -> dict[str, SensorHealth]:
-    """Return the health of each sensor; numbers are NaN where the trip does not show them."""
+    """Return the health of each sensor; numbers are NaN where the trip does not show them.
+
+    It does not show those of sensors at the other axle, nor any if a channel has no sensor.
+    """
     faulty = dropouts(recording)
     names, segments = sensor_segments(recording, welch)
     speeds = segment_speeds(recording, segments).mean(dim=1)
     speed = float(speeds.median()) if len(speeds) else math.nan
     chosen = (speeds > SLOWEST_M_PER_S) & ((speeds / speed - 1).abs() <= SPEED_TOLERANCE)
-    if int(chosen.sum()) < LEAST_SEGMENTS:
+    if int(chosen.sum()) < LEAST_SEGMENTS or recording.absent:
         return {name: SensorHealth(faulty=share) for name, share in faulty.items()}
     low, high = BAND_HZ
     inside = (segments.frequencies_hz >= low) & (segments.frequencies_hz <= high)
     bins, values = segments.frequencies_hz[inside], segments.values[chosen][..., inside]
-    places = [[i for i, name in enumerate(names) if name.split()[0] == one] for one in CHANNELS]
+    places = [[i for i, name in enumerate(names) if channel_of(name) == one] for one in CHANNELS]
     means = torch.stack([values[:, own].mean(dim=1) for own in places], dim=1)
     generator = generator.on("cpu").running(recording.manifest.direction or FORWARD)
     expected, calm = _healthy(generator, speed, bins)
-    found = {name: SensorHealth(faulty=faulty[name]) for name in recording.dead}
+    unjudged = [*recording.dead, *recording.elsewhere]
+    found = {name: SensorHealth(faulty=faulty[name]) for name in unjudged}
     for place, own in enumerate(places):
         for i in own:
             x = values[:, i]

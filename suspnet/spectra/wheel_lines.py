@@ -19,7 +19,7 @@ from scipy.signal import get_window, resample_poly
 from torch import Tensor
 
 from suspnet.ground.types import BoolArray, FloatArray, IntArray
-from suspnet.recordings.manifest import CHANNELS
+from suspnet.recordings.manifest import CHANNELS, channel_of
 from suspnet.recordings.recording import Recording
 
 WINDOW_M = 200.0
@@ -103,13 +103,13 @@ class _Peak:
 def wheel_lines(recording: Recording) -> tuple[WheelLine, ...]:
     """Return the lines of out-of-round wheels in the axle box's signals, by sensor and order.
 
-    All sensors are on one wheelset: its diameter is the one that explains most of the lines. The
-    diameter is searched within ``DIAMETERS_M`` unless the manifest gives it.
+    Only sensors at axle 1 count, so that all are on one wheelset: its diameter is the one that
+    explains most of the lines. It is searched within ``DIAMETERS_M`` unless the manifest gives it.
     """
     peaks = {
         name: _peaks(_windows(recording, signal))
         for name, signal in recording.sensors().items()
-        if name.startswith(CHANNELS[0])
+        if channel_of(name) == CHANNELS[0]
     }
     every = [peak for several in peaks.values() for peak in several]
     low, high = _diameters_m(recording)

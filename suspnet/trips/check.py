@@ -14,13 +14,14 @@ import torch
 from torch import Tensor
 
 from suspnet.dynamics import Vehicle, best_generator
+from suspnet.estimation.from_recording import no_channel
 from suspnet.estimation.steady_parts import Steady, groups_to_read, readable_words, steady
 from suspnet.estimation.trained import TrainedModel
 from suspnet.estimation.trip_settings import TripSettings
 from suspnet.ground.records import ERROR, OK
 from suspnet.recordings.errors import TripError, all_of
 from suspnet.recordings.formats import open_columns
-from suspnet.recordings.manifest import CHANNELS, TripManifest
+from suspnet.recordings.manifest import CHANNELS, TripManifest, channel_of
 from suspnet.recordings.manifest_files import ManifestFile
 from suspnet.recordings.recording import Recording, load_recording
 from suspnet.spectra.estimates import EstimateSettings
@@ -135,14 +136,18 @@ def _with_problems(result: TripCheck, problems: Iterable[str]) -> TripCheck:
 
 
 def _described(result: TripCheck, manifest: TripManifest) -> TripCheck:
-    pairs = [name for name in CHANNELS if isinstance(manifest.channels[name], tuple)]
+    pairs = [name for name in CHANNELS if manifest.is_pair(name)]
     sensors = "single sensors" if not pairs else f"pairs: {', '.join(pairs)}"
+    if len(pairs) == len(CHANNELS):
+        sensors = "pairs"
+    if more := [name for name in manifest.sensors() if not channel_of(name)]:
+        sensors += f"; {', '.join(more)}"
     return replace(
         result,
         vehicle=manifest.vehicle,
         place=manifest.place,
         mileage_km=manifest.mileage_km,
-        sensors="pairs" if len(pairs) == len(CHANNELS) else sensors,
+        sensors=sensors,
         sources=tuple(
             f"{manifest.file_of(one).resolve()}: {one.column or ''}"
             for one in manifest.sensors().values()
@@ -171,6 +176,9 @@ def _inspected(
         usable_percent=100 * float(recording.usable.mean()),
         band_hz=(estimate.low_hz, estimate.high_hz),
     )
+    if recording.absent:
+        result = replace(result, state=TOO_LITTLE, remarks=(*result.remarks, no_channel(recording)))
+        return _read(result, recording, settings) if settings.models else result
     segments = recording_segments(recording, estimate.welch)
     any_speed = vehicle is not None and best_generator(vehicle).speed_m_per_s is None
     trips = settings.trips

@@ -14,6 +14,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from suspnet.estimation.bogie_trips import lost_sensors
 from suspnet.estimation.estimate import Estimate, HealthyValues
 from suspnet.estimation.from_recording import all_bins, at_healthy_temperature, estimate_bogie
 from suspnet.estimation.from_spectra import trip_settings
@@ -177,10 +178,16 @@ def _with_parts(
     try:
         estimate = estimate_bogie(model, recording, segments, settings)
     except NoEstimateError as error:
-        words = "; ".join(filter(None, (result.quality.warnings, f"no part is named: {error}")))
-        return replace(result, quality=replace(result.quality, warnings=words))
+        return _warned(result, f"no part is named: {error}")
     result = replace(result, reason="", sides="", worn=estimate.found)
+    if lost := lost_sensors(recording, model.bogie.generator):
+        result = _warned(result, f"parts are read without the sensors of {', '.join(lost)}")
     return _with_values(result, estimate, model.bogie.healthy)
+
+
+def _warned(result: TripResult, words: str) -> TripResult:
+    warnings = "; ".join(filter(None, (result.quality.warnings, words)))
+    return replace(result, quality=replace(result.quality, warnings=warnings))
 
 
 def _with_values(result: TripResult, estimate: Estimate, healthy: HealthyValues) -> TripResult:
