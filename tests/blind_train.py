@@ -16,7 +16,8 @@ import pyarrow.parquet as pq
 import scipy.fft
 import yaml
 
-PLACES = tuple(f"{place}_{side}" for place in ("axle_box", "bogie", "body") for side in ("l", "r"))
+# places of sensors: channel, axle (0: the frame's centre, or the body), side
+PAIRS = tuple((c, a, s) for c, a in (("axle_box", 1), ("bogie", 1), ("body", 0)) for s in (1, -1))
 CORNERS = ((1, 1), (1, -1), (-1, 1), (-1, -1))  # axle 1 left, right, axle 2 left, right
 SIDES = (1, -1)
 COMPONENTS = (
@@ -80,6 +81,7 @@ class Train:
     sensitivity: np.ndarray = field(default_factory=lambda: np.ones(6))
     delay_s: np.ndarray = field(default_factory=lambda: np.zeros(6))
     yaw_damper_z_m: float = 0.0  # above the secondary springs
+    places: tuple = PAIRS  # of sensors; the side 0 is the middle
 
     @classmethod
     def scattered(cls, seed, geometry=0.1, unequal=0.05, sensors=False, torsion=False, scatter=0.1):
@@ -89,6 +91,8 @@ class Train:
         errors = np.random.default_rng([seed, 3])
         drawn = {}
         for one in fields(cls):
+            if one.name == "places":
+                continue
             value = getattr(cls(), one.name)
             wide = 3 * scatter if "bushing" in one.name else scatter
             n = np.size(value) if isinstance(value, tuple) else 1
@@ -111,6 +115,13 @@ class Train:
             drawn["sensitivity"] = 1 + 0.02 * errors.standard_normal(6)
             drawn["delay_s"] = 0.5e-3 * errors.standard_normal(6)
         return cls(**drawn)
+
+    def measured_at(self, places, seed=None):
+        """Return the vehicle with sensors at other places, ideal ones without a seed."""
+        size = 0.0 if seed is None else 1.0
+        drawn = size * np.random.default_rng([seed or 0, 4]).standard_normal((2, len(places)))
+        own = {"sensitivity": 1 + 0.02 * drawn[0], "delay_s": 0.5e-3 * drawn[1]}
+        return replace(self, places=tuple(places), **own)
 
     def worn(self, ratios):
         """Return the vehicle with the 13 ratios of its leading bogie and its body."""
@@ -310,11 +321,17 @@ class Motion:
         self.d = points @ self.b[n : 2 * n]
 
     def sensors(self):
-        """Return the height of each sensor, (6, n_coordinates)."""
-        t = self.train
-        at = [self.wheelset(0, left * SENSOR_Y_M, 0.0)[2] for left in SIDES]
-        at += [self.frame(0, t.half_wheelbase_m, left * SENSOR_Y_M, 0.0)[2] for left in SIDES]
-        at += [self.body(t.half_pivot_m, left * SENSOR_Y_M, 0.0)[2] for left in SIDES]
+        """Return the height of each sensor, (n_sensors, n_coordinates)."""
+        t, at = self.train, []
+        ahead = {1: t.half_wheelbase_m, 2: -t.half_wheelbase_m, 0: 0.0}
+        for channel, axle, left in t.places:
+            y = left * SENSOR_Y_M
+            if channel == "axle_box":
+                at.append(self.wheelset(axle - 1, y, 0.0)[2])
+            elif channel == "bogie":
+                at.append(self.frame(0, ahead[axle], y, 0.0)[2])
+            else:
+                at.append(self.body(t.half_pivot_m, y, 0.0)[2])
         return np.array(at)
 
     def poles(self):
@@ -330,12 +347,12 @@ class Motion:
         return (ahead.max() - ahead) / abs(self.speed)
 
     def response(self, inputs, frequencies_hz):
-        """Return the sensors' accelerations (6, n_freq) to the 12 inputs' spectra (12, n_freq)."""
+        """Return the accelerations (n_sensors, n_freq) to the inputs' spectra (12, n_freq)."""
         poles, modes = np.linalg.eig(self.a)
         if poles.real.max() > -SMALL:
             raise ValueError(f"the vehicle is unstable at {self.speed} m/s")
         into, out = np.linalg.solve(modes, self.b.astype(complex)), self.c @ modes
-        found = np.empty((6, inputs.shape[1]), complex)
+        found = np.empty((len(self.c), inputs.shape[1]), complex)
         for start in range(0, inputs.shape[1], 8192):
             part = slice(start, start + 8192)
             s = 2j * np.pi * frequencies_hz[part]
@@ -406,7 +423,7 @@ def track_inputs(motion, track, run, n_samples, rng):
 
 
 def record(train, track, run, seed):
-    """Return the sensors' accelerations of a trip, (6, n_samples) [m/s^2], in order of PLACES."""
+    """Return the sensors' accelerations of a trip, (n_sensors, n_samples) [m/s^2]."""
     rng = np.random.default_rng(seed)
     speed = run.speed_m_per_s if run.direction == "forward" else -run.speed_m_per_s
     motion = Motion(train, speed)
@@ -422,15 +439,17 @@ def record(train, track, run, seed):
     return signals
 
 
-def write_trip(folder, name, signals, run, mileage_km=1000.0):
+def write_trip(folder, name, signals, run, mileage_km=1000.0, places=PAIRS):
     """Write a trip as a Parquet file and its manifest, and return the manifest's path."""
-    table = pa.table(dict(zip(PLACES, signals.astype(np.float32), strict=True)))
+    columns = [f"sensor_{i}" for i in range(len(places))]
+    table = pa.table(dict(zip(columns, signals.astype(np.float32), strict=True)))
     pq.write_table(table, folder / f"{name}.parquet", compression="none")
-
-    def pair(place):
+    channels = {}
+    for column, (channel, axle, left) in zip(columns, places, strict=True):
         source = {"file": f"{name}.parquet", "unit": "m/s2", "rate_hz": run.rate_hz}
-        return [source | {"column": f"{place}_{side}", "side": s} for side, s in LEFT_RIGHT]
-
+        source |= {"column": column, "side": SIDE_NAMES[left]}
+        source |= {"axle": 2} if axle == 2 else {}
+        channels.setdefault(channel, []).append(source)
     manifest = {
         "format": "suspnet-trip-1",
         "vehicle": "am96",
@@ -439,11 +458,11 @@ def write_trip(folder, name, signals, run, mileage_km=1000.0):
         "direction": run.direction,
         "mileage_km": mileage_km,
         "speed": float(run.speed_m_per_s),
-        "channels": {place: pair(place) for place in ("axle_box", "bogie", "body")},
+        "channels": channels,
     }
     path = folder / f"{name}.yaml"
     path.write_text(yaml.safe_dump(manifest, sort_keys=False))
     return path
 
 
-LEFT_RIGHT = (("l", "left"), ("r", "right"))
+SIDE_NAMES = {1: "left", -1: "right", 0: "middle"}

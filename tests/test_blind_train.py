@@ -8,7 +8,7 @@ import scipy.linalg
 import scipy.signal
 from blind_train import (
     COMPONENTS,
-    PLACES,
+    PAIRS,
     Motion,
     Run,
     Track,
@@ -261,7 +261,7 @@ def test_trip_is_read_as_it_was_written(tmp_path):
     signals = record(train, Track(), run, 7)
     manifest = suspnet.read_manifest(write_trip(tmp_path, "trip", signals, run))
     suspnet.load_recording(manifest, 100.0)
-    assert signals.shape == (len(PLACES), 24000)
+    assert signals.shape == (len(PAIRS), 24000)
     clean = record(train, Track(), replace(run, noise=False), 7)
     noise = signals - clean
     np.testing.assert_allclose(noise.std(axis=1) / clean.std(axis=1), 10**-1.7, rtol=0.02)

@@ -25,7 +25,7 @@ from tabulate import tabulate
 TESTS = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(TESTS))
 
-from blind_train import COMPONENTS, Run, Track, Train, record, write_trip  # noqa: E402
+from blind_train import COMPONENTS, PAIRS, SIDE_NAMES, Run, Track, Train, record, write_trip  # noqa: E402
 
 import suspnet  # noqa: E402
 from suspnet.runs.commissioning import PARTS_OF_BOGIE  # noqa: E402
@@ -54,6 +54,7 @@ class Case:
     payload: float = 1.0
     alone: float = 0.0
     noise: bool = True
+    places: tuple = PAIRS  # of the sensors, as Train has them
 
 
 PLAIN = Case()
@@ -65,8 +66,22 @@ ALL = Case(
     payload=1.25,
     alone=0.01,
 )
+BOXES = tuple(("axle_box", axle, side) for axle in (1, 2) for side in (1, -1))
+DIAGONAL = (("bogie", 1, 1), ("bogie", 2, -1))
+CENTRE = (("bogie", 0, 1), ("bogie", 0, -1))
+LAYOUTS = {
+    "eight": (*BOXES, *DIAGONAL, *PAIRS[4:]),
+    "seven": (*BOXES, *DIAGONAL, PAIRS[4]),
+    "seven, body in the middle": (*BOXES, *DIAGONAL, ("body", 0, 0)),
+    "six, frame at its centre": (*PAIRS[:2], *CENTRE, *PAIRS[4:]),
+    "five, body on one side": PAIRS[:5],
+    "five, axle box on one side": (PAIRS[0], *PAIRS[2:]),
+    "four, no axle box": PAIRS[2:],
+}
 CASES = {
     "plain": PLAIN,
+    **{f"plain, {name}": replace(PLAIN, places=places) for name, places in LAYOUTS.items()},
+    **{f"all at once, {name}": replace(ALL, places=places) for name, places in LAYOUTS.items()},
     "all at once": ALL,
     "plain, wheelbase and pivots on drawings": replace(PLAIN, drawings=True),
     "plain, wheelbase and pivots nominal": replace(PLAIN, geometry=0.0),
@@ -150,7 +165,22 @@ def family_of(case, train):
             half_wheelbase_m=train.half_wheelbase_m,
             half_pivot_distance_m=train.half_pivot_m,
         )
-    return suspnet.SpatialVehicle(vehicle, parts=case.family, distribution="prior")
+    centre = any(channel == "bogie" and not axle for channel, axle, _ in case.places)
+    return suspnet.SpatialVehicle(
+        vehicle,
+        parts=case.family,
+        distribution="prior",
+        frame_sensor="centre" if centre else "axle",
+        sensors=[_place(*one) for one in case.places],
+    )
+
+
+def _place(channel, axle, side):
+    """Return a place of a sensor as the estimator names it."""
+    where = "axle_box" if channel == "axle_box" else "frame" if channel == "bogie" else "body"
+    if channel != "body":
+        where += f"_axle{axle}" if axle else "_centre"
+    return f"{where}_{SIDE_NAMES[side]}"
 
 
 def read_train(name, seed, options, folder):
@@ -161,6 +191,8 @@ def read_train(name, seed, options, folder):
         seed, case.geometry, case.unequal, case.sensors, case.torsion, case.scatter
     )
     train = replace(train, **case.numbers)
+    if case.places != PAIRS:
+        train = train.measured_at(case.places, seed if case.sensors else None)
     family = family_of(case, train)
     trips = drawn_trips(options.parts, options.levels, options.trips, options.healthy, rng)
     runs, loads = runs_of(case, len(trips), options.minutes, rng)
@@ -168,7 +200,7 @@ def read_train(name, seed, options, folder):
     for i, ((kind, level, ratios), run, load) in enumerate(zip(trips, runs, loads, strict=True)):
         ratios[-1] = load
         signals = record(train.worn(ratios), Track.drawn(rng), run, [seed, 11, i])
-        path = write_trip(folder, f"trip_{i}", signals, run, 1000.0 + i)
+        path = write_trip(folder, f"trip_{i}", signals, run, 1000.0 + i, case.places)
         recording = suspnet.load_recording(suspnet.read_manifest(path), 100.0)
         trip = suspnet.bogie_trip(recording, family)
         (folder / f"trip_{i}.parquet").unlink()
