@@ -265,16 +265,19 @@ def _channels(value: Value) -> dict[str, Channel | Several]:
     several = {name: (own,) if isinstance(own, Channel) else own for name, own in found.items()}
     if sum(map(len, several.values())) >= LEAST_SENSORS:
         return found
-    problems = [f"`{value.name}.{name}` is missing" for name in CHANNELS if name not in found]
-    problems += [
-        f"`{value.name}.{name}` has a sensor at axle 2 only: call its axle 1 if it is the only one "
-        f"measured, or give at least {LEAST_SENSORS} sensors, from which each part is read"
-        for name, own in several.items()
-        if own[0].is_elsewhere
-    ]
-    if problems:
-        raise TripError(*(f"{value.path}: {words}" for words in problems))
+    all_of(partial(_check_first_axle, value.at(name), several.get(name)) for name in CHANNELS)
     return found
+
+
+def _check_first_axle(value: Value, own: Several | None) -> None:
+    if own is None:
+        raise TripError(f"{value.path}: `{value.name}` is missing")
+    if own[0].is_elsewhere:
+        raise TripError(
+            f"{value.path}: `{value.name}` has a sensor at axle 2 only: call its axle 1 if it is "
+            f"the only one measured, or give at least {LEAST_SENSORS} sensors, from which each "
+            "part is read"
+        )
 
 
 def _mileage(value: Value) -> float:

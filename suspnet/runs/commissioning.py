@@ -86,13 +86,15 @@ def commission_parts(
     folder, frame_sensor = found.manifests[0].path.parent, generator.frame_sensor
     several = {sensor_places(manifest, frame_sensor) for manifest in found.manifests}
     if len(several) > 1:
-        raise TripError(f"{folder}: the healthy trips differ in their sensors; take those of one")
+        raise TripError(
+            f"{folder}: the healthy trips differ in their sensors; take those of one layout"
+        )
     sensors = several.pop()
     if not show_parts(sensors):
         raise TripError(
             f"{folder}: each part is read from at least {LEAST_SENSORS} sensors on both sides, "
             f"best left and right at axle box, frame and body, the healthy trips have "
-            f"{', '.join(sensors) or 'none of known side'}: give all sensors in the manifests with "
+            f"{', '.join(sensors) or 'none'}: give all sensors in the manifests with "
             "`side` and `axle`, or take protocol=trips"
         )
     vehicle = SpatialVehicle(
