@@ -80,13 +80,22 @@ def commissioned():
 # reference
 
 
+def without(one, lost):
+    """Return a trip without some sensors of the vehicle."""
+    kept = [i for i, place in enumerate(VEHICLE.sensors) if place not in lost]
+    values = one.spectra.values[:, kept][:, :, kept]
+    return replace(one, spectra=replace(one.spectra, values=values), lost=tuple(lost))
+
+
 @pytest.mark.parametrize("are_healthy", [True, False])
-def test_derivatives_are_those_of_differences(are_healthy):
+@pytest.mark.parametrize("lost", [(), ("axle_box_axle1_left", "body_right")])
+def test_derivatives_are_those_of_differences(are_healthy, lost):
     trips = [
-        trip(drawn(VEHICLE, row({"k_p_axle1_left": 0.8}), 5), 70.0),
+        without(trip(drawn(VEHICLE, row({"k_p_axle1_left": 0.8}), 5), 70.0), lost),
         trip(drawn(VEHICLE, row({}, 1.1), 6), 60.0, REVERSE),
     ]
-    fit = _Fit(VEHICLE, [NOISE, NOISE], trips, are_healthy)
+    noise = NOISE[[place not in lost for place in VEHICLE.sensors]]
+    fit = _Fit(VEHICLE, [noise, NOISE], trips, are_healthy)
     x = fit.start() + 0.03 * np.random.default_rng(1).standard_normal(len(fit.start()))
     misfits = fit._misfits(0.01, fit.all_bins)
     found, step = fit._jacobian(x, misfits, fit.all_bins), 1e-5
@@ -125,6 +134,23 @@ def test_exact_spectra_give_the_exact_parts():
     found = known.estimate(trip(spectra, 70.0))
     assert found.converged
     np.testing.assert_allclose(found.values, given[0].numpy(), rtol=2e-3)
+
+
+def test_parts_are_found_without_the_sensor_that_sensitivities_are_relative_to():
+    parts = (*VEHICLE.parts, "sensors")
+    gains = {"gain_frame_axle1_left": 1e-3, "gain_body_left": 1e-3}
+    vehicle = replace(VEHICLE, parts=parts, distribution=gains)
+    prior = vehicle.distribution
+    vehicle = replace(vehicle, distribution=replace(prior, mean=tuple(np.log([1.1, 0.95]))))
+    given = torch.ones(1, 13, dtype=torch.float64)
+    given[0, COMPONENTS.index("c_p_axle2_left")] = 0.6
+    rows = vehicle.with_uncertain(given, torch.tensor([[1.1, 0.95]], dtype=torch.float64))
+    spectra = drawn(vehicle, rows, 0, 10**6, exact=True)
+    known = CommissionedBogie(vehicle, NOISE, np.ones(3), 1.0, True)
+    found = known.estimate(without(trip(spectra, 70.0), VEHICLE.sensors[:1]))
+    assert found.converged
+    np.testing.assert_allclose(found.values, given[0].numpy(), rtol=3e-3)
+    assert (found.deviations > known.estimate(trip(spectra, 70.0)).deviations).all()
 
 
 # property
@@ -179,5 +205,8 @@ def test_too_few_trips_and_certain_vehicles_are_refused():
     one = trip(drawn(VEHICLE, row({}), 0), 70.0)
     with pytest.raises(ValueError, match="at least 3 are needed"):
         commission_bogie(VEHICLE, [one] * 2)
+    lost = [without(one, ["body_left"])] * 3
+    with pytest.raises(ValueError, match="healthy trips need all sensors, one has none at body_l"):
+        commission_bogie(VEHICLE, lost)
     with pytest.raises(ValueError, match="nothing of the vehicle is uncertain"):
         commission_bogie(replace(VEHICLE, distribution=None), [one] * 3)

@@ -1,5 +1,7 @@
 """Recordings with sensors on both sides as spectral matrices: layouts, whole trips, bad input."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 import torch
@@ -10,11 +12,19 @@ from vehicles import AM96
 
 from suspnet.dynamics import SpatialVehicle
 from suspnet.estimation.bogie_fit import commission_bogie
-from suspnet.estimation.bogie_trips import SPACING_HZ, bogie_trip
+from suspnet.estimation.bogie_trips import (
+    SPACING_HZ,
+    bogie_trip,
+    lost_sensors,
+    sensor_places,
+    show_parts,
+)
 from suspnet.estimation.trip_settings import TripSettings
 from suspnet.ground.parameters import COMPONENTS
+from suspnet.recordings.manifest import Channel, TripManifest
 from suspnet.recordings.manifest_files import read_manifest
-from suspnet.recordings.recording import load_recording
+from suspnet.recordings.recording import joined, load_recording
+from suspnet.recordings.sensor import SensorSignal
 from suspnet.simulation import Fleet
 from suspnet.spectra.segments import NoEstimateError
 
@@ -84,6 +94,71 @@ def test_a_short_or_slow_trip_has_no_estimate(tmp_path, short):
         bogie_trip(one, VEHICLE)
     with pytest.raises(NoEstimateError, match=r"0\.0 averages"):
         bogie_trip(short, VEHICLE, TripSettings(min_speed_m_per_s=90.0))
+
+
+BOXES = [("left", 1), ("right", 1), ("left", 2), ("right", 2)]
+SEVEN = {"axle_box": BOXES, "bogie": [("left", 1), ("right", 2)], "body": [("left", None)]}
+PLACES_OF_SEVEN = (
+    *("axle_box_axle1_left", "axle_box_axle1_right"),
+    *("axle_box_axle2_left", "axle_box_axle2_right"),
+    *("frame_axle1_left", "frame_axle2_right", "body_left"),
+)
+SEVEN_VEHICLE = SpatialVehicle(AM96, sensors=PLACES_OF_SEVEN)
+
+
+def manifest_of(layout):
+    """Return the manifest of a trip with sensors at these sides and axles."""
+    channels = {
+        name: tuple(Channel("all.mat", side=side, axle=axle) for side, axle in own)
+        for name, own in layout.items()
+    }
+    names = {"vehicle": "am96", "suspension": "a", "mileage_km": 1.0, "speed": 70.0}
+    return TripManifest(path=Path("trip.yaml"), name="trip", channels=channels, **names)
+
+
+def noisy(layout, dead=()):
+    """Return a recording of 30 minutes in which sensor i has noise of a standard deviation i."""
+    manifest = manifest_of(layout)
+    n, rng = round(1800 * RATE_HZ), np.random.default_rng(0)
+    streams = [
+        SensorSignal(name, 0.0, 1800.0, 0, i * rng.standard_normal(n), np.zeros(n, bool), ())
+        for i, name in enumerate(manifest.sensors(), 1)
+        if name not in dead
+    ]
+    return joined(manifest, streams, None, 0.0, RATE_HZ, dict.fromkeys(dead, "is constant"))
+
+
+def sizes(trip):
+    """Return the standard deviation of each sensor's noise, by the spectra of a trip."""
+    return trip.spectra.densities.mean(dim=0).mul(RATE_HZ / 2).sqrt().numpy()
+
+
+def test_sensors_of_any_layout_are_found_by_their_place():
+    assert sensor_places(manifest_of(SEVEN), "axle") == PLACES_OF_SEVEN
+    assert sensor_places(manifest_of({"bogie": [("left", 1), ("right", 2)]}), "centre") == (
+        *("frame_axle2_right", "frame_centre_left"),
+    )
+    trip = bogie_trip(noisy(SEVEN), SEVEN_VEHICLE)
+    np.testing.assert_allclose(sizes(trip), np.arange(1, 8), rtol=0.05)
+    assert trip.lost == ()
+
+
+@pytest.mark.parametrize("lost", [0, 3, 5, 6])
+def test_a_trip_whose_sensor_is_missing_or_dead_is_read_with_the_others(lost):
+    names = list(manifest_of(SEVEN).sensors())
+    kept = np.delete(np.arange(1, 8), lost)
+    trip = bogie_trip(noisy(SEVEN, [names[lost]]), SEVEN_VEHICLE)
+    assert trip.lost == (PLACES_OF_SEVEN[lost],)
+    np.testing.assert_allclose(sizes(trip), kept, rtol=0.05)
+
+
+def test_sensors_that_do_not_show_the_parts_name_none():
+    assert not show_parts([*PLACES_OF_SEVEN[:2], "body_left"])
+    assert not show_parts(["axle_box_axle1_left", "axle_box_axle2_left", *PLACES_OF_SEVEN[4::2]])
+    few = {"axle_box": BOXES[:2], "body": SEVEN["body"]}
+    with pytest.raises(NoEstimateError, match=r"no sensor at .*_axle2_left.* at least 4 of them"):
+        lost_sensors(noisy(SEVEN, list(manifest_of(SEVEN).sensors())[2:6]), SEVEN_VEHICLE)
+    assert sensor_places(manifest_of(few), "axle") == (*PLACES_OF_SEVEN[:2], "body_left")
 
 
 @pytest.mark.slow  # test_bogie_fit.py: drawn spectra of a smaller vehicle

@@ -506,3 +506,68 @@ def test_list_of_one_is_one_sensor(folder):
 def test_mistake_in_a_pair_is_named(folder, listed, message):
     with pytest.raises(TripError, match=rf"trip\.yaml: {message}"):
         read_manifest(changed(folder, *BODY, to=listed))
+
+
+# sensors at the bogie's other axle
+
+
+def sensor(column, side=None, axle=None):
+    """Return a sensor of its own column."""
+    where = {"side": side, "axle": axle}
+    return LEFT | {"column": column} | {key: one for key, one in where.items() if one}
+
+
+BOXES = [
+    sensor("d", "right", 2),
+    sensor("b", "right"),
+    sensor("a", "left", 1),
+    sensor("c", None, 2),
+]
+
+
+def test_four_axle_boxes_and_corners_of_the_frame_on_a_diagonal(folder):
+    diagonal = [sensor("f", "right", 2), sensor("e", "left")]
+    channels = {"axle_box": BOXES, "bogie": diagonal, "body": [sensor("g", "left")]}
+    manifest = read_manifest(changed(folder, "channels", to=channels))
+    found = {name: one.column for name, one in manifest.sensors().items()}
+    assert found == {
+        "axle_box left": "a",
+        "axle_box right": "b",
+        "axle_box axle2 left": "c",
+        "axle_box axle2 right": "d",
+        "bogie": "e",
+        "bogie axle2": "f",
+        "body": "g",
+    }
+    assert [manifest.is_pair(name) for name in CHANNELS] == [True, False, False]
+    assert manifest.unplaced == ()
+    assert read_manifest(write_manifest(manifest)) == manifest
+
+
+def test_four_sensors_may_leave_a_channel_out(folder):
+    pairs = [sensor("a"), sensor("b")], [sensor("c", axle=2), sensor("d", axle=2)]
+    path = changed(folder, "channels", to=dict(zip(("body", "bogie"), pairs, strict=True)))
+    manifest = read_manifest(path)
+    assert list(manifest.sensors()) == [
+        *("bogie axle2 left", "bogie axle2 right", "body left", "body right")
+    ]
+    assert not manifest.is_pair("bogie")
+    assert not manifest.is_pair("axle_box")
+    assert read_manifest(write_manifest(manifest)) == manifest
+
+
+@pytest.mark.parametrize(
+    ("channel", "listed", "message"),
+    [
+        ("bogie", sensor("a", axle=2), "`channels.bogie` has a sensor at axle 2 only: call its"),
+        ("bogie", sensor("a", axle=3), "`channels.bogie.axle` must be 1 or 2, got 3"),
+        ("bogie", sensor("a", axle="2"), "`channels.bogie.axle` must be 1 or 2 .*, got '2'"),
+        ("body", sensor("a", axle=1), "`channels.body.axle` is not known; allowed are"),
+        ("axle_box", [*BOXES, LEFT], "`channels.axle_box` must be .* right at each axle, got a li"),
+        ("axle_box", [sensor("a", "left", 2)] * 2, "`channels.axle_box` has two sensors on the l"),
+        ("axle_box", [BOXES[1], sensor("b", "middle")], r"`channels.axle_box\[1\].side` must be"),
+    ],
+)
+def test_mistake_in_a_place_is_named(folder, channel, listed, message):
+    with pytest.raises(TripError, match=rf"trip\.yaml: {message}"):
+        read_manifest(changed(folder, "channels", channel, to=listed))

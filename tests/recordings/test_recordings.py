@@ -370,6 +370,51 @@ def test_pair_of_dead_sensors_is_refused(trip):
     assert "'body right' is constant" in caught.value.problems[1]
 
 
+def elsewhere(path: Path, **signals: np.ndarray) -> Path:
+    """Add sensors at the bogie's other axle to a trip, by the names of their channels."""
+    content = yaml.safe_load(path.read_text())
+    for channel, values in signals.items():
+        file = f"{channel}_axle2.parquet"
+        pq.write_table(pa.table({"a": values}), path.parent / file)
+        other = {"file": file, "column": "a", "unit": "m/s2", "rate_hz": 500.0, "axle": 2}
+        content["channels"][channel] = [content["channels"][channel], other]
+    path.write_text(yaml.safe_dump(content))
+    return path
+
+
+def test_sensors_of_the_other_axle_are_part_of_no_channel(trip):
+    alone, late = load(trip()), motion(np.arange(32_000) / 500 - 0.04)
+    recording = load(elsewhere(trip(), axle_box=late, bogie=late))
+    np.testing.assert_array_equal(recording.signals, alone.signals)
+    assert recording.paired == (False, False, False)
+    assert recording.sides == (None, None, None)
+    assert list(recording.sensors()) == [*CHANNELS, "axle_box axle2", "bogie axle2"]
+    expected = motion(clock(recording) - 0.04)
+    for signal in recording.elsewhere.values():
+        np.testing.assert_allclose(signal, expected, atol=3e-4)
+
+
+def test_a_dead_single_sensor_is_left_out_if_four_others_are_there(trip):
+    other = motion(np.arange(32_000) / 500)
+    path = trip(signals={"body": np.full(127_980, 2.0)})
+    with pytest.raises(TripError, match="channel 'body' is constant"):
+        load_recording(read_manifest(elsewhere(path, axle_box=other)))
+    path = trip(signals={"body": np.full(127_980, 2.0)})
+    recording = load_recording(read_manifest(elsewhere(path, axle_box=other, bogie=other)))
+    assert "body: dead and left out: it is constant (2)" in str(recording.faults[0])
+    assert (recording.dead, recording.absent) == (("body",), ("body",))
+    assert list(recording.sensors()) == ["axle_box", "bogie", "axle_box axle2", "bogie axle2"]
+    assert np.isnan(recording.signals[2]).all()
+    assert recording.usable.all()
+
+
+def test_a_dead_sensor_of_the_other_axle_leaves_the_channels_as_they_are(trip):
+    path = elsewhere(trip(), axle_box=np.full(32_000, 2.0), bogie=motion(np.arange(32_000) / 500))
+    recording = load(path)
+    assert (recording.dead, recording.absent) == (("axle_box axle2",), ())
+    assert list(recording.sensors()) == [*CHANNELS, "bogie axle2"]
+
+
 @pytest.mark.representatives(2)
 @pytest.mark.parametrize(
     ("right", "changes", "message"),
