@@ -10,9 +10,10 @@ under the posterior of the healthy trips. Both minimise the sum of squares of ::
 with F F^T the covariance of log z. The noise of each trip and what excites each wheelset alone are
 those that its spectra show with the vehicle as found so far (`suspnet.spectra.noise_subspace`).
 Starting from the healthy vehicle, model errors of 30 % of each signal are allowed first, in bands
-that widen, then less and less: the direct search ends in another valley. A part's interval is that of the posterior at the minimum, times ``COMMON``: what healthy
-trips leave open is one draw for all later ones. The information J^T J of n residuals is divided by
-that of the misfit mu, the rms residual over that of the noise::
+that widen, then less and less: the direct search ends in another valley. A part's interval is that
+of the posterior at the minimum, times ``COMMON``: what healthy trips leave open is one draw for all
+later ones. The information J^T J of n residuals is divided by that of the misfit mu, the rms
+residual over that of the noise::
 
     max(1, mu)^2 + ALIGNED^2 n max(0, mu^2 - EXPLAINED^2)
 
