@@ -210,7 +210,9 @@ def _metrics(report: Report) -> dict[str, Any]:
         "n_flagged": sum(bool(r.flags) for r in results),
         "rms_error_percent": errors_percent(results, report.outputs),
         "coverage_percent": coverage_percent(results, report.outputs),
-        "limits": {name: one.to_dict() for name, one in state.limits.items()},
+        "limits": {
+            name: state.limits[name].to_dict() for name in report.outputs if name in state.limits
+        },
         "trends": [
             asdict(one.trend)
             | {"changed": one.trend.changed, "severity": str(one.severity), "words": one.words}
