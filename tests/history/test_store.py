@@ -269,7 +269,7 @@ def test_a_store_of_another_version_is_refused(tmp_path):
     with sqlite3.connect(path) as connection:
         connection.execute("UPDATE suspnet_version SET schema = 99")
     connection.close()
-    with pytest.raises(HistoryError, match="a store of version 99, this suspnet reads version 6"):
+    with pytest.raises(HistoryError, match="a store of version 99, this suspnet reads version 7"):
         History(path)
 
 

@@ -9,8 +9,15 @@ import pytest
 import yaml
 from trip_records import SPREAD
 
-from suspnet.dynamics import PARAMETERS
-from suspnet.ground.parameters import DEFAULT_LIMITS, Limits, Severity, limits_words, read_limits
+from suspnet.ground.parameters import (
+    DEFAULT_LIMITS,
+    PARAMETERS,
+    Limits,
+    Severity,
+    kind_of,
+    limits_words,
+    read_limits,
+)
 from suspnet.maintenance.assessment import assess, overall
 from suspnet.maintenance.judge import N_CONFIRMING, N_LAST, judge, last_trips
 from suspnet.maintenance.series import make_series
@@ -29,7 +36,7 @@ ALARMING = {
 }
 Z = 1.645
 """Half-width of a 90 % interval over its standard deviation."""
-JUDGED = tuple(DEFAULT_LIMITS)
+JUDGED = PARAMETERS[:-1]
 LIMITS = Limits((0.9, 1.1), (0.8, 1.25))
 WINDOW = np.arange(-N_LAST, 0)
 
@@ -278,7 +285,10 @@ def test_limits_that_make_no_sense_are_refused(notice, act, message):
 
 def test_limits_are_read_from_plain_values():
     given = {"k_p": {"notice": [0.9, 1.1], "act": [0.8, 1.25]}, "c_p": None}
-    assert read_limits(given) == {"k_p": LIMITS}
+    found = read_limits(given)
+    assert found["k_p"] == LIMITS
+    assert set(found.values()) == {LIMITS}
+    assert {kind_of(name) for name in found} == {"k_p"}
     assert read_limits(DEFAULT_LIMITS) == DEFAULT_LIMITS
     assert Limits((0, 1.1), (0, np.inf)).act == (0, np.inf)
     with pytest.raises(ValueError, match=r"`limits\.k_p` must have `notice` and `act`, or be null"):
@@ -292,8 +302,9 @@ def test_limits_are_the_defaults_unless_others_are_given():
     assert read_limits(settings, DEFAULT_LIMITS, "a setting") == DEFAULT_LIMITS
     given = {"k_p": None, "c_p": {"act": [0.5, None]}, "M_s": {"notice": None, "act": None}}
     found = read_limits(given, DEFAULT_LIMITS, "a setting")
-    assert list(found) == ["c_p", "k_s", "c_s"]
+    assert {kind_of(name) for name in found} == {"c_p", "k_s", "c_s"}
     assert found["c_p"] == Limits((0.8, 1.25), (0.5, np.inf), "a setting")
+    assert found["c_p_axle2_right"] == found["c_p"]
     assert found["k_s"] is DEFAULT_LIMITS["k_s"]
     own = {"k_s": {"why": "our rule 7", "notice": [0.95, 1.05]}}
     assert read_limits(own, DEFAULT_LIMITS)["k_s"] == Limits(
