@@ -58,10 +58,11 @@ def read_series(
     names = {one: key for one, (key, _) in known_suspensions(connection).items()}
     chosen = None if keys is None else [one for one, key in names.items() if key in keys]
     events = read_stored(connection, Event, bad)
-    columns = _columns(connection, chosen, names, bad)
-    owner, km = columns[0][:, 0].astype(np.int64), columns[0][:, 2]
-    order = np.lexsort((columns[1], km, owner))  # NaN last
-    numbers, texts, starts, sensors, worn = (column[order] for column in columns)
+    numbers, texts, starts, sensors, worn = _columns(connection, chosen, names, bad)
+    owner, km = numbers[:, 0].astype(np.int64), numbers[:, 2]
+    order = np.lexsort((texts, km, owner))  # NaN last
+    numbers, texts, starts = numbers[order], texts[order], starts[order]
+    sensors, worn = sensors[order], worn[order]
     ids, begins = np.unique(owner[order], return_index=True)
     parts = np.split(np.arange(len(order)), begins[1:]) if len(ids) else []
     found = []
@@ -69,10 +70,10 @@ def read_series(
         if one not in names:
             continue  # its suspension is unreadable, or has just been added
         vehicle, place = names[one]
-        own = iter(numbers[part].T[1:].copy())
-        flagged = next(own) > 0
-        scalars = {name: next(own) for name in NUMBERS}
-        values = [{name: next(own) for name in ESTIMATED} for _ in range(2)]
+        columns = iter(numbers[part].T[1:].copy())
+        flagged = next(columns) > 0
+        scalars = {name: next(columns) for name in NUMBERS}
+        values = [{name: next(columns) for name in ESTIMATED} for _ in range(2)]
         kept = with_estimates(values[0])
         values = [{name: part[name] for name in kept} for part in values]
         found.append(

@@ -12,7 +12,7 @@ import numpy as np
 
 from suspnet.ground.parameters import BOGIE_PARTS, Severity, kind_of, part_words, place_words
 from suspnet.ground.records import TripResult
-from suspnet.ground.wording import number
+from suspnet.ground.wording import count, number
 from suspnet.maintenance.plan import suspension_of, train_of
 from suspnet.maintenance.schedule import Plan
 from suspnet.maintenance.state import State
@@ -191,6 +191,6 @@ def why_no_part(trips: Iterable[TripResult], outputs: Iterable[str]) -> str:
     if not reasons:
         return "" if has_parts else NONE_NAMED
     trip, reason = reasons[-1]
-    of = f" on {len(reasons)} trips" if has_parts else ""
+    of = f" on {count(len(reasons), 'trip')}" if has_parts else ""
     newest = f" (trip {trip})" if len(reasons) > 1 else ""
     return f"No single spring or damper is named{of}: {reason}{newest}."
