@@ -181,6 +181,10 @@ class Visit:
     jobs: tuple[Job, ...]
     expected_cost: float
 
+    def words_of(self, job: Job) -> str:
+        """Return the work of one of its jobs and its day: "replace at the visit of 2026-03-15"."""
+        return f"{job.what} at the visit of {self.day.isoformat()}"
+
     def urgency_of(self, job: Job) -> str:
         """Return the urgency of one of its jobs: "now" or "unknown" if its life is unknown."""
         return UNKNOWN if job.part.unknown and self.urgency != "now" else self.urgency
@@ -264,7 +268,7 @@ class Plan:
             "parameter": part.parameter,
             "part": part_words(part.parameter),
             "what": job.what,
-            "visit": f"{job.what} at the visit of {visit.day.isoformat()}" if visit else "",
+            "visit": visit.words_of(job) if visit else "",
             "urgency": urgency,
             "severity": str(part.severity),
             "unknown": part.unknown,

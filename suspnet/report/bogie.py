@@ -38,7 +38,7 @@ class DrawnPart:
     """One part as it is drawn; `value` and `half` are in % of healthy, as text.
 
     `half` is empty without an interval, `group` unless the part is one of several of which one has
-    worn, and `visit` unless the plan has work on it.
+    worn, `odds` unless it alone is named as worn, and `visit` unless the plan has work on it.
     """
 
     name: str
@@ -46,12 +46,19 @@ class DrawnPart:
     value: str
     half: str
     group: str = ""
+    odds: str = ""
     visit: str = ""
 
     @property
     def words(self) -> str:
         """The part as a depot calls it."""
         return part_words(self.name)
+
+    @property
+    def worn(self) -> str:
+        """Whether the part has worn, as text; empty without a verdict."""
+        named = f"worn, odds {self.odds}" if self.odds else ""
+        return "; ".join(filter(None, (named, self.group and f"one of group {self.group}")))
 
     @property
     def level(self) -> str:
@@ -69,9 +76,9 @@ class Bogie:
 
     @property
     def found(self) -> list[DrawnPart]:
-        """Parts with a finding, in a group or with work planned, the worst first."""
+        """Parts with a finding, a verdict or work planned, the worst first."""
         order = [str(one) for one in sorted(Severity, reverse=True)]
-        shown = [p for p in self.parts.values() if p.severity != "none" or p.group or p.visit]
+        shown = [p for p in self.parts.values() if p.severity != "none" or p.worn or p.visit]
         return sorted(shown, key=lambda part: order.index(part.severity))
 
 
@@ -79,22 +86,29 @@ def bogie_of(state: State, plan: Plan | None = None) -> Bogie | None:
     """Return the bogie of a suspension; None if no trip has an estimate of its parts.
 
     A value is the median of the last trips, its interval the median of those of these trips that
-    are not flagged. Groups are those of the newest trip with an estimate.
+    are not flagged. Verdicts are those of the newest trip with an estimate of parts.
     """
     if not set(BOGIE_PARTS) & set(state.outputs):
         return None
-    recent = state.recent
-    newest = np.flatnonzero(recent.done)[-1:]
-    worn = "" if recent.worn is None or not len(newest) else str(recent.worn[newest[0]])
-    groups = dict(zip(LETTERS, worn_groups(worn), strict=False))
-    visits = {} if plan is None else visits_of(plan, state)
+    entries = worn_entries(_newest_verdict(state))
+    groups = dict(zip(LETTERS, (one for one in entries if len(one[0]) > 1), strict=False))
+    odds = {names[0]: words for names, words in entries if len(names) == 1}
+    visits = visits_of(plan, state)
     parts = {}
     for name in BOGIE_PARTS:
         severity = str(state.severities.get(name, Severity.UNKNOWN))
-        letters = " ".join(letter for letter, names in groups.items() if name in names)
-        level_and_half = _level(state, name)
-        parts[name] = DrawnPart(name, severity, *level_and_half, letters, visits.get(name, ""))
-    return Bogie(parts, {letter: group_words(names) for letter, names in groups.items()})
+        letters = " ".join(letter for letter, (names, _) in groups.items() if name in names)
+        found = letters, odds.get(name, ""), visits.get(name, "")
+        parts[name] = DrawnPart(name, severity, *_level(state, name), *found)
+    return Bogie(parts, {letter: group_words(*one) for letter, one in groups.items()})
+
+
+def _newest_verdict(state: State) -> str:
+    """Return which parts have worn on the newest trip with an estimate of parts, as text."""
+    recent = state.recent
+    read = [np.isfinite(recent.estimates[name]) for name in recent.outputs if name in BOGIE_PARTS]
+    newest = np.flatnonzero(np.any(read, axis=0))[-1:]
+    return "" if recent.worn is None or not len(newest) else str(recent.worn[newest[0]])
 
 
 def bogies_shown(view: FleetView, chosen: Iterable[int] | None = None) -> dict[str, Any]:
@@ -104,7 +118,7 @@ def bogies_shown(view: FleetView, chosen: Iterable[int] | None = None) -> dict[s
     its name in URLs, "n_bogies", the number of bogies whose parts are read, and "no_part", a
     sentence if there are none.
     """
-    several = range(len(view.states)) if chosen is None else chosen
+    several = list(range(len(view.states)) if chosen is None else chosen)
     read = [i for i in several if set(BOGIE_PARTS) & set(view.states[i].outputs)]
     found = [i for i in read if view.states[i].severity > Severity.NONE][:MOST_BOGIES]
     return {
@@ -113,7 +127,7 @@ def bogies_shown(view: FleetView, chosen: Iterable[int] | None = None) -> dict[s
             for i in found
         ],
         "n_bogies": len(read),
-        "no_part": "" if read else NONE_NAMED,
+        "no_part": "" if read or not several else NONE_NAMED,
     }
 
 
@@ -143,25 +157,27 @@ def small_figures(state: State, images: Mapping[str, str]) -> dict[bool, list[di
     return found
 
 
-def worn_groups(worn: str) -> list[tuple[str, ...]]:
-    """Return the parts of each group of several of which one has worn, from ``TripResult.worn``.
+def worn_entries(worn: str) -> list[tuple[tuple[str, ...], str]]:
+    """Return parts and odds of each entry of ``TripResult.worn``; several parts are a group.
 
     Examples
     --------
-    >>> worn_groups("c_p of axle 1, left or k_s of right at 62 % of healthy (odds 30 : 1, ...)")
-    [('c_p_axle1_left', 'k_s_right')]
+    >>> worn_entries("c_p of axle 1, left or k_s of right at 62 % of healthy (odds 30 : 1, ...)")
+    [(('c_p_axle1_left', 'k_s_right'), '30 : 1')]
     """
     names = {f"{kind_of(name)} of {place_words(name)}": name for name in BOGIE_PARTS}
-    several = (one.split(" at ")[0].split(" or ") for one in re.split(r"; (?=[kc]_)", worn))
-    groups = [tuple(names[one] for one in parts if one in names) for parts in several]
-    return [group for group in groups if len(group) > 1]
+    found = []
+    for parts, odds in re.findall(r"(?:^|; )([^;]+?) at [^;(]*\(odds ([^:]+ : 1)", worn):
+        known = tuple(names[one] for one in parts.split(" or ") if one in names)
+        found += [(known, odds)] if known else []
+    return found
 
 
-def group_words(names: Sequence[str]) -> str:
+def group_words(names: Sequence[str], odds: str) -> str:
     """Return a sentence on parts of which one has worn, with what they have in common."""
     common = _common([part.partition("_")[2].split("_")[1:] for part in names])
     parts = " or ".join(part_words(name) for name in names)
-    return f"one of several has worn{common}, which of them is not known: {parts}"
+    return f"one of several has worn{common} (odds {odds}), which is not known: {parts}"
 
 
 def _common(places: Sequence[Sequence[str]]) -> str:
@@ -171,13 +187,15 @@ def _common(places: Sequence[Sequence[str]]) -> str:
     return axle + "".join(f" on the {one}" for one in sorted(shared) if one in ("left", "right"))
 
 
-def visits_of(plan: Plan, state: State) -> dict[str, str]:
+def visits_of(plan: Plan | None, state: State) -> dict[str, str]:
     """Return the work on each part of a suspension that has a visit: what, and on which day."""
     place = train_of(state), state.series.place.car, suspension_of(state)
     return {
-        row["parameter"]: row["visit"]
-        for row in plan.rows()
-        if row["day"] and (row["train"], row["car"], row["suspension"]) == place
+        job.part.parameter: visit.words_of(job)
+        for visit in (plan.visits if plan else ())
+        if visit.train == place[0]
+        for job in visit.jobs
+        if job.part.place == place and job.part.parameter in BOGIE_PARTS
     }
 
 

@@ -33,6 +33,7 @@ from suspnet.maintenance.schedule import Plan
 from suspnet.maintenance.series import relative_results
 from suspnet.maintenance.state import State
 from suspnet.report.board import Refresher
+from suspnet.report.bogie import visits_of
 from suspnet.report.tables import FleetView, response
 from suspnet.report.templates import MARKS
 from suspnet.report.trend import trend_of_state
@@ -243,7 +244,7 @@ def _suspension_version(view: FleetView, name: str) -> str:
     row = {key: value for key, value in view.rows[view.keys[name]].items() if "life" not in key}
     seen = view.acknowledged.get(state.key, ())
     parts = (row, state.alarms, series.events, seen, sorted(state.lives), series.trip.tolist()[-1:])
-    return _digest(parts, _refresher().fault, view.is_complete)
+    return _digest(parts, visits_of(view.plan, state), _refresher().fault, view.is_complete)
 
 
 def _digest(*parts: Any) -> str:

@@ -23,7 +23,7 @@ from suspnet.history import History
 from suspnet.maintenance.series import Event, series_of
 from suspnet.maintenance.state import State
 from suspnet.report.board import BoardSettings
-from suspnet.report.bogie import NONE_NAMED, bogie_of, group_words, why_no_part, worn_groups
+from suspnet.report.bogie import NONE_NAMED, bogie_of, group_words, why_no_part, worn_entries
 from suspnet.report.maintenance_figures import small_trends
 from suspnet.report.report import Report, write_report
 from suspnet.report.tables import same_columns
@@ -110,21 +110,25 @@ def test_parts_are_called_as_in_a_depot():
 def test_groups_are_read_back_from_the_verdict():
     three = WornPart(("c_p_axle1_left", "c_p_axle1_right", "k_s_right"), 25.0, 1.2)
     one = WornPart(("k_p_axle1_left",), 1e9, 0.5)
-    assert worn_groups(worn_words([three, one, GROUP])) == [three.names, GROUP.names]
-    assert worn_groups(worn_words([one])) == worn_groups("") == []
+    assert worn_entries(worn_words([three, one, GROUP])) == [
+        (three.names, "25 : 1"),
+        (one.names, "over 1000 : 1"),
+        (GROUP.names, "30 : 1"),
+    ]
+    assert worn_entries("") == worn_entries("odd text; more (odds 3)") == []
 
 
 @pytest.mark.parametrize(
     ("names", "common"),
     [
-        (("c_p_axle1_left", "c_p_axle1_right"), "one of several has worn at axle 1, which"),
-        (("c_p_axle1_left", "k_s_left"), "one of several has worn on the left, which"),
-        (("c_p_axle1_left", "k_p_axle1_left"), "has worn at axle 1 on the left, which"),
-        (("c_p_axle1_left", "k_s_right"), "one of several has worn, which"),
+        (("c_p_axle1_left", "c_p_axle1_right"), "has worn at axle 1 (odds 30 : 1), which"),
+        (("c_p_axle1_left", "k_s_left"), "one of several has worn on the left (odds"),
+        (("c_p_axle1_left", "k_p_axle1_left"), "has worn at axle 1 on the left (odds"),
+        (("c_p_axle1_left", "k_s_right"), "one of several has worn (odds"),
     ],
 )
 def test_sentence_on_a_group_says_what_its_parts_have_in_common(names, common):
-    found = group_words(names)
+    found = group_words(names, "30 : 1")
     assert common in found
     assert found.endswith(" or ".join(map(part_words, names)))
 
@@ -195,12 +199,28 @@ def test_group_is_shown_as_one(results):
     assert found.parts["k_s_left"].group == "A"
     assert page.count(">A?</text>") == page.count('class="box group"') == 2
     assert ", one of group A" in Labels(page).parts()["secondary spring, right"][1]["aria-label"]
-    assert found.groups == {"A": group_words(GROUP.names)}
-    assert "which of them is not known" in found.groups["A"]
+    assert found.groups == {"A": group_words(GROUP.names, "30 : 1")}
+    assert "which is not known" in found.groups["A"]
     assert [one.name for one in found.found] == [
         *("c_p_axle2_left", "k_p_axle1_right"),
         *GROUP.names,
     ]
+
+
+def test_part_that_is_named_is_marked_with_its_odds_though_it_is_within_its_limits():
+    verdict = worn_words([WornPart(("k_s_right",), 400.0, 0.97)])
+    page, found = drawn(bogie_trips(PLACE, 1, {"k_s_right": lambda i: 0.97}, lambda i: verdict))
+    assert page.count(">worn </text>") == 1
+    assert [(one.name, one.severity, one.odds) for one in found.found] == [
+        ("k_s_right", "none", "400 : 1")
+    ]
+    label = Labels(page).parts()["secondary spring, right"][1]["aria-label"]
+    assert label.endswith(", worn, odds 400 : 1")
+
+
+def test_verdict_is_that_of_the_newest_trip_whose_parts_were_read(results):
+    unread = replace(results[-1], estimates={"k_p": 1.0}, worn="")
+    assert drawn([*results[:-1], unread])[1].groups
 
 
 def test_parts_without_an_estimate_or_interval_are_shown_as_such(results):

@@ -85,3 +85,4 @@ def test_fleet_without_parts_says_why_once(tmp_path):
     assert page.count(NONE_NAMED) == 1
     assert "<svg" not in page
     assert "Bogies from above" not in page
+    assert NONE_NAMED not in client.get("/?train=77", **BASE).text  # no suspension at all
