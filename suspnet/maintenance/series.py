@@ -161,8 +161,10 @@ class Series:
             for part in (self.estimates, self.half_widths)
         )
         for trips in self.between:
-            first = trips[self.done[trips]][:n_first]
-            for name in set(estimates) - {BODY_MASS} if len(first) else ():
+            for name in set(estimates) - {BODY_MASS}:
+                first = trips[np.isfinite(self.estimates[name][trips])][:n_first]
+                if not len(first):
+                    continue
                 estimates[name][trips] /= np.median(estimates[name][first])
                 own = half_widths[name]
                 own[trips] = np.hypot(own[trips], half_width_of_median(own[first]))
@@ -353,15 +355,16 @@ def relative_to_first(results: list[TripResult], n_first: int) -> list[TripResul
     change. The car-body mass stays relative to nominal, as it varies by nature.
     If fewer trips have an estimate, all of these are used.
     """
-    done = first_trips(results, n_first)
-    if not done:
-        return results
-    names = [name for name in done[0].raw if name != BODY_MASS]
-    estimated = medians([r.raw for r in done], names)
-    true = medians([r.truth for r in done if set(names) <= set(r.truth)], names)
+    done = first_trips(results, len(results))
+    names = dict.fromkeys(name for r in done for name in r.raw if name != BODY_MASS)
+    # not every trip has all parts of a bogie
+    first = {name: [r for r in done if name in r.raw][:n_first] for name in names}
+    estimated = {name: _median(r.raw[name] for r in own) for name, own in first.items()}
+    known = {name: [r for r in own if name in r.truth] for name, own in first.items()}
+    true = {name: _median(r.truth[name] for r in own) for name, own in known.items() if own}
     reference = {
-        name: half_width_of_median([r.half_widths.get(name, np.nan) for r in done])
-        for name in names
+        name: half_width_of_median([r.half_widths.get(name, np.nan) for r in own])
+        for name, own in first.items()
     }
     return [
         replace(
@@ -401,6 +404,10 @@ def half_width_of_median(half_widths: ArrayLike) -> float:
     """Return the half-width of the median of trips from their own; 0 if one is unknown."""
     widths = np.asarray(half_widths, dtype=float)
     return float(np.nan_to_num(np.sqrt(np.pi / 2 / len(widths)) * np.median(widths)))
+
+
+def _median(values: Iterable[float]) -> float:
+    return float(np.median(list(values)))
 
 
 def medians(values: Sequence[Mapping[str, float]], names: Iterable[str]) -> dict[str, float]:

@@ -20,7 +20,7 @@ from suspnet.ground.parameters import (
 )
 from suspnet.ground.records import NO_PART, Place, Quality
 from suspnet.history import History
-from suspnet.maintenance.series import Event, series_of
+from suspnet.maintenance.series import Event, relative_to_first, series_of
 from suspnet.maintenance.state import State
 from suspnet.report.board import BoardSettings
 from suspnet.report.bogie import NONE_NAMED, bogie_of, group_words, why_no_part, worn_entries
@@ -361,3 +361,19 @@ def test_rows_of_a_mixed_fleet_have_the_columns_of_all():
     found = same_columns([{"a": 1}, {"a": 2, "b": 3.0}])
     assert [list(one) for one in found] == [["a", "b"]] * 2
     assert np.isnan(found[0]["b"])
+
+
+def test_healthy_is_that_of_the_first_trips_of_each_part_where_some_were_not_read(few):
+    other = trips(PLACE, 4, n_trips=1)[0]
+    mixed = [replace(few[0], estimates=other.estimates, raw=other.raw), *few[1:]]
+    found = relative_to_first(mixed, 3)
+    for name in ("c_p_axle2_left", "k_s_right"):
+        healthy = np.median([one.raw[name] for one in few[1:4]])
+        assert found[5].estimates[name] == pytest.approx(few[5].raw[name] / healthy)
+    assert found[0].estimates["k_p"] == 1.0
+    series = series_of(mixed).relative_to_first(3)
+    for name in COMPONENTS:
+        expected = [one.estimates.get(name, np.nan) for one in found]
+        np.testing.assert_allclose(series.estimates[name], expected, rtol=1e-12)
+        halves = [one.half_widths[name] for one in found]
+        np.testing.assert_allclose(series.half_widths[name], halves, rtol=1e-12)
