@@ -13,6 +13,7 @@ import numpy as np
 from suspnet.ground.parameters import BOGIE_PARTS, Severity, kind_of, part_words, place_words
 from suspnet.ground.records import TripResult
 from suspnet.ground.wording import count, number
+from suspnet.maintenance.judge import ABSURD
 from suspnet.maintenance.plan import suspension_of, train_of
 from suspnet.maintenance.schedule import Plan
 from suspnet.maintenance.state import State
@@ -138,7 +139,7 @@ def _level(state: State, name: str) -> tuple[str, str]:
     last = state.last_of(name)
     halves = 100 * (last.high - last.low)[~last.flagged] / 2
     half = float(np.median(halves)) if len(halves) else math.nan
-    if not math.isfinite(half):
+    if not math.isfinite(half) or state.now(name) > ABSURD:
         return level(state.now(name), 1), ""
     digits = min(interval_digits([half]), MOST_DIGITS)
     return level(state.now(name), digits), number(half, digits)
