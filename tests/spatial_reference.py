@@ -165,6 +165,11 @@ class Train:
                     high = self.frame(i, np.array([0, beside, n["bogie_lever"]]), X)
                     kappa = n["longitudinal_stiffness"] + n["longitudinal_damping"] * s
                     self.add(kappa, low + n["body_lever"] * section, high)
+                if "yaw_dampers" in parts:
+                    arm, far = n["body_lever"] - n["yaw_height"], y * n["yaw_lateral"]
+                    low = moved(BODY, [centre, far, -arm], X) + arm * section
+                    high = self.frame(i, np.array([0, far, n["bogie_lever"] + n["yaw_height"]]), X)
+                    self.add(in_series(n["yaw_damping"] * s, n["yaw_bushing"]), low, high)
                 low = moved(BODY, [centre, beside, -n["body_lever"]], Y)
                 high = self.frame(i, np.array([0, beside, n["bogie_lever"]]), Y)
                 self.add(n["lateral_stiffness"] + n["lateral_damping"] * s, low, high)
@@ -216,9 +221,9 @@ class Train:
                 aside = s * place / size - v / size * yaw
                 rolled = r + n["conicity"] * y / RAIL_M * (place - rails)  # without its constant
                 along = (-s * y * yaw - v / r * (rolled - r)) / size
-                for creepage, axis in ((aside, Y), (along, X)):
+                for creepage, axis, size_of in ((aside, Y, n["creep_ratio"]), (along, X, 1.0)):
                     at = moved(body, [0, y, 0], axis)
-                    force = c * np.outer(at, creepage)
+                    force = size_of * c * np.outer(at, creepage)
                     self.system += force[:, :SIZE]
                     self.drive -= force[:, SIZE:]
 
@@ -261,25 +266,43 @@ class Train:
         return (1 - arm) * box + arm * above
 
 
+def measured(vehicle, train):
+    """Return what sensors show of height, angle and lateral place of each wheelset, (m, 12)."""
+    n, motion, rows = train.n, train.motion(), []
+    for i, place in enumerate(vehicle.sensors):
+        row = train.seen(place) @ motion
+        if i and "sensors" in vehicle.parts:
+            row = row * n[f"gain_{place}"] * cmath.exp(-train.s * n[f"delay_{place}"])
+        rows.append(row)
+    return np.array(rows)
+
+
+def sizes(n, s):
+    """Return height, angle and lateral place of the track of each input."""
+    wave = abs(s / n["speed"]) ** 2
+    cross = math.sqrt(n["cross_level"] * wave / (wave + 0.438**2)) / RAIL_M
+    return np.array([1.0, cross, math.sqrt(n["alignment"])])
+
+
+def alone(vehicle, ratios, frequency_hz):
+    """Return the responses to each input under one wheelset, (3, 4, n_sensors)."""
+    s = 2j * math.pi * frequency_hz
+    train = Train(vehicle, ratios, s)
+    rows = measured(vehicle, train).T.reshape(3, 4, -1)
+    return sizes(train.n, s)[:, None, None] * rows
+
+
 def channels(vehicle, ratios, frequency_hz):
     """Return the response of each sensor to each input, (n_inputs, n_sensors)."""
     s = 2j * math.pi * frequency_hz
     train = Train(vehicle, ratios, s)
-    n, motion = train.n, train.motion()
-    rows = []
-    for i, place in enumerate(vehicle.sensors):
-        row = train.seen(place) @ motion
-        if i and "sensors" in vehicle.parts:
-            row = row * n[f"gain_{place}"] * cmath.exp(-s * n[f"delay_{place}"])
-        rows.append(row)
-    rows = np.array(rows)
+    n, rows = train.n, measured(vehicle, train)
     places = [train.centres[i // 2] + ahead for i, ahead in enumerate(train.axles)]
     delays = np.array([cmath.exp(-s * (places[0] - place) / n["speed"]) for place in places])
-    wave = abs(s / n["speed"]) ** 2
-    cross = math.sqrt(n["cross_level"] * wave / (wave + 0.438**2)) / RAIL_M
-    found = [rows[:, :4] @ delays, cross * rows[:, 4:8] @ delays]
+    level, cross, aside = sizes(n, s)
+    found = [level * rows[:, :4] @ delays, cross * rows[:, 4:8] @ delays]
     if {"frame_sway", "frame_yaw", "creep"} & set(vehicle.parts):
-        found.append(math.sqrt(n["alignment"]) * rows[:, 8:] @ delays)
+        found.append(aside * rows[:, 8:] @ delays)
     if "wheelsets" in vehicle.parts:
         found += list(math.sqrt(n["wheelset_share"]) * rows[:, :4].T)
         found += list(math.sqrt(n["wheelset_roll_share"]) / RAIL_M * rows[:, 4:8].T)

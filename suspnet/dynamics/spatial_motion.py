@@ -16,6 +16,7 @@ angle and its lateral place, the stretches are::
     guidance            2 gamma       psi_i
     longitudinal, side  kappa_x       f (h_2 / L) (phi + sigma slope q) + t (h_3 / a) psi_i
                                         - s b_s (f chi / L - t chi_i / a)
+    yaw damper, side    kappa_d       likewise, with h_2 - h_d, h_3 + h_d and b_d
     anti-roll bar       k_bar         theta - theta_i
     lateral             2 kappa_y     y + sigma chi + h_2 theta - y_i + h_3 theta_i
     axle guide          2 kappa_g     y_i + eps chi_i + h_g theta_i - y_w
@@ -23,10 +24,10 @@ angle and its lateral place, the stretches are::
     bending, torsion    kappa_q, k_t  q, tau_i
 
 y_w is v - r_0 x, so that the wheelset stays on its track, or a coordinate with creep. With the
-speed V, half gauge b_r, conicity lambda and creep coefficient c of a wheel (linear, the same in
-both directions), the wheelset is pulled by its creepages to the left and in yaw::
+speed V, half gauge b_r, conicity lambda and creep coefficients of a wheel, c along and rho c across
+(linear), the wheelset is pulled by its creepages to the left and in yaw::
 
-    F   = -2 c (s (y_w + r_0 x) / V - t chi_w / a)
+    F   = -2 rho c (s (y_w + r_0 x) / V - t chi_w / a)
     M   = -2 c b_r (lambda (y_w + r_0 x - v) / r_0 + s b_r t chi_w / (a V))
 
 Gravity and the stiffness of flanges are left out: both are small beside creep above 0.3 Hz. What
@@ -65,6 +66,8 @@ from suspnet.ground.types import FloatArray
 T = TypeVar("T")
 Row = dict[str, Tensor | float]
 """Factors of coordinates and inputs by name, numbers or tensors of shape (n_vehicles, 1)."""
+LEAST_DAMPING = 1e-3
+"""Damping of a yaw damper that is as good as none [N s/m]."""
 SIGNS = {"left": 1.0, "right": -1.0, "middle": 0.0}
 """Lateral place of a side in units of that of the left one."""
 
@@ -164,22 +167,41 @@ def _suspensions(layout: Layout, p: Mapping[str, Tensor]) -> list[Joint]:
 
 
 def _linked(layout: Layout, p: Mapping[str, Tensor]) -> list[Joint]:
-    """Return the longitudinal links and the lateral suspension between body and bogies."""
+    """Return links, yaw dampers and lateral suspension between body and bogies."""
     f, t = _ends(layout)
     a, pivot = p["half_wheelbase"], p["half_pivot_distance"]
-    links, aside = longitudinal_element(p), lateral_element(p).times(2)
+    aside = lateral_element(p).times(2)
+    # element, half distance, height above the links
+    along = []
+    if "longitudinal" in layout.parts:
+        along.append((longitudinal_element(p), p["secondary_lateral"], torch.zeros_like(a)))
+    if "yaw_dampers" in layout.parts:
+        along.append((_yaw_damper(p), p["yaw_lateral"], p["yaw_height"]))
     found = []
     for i, sigma in (1, 1.0), (2, -1.0):
-        body, bogie = f * p["body_lever"] / pivot, t * p["bogie_lever"] / a
-        pitched: Row = {"phi": body, "q": sigma * p["bending_slope"] * body, f"psi_{i}": bogie}
-        for sign in (1.0, -1.0) if "longitudinal" in layout.parts else ():
-            lateral = sign * p["secondary_lateral"]
-            yawed: Row = {"chi": -f * lateral / pivot, f"chi_{i}": t * lateral / a}
-            found.append(Joint(links, {**pitched, **yawed}))
+        for element, half, height in along:
+            body, bogie = (
+                f * (p["body_lever"] - height) / pivot,
+                t * (p["bogie_lever"] + height) / a,
+            )
+            pitched: Row = {"phi": body, "q": sigma * p["bending_slope"] * body, f"psi_{i}": bogie}
+            for lateral in half, -half:
+                yawed: Row = {"chi": -f * lateral / pivot, f"chi_{i}": t * lateral / a}
+                found.append(Joint(element, {**pitched, **yawed}))
         swayed: Row = {"y": 1.0, "chi": sigma, "theta": p["body_lever"]}
         swayed |= {f"y_{i}": -1.0, f"theta_{i}": p["bogie_lever"]}
         found.append(Joint(aside, swayed))
     return found
+
+
+def _yaw_damper(p: Mapping[str, Tensor]) -> Element:
+    """Return one yaw damper in series with its bushings."""
+    damping = p["yaw_damping"]
+    # the rate of the branch would be infinite without any damping
+    damping = torch.where(damping.abs() < LEAST_DAMPING, LEAST_DAMPING, damping)
+    return Element(
+        torch.zeros_like(damping), None, [(p["yaw_bushing"], p["yaw_bushing"] / damping)]
+    )
 
 
 def _guided(layout: Layout, p: Mapping[str, Tensor]) -> list[Joint]:
@@ -203,16 +225,19 @@ def _guided(layout: Layout, p: Mapping[str, Tensor]) -> list[Joint]:
 def _creeping(layout: Layout, p: Mapping[str, Tensor]) -> list[Joint]:
     """Return the creepages of the wheelsets; those that depend on speed are dampers."""
     _, t = _ends(layout)
-    both = 2 * p["creep_coefficient"]
-    creep, damper = Element(both, None), Element(torch.zeros_like(both), both / p["speed"])
+    along = 2 * p["creep_coefficient"]
+    across = along * p["creep_ratio"]
+    none = torch.zeros_like(along)
+    creep, damper = Element(along, None), Element(none, along / p["speed"])
+    creep_aside, damper_aside = Element(across, None), Element(none, across / p["speed"])
     lever, cone = RAIL_LATERAL_M / p["half_wheelbase"], p["conicity"] / p["wheel_radius"]
     found = []
     for wheel in range(1, 5):
         y, chi = f"y_w{wheel}", f"chi_w{wheel}"
         found += [
-            Joint(damper, {y: 1.0, f"x{wheel}": p["wheel_radius"]}),
+            Joint(damper_aside, {y: 1.0, f"x{wheel}": p["wheel_radius"]}),
             Joint(damper, {chi: lever}),
-            Joint(creep, {chi: t / p["half_wheelbase"]}, {y: -1.0}),
+            Joint(creep_aside, {chi: t / p["half_wheelbase"]}, {y: -1.0}),
             Joint(
                 creep,
                 {y: cone, f"x{wheel}": p["conicity"], f"v{wheel}": -cone},

@@ -19,7 +19,7 @@ and neither Z nor its inverse is differentiated; central differences of f come i
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
@@ -177,12 +177,9 @@ def _inputs(layout: Layout, p: Mapping[str, Tensor], omega: Tensor) -> Tensor:
     """
     parts = layout.parts
     delayed = torch.stack(by_axle(layout, wheels_of(layout, p, omega)), dim=1)
-    one = torch.ones_like(p["speed"] * omega)
-    sizes = [one, cross_level_size(p, omega) / RAIL_LATERAL_M]
-    if is_lateral(parts):
-        sizes.append(p["alignment"].sqrt() * one)
-    kinds = torch.eye(len(sizes), dtype=one.dtype, device=one.device)
-    of_kind = torch.stack(sizes, dim=1)[:, :, None] * kinds[..., None]
+    sizes = _sizes(layout, p, omega)
+    kinds = torch.eye(sizes.shape[1], dtype=sizes.dtype, device=sizes.device)
+    of_kind = sizes[:, :, None] * kinds[..., None]
     found = (delayed[:, None, :, None] * of_kind[:, :, None]).flatten(1, 2)
     if "wheelsets" not in parts:
         return found
@@ -192,6 +189,18 @@ def _inputs(layout: Layout, p: Mapping[str, Tensor], omega: Tensor) -> Tensor:
     if is_lateral(parts):
         alone = torch.cat([alone, torch.zeros_like(alone[:, :4])], dim=1)
     return torch.cat([found, alone.to(found.dtype)], dim=2)
+
+
+def _sizes(layout: Layout, p: Mapping[str, Tensor], omega: Tensor) -> Tensor:
+    """Return height, angle and lateral place of the track for each input, (n_vehicles, k, n_freq).
+
+    The roots of the inputs' densities over the mean's.
+    """
+    one = torch.ones_like(p["speed"] * omega)
+    sizes = [one, cross_level_size(p, omega) / RAIL_LATERAL_M]
+    if is_lateral(layout.parts):
+        sizes.append(p["alignment"].sqrt() * one)
+    return torch.stack(sizes, dim=1)
 
 
 def _gains(p: Mapping[str, Tensor], sensors: Sequence[str], omega: Tensor) -> Tensor:
@@ -215,6 +224,23 @@ def responses(
     for rows in columns.split(_n_at_once(layout, omega)):
         system = equations(layout, numbers(rows), sensors, omega)
         found.append(system.measured(system.solved()[0]))
+    return torch.cat(found)
+
+
+def alone_responses(
+    layout: Layout, numbers: Numbers, sensors: Sequence[str], columns: Tensor, omega: Tensor
+) -> Tensor:
+    """Return the responses to each input under one wheelset alone.
+
+    Shape (n_vehicles, n_kinds, 4, n_sensors, n_freq), the wheelsets 1 to 4.
+    """
+    found = []
+    for rows in columns.split(_n_at_once(layout, omega)):
+        p = numbers(rows)
+        sizes = _sizes(layout, p, omega).repeat_interleave(4, dim=1)
+        inputs = torch.diag_embed(sizes.mT).to(torch.complex128)
+        system = replace(equations(layout, p, sensors, omega), inputs=inputs)
+        found.append(system.measured(system.solved()[0]).unflatten(1, (-1, 4)))
     return torch.cat(found)
 
 

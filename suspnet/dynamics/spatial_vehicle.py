@@ -24,7 +24,12 @@ from suspnet.dynamics.quantities import (
 )
 from suspnet.dynamics.spatial_motion import is_lateral, spatial_motion
 from suspnet.dynamics.spatial_numbers import ADDITIONS, PLACES
-from suspnet.dynamics.spatial_response import derivatives, input_names, responses
+from suspnet.dynamics.spatial_response import (
+    alone_responses,
+    derivatives,
+    input_names,
+    responses,
+)
 from suspnet.dynamics.vehicle_family import VehicleFamily
 from suspnet.ground.parameters import COMPONENTS
 from suspnet.ground.settings import check_choice, setting
@@ -135,6 +140,18 @@ class SpatialVehicle(VehicleFamily):
         """
         rows, omega = self._rows(ratios), self._bins(frequencies_hz)
         return responses(self._layout, self._in_si, self._places, rows, omega)
+
+    def channels_alone(
+        self, ratios: Tensor | ArrayLike, frequencies_hz: Tensor | ArrayLike
+    ) -> Tensor:
+        """Return the response of each sensor to each input of the track under one wheelset alone.
+
+        Complex, (n_vehicles, n_kinds, 4, n_sensors, n_freq), [-], scaled as those of `channels`;
+        the kinds are mean, cross level and, if `inputs` has it, alignment. `channels` is the sum
+        over wheelsets with their delays. ValueError as of `channels`.
+        """
+        rows, omega = self._rows(ratios), self._bins(frequencies_hz)
+        return alone_responses(self._layout, self._in_si, self._places, rows, omega)
 
     def channels_along(
         self,

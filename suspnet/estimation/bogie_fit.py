@@ -7,11 +7,13 @@ under the posterior of the healthy trips. Both minimise the sum of squares of ::
     the residuals of `suspnet.spectra.subspace`, F^-1 (log z - mean), (log M_s - log 1.05) / 0.15
     and, of a later trip, (log part) / WEAR
 
-with F F^T the covariance of log z. Starting from the healthy vehicle, model errors of 30 % of each
-signal are allowed first, in bands that widen, then less and less: the direct search ends in another
-valley. A part's interval is that of the posterior at the minimum, times ``COMMON``: what healthy
-trips leave open is one draw for all later ones. The information J^T J of n residuals is divided by
-that of the misfit mu, the rms residual over that of the noise::
+with F F^T the covariance of log z. The noise of each trip and what excites each wheelset alone are
+those that its spectra show with the vehicle as found so far (`suspnet.spectra.noise_subspace`).
+Starting from the healthy vehicle, model errors of 30 % of each signal are allowed first, in bands
+that widen, then less and less: the direct search ends in another valley. A part's interval is that
+of the posterior at the minimum, times ``COMMON``: what healthy trips leave open is one draw for all
+later ones. The information J^T J of n residuals is divided by that of the misfit mu, the rms
+residual over that of the noise::
 
     max(1, mu)^2 + ALIGNED^2 n max(0, mu^2 - EXPLAINED^2)
 
@@ -39,7 +41,8 @@ from suspnet.estimation.intervals import COMMON
 from suspnet.estimation.trip_settings import LEAST_TRIPS
 from suspnet.ground.parameters import COMPONENTS, FORWARD, Direction
 from suspnet.ground.types import FloatArray
-from suspnet.spectra.subspace import SpectralMatrix, SubspaceMisfit, noise_of
+from suspnet.spectra.noise_subspace import TripNoise, trip_noise
+from suspnet.spectra.subspace import SpectralMatrix, SubspaceMisfit
 
 ROUGH, SPREADS = 0.3, (0.1, 0.03, 0.01, 0.003, 0.0)
 """Model errors allowed first, as fractions of each signal, and then one after the other."""
@@ -101,13 +104,15 @@ class CommissionedBogie:
 
         ValueError if the trip has another number of sensors.
         """
-        fit = _Fit(self.generator, self.noise, [trip], are_healthy=False)
+        fit = _Fit(self.generator, [self.noise], [trip], are_healthy=False)
         x = fit.start()
         # without axle boxes, the search in the whole band ends in another valley
         for bins in fit.widening:
             x, _ = fit.search(x, ROUGH, bins)
         for spread in SPREADS[:2]:
+            fit = fit.with_noise_at(x)
             x, _ = fit.search(x, spread, fit.thinned)
+        fit = fit.with_noise_at(x)
         x, converged = fit.search(x, 0.0, fit.all_bins)
         misfit = fit.misfit(x)
         unexplained = max(0.0, max(misfit, self.misfit) ** 2 - EXPLAINED**2)
@@ -166,14 +171,14 @@ def commission_bogie(generator: SpatialVehicle, trips: Sequence[BogieTrip]) -> C
     prior = generator.distribution.without(("cross_level", "alignment"))
     generator = replace(generator, distribution=prior)
     noise = torch.stack([_smallest(trip.spectra) for trip in trips]).amin(dim=0)
-    fit = _Fit(generator, noise, trips, are_healthy=True)
+    fit = _Fit(generator, [noise] * len(trips), trips, are_healthy=True)
     x = fit.start()
     for bins in fit.widening:
         x, _ = fit.search(x, ROUGH, bins)
     for spread in SPREADS[:-1]:
-        fit = replace(fit, noise=fit.noise_at(x))
+        fit = fit.with_noise_at(x)
         x, _ = fit.search(x, spread, fit.thinned)
-    fit = replace(fit, noise=fit.noise_at(x))
+    fit = fit.with_noise_at(x)
     x, converged = fit.search(x, 0.0, fit.all_bins)
     n = fit.n_numbers
     misfit = fit.misfit(x)
@@ -185,7 +190,7 @@ def commission_bogie(generator: SpatialVehicle, trips: Sequence[BogieTrip]) -> C
     posterior = LogNormal(prior.names, tuple(logs.tolist()), rows)
     return CommissionedBogie(
         replace(generator, distribution=posterior),
-        fit.noise,
+        torch.stack([one.densities for one in fit.noise_at(x)]).mean(dim=0),
         np.exp(x[n:]),
         misfit,
         converged,
@@ -203,11 +208,12 @@ def _smallest(spectra: SpectralMatrix) -> Tensor:
 class _Fit:
     """The sum of squares of some trips: coordinates of z, then each trip's own numbers.
 
-    Healthy trips have the logarithm of their mass as their own number, others those of all parts.
+    `noises` are those of the trips as `SubspaceMisfit` takes them. Healthy trips have the logarithm
+    of their mass as their own number, others those of all parts.
     """
 
     generator: SpatialVehicle
-    noise: Tensor
+    noises: Sequence[Tensor]
     trips: Sequence[BogieTrip]
     are_healthy: bool
 
@@ -273,7 +279,7 @@ class _Fit:
 
     def search(self, x: FloatArray, spread: float, bins: Tensor) -> tuple[FloatArray, bool]:
         """Return the end of a search from x, and whether it converged."""
-        misfits = [self._misfit(trip, spread, bins) for trip in self.trips]
+        misfits = self._misfits(spread, bins)
         found = least_squares(
             lambda y: self._residuals(y, misfits, bins),
             x,
@@ -288,23 +294,29 @@ class _Fit:
     def misfit(self, x: FloatArray) -> float:
         """Return the rms residual over that of the noise."""
         squares = []
-        for i, trip in enumerate(self.trips):
-            one = self._misfit(trip, 0.0, self.all_bins)
+        for i, one in enumerate(self._misfits(0.0, self.all_bins)):
             values = one(self._responses(x, i, self.all_bins)[None])
             squares.append(float(values.square().mean()) / one.expected)
         return math.sqrt(math.fsum(squares) / len(squares))
 
-    def noise_at(self, x: FloatArray) -> Tensor:
-        """Return the mean noise of the sensors for the vehicle at x, (m,)."""
-        found = torch.zeros_like(self.noise)
-        for i, trip in enumerate(self.trips):
-            found += noise_of(trip.spectra, self._responses(x, i, self.all_bins))
-        return found / len(self.trips)
+    def noise_at(self, x: FloatArray) -> list[TripNoise]:
+        """Return the noise of each trip for the vehicle at x."""
+        found = []
+        for i, (trip, noise) in enumerate(zip(self.trips, self.noises, strict=True)):
+            start = noise if noise.ndim == 1 else _smallest(trip.spectra)
+            responses = self._responses(x, i, self.all_bins)
+            alone = self._of(trip).channels_alone(self._rows(x, i), self.frequencies_hz)[0]
+            found.append(trip_noise(trip.spectra, responses, alone, start))
+        return found
+
+    def with_noise_at(self, x: FloatArray) -> _Fit:
+        """Return the fit with the noise of each trip for the vehicle at x."""
+        return replace(self, noises=[one.matrix for one in self.noise_at(x)])
 
     @property
     def n_residuals(self) -> float:
         """Number of independent residuals of all trips."""
-        one = self._misfit(self.trips[0], 0.0, self.all_bins)
+        one = self._misfits(0.0, self.all_bins)[0]
         n_sensors = one.spectra.values.shape[-1]
         n_points = 2 * len(self.frequencies_hz) * n_sensors * one.n_inputs
         return len(self.trips) * n_points * one.expected
@@ -314,15 +326,23 @@ class _Fit:
 
         `excess` is that of their squares.
         """
-        misfits = [self._misfit(trip, 0.0, self.all_bins) for trip in self.trips]
+        misfits = self._misfits(0.0, self.all_bins)
         jacobian = self._jacobian(x, misfits, self.all_bins)
         n_prior = len(self._prior(x))
         data, prior = jacobian[:-n_prior], jacobian[-n_prior:]
         information = data.T @ data / excess + prior.T @ prior
         return np.asarray(np.linalg.inv(information))
 
-    def _misfit(self, trip: BogieTrip, spread: float, bins: Tensor) -> SubspaceMisfit:
-        return SubspaceMisfit(trip.spectra.at(bins), self.noise, len(self._inputs), spread)
+    def _misfits(self, spread: float, bins: Tensor) -> list[SubspaceMisfit]:
+        return [
+            SubspaceMisfit(
+                trip.spectra.at(bins),
+                noise if noise.ndim == 1 else noise[bins],
+                len(self._inputs),
+                spread,
+            )
+            for trip, noise in zip(self.trips, self.noises, strict=True)
+        ]
 
     @cached_property
     def _inputs(self) -> list[int]:

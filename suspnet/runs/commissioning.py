@@ -27,7 +27,7 @@ SETTINGS = ("bogie", "axle", "frame_sensor", "body_sensor_m", "nominal")
 """Settings that the vehicle of the parts shares with the vertical one."""
 PARTS_OF_BOGIE = (
     *("bushings", "rubber", "guidance", "longitudinal", "bending", "payload", "sensors"),
-    *("frame_sway", "frame_yaw", "body_yaw", "creep"),
+    *("frame_sway", "frame_yaw", "body_yaw", "creep", "torsion", "yaw_dampers"),
 )
 """What the vehicle whose parts are read may have beside rigid bodies on springs and dampers."""
 FAMILY = tuple(part for part in PARTS if part != "air_spring")

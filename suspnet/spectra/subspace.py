@@ -12,7 +12,8 @@ standard normal in the m - p directions that P_A leaves, and their minimum is as
 accurate as maximum likelihood (weighted subspace fitting: Viberg and Ottersten, IEEE Transactions
 on Signal Processing 39, 1110, 1991). An input of no power has lambda_k = 1 and no weight.
 
-Model errors of a fraction eps of each sensor's signal are allowed for by adding eps^2 diag S to N.
+N^-1/2 is the inverse of the Cholesky factor of N, which need not be diagonal. Model errors of a
+fraction eps of each sensor's signal are allowed for by adding eps^2 diag S to N.
 """
 
 from __future__ import annotations
@@ -65,8 +66,8 @@ class SubspaceMisfit:
     Parameters
     ----------
     spectra : SpectralMatrix
-    noise : Tensor of shape (n_freq, m) or (m,), [(m/s^2)^2/Hz]
-        Density of each sensor's noise.
+    noise : Tensor of shape (m,) or (n_freq, m, m), [(m/s^2)^2/Hz]
+        Density of each sensor's noise, or spectral matrix of all that is not the inputs'.
     n_inputs : int
         Number p of inputs, less than m.
     spread : float
@@ -101,16 +102,19 @@ class SubspaceMisfit:
         return self.weight * (m - self.n_inputs) / m
 
     @cached_property
-    def _scale(self) -> Tensor:
-        """The diagonal of N^-1/2, (n_freq, m)."""
-        noise = self.noise.expand(self.spectra.densities.shape)
-        return (noise + self.spread**2 * self.spectra.densities).rsqrt()
+    def _root(self) -> Tensor:
+        """N^-1/2, (n_freq, m, m)."""
+        noise = torch.diag(self.noise) if self.noise.ndim == 1 else self.noise
+        errors = torch.diag_embed(self.spread**2 * self.spectra.densities)
+        factor = torch.linalg.cholesky(noise + errors)
+        unit = torch.eye(factor.shape[-1], dtype=factor.dtype)
+        root: Tensor = torch.linalg.solve_triangular(factor, unit, upper=False)
+        return root.to(torch.complex128)
 
     @cached_property
     def _signals(self) -> Tensor:
         """u_k (lambda_k - 1) / sqrt(lambda_k) sqrt(2 n), (n_freq, m, p)."""
-        scale = self._scale
-        white = scale[:, :, None] * self.spectra.values * scale[:, None, :]
+        white = self._root @ self.spectra.values @ self._root.mH
         power, vectors = torch.linalg.eigh(white)
         power, vectors = power[:, -self.n_inputs :], vectors[:, :, -self.n_inputs :]
         weights = (power - 1).clamp(min=0.0) / power.clamp(min=1.0).sqrt()
@@ -141,37 +145,11 @@ class SubspaceMisfit:
 
     def _white(self, responses: Tensor) -> Tensor:
         """Return A, (n_rows, n_freq, m, p)."""
-        return self._scale[:, :, None] * responses.permute(0, 3, 2, 1)
+        return self._root @ responses.permute(0, 3, 2, 1)
 
     def _left(self, basis: Tensor) -> Tensor:
         """Return what the columns of a basis (..., n_freq, m, p) leave of the signals."""
         return self._signals - basis @ (basis.mH @ self._signals)
-
-
-def noise_of(spectra: SpectralMatrix, responses: Tensor, rounds: int = 3) -> Tensor:
-    """Return the noise density of each sensor, (m,), if it is white.
-
-    `responses` (p, m, n_freq) are those of the vehicle. The part of a sensor's signal that the
-    others do not explain is 1 / (S^-1)_ii = N_ii / (1 - P_ii) with n large and P the projector of
-    `SubspaceMisfit`; the mean of (S^-1)_ii is n / (n - m) times as large. Each bin tells 1 / N_ii
-    with the weight 1 - P_ii. ValueError if there are not more averages than sensors.
-    """
-    m = spectra.values.shape[-1]
-    if spectra.n_averages <= m:
-        raise ValueError(
-            f"{spectra.n_averages:.3g} averages do not tell the noise of {m} sensors; take a "
-            "longer trip or shorter segments"
-        )
-    inverse = torch.linalg.inv(spectra.values).diagonal(dim1=-2, dim2=-1).real
-    alone = (spectra.n_averages - m) / spectra.n_averages * inverse
-    noise = (1 / alone).amin(dim=0)
-    for _ in range(rounds):
-        white = noise.rsqrt()[:, None] * responses.permute(2, 1, 0)
-        basis = torch.linalg.qr(white)[0]
-        free = 1 - basis.abs().square().sum(dim=-1)
-        noise = free.sum(dim=0) / alone.sum(dim=0)
-    found: Tensor = noise
-    return found
 
 
 def _flat(values: Tensor) -> Tensor:

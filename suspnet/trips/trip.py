@@ -24,6 +24,7 @@ from suspnet.estimation.trip_settings import TripSettings
 from suspnet.ground.records import (
     ERROR,
     NO_ESTIMATE,
+    NO_PART,
     OK,
     Place,
     Quality,
@@ -177,7 +178,7 @@ def _with_parts(
     try:
         estimate = estimate_bogie(model, recording, segments, settings)
     except NoEstimateError as error:
-        words = "; ".join(filter(None, (result.quality.warnings, f"no part is named: {error}")))
+        words = "; ".join(filter(None, (result.quality.warnings, f"{NO_PART}{error}")))
         return replace(result, quality=replace(result.quality, warnings=words))
     result = replace(result, reason="", sides="", worn=estimate.found)
     return _with_values(result, estimate, model.bogie.healthy)

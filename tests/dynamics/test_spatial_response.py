@@ -78,6 +78,28 @@ def test_channels_are_those_of_points_and_axes_in_space(parts, bogie, axle, dire
 
 
 @pytest.mark.parametrize("direction", ["forward", "reverse"])
+def test_channels_alone_are_the_motion_of_one_wheelset(direction):
+    generator = vehicle(direction=direction)
+    rows, bins = rows_of(generator, 1), FREQUENCIES[::4]
+    found = generator.channels_alone(rows, bins).numpy()
+    assert found.shape == (1, 3, 4, len(PLACES), len(bins))
+    for column, frequency in enumerate(bins.tolist()):
+        expected = spatial_reference.alone(generator, rows[0].numpy(), frequency)
+        scale = np.abs(expected).max()
+        np.testing.assert_allclose(found[0, ..., column] / scale, expected / scale, atol=1e-9)
+
+
+def test_channels_alone_add_up_to_channels():
+    generator = vehicle(speed_m_per_s=1e9)  # without delays
+    rows = rows_of(generator)
+    rows[:, generator.columns.index("speed")] = 1.0
+    alone = generator.channels_alone(rows, FREQUENCIES).sum(dim=2)
+    torch.testing.assert_close(
+        alone, generator.channels(rows, FREQUENCIES)[:, :3], rtol=1e-6, atol=1e-6
+    )
+
+
+@pytest.mark.parametrize("direction", ["forward", "reverse"])
 def test_derivatives_are_those_of_central_differences(direction):
     generator = vehicle(direction=direction)
     rows, offsets, step = rows_of(generator, 2), generator.offsets, 1e-5
@@ -107,6 +129,19 @@ def test_derivatives_are_those_of_central_differences(direction):
 
 
 # limit
+
+
+def test_yaw_dampers_without_damping_are_none():
+    generator = vehicle(("creep", "frame_yaw", "yaw_dampers"))
+    rows = rows_of(generator)
+    rows[:, generator.columns.index("yaw_damping")] = 0.0
+    without = vehicle(("creep", "frame_yaw"))
+    torch.testing.assert_close(
+        generator.channels(rows, FREQUENCIES),
+        without.channels(rows, FREQUENCIES),
+        rtol=1e-3,
+        atol=1e-7,
+    )
 
 
 @pytest.mark.parametrize(

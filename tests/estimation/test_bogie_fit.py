@@ -86,9 +86,9 @@ def test_derivatives_are_those_of_differences(are_healthy):
         trip(drawn(VEHICLE, row({"k_p_axle1_left": 0.8}), 5), 70.0),
         trip(drawn(VEHICLE, row({}, 1.1), 6), 60.0, REVERSE),
     ]
-    fit = _Fit(VEHICLE, NOISE, trips, are_healthy)
+    fit = _Fit(VEHICLE, [NOISE, NOISE], trips, are_healthy)
     x = fit.start() + 0.03 * np.random.default_rng(1).standard_normal(len(fit.start()))
-    misfits = [fit._misfit(one, 0.01, fit.all_bins) for one in trips]
+    misfits = fit._misfits(0.01, fit.all_bins)
     found, step = fit._jacobian(x, misfits, fit.all_bins), 1e-5
     scale = np.abs(found).max()
     for j in range(len(x)):

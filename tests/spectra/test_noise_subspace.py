@@ -1,0 +1,84 @@
+"""Noise and excitation of single wheelsets: known answers, limits, bad input."""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from suspnet.spectra.noise_subspace import trip_noise
+from suspnet.spectra.subspace import SpectralMatrix
+
+N_FREQ, M, P, N_WHEELS, N_AVERAGES = 200, 6, 3, 4, 60
+NOISE = np.array([1.0, 1.5, 0.5, 0.7, 0.2, 0.3])
+START = torch.full((M,), 0.7, dtype=torch.float64)
+
+
+def complex_normal(rng, *shape):
+    return (rng.standard_normal(shape) + 1j * rng.standard_normal(shape)) / math.sqrt(2)
+
+
+def drawn(shares, seed=0, n_averages=N_AVERAGES):
+    """Return a trip's matrix, H (p, m, n_freq) and h (p, n_wheels, m, n_freq)."""
+    rng = np.random.default_rng(seed)
+    alone = complex_normal(rng, P, N_WHEELS, M, N_FREQ)
+    delays = np.exp(2j * np.pi * rng.uniform(size=(N_WHEELS, N_FREQ)))
+    common = np.einsum("kwmf,wf->kmf", alone, delays)
+    density = np.array([900.0, 400.0, 200.0])
+    inputs = np.sqrt(density)[:, None, None] * complex_normal(rng, P, N_FREQ, n_averages)
+    own = complex_normal(rng, P, N_WHEELS, N_FREQ, n_averages)
+    own *= np.sqrt(density * shares)[:, None, None, None]
+    signals = np.einsum("kmf,kfn->fmn", common, inputs)
+    signals += np.einsum("kwmf,kwfn->fmn", alone, own)
+    signals += np.sqrt(NOISE)[:, None] * complex_normal(rng, N_FREQ, M, n_averages)
+    values = torch.as_tensor(signals @ signals.conj().swapaxes(1, 2) / n_averages)
+    return SpectralMatrix(values, n_averages), torch.as_tensor(common), torch.as_tensor(alone)
+
+
+# reference
+
+
+def test_noise_of_each_sensor_is_found():
+    spectra, common, alone = drawn(np.zeros(P))
+    found = trip_noise(spectra, common, alone, START)
+    np.testing.assert_allclose(found.densities.numpy(), NOISE, rtol=0.1)
+    assert float(found.shares.max()) < 4e-4
+
+
+@pytest.mark.parametrize("shares", [(0.01, 0.01, 0.01), (0.05, 0.02, 0.0)])
+def test_shares_of_single_wheelsets_are_found(shares):
+    spectra, common, alone = drawn(np.array(shares))
+    found = trip_noise(spectra, common, alone, START)
+    np.testing.assert_allclose(found.shares.numpy(), shares, rtol=0.15, atol=1e-3)
+
+
+def test_matrix_is_that_of_the_formula():
+    spectra, common, alone = drawn(np.array([0.01, 0.01, 0.01]), n_averages=20_000)
+    found = trip_noise(spectra, common, alone, START)
+    expected = np.diag(NOISE).astype(complex)
+    for k, density in enumerate((900.0, 400.0, 200.0)):
+        for w in range(N_WHEELS):
+            one = alone[k, w, :, 17].numpy()
+            expected = expected + 0.01 * density * np.outer(one, one.conj())
+    error = found.matrix[17].numpy() - expected
+    assert np.abs(error).max() < 0.05 * np.abs(expected).max()
+
+
+# property
+
+
+def test_errors_of_the_vehicle_are_not_taken_for_noise():
+    spectra, common, alone = drawn(np.array([0.0, 0.0, 0.0]))
+    wrong = common + 0.3 * torch.as_tensor(complex_normal(np.random.default_rng(5), P, M, N_FREQ))
+    found = trip_noise(spectra, wrong, alone, START)
+    np.testing.assert_allclose(found.densities.numpy(), NOISE, rtol=0.15)
+    assert float(found.shares.max()) < 1e-3
+
+
+# error
+
+
+def test_too_few_averages_do_not_tell_the_noise():
+    spectra, common, alone = drawn(np.zeros(3))
+    with pytest.raises(ValueError, match="longer trip"):
+        trip_noise(SpectralMatrix(spectra.values, 5.0), common, alone, START)
