@@ -54,7 +54,7 @@ def signals_of(path):
 
 @pytest.mark.parametrize("direction", ["forward", "reverse"])
 def test_waves_of_each_input_reach_the_sensors_as_the_channels_say(direction):
-    vehicle = scattered(with_separate_parts(FAMILY), 1.0, seed=0).running(direction)
+    vehicle = with_separate_parts(FAMILY).running(direction)
     system, journey, rate_hz = vehicle.motion_system(WORN), steady_journey(SPEED, 40.0), 500.0
     met = np.array([[0.9, 3.1, 8.0], [1.2, 5.0, 9.1], [1.6, 4.2, 7.3]])  # mean, cross, alignment
     tracks = [waves(profile_length_m(system, journey), SPEED, f) for f in met]
@@ -133,11 +133,11 @@ def test_without_scatter_the_healthy_parts_of_a_kind_are_equal():
 
 def test_healthy_parts_of_a_kind_differ_by_5_percent():
     vehicle = with_separate_parts(FAMILY)
-    drawn = [true_numbers(scattered(vehicle, 1.0, seed)) for seed in range(30)]
+    drawn = [true_numbers(scattered(vehicle, 1.0, seed)) for seed in range(20)]
     logs = np.log([[one[f"healthy_{name}"]["ratio"] for name in COMPONENTS[:-1]] for one in drawn])
-    # 360 draws: standard errors 0.0026 and 0.0019
-    assert abs(logs.mean()) < 0.013
-    assert logs.std() == pytest.approx(0.05, abs=0.01)
+    # 240 draws: standard errors 0.0032 and 0.0023
+    assert abs(logs.mean()) < 0.016
+    assert logs.std() == pytest.approx(0.05, abs=0.0115)
 
 
 def test_trips_are_those_of_their_seed(tmp_path):
