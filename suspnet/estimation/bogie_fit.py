@@ -96,20 +96,22 @@ class CommissionedBogie:
         """Healthy values of ``COMPONENTS`` in SI units, which estimates are relative to."""
         return HealthyValues.of(self.generator, COMPONENTS)
 
-    def estimate(self, trip: BogieTrip, level: float = 0.9) -> PartsEstimate:
+    def estimate(
+        self, trip: BogieTrip, level: float = 0.9, start: FloatArray | None = None
+    ) -> PartsEstimate:
         """Return the ratio to healthy of every part on a later trip.
 
-        ValueError if the trip has another number of sensors.
+        `start` (13,) are ratios near it, as of `suspnet.estimation.parts_regression`; None: the
+        search starts from the healthy vehicle, and so it does again if that from `start` does not
+        explain the trip. ValueError if the trip has another number of sensors.
         """
         fit = _Fit(self.generator, self.noise, [trip], are_healthy=False)
-        x = fit.start()
-        # without axle boxes, the search in the whole band ends in another valley
-        for bins in fit.widening:
-            x, _ = fit.search(x, ROUGH, bins)
-        for spread in SPREADS[:2]:
-            x, _ = fit.search(x, spread, fit.thinned)
-        x, converged = fit.search(x, 0.0, fit.all_bins)
+        x, converged = fit.widened() if start is None else fit.narrowed(fit.start(start), 1)
         misfit = fit.misfit(x)
+        if start is not None and not (converged and misfit <= EXPLAINED * max(1.0, self.misfit)):
+            found = fit.widened()
+            if fit.misfit(found[0]) < misfit:
+                (x, converged), misfit = found, fit.misfit(found[0])
         unexplained = max(0.0, max(misfit, self.misfit) ** 2 - EXPLAINED**2)
         excess = max(1.0, misfit) ** 2 + ALIGNED**2 * fit.n_residuals * unexplained
         covariance = COMMON**2 * fit.covariance(x, excess)[-N_OWN:, -N_OWN:]
@@ -267,9 +269,24 @@ class _Fit:
         deviation[-1] = MASS_DEVIATION
         return mean, deviation
 
-    def start(self) -> FloatArray:
-        """Return the median vehicle, nothing worn."""
-        return np.concatenate([np.zeros(self.n_numbers), np.tile(self._own[0], len(self.trips))])
+    def start(self, ratios: FloatArray | None = None) -> FloatArray:
+        """Return the median vehicle with the trips' own numbers; None: nothing worn."""
+        own = np.tile(self._own[0], len(self.trips)) if ratios is None else np.log(ratios)
+        return np.concatenate([np.zeros(self.n_numbers), own])
+
+    def widened(self) -> tuple[FloatArray, bool]:
+        """Return the end of the searches from the healthy vehicle, and whether it converged."""
+        x = self.start()
+        # without axle boxes, the search in the whole band ends in another valley
+        for bins in self.widening:
+            x, _ = self.search(x, ROUGH, bins)
+        return self.narrowed(x)
+
+    def narrowed(self, x: FloatArray, first: int = 0) -> tuple[FloatArray, bool]:
+        """Return the end of the searches with smaller errors, from the first of ``SPREADS``."""
+        for spread in SPREADS[first:2]:
+            x, _ = self.search(x, spread, self.thinned)
+        return self.search(x, 0.0, self.all_bins)
 
     def search(self, x: FloatArray, spread: float, bins: Tensor) -> tuple[FloatArray, bool]:
         """Return the end of a search from x, and whether it converged."""
