@@ -101,12 +101,13 @@ class CommissionedBogie:
     ) -> PartsEstimate:
         """Return the ratio to healthy of every part on a later trip.
 
-        `start` (13,) are ratios near it, as of `suspnet.estimation.parts_regression`; None: the
-        search starts from the healthy vehicle, and so it does again if that from `start` does not
+        `start` (13,) are ratios near it, as of `suspnet.estimation.parts_regression`: the search
+        starts there, or from the healthy vehicle where that is nearer. None: it starts from the
+        healthy vehicle in bands that widen, and so it does again if that from `start` does not
         explain the trip. ValueError if the trip has another number of sensors.
         """
         fit = _Fit(self.generator, self.noise, [trip], are_healthy=False)
-        x, converged = fit.widened() if start is None else fit.narrowed(fit.start(start), 1)
+        x, converged = fit.widened() if start is None else fit.narrowed(fit.nearer(start), 1)
         misfit = fit.misfit(x)
         if start is not None and not (converged and misfit <= EXPLAINED * max(1.0, self.misfit)):
             found = fit.widened()
@@ -273,6 +274,13 @@ class _Fit:
         """Return the median vehicle with the trips' own numbers; None: nothing worn."""
         own = np.tile(self._own[0], len(self.trips)) if ratios is None else np.log(ratios)
         return np.concatenate([np.zeros(self.n_numbers), own])
+
+    def nearer(self, ratios: FloatArray) -> FloatArray:
+        """Return the start of lower cost: with the trip's own ratios, or with nothing worn."""
+        misfits = [self._misfit(trip, SPREADS[0], self.thinned) for trip in self.trips]
+        starts = self.start(ratios), self.start()
+        costs = [np.square(self._residuals(x, misfits, self.thinned)).sum() for x in starts]
+        return starts[int(np.argmin(costs))]
 
     def widened(self) -> tuple[FloatArray, bool]:
         """Return the end of the searches from the healthy vehicle, and whether it converged."""
