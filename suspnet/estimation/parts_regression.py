@@ -31,7 +31,7 @@ from suspnet.spectra.subspace_features import (
 )
 
 N_TRAIN, N_FEATURES = 2500, 150
-"""Training trips and features: about 15 s of one processor for one vehicle and speed."""
+"""Training trips and features: 12 s of one processor for one vehicle and speed."""
 LOW, HIGH = math.log(0.08), math.log(2.0)
 """Range of the logarithm of a part that has worn alone or with another one."""
 ALL_LOW, ALL_HIGH = math.log(0.4), math.log(1.6)

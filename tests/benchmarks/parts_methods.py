@@ -4,7 +4,7 @@ python tests/benchmarks/parts_methods.py [--seeds 0 1 2] [--trips 12]
 
 Each seed is a vehicle with numbers drawn from the prior. Spectral matrices of its trips are drawn
 from its own model: 20 minutes at 70 m/s, 34 dB, an unknown track. It is commissioned on five
-healthy trips; then each method is trained on as many drawn trips as it takes about 15 s with, and
+healthy trips; then each method is trained on as many drawn trips as it takes about 10 s with, and
 reads worn trips: one part at 10, 30, 62 or 80 %, two at 30 to 130 %, all twelve at 50 to 130 %.
 Errors are those before and after the fit that starts from its ratios; without a method, the fit
 starts from the healthy vehicle in bands that widen. Seconds are those of one processor. Writes
