@@ -23,6 +23,8 @@ from suspnet.estimation.information import cramer_rao as cramer_rao
 from suspnet.estimation.information import fisher_information as fisher_information
 from suspnet.estimation.layouts import LayoutBounds as LayoutBounds
 from suspnet.estimation.layouts import layout_bounds as layout_bounds
+from suspnet.estimation.parts_regression import PartsRegression as PartsRegression
+from suspnet.estimation.parts_regression import train_parts as train_parts
 from suspnet.estimation.problem import Problem as Problem
 from suspnet.estimation.protocols import Protocol as Protocol
 from suspnet.estimation.protocols import Task as Task

@@ -131,14 +131,14 @@ def command(program, *overrides, launcher=(), cwd=ROOT, **options):
     return python(*launcher, ROOT / program, *overrides, cwd=cwd, **options)
 
 
-def python(*arguments, cwd, **options):
+def python(*arguments, cwd, timeout=200, **options):
     """Run Python in a process of its own and return how it ended."""
     return subprocess.run(
         [sys.executable, *map(str, arguments)],
         cwd=cwd,
         capture_output=True,
         text=True,
-        timeout=200,
+        timeout=timeout,
         check=False,
         **options,
     )

@@ -8,6 +8,7 @@ import numpy as np
 from trip_records import curves
 from waitress import wasyncore
 
+from suspnet.ground.parameters import COMPONENTS
 from suspnet.ground.records import Place, Quality, TripResult
 from suspnet.history import History
 from suspnet.report.board import Board, BoardSettings, Refresher
@@ -16,6 +17,7 @@ from suspnet.web.app import create_app, http_server
 N_TRIPS = 30
 EVIL = "<script>window.evil = 1</script>"
 SPREAD = {"k_p": 0.0005, "c_p": 0.003, "k_s": 0.0006, "c_s": 0.001, "M_s": 0.05}
+SPREAD_OF_PARTS = {name: 0.005 if name[0] == "c" else 0.001 for name in COMPONENTS}
 FAILED = Place("", "leading", "left", "12", "3")
 WORN = Place("", "trailing", "left", "12", "3")
 HEALTHY = Place("", "leading", "right", "9", "1")
@@ -23,12 +25,15 @@ NAMED_EVIL = Place(EVIL, train=EVIL, car="<u>1")
 SETTINGS = BoardSettings(today="2026-03-01")
 
 
-def trips(place, seed=0, wear=None, n_trips=N_TRIPS, begin=0):
-    """Return trips of a suspension, 2000 km and three days apart; `wear` is of some parameters."""
+def trips(place, seed=0, wear=None, n_trips=N_TRIPS, begin=0, spread=SPREAD, worn=None):
+    """Return trips of a suspension, 2000 km and three days apart; `wear` is of some parameters.
+
+    `worn` gives the verdict on the parts of a bogie on each trip.
+    """
     rng = np.random.default_rng([seed, begin])
     found = []
     for i in range(begin, begin + n_trips):
-        values = {name: float(np.exp(s * rng.normal())) for name, s in SPREAD.items()}
+        values = {name: float(np.exp(s * rng.normal())) for name, s in spread.items()}
         for name, ratio in (wear or {}).items():
             values[name] *= ratio(i)
         day = np.datetime64("2025-11-01T06:00:00") + np.timedelta64(3 * i, "D")
@@ -42,13 +47,19 @@ def trips(place, seed=0, wear=None, n_trips=N_TRIPS, begin=0):
                 start=f"{day}+00:00",
                 estimates=values,
                 raw=values,
-                half_widths={name: 2 * s for name, s in SPREAD.items()},
+                half_widths={name: 2 * s for name, s in spread.items()},
                 flags="beyond what was trained for" if i == 7 else "",
+                worn=worn(i) if worn else "",
                 quality=Quality(speed_m_per_s=70.0),
                 curves=curves(seed=i) if i in (0, n_trips - 1) else None,
             )
         )
     return found
+
+
+def bogie_trips(place, seed=0, wear=None, worn=None, **options):
+    """Return trips of a bogie with an estimate of each part."""
+    return trips(place, seed, wear, spread=SPREAD_OF_PARTS, worn=worn, **options)
 
 
 def fill(path):

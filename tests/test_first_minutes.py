@@ -55,7 +55,7 @@ def test_demonstration_of_readme_prints_what_stands_there(tmp_path):
     printed = ""
     for line in commands:
         words = [str(ROOT / w) if w.endswith(".py") else w for w in shlex.split(line)[1:]]
-        done = python(*words, cwd=tmp_path)
+        done = python(*words, cwd=tmp_path, timeout=600)  # several times as long on busy cores
         printed += done.stdout
     assert done.returncode == 4, done.stderr  # "act"
     shown = [line for line in expected.splitlines() if line.strip() not in ("", "...")]

@@ -214,6 +214,7 @@ def _commissioned(
         trips,
         paths=paths,
         n_first=config.n_healthy,
+        by_part=by_part,
         progress=config.progress,
     )
     write_outcome(folder, found, outcome)

@@ -39,13 +39,15 @@ class LinearSystem:
 
     `mass`, `damping`, `stiffness` (n_dof, n_dof) are M, D and K in SI units, `input_damping` and
     `input_stiffness` (n_dof, n_inputs) D_w and K_w. The inputs are the track's height under each
-    wheelset and, with roll, then its angle there. `sensors` (2 or 4, n_dof) map z to the
-    displacement under the sensors on frame and body; with roll the last two are at the mirrored
-    lateral place. `feedthrough` (n_sensors, n_inputs) is what they measure of the inputs directly,
-    None if nothing. `behind_m`: distance of each wheelset behind the one whose axle box is
-    measured, negative is ahead; `roll_per_m`: the track's angle over a profile of
-    `cross_level_spectrum` [rad/m], 0 without roll; `lateral_m`: lateral place of the first sensors
-    on axle box, frame and body.
+    wheelset and, with roll, then its angle there, and with lateral motion then its lateral place.
+    `sensors` (2 or 4, n_dof) map z to the displacement under the sensors on frame and body; with
+    roll the last two are at the mirrored lateral place. Each side of a vehicle of separate parts
+    has one more, first of all, on the axle box. `feedthrough` (n_sensors, n_inputs) is what they
+    measure of the inputs directly, None if nothing. `behind_m`: distance of each wheelset behind
+    the one whose axle box is measured, negative is ahead; `roll_per_m`: the track's angle over a
+    profile of `cross_level_spectrum` [rad/m], 0 without roll; `alignment`: the track's lateral
+    place over a profile of the mean's spectrum [-], 0 without lateral motion; `lateral_m`: lateral
+    place of the first sensors on axle box, frame and body.
     """
 
     mass: FloatArray
@@ -59,6 +61,7 @@ class LinearSystem:
     roll_per_m: float = 0.0
     lateral_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
     feedthrough: FloatArray | None = None
+    alignment: float = 0.0
 
     def state_space(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         """Return A, B, C, D with inputs w and the displacements under the sensors as outputs.

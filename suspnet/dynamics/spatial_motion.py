@@ -38,7 +38,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeVar
 
 import numpy as np
@@ -303,4 +303,10 @@ def spatial_motion(layout: Layout, p: Mapping[str, Tensor], sensors: Sequence[st
     seen = np.array([vector(row) for row in sensed(layout, p, sensors)])
     n = {name: float(value) for name, value in p.items()}
     behind = by_axle(layout, behind_of(n, layout.bogie, layout.axle))
-    return assembled([float(m) for m in masses(layout.parts, p)], elements, seen, tuple(behind))
+    system = assembled([float(m) for m in masses(layout.parts, p)], elements, seen, tuple(behind))
+    return replace(
+        system,
+        roll_per_m=math.sqrt(n["cross_level"]) / RAIL_LATERAL_M,
+        alignment=math.sqrt(n["alignment"]) if is_lateral(layout.parts) else 0.0,
+        lateral_m=(n["axle_box_lateral"], n["frame_lateral"], n["body_lateral"]),
+    )

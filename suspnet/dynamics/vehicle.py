@@ -164,7 +164,7 @@ class Vehicle:
 
     @property
     def known_limits(self) -> dict[str, Limits]:
-        """Limits of each parameter that has any: those of the vehicle, else the default ones."""
+        """Limits of each parameter and part that has any: the vehicle's, else the default ones."""
         return read_limits(self.limits or {}, DEFAULT_LIMITS, f"the file of vehicle {self.name}")
 
     @property

@@ -101,23 +101,28 @@ class CommissionedBogie:
         """Healthy values of ``COMPONENTS`` in SI units, which estimates are relative to."""
         return HealthyValues.of(self.generator, COMPONENTS)
 
-    def estimate(self, trip: BogieTrip, level: float = 0.9) -> PartsEstimate:
+    def estimate(
+        self, trip: BogieTrip, level: float = 0.9, start: FloatArray | None = None
+    ) -> PartsEstimate:
         """Return the ratio to healthy of every part on a later trip.
 
-        ValueError if the trip has another number of sensors.
+        `start` (13,) are ratios near it, as of `suspnet.estimation.parts_regression`: the search
+        starts there, or from the healthy vehicle where that is nearer. None: it starts from the
+        healthy vehicle in bands that widen, and so it does again if that from `start` does not
+        explain the trip. ValueError if the trip has another number of sensors.
         """
         fit = _Fit(self.generator, [self.noise], [trip], are_healthy=False)
         fit = replace(fit, noises=[self.noise[fit.sensors_of(trip)]])
-        x = fit.start()
-        # without axle boxes, the search in the whole band ends in another valley
-        for bins in fit.widening:
-            x, _ = fit.search(x, ROUGH, bins)
-        for spread in SPREADS[:2]:
-            fit = fit.with_noise_at(x)
-            x, _ = fit.search(x, spread, fit.thinned)
-        fit = fit.with_noise_at(x)
-        x, converged = fit.search(x, 0.0, fit.all_bins)
+        if start is None:
+            fit, x, converged = fit.widened()
+        else:
+            fit, x, converged = fit.narrowed(fit.nearer(start), 1)
         misfit = fit.misfit(x)
+        if start is not None and not (converged and misfit <= EXPLAINED * max(1.0, self.misfit)):
+            other = fit.widened()
+            if other[0].misfit(other[1]) < misfit:
+                fit, x, converged = other
+                misfit = fit.misfit(x)
         unexplained = max(0.0, max(misfit, self.misfit) ** 2 - EXPLAINED**2)
         excess = max(1.0, misfit) ** 2 + ALIGNED**2 * fit.n_residuals * unexplained
         covariance = COMMON**2 * fit.covariance(x, excess)[-N_OWN:, -N_OWN:]
@@ -177,14 +182,7 @@ def commission_bogie(generator: SpatialVehicle, trips: Sequence[BogieTrip]) -> C
     generator = replace(generator, distribution=prior)
     noise = torch.stack([_smallest(trip.spectra) for trip in trips]).amin(dim=0)
     fit = _Fit(generator, [noise] * len(trips), trips, are_healthy=True)
-    x = fit.start()
-    for bins in fit.widening:
-        x, _ = fit.search(x, ROUGH, bins)
-    for spread in SPREADS[:-1]:
-        fit = fit.with_noise_at(x)
-        x, _ = fit.search(x, spread, fit.thinned)
-    fit = fit.with_noise_at(x)
-    x, converged = fit.search(x, 0.0, fit.all_bins)
+    fit, x, converged = fit.widened()
     n = fit.n_numbers
     misfit = fit.misfit(x)
     covariance = fit.covariance(x, max(1.0, misfit) ** 2)[:n, :n]
@@ -290,9 +288,36 @@ class _Fit:
         deviation[-1] = MASS_DEVIATION
         return mean, deviation
 
-    def start(self) -> FloatArray:
-        """Return the median vehicle, nothing worn."""
-        return np.concatenate([np.zeros(self.n_numbers), np.tile(self._own[0], len(self.trips))])
+    def start(self, ratios: FloatArray | None = None) -> FloatArray:
+        """Return the median vehicle with the trips' own numbers; None: nothing worn."""
+        own = np.tile(self._own[0], len(self.trips)) if ratios is None else np.log(ratios)
+        return np.concatenate([np.zeros(self.n_numbers), own])
+
+    def nearer(self, ratios: FloatArray) -> FloatArray:
+        """Return the start of lower cost: with the trip's own ratios, or with nothing worn."""
+        misfits = self._misfits(SPREADS[0], self.thinned)
+        starts = self.start(ratios), self.start()
+        costs = [np.square(self._residuals(x, misfits, self.thinned)).sum() for x in starts]
+        return starts[int(np.argmin(costs))]
+
+    def widened(self) -> tuple[_Fit, FloatArray, bool]:
+        """Return the end of the searches from the healthy vehicle, as `narrowed`."""
+        x = self.start()
+        # without axle boxes, the search in the whole band ends in another valley
+        for bins in self.widening:
+            x, _ = self.search(x, ROUGH, bins)
+        return self.narrowed(x)
+
+    def narrowed(self, x: FloatArray, first: int = 0) -> tuple[_Fit, FloatArray, bool]:
+        """Return the end of the searches with smaller errors, from the first of ``SPREADS``.
+
+        The fit with the noise of the last search comes first, and last whether this converged.
+        """
+        fit = self
+        for spread in (*SPREADS[: -1 if self.are_healthy else 2][first:], 0.0):
+            fit = fit.with_noise_at(x)
+            x, converged = fit.search(x, spread, fit.thinned if spread else fit.all_bins)
+        return fit, x, converged
 
     def search(self, x: FloatArray, spread: float, bins: Tensor) -> tuple[FloatArray, bool]:
         """Return the end of a search from x, and whether it converged."""

@@ -97,6 +97,11 @@ class FittedMethod:
         """Values of the healthy vehicle in SI units, which estimates are relative to."""
         return HealthyValues.of(self.generator, self.task.outputs)
 
+    @property
+    def references(self) -> tuple[HealthyValues, ...]:
+        """Healthy values that a trip may refer to: those of the parameters, and of the parts."""
+        return self.healthy, *([] if self.bogie is None else [self.bogie.healthy])
+
     def features(self, curves: Tensor, frequencies_hz: Tensor) -> tuple[FloatArray, IntArray]:
         """Return features of curves relative to the healthy vehicle's, and why some are missing.
 

@@ -1,14 +1,16 @@
 """Which of a bogie's twelve parts have worn: a verdict with odds, as wear is sparse.
 
 An estimate gives the logarithms e of the twelve ratios with the covariance C. Parts that have not
-worn scatter by ``USUAL``, worn ones by ``WEAR`` as well. For a set W of worn parts::
+worn scatter by ``USUAL``, those of one kind (the four k_p) by ``SHARED`` alike, as temperature and
+load act on all of them; worn ones scatter by ``WEAR`` as well. For a set W of worn parts::
 
-    log P(e | W) = -1/2 (e^T V^-1 e + log det V),    V = C + USUAL^2 + WEAR^2 on the diagonal of W
+    log P(e | W) = -1/2 (e^T V^-1 e + log det V),
+    V = C + USUAL^2 + SHARED^2 within a kind + WEAR^2 on the diagonal of W
 
-A part has worn with the prior probability ``RARE``. Parts join W one after the other, the most
-probable next one first, as long as the odds of W with it over W without it exceed 20 : 1. Where
-another part in its place is not 20 times less probable, they are named together. The estimates
-themselves are not changed by this.
+A part, or all of a kind, has worn with the prior probability ``RARE``. Parts join W one after the
+other, the most probable next one first, as long as the odds of W with it over W without it exceed
+20 : 1. Where another part in its place is not 20 times less probable, they are named together. The
+estimates themselves are not changed by this.
 """
 
 from __future__ import annotations
@@ -23,9 +25,11 @@ from suspnet.estimation.bogie_fit import WEAR, PartsEstimate
 from suspnet.ground.parameters import BOGIE_PARTS, kind_of, place_words
 from suspnet.ground.types import FloatArray
 
-USUAL = {"k": 0.005, "c": 0.015}
-"""Standard deviation of the logarithm of a part that has not worn, of springs and of dampers:
-temperature and load are not the same from trip to trip."""
+USUAL = {"k": 0.003, "c": 0.006}
+"""Standard deviation of the logarithm of a part that has not worn, of springs and of dampers."""
+SHARED = {"k": 0.005, "c": 0.02}
+"""Standard deviation that all parts of a kind have in common: 5 K more make every damper 2 % weaker
+where a manifest gives no temperature."""
 RARE = 0.01
 """Prior probability that a part has worn."""
 ODDS = 20.0
@@ -67,27 +71,54 @@ def _words(one: WornPart) -> str:
 def worn_parts(estimate: PartsEstimate) -> list[WornPart]:
     """Return the parts that have worn, the most certain first; none if none has."""
     logs = np.log(estimate.values[: len(BOGIE_PARTS)])
-    usual = np.diag([USUAL[name[0]] ** 2 for name in BOGIE_PARTS])
-    covariance = estimate.covariance[: len(BOGIE_PARTS), : len(BOGIE_PARTS)] + usual
+    covariance = estimate.covariance[: len(BOGIE_PARTS), : len(BOGIE_PARTS)] + _usual()
     worn: list[int] = []
     found: list[WornPart] = []
     prior = math.log(RARE / (1 - RARE))
-    for _ in BOGIE_PARTS:  # each round names one part or ends
-        rest = [j for j in range(len(BOGIE_PARTS)) if j not in worn]
+    for _ in BOGIE_PARTS:  # each round names a part or ends
         without = _log_probability(logs, covariance, worn)
-        gains = {j: _log_probability(logs, covariance, [*worn, j]) - without + prior for j in rest}
-        order = sorted(rest, key=gains.__getitem__, reverse=True)
-        best = order[0]
-        if gains[best] < math.log(ODDS):
+        gains = {
+            event: _log_probability(logs, covariance, [*worn, *event]) - without + prior
+            for event in _events(worn)
+        }
+        best = max(gains, key=gains.__getitem__, default=())
+        if not best or gains[best] < math.log(ODDS):
             break
-        alike = [j for j in order if gains[best] - gains[j] < math.log(ODDS)]
-        worn.append(best)
+        worn += best
         odds = math.exp(min(gains[best], 700.0))
-        names = tuple(BOGIE_PARTS[j] for j in alike)
-        found.append(WornPart(names, odds, float(estimate.values[best])))
-        if len(worn) == len(BOGIE_PARTS):
-            break
+        if len(best) > 1:
+            found += [_worn(estimate, [j], odds) for j in best]
+            continue
+        single = sorted((event for event in gains if len(event) == 1), key=lambda e: -gains[e])
+        alike = [j for (j,) in single if gains[best] - gains[(j,)] < math.log(ODDS)]
+        found.append(_worn(estimate, alike, odds))
     return found
+
+
+def _events(worn: Sequence[int]) -> list[tuple[int, ...]]:
+    """Return what may join the worn parts: each other one, or all of a kind at once.
+
+    What all parts of a kind share hides that all have worn alike until the last one joins.
+    """
+    single = [(j,) for j in range(len(BOGIE_PARTS)) if j not in worn]
+    kinds = {kind_of(name) for name in BOGIE_PARTS}
+    whole = [
+        tuple(j for j, n in enumerate(BOGIE_PARTS) if kind_of(n) == kind) for kind in sorted(kinds)
+    ]
+    return [*single, *(event for event in whole if not set(event) & set(worn))]
+
+
+def _worn(estimate: PartsEstimate, alike: Sequence[int], odds: float) -> WornPart:
+    names = tuple(BOGIE_PARTS[j] for j in alike)
+    return WornPart(names, odds, float(estimate.values[alike[0]]))
+
+
+def _usual() -> FloatArray:
+    """Return the covariance of the logarithms of parts that have not worn, (12, 12)."""
+    kinds = np.array([kind_of(name) for name in BOGIE_PARTS])
+    shared = np.array([SHARED[kind[0]] for kind in kinds])
+    own = np.array([USUAL[kind[0]] for kind in kinds])
+    return np.diag(own**2) + np.where(kinds[:, None] == kinds, shared**2, 0.0)
 
 
 def _log_probability(logs: FloatArray, covariance: FloatArray, worn: list[int]) -> float:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from enum import IntEnum, StrEnum
 from typing import Any, Literal
@@ -27,6 +27,8 @@ BODY_MASS = "M_s"
 """Name of the car-body mass, which varies with the payload from trip to trip."""
 BOGIE_PARTS = COMPONENTS[:-1]
 """The springs and dampers alone."""
+ALL_PARTS = "all twelve parts"
+"""Text for all of ``BOGIE_PARTS``."""
 ESTIMATED = (*PARAMETERS, *BOGIE_PARTS)
 """Everything that a trip may have an estimate of: of the parameters of both sides and axles as
 equal, or of each part."""
@@ -40,6 +42,26 @@ def kind_of(name: str) -> str:
 def place_words(part: str) -> str:
     """Return where a part is: "axle 1, left" of "k_p_axle1_left", "left" of "k_s_left"."""
     return part[4:].replace("axle", "axle ").replace("_", ", ")
+
+
+def part_words(name: str) -> str:
+    """Return a part as a depot calls it: "damper of axle 2, left" of "c_p_axle2_left".
+
+    Any other name is returned as given.
+    """
+    if name not in BOGIE_PARTS:
+        return name
+    what = "damper" if name[0] == "c" else "spring"
+    where = place_words(name)
+    return f"{what} of {where}" if "axle" in name else f"secondary {what}, {where}"
+
+
+def condensed(names: Iterable[str]) -> list[str]:
+    """Return names, with "all twelve parts" in place of the parts if all of them are there."""
+    names = list(names)
+    if not set(BOGIE_PARTS) <= set(names):
+        return names
+    return [*(name for name in names if name not in BOGIE_PARTS), ALL_PARTS]
 
 
 SI_COLUMNS = {name: f"{name}_{'ns' if name[0] == 'c' else 'n'}_per_m" for name in ESTIMATED} | {

@@ -89,6 +89,10 @@ def sensors_from_text(text: str) -> dict[str, SensorHealth]:
         return {}
 
 
+NO_PART = "no part is named: "
+"""Start of the last warning of a trip whose parts could not be read; the reason follows."""
+
+
 @dataclass(frozen=True)
 class Quality:
     """Quality of a trip's signals and transfer functions.
@@ -138,6 +142,16 @@ class Quality:
     warnings: str = ""
     wheels: str = ""
     sensors: str = ""
+
+    @property
+    def no_part(self) -> str:
+        """Why the parts of the bogie were not read; empty if they were, or were not asked for."""
+        return self.warnings.partition(NO_PART)[2]
+
+    @property
+    def other_warnings(self) -> str:
+        """The warnings without that of `no_part`."""
+        return self.warnings.partition(NO_PART)[0].removesuffix("; ")
 
 
 @dataclass(frozen=True, eq=False)

@@ -35,15 +35,17 @@ from suspnet.maintenance.series import NUMBERS, Event, Series, with_estimates
 
 ROWS = 20_000
 """Number of rows that are Python objects at the same time, which bounds the memory."""
-TEXTS = ("trip", "start", "sensors")
+TEXTS = ("trip", "start", "sensors", "worn")
 VALUE_COLUMNS = [
     VALUES[key].format(name) for key in ("estimates", "half_widths") for name in ESTIMATED
 ]
 N_NUMBERS = 2 + len(NUMBERS) + len(VALUE_COLUMNS)
 """Number of numeric columns: suspension, whether flagged, ``NUMBERS`` and ``VALUE_COLUMNS``."""
 NOT_NEGATIVE = {"mileage_km", *VALUE_COLUMNS[len(ESTIMATED) :]}
-Block = tuple[FloatArray, NDArray[np.str_], NDArray[np.datetime64], NDArray[np.str_]]
-"""Columns of some trips: numbers of shape (n_trips, ``N_NUMBERS``), names, starts and sensors."""
+Block = tuple[
+    FloatArray, NDArray[np.str_], NDArray[np.datetime64], NDArray[np.str_], NDArray[np.object_]
+]
+"""Columns of some trips: numbers of shape (n_trips, ``N_NUMBERS``), and ``TEXTS``."""
 
 
 def read_series(
@@ -56,11 +58,11 @@ def read_series(
     names = {one: key for one, (key, _) in known_suspensions(connection).items()}
     chosen = None if keys is None else [one for one, key in names.items() if key in keys]
     events = read_stored(connection, Event, bad)
-    numbers, texts, starts, sensors = _columns(connection, chosen, names, bad)
+    numbers, texts, starts, sensors, worn = _columns(connection, chosen, names, bad)
     owner, km = numbers[:, 0].astype(np.int64), numbers[:, 2]
     order = np.lexsort((texts, km, owner))  # NaN last
-    numbers, texts = numbers[order], texts[order]
-    starts, sensors = starts[order], sensors[order]
+    numbers, texts, starts = numbers[order], texts[order], starts[order]
+    sensors, worn = sensors[order], worn[order]
     ids, begins = np.unique(owner[order], return_index=True)
     parts = np.split(np.arange(len(order)), begins[1:]) if len(ids) else []
     found = []
@@ -85,6 +87,7 @@ def read_series(
                 half_widths=values[1],
                 events=tuple(events.get((vehicle, place), ())),
                 sensors=sensors[part],
+                worn=worn[part],
                 **scalars,
             ).widened()
         )
@@ -106,8 +109,8 @@ def _columns(
     blocks = [_block([])]
     for rows in connection.execute(query, execution_options={"yield_per": ROWS}).partitions():
         blocks += _readable(rows, names, bad)
-    numbers, trip, start, sensors = (np.concatenate(one) for one in zip(*blocks, strict=True))
-    return numbers, trip, start, sensors
+    numbers, trip, start, sensors, worn = (np.concatenate(one) for one in zip(*blocks, strict=True))
+    return numbers, trip, start, sensors, worn
 
 
 def _readable(rows: Sequence[Any], names: Mapping[int, Key], bad: list[BadRow]) -> list[Block]:
@@ -140,9 +143,11 @@ def _block(rows: Sequence[Any]) -> Block:
         if len(wrong):
             raise ValueError(f"`{name}` must not be {wrong[0]:g}")
     if not all(isinstance(text, str) for several in texts for text in several):
-        raise TypeError("name, start and sensors must be text")
+        raise TypeError("name, start, sensors and worn parts must be text")
+    trip, sensors = np.array(texts[0], dtype=str), np.array(texts[2], dtype=str)
     start = np.array([utc(text) for text in texts[1]], dtype="datetime64[s]")
-    return numbers, np.array(texts[0], dtype=str), start, np.array(texts[2], dtype=str)
+    # objects, as few texts are long and most of them empty
+    return numbers, trip, start, sensors, np.array(texts[3], dtype=object)
 
 
 N_NEWEST = 3

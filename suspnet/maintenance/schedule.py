@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from tabulate import tabulate
 
-from suspnet.ground.parameters import Severity
+from suspnet.ground.parameters import Severity, condensed, part_words
 from suspnet.ground.settings import check_number
 from suspnet.ground.types import FloatArray
 from suspnet.ground.wording import count
@@ -108,9 +108,10 @@ class Part:
         return bool((self.samples_km == 0).all())
 
     def __str__(self) -> str:
-        """Return train, car, suspension and parameter as text."""
+        """Return train, car, suspension and parameter or part as text."""
         car = f"car {self.car}" if self.car else ""
-        return ", ".join(filter(None, (self.train, car, self.suspension, self.parameter)))
+        part = part_words(self.parameter)
+        return ", ".join(filter(None, (self.train, car, self.suspension, part)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -179,6 +180,10 @@ class Visit:
     urgency: str
     jobs: tuple[Job, ...]
     expected_cost: float
+
+    def words_of(self, job: Job) -> str:
+        """Return the work of one of its jobs and its day: "replace at the visit of 2026-03-15"."""
+        return f"{job.what} at the visit of {self.day.isoformat()}"
 
     def urgency_of(self, job: Job) -> str:
         """Return the urgency of one of its jobs: "now" or "unknown" if its life is unknown."""
@@ -261,7 +266,9 @@ class Plan:
             "car": part.car,
             "suspension": part.suspension,
             "parameter": part.parameter,
+            "part": part_words(part.parameter),
             "what": job.what,
+            "visit": visit.words_of(job) if visit else "",
             "urgency": urgency,
             "severity": str(part.severity),
             "unknown": part.unknown,
@@ -339,6 +346,7 @@ def joined(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
 def _words(row: Mapping[str, Any]) -> str:
     """Return work and part, without its train, and why its life is unknown."""
     car = f"car {row['car']}" if row["car"] else ""
-    where = ", ".join(filter(None, (car, row["suspension"], *row["parameters"])))
+    parts = map(part_words, condensed(row["parameters"]))
+    where = ", ".join(filter(None, (car, row["suspension"], *parts)))
     what = "" if row["what"] == UNKNOWN else f"{row['what']} "
     return f"{what}{where}" + (f": {row['unknown']}" if row["unknown"] else "")

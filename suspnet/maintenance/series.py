@@ -74,6 +74,8 @@ class Series:
         Number of first trips whose median is healthy; None: the model defines it.
     sensors : array of str, optional
         Health of the sensors, as in ``Quality``; None: unknown.
+    worn : array of str objects, optional
+        Which parts of the bogie have worn, as in ``TripResult``; None: unknown.
     """
 
     vehicle: str
@@ -91,6 +93,7 @@ class Series:
     events: tuple[Event, ...] = ()
     n_first: int | None = None
     sensors: NDArray[np.str_] | None = None
+    worn: NDArray[np.object_] | None = None
 
     @property
     def key(self) -> Key:
@@ -158,8 +161,10 @@ class Series:
             for part in (self.estimates, self.half_widths)
         )
         for trips in self.between:
-            first = trips[self.done[trips]][:n_first]
-            for name in set(estimates) - {BODY_MASS} if len(first) else ():
+            for name in set(estimates) - {BODY_MASS}:
+                first = trips[np.isfinite(self.estimates[name][trips])][:n_first]
+                if not len(first):
+                    continue
                 estimates[name][trips] /= np.median(estimates[name][first])
                 own = half_widths[name]
                 own[trips] = np.hypot(own[trips], half_width_of_median(own[first]))
@@ -187,6 +192,7 @@ class Series:
         columns = {
             name: getattr(self, name)[chosen] for name in ("trip", "start", "flagged", *NUMBERS)
         }
+        columns["worn"] = None if self.worn is None else self.worn[chosen]
         estimates, half_widths = (
             {name: np.where(self.misled, np.nan, column)[chosen] for name, column in part.items()}
             for part in (self.estimates, self.half_widths)
@@ -200,13 +206,14 @@ class Series:
             (self.key, self.events, self.n_first) == (other.key, other.events, other.n_first)
             and mine.keys() == its.keys()
             and np.array_equal(self.trip, other.trip)
-            and np.array_equal(_texts(self), _texts(other))
+            and _texts(self) == _texts(other)
             and all(np.array_equal(one, its[name], equal_nan=True) for name, one in mine.items())
         )
 
 
-def _texts(one: Series) -> NDArray[np.str_]:
-    return np.full(len(one.trip), "") if one.sensors is None else one.sensors
+def _texts(one: Series) -> list[list[str]]:
+    nothing = [""] * len(one.trip)
+    return [nothing if texts is None else texts.tolist() for texts in (one.sensors, one.worn)]
 
 
 def _columns(one: Series) -> dict[str, NDArray[Any]]:
@@ -256,6 +263,7 @@ def make_series(
     trip = np.broadcast_to(np.asarray(others.pop("trip", ""), dtype=str), n)
     start = np.broadcast_to(np.asarray(others.pop("start", "NaT"), dtype="datetime64[s]"), n)
     sensors = np.broadcast_to(np.asarray(others.pop("sensors", ""), dtype=str), n)
+    worn = np.broadcast_to(np.asarray(others.pop("worn", ""), dtype=object), n)
     marks = np.broadcast_to(np.asarray(flagged, dtype=bool), n)
     order = np.lexsort((trip, km))  # NaN last
 
@@ -275,6 +283,7 @@ def make_series(
         events=tuple(sorted(events, key=lambda one: one.mileage_km)),
         n_first=None,
         sensors=sensors[order],
+        worn=worn[order],
         **columns({"mileage_km": km} | others, NUMBERS),
     )
 
@@ -283,7 +292,7 @@ def with_estimates(estimates: Mapping[str, ArrayLike]) -> tuple[str, ...]:
     """Return the names of a series' columns: all parameters, and parts with any estimate."""
     parts = (name for name in ESTIMATED if name not in PARAMETERS and name in estimates)
     known = (name for name in parts if np.isfinite(np.asarray(estimates[name], dtype=float)).any())
-    return (*PARAMETERS, *known)
+    return (*PARAMETERS[:-1], *known, BODY_MASS)
 
 
 def series_of(results: Sequence[TripResult], events: Iterable[Event] = ()) -> Series:
@@ -310,6 +319,7 @@ def series_of(results: Sequence[TripResult], events: Iterable[Event] = ()) -> Se
         healthy_since_km=[one.healthy_since_km for one in results],
         speed_m_per_s=[one.quality.speed_m_per_s for one in results],
         sensors=[one.quality.sensors for one in results],
+        worn=[one.worn for one in results],
         temperature_c=[one.temperature_c for one in results],
         direction=[SIGNS.get(one.quality.direction, np.nan) for one in results],
     ).widened()
@@ -345,15 +355,16 @@ def relative_to_first(results: list[TripResult], n_first: int) -> list[TripResul
     change. The car-body mass stays relative to nominal, as it varies by nature.
     If fewer trips have an estimate, all of these are used.
     """
-    done = first_trips(results, n_first)
-    if not done:
-        return results
-    names = [name for name in done[0].raw if name != BODY_MASS]
-    estimated = medians([r.raw for r in done], names)
-    true = medians([r.truth for r in done if set(names) <= set(r.truth)], names)
+    done = first_trips(results, len(results))
+    names = dict.fromkeys(name for r in done for name in r.raw if name != BODY_MASS)
+    # not every trip has all parts of a bogie
+    first = {name: [r for r in done if name in r.raw][:n_first] for name in names}
+    estimated = {name: _median(r.raw[name] for r in own) for name, own in first.items()}
+    known = {name: [r for r in own if name in r.truth] for name, own in first.items()}
+    true = {name: _median(r.truth[name] for r in own) for name, own in known.items() if own}
     reference = {
-        name: half_width_of_median([r.half_widths.get(name, np.nan) for r in done])
-        for name in names
+        name: half_width_of_median([r.half_widths.get(name, np.nan) for r in own])
+        for name, own in first.items()
     }
     return [
         replace(
@@ -393,6 +404,10 @@ def half_width_of_median(half_widths: ArrayLike) -> float:
     """Return the half-width of the median of trips from their own; 0 if one is unknown."""
     widths = np.asarray(half_widths, dtype=float)
     return float(np.nan_to_num(np.sqrt(np.pi / 2 / len(widths)) * np.median(widths)))
+
+
+def _median(values: Iterable[float]) -> float:
+    return float(np.median(list(values)))
 
 
 def medians(values: Sequence[Mapping[str, float]], names: Iterable[str]) -> dict[str, float]:

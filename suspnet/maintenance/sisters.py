@@ -22,7 +22,7 @@ from typing import Annotated
 import numpy as np
 from scipy import stats
 
-from suspnet.ground.parameters import BOGIE_PARTS, Cause, Severity, kind_of
+from suspnet.ground.parameters import BOGIE_PARTS, Cause, Severity, kind_of, part_words
 from suspnet.ground.records import INTERVAL_LEVEL, Key
 from suspnet.ground.settings import Setting, check_number, check_settings, setting
 from suspnet.ground.types import FloatArray
@@ -290,7 +290,7 @@ def _words(parameter: str, found: _Compared, place: int) -> str:
     n, n_apart = int(found.n_sisters[place]), int(found.n_apart[place])
     level, median = math.exp(found.level[place]), math.exp(found.median[place])
     percent = 100 * (level / median - 1)
-    size = f"{parameter} is {abs(percent):.1f} % {'below' if percent < 0 else 'above'}"
+    size = f"{part_words(parameter)} is {abs(percent):.1f} % {'below' if percent < 0 else 'above'}"
     levels = f"{100 * level:.1f} and {100 * median:.1f} % of healthy"
     if n == 1:
         return f"{size} that of its one sister ({levels}): which of them changed is not known"

@@ -167,6 +167,10 @@ class State:
         km = self.series.mileage_km[self.series.done]
         return float(np.nanmax(km)) if np.isfinite(km).any() else np.nan
 
+    def last_of(self, name: str) -> LastTrips:
+        """Return the last ``N_LAST`` trips with an estimate of a parameter."""
+        return self._last[name]
+
     def now(self, name: str) -> float:
         """Return the present value of a parameter, [-]: the median of the last ``N_LAST`` trips.
 

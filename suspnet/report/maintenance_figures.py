@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Sequence
+from dataclasses import replace
 from textwrap import wrap
 from typing import Any
 
@@ -13,7 +14,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullLocator
 
-from suspnet.ground.parameters import BODY_MASS
+from suspnet.ground.parameters import BODY_MASS, BOGIE_PARTS
 from suspnet.ground.wording import count
 from suspnet.maintenance.schedule import UNKNOWN, URGENCIES, Job, Plan, Visit
 from suspnet.report.figures import MILEAGE_LABEL, SYMBOLS, say
@@ -167,12 +168,28 @@ def _calendar_legend(figure: Figure, axis: Axes, level: float) -> None:
         figure.legend([marks[word] for word in order], words, **place)
 
 
+SMALL_INCHES = 4.0, 2.1
+"""Size of the figure of one part, of which several are side by side."""
 HOLLOW: dict[str, Any] = {"mfc": "none", "color": FLAGGED_COLOUR, "ls": ""}
 AHEAD = 0.5
 """Largest share of the mileage so far by which a figure extends into the future."""
 
 
-def health_trend(trend: Trend) -> Figure:
+def small_trends(trend: Trend) -> dict[str, Figure]:
+    """Draw a small figure of each parameter where parts of a bogie are read; else none.
+
+    All have the same range of mileages, so that they can be compared.
+    """
+    if not any(one.name in BOGIE_PARTS for one in trend.panels):
+        return {}
+    figures = {one.name: health_trend(replace(trend, panels=(one,)), True) for one in trend.panels}
+    ends = [figure.axes[0].get_xlim() for figure in figures.values()]
+    for figure in figures.values():
+        figure.axes[0].set_xlim(min(low for low, _ in ends), max(high for _, high in ends))
+    return figures
+
+
+def health_trend(trend: Trend, is_small: bool = False) -> Figure:
     """Draw each parameter in % of healthy along the mileage (Fig. 10).
 
     Dots are trips with their interval, the line is the running median of all; a flagged trip is
@@ -180,10 +197,11 @@ def health_trend(trend: Trend) -> Figure:
     simulated trips, a triangle at the top the start of an alarm. Dashed lines are limits within the
     axis. A bar at the bottom is the range in which the act limit will be passed, as far as it lies
     in the figure, which grows by half of its mileage at most. Trips without a mileage are left out,
-    and counted in the title.
+    and counted in the title. A small figure has no legend.
     """
     n = len(trend.panels)
-    figure = Figure(figsize=(7.0, 1.0 + 1.7 * n), layout="constrained")
+    size = SMALL_INCHES if is_small else (7.0, 1.0 + 1.7 * n)
+    figure = Figure(figsize=size, layout="constrained")
     axes: list[Axes] = list(figure.subplots(n, 1, sharex=True, squeeze=False)[:, 0])
     for axis, panel in zip(axes, trend.panels, strict=True):
         what = "nominal" if panel.name == BODY_MASS else "healthy"
@@ -203,7 +221,10 @@ def health_trend(trend: Trend) -> Figure:
         _draw_passing(axes, trend)
     axes[-1].set_xlabel(MILEAGE_LABEL)
     figure.align_ylabels(axes)
-    _legend(figure, axes)
+    if is_small:
+        axes[0].set_ylabel(axes[0].get_ylabel().partition("[")[2].rstrip("]"))
+    else:
+        _legend(figure, axes)
     if trend.n_unplaced:
         axes[0].set_title(f"without a mileage, not shown: {trend.n_unplaced}", fontsize="small")
     return figure

@@ -24,10 +24,11 @@ from suspnet.maintenance.assessment import overall, spoken
 from suspnet.maintenance.life import Life
 from suspnet.maintenance.schedule import Plan, joined
 from suspnet.report import figures
+from suspnet.report.bogie import bogies_shown
 from suspnet.report.figures import as_png, data_uri
-from suspnet.report.maintenance_figures import health_trend
+from suspnet.report.maintenance_figures import health_trend, small_trends
 from suspnet.report.report import Report, write_report
-from suspnet.report.tables import REPORT, Evaluated, FleetView, finding
+from suspnet.report.tables import REPORT, Evaluated, FleetView, finding, same_columns
 from suspnet.report.templates import render
 from suspnet.report.tensorboard import RunLog
 from suspnet.report.trend import trend_of_trips
@@ -169,18 +170,18 @@ def write_pages(report: Report, output: Path, *, draw: bool = True) -> None:
     """
     results, outputs, state = report.results, report.outputs, report.state
     done = [r for r in results if r.status == OK]
-    drawn = {}
+    drawn, small = {}, {}
     if draw:
-        drawn = {
-            "trend": health_trend(
-                trend_of_trips(
-                    relative_to_first_healthy(results, report.commissionings),
-                    state,
-                    outputs,
-                    report.level,
-                    report.commissionings,
-                )
-            ),
+        trend = trend_of_trips(
+            relative_to_first_healthy(results, report.commissionings),
+            state,
+            outputs,
+            report.level,
+            report.commissionings,
+        )
+        small = small_trends(trend)
+        drawn = {} if small else {"trend": health_trend(trend)}
+        drawn |= {
             "responses": figures.trip_responses(results),
             "signals": figures.trip_signals(done[-1] if done else results[-1]),
             "quality": figures.quality(results),
@@ -190,13 +191,14 @@ def write_pages(report: Report, output: Path, *, draw: bool = True) -> None:
             values = result.estimates | {"n_averages": result.quality.n_averages}
             step = i if np.isnan(result.mileage_km) else round(result.mileage_km)
             run_log.scalars("trips", values, step)
-        for name, figure in drawn.items():
+        named = {f"trend_{name}": figure for name, figure in small.items()}
+        for name, figure in (drawn | named).items():
             run_log.figure(name, figure, output / "figures")
         run_log.text("trips", summary(results, outputs))
         run_log.text("verdict", spoken(state.assessments))
     metrics = json.loads(json.dumps(_metrics(report), default=float))
     write_json(output / "metrics.json", metrics)
-    write_report(output / REPORT, "Suspension report", report, drawn)
+    write_report(output / REPORT, "Suspension report", report, drawn, small)
 
 
 def _metrics(report: Report) -> dict[str, Any]:
@@ -210,7 +212,9 @@ def _metrics(report: Report) -> dict[str, Any]:
         "n_flagged": sum(bool(r.flags) for r in results),
         "rms_error_percent": errors_percent(results, report.outputs),
         "coverage_percent": coverage_percent(results, report.outputs),
-        "limits": {name: one.to_dict() for name, one in state.limits.items()},
+        "limits": {
+            name: state.limits[name].to_dict() for name in report.outputs if name in state.limits
+        },
         "trends": [
             asdict(one.trend)
             | {"changed": one.trend.changed, "severity": str(one.severity), "words": one.words}
@@ -244,7 +248,7 @@ def write_fleet(view: FleetView, plan: Plan, figure: Figure, output: Path) -> No
     The page holds overview, plan with its calendar `figure`, and sister suspensions; it is
     self-contained.
     """
-    write_table(pa.Table.from_pylist(view.rows), output / "overview")
+    write_table(pa.Table.from_pylist(same_columns(view.rows)), output / "overview")
     jobs: list[dict[str, Any]] = plan.rows()
     if jobs:
         write_table(pa.Table.from_pylist(jobs), output / "plan")
@@ -258,6 +262,7 @@ def write_fleet(view: FleetView, plan: Plan, figure: Figure, output: Path) -> No
         calendar=data_uri(figure),
         sisters=[[view.rows[i] for i in car] for car in view.cars],
         parameters=[name for name in PARAMETERS if name != BODY_MASS],
+        **bogies_shown(view),
     )
     write_atomically(output / "overview.html", page.encode("utf-8", errors="replace"))
 

@@ -12,7 +12,7 @@ from typing import Any
 
 from matplotlib.figure import Figure
 
-from suspnet.ground.parameters import KIND_NAMES, NAMES
+from suspnet.ground.parameters import KIND_NAMES
 from suspnet.ground.records import INTERVAL_LEVEL, OK, Commissioning, TripResult, by_mileage
 from suspnet.ground.storage import write_atomically
 from suspnet.ground.wording import count, span, thousands, unbroken
@@ -21,6 +21,7 @@ from suspnet.maintenance.assessment import joined, overall, worst_first
 from suspnet.maintenance.judge import N_LAST
 from suspnet.maintenance.series import Event
 from suspnet.maintenance.state import State
+from suspnet.report.bogie import bogie_of, small_figures, why_no_part
 from suspnet.report.figures import data_uri
 from suspnet.report.tables import sensor_rows, trip_table
 from suspnet.report.templates import KILO, SEVERITIES, render, with_unit
@@ -56,6 +57,12 @@ CAPTIONS = {
         "trip more certain.",
     ),
 }
+SMALL_SHOWN = (
+    "each dot is a trip and 100 % is healthy, the line is the median of five neighbouring trips. "
+    "Dashed lines are the limits, where they are near; a triangle at the top is the start of an "
+    "alarm, a red tick at the bottom a trip without an estimate, a red bar there where the act "
+    "limit will be passed.{intervals}{flags}"
+)
 INTERVALS_SHOWN = (
     " The bar through a dot is its {level} % interval: on {level} of 100 trips the true value lies "
     "within it, if vehicle and recording are like those of the training. A bar that cannot be "
@@ -91,11 +98,18 @@ class Report:
     seen: Sequence[Acknowledgement] = ()
 
 
-def write_report(path: Path, title: str, report: Report, figures: Mapping[str, Figure]) -> Path:
+def write_report(
+    path: Path,
+    title: str,
+    report: Report,
+    figures: Mapping[str, Figure],
+    small: Mapping[str, Figure] | None = None,
+) -> Path:
     """Write one self-contained HTML file atomically; return its path.
 
     The figures "trend", "responses", "signals" and "quality" come first, in this order and with an
-    explanation; others follow under their own names.
+    explanation; others follow under their own names. `small` are the trends of each parameter where
+    parts of a bogie are read.
     """
     state, assessments = report.state, report.state.assessments
     trips = by_mileage(report.results)
@@ -128,6 +142,10 @@ def write_report(path: Path, title: str, report: Report, figures: Mapping[str, F
                 state.watched.alarms, key=lambda a: (not a.is_open, -a.severity, a.begin_km)
             )
         ],
+        bogie=bogie_of(state),
+        no_part=why_no_part(trips, report.outputs),
+        small=small_figures(state, {name: data_uri(one) for name, one in (small or {}).items()}),
+        small_words=SMALL_SHOWN.format(**shown),
         figures=[_embedded(name, figures[name], shown) for name in _ordered(figures)],
         table=table,
         sensors=sensor_rows(state.series),
@@ -135,7 +153,6 @@ def write_report(path: Path, title: str, report: Report, figures: Mapping[str, F
         healthy=_healthy(trips),
         level=table.level,
         healthy_level=f"{100 * report.level:g}",
-        names=NAMES,
         kinds=KIND_NAMES,
         roles=ROLES,
         details=report.details,

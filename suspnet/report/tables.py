@@ -188,6 +188,12 @@ def _quiet(state: State) -> str:
     return f"alarms of changes not armed yet: {why}" if why else ""
 
 
+def same_columns(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """Return rows with the columns of all, NaN where a row lacks one, as of parts not read."""
+    names = dict.fromkeys(name for row in rows for name in row)
+    return [{name: row.get(name, np.nan) for name in names} for row in rows]
+
+
 def overview_table(rows: Sequence[Mapping[str, Any]]) -> str:
     """Return the worst suspensions of a fleet as a table, after a sentence on all of them."""
     shown = ("train", "car", "suspension", "bogie", "side", "severity", "parameter", "reason")
@@ -232,7 +238,7 @@ def trip_table(trips: Sequence[TripResult], outputs: Sequence[str], level: float
     """Return trips as a table, in the order given; `level` is the probability of the intervals."""
     halves = {name: [_half_width(one, name) for one in trips] for name in outputs}
     known = any(math.isfinite(half) for column in halves.values() for half in column)
-    digits = {name: _digits(column) for name, column in halves.items()}
+    digits = {name: interval_digits(column) for name, column in halves.items()}
     words = f"{100 * level:g}" if known else ""
     return TripTable(tuple(trips), tuple(outputs), halves, digits, words)
 
@@ -243,7 +249,8 @@ def _half_width(result: TripResult, name: str) -> float:
     return math.nan if result.flags else 100 * (high - low) / 2
 
 
-def _digits(half_widths: Sequence[float]) -> int:
+def interval_digits(half_widths: Sequence[float]) -> int:
+    """Return the number of decimals that half widths of intervals, [%], warrant."""
     known = [half for half in half_widths if math.isfinite(half) and half > 0]
     if not known:
         return 1

@@ -10,7 +10,16 @@ from typing import Any
 from jinja2 import Environment, FunctionLoader, StrictUndefined
 from markupsafe import Markup
 
-from suspnet.ground.parameters import BOGIE_PARTS, UNITS, Severity, kind_of, place_words
+from suspnet.ground.parameters import (
+    BOGIE_PARTS,
+    KIND_NAMES,
+    UNITS,
+    Severity,
+    condensed,
+    kind_of,
+    part_words,
+    place_words,
+)
 from suspnet.ground.wording import NO_NUMBER, number, thousands, unbroken
 from suspnet.maintenance.judge import ABSURD
 from suspnet.maintenance.life import Life
@@ -124,10 +133,15 @@ def symbol(name: str) -> Markup:
     letter, _, index = kind_of(name).partition("_")
     words = Markup("<i>{}</i><sub>{}</sub>").format(letter, index)
     return (
-        Markup("{} <small>{}</small>").format(words, place_words(name))
+        Markup('{} <span class="place">{}</span>').format(words, place_words(name))
         if name in BOGIE_PARTS
         else words
     )
+
+
+def named(name: str) -> str:
+    """Return what a parameter is, and a part as a depot calls it; other names as given."""
+    return part_words(name) if name in BOGIE_PARTS else KIND_NAMES.get(name, name)
 
 
 def _range(pair: tuple[float, float]) -> str:
@@ -141,8 +155,12 @@ def _columns(names: Iterable[str]) -> list[Markup]:
 GLOBALS = {"labels": LABELS, "marks": MARKS}
 FILTERS = {
     "columns": _columns,
+    "condensed": condensed,
     "level": level,
     "number": number,
+    "kind_of": kind_of,
+    "named": named,
+    "part_words": part_words,
     "plus_minus": _plus_minus,
     "thousands": _thousands,
     "symbol": symbol,

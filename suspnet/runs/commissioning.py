@@ -32,6 +32,8 @@ PARTS_OF_BOGIE = (
 """What the vehicle whose parts are read may have beside rigid bodies on springs and dampers."""
 FAMILY = tuple(part for part in PARTS if part != "air_spring")
 """Parts of the vehicle that is commissioned if the configuration names none."""
+AS_EQUAL = "With both sides and axles as equal, for trips that do not show their parts: "
+"""Start of the sentence on the vertical vehicle where each part is to be read."""
 
 
 def commission_folder(
@@ -42,15 +44,17 @@ def commission_folder(
     *,
     paths: Sequence[ManifestFile] | None = None,
     n_first: int | None = None,
+    by_part: bool = False,
     progress: bool = False,
 ) -> tuple[HealthyTrips, Commissioned]:
     """Return the healthy trips of a folder and the vehicle that they show.
 
     `generator` is the nominal vehicle; without parts it gets all but the air spring, without a
     distribution the prior of its parts. `paths` are the manifests of one suspension if the folder
-    holds several; only the `n_first` trips by mileage are used. Raises FileNotFoundError or
-    TripError if the folder does not hold at least three healthy trips of one suspension of the
-    vehicle and its bogie, ValueError if the generator cannot be commissioned.
+    holds several; only the `n_first` trips by mileage are used. If each part is to be read, this
+    vehicle is only for trips that do not show their parts. Raises FileNotFoundError or TripError if
+    the folder does not hold at least three healthy trips of one suspension of the vehicle and its
+    bogie, ValueError if the generator cannot be commissioned.
     """
     generator = check_generator(generator)
     settings = settings.bound(generator.vehicle)
@@ -64,6 +68,9 @@ def commission_folder(
         progress=progress,
     )
     outcome = commission(_prior(generator, found), settings, found.groups, progress=progress)
+    if by_part:
+        log.info("%s%s", AS_EQUAL, words.verdict(found, outcome))
+        return found, outcome
     log.info("%s %s", words.verdict(found, outcome), words.agreement(outcome))
     for doubt in words.doubts(outcome):
         log.warning("%s", doubt)

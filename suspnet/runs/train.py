@@ -116,7 +116,7 @@ def train(
             found = tune(problem, estimator, search, run_log)
             estimator.set_params(**found.best)
         model = replace(fit(problem, estimator, run_log), refined=refine)
-        model = _trusted(problem, model, context.residual)
+        model = _trusted(problem, model, context.residual, context.bogie is not None)
         stage("test")
         model = replace(model, training=model.training | dict(context.notes), bogie=context.bogie)
         outcome = predict_stream(problem, model, TEST)
@@ -135,7 +135,9 @@ def train(
     return metrics
 
 
-def _trusted(problem: Problem, model: TrainedModel, residual: Residual | None) -> TrainedModel:
+def _trusted(
+    problem: Problem, model: TrainedModel, residual: Residual | None, by_part: bool
+) -> TrainedModel:
     """Return a model with intervals, flags and the cost of the unexplained residual."""
     if problem.settings.n_calibrate is not None:
         stage("calibration of intervals and flags")
@@ -144,7 +146,7 @@ def _trusted(problem: Problem, model: TrainedModel, residual: Residual | None) -
         return model
     model = with_unexplained(problem, model, residual)
     assert model.unexplained is not None
-    if model.unexplained.is_incomplete:
+    if model.unexplained.is_incomplete and not by_part:  # trips are read by their parts
         costs = ", ".join(f"{name} {value:.2g} %" for name, value in _cost_percent(model).items())
         log.warning(
             "the physics is incomplete: %s. The interval of every estimate is wider by a standard "

@@ -1,19 +1,25 @@
-"""Simulated fleets: trips, the wear that these follow, trains, and true numbers of vehicles."""
+"""Simulated fleets: trips, the wear that these follow, and trains."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
 from typing import Annotated, Any, Literal
 
 import numpy as np
-import torch
 
-from suspnet.dynamics import PARAMETERS, QuarterCar, VerticalVehicle
-from suspnet.dynamics.quantities import MEDIANS, QUANTITIES, UNMEASURED, LogNormal
 from suspnet.dynamics.track import track_spectrum
-from suspnet.ground.parameters import DIRECTIONS, FORWARD, Direction
+from suspnet.ground.parameters import (
+    BOGIE_PARTS,
+    COMPONENTS,
+    DIRECTIONS,
+    ESTIMATED,
+    FORWARD,
+    PARAMETERS,
+    Direction,
+    kind_of,
+)
 from suspnet.ground.records import Place
 from suspnet.ground.settings import Setting, check_number, check_settings, setting
 from suspnet.ground.types import FloatArray
@@ -30,11 +36,6 @@ FIRST_DAY = datetime(2015, 8, 3, 6, tzinfo=UTC)
 """Start of the first trip of the first train, a whole multiple of 20 minutes since 1970."""
 HEADWAY = timedelta(minutes=20)
 """Time from the start of a train to that of the next one."""
-MAX_DRAWS = 100
-"""Largest number of draws in the search for a physical vehicle."""
-STREAM = b"scatter"
-"""Part of the seed that makes these draws independent of those of trips and payload."""
-HEALTHY = tuple(f"healthy_{name}" for name in PARAMETERS[:4])
 
 
 @dataclass(frozen=True)
@@ -129,8 +130,8 @@ class Scenario:
     changes: Annotated[
         Mapping[str, Mapping[str, float]],
         Setting(
-            "For each parameter that wears from_km, to_km and the ratio to healthy: 1 before, in a "
-            "straight line between, ratio after",
+            "For each parameter or part that wears from_km, to_km and the ratio to healthy: 1 "
+            "before, in a straight line between, ratio after",
             rule="mapping; from_km at most to_km; ratio above 0",
         ),
     ] = field(default_factory=dict)
@@ -146,6 +147,11 @@ class Scenario:
     mass_high: float = setting(
         1.2, "Largest mass of the car body relative to the vehicle's", above=0
     )
+    by_part: bool = setting(
+        False,
+        "Whether each spring and damper of the bogie is a part of its own, with 5 % of scatter; "
+        "it is where changes name one",
+    )
 
     def __post_init__(self) -> None:
         check_settings(self, "scenario")
@@ -154,8 +160,8 @@ class Scenario:
         if not all(isinstance(one, Mapping) for one in (self.changes, *self.changes.values())):
             raise TypeError(f"`scenario.changes` must be a mapping of mappings: {self.changes!r}")
         for name, change in self.changes.items():
-            if name not in PARAMETERS:
-                raise ValueError(f"scenario `changes` must be named as in {PARAMETERS}: {name!r}")
+            if name not in ESTIMATED:
+                raise ValueError(f"scenario `changes` must be named as in {ESTIMATED}: {name!r}")
             if set(change) != {"from_km", "to_km", "ratio"}:
                 raise ValueError(
                     f"scenario change of {name!r} needs from_km, to_km, ratio: {sorted(change)}"
@@ -166,21 +172,31 @@ class Scenario:
             check_number(f"{where}.ratio", change["ratio"], above=0)
             if change["from_km"] > change["to_km"]:
                 raise ValueError(f"`{where}`: need from_km <= to_km, got {dict(change)}")
+        if set(self.changes) & set(BOGIE_PARTS):
+            object.__setattr__(self, "by_part", True)
+
+    @property
+    def outputs(self) -> tuple[str, ...]:
+        """Names of the ratios: of the parameters, or of each part."""
+        return COMPONENTS if self.by_part else PARAMETERS
 
     def ratios(self, mileage_km: FloatArray, seed: int) -> FloatArray:
-        """Return the parameters of each trip relative to healthy, (n_trips, 5), [-].
+        """Return the ``outputs`` of each trip relative to healthy, (n_trips, n_outputs), [-].
 
-        `mileage_km`: (n_trips,); `seed` is that of spread and payload.
+        `mileage_km`: (n_trips,); `seed` is that of spread and payload. With separate parts, the
+        change of a parameter such as c_p is that of each of its parts.
         """
         rng = np.random.default_rng(seed)
-        ratios = np.ones((len(mileage_km), len(PARAMETERS)))
-        ratios[:, :4] += self.spread * rng.uniform(-1, 1, size=(len(mileage_km), 4))
-        ratios[:, 4] = rng.uniform(self.mass_low, self.mass_high, size=len(mileage_km))
+        n_trips, n_wearing = len(mileage_km), len(self.outputs) - 1
+        ratios = np.ones((n_trips, n_wearing + 1))
+        ratios[:, :-1] += self.spread * rng.uniform(-1, 1, size=(n_trips, n_wearing))
+        ratios[:, -1] = rng.uniform(self.mass_low, self.mass_high, size=n_trips)
         for name, change in self.changes.items():
             start, end = change["from_km"], change["to_km"]
             span = end - start
             after = mileage_km > end if span == 0 else np.clip((mileage_km - start) / span, 0, 1)
-            ratios[:, PARAMETERS.index(name)] *= 1 + (change["ratio"] - 1) * after
+            wearing = [i for i, one in enumerate(self.outputs) if name in (one, kind_of(one))]
+            ratios[:, wearing] *= (1 + (change["ratio"] - 1) * after)[:, None]
         return ratios
 
 
@@ -290,75 +306,3 @@ def _seeds(seed: int, *place: int) -> tuple[int, int]:
     """
     first, second = np.random.SeedSequence([seed, *b"trains", *place]).generate_state(2)
     return int(first), int(second)
-
-
-def scattered(generator: Any, scatter: float, seed: int) -> Any:
-    """Return a generator whose nominal vehicle has randomly drawn true numbers.
-
-    They are drawn from ``LogNormal.prior`` of its parts, deviations multiplied by `scatter` (0 to
-    5), until ``Vehicle`` accepts them and its motion decays. Of a quarter car the springs and
-    dampers are drawn, the masses are not. ValueError if none of ``MAX_DRAWS`` vehicles is physical.
-    """
-    check_number("scatter", scatter, low=0, high=5)
-    if scatter == 0:
-        return generator
-    if not isinstance(generator, QuarterCar | VerticalVehicle):
-        raise TypeError(f"`scatter` needs a generator of suspnet, got {type(generator).__name__}")
-    prior = LogNormal.prior(getattr(generator, "parts", ()))
-    medians = np.array([MEDIANS[name] for name in prior.names])
-    least = np.where((prior.offsets > 0) & (medians > 0), 0.0, -np.inf)  # others have either sign
-    rng = np.random.default_rng([seed, *STREAM])
-    for _ in range(MAX_DRAWS):
-        steps = scatter * prior.deviations * rng.standard_normal(len(prior.names))
-        logs = np.maximum(np.array(prior.mean) + steps, least)
-        drawn = _with_numbers(generator, prior.names, logs)
-        if drawn is not None and _decays(drawn):
-            return drawn
-    raise ValueError(
-        f"none of {MAX_DRAWS} vehicles drawn with `scatter`={scatter} is physical; lower it"
-    )
-
-
-def true_numbers(generator: Any) -> dict[str, dict[str, Any]]:
-    """Return value, unit and ratio to nominal of each true number of a generator's vehicle.
-
-    The ratios of a quarter car are 1, as its vehicle holds the true numbers itself.
-    """
-    if isinstance(generator, QuarterCar):
-        nominal, ratios = generator.vehicle.healthy_values()[:4], np.ones(4)
-        names: tuple[str, ...] = HEALTHY
-    else:
-        names, nominal = UNMEASURED, generator.nominal_values()[len(PARAMETERS) :]
-        given = generator.distribution or LogNormal((), (), ())
-        medians = dict(zip(given.names, given.median, strict=True))
-        ratios = np.array([medians.get(name, MEDIANS[name]) for name in names])
-    parts = getattr(generator, "parts", ())
-    known = {q.name: q for q in QUANTITIES if q.part in parts or (q.unit and not q.part)}
-    return {
-        name: {"value": value * float(ratio), "unit": known[name].unit, "ratio": float(ratio)}
-        for name, value, ratio in zip(names, nominal, ratios, strict=True)
-        if name in known and name != "speed"
-    }
-
-
-def _with_numbers(
-    generator: QuarterCar | VerticalVehicle, names: tuple[str, ...], logs: FloatArray
-) -> QuarterCar | VerticalVehicle | None:
-    """Return the generator with its numbers multiplied; None if ``Vehicle`` rejects them."""
-    certain = LogNormal(names, tuple(logs), ((0.0,) * len(names),) * len(names))
-    ratios = dict(zip(names, certain.median.tolist(), strict=True))
-    try:
-        vehicle = generator.vehicle.degraded(
-            **{name: ratios[healthy] for name, healthy in zip(PARAMETERS, HEALTHY, strict=False)}
-        )
-    except ValueError:
-        return None
-    if isinstance(generator, QuarterCar):
-        return replace(generator, vehicle=vehicle)
-    # Responses to five columns of ratios use the median of the distribution, here the true numbers.
-    return replace(generator, distribution=certain)
-
-
-def _decays(generator: QuarterCar | VerticalVehicle) -> bool:
-    a, *_ = generator.motion_system(torch.ones(len(PARAMETERS))).state_space()
-    return bool(np.linalg.eigvals(a).real.max() < 0)

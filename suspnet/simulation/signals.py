@@ -48,6 +48,7 @@ def simulate_trip(
     rate_hz: float,
     cross: TrackProfile | None = None,
     wheels_of: OutOfRound | None = None,
+    alignment: TrackProfile | None = None,
 ) -> FloatArray:
     """Return accelerations of axle box, frame and body along a trip, shape (3, n_samples), [m/s^2].
 
@@ -56,17 +57,20 @@ def simulate_trip(
     wheel accelerations that are linear between samples.
 
     `profile` must be at least `profile_length_m` long. With roll, `cross` is an independent profile
-    of `cross_level_spectrum`; the angle of the track is the system's `roll_per_m` times it.
+    of `cross_level_spectrum`; the angle of the track is the system's `roll_per_m` times it. With
+    lateral motion, the track's lateral place is the system's `alignment` times another profile.
     `wheels_of` the measured wheelset are both out of round alike.
     """
     motion = SampledMotion(system, rate_hz)
     n_lead = round(_lead_in_s(journey) * rate_hz)
     n_samples = math.floor(journey.duration_s * rate_hz + 1e-6)
     start_m = _start_m(system, journey)
-    n_sides = len(system.sensors) // 2
+    n_places = 3 if len(system.sensors) % 3 == 0 else 2  # 3: with the axle box
+    n_sides = len(system.sensors) // n_places
     signals = np.empty((n_sides, 3, n_samples))
     measured = system.behind_m.index(min(system.behind_m, key=abs))
-    tracks = [(profile, 1.0)] + ([] if cross is None else [(cross, system.roll_per_m)])
+    given = (profile, 1.0), (cross, system.roll_per_m), (alignment, system.alignment)
+    tracks = [(track, scale) for track, scale in given if track is not None]
     for first in range(-n_lead, n_samples, BLOCK):
         times = np.arange(first, min(first + BLOCK, n_samples)) / rate_hz
         position, speed, acceleration = journey.at(times)
@@ -80,16 +84,18 @@ def simulate_trip(
                 wheels.append(squared * curvature + scaled * slope)
         if wheels_of is not None:
             wheels[measured] += wheels_of.acceleration(position, speed, acceleration)
-        outputs = motion.advance(wheels).reshape(n_sides, 2, len(times))
+        outputs = motion.advance(wheels).reshape(n_sides, n_places, len(times))
         # The lead-in is not part of the trip.
         kept = slice(max(0, -first), None)
         place = slice(max(0, first), max(0, first + len(times)))
+        signals[:, 3 - n_places :, place] = outputs[:, :, kept]
+        if n_places == 3:
+            continue
         signals[:, 0, place] = wheels[measured][kept]
         if cross is not None:
             angle = wheels[len(system.behind_m) + measured][kept]
             for side, sign in enumerate((1.0, -1.0)[:n_sides]):
                 signals[side, 0, place] += sign * system.lateral_m[0] * angle
-        signals[:, 1:, place] = outputs[:, :, kept]
     return signals.reshape(3 * n_sides, n_samples)
 
 

@@ -6,7 +6,7 @@ import functools
 import io
 import json
 import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from datetime import timedelta
 from fractions import Fraction
@@ -25,6 +25,7 @@ from suspnet._version import __version__
 from suspnet.dynamics import PARAMETERS, ResponseGenerator, VerticalVehicle
 from suspnet.dynamics.motion import LinearSystem
 from suspnet.dynamics.quantities import IN_MOTION
+from suspnet.dynamics.spatial_numbers import ADDITIONS
 from suspnet.dynamics.track import TrackProfile, cross_level_spectrum, make_profile, track_spectrum
 from suspnet.ground.progress import bar as progress_bar
 from suspnet.ground.storage import content_hash, write_atomically, write_json
@@ -39,11 +40,10 @@ from suspnet.simulation.fleet import (
     Scenario,
     Suspension,
     Trains,
-    scattered,
-    true_numbers,
 )
 from suspnet.simulation.folders import TRUTH, is_finished, is_whole, own_folder, unfinished
 from suspnet.simulation.signals import Journey, profile_length_m, simulate_trip
+from suspnet.simulation.true_vehicle import scattered, true_numbers, with_separate_parts
 
 ROW_GROUP = 1 << 20
 """Rows per row group of the Parquet files."""
@@ -108,7 +108,10 @@ def write_fleet(
     """
     fleet, scenario, seed = simulation.fleet, simulation.scenario, simulation.seed
     made_from = simulation.made_from(aboard)
-    generator = scattered(simulation.generator, simulation.scatter, seed)
+    generator: Any = simulation.generator
+    if scenario.by_part:
+        generator = with_separate_parts(generator)
+    generator = scattered(generator, simulation.scatter, seed)
     _check_sides(fleet, generator)
     mileage = fleet.mileage_km()
     ratios = scenario.ratios(mileage, seed)
@@ -223,11 +226,13 @@ def _write_trip(
     direction = fleet.direction_of(index)
     system = generator.running(direction).motion_system(torch.as_tensor(ratios))
     if fleet.sides == "left":
-        system = replace(system, sensors=system.sensors[:2])
-    profiles = _profiles(fleet, system, journey, rate_hz, (track, cross))
-    cross_level = profiles[1] if len(profiles) > 1 else None
-    signals = simulate_trip(system, profiles[0], journey, rate_hz, cross_level, fleet.wheels())
-    del profiles, cross_level  # as large as the signals
+        system = _of_left_sensors(system)
+    tracks = _profiles(fleet, system, journey, rate_hz, (track, cross, *cross.spawn(1)))
+    mean = tracks.pop(0)
+    cross_level, alignment = (*tracks, None, None)[:2]
+    wheels = fleet.wheels()
+    signals = simulate_trip(system, mean, journey, rate_hz, cross_level, wheels, alignment)
+    del tracks, mean, cross_level, alignment  # as large as the signals
     name = _name(index)
     channels = _write_channels(folder, name, fleet, system, signals, rate_hz, noise)
     whole_s = np.arange(math.floor(journey.duration_s) + 1, dtype=np.float64)
@@ -242,7 +247,7 @@ def _write_trip(
         start=(aboard.first_start if aboard else FIRST_DAY) + time_between(fleet.n_trips) * index,
         speed=SpeedSource(f"{name}/speed.parquet", "m/s", column="speed", rate_hz=1.0),
         channels=channels,
-        truth=dict(zip(PARAMETERS, ratios.tolist(), strict=True)),
+        truth=dict(zip(_outputs(generator), ratios.tolist(), strict=True)),
     )
     if aboard is not None:
         manifest = replace(manifest, train=aboard.train, car=aboard.car, bogie=aboard.bogie)
@@ -254,11 +259,15 @@ def _profiles(
     system: LinearSystem,
     journey: Journey,
     rate_hz: float,
-    seeds: tuple[np.random.SeedSequence, np.random.SeedSequence],
+    seeds: Sequence[np.random.SeedSequence],
 ) -> list[TrackProfile]:
-    """Return the profile of the mean of both rails and, with roll, that of the cross level."""
+    """Return the profile of the mean of both rails, and those of what else drives the system."""
     mean = track_spectrum(fleet.track, fleet.short_waves)
-    spectra = [mean, cross_level_spectrum(mean)] if system.roll_per_m else [mean]
+    spectra = [mean]
+    if system.roll_per_m:
+        spectra.append(cross_level_spectrum(mean))
+    if system.alignment:
+        spectra.append(mean)
     length_m = profile_length_m(system, journey)
     step_m = float(journey.speeds_m_per_s.max()) / rate_hz
     return [
@@ -301,17 +310,31 @@ def _write_channels(
 
 
 def _check_sides(fleet: Fleet, generator: ResponseGenerator) -> None:
-    outside = [part for part in getattr(generator, "parts", ()) if part not in IN_MOTION]
+    moving = (*IN_MOTION, *ADDITIONS)
+    outside = [part for part in getattr(generator, "parts", ()) if part not in moving]
     if outside:
         raise ValueError(
             f"`generator.parts` of simulated trips cannot be {' or '.join(outside)}: these are for "
             "reading trips"
         )
-    if fleet.sides == "both" and not generator.motion_system(torch.ones(5)).roll_per_m:
+    healthy = torch.ones(len(_outputs(generator)))
+    if fleet.sides == "both" and not generator.motion_system(healthy).roll_per_m:
         raise ValueError(
             "`sides`=both needs a vehicle with roll and sensors off the middle (generator=family "
             "sensor_lateral_m=[1,1,1]); leave `sides` out for one sensor at each place"
         )
+
+
+def _outputs(generator: ResponseGenerator) -> tuple[str, ...]:
+    names: tuple[str, ...] = getattr(generator, "outputs", PARAMETERS)
+    return names
+
+
+def _of_left_sensors(system: LinearSystem) -> LinearSystem:
+    """Return a system that is measured at its first sensor of each place alone."""
+    n = 3 if len(system.sensors) == 6 else 2
+    direct = None if system.feedthrough is None else system.feedthrough[:n]
+    return replace(system, sensors=system.sensors[:n], feedthrough=direct)
 
 
 def _resampled(signal: FloatArray, from_hz: float, to_hz: float) -> FloatArray:

@@ -29,11 +29,10 @@ from torch import Tensor
 from suspnet.ground.settings import check_settings, setting
 from suspnet.ground.types import FloatArray, IntArray
 from suspnet.spectra.extraction import FeatureTable, PeakFeatures
+from suspnet.spectra.noise_components import noise_components
 
 MISSING = 1
 """Reason code of a curve that is not finite."""
-ROUNDING = 1e-12
-"""Noise below this means that all curves equal the healthy vehicle's in the bin: no information."""
 FLOOR = 10.0
 """Magnitude below which asinh replaces the logarithm, as a multiple of the rms of the noise."""
 
@@ -143,24 +142,11 @@ class CurveFeatures:
         if not clean.is_complex():
             floor = FLOOR * (noisy - clean).square().mean(dim=(0, 2)).sqrt()
         rows = _rows(clean, healthy, floor)
-        noise = (_rows(noisy, healthy, floor) - rows).square().mean(dim=0).sqrt()
-        noise = noise.where(noise > ROUNDING, 1.0)  # avoids division by 0: no information there
-        mean = rows.mean(dim=0)
-        # eigenvectors of the covariance: a few times quicker than the singular vectors of all rows
-        power, vectors = torch.linalg.eigh(torch.cov(((rows - mean) / noise).T))
-        n_possible = min(len(clean) - 1, rows.shape[1])
-        directions = vectors.T.flip(0)[:n_possible]
-        share = power.flip(0)[:n_possible].clamp(min=0.0) / power.sum()
-        count = self.n_components
-        if count is None:
-            count = int((share.cumsum(dim=0) < self.explained).sum()) + 1
-        if count > len(directions):
-            raise ValueError(
-                f"{count} components were asked for, {len(clean)} curves on {len(frequencies)} "
-                f"bins have {len(directions)}"
-            )
-        leading = directions[:count].contiguous()  # memory layout as restored: equal bit for bit
-        basis = CurveBasis(frequencies, healthy, mean, noise, leading, share[:count], floor)
+        noisy_rows = _rows(noisy, healthy, floor)
+        found = noise_components(rows, noisy_rows, self.n_components, self.explained)
+        basis = CurveBasis(
+            frequencies, healthy, found.mean, found.noise, found.directions, found.explained, floor
+        )
         return replace(self, basis=basis)
 
     def extract(self, responses: Tensor, frequencies_hz: Tensor) -> FeatureTable:

@@ -87,10 +87,9 @@ def commissionings(
 
 def _healthy_si(model: TrainedModel) -> dict[str, float]:
     """Return the healthy value of each parameter, and of each part if these are read."""
-    several = [model.healthy, *([model.bogie.healthy] if model.bogie else [])]
     return {
         name: value
-        for one in several
+        for one in model.references
         for name, value in zip(one.names, one.values.tolist(), strict=True)
     }
 

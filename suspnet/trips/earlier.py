@@ -120,10 +120,13 @@ def with_earlier(
 
 def _is_of(result: TripResult, model: TrainedModel) -> bool:
     """Return whether a trip has the same healthy reference as a model."""
-    healthy = [result.healthy_si.get(name, np.nan) for name in model.healthy.names]
-    same = np.isclose(healthy, model.healthy.values, rtol=1e-9, atol=0).all()
+    known = result.healthy_si
+    same = any(
+        np.allclose([known.get(name, np.nan) for name in one.names], one.values, rtol=1e-9, atol=0)
+        for one in model.references
+    )
     since = result.healthy_since_km, since_km(model)
-    return bool(same) and (since[0] == since[1] or bool(np.isnan(since).all()))
+    return same and (since[0] == since[1] or bool(np.isnan(since).all()))
 
 
 def keep_trips(

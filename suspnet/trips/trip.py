@@ -25,6 +25,7 @@ from suspnet.estimation.trip_settings import TripSettings
 from suspnet.ground.records import (
     ERROR,
     NO_ESTIMATE,
+    NO_PART,
     OK,
     Place,
     Quality,
@@ -178,7 +179,7 @@ def _with_parts(
     try:
         estimate = estimate_bogie(model, recording, segments, settings)
     except NoEstimateError as error:
-        return _warned(result, f"no part is named: {error}")
+        return _warned(result, f"{NO_PART}{error}")
     result = replace(result, reason="", sides="", worn=estimate.found)
     if lost := lost_sensors(recording, model.bogie.generator):
         result = _warned(result, f"parts are read without the sensors of {', '.join(lost)}")

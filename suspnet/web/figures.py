@@ -36,16 +36,20 @@ TICKS = [one * ten for ten in (0.001, 0.01, 0.1, 1, 10, 100) for one in (1, 2, 5
 """Ticks of the amplification axes, [-]."""
 
 
-def trend_figure(trend: Trend, name: str) -> dict[str, Any]:
+def trend_figure(trend: Trend, name: str, of: str = "") -> dict[str, Any]:
     """Return a suspension along its mileage, ready for JSON.
 
-    A figure of the same suspension `name` keeps its zoom.
+    A figure of the same suspension `name` keeps its zoom. A figure `of` one parameter has no
+    heading, as it stands among those of the others, and their range of mileages.
     """
-    n = len(trend.panels)
+    panels = [one for one in trend.panels if of in ("", one.name)]
+    n = len(panels)
+    margins = MARGINS | ({"t": 12} if of else {})
     height = (1 - GAP * (n - 1)) / n
     layout: dict[str, Any] = {
         **PLAIN,
-        "height": PANEL_PX * n + MARGINS["t"] + MARGINS["b"],
+        "margin": margins,
+        "height": PANEL_PX * n + margins["t"] + margins["b"],
         "uirevision": name,
         "xaxis": {
             "title": {"text": "mileage [km]"},
@@ -58,7 +62,7 @@ def trend_figure(trend: Trend, name: str) -> dict[str, Any]:
         "annotations": [],
     }
     data: list[dict[str, Any]] = []
-    for row, panel in enumerate(trend.panels):
+    for row, panel in enumerate(panels):
         axis = f"y{row + 1}" if row else "y"
         data += [one | {"yaxis": axis, "xaxis": "x"} for one in _traces(panel)]
         top = 1 - row * (height + GAP)
@@ -68,8 +72,9 @@ def trend_figure(trend: Trend, name: str) -> dict[str, Any]:
             "ticksuffix": " %",
             "nticks": 6,
         }
-        heading = f"{symbol(panel.name)}, {NAMES[panel.name]}"
-        layout["annotations"].append(_axis_title(heading, axis))
+        if not of:
+            heading = f"{symbol(panel.name)}, {NAMES[panel.name]}"
+            layout["annotations"].append(_axis_title(heading, axis))
         layout["shapes"] += _levels(panel, axis)
     # maintenance and commissionings are vertical lines through all panels
     for km, words in (*trend.events, *((km, trend.again) for km in trend.again_km)):

@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
-from suspnet.ground.parameters import BODY_MASS, NAMES, PARAMETERS, Severity
+from suspnet.ground.parameters import BODY_MASS, BOGIE_PARTS, NAMES, PARAMETERS, Severity
 from suspnet.ground.records import INTERVAL_LEVEL, TripResult, outputs_of
 from suspnet.history.arrays import TripResponses
 from suspnet.maintenance.alarms import Acknowledgement, Alarm, newest_of
 from suspnet.maintenance.plan import suspension_of, train_of
 from suspnet.maintenance.schedule import joined
 from suspnet.maintenance.state import State
+from suspnet.report.bogie import bogie_of, bogies_shown, small_figures, why_no_part
 from suspnet.report.tables import (
     FleetView,
     files_read_as,
@@ -179,6 +180,8 @@ def fleet_values(view: FleetView, choice: Choice, all_rows: bool, address: Any) 
         "plan": view.plan,
         "jobs": jobs[:MOST_JOBS],
         "n_jobs": len(jobs),
+        "address": address,
+        **bogies_shown(view, chosen),
     }
 
 
@@ -192,25 +195,32 @@ def suspension_values(
     results: Sequence[TripResult],
     stored: Sequence[TripResponses],
     seen: Sequence[Acknowledgement],
+    address: Callable[[str], str],
 ) -> dict[str, Any]:
     """Return the values for the template of a suspension.
 
     `index` is that of its state in the view; `results` (empty if the store cannot be read) and
-    `stored` are by mileage.
+    `stored` are by mileage; `address` gives the URL of the trend of one parameter.
     """
     state = view.states[index]
     cleared = [one for one in state.watched.alarms if not one.is_open]
     newest = list(reversed(results[-N_TRIPS:]))
+    drawn = trend_of_state(state)
+    of_parts = [one.name for one in drawn.panels if one.name in BOGIE_PARTS]
+    small = {one.name: address(one.name) for one in drawn.panels} if of_parts else {}
     responses = [response(one.trip, one.mileage_km, one) for one in stored]
     return {
         "state": state,
         "parameters": [name for name in state.outputs if name != BODY_MASS],
         "row": view.rows[index],
         "limits": state.limits,
+        "bogie": bogie_of(state, view.plan),
+        "no_part": why_no_part(results, state.outputs),
+        "small": small_figures(state, small),
         "names": NAMES,
         "alarms": [(one, newest_of(one, seen)) for one in state.alarms],
         "cleared": [(one, newest_of(one, seen)) for one in reversed(cleared)],
-        "ranges": ranges(trend_of_state(state)),
+        "ranges": ranges(drawn),
         "trips": trip_table(newest, outputs_of(newest), INTERVAL_LEVEL),
         "read_as": files_read_as(newest),
         "n_trips": len(state.series.trip),

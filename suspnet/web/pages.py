@@ -33,6 +33,7 @@ from suspnet.maintenance.schedule import Plan
 from suspnet.maintenance.series import relative_results
 from suspnet.maintenance.state import State
 from suspnet.report.board import Refresher
+from suspnet.report.bogie import visits_of
 from suspnet.report.tables import FleetView, response
 from suspnet.report.templates import MARKS
 from suspnet.report.trend import trend_of_state
@@ -115,9 +116,11 @@ def acknowledge(name: str) -> ResponseReturnValue:
 
 @pages.get("/suspension/<name>/trend.json")
 def trend(name: str) -> ResponseReturnValue:
-    """Return the figure of the parameters along the mileage."""
-    state = _state(name)
-    return trend_figure(trend_of_state(state), name)
+    """Return the figure of the parameters along the mileage, or `of` one of them."""
+    found, of = trend_of_state(_state(name)), request.args.get("of", "")
+    if of and of not in [one.name for one in found.panels]:
+        abort(404)
+    return trend_figure(found, name, of)
 
 
 @pages.get("/suspension/<name>/responses.json")
@@ -162,7 +165,14 @@ def _suspension_page(name: str, form: AcknowledgementForm) -> str:
     except HistoryError as error:
         trouble = str(error)
     known = [one for one in view.bad_rows if one.key == state.key]
-    shown = page_values.suspension_values(view, view.keys[name], results, stored, seen)
+    shown = page_values.suspension_values(
+        view,
+        view.keys[name],
+        results,
+        stored,
+        seen,
+        lambda of: url_for("pages.trend", name=name, of=of),
+    )
     car = next((one for one in view.cars if view.keys[name] in one), [])
     return _page(
         "suspension_page.html",
@@ -234,7 +244,7 @@ def _suspension_version(view: FleetView, name: str) -> str:
     row = {key: value for key, value in view.rows[view.keys[name]].items() if "life" not in key}
     seen = view.acknowledged.get(state.key, ())
     parts = (row, state.alarms, series.events, seen, sorted(state.lives), series.trip.tolist()[-1:])
-    return _digest(parts, _refresher().fault, view.is_complete)
+    return _digest(parts, visits_of(view.plan, state), _refresher().fault, view.is_complete)
 
 
 def _digest(*parts: Any) -> str:

@@ -18,12 +18,19 @@ function dressed(layout) { // the texts, grids and labels of a figure in the col
 
 const km = (value) => Math.round(value).toLocaleString("en").replaceAll(",", "\u00a0");
 
-function say(plot) { // the range shown, in words and by its button
+const zoomed = (name) => document.querySelectorAll(`.js-plotly-plot[data-zoom="${name}"]`);
+
+function say(plot) { // the range shown, in words and by its button; figures of the same name follow
+  const { zoom } = plot.dataset;
+  if (!zoom) return;
   const range = plot.layout.xaxis.range.map(Number);
-  const out = document.querySelector(`output[for="${plot.id}"]`);
+  const out = document.querySelector(`output[data-zoom="${zoom}"]`);
   if (out) out.textContent = range.map(km).join(" to ") + " km";
-  for (const one of document.querySelectorAll(`button[data-plot="${plot.id}"]`)) {
+  for (const one of document.querySelectorAll(`button[data-zoom="${zoom}"]`)) {
     one.setAttribute("aria-pressed", Number(one.dataset.from) === range[0] && Number(one.dataset.to) === range[1]);
+  }
+  for (const one of zoomed(zoom)) {
+    if (String(one.layout.xaxis.range.map(Number)) !== String(range)) Plotly.relayout(one, { "xaxis.range": [...range] });
   }
 }
 
@@ -33,26 +40,32 @@ async function draw(plot) {
   const { data, layout } = await answer.json();
   const isNew = !plot.classList.contains("js-plotly-plot");
   const whole = layout.xaxis.range;
+  const other = isNew && plot.dataset.zoom && zoomed(plot.dataset.zoom)[0];
   if (isNew) plot.textContent = "";
-  else if (whole && String(plot.layout.xaxis.range) !== plot.dataset.whole) layout.xaxis.range = plot.layout.xaxis.range;
+  if (other) layout.xaxis.range = other.layout.xaxis.range;
+  else if (!isNew && whole && String(plot.layout.xaxis.range) !== plot.dataset.whole) layout.xaxis.range = plot.layout.xaxis.range;
   plot.dataset.whole = String(whole);
-  await Plotly.react(plot, data, dressed(layout), CONFIG);
+  const bar = plot.classList.contains("small") ? { displayModeBar: false } : {};
+  await Plotly.react(plot, data, dressed(layout), { ...CONFIG, ...bar });
   if (isNew) plot.on("plotly_relayout", () => say(plot));
   say(plot);
 }
 
-function drawAll() {
-  for (const one of document.querySelectorAll(".plot[data-figure]")) draw(one);
+function drawAll() { // a folded figure is drawn once it is unfolded, as its width is not known before
+  for (const one of document.querySelectorAll(".plot[data-figure]")) if (!one.closest("details:not([open])")) draw(one);
   for (const one of document.querySelectorAll(".ranges")) one.hidden = false;
 }
 
 document.addEventListener("click", (event) => {
-  const button = event.target.closest("button[data-plot]");
+  const button = event.target.closest("button[data-zoom]");
   if (!button) return;
-  const plot = document.getElementById(button.dataset.plot);
-  const { from, to } = button.dataset;
-  Plotly.relayout(plot, { "xaxis.range": [Number(from), Number(to)] });
+  const { from, to, zoom } = button.dataset;
+  const [plot] = zoomed(zoom);
+  if (plot) Plotly.relayout(plot, { "xaxis.range": [Number(from), Number(to)] });
 });
+document.addEventListener("toggle", (event) => {
+  if (event.target.open && event.target.querySelector(".plot:not(.js-plotly-plot)")) drawAll();
+}, true);
 document.addEventListener("replaced", drawAll);
 matchMedia("(prefers-color-scheme: dark)").addEventListener("change", drawAll);
 drawAll();

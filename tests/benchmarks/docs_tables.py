@@ -18,6 +18,7 @@ import config_comments
 import configuration
 import coverage
 import numpy as np
+import parts_methods
 from cells import Parser, Row
 from tabulate import tabulate
 
@@ -329,6 +330,7 @@ TABLES: dict[str, tuple[str | None, Callable[[Sequence[Row]], str]]] = {
     "life": ("remaining_life.csv", life),
     "page": ("page.csv", page),
     "parts": ("parts.csv", parts),
+    "parts_methods": ("parts_methods.csv", parts_methods.table),
     "layouts": ("layouts.csv", layouts_markdown),
     "configuration": (None, lambda rows: configuration.page()),
 }

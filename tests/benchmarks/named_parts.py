@@ -126,14 +126,14 @@ CASES = {
 }
 
 
-def drawn_trips(parts, levels, n_each, n_healthy, rng):
+def drawn_trips(parts, levels, n_each, n_healthy, rng, n_later):
     """Return (kind, level, ratios) of each trip; the level is that of the one worn part, in %."""
     trips = [("commission", 100, np.ones(13)) for _ in range(n_healthy)]
     for part, level in itertools.product([COMPONENTS.index(p) for p in parts], levels):
         ratios = np.ones(13)
         ratios[part] = level / 100
         trips.append(("one part", level, ratios))
-    for _ in range(n_each):
+    for _ in range(n_later):
         trips.append(("healthy", 100, np.ones(13)))
     for kind, n_worn in (("two parts", 2), ("all twelve", 12)):
         for _ in range(n_each):
@@ -194,7 +194,8 @@ def read_train(name, seed, options, folder):
     if case.places != PAIRS:
         train = train.measured_at(case.places, seed if case.sensors else None)
     family = family_of(case, train)
-    trips = drawn_trips(options.parts, options.levels, options.trips, options.healthy, rng)
+    n_later = options.trips if options.healthy_trips is None else options.healthy_trips
+    trips = drawn_trips(options.parts, options.levels, options.trips, options.healthy, rng, n_later)
     runs, loads = runs_of(case, len(trips), options.minutes, rng)
     healthy, commissioned, rows, begun = [], None, [], time.perf_counter()
     for i, ((kind, level, ratios), run, load) in enumerate(zip(trips, runs, loads, strict=True)):
@@ -376,6 +377,7 @@ def main():
     parser.add_argument("--levels", nargs="*", type=int, default=list(LEVELS), help="of one part")
     parser.add_argument("--parts", nargs="*", default=COMPONENTS[:-1], help="that wear alone")
     parser.add_argument("--healthy", type=int, default=5, help="trips to commission on")
+    parser.add_argument("--healthy_trips", type=int, help="after these; default: as --trips")
     parser.add_argument("--minutes", type=float, default=20.0, help="of a trip")
     parser.add_argument("--output", type=Path, default=RESULTS, help="folder of the tables")
     options = parser.parse_args()

@@ -18,7 +18,7 @@ from suspnet.cli.kinds import build
 from suspnet.cli.program import n_threads
 from suspnet.cli.reference import COLUMNS, Reference, _of_kinds
 from suspnet.ground.settings import settings_of
-from suspnet.simulation.fleet import scattered
+from suspnet.simulation.true_vehicle import scattered
 
 sys.path.append(str(Path(__file__).parents[1] / "benchmarks"))
 import configuration

@@ -36,7 +36,7 @@ from suspnet.recordings import formats
 from suspnet.recordings.manifest import CHANNELS
 from suspnet.report import output
 from suspnet.report.tensorboard import RunLog
-from suspnet.simulation.fleet import scattered, true_numbers
+from suspnet.simulation.true_vehicle import scattered, true_numbers
 from suspnet.trips import fleet
 
 VEHICLES = [path.stem for path in sorted((ROOT / "configs" / "vehicle").glob("*.yaml"))]

@@ -15,7 +15,7 @@ from suspnet.dynamics.quantities import OF_THE_TRIP, QUANTITIES, UNMEASURED
 from suspnet.estimation import commissioning as module
 from suspnet.estimation.commissioning import commission
 from suspnet.estimation.healthy_trips import HealthyMisfit, HealthySpectra
-from suspnet.simulation.fleet import scattered
+from suspnet.simulation.true_vehicle import scattered
 from suspnet.spectra.cross_spectra import CrossSpectra, moving_average_with, sample_spectra
 from suspnet.spectra.estimates import EstimateSettings
 from suspnet.spectra.segments import Speeds

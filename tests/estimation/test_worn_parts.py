@@ -7,7 +7,7 @@ import pytest
 from scipy.stats import multivariate_normal
 
 from suspnet.estimation.bogie_fit import WEAR, PartsEstimate
-from suspnet.estimation.worn_parts import ODDS, RARE, USUAL, worn_parts
+from suspnet.estimation.worn_parts import ODDS, RARE, SHARED, USUAL, worn_parts
 from suspnet.ground.parameters import COMPONENTS
 
 PARTS = COMPONENTS[:-1]
@@ -27,6 +27,10 @@ def test_odds_are_those_of_normal_densities():
     estimate = estimate_of({"c_p_axle2_left": 0.9}, seed=1)
     (found,) = worn_parts(estimate)
     usual = np.diag([USUAL[name[0]] ** 2 for name in PARTS])
+    for i, one in enumerate(PARTS):
+        for k, other in enumerate(PARTS):
+            if one[:3] == other[:3]:
+                usual[i, k] += SHARED[one[0]] ** 2
     plain = estimate.covariance[:12, :12] + usual
     wider = plain.copy()
     j = PARTS.index("c_p_axle2_left")
@@ -58,6 +62,13 @@ def test_several_parts_are_named_the_most_certain_first():
 
 def test_healthy_bogies_accuse_nothing():
     assert not any(worn_parts(estimate_of({}, seed=seed)) for seed in range(300))
+
+
+def test_what_all_dampers_share_accuses_none_of_them():
+    warmer = {name: 0.97 for name in PARTS if name.startswith("c_p")}
+    assert worn_parts(estimate_of(warmer)) == []
+    found = worn_parts(estimate_of(warmer | {"c_p_axle1_left": 0.9}))
+    assert [one.names for one in found] == [("c_p_axle1_left",)]
 
 
 def test_parts_that_trade_for_each_other_are_named_together():

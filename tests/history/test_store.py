@@ -13,10 +13,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from trip_records import fleet, trip
 
-from suspnet.ground.parameters import Cause, Severity
-from suspnet.ground.records import Place, TripResult
+from suspnet.ground.parameters import BOGIE_PARTS, Cause, Severity
+from suspnet.ground.records import VALUES, Place, Quality, TripResult
 from suspnet.history import History, HistoryError
-from suspnet.history.schema import suspensions
+from suspnet.history.schema import SCHEMA, suspensions
 from suspnet.maintenance.alarms import OWN_CAUSES, Acknowledgement, Alarm
 from suspnet.maintenance.series import Event
 
@@ -27,6 +27,13 @@ ALARMS = [
     Alarm("k_p", Cause.LIMIT, Severity.ACT, 20_000.0, 30_000.0),
     Alarm("c_s", Cause.LIMIT, Severity.ACT, 20_000.0),
 ]
+NEW_COLUMNS = {
+    3: ["wheels"],
+    4: ["sensors"],
+    5: ["direction"],
+    6: ["worn", *(values.format(part) for values in VALUES.values() for part in BOGIE_PARTS)],
+}
+"""Columns of trips that a store of this version lacks and the next one has."""
 SEEN = Acknowledgement("k_p", Cause.CHANGE, Severity.NOTICE, 4e4, "Kim", "2026-11-22T13:00:00Z")
 
 
@@ -269,22 +276,28 @@ def test_a_store_of_another_version_is_refused(tmp_path):
     with sqlite3.connect(path) as connection:
         connection.execute("UPDATE suspnet_version SET schema = 99")
     connection.close()
-    with pytest.raises(HistoryError, match="a store of version 99, this suspnet reads version 6"):
+    message = f"a store of version 99, this suspnet reads version {SCHEMA}"
+    with pytest.raises(HistoryError, match=message):
         History(path)
 
 
-def test_a_store_of_version_3_is_brought_to_this_version(place):
+@pytest.mark.parametrize("version", NEW_COLUMNS)
+def test_a_store_of_an_older_version_is_brought_to_this_one(version, place):
     before = trip(0, with_curves=False)
     with History(place) as store:
         store.write([before])
         with store._engine.begin() as connection:
-            connection.exec_driver_sql("ALTER TABLE trips DROP COLUMN wheels")
-            connection.exec_driver_sql("UPDATE suspnet_version SET schema = 3")
+            lacking = (one for old in range(version, SCHEMA) for one in NEW_COLUMNS[old])
+            for column in lacking:
+                connection.exec_driver_sql(f"ALTER TABLE trips DROP COLUMN {column}")
+            connection.exec_driver_sql(f"UPDATE suspnet_version SET schema = {version}")
     for _ in range(2):
         with History(place, must_exist=True) as store:
             (found,) = store.read(before.vehicle, before.place)
             assert same(found, before)
-    after = replace(before, quality=replace(before.quality, wheels="order 2"))
+    estimates = before.estimates | dict.fromkeys(BOGIE_PARTS, 0.9)
+    quality = Quality(wheels="order 2", sensors="{}", direction="forward")
+    after = replace(before, estimates=estimates, worn="k_s left", quality=quality)
     with History(place) as store:
         store.write([after])
         assert same(store.read(before.vehicle, before.place)[0], after)

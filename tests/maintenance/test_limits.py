@@ -10,7 +10,16 @@ import yaml
 from trip_records import SPREAD
 
 from suspnet.dynamics import PARAMETERS
-from suspnet.ground.parameters import DEFAULT_LIMITS, Limits, Severity, limits_words, read_limits
+from suspnet.ground.parameters import (
+    BOGIE_PARTS,
+    DEFAULT_LIMITS,
+    ESTIMATED,
+    Limits,
+    Severity,
+    kind_of,
+    limits_words,
+    read_limits,
+)
 from suspnet.maintenance.assessment import assess, overall
 from suspnet.maintenance.judge import N_CONFIRMING, N_LAST, judge, last_trips
 from suspnet.maintenance.series import make_series
@@ -29,7 +38,7 @@ ALARMING = {
 }
 Z = 1.645
 """Half-width of a 90 % interval over its standard deviation."""
-JUDGED = tuple(DEFAULT_LIMITS)
+JUDGED = PARAMETERS[:-1]
 LIMITS = Limits((0.9, 1.1), (0.8, 1.25))
 WINDOW = np.arange(-N_LAST, 0)
 
@@ -276,9 +285,14 @@ def test_limits_that_make_no_sense_are_refused(notice, act, message):
         read_limits({"k_p": {"notice": notice, "act": act}})
 
 
+def with_parts(*kinds):
+    """Return these parameters and all of their parts."""
+    return {name for name in ESTIMATED if kind_of(name) in kinds}
+
+
 def test_limits_are_read_from_plain_values():
     given = {"k_p": {"notice": [0.9, 1.1], "act": [0.8, 1.25]}, "c_p": None}
-    assert read_limits(given) == {"k_p": LIMITS}
+    assert read_limits(given) == dict.fromkeys(with_parts("k_p"), LIMITS)
     assert read_limits(DEFAULT_LIMITS) == DEFAULT_LIMITS
     assert Limits((0, 1.1), (0, np.inf)).act == (0, np.inf)
     with pytest.raises(ValueError, match=r"`limits\.k_p` must have `notice` and `act`, or be null"):
@@ -292,13 +306,26 @@ def test_limits_are_the_defaults_unless_others_are_given():
     assert read_limits(settings, DEFAULT_LIMITS, "a setting") == DEFAULT_LIMITS
     given = {"k_p": None, "c_p": {"act": [0.5, None]}, "M_s": {"notice": None, "act": None}}
     found = read_limits(given, DEFAULT_LIMITS, "a setting")
-    assert list(found) == ["c_p", "k_s", "c_s"]
-    assert found["c_p"] == Limits((0.8, 1.25), (0.5, np.inf), "a setting")
+    assert set(found) == with_parts("c_p", "k_s", "c_s")
+    damper = Limits((0.8, 1.25), (0.5, np.inf), "a setting")
+    assert {found[name] for name in with_parts("c_p")} == {damper}
     assert found["k_s"] is DEFAULT_LIMITS["k_s"]
     own = {"k_s": {"why": "our rule 7", "notice": [0.95, 1.05]}}
     assert read_limits(own, DEFAULT_LIMITS)["k_s"] == Limits(
         (0.95, 1.05), (0.8, 1.25), "our rule 7"
     )
+
+
+def test_limits_of_a_part_are_its_own_whatever_comes_first():
+    given = {"k_s_left": {"act": [0.5, 2]}, "k_s": {"act": [0.6, 1.5]}, "c_s_right": None}
+    found = read_limits(given, DEFAULT_LIMITS)
+    assert set(found) == {*PARAMETERS[:-1], *BOGIE_PARTS} - {"c_s_right"}
+    acts = [found[name].act for name in ("k_s", "k_s_left", "k_s_right")]
+    assert acts == [(0.6, 1.5), (0.5, 2), (0.6, 1.5)]
+    assert found["c_s_left"] == found["c_s"] == DEFAULT_LIMITS["c_s"]
+    assert read_limits({"k_s": {"act": None}}, found) == found
+    assert limits_words(found).count("k_s_left: ") == 1
+    assert "k_s_right" not in limits_words(found)
 
 
 def test_every_default_has_a_reason_and_words_tell_it_once():

@@ -110,6 +110,9 @@ def test_mileage_per_day_that_is_assumed_is_shown_as_such(states):
         "finding": "",
         "calendar": "",
         "sisters": [],
+        "bogies": [],
+        "n_bogies": 0,
+        "no_part": "",
     }
     assert words in render("fleet.html", **about)
 

@@ -16,8 +16,8 @@ from suspnet.dynamics.quantities import IN_MOTION
 from suspnet.dynamics.track import make_profile, track_spectrum
 from suspnet.recordings.errors import TripError
 from suspnet.recordings.manifest import CHANNELS
-from suspnet.simulation.fleet import scattered
 from suspnet.simulation.signals import steady_journey
+from suspnet.simulation.true_vehicle import scattered
 from suspnet.simulation.writing import profile_length_m, simulate_trip
 from suspnet.spectra.cross_spectra import PAIRS, CrossSpectra
 from suspnet.spectra.plausibility import check_channels

@@ -10,8 +10,8 @@ from vehicles import AM96
 
 from suspnet.dynamics import PARAMETERS, QuarterCar, VerticalVehicle
 from suspnet.dynamics.quantities import IN_MOTION, QUANTITIES, UNMEASURED, LogNormal
-from suspnet.simulation import fleet as scatter
-from suspnet.simulation.fleet import scattered, true_numbers
+from suspnet.simulation import true_vehicle as scatter
+from suspnet.simulation.true_vehicle import scattered, true_numbers
 
 FAMILY = VerticalVehicle(AM96, parts=IN_MOTION[:-1], sensor_lateral_m=(1.0, 1.0, 1.0))
 QUANTITY = {quantity.name: quantity for quantity in QUANTITIES}

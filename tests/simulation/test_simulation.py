@@ -15,7 +15,7 @@ from suspnet.dynamics.track import TrackProfile, make_profile, track_spectrum
 from suspnet.ground.storage import read_json
 from suspnet.recordings.manifest import CHANNELS, Channel, SpeedSource
 from suspnet.recordings.manifest_files import read_manifest
-from suspnet.simulation.fleet import Scenario, scattered, true_numbers
+from suspnet.simulation.fleet import Scenario
 from suspnet.simulation.signals import (
     BLOCK,
     LEAD_IN_S,
@@ -24,6 +24,7 @@ from suspnet.simulation.signals import (
     simulate_trip,
     steady_journey,
 )
+from suspnet.simulation.true_vehicle import scattered, true_numbers
 from suspnet.simulation.writing import Fleet, Simulation, write_fleet
 from suspnet.spectra.welch import Welch, tfestimate
 

@@ -330,7 +330,9 @@ def test_curves_are_left_untouched():
 
 
 def test_more_components_than_curves_are_rejected():
-    with pytest.raises(ValueError, match="6 components were asked for, 5 curves on 84 bins have"):
+    with pytest.raises(
+        ValueError, match="6 components were asked for, 5 curves of 336 numbers have"
+    ):
         CurveFeatures(6).fitted(CLEAN[:5], NOISY[:5], HEALTHY, FREQUENCIES)
 
 

@@ -2,13 +2,16 @@
 
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from trip_fixtures import changed, recalled_trip
 from trip_records import fleet, trip
 
+from suspnet.estimation.estimate import HealthyValues
 from suspnet.estimation.trip_settings import TripSettings
+from suspnet.ground.parameters import COMPONENTS
 from suspnet.ground.records import ERROR
 from suspnet.history import History
 from suspnet.maintenance import Acknowledgement, Cause, Severity
@@ -87,6 +90,17 @@ def test_a_trip_whose_date_is_known_once_is_listed_once(model, store):
     assert with_earlier([known], known.place, [model], store) == [known]
     failed = replace(undated, status=ERROR)  # before its files said their date
     assert with_earlier([failed], known.place, [model], store) == [failed]
+
+
+def test_trips_read_part_by_part_are_those_of_the_same_model(model, store):
+    healthy = HealthyValues(COMPONENTS, np.arange(1.0, 14.0), np.zeros(13))
+    of_parts = replace(model, bogie=SimpleNamespace(healthy=healthy))
+    values = dict(zip(COMPONENTS, healthy.values.tolist(), strict=True))
+    first = trip(0, vehicle=model.vehicle.name, healthy_si=values)
+    second = replace(first, trip="second", mileage_km=first.mileage_km + 1)
+    store.write([first])
+    assert with_earlier([second], first.place, [of_parts], store)[1].trip == first.trip
+    assert with_earlier([second], first.place, [model], store) == [second]
 
 
 def test_trips_between_maintenance():

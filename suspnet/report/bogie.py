@@ -1,0 +1,215 @@
+"""A bogie from above: what is known of each of its twelve parts, for the macros of bogie.html."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from suspnet.ground.parameters import BOGIE_PARTS, Severity, kind_of, part_words, place_words
+from suspnet.ground.records import TripResult
+from suspnet.ground.wording import count, number
+from suspnet.maintenance.judge import ABSURD
+from suspnet.maintenance.plan import suspension_of, train_of
+from suspnet.maintenance.schedule import Plan
+from suspnet.maintenance.state import State
+from suspnet.report.tables import FleetView, interval_digits
+from suspnet.report.templates import level
+
+EQUAL_SIDES = (
+    "these estimates take both sides and both axles as equal, protocol=components with sensors "
+    "left and right reads each part"
+)
+"""Why estimates without parts name none."""
+NONE_NAMED = f"No single spring or damper is named: {EQUAL_SIDES}."
+MOST_DIGITS = 2
+"""Largest number of decimals in the drawing, whose labels are narrow."""
+MOST_BOGIES = 6
+"""Largest number of bogies drawn on one page of a fleet."""
+LETTERS = "ABCDEFGHIJKL"
+"""Names of groups of parts."""
+
+
+@dataclass(frozen=True)
+class DrawnPart:
+    """One part as it is drawn; `value` and `half` are in % of healthy, as text.
+
+    `half` is empty without an interval, `group` unless the part is one of several of which one has
+    worn, `odds` unless it alone is named as worn, and `visit` unless the plan has work on it.
+    """
+
+    name: str
+    severity: str
+    value: str
+    half: str
+    group: str = ""
+    odds: str = ""
+    visit: str = ""
+
+    @property
+    def words(self) -> str:
+        """The part as a depot calls it."""
+        return part_words(self.name)
+
+    @property
+    def worn(self) -> str:
+        """Whether the part has worn, as text; empty without a verdict."""
+        named = f"worn, odds {self.odds}" if self.odds else ""
+        return "; ".join(filter(None, (named, self.group and f"one of group {self.group}")))
+
+    @property
+    def level(self) -> str:
+        """Value and interval as text."""
+        known = f"{self.value} ± {self.half} %" if self.half else f"{self.value} %"
+        return "no estimate" if self.value == "" else known.replace(" ", "\N{NO-BREAK SPACE}")
+
+
+@dataclass(frozen=True)
+class Bogie:
+    """The twelve parts by name; `groups` has a sentence on each group, by its letter."""
+
+    parts: dict[str, DrawnPart]
+    groups: dict[str, str]
+
+    @property
+    def found(self) -> list[DrawnPart]:
+        """Parts with a finding, a verdict or work planned, the worst first."""
+        order = [str(one) for one in sorted(Severity, reverse=True)]
+        shown = [p for p in self.parts.values() if p.severity != "none" or p.worn or p.visit]
+        return sorted(shown, key=lambda part: order.index(part.severity))
+
+
+def bogie_of(state: State, plan: Plan | None = None) -> Bogie | None:
+    """Return the bogie of a suspension; None if no trip has an estimate of its parts.
+
+    A value is the median of the last trips, its interval the median of those of these trips that
+    are not flagged. Verdicts are those of the newest trip with an estimate of parts.
+    """
+    if not set(BOGIE_PARTS) & set(state.outputs):
+        return None
+    entries = worn_entries(_newest_verdict(state))
+    groups = dict(zip(LETTERS, (one for one in entries if len(one[0]) > 1), strict=False))
+    odds = {names[0]: words for names, words in entries if len(names) == 1}
+    visits = visits_of(plan, state)
+    parts = {}
+    for name in BOGIE_PARTS:
+        severity = str(state.severities.get(name, Severity.UNKNOWN))
+        letters = " ".join(letter for letter, (names, _) in groups.items() if name in names)
+        found = letters, odds.get(name, ""), visits.get(name, "")
+        parts[name] = DrawnPart(name, severity, *_level(state, name), *found)
+    return Bogie(parts, {letter: group_words(*one) for letter, one in groups.items()})
+
+
+def _newest_verdict(state: State) -> str:
+    """Return which parts have worn on the newest trip with an estimate of parts, as text."""
+    recent = state.recent
+    read = [np.isfinite(recent.estimates[name]) for name in recent.outputs if name in BOGIE_PARTS]
+    newest = np.flatnonzero(np.any(read, axis=0))[-1:]
+    return "" if recent.worn is None or not len(newest) else str(recent.worn[newest[0]])
+
+
+def bogies_shown(view: FleetView, chosen: Iterable[int] | None = None) -> dict[str, Any]:
+    """Return the bogies with findings of a fleet, the worst first, for the macro `bogies`.
+
+    `chosen` are indices of the states, None: all. The values are "bogies", each with its place and
+    its name in URLs, "n_bogies", the number of bogies whose parts are read, and "no_part", a
+    sentence if there are none.
+    """
+    several = list(range(len(view.states)) if chosen is None else chosen)
+    read = [i for i in several if set(BOGIE_PARTS) & set(view.states[i].outputs)]
+    found = [i for i in read if view.states[i].severity > Severity.NONE][:MOST_BOGIES]
+    return {
+        "bogies": [
+            (view.rows[i]["where"], view.names[i], bogie_of(view.states[i], view.plan))
+            for i in found
+        ],
+        "n_bogies": len(read),
+        "no_part": "" if read or not several else NONE_NAMED,
+    }
+
+
+def _level(state: State, name: str) -> tuple[str, str]:
+    """Return value and half width of the interval of a part, [% of healthy], as text."""
+    if name not in state.outputs or not len(state.last_of(name).values):
+        return "", ""
+    last = state.last_of(name)
+    halves = 100 * (last.high - last.low)[~last.flagged] / 2
+    half = float(np.median(halves)) if len(halves) else math.nan
+    if not math.isfinite(half) or state.now(name) > ABSURD:
+        return level(state.now(name), 1), ""
+    digits = min(interval_digits([half]), MOST_DIGITS)
+    return level(state.now(name), digits), number(half, digits)
+
+
+def small_figures(state: State, images: Mapping[str, str]) -> dict[bool, list[dict[str, str]]]:
+    """Return trends for the macro `multiples`, the worst first: True with a finding, False without.
+
+    `images` are the figures, or their addresses, by the name of the parameter.
+    """
+    found: dict[bool, list[dict[str, str]]] = {True: [], False: []}
+    severities = {name: state.severities.get(name, Severity.NONE) for name in images}
+    for name in sorted(images, key=lambda one: -severities[one]):
+        known = {"name": name, "severity": str(severities[name]), "image": images[name]}
+        found[severities[name] > Severity.NONE].append(known)
+    return found
+
+
+def worn_entries(worn: str) -> list[tuple[tuple[str, ...], str]]:
+    """Return parts and odds of each entry of ``TripResult.worn``; several parts are a group.
+
+    Examples
+    --------
+    >>> worn_entries("c_p of axle 1, left or k_s of right at 62 % of healthy (odds 30 : 1, ...)")
+    [(('c_p_axle1_left', 'k_s_right'), '30 : 1')]
+    """
+    names = {f"{kind_of(name)} of {place_words(name)}": name for name in BOGIE_PARTS}
+    found = []
+    for parts, odds in re.findall(r"(?:^|; )([^;]+?) at [^;(]*\(odds ([^:]+ : 1)", worn):
+        known = tuple(names[one] for one in parts.split(" or ") if one in names)
+        found += [(known, odds)] if known else []
+    return found
+
+
+def group_words(names: Sequence[str], odds: str) -> str:
+    """Return a sentence on parts of which one has worn, with what they have in common."""
+    common = _common([part.partition("_")[2].split("_")[1:] for part in names])
+    parts = " or ".join(part_words(name) for name in names)
+    return f"one of several has worn{common} (odds {odds}), which is not known: {parts}"
+
+
+def _common(places: Sequence[Sequence[str]]) -> str:
+    """Return " on the left", " at axle 1" or both, if parts share that; empty if nothing."""
+    shared = set(places[0]).intersection(*places[1:])
+    axle = "".join(f" at axle {one[-1]}" for one in sorted(shared) if one.startswith("axle"))
+    return axle + "".join(f" on the {one}" for one in sorted(shared) if one in ("left", "right"))
+
+
+def visits_of(plan: Plan | None, state: State) -> dict[str, str]:
+    """Return the work on each part of a suspension that has a visit: what, and on which day."""
+    place = train_of(state), state.series.place.car, suspension_of(state)
+    return {
+        job.part.parameter: visit.words_of(job)
+        for visit in (plan.visits if plan else ())
+        if visit.train == place[0]
+        for job in visit.jobs
+        if job.part.place == place and job.part.parameter in BOGIE_PARTS
+    }
+
+
+def why_no_part(trips: Iterable[TripResult], outputs: Iterable[str]) -> str:
+    """Return a sentence on why no part, or none of some trips, is named; empty if all are.
+
+    `trips` are in the order of the mileage: it gives the reason of the newest one.
+    """
+    reasons = [(one.trip, one.quality.no_part) for one in trips if one.quality.no_part]
+    has_parts = bool(set(BOGIE_PARTS) & set(outputs))
+    if not reasons:
+        return "" if has_parts else NONE_NAMED
+    trip, reason = reasons[-1]
+    of = f" on {count(len(reasons), 'trip')}" if has_parts else ""
+    newest = f" (trip {trip})" if len(reasons) > 1 else ""
+    return f"No single spring or damper is named{of}: {reason}{newest}."

@@ -1,0 +1,379 @@
+"""The drawing of a bogie's parts: severities, groups, keyboard, plan, and pages without parts."""
+
+import csv
+import json
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+from served_fleet import HEALTHY, WORN, bogie_trips, trips
+
+from suspnet.estimation.worn_parts import WornPart, worn_words
+from suspnet.ground.parameters import (
+    BOGIE_PARTS,
+    COMPONENTS,
+    DEFAULT_LIMITS,
+    condensed,
+    part_words,
+)
+from suspnet.ground.records import NO_PART, Place, Quality
+from suspnet.history import History
+from suspnet.maintenance.series import Event, relative_to_first, series_of
+from suspnet.maintenance.state import State
+from suspnet.report.board import BoardSettings
+from suspnet.report.bogie import NONE_NAMED, bogie_of, group_words, why_no_part, worn_entries
+from suspnet.report.maintenance_figures import small_trends
+from suspnet.report.report import Report, write_report
+from suspnet.report.tables import same_columns
+from suspnet.report.templates import environment
+from suspnet.report.trend import trend_of_state
+from suspnet.runs.evaluate import write_maintenance
+
+PLACE = Place("", "leading", "", "7", "1")
+GROUP = WornPart(("k_s_left", "k_s_right"), 30.0, 0.93)
+WEAR = {
+    "c_p_axle2_left": lambda i: 1 - 0.4 * max(i - 8, 0) / 25,
+    "k_p_axle1_right": lambda i: 0.86,
+}
+TODAY = "2026-03-01"
+
+
+def worn(i):
+    """Return the verdict on a trip: one part is named, of two others which is not known."""
+    named = WornPart(("c_p_axle2_left",), 1e6, WEAR["c_p_axle2_left"](i))
+    return worn_words([named, GROUP]) if i > 12 else ""
+
+
+def state_of(results):
+    return State(series_of(results), DEFAULT_LIMITS)
+
+
+def drawn(results, address="#trend-"):
+    """Return the HTML of the drawing, without that of the list beside it, and its bogie."""
+    found = bogie_of(state_of(results))
+    template = environment().get_template("bogie.html").module
+    return str(template.drawing(found, "Bogie", address)), found
+
+
+class Labels(HTMLParser):
+    """Attributes of the tags of a page, and its text."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.tags, self.words = [], ""
+        self.feed(text)
+
+    def handle_starttag(self, tag, attributes):
+        self.tags.append((tag, dict(attributes)))
+
+    def handle_data(self, data):
+        self.words += data
+
+    def parts(self):
+        """Return the elements of parts by the part as a depot calls it."""
+        own = [(tag, one) for tag, one in self.tags if "part " in (one.get("class") or "")]
+        return {one["aria-label"].split(":")[0]: (tag, one) for tag, one in own}
+
+
+@pytest.fixture(scope="module")
+def results():
+    return bogie_trips(PLACE, 1, WEAR, worn)
+
+
+@pytest.fixture(scope="module")
+def report(results, tmp_path_factory):
+    """Return the report of a bogie, with a figure of each part."""
+    state = state_of(results)
+    path = tmp_path_factory.mktemp("bogie") / "report.html"
+    trend = trend_of_state(state)
+    one, *_ = small_trends(replace(trend, panels=trend.panels[:1])).values()
+    given = Report(results, COMPONENTS, state)
+    return write_report(path, "Bogie", given, {}, dict.fromkeys(COMPONENTS, one)).read_text(
+        encoding="utf-8"
+    )
+
+
+# reference: names and groups
+
+
+def test_parts_are_called_as_in_a_depot():
+    assert part_words("c_p_axle2_left") == "damper of axle 2, left"
+    assert part_words("k_s_right") == "secondary spring, right"
+    assert part_words("c_p") == "c_p"
+    assert len({part_words(name) for name in BOGIE_PARTS}) == 12
+    assert condensed(COMPONENTS) == ["M_s", "all twelve parts"]
+    assert condensed(COMPONENTS[:3]) == list(COMPONENTS[:3])
+
+
+def test_groups_are_read_back_from_the_verdict():
+    three = WornPart(("c_p_axle1_left", "c_p_axle1_right", "k_s_right"), 25.0, 1.2)
+    one = WornPart(("k_p_axle1_left",), 1e9, 0.5)
+    assert worn_entries(worn_words([three, one, GROUP])) == [
+        (three.names, "25 : 1"),
+        (one.names, "over 1000 : 1"),
+        (GROUP.names, "30 : 1"),
+    ]
+    assert worn_entries("") == worn_entries("odd text; more (odds 3)") == []
+
+
+@pytest.mark.parametrize(
+    ("names", "common"),
+    [
+        (("c_p_axle1_left", "c_p_axle1_right"), "has worn at axle 1 (odds 30 : 1), which"),
+        (("c_p_axle1_left", "k_s_left"), "one of several has worn on the left (odds"),
+        (("c_p_axle1_left", "k_p_axle1_left"), "has worn at axle 1 on the left (odds"),
+        (("c_p_axle1_left", "k_s_right"), "one of several has worn (odds"),
+    ],
+)
+def test_sentence_on_a_group_says_what_its_parts_have_in_common(names, common):
+    found = group_words(names, "30 : 1")
+    assert common in found
+    assert found.endswith(" or ".join(map(part_words, names)))
+
+
+# the drawing
+
+
+@pytest.mark.parametrize(
+    ("ratio", "half", "tone", "sign"),
+    [
+        (0.5, 0.01, "act", "✕"),
+        (0.75, 0.01, "notice", "!"),
+        (0.79, 0.2, "plain", "?"),
+        (0.99, 0.01, "good", "✓"),
+    ],
+)
+def test_each_severity_has_a_tone_a_sign_and_text(ratio, half, tone, sign):
+    name = "c_p_axle1_right"
+    few = [
+        replace(one, half_widths=one.half_widths | {name: half})
+        for one in bogie_trips(PLACE, 1, {name: lambda i: ratio}, n_trips=5)[-1:]
+    ]
+    page, found = drawn(few)
+    one, last = found.parts[name], few[-1]
+    (low, high), value = last.interval(name), last.estimates[name]
+    shown = re.fullmatch(r"([\d.]+) ± ([\d.]+) %", one.level.replace("\N{NO-BREAK SPACE}", " "))
+    assert [float(text) for text in shown.groups()] == pytest.approx(
+        [100 * value, 50 * (high - low)], abs=0.051
+    )
+    tag, attributes = Labels(page).parts()["damper of axle 1, right"]
+    assert (tag, attributes["class"]) == ("a", f"part {tone}")
+    assert one.level in attributes["aria-label"]
+    label = {"act": "Act", "notice": "Notice", "plain": "Not judged", "good": "No alarm"}[tone]
+    assert f": {label}, " in attributes["aria-label"]
+    element = re.search(rf'<a href="#trend-{name}".*?</a>', page, re.S)[0]
+    assert f">{sign}</text>" in element
+    assert f"<title>{attributes['aria-label']}</title>" in element
+
+
+def test_left_is_left_axle_1_is_ahead_and_dampers_have_another_shape(results):
+    page, _ = drawn(results)
+    for name in BOGIE_PARTS:
+        element = re.search(rf'<a href="#trend-{name}".*?</a>', page, re.S)[0]
+        left, y = map(float, re.search(r'class="box[^"]*" x="(\d+)" y="(\d+)"', element).groups())
+        assert (left < 190) == name.endswith("left")
+        assert (y < 130) == ("axle1" in name)
+        assert (y > 280) == ("axle2" in name)
+        assert ("<circle" in element) == (name[0] == "k")
+    assert page.index(">forward<") < page.index(">axle 1<") < page.index(">axle 2<")
+    assert ">sensors<" in page
+
+
+def test_every_part_is_reached_by_the_keyboard_with_a_page_and_without(results, report):
+    linked = Labels(drawn(results)[0]).parts()
+    assert {one["href"] for _, one in linked.values()} == {f"#trend-{n}" for n in BOGIE_PARTS}
+    assert {tag for tag, _ in linked.values()} == {"a"}
+    alone = Labels(drawn(results, address="")[0]).parts()
+    assert alone.keys() == linked.keys()
+    assert all(one["tabindex"] == "0" and one["role"] == "img" for _, one in alone.values())
+    ids = [one["id"] for _, one in Labels(report).tags if "id" in one]
+    assert len(set(ids)) == len(ids)
+    assert {f"trend-{name}" for name in BOGIE_PARTS} <= set(ids)
+
+
+def test_group_is_shown_as_one(results):
+    page, found = drawn(results)
+    assert {name for name, one in found.parts.items() if one.group} == set(GROUP.names)
+    assert found.parts["k_s_left"].group == "A"
+    assert page.count(">A?</text>") == page.count('class="box group"') == 2
+    assert ", one of group A" in Labels(page).parts()["secondary spring, right"][1]["aria-label"]
+    assert found.groups == {"A": group_words(GROUP.names, "30 : 1")}
+    assert "which is not known" in found.groups["A"]
+    assert [one.name for one in found.found] == [
+        *("c_p_axle2_left", "k_p_axle1_right"),
+        *GROUP.names,
+    ]
+
+
+def test_part_that_is_named_is_marked_with_its_odds_though_it_is_within_its_limits():
+    verdict = worn_words([WornPart(("k_s_right",), 400.0, 0.97)])
+    page, found = drawn(bogie_trips(PLACE, 1, {"k_s_right": lambda i: 0.97}, lambda i: verdict))
+    assert page.count(">worn</text>") == 1
+    assert [(one.name, one.severity, one.odds) for one in found.found] == [
+        ("k_s_right", "none", "400 : 1")
+    ]
+    label = Labels(page).parts()["secondary spring, right"][1]["aria-label"]
+    assert label.endswith(", worn, odds 400 : 1")
+
+
+def test_verdict_is_that_of_the_newest_trip_whose_parts_were_read(results):
+    unread = replace(results[-1], estimates={"k_p": 1.0}, worn="")
+    assert drawn([*results[:-1], unread])[1].groups
+
+
+def test_parts_without_an_estimate_or_interval_are_shown_as_such(results):
+    none = [replace(one, estimates={"k_p_axle1_left": 1.0}, half_widths={}) for one in results]
+    page, found = drawn(none)
+    assert found.parts["c_s_left"].level == "no estimate"
+    assert found.parts["c_s_left"].severity == "unknown"
+    assert found.parts["k_p_axle1_left"].level == "100.0\N{NO-BREAK SPACE}%"
+    flagged, wild = [
+        [replace(one, **changes) for one in results]
+        for changes in ({"flags": "odd"}, {"estimates": dict.fromkeys(COMPONENTS, 50.0)})
+    ]
+    assert "±" not in drawn(flagged)[1].parts["c_s_left"].level
+    assert drawn(wild)[1].parts["c_s_left"].level == "over\N{NO-BREAK SPACE}1000\N{NO-BREAK SPACE}%"
+    assert page.count('class="part ') == 12
+
+
+def test_group_of_before_the_last_maintenance_is_not_shown(results):
+    until = [replace(one, worn=one.worn if one.mileage_km < 40_000 else "") for one in results]
+    assert bogie_of(State(series_of(until[:19]), DEFAULT_LIMITS)).groups
+    later = Event(39_000.0, "exchanged", "springs")
+    assert bogie_of(State(series_of(until, [later]), DEFAULT_LIMITS)).groups == {}
+    nothing = replace(series_of(results), worn=None)
+    assert bogie_of(State(nothing, DEFAULT_LIMITS)).groups == {}
+
+
+def test_small_trends_share_their_mileages_and_are_of_parts_alone(results):
+    trend = trend_of_state(state_of(results))
+    found = small_trends(replace(trend, panels=trend.panels[:2]))
+    assert list(found) == ["k_p_axle1_left", "c_p_axle1_left"]
+    assert len({figure.axes[0].get_xlim() for figure in found.values()}) == 1
+    assert {figure.axes[0].get_ylabel() for figure in found.values()} == {"% of healthy"}
+    assert small_trends(trend_of_state(state_of(trips(WORN, 2)))) == {}
+
+
+# pages
+
+
+def test_report_shows_the_bogie_the_worst_first_and_loads_nothing(report):
+    assert report.count('<svg class="bogie"') == 1
+    assert 'aria-label="damper of axle 2, left: Act' in report
+    folded = report.index('<details id="calm">')
+    assert report.index('id="trend-c_p_axle2_left"') < report.index('id="trend-k_p_axle1_right"')
+    assert report.index('id="trend-k_p_axle1_right"') < folded
+    assert folded < report.index('id="trend-c_s_right"')
+    assert "Without alarm: 11" in report
+    assert 'id="part-c_p_axle2_left"' in report
+    assert "http" not in report.replace("http://www.w3.org", "")
+    images = [one["src"] for tag, one in Labels(report).tags if tag == "img"]
+    assert images
+    assert all(one.startswith("data:") for one in images)
+    assert NONE_NAMED not in report
+
+
+def test_report_without_parts_has_one_sentence_more(tmp_path):
+    plain = trips(WORN, 2)
+    given = Report(plain, ("k_p", "c_p", "k_s", "c_s", "M_s"), state_of(plain))
+    page = write_report(tmp_path / "plain.html", "Plain", given, {}).read_text(encoding="utf-8")
+    assert page.count(NONE_NAMED) == 1
+    assert "<svg" not in page
+    assert "<details" not in page
+    why = f"loose; {NO_PART}no sensor at body_left; parts are read from others"
+    several = [replace(one, quality=Quality(warnings=why)) for one in plain]
+    given = replace(given, results=several)
+    page = write_report(tmp_path / "why.html", "Why", given, {}).read_text(encoding="utf-8")
+    assert page.count("no sensor at body_left; parts are read from others") == 1
+    assert "(trip trip_029)" in page
+    assert page.count(">loose<") == len(plain)
+
+
+def test_reason_is_that_of_the_trips_whose_parts_were_not_read(results):
+    assert why_no_part(results, COMPONENTS) == ""
+    assert why_no_part([], ("k_p",)) == NONE_NAMED
+    odd = replace(results[3], quality=Quality(warnings=f"{NO_PART}too short"))
+    assert why_no_part([*results, odd], COMPONENTS) == (
+        "No single spring or damper is named on 1 trip: too short."
+    )
+    assert Quality(warnings="a; b").no_part == ""
+    assert Quality(warnings="a; b").other_warnings == "a; b"
+
+
+# from the store to the plan
+
+
+@pytest.fixture(scope="module")
+def few():
+    """Return the trips of a bogie of which one damper was bad from the first trip on."""
+    return bogie_trips(PLACE, 1, {"c_p_axle2_left": lambda i: 0.6}, lambda i: worn(13), n_trips=8)
+
+
+@pytest.fixture(scope="module")
+def store(few, tmp_path_factory):
+    path = tmp_path_factory.mktemp("parts") / "fleet.db"
+    with History(path) as history:
+        history.write(few)
+        history.write(trips(HEALTHY, 3, n_trips=5))
+    return path
+
+
+@pytest.mark.usefixtures("blank")
+def test_study_names_parts_in_plan_tables_and_overview(store, tmp_path, caplog):
+    caplog.set_level("INFO")
+    states = write_maintenance(str(store), tmp_path, BoardSettings(today=TODAY))
+    assert states[0].parameters == "c_p_axle2_left"
+    assert "replace car 1, leading bogie, damper of axle 2, left" in caplog.text
+    with (tmp_path / "plan.csv").open() as stream:
+        jobs = {row["parameter"]: row for row in csv.DictReader(stream)}
+    job = jobs["c_p_axle2_left"]
+    assert job["part"] == "damper of axle 2, left"
+    assert (
+        job["visit"]
+        == f"replace at the visit of {job['day']}"
+        == ("replace at the visit of 2026-03-15")
+    )
+    with (tmp_path / "overview.csv").open() as stream:
+        rows = list(csv.DictReader(stream))
+    assert float(rows[0]["c_p_axle2_left_last"]) == pytest.approx(0.6, abs=0.01)
+    assert {row["c_p_axle2_left_last"] for row in rows[1:]} <= {"nan", ""}
+    page = (tmp_path / "overview.html").read_text(encoding="utf-8")
+    assert page.count('<svg class="bogie"') == 1
+    assert page.count('tabindex="0" role="img"') == 12
+    assert "damper of axle 2, left</td>" in page
+    assert "replace at the visit of 2026-03-15" in page
+    assert NONE_NAMED not in page
+    assert json.loads((tmp_path / "metrics.json").read_text())["severities"]["act"] == 1
+
+
+def test_verdict_comes_back_from_the_store(store, few):
+    with History(store) as history:
+        series = next(one for one in history.series() if one.place == PLACE)
+    assert series.worn.tolist() == [one.worn for one in few]
+    assert series.equals(series_of(few))
+    assert not series.equals(series_of([replace(one, worn="") for one in few]))
+    assert series.outputs == COMPONENTS
+
+
+def test_rows_of_a_mixed_fleet_have_the_columns_of_all():
+    found = same_columns([{"a": 1}, {"a": 2, "b": 3.0}])
+    assert [list(one) for one in found] == [["a", "b"]] * 2
+    assert np.isnan(found[0]["b"])
+
+
+def test_healthy_is_that_of_the_first_trips_of_each_part_where_some_were_not_read(few):
+    other = trips(PLACE, 4, n_trips=1)[0]
+    mixed = [replace(few[0], estimates=other.estimates, raw=other.raw), *few[1:]]
+    found = relative_to_first(mixed, 3)
+    for name in ("c_p_axle2_left", "k_s_right"):
+        healthy = np.median([one.raw[name] for one in few[1:4]])
+        assert found[5].estimates[name] == pytest.approx(few[5].raw[name] / healthy)
+    assert found[0].estimates["k_p"] == 1.0
+    series = series_of(mixed).relative_to_first(3)
+    for name in COMPONENTS:
+        expected = [one.estimates.get(name, np.nan) for one in found]
+        np.testing.assert_allclose(series.estimates[name], expected, rtol=1e-12)
+        halves = [one.half_widths[name] for one in found]
+        np.testing.assert_allclose(series.half_widths[name], halves, rtol=1e-12)

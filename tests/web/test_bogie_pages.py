@@ -1,0 +1,88 @@
+"""The pages of bogies of which each part is read, and those of a fleet without any."""
+
+import re
+
+import pytest
+from served_fleet import HEALTHY, SETTINGS, bogie_trips, name_of, trips
+
+from suspnet.ground.parameters import BOGIE_PARTS
+from suspnet.ground.records import Place
+from suspnet.history import History
+from suspnet.report.board import Board, Refresher
+from suspnet.report.bogie import NONE_NAMED
+from suspnet.web.app import create_app
+
+BASE = {"base_url": "http://127.0.0.1:8050"}
+WORN, CALM = Place("", "leading", "", "7", "1"), Place("", "leading", "", "7", "2")
+
+
+def client_of(path, results):
+    """Return the client and the view of a store that was read once."""
+    with History(path) as store:
+        store.write(results)
+    board = Board(str(path), SETTINGS)
+    board.refresh()
+    return create_app(Refresher(board, 3600.0)).test_client(), board.view
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory):
+    worn = bogie_trips(WORN, 1, {"c_p_axle2_left": lambda i: 0.6}, n_trips=8)
+    calm = bogie_trips(CALM, 2, n_trips=4)
+    path = tmp_path_factory.mktemp("bogies") / "fleet.db"
+    return client_of(path, [*worn, *calm, *trips(HEALTHY, 3, n_trips=4)])
+
+
+def test_fleet_draws_the_worst_bogies_with_links_to_their_trends(site):
+    client, view = site
+    page = client.get("/", **BASE).text
+    assert page.count('<svg class="bogie"') == 1
+    address = f"/suspension/{name_of(view, WORN)}#trend-"
+    links = re.findall(r'<a href="([^"]+)" class="part ', page)
+    assert sorted(links) == sorted(address + name for name in BOGIE_PARTS)
+    assert "Not drawn: 1 more" in page
+    assert "damper of axle 2, left</td>" in page
+    assert "replace at the visit of 2026-03-15" in page
+    assert NONE_NAMED not in page
+    assert not re.search(r"<script(?! src=)|\son\w+=|style=", page)
+    assert "No part of these bogies has an alarm." in client.get("/?severity=none", **BASE).text
+
+
+def test_suspension_has_a_plot_of_each_part_those_without_alarm_folded(site):
+    client, view = site
+    name = name_of(view, WORN)
+    page = client.get(f"/suspension/{name}", **BASE).text
+    targets = re.findall(r'href="#(trend-[^"]+)" class="part ', page)
+    assert sorted(targets) == sorted(f"trend-{part}" for part in BOGIE_PARTS)
+    places = {one: page.index(f'<figure id="{one}"') for one in targets}
+    folded = page.index('<details id="calm">')
+    assert {one for one in targets if places[one] < folded} == {"trend-c_p_axle2_left"}
+    assert not re.search(r"<script(?! src=)|\son\w+=|style=", page)
+    addresses = [
+        one.replace("&amp;", "&") for one in re.findall(r'data-figure="([^"]+of=[^"]+)', page)
+    ]
+    assert len(addresses) == len(BOGIE_PARTS)
+    whole = client.get(f"/suspension/{name}/trend.json", **BASE).json
+    for address in addresses[:2]:
+        found = client.get(address, **BASE).json
+        assert {one["yaxis"] for one in found["data"]} == {"y"}
+        assert found["layout"]["xaxis"]["range"] == whole["layout"]["xaxis"]["range"]
+    assert client.get(f"/suspension/{name}/trend.json?of=k_p", **BASE).status_code == 404
+
+
+def test_suspension_without_parts_says_why_once(site):
+    client, view = site
+    page = client.get(f"/suspension/{name_of(view, HEALTHY)}", **BASE).text
+    assert page.count(NONE_NAMED) == 1
+    assert "<svg" not in page
+    assert 'id="trend-plot"' in page
+    assert NONE_NAMED not in client.get(f"/suspension/{name_of(view, CALM)}", **BASE).text
+
+
+def test_fleet_without_parts_says_why_once(tmp_path):
+    client, _ = client_of(tmp_path / "plain.db", trips(HEALTHY, 3, n_trips=2))
+    page = client.get("/", **BASE).text
+    assert page.count(NONE_NAMED) == 1
+    assert "<svg" not in page
+    assert "Bogies from above" not in page
+    assert NONE_NAMED not in client.get("/?train=77", **BASE).text  # no suspension at all
