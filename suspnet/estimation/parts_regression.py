@@ -64,10 +64,11 @@ class PartsRegression:
     direction: Direction
 
     def reads(self, trip: BogieTrip) -> bool:
-        """Whether a trip has the bins, the speed and the direction of the training."""
+        """Whether a trip has the sensors, bins, speed and direction of the training."""
         is_near = abs(trip.speed_m_per_s / self.speed_m_per_s - 1) <= SPEED_TOLERANCE
         same_bins = torch.equal(trip.frequencies_hz, self.frequencies_hz)
-        return is_near and same_bins and trip.direction == self.direction
+        is_alike = same_bins and trip.direction == self.direction and not trip.lost
+        return is_near and is_alike
 
     def __call__(self, trip: BogieTrip) -> FloatArray:
         """Return the ratio to healthy of ``COMPONENTS``, M_s to nominal, (13,).
