@@ -10,7 +10,7 @@ from rich_train_trips import write_train_trips
 from rich_trips import SENSORS
 from vehicles import AM96
 
-from suspnet.dynamics import SpatialVehicle
+from suspnet.dynamics import SpatialVehicle, VerticalVehicle
 from suspnet.estimation.bogie_fit import commission_bogie
 from suspnet.estimation.bogie_trips import (
     SPACING_HZ,
@@ -19,14 +19,21 @@ from suspnet.estimation.bogie_trips import (
     sensor_places,
     show_parts,
 )
+from suspnet.estimation.direction import direction_of
+from suspnet.estimation.from_recording import all_bins
+from suspnet.estimation.healthy_trips import HealthyTrips
 from suspnet.estimation.trip_settings import TripSettings
 from suspnet.ground.parameters import COMPONENTS
+from suspnet.recordings.errors import TripError
 from suspnet.recordings.manifest import Channel, TripManifest
 from suspnet.recordings.manifest_files import read_manifest
 from suspnet.recordings.recording import joined, load_recording
 from suspnet.recordings.sensor import SensorSignal
+from suspnet.runs.commissioning import commission_parts
 from suspnet.simulation import Fleet
-from suspnet.spectra.segments import NoEstimateError
+from suspnet.spectra.segments import NoEstimateError, recording_segments
+from suspnet.spectra.sensor_health import sensor_health
+from suspnet.spectra.welch import Welch
 
 PARTS = (
     "bushings",
@@ -155,10 +162,30 @@ def test_a_trip_whose_sensor_is_missing_or_dead_is_read_with_the_others(lost):
 def test_sensors_that_do_not_show_the_parts_name_none():
     assert not show_parts([*PLACES_OF_SEVEN[:2], "body_left"])
     assert not show_parts(["axle_box_axle1_left", "axle_box_axle2_left", *PLACES_OF_SEVEN[4::2]])
-    few = {"axle_box": BOXES[:2], "body": SEVEN["body"]}
     with pytest.raises(NoEstimateError, match=r"no sensor at .*_axle2_left.* at least 4 of them"):
         lost_sensors(noisy(SEVEN, list(manifest_of(SEVEN).sensors())[2:6]), SEVEN_VEHICLE)
-    assert sensor_places(manifest_of(few), "axle") == (*PLACES_OF_SEVEN[:2], "body_left")
+
+
+def test_without_a_channel_both_sides_as_equal_are_not_read():
+    recording = noisy(SEVEN, ["body"])
+    segments, settings = recording_segments(recording, Welch(20.0)), TripSettings()
+    with pytest.raises(NoEstimateError, match="no sensor at axle 1 gives body; the springs"):
+        all_bins([(None, segments)], recording, settings)
+    with pytest.raises(TripError, match="without a sensor on body the phases do not show"):
+        direction_of(recording, segments, VerticalVehicle(AM96), settings)
+    health = sensor_health(recording, VerticalVehicle(AM96), Welch(20.0))
+    assert {name: one.faulty for name, one in health.items() if one.faulty} == {"body": 1.0}
+
+
+def test_healthy_trips_must_show_the_parts_alike():
+    few = {"axle_box": BOXES[:2], "bogie": [("middle", 1)], "body": SEVEN["body"]}
+    layouts = [few] * 3, [SEVEN, SEVEN, few]
+    for several, message in zip(
+        layouts, ("have axle_box_axle1_left, .*_right, body_left: give", "differ"), strict=True
+    ):
+        trips = HealthyTrips(tuple(map(manifest_of, several)), (), (True, False, False))
+        with pytest.raises(TripError, match=message):
+            commission_parts(trips, VerticalVehicle(AM96), TripSettings())
 
 
 @pytest.mark.slow  # test_bogie_fit.py: drawn spectra of a smaller vehicle
