@@ -341,6 +341,8 @@ class LogNormal:
     def extended(self, other: LogNormal) -> LogNormal:
         """Return the joint distribution with the numbers that only another one has, independent."""
         more = other.without(self.names)
+        if not more.names:
+            return self
         rows = block_diag(self.covariance, more.covariance) if self.names else more.covariance
         rows = tuple(map(tuple, np.asarray(rows).tolist()))
         return LogNormal(self.names + more.names, self.mean + more.mean, rows)

@@ -104,6 +104,15 @@ def test_two_single_sensors_have_roll_at_its_prior(model):
     np.testing.assert_allclose(numbers.deviations[:2], 0.02)
 
 
+def test_a_dead_sensor_of_a_pair_beside_single_ones_keeps_the_numbers_of_roll(model):
+    generator = replace(ROLLING, sensor_lateral_m=(0.0, 1.0, 1.0), distribution="prior")
+    found = placed(
+        replace(model, generator=generator), recording("right", "left", "left")
+    ).generator
+    assert found.sensor_lateral_m == (-1.0, 1.0, 1.0)
+    assert found.distribution == generator.distribution
+
+
 def test_known_places_and_single_noise_change_nothing(model):
     assert placed(model, recording(None, "left", None)) is model
     assert placed(model, recording(None, None, None)) is model
