@@ -136,6 +136,8 @@ class _Writer:
         self.blanks.append(f"channels.{name}")
         offers = found or rest
         words = "take one of these, or a left and a right one, without the #"
+        if name != CHANNELS[2]:
+            words += "; those of the bogie's other axle get axle: 2"
         return [
             f"  {name}:  # {BLANK}: {words if offers else 'no column of these files is left'}",
             *self._offers(offers, ACCELERATION, "    # - "),

@@ -154,6 +154,24 @@ def test_what_the_manifest_leaves_to_the_file_is_that_of_the_frames(tmp_path):
     assert_same(stream.recording(), expected)
 
 
+def test_frames_of_the_other_axle_are_those_of_its_sensor(tmp_path):
+    manifest, columns = manifest_in(tmp_path), signals(3)
+    box = manifest.channels["axle_box"]
+    channels = {**manifest.channels, "axle_box": (box, replace(box, axle=2))}
+    stream = Running(replace(manifest, channels=channels), ZERO_NS, order=ORDER)
+    rng = np.random.default_rng(0)
+    for name, samples in columns.items():
+        for frame in frames_of(name, samples, rng, RATES_HZ[name], most=400):
+            stream.add(frame)
+            if name == "axle_box":
+                stream.add(replace(frame, sensor="axle_box axle2"))
+    stream.flush()
+    found = stream.recording()
+    expected = batch(manifest_in(tmp_path), columns)
+    np.testing.assert_allclose(found.signals, expected.signals, rtol=1e-12, atol=1e-12)
+    np.testing.assert_array_equal(found.elsewhere["axle_box axle2"], found.signals[0])
+
+
 def test_rate_of_a_column_of_times_is_near_the_stated_one(tmp_path):
     manifest = manifest_in(tmp_path)
     bogie = replace(manifest.channels["bogie"], time="t")
