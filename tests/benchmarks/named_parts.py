@@ -6,7 +6,8 @@ Each seed is a train of tests/blind_train.py. It is commissioned on 5 healthy tr
 with one of the twelve parts at each level, with two parts, with all twelve at 50 to 130 %, and
 healthy ones. Every part of every trip goes to named_parts.csv, where the rows of the same case and
 seed are replaced; named_parts.md has the tables of all cases in it. A case is one of CASES: plain,
-all at once, or one of them with an ingredient of the train left out or put in.
+all at once, or one of them with an ingredient of the train left out or put in, or with another
+layout of sensors.
 """
 
 import csv
