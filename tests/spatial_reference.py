@@ -15,6 +15,7 @@ from suspnet.dynamics.vertical_motion import LOSS_HZ, LOSS_SHARES
 
 X, Y, Z = np.eye(3)
 RAIL_M = 0.75
+TORSION_MASS = 0.2  # over the frame's
 BODY, FRAMES, WHEELSETS = 0, (1, 2), (3, 4, 5, 6)
 FREE = ("q", "tau_1", "tau_2")
 SIZE = 7 * 6 + len(FREE)
@@ -120,7 +121,14 @@ class Train:
         """Return the motion of a point of a frame, its torsion included."""
         row = moved(FRAMES[i], place, axis)
         n = self.n
-        twist = place[0] * self.toward / n["half_wheelbase"] * place[1] / n["primary_lateral"]
+        twist = (
+            n["torsion_rise"]
+            * place[0]
+            * self.toward
+            / n["half_wheelbase"]
+            * place[1]
+            / n["primary_lateral"]
+        )
         row[6 * 7 + 1 + i] = twist * axis[2]
         return row
 
@@ -140,13 +148,13 @@ class Train:
         squares[6:18] = np.tile(frame * own**2, 2)
         own = np.array([0, 1, 0, 0, 0, n["wheelset_yaw_gyration"]])
         squares[18:42] = np.tile(n["wheelset_mass"] * own**2, 4)
-        squares[42:] = body / 2, *[frame * n["torsion_mass"]] * 2
+        squares[42:] = body / 2, *[frame * TORSION_MASS] * 2
         self.system += np.diag(squares) * s**2
         bending = 2 * math.pi * n["bending_frequency"]
         modal = 2 * n["empty"] * (bending**2 + 2 * n["bending_damping"] * bending * s)
         twisting = 2 * math.pi * n["torsion_frequency"]
         torsion = twisting**2 + 2 * n["torsion_damping"] * twisting * s
-        torsion *= frame * n["torsion_mass"]
+        torsion *= frame * TORSION_MASS
         self.system += np.diag([0] * 42 + [modal, torsion, torsion])
 
     def springs(self):

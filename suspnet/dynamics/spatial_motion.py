@@ -7,21 +7,22 @@ h levers, r_0 wheel radius), for the whole vehicle and not one side of it. Furth
 for axle 1, 2 (or 3, 4 of the other bogie; 3 is at the same end as 1), s = +1, -1 for left, right.
 Angles are multiplied by L (body: phi, chi) or a (bogie and wheelsets: psi, chi), but not the rolls
 theta; y is lateral, to the left, chi yaw and positive where the measured bogie or axle 1 moves to
-the left; tau_i is the torsion of a frame, its rise at the corners. f = +1, -1 if the measured bogie
+the left; rho_t tau_i is the rise of a frame's corners in torsion. f = +1, -1 if the measured bogie
 leads or trails, t likewise for axle 1. With w, x, v the height of the track under a wheelset, its
 angle and its lateral place, the stretches are::
 
-    primary, corner     kappa_p / 2   z_i + eps psi_i + s b_p theta_i + eps s tau_i - w - s b_p x
-    secondary, side     kappa_s       z + p q + sigma phi + s b_s theta - z_i - s b_s theta_i
-    guidance            2 gamma       psi_i
-    longitudinal, side  kappa_x       f (h_2 / L) (phi + sigma slope q) + t (h_3 / a) psi_i
-                                        - s b_s (f chi / L - t chi_i / a)
-    yaw damper, side    kappa_d       likewise, with h_2 - h_d, h_3 + h_d and b_d
-    anti-roll bar       k_bar         theta - theta_i
-    lateral             2 kappa_y     y + sigma chi + h_2 theta - y_i + h_3 theta_i
-    axle guide          2 kappa_g     y_i + eps chi_i + h_g theta_i - y_w
-    axle boxes          2 kappa_b     (b_p / a) (chi_i - chi_w)
-    bending, torsion    kappa_q, k_t  q, tau_i
+    primary, corner    kappa_p / 2   z_i + eps psi_i + s b_p theta_i + eps s rho_t tau_i
+                                       - w - s b_p x
+    secondary, side    kappa_s       z + p q + sigma phi + s b_s theta - z_i - s b_s theta_i
+    guidance           2 gamma       psi_i
+    longitudinal, side kappa_x       f (h_2 / L) (phi + sigma slope q) + t (h_3 / a) psi_i
+                                       - s b_s (f chi / L - t chi_i / a)
+    yaw damper, side   kappa_d       likewise, with h_2 - h_d, h_3 + h_d and b_d
+    anti-roll bar      k_bar         theta - theta_i
+    lateral            2 kappa_y     y + sigma chi + h_2 theta - y_i + h_3 theta_i
+    axle guide         2 kappa_g     y_i + eps chi_i + h_g theta_i - y_w
+    axle boxes         2 kappa_b     (b_p / a) (chi_i - chi_w)
+    bending, torsion   kappa_q, k_t  q, tau_i
 
 y_w is v - r_0 x, so that the wheelset stays on its track, or a coordinate with creep. With the
 speed V, half gauge b_r, conicity lambda and creep coefficients of a wheel, c along and rho c across
@@ -66,6 +67,8 @@ from suspnet.ground.types import FloatArray
 T = TypeVar("T")
 Row = dict[str, Tensor | float]
 """Factors of coordinates and inputs by name, numbers or tensors of shape (n_vehicles, 1)."""
+TORSION_MASS = 0.2
+"""Modal mass of the torsion over the frame's mass."""
 LEAST_DAMPING = 1e-3
 """Damping of a yaw damper that is as good as none [N s/m]."""
 SIGNS = {"left": 1.0, "right": -1.0, "middle": 0.0}
@@ -111,7 +114,7 @@ def masses(parts: Sequence[str], p: Mapping[str, Tensor]) -> list[Tensor]:
         known |= {f"z_{i}": frame, f"y_{i}": frame, f"psi_{i}": frame * pitch}
         known |= {f"theta_{i}": frame * p["bogie_roll_gyration"] ** 2}
         known |= {f"chi_{i}": frame * pitch * p["bogie_yaw"] ** 2}
-        known |= {f"tau_{i}": frame * p["torsion_mass"]}
+        known |= {f"tau_{i}": frame * TORSION_MASS}
     turned = (p["wheelset_yaw_gyration"] / p["half_wheelbase"]) ** 2
     for wheel in range(1, 5):
         known |= {f"y_w{wheel}": p["wheelset_mass"], f"chi_w{wheel}": p["wheelset_mass"] * turned}
@@ -126,7 +129,7 @@ def acting(layout: Layout, p: Mapping[str, Tensor]) -> list[Joint]:
         found.append(Joint(bending_element(p, layout.empty_body_kg).times(2), {"q": 1.0}))
     if "torsion" in parts:
         own = 2 * math.pi * p["torsion_frequency"]
-        mass = 2 * p["bogie_mass"] * p["torsion_mass"]
+        mass = 2 * p["bogie_mass"] * TORSION_MASS
         torsion = Element(mass * own**2, 2 * p["torsion_damping"] * mass * own)
         found += [Joint(torsion, {f"tau_{i}": 1.0}) for i in "12"]
     if is_lateral(parts):
@@ -138,7 +141,7 @@ def acting(layout: Layout, p: Mapping[str, Tensor]) -> list[Joint]:
 
 def _corner(i: int, end: float, lateral: Tensor | float, p: Mapping[str, Tensor]) -> Row:
     """Return the rise of frame `i` above axle 1 (`end` 1), axle 2 (-1) or at its centre (0)."""
-    twist = end * lateral / p["primary_lateral"]
+    twist = p["torsion_rise"] * end * lateral / p["primary_lateral"]
     return {f"z_{i}": 1.0, f"psi_{i}": end, f"theta_{i}": lateral, f"tau_{i}": twist}
 
 

@@ -73,7 +73,14 @@ SPATIAL_NUMBERS: dict[str, tuple[tuple[Any, ...], ...]] = {
     "torsion": (
         ("torsion_frequency", 0.25, "Hz", "frequency of the free frame's first torsion", 35.0),
         ("torsion_damping", 0.5, "", "damping ratio of the frame's first torsion", 0.02),
-        ("torsion_mass", 0.5, "", "modal mass of the torsion over the frame's mass", 0.2),
+        (
+            "torsion_rise",
+            0.5,
+            "",
+            "rise of a frame's corners in torsion for a modal mass of a fifth of the frame's",
+            1.0,
+            True,
+        ),
     ),
     "wheelsets": (
         (

@@ -63,6 +63,8 @@ ALIGNED = 0.15
 """Fraction of unexplained residuals that acts like a change of a part. Found on two trains of
 tests/blind_train.py (seeds 0 and 1, misfits of 1.7 to 6.9, 128 trips with one worn part of twelve
 each at most): intervals without it held 45 to 57 % at a misfit of 2, and 15 to 40 % at 6."""
+FURTHEST = 20.0
+"""Largest coordinate of vehicles that are tried: logarithms of ratios, and deviations of priors."""
 N_OWN = len(COMPONENTS)
 
 
@@ -399,6 +401,7 @@ class _Fit:
 
     def _rows(self, x: FloatArray, i: int) -> Tensor:
         """Return all columns of ratios of trip i, (1, n_columns)."""
+        x = np.clip(x, -FURTHEST, FURTHEST)  # a step from afar may overflow
         own = np.zeros(N_OWN)
         own[-self._n_own :] = x[self.n_numbers :].reshape(len(self.trips), -1)[i]
         numbers = self._numbers.ratios(x[None, : self.n_numbers])

@@ -109,7 +109,7 @@ def test_prior_is_of_the_parts_and_sensors_that_there_are():
     ]
     expected = [name for name in measuring if not name.endswith("axle_box_axle1_left")]
     assert [name for name in every.names if name.startswith(("gain", "delay"))] == expected
-    assert {"conicity", "torsion_mass", "bogie_yaw", "body_yaw", "alignment"} <= set(every.names)
+    assert {"conicity", "torsion_rise", "bogie_yaw", "body_yaw", "alignment"} <= set(every.names)
     assert "frame_gain" not in every.names
     widths = dict(zip(every.names, every.deviations, strict=True))
     assert widths["gain_body_left"] == pytest.approx(0.02)

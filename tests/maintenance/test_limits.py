@@ -28,6 +28,7 @@ from suspnet.simulation.fleet import Scenario
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 SCENARIOS = yaml.safe_load((CONFIGS / "scenarios.yaml").read_text())
+SCENARIOS = {name: one for name, one in SCENARIOS.items() if not one.get("by_part")}
 ALARMING = {
     "damper_fade",
     "primary_damper_fade",
