@@ -17,6 +17,7 @@ from typing import Any
 import config_comments
 import configuration
 import coverage
+import named_parts
 import numpy as np
 import parts_methods
 from cells import Parser, Row
@@ -312,6 +313,20 @@ def parts(rows: Sequence[Row]) -> str:
     return markdown(list(lines.values()), ["train", "worn", "trips", "misfit", *outputs])
 
 
+SHOWN = ("plain", "all at once")
+"""Cases of tests/benchmarks/named_parts.py that the docs show."""
+
+
+def named_parts_km(rows: Sequence[Row]) -> str:
+    """Return the accused trips and the alarms of healthy histories of each case and train."""
+    names = ("case", "seed", "n_trips", "accused_trips", "largest_error_percent", "km", "alarms")
+    lines = [
+        [f"{row[name]:,.0f}" if name == "km" else str(row[name]) for name in names] for row in rows
+    ]
+    heads = ["case", "train", "trips read", "trips accused", "largest error, %", "km", "alarms"]
+    return markdown(lines, heads)
+
+
 TABLES: dict[str, tuple[str | None, Callable[[Sequence[Row]], str]]] = {
     "table6": ("table6.csv", table6),
     "table6_short": ("table6.csv", table6_short),
@@ -330,6 +345,12 @@ TABLES: dict[str, tuple[str | None, Callable[[Sequence[Row]], str]]] = {
     "life": ("remaining_life.csv", life),
     "page": ("page.csv", page),
     "parts": ("parts.csv", parts),
+    "named_parts": (None, lambda rows: named_parts.named_table(named_parts.stored(SHOWN))),
+    "named_parts_errors": (
+        None,
+        lambda rows: named_parts.accuracy_table(named_parts.stored(SHOWN), pooled=True),
+    ),
+    "named_parts_km": ("named_parts_km.csv", named_parts_km),
     "parts_methods": ("parts_methods.csv", parts_methods.table),
     "layouts": ("layouts.csv", layouts_markdown),
     "configuration": (None, lambda rows: configuration.page()),

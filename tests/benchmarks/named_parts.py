@@ -266,11 +266,18 @@ def by_trip(rows):
     return list(trips.values())
 
 
-def accuracy_table(rows):
-    """Return rms error, largest error of an unworn part and coverage of each kind of part."""
+def accuracy_table(rows, pooled=False):
+    """Return rms error, largest error of an unworn part and coverage of each kind of part.
+
+    With a line for each train, or for all of them where they are `pooled`.
+    """
+
+    def key(row):
+        return row["case"], "all" if pooled else str(row["seed"]), row["wear"]
+
     lines = []
-    for case, seed, wear in dict.fromkeys((r["case"], str(r["seed"]), r["wear"]) for r in rows):
-        of = [r for r in rows if (r["case"], str(r["seed"]), r["wear"]) == (case, seed, wear)]
+    for case, seed, wear in dict.fromkeys(map(key, rows)):
+        of = [r for r in rows if key(r) == (case, seed, wear)]
         n = len(by_trip(of))
         misfits = [float(trip[0]["misfit"]) for trip in by_trip(of)]
         line = [case, seed, wear, n, f"{float(of[0]['healthy_misfit']):.2f}"]
@@ -340,6 +347,12 @@ def accused_words(rows):
         head = f"{trip[0]['case']}, seed {trip[0]['seed']}: {', '.join(worn) or 'healthy'}"
         lines.append(f"- {head} -> {trip[0]['accused'].replace(' ', ', ')}")
     return "\n".join(lines) or "none"
+
+
+def stored(cases):
+    """Return the rows of some cases in the results."""
+    with (RESULTS / "named_parts.csv").open(newline="") as file:
+        return [r for r in csv.DictReader(file) if r["case"] in cases]
 
 
 def merged(rows, path):
