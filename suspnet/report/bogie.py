@@ -26,8 +26,10 @@ EQUAL_SIDES = (
 )
 """Why estimates without parts name none."""
 NONE_NAMED = f"No single spring or damper is named: {EQUAL_SIDES}."
-MOST_DIGITS = 2
+MOST_DIGITS = 1
 """Largest number of decimals in the drawing, whose labels are narrow."""
+LEAST_HALF = 0.1
+"""Least half width of an interval that is shown with so many [% of healthy]."""
 MOST_BOGIES = 6
 """Largest number of bogies drawn on one page of a fleet."""
 LETTERS = "ABCDEFGHIJKL"
@@ -142,7 +144,7 @@ def _level(state: State, name: str) -> tuple[str, str]:
     if not math.isfinite(half) or state.now(name) > ABSURD:
         return level(state.now(name), 1), ""
     digits = min(interval_digits([half]), MOST_DIGITS)
-    return level(state.now(name), digits), number(half, digits)
+    return level(state.now(name), digits), number(max(half, LEAST_HALF), digits)
 
 
 def small_figures(state: State, images: Mapping[str, str]) -> dict[bool, list[dict[str, str]]]:
