@@ -7,10 +7,11 @@ load act on all of them; worn ones scatter by ``WEAR`` as well. For a set W of w
     log P(e | W) = -1/2 (e^T V^-1 e + log det V),
     V = C + USUAL^2 + SHARED^2 within a kind + WEAR^2 on the diagonal of W
 
-A part, or all of a kind, has worn with the prior probability ``RARE``. Parts join W one after the
-other, the most probable next one first, as long as the odds of W with it over W without it exceed
-20 : 1. Where another part in its place is not 20 times less probable, they are named together. The
-estimates themselves are not changed by this.
+A part has worn with the prior probability ``RARE``. Parts, or all of a kind at once, join W one after
+the other, the most probable first, as long as the odds of W with it over W without it exceed
+20 : 1; then those leave again whose odds, given the others, do not. Where another part in its place
+is not 20 times less probable, they are named together. The estimates themselves are not changed by
+this.
 """
 
 from __future__ import annotations
@@ -72,33 +73,39 @@ def worn_parts(estimate: PartsEstimate) -> list[WornPart]:
     """Return the parts that have worn, the most certain first; none if none has."""
     logs = np.log(estimate.values[: len(BOGIE_PARTS)])
     covariance = estimate.covariance[: len(BOGIE_PARTS), : len(BOGIE_PARTS)] + _usual()
+
+    def of(worn: Sequence[int]) -> float:
+        n_events = len(worn)
+        return _log_probability(logs, covariance, worn) + n_events * math.log(RARE / (1 - RARE))
+
     worn: list[int] = []
-    found: list[WornPart] = []
-    prior = math.log(RARE / (1 - RARE))
-    for _ in BOGIE_PARTS:  # each round names a part or ends
-        without = _log_probability(logs, covariance, worn)
-        gains = {
-            event: _log_probability(logs, covariance, [*worn, *event]) - without + prior
-            for event in _events(worn)
-        }
-        best = max(gains, key=gains.__getitem__, default=())
-        if not best or gains[best] < math.log(ODDS):
+    for _ in BOGIE_PARTS:  # each round adds a part or ends
+        events = {event: of([*worn, *event]) for event in _events(worn)}
+        best = max(events, key=events.__getitem__, default=())
+        if not best or events[best] - of(worn) < math.log(ODDS):
             break
         worn += best
-        odds = math.exp(min(gains[best], 700.0))
-        if len(best) > 1:
-            found += [_worn(estimate, [j], odds) for j in best]
-            continue
-        single = sorted((event for event in gains if len(event) == 1), key=lambda e: -gains[e])
-        alike = [j for (j,) in single if gains[best] - gains[(j,)] < math.log(ODDS)]
-        found.append(_worn(estimate, alike, odds))
-    return found
+    for _ in tuple(worn):  # a part that another one has explained since leaves again
+        odds = {j: of(worn) - of([i for i in worn if i != j]) for j in worn}
+        least = min(odds, key=odds.__getitem__)
+        if odds[least] >= math.log(ODDS):
+            break
+        worn.remove(least)
+    found = []
+    for j in worn:
+        rest = [i for i in worn if i != j]
+        others = {i: of(worn) - of([*rest, i]) for i in range(len(BOGIE_PARTS)) if i not in worn}
+        alike = [i for i in sorted(others, key=others.__getitem__) if others[i] < math.log(ODDS)]
+        names = tuple(BOGIE_PARTS[i] for i in (j, *alike))
+        odds_of = math.exp(min(of(worn) - of(rest), 700.0))
+        found.append(WornPart(names, odds_of, float(estimate.values[j])))
+    return sorted(found, key=lambda one: -one.odds)
 
 
 def _events(worn: Sequence[int]) -> list[tuple[int, ...]]:
     """Return what may join the worn parts: each other one, or all of a kind at once.
 
-    What all parts of a kind share hides that all have worn alike until the last one joins.
+    What parts of a kind share hides that all have worn alike until the last one joins.
     """
     single = [(j,) for j in range(len(BOGIE_PARTS)) if j not in worn]
     kinds = {kind_of(name) for name in BOGIE_PARTS}
@@ -106,11 +113,6 @@ def _events(worn: Sequence[int]) -> list[tuple[int, ...]]:
         tuple(j for j, n in enumerate(BOGIE_PARTS) if kind_of(n) == kind) for kind in sorted(kinds)
     ]
     return [*single, *(event for event in whole if not set(event) & set(worn))]
-
-
-def _worn(estimate: PartsEstimate, alike: Sequence[int], odds: float) -> WornPart:
-    names = tuple(BOGIE_PARTS[j] for j in alike)
-    return WornPart(names, odds, float(estimate.values[alike[0]]))
 
 
 def _usual() -> FloatArray:
@@ -121,10 +123,11 @@ def _usual() -> FloatArray:
     return np.diag(own**2) + np.where(kinds[:, None] == kinds, shared**2, 0.0)
 
 
-def _log_probability(logs: FloatArray, covariance: FloatArray, worn: list[int]) -> float:
+def _log_probability(logs: FloatArray, covariance: FloatArray, worn: Sequence[int]) -> float:
     """Return log P(e | W) up to a constant."""
     whole = covariance.copy()
-    whole[worn, worn] += WEAR**2
+    chosen = list(worn)
+    whole[chosen, chosen] += WEAR**2
     sign, size = np.linalg.slogdet(whole)
     assert sign > 0
     return float(-0.5 * (logs @ np.linalg.solve(whole, logs) + size))

@@ -33,6 +33,7 @@ from suspnet.runs.commissioning import PARTS_OF_BOGIE  # noqa: E402
 
 RESULTS = TESTS / "benchmarks" / "results"
 FAMILY = PARTS_OF_BOGIE  # as the programs have it
+WEARS = ("one part", "healthy", "two parts", "all twelve")
 LEVELS = (30, 62, 80, 90, 95)
 KINDS = ("k_p", "c_p", "k_s", "c_s", "M_s", "M_s change")
 Z90 = 1.6448536269514722
@@ -201,6 +202,9 @@ def read_train(name, seed, options, folder):
     healthy, commissioned, rows, begun = [], None, [], time.perf_counter()
     for i, ((kind, level, ratios), run, load) in enumerate(zip(trips, runs, loads, strict=True)):
         ratios[-1] = load
+        if kind not in ("commission", *options.wears):
+            Track.drawn(rng)  # the other trips are those of a whole run
+            continue
         signals = record(train.worn(ratios), Track.drawn(rng), run, [seed, 11, i])
         path = write_trip(folder, f"trip_{i}", signals, run, 1000.0 + i, case.places)
         recording = suspnet.load_recording(suspnet.read_manifest(path), 100.0)
@@ -220,7 +224,7 @@ def read_train(name, seed, options, folder):
         head |= {"converged": int(commissioned.converged) + 2 * int(found.converged)}
         truth = np.append(ratios[:-1], ratios[-1] * train.body_kg / 25200.0)
         rows += rows_of(head, truth, found, load / mass)
-    each = (time.perf_counter() - begun - took) / (len(trips) - len(healthy))
+    each = (time.perf_counter() - begun - took) / len({row["trip"] for row in rows})
     print(f"{name}, {seed}: {each:.1f} s a trip", flush=True)
     return rows
 
@@ -357,11 +361,13 @@ def stored(cases):
 
 def merged(rows, path):
     """Write the rows beside those of other cases and seeds, and return all."""
-    new = {(r["case"], str(r["seed"])) for r in rows}
+    new = {(r["case"], str(r["seed"]), r["wear"]) for r in rows}
     before = []
     if path.exists():
         with path.open(newline="") as file:
-            before = [r for r in csv.DictReader(file) if (r["case"], r["seed"]) not in new]
+            before = [
+                r for r in csv.DictReader(file) if (r["case"], r["seed"], r["wear"]) not in new
+            ]
     every = before + rows
     with path.open("w", newline="") as file:
         writer = csv.DictWriter(file, list(rows[0]))
@@ -392,6 +398,7 @@ def main():
     parser.add_argument("--parts", nargs="*", default=COMPONENTS[:-1], help="that wear alone")
     parser.add_argument("--healthy", type=int, default=5, help="trips to commission on")
     parser.add_argument("--healthy_trips", type=int, help="after these; default: as --trips")
+    parser.add_argument("--wears", nargs="+", default=WEARS, choices=WEARS, help="kinds of trips")
     parser.add_argument("--minutes", type=float, default=20.0, help="of a trip")
     parser.add_argument("--output", type=Path, default=RESULTS, help="folder of the tables")
     options = parser.parse_args()

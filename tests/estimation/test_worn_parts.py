@@ -60,6 +60,22 @@ def test_several_parts_are_named_the_most_certain_first():
     assert {one.names[0] for one in every} == set(PARTS)
 
 
+@pytest.mark.parametrize(
+    "worn",
+    [
+        {"k_p_axle1_left": 0.66, "k_p_axle1_right": 0.52},
+        {"k_p_axle1_left": 0.6, "k_p_axle1_right": 0.6},
+        {"k_p_axle1_left": 0.6, "k_p_axle1_right": 0.6, "k_p_axle2_left": 0.6},
+        {"c_s_left": 0.6, "c_s_right": 0.6},
+        {"c_p_axle1_left": 0.7, "c_p_axle2_right": 0.72, "k_s_right": 0.9},
+    ],
+)
+def test_parts_of_a_kind_that_have_not_worn_are_not_taken_along(worn):
+    for seed in range(5):
+        found = worn_parts(estimate_of(worn, seed=seed))
+        assert {one.names for one in found} == {(name,) for name in worn}
+
+
 def test_healthy_bogies_accuse_nothing():
     assert not any(worn_parts(estimate_of({}, seed=seed)) for seed in range(300))
 
