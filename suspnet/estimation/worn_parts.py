@@ -7,8 +7,8 @@ load act on all of them; worn ones scatter by ``WEAR`` as well. For a set W of w
     log P(e | W) = -1/2 (e^T V^-1 e + log det V),
     V = C + USUAL^2 + SHARED^2 within a kind + WEAR^2 on the diagonal of W
 
-A part has worn with the prior probability ``RARE``. Parts, or all of a kind at once, join W one after
-the other, the most probable first, as long as the odds of W with it over W without it exceed
+A part has worn with the prior probability ``RARE``. Parts, or all of a kind at once, join W one
+after the other, the most probable first, as long as the odds of W with it over W without it exceed
 20 : 1; then those leave again whose odds, given the others, do not. Where another part in its place
 is not 20 times less probable, they are named together. The estimates themselves are not changed by
 this.

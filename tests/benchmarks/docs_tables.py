@@ -327,6 +327,23 @@ def named_parts_km(rows: Sequence[Row]) -> str:
     return markdown(lines, heads)
 
 
+def two_suspensions(rows: Sequence[Row]) -> str:
+    """Return what each reading of worn trips says of the damper that fades, in % of healthy."""
+    lines: dict[str, list[str]] = {}
+    for row in rows:
+        if row["truth"] < 1:
+            line = lines.setdefault(row["trip"], [f"{100 * row['truth']:.1f}"])
+            low, high = (f"{100 * row[end]:.3g}" for end in ("low", "high"))
+            line.append(f"{100 * row['estimate']:.3g} ({low} to {high})")
+    heads = [
+        "c_p of axle 2, left",
+        "six sensors, part by part",
+        "c_p, left alone",
+        "c_p, right alone",
+    ]
+    return markdown(list(lines.values()), heads)
+
+
 TABLES: dict[str, tuple[str | None, Callable[[Sequence[Row]], str]]] = {
     "table6": ("table6.csv", table6),
     "table6_short": ("table6.csv", table6_short),
@@ -350,6 +367,7 @@ TABLES: dict[str, tuple[str | None, Callable[[Sequence[Row]], str]]] = {
         None,
         lambda rows: named_parts.accuracy_table(named_parts.stored(SHOWN), pooled=True),
     ),
+    "two_suspensions": ("two_suspensions.csv", two_suspensions),
     "named_parts_km": ("named_parts_km.csv", named_parts_km),
     "parts_methods": ("parts_methods.csv", parts_methods.table),
     "layouts": ("layouts.csv", layouts_markdown),
