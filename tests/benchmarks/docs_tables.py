@@ -313,7 +313,7 @@ def parts(rows: Sequence[Row]) -> str:
     return markdown(list(lines.values()), ["train", "worn", "trips", "misfit", *outputs])
 
 
-SHOWN = ("plain", "all at once")
+BLIND = ("plain", "all at once")
 """Cases of tests/benchmarks/named_parts.py that the docs show."""
 
 
@@ -362,10 +362,10 @@ TABLES: dict[str, tuple[str | None, Callable[[Sequence[Row]], str]]] = {
     "life": ("remaining_life.csv", life),
     "page": ("page.csv", page),
     "parts": ("parts.csv", parts),
-    "named_parts": (None, lambda rows: named_parts.named_table(named_parts.stored(SHOWN))),
+    "named_parts": (None, lambda rows: named_parts.named_table(named_parts.stored(BLIND))),
     "named_parts_errors": (
         None,
-        lambda rows: named_parts.accuracy_table(named_parts.stored(SHOWN), pooled=True),
+        lambda rows: named_parts.accuracy_table(named_parts.stored(BLIND), pooled=True),
     ),
     "two_suspensions": ("two_suspensions.csv", two_suspensions),
     "named_parts_km": ("named_parts_km.csv", named_parts_km),

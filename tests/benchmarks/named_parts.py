@@ -284,7 +284,7 @@ def accuracy_table(rows, pooled=False):
         of = [r for r in rows if key(r) == (case, seed, wear)]
         n = len(by_trip(of))
         misfits = [float(trip[0]["misfit"]) for trip in by_trip(of)]
-        line = [case, seed, wear, n, f"{float(of[0]['healthy_misfit']):.2f}"]
+        line = [case, seed, wear, n, f"{np.median([float(r['healthy_misfit']) for r in of]):.2f}"]
         line.append(f"{np.median(misfits):.2f}")
         for kind in KINDS:
             # "M_s" is no beginning of "M_s change"
