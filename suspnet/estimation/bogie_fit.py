@@ -108,7 +108,7 @@ class CommissionedBogie:
     ) -> PartsEstimate:
         """Return the ratio to healthy of every part on a later trip.
 
-        `start` (13,) are ratios near it, as of `suspnet.estimation.parts_regression`: the search
+        `start` (13,) are ratios near it, such as those of `suspnet.train_parts`: the search
         starts there, or from the healthy vehicle where that is nearer. None: it starts from the
         healthy vehicle in bands that widen, and so it does again if that from `start` does not
         explain the trip. ValueError if the trip has another number of sensors.

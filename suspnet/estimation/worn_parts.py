@@ -74,31 +74,35 @@ def worn_parts(estimate: PartsEstimate) -> list[WornPart]:
     logs = np.log(estimate.values[: len(BOGIE_PARTS)])
     covariance = estimate.covariance[: len(BOGIE_PARTS), : len(BOGIE_PARTS)] + _usual()
 
-    def of(worn: Sequence[int]) -> float:
-        n_events = len(worn)
-        return _log_probability(logs, covariance, worn) + n_events * math.log(RARE / (1 - RARE))
+    def log_odds(worn: Sequence[int]) -> float:
+        prior = len(worn) * math.log(RARE / (1 - RARE))
+        return _log_probability(logs, covariance, worn) + prior
 
     worn: list[int] = []
     for _ in BOGIE_PARTS:  # each round adds a part or ends
-        events = {event: of([*worn, *event]) for event in _events(worn)}
+        events = {event: log_odds([*worn, *event]) for event in _events(worn)}
         best = max(events, key=events.__getitem__, default=())
-        if not best or events[best] - of(worn) < math.log(ODDS):
+        if not best or events[best] - log_odds(worn) < math.log(ODDS):
             break
         worn += best
     for _ in tuple(worn):  # a part that another one has explained since leaves again
-        odds = {j: of(worn) - of([i for i in worn if i != j]) for j in worn}
-        least = min(odds, key=odds.__getitem__)
-        if odds[least] >= math.log(ODDS):
+        gains = {j: log_odds(worn) - log_odds([i for i in worn if i != j]) for j in worn}
+        least = min(gains, key=gains.__getitem__)
+        if gains[least] >= math.log(ODDS):
             break
         worn.remove(least)
     found = []
     for j in worn:
         rest = [i for i in worn if i != j]
-        others = {i: of(worn) - of([*rest, i]) for i in range(len(BOGIE_PARTS)) if i not in worn}
+        others = {
+            i: log_odds(worn) - log_odds([*rest, i])
+            for i in range(len(BOGIE_PARTS))
+            if i not in worn
+        }
         alike = [i for i in sorted(others, key=others.__getitem__) if others[i] < math.log(ODDS)]
         names = tuple(BOGIE_PARTS[i] for i in (j, *alike))
-        odds_of = math.exp(min(of(worn) - of(rest), 700.0))
-        found.append(WornPart(names, odds_of, float(estimate.values[j])))
+        odds = math.exp(min(log_odds(worn) - log_odds(rest), 700.0))
+        found.append(WornPart(names, odds, float(estimate.values[j])))
     return sorted(found, key=lambda one: -one.odds)
 
 

@@ -28,7 +28,8 @@ from torch.nn.functional import avg_pool1d
 from suspnet.spectra.subspace import SpectralMatrix
 
 ROUNDS = 4
-"""Rounds of least squares: three change the numbers by less than a tenth of their error."""
+"""Rounds of least squares: after three, shares of 1 % differ from those of six rounds by 2 % of
+their standard deviation at most (12 draws of tests/spectra/test_noise_subspace.py)."""
 LEAST_NOISE = 1e-3
 """Least noise of a sensor over that of the first round."""
 SMOOTH_BINS = 9
