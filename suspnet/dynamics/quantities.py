@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -367,12 +368,14 @@ class LogNormal:
         logs = np.array(self.mean) + n_deviations * self.deviations
         return np.asarray(np.exp(logs) - self.offsets)
 
-    @property
+    @cached_property
     def factor(self) -> FloatArray:
         """A matrix F with F F^T the covariance, its columns in descending importance, (n, n)."""
         n = len(self.names)
         values, vectors = np.linalg.eigh(np.array(self.covariance).reshape(n, n))
-        return np.asarray((vectors * np.sqrt(np.maximum(values, 0.0)))[:, ::-1])
+        found: FloatArray = (vectors * np.sqrt(np.maximum(values, 0.0)))[:, ::-1].copy()
+        found.setflags(write=False)  # every caller has this one
+        return found
 
     def ratios(self, standard: FloatArray) -> FloatArray:
         """Return numbers relative to nominal from standard normal ones, both (n_rows, n)."""

@@ -19,7 +19,7 @@ and neither Z nor its inverse is differentiated; central differences of f come i
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import torch
 from torch import Tensor
@@ -89,30 +89,76 @@ class Equations:
         found: Tensor = torch.linalg.lu_solve(*factors, seen, adjoint=True).mH
         return found
 
-    def measured(self, motion: Tensor, adjoint: Tensor | None = None) -> Tensor:
-        """Return f, or H without an `adjoint`: (n_vehicles, n_inputs, n_sensors, n_freq).
-
-        `motion` is X_0 of `solved`, `adjoint` A_0.
-        """
-        seen: Tensor = self.places[:, None]
-        if adjoint is not None:
-            # the few sensors come first: their rows are shorter than those of the coordinates
-            pulled = _product(adjoint, self.pulls.mT)
-            loads = _product(pulled * self.kappa[:, self.element].mT[:, :, None], self.stretches)
-            moving = loads[..., : self.n] - adjoint * self.inertia.mT[:, :, None]
-            seen = seen - torch.cat([moving, loads[..., self.n :]], dim=3)
-        else:
-            seen = seen.to(motion.dtype)
-        found = seen[..., : self.n] @ motion + seen[..., self.n :] @ self.inputs
-        found = found.permute(0, 3, 2, 1)
+    def measured(self, motion: Tensor) -> Tensor:
+        """Return H of the motion X, (n_vehicles, n_inputs, n_sensors, n_freq)."""
+        found = self._seen(motion).permute(0, 3, 2, 1)
         return found if self.gains is None else found * self.gains[:, None]
 
+    def _seen(self, motion: Tensor) -> Tensor:
+        """Return H without the sensors' gains, (n_vehicles, n_freq, n_sensors, n_inputs)."""
+        places = self.places[:, None].to(motion.dtype)
+        return places[..., : self.n] @ motion + places[..., self.n :] @ self.inputs
 
-def _product(rows: Tensor, matrix: Tensor) -> Tensor:
-    """Return complex rows (n_vehicles, n_freq, n_sensors, m) times a real (n_vehicles, m, n)."""
-    flat = rows.flatten(1, 2)
-    found = torch.complex(flat.real @ matrix, flat.imag @ matrix)
-    return found.reshape(len(found), *rows.shape[1:3], matrix.shape[-1])
+    def moved(self, changes: Equations, motion: Tensor, adjoint: Tensor) -> Tensor:
+        """Return the derivatives of H of one vehicle, its X and A_0 given.
+
+        `changes` are the derivatives of its equations, one in each row; the result has the shape
+        (n_rows, n_inputs, n_sensors, n_freq).
+        """
+        n, whole = self.n, torch.cat([motion, self.inputs], dim=2)[0]
+        seen = adjoint[0]  # (n_freq, n_sensors, n)
+        kappa = self.kappa[0, self.element].T  # (n_freq, n_stretches)
+        stretched = self.stretches[0].to(whole.dtype) @ whole
+        pulled = seen @ self.pulls[0].T.to(seen.dtype)
+        n_freq, n_sensors, n_inputs = len(kappa), seen.shape[1], whole.shape[2]
+        # what each element and each mass does to each sensor for each input
+        squares = (pulled.mT[..., None] * stretched[:, :, None]).flatten(2)
+        elements = squares.new_zeros(n_freq, self.kappa.shape[1], squares.shape[2])
+        elements = elements.index_add(1, self.element, squares)
+        inertia = (seen.mT[..., None] * motion[0][:, :, None]).flatten(2)
+        stiffness = torch.cat([changes.kappa, -changes.inertia.to(whole.dtype)], dim=1)
+        found = stiffness.permute(2, 0, 1) @ torch.cat([elements, inertia], dim=1)
+        # few factors of the coordinates depend on a number: only those are taken
+        k, i = _changing(changes.pulls)
+        weights = seen[:, :, i, None] * (kappa[..., None] * stretched)[:, None, k]
+        factors = changes.pulls[:, k, i]
+        k, i = _changing(changes.stretches)
+        loads = (pulled * kappa[:, None])[:, :, k, None] * whole[:, None, i]
+        factors = torch.cat([factors, changes.stretches[:, k, i]], dim=1)
+        weights = torch.cat([weights, loads], dim=2).transpose(1, 2).flatten(2)
+        found = -(found + factors.to(whole.dtype) @ weights)
+        found = found.unflatten(2, (n_sensors, n_inputs)).transpose(0, 1)
+        rows = _moving(changes.places)
+        found[rows] += changes.places[rows, None].to(whole.dtype) @ whole
+        rows = _moving(changes.inputs)
+        below = self.places[0, :, n:] - (pulled * kappa[:, None]) @ self.stretches[0, :, n:].to(
+            whole.dtype
+        )
+        found[rows] += below @ changes.inputs[rows]
+        slopes: Tensor = found.permute(0, 3, 2, 1)
+        if self.gains is not None and changes.gains is not None:
+            without = self._seen(motion).permute(0, 3, 2, 1)
+            slopes = slopes * self.gains[:, None] + without * changes.gains[:, None]
+        return slopes
+
+    def minus(self, other: Equations, size: float) -> Equations:
+        """Return the difference of two equations over a size."""
+        found = {
+            one.name: (getattr(self, one.name) - getattr(other, one.name)) / size
+            for one in fields(self)
+            if one.name != "element" and getattr(self, one.name) is not None
+        }
+        return replace(self, **found)
+
+
+def _changing(factors: Tensor) -> tuple[Tensor, ...]:
+    """Return the places of (n_rows, n_stretches, n) at which a row is not 0."""
+    return (factors != 0).any(dim=0).nonzero(as_tuple=True)
+
+
+def _moving(values: Tensor) -> Tensor:
+    """Return the numbers of the rows that are not 0."""
+    return (values != 0).flatten(1).any(dim=1).nonzero()[:, 0]
 
 
 def equations(
@@ -250,29 +296,25 @@ def derivatives(
     sensors: Sequence[str],
     columns: Tensor,
     omega: Tensor,
-    steps: Tensor,
+    sizes: Tensor,
 ) -> tuple[Tensor, Tensor]:
-    """Return H and its derivatives along steps of the columns.
+    """Return H of one vehicle and its derivatives with respect to its columns.
 
-    `steps` (n_directions, n_vehicles, n_columns); the derivatives have the shape (n_vehicles,
-    n_directions, n_inputs, n_sensors, n_freq).
+    `columns` (n_columns,); `sizes` (n_columns,) are the units in which each is changed, and those
+    of 0 are left out of the derivatives (n_derivatives, n_inputs, n_sensors, n_freq).
     """
-    found, slopes = [], []
-    for i, row in enumerate(columns):
-        system = equations(layout, numbers(row[None]), sensors, omega)
-        motion, factors = system.solved()
-        adjoint = system.adjoint(factors)
-        found.append(system.measured(motion))
-        # the largest array has a number for each stretch, sensor and frequency
-        n_rows = MOST_NUMBERS // (system.pulls.shape[1] * len(sensors) * len(omega))
-        own = []
-        for some in steps[:, i].split(max(1, n_rows // 2)):
-            both = torch.cat([row + STEP * some, row - STEP * some])
-            moved = equations(layout, numbers(both), sensors, omega).measured(motion, adjoint)
-            up, down = moved.chunk(2)
-            own.append((up - down) / (2 * STEP))
-        slopes.append(torch.cat(own))
-    return torch.cat(found), torch.stack(slopes)
+    system = equations(layout, numbers(columns[None]), sensors, omega)
+    motion, factors = system.solved()
+    adjoint = system.adjoint(factors)
+    slopes = []
+    n_rows = MOST_NUMBERS // (system.kappa.shape[1] * len(omega))
+    for some in torch.diag(sizes)[sizes != 0].split(max(1, n_rows // 2)):
+        up, down = (
+            equations(layout, numbers(columns + step * some), sensors, omega)
+            for step in (STEP, -STEP)
+        )
+        slopes.append(system.moved(up.minus(down, 2 * STEP), motion, adjoint))
+    return system.measured(motion)[0], torch.cat(slopes)
 
 
 def _n_at_once(layout: Layout, omega: Tensor) -> int:

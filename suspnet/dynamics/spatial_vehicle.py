@@ -172,8 +172,16 @@ class SpatialVehicle(VehicleFamily):
                 f"`directions` must have shape (n_directions, {len(self.columns)}), got "
                 f"{tuple(along.shape)}"
             )
-        steps = along[:, None] * (rows + self.offsets.to(rows))
-        return derivatives(self._layout, self._in_si, self._places, rows, omega, steps)
+        used = (along != 0).any(dim=0)
+        channels, slopes = [], []
+        for row in rows:
+            sizes = torch.where(used, row + self.offsets.to(rows), 0.0)
+            found, by_column = derivatives(
+                self._layout, self._in_si, self._places, row, omega, sizes
+            )
+            channels.append(found)
+            slopes.append(torch.tensordot(along[:, sizes != 0].to(found), by_column, 1))
+        return torch.stack(channels), torch.stack(slopes)
 
     def motion_system(self, ratios: Tensor | ArrayLike) -> LinearSystem:
         """Return the equations of motion of one vehicle, its ratios (13,), (14,) or all columns.
