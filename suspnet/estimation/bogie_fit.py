@@ -72,8 +72,9 @@ N_OWN = len(COMPONENTS)
 class BogieTrip:
     """Spectral matrix of a trip at one speed, its sensors in the order of the vehicle's.
 
-    `frequencies_hz` (n_freq,) are bins that are independent of each other; `lost` are those of the
-    vehicle's sensors that the trip has not.
+    `frequencies_hz` (n_freq,) are bins that are independent of each other, `left_out` (n_freq,)
+    says which of them hold other signals, None: none; `lost` are those of the vehicle's sensors
+    that the trip has not.
     """
 
     frequencies_hz: Tensor
@@ -81,6 +82,11 @@ class BogieTrip:
     speed_m_per_s: float
     direction: Direction = FORWARD
     lost: tuple[str, ...] = ()
+    left_out: Tensor | None = None
+
+    def of(self, bins: Tensor) -> Tensor:
+        """Return the numbers of those bins that are not left out."""
+        return bins if self.left_out is None else bins[~self.left_out[bins]]
 
 
 @dataclass(frozen=True)
@@ -348,10 +354,14 @@ class _Fit:
         found = []
         for i, (trip, noise) in enumerate(zip(self.trips, self.noises, strict=True)):
             start = noise if noise.ndim == 1 else _smallest(trip.spectra)
-            responses = self._responses(x, i, self.all_bins)
-            alone = self._of(trip).channels_alone(self._rows(x, i), self.frequencies_hz)[0]
+            bins = trip.of(self.all_bins)
+            responses = self._responses(x, i, bins)
+            alone = self._of(trip).channels_alone(self._rows(x, i), self.frequencies_hz[bins])[0]
             alone = alone[:, :, self.sensors_of(trip)]
-            found.append(trip_noise(trip.spectra, responses, alone, start))
+            one = trip_noise(trip.spectra.at(bins), responses, alone, start)
+            # bins that are left out have any noise
+            matrix = torch.diag(one.densities).to(one.matrix).repeat(len(self.all_bins), 1, 1)
+            found.append(replace(one, matrix=matrix.index_copy(0, bins, one.matrix)))
         return found
 
     def with_noise_at(self, x: FloatArray) -> _Fit:
@@ -361,10 +371,10 @@ class _Fit:
     @property
     def n_residuals(self) -> float:
         """Number of independent residuals of all trips."""
-        one = self._misfits(0.0, self.all_bins)[0]
-        n_sensors = one.spectra.values.shape[-1]
-        n_points = 2 * len(self.frequencies_hz) * n_sensors * one.n_inputs
-        return len(self.trips) * n_points * one.expected
+        misfits = self._misfits(0.0, self.all_bins)
+        shapes = [one.spectra.values.shape for one in misfits]
+        n_points = sum(2 * n_bins * n * len(self._inputs) for n_bins, n, _ in shapes)
+        return n_points * misfits[0].expected
 
     def covariance(self, x: FloatArray, excess: float) -> FloatArray:
         """Return the posterior covariance of all coordinates, residuals `excess` times as large.
@@ -381,8 +391,8 @@ class _Fit:
     def _misfits(self, spread: float, bins: Tensor) -> list[SubspaceMisfit]:
         return [
             SubspaceMisfit(
-                trip.spectra.at(bins),
-                noise if noise.ndim == 1 else noise[bins],
+                trip.spectra.at(trip.of(bins)),
+                noise if noise.ndim == 1 else noise[trip.of(bins)],
                 len(self._inputs),
                 spread,
             )
@@ -409,9 +419,10 @@ class _Fit:
         return self.generator.with_uncertain(parts, torch.as_tensor(numbers))
 
     def _responses(self, x: FloatArray, i: int, bins: Tensor) -> Tensor:
-        there = self._of(self.trips[i])
-        every = there.channels(self._rows(x, i), self.frequencies_hz[bins])[0, self._inputs]
-        return every[:, self.sensors_of(self.trips[i])]
+        trip = self.trips[i]
+        bins_hz = self.frequencies_hz[trip.of(bins)]
+        every = self._of(trip).channels(self._rows(x, i), bins_hz)[0, self._inputs]
+        return every[:, self.sensors_of(trip)]
 
     @cached_property
     def _directions(self) -> Tensor:
@@ -439,7 +450,7 @@ class _Fit:
         n, n_own, found = self.n_numbers, self._n_own, []
         for i, (trip, misfit) in enumerate(zip(self.trips, misfits, strict=True)):
             responses, changes = self._of(trip).channels_along(
-                self._rows(x, i), self.frequencies_hz[bins], self._directions
+                self._rows(x, i), self.frequencies_hz[trip.of(bins)], self._directions
             )
             inputs, sensors = self._inputs, self.sensors_of(trip)
             seen = responses[0, inputs][:, sensors], changes[0][:, inputs][:, :, sensors]

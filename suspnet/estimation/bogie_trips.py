@@ -24,6 +24,7 @@ from suspnet.recordings.recording import Recording
 from suspnet.spectra.segments import NoEstimateError, segment_speeds, sensor_segments, without_loud
 from suspnet.spectra.subspace import SpectralMatrix
 from suspnet.spectra.welch import Welch
+from suspnet.spectra.wheel_lines import line_bins, wheel_lines
 
 SEGMENT_S = 120.0
 """Length of a segment. The leakage of a Hann window of 20 s leaves a misfit of 4 to 7, of 60 s 1.4
@@ -43,7 +44,7 @@ def bogie_trip(
     """Return the spectral matrix of a recording's largest stretch at one speed.
 
     If sensors of the generator's are missing or dead, it is that of the others (`lost` of the
-    result).
+    result). Bins with lines of out-of-round wheels of axle 1 are left out.
 
     Parameters
     ----------
@@ -82,12 +83,14 @@ def bogie_trip(
     bins = _bins(segments.frequencies_hz)
     matrix = SpectralMatrix.of(segments, chosen).at(bins)
     matrix = SpectralMatrix(matrix.values[:, order][:, :, order], matrix.n_averages)
+    frequencies_hz, lines = segments.frequencies_hz[bins], wheel_lines(recording)
     return BogieTrip(
-        segments.frequencies_hz[bins],
+        frequencies_hz,
         matrix,
         float(speeds[chosen].mean()),
         direction or recording.manifest.direction or FORWARD,
         lost,
+        line_bins(lines, speeds[chosen], frequencies_hz, SEGMENT_S) if lines else None,
     )
 
 

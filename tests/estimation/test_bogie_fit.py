@@ -87,6 +87,32 @@ def without(one, lost):
     return replace(one, spectra=replace(one.spectra, values=values), lost=tuple(lost))
 
 
+def test_bins_that_are_left_out_have_no_effect(commissioned):
+    clean = trip(drawn(VEHICLE, row({"c_p_axle2_right": 0.6}), 9), 70.0)
+    left_out = torch.zeros(len(BINS), dtype=torch.bool)
+    left_out[[3, 7]] = True
+    values = clean.spectra.values.clone()
+    values[left_out, 0, 0] *= 10  # a line that one axle box alone feels
+    disturbed = replace(clean, spectra=replace(clean.spectra, values=values))
+    expected = commissioned.estimate(replace(clean, left_out=left_out))
+    found = commissioned.estimate(replace(disturbed, left_out=left_out))
+    np.testing.assert_array_equal(found.values, expected.values)
+    np.testing.assert_array_equal(found.covariance, expected.covariance)
+    assert commissioned.estimate(disturbed).misfit > 1.3 * found.misfit
+    # the bins that remain are all that the estimate rests on
+    widened = expected.deviations / commissioned.estimate(clean).deviations
+    assert 1 <= widened[:-1].max() < 2
+
+
+def test_healthy_trips_may_differ_in_the_bins_that_are_left_out(commissioned):
+    trips = [trip(drawn(VEHICLE, row({}, m), i), 70.0) for i, m in enumerate(MASSES)]
+    left_out = torch.arange(len(BINS)) == 5
+    trips[1].spectra.values[left_out, 0, 0] *= 100
+    found = commission_bogie(VEHICLE, [trips[0], replace(trips[1], left_out=left_out), trips[2]])
+    assert found.misfit == pytest.approx(commissioned.misfit, rel=0.05)
+    assert commission_bogie(VEHICLE, trips).misfit > 1.2 * found.misfit
+
+
 @pytest.mark.parametrize("are_healthy", [True, False])
 @pytest.mark.parametrize("lost", [(), ("axle_box_axle1_left", "body_right")])
 def test_derivatives_are_those_of_differences(are_healthy, lost):

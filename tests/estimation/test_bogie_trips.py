@@ -11,6 +11,7 @@ from rich_trips import SENSORS
 from vehicles import AM96
 
 from suspnet.dynamics import SpatialVehicle, VerticalVehicle
+from suspnet.estimation import bogie_trips
 from suspnet.estimation.bogie_fit import commission_bogie
 from suspnet.estimation.bogie_trips import (
     SPACING_HZ,
@@ -34,6 +35,7 @@ from suspnet.simulation import Fleet
 from suspnet.spectra.segments import NoEstimateError, recording_segments
 from suspnet.spectra.sensor_health import sensor_health
 from suspnet.spectra.welch import Welch
+from suspnet.spectra.wheel_lines import WheelLine
 
 PARTS = (
     "bushings",
@@ -72,6 +74,18 @@ def test_bins_averages_and_speed_are_those_of_the_recording(short):
     assert trip.spectra.values.shape == (len(trip.frequencies_hz), 6, 6)
     assert trip.spectra.n_averages == pytest.approx(10, abs=1.5)
     assert trip.speed_m_per_s == pytest.approx(70.0, abs=0.5)
+
+
+def test_bins_with_lines_of_wheels_are_left_out(short, monkeypatch):
+    assert bogie_trip(short, VEHICLE).left_out is None
+    line = WheelLine("axle_box left", 1, 10.0 / 70.0, 0.9, 0.1, 0.4, 70.0, 1e4)
+    monkeypatch.setattr(bogie_trips, "wheel_lines", lambda recording: (line,))
+    trip = bogie_trip(short, VEHICLE)
+    held = trip.frequencies_hz[trip.left_out]
+    assert len(held) < 10
+    assert float((held - 10.0).abs().max()) < 0.5
+    kept = trip.frequencies_hz[trip.of(torch.arange(len(trip.frequencies_hz)))]
+    assert float((kept - 10.0).abs().min()) > 0.02
 
 
 def test_sensors_come_in_the_order_of_the_vehicle(short):
