@@ -30,8 +30,9 @@ from notified import (
 )
 
 from suspnet.ground.parameters import Severity
-from suspnet.history import History
-from suspnet.history.outbox import LEASE_S, MOST_ATTEMPTS
+from suspnet.history import History, outbox
+from suspnet.history.outbox import LEASE_S
+from suspnet.live import notifier as notifier_module
 from suspnet.live.channels import DeliveryError
 from suspnet.live.notification_rules import read_rules
 from suspnet.live.notifier import Notifier
@@ -131,7 +132,10 @@ def test_alarms_cleared_before_a_recipient_was_known_are_not_sent(told):
     assert [states(one) for one in got] == [[("c_s", "new")]]
 
 
-def test_a_failed_message_is_tried_again_later_and_given_up_in_the_end(told, caplog):
+def test_a_failed_message_is_tried_again_later_and_given_up_in_the_end(told, caplog, monkeypatch):
+    most = 4
+    for module in (outbox, notifier_module):
+        monkeypatch.setattr(module, "MOST_ATTEMPTS", most)
     store, notifier, clock, got = told
     channel = notifier._rules.channels["hook"]
     channel.n_failures = 2
@@ -145,12 +149,12 @@ def test_a_failed_message_is_tried_again_later_and_given_up_in_the_end(told, cap
     assert notifier.once() == (1, 0)
     channel.n_failures = 1000
     store.keep_alarms(VEHICLE, SECOND, [replace(NOTICE, severity=Severity.ACT)])
-    for _ in range(MOST_ATTEMPTS + 5):
+    for _ in range(most + 2):
         notifier._look()
         clock.now += timedelta(hours=6)
         notifier.once()
     lost = [row for row in store.outbox().unsent() if row["kind"] == "alarms"]
-    assert [row["attempts"] for row in lost] == [MOST_ATTEMPTS]
+    assert [row["attempts"] for row in lost] == [most]
     assert "given up" in caplog.text
     channel.n_failures = 0
     store.outbox().retry()
@@ -168,6 +172,19 @@ def test_a_claimed_message_belongs_to_one_program_until_its_lease_is_over(told):
     clock.now += timedelta(seconds=LEASE_S + 1)
     again = store.outbox().claim(clock.now)
     assert again == claimed
+
+
+def test_several_notifiers_at_the_same_time_send_each_message_once(told):
+    store, notifier, clock, got = told
+    clock.now += timedelta(hours=4)
+    others = [Notifier(store, notifier._rules, clock) for _ in range(4)]
+    threads = [threading.Thread(target=one.once) for one in others]
+    for one in threads:
+        one.start()
+    for one in threads:
+        one.join()
+    assert sorted(one.kind for one in got) == ["alarms", "digest"]
+    assert store.outbox().unsent() == []
 
 
 def webhook_rules(path, url):
@@ -198,7 +215,7 @@ def test_a_webhook_is_signed_as_standard_webhooks_says_and_secrets_stay_secret(t
     assert KEY not in (tmp_path / "a.db").read_bytes().decode(errors="replace")
 
 
-@pytest.mark.parametrize("moment", ["before", "after"])
+@pytest.mark.parametrize("moment", [pytest.param("before", marks=pytest.mark.slow), "after"])
 def test_a_program_killed_while_it_posts_loses_nothing(tmp_path, moment):
     """Killed before the server accepts, the message comes later; after it, once more, same id."""
     from forked import run_apart
