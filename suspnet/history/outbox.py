@@ -207,28 +207,49 @@ class _Fleet:
         }
 
 
+Of = tuple[int, str, str]
+"""Suspension, parameter and cause: what a recipient is told of once."""
+
+
 def _queue(
     connection: Connection, one: Recipient, fleet: _Fleet, now: datetime, zone: tzinfo | None
 ) -> int:
     """Queue the messages of a recipient that are due, and note what they contain."""
-    rows = connection.execute(sql.select(told).where(told.c.recipient == one.name)).mappings()
-    known = {
-        (row["suspension_id"], row["parameter"], row["cause"]): _Told(
-            row["severity"], row["at_km"], bool(row["is_open"])
-        )
-        for row in rows
-    }
     start, local = _digest(one.name, START), now.astimezone(zone)
     is_first = not _has(connection, start)
     if is_first:
-        _insert(connection, start, one.name, "", "", START, {}, now, is_sent=True)
-    day = _digest(one.name, "digest", local.date().isoformat())
-    has_digest = one.digest is not None and local.time() >= one.digest
-    targets = [(channel, to, _digest(day, channel, to)) for channel, to in one.targets]
-    is_due = has_digest and not any(_has(connection, number) for *_, number in targets)
+        _insert(connection, start, one.name, ("", ""), START, {}, now, is_sent=True)
+    today = local.date().isoformat()
+    of_today = {to: _digest(_digest(one.name, "digest", today), *to) for to in one.targets}
+    is_due = one.digest is not None and local.time() >= one.digest
+    is_due = is_due and not any(_has(connection, number) for number in of_today.values())
+    urgent, listed = _chosen(connection, one, fleet, is_first, is_due)
+    n_queued = 0
+    if urgent:
+        about = _digest(one.name, "alarms", *sorted(entry["event"] for entry in urgent))
+        for to in one.targets:
+            number = _digest(about, *to)
+            if not _has(connection, number):
+                _insert(connection, number, one.name, to, "alarms", {"alarms": urgent}, now)
+                n_queued += 1
+    if is_due:
+        listed.sort(key=lambda entry: (entry["end_km"] is not None, entry["severity"] != "act"))
+        n_own = sum(one.is_about(key) for key in fleet.ids)
+        content = {"day": today, "alarms": listed, "n_suspensions": n_own}
+        for to, number in of_today.items():
+            _insert(connection, number, one.name, to, "digest", content, now)
+            n_queued += 1
+    return n_queued
+
+
+def _chosen(
+    connection: Connection, one: Recipient, fleet: _Fleet, is_first: bool, is_due: bool
+) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
+    """Return the alarms to send at once and those of a digest, and note them as told."""
+    known = _known(connection, one.name)
     urgent: list[dict[str, Any]] = []
     listed: list[dict[str, Any]] = []
-    notes: dict[tuple[int, str, str], _Told] = {}
+    notes: dict[Of, _Told] = {}
     for key, alarms in fleet.alarms.items():
         if not one.is_about(key) or key not in fleet.ids:
             continue
@@ -245,50 +266,42 @@ def _queue(
             entry = fleet.entry(key, alarm, state) if is_urgent or is_listed else {}
             urgent += [entry] * is_urgent
             listed += [entry] * is_listed
+            # a known alarm is noted up to the newest trip: a late trip may move its start
             if is_urgent or is_listed or is_past or (state == "known" and alarm.is_open):
-                found = notes.get(of, before)
                 severity = int(alarm.severity)
-                if state == "known" and found:  # a notice that was act stays told as act
-                    severity = max(severity, found.severity)
+                if state == "known" and before:  # one that was told as act stays told as act
+                    severity = max(severity, before.severity)
                 notes[of] = _Told(severity, fleet.up_to_km(key, alarm), alarm.is_open)
-    changed = {of: one for of, one in notes.items() if known.get(of) != one}
+    changed = {of: note for of, note in notes.items() if known.get(of) != note}
+    _note(connection, one.name, changed)
+    return urgent, listed
+
+
+def _known(connection: Connection, recipient: str) -> dict[Of, _Told]:
+    rows = connection.execute(sql.select(told).where(told.c.recipient == recipient)).mappings()
+    return {
+        (row["suspension_id"], row["parameter"], row["cause"]): _Told(
+            row["severity"], row["at_km"], bool(row["is_open"])
+        )
+        for row in rows
+    }
+
+
+def _note(connection: Connection, recipient: str, notes: dict[Of, _Told]) -> None:
     names = ("suspension_id", "parameter", "cause")
-    upsert(
-        connection,
-        told,
-        [
-            {"recipient": one.name, **dict(zip(names, of, strict=True)), **asdict(note)}
-            | {"is_open": int(note.is_open)}
-            for of, note in changed.items()
-        ],
-    )
-    n_queued = 0
-    if urgent:
-        about = _digest(one.name, "alarms", *sorted(entry["event"] for entry in urgent))
-        for channel, to in one.targets:
-            number = _digest(about, channel, to)
-            if not _has(connection, number):
-                _insert(
-                    connection, number, one.name, channel, to, "alarms", {"alarms": urgent}, now
-                )
-                n_queued += 1
-    if is_due:
-        listed.sort(key=lambda entry: (entry["end_km"] is not None, entry["severity"] != "act"))
-        n_own = sum(one.is_about(key) for key in fleet.ids)
-        day_words = local.date().isoformat()
-        content = {"day": day_words, "alarms": listed, "n_suspensions": n_own}
-        for channel, to, number in targets:
-            _insert(connection, number, one.name, channel, to, "digest", content, now)
-            n_queued += 1
-    return n_queued
+    rows = [
+        {"recipient": recipient, **dict(zip(names, of, strict=True)), **asdict(note)}
+        | {"is_open": int(note.is_open)}
+        for of, note in notes.items()
+    ]
+    upsert(connection, told, rows)
 
 
 def _insert(
     connection: Connection,
     number: str,
     recipient: str,
-    channel: str,
-    address: str,
+    target: tuple[str, str],
     kind: str,
     content: dict[str, Any],
     now: datetime,
@@ -299,8 +312,8 @@ def _insert(
     row = {
         "id": number,
         "recipient": recipient,
-        "channel": channel,
-        "address": address,
+        "channel": target[0],
+        "address": target[1],
         "kind": kind,
         "content": json.dumps(whole),
         "created_s": now.timestamp(),
