@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from argparse import Namespace
 from collections.abc import Callable
 from dataclasses import asdict
@@ -18,6 +19,7 @@ from suspnet.ground.records import PLACE, Place, TripResult, outputs_of
 from suspnet.ground.storage import write_table
 from suspnet.ground.wording import thousands
 from suspnet.history import History, HistoryError
+from suspnet.history.backup import back_up, restore
 from suspnet.history.database import check_exists
 from suspnet.history.store import acknowledge_alarms
 from suspnet.maintenance.alarms import Acknowledgement, Alarm, newest_of
@@ -30,6 +32,14 @@ def history(arguments: Namespace) -> None:
     HistoryError if the store is missing or cannot be used, ValueError if an event or an
     acknowledgement is not valid.
     """
+    if arguments.does == "restore":
+        size = restore(arguments.file, arguments.store)
+        print(f"{thousands(size)} bytes of {arguments.file} -> {arguments.store}")
+        return
+    if arguments.does == "backup":
+        size = back_up(arguments.store, arguments.file, replace=arguments.replace)
+        print(f"{thousands(size)} bytes -> {arguments.file}")
+        return
     check_exists(arguments.store)
     with History(arguments.store) as store:
         print(COMMANDS[arguments.does](store, arguments))
@@ -126,6 +136,27 @@ def _export(store: History, arguments: Namespace) -> str:
     return f"{', '.join(counts[:-1])} and {counts[-1]} -> {arguments.folder}"
 
 
+def _notify(store: History, arguments: Namespace) -> str:
+    """Send what is new once, or until a signal ends the program."""
+    from suspnet.live.notification_rules import read_rules  # with what the channels need
+    from suspnet.live.notifier import Notifier
+
+    notifier = Notifier(store, read_rules(arguments.rules))
+    if arguments.retry:
+        store.outbox().retry()
+    if arguments.follow:
+        logging.basicConfig(level=logging.INFO, format="%(message)s")
+        notifier.run()
+    n_sent, n_failed = notifier.once()
+    lines = [f"{n_sent} sent, {n_failed} failed"]
+    for row in store.outbox().unsent():
+        error = f": {row['error']}" if row["error"] else ""
+        lines.append(f"not sent: {row['kind']} to {row['recipient']} by {row['channel']}{error}")
+    if n_failed:
+        raise HistoryError("; ".join(lines))
+    return "\n".join(lines)
+
+
 def _plain(entry: Event | Alarm | Acknowledgement) -> dict[str, Any]:
     """Return an entry of the store as a row of a table, with its severity's name."""
     row = asdict(entry)
@@ -142,5 +173,6 @@ COMMANDS: dict[str, Callable[[History, Namespace], str]] = {
     "alarms": _alarms,
     "acknowledge": _acknowledge,
     "export": _export,
+    "notify": _notify,
 }
 """Function of each command."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from contextlib import closing
+from contextlib import closing, nullcontext
 from pathlib import Path
 
 from omegaconf import DictConfig
@@ -14,6 +14,8 @@ from suspnet.estimation.checkpoint import load_model
 from suspnet.history import History
 from suspnet.live.journal import Journal
 from suspnet.live.monitor import Monitor
+from suspnet.live.notification_rules import read_rules
+from suspnet.live.notifier import Notifier
 from suspnet.live.results import Results
 from suspnet.live.suspension import read_suspensions
 
@@ -34,16 +36,20 @@ def main(config: DictConfig) -> None:
     live = build(config, "live")
     suspensions = read_suspensions(Path(config.suspensions), models, settings, live)
     source = build(config, "source")
+    rules = None if config.notify is None else read_rules(Path(config.notify))
     events = None if config.tensorboard is None else Path(config.tensorboard)
     with (
         History(config.store) as store,
         Journal(Path(config.journal)) as journal,
         closing(source),
         closing(Results(store, settings, source.publish, events)) as results,
+        nullcontext() if rules is None else closing(Notifier(store, rules)) as notifier,
     ):
         monitor = Monitor(suspensions, source, journal, results.report, live.idle_s)
         n_frames = monitor.resume()
         log.info("%d suspensions; %d frames from %s", len(suspensions), n_frames, config.journal)
+        if notifier is not None:
+            notifier.start()
         try:
             monitor.run()
         finally:

@@ -8,6 +8,7 @@ from __future__ import annotations
 from argparse import ArgumentParser, RawDescriptionHelpFormatter
 from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import Any
 
 from suspnet.ground.parameters import PARAMETERS, Cause
 from suspnet.ground.records import EVENT_KINDS, PLACE_FROM_TRAIN
@@ -46,6 +47,9 @@ HISTORY_EPILOG = """\
   suspnet-history fleet.db acknowledge --vehicle am96 --suspension "car 7, left" \\
       --parameter k_p --by "Kim Li" --words "spring ordered"
   suspnet-history fleet.db export tables
+  suspnet-history fleet.db notify notify.yaml --follow
+  suspnet-history fleet.db backup /backups/fleet.db
+  suspnet-history fleet.db restore /backups/fleet.db
 
 STORE is a file, or postgresql://user:password@host/database."""
 
@@ -135,7 +139,9 @@ def history_parser() -> ArgumentParser:
     found = _parser("suspnet-history", HISTORY_DESCRIPTION, HISTORY_EPILOG)
     found.add_argument("store", metavar="STORE", help="the store [path or URL]")
     does = found.add_subparsers(
-        dest="does", required=True, metavar="list | event | alarms | acknowledge | export"
+        dest="does",
+        required=True,
+        metavar="list | event | alarms | acknowledge | export | notify | backup | restore",
     )
     does.add_parser("list", help="each suspension with its trips and maintenance")
     event = does.add_parser(
@@ -171,7 +177,28 @@ def history_parser() -> ArgumentParser:
     export.add_argument(
         "folder", type=Path, metavar="DIR", help="a new folder, or that of an earlier export [path]"
     )
+    _add_operation(does)
     return found
+
+
+def _add_operation(does: Any) -> None:
+    notify = does.add_parser("notify", help="send new alarms and digests to people and systems")
+    notify.add_argument(
+        "rules", type=Path, metavar="FILE", help="who is told what [path of a YAML file]"
+    )
+    notify.add_argument(
+        "--follow", action="store_true", help="go on until Ctrl-C instead of once [switch]"
+    )
+    notify.add_argument(
+        "--retry", action="store_true", help="first make messages due that were given up [switch]"
+    )
+    backup = does.add_parser("backup", help="copy the store while programs use it")
+    backup.add_argument("file", type=Path, metavar="FILE", help="the copy [path]")
+    backup.add_argument(
+        "--replace", action="store_true", help="replace an earlier backup of this name [switch]"
+    )
+    restore = does.add_parser("restore", help="copy a backup to STORE, where no file may be")
+    restore.add_argument("file", type=Path, metavar="FILE", help="the backup [path]")
 
 
 def _add_suspension(command: ArgumentParser) -> None:

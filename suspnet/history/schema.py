@@ -53,7 +53,7 @@ _LOGGED: set[str] = set()
 """Bad rows that this process has logged: a program that polls a store reads them often."""
 KINDS: dict[type, Any] = {sql.String: str, sql.Double: (int, float), sql.Integer: int}
 """Python types of values by column type; SQLite itself accepts any value in any column."""
-SCHEMA, OLDEST = 7, 3
+SCHEMA, OLDEST = 8, 3
 """Version of the tables, and the oldest that is brought to it; a store of any other is refused."""
 
 metadata = MetaData()
@@ -133,6 +133,37 @@ acknowledgements = Table(
     Column("severity", Integer, nullable=False),
     Column("words", String, nullable=False),
 )
+
+outbox = Table(
+    "outbox",
+    metadata,
+    Column("id", String, primary_key=True),
+    Column("recipient", String, nullable=False),
+    Column("channel", String, nullable=False),
+    Column("address", String, nullable=False),
+    Column("kind", String, nullable=False),
+    Column("content", String, nullable=False),
+    Column("created_s", Double, nullable=False),
+    Column("due_s", Double, nullable=False),
+    Column("leased_s", Double, nullable=False),
+    Column("attempts", Integer, nullable=False),
+    Column("sent_s", Double),
+    Column("error", String, nullable=False),
+)
+"""Messages to people and systems, waiting or sent; times are seconds since 1970, UTC."""
+
+told = Table(
+    "told",
+    metadata,
+    Column("recipient", String, primary_key=True),
+    Column("suspension_id", ForeignKey("suspensions.id", ondelete="CASCADE"), primary_key=True),
+    Column("parameter", String, primary_key=True),
+    Column("cause", String, primary_key=True),
+    Column("severity", Integer, nullable=False),
+    Column("at_km", Double, nullable=False),
+    Column("is_open", Integer, nullable=False),
+)
+"""The last alarm of each parameter and cause that is in a message to a recipient, up to `at_km`."""
 
 
 @dataclass(frozen=True)

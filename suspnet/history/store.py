@@ -26,6 +26,7 @@ from suspnet.history.database import (
     upsert,
     version_of,
 )
+from suspnet.history.outbox import Outbox
 from suspnet.history.schema import SCHEMA, BadRow, log_once, row_of, trips, undated_key
 from suspnet.history.suspensions import (
     Stored,
@@ -109,6 +110,10 @@ class History:
     def close(self) -> None:
         """Close all connections to the file or server."""
         self._engine.dispose()
+
+    def outbox(self) -> Outbox:
+        """Return the messages about alarms, waiting and sent."""
+        return Outbox(self._reading, self._writing)
 
     def check(self) -> None:
         """Raise HistoryError if an SQLite file is damaged; a server is not checked."""

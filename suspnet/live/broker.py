@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 
 from suspnet.ground.settings import check_settings, setting
+from suspnet.ground.storage import read_plain
 
 if TYPE_CHECKING:
     from paho.mqtt.client import Client
@@ -24,6 +25,8 @@ HOST = re.compile(r"[\w.:%-]+")
 OUR_VARIABLE = re.compile(r"SUSPNET_[A-Z0-9_]+", re.ASCII)
 """Environment variables that may hold a password: a configuration names one, and must not be able
 to send the content of any other variable to a broker."""
+MOST_SECRET_BYTES = 4096
+"""Largest size of a file with a password or key, [bytes]."""
 MOST_PREFIX = 200
 """Largest number of characters of the topic prefix."""
 KEEPALIVE_S = 30
@@ -125,13 +128,7 @@ class Broker:
         )
         client.reconnect_delay_set(*BACKOFF_S)
         if self.user is not None:
-            password = os.environ.get(self.password_env)
-            if password is None:
-                raise ValueError(
-                    f"`user` is {self.user!r}, so the environment must hold the password: "
-                    f"export {self.password_env}=..."
-                )
-            client.username_pw_set(self.user, password)
+            client.username_pw_set(self.user, secret(self.password_env, f"user {self.user!r}"))
         if self.tls:
             for file in filter(None, (self.ca_file, self.cert_file, self.key_file)):
                 if not Path(file).is_file():  # opening a FIFO would block
@@ -144,6 +141,28 @@ class Broker:
             ", with TLS" if self.tls else "",
         )
         return client
+
+
+def secret(variable: str, owner: str) -> str:
+    """Return a password or key: the environment variable's value, or the content of a file.
+
+    The variable with ``_FILE`` after its name holds the path of that file. ValueError, which names
+    the `owner` of the secret, is raised if there is neither or the name is not allowed.
+    """
+    if not isinstance(variable, str) or not OUR_VARIABLE.fullmatch(variable):
+        raise ValueError(
+            "a secret is in an environment variable whose name starts with SUSPNET_, "
+            f"got {variable!r}"
+        )
+    found, file = os.environ.get(variable), os.environ.get(f"{variable}_FILE")
+    if found is None and file:
+        found = read_plain(Path(file), MOST_SECRET_BYTES).decode().rstrip("\r\n")
+    if not found:
+        raise ValueError(
+            f"{owner} needs a secret, so the environment must hold it: export {variable}=... or "
+            f"{variable}_FILE=PATH"
+        )
+    return found
 
 
 def paho() -> Any:

@@ -27,6 +27,7 @@ from suspnet import __version__
 from suspnet.history import HistoryError
 from suspnet.report.board import Refresher, clock
 from suspnet.report.templates import FILTERS, GLOBALS, packaged
+from suspnet.web.health import health
 from suspnet.web.pages import REFRESHER, WITH_PLOTS, pages
 
 PACKAGES = ("suspnet.web",)
@@ -72,6 +73,7 @@ def create_app(refresher: Refresher, hosts: Sequence[str] = (), ask_every_s: flo
     app.extensions[REFRESHER] = refresher
     app.register_blueprint(pages)
     app.register_blueprint(assets)
+    app.register_blueprint(health)
     app.register_error_handler(CSRFError, _form_error)
     app.register_error_handler(HistoryError, _store_error)
     app.register_error_handler(HTTPException, _http_error)

@@ -4,6 +4,7 @@ import json
 
 import pytest
 from cli_runner import typed
+from notified import KEY, receiving, rules_file
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 from trip_fixtures import changed, model_at, small_fleet
 
@@ -37,13 +38,21 @@ def monitored(folder, run, fleet, *more):
     )
 
 
-def test_replay_and_monitor_fill_the_history_and_tensorboard(tmp_path, run, fleet):
+def test_replay_and_monitor_fill_the_history_and_tensorboard(tmp_path, run, fleet, monkeypatch):
+    monkeypatch.setenv("SUSPNET_WEBHOOK_SECRET", KEY)
     sent = typed(
         replay, f"trips={fleet}", "sink=folder", "sink.folder=incoming", "frame_s=10", cwd=tmp_path
     )
     assert sent.returncode == 0, sent.stderr
-    ended = monitored(tmp_path, run, fleet, "tensorboard=events")
+    with receiving() as (url, messages):
+        rules = rules_file(
+            tmp_path / "notify.json",
+            {"hook": {"kind": "webhook", "url": url}},
+            {"all": {"channels": ["hook"], "digest": "00:00"}},
+        )
+        ended = monitored(tmp_path, run, fleet, "tensorboard=events", f"notify={rules}")
     assert ended.returncode == 0, ended.stderr
+    assert json.loads(messages[0][1])["kind"] == "digest"
     rows = [json.loads(line) for line in ended.stdout.splitlines()]
     estimates = [row for row in rows if row["kind"] == "estimates"]
     assert [row["mileage_km"] for row in estimates] == [1000.0, 2000.0]

@@ -32,6 +32,7 @@ NEW_COLUMNS = {
     4: ["sensors"],
     5: ["direction"],
     6: ["worn", *(values.format(part) for values in VALUES.values() for part in BOGIE_PARTS)],
+    7: [],
 }
 """Columns of trips that a store of this version lacks and the next one has."""
 SEEN = Acknowledgement("k_p", Cause.CHANGE, Severity.NOTICE, 4e4, "Kim", "2026-11-22T13:00:00Z")

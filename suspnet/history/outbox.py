@@ -1,0 +1,343 @@
+"""Messages about alarms, queued in the store before they are sent: an outbox.
+
+What is new to a recipient follows from the stored alarms and from the table `told`, so no program
+that raises alarms has to be running when they are sent, and none can lose one. `look` queues
+messages and notes their alarms in one transaction. A message is claimed for ``LEASE_S`` while it is
+sent and marked once the server has accepted it: it is sent at least once. It is sent again only if
+the program ends between acceptance and mark; it then has the same id.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable, Collection, Iterable
+from contextlib import AbstractContextManager
+from dataclasses import asdict, dataclass
+from datetime import UTC, datetime, time, tzinfo
+from fnmatch import fnmatchcase
+from typing import Any
+
+import sqlalchemy as sql
+from sqlalchemy.engine import Connection
+
+from suspnet.ground.parameters import Severity
+from suspnet.ground.records import Key
+from suspnet.history.database import upsert
+from suspnet.history.schema import BadRow, or_null, outbox, told, trips
+from suspnet.history.suspensions import known_suspensions, read_stored
+from suspnet.maintenance.alarms import Acknowledgement, Alarm, newest_of
+
+LEASE_S = 300.0
+"""Time for which a message that is being sent belongs to one program, [s]; longer than sending it
+may take. After a kill it is sent again when this is over."""
+FIRST_WAIT_S, LONGEST_WAIT_S = 60.0, 6 * 3600.0
+"""Time until a failed message is tried again, [s]: it doubles with each failure up to a limit."""
+MOST_ATTEMPTS = 20
+"""Number of failures, in about three days, after which a message is not tried again."""
+KEPT_S = 90 * 86400.0
+"""Time for which a sent message stays in the store, [s]."""
+LOCK = 0x73757371
+"""Number of PostgreSQL's advisory lock under which messages are queued."""
+START = "start"
+"""Kind of the row that says since when a recipient is known; it is not sent."""
+
+
+@dataclass(frozen=True)
+class Recipient:
+    """Who is told what.
+
+    `targets` are pairs of channel and address. Open alarms of a severity `at_once` are sent at the
+    next look; the digest of a day, from the local time `digest` on (None: no digest), lists those
+    of `severities`. `vehicles` and `suspensions` are patterns, as of file names, of which one must
+    match the vehicle's name and the suspension's place.
+    """
+
+    name: str
+    targets: tuple[tuple[str, str], ...]
+    at_once: frozenset[Severity] = frozenset({Severity.ACT})
+    severities: frozenset[Severity] = frozenset({Severity.NOTICE, Severity.ACT})
+    digest: time | None = time(6)
+    vehicles: tuple[str, ...] = ("*",)
+    suspensions: tuple[str, ...] = ("*",)
+
+    def is_about(self, key: Key) -> bool:
+        """Return whether a suspension is one of this recipient's."""
+        texts = (key[0], self.vehicles), (str(key[1]), self.suspensions)
+        return all(any(fnmatchcase(text, one) for one in several) for text, several in texts)
+
+
+@dataclass(frozen=True)
+class Message:
+    """A claimed message; `content` is JSON-able."""
+
+    id: str
+    recipient: str
+    channel: str
+    address: str
+    kind: str
+    content: dict[str, Any]
+    attempts: int
+
+
+@dataclass(frozen=True)
+class _Told:
+    severity: int
+    at_km: float
+    is_open: bool
+
+    def state(self, alarm: Alarm) -> str:
+        """Return what an alarm is to somebody who was told so much: new, worse, known or old."""
+        if alarm.begin_km > self.at_km:
+            return "new"
+        if alarm.end_km < self.at_km:
+            return "old"
+        if alarm.severity > self.severity:
+            return "worse"
+        return "cleared" if self.is_open and not alarm.is_open else "known"
+
+
+class Outbox:
+    """Messages of a store; `reading` and `writing` start a transaction of it."""
+
+    def __init__(
+        self,
+        reading: Callable[[], AbstractContextManager[Connection]],
+        writing: Callable[[], AbstractContextManager[Connection]],
+    ) -> None:
+        self._reading, self._writing = reading, writing
+
+    def look(self, recipients: Iterable[Recipient], now: datetime, zone: tzinfo | None) -> int:
+        """Queue messages about what is new to each recipient, and return their number.
+
+        `now` has a zone; digests are due by the clock of `zone` (None: this computer's). Alarms
+        that were cleared before a recipient was first named are never sent to it.
+        """
+        with self._writing() as connection:
+            if connection.dialect.name == "postgresql":
+                connection.execute(sql.select(sql.func.pg_advisory_xact_lock(LOCK)))
+            fleet = _Fleet(connection)
+            old = outbox.c.sent_s < now.timestamp() - KEPT_S
+            connection.execute(outbox.delete().where(old, outbox.c.kind != START))
+            return sum(_queue(connection, one, fleet, now, zone) for one in recipients)
+
+    def claim(self, now: datetime, without: Collection[str] = ()) -> Message | None:
+        """Return the message that is due longest and claim it for ``LEASE_S``; None if none is.
+
+        Channels of `without` are left out.
+        """
+        now_s = now.timestamp()
+        chosen = (
+            sql.select(outbox)
+            .where(_waiting(), outbox.c.due_s <= now_s, outbox.c.leased_s <= now_s)
+            .where(outbox.c.channel.not_in(list(without)))
+            .order_by(outbox.c.due_s, outbox.c.created_s, outbox.c.id)
+            .limit(1)
+            .with_for_update(skip_locked=True)
+        )
+        with self._writing() as connection:
+            row = connection.execute(chosen).mappings().first()
+            if row is None:
+                return None
+            _update(connection, row["id"], leased_s=now_s + LEASE_S)
+        names = ("id", "recipient", "channel", "address", "kind", "attempts")
+        return Message(content=json.loads(row["content"]), **{name: row[name] for name in names})
+
+    def mark_sent(self, message: Message, now: datetime) -> None:
+        """Store that a server has accepted a message."""
+        with self._writing() as connection:
+            _update(connection, message.id, sent_s=now.timestamp(), error="")
+
+    def mark_failed(self, message: Message, error: str, now: datetime) -> None:
+        """Store why a message was not accepted, and when it is tried again."""
+        wait_s = min(FIRST_WAIT_S * 2**message.attempts, LONGEST_WAIT_S)
+        values = {"due_s": now.timestamp() + wait_s, "leased_s": 0.0, "error": error}
+        with self._writing() as connection:
+            _update(connection, message.id, attempts=message.attempts + 1, **values)
+
+    def unsent(self) -> list[dict[str, Any]]:
+        """Return the messages that no server has accepted yet, as rows, the oldest first."""
+        chosen = sql.select(outbox).where(outbox.c.sent_s.is_(None)).order_by(outbox.c.created_s)
+        with self._reading() as connection:
+            return [dict(row) for row in connection.execute(chosen).mappings()]
+
+    def retry(self) -> int:
+        """Make all messages due that are not sent, also those given up; return their number."""
+        with self._writing() as connection:
+            again = outbox.update().where(outbox.c.sent_s.is_(None))
+            return connection.execute(again.values(attempts=0, due_s=0.0)).rowcount
+
+
+class _Fleet:
+    """Alarms of all suspensions with what messages say about them, as of one transaction."""
+
+    def __init__(self, connection: Connection) -> None:
+        bad: list[BadRow] = []
+        self.ids = {key: one for one, (key, _) in known_suspensions(connection, bad=bad).items()}
+        self.alarms = read_stored(connection, Alarm, bad)
+        self.seen = read_stored(connection, Acknowledgement, bad)
+        newest = sql.select(trips.c.suspension_id, sql.func.max(trips.c.mileage_km))
+        rows = connection.execute(newest.group_by(trips.c.suspension_id))
+        self.newest_km = {row[0]: row[1] for row in rows}
+
+    def up_to_km(self, key: Key, alarm: Alarm) -> float:
+        """Return the mileage up to which an alarm is known."""
+        if not alarm.is_open:
+            return alarm.end_km
+        newest = self.newest_km.get(self.ids[key])
+        return alarm.begin_km if newest is None else max(newest, alarm.begin_km)
+
+    def entry(self, key: Key, alarm: Alarm, state: str) -> dict[str, Any]:
+        """Return an alarm as messages contain it."""
+        by = newest_of(alarm, self.seen.get(key, []))
+        names = {"vehicle": key[0], **asdict(key[1])}
+        what = {"parameter": alarm.parameter, "cause": str(alarm.cause)}
+        event = [*names.values(), *what.values(), int(alarm.severity), alarm.begin_km]
+        return {
+            "event": _digest(*event),
+            "state": state,
+            **names,
+            "place": str(key[1]),
+            **what,
+            "severity": str(alarm.severity),
+            "begin_km": alarm.begin_km,
+            "end_km": or_null(alarm.end_km),
+            "reason": alarm.words,
+            "acknowledged_by": by.by if by else "",
+        }
+
+
+Of = tuple[int, str, str]
+"""Suspension, parameter and cause: what a recipient is told of once."""
+
+
+def _queue(
+    connection: Connection, one: Recipient, fleet: _Fleet, now: datetime, zone: tzinfo | None
+) -> int:
+    """Queue the messages of a recipient that are due, and note what they contain."""
+    start, local = _digest(one.name, START), now.astimezone(zone)
+    is_first = not _has(connection, start)
+    if is_first:
+        _insert(connection, start, one.name, ("", ""), START, {}, now, is_sent=True)
+    today = local.date().isoformat()
+    of_today = {to: _digest(_digest(one.name, "digest", today), *to) for to in one.targets}
+    is_due = one.digest is not None and local.time() >= one.digest
+    is_due = is_due and not any(_has(connection, number) for number in of_today.values())
+    urgent, listed = _chosen(connection, one, fleet, is_first, is_due)
+    n_queued = 0
+    if urgent:
+        about = _digest(one.name, "alarms", *sorted(entry["event"] for entry in urgent))
+        for to in one.targets:
+            number = _digest(about, *to)
+            if not _has(connection, number):
+                _insert(connection, number, one.name, to, "alarms", {"alarms": urgent}, now)
+                n_queued += 1
+    if is_due:
+        listed.sort(key=lambda entry: (entry["end_km"] is not None, entry["severity"] != "act"))
+        n_own = sum(one.is_about(key) for key in fleet.ids)
+        content = {"day": today, "alarms": listed, "n_suspensions": n_own}
+        for to, number in of_today.items():
+            _insert(connection, number, one.name, to, "digest", content, now)
+            n_queued += 1
+    return n_queued
+
+
+def _chosen(
+    connection: Connection, one: Recipient, fleet: _Fleet, is_first: bool, is_due: bool
+) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
+    """Return the alarms to send at once and those of a digest, and note them as told."""
+    known = _known(connection, one.name)
+    urgent: list[dict[str, Any]] = []
+    listed: list[dict[str, Any]] = []
+    notes: dict[Of, _Told] = {}
+    for key, alarms in fleet.alarms.items():
+        if not one.is_about(key) or key not in fleet.ids:
+            continue
+        for alarm in alarms:
+            of = fleet.ids[key], alarm.parameter, str(alarm.cause)
+            before = known.get(of)
+            state = before.state(alarm) if before else "new"
+            is_news = state in ("new", "worse")
+            is_urgent = alarm.is_open and is_news and alarm.severity in one.at_once
+            # cleared before the recipient was known: no news to it
+            is_past = is_first and not alarm.is_open
+            is_listed = alarm.is_open or (state not in ("old", "known") and not is_past)
+            is_listed &= is_due and alarm.severity in one.severities | one.at_once
+            entry = fleet.entry(key, alarm, state) if is_urgent or is_listed else {}
+            urgent += [entry] * is_urgent
+            listed += [entry] * is_listed
+            # a known alarm is noted up to the newest trip: a late trip may move its start
+            if is_urgent or is_listed or is_past or (state == "known" and alarm.is_open):
+                severity = int(alarm.severity)
+                if state == "known" and before:  # one that was told as act stays told as act
+                    severity = max(severity, before.severity)
+                notes[of] = _Told(severity, fleet.up_to_km(key, alarm), alarm.is_open)
+    changed = {of: note for of, note in notes.items() if known.get(of) != note}
+    _note(connection, one.name, changed)
+    return urgent, listed
+
+
+def _known(connection: Connection, recipient: str) -> dict[Of, _Told]:
+    rows = connection.execute(sql.select(told).where(told.c.recipient == recipient)).mappings()
+    return {
+        (row["suspension_id"], row["parameter"], row["cause"]): _Told(
+            row["severity"], row["at_km"], bool(row["is_open"])
+        )
+        for row in rows
+    }
+
+
+def _note(connection: Connection, recipient: str, notes: dict[Of, _Told]) -> None:
+    names = ("suspension_id", "parameter", "cause")
+    rows = [
+        {"recipient": recipient, **dict(zip(names, of, strict=True)), **asdict(note)}
+        | {"is_open": int(note.is_open)}
+        for of, note in notes.items()
+    ]
+    upsert(connection, told, rows)
+
+
+def _insert(
+    connection: Connection,
+    number: str,
+    recipient: str,
+    target: tuple[str, str],
+    kind: str,
+    content: dict[str, Any],
+    now: datetime,
+    is_sent: bool = False,
+) -> None:
+    created = now.astimezone(UTC).isoformat(timespec="seconds")
+    whole = {"id": number, "kind": kind, "recipient": recipient, "created": created} | content
+    row = {
+        "id": number,
+        "recipient": recipient,
+        "channel": target[0],
+        "address": target[1],
+        "kind": kind,
+        "content": json.dumps(whole),
+        "created_s": now.timestamp(),
+        "due_s": now.timestamp(),
+        "leased_s": 0.0,
+        "attempts": 0,
+        "sent_s": now.timestamp() if is_sent else None,
+        "error": "",
+    }
+    connection.execute(outbox.insert().values(row))
+
+
+def _waiting() -> sql.ColumnElement[bool]:
+    return sql.and_(outbox.c.sent_s.is_(None), outbox.c.attempts < MOST_ATTEMPTS)
+
+
+def _has(connection: Connection, number: str) -> bool:
+    chosen = sql.select(outbox.c.id).where(outbox.c.id == number)
+    return connection.execute(chosen).first() is not None
+
+
+def _update(connection: Connection, number: str, **values: Any) -> None:
+    connection.execute(outbox.update().where(outbox.c.id == number).values(**values))
+
+
+def _digest(*parts: Any) -> str:
+    return hashlib.sha256(json.dumps(parts).encode()).hexdigest()[:32]

@@ -1,0 +1,226 @@
+"""Channels of messages about alarms: a webhook, e-mail, an MQTT broker.
+
+`send` returns once the server has accepted a message and raises DeliveryError otherwise; its text
+contains no secret and no path of a URL, which may be one.
+"""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import hmac
+import json
+import queue
+import re
+import smtplib
+import ssl
+import time
+from dataclasses import dataclass
+from email.message import EmailMessage
+from email.utils import formatdate
+from typing import Any, Literal, Protocol
+from urllib.parse import urlsplit
+
+from suspnet.ground.settings import check_settings, setting
+from suspnet.history.outbox import Message
+from suspnet.live.broker import KEEPALIVE_S, Broker, secret
+from suspnet.report.messages import subject, text
+
+TIMEOUT_S = 20.0
+"""Longest wait for each answer of a server, [s]."""
+ADDRESS = re.compile(r"[^@\s<>,;:\"()\[\]\\]+@[A-Za-z0-9.-]+")
+"""An e-mail address without a name."""
+
+
+class DeliveryError(Exception):
+    """A server did not accept a message."""
+
+
+class Channel(Protocol):
+    """Interface of a channel."""
+
+    def check(self, addresses: tuple[str, ...]) -> None:
+        """Raise ValueError or OSError if a secret, a package or an address is missing or wrong."""
+
+    def send(self, message: Message) -> None:
+        """Return once the message is accepted; DeliveryError if it is not."""
+
+
+@dataclass(frozen=True)
+class Webhook:
+    """POST of JSON, signed as Standard Webhooks says: HMAC-SHA256 of id, time and body."""
+
+    url: str = setting("", "Address that messages are posted to", rule="https:// or http://")
+    secret_env: str = setting(
+        "SUSPNET_WEBHOOK_SECRET",
+        "Environment variable with the key of the signature",
+        rule="name that starts with SUSPNET_",
+    )
+
+    def __post_init__(self) -> None:
+        check_settings(self)
+        parts = urlsplit(self.url)
+        if parts.scheme not in ("http", "https") or not parts.hostname or parts.username:
+            raise ValueError("`url` must be https://HOST/... without a user or a password")
+
+    def check(self, addresses: tuple[str, ...]) -> None:
+        """Raise ValueError without urllib3 or a key of at least 16 bytes."""
+        _urllib3()
+        self._key()
+        if addresses:
+            raise ValueError("`to` is for channels of the kind email")
+
+    def send(self, message: Message) -> None:
+        """Post a message; a redirection is not followed."""
+        urllib3 = _urllib3()
+        body = json.dumps(message.content).encode()
+        stamp = str(int(time.time()))
+        signed = b".".join([message.id.encode(), stamp.encode(), body])
+        mac = base64.b64encode(hmac.digest(self._key(), signed, hashlib.sha256)).decode()
+        headers = {
+            "Content-Type": "application/json",
+            "User-Agent": "suspnet",
+            "webhook-id": message.id,
+            "webhook-timestamp": stamp,
+            "webhook-signature": f"v1,{mac}",
+        }
+        options = {"redirect": False, "retries": False, "timeout": TIMEOUT_S}
+        where = urlsplit(self.url).hostname
+        try:
+            with urllib3.PoolManager() as pool:
+                answer = pool.request("POST", self.url, body=body, headers=headers, **options)
+        except (urllib3.exceptions.HTTPError, OSError) as error:
+            raise DeliveryError(f"{where}: {type(error).__name__}") from None
+        if not 200 <= answer.status < 300:
+            raise DeliveryError(f"{where}: HTTP status {answer.status}")
+
+    def _key(self) -> bytes:
+        try:
+            key = base64.b64decode(
+                secret(self.secret_env, "a webhook").removeprefix("whsec_"), validate=True
+            )
+        except ValueError as error:
+            if "secret" in str(error):
+                raise
+            key = b""
+        if len(key) < 16:
+            raise ValueError(
+                f"{self.secret_env} must be the base64 of 24 to 64 random bytes, as of: "
+                "openssl rand -base64 32"
+            )
+        return key
+
+
+@dataclass(frozen=True)
+class Email:
+    """A mail to each address, through an SMTP server."""
+
+    host: str = setting("", "Name of the SMTP server", rule="name")
+    port: int = setting(587, "Its port", low=1, high=65535)
+    security: Literal["starttls", "tls", "none"] = setting(
+        "starttls", "Encryption, with the server's certificate checked"
+    )
+    sender: str = setting("", "Address of the sender", rule="address")
+    user: str | None = setting(None, "User of the server; null is no login", rule="text")
+    password_env: str = setting(
+        "SUSPNET_SMTP_PASSWORD",
+        "Environment variable with the user's password",
+        rule="name that starts with SUSPNET_",
+    )
+
+    def __post_init__(self) -> None:
+        check_settings(self)
+        if not isinstance(self.host, str) or not re.fullmatch(r"[\w.:-]+", self.host):
+            raise ValueError(f"`host` must be the name of a server, got {self.host!r}")
+        if not isinstance(self.sender, str) or not ADDRESS.fullmatch(self.sender):
+            raise ValueError(f"`sender` must be an e-mail address, got {self.sender!r}")
+        if self.user is not None and self.security == "none":
+            raise ValueError("`security: none` would send the password of `user` unencrypted")
+
+    def check(self, addresses: tuple[str, ...]) -> None:
+        """Raise ValueError without an address or the password."""
+        if self.user is not None:
+            secret(self.password_env, f"user {self.user!r} of {self.host}")
+        wrong = [one for one in addresses if not ADDRESS.fullmatch(one)]
+        if wrong or not addresses:
+            raise ValueError(f"`to` must list e-mail addresses, got {wrong or 'none'}")
+
+    def send(self, message: Message) -> None:
+        """Send one mail to one address."""
+        mail = EmailMessage()
+        mail["From"], mail["To"] = self.sender, message.address
+        mail["Subject"] = subject(message.content)
+        mail["Date"] = formatdate()
+        mail["Message-ID"] = f"<{message.id}@{self.sender.rpartition('@')[2]}>"
+        mail["Auto-Submitted"] = "auto-generated"
+        mail.set_content(text(message.content))
+        context = ssl.create_default_context()
+        try:
+            with self._connected(context) as server:
+                if self.security == "starttls":
+                    server.starttls(context=context)
+                if self.user is not None:
+                    server.login(self.user, secret(self.password_env, "the mail server"))
+                server.send_message(mail)
+        except smtplib.SMTPResponseException as error:
+            raise DeliveryError(f"{self.host}: SMTP status {error.smtp_code}") from None
+        except smtplib.SMTPRecipientsRefused:
+            raise DeliveryError(f"{self.host}: the address is refused") from None
+        except (OSError, ValueError) as error:
+            raise DeliveryError(f"{self.host}: {type(error).__name__}") from None
+
+    def _connected(self, context: ssl.SSLContext) -> smtplib.SMTP:
+        if self.security == "tls":
+            return smtplib.SMTP_SSL(self.host, self.port, timeout=TIMEOUT_S, context=context)
+        return smtplib.SMTP(self.host, self.port, timeout=TIMEOUT_S)
+
+
+@dataclass(frozen=True)
+class MqttChannel:
+    """JSON on the topic PREFIX/notifications/RECIPIENT, with QoS 1, not retained."""
+
+    broker: Broker
+
+    def check(self, addresses: tuple[str, ...]) -> None:
+        """Raise ValueError or OSError without paho-mqtt, the password or a certificate."""
+        self.broker.client("")
+        if addresses:
+            raise ValueError("`to` is for channels of the kind email")
+
+    def send(self, message: Message) -> None:
+        """Publish a message, and wait until the broker acknowledges it."""
+        answers: queue.SimpleQueue[Any] = queue.SimpleQueue()
+        broker = self.broker
+        client = broker.client("")
+        client.on_connect = lambda _c, _u, _f, reason, _p: answers.put(reason)
+        client.on_publish = lambda _c, _u, _m, reason, _p: answers.put(reason)
+        body = json.dumps(message.content).encode()
+        try:
+            client.connect(str(broker.host), broker.port, KEEPALIVE_S)
+            client.loop_start()
+            _accepted(answers)
+            client.publish(broker.topic("notifications", message.recipient), body, qos=1)
+            _accepted(answers)
+        except queue.Empty:
+            raise DeliveryError(f"{broker.where}: no answer in {TIMEOUT_S:g} s") from None
+        except OSError as error:
+            raise DeliveryError(f"{broker.where}: {error.strerror or error}") from None
+        except DeliveryError as error:
+            raise DeliveryError(f"{broker.where}: {error}") from None
+        finally:
+            client.disconnect()
+            client.loop_stop()
+
+
+def _accepted(answers: queue.SimpleQueue[Any]) -> None:
+    reason = answers.get(timeout=TIMEOUT_S)
+    if reason.is_failure:
+        raise DeliveryError(str(reason))
+
+
+def _urllib3() -> Any:
+    try:
+        import urllib3
+    except ImportError as error:
+        raise ValueError('a webhook needs urllib3; run: pip install "suspnet[live]"') from error
+    return urllib3

@@ -1,0 +1,85 @@
+"""Health and metrics of the server, for programs that watch it."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from collections.abc import Iterable
+from typing import Any
+
+from flask import Blueprint, Response, abort, current_app
+
+from suspnet.history import History, HistoryError
+from suspnet.history.outbox import MOST_ATTEMPTS
+from suspnet.web.pages import REFRESHER
+
+health = Blueprint("health", __name__)
+WAIT_S = 0.5
+"""Longest wait for a store that another program has locked, [s]."""
+
+
+@health.get("/healthz")
+def healthz() -> tuple[dict[str, Any], int]:
+    """Return whether the pages follow the store: status 200, or 503 with the reason."""
+    refresher = current_app.extensions[REFRESHER]
+    fault = refresher.fault
+    read_at = refresher.read_at.isoformat(timespec="seconds")
+    content = {"status": "failing" if fault else "ok", "fault": fault, "read_at": read_at}
+    return content, 503 if fault else 200
+
+
+@health.get("/metrics")
+def metrics() -> Response:
+    """Return the state of fleet and store in the text format of Prometheus."""
+    try:
+        from prometheus_client import CollectorRegistry, generate_latest
+    except ImportError:
+        abort(501, 'Metrics need prometheus-client: pip install "suspnet[live]"')
+    registry = CollectorRegistry()
+    registry.register(_State())
+    return Response(generate_latest(registry), mimetype="text/plain; version=0.0.4")
+
+
+class _State:
+    """Collector of the numbers of one answer."""
+
+    def collect(self) -> Iterable[Any]:
+        from prometheus_client.core import GaugeMetricFamily
+
+        refresher = current_app.extensions[REFRESHER]
+        view = refresher.board.view
+        read_s = refresher.read_at.timestamp()
+        yield GaugeMetricFamily(
+            "suspnet_up", "Whether the pages follow the store", 0 if refresher.fault else 1
+        )
+        yield GaugeMetricFamily("suspnet_store_read_timestamp_seconds", "Last reading", read_s)
+        yield GaugeMetricFamily("suspnet_bad_rows", "Rows left out", len(view.bad_rows))
+        states = Counter(str(one.severity) for one in view.states)
+        yield _by("suspnet_suspensions", "Suspensions by severity", ["severity"], states)
+        alarms = Counter(
+            (str(alarm.severity), str(alarm.cause))
+            for one in view.states
+            for alarm in one.alarms
+            if alarm.is_open
+        )
+        yield _by("suspnet_active_alarms", "Active alarms", ["severity", "cause"], alarms)
+        try:
+            with History(refresher.board.store, wait_s=WAIT_S, must_exist=True) as store:
+                unsent = store.outbox().unsent()
+        except HistoryError:  # suspnet_up reports it
+            return
+        given_up = sum(row["attempts"] >= MOST_ATTEMPTS for row in unsent)
+        kinds = {"waiting": len(unsent) - given_up, "given_up": given_up}
+        yield _by("suspnet_unsent_messages", "Messages about alarms", ["state"], kinds)
+        oldest = max((time.time() - row["created_s"] for row in unsent), default=0.0)
+        yield GaugeMetricFamily("suspnet_oldest_unsent_seconds", "Age of the oldest one", oldest)
+
+
+def _by(name: str, words: str, labels: list[str], counts: Any) -> Any:
+    """Return a metric with a value for each label or tuple of labels."""
+    from prometheus_client.core import GaugeMetricFamily
+
+    found = GaugeMetricFamily(name, words, labels=labels)
+    for label, n in sorted(counts.items()):
+        found.add_metric([label] if isinstance(label, str) else list(label), n)
+    return found

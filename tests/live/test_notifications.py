@@ -1,0 +1,460 @@
+"""Alarms reach people: once by id, also after failures and kills; nothing is lost."""
+
+import json
+import logging
+import os
+import signal
+import smtplib
+import socket
+import threading
+import time
+from contextlib import contextmanager
+from dataclasses import replace
+from datetime import UTC, datetime, timedelta
+from email import message_from_bytes, policy
+
+import pytest
+from empty_stores import KINDS, empty_store
+from live_frames import Mosquitto, until
+from notified import (
+    ACT,
+    FIRST,
+    KEY,
+    NOTICE,
+    SECOND,
+    VEHICLE,
+    fill,
+    notify_forever,
+    receiving,
+    rules_file,
+)
+
+from suspnet.ground.parameters import Severity
+from suspnet.history import History, outbox
+from suspnet.history.outbox import LEASE_S
+from suspnet.live import notifier as notifier_module
+from suspnet.live.channels import DeliveryError
+from suspnet.live.notification_rules import read_rules
+from suspnet.live.notifier import Notifier
+
+NIGHT = datetime(2026, 3, 31, 3, tzinfo=UTC)
+
+
+@pytest.fixture(autouse=True)
+def _secrets(monkeypatch):
+    monkeypatch.setenv("SUSPNET_WEBHOOK_SECRET", KEY)
+
+
+class Clock:
+    def __init__(self):
+        self.now = NIGHT
+
+    def __call__(self):
+        return self.now
+
+
+class Recorder:
+    """A channel that keeps what it gets, and fails as often as it is asked to."""
+
+    def __init__(self):
+        self.got, self.n_failures = [], 0
+
+    def check(self, addresses):
+        pass
+
+    def send(self, message):
+        if self.n_failures:
+            self.n_failures -= 1
+            raise DeliveryError("the server is down")
+        self.got.append(message)
+
+
+@pytest.fixture(params=KINDS)
+def told(request, tmp_path):
+    """Store, notifier, its clock and the channel that records; digest at six o'clock UTC."""
+    place = fill(empty_store(request.param, tmp_path))
+    file = rules_file(
+        tmp_path / "notify.json",
+        {"hook": {"kind": "webhook", "url": "http://localhost:9/"}},
+        {"workshop": {"channels": ["hook"]}},
+    )
+    rules = replace(read_rules(file), zone=UTC, channels={"hook": Recorder()})
+    clock = Clock()
+    with History(place) as store:
+        yield store, Notifier(store, rules, clock), clock, rules.channels["hook"].got
+
+
+def states(message):
+    return [(one["parameter"], one["state"]) for one in message.content["alarms"]]
+
+
+def test_act_is_sent_at_once_and_a_notice_waits_for_the_digest(told):
+    _, notifier, clock, got = told
+    assert notifier.once() == (1, 0)
+    assert got[0].kind == "alarms"
+    assert states(got[0]) == [("k_p", "new")]
+    assert notifier.once() == (0, 0)
+    clock.now += timedelta(hours=4)
+    notifier._looked_s = -1e9
+    assert notifier.once() == (1, 0)
+    assert states(got[1]) == [("k_p", "known"), ("c_s", "new")]
+    assert len({one.id for one in got}) == 2
+
+
+def test_what_was_told_is_told_again_only_when_worse_cleared_or_raised_again(told):
+    store, notifier, clock, got = told
+    notifier.once()
+    # a late trip moves the start of an alarm: it is the same alarm
+    store.keep_alarms(VEHICLE, FIRST, [replace(ACT, begin_km=9e3)])
+    assert notifier.once() == (0, 0)
+    store.keep_alarms(VEHICLE, SECOND, [replace(NOTICE, severity=Severity.ACT)])
+    assert notifier.once() == (1, 0)
+    assert states(got[-1]) == [("c_s", "new")]
+    again = replace(ACT, begin_km=3e4)
+    store.keep_alarms(VEHICLE, FIRST, [replace(ACT, end_km=2e4), again])
+    assert notifier.once() == (1, 0)
+    assert got[-1].content["alarms"][0]["begin_km"] == 3e4
+    store.keep_alarms(VEHICLE, FIRST, [replace(ACT, end_km=2e4), replace(again, end_km=4e4)])
+    clock.now += timedelta(hours=4)
+    notifier.once()
+    assert ("k_p", "cleared") in states(got[-1])
+    clock.now += timedelta(days=1)
+    notifier._looked_s = -1e9
+    notifier.once()
+    assert states(got[-1]) == [("c_s", "known")]
+
+
+def test_alarms_cleared_before_a_recipient_was_known_are_not_sent(told):
+    store, notifier, clock, got = told
+    store.keep_alarms(VEHICLE, FIRST, [replace(ACT, end_km=2e4)])
+    clock.now += timedelta(hours=4)
+    notifier.once()
+    assert [states(one) for one in got] == [[("c_s", "new")]]
+
+
+def test_a_failed_message_is_tried_again_later_and_given_up_in_the_end(told, caplog, monkeypatch):
+    most = 4
+    for module in (outbox, notifier_module):
+        monkeypatch.setattr(module, "MOST_ATTEMPTS", most)
+    store, notifier, clock, got = told
+    channel = notifier._rules.channels["hook"]
+    channel.n_failures = 2
+    assert notifier.once() == (0, 1)
+    assert notifier.once() == (0, 0)  # not due yet
+    clock.now += timedelta(seconds=61)
+    assert notifier.once() == (0, 1)
+    clock.now += timedelta(seconds=61)
+    assert notifier.once() == (0, 0)  # the wait has doubled
+    clock.now += timedelta(seconds=61)
+    assert notifier.once() == (1, 0)
+    channel.n_failures = 1000
+    store.keep_alarms(VEHICLE, SECOND, [replace(NOTICE, severity=Severity.ACT)])
+    for _ in range(most + 2):
+        notifier._look()
+        clock.now += timedelta(hours=6)
+        notifier.once()
+    lost = [row for row in store.outbox().unsent() if row["kind"] == "alarms"]
+    assert [row["attempts"] for row in lost] == [most]
+    assert "given up" in caplog.text
+    channel.n_failures = 0
+    store.outbox().retry()
+    notifier.once()
+    assert store.outbox().unsent() == []
+    assert len({one.id for one in got}) == len(got)
+
+
+def test_a_claimed_message_belongs_to_one_program_until_its_lease_is_over(told):
+    store, notifier, clock, _ = told
+    notifier._look()
+    claimed = store.outbox().claim(clock.now)
+    assert store.outbox().claim(clock.now) is None
+    assert notifier.once() == (0, 0)
+    clock.now += timedelta(seconds=LEASE_S + 1)
+    again = store.outbox().claim(clock.now)
+    assert again == claimed
+
+
+def test_several_notifiers_at_the_same_time_send_each_message_once(told):
+    store, notifier, clock, got = told
+    clock.now += timedelta(hours=4)
+    others = [Notifier(store, notifier._rules, clock) for _ in range(4)]
+    threads = [threading.Thread(target=one.once) for one in others]
+    for one in threads:
+        one.start()
+    for one in threads:
+        one.join()
+    assert sorted(one.kind for one in got) == ["alarms", "digest"]
+    assert store.outbox().unsent() == []
+
+
+def webhook_rules(path, url):
+    hook = {"kind": "webhook", "url": url}
+    workshop = {"channels": ["hook"], "digest": None}
+    return rules_file(path / "notify.json", {"hook": hook}, {"workshop": workshop})
+
+
+def test_a_webhook_is_signed_as_standard_webhooks_says_and_secrets_stay_secret(tmp_path, caplog):
+    webhooks = pytest.importorskip("standardwebhooks.webhooks")
+    caplog.set_level(logging.DEBUG)
+    with receiving(lambda n: 500 if n == 1 else 204) as (url, got):
+        rules = read_rules(webhook_rules(tmp_path, url))
+        with History(fill(tmp_path / "a.db")) as store:
+            clock = Clock()
+            notifier = Notifier(store, rules, clock)
+            assert notifier.once() == (0, 1)
+            assert "HTTP status 500" in store.outbox().unsent()[0]["error"]
+            clock.now += timedelta(minutes=2)
+            assert notifier.once() == (1, 0)
+    first, second = [headers["webhook-id"] for headers, _ in got]
+    assert first == second
+    headers, body = got[1]
+    assert webhooks.Webhook(KEY).verify(body, headers)["id"] == second
+    with pytest.raises(webhooks.WebhookVerificationError):
+        webhooks.Webhook(KEY).verify(body.replace(b"act", b"act "), headers)
+    assert KEY not in caplog.text
+    assert KEY not in (tmp_path / "a.db").read_bytes().decode(errors="replace")
+
+
+@pytest.mark.parametrize("moment", [pytest.param("before", marks=pytest.mark.slow), "after"])
+def test_a_program_killed_while_it_posts_loses_nothing(tmp_path, moment):
+    """Killed before the server accepts, the message comes later; after it, once more, same id."""
+    from forked import run_apart
+
+    processes = []
+
+    def kill(n):
+        if n == 1 and moment == "before":
+            os.kill(processes[0].pid, signal.SIGKILL)
+        return 204
+
+    path = str(fill(tmp_path / "a.db"))
+    with receiving(kill) as (url, got):
+        rules = webhook_rules(tmp_path, url)
+        os.environ["SUSPNET_WEBHOOK_SECRET"] = KEY
+        with run_apart(_notify_apart, path, rules, KEY, moment == "after") as (process, *_):
+            processes.append(process)
+            process.join(30)
+            assert process.exitcode == -signal.SIGKILL
+        with History(path) as store:
+            assert len(store.outbox().unsent()) == 1
+            later = Clock()
+            later.now = datetime.now(UTC) + timedelta(seconds=LEASE_S)
+            assert Notifier(store, read_rules(rules), later).once() == (1, 0)
+            assert store.outbox().unsent() == []
+    assert len(got) == 2
+    assert len({headers["webhook-id"] for headers, _ in got}) == 1
+    assert got[0][1] == got[1][1]
+
+
+def _notify_apart(path, rules, key, dies_before_mark):
+    os.environ["SUSPNET_WEBHOOK_SECRET"] = key
+    from suspnet.history.outbox import Outbox
+
+    if dies_before_mark:
+        Outbox.mark_sent = lambda *_: os.kill(os.getpid(), signal.SIGKILL)
+    notify_forever(path, rules, LEASE_S)
+
+
+@pytest.mark.slow
+def test_killed_at_random_moments_every_event_arrives_and_repeats_have_one_id(tmp_path):
+    import random
+
+    from forked import run_apart
+
+    rng, path = random.Random(0), str(fill(tmp_path / "a.db"))
+    with receiving() as (url, got), History(path) as store:
+        rules = webhook_rules(tmp_path, url)
+        for i in range(20):
+            alarm = replace(ACT, begin_km=1e5 + 100 * i)
+            past = [
+                replace(ACT, begin_km=1e5 + 100 * k, end_km=1e5 + 100 * k + 50) for k in range(i)
+            ]
+            store.keep_alarms(VEHICLE, FIRST, [*past, alarm])
+            with run_apart(_notify_quick, path, rules, KEY) as (process, *_):
+                time.sleep(rng.uniform(0.3, 1.0))
+                process.kill()
+        with run_apart(_notify_quick, path, rules, KEY):
+            deadline = time.monotonic() + 30
+            while store.outbox().unsent() and time.monotonic() < deadline:
+                time.sleep(0.1)
+        assert store.outbox().unsent() == []
+        bodies = {headers["webhook-id"]: body for headers, body in got}
+        assert all(bodies[headers["webhook-id"]] == body for headers, body in got)
+        events = [one["event"] for body in bodies.values() for one in json.loads(body)["alarms"]]
+        assert len(events) == len(set(events))  # no event in two messages
+        kms = {one["begin_km"] for body in bodies.values() for one in json.loads(body)["alarms"]}
+        assert max(kms) == 1e5 + 1900
+
+
+def _notify_quick(path, rules, key):
+    os.environ["SUSPNET_WEBHOOK_SECRET"] = key
+    notify_forever(path, rules, 0.2)
+
+
+@contextmanager
+def mail_server(accept):
+    """Serve SMTP; `accept` returns the answer to the n-th mail. Yields its port and the mails."""
+    controller = pytest.importorskip("aiosmtpd.controller")
+    got = []
+
+    class Sink:
+        async def handle_DATA(self, server, session, envelope):  # noqa: N802 - aiosmtpd's name
+            got.append((envelope.rcpt_tos, envelope.content))
+            return accept(len(got))
+
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    server = controller.Controller(Sink(), hostname="127.0.0.1", port=port)
+    server.start()
+    try:
+        yield port, got
+    finally:
+        server.stop()
+
+
+def test_each_address_gets_its_mail_once_and_no_text_becomes_a_header(tmp_path):
+    with mail_server(lambda n: "451 later" if n == 1 else "250 OK") as (port, got):
+        mail = {"kind": "email", "host": "127.0.0.1", "port": port, "security": "none"}
+        people = {"kim": {"channels": ["m"], "to": ["kim@example.org", "li@example.org"]}}
+        file = rules_file(
+            tmp_path / "n.json", {"m": mail | {"sender": "suspnet@example.org"}}, people
+        )
+        clock = Clock()
+        with History(fill(tmp_path / "a.db")) as store:
+            notifier = Notifier(store, replace(read_rules(file), zone=UTC), clock)
+            assert notifier.once() == (0, 1)
+            clock.now += timedelta(minutes=2)
+            assert notifier.once() == (2, 0)
+            clock.now += timedelta(minutes=2)
+            assert notifier.once() == (0, 0)
+    mails = [(to, message_from_bytes(body, policy=policy.default)) for to, body in got]
+    assert sorted(to[0] for to, _ in mails[1:]) == ["kim@example.org", "li@example.org"]
+    ids = [mail["Message-ID"] for _, mail in mails]
+    assert len(set(ids)) == 2
+    assert all(mail["Bcc"] is None for _, mail in mails)
+    assert mails[1][1]["Subject"] == "suspnet: act: AM96 217: bogie 1, left: k_p"
+    assert "act: AM96 217: bogie 1, left: k_p (limit), since 10 000 km" in mails[1][1].get_content()
+
+
+def test_a_program_killed_while_the_mail_server_takes_a_mail_sends_it_again_with_its_id(tmp_path):
+    from forked import run_apart
+
+    processes, path = [], str(fill(tmp_path / "a.db"))
+
+    def accept(n):
+        if n == 1:
+            os.kill(processes[0].pid, signal.SIGKILL)
+        return "250 OK"
+
+    with mail_server(accept) as (port, got):
+        mail = {"kind": "email", "host": "127.0.0.1", "port": port, "security": "none"}
+        people = {"kim": {"channels": ["m"], "to": ["kim@example.org"], "digest": None}}
+        rules = rules_file(
+            tmp_path / "n.json", {"m": mail | {"sender": "suspnet@example.org"}}, people
+        )
+        with run_apart(_notify_apart, path, rules, KEY, False) as (process, *_):
+            processes.append(process)
+            process.join(30)
+            assert process.exitcode == -signal.SIGKILL
+        with History(path) as store:
+            later = Clock()
+            later.now = datetime.now(UTC) + timedelta(seconds=LEASE_S)
+            assert Notifier(store, read_rules(rules), later).once() == (1, 0)
+            assert store.outbox().unsent() == []
+    assert len({message_from_bytes(body)["Message-ID"] for _, body in got}) == 1
+    assert len(got) == 2
+
+
+def test_a_mail_server_that_is_away_is_one_line(tmp_path):
+    mail = {"kind": "email", "host": "127.0.0.1", "port": 1, "sender": "s@example.org"}
+    people = {"kim": {"channels": ["m"], "to": ["kim@example.org"]}}
+    rules = read_rules(rules_file(tmp_path / "n.json", {"m": mail}, people))
+    with History(fill(tmp_path / "a.db")) as store:
+        assert Notifier(store, rules).once() == (0, 1)
+        assert any("ConnectionRefusedError" in row["error"] for row in store.outbox().unsent())
+    assert smtplib.SMTP.debuglevel == 0  # it would print passwords
+
+
+WRONG = [
+    ({"h": {"kind": "smoke"}}, {"a": {"channels": ["h"]}}, "must be one of email, mqtt, webhook"),
+    ({"h": {"kind": "webhook", "url": "file:///etc/passwd"}}, {}, "must be https://HOST"),
+    ({"h": {"kind": "webhook", "url": "https://u:p@h/"}}, {}, "without a user"),
+    ({"h": {"kind": "webhook", "url": "https://h/", "key": 1}}, {}, "has no key 'key'"),
+    (
+        {"h": {"kind": "webhook", "url": "https://h/", "secret_env": "HOME"}},
+        {"a": {"channels": ["h"]}},
+        "starts with SUSPNET_",
+    ),
+    (
+        {"h": {"kind": "webhook", "url": "https://h/", "secret_env": "SUSPNET_NONE"}},
+        {"a": {"channels": ["h"]}},
+        "export SUSPNET_NONE=",
+    ),
+    ({}, {"a": {"channels": ["h"]}}, "'h' is not a channel; known: none"),
+    ({}, {}, "`recipients` must name somebody"),
+    (
+        {"m": {"kind": "email", "host": "h", "sender": "a@b", "user": "u", "security": "none"}},
+        {},
+        "unencrypted",
+    ),
+    (
+        {"m": {"kind": "email", "host": "h", "sender": "a@b"}},
+        {"a": {"channels": ["m"], "to": ["x\r\nBcc: y@z"]}},
+        "must list e-mail addresses",
+    ),
+]
+
+
+@pytest.mark.parametrize(("channels", "recipients", "words"), WRONG)
+def test_a_wrong_rule_is_one_line_with_its_file_and_place(tmp_path, channels, recipients, words):
+    file = rules_file(tmp_path / "n.json", channels, recipients)
+    with pytest.raises(ValueError, match=words) as caught:
+        read_rules(file)
+    assert str(caught.value).startswith(f"{file}: ")
+    assert "\n" not in str(caught.value)
+
+
+def test_a_secret_may_be_in_a_file_that_the_environment_names(tmp_path, monkeypatch):
+    monkeypatch.delenv("SUSPNET_WEBHOOK_SECRET")
+    (tmp_path / "key").write_text(f"{KEY}\n")
+    monkeypatch.setenv("SUSPNET_WEBHOOK_SECRET_FILE", str(tmp_path / "key"))
+    assert read_rules(webhook_rules(tmp_path, "https://h/")).channels["hook"]._key()
+
+
+def test_mqtt_messages_wait_for_a_killed_broker_and_arrive_once(tmp_path):
+    client_module = pytest.importorskip("paho.mqtt.client")
+    broker, got = Mosquitto(tmp_path).start(), []
+    reader = client_module.Client(client_module.CallbackAPIVersion.VERSION2, protocol=5)
+    reader.on_connect = lambda *_: reader.subscribe("suspnet/notifications/#", qos=1)
+    subscribed = threading.Event()
+    reader.on_subscribe = lambda *_: subscribed.set()
+    reader.on_message = lambda _c, _u, message: got.append((message.topic, message.payload))
+    reader.reconnect_delay_set(1, 1)
+    file = rules_file(
+        tmp_path / "n.json",
+        {"b": {"kind": "mqtt", "host": "127.0.0.1", "port": broker.port}},
+        {"night shift": {"channels": ["b"], "digest": None}},
+    )
+    clock = Clock()
+    try:
+        with History(fill(tmp_path / "a.db")) as store:
+            notifier = Notifier(store, read_rules(file), clock)
+            broker.end(signal.SIGKILL)
+            assert notifier.once() == (0, 1)
+            broker.start()
+            reader.connect("127.0.0.1", broker.port)
+            reader.loop_start()
+            assert subscribed.wait(10)
+            clock.now += timedelta(minutes=2)
+            assert notifier.once() == (1, 0)
+            assert until(lambda: got)
+            assert store.outbox().unsent() == []
+    finally:
+        reader.disconnect()
+        reader.loop_stop()
+        broker.end()
+    ((topic, payload),) = got
+    assert topic == "suspnet/notifications/night%20shift"
+    assert json.loads(payload)["alarms"][0]["severity"] == "act"
+    assert len(json.loads(payload)["id"]) == 32

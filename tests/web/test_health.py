@@ -1,0 +1,66 @@
+"""Programs that watch the server read its health and its metrics."""
+
+import os
+
+import pytest
+import served_fleet
+
+from suspnet.history import History
+from suspnet.report.board import Board, Refresher
+from suspnet.web.app import create_app
+
+
+@pytest.fixture
+def watched(tmp_path):
+    path = served_fleet.fill(tmp_path / "fleet.db")
+    refresher = Refresher(Board(str(path), served_fleet.SETTINGS), 0.05)
+    refresher.start()
+    yield path, refresher, create_app(refresher).test_client()
+    refresher.stop()
+
+
+def wait(condition):
+    import time
+
+    last = time.monotonic() + 20
+    while not condition() and time.monotonic() < last:
+        time.sleep(0.02)
+    assert condition()
+
+
+def test_health_follows_the_store(watched):
+    path, refresher, client = watched
+    wait(lambda: refresher.words.startswith("last read"))
+    answer = client.get("/healthz")
+    assert (answer.status_code, answer.json["status"]) == (200, "ok")
+    os.rename(path, f"{path}.away")
+    wait(lambda: client.get("/healthz").status_code == 503)
+    assert "fleet.db" in client.get("/healthz").json["fault"]
+    assert b"suspnet_up 0.0" in client.get("/metrics").data
+
+
+def test_metrics_count_suspensions_alarms_and_unsent_messages(watched):
+    parser = pytest.importorskip("prometheus_client.parser")
+    path, refresher, client = watched
+    wait(lambda: refresher.board.view.is_complete and len(refresher.board.view.states) == 4)
+    answer = client.get("/metrics")
+    assert answer.mimetype == "text/plain"
+    samples = {
+        (one.name, *sorted(one.labels.values())): one.value
+        for family in parser.text_string_to_metric_families(answer.text)
+        for one in family.samples
+    }
+    assert samples["suspnet_up",] == 1
+    by_severity = {key: n for key, n in samples.items() if key[0] == "suspnet_suspensions"}
+    assert sum(by_severity.values()) == 4
+    assert by_severity["suspnet_suspensions", "act"] >= 1
+    assert samples["suspnet_active_alarms", "act", "limit"] >= 1
+    assert samples["suspnet_unsent_messages", "waiting"] == 0
+    with History(path) as store:
+        assert store.outbox().unsent() == []
+
+
+def test_an_unknown_host_learns_nothing(watched):
+    client = watched[2]
+    for address in ("/healthz", "/metrics"):
+        assert client.get(address, headers={"Host": "evil.example.org"}).status_code == 400
