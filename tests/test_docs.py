@@ -39,9 +39,11 @@ PROGRAMS = {
     "python -m suspnet.simulate": "simulate",
     "python -m suspnet.serve": "serve",
     "python -m suspnet.replay": "replay",
-    "suspnet-replay": "replay",
-    "suspnet-monitor": "monitor",
-    "suspnet-serve": "serve",
+    **{
+        f"suspnet{sign}{name}": name
+        for name in ("train", "evaluate", "simulate", "replay", "monitor", "serve")
+        for sign in " -"
+    },
 }
 MOST_LINES = 120
 NEEDS_PLUGIN = "hydra/launcher", "hydra.launcher"
@@ -208,12 +210,12 @@ def test_every_command_of_other_programs_is_understood():
         line.split("#")[0].split()
         for page in PAGES
         for line in "\n".join(blocks(page)).splitlines()
-        if line.startswith(("suspnet-check ", "suspnet-init "))
+        if re.match("suspnet[ -](check|init|history) ", line)
     ]
     assert len(lines) >= 4
-    for program, *arguments in lines:
-        parser = PARSERS[program.removeprefix("suspnet-")]()
-        parser.parse_args(arguments)  # exits where it does not know one
+    for words in lines:
+        program, *arguments = " ".join(words).removeprefix("suspnet")[1:].split()
+        PARSERS[program]().parse_args(arguments)  # exits where it does not know one
 
 
 def test_scripts_of_the_benchmarks_import_what_there_is():

@@ -60,8 +60,8 @@ def main() -> None:
         _print(import_module("suspnet.cli.completion").script(rest[0]), end="")
     else:
         near = get_close_matches(first, [*PROGRAMS, COMPLETION], n=1)
-        meant = f"; did you mean {near[0]}?" if near else ""
-        sys.exit(f"error: there is no program {first!r}{meant} suspnet --help lists them")
+        meant = f"did you mean {near[0]}? " if near else ""
+        sys.exit(f"error: there is no program {first!r}: {meant}suspnet --help lists them")
 
 
 def _print(text: str, end: str = "\n") -> None:

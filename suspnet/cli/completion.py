@@ -17,6 +17,7 @@ import yaml
 from suspnet.cli.command import COMPLETION, MEANINGS, SHELLS
 from suspnet.cli.config_files import CONFIGS, TABLES
 from suspnet.cli.options import PARSERS
+from suspnet.trips.folder_manifests import SAYABLE
 
 HYDRA_OPTIONS = ("--help", "--cfg", "--config-dir", "--multirun")
 """Options of the programs with a configuration that are worth a completion."""
@@ -82,6 +83,7 @@ def _words(name: str) -> Iterator[str]:
     """Yield what may follow a program's name."""
     if name in PARSERS:
         yield from _options(PARSERS[name]())
+        yield from (f"{key}=" for key in SAYABLE if name == "init")
         return
     yield from HYDRA_OPTIONS
     content = _read(Path(CONFIGS) / f"{name}.yaml")
