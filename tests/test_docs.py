@@ -52,8 +52,6 @@ PLACEHOLDERS = "experiment=best", "vehicle=mine", "vehicle=NAME"
 """Overrides whose options the user's own --config-dir holds."""
 OF_EXAMPLES = {"configs/model/kernel_ridge.yaml"}
 """Files that a page tells a reader to write."""
-OF_A_TRIAL = "mine/trip_001"
-"""Marks a snippet that goes on with files of the one before: test_first_minutes.py runs both."""
 OF_PROGRAM = {"-m", "--help", "--cfg", "job"}
 """Arguments of a command that are no overrides."""
 
@@ -255,7 +253,6 @@ def test_manifests_are_accepted(page, tmp_path):
 def test_snippets_run(runs, capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)  # some write files
     snippets = [code for page in PAGES for code in python_blocks(page)]
-    snippets = [code for code in snippets if OF_A_TRIAL not in code]
     assert len(snippets) >= 3
     for code in snippets:
         for name, path in runs.items():

@@ -72,9 +72,7 @@ def _folder(folder: Path, said: Sequence[str], arguments: Namespace) -> int:
     new = [trip for trip in trips if arguments.force or not trip.path.exists()]
     missing = list(dict.fromkeys(key for trip in new for key in trip.missing))
     if missing:
-        print(
-            f"{count(len(new), 'trip')} in {folder}; nothing is written yet, as these are missing:"
-        )
+        print(f"{count(len(new), 'trip')} in {folder}; nothing is written yet; these are missing:")
         for key in missing:
             without = [trip for trip in new if key in trip.missing]
             where = "" if len(without) == len(new) else f" (in {len(without)} of them)"
@@ -82,11 +80,8 @@ def _folder(folder: Path, said: Sequence[str], arguments: Namespace) -> int:
         if table and not table.exists() and "mileage_km" in missing:
             write_atomically(table, folders.table_of(new, folder))
             print(f"-> {table}: fill in its columns, then run the same command again")
-        print(
-            *_left_open(new),
-            f"say each once for all trips: suspnet init {folder} KEY=VALUE ...",
-            sep="\n",
-        )
+        once = f"say each once for all trips: suspnet init {folder} KEY=VALUE ..."
+        print(*_left_open(new), once, sep="\n")
         return 1
     for trip in new:
         write_atomically(trip.path, trip.manifest.text, force=arguments.force)

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import yaml
 
@@ -28,13 +29,15 @@ PRIORS = {
 FROM = {
     "bogie_mass_kg": "drawing: half of a bogie frame",
     "body_mass_kg": "drawing: a quarter of the body",
-    "primary_stiffness_n_per_m": "drawing or data sheet: sum of the springs of both axle boxes of the side",
+    "primary_stiffness_n_per_m": "drawing or data sheet: sum of the springs of both axle boxes of "
+    "the side",
     "primary_damping_ns_per_m": "data sheet: sum of the dampers of both axle boxes of the side",
     "secondary_stiffness_n_per_m": "drawing or data sheet: the springs of the side",
     "secondary_damping_ns_per_m": "data sheet: the vertical dampers of the side",
     "half_wheelbase_m": "drawing: half of the bogie's wheelbase",
     "half_pivot_distance_m": "drawing: half of the distance between the pivots",
-    "bogie_gyration_m": "sqrt(moment of inertia / mass); without it 0.59 of the half wheelbase, as the AM96",
+    "bogie_gyration_m": "sqrt(moment of inertia / mass); without it 0.59 of the half wheelbase, as "
+    "of the AM96",
     "body_gyration_m": "sqrt(moment of inertia / mass); without it 0.82 of the half pivot distance",
     "primary_friction_share": "kind of springs: 0 for coil springs and hydraulic dampers",
     "primary_blow_off_m_per_s": "data sheet of the damper; null if linear",
@@ -101,17 +104,12 @@ def write_vehicle(name: str, paths: Sequence[Path], said: Sequence[str], force: 
     values = _read(said, form)
     missing = [one for one in form if one.is_required and one.setting.name not in values]
     if missing:
-        print(
-            f"{path} is not written yet; give these of one bogie side, in SI units, as KEY=VALUE:"
-        )
+        print(f"{path} is not written yet; give these of one bogie side, in SI units, KEY=VALUE:")
         for one in missing:
             print(f"  {one.setting.name} [{one.setting.setting.unit}]: {FROM[one.setting.name]}")
             print(f"      {one.exactness}")
-        rest = [
-            one.setting.name
-            for one in form
-            if one not in missing and one.setting.name not in values
-        ]
+        names = [one.setting.name for one in form if not one.is_required]
+        rest = [name for name in names if name not in values]
         print(f"may be left out: {', '.join(rest)}")
         return 1
     guessed = {
@@ -119,7 +117,7 @@ def write_vehicle(name: str, paths: Sequence[Path], said: Sequence[str], force: 
         for key, (of, share) in GUESSED.items()
         if key not in values
     }
-    Vehicle(name=name, **(values | guessed))  # type: ignore[arg-type]
+    Vehicle(name=name, **(values | guessed))
     write_atomically(path, _text(name, form, values, guessed), force=force)
     for key, value in guessed.items():
         print(f"{key}: {value:g}, assumed as a share of {GUESSED[key][0]}")
@@ -132,10 +130,10 @@ def write_vehicle(name: str, paths: Sequence[Path], said: Sequence[str], force: 
     return 0
 
 
-def _read(said: Sequence[str], form: Sequence[Entry]) -> dict[str, float | str | None]:
+def _read(said: Sequence[str], form: Sequence[Entry]) -> dict[str, Any]:
     """Return the values of KEY=VALUE; ValueError if a key is unknown or a value no number."""
     known = [one.setting.name for one in form]
-    values: dict[str, float | str | None] = {}
+    values: dict[str, Any] = {}
     for word in said:
         key, _, text = word.partition("=")
         if key not in known:
@@ -153,7 +151,7 @@ def _read(said: Sequence[str], form: Sequence[Entry]) -> dict[str, float | str |
 def _text(
     name: str,
     form: Sequence[Entry],
-    values: dict[str, float | str | None],
+    values: Mapping[str, Any],
     guessed: dict[str, float],
 ) -> str:
     lines = [f"# {name}: all numbers are SI and of one bogie side", f"name: {_scalar(name)}"]

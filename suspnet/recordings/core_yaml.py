@@ -58,9 +58,10 @@ for _pattern in (_BASED, _FLOAT):
 def parse_yaml(text: str, names: Collection[str] = ()) -> Any:
     """Return the content of a YAML document: mappings, lists, text, numbers, booleans, None.
 
-    A number is text as it is written if its key is one of `names`: ``suspension: 0471``. Aliases and merge keys (``<<``) are followed. ValueError, with a message of one line that names
-    the line of the document, if it is not YAML, holds a duplicate key, a tag or a second document,
-    or exceeds ``DEEPEST``, ``LONGEST`` or ``MOST_VALUES``.
+    A number is text as it is written if its key is one of `names`: ``suspension: 0471``. Aliases
+    and merge keys (``<<``) are followed. ValueError, with a message of one line that names the line
+    of the document, if it is not YAML, holds a duplicate key, a tag or a second document, or
+    exceeds ``DEEPEST``, ``LONGEST`` or ``MOST_VALUES``.
     """
     if len(text) > LONGEST:
         raise TooLargeError(f"it has {len(text)} characters; at most {LONGEST} are read")

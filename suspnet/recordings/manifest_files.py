@@ -186,8 +186,8 @@ def find_manifests(folder: Path) -> list[Path]:
     manifests = sorted(path for path in folder.glob("*.yaml") if path.is_file())
     if not manifests:
         raise FileNotFoundError(
-            f"{folder} holds no *.yaml file; each trip needs one. Of data files all are written by: "
-            f"suspnet init {folder}"
+            f"{folder} holds no *.yaml file; each trip needs one. "
+            f"Of data files all are written by: suspnet init {folder}"
         )
     return manifests
 

@@ -87,9 +87,7 @@ def _notes(header: Any) -> tuple[str, ...]:
     """Return the comment and the properties of a file's header as lines."""
     properties = getattr(header, "_common_properties", None) or {}
     named = {"vehicle": getattr(header, "subject", "")} | properties
-    lines = [
-        f"{name}: {value}" for name, value in named.items() if isinstance(value, str) and value
-    ]
+    lines = [f"{name}: {value}" for name, value in named.items() if value]
     comment = str(getattr(header, "comment", "") or getattr(header, "description", ""))
     return (*lines, *re.sub(r"<[^<>]*>", "\n", comment).splitlines()[:MOST_NOTES])
 

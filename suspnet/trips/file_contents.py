@@ -97,9 +97,9 @@ class Signal:
     `unit` is as the file or the column's name writes it. `rate_hz` is stated by the file or
     computed from its times; NaN if unknown. `time` is the column of its times, empty if it has none
     or the file states the rate, and `time_unit` their unit if only their column's name states it.
-    `mean` and `deviation` are those of the first samples, `first` is the first of them. `zero` is when its times start, as far as
-    the file states it. `names` serve to guess its meaning: its own, with and without its group's,
-    and that of a file with at most two columns.
+    `mean` and `deviation` are those of the first samples, `first` is the first of them. `zero` is
+    when its times start, as far as the file states it. `names` serve to guess its meaning: its own,
+    with and without its group's, and that of a file with at most two columns.
     """
 
     file: Path

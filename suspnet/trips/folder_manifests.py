@@ -59,6 +59,8 @@ HOW: Mapping[str, str] = {
     "speed_rate_hz": "speed_rate_hz=1",
 }
 """How a missing value is said, by its key."""
+COPIED_S = 60.0
+"""Files whose times are less far apart on average were copied: these say nothing of the trips."""
 BY_FILE_TIME = "by the time of the file, the last resort: when it was written or copied"
 
 
@@ -166,9 +168,13 @@ def folder_manifests(
         partial(lambda one: [contents_of(file) for file in one.files], one) for one in found
     )
     trips = []
+    times = [_file_time(one).timestamp() for one in found]
+    is_copy = len(found) > 1 and max(times) - min(times) < COPIED_S * (len(found) - 1)
     for one, several in zip(found, contents, strict=True):
         for path, signals, bogie in _by_bogie(one.path, [s for c in several for s in c.signals]):
             known = _stated(one, several, signals, folder)
+            if not is_copy and "start" not in known and not _is_dated(signals):
+                known["start"] = Stated(_file_time(one).isoformat(), BY_FILE_TIME)
             known |= bogie
             known |= {
                 key: Stated(_plain_value(key, value), "as said")
@@ -222,13 +228,19 @@ def _stated(
     for content in reversed(contents):  # the first file that states a key counts
         known |= stated_in(content.notes)
     known |= _by_columns(signals)
-    moment, _ = first_moment(signal.zero for signal in signals)
-    if moment is not None:
+    if _is_dated(signals):
         known.pop("start", None)  # the template takes that of the files' clocks
-    elif "start" not in known:
-        written = datetime.fromtimestamp(min(file.stat().st_mtime for file in one.files))
-        known["start"] = Stated(written.replace(microsecond=0).isoformat(), BY_FILE_TIME)
     return known
+
+
+def _is_dated(signals: Sequence[Signal]) -> bool:
+    return first_moment(signal.zero for signal in signals)[0] is not None
+
+
+def _file_time(one: TripFiles) -> datetime:
+    """Return when the first file of a trip was written, in the zone of this computer."""
+    written = datetime.fromtimestamp(min(file.stat().st_mtime for file in one.files))
+    return written.replace(microsecond=0)
 
 
 def _is_of_the_trip(one: Signal) -> bool:

@@ -124,6 +124,20 @@ def test_time_of_the_file_is_the_last_resort_and_said(tmp_path):
     assert read_manifest(tmp_path / "run.yaml").start.year == 2015
 
 
+def test_times_of_copied_files_are_no_dates(tmp_path):
+    for number in (1, 2, 3):
+        write_plain(tmp_path / f"run_{number}.parquet")
+        os.utime(tmp_path / f"run_{number}.parquet", (1.4386e9 + 50 * number,) * 2)
+    (tmp_path / "km.csv").write_text(
+        "file;mileage_km\n" + "".join(f"run_{i};{i}\n" for i in (1, 2, 3))
+    )
+    written(tmp_path, *SAID, "--table", tmp_path / "km.csv")
+    assert read_manifest(tmp_path / "run_1.yaml").start is None
+    os.utime(tmp_path / "run_3.parquet", (1.4387e9, 1.4387e9))
+    written(tmp_path, *SAID, "--table", tmp_path / "km.csv", "--force")
+    assert read_manifest(tmp_path / "run_1.yaml").start.year == 2015
+
+
 def test_columns_say_mileage_and_direction(tmp_path):
     names = {**dict.fromkeys(CHANNELS, 0.5), "Kilometerstand": 5000.25, "Richtung": -1.0}
     columns = {name: np.full(500, value) for name, value in names.items()}
