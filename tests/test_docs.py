@@ -205,15 +205,15 @@ def test_every_file_that_is_named_exists():
 
 def test_every_command_of_other_programs_is_understood():
     lines = [
-        line.split("#")[0].split()
+        shlex.split(line, comments=True)
         for page in PAGES
-        for line in "\n".join(blocks(page)).splitlines()
+        for line in "\n".join(blocks(page)).replace("\\\n", " ").splitlines()
         if re.match("suspnet[ -](check|init|history) ", line)
     ]
     assert len(lines) >= 4
-    for words in lines:
-        program, *arguments = " ".join(words).removeprefix("suspnet")[1:].split()
-        PARSERS[program]().parse_args(arguments)  # exits where it does not know one
+    for first, *rest in lines:
+        words = [*first.split("-"), *rest][1:]
+        PARSERS[words[0]]().parse_args(words[1:])  # exits where it does not know one
 
 
 def test_scripts_of_the_benchmarks_import_what_there_is():

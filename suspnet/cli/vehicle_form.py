@@ -51,8 +51,8 @@ GUESSED = {
 }
 """Radii of gyration without a value, as shares of a length: those of the AM96's file."""
 LITTLE = {
-    "bogie_mass_kg": "a wrong one changes no estimate relative to healthy: it is the scale of all "
-    "masses, springs and dampers",
+    "bogie_mass_kg": "matters little: 20 % off changes no estimate of springs and dampers relative "
+    "to healthy, and that of M_s by as much",
 }
 """Numbers that matter little for estimates relative to healthy, and why."""
 
@@ -83,7 +83,7 @@ def entries() -> list[Entry]:
                 share = deviations[PRIORS[name]]
                 exact = f"within some {share:.0%}: healthy trips correct it (commissioning)"
             elif name == "body_mass_kg":
-                exact = "as exact as known: estimates of M_s are relative to it"
+                exact = "as exact as known: M_s is relative to it"
             found.append(Entry(one, exact))
     return found
 

@@ -42,7 +42,7 @@ _CLOCK = re.compile(r"(?:.* )?\d{1,2}:\d\d:\d\d,\d+")
 """A time of day with a decimal comma, alone or after a date."""
 _THOUSANDS = re.compile(r"[-+]?[1-9]\d{0,2}(,\d{3})+")
 _STAMP = re.compile(
-    r"(?:\d{4}-\d\d-\d\d[T ]|\d{1,2}\.\d{1,2}\.\d{4} )"
+    r"(?:\d{4}-\d\d-\d\d[T ]|\d{1,2}\.\d{1,2}\.\d{4}\s)"
     r"\d{1,2}:\d\d(?::\d\d(?:[.,]\d{1,9})?)?(Z|[+-]\d\d(?::?\d\d)?)?"
 )
 _BOMS = (

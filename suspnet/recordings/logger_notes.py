@@ -14,7 +14,7 @@ from suspnet.recordings.dates import read_date
 
 NAMES: Mapping[str, tuple[str, ...]] = {
     "mileage_km": (
-        *("mileage", "mileage km", "odometer", "kilometerstand", "km stand", "kmstand"),
+        *("mileage", "odometer", "kilometerstand", "km stand", "kmstand"),
         *("laufleistung", "laufleistung km", "kilometerleistung"),
     ),
     "start": ("start", "date", "datum", "beginn", "messbeginn", "start time", "startzeit"),
@@ -25,10 +25,10 @@ NAMES: Mapping[str, tuple[str, ...]] = {
     "side": ("side", "seite"),
     "direction": ("direction", "direction of travel", "richtung", "fahrtrichtung"),
     "temperature_c": (
-        *("temperature", "temperature c", "outside temperature", "ambient temperature"),
+        *("temperature", "outside temperature", "ambient temperature"),
         *("air temperature", "temperatur", "außentemperatur", "aussentemperatur"),
     ),
-    "wheel_diameter_m": ("wheel diameter", "wheel diameter m", "raddurchmesser"),
+    "wheel_diameter_m": ("wheel diameter", "raddurchmesser"),
     "speed": ("speed", "geschwindigkeit"),
 }
 """Names of each key of a manifest, in lower case and with one blank between words."""
@@ -103,7 +103,7 @@ def key_of(name: str) -> str:
     ('mileage_km', '')
     """
     plain = _plain(name)
-    return next((key for key, names in NAMES.items() if plain in (key, *names)), "")
+    return next((key for key, names in NAMES.items() if plain in (_plain(key), *names)), "")
 
 
 def read_value(key: str, name: str, text: str) -> tuple[str, str | float] | None:
