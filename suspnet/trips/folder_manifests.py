@@ -228,6 +228,8 @@ def _stated(
     for content in reversed(contents):  # the first file that states a key counts
         known |= stated_in(content.notes)
     known |= _by_columns(signals)
+    if any(signal.meaning == SPEED for signal in signals):
+        known.pop(SPEED, None)  # a column states more than a line
     if _is_dated(signals):
         known.pop("start", None)  # the template takes that of the files' clocks
     return known
@@ -281,11 +283,9 @@ def _trip(
             known[SPEED] = Stated(_plain_value(SPEED, said[SPEED]), "as said")
     own = tuple(_with_said(one, said, chosen) for one in signals if not _is_of_the_trip(one))
     speeds = [one for one in own if one.meaning == SPEED]
-    if speeds and SPEED not in said:  # columns of the speed state more than a line
-        known.pop(SPEED, None)
-        if len(speeds) > 1:  # a receiver's is that of the train, a wheel's that of a wheel
-            gps = [one for one in speeds if {"gps", "gnss"} & set(words_of(one.name))]
-            chosen[SPEED] = ((gps or speeds)[0].name,)
+    if len(speeds) > 1 and SPEED not in said:  # a receiver's is that of the train
+        best = next((one for one in speeds if {"gps", "gnss"} & set(words_of(one.name))), speeds[0])
+        own = tuple(one for one in own if one is best or one not in speeds)
     words = [content.read_as for content in contents if content.read_as]
     return Trip(path, files, known, own, template(own, path, words, known, chosen))
 

@@ -77,7 +77,7 @@ def template(
     were said.
     """
     known, chosen = known or {}, chosen or {}
-    writer = _Writer(path.parent)
+    writer = _Writer(path.parent, tuple(chosen))
     by_meaning: dict[str, list[Signal]] = {}
     for one in signals:
         by_meaning.setdefault(one.meaning, []).append(one)
@@ -96,7 +96,8 @@ def template(
         elif known[key].value != MIDDLE:
             lines.append(f"{key}: {_yaml(known[key].value)}  # {_on_one_line(known[key].comment)}")
     lines.append("")
-    rest = by_meaning.get("", [])
+    taken = {name for names in chosen.values() for name in names}
+    rest = [one for one in by_meaning.get("", []) if one.name not in taken]
     if SPEED in known:
         lines.append(f"speed: {_yaml(known[SPEED].value)}  # {_on_one_line(known[SPEED].comment)}")
     else:
@@ -125,8 +126,8 @@ def _start(signals: Sequence[Signal]) -> str:
 
 
 class _Writer:
-    def __init__(self, folder: Path) -> None:
-        self.folder = folder
+    def __init__(self, folder: Path, chosen: Sequence[str]) -> None:
+        self.folder, self.chosen = folder, chosen
         self.blanks: list[str] = []
         self.guesses: list[str] = []
 
@@ -144,8 +145,7 @@ class _Writer:
         if len(found) == 1:
             entry, blanks, words = self._entry(found[0], SPEED)
             self.blanks += [f"speed.{key}" for key in blanks]
-            self.guesses.append("speed")
-            return [f"speed: {entry}  # guess by the name; {words}"]
+            return [f"speed: {entry}  # {self._how(SPEED, SPEED)}; {words}"]
         self.blanks.append("speed")
         offers = self._offers(found or rest, SPEED, "  # ")
         other = "one of these without the #" if offers else "a source like that of a channel"
@@ -159,8 +159,7 @@ class _Writer:
         vertical = [one for one in found if not is_of_another_direction(one.name)] or found
         sides = [one.side for one in vertical]
         if len(vertical) == 1 or sorted(sides) == sorted(SIDES):
-            self.guesses.append(f"channels.{name}")
-            lines = [f"  {name}:  # guess by the name"]
+            lines = [f"  {name}:  # {self._how(name, f'channels.{name}')}"]
             for one, side in zip(vertical, sides, strict=True):
                 entry, blanks, words = self._entry(one, ACCELERATION, side)
                 self.blanks += [f"channels.{name}.{key}" for key in blanks]
@@ -176,6 +175,13 @@ class _Writer:
             f"  {name}:  # {BLANK}: {words if offers else 'no column of these files is left'}",
             *self._offers(offers, ACCELERATION, "    # - "),
         ]
+
+    def _how(self, what: str, key: str) -> str:
+        """Return how columns were found: said, or guessed, which is noted."""
+        if what in self.chosen:
+            return "as said"
+        self.guesses.append(key)
+        return "guess by the name"
 
     def _offers(self, signals: Sequence[Signal], kind: str, mark: str) -> list[str]:
         lines = []

@@ -163,9 +163,21 @@ def test_columns_of_unclear_names_are_said_once(tmp_path):
     assert asked(tmp_path, *SAID, "mileage_km=7") == {f"channels.{name}" for name in CHANNELS}
     said = ["channels.axle_box=ch0,ch3", "channels.bogie=ch1", "channels.body=ch2"]
     written(tmp_path, *SAID, "mileage_km=7", *said)
+    assert (tmp_path / "run.yaml").read_text().count("# as said") == 8
     found = read_manifest(tmp_path / "run.yaml")
     assert [one.column for one in found.channels["axle_box"]] == ["ch0", "ch3"]
     assert [found.channels[name].column for name in CHANNELS[1:]] == ["ch1", "ch2"]
+
+
+def test_speed_is_that_of_the_receiver_unless_the_table_says_another(tmp_path):
+    columns = dict.fromkeys([*CHANNELS, "v_wheel [km/h]", "v GPS [km/h]"], np.ones(500))
+    pq.write_table(pa.table(columns), tmp_path / "run.parquet")
+    said = [one for one in SAID if not one.startswith("speed")]
+    written(tmp_path, *said, "mileage_km=7", "speed_rate_hz=250")
+    assert read_manifest(tmp_path / "run.yaml").speed.column == "v GPS [km/h]"
+    (tmp_path / "km.csv").write_text("file;mileage_km;speed\nrun;7;180 km/h\n")
+    written(tmp_path, *said, "--table", tmp_path / "km.csv", "--force")
+    assert read_manifest(tmp_path / "run.yaml").speed == 50.0
 
 
 def test_files_are_grouped_by_trip_and_folder(tmp_path):

@@ -17,7 +17,7 @@ PROGRAMS = (
     *("suspnet-train", "suspnet-evaluate", "suspnet-simulate"),
     *("suspnet-replay", "suspnet-serve"),
 )
-PLAIN_PROGRAMS = ("suspnet-check", "suspnet-init")
+PLAIN_PROGRAMS = ("suspnet", "suspnet-check", "suspnet-init")
 TINY = ["model=linear", "data.n_train=200", "data.n_test=50", "data.n_calibrate=null"]
 
 
