@@ -48,8 +48,8 @@ RAISING = (
     "suspnet/runs/commissioning.py",
 )
 """Modules of which only what is raised or listed here is one."""
-OF_FILES = ("suspnet/trips/file_contents.py",)
-"""Modules whose errors are of data files without a trip, which suspnet-init tells."""
+OF_FILES = ("suspnet/trips/file_contents.py", "suspnet/trips/folder_manifests.py")
+"""Modules whose errors are of data files without a manifest, which `suspnet init` reports."""
 OF_STREAMS = (
     "suspnet/live/replay.py",
     "suspnet/live/suspension.py",
@@ -70,6 +70,7 @@ ALSO = (
 NO_REASON = (
     "Failed to parse string",  # looked for in the messages of Arrow
     "partial: ",  # words about a simulation
+    "by the line ",  # where a value of a manifest is from
     "names in line ",  # how a CSV file is read
     " with byte-order mark",
     "`name` must be that of the file",  # of manifests that are written, not read

@@ -5,12 +5,13 @@ import shlex
 
 import pytest
 from cli_runner import ROOT, python, typed
-from test_docs import OF_A_TRIAL, README, blocks, overrides_of, python_blocks
+from test_docs import README, blocks, overrides_of, python_blocks
 
 from suspnet.cli import check, init, simulate
 
 PAGE = ROOT / "docs" / "getting_started.md"
-SMALL = ["fleet.n_trips=2", "fleet.minutes=2.6", "workers=1", "progress=false"]
+N_TRIPS = 2
+SMALL = [f"fleet.n_trips={N_TRIPS}", "fleet.minutes=2.6", "workers=1", "progress=false"]
 NUMBER = re.compile(r"-?\d+\.?\d*")
 SAME_PERCENT = 5.0
 """Largest difference of printed numbers from those that README shows, [%]."""
@@ -19,29 +20,17 @@ SAME_PERCENT = 5.0
 def test_three_csv_files_become_trips_that_are_ready(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     shell = [code.replace("\\\n", " ") for code in blocks(PAGE)]
-    line = next(code for code in shell if code.startswith("python -m suspnet.simulate"))
+    line = next(code for code in shell if code.startswith("suspnet simulate"))
     done = typed(simulate, *overrides_of(line)[1], *SMALL, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
-    write, copy = (code for code in python_blocks(PAGE) if '"mine' in code or OF_A_TRIAL in code)
+    (write,) = (code for code in python_blocks(PAGE) if '"mine"' in code)
     exec(compile(write, "write", "exec"), {})
     files = sorted((tmp_path / "mine" / "trip_001").glob("*.csv"))
     assert [file.name for file in files] == ["axle_box.csv", "body.csv", "bogie.csv"]
-    line = next(code for code in shell if code.startswith("suspnet-init"))
-    arguments = shlex.split(line.replace("mine/trip_001/*.csv", " ".join(map(str, files))))
-    done = typed(init, *arguments[1:], cwd=tmp_path)
-    assert done.stdout.strip() == next(code for code in shell if code.startswith("-> mine"))
-    filled = next(code for code in shell if code.startswith("vehicle: "))
-    manifest = tmp_path / "mine" / "trip_001.yaml"
-    text = manifest.read_text()
-    for entry in filled.splitlines():
-        text, n = re.subn(rf"^{entry.split(':')[0]}:.*", entry, text, flags=re.MULTILINE)
-        assert n == 1, entry
-    manifest.write_text(text)
-    exec(compile(copy, "copy", "exec"), {})
-    copies = sorted((tmp_path / "mine").glob("*.yaml"))
-    assert len(copies) == 10
-    for beyond in copies[2:]:
-        beyond.unlink()
+    line = next(code for code in shell if code.startswith("suspnet init mine vehicle="))
+    done = typed(init, *shlex.split(line)[2:], cwd=tmp_path)
+    expected = next(code for code in shell if code.startswith("-> mine"))
+    assert done.stdout.strip() == expected.replace("10", str(N_TRIPS))
     done = typed(check, "mine", "--no-pictures", cwd=tmp_path)
     assert "2 of 2 trips ready for an estimate" in done.stdout, done.stdout
     assert "2 of 2 trips ready, 30800 to 61600 km, at 70.0 m/s" in done.stdout

@@ -1,39 +1,101 @@
-"""Write a template of a manifest from data files: suspnet-init FILE ..."""
+"""Write manifests from data files, or a vehicle's file: suspnet init DIR | FILE ... | --vehicle."""
 
 from __future__ import annotations
 
 from argparse import Namespace
+from collections.abc import Sequence
 from functools import partial
+from pathlib import Path
 
-from suspnet.ground.storage import write_atomically
+from suspnet.ground.storage import printable, write_atomically
 from suspnet.ground.wording import count
 from suspnet.recordings.errors import TripError, all_of
+from suspnet.trips import folder_manifests as folders
 from suspnet.trips.file_contents import look_into
 from suspnet.trips.manifest_template import template
+from suspnet.trips.trip_files import find_trip_files
 
 
-def init(arguments: Namespace) -> None:
-    """Write a manifest from data files and print what must still be filled in.
+def init(arguments: Namespace) -> int:
+    """Write what the command line asks for and return the exit code.
 
-    ValueError if files cannot be read (the message lists all of them), or if the manifest exists
-    and is not to be replaced.
+    It is 1 if values are missing; the manifests of a folder are then not written. ValueError if
+    files cannot be read (the message lists all of them), or if a manifest exists and is not to be
+    replaced.
     """
-    files = list(dict.fromkeys(arguments.files))
+    words = list(dict.fromkeys(map(str, arguments.files)))
+    said = [word for word in words if "=" in word and not Path(word).exists()]
+    paths = [Path(word) for word in words if word not in said]
+    if arguments.vehicle is not None:
+        from suspnet.cli.vehicle_form import write_vehicle
+
+        return write_vehicle(arguments.vehicle, paths, said, arguments.force)
+    if not paths:
+        raise ValueError("give a folder of data files, or the files of one trip")
+    try:
+        if len(paths) == 1 and paths[0].is_dir():
+            return _folder(paths[0], said, arguments)
+        if said or arguments.table:
+            raise ValueError(f"{(*said, '--table')[0]} is for a folder: suspnet init DIR KEY=VALUE")
+        return _one_trip(paths, arguments)
+    except TripError as error:
+        raise ValueError("; ".join(error.problems)) from error
+
+
+def _one_trip(files: Sequence[Path], arguments: Namespace) -> int:
     path = arguments.output or files[0].with_suffix(".yaml")
     if path.suffix != ".yaml":
         raise ValueError(f"the name of a manifest must end with .yaml, got {path}")
     if path.exists() and not arguments.force:
         raise ValueError(f"{path} exists; --force replaces it, --output writes another")
-    try:
-        seen = all_of(partial(look_into, file) for file in files)
-    except TripError as error:
-        raise ValueError("; ".join(error.problems)) from error
+    seen = all_of(partial(look_into, file) for file in files)
     signals = [one for found, _ in seen for one in found]
     found = template(signals, path, [how for _, how in seen if how])
     write_atomically(path, found.text, force=arguments.force)
     print(
         f"-> {path}: {count(len(signals), 'column')} of {count(len(files), 'file')}\n"
-        f"fill in: {', '.join(found.blanks)}\n"
+        f"fill in: {', '.join(found.blanks) or 'nothing'}\n"
         f"guessed, to be checked: {', '.join(found.guesses) or 'nothing'}\n"
-        f"then run: suspnet-check {path}"
+        f"then run: suspnet check {path}"
     )
+    return 0
+
+
+def _folder(folder: Path, said: Sequence[str], arguments: Namespace) -> int:
+    """Write the manifests of all trips of a folder, or print what is missing for them."""
+    if arguments.output:
+        raise ValueError("--output is for the manifest of one trip; a folder's lie in it")
+    table = arguments.table
+    found = find_trip_files(folder, [table] if table else [])
+    rows = folders.read_table(table) if table and table.exists() else {}
+    trips = folders.folder_manifests(found, folder, folders.read_said(said), rows)
+    new = [trip for trip in trips if arguments.force or not trip.path.exists()]
+    missing = list(dict.fromkeys(key for trip in new for key in trip.missing))
+    if missing:
+        print(f"{count(len(new), 'trip')} in {folder}; nothing is written yet; these are missing:")
+        for key in missing:
+            without = [trip for trip in new if key in trip.missing]
+            where = "" if len(without) == len(new) else f" (in {len(without)} of them)"
+            print(printable(f"  {key}{where}: {folders.how_to_say(key, without)}"))
+        if table and not table.exists() and "mileage_km" in missing:
+            write_atomically(table, folders.table_of(new, folder))
+            print(f"-> {table}: fill in its columns, then run the same command again")
+        once = f"say each once for all trips: suspnet init {folder} KEY=VALUE ..."
+        print(*_left_open(new), once, sep="\n")
+        return 1
+    for trip in new:
+        write_atomically(trip.path, trip.manifest.text, force=arguments.force)
+    n_old = len(trips) - len(new)
+    old = f"; {count(n_old, 'manifest')} left as they were, --force replaces them" * (n_old > 0)
+    print(f"-> {folder}: {count(len(new), 'manifest')} of {count(len(found), 'trip')}{old}")
+    for line in folders.origins(new):
+        print(printable(f"  {line}"))
+    print(*_left_open(new), f"then run: suspnet check {folder}", sep="\n")
+    return 0
+
+
+def _left_open(trips: Sequence[folders.Trip]) -> list[str]:
+    """Return a line on the direction of travel if it is not stated."""
+    n = sum("direction" not in trip.known for trip in trips)
+    words = f"  direction, not stated in {n}, is found where the phases show it, else asked for by "
+    return [f"{words}check and train: direction=forward or reverse, or in a table"] * (n > 0)

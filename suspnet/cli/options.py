@@ -1,4 +1,4 @@
-"""Options of the programs without a configuration: suspnet-check, suspnet-init, suspnet-history.
+"""Options of the programs without a configuration: suspnet check, suspnet init, suspnet history.
 
 They are parsed before the programs' modules are imported.
 """
@@ -25,31 +25,31 @@ channels and speed, their spectra, and the coherence. Trips are not changed."""
 CHECK_EPILOG = """\
 exit code: 0 if every trip could be read, 1 if there is any problem.
 
-  suspnet-check trips/car7                  all manifests of a folder, or of its subfolders
-  suspnet-check trip_001.yaml trip_002.yaml --no-pictures
-  suspnet-check trips/car7 --run outputs/trips/RUN       are these trips read by that model?"""
+  suspnet check trips/car7                  all manifests of a folder, or of its subfolders
+  suspnet check trip_001.yaml trip_002.yaml --no-pictures
+  suspnet check trips/car7 --run outputs/trips/RUN       are these trips read by that model?"""
 INIT_DESCRIPTION = """\
 Write a manifest of one trip from its data files: their columns, with the rates and units that the
 files say. Which column is which channel is guessed from names (axle box, bogie frame, body, left,
 right, speed; in English or German) and marked as a guess; where names are ambiguous, the
 columns are listed as comments to choose from. Unknown values are marked FILL_IN."""
 INIT_EPILOG = """\
-  suspnet-init trip_7/*.csv -o trip_7.yaml      then fill in what is marked, and
-  suspnet-check trip_7.yaml"""
+  suspnet init trip_7/*.csv -o trip_7.yaml      then fill in what is marked, and
+  suspnet check trip_7.yaml"""
 HISTORY_DESCRIPTION = """\
 The history of a fleet, as written by evaluate.py trips=DIR store=STORE: list it, add maintenance,
 show and acknowledge alarms, export all of it as tables."""
 HISTORY_EPILOG = """\
-  suspnet-history fleet.db list
-  suspnet-history fleet.db event --vehicle am96 --suspension "car 7, left" --at-km 120000 \\
+  suspnet history fleet.db list
+  suspnet history fleet.db event --vehicle am96 --suspension "car 7, left" --at-km 120000 \\
       --kind exchanged --words "new primary dampers"
-  suspnet-history fleet.db alarms
-  suspnet-history fleet.db acknowledge --vehicle am96 --suspension "car 7, left" \\
+  suspnet history fleet.db alarms
+  suspnet history fleet.db acknowledge --vehicle am96 --suspension "car 7, left" \\
       --parameter k_p --by "Kim Li" --words "spring ordered"
-  suspnet-history fleet.db export tables
-  suspnet-history fleet.db notify notify.yaml --follow
-  suspnet-history fleet.db backup /backups/fleet.db
-  suspnet-history fleet.db restore /backups/fleet.db
+  suspnet history fleet.db export tables
+  suspnet history fleet.db notify notify.yaml --follow
+  suspnet history fleet.db backup /backups/fleet.db
+  suspnet history fleet.db restore /backups/fleet.db
 
 STORE is a file, or postgresql://user:password@host/database."""
 
@@ -61,8 +61,8 @@ def _parser(name: str, description: str, epilog: str) -> ArgumentParser:
 
 
 def check_parser() -> ArgumentParser:
-    """Return the options of suspnet-check."""
-    found = _parser("suspnet-check", CHECK_DESCRIPTION, CHECK_EPILOG)
+    """Return the options of suspnet check."""
+    found = _parser("suspnet check", CHECK_DESCRIPTION, CHECK_EPILOG)
     found.add_argument(
         "trips",
         nargs="+",
@@ -109,16 +109,31 @@ def check_parser() -> ArgumentParser:
 
 
 def init_parser() -> ArgumentParser:
-    """Return the options of suspnet-init."""
+    """Return the options of suspnet init."""
     from suspnet.recordings.formats import READERS  # with pyarrow
 
-    found = _parser("suspnet-init", INIT_DESCRIPTION, INIT_EPILOG)
+    found = _parser("suspnet init", INIT_DESCRIPTION, INIT_EPILOG)
     found.add_argument(
         "files",
-        nargs="+",
+        nargs="*",
+        metavar="DIR | FILE | KEY=VALUE",
+        help="folder of data files of any number of trips and, as KEY=VALUE, what holds for all of "
+        "them; or data files of one trip; of --vehicle the folder of vehicles and its numbers "
+        f"[paths with {', '.join(sorted(READERS))}]",
+    )
+    found.add_argument(
+        "--table",
         type=Path,
         metavar="FILE",
-        help=f"data file of one trip [one or more paths with {', '.join(sorted(READERS))}]",
+        help="of a folder: table of its trips with columns file, mileage_km, start, direction and "
+        "other keys of a manifest, names in English or German; if there is no such file and "
+        "mileages are missing, it is written to be filled in [path of a CSV file]",
+    )
+    found.add_argument(
+        "--vehicle",
+        metavar="NAME",
+        help="write the file of a vehicle, DIR/vehicle/NAME.yaml, from its numbers KEY=VALUE; "
+        "without them, list what each is, and which matter little [name; DIR is vehicles]",
     )
     found.add_argument(
         "-o",
@@ -135,8 +150,8 @@ def init_parser() -> ArgumentParser:
 
 
 def history_parser() -> ArgumentParser:
-    """Return the options of suspnet-history."""
-    found = _parser("suspnet-history", HISTORY_DESCRIPTION, HISTORY_EPILOG)
+    """Return the options of suspnet history."""
+    found = _parser("suspnet history", HISTORY_DESCRIPTION, HISTORY_EPILOG)
     found.add_argument("store", metavar="STORE", help="the store [path or URL]")
     does = found.add_subparsers(
         dest="does",

@@ -71,13 +71,15 @@ class OpenFile:
     """A file that is open for reading.
 
     `read` yields blocks of the named columns. `words` states how the file is read if this was
-    detected. `hint` is added to the message about a missing column.
+    detected. `hint` is added to the message about a missing column. `notes` are lines in which the
+    logger describes the recording.
     """
 
     columns: tuple[Column, ...]
     read: Callable[[Sequence[str]], Iterator[Block]]
     words: str = ""
     hint: str = ""
+    notes: tuple[str, ...] = ()
 
     def column(self, name: str) -> Column:
         """Return a column by its name."""

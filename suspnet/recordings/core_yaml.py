@@ -7,7 +7,7 @@ Here these are the texts "no" and "12:30:45" and the number 777.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from typing import Any
 
 import yaml
@@ -55,17 +55,18 @@ for _pattern in (_BASED, _FLOAT):
     )
 
 
-def parse_yaml(text: str) -> Any:
+def parse_yaml(text: str, names: Collection[str] = ()) -> Any:
     """Return the content of a YAML document: mappings, lists, text, numbers, booleans, None.
 
-    Aliases and merge keys (``<<``) are followed. ValueError, with a message of one line that names
-    the line of the document, if it is not YAML, holds a duplicate key, a tag or a second document,
-    or exceeds ``DEEPEST``, ``LONGEST`` or ``MOST_VALUES``.
+    A number is text as it is written if its key is one of `names`: ``suspension: 0471``. Aliases
+    and merge keys (``<<``) are followed. ValueError, with a message of one line that names the line
+    of the document, if it is not YAML, holds a duplicate key, a tag or a second document, or
+    exceeds ``DEEPEST``, ``LONGEST`` or ``MOST_VALUES``.
     """
     if len(text) > LONGEST:
         raise TooLargeError(f"it has {len(text)} characters; at most {LONGEST} are read")
     try:
-        return _Builder().document(yaml.parse(text, Loader=_LOADER))
+        return _Builder(names).document(yaml.parse(text, Loader=_LOADER))
     except yaml.YAMLError as error:
         raise ValueError(" ".join(str(error).split())) from error
 
@@ -80,7 +81,8 @@ def dump_yaml(content: Any) -> str:
 
 
 class _Builder:
-    def __init__(self) -> None:
+    def __init__(self, names: Collection[str]) -> None:
+        self.names = names
         self.anchors: dict[str, Any] = {}
         self.sizes: dict[str, int] = {}
         self.n_values = 0
@@ -146,7 +148,10 @@ class _Builder:
                     f"line {line}: the key {key!r} is given twice, first in line {lines[key]}"
                 )
             lines[key] = line
-            value = self._node(next(events), events, depth + 1)
+            content_event = next(events)
+            value = self._node(content_event, events, depth + 1)
+            if key in self.names and type(value) in (int, float):
+                value = str(getattr(content_event, "value", value))
             if key == "<<" and event.implicit[0]:
                 merged += value if isinstance(value, list) else [value]
                 if not all(isinstance(one, dict) for one in merged):

@@ -42,7 +42,8 @@ _CLOCK = re.compile(r"(?:.* )?\d{1,2}:\d\d:\d\d,\d+")
 """A time of day with a decimal comma, alone or after a date."""
 _THOUSANDS = re.compile(r"[-+]?[1-9]\d{0,2}(,\d{3})+")
 _STAMP = re.compile(
-    r"\d{4}-\d\d-\d\d[T ]\d\d:\d\d(?::\d\d(?:[.,]\d{1,9})?)?(Z|[+-]\d\d(?::?\d\d)?)?"
+    r"(?:\d{4}-\d\d-\d\d[T ]|\d{1,2}\.\d{1,2}\.\d{4}\s)"
+    r"\d{1,2}:\d\d(?::\d\d(?:[.,]\d{1,9})?)?(Z|[+-]\d\d(?::?\d\d)?)?"
 )
 _BOMS = (
     (codecs.BOM_UTF8, "utf-8"),
@@ -61,7 +62,8 @@ class Found:
     `delimiter` is "" for a single column, and " " for any number of spaces and tabs. Lines are
     counted from 1; `header_line` is 0 if there are no names. A missing unit is "". `stamps` is, for
     each column, "" for numbers, "local" or "utc" for time stamps without or with a zone. `date` is
-    the start of the recording as stated above the names or in text columns of the first row.
+    the start of the recording as stated above the names or in text columns of the first row;
+    `above` are the lines above the names.
     """
 
     encoding: str
@@ -74,6 +76,7 @@ class Found:
     stamps: tuple[str, ...]
     has_bom: bool
     date: str | None = None
+    above: tuple[str, ...] = ()
 
     def __str__(self) -> str:
         header = f"names in line {self.header_line}" if self.header_line else "no names"
@@ -148,6 +151,7 @@ def find_dialect(path: Path, given: CsvDialect | None = None) -> Found:
         raise _unreadable(path, f"it has no names and may be read with {best} or {rivals[0]}")
     if candidate.thousands and given.decimal is None:
         raise _unreadable(path, "a comma may be its decimal sign or separate thousands")
+    above = lines[: (best.header_line or best.first_line) - 1]
     return Found(
         encoding,
         best.delimiter,
@@ -158,8 +162,8 @@ def find_dialect(path: Path, given: CsvDialect | None = None) -> Found:
         best.units,
         best.stamps,
         has_bom,
-        date_in_lines(lines[: (best.header_line or best.first_line) - 1])
-        or _date_in_row(lines[best.first_line - 1], candidate),
+        date_in_lines(above) or _date_in_row(lines[best.first_line - 1], candidate),
+        tuple(above),
     )
 
 

@@ -59,7 +59,8 @@ def open_tdms(path: Path, _: CsvDialect | None = None) -> Iterator[OpenFile]:
             takes: list[Take] = [channels[name].__getitem__ for name in names]
             return slices(path, names, [len(channels[name]) for name in names], takes)
 
-        yield OpenFile(tuple(_tdms_column(*item) for item in channels.items()), read)
+        notes = tuple(f"{name}: {value}" for name, value in file.properties.items())
+        yield OpenFile(tuple(_tdms_column(*item) for item in channels.items()), read, notes=notes)
 
 
 def _tdms_column(name: str, channel: Any) -> Column:

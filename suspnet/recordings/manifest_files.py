@@ -16,6 +16,8 @@ from suspnet.recordings.errors import TripError, all_of, opening
 from suspnet.recordings.manifest import BOGIES, FORMAT, MANIFEST, SIDES, TripManifest
 from suspnet.recordings.manifest_keys import Value, keys_of
 
+NAMES = ("vehicle", "suspension", "train", "car")
+"""Keys of names, which may be numbers."""
 UNFINISHED = "unfinished.json"
 """Name of the file that marks a folder of simulated trips as incomplete."""
 
@@ -36,7 +38,7 @@ class ManifestFile:
     def content(self) -> Any:
         """Unchecked content of the YAML file; TripError if it is not YAML."""
         try:
-            return parse_yaml(self.data.decode("utf-8-sig"))
+            return parse_yaml(self.data.decode("utf-8-sig"), NAMES)
         except TripError:
             raise
         except ValueError as error:
@@ -183,7 +185,10 @@ def find_manifests(folder: Path) -> list[Path]:
         raise FileNotFoundError(f"there is no folder {folder}; give the one that holds the trips")
     manifests = sorted(path for path in folder.glob("*.yaml") if path.is_file())
     if not manifests:
-        raise FileNotFoundError(f"{folder} holds no *.yaml file; each trip needs one")
+        raise FileNotFoundError(
+            f"{folder} holds no *.yaml file; each trip needs one. "
+            f"Of data files all are written by: suspnet init {folder}"
+        )
     return manifests
 
 
@@ -208,7 +213,7 @@ def _manifests(path: Path) -> list[Path]:
         if not os.path.lexists(path):
             raise FileNotFoundError(f"there is no file or folder {path}")
         if path.suffix not in (".yaml", ".yml"):
-            raise OSError(f"{path} is no manifest (*.yaml); to write one: suspnet-init {path}")
+            raise OSError(f"{path} is no manifest (*.yaml); to write one: suspnet init {path}")
         return [path]
     if not any(path.glob("*.yaml")):
         parts = sorted(part for part in path.iterdir() if part.is_dir() and part.name[0] != ".")

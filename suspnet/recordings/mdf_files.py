@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from importlib import import_module
@@ -36,6 +37,8 @@ REFUSED = {
     },
 }
 """Names of unsupported conversions by their numbers in MDF 4, and in MDF 2 and 3."""
+MOST_NOTES = 1000
+"""Largest number of lines of a comment that are searched for what it says of the trip."""
 VIRTUAL = (3, 6)
 """Types of MDF 4 channels whose raw values are the record numbers."""
 
@@ -77,7 +80,16 @@ def open_mdf(path: Path, _: CsvDialect | None = None) -> Iterator[OpenFile]:
             takes = [_take(path, file, name, *places[name]) for name in names]
             return slices(path, names, [n_samples] * len(names), takes)
 
-        yield OpenFile(tuple(columns), read)
+        yield OpenFile(tuple(columns), read, notes=_notes(file.header))
+
+
+def _notes(header: Any) -> tuple[str, ...]:
+    """Return the comment and the properties of a file's header as lines."""
+    properties = getattr(header, "_common_properties", None) or {}
+    named = {"vehicle": getattr(header, "subject", "")} | properties
+    lines = [f"{name}: {value}" for name, value in named.items() if value]
+    comment = str(getattr(header, "comment", "") or getattr(header, "description", ""))
+    return (*lines, *re.sub(r"<[^<>]*>", "\n", comment).splitlines()[:MOST_NOTES])
 
 
 def _disarm() -> None:

@@ -82,7 +82,7 @@ def in_own_process(reader: Reader, library: str | None = None) -> Reader:
                         return
                     yield block
 
-            yield OpenFile(columns, read, found["words"], found["hint"])
+            yield OpenFile(columns, read, found["words"], found["hint"], tuple(found["notes"]))
         finally:
             process.end()
 

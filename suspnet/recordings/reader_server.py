@@ -126,6 +126,7 @@ def _answers(
                     file = stack.enter_context(reader(path, None))
                     columns = [asdict(column) for column in file.columns]
                     answer = {"columns": columns, "words": file.words, "hint": file.hint}
+                    answer["notes"] = file.notes
                 else:
                     number = request["block"]
                     if number not in blocks:

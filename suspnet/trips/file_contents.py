@@ -14,7 +14,8 @@ from suspnet.recordings.clocks import Times, Zero, header_date
 from suspnet.recordings.columns import Column, OpenFile, size_of, unit_in_name
 from suspnet.recordings.errors import TripError
 from suspnet.recordings.formats import open_file, read_columns
-from suspnet.recordings.manifest import SIDES, TIME_UNITS, Source
+from suspnet.recordings.logger_notes import choice_of
+from suspnet.recordings.manifest import BOGIES, SIDES, TIME_UNITS, Source
 
 ACCELERATION, SPEED = "acceleration", "speed"
 MOST_COLUMNS = 500
@@ -31,6 +32,7 @@ _WORDS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
 """For each meaning, parts of words and whole words that have it. The first match counts: an axle
 box is also on a bogie, and a bogie also belongs to a car."""
 _SIDES = {"left": ("left", "links", "li", "l"), "right": ("right", "rechts", "re", "r")}
+_BOGIE_NUMBER = re.compile(r"(?:bogie|drehgestell|dg)[\s_.-]*([12])(?!\d)")
 _TIMES = ("t", "datetime", "datum", "uhrzeit", "seconds", "sec", "utc")
 _TIME_BEGINS = ("time", "zeit")
 _OTHER_DIRECTIONS = ("x", "y", "lateral", "longitudinal", "quer", "laengs", "längs", "lat", "long")
@@ -70,6 +72,19 @@ def guessed_side(*names: str) -> str:
     return ""
 
 
+def guessed_bogie(*names: str) -> tuple[str, str]:
+    """Return the bogie that the first name states, and the word that does; both empty if none.
+
+    Bogie 1 is the leading one of a vehicle that runs forward.
+    """
+    for name in names:
+        if number := _BOGIE_NUMBER.search(name.lower()):
+            return BOGIES[int(number[1]) - 1], number[0]
+        if chosen := choice_of("bogie", name):
+            return chosen, chosen
+    return "", ""
+
+
 def is_of_another_direction(column: str) -> bool:
     """Return whether a column's name states a direction other than vertical."""
     return bool(set(words_of(column)) & set(_OTHER_DIRECTIONS))
@@ -82,9 +97,9 @@ class Signal:
     `unit` is as the file or the column's name writes it. `rate_hz` is stated by the file or
     computed from its times; NaN if unknown. `time` is the column of its times, empty if it has none
     or the file states the rate, and `time_unit` their unit if only their column's name states it.
-    `mean` and `deviation` are those of the first samples. `zero` is when its times start, as far as
-    the file states it. `names` serve to guess its meaning: its own, with and without its group's,
-    and that of a file with at most two columns.
+    `mean` and `deviation` are those of the first samples, `first` is the first of them. `zero` is
+    when its times start, as far as the file states it. `names` serve to guess its meaning: its own,
+    with and without its group's, and that of a file with at most two columns.
     """
 
     file: Path
@@ -97,6 +112,7 @@ class Signal:
     deviation: float
     zero: Zero = field(default_factory=Zero)
     names: tuple[str, ...] = ()
+    first: float = np.nan
 
     @property
     def name(self) -> str:
@@ -118,8 +134,27 @@ class Signal:
         return guessed_side(*self.names)
 
 
+@dataclass(frozen=True)
+class Contents:
+    """Columns of numbers of a file, how it is read if that was detected, and its logger's notes."""
+
+    file: Path
+    signals: tuple[Signal, ...]
+    read_as: str = ""
+    notes: tuple[str, ...] = ()
+
+
 def look_into(file: Path) -> tuple[list[Signal], str]:
     """Return the columns of numbers of a file, without times, and how the file is read.
+
+    TripError is raised if the file cannot be read, or holds no column of numbers.
+    """
+    found = contents_of(file)
+    return list(found.signals), found.read_as
+
+
+def contents_of(file: Path) -> Contents:
+    """Return the columns of numbers of a file, without times, and what else it states.
 
     TripError is raised if the file cannot be read, or holds no column of numbers.
     """
@@ -139,7 +174,7 @@ def look_into(file: Path) -> tuple[list[Signal], str]:
         raise TripError(f"{file} holds no column of numbers")
     if len(signals) <= len(SIDES):
         signals = [replace(one, names=(*one.names, file.stem)) for one in signals]
-    return signals, opened.words
+    return Contents(file, tuple(signals), opened.words, opened.notes)
 
 
 def _is_time(column: Column) -> bool:
@@ -158,7 +193,7 @@ def _times(file: Path, opened: OpenFile, name: str) -> FloatArray:
     """Return the first times of a column, [s] or its own unit; empty if they do not increase."""
     (block,) = _first(file, opened, [name]) or (np.empty(0),)
     if block.dtype.kind == "M":
-        return np.asarray((block - block[0]) / np.timedelta64(1, "s"), dtype=np.float64)
+        block = np.asarray((block - block[0]) / np.timedelta64(1, "s"), dtype=np.float64)
     rises = len(block) > 1 and bool((np.diff(block) > 0).all())
     return np.asarray(block, dtype=np.float64) if rises else np.empty(0)
 
@@ -186,6 +221,7 @@ def _signal(
         deviation=float(values.std()) if len(values) else np.nan,
         zero=_zero(file, opened, column, time, time_unit),
         names=(column.name.rpartition("/")[2], column.name),
+        first=float(values[0]) if len(values) else np.nan,
     )
 
 

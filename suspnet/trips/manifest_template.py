@@ -11,18 +11,42 @@ from pathlib import Path
 
 from suspnet.recordings.clocks import first_moment
 from suspnet.recordings.columns import size_of
-from suspnet.recordings.manifest import ACCELERATION_UNITS, CHANNELS, FORMAT, SIDES, SPEED_UNITS
+from suspnet.recordings.logger_notes import Stated
+from suspnet.recordings.manifest import (
+    ACCELERATION_UNITS,
+    CHANNELS,
+    FORMAT,
+    MIDDLE,
+    SIDES,
+    SPEED_UNITS,
+)
 from suspnet.trips.file_contents import ACCELERATION, SPEED, Signal, is_of_another_direction
 
 BLANK = "FILL_IN"
-"""Placeholder of a missing value; suspnet-check names each remaining one."""
+"""Placeholder of a missing value; suspnet check names each remaining one."""
 LISTED = 60
 """Largest number of columns that are offered for one channel."""
 GRAVITY = {"g": 1.0, "m/s2": 9.80665}
 """Gravity in each unit: the mean of a sensor that measures it reveals the sensor's unit."""
 HEAD = f"""\
-# Manifest of one trip: a template written by suspnet-init. Values marked {BLANK} are missing,
-# those marked "guess" are taken from names: check both. Then run: suspnet-check """
+# Manifest of one trip: a template written by suspnet init. Values marked {BLANK} are missing,
+# those marked "guess" are taken from names: check both. Then run: suspnet check """
+
+
+PLACE_LINES = {
+    "vehicle": f"vehicle:          # {BLANK}: as the model's, e.g. am96",
+    "suspension": f"suspension:       # {BLANK}: any name; the same in all trips of one suspension",
+    "bogie": "# bogie: leading  # or trailing, as seen when the vehicle runs forward",
+    "direction": "# direction: forward  # or reverse: with the trailing bogie ahead",
+    "side": "",
+    "train": "# train: '12'     # where several trains or cars are watched",
+    "car": "# car: '7'",
+    "mileage_km": f"mileage_km:       # {BLANK}: of the vehicle at this trip",
+    "start": "",
+    "temperature_c": "# temperature_c: 20.0  # of the air outside",
+    "wheel_diameter_m": "# wheel_diameter_m: 0.92  # of the measured wheelset",
+}
+"""Line of each key of the first part that is not known; those of side and start depend on files."""
 
 
 @dataclass(frozen=True)
@@ -38,35 +62,46 @@ class Template:
     guesses: tuple[str, ...]
 
 
-def template(signals: Sequence[Signal], path: Path, read_as: Sequence[str] = ()) -> Template:
+def template(
+    signals: Sequence[Signal],
+    path: Path,
+    read_as: Sequence[str] = (),
+    known: Mapping[str, Stated] | None = None,
+    chosen: Mapping[str, Sequence[str]] | None = None,
+) -> Template:
     """Return a manifest of the signals of some data files.
 
     `path` is that of the manifest; data files are named relative to its folder. `read_as` states
-    how files are read where that had to be detected, for the first lines.
+    how files are read where that had to be detected, for the first lines. `known` are values of
+    keys with where they are from, `chosen` the columns of each channel or of the speed, where these
+    were said.
     """
-    writer = _Writer(path.parent)
+    known, chosen = known or {}, chosen or {}
+    writer = _Writer(path.parent, tuple(chosen))
     by_meaning: dict[str, list[Signal]] = {}
     for one in signals:
         by_meaning.setdefault(one.meaning, []).append(one)
-    lines = [
-        HEAD + path.name,
-        *(f"# {_on_one_line(words)}" for words in read_as),
-        f"format: {FORMAT}",
-        f"vehicle:          # {BLANK}: as the model's, e.g. am96",
-        f"suspension:       # {BLANK}: any name; the same in all trips of one suspension",
-        "# bogie: leading  # or trailing, as seen when the vehicle runs forward",
-        "# direction: forward  # or reverse: with the trailing bogie ahead",
-        *writer.side(by_meaning),
-        "# train: '12'     # where several trains or cars are watched",
-        "# car: '7'",
-        f"mileage_km:       # {BLANK}: of the vehicle at this trip",
-        _start(signals),
-        "# temperature_c: 20.0  # of the air outside",
-        "",
-    ]
-    writer.blanks = ["vehicle", "suspension", *writer.blanks, "mileage_km"]
-    rest = by_meaning.get("", [])
-    lines += writer.speed(by_meaning.get(SPEED, []), rest)
+    for what, names in chosen.items():
+        by_meaning[what] = [one for one in signals if one.name in names]
+    lines = [HEAD + path.name, *(f"# {_on_one_line(words)}" for words in read_as)]
+    lines.append(f"format: {FORMAT}")
+    for key, line in PLACE_LINES.items():
+        if key == "side" and key not in known:
+            lines += writer.side(by_meaning)
+        elif key == "start" and key not in known:
+            lines.append(_start(signals))
+        elif key not in known:
+            writer.blanks += [key] * (BLANK in line)
+            lines.append(line)
+        elif known[key].value != MIDDLE:
+            lines.append(f"{key}: {_yaml(known[key].value)}  # {_on_one_line(known[key].comment)}")
+    lines.append("")
+    taken = {name for names in chosen.values() for name in names}
+    rest = [one for one in by_meaning.get("", []) if one.name not in taken]
+    if SPEED in known:
+        lines.append(f"speed: {_yaml(known[SPEED].value)}  # {_on_one_line(known[SPEED].comment)}")
+    else:
+        lines += writer.speed(by_meaning.get(SPEED, []), rest)
     lines += ["", "channels:"]
     for name in CHANNELS:
         lines += writer.channel(name, by_meaning.get(name, []), rest or signals)
@@ -91,8 +126,8 @@ def _start(signals: Sequence[Signal]) -> str:
 
 
 class _Writer:
-    def __init__(self, folder: Path) -> None:
-        self.folder = folder
+    def __init__(self, folder: Path, chosen: Sequence[str]) -> None:
+        self.folder, self.chosen = folder, chosen
         self.blanks: list[str] = []
         self.guesses: list[str] = []
 
@@ -110,8 +145,7 @@ class _Writer:
         if len(found) == 1:
             entry, blanks, words = self._entry(found[0], SPEED)
             self.blanks += [f"speed.{key}" for key in blanks]
-            self.guesses.append("speed")
-            return [f"speed: {entry}  # guess by the name; {words}"]
+            return [f"speed: {entry}  # {self._how(SPEED, SPEED)}; {words}"]
         self.blanks.append("speed")
         offers = self._offers(found or rest, SPEED, "  # ")
         other = "one of these without the #" if offers else "a source like that of a channel"
@@ -125,8 +159,7 @@ class _Writer:
         vertical = [one for one in found if not is_of_another_direction(one.name)] or found
         sides = [one.side for one in vertical]
         if len(vertical) == 1 or sorted(sides) == sorted(SIDES):
-            self.guesses.append(f"channels.{name}")
-            lines = [f"  {name}:  # guess by the name"]
+            lines = [f"  {name}:  # {self._how(name, f'channels.{name}')}"]
             for one, side in zip(vertical, sides, strict=True):
                 entry, blanks, words = self._entry(one, ACCELERATION, side)
                 self.blanks += [f"channels.{name}.{key}" for key in blanks]
@@ -142,6 +175,13 @@ class _Writer:
             f"  {name}:  # {BLANK}: {words if offers else 'no column of these files is left'}",
             *self._offers(offers, ACCELERATION, "    # - "),
         ]
+
+    def _how(self, what: str, key: str) -> str:
+        """Return how columns were found: said, or guessed, which is noted."""
+        if what in self.chosen:
+            return "as said"
+        self.guesses.append(key)
+        return "guess by the name"
 
     def _offers(self, signals: Sequence[Signal], kind: str, mark: str) -> list[str]:
         lines = []

@@ -246,7 +246,7 @@ def test_problems_of_all_trips_and_arguments_are_told_at_once(manifests, tmp_pat
     assert "b_file: `channels.body.unit` must be one of" in done.stdout
     assert "empty holds no *.yaml file" in done.stdout
     assert "there is no file or folder" in done.stdout
-    assert "is no manifest (*.yaml); to write one: suspnet-init" in done.stdout
+    assert "is no manifest (*.yaml); to write one: suspnet init" in done.stdout
     assert "e_unit, f_sign" in done.stdout  # they share data with the good trip
     assert told["d_swapped.yaml"]["picture"]
 
@@ -347,17 +347,13 @@ def test_program_explains_itself():
 
 
 def test_commands_of_the_docs_are_understood():
-    parsers = {"suspnet-check": options.check_parser(), "suspnet-init": options.init_parser()}
+    parsers = {"suspnet check": options.check_parser(), "suspnet init": options.init_parser()}
     found = []
     for page in (ROOT / "docs").glob("*.md"):
         for line in page.read_text(encoding="utf-8").splitlines():
-            words = (
-                shlex.split(line, comments=True)
-                if re.match(r"    suspnet-(check|init) ", line)
-                else []
-            )
-            if words:
-                found.append(parsers[words[0]].parse_args(words[1:]))
+            if match := re.match(r"    (suspnet (?:check|init)) (.*)", line):
+                words = shlex.split(match[2], comments=True)
+                found.append(parsers[match[1]].parse_args(words))
     assert len(found) >= 4
 
 

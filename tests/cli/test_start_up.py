@@ -54,7 +54,7 @@ def test_history_starts_as_a_module(monkeypatch, capsys):
     with handlers_set_back(), pytest.raises(SystemExit) as ended:
         runpy.run_module("suspnet.history", run_name="__main__")
     assert not ended.value.code
-    assert capsys.readouterr().out.startswith("usage: suspnet-history")
+    assert capsys.readouterr().out.startswith("usage: suspnet history")
 
 
 @pytest.mark.parametrize("names", [QUICK, pytest.param(PROGRAMS, marks=pytest.mark.slow)])

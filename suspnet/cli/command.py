@@ -1,0 +1,73 @@
+"""The command ``suspnet``: one name for all programs, and completion of its words in a shell.
+
+Nothing is imported here that takes time: a program is imported when it is started.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from difflib import get_close_matches
+from importlib import import_module
+
+from suspnet._version import __version__
+from suspnet.cli.start import PROGRAMS, start
+
+MEANINGS = {
+    "init": "write manifests of a folder of data files, or the file of a vehicle",
+    "check": "show what is wrong with recordings, before a model or with one",
+    "train": "commission a suspension on healthy trips; train and score a method",
+    "evaluate": "read trips with trained models; score models; run a study; plan a fleet",
+    "history": "list a store of trips, add maintenance, acknowledge alarms, write tables",
+    "monitor": "read frames of running trains as they come",
+    "replay": "send recorded trips as such frames",
+    "serve": "show the fleet in a browser",
+    "simulate": "write an example fleet with known parameters",
+}
+"""What each program does, in the order in which they are needed."""
+SHELLS = ("bash", "zsh")
+COMPLETION = "completion"
+HELP = f"""\
+Usage: suspnet PROGRAM ...
+
+Stiffness and damping of train suspensions from three vertical accelerometers.
+
+{chr(10).join(f"  {name:12}{meaning}" for name, meaning in MEANINGS.items())}
+  {COMPLETION:12}print the completion of a shell: suspnet {COMPLETION} {"|".join(SHELLS)}
+
+  suspnet PROGRAM --help    options and settings of a program
+  suspnet --version
+
+  suspnet init trips/car7 vehicle=am96 suspension="car 7"
+  suspnet check trips/car7
+  suspnet train experiment=trips healthy=trips/car7 n_healthy=5
+  suspnet evaluate trips=trips/car7 run=outputs/trips/RUN"""
+
+
+def main() -> None:
+    """Run the program that the command line names."""
+    first, *rest = sys.argv[1:] or ["--help"]
+    if first in MEANINGS:
+        sys.argv = [f"{sys.argv[0]}-{first}", *rest]
+        start(first)
+    elif first in ("-h", "--help", "help"):
+        _print(HELP)
+    elif first in ("-V", "--version"):
+        _print(f"suspnet {__version__}")
+    elif first == COMPLETION:
+        if len(rest) != 1 or rest[0] not in SHELLS:
+            sys.exit(f"error: say for which shell: suspnet {COMPLETION} {' or '.join(SHELLS)}")
+        _print(import_module("suspnet.cli.completion").script(rest[0]), end="")
+    else:
+        near = get_close_matches(first, [*PROGRAMS, COMPLETION], n=1)
+        meant = f"did you mean {near[0]}? " if near else ""
+        sys.exit(f"error: there is no program {first!r}: {meant}suspnet --help lists them")
+
+
+def _print(text: str, end: str = "\n") -> None:
+    """Print to standard output; a reader that ends early, such as head, is no mistake."""
+    try:
+        print(text, end=end, flush=True)
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        sys.exit(141)

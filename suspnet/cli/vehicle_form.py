@@ -1,0 +1,171 @@
+"""The file of a vehicle from a short form: each number with what it is and where it is from."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from suspnet.dynamics.quantities import QUANTITIES
+from suspnet.dynamics.vehicle import GEOMETRY, Vehicle
+from suspnet.ground.settings import Declared, settings_of
+from suspnet.ground.storage import printable, write_atomically
+
+FOLDER = Path("vehicles")
+"""Folder of the vehicles if none is given."""
+NAME = re.compile(r"\w[\w.-]{0,99}", re.ASCII)
+PRIORS = {
+    "primary_stiffness_n_per_m": "healthy_k_p",
+    "primary_damping_ns_per_m": "healthy_c_p",
+    "secondary_stiffness_n_per_m": "healthy_k_s",
+    "secondary_damping_ns_per_m": "healthy_c_s",
+    **{name: name.removesuffix("_m") for name in GEOMETRY},
+}
+"""Name among the uncertain numbers of each number that commissioning corrects."""
+FROM = {
+    "bogie_mass_kg": "drawing: half of a bogie frame",
+    "body_mass_kg": "drawing: a quarter of the body",
+    "primary_stiffness_n_per_m": "drawing or data sheet: sum of the springs of both axle boxes of "
+    "the side",
+    "primary_damping_ns_per_m": "data sheet: sum of the dampers of both axle boxes of the side",
+    "secondary_stiffness_n_per_m": "drawing or data sheet: the springs of the side",
+    "secondary_damping_ns_per_m": "data sheet: the vertical dampers of the side",
+    "half_wheelbase_m": "drawing: half of the bogie's wheelbase",
+    "half_pivot_distance_m": "drawing: half of the distance between the pivots",
+    "bogie_gyration_m": "sqrt(moment of inertia / mass); without it 0.59 of the half wheelbase, as "
+    "of the AM96",
+    "body_gyration_m": "sqrt(moment of inertia / mass); without it 0.82 of the half pivot distance",
+    "primary_friction_share": "kind of springs: 0 for coil springs and hydraulic dampers",
+    "primary_blow_off_m_per_s": "data sheet of the damper; null if linear",
+    "secondary_blow_off_m_per_s": "data sheet of the damper; null if linear or a choke",
+    "source": "the drawing's number",
+}
+"""Where each number is found, and what it is the sum of."""
+GUESSED = {
+    "bogie_gyration_m": ("half_wheelbase_m", 0.8 / 1.35),
+    "body_gyration_m": ("half_pivot_distance_m", 7.8 / 9.5),
+}
+"""Radii of gyration without a value, as shares of a length: those of the AM96's file."""
+LITTLE = {
+    "bogie_mass_kg": "matters little: 20 % off changes no estimate of springs and dampers relative "
+    "to healthy, and that of M_s by as much",
+}
+"""Numbers that matter little for estimates relative to healthy, and why."""
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A number of the form: its setting, and how exact it must be."""
+
+    setting: Declared
+    exactness: str
+
+    @property
+    def is_required(self) -> bool:
+        """Whether a vehicle needs it."""
+        return self.setting.name.endswith(("_kg", "n_per_m", "ns_per_m")) or (
+            self.setting.name in ("half_wheelbase_m", "half_pivot_distance_m")
+        )
+
+
+def entries() -> list[Entry]:
+    """Return the numbers of a vehicle, in the order of its file."""
+    deviations = {one.name: one.deviation for one in QUANTITIES}
+    found = []
+    for name, one in settings_of(Vehicle).items():
+        if name in FROM:
+            exact = LITTLE.get(name, "")
+            if name in PRIORS:
+                share = deviations[PRIORS[name]]
+                exact = f"within some {share:.0%}: healthy trips correct it (commissioning)"
+            elif name == "body_mass_kg":
+                exact = "as exact as known: M_s is relative to it"
+            found.append(Entry(one, exact))
+    return found
+
+
+def write_vehicle(name: str, paths: Sequence[Path], said: Sequence[str], force: bool) -> int:
+    """Write DIR/vehicle/NAME.yaml from KEY=VALUE and return 0; 1 if numbers are missing.
+
+    ValueError if the name, a key or a value is wrong, or the file exists and is not replaced.
+    """
+    if not NAME.fullmatch(name):
+        raise ValueError(f"--vehicle must be a plain name without blanks, got {name!r}")
+    if len(paths) > 1:
+        raise ValueError(f"give one folder of vehicles, not {len(paths)}")
+    path = (paths[0] if paths else FOLDER) / "vehicle" / f"{name}.yaml"
+    if path.exists() and not force:
+        raise ValueError(f"{path} exists; --force replaces it")
+    form = entries()
+    values = _read(said, form)
+    missing = [one for one in form if one.is_required and one.setting.name not in values]
+    if missing:
+        print(f"{path} is not written yet; give these of one bogie side, in SI units, KEY=VALUE:")
+        for one in missing:
+            print(f"  {one.setting.name} [{one.setting.setting.unit}]: {FROM[one.setting.name]}")
+            print(f"      {one.exactness}")
+        names = [one.setting.name for one in form if not one.is_required]
+        rest = [name for name in names if name not in values]
+        print(f"may be left out: {', '.join(rest)}")
+        return 1
+    guessed = {
+        key: round(share * float(values[of]), 3)
+        for key, (of, share) in GUESSED.items()
+        if key not in values
+    }
+    Vehicle(name=name, **(values | guessed))
+    write_atomically(path, _text(name, form, values, guessed), force=force)
+    for key, value in guessed.items():
+        print(f"{key}: {value:g}, assumed as a share of {GUESSED[key][0]}")
+    print(
+        printable(
+            f"-> {path}\nuse it: suspnet check DIR --config-dir {path.parents[1]}\n"
+            f"        suspnet train --config-dir {path.parents[1]} vehicle={name} ..."
+        )
+    )
+    return 0
+
+
+def _read(said: Sequence[str], form: Sequence[Entry]) -> dict[str, Any]:
+    """Return the values of KEY=VALUE; ValueError if a key is unknown or a value no number."""
+    known = [one.setting.name for one in form]
+    values: dict[str, Any] = {}
+    for word in said:
+        key, _, text = word.partition("=")
+        if key not in known:
+            raise ValueError(f"`{key}` is not known; allowed are {', '.join(known)}")
+        if key == "source":
+            values[key] = text
+            continue
+        try:
+            values[key] = None if text == "null" else float(text)
+        except ValueError:
+            raise ValueError(f"`{key}` must be a number, got {text!r}") from None
+    return values
+
+
+def _text(
+    name: str,
+    form: Sequence[Entry],
+    values: Mapping[str, Any],
+    guessed: dict[str, float],
+) -> str:
+    lines = [f"# {name}: all numbers are SI and of one bogie side", f"name: {_scalar(name)}"]
+    for one in form:
+        key = one.setting.name
+        if key in values or key in guessed:
+            sentence = re.sub(r"; .*", "", one.setting.setting.sentence)
+            lines.append(f"# {sentence} [{one.setting.rule}]")
+            lines.append(f"# {FROM[key]}" + f"; {one.exactness}" * bool(one.exactness))
+            how = f"  # assumed, as a share of {GUESSED[key][0]}" if key in guessed else ""
+            lines.append(f"{key}: {_scalar(guessed.get(key, values.get(key)))}{how}")
+    return "\n".join(lines) + "\n"
+
+
+def _scalar(value: object) -> str:
+    """Return a value in YAML on one line."""
+    return str(yaml.safe_dump(value, allow_unicode=True, width=10**6)).partition("\n")[0]

@@ -1,0 +1,365 @@
+"""Manifests of all trips of a folder, from what files, a table and the command line state.
+
+A value of a table counts more than one that is said once for all trips, and that one more than the
+files': their columns, the lines of their loggers, the name of their folder, and the time of the
+file as the last resort.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from datetime import datetime
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from suspnet.ground.parameters import DIRECTIONS
+from suspnet.ground.storage import read_plain
+from suspnet.recordings.clocks import first_moment
+from suspnet.recordings.errors import TripError, all_of
+from suspnet.recordings.logger_notes import GERMAN, Stated, key_of, read_value, stated_in
+from suspnet.recordings.manifest import BOGIES, CHANNELS, MIDDLE, SIDES
+from suspnet.trips.file_contents import (
+    SPEED,
+    Contents,
+    Signal,
+    contents_of,
+    guessed_bogie,
+    words_of,
+)
+from suspnet.trips.manifest_template import PLACE_LINES, Template, template
+from suspnet.trips.trip_files import TripFiles
+
+FILE_NAMES = ("file", "datei", "dateiname", "filename", "trip", "fahrt")
+"""Names of the column of a table that names a trip or one of its files."""
+CHOICES: Mapping[str, tuple[str, ...]] = {
+    "bogie": BOGIES,
+    "side": (*SIDES, MIDDLE),
+    "direction": DIRECTIONS,
+}
+NUMBERS = ("mileage_km", "temperature_c", "wheel_diameter_m")
+SIGNAL_KEYS = ("unit", "rate_hz", "speed_unit", "speed_rate_hz")
+"""Keys that hold for all accelerometers, or for the speed, of all trips."""
+SAYABLE = (*PLACE_LINES, SPEED, *(f"channels.{name}" for name in CHANNELS), *SIGNAL_KEYS)
+"""Keys that may be said once for all trips."""
+HOW: Mapping[str, str] = {
+    "vehicle": "vehicle=NAME, one of suspnet's or of a file of yours (suspnet init --vehicle NAME)",
+    "suspension": 'suspension="car 7", any name, the same in all trips of one suspension',
+    "side": "side=left or right of the single sensors, or side=middle",
+    "mileage_km": "a table of the trips: --table FILE, which is written if there is none",
+    "speed": 'speed=70 in m/s, speed="252 km/h", or speed=COLUMN',
+    "unit": "unit=m/s2 or unit=g, of all accelerometers",
+    "rate_hz": "rate_hz=500, of all accelerometers",
+    "speed_unit": "speed_unit=km/h or speed_unit=m/s",
+    "speed_rate_hz": "speed_rate_hz=1",
+}
+"""How a missing value is said, by its key."""
+COPIED_S = 60.0
+"""Files whose times are less far apart on average were copied: these say nothing of the trips."""
+BY_FILE_TIME = "by the time of the file, the last resort: when it was written or copied"
+
+
+@dataclass(frozen=True)
+class Trip:
+    """A trip of a folder: path of its manifest, files, what is known and the manifest itself."""
+
+    path: Path
+    files: tuple[Path, ...]
+    known: Mapping[str, Stated]
+    signals: tuple[Signal, ...]
+    manifest: Template
+
+    @property
+    def missing(self) -> tuple[str, ...]:
+        """What is to be said, as keys of ``HOW`` or ``channels.NAME``."""
+        return tuple(dict.fromkeys(map(_asked, self.manifest.blanks)))
+
+
+def read_said(words: Iterable[str]) -> dict[str, str]:
+    """Return what ``KEY=VALUE`` of a command line say; ValueError if one is wrong."""
+    said: dict[str, str] = {}
+    for word in words:
+        key, _, value = word.partition("=")
+        if key not in SAYABLE:
+            raise ValueError(f"`{key}` is not known; allowed are {', '.join(SAYABLE)}")
+        value = value.strip()
+        allowed = CHOICES.get(key)
+        if not value or (allowed and value not in allowed):
+            rule = f"one of {', '.join(allowed)}" if allowed else "a value, not nothing"
+            raise ValueError(f"`{key}` must be {rule}, got {value!r}")
+        if key in said:
+            raise ValueError(f"`{key}` is given twice")
+        said[key] = value
+    return said
+
+
+def read_table(path: Path) -> dict[str, dict[str, Stated]]:
+    """Return what a table (CSV) states of each trip, by the name of a file or a trip.
+
+    Columns are named as keys of a manifest, or in English or German as loggers do; others are
+    ignored. ValueError if none names files, a name is given twice or a value cannot be read.
+    """
+    data = read_plain(path)
+    try:
+        text = data.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        text = data.decode("latin-1")
+    head = text.partition("\n")[0]
+    delimiter = max(";\t,", key=head.count)
+    rows = [row for row in csv.reader(io.StringIO(text), delimiter=delimiter) if any(row)]
+    names = [name.strip() for name in rows[0]] if rows else []
+    files = [i for i, name in enumerate(names) if name.lower() in FILE_NAMES]
+    if not files:
+        raise ValueError(f"{path}: no column is called file, trip, Datei or Fahrt; it has {names}")
+    found: dict[str, dict[str, Stated]] = {}
+    for number, row in enumerate(rows[1:], start=2):
+        trip = row[files[0]].strip() if len(row) > files[0] else ""
+        if not trip or trip in found:
+            what = f"{trip!r} a second time" if trip else "no file"
+            raise ValueError(f"{path}, row {number}: it names {what}")
+        found[trip] = {}
+        for name, cell in zip(names, row, strict=False):
+            key = key_of(name)
+            if not key or not cell.strip():
+                continue
+            is_german = delimiter == ";" and "." not in cell
+            value = read_value(key, min(GERMAN) if is_german else name, cell)
+            if value is None:
+                raise ValueError(f"{path}, row {number}: {name!r} cannot be read, got {cell!r}")
+            found[trip][value[0]] = Stated(value[1], f"by {path.name}")
+    return found
+
+
+def table_of(trips: Sequence[Trip], folder: Path) -> str:
+    """Return a table of the trips as CSV, with what is known of them, to be completed."""
+    keys = ("mileage_km", "start", "direction")
+    out = io.StringIO()
+    rows = csv.writer(out, delimiter=";", lineterminator="\n")
+    rows.writerow(["file", *keys])
+    for trip in trips:
+        known = [trip.known[key].value if key in trip.known else "" for key in keys]
+        rows.writerow([trip.files[0].relative_to(folder).as_posix(), *known])
+    return out.getvalue()
+
+
+def folder_manifests(
+    found: Sequence[TripFiles],
+    folder: Path,
+    said: Mapping[str, str],
+    table: Mapping[str, Mapping[str, Stated]],
+) -> list[Trip]:
+    """Return the manifests of the trips of a folder.
+
+    A file with columns of both bogies gives a trip of each. TripError with all `problems` if files
+    cannot be read; ValueError if the table names a trip that is not there.
+    """
+    rows = {one.path: _row(table, one, folder) for one in found}
+    unknown = set(table) - {name for names, _ in rows.values() for name in names}
+    if unknown:
+        raise ValueError(
+            f"the table names {', '.join(sorted(unknown)[:5])}, which {folder} does not hold"
+        )
+    contents = all_of(
+        partial(lambda one: [contents_of(file) for file in one.files], one) for one in found
+    )
+    trips = []
+    times = [_file_time(one).timestamp() for one in found]
+    is_copy = len(found) > 1 and max(times) - min(times) < COPIED_S * (len(found) - 1)
+    for one, several in zip(found, contents, strict=True):
+        for path, signals, bogie in _by_bogie(one.path, [s for c in several for s in c.signals]):
+            known = _stated(one, several, signals, folder)
+            if not is_copy and "start" not in known and not _is_dated(signals):
+                known["start"] = Stated(_file_time(one).isoformat(), BY_FILE_TIME)
+            known |= bogie
+            known |= {
+                key: Stated(_plain_value(key, value), "as said")
+                for key, value in said.items()
+                if key in PLACE_LINES
+            }
+            known |= rows[one.path][1]
+            trips.append(_trip(path, one.files, several, signals, known, said))
+    if "mileage_km" in said and len(trips) > 1:
+        raise ValueError(
+            f"`mileage_km` is another one in each of the {len(trips)} trips: give "
+            f"{HOW['mileage_km']}"
+        )
+    return trips
+
+
+def _row(
+    table: Mapping[str, Mapping[str, Stated]], one: TripFiles, folder: Path
+) -> tuple[set[str], dict[str, Stated]]:
+    """Return the names in a table that mean a trip, and what their rows state."""
+    names = {one.path.stem}
+    for file in one.files:
+        names |= {file.name, file.stem, file.relative_to(folder).as_posix()}
+    named = names & set(table)
+    return named, {key: value for name in sorted(named) for key, value in table[name].items()}
+
+
+def _by_bogie(
+    path: Path, signals: Sequence[Signal]
+) -> list[tuple[Path, tuple[Signal, ...], dict[str, Stated]]]:
+    """Return a trip of each bogie that the names of columns state."""
+    stated = [guessed_bogie(*one.names) for one in signals]
+    bogies = [one for one in BOGIES if any(bogie == one for bogie, _ in stated)]
+    parts = []
+    for one in bogies or [""]:
+        own = [s for s, (bogie, _) in zip(signals, stated, strict=True) if bogie in ("", one)]
+        word = next((word for bogie, word in stated if bogie == one and word), "")
+        known = {"bogie": Stated(one, f"guess by columns named {word}")} if one else {}
+        end = f"_{one}" if len(bogies) > 1 else ""
+        parts.append((path.with_name(f"{path.stem}{end}.yaml"), tuple(own), known))
+    return parts
+
+
+def _stated(
+    one: TripFiles, contents: Sequence[Contents], signals: Sequence[Signal], folder: Path
+) -> dict[str, Stated]:
+    """Return what the files of a trip state."""
+    known: dict[str, Stated] = {}
+    if one.path.parent != folder:
+        known["suspension"] = Stated(one.path.parent.name, "by the folder")
+    for content in reversed(contents):  # the first file that states a key counts
+        known |= stated_in(content.notes)
+    known |= _by_columns(signals)
+    if any(signal.meaning == SPEED for signal in signals):
+        known.pop(SPEED, None)  # a column states more than a line
+    if _is_dated(signals):
+        known.pop("start", None)  # the template takes that of the files' clocks
+    return known
+
+
+def _is_dated(signals: Sequence[Signal]) -> bool:
+    return first_moment(signal.zero for signal in signals)[0] is not None
+
+
+def _file_time(one: TripFiles) -> datetime:
+    """Return when the first file of a trip was written, in the zone of this computer."""
+    written = datetime.fromtimestamp(min(file.stat().st_mtime for file in one.files))
+    return written.replace(microsecond=0)
+
+
+def _is_of_the_trip(one: Signal) -> bool:
+    """Return whether a column is about the trip, not a sensor or a speed."""
+    return key_of(one.name) in ("mileage_km", "direction")
+
+
+def _by_columns(signals: Sequence[Signal]) -> dict[str, Stated]:
+    """Return mileage and direction where columns have them: their first value, and their sign."""
+    known: dict[str, Stated] = {}
+    for one in signals:
+        key = key_of(one.name)
+        source = f"by the column {one.name!r}"
+        if key == "mileage_km" and np.isfinite(one.first) and one.first >= 0:
+            known[key] = Stated(round(one.first, 3), source)
+        if key == "direction" and one.deviation == 0 and one.mean in (1, -1):
+            known[key] = Stated(DIRECTIONS[one.mean < 0], source)
+    return known
+
+
+def _trip(
+    path: Path,
+    files: tuple[Path, ...],
+    contents: Sequence[Contents],
+    signals: Sequence[Signal],
+    known: Mapping[str, Stated],
+    said: Mapping[str, str],
+) -> Trip:
+    known, chosen = dict(known), {}
+    for name in CHANNELS:
+        if (key := f"channels.{name}") in said:
+            chosen[name] = _columns(path, key, said[key], signals)
+    if SPEED in said:
+        if any(one.name == said[SPEED] for one in signals):
+            chosen[SPEED] = (said[SPEED],)
+            known.pop(SPEED, None)
+        else:
+            known[SPEED] = Stated(_plain_value(SPEED, said[SPEED]), "as said")
+    own = tuple(_with_said(one, said, chosen) for one in signals if not _is_of_the_trip(one))
+    speeds = [one for one in own if one.meaning == SPEED]
+    if len(speeds) > 1 and SPEED not in said:  # a receiver's is that of the train
+        best = next((one for one in speeds if {"gps", "gnss"} & set(words_of(one.name))), speeds[0])
+        own = tuple(one for one in own if one is best or one not in speeds)
+    words = [content.read_as for content in contents if content.read_as]
+    return Trip(path, files, known, own, template(own, path, words, known, chosen))
+
+
+def _columns(path: Path, key: str, names: str, signals: Sequence[Signal]) -> tuple[str, ...]:
+    """Return the columns of a channel: one, or a left and a right one with a comma between."""
+    present = [one.name for one in signals]
+    found = (names,) if names in present else tuple(part.strip() for part in names.split(","))
+    missing = [name for name in found if name not in present]
+    if missing or len(found) > 2:
+        raise TripError(
+            f"{path}: `{key}` must name one or two of the columns {present}, got {names!r}"
+        )
+    return found
+
+
+def _with_said(one: Signal, said: Mapping[str, str], chosen: Mapping[str, Sequence[str]]) -> Signal:
+    """Return a signal with what was said for all: side, unit and rate.
+
+    Unit and rate are those of its file if it states them. Of a chosen pair the first is left.
+    """
+    meaning = one.meaning
+    for what, names in chosen.items():
+        if one.name in names:
+            meaning = what
+            if len(names) == len(SIDES):
+                one = replace(one, names=(SIDES[names.index(one.name)], *one.names))
+    prefix = "speed_" if meaning == SPEED else ""
+    unit, rate = said.get(f"{prefix}unit"), said.get(f"{prefix}rate_hz")
+    if unit and not one.unit:
+        one = replace(one, unit=unit)
+    if rate and not one.time and not np.isfinite(one.rate_hz):
+        one = replace(one, rate_hz=float(_plain_value("rate_hz", rate)))
+    return one
+
+
+def _plain_value(key: str, text: str) -> str | float:
+    """Return what was said as a number where the key has one; ValueError if it is none."""
+    is_number = key in ("mileage_km", "temperature_c", "wheel_diameter_m") or key.endswith(
+        "rate_hz"
+    )
+    try:
+        return float(text) if is_number or key == SPEED else text
+    except ValueError:
+        if is_number:
+            raise ValueError(f"`{key}` must be a number, got {text!r}") from None
+        return text
+
+
+def _asked(blank: str) -> str:
+    """Return the key by which a blank of a manifest is said once for all trips."""
+    for key in ("unit", "rate_hz"):
+        if blank.endswith(f".{key}"):
+            return f"speed_{key}" if blank.startswith(SPEED) else key
+    return blank
+
+
+def how_to_say(key: str, trips: Sequence[Trip]) -> str:
+    """Return how a missing value is said, with the columns to choose from."""
+    if key in HOW:
+        return HOW[key]
+    columns = dict.fromkeys(one.name for trip in trips for one in trip.signals)
+    shown = ", ".join(list(columns)[:20]) + ", ..." * (len(columns) > 20)
+    return f"{key}=COLUMN, or LEFT,RIGHT for a pair; columns: {shown}"
+
+
+def origins(trips: Sequence[Trip]) -> list[str]:
+    """Return a line for each key on where its values are from, with numbers of trips."""
+    lines = []
+    for key in (*PLACE_LINES, SPEED):
+        n_trips = Counter(trip.known[key].source for trip in trips if key in trip.known)
+        if n_trips:
+            lines.append(f"{key}: {', '.join(f'{where} ({n})' for where, n in n_trips.items())}")
+    guesses = dict.fromkeys(key for trip in trips for key in trip.manifest.guesses)
+    if guesses:
+        lines.append(f"guessed by names of columns, to be checked: {', '.join(guesses)}")
+    return lines

@@ -1,0 +1,89 @@
+"""Data files of a folder, grouped by trip: those whose names differ by places and sides only."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+from suspnet.ground.storage import distinct
+from suspnet.recordings.formats import READERS
+from suspnet.recordings.manifest import SIDES
+from suspnet.trips.file_contents import guessed_meaning, guessed_side, words_of
+
+DEEPEST = 3
+"""Number of levels of folders that are searched."""
+IGNORED = ("vehicle", "outputs")
+"""Names of folders that hold no trips."""
+_GPS = ("gps", "gnss", "nmea")
+
+
+@dataclass(frozen=True)
+class TripFiles:
+    """Files of one trip, and the path of its manifest."""
+
+    path: Path
+    files: tuple[Path, ...]
+
+
+def find_trip_files(folder: Path, besides: Iterable[Path] = ()) -> list[TripFiles]:
+    """Return the trips of a folder and its subfolders, without the files `besides`.
+
+    Files of one folder whose names are equal without words for a place, a side or a receiver are of
+    one trip: ``run_1_axle.csv``, ``run_1_bogie.csv`` and ``run_1_gps.csv``. A folder whose files
+    have no other word, as ``run_1/axle.csv`` and ``run_1/bogie.csv``, is a trip by itself.
+    FileNotFoundError is raised if there is no such folder or no data file in it.
+    """
+    if not folder.is_dir():
+        raise FileNotFoundError(f"there is no folder {folder}; give the one that holds the files")
+    left_out = {path.resolve() for path in besides}
+    by_trip: dict[Path, list[Path]] = {}
+    for file in sorted(_data_files(folder, DEEPEST), key=_natural):
+        if file.resolve() not in left_out:
+            by_trip.setdefault(_trip_of(file, folder), []).append(file)
+    if not by_trip:
+        raise FileNotFoundError(
+            f"{folder} holds no data file; they end with {', '.join(sorted(READERS))}"
+        )
+    trips = list(by_trip)
+    # a folder with manifests of its own hides those of its subfolders
+    if any(trip.parent == folder for trip in trips):
+        trips = [folder / "_".join(trip.relative_to(folder).parts) for trip in trips]
+    names = distinct(str(trip) for trip in trips)
+    return [
+        TripFiles(Path(f"{name}.yaml"), tuple(files))
+        for name, files in zip(names, by_trip.values(), strict=True)
+    ]
+
+
+def _data_files(folder: Path, depth: int) -> Iterable[Path]:
+    for path in folder.iterdir():
+        if path.name.startswith(".") or path.name in IGNORED:
+            continue
+        if path.is_dir() and depth > 1:
+            yield from _data_files(path, depth - 1)
+        elif path.suffix.lower() in READERS and path.is_file():
+            yield path
+
+
+def _trip_of(file: Path, folder: Path) -> Path:
+    """Return the path of a file's trip, without a suffix: by its name, or by that of its folder."""
+    rest = "".join(_without_place(part) for part in re.split(r"([\W_]+)", file.stem)).strip("_-. ")
+    # one word may hold all, as AxleBoxLeft
+    if not re.search(r"\w", rest) or not re.search(r"[^\W_]", rest):
+        return file.parent if file.parent != folder else folder / file.stem
+    return file.parent / re.sub(r"[\W_]*[_\s-][\W_]*", "_", rest)
+
+
+def _without_place(part: str) -> str:
+    """Return a part of a name, empty if it is a word for a place, a side or a receiver."""
+    words = words_of(part)
+    is_place = bool(words) and bool(guessed_meaning(part) or part.lower() in _GPS)
+    return "" if is_place or guessed_side(part) in SIDES else part
+
+
+def _natural(path: Path) -> list[tuple[int, str]]:
+    """Return a sort key by which trip_2 comes before trip_10."""
+    parts = re.split(r"(\d+)", str(path))
+    return [(int(one), "") if one.isdecimal() else (-1, one) for one in parts]

@@ -1,0 +1,308 @@
+"""suspnet init of a folder: all manifests at once, and one list of what is missing."""
+
+import os
+from datetime import datetime, timedelta
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+import yaml
+from cli_runner import typed
+from recording_files import write_mdf
+from trip_fixtures import RATES_HZ, signal, small_fleet
+
+from suspnet.cli import check, init
+from suspnet.dynamics import Vehicle
+from suspnet.recordings.manifest import CHANNELS
+from suspnet.recordings.manifest_files import read_manifest
+from suspnet.trips.trip_files import find_trip_files
+
+WORDS = ("Achslager", "Rahmen", "Wagenkasten")
+SAID = ("vehicle=am96", "suspension=car 7", "speed=70", "unit=m/s2", "rate_hz=250", "side=left")
+START = datetime(2015, 8, 3, 8)
+
+
+def written(folder, *said):
+    """Run the program with success and return what it prints."""
+    done = typed(init, folder, *said, cwd=folder)
+    assert (done.returncode, done.stderr) == (0, ""), done.stdout
+    return done.stdout
+
+
+def asked(folder, *said):
+    """Run the program, which writes nothing, and return the keys that it asks for."""
+    before = sorted(folder.rglob("*.yaml"))
+    done = typed(init, folder, *said, cwd=folder)
+    assert (done.returncode, done.stderr) == (1, "")
+    assert sorted(folder.rglob("*.yaml")) == before
+    lines = done.stdout.splitlines()[1:-1]
+    return {line.partition(":")[0].split()[0] for line in lines if line[2:3] != " "} - {
+        "direction,"
+    }
+
+
+def write_german(path, n=400, columns=None, above=()):
+    """Write a CSV file as German loggers do, with time stamps at 250 Hz."""
+    columns = columns or {
+        **{
+            f"{word} {side} [m/s²]": np.sin(np.arange(n)) for word in WORDS for side in ("li", "re")
+        },
+        "v GPS [km/h]": np.full(n, 252.0),
+    }
+    times = [START + timedelta(milliseconds=4 * i) for i in range(n)]
+    stamps = [f"{at:%d.%m.%Y %H:%M:%S},{at.microsecond // 1000:03d}" for at in times]
+    cells = [[f"{x:.5f}".replace(".", ",") for x in values] for values in columns.values()]
+    rows = [";".join(row) for row in zip(stamps, *cells, strict=True)]
+    lines = [*above, ";".join(["Zeitstempel", *columns]), *rows]
+    path.write_bytes("\r\n".join(lines).encode("latin-1"))
+
+
+def write_plain(path, names=CHANNELS, n=500):
+    path.parent.mkdir(parents=True, exist_ok=True)
+    pq.write_table(pa.table({name: np.sin(np.arange(n)) for name in names}), path)
+
+
+def test_german_files_of_two_formats_need_one_command(tmp_path):
+    above = ["Gerät;Lögger", "Fahrzeug;am96", "Drehgestell;vorn", "Kilometerstand;19.250,5 km", ""]
+    write_german(tmp_path / "Fahrt_1.csv", above=above)
+    columns = {f"DG2 {word}": np.sin(np.arange(400)) for word in WORDS}
+    write_mdf(tmp_path / "Fahrt_2.mf4", columns, unit="g", rate_hz=250.0, start=START)
+    assert asked(tmp_path) == {"vehicle", "suspension", "side", "mileage_km", "speed"}
+    table = tmp_path / "Fahrten.csv"
+    table.write_text("Datei;Kilometerstand;Richtung;Fahrzeug\nFahrt_2.mf4;20.000;vorwärts;am96\n")
+    words = written(tmp_path, "suspension=4711", "speed=252 km/h", "side=middle", "--table", table)
+    assert "2 manifests of 2 trips" in words
+    one, two = (read_manifest(tmp_path / f"Fahrt_{i}.yaml") for i in (1, 2))
+    assert (one.bogie, two.bogie, two.direction) == ("leading", "trailing", "forward")
+    assert (one.mileage_km, two.mileage_km) == (19250.5, 20000.0)
+    assert one.suspension == two.suspension == "4711"
+    assert one.start == START
+    assert two.start.replace(tzinfo=None) == START
+    assert one.channels["bogie"][1].column == "Rahmen re [m/s²]"
+    assert {channel.time for channel in one.channels["bogie"]} == {"Zeitstempel"}
+    assert one.speed == two.speed == 70.0
+
+
+def test_simulated_trips_of_a_folder_are_ready(tmp_path):
+    for number, manifest in enumerate(small_fleet()[:2], start=1):
+        for name, rate in zip(CHANNELS, RATES_HZ, strict=True):
+            values = signal(manifest, name)
+            field = pa.field("left", pa.float64(), metadata={"unit": "m/s2", "rate_hz": str(rate)})
+            file = tmp_path / f"run_{number}" / f"{name}.parquet"
+            file.parent.mkdir(exist_ok=True)
+            pq.write_table(pa.table([values], schema=pa.schema([field])), file)
+    (tmp_path / "km.csv").write_text("trip,mileage_km\nrun_1,1000\nrun_2,2000.5\n")
+    said = [*SAID[:3], "side=middle", "direction=forward", "--table", tmp_path / "km.csv"]
+    assert "then run: suspnet check" in written(tmp_path, *said)
+    done = typed(check, tmp_path, "--no-pictures", cwd=tmp_path)
+    assert "2 of 2 trips ready for an estimate" in done.stdout, done.stdout
+    assert "1000 to 2000 km" in done.stdout
+
+
+def test_missing_mileages_are_asked_for_in_a_table(tmp_path):
+    for number in (1, 2):
+        write_plain(tmp_path / f"run_{number}.parquet")
+    table = tmp_path / "km.csv"
+    assert asked(tmp_path, *SAID, "--table", table) == {"mileage_km"}
+    assert table.exists()
+    lines = table.read_text().splitlines()
+    assert lines[0] == "file;mileage_km;start;direction"
+    filled = [line.replace(";", ";1000,5", 1) for line in lines[1:]]
+    table.write_text("\n".join([lines[0], *filled]))
+    written(tmp_path, *SAID, "--table", table)
+    assert [read_manifest(tmp_path / f"run_{i}.yaml").mileage_km for i in (1, 2)] == [1000.5] * 2
+
+
+def test_time_of_the_file_is_the_last_resort_and_said(tmp_path):
+    write_plain(tmp_path / "run.parquet")
+    os.utime(tmp_path / "run.parquet", (1.4386e9, 1.4386e9))
+    assert "start: by the time of the file, the last resort" in written(
+        tmp_path, *SAID, "mileage_km=7"
+    )
+    assert "# by the time of the file, the last resort" in (tmp_path / "run.yaml").read_text()
+    assert read_manifest(tmp_path / "run.yaml").start.year == 2015
+
+
+def test_times_of_copied_files_are_no_dates(tmp_path):
+    for number in (1, 2, 3):
+        write_plain(tmp_path / f"run_{number}.parquet")
+        os.utime(tmp_path / f"run_{number}.parquet", (1.4386e9 + 50 * number,) * 2)
+    (tmp_path / "km.csv").write_text(
+        "file;mileage_km\n" + "".join(f"run_{i};{i}\n" for i in (1, 2, 3))
+    )
+    written(tmp_path, *SAID, "--table", tmp_path / "km.csv")
+    assert read_manifest(tmp_path / "run_1.yaml").start is None
+    os.utime(tmp_path / "run_3.parquet", (1.4387e9, 1.4387e9))
+    written(tmp_path, *SAID, "--table", tmp_path / "km.csv", "--force")
+    assert read_manifest(tmp_path / "run_1.yaml").start.year == 2015
+
+
+def test_columns_say_mileage_and_direction(tmp_path):
+    names = {**dict.fromkeys(CHANNELS, 0.5), "Kilometerstand": 5000.25, "Richtung": -1.0}
+    columns = {name: np.full(500, value) for name, value in names.items()}
+    pq.write_table(pa.table(columns), tmp_path / "run.parquet")
+    written(tmp_path, *SAID)
+    found = read_manifest(tmp_path / "run.yaml")
+    assert (found.mileage_km, found.direction) == (5000.25, "reverse")
+
+
+def test_file_of_both_bogies_is_a_trip_of_each(tmp_path):
+    names = [f"DG{bogie} {word}" for bogie in (1, 2) for word in WORDS]
+    write_plain(tmp_path / "run.parquet", names)
+    (tmp_path / "km.csv").write_text("file;mileage_km\nrun.parquet;7\n")
+    written(tmp_path, *SAID, "--table", tmp_path / "km.csv")
+    for number, bogie in ((1, "leading"), (2, "trailing")):
+        found = read_manifest(tmp_path / f"run_{bogie}.yaml")
+        assert found.bogie == bogie
+        assert found.channels["body"].column == f"DG{number} Wagenkasten"
+
+
+def test_columns_of_unclear_names_are_said_once(tmp_path):
+    write_plain(tmp_path / "run.parquet", ["ch0", "ch1", "ch2", "ch3"])
+    assert asked(tmp_path, *SAID, "mileage_km=7") == {f"channels.{name}" for name in CHANNELS}
+    said = ["channels.axle_box=ch0,ch3", "channels.bogie=ch1", "channels.body=ch2"]
+    written(tmp_path, *SAID, "mileage_km=7", *said)
+    assert (tmp_path / "run.yaml").read_text().count("# as said") == 8
+    found = read_manifest(tmp_path / "run.yaml")
+    assert [one.column for one in found.channels["axle_box"]] == ["ch0", "ch3"]
+    assert [found.channels[name].column for name in CHANNELS[1:]] == ["ch1", "ch2"]
+
+
+def test_speed_is_that_of_the_receiver_unless_the_table_says_another(tmp_path):
+    columns = dict.fromkeys([*CHANNELS, "v_wheel [km/h]", "v GPS [km/h]"], np.ones(500))
+    pq.write_table(pa.table(columns), tmp_path / "run.parquet")
+    said = [one for one in SAID if not one.startswith("speed")]
+    written(tmp_path, *said, "mileage_km=7", "speed_rate_hz=250")
+    assert read_manifest(tmp_path / "run.yaml").speed.column == "v GPS [km/h]"
+    (tmp_path / "km.csv").write_text("file;mileage_km;speed\nrun;7;180 km/h\n")
+    written(tmp_path, *said, "--table", tmp_path / "km.csv", "--force")
+    assert read_manifest(tmp_path / "run.yaml").speed == 50.0
+
+
+def test_files_are_grouped_by_trip_and_folder(tmp_path):
+    names = [
+        *("a/run_1_axle_box.csv", "a/run_1_bogie.csv", "a/run_1_gps.csv", "a/run_10.csv"),
+        *("a/run_2.csv", "b/trip 3/AxleBoxLeft.csv", "b/trip 3/CarBody.csv", "b/notes.md"),
+        *("vehicle/x.csv", ".hidden/y.csv"),
+    ]
+    for name in names:
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).touch()
+    found = find_trip_files(tmp_path)
+    got = {one.path.relative_to(tmp_path).as_posix(): len(one.files) for one in found}
+    assert got == {"a/run_1.yaml": 3, "a/run_2.yaml": 1, "a/run_10.yaml": 1, "b/trip 3.yaml": 2}
+    assert list(got)[:3] == ["a/run_1.yaml", "a/run_2.yaml", "a/run_10.yaml"]
+
+
+def test_subfolder_names_the_suspension(tmp_path):
+    write_plain(tmp_path / "bogie A" / "run_1.parquet")
+    said = [one for one in SAID if not one.startswith("suspension")]
+    assert "suspension: by the folder (1)" in written(tmp_path, *said, "mileage_km=7")
+    assert read_manifest(tmp_path / "bogie A" / "run_1.yaml").suspension == "bogie A"
+
+
+def test_manifests_that_exist_are_left_and_new_trips_added(tmp_path):
+    write_plain(tmp_path / "run_1.parquet")
+    written(tmp_path, *SAID, "mileage_km=7")
+    (tmp_path / "run_1.yaml").write_text("mine")
+    write_plain(tmp_path / "run_2.parquet")
+    (tmp_path / "km.csv").write_text("file;mileage_km\nrun_1;7\nrun_2;8\n")
+    words = written(tmp_path, *SAID, "--table", tmp_path / "km.csv")
+    assert "1 manifest of 2 trips; 1 manifest left as they were, --force replaces" in words
+    assert (tmp_path / "run_1.yaml").read_text() == "mine"
+    assert read_manifest(tmp_path / "run_2.yaml").mileage_km == 8.0
+    written(tmp_path, *SAID, "--table", tmp_path / "km.csv", "--force")
+    assert read_manifest(tmp_path / "run_1.yaml").mileage_km == 7.0
+
+
+@pytest.mark.parametrize(
+    ("said", "table", "words"),
+    [
+        (["colour=red"], "", "`colour` is not known; allowed are vehicle, suspension"),
+        (["side=up"], "", "`side` must be one of left, right, middle, got 'up'"),
+        (["unit=m/s2", "unit=g"], "", "`unit` is given twice"),
+        (["vehicle="], "", "`vehicle` must be a value"),
+        (["rate_hz=fast"], "", "`rate_hz` must be a number, got 'fast'"),
+        (["mileage_km=7"], "", "`mileage_km` is another one in each of the 2 trips"),
+        (["channels.body=nowhere"], "", "must name one or two of the columns ['axle_box'"),
+        ([], "a;b\n1;2\n", "no column is called file, trip, Datei or Fahrt"),
+        ([], "file;mileage_km\nrun_9;7\n", "the table names run_9, which"),
+        ([], "file;mileage_km\nrun_1;7\nrun_1;7\n", "row 3: it names 'run_1' a second time"),
+        ([], "file;mileage_km\nrun_1;much\n", "row 2: 'mileage_km' cannot be read, got 'much'"),
+        (["-o", "x.yaml"], "", "--output is for the manifest of one trip"),
+    ],
+)
+def test_mistakes_are_one_line_and_write_nothing(tmp_path, said, table, words):
+    for number in (1, 2):
+        write_plain(tmp_path / f"run_{number}.parquet")
+    if table:
+        (tmp_path / "km.csv").write_text(table)
+        said = [*said, "--table", tmp_path / "km.csv"]
+    done = typed(init, tmp_path, *said, cwd=tmp_path)
+    assert done.returncode == 1
+    assert words in done.stderr
+    assert done.stderr.count("\n") == 1
+    assert not list(tmp_path.glob("*.yaml"))
+
+
+def test_all_files_that_cannot_be_read_are_named(tmp_path):
+    (tmp_path / "cut.parquet").write_bytes(b"PAR1")
+    (tmp_path / "words.csv").write_text("a,b\nx,y\nx,y\n")
+    write_plain(tmp_path / "run.parquet")
+    done = typed(init, tmp_path, *SAID, cwd=tmp_path)
+    assert done.returncode == 1
+    assert "cut.parquet" in done.stderr
+    assert "words.csv" in done.stderr
+    (tmp_path / "empty").mkdir()
+    assert "holds no data file" in typed(init, tmp_path / "empty", cwd=tmp_path).stderr
+    assert "give a folder of data files" in typed(init, cwd=tmp_path).stderr
+
+
+NUMBERS = {
+    "bogie_mass_kg": 1300.0,
+    "body_mass_kg": 5200.0,
+    "primary_stiffness_n_per_m": 1.1e6,
+    "primary_damping_ns_per_m": 8e3,
+    "secondary_stiffness_n_per_m": 0.45e6,
+    "secondary_damping_ns_per_m": 18e3,
+    "half_wheelbase_m": 1.05,
+    "half_pivot_distance_m": 5.5,
+}
+
+
+def test_vehicle_is_written_from_its_numbers(tmp_path):
+    done = typed(init, "--vehicle", "br412", "bogie_mass_kg=1300", cwd=tmp_path)
+    assert done.returncode == 1
+    assert "body_mass_kg [kg]: drawing: a quarter of the body" in done.stdout
+    assert "bogie_mass_kg [kg]" not in done.stdout
+    said = [f"{key}={value}" for key, value in NUMBERS.items()]
+    done = typed(init, "--vehicle", "br412", "mine", *said, "source=drawing: 7 #1", cwd=tmp_path)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "--config-dir mine vehicle=br412" in done.stdout
+    text = (tmp_path / "mine" / "vehicle" / "br412.yaml").read_text()
+    content = yaml.safe_load(text)
+    assert {key: content[key] for key in NUMBERS} == NUMBERS
+    assert (content["name"], content["source"]) == ("br412", "drawing: 7 #1")
+    assert content["bogie_gyration_m"] == pytest.approx(1.05 * 0.8 / 1.35, abs=1e-3)
+    assert Vehicle(**content).half_pivot_distance_m == 5.5
+    assert "[N/m; above 0]" in text
+    done = typed(init, "--vehicle", "br412", "mine", *said, cwd=tmp_path)
+    assert "exists; --force replaces it" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ("must be a plain name", ["a/b"]),
+        ("`colour` is not known", ["a", "colour=red"]),
+        ("`body_mass_kg` must be a number, got 'heavy'", ["a", "body_mass_kg=heavy"]),
+        ("is the stiffness 1e3 too large", ["a", *(f"{k}={v}" for k, v in NUMBERS.items()),
+                                            "bogie_mass_kg=1.3"]),
+    ],
+)  # fmt: skip
+def test_mistakes_in_a_vehicle_are_one_line(tmp_path, words, said):
+    done = typed(init, "--vehicle", *said, cwd=tmp_path)
+    assert done.returncode == 1
+    assert words in done.stderr
+    assert not list(tmp_path.iterdir())
