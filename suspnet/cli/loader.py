@@ -182,10 +182,11 @@ def check_typed(config: DictConfig, typed: Collection[str]) -> None:
         )
     for key in OF_ACCESS:
         if written.get(key) and key not in typed:
-            raise ValueError(f"`{key}` is given on the command line only, as it says who may do what")
+            raise ValueError(f"`{key}`, who may do what, is given on the command line only")
     swept = OmegaConf.to_container(config.hydra.sweeper.get("params") or DictConfig({}))
     for key in swept if isinstance(swept, dict) else ():
-        if str(key).lstrip("+~").split(".")[0] in (*BROKERS, *OF_ACCESS, "store", "open_to_network"):
+        group = str(key).lstrip("+~").split(".")[0]
+        if group in (*BROKERS, *OF_ACCESS, "store", "open_to_network"):
             raise ValueError(f"`hydra.sweeper.params.{key!s}` is swept on the command line only")
 
 

@@ -13,7 +13,8 @@ PAGE = """
 @page { size: A4; margin: 14mm 12mm 16mm;
   @bottom-right { content: counter(page) " / " counter(pages); font: 8pt sans-serif; } }
 @page wide { size: A4 landscape; }
-#trips + .scroll { page: wide; }
+#trips, #trips + .scroll { page: wide; }
+#parameters + .scroll td.words { min-width: 50mm; }
 """
 """Paper: the table of trips has many columns and is printed across."""
 
@@ -36,8 +37,8 @@ def as_pdf(html: str) -> bytes:
     import weasyprint
     from weasyprint.urls import URLFetcher
 
-    logging.getLogger("weasyprint").setLevel(logging.ERROR)  # names of unknown styles
-    logging.getLogger("fontTools").setLevel(logging.ERROR)
+    for name in ("weasyprint", "weasyprint.progress", "fontTools"):
+        logging.getLogger(name).setLevel(logging.ERROR)  # steps, and names of unknown styles
 
     only_data = URLFetcher(allowed_protocols=["data"])
     page = weasyprint.HTML(string=_styled(html), url_fetcher=only_data)

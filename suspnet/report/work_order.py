@@ -56,6 +56,8 @@ class WorkOrder:
         Why limits or remaining life are unknown.
     visit, latest, decide_by : str
         Day of the planned visit, the last day at little extra cost, and the last for the decision.
+    is_passed : bool
+        Whether the act limit is passed already.
     until_km : float, [km]
         Mileage at which the act limit is passed with a probability of 10 %.
     median_km : float, [km]
@@ -92,6 +94,7 @@ class WorkOrder:
     visit: str | None = None
     latest: str | None = None
     decide_by: str | None = None
+    is_passed: bool = False
     until_km: float | None = None
     median_km: float | None = None
     failure_percent: float | None = None
@@ -167,6 +170,7 @@ def _of_part(view: FleetView, index: int, name: str, job: dict[str, Any]) -> Wor
         visit=job.get("day") or None,
         latest=job.get("latest") or None,
         decide_by=job.get("decide_by") or None,
+        is_passed=life is not None and life.interval_km()[1] == 0,
         until_km=known(state.last_km + life.quantile_km(0.1)) if life else None,
         median_km=known(state.last_km + life.quantile_km(0.5)) if life else None,
         failure_percent=known(100 * job["probability"]) if job else None,

@@ -6,6 +6,7 @@ import functools
 import hashlib
 import threading
 from collections.abc import Sequence
+from importlib.util import find_spec
 from typing import Any, cast
 
 import numpy as np
@@ -33,10 +34,11 @@ from suspnet.maintenance.alarms import Acknowledgement, Alarm
 from suspnet.maintenance.schedule import Plan
 from suspnet.maintenance.series import relative_results
 from suspnet.maintenance.state import State
-from suspnet.report.board import Refresher
+from suspnet.report.board import Refresher, clock
 from suspnet.report.bogie import visits_of
+from suspnet.report.pdf import as_pdf
 from suspnet.report.tables import FleetView, response
-from suspnet.report.templates import MARKS
+from suspnet.report.templates import MARKS, render
 from suspnet.report.trend import trend_of_state
 from suspnet.report.work_order import work_orders
 from suspnet.web import page_values
@@ -51,6 +53,8 @@ REFRESHER = "suspnet_refresher"
 """Key, among an application's extensions, of the thread that holds the state of the fleet."""
 WITH_PLOTS = "suspnet.plots"
 """Key in a request's environment that marks a page with plots."""
+
+HAS_PDF = find_spec("weasyprint") is not None
 
 pages = Blueprint("pages", __name__)
 pages.before_request(of_page)
@@ -142,7 +146,25 @@ def work_order(name: str) -> ResponseReturnValue:
         name=name,
         row=view.rows[index],
         orders=work_orders(view, index),
+        has_pdf=HAS_PDF,
     )
+
+
+@pages.get("/suspension/<name>/work-order.pdf")
+def work_order_pdf(name: str) -> ResponseReturnValue:
+    """Return the work orders of a suspension as PDF."""
+    if not HAS_PDF:
+        abort(404, "Work orders as PDF need WeasyPrint where suspnet-serve runs: suspnet[pdf].")
+    view, _ = current_view(), _state(name)
+    index = view.keys[name]
+    page = render(
+        "work_order_print.html",
+        row=view.rows[index],
+        orders=work_orders(view, index),
+        read_at=clock(current_refresher().read_at),
+    )
+    with _drawing:
+        return Response(as_pdf(page), mimetype="application/pdf")
 
 
 @pages.get("/suspension/<name>/trend.json")
