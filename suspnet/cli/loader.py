@@ -180,13 +180,13 @@ def check_typed(config: DictConfig, typed: Collection[str]) -> None:
         raise ValueError(
             "pages are opened to the network on the command line only: open_to_network=true"
         )
-    for key in OF_ACCESS:
-        if written.get(key) and key not in typed:
-            raise ValueError(f"`{key}`, who may do what, is given on the command line only")
+    for name in OF_ACCESS:
+        if written.get(name) and name not in typed:
+            raise ValueError(f"`{name}`, who may do what, is given on the command line only")
     swept = OmegaConf.to_container(config.hydra.sweeper.get("params") or DictConfig({}))
     for key in swept if isinstance(swept, dict) else ():
-        group = str(key).lstrip("+~").split(".")[0]
-        if group in (*BROKERS, *OF_ACCESS, "store", "open_to_network"):
+        setting = str(key).lstrip("+~").split(".")[0]
+        if setting in (*BROKERS, *OF_ACCESS, "store", "open_to_network"):
             raise ValueError(f"`hydra.sweeper.params.{key!s}` is swept on the command line only")
 
 
