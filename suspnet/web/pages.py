@@ -34,7 +34,7 @@ from suspnet.maintenance.alarms import Acknowledgement, Alarm
 from suspnet.maintenance.schedule import Plan
 from suspnet.maintenance.series import relative_results
 from suspnet.maintenance.state import State
-from suspnet.report.board import Refresher, clock
+from suspnet.report.board import Refresher
 from suspnet.report.bogie import visits_of
 from suspnet.report.pdf import as_pdf
 from suspnet.report.tables import FleetView, response
@@ -147,6 +147,7 @@ def work_order(name: str) -> ResponseReturnValue:
         row=view.rows[index],
         orders=work_orders(view, index),
         has_pdf=HAS_PDF,
+        read_at=_minute(),
     )
 
 
@@ -161,7 +162,7 @@ def work_order_pdf(name: str) -> ResponseReturnValue:
         "work_order_print.html",
         row=view.rows[index],
         orders=work_orders(view, index),
-        read_at=clock(current_refresher().read_at),
+        read_at=_minute(),
     )
     with _drawing:
         return Response(as_pdf(page), mimetype="application/pdf")
@@ -307,6 +308,11 @@ def _suspension_version(view: FleetView, name: str) -> str:
     seen = view.acknowledged.get(state.key, ())
     parts = (row, state.alarms, series.events, seen, sorted(state.lives), series.trip.tolist()[-1:])
     return _digest(parts, visits_of(view.plan, state), current_refresher().fault, view.is_complete)
+
+
+def _minute() -> str:
+    """Return when the store was read, with the day: for paper."""
+    return f"{current_refresher().read_at.astimezone():%Y-%m-%d %H:%M}"
 
 
 def _digest(*parts: Any) -> str:

@@ -252,3 +252,4 @@ def test_work_order_page_escapes_names_and_is_printed(filled):
     document.close()
     assert EVIL in words
     assert "How sure" in words
+    assert re.search(r"State of \d{4}-\d\d-\d\d", words)  # paper needs the day
