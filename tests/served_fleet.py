@@ -73,10 +73,11 @@ def fill(path):
 
 
 @contextmanager
-def served(path, every_s=0.3):
+def served(path, every_s=0.3, access=None):
     """Serve a store on a free port of this computer; give its address and the thread behind it."""
     refresher = Refresher(Board(str(path), SETTINGS), every_s)
-    app = create_app(refresher, (), every_s)
+    app = create_app(refresher, (), every_s, access)
+    refresher.app = app
     server = http_server(app, socket.create_server(("127.0.0.1", 0)), 8)
     thread = threading.Thread(target=server.run, daemon=True)
     refresher.start()

@@ -192,10 +192,12 @@ SWITCHES = frozenset(
         "once",
         "open_browser",
         "open_to_network",
+        "pdf",
         "progress",
         "refine",
         "short_waves",
         "tls",
+        "xlsx",
     }
 )
 """Keys that are either on or off, in whichever group they are."""

@@ -20,6 +20,7 @@ from suspnet.ground.parameters import Severity
 from suspnet.ground.settings import check_choice
 from suspnet.ground.storage import write_atomically
 from suspnet.history import History
+from suspnet.report.output import check_documents, write_documents
 from suspnet.report.tables import Evaluated
 from suspnet.runs.evaluate import FreshCurves, evaluate, write_maintenance
 from suspnet.runs.identifiability import write_identifiability
@@ -73,6 +74,7 @@ def main(config: DictConfig) -> int:
     runs, output = named_runs(config.run), program.run_folder()
     program.save_config(config, output)
     if config.trips is not None:
+        check_documents(pdf=config.pdf, xlsx=config.xlsx)  # before hours of reading
         models = [load_model(folder, config.device) for folder in runs]
         settings = build(config, "monitor")
         with ExitStack() as stack:
@@ -81,6 +83,7 @@ def main(config: DictConfig) -> int:
             done = evaluate_fleet(
                 trips, models, output, settings, config.progress, store, config.seed, config.figures
             )
+        write_documents(done, output, pdf=config.pdf, xlsx=config.xlsx)
         return exit_code(done)
     if not isinstance(config.data, DictConfig):
         raise ValueError(f"`data` holds data.n_test and data.snr_db, got {config.data!r}")

@@ -24,6 +24,7 @@ from suspnet.history.database import check_exists
 from suspnet.history.store import acknowledge_alarms
 from suspnet.maintenance.alarms import Acknowledgement, Alarm, newest_of
 from suspnet.maintenance.series import Event
+from suspnet.report.xlsx import check_xlsx, write_xlsx
 
 
 def history(arguments: Namespace) -> None:
@@ -115,6 +116,8 @@ def _acknowledge(store: History, arguments: Namespace) -> str:
 
 
 def _export(store: History, arguments: Namespace) -> str:
+    if arguments.xlsx:
+        check_xlsx()
     tables: dict[str, list[dict[str, Any]]] = {
         name: [] for name in ("trips", "events", "alarms", "acknowledgements")
     }
@@ -132,6 +135,8 @@ def _export(store: History, arguments: Namespace) -> str:
     for name, rows in tables.items():
         if rows:
             write_table(pa.Table.from_pylist(rows), arguments.folder / name)
+    if arguments.xlsx:
+        write_xlsx(tables, arguments.folder / "history.xlsx")
     counts = [f"{len(rows)} {name}" for name, rows in tables.items()]
     return f"{', '.join(counts[:-1])} and {counts[-1]} -> {arguments.folder}"
 

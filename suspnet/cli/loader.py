@@ -37,6 +37,8 @@ PLACES = ("resume", "out", "data.cache_dir", "store", "journal", "tensorboard", 
 """Keys of paths that are written to; someone else's file may not choose them."""
 CLUSTER = "monitor.cluster"
 """Key of the scheduler's address; its workers unpickle, and so run, what they receive."""
+OF_ACCESS = ("user_header", "trusted_proxies", "engineers", "token_file")
+"""Keys that say who may see and acknowledge; someone else's file may not choose them."""
 OF_HYDRA = ("hydra.run.dir", "hydra.sweep.dir", "hydra.sweep.subdir")
 
 
@@ -178,9 +180,13 @@ def check_typed(config: DictConfig, typed: Collection[str]) -> None:
         raise ValueError(
             "pages are opened to the network on the command line only: open_to_network=true"
         )
+    for name in OF_ACCESS:
+        if written.get(name) and name not in typed:
+            raise ValueError(f"`{name}`, who may do what, is given on the command line only")
     swept = OmegaConf.to_container(config.hydra.sweeper.get("params") or DictConfig({}))
     for key in swept if isinstance(swept, dict) else ():
-        if str(key).lstrip("+~").split(".")[0] in (*BROKERS, "store", "open_to_network"):
+        setting = str(key).lstrip("+~").split(".")[0]
+        if setting in (*BROKERS, *OF_ACCESS, "store", "open_to_network"):
             raise ValueError(f"`hydra.sweeper.params.{key!s}` is swept on the command line only")
 
 

@@ -14,22 +14,29 @@ from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 from queue import SimpleQueue
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig, ListConfig, OmegaConf
 
 from suspnet.cli import program, signals
 from suspnet.cli.kinds import board_settings
 from suspnet.ground.settings import check_settings, setting
+from suspnet.ground.storage import read_plain, why
 from suspnet.history import History
 from suspnet.history.database import BusyError
 from suspnet.report.board import LOOK_S, Board
 
+if TYPE_CHECKING:
+    from suspnet.web.access import Access
+
 log = logging.getLogger(__name__)
-NEEDED = ("flask", "flask_wtf", "waitress", "plotly")
+NEEDED = ("flask", "flask_wtf", "waitress", "plotly", "pydantic")
 """Packages of the extra `live` that the pages need."""
 END_S = 2.0
 """Longest wait for each part of the program at the end, [s]."""
+TOKEN_VARIABLE = "SUSPNET_API_TOKEN"
+"""Environment variable with the token of programs, if no file has it."""
+MOST_TOKEN_BYTES = 4096
 ANY = "0.0.0.0"
 """Address that means all addresses of this computer."""
 
@@ -63,6 +70,7 @@ def main(config: DictConfig) -> None:
     ServeSettings(config.port, config.refresh_s, config.threads)
     _check_store(config.store)
     _check_address(config)
+    _access(config)
     serve(Board(config.store, board_settings(config, config)), config)
 
 
@@ -76,7 +84,7 @@ def serve(board: Board, config: DictConfig) -> None:
 
     refresher = Refresher(board, config.refresh_s)
     names = [*config.hosts, *([] if config.host == ANY else [config.host])]
-    app = create_app(refresher, names, config.refresh_s)
+    app = create_app(refresher, names, config.refresh_s, _access(config))
     try:
         listening = socket.create_server((config.host, config.port))
     except OSError as error:
@@ -132,6 +140,39 @@ def _check_store(store: str) -> None:
     log.warning("%s: no trip is stored there yet; the pages wait for the first", store)
 
 
+def _access(config: DictConfig) -> Access:
+    """Return who may see and acknowledge; ValueError if the settings or the token are not valid."""
+    from suspnet.web.access import Access
+
+    for name in ("trusted_proxies", "engineers"):
+        if not isinstance(config[name], ListConfig):
+            raise ValueError(f"`{name}` is a list, as {name}=[NAME, ...], got {config[name]!r}")
+    return Access(
+        str(config.user_header or ""),
+        [str(one) for one in config.trusted_proxies],
+        [str(one) for one in config.engineers],
+        _token(config.token_file),
+    )
+
+
+def _token(file: str | None) -> str:
+    """Return the token of programs from a file or the environment; empty if there is none."""
+    if file is None:
+        return os.environ.get(TOKEN_VARIABLE, "")
+    if os.environ.get(TOKEN_VARIABLE):
+        raise ValueError(f"the token is given twice, by token_file= and by {TOKEN_VARIABLE}")
+    try:
+        content = read_plain(Path(file), MOST_TOKEN_BYTES)
+        if os.stat(file).st_mode & 0o077:
+            log.warning("warning: others than its owner may use %s: chmod 600 %s", file, file)
+    except OSError as error:
+        raise ValueError(f"token_file={file}: {why(error)}") from None
+    token = content.decode("utf-8", "replace").strip()
+    if not token:
+        raise ValueError(f"token_file={file} is empty; make one by: openssl rand -base64 32")
+    return token
+
+
 def _check_address(config: DictConfig) -> None:
     """Raise ValueError if other computers could reach the pages without being asked for."""
     from suspnet.web.app import is_loopback
@@ -147,6 +188,8 @@ def _check_address(config: DictConfig) -> None:
         )
     if config.host == ANY and not config.hosts:
         raise ValueError(f"by which names may host={ANY} be asked for? Give hosts=[NAME, ...]")
+    if config.user_header:
+        return
     log.warning(
         "warning: whoever reaches %s:%d sees the fleet and can acknowledge alarms: there is no "
         "login; put a reverse proxy with one in front",

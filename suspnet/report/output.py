@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 from tabulate import tabulate
 
 from suspnet.ground.parameters import BODY_MASS, BOGIE_PARTS, PARAMETERS
-from suspnet.ground.records import OK, TripResult, relative_to_first_healthy
+from suspnet.ground.records import OK, TripResult, outputs_of, relative_to_first_healthy
 from suspnet.ground.storage import write_atomically, write_json, write_table
 from suspnet.ground.wording import count
 from suspnet.maintenance.alarms import Acknowledgement, Alarm, newest_of
@@ -27,11 +27,13 @@ from suspnet.report import figures
 from suspnet.report.bogie import bogies_shown
 from suspnet.report.figures import as_png, data_uri
 from suspnet.report.maintenance_figures import health_trend, small_trends
+from suspnet.report.pdf import check_pdf, write_pdf
 from suspnet.report.report import Report, write_report
 from suspnet.report.tables import REPORT, Evaluated, FleetView, finding, same_columns
 from suspnet.report.templates import render
 from suspnet.report.tensorboard import RunLog
 from suspnet.report.trend import trend_of_trips
+from suspnet.report.xlsx import check_xlsx, write_xlsx
 
 KNOWN_ERROR_PERCENT = "rms error %"
 COVERAGE_PERCENT = "intervals hold %"
@@ -240,6 +242,29 @@ def write_overview(done: Sequence[Evaluated], outputs: Sequence[str], output: Pa
     shown = ("folder", "suspension", "bogie", "side", "severity", "parameter", "n_trips", "reason")
     table = tabulate([[row[key] for key in shown] for row in rows], shown, tablefmt="github")
     return f"{finding(rows)}\n{table}"
+
+
+def check_documents(*, pdf: bool, xlsx: bool) -> None:
+    """Raise ValueError if the package that writes one of these is missing."""
+    if pdf:
+        check_pdf()
+    if xlsx:
+        check_xlsx()
+
+
+def write_documents(done: Sequence[Evaluated], output: Path, *, pdf: bool, xlsx: bool) -> None:
+    """Write each page of a folder's evaluation as PDF too, and all its trips as tables.xlsx."""
+    if pdf:
+        pages = [output / REPORT, output / "overview.html"]
+        pages += [output / one.name / REPORT for one in done if not one.error]
+        for page in dict.fromkeys(pages):
+            if page.is_file():
+                write_pdf(page)
+    if xlsx:
+        outputs = outputs_of(r for one in done for r in one.results)
+        rows = [r.row(outputs) for one in done for r in one.results]
+        overview = [one.row(outputs) for one in done]
+        write_xlsx({"overview": overview, "trips": rows}, output / "tables.xlsx")
 
 
 def write_fleet(view: FleetView, plan: Plan, figure: Figure, output: Path) -> None:

@@ -16,7 +16,7 @@ from suspnet.recordings.manifest_files import ManifestFile, find_manifests
 log = logging.getLogger(__name__)
 TAKEN = (
     *("overview.html", "overview.csv", "overview.parquet", "config.yaml", "exit_code", "figures"),
-    *("fleet.json", "error.txt", LEDGER),
+    *("fleet.json", "error.txt", "overview.pdf", "report.pdf", "tables.xlsx", LEDGER),
 )
 """File names in the output that no suspension's folder may have."""
 

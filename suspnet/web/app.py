@@ -27,6 +27,8 @@ from suspnet import __version__
 from suspnet.history import HistoryError
 from suspnet.report.board import Refresher, clock
 from suspnet.report.templates import FILTERS, GLOBALS, packaged
+from suspnet.web.access import ACCESS, Access
+from suspnet.web.api import ROOT, api, http_problem, problem
 from suspnet.web.health import health
 from suspnet.web.pages import REFRESHER, WITH_PLOTS, pages
 
@@ -54,11 +56,17 @@ FOR_EVER = "public, max-age=31536000, immutable"
 assets = Blueprint("assets", __name__, url_prefix="/files")
 
 
-def create_app(refresher: Refresher, hosts: Sequence[str] = (), ask_every_s: float = 3.0) -> Flask:
+def create_app(
+    refresher: Refresher,
+    hosts: Sequence[str] = (),
+    ask_every_s: float = 3.0,
+    access: Access | None = None,
+) -> Flask:
     """Return the application.
 
     The caller starts the `refresher`, which holds the state of the fleet. `hosts` are accepted host
-    names in addition to this computer's own; an open page polls every `ask_every_s` [s].
+    names in addition to this computer's own; an open page polls every `ask_every_s` [s]. `access`
+    is who may see and acknowledge: by default whoever reaches the pages.
     """
     app = Flask("suspnet.web", static_folder=None)
     app.jinja_loader = FunctionLoader(lambda name: packaged(name, *PACKAGES))
@@ -69,9 +77,12 @@ def create_app(refresher: Refresher, hosts: Sequence[str] = (), ask_every_s: flo
         "ask_every_s": ask_every_s,
         "product": f"suspnet {__version__}",
     }
-    protect(app, hosts)
+    protected = protect(app, hosts)
     app.extensions[REFRESHER] = refresher
+    app.extensions[ACCESS] = access or Access()
     app.register_blueprint(pages)
+    app.register_blueprint(api)
+    protected.exempt(api)  # its writers show a token, which no browser sends by itself
     app.register_blueprint(assets)
     app.register_blueprint(health)
     app.register_error_handler(CSRFError, _form_error)
@@ -90,16 +101,25 @@ def _form_error(error: CSRFError) -> Any:
 
 def _store_error(error: HistoryError) -> Any:
     lost = "Nothing was saved: " if request.method == "POST" else ""
+    if _is_api():
+        return problem(503, "The store cannot be used", f"{lost}{error}.")
     return _message("The store cannot be used", f"{lost}{error}."), 503
 
 
 def _http_error(error: HTTPException) -> Any:
     if isinstance(error, SecurityError):  # no page for an unknown host name
         return "This name of the host is not answered to; see `hosts` of suspnet-serve.\n", 400
+    if _is_api():
+        return http_problem(error)
     code = error.code or 500
-    own = error.description if code == 404 and request.path.startswith("/suspension/") else None
+    is_own = code == 403 or (code == 404 and request.path.startswith("/suspension/"))
+    own = error.description if is_own else None
     words = own or MESSAGES.get(code) or "Something went wrong; see the program's terminal."
     return _message(error.name, words), code
+
+
+def _is_api() -> bool:
+    return request.path.startswith(f"{ROOT}/")
 
 
 def _message(title: str, words: str) -> str:
@@ -202,8 +222,8 @@ def is_loopback(host: str) -> bool:
         return host == "localhost"
 
 
-def protect(app: Flask, hosts: Sequence[str]) -> None:
-    """Restrict an application to some host names, with strict headers.
+def protect(app: Flask, hosts: Sequence[str]) -> CSRFProtect:
+    """Restrict an application to some host names, with strict headers; return its check of forms.
 
     Without the check of the host name, a foreign page whose own name suddenly points to this
     computer (DNS rebinding) could read and acknowledge alarms. A form needs the token of its page
@@ -219,8 +239,8 @@ def protect(app: Flask, hosts: Sequence[str]) -> None:
         WTF_CSRF_TIME_LIMIT=None,
         MAX_CONTENT_LENGTH=MAX_FORM_BYTES,
     )
-    CSRFProtect(app)
     app.after_request(_with_headers)
+    return CSRFProtect(app)
 
 
 def _with_headers(response: Response) -> Response:

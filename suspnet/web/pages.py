@@ -5,7 +5,9 @@ from __future__ import annotations
 import functools
 import hashlib
 import threading
-from typing import Any
+from collections.abc import Sequence
+from importlib.util import find_spec
+from typing import Any, cast
 
 import numpy as np
 from flask import (
@@ -28,16 +30,19 @@ from wtforms.validators import DataRequired, Length
 from suspnet.ground.parameters import Severity
 from suspnet.history import History, HistoryError
 from suspnet.history.store import acknowledge_alarms
-from suspnet.maintenance.alarms import Alarm
+from suspnet.maintenance.alarms import Acknowledgement, Alarm
 from suspnet.maintenance.schedule import Plan
 from suspnet.maintenance.series import relative_results
 from suspnet.maintenance.state import State
 from suspnet.report.board import Refresher
 from suspnet.report.bogie import visits_of
+from suspnet.report.pdf import as_pdf
 from suspnet.report.tables import FleetView, response
-from suspnet.report.templates import MARKS
+from suspnet.report.templates import MARKS, render
 from suspnet.report.trend import trend_of_state
+from suspnet.report.work_order import work_orders
 from suspnet.web import page_values
+from suspnet.web.access import ACCESS, MOST_NAME, Access, of_page, visitor
 from suspnet.web.figures import response_figure, trend_figure
 from suspnet.web.page_values import Choice
 
@@ -49,14 +54,17 @@ REFRESHER = "suspnet_refresher"
 WITH_PLOTS = "suspnet.plots"
 """Key in a request's environment that marks a page with plots."""
 
+HAS_PDF = find_spec("weasyprint") is not None
+
 pages = Blueprint("pages", __name__)
+pages.before_request(of_page)
 _drawing = threading.Lock()
 
 
 @pages.get("/")
 def fleet() -> ResponseReturnValue:
     """Return the page of the fleet."""
-    view, choice = _view(), _choice()
+    view, choice = current_view(), _choice()
     all_rows = request.args.get("rows") == "all"
     values = page_values.fleet_values(view, choice, all_rows, _address)
     page = _page("fleet_page.html", _fleet_version(view), **values)
@@ -66,7 +74,7 @@ def fleet() -> ResponseReturnValue:
 @pages.get("/plan")
 def plan() -> ResponseReturnValue:
     """Return the page of the plan."""
-    view, choice = _view(), _choice()
+    view, choice = current_view(), _choice()
     return _page(
         "plan_page.html",
         _fleet_version(view),
@@ -80,7 +88,7 @@ def plan() -> ResponseReturnValue:
 @pages.get("/plan/calendar.svg")
 def calendar() -> ResponseReturnValue:
     """Return the calendar of the plan."""
-    found = _view().plan
+    found = current_view().plan
     if found is None:
         abort(404)
     return Response(_calendar(found), mimetype="image/svg+xml")
@@ -89,7 +97,7 @@ def calendar() -> ResponseReturnValue:
 @pages.get("/suspension/<name>")
 def suspension(name: str) -> ResponseReturnValue:
     """Return the page of a suspension."""
-    form = AcknowledgementForm(formdata=None, by=session.get("by", ""))
+    form = AcknowledgementForm(formdata=None, by=visitor().name or session.get("by", ""))
     return _suspension_page(name, form)
 
 
@@ -97,21 +105,67 @@ def suspension(name: str) -> ResponseReturnValue:
 def acknowledge(name: str) -> ResponseReturnValue:
     """Store an acknowledgement of an alarm, and return to the page of its suspension."""
     state, form = _state(name), AcknowledgementForm()
+    if not visitor().is_engineer:
+        abort(403, f"{visitor().name} may look, but not acknowledge alarms: that is for engineers.")
+    if visitor().name:  # never the name that a form claims
+        form.by.data = visitor().name
     if not form.validate_on_submit():
         return _suspension_page(name, form), 400
     chosen = [one for one in state.alarms if form.means(one)]
     if not chosen:
         flash("Nothing was acknowledged: this alarm is cleared, or worse than it was shown.")
         return redirect(_address(name))
-    vehicle, place = state.key
-    newest = float(np.nanmax(state.series.mileage_km))
     said = form.by.data.strip(), (form.words.data or "").strip()
-    with _opened(WRITE_S) as store:
-        acknowledge_alarms(store, vehicle, place, chosen, newest, *said)
+    store_acknowledgement(state, chosen, *said)
     session["by"] = said[0]
-    _refresher().soon()
     flash(f"Acknowledged by {said[0]}: {', '.join(f'{a.parameter} ({a.cause})' for a in chosen)}.")
     return redirect(_address(name))
+
+
+def store_acknowledgement(
+    state: State, alarms: Sequence[Alarm], by: str, words: str
+) -> list[Acknowledgement]:
+    """Store that a person acknowledges alarms, and return what is stored."""
+    vehicle, place = state.key
+    newest = float(np.nanmax(state.series.mileage_km))
+    with opened(WRITE_S) as store:
+        found = acknowledge_alarms(store, vehicle, place, alarms, newest, by, words)
+    current_refresher().soon()
+    return found
+
+
+@pages.get("/suspension/<name>/work-order")
+def work_order(name: str) -> ResponseReturnValue:
+    """Return the work orders of a suspension as a page to print."""
+    view, _ = current_view(), _state(name)
+    index = view.keys[name]
+    return _page(
+        "work_order_page.html",
+        _suspension_version(view, name),
+        of=name,
+        name=name,
+        row=view.rows[index],
+        orders=work_orders(view, index),
+        has_pdf=HAS_PDF,
+        read_at=_minute(),
+    )
+
+
+@pages.get("/suspension/<name>/work-order.pdf")
+def work_order_pdf(name: str) -> ResponseReturnValue:
+    """Return the work orders of a suspension as PDF."""
+    if not HAS_PDF:
+        abort(404, "Work orders as PDF need WeasyPrint where suspnet-serve runs: suspnet[pdf].")
+    view, _ = current_view(), _state(name)
+    index = view.keys[name]
+    page = render(
+        "work_order_print.html",
+        row=view.rows[index],
+        orders=work_orders(view, index),
+        read_at=_minute(),
+    )
+    with _drawing:
+        return Response(as_pdf(page), mimetype="application/pdf")
 
 
 @pages.get("/suspension/<name>/trend.json")
@@ -126,7 +180,7 @@ def trend(name: str) -> ResponseReturnValue:
 @pages.get("/suspension/<name>/responses.json")
 def responses(name: str) -> ResponseReturnValue:
     """Return the figure of the frequency responses."""
-    with _opened() as store:
+    with opened() as store:
         stored = store.responses(*_state(name).key)
     if not stored:
         abort(404)
@@ -136,9 +190,9 @@ def responses(name: str) -> ResponseReturnValue:
 @pages.get("/state")
 def state() -> ResponseReturnValue:
     """Return the version of a page's state and when it was read; cheap, as pages poll it."""
-    view, name = _view(), request.args.get("of", "")
+    view, name = current_view(), request.args.get("of", "")
     version = _suspension_version(view, name) if name else _fleet_version(view)
-    return {"version": version, "words": _refresher().words}
+    return {"version": version, "words": current_refresher().words}
 
 
 @functools.lru_cache(maxsize=2)
@@ -151,15 +205,15 @@ def _calendar(plan: Plan) -> bytes:
 
 
 def _suspension_page(name: str, form: AcknowledgementForm) -> str:
-    view, state = _view(), _state(name)
+    view, state = current_view(), _state(name)
     request.environ[WITH_PLOTS] = True
     results, stored, trouble = [], [], ""
     seen, bad = view.acknowledged.get(state.key, ()), []
     try:
-        with _opened() as store:
+        with opened() as store:
             bad = store.bad_rows
             results, seen = store.read(*state.key), store.acknowledgements(*state.key)
-            n_first = _refresher().board.settings.n_first
+            n_first = current_refresher().board.settings.n_first
             results = relative_results(results, state.series.events, n_first)
             stored = store.responses(*state.key)  # last: damaged curves must not hide the trips
     except HistoryError as error:
@@ -180,6 +234,8 @@ def _suspension_page(name: str, form: AcknowledgementForm) -> str:
         of=name,
         name=name,
         form=form,
+        visitor=visitor(),
+        has_work=bool(work_orders(view, view.keys[name])),
         trouble=trouble,
         bad_rows=list(dict.fromkeys([*known, *bad])),
         kinds=page_values.OUTPUTS,
@@ -190,24 +246,31 @@ def _suspension_page(name: str, form: AcknowledgementForm) -> str:
 
 def _page(template: str, version: str, of: str = "", **values: Any) -> str:
     """Return a page; the browser replaces it when `version` changes, never if it is empty."""
-    refresher = _refresher()
+    refresher = current_refresher()
     where = {"version": version, "of": of, "view": refresher.board.view, "refresher": refresher}
     return render_template(template, **where, **values)
 
 
-def _refresher() -> Refresher:
+def current_refresher() -> Refresher:
+    """Return the thread that holds the state of the fleet."""
     found = current_app.extensions[REFRESHER]
     assert isinstance(found, Refresher)
     return found
 
 
-def _view() -> FleetView:
-    return _refresher().board.view
+def current_access() -> Access:
+    """Return who may see and acknowledge."""
+    return cast(Access, current_app.extensions[ACCESS])
+
+
+def current_view() -> FleetView:
+    """Return the newest view of the fleet."""
+    return current_refresher().board.view
 
 
 def _state(name: str) -> State:
     """Return a suspension by its name in the URL; abort with 404 if there is none."""
-    view = _view()
+    view = current_view()
     if name not in view.keys:
         abort(404, "There is no such suspension in this history.")
     return view.states[view.keys[name]]
@@ -224,27 +287,32 @@ def _address(name: str) -> str:
     return url_for("pages.suspension", name=name)
 
 
-def _opened(wait_s: float = READ_S) -> History:
+def opened(wait_s: float = READ_S) -> History:
     """Return the store, without creating a missing one.
 
     HistoryError is raised if it cannot be used, or is locked for longer than `wait_s`.
     """
-    return History(_refresher().board.store, wait_s=wait_s, must_exist=True)
+    return History(current_refresher().board.store, wait_s=wait_s, must_exist=True)
 
 
 def _fleet_version(view: FleetView) -> str:
-    return _digest(view.at, view.version, _refresher().fault)
+    return _digest(view.at, view.version, current_refresher().fault)
 
 
 def _suspension_version(view: FleetView, name: str) -> str:
     if name not in view.keys:
-        return _digest("gone", _refresher().fault)
+        return _digest("gone", current_refresher().fault)
     state = view.states[view.keys[name]]
     series = state.series
     row = {key: value for key, value in view.rows[view.keys[name]].items() if "life" not in key}
     seen = view.acknowledged.get(state.key, ())
     parts = (row, state.alarms, series.events, seen, sorted(state.lives), series.trip.tolist()[-1:])
-    return _digest(parts, visits_of(view.plan, state), _refresher().fault, view.is_complete)
+    return _digest(parts, visits_of(view.plan, state), current_refresher().fault, view.is_complete)
+
+
+def _minute() -> str:
+    """Return when the store was read, with the day: for paper."""
+    return f"{current_refresher().read_at.astimezone():%Y-%m-%d %H:%M}"
 
 
 def _digest(*parts: Any) -> str:
@@ -254,7 +322,7 @@ def _digest(*parts: Any) -> str:
 class AcknowledgementForm(FlaskForm):  # type: ignore[misc]
     """Form of an acknowledgement: name, text, and the alarm as the page showed it."""
 
-    by = StringField("Your name", [DataRequired("Enter your name."), Length(max=80)])
+    by = StringField("Your name", [DataRequired("Enter your name."), Length(max=MOST_NAME)])
     words = StringField("Action taken", [Length(max=500)])
     parameter, cause, severity = HiddenField(), HiddenField(), HiddenField()
 

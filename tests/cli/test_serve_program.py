@@ -70,6 +70,32 @@ def test_mistakes_are_one_line(refused, path, tmp_path):
     assert "`today` must be a day" in refused(store, "today=soon")
 
 
+def test_mistakes_about_who_may_do_what_are_one_line(refused, path, tmp_path, monkeypatch):
+    store = f"store={path}"
+    assert "whose X-User is believed?" in refused(store, "user_header=X-User")
+    assert "`engineers` is a list" in refused(store, "engineers=Kim")
+    assert "No such file" in refused(store, "token_file=none.token")
+    token = tmp_path / "api.token"
+    token.touch(0o600)
+    assert "is empty" in refused(store, "token_file=api.token")
+    token.write_text("short\n")
+    assert "24 to 200 ASCII characters" in refused(store, "token_file=api.token")
+    monkeypatch.setenv(serve.TOKEN_VARIABLE, "x" * 30)
+    assert "given twice" in refused(store, "token_file=api.token")
+
+
+@pytest.mark.parametrize(
+    "line",
+    ["engineers: [Eve]", "user_header: X-Eve", "trusted_proxies: [6.6.6.6]", "token_file: t"],
+)
+def test_files_of_others_do_not_say_who_may_do_what(refused, path, tmp_path, line):
+    folder = tmp_path / "theirs" / "x"
+    folder.mkdir(parents=True)
+    (folder / "own.yaml").write_text(f"# @package _global_\n{line}\n")
+    said = refused(f"store={path}", "+x=own", "--config-dir", str(folder.parent))
+    assert f"`{line.partition(':')[0]}`, who may do what, is given on the command line only" in said
+
+
 @pytest.mark.parametrize(
     ("module", "where", "arguments"),
     [(serve, "serve", ()), (evaluate, "write_maintenance", ("study=maintenance",))],

@@ -46,7 +46,7 @@ def waits_little(monkeypatch):
     monkeypatch.setattr(board, "LOOK_S", board.LOOK_S / 10)
     monkeypatch.setattr(serve, "LOOK_S", serve.LOOK_S / 10)
     monkeypatch.setattr(pages, "WRITE_S", pages.WRITE_S / 10)
-    monkeypatch.setattr(pages._opened, "__defaults__", (pages.READ_S / 10,))
+    monkeypatch.setattr(pages.opened, "__defaults__", (pages.READ_S / 10,))
 
 
 @contextmanager

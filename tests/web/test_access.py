@@ -1,0 +1,116 @@
+"""Names from the header of a reverse proxy: whose is believed, and what viewers may do."""
+
+import re
+
+import pytest
+from served_fleet import FAILED, name_of
+from test_api import BASE, BEARER, TOKEN, client, filled, post
+
+from suspnet.history import History
+from suspnet.web.access import Access
+
+__all__ = ["filled"]
+LOGIN = Access("X-Remote-User", ["10.0.0.5", "192.168.7.0/24"], ["Kim Li", "Jürgen"], TOKEN)
+
+
+def get(board, path, peer="10.0.0.5", **headers):
+    return client(board, LOGIN, peer).get(path, base_url=BASE, headers=headers)
+
+
+@pytest.mark.parametrize(
+    ("peer", "name", "code"),
+    [
+        ("10.0.0.5", "Kim Li", 200),
+        ("192.168.7.200", "anybody", 200),
+        ("10.0.0.6", "Kim Li", 403),  # not the proxy
+        ("127.0.0.1", "Kim Li", 403),
+        ("10.0.0.5", "", 403),
+        ("10.0.0.5", "Eve,Kim Li", 403),  # two headers, joined
+        ("10.0.0.5", "x" * 81, 403),
+    ],
+)
+def test_names_are_believed_of_the_proxy_alone(filled, peer, name, code):
+    for path in ("/", "/api/v1/suspensions", "/plan", "/state"):
+        assert get(filled[1], path, peer, **{"X-Remote-User": name}).status_code == code
+
+
+def test_other_headers_say_nothing_about_the_peer(filled):
+    sent = {"X-Remote-User": "Kim Li", "X-Forwarded-For": "10.0.0.5", "Forwarded": "for=10.0.0.5"}
+    assert get(filled[1], "/", "10.0.0.6", **sent).status_code == 403
+
+
+def test_without_a_header_configured_names_are_ignored(filled):
+    visitor, name = client(filled[1]), name_of(filled[1].view, FAILED)
+    sent = {"X-Remote-User": "Eve"}
+    page = visitor.get(f"/suspension/{name}", base_url=BASE, headers=sent).text
+    assert "Eve" not in page
+    assert "Your name" in page
+
+
+def test_viewer_sees_no_form_and_cannot_send_one(filled):
+    path, board = filled
+    name = name_of(board.view, FAILED)
+    visitor = client(board, LOGIN, "10.0.0.5")
+    more = {"base_url": BASE, "headers": {"X-Remote-User": "Ada"}}
+    page = visitor.get(f"/suspension/{name}", **more).text
+    assert '<form method="post"' not in page
+    assert "Ada, who may look but not acknowledge alarms" in page
+    other = {"base_url": BASE, "headers": {"X-Remote-User": "Kim Li"}}
+    form = visitor.get(f"/suspension/{name}", **other).text
+    token = re.search(r'csrf_token" value="([^"]+)', form)[1]
+    content = {"csrf_token": token, "parameter": "k_s", "cause": "limit", "severity": "act"}
+    sent = visitor.post(f"/suspension/{name}/acknowledge", data=content | {"by": "Kim Li"}, **more)
+    assert sent.status_code == 403
+    assert "Ada may look" in sent.text
+    with History(path) as store:
+        assert store.all_acknowledgements() == {}
+
+
+def test_engineer_acknowledges_under_the_name_of_the_proxy(filled, tmp_path):
+    board = filled[1]
+    name = name_of(board.view, FAILED)
+    visitor = client(board, LOGIN, "10.0.0.5")
+    spelt = "Jürgen".encode().decode("latin-1")  # as a server gives the bytes of a header
+    more = {"base_url": BASE, "headers": {"X-Remote-User": spelt}}
+    page = visitor.get(f"/suspension/{name}", **more).text
+    assert "You acknowledge it as Jürgen" in page
+    token = re.search(r'csrf_token" value="([^"]+)', page)[1]
+    content = {"csrf_token": token, "parameter": "k_s", "cause": "limit", "severity": "act"}
+    kept = board.store
+    board.store = str(tmp_path / "own.db")
+    (tmp_path / "own.db").write_bytes(filled[0].read_bytes())
+    try:
+        sent = visitor.post(f"/suspension/{name}/acknowledge", data=content | {"by": "Eve"}, **more)
+        assert sent.status_code == 302
+        with History(board.store) as store:
+            assert [one.by for one in store.acknowledgements("am96", FAILED)] == ["Jürgen"]
+    finally:
+        board.store = kept
+
+
+def test_programs_need_the_token_and_no_name(filled):
+    board, name = filled[1], name_of(filled[1].view, FAILED)
+    assert get(board, "/api/v1/alarms", "8.8.8.8", **BEARER).status_code == 200
+    assert get(board, "/", "8.8.8.8", **BEARER).status_code == 403
+    engineer = {"X-Remote-User": "Kim Li"}  # a browser could be made to send this
+    assert post(client(board, LOGIN, "10.0.0.5"), name, headers=engineer).status_code == 401
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({"user_header": "X-Remote-User"}, "whose X-Remote-User is believed"),
+        ({"user_header": "X Remote", "trusted_proxies": ["127.0.0.1"]}, "name of a header"),
+        ({"user_header": "X-U", "trusted_proxies": ["proxy"]}, "addresses or networks: 'proxy'"),
+        ({"engineers": ["Kim"]}, "need `user_header`"),
+        ({"token": "short"}, "24 to 200"),
+        ({"token": "with a space in the middle of it"}, "no space"),
+    ],
+)
+def test_bad_settings_are_refused(given, words):
+    with pytest.raises(ValueError, match=words):
+        Access(**given)
+
+
+def test_token_is_not_shown():
+    assert TOKEN not in repr(LOGIN)

@@ -1,0 +1,255 @@
+"""The API: its description, what it answers, who may acknowledge through it, and work orders."""
+
+import json
+import math
+import re
+
+import pytest
+from flask.testing import FlaskClient
+from openapi_spec_validator import validate
+from served_fleet import EVIL, FAILED, HEALTHY, NAMED_EVIL, SETTINGS, WORN, fill, name_of
+
+from suspnet.history import History
+from suspnet.report.board import Board, Refresher
+from suspnet.report.work_order import work_orders
+from suspnet.web.access import Access
+from suspnet.web.app import create_app
+
+TOKEN = "a-token-of-programs-for-tests"
+BEARER = {"Authorization": f"Bearer {TOKEN}"}
+SEEN = {"parameter": "k_s", "cause": "limit", "severity": "act", "by": "Kim Li", "words": "ordered"}
+BASE = "http://127.0.0.1:8050"
+
+
+@pytest.fixture(scope="module")
+def filled(tmp_path_factory):
+    path = fill(tmp_path_factory.mktemp("api") / "fleet.db")
+    board = Board(str(path), SETTINGS)
+    board.refresh()
+    return path, board
+
+
+def client(board, access=None, peer="127.0.0.1") -> FlaskClient:
+    refresher = Refresher(board, 3600.0)
+    refresher.start()
+    app = create_app(refresher, (), 3.0, access)
+    refresher.stop()
+    found = app.test_client()
+    found.environ_base["REMOTE_ADDR"] = peer
+    return found
+
+
+@pytest.fixture(scope="module")
+def ask(filled):
+    visitor = client(filled[1], Access(token=TOKEN))
+    return lambda path, **more: visitor.get(f"/api/v1/{path}", base_url=BASE, **more)
+
+
+def post(visitor, name, content=SEEN, **more):
+    where = f"/api/v1/suspensions/{name}/acknowledgements"
+    return visitor.post(where, json=content, base_url=BASE, **more)
+
+
+def test_description_is_openapi_3_1_and_names_every_route(ask):
+    found = ask("openapi.json").json
+    validate(found)
+    assert found["openapi"] == "3.1.0"
+    rules = set(found["paths"])
+    assert "/api/v1/suspensions/{id}/acknowledgements" in rules
+    assert len(rules) == 9
+    limit = next(
+        one["schema"]
+        for one in found["paths"]["/api/v1/alarms"]["get"]["parameters"]
+        if one["name"] == "limit"
+    )
+    assert (limit["minimum"], limit["maximum"]) == (1, 500)
+
+
+def test_lists_are_those_of_the_view_page_by_page(filled, ask):
+    view = filled[1].view
+    whole = ask("suspensions").json
+    assert [one["id"] for one in whole["items"]] == list(view.names)
+    assert whole["total"] == 4
+    assert whole["next_offset"] is None
+    parts, offset = [], 0
+    while offset is not None:
+        some = ask(f"suspensions?limit=3&offset={offset}").json
+        parts += some["items"]
+        offset = some["next_offset"]
+    assert parts == whole["items"]
+
+
+def test_filters_choose(ask):
+    assert {one["train"] for one in ask("suspensions?train=12").json["items"]} == {"12"}
+    acts = ask("alarms?severity=act&active=true").json["items"]
+    assert acts
+    assert {(one["severity"], one["end_km"]) for one in acts} == {("act", None)}
+    assert ask("alarms?acknowledged=true").json["total"] == 0
+    assert ask("alarms?train=nowhere").json["items"] == []
+    everything = ask("plan").json["total"]
+    assert 0 < ask("plan?severity=act").json["total"] < everything
+
+
+def test_trips_are_in_the_range_asked_for(filled, ask):
+    name = name_of(filled[1].view, FAILED)
+    found = ask(f"suspensions/{name}/trips?from_km=50000&to_km=56000").json["items"]
+    assert [one["mileage_km"] for one in found] == [50e3, 52e3, 54e3, 56e3]
+    assert found[-1]["estimates"]["k_s"] == pytest.approx(1.5, rel=0.01)
+    assert ask(f"suspensions/{name}/trips").json["total"] == 30
+
+
+def test_parts_have_limits_and_value(filled, ask):
+    name = name_of(filled[1].view, FAILED)
+    found = {one["parameter"]: one for one in ask(f"suspensions/{name}/parts").json["items"]}
+    assert found["k_s"]["act_percent"] == [80, 125]
+    assert found["k_s"]["value_percent"] == pytest.approx(150, rel=0.01)
+    assert found["k_p"]["life_median_km"] is None  # no end in sight
+    assert "M_s" not in found
+
+
+@pytest.mark.parametrize(
+    ("query", "words"),
+    [
+        ("limit=0", "limit"),
+        ("limit=1_0", "limit: .*whole number"),
+        ("limit=1&limit=2", "limit is given 2 times"),
+        ("severity=bad", "severity"),
+        ("colour=red", "colour: Extra inputs"),
+    ],
+)
+def test_bad_queries_are_named(ask, query, words):
+    found = ask(f"suspensions?{query}")
+    assert found.status_code == 400
+    assert found.json["status"] == 400
+    assert re.search(words, found.json["detail"])
+
+
+def test_numbers_that_are_not_finite_are_refused(filled, ask):
+    name = name_of(filled[1].view, FAILED)
+    for text in ("nan", "inf", "1e999"):
+        assert ask(f"suspensions/{name}/trips?from_km={text}").status_code == 400
+
+
+def test_unknown_suspensions_and_pages_are_problems_in_json(ask):
+    for path in ("suspensions/0123456789ab", "nothing"):
+        found = ask(path)
+        assert (found.status_code, found.mimetype) == (404, "application/json")
+        assert found.json["detail"]
+
+
+def test_same_state_is_not_sent_again(ask):
+    first = ask("alarms")
+    again = ask("alarms", headers={"If-None-Match": first.headers["ETag"]})
+    assert (again.status_code, again.data) == (304, b"")
+    assert ask("plan", headers={"If-None-Match": first.headers["ETag"]}).status_code == 200
+
+
+def test_history_not_read_yet_is_503(tmp_path):
+    visitor = client(Board(str(tmp_path / "none.db"), SETTINGS))
+    found = visitor.get("/api/v1/suspensions", base_url=BASE)
+    assert found.status_code == 503
+    assert found.headers["Retry-After"] == "10"
+
+
+def test_alarm_is_acknowledged_with_the_token(filled, tmp_path):
+    path = tmp_path / "own.db"
+    path.write_bytes(filled[0].read_bytes())
+    board = Board(str(path), SETTINGS)
+    board.refresh()
+    visitor, name = client(board, Access(token=TOKEN)), name_of(board.view, FAILED)
+    found = post(visitor, name, headers=BEARER)
+    assert found.status_code == 201, found.text
+    assert found.json["by"] == "Kim Li"
+    with History(path) as store:
+        (stored,) = store.acknowledgements("am96", FAILED)
+    assert (stored.by, stored.words, stored.at_km) == ("Kim Li", "ordered", 60e3)
+    board.refresh()
+    alarms = visitor.get("/api/v1/alarms?acknowledged=true", base_url=BASE).json
+    assert [one["acknowledged_by"] for one in alarms["items"]] == ["Kim Li"]
+    (order,) = work_orders(board.view, board.view.keys[name])
+    assert (order.acknowledged_by, order.action) == ("Kim Li", "ordered")
+
+
+@pytest.mark.parametrize(
+    ("headers", "content", "code"),
+    [
+        ({}, SEEN, 401),
+        ({"Authorization": f"Bearer {TOKEN}x"}, SEEN, 401),
+        ({"Authorization": f"Basic {TOKEN}"}, SEEN, 401),
+        ({"Authorization": "Bearer"}, SEEN, 401),
+        (BEARER, SEEN | {"cause": "change"}, 409),
+        (BEARER, SEEN | {"severity": "notice"}, 409),  # it is worse than the person saw
+        (BEARER, SEEN | {"by": "  "}, 400),
+        (BEARER, SEEN | {"other": 1}, 400),
+        (BEARER, SEEN | {"words": "x" * 501}, 400),
+        (BEARER, [], 400),
+    ],
+)
+def test_bad_acknowledgements_store_nothing(filled, headers, content, code):
+    path, board = filled
+    visitor, name = client(board, Access(token=TOKEN)), name_of(board.view, FAILED)
+    found = post(visitor, name, content, headers=headers)
+    assert found.status_code == code, found.text
+    assert ("WWW-Authenticate" in found.headers) == (code == 401)
+    with History(path) as store:
+        assert store.all_acknowledgements() == {}
+
+
+def test_without_a_configured_token_nothing_is_acknowledged(filled):
+    board = filled[1]
+    name = name_of(board.view, FAILED)
+    assert post(client(board), name).status_code == 403
+    for given in ("", "None", TOKEN):
+        found = post(client(board), name, headers={"Authorization": f"Bearer {given}"})
+        assert found.status_code == 401
+
+
+def test_a_form_cannot_acknowledge_through_the_api(filled):
+    visitor = client(filled[1], Access(token=TOKEN))
+    where = f"/api/v1/suspensions/{name_of(filled[1].view, FAILED)}/acknowledgements"
+    assert visitor.post(where, data=SEEN, base_url=BASE).status_code == 401
+    found = visitor.post(where, data=json.dumps(SEEN), base_url=BASE, headers=BEARER)
+    assert found.status_code == 415
+
+
+def test_work_order_says_what_why_since_when_how_sure_and_until_when(filled, ask):
+    view = filled[1].view
+    (order,) = work_orders(view, view.keys[name_of(view, FAILED)])
+    assert (order.parameter, order.severity, order.train, order.car) == ("k_s", "act", "12", "3")
+    assert "above the act limit of 125 %" in order.why
+    assert (order.since_km, order.since) == (56e3, "2026-01-21")  # trip 27, three days apart
+    assert order.low_percent < order.value_percent < order.high_percent
+    assert (order.n_alike, order.n_last) == (3, 5)
+    assert order.visit is not None
+    assert order.decide_by <= order.latest
+    assert order.is_passed
+    assert order.until_km == 60e3  # the newest trip
+    assert work_orders(view, view.keys[name_of(view, HEALTHY)]) == []
+    assert order.number in [one["number"] for one in ask("work-orders?severity=act").json["items"]]
+
+
+def test_numbers_of_work_orders_differ_and_are_json(filled, ask):
+    items = ask("work-orders").json["items"]
+    assert len({one["number"] for one in items}) == len(items) >= 3
+    numbers = [value for one in items for value in one.values() if isinstance(value, float)]
+    assert all(map(math.isfinite, numbers))
+    worn = name_of(filled[1].view, WORN)
+    assert {"c_s"} == {one["parameter"] for one in items if one["suspension"] == worn}
+
+
+def test_work_order_page_escapes_names_and_is_printed(filled):
+    pdfium = pytest.importorskip("pypdfium2")
+    pytest.importorskip("weasyprint")
+    visitor, name = client(filled[1]), name_of(filled[1].view, NAMED_EVIL)
+    page = visitor.get(f"/suspension/{name}/work-order", base_url=BASE)
+    assert page.status_code == 200
+    assert EVIL not in page.text
+    assert "most likely between" in page.text
+    printed = visitor.get(f"/suspension/{name}/work-order.pdf", base_url=BASE)
+    assert printed.mimetype == "application/pdf"
+    document = pdfium.PdfDocument(printed.data)
+    words = document[0].get_textpage().get_text_range()
+    document.close()
+    assert EVIL in words
+    assert "How sure" in words
+    assert re.search(r"State of \d{4}-\d\d-\d\d", words)  # paper needs the day
