@@ -1,4 +1,4 @@
-"""Check manifests and recordings, with a model or without: suspnet-check DIR ..."""
+"""Check manifests and recordings, with a model or without: suspnet check DIR ..."""
 
 from __future__ import annotations
 

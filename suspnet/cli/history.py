@@ -1,4 +1,4 @@
-"""Show a history, add maintenance and acknowledgements, write tables: suspnet-history STORE ..."""
+"""Show a history, add maintenance and acknowledgements, write tables: suspnet history STORE ..."""
 
 from __future__ import annotations
 
@@ -105,7 +105,7 @@ def _acknowledge(store: History, arguments: Namespace) -> str:
     if not chosen:
         raise HistoryError(
             f"{store}: {vehicle}: {place} has no open alarm of {arguments.parameter}"
-            f"{f' with cause {arguments.cause}' * bool(arguments.cause)}; suspnet-history STORE "
+            f"{f' with cause {arguments.cause}' * bool(arguments.cause)}; suspnet history STORE "
             "alarms lists all"
         )
     newest = max(r.mileage_km for r in store.read(vehicle, place) if isfinite(r.mileage_km))

@@ -25,7 +25,7 @@ class TripError(ValueError):
         more = len(self.args) - 1
         if more < 1:
             return super().__str__()
-        return f"{self.args[0]} (and {more} more: suspnet-check shows all)"
+        return f"{self.args[0]} (and {more} more: suspnet check shows all)"
 
 
 class DeadSensorError(TripError):

@@ -1,4 +1,4 @@
-"""suspnet-check: what it tells of good and of broken trips, and that it always ends in words."""
+"""suspnet check: what it tells of good and of broken trips, and that it always ends in words."""
 
 import copy
 import json

@@ -1,4 +1,4 @@
-"""suspnet-check and evaluate agree on which trips are read, at every speed of a range."""
+"""suspnet check and evaluate agree on which trips are read, at every speed of a range."""
 
 import itertools
 import json

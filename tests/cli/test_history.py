@@ -1,4 +1,4 @@
-"""suspnet-history lists, adds maintenance and writes tables; mistakes are one line."""
+"""suspnet history lists, adds maintenance and writes tables; mistakes are one line."""
 
 import pyarrow.parquet as pq
 import pytest
@@ -82,7 +82,7 @@ def test_no_alarm_is_said(path, capsys):
 @pytest.mark.parametrize(
     ("chosen", "message"),
     [
-        (["--parameter", "c_p"], "bogie 1, left has no open alarm of c_p; suspnet-history"),
+        (["--parameter", "c_p"], "bogie 1, left has no open alarm of c_p; suspnet history"),
         (["--parameter", "k_p", "--cause", "limit"], "open alarm of k_p with cause limit"),
     ],
 )

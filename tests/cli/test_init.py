@@ -1,4 +1,4 @@
-"""suspnet-init: what it finds in data files, and that a completed template passes suspnet-check."""
+"""suspnet init: what it finds in data files, and that a completed template passes suspnet check."""
 
 import re
 

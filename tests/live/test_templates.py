@@ -1,4 +1,4 @@
-"""A manifest that suspnet-init wrote serves the monitor as it serves suspnet-evaluate."""
+"""A manifest that suspnet init wrote serves the monitor as it serves suspnet-evaluate."""
 
 import re
 

@@ -390,7 +390,7 @@ def test_all_mistakes_are_told_at_once(folder):
     content["channels"]["bogie"] = [LEFT | {"rate_hz": 0}, RIGHT | {"sign": 3, "range": "much"}]
     path = write(folder, yaml.safe_dump(content))
     with pytest.raises(
-        TripError, match=r"`vehicel` is not known.*\(and 11 more: suspnet-check"
+        TripError, match=r"`vehicel` is not known.*\(and 11 more: suspnet check"
     ) as e:
         read_manifest(path)
     told = [problem.removeprefix(f"{path}: ") for problem in e.value.problems]

@@ -118,7 +118,7 @@ def test_what_libraries_print_goes_nowhere(file, capfd):
             "short of memory",
             "its reader crashed (SIGKILL), so the file is damaged, or there was too little memory",
         ),
-        ("trip", "one problem (and 1 more: suspnet-check shows all)"),
+        ("trip", "one problem (and 1 more: suspnet check shows all)"),
         ("error", "is damaged, cut off or not a .mat file (division by zero)"),
         ("speechless", f"{MEMORY_WORDS}"),
     ],

@@ -494,7 +494,7 @@ def test_faults_of_all_sensors_and_of_the_speed_are_told_at_once(trip):
         body={"rate_hz": 50.0},
         speed={"file": "body.parquet", "column": "v", "unit": "m/s", "rate_hz": 1.0},
     )
-    with pytest.raises(TripError, match=r"no column .*\(and 3 more: suspnet-check") as caught:
+    with pytest.raises(TripError, match=r"no column .*\(and 3 more: suspnet check") as caught:
         load(path)
     words = ("no column 'v'", "no column 'b'", "is constant", "has 50 Hz")
     assert all(word in told for word, told in zip(words, caught.value.problems, strict=True))
