@@ -241,6 +241,8 @@ def _build(content: dict[str, Any], arrays: dict[str, FloatArray], device: str) 
     try:
         if arrays:
             estimator.restore(arrays)
+            if not hasattr(estimator, "n_features_in_"):  # a user's method need not restore it
+                estimator.n_features_in_ = len(content["inputs"]["names"])
         if learnt:
             feature_set = feature_set.restored(learnt)
         calibrated = {

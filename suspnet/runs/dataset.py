@@ -12,6 +12,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
+from zipfile import BadZipFile
 
 import numpy as np
 import pyarrow as pa
@@ -168,7 +169,9 @@ def read_dataset(path: Path | str) -> DataSet:
         about = json.loads(str(found.pop(ABOUT)))
         found["split"] = np.asarray(found["split"]).astype(str)
         return DataSet(**found, about=about)
-    except (KeyError, TypeError, ValueError, pa.ArrowException) as error:
+    except FileNotFoundError:
+        raise
+    except (KeyError, OSError, TypeError, ValueError, BadZipFile, pa.ArrowException) as error:
         raise ValueError(f"{path} is no data set of suspnet: {error}") from error
 
 
@@ -178,7 +181,7 @@ def _arrays(data: DataSet) -> dict[str, NDArray[Any]]:
 
 def _npz(data: DataSet) -> bytes:
     stream = io.BytesIO()
-    np.savez_compressed(stream, **_arrays(data), about=np.array(json.dumps(data.about)))
+    np.savez(stream, **_arrays(data), about=np.array(json.dumps(data.about)))
     return stream.getvalue()
 
 

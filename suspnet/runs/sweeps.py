@@ -60,7 +60,7 @@ class Jobs(Callback):
         if over_seeds:
             write_atomically(folder / "seeds.csv", records_csv(over_seeds))
             table += "\n\nmean and standard deviation over seeds\n\n"
-            table += tabulate(over_seeds, headers="keys", tablefmt="github", floatfmt=".4g")
+            table += _seed_table(over_seeds)
         write_atomically(folder / "jobs.md", f"{table}\n")
         log.info(
             "rms error in %%, least mean first among jobs with the same outputs; /bound: over the "
@@ -111,8 +111,8 @@ def seed_rows(folder: Path, rows: Sequence[Mapping[str, Any]]) -> list[dict[str,
     for row in rows:
         if row["state"] == "finished":
             config = yaml.safe_load((folder / row["job"] / "config.yaml").read_text())
-            config.pop("seed", None)
-            alike.setdefault(json.dumps(config, sort_keys=True, default=str), []).append(row)
+            same_but_seed = _without_seed(config, config.get("seed"))
+            alike.setdefault(json.dumps(same_but_seed, sort_keys=True, default=str), []).append(row)
     if all(len(same) < 2 for same in alike.values()):
         return []
     found = []
@@ -125,6 +125,31 @@ def seed_rows(folder: Path, rows: Sequence[Mapping[str, Any]]) -> list[dict[str,
                 one[f"{key} sd"] = stdev(values) if len(values) > 1 else None
         found.append(one)
     return found
+
+
+def _without_seed(config: Any, seed: Any) -> Any:
+    """Return a configuration without the seed, and the seeds of parts that follow it."""
+    if not isinstance(config, dict):
+        return config
+    return {
+        key: _without_seed(value, seed)
+        for key, value in config.items()
+        if not (key in ("seed", "random_state") and value == seed)
+    }
+
+
+def _seed_table(rows: Sequence[Mapping[str, Any]]) -> str:
+    """Return the rows of `seed_rows` as Markdown, with mean +- standard deviation."""
+    shown = []
+    for row in rows:
+        line = {key: row[key] for key in ("jobs", "n")}
+        for key in row:
+            if key not in line and not key.endswith(" sd"):
+                sd = row[f"{key} sd"]
+                scatter = "" if sd is None else f" +- {sd:.2g}"
+                line[key] = "" if row[key] is None else f"{row[key]:.4g}{scatter}"
+        shown.append(line)
+    return tabulate(shown, headers="keys", tablefmt="github", disable_numparse=True)
 
 
 def run_errors(job: Path, entry: str = "rms_percent") -> dict[str, float]:
