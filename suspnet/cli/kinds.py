@@ -148,9 +148,11 @@ def _built(values: Mapping[str, Any], name: str) -> Any:
     known = inspect.signature(class_).parameters
     unknown = [key for key in arguments if key not in known]
     if unknown and not any(one.kind == one.VAR_KEYWORD for one in known.values()):
-        near = difflib.get_close_matches(unknown[0], known, 1)
+        near = difflib.get_close_matches(unknown[0], known.keys() - arguments.keys(), 1)
         meant = f"; did you mean {near[0]}?" if near else ""
-        raise ValueError(f"`{name}.{unknown[0]}` is no setting of {place}: --help lists them{meant}")
+        raise ValueError(
+            f"`{name}.{unknown[0]}` is no setting of {place}: --help lists them{meant}"
+        )
     try:
         return class_(**arguments)
     except (AttributeError, LookupError) as error:  # a value of a type that nobody expects
@@ -171,7 +173,9 @@ def read_vehicles(folder: str | Path = CONFIGS) -> dict[str, Vehicle]:
     """
     found = _vehicles_of(folder)
     if not found:
-        raise FileNotFoundError(f"{folder} holds no vehicles: each is a file vehicle/NAME.yaml in it")
+        raise FileNotFoundError(
+            f"{folder} holds no vehicles: each is a file vehicle/NAME.yaml in it"
+        )
     return found
 
 

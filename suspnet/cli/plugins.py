@@ -46,7 +46,7 @@ def register_method(name: str, cls: type, title: str | None = None) -> None:
         Lower-case letters, digits and underscores.
     cls : type
         A scikit-learn regressor that also has ``state()``, which returns the arrays of the fitted
-        method, and ``restore(arrays)``. The defaults of its constructor are those of ``model=NAME``.
+        method, and ``restore(arrays)``. ``model=NAME`` has the defaults of its constructor.
     title : str, optional
         Its name in tables; `name` if left out.
 

@@ -131,7 +131,7 @@ def run(main: Callable[[], Any], *, unwinds: bool = True) -> None:
         number = signal.SIGTERM if isinstance(ended, signals.Terminated) else signal.SIGINT
         verb, code = signals.VERBS[number], 128 + number
         how = printable(folders.how_to_go_on())
-        print(f"{verb}: nothing was half-written; {how}", file=sys.stderr)
+        signals.announce(f"{verb}: nothing was half-written; {how}")
         sys.exit(code)
     except BrokenPipeError:
         sys.exit(_output_ended())

@@ -370,8 +370,6 @@ class MSVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mis
     def _check_parameters(self) -> None:
         check_settings(self)
         if not (isinstance(self.sigma, str) and self.sigma == "scale"):
-            if isinstance(self.sigma, str):
-                raise ValueError(f"`sigma` must be a finite number > 0 or 'scale', got {self.sigma!r}")
             check_number("sigma", self.sigma, above=0)
         if not isinstance(self.fit_intercept, bool | np.bool_):
             raise TypeError(f"`fit_intercept` must be True or False, got {self.fit_intercept!r}")

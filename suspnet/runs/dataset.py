@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from suspnet._version import __version__
 from suspnet.estimation.information import output_bounds
-from suspnet.estimation.problem import CALIBRATE, TEST, TRAIN, Problem
+from suspnet.estimation.problem import BLOCK, CALIBRATE, TEST, TRAIN, Problem
 from suspnet.ground.parameters import PARAMETERS
 from suspnet.ground.settings import check_choice
 from suspnet.ground.storage import write_atomically
@@ -105,11 +105,12 @@ def make_dataset(problem: Problem) -> DataSet:
         if stream == CALIBRATE and not problem.settings.n_calibrate:
             continue
         data = problem.features(stream)
-        seen, noise = [], []
+        seen: list[NDArray[Any]] = []
+        noise: list[NDArray[Any]] = []
         for block in range(problem.n_blocks(len(data.ratios))):
             one = problem.observer.for_features(problem.curves(data.ratios, stream, block))
-            start = sum(map(len, seen))
-            clean = problem.noise_free(data.ratios[start : start + len(one)])
+            rows = slice(block * BLOCK, (block + 1) * BLOCK)
+            clean = problem.noise_free(data.ratios[rows])
             seen.append(one.cpu().numpy())
             noise.append((one - clean).cpu().numpy())
         bound = np.full_like(data.outputs, np.nan)
@@ -138,7 +139,7 @@ def make_dataset(problem: Problem) -> DataSet:
 
 
 def write_dataset(data: DataSet | Problem, path: Path | str) -> Path:
-    """Write a data set, or that of a problem, to NAME.npz, NAME.h5 or NAME.parquet; return the path.
+    """Write a data set, or that of a problem, to NAME.npz, .h5 or .parquet; return the path.
 
     Raises
     ------
@@ -181,7 +182,8 @@ def _arrays(data: DataSet) -> dict[str, NDArray[Any]]:
 
 def _npz(data: DataSet) -> bytes:
     stream = io.BytesIO()
-    np.savez(stream, **_arrays(data), about=np.array(json.dumps(data.about)))
+    arrays: dict[str, Any] = _arrays(data) | {ABOUT: np.array(json.dumps(data.about))}
+    np.savez(stream, **arrays)
     return stream.getvalue()
 
 

@@ -35,8 +35,8 @@ def method_name(estimator: Any) -> str:
         if type(estimator) is kind:
             return name
     raise TypeError(
-        f"`model` must be one of {sorted(METHODS)}, got {type(estimator).__name__}, which cannot be "
-        "saved: leave out the folder to score it alone, or see suspnet.register_method"
+        f"`model` must be one of {sorted(METHODS)}, got {type(estimator).__name__}, which cannot "
+        "be saved: leave out the folder to score it alone, or see suspnet.register_method"
     )
 
 

@@ -238,11 +238,10 @@ def table5_markdown(runs: Sequence[Run], n_jobs: int) -> str:
             f"{key} {value:g}" if isinstance(value, int | float) else f"{key} {value}"
             for key, value in search["best"].items()
         )
-        seconds = run["training"].get("search_seconds")
-        rows.append(
-            [run["group"], run["model"], best, f"{min(search['rmse']):.4g}", len(search["rmse"])]
-            + ["-" if seconds is None else f"{seconds:.1f}"]
-        )
+        seconds = run.get("training", {}).get("search_seconds")
+        time = "-" if seconds is None else f"{seconds:.1f}"
+        error, tried = f"{min(search['rmse']):.4g}", len(search["rmse"])
+        rows.append([run["group"], run["model"], best, error, tried, time])
     header = ["group", "method", "best values", "cross-validated RMSE", "settings", "search s"]
     table = tabulate(rows, header, tablefmt="github", disable_numparse=True)
     return f"{len(searched)} of {n_jobs} searches finished\n\n{table}"
@@ -295,6 +294,6 @@ def _search_record(run: Run) -> dict[str, Any]:
         "best": search["best"],
         "cv_rmse": min(search["rmse"]),
         "n_settings": len(search["rmse"]),
-        "search_seconds": run["training"].get("search_seconds"),
+        "search_seconds": run.get("training", {}).get("search_seconds"),
         "edges": list(search["edges"].values()),
     }

@@ -19,11 +19,15 @@ from sklearn.ensemble import RandomForestRegressor
 from sklearn.neighbors import KNeighborsRegressor
 from tabulate import tabulate
 
-from suspnet import CurveSettings, Problem, QuarterCar, read_protocol, read_vehicles, train
+from suspnet.cli.kinds import read_protocol, read_vehicles
 from suspnet.cli.plugins import load_plugins
+from suspnet.dynamics import QuarterCar
+from suspnet.estimation.problem import TEST, TRAIN, Problem
 from suspnet.ground.storage import write_atomically
 from suspnet.learning import METHODS
 from suspnet.runs.tables import MODEL_TITLES, in_digits, records_csv
+from suspnet.runs.train import train
+from suspnet.spectra.curves import CurveSettings
 
 PEERS = {
     "nearest neighbours": lambda: KNeighborsRegressor(5, weights="distance"),
@@ -42,7 +46,8 @@ def records(n_train: Sequence[int], n_test: int) -> list[dict[str, Any]]:
             settings = CurveSettings(n_train=n, n_test=n_test, n_calibrate=None)
             task = read_protocol("multi_location").task(group)
             problem = Problem(QuarterCar(vehicle), task, settings)
-            problem.features(0), problem.features(1)  # into the cache, so that no method waits
+            for stream in (TRAIN, TEST):
+                problem.features(stream)  # into the cache, so that no method waits
             for title, make in makers.items():
                 start = time.perf_counter()
                 ratios = train(problem, make())["rms_ratio"]
@@ -55,8 +60,11 @@ def records(n_train: Sequence[int], n_test: int) -> list[dict[str, Any]]:
 def table(rows: Sequence[Mapping[str, Any]]) -> str:
     """Return records, or the rows of their file, as Markdown."""
     shown = [
-        [r["group"], r["n_train"], r["method"], *(in_digits(float(r[k])) for k in OVER_BOUND)]
-        + [f"{float(r['seconds']):.1f}"]
+        [
+            *(r["group"], r["n_train"], r["method"]),
+            *(in_digits(float(r[k])) for k in OVER_BOUND),
+            f"{float(r['seconds']):.1f}",
+        ]
         for r in rows
     ]
     header = ["group", "training curves", "method", *OVER_BOUND, "seconds"]

@@ -41,9 +41,11 @@ TINY = ("data.n_train=200", "data.n_test=100", "data.n_calibrate=null", "figures
 def _registered_here_only(monkeypatch):
     tables = (METHODS, MODEL_TITLES, FEATURE_SETS, kinds.KINDS["model"])
     before = [dict(one) for one in tables]
-    stored = dict(ConfigStore.instance().repo["model"]) if "model" in (
-        ConfigStore.instance().repo
-    ) else None
+    stored = (
+        dict(ConfigStore.instance().repo["model"])
+        if "model" in (ConfigStore.instance().repo)
+        else None
+    )
     modules = set(sys.modules)
     yield
     for one, old in zip(tables, before, strict=True):

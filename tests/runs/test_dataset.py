@@ -31,9 +31,10 @@ def test_rows_are_those_of_the_problem(problem, data):
         assert np.array_equal(data.X[here], made.inputs, equal_nan=True)
         assert np.array_equal(data.Y[here], made.outputs)
         assert np.array_equal(data.rows(name)[here], made.valid)
-    assert np.array_equal(data.curves[data.split == "train"][128:], problem.curves(
-        problem.ratios(TRAIN), TRAIN, 1
-    ).numpy())
+    assert np.array_equal(
+        data.curves[data.split == "train"][128:],
+        problem.curves(problem.ratios(TRAIN), TRAIN, 1).numpy(),
+    )
     assert len(data.Y) == 150 + 20 + 100
 
 
