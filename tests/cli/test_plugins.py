@@ -3,6 +3,7 @@
 import json
 import re
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,11 +14,12 @@ from sklearn.base import BaseEstimator, RegressorMixin
 from sklearn.ensemble import RandomForestRegressor
 from sklearn.linear_model import Ridge
 
-from suspnet import MSVR, LinearRegression, Problem, load_model, train
+from suspnet import MSVR, SVR, LinearRegression, Problem, load_model, train
 from suspnet.cli import kinds, plugins
 from suspnet.cli import train as program
 from suspnet.estimation.fitted import ModelFileError
 from suspnet.learning import METHODS
+from suspnet.runs.fit import _announce
 from suspnet.runs.tables import MODEL_TITLES
 from suspnet.spectra.components import FEATURE_SETS
 from suspnet.spectra.curves import CurveSettings
@@ -194,7 +196,6 @@ def test_configuration_names_no_module(tmp_path):
 
 
 def test_cache_of_features_depends_on_the_users_code(quarter_car, task, tmp_path):
-    from dataclasses import replace
 
     described = []
     for half_width in ("0.1", "0.2"):
@@ -207,3 +208,12 @@ def test_cache_of_features_depends_on_the_users_code(quarter_car, task, tmp_path
         described.append(problem.describe(0))
     assert described[0]["task"] == described[1]["task"]
     assert described[0]["own_features"] != described[1]["own_features"]
+
+
+def test_time_of_svr_is_announced(caplog):
+    with caplog.at_level("INFO"):
+        _announce(SVR(), 499)
+        _announce(MSVR(), 5000)
+        assert not caplog.records
+        _announce(SVR(), 1000)
+    assert "SVR on 1000 curves may take minutes" in caplog.text
