@@ -3,6 +3,8 @@
 from suspnet._version import __version__ as __version__
 from suspnet.cli.kinds import read_protocol as read_protocol
 from suspnet.cli.kinds import read_vehicles as read_vehicles
+from suspnet.cli.plugins import register_features as register_features
+from suspnet.cli.plugins import register_method as register_method
 from suspnet.dynamics.quarter_car import QuarterCar as QuarterCar
 from suspnet.dynamics.spatial_vehicle import SpatialVehicle as SpatialVehicle
 from suspnet.dynamics.vehicle import Vehicle as Vehicle
@@ -25,6 +27,9 @@ from suspnet.estimation.layouts import LayoutBounds as LayoutBounds
 from suspnet.estimation.layouts import layout_bounds as layout_bounds
 from suspnet.estimation.parts_regression import PartsRegression as PartsRegression
 from suspnet.estimation.parts_regression import train_parts as train_parts
+from suspnet.estimation.problem import CALIBRATE as CALIBRATE
+from suspnet.estimation.problem import TEST as TEST
+from suspnet.estimation.problem import TRAIN as TRAIN
 from suspnet.estimation.problem import Problem as Problem
 from suspnet.estimation.protocols import Protocol as Protocol
 from suspnet.estimation.protocols import Task as Task
@@ -46,6 +51,10 @@ from suspnet.recordings.manifest_files import read_manifest as read_manifest
 from suspnet.recordings.recording import Recording as Recording
 from suspnet.recordings.recording import load_recording as load_recording
 from suspnet.report.maintenance_figures import plan_calendar as plan_calendar
+from suspnet.runs.dataset import DataSet as DataSet
+from suspnet.runs.dataset import make_dataset as make_dataset
+from suspnet.runs.dataset import read_dataset as read_dataset
+from suspnet.runs.dataset import write_dataset as write_dataset
 from suspnet.runs.train import train as train
 from suspnet.spectra.components import CurveFeatures as CurveFeatures
 from suspnet.spectra.curves import CurveSettings as CurveSettings

@@ -6,6 +6,7 @@ Modules take seconds to import, so each is imported only when it is needed.
 
 from __future__ import annotations
 
+import difflib
 import inspect
 from collections.abc import Callable, Mapping
 from importlib import import_module
@@ -25,7 +26,7 @@ if TYPE_CHECKING:
     from suspnet.estimation.protocols import Protocol
     from suspnet.report.board import BoardSettings
 
-KINDS: Mapping[str, Mapping[str, str]] = {
+KINDS: dict[str, dict[str, str | type]] = {
     "data": {
         "curves": "suspnet.spectra.curves.CurveSettings",
         "trips": "suspnet.spectra.estimates.EstimateSettings",
@@ -68,7 +69,8 @@ KINDS: Mapping[str, Mapping[str, str]] = {
     "trips": {"": "suspnet.estimation.trip_settings.TripSettings"},
     "vehicle": {"": "suspnet.dynamics.Vehicle"},
 }
-"""Kinds and the class of each, by the key below which the object is configured."""
+"""Kinds and the class of each, by the key below which the object is configured; a class itself
+where ``suspnet.register_method`` has added it."""
 PARTS: Mapping[str, tuple[str, ...]] = {
     "generator": ("vehicle",),
     "live": ("order",),
@@ -103,7 +105,10 @@ def plain(node: Any) -> Any:
 
 def class_of(place: str, kind: Any = None) -> Callable[..., Any]:
     """Return what builds an object: the class of a kind, or the only one of its place."""
-    home, _, name = KINDS[place][kind or ""].rpartition(".")
+    named = KINDS[place][kind or ""]
+    if not isinstance(named, str):
+        return named
+    home, _, name = named.rpartition(".")
     found: Callable[..., Any] = getattr(import_module(home), name)
     return found
 
@@ -143,7 +148,11 @@ def _built(values: Mapping[str, Any], name: str) -> Any:
     known = inspect.signature(class_).parameters
     unknown = [key for key in arguments if key not in known]
     if unknown and not any(one.kind == one.VAR_KEYWORD for one in known.values()):
-        raise ValueError(f"`{name}.{unknown[0]}` is no setting of {place}: --help lists them")
+        near = difflib.get_close_matches(unknown[0], known.keys() - arguments.keys(), 1)
+        meant = f"; did you mean {near[0]}?" if near else ""
+        raise ValueError(
+            f"`{name}.{unknown[0]}` is no setting of {place}: --help lists them{meant}"
+        )
     try:
         return class_(**arguments)
     except (AttributeError, LookupError) as error:  # a value of a type that nobody expects
@@ -157,9 +166,20 @@ def read_vehicles(folder: str | Path = CONFIGS) -> dict[str, Vehicle]:
 
     Raises
     ------
+    FileNotFoundError
+        If the folder has no `vehicle/NAME.yaml`.
     TypeError, ValueError
         If a file is no vehicle's, or one of its numbers is missing or wrong.
     """
+    found = _vehicles_of(folder)
+    if not found:
+        raise FileNotFoundError(
+            f"{folder} holds no vehicles: each is a file vehicle/NAME.yaml in it"
+        )
+    return found
+
+
+def _vehicles_of(folder: str | Path) -> dict[str, Vehicle]:
     vehicles: dict[str, Vehicle] = {}
     for file in sorted((Path(folder) / "vehicle").glob("*.yaml")):
         check_file(file)
@@ -182,7 +202,7 @@ def read_all_vehicles() -> dict[str, Vehicle]:
     """Return the vehicles of ``read_vehicles`` and those in the folder that --config-dir names."""
     sources = HydraConfig.get().runtime.config_sources
     folders = [one.path for one in sources if one.schema == "file"]
-    return {name: one for folder in folders for name, one in read_vehicles(folder).items()}
+    return {name: one for folder in folders for name, one in _vehicles_of(folder).items()}
 
 
 def board_settings(config: DictConfig, alarms: DictConfig) -> BoardSettings:

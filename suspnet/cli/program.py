@@ -8,7 +8,7 @@ import os
 import signal
 import sys
 import traceback
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import ExitStack, contextmanager, nullcontext, redirect_stderr
 from importlib import import_module
@@ -66,18 +66,35 @@ def main(name: str) -> None:
     """
     # a library of optional readers greets at its import, on the output that Hydra has set up
     logging.getLogger("numexpr").setLevel(logging.WARNING)
+    plugins: list[str] = []
+    run(lambda: plugins.extend(_load_plugins(sys.argv)))
     if name in WITH_OPTIONS:
         options = import_module("suspnet.cli.options")
         arguments = options.PARSERS[name]().parse_args()
         run(lambda: sys.exit(getattr(_imported(name), name)(arguments)))
         return
-    program = hydra.main(version_base="1.3", config_path=CONFIGS, config_name=name)(_task_of(name))
+    program = hydra.main(version_base="1.3", config_path=CONFIGS, config_name=name)(
+        _task_of(name, plugins)
+    )
     with signals.until_it_listens() if name == "serve" else nullcontext():
         run(program, unwinds=name != "serve")
 
 
-def _task_of(name: str) -> Callable[[DictConfig], None]:
+def _load_plugins(arguments: list[str]) -> list[str]:
+    """Load what ``--plugin`` names and take it off the command line; return the files."""
+    if not any(one.startswith("--plugin") for one in arguments):
+        return []  # their module imports torch, which takes seconds
+    from suspnet.cli import plugins
+
+    files = plugins.take_plugins(arguments)
+    plugins.load_plugins(files)
+    return files
+
+
+def _task_of(name: str, plugins: Sequence[str] = ()) -> Callable[[DictConfig], None]:
     def program(config: DictConfig) -> None:
+        if plugins:  # in a worker of a multirun they are not loaded yet
+            import_module("suspnet.cli.plugins").load_plugins(plugins)
         _imported(name).main(config)
 
     program.__module__ = f"suspnet.cli.{name}"  # Hydra names the log by it
@@ -114,7 +131,7 @@ def run(main: Callable[[], Any], *, unwinds: bool = True) -> None:
         number = signal.SIGTERM if isinstance(ended, signals.Terminated) else signal.SIGINT
         verb, code = signals.VERBS[number], 128 + number
         how = printable(folders.how_to_go_on())
-        print(f"{verb}: nothing was half-written; {how}", file=sys.stderr)
+        signals.announce(f"{verb}: nothing was half-written; {how}")
         sys.exit(code)
     except BrokenPipeError:
         sys.exit(_output_ended())

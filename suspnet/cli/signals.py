@@ -12,6 +12,8 @@ from contextlib import contextmanager
 VERBS = {signal.SIGINT: "interrupted", signal.SIGTERM: "terminated"}
 """Verb of the line that a program prints when a signal ends it."""
 SIGNALS = tuple(VERBS)
+_has_ended = threading.Event()
+"""Whether the program has said that a signal ends it; a further signal then says nothing."""
 
 
 @contextmanager
@@ -31,12 +33,22 @@ def until_it_listens() -> Iterator[None]:
 
 def end_at_once() -> None:
     """Make a signal end the process at once: nothing can be half done yet."""
+    _has_ended.clear()
     for number in SIGNALS:
         signal.signal(number, _end)
 
 
+def announce(words: str) -> None:
+    """Print the line that says why a signal ends the program, once."""
+    _has_ended.set()
+    print(words, file=sys.stderr)
+
+
 def _end(number: int, frame: object) -> None:
-    os.write(sys.stderr.fileno(), f"{VERBS[signal.Signals(number)]}: nothing had begun\n".encode())
+    if not _has_ended.is_set():
+        os.write(
+            sys.stderr.fileno(), f"{VERBS[signal.Signals(number)]}: nothing had begun\n".encode()
+        )
     os._exit(128 + number)
 
 

@@ -19,6 +19,7 @@ from suspnet.estimation.bogie_fit import CommissionedBogie
 from suspnet.estimation.fitted import ModelFileError
 from suspnet.estimation.flags import OODDetector, Unexplained
 from suspnet.estimation.intervals import Intervals
+from suspnet.estimation.problem import Problem
 from suspnet.estimation.protocols import Task
 from suspnet.estimation.trained import TrainedModel
 from suspnet.estimation.validity import check_arrays, check_model, check_numbers, check_same
@@ -49,6 +50,8 @@ CALIBRATED: dict[str, tuple[str, Any]] = {
 """Calibrated parts of a model by the name prefix of their arrays: attribute and class."""
 NOT_OF_THE_MODEL = ("arrays_sha256", "suspnet_version", "units")
 """Entries of model.json that do not describe the model itself."""
+OWN = "if it is your own, register it first: suspnet.{} in a script, --plugin FILE for a program"
+"""Advice where a file names a method or a feature set that is not known."""
 NOT_A_MODEL = (
     *(ValueError, TypeError, KeyError, AttributeError, IndexError, ArithmeticError),
     *(AssertionError, RuntimeError, MemoryError, Warning),
@@ -81,6 +84,28 @@ def save_model(folder: Path, model: TrainedModel) -> None:
     with locked(folder):
         write_atomically(folder / "model.safetensors", content)
         write_json(folder / "model.json", description)
+
+
+def check_saveable(estimator: Any, problem: Problem) -> None:
+    """Raise TypeError if a setting of a method or a part of its problem has no place in a file."""
+    for name, value in parameters(estimator).items():
+        try:
+            json.dumps(value, allow_nan=False)
+        except (TypeError, ValueError):
+            raise TypeError(
+                f"`{name}`={value!r} of {type(estimator).__name__} cannot be saved: give a number, "
+                "a text, a list or None"
+            ) from None
+    for part, kinds in (
+        (problem.task.extractor, FEATURE_SETS),
+        (problem.generator, GENERATORS),
+        (problem.settings, OBSERVATIONS),
+    ):
+        if type(part) not in kinds.values():
+            raise TypeError(
+                f"a model with {type(part).__name__} cannot be saved; known: {', '.join(kinds)} "
+                "(feature sets are added by suspnet.register_features)"
+            )
 
 
 def fingerprint(model: TrainedModel) -> str:
@@ -192,7 +217,14 @@ def _check_description(path: Path, content: Any) -> None:
     if claimed != content_hash(content):
         raise ModelFileError(f"{path} is damaged or was altered: its hash does not match")
     if content["model"] not in METHODS:
-        raise ModelFileError(f"{path}: unknown model {content['model']!r}")
+        raise ModelFileError(
+            f"{path}: unknown model {content['model']!r}; {OWN.format('register_method')}"
+        )
+    kind = content["task"]["extractor"]["kind"]
+    if kind not in FEATURE_SETS:
+        raise ModelFileError(
+            f"{path}: unknown feature set {kind!r}; {OWN.format('register_features')}"
+        )
 
 
 def _build(content: dict[str, Any], arrays: dict[str, FloatArray], device: str) -> TrainedModel:
@@ -209,6 +241,8 @@ def _build(content: dict[str, Any], arrays: dict[str, FloatArray], device: str) 
     try:
         if arrays:
             estimator.restore(arrays)
+            if not hasattr(estimator, "n_features_in_"):  # a user's method need not restore it
+                estimator.n_features_in_ = len(content["inputs"]["names"])
         if learnt:
             feature_set = feature_set.restored(learnt)
         calibrated = {

@@ -85,7 +85,7 @@ def regress(
     `inputs` (n_curves, n_inputs) are features relative to healthy (and the mass); a method that
     works on curves uses `curves` (n_curves, 2, n_freq) and `mass` (n_curves,).
     """
-    if method.estimator.works_on_curves:
+    if getattr(method.estimator, "works_on_curves", False):
         return _fit_curves(method, observer, curves, mass)
     predicted = np.full((len(inputs), len(method.task.outputs)), np.nan)
     complete = np.isfinite(inputs).all(axis=1)

@@ -5,13 +5,17 @@ Degraded vehicles -> noisy curves -> features, block by block.
 
 from __future__ import annotations
 
+import hashlib
+import inspect
 import json
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from functools import cached_property
+from pathlib import Path
 from typing import Any
+from uuid import uuid4
 
 import numpy as np
 import torch
@@ -227,8 +231,23 @@ class Problem:
         if not self.task.extractor.is_fitted:
             wanted = self._wanted(TRAIN)
             description["learnt_from"] = wanted if wanted == "all" else min(int(wanted), LEARN_FROM)
+        if not type(self.task.extractor).__module__.startswith("suspnet."):
+            description["own_features"] = _code_of(type(self.task.extractor))
         plain: dict[str, Any] = json.loads(json.dumps(description))
         return plain
+
+
+def _code_of(feature_set: type) -> str:
+    """Return a hash of the file of a user's feature set; of its own text in a notebook.
+
+    A set whose text is unknown gets a new value each time, so that no cache file is read for it.
+    """
+    try:
+        file = inspect.getsourcefile(feature_set)
+        text = Path(file or "").read_text() if file else inspect.getsource(feature_set)
+    except (OSError, TypeError):
+        text = uuid4().hex
+    return hashlib.sha256(text.encode()).hexdigest()
 
 
 @dataclass(frozen=True)

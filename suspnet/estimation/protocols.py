@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -21,7 +21,7 @@ from suspnet.ground.settings import (
     setting,
 )
 from suspnet.ground.types import FloatArray
-from suspnet.spectra.components import CurveFeatures
+from suspnet.spectra.components import FEATURE_SETS, CurveFeatures
 from suspnet.spectra.extraction import FeatureSet, PeakFeatures
 
 RESPONSES = ("G_p", "G_s")
@@ -254,10 +254,11 @@ class Protocol:
         "Whether each spring and damper of a bogie is read on trips with a sensor left and right "
         "at axle box, frame and body; needs healthy=DIR",
     )
-    feature_set: Literal["peaks", "curve"] = setting(
+    feature_set: str = setting(
         "peaks",
         "Inputs of the model: position, height and width of peaks, or principal components of "
         "the whole curves",
+        rule="peaks or curve, or the kind of a registered feature set",
     )
     features: Mapping[str, Any] = field(default_factory=dict)
     curve: Annotated[
@@ -268,9 +269,14 @@ class Protocol:
             rule="mapping",
         ),
     ] = field(default_factory=dict)
+    feature_settings: Annotated[
+        Mapping[str, Any] | None,
+        Setting("Settings of a registered feature set", rule="mapping"),
+    ] = None
 
     def __post_init__(self) -> None:
         check_settings(self)
+        check_choice("feature_set", self.feature_set, tuple(FEATURE_SETS))
         low, high = self._mass_range()
         check_number("mass_lower", low, above=0, below=1)
         check_number("mass_upper", high, above=1, most=100)
@@ -311,7 +317,19 @@ class Protocol:
                     f"{list(entry['responses'])}: take feature_set=peaks or another protocol"
                 )
             return CurveFeatures(**self.curve)
-        return PeakFeatures(peaks=tuple(entry["peaks"]), **self.features)
+        if self.feature_set == "peaks":
+            return PeakFeatures(peaks=tuple(entry["peaks"]), **self.features)
+        registered = FEATURE_SETS[self.feature_set]
+        given = self.feature_settings or {}
+        known = [one.name for one in fields(registered)]
+        unknown = sorted(set(given) - set(known))
+        if unknown:
+            raise ValueError(
+                f"`feature_settings.{unknown[0]}` is no setting of {registered.kind}, only "
+                f"{', '.join(known)}"
+            )
+        found: FeatureSet = registered(**given)
+        return found
 
     def _mass_range(self) -> tuple[float, float]:
         """Return the range of the mass ratio, by default that of the suspension."""

@@ -157,7 +157,9 @@ class SVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[misc
             for j, (vectors, dual) in enumerate(
                 zip(self.support_vectors_, self.dual_coef_, strict=True)
             ):
-                predicted[rows, j] = self._kernel(samples[rows], vectors) @ dual
+                # a constant output has no support vector
+                part = self._kernel(samples[rows], vectors) @ dual if len(dual) else 0.0
+                predicted[rows, j] = part
         predicted += self.intercept_
         return predicted[:, 0] if self._single_output else predicted
 

@@ -17,7 +17,7 @@ from sklearn.utils import check_random_state
 from sklearn.utils.validation import check_is_fitted, validate_data
 from torch import Tensor
 
-from suspnet.ground.settings import Setting, check_settings
+from suspnet.ground.settings import Setting, check_number, check_settings
 from suspnet.ground.tensors import check_device
 from suspnet.ground.types import FloatArray, IntArray
 from suspnet.learning import ranks
@@ -30,6 +30,8 @@ from suspnet.learning.map_kinds import MAPS
 
 PREDICT_ROWS = 8192
 """Rows predicted at once, so that their features fit into memory."""
+MOST_EXACT = 5000
+"""Number of samples above which `exact` warns: its kernel takes 0.2 GB, a factor of it as much."""
 SAME_GRAM_PARAMETERS = ("C", "epsilon")
 """Hyperparameters that the Gram matrix does not depend on."""
 
@@ -50,9 +52,9 @@ class MSVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mis
     C : float, default=100.0
         Penalty of residuals outside the tube, > 0. At epsilon = 0 and without intercept it is
         ``alpha = 1 / (2 C)`` of scikit-learn's ``KernelRidge``; its ``SVR`` has an absolute loss.
-    sigma : float, default=3.0
-        Kernel width, > 0, in units of the inputs; for n standardised inputs, sigma = sqrt(n)
-        equals ``gamma="scale"`` of scikit-learn.
+    sigma : float or "scale", default=3.0
+        Kernel width, > 0, in units of the inputs; "scale" is the root of the inputs' number times
+        their variance, as ``gamma="scale"`` of scikit-learn: sqrt(n) for n standardised inputs.
     epsilon : float, default=1e-3
         Radius of the tube, >= 0, in units of the outputs. A tube that contains many samples needs
         tens to hundreds of iterations, a narrow one a few.
@@ -127,7 +129,9 @@ class MSVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mis
 
     settings: ClassVar[Mapping[str, Setting]] = {
         "C": Setting("Penalty of residuals outside the tube, as tuned for the group", above=0),
-        "sigma": Setting("Width of the kernel exp(-|x - z|²/sigma²)", "scaled inputs", above=0),
+        "sigma": Setting(
+            "Width of the kernel exp(-|x - z|²/sigma²)", rule="scaled inputs; above 0; or scale"
+        ),
         "epsilon": Setting(
             "Radius of the tube within which residuals cost nothing", "scaled outputs", low=0
         ),
@@ -176,7 +180,7 @@ class MSVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mis
     def __init__(
         self,
         C: float = 100.0,
-        sigma: float = 3.0,
+        sigma: float | Literal["scale"] = 3.0,
         epsilon: float = 1e-3,
         feature_map: Literal["rff", "orf", "nystroem", "equispaced", "exact"] = "rff",
         n_components: int = 1024,
@@ -211,12 +215,24 @@ class MSVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mis
         check_device(self.device)
         samples, targets = self._validated(X, y)
         kind = MAPS[self.feature_map]
+        if self.feature_map == "exact" and len(samples) > MOST_EXACT:
+            warnings.warn(
+                f"feature_map='exact' takes {3 * 8e-9 * len(samples) ** 2:.1f} GB and more for "
+                f"{len(samples)} samples; 'rff' or 'nystroem' needs far less",
+                UserWarning,
+                stacklevel=2,
+            )
         everywhere = self.distributed and kind.of_data
         self._map = self._make_map(ranks.all_gather(samples) if everywhere else samples)
         all_reduce = ranks.all_reduce if self.distributed else ranks.identity
-        solution = self._solve(kind.design(self._map, samples, all_reduce), targets)
+        # constant outputs are the intercept, without the rounding that a fit would leave
+        constant = torch.zeros_like(targets[:1])
+        if self.fit_intercept and not self.distributed and bool((targets == targets[:1]).all()):
+            constant = targets[:1]
+        design = kind.design(self._map, samples, all_reduce)
+        solution = self._solve(design, targets - constant)
         self.coef_ = np.ascontiguousarray(solution.coef.cpu().numpy())
-        self.intercept_ = solution.intercept.cpu().numpy()
+        self.intercept_ = (solution.intercept + constant.sum(dim=0)).cpu().numpy()
         self.n_iter_ = solution.n_iter
         self.converged_ = solution.status == Status.CONVERGED
         self.objective_ = solution.objective
@@ -336,7 +352,16 @@ class MSVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mis
     def _make_map(self, samples: Tensor) -> FeatureMap:
         seed = int(check_random_state(self.random_state).randint(2**31 - 1))
         make = MAPS[self.feature_map].make
-        return make(samples, self.sigma, self.n_components, seed, self.kernel_tol)
+        return make(samples, self._width(samples), self.n_components, seed, self.kernel_tol)
+
+    def _width(self, samples: Tensor) -> float:
+        """Return sigma as a number."""
+        if self.sigma != "scale":
+            return float(self.sigma)
+        if self.distributed and ranks.is_distributed():
+            raise ValueError("sigma='scale' needs all samples in one process: give a number")
+        variance = float(samples.var(correction=0))
+        return float(np.sqrt(samples.shape[1] * variance)) or 1.0  # as scikit-learn's
 
     def _solve(self, design: Design, targets: Tensor) -> Solution:
         solver = IRWLS(self.C, self.epsilon, self.fit_intercept, self.max_iter, self.tol)
@@ -344,6 +369,8 @@ class MSVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mis
 
     def _check_parameters(self) -> None:
         check_settings(self)
+        if not (isinstance(self.sigma, str) and self.sigma == "scale"):
+            check_number("sigma", self.sigma, above=0)
         if not isinstance(self.fit_intercept, bool | np.bool_):
             raise TypeError(f"`fit_intercept` must be True or False, got {self.fit_intercept!r}")
         kind = MAPS[self.feature_map]

@@ -41,6 +41,7 @@ HYPERPARAMETERS: dict[str, Any] = {
 """Columns of the HPARAMS tab, each with a value of its type."""
 METRIC_COLUMNS = (
     *(f"{metric}_{output}" for output in PARAMETERS for metric in METRICS),
+    *(f"rms_ratio_{output}" for output in PARAMETERS),
     "cv_rmse",
     "seconds",
 )

@@ -17,13 +17,15 @@ from suspnet.estimation.protocols import Task
 from suspnet.estimation.trained import TrainedModel
 from suspnet.ground.progress import bar as progress_bar
 from suspnet.ground.types import FloatArray
-from suspnet.learning import METHODS, Scaling, ranks
+from suspnet.learning import METHODS, SVR, Scaling, ranks
 from suspnet.learning.search import GridSearch, SearchResult
 from suspnet.report.tensorboard import RunLog
 
 log = logging.getLogger(__name__)
 TOO_MANY_LOST = 0.02
 """Fraction of curves without one of their peaks above which a warning is logged."""
+SLOW_SVR = 500
+"""Number of curves from which the time of SVR is announced."""
 
 
 def method_name(estimator: Any) -> str:
@@ -31,7 +33,15 @@ def method_name(estimator: Any) -> str:
     for name, kind in METHODS.items():
         if type(estimator) is kind:
             return name
-    raise TypeError(f"`model` must be one of {sorted(METHODS)}, got {type(estimator).__name__}")
+    raise TypeError(
+        f"`model` must be one of {sorted(METHODS)}, got {type(estimator).__name__}, which cannot "
+        "be saved: leave out the folder to score it alone, or see suspnet.register_method"
+    )
+
+
+def flag(estimator: Any, name: str) -> bool:
+    """Return a class flag of ``METHODS``; False for a regressor that does not have it."""
+    return bool(getattr(estimator, name, False))
 
 
 def tune(problem: Problem, estimator: Any, search: GridSearch, run_log: RunLog) -> SearchResult:
@@ -62,9 +72,11 @@ def fit(problem: Problem, estimator: Any, run_log: RunLog | None) -> TrainedMode
 
     Where torchrun started several processes, each makes its share of the curves and all fit one
     model together; only the first has a `run_log`. ValueError if the method cannot be distributed.
+    A regressor that is none of ``METHODS`` has its class's name.
     """
-    name = method_name(estimator)
-    if ranks.is_distributed() and not estimator.distributable:
+    names = {kind: name for name, kind in METHODS.items()}
+    name = names.get(type(estimator), type(estimator).__name__)
+    if ranks.is_distributed() and not flag(estimator, "distributable"):
         raise ValueError(
             f"model={name} cannot be spread over processes, only msvr: start it with python, not "
             "with torchrun"
@@ -78,7 +90,7 @@ def fit(problem: Problem, estimator: Any, run_log: RunLog | None) -> TrainedMode
         problem.healthy_features(),
     )
     training: dict[str, Any] = {"seed": problem.seed, "seconds": 0.0}
-    if not estimator.works_on_curves:
+    if not flag(estimator, "works_on_curves"):
         # each rank makes its own shard of the curves; counts and scalings are global
         part = None
         if ranks.is_distributed():
@@ -96,6 +108,7 @@ def fit(problem: Problem, estimator: Any, run_log: RunLog | None) -> TrainedMode
             )
         inputs, outputs = scalings(problem.task, kept)
         model = replace(model, input_scaling=inputs, output_scaling=outputs)
+        _announce(estimator, n_kept)
         start = time.perf_counter()
         with _FitProgress(estimator, name, run_log, problem.progress), _distributed(estimator):
             estimator.fit(inputs.apply(kept.inputs), outputs.apply(kept.outputs))
@@ -112,6 +125,16 @@ def scalings(task: Task, data: FeatureData) -> tuple[Scaling, Scaling]:
         Scaling.of(data.inputs, log_inputs, ranks.all_reduce),
         Scaling.of(data.outputs, task.log_ratios, ranks.all_reduce),
     )
+
+
+def _announce(estimator: Any, n_samples: int) -> None:
+    """Log how long a fit may take if that is minutes."""
+    if isinstance(estimator, SVR) and n_samples >= SLOW_SVR:
+        log.info(
+            "SVR on %d curves may take minutes: with the C of the tables 1,000 curves took 26 to "
+            "150 s, and the time grows with the square of their number and with C",
+            n_samples,
+        )
 
 
 def _count(rows: FloatArray) -> int:

@@ -37,6 +37,7 @@ from suspnet.estimation.protocols import BODY_MASS_COLUMN
 from suspnet.estimation.refine import Refined
 from suspnet.ground.progress import bar as progress_bar
 from suspnet.ground.types import FloatArray
+from suspnet.runs.fit import flag
 from suspnet.spectra.estimate_observer import EstimateObserver
 
 N_FITS, N_UNCERTAIN_FITS = 2048, 48
@@ -104,7 +105,7 @@ def regress_stream(
     problem: Problem, model: FittedMethod, data: FeatureData, stream: int
 ) -> FloatArray:
     """Return the regression's estimates, (n_curves, n_outputs); NaN where a feature is missing."""
-    if not model.estimator.works_on_curves:
+    if not flag(model.estimator, "works_on_curves"):
         batches = range(problem.n_batches(len(data.inputs)))
 
         def batch(i: int) -> FloatArray:
@@ -236,7 +237,7 @@ def _is_corrected(problem: Problem, model: FittedMethod, data: FeatureData) -> b
     task = model.task
     if (
         not isinstance(problem.observer, EstimateObserver)
-        or model.estimator.works_on_curves
+        or flag(model.estimator, "works_on_curves")
         or not set(task.unknown) <= set(task.outputs)
         or task.mass_known
         or not model.log

@@ -125,6 +125,7 @@ def log_hyperparameters(
         for output, values in metrics["scores"].items()
         for metric in METRICS
     }
+    finals |= {f"rms_ratio_{output}": ratio for output, ratio in metrics["rms_ratio"].items()}
     finals["seconds"] = metrics["seconds"]
     if "search" in metrics:
         finals["cv_rmse"] = min(metrics["search"]["rmse"])

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import logging
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from statistics import fmean, stdev
 from typing import Any
 
 import yaml
@@ -54,36 +56,117 @@ class Jobs(Callback):
             return
         write_atomically(folder / "jobs.csv", records_csv(rows))
         table = tabulate(rows, headers="keys", tablefmt="github", floatfmt=".4g")
+        over_seeds = seed_rows(folder, rows)
+        if over_seeds:
+            write_atomically(folder / "seeds.csv", records_csv(over_seeds))
+            table += "\n\nmean and standard deviation over seeds\n\n"
+            table += _seed_table(over_seeds)
         write_atomically(folder / "jobs.md", f"{table}\n")
-        log.info("rms error in %%, least mean first\n\n%s\n-> %s/jobs.*", table, folder)
+        log.info(
+            "rms error in %%, least mean first among jobs with the same outputs; /bound: over the "
+            "Cramer-Rao bound\n\n%s\n-> %s/jobs.*",
+            table,
+            folder,
+        )
 
 
 def job_rows(folder: Path) -> list[dict[str, Any]]:
     """Return a row for each job of a multirun: rms error of each output [%], their mean, state.
 
-    Jobs that did not finish come last. With several speeds or suspensions an error is their mean.
+    Jobs are ranked among those with the same outputs, and those that did not finish come last. With
+    several speeds or suspensions an error is their mean. ``NAME/bound`` is the rms error over the
+    bound, where a run has one.
     """
     jobs = sorted({path.parent for path in folder.glob("*/config.yaml")})
     jobs += sorted({path.parent for path in folder.glob("*/error.txt")} - set(jobs))
     errors = {job: run_errors(job) for job in jobs}
     outputs = list(dict.fromkeys(name for found in errors.values() for name in found))
-    rows = []
+    sets = list(dict.fromkeys(tuple(found) for found in errors.values()))
+    over = {job: run_errors(job, "rms_ratio") for job in jobs}
+    with_bound = [f"{name}/bound" for name in outputs if any(name in one for one in over.values())]
+    rows, place = [], {}
     for job, found in errors.items():
         row: dict[str, Any] = {"job": job.name, "mean": None} | dict.fromkeys(outputs) | found
         row["mean"] = sum(found.values()) / len(found) if found else None
+        ratios = {f"{name}/bound": value for name, value in over[job].items()}
+        row |= dict.fromkeys(with_bound) | ratios
+        place[job.name] = sets.index(tuple(found))
         failed = "failed" if (job / "error.txt").exists() else "unfinished"
         rows.append(row | {"state": "finished" if found else failed})
-    return sorted(rows, key=lambda row: (row["mean"] is None, row["mean"] or 0.0, row["job"]))
+    return sorted(
+        rows,
+        key=lambda row: (
+            *(row["mean"] is None, place[row["job"]]),
+            *(row["mean"] or 0.0, row["job"]),
+        ),
+    )
 
 
-def run_errors(job: Path) -> dict[str, float]:
-    """Return the rms error of each output of a run, [%]; {} if it did not finish."""
+def seed_rows(folder: Path, rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """Return mean and standard deviation over seeds, for finished jobs that differ in seed only.
+
+    [] if no two jobs do. `jobs` names the first job of each row, `n` counts its seeds.
+    """
+    alike: dict[str, list[Mapping[str, Any]]] = {}
+    for row in rows:
+        if row["state"] == "finished":
+            config = yaml.safe_load((folder / row["job"] / "config.yaml").read_text())
+            same_but_seed = _without_seed(config, config.get("seed"))
+            alike.setdefault(json.dumps(same_but_seed, sort_keys=True, default=str), []).append(row)
+    if all(len(same) < 2 for same in alike.values()):
+        return []
+    found = []
+    for same in alike.values():
+        one: dict[str, Any] = {"jobs": min(row["job"] for row in same), "n": len(same)}
+        for key in same[0]:
+            if key not in ("job", "state"):
+                values = [row[key] for row in same if row[key] is not None]
+                one[key] = fmean(values) if values else None
+                one[f"{key} sd"] = stdev(values) if len(values) > 1 else None
+        found.append(one)
+    return found
+
+
+def _without_seed(config: Any, seed: Any) -> Any:
+    """Return a configuration without the seed, and the seeds of parts that follow it."""
+    if not isinstance(config, dict):
+        return config
+    return {
+        key: _without_seed(value, seed)
+        for key, value in config.items()
+        if not (key in ("seed", "random_state") and value == seed)
+    }
+
+
+def _seed_table(rows: Sequence[Mapping[str, Any]]) -> str:
+    """Return the rows of `seed_rows` as Markdown, with mean +- standard deviation."""
+    shown = []
+    for row in rows:
+        line = {key: row[key] for key in ("jobs", "n")}
+        for key in row:
+            if key not in line and not key.endswith(" sd"):
+                sd = row[f"{key} sd"]
+                scatter = "" if sd is None else f" +- {sd:.2g}"
+                line[key] = "" if row[key] is None else f"{row[key]:.4g}{scatter}"
+        shown.append(line)
+    return tabulate(shown, headers="keys", tablefmt="github", disable_numparse=True)
+
+
+def run_errors(job: Path, entry: str = "rms_percent") -> dict[str, float]:
+    """Return the rms error of each output of a run, [%]; {} if it did not finish.
+
+    `entry` is that of its metrics.json.
+    """
     for name in ("metrics.json", "speeds.json", "fleet.json"):
         if (job / name).is_file():
             found = read_json(job / name)
             several = found if isinstance(found, list) else [found]
-            parts = [part["rms_percent"] for part in several]
-            return {key: sum(part[key] for part in parts) / len(parts) for key in parts[0]}
+            parts = [part.get(entry) or {} for part in several]
+            return {
+                key: sum(part[key] for part in parts) / len(parts)
+                for key in parts[0]
+                if all(part.get(key) is not None for part in parts)
+            }
     return {}
 
 
@@ -133,13 +216,35 @@ class Table5(_Summary):
             f"# or copy `tuned` into configs/protocol/{runs[0]['protocol']}.yaml\n{content}",
         )
         write_json(folder / "table5.json", [_search_record(run) for run in runs if "search" in run])
+        table = table5_markdown(runs, n_jobs=len(list(folder.glob("*/config.yaml"))))
+        write_atomically(folder / "table5.md", f"{table}\n")
         log.info(
-            "best hyperparameters (least cross-validated RMSE):\n%s-> %s\n"
+            "best hyperparameters (least cross-validated RMSE):\n\n%s\n\n%s-> %s\n"
             "use them with: python train.py --config-dir %s experiment=best",
+            table,
             content,
             path,
             folder,
         )
+
+
+def table5_markdown(runs: Sequence[Run], n_jobs: int) -> str:
+    """Return best values, their error and the time of each search, after how many have ended."""
+    searched = [run for run in runs if "search" in run]
+    rows = []
+    for run in searched:
+        search = run["search"]
+        best = ", ".join(
+            f"{key} {value:g}" if isinstance(value, int | float) else f"{key} {value}"
+            for key, value in search["best"].items()
+        )
+        seconds = run.get("training", {}).get("search_seconds")
+        time = "-" if seconds is None else f"{seconds:.1f}"
+        error, tried = f"{min(search['rmse']):.4g}", len(search["rmse"])
+        rows.append([run["group"], run["model"], best, error, tried, time])
+    header = ["group", "method", "best values", "cross-validated RMSE", "settings", "search s"]
+    table = tabulate(rows, header, tablefmt="github", disable_numparse=True)
+    return f"{len(searched)} of {n_jobs} searches finished\n\n{table}"
 
 
 class Sensitivity(_Summary):
@@ -189,5 +294,6 @@ def _search_record(run: Run) -> dict[str, Any]:
         "best": search["best"],
         "cv_rmse": min(search["rmse"]),
         "n_settings": len(search["rmse"]),
+        "search_seconds": run.get("training", {}).get("search_seconds"),
         "edges": list(search["edges"].values()),
     }

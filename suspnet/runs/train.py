@@ -11,6 +11,7 @@ import os
 import platform
 import subprocess
 import sys
+import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from importlib.metadata import version
@@ -22,7 +23,7 @@ import torch
 from tabulate import tabulate
 
 from suspnet.estimation.bogie_fit import CommissionedBogie
-from suspnet.estimation.checkpoint import save_model
+from suspnet.estimation.checkpoint import check_saveable, save_model
 from suspnet.estimation.flags import Residual
 from suspnet.estimation.problem import TEST, Problem
 from suspnet.estimation.trained import TrainedModel
@@ -72,7 +73,7 @@ class RunContext:
 def train(
     problem: Problem,
     estimator: Any,
-    folder: Path,
+    folder: Path | str | None = None,
     *,
     search: GridSearch | None = None,
     refine: bool = False,
@@ -82,12 +83,15 @@ def train(
     """Train one method on one problem, test it, and fill a run folder.
 
     Writes metrics.json, model.json, model.safetensors, environment.json, figures and TensorBoard
-    events.
+    events. What cannot be saved is refused before the folder exists.
 
     Parameters
     ----------
     estimator : object
-        An instance of one of ``suspnet.learning.METHODS``.
+        An instance of one of ``suspnet.learning.METHODS``, or a registered one; without a folder
+        any regressor with scikit-learn's interface. It is fitted here, to scaled features.
+    folder : path or str, optional
+        Where the run is written; None scores the method and writes nothing.
     search : GridSearch, optional
         Tunes the method first.
     refine : bool
@@ -101,9 +105,23 @@ def train(
     -------
     dict
         Content of metrics.json; {} where another process (torchrun) writes and tests.
+
+    Raises
+    ------
+    TypeError
+        If the method or one of its settings cannot be saved to `folder`.
+    ValueError
+        If a search is asked for without a folder.
     """
     context = context or RunContext()
+    if folder is None:
+        if search is not None:
+            raise ValueError("`search` needs a `folder`: its table is written there")
+        model = calibrated(problem, replace(fit(problem, estimator, None), refined=refine))
+        return _metrics(problem, model, predict_stream(problem, model, TEST), None, context)
+    folder = Path(folder)
     method_name(estimator)
+    check_saveable(estimator, problem)
     if search is not None and ranks.is_distributed():
         raise ValueError("a search cannot be spread over processes: start it with python")
     if not ranks.is_rank_zero():
@@ -111,11 +129,14 @@ def train(
         return {}
     with RunLog(folder, is_new=True) as run_log:
         run_log.config(context.config)
-        found = None
+        found, searched = None, {}
         if search is not None:
+            start = time.perf_counter()
             found = tune(problem, estimator, search, run_log)
+            searched = {"search_seconds": time.perf_counter() - start}
             estimator.set_params(**found.best)
         model = replace(fit(problem, estimator, run_log), refined=refine)
+        model.training.update(searched)
         model = _trusted(problem, model, context.residual, context.bogie is not None)
         stage("test")
         model = replace(model, training=model.training | dict(context.notes), bogie=context.bogie)

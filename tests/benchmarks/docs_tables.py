@@ -17,6 +17,7 @@ from typing import Any
 import config_comments
 import configuration
 import coverage
+import methods_table
 import named_parts
 import numpy as np
 import parts_methods
@@ -370,6 +371,7 @@ TABLES: dict[str, tuple[str | None, Callable[[Sequence[Row]], str]]] = {
     "two_suspensions": ("two_suspensions.csv", two_suspensions),
     "named_parts_km": ("named_parts_km.csv", named_parts_km),
     "parts_methods": ("parts_methods.csv", parts_methods.table),
+    "methods": ("methods.csv", methods_table.table),
     "layouts": ("layouts.csv", layouts_markdown),
     "configuration": (None, lambda rows: configuration.page()),
 }

@@ -2,6 +2,7 @@
 
 import math
 import re
+from pathlib import Path
 
 import pytest
 
@@ -76,3 +77,17 @@ def test_no_two_vehicles_are_the_same():
     values = {vehicle.healthy_values() for vehicle in VEHICLES.values()}
     assert len(values) == len(VEHICLES)
     assert all(len(numbers) == len(PARAMETERS) for numbers in values)
+
+
+def test_folder_without_vehicles_says_so(tmp_path):
+    with pytest.raises(FileNotFoundError, match=r"holds no vehicles: each is a file vehicle/NAME"):
+        read_vehicles(tmp_path)
+
+
+def test_misspelt_key_names_the_file_and_the_nearest_key(tmp_path):
+    (tmp_path / "vehicle").mkdir()
+    text = (Path(CONFIGS) / "vehicle" / "ice3.yaml").read_text()
+    (tmp_path / "vehicle" / "mine.yaml").write_text(text.replace("bogie_mass_kg", "bogy_mass_kg"))
+    words = r"mine\.yaml: `vehicle\.bogy_mass_kg` is no setting.*did you mean bogie_mass_kg\?"
+    with pytest.raises(ValueError, match=words):
+        read_vehicles(tmp_path)

@@ -173,3 +173,12 @@ def test_states_with_disagreeing_shapes_are_refused():
     linear["intercept"] = linear["intercept"][:-1]
     with pytest.raises(ValueError, match="coef has shape"):
         LinearRegression().restore(linear)
+
+
+def test_svr_predicts_a_constant_output():
+    rng = np.random.default_rng(0)
+    X = rng.normal(size=(30, 2))
+    Y = np.column_stack([np.full(30, 2.5), X[:, 0]])
+    predicted = SVR(C=10.0).fit(X, Y).predict(X)
+    assert predicted[:, 0] == pytest.approx(2.5, abs=1e-3)
+    assert np.abs(predicted[:, 1] - X[:, 0]).max() < 0.5

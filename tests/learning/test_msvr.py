@@ -377,3 +377,31 @@ def test_cross_predictions_check_each_setting():
 def test_only_maps_that_are_not_of_the_data_share_a_gram_matrix(feature_map):
     assert small(feature_map=feature_map).shares_gram == (feature_map in ("rff", "orf"))
     assert not small(feature_map="bogus").shares_gram
+
+
+def test_sigma_scale_is_that_of_sklearns_gamma():
+    X, Y = smooth_data(3, n_samples=60)
+    X = 2.5 * X + 1
+    gamma = 1 / (X.shape[1] * X.var())
+    chosen = small(sigma="scale", feature_map="exact").fit(X, Y)
+    same = small(sigma=gamma**-0.5, feature_map="exact").fit(X, Y)
+    assert np.allclose(chosen.predict(X), same.predict(X), rtol=1e-9)
+    restored = small(sigma="scale", feature_map="exact").restore(chosen.state())
+    assert np.array_equal(restored.predict(X), chosen.predict(X))
+
+
+def test_exact_kernel_of_many_samples_warns(monkeypatch):
+    monkeypatch.setattr("suspnet.learning.msvr.MOST_EXACT", 50)
+    X, Y = smooth_data(3, n_samples=60)
+    with pytest.warns(UserWarning, match="feature_map='exact' takes .* GB and more for 60 samples"):
+        small(feature_map="exact").fit(X, Y)
+    small(feature_map="exact").fit(X[:50], Y[:50])
+
+
+@pytest.mark.parametrize("epsilon", [0.0, 1e-3, 0.1])
+@pytest.mark.parametrize("feature_map", ["rff", "nystroem", "exact"])
+def test_constant_outputs_are_predicted_without_a_warning(feature_map, epsilon):
+    X, _ = smooth_data(3, n_samples=40)
+    Y = np.tile([1e6 / 3, -0.1], (len(X), 1))
+    model = small(feature_map=feature_map, epsilon=epsilon).fit(X, Y)  # a warning is an error
+    assert np.array_equal(model.predict(X), Y)

@@ -2,9 +2,12 @@
 
 import json
 
+import pytest
+import yaml
+from omegaconf import OmegaConf
 from test_tables import run
 
-from suspnet.runs.sweeps import Table5, Table6
+from suspnet.runs.sweeps import Jobs, Table5, Table6, job_rows, seed_rows
 
 EDGE = "the best C, 100, is on the edge: slow"
 
@@ -27,3 +30,61 @@ def test_optimum_left_on_an_edge_is_told(tmp_path):
     assert f"# primary, svr: {EDGE}\n" in (tmp_path / "experiment" / "best.yaml").read_text()
     records = json.loads((tmp_path / "table5.json").read_text())
     assert [record["edges"] for record in records] == [[EDGE], []]
+    written = (tmp_path / "table5.md").read_text()
+    assert written.startswith("2 of 0 searches finished\n")  # no folders of jobs here
+    assert "| primary | svr      | C 100         | 0.1 " in written
+
+
+def finished(folder, name, seed, group, errors, **settings):
+    """Write a finished job: its configuration, and errors [%] with a bound of 0.5 %."""
+    job = folder / name
+    job.mkdir()
+    config = {"seed": seed, "group": group, "model": {"random_state": seed, **settings}}
+    (job / "config.yaml").write_text(yaml.safe_dump(config))
+    ratios = {key: value / 0.5 for key, value in errors.items()}
+    (job / "metrics.json").write_text(json.dumps({"rms_percent": errors, "rms_ratio": ratios}))
+
+
+def sweep(folder):
+    finished(folder, "0", 0, "primary", {"k_p": 3.0, "c_p": 5.0}, C=1)
+    finished(folder, "1", 1, "primary", {"k_p": 1.0, "c_p": 3.0}, C=1)
+    finished(folder, "2", 0, "secondary", {"k_s": 0.1, "c_s": 0.3}, C=1)
+    finished(folder, "3", 0, "primary", {"k_p": 0.5, "c_p": 0.7}, C=2)
+    (folder / "4").mkdir()
+    (folder / "4" / "config.yaml").write_text("seed: 1\n")
+
+
+def test_jobs_are_ranked_among_those_with_the_same_outputs(tmp_path):
+    sweep(tmp_path)
+    rows = job_rows(tmp_path)
+    assert [row["job"] for row in rows] == ["3", "1", "0", "2", "4"]
+    assert [row["k_p/bound"] for row in rows[:3]] == [1.0, 2.0, 6.0]
+    assert rows[3]["k_p/bound"] is None
+    assert rows[4]["state"] == "unfinished"
+
+
+def test_seeds_are_averaged_where_nothing_else_differs(tmp_path):
+    sweep(tmp_path)
+    first, *others = sorted(
+        seed_rows(tmp_path, job_rows(tmp_path)), key=lambda row: row["n"], reverse=True
+    )
+    assert (first["jobs"], first["n"], first["k_p"]) == ("0", 2, 2.0)
+    assert first["k_p sd"] == pytest.approx(2**0.5)
+    assert first["c_p/bound"] == 8.0
+    assert {(row["jobs"], row["n"], row["mean sd"]) for row in others} == {
+        ("2", 1, None),
+        ("3", 1, None),
+    }
+
+
+def test_tables_of_a_sweep_show_the_seeds(tmp_path):
+    sweep(tmp_path)
+    Jobs().on_multirun_end(OmegaConf.create({"hydra": {"sweep": {"dir": str(tmp_path)}}}))
+    assert "2 +- 1.4" in (tmp_path / "jobs.md").read_text()
+    assert (tmp_path / "seeds.csv").read_text().startswith("jobs,n,mean,mean sd,")
+
+
+def test_without_several_seeds_there_is_no_table_of_them(tmp_path):
+    finished(tmp_path, "0", 0, "primary", {"k_p": 3.0})
+    finished(tmp_path, "1", 0, "primary", {"k_p": 2.0}, C=3)
+    assert seed_rows(tmp_path, job_rows(tmp_path)) == []

@@ -1,0 +1,195 @@
+"""Methods and feature sets of a user, registered from a script or a module of theirs.
+
+A module is run only if the user names it on the command line, ``--plugin FILE``; a configuration
+or a model file, which may come from someone else, never names one.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import inspect
+import re
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import is_dataclass
+from pathlib import Path
+from typing import Any
+
+from hydra.core.config_store import ConfigStore
+from joblib.externals.loky.backend.reduction import cloudpickle
+
+from suspnet.cli.kinds import KINDS
+from suspnet.ground.storage import why
+from suspnet.learning import METHODS
+from suspnet.runs.tables import MODEL_TITLES, REFINED
+from suspnet.spectra.components import FEATURE_SETS
+
+OPTION = "--plugin"
+NAME = re.compile(r"[a-z][a-z0-9_]*", re.ASCII)
+METHOD_PARTS = ("fit", "predict", "get_params", "set_params", "state", "restore")
+"""Attributes that a registered method must have."""
+FLAGS = ("works_on_curves", "distributable", "gives_deviations")
+"""Class attributes of ``METHODS``; a registered method that lacks one gets False."""
+FEATURE_PARTS = ("positive", "parts", "names", "extract", "missing", "relative", "state")
+"""Attributes that a registered feature set must have, besides `kind`."""
+SHIPPED = frozenset(METHODS), frozenset(FEATURE_SETS)
+
+
+def register_method(name: str, cls: type, title: str | None = None) -> None:
+    """Make a regression available as ``model=NAME``, in tables, and in saved models.
+
+    A name may be registered again, for instance by a notebook's cell that is run twice.
+
+    Parameters
+    ----------
+    name : str
+        Lower-case letters, digits and underscores.
+    cls : type
+        A scikit-learn regressor that also has ``state()``, which returns the arrays of the fitted
+        method, and ``restore(arrays)``. ``model=NAME`` has the defaults of its constructor.
+    title : str, optional
+        Its name in tables; `name` if left out.
+
+    Raises
+    ------
+    TypeError
+        If `cls` lacks a part, so that it could not be saved.
+    ValueError
+        If the name or the title is taken or not plain, or a default is no plain value.
+    """
+    _check_name("name", name, SHIPPED[0])
+    lacking = [part for part in METHOD_PARTS if not hasattr(cls, part)]
+    if not isinstance(cls, type) or lacking:
+        raise TypeError(
+            f"`cls` of the method {name!r} lacks {', '.join(lacking) or 'a class'}, without which "
+            "its models cannot be saved; train(problem, regressor) scores it without saving"
+        )
+    title = name if title is None else title
+    if any(title == other for key, other in MODEL_TITLES.items() if key != name):
+        raise ValueError(f"`title` {title!r} is that of another method")
+    settings = _defaults(name, cls)
+    for flag in FLAGS:
+        if not hasattr(cls, flag):
+            setattr(cls, flag, False)
+    METHODS[name] = cls
+    MODEL_TITLES[name], MODEL_TITLES[name + REFINED] = title, f"{title} refined"
+    KINDS["model"][name] = cls
+    ConfigStore.instance().store(group="model", name=name, node={"kind": name, **settings})
+
+
+def register_features(cls: type) -> None:
+    """Make a feature set available as ``protocol.feature_set=KIND``, `KIND` being ``cls.kind``.
+
+    Parameters
+    ----------
+    cls : type
+        A dataclass with what ``suspnet.spectra.extraction.FeatureSet`` lists. Its fields are set by
+        ``protocol.feature_settings``.
+
+    Raises
+    ------
+    TypeError
+        If `cls` is no dataclass or lacks a part.
+    ValueError
+        If its kind is taken or no plain name.
+    """
+    if not isinstance(cls, type) or not is_dataclass(cls):
+        raise TypeError(f"`cls` must be a dataclass, got {cls!r}")
+    lacking = [part for part in ("kind", *FEATURE_PARTS) if not hasattr(cls, part)]
+    if lacking:
+        raise TypeError(f"the feature set {cls.__name__} lacks {', '.join(lacking)}")
+    kind = cls.kind  # type: ignore[attr-defined]
+    _check_name("kind", kind, SHIPPED[1])
+    FEATURE_SETS[kind] = cls
+
+
+def load_plugins(files: Sequence[str]) -> None:
+    """Run each Python file once, so that it registers what it holds.
+
+    ValueError if a file does not exist, is no Python file, or fails.
+    """
+    for file in files:
+        path = Path(file)
+        if path.suffix != ".py" or not path.is_file():
+            raise ValueError(f"{OPTION} {file}: there is no such Python file (NAME.py)")
+        name = f"suspnet_plugin_{path.stem}"
+        known = sys.modules.get(name)
+        if known is not None:
+            if known.__file__ != str(path.resolve()):
+                raise ValueError(f"{OPTION} {file}: another file of this name is loaded already")
+            continue
+        _run(name, path.resolve())
+
+
+def _run(name: str, path: Path) -> None:
+    spec = importlib.util.spec_from_file_location(name, path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = sys.modules[name] = importlib.util.module_from_spec(spec)  # dataclasses look there
+    try:
+        spec.loader.exec_module(module)
+    except Exception as error:
+        del sys.modules[name]
+        said = why(error) if isinstance(error, OSError) else f"{type(error).__name__}: {error}"
+        line = error.__traceback__ and inspect.getinnerframes(error.__traceback__)[-1].lineno
+        raise ValueError(f"{OPTION} {path}, line {line}: {said}") from error
+    cloudpickle.register_pickle_by_value(module)  # worker processes cannot import it by its name
+
+
+def take_plugins(arguments: list[str]) -> list[str]:
+    """Remove each ``--plugin FILE`` from a command line and return the files.
+
+    ValueError if a file is missing.
+
+    Examples
+    --------
+    >>> line = ["train.py", "--plugin", "mine.py", "model=mine", "--plugin=too.py"]
+    >>> take_plugins(line), line
+    (['mine.py', 'too.py'], ['train.py', 'model=mine'])
+    """
+    files, rest = [], []
+    given = iter(arguments)
+    for one in given:
+        if one == OPTION:
+            file = next(given, "")
+        elif one.startswith(f"{OPTION}="):
+            file = one.removeprefix(f"{OPTION}=")
+        else:
+            rest.append(one)
+            continue
+        if not file:
+            raise ValueError(f"{OPTION} needs a file: {OPTION} my_methods.py")
+        files.append(file)
+    arguments[:] = rest
+    return files
+
+
+def _check_name(what: str, name: Any, shipped: frozenset[str]) -> None:
+    if not isinstance(name, str) or not NAME.fullmatch(name):
+        raise ValueError(
+            f"`{what}` must be lower-case letters, digits and underscores, got {name!r}"
+        )
+    if name in shipped:
+        raise ValueError(f"`{what}` {name!r} is one of suspnet's own; take another")
+
+
+def _defaults(name: str, cls: type) -> Mapping[str, Any]:
+    """Return the defaults of a constructor; "???" where an argument has none."""
+    found: dict[str, Any] = {}
+    for key, one in inspect.signature(cls).parameters.items():
+        if one.kind in (one.VAR_KEYWORD, one.VAR_POSITIONAL):
+            continue
+        value = "???" if one.default is one.empty else one.default
+        if not _is_plain(value):
+            raise ValueError(
+                f"the default of `{key}` of the method {name!r} must be a number, a text, a list "
+                f"of these or None, got {value!r}: nothing else can be saved"
+            )
+        found[key] = list(value) if isinstance(value, tuple) else value
+    return found
+
+
+def _is_plain(value: Any) -> bool:
+    if isinstance(value, list | tuple):
+        return all(map(_is_plain, value))
+    return value is None or isinstance(value, bool | int | float | str)

@@ -1,0 +1,287 @@
+"""Data sets: the curves, features and bounds of a problem as one file, for any other software.
+
+The test curves come with the Cramer-Rao bound of their outputs, so that a file is a benchmark: the
+rms error of a method over the bound is 1 at best, whatever it learns from.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import Any
+from zipfile import BadZipFile
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from numpy.typing import ArrayLike, NDArray
+
+from suspnet._version import __version__
+from suspnet.estimation.information import output_bounds
+from suspnet.estimation.problem import BLOCK, CALIBRATE, TEST, TRAIN, Problem
+from suspnet.ground.parameters import PARAMETERS
+from suspnet.ground.settings import check_choice
+from suspnet.ground.storage import write_atomically
+from suspnet.ground.types import BoolArray, FloatArray
+
+SPLITS = {"train": TRAIN, "test": TEST, "calibrate": CALIBRATE}
+"""Name of each split and its stream of curves."""
+ABOUT = "about"
+"""Name of the JSON text that describes a file's columns."""
+NEEDS_H5PY = 'a file NAME.h5 needs h5py: pip install "suspnet[hdf5]"'
+
+
+@dataclass(frozen=True)
+class DataSet:
+    """Curves of a problem, one row per curve, with their features, their truth and their bound.
+
+    Attributes
+    ----------
+    X : array of shape (n_curves, n_inputs), [-]
+        Features relative to the healthy vehicle's; NaN where a peak is missing.
+    Y : array of shape (n_curves, n_outputs), [-]
+        Parameters relative to healthy: the truth.
+    curves : array of shape (n_curves, 2, n_freq)
+        G_p and G_s with noise: magnitudes, or complex for a problem of trips.
+    noise : array of shape (n_curves, 2, n_freq)
+        What was added to the noise-free curves.
+    ratios : array of shape (n_curves, 5), [-]
+        All parameters, in the order of ``PARAMETERS``.
+    bound : array of shape (n_curves, n_outputs), [-]
+        Cramer-Rao standard deviation of each output; NaN except for test curves.
+    split : array of shape (n_curves,)
+        "train", "test" or "calibrate".
+    frequencies_hz : array of shape (n_freq,), [Hz]
+    about : dict
+        Names of inputs and outputs, vehicle, protocol, noise, seed and version.
+    """
+
+    X: FloatArray
+    Y: FloatArray
+    curves: NDArray[Any]
+    noise: NDArray[Any]
+    ratios: FloatArray
+    bound: FloatArray
+    split: NDArray[Any]
+    frequencies_hz: FloatArray
+    about: dict[str, Any]
+
+    def rows(self, split: str) -> BoolArray:
+        """Return where a split's curves with every feature are, shape (n_curves,)."""
+        check_choice("split", split, tuple(SPLITS))
+        return np.asarray((self.split == split) & np.isfinite(self.X).all(axis=1))
+
+    def score(self, predicted: ArrayLike) -> dict[str, dict[str, float]]:
+        """Return rms error [%], bound [%] and their ratio of each output.
+
+        `predicted` (n_rows, n_outputs) are estimates of ``Y[rows("test")]``. ValueError if the
+        shape differs or an estimate is not finite.
+        """
+        rows = self.rows("test")
+        truth, bound = self.Y[rows], self.bound[rows]
+        estimates = np.asarray(predicted, dtype=np.float64)
+        if estimates.shape != truth.shape or not np.isfinite(estimates).all():
+            raise ValueError(
+                f'`predicted` must hold finite estimates of Y[rows("test")], shape {truth.shape}, '
+                f"got shape {estimates.shape}"
+            )
+        error = 100 * np.sqrt(np.mean((estimates / truth - 1) ** 2, axis=0))
+        least = 100 * np.sqrt(np.mean((bound / truth) ** 2, axis=0))
+        return {
+            name: {"rms_percent": e, "bound_percent": b, "ratio": e / b}
+            for name, e, b in zip(
+                self.about["outputs"], error.tolist(), least.tolist(), strict=True
+            )
+        }
+
+
+def make_dataset(problem: Problem) -> DataSet:
+    """Return the training, test and calibration curves of a problem."""
+    parts: dict[str, list[Any]] = {one.name: [] for one in fields(DataSet)[:7]}
+    for name, stream in SPLITS.items():
+        if stream == CALIBRATE and not problem.settings.n_calibrate:
+            continue
+        data = problem.features(stream)
+        seen: list[NDArray[Any]] = []
+        noise: list[NDArray[Any]] = []
+        for block in range(problem.n_blocks(len(data.ratios))):
+            one = problem.observer.for_features(problem.curves(data.ratios, stream, block))
+            rows = slice(block * BLOCK, (block + 1) * BLOCK)
+            clean = problem.noise_free(data.ratios[rows])
+            seen.append(one.cpu().numpy())
+            noise.append((one - clean).cpu().numpy())
+        bound = np.full_like(data.outputs, np.nan)
+        if stream == TEST:
+            bound = output_bounds(problem.task, problem.observer, data.ratios)
+        arrays = (data.inputs, data.outputs, np.concatenate(seen), np.concatenate(noise))
+        rest = (data.ratios, bound, np.full(len(bound), name))
+        for held, array in zip(parts.values(), (*arrays, *rest), strict=True):
+            held.append(array)
+    return DataSet(
+        **{name: np.concatenate(held) for name, held in parts.items()},
+        frequencies_hz=problem.observer.frequencies_hz.cpu().numpy(),
+        about={
+            "suspnet_version": __version__,
+            "inputs": list(replace(problem.task, extractor=problem.extractor).inputs),
+            "outputs": list(problem.task.outputs),
+            "parameters": list(PARAMETERS),
+            "vehicle": problem.vehicle.name,
+            "protocol": problem.task.protocol,
+            "group": problem.task.group,
+            "generator": type(problem.generator).__name__,
+            "snr_db": problem.settings.snr_db,
+            "seed": problem.seed,
+        },
+    )
+
+
+def write_dataset(data: DataSet | Problem, path: Path | str) -> Path:
+    """Write a data set, or that of a problem, to NAME.npz, .h5 or .parquet; return the path.
+
+    Raises
+    ------
+    ValueError
+        If the suffix is another one.
+    FileExistsError
+        If the file exists: nothing is replaced.
+    ModuleNotFoundError
+        If h5py is needed and not installed.
+    """
+    path = Path(path)
+    check_choice("suffix", path.suffix, tuple(WRITERS))
+    if path.exists():
+        raise FileExistsError(f"{path} exists; name a new file")
+    data = make_dataset(data) if isinstance(data, Problem) else data
+    return write_atomically(path, WRITERS[path.suffix](data))
+
+
+def read_dataset(path: Path | str) -> DataSet:
+    """Return the data set that `write_dataset` wrote; ValueError if a file is none.
+
+    Nothing in the file is run: it holds numbers and text.
+    """
+    path = Path(path)
+    check_choice("suffix", path.suffix, tuple(READERS))
+    try:
+        found = READERS[path.suffix](path)
+        about = json.loads(str(found.pop(ABOUT)))
+        found["split"] = np.asarray(found["split"]).astype(str)
+        return DataSet(**found, about=about)
+    except FileNotFoundError:
+        raise
+    except (KeyError, OSError, TypeError, ValueError, BadZipFile, pa.ArrowException) as error:
+        raise ValueError(f"{path} is no data set of suspnet: {error}") from error
+
+
+def _arrays(data: DataSet) -> dict[str, NDArray[Any]]:
+    return {one.name: getattr(data, one.name) for one in fields(DataSet)[:-1]}
+
+
+def _npz(data: DataSet) -> bytes:
+    stream = io.BytesIO()
+    arrays: dict[str, Any] = _arrays(data) | {ABOUT: np.array(json.dumps(data.about))}
+    np.savez(stream, **arrays)
+    return stream.getvalue()
+
+
+def _read_npz(path: Path) -> dict[str, Any]:
+    with np.load(path, allow_pickle=False) as file:
+        return dict(file)
+
+
+def _hdf5(data: DataSet) -> bytes:
+    h5py = _h5py()
+    stream = io.BytesIO()
+    with h5py.File(stream, "w") as file:
+        for name, array in _arrays(data).items():
+            text = array.dtype.kind == "U"
+            file[name] = array.astype("S") if text else array
+        file.attrs[ABOUT] = json.dumps(data.about)
+    return stream.getvalue()
+
+
+def _read_hdf5(path: Path) -> dict[str, Any]:
+    with _h5py().File(path, "r") as file:
+        found = {one.name: file[one.name][()] for one in fields(DataSet)[:-1]}
+        return found | {ABOUT: file.attrs[ABOUT]}
+
+
+def _h5py() -> Any:
+    try:
+        import h5py
+    except ImportError as error:
+        raise ModuleNotFoundError(NEEDS_H5PY) from error
+    return h5py
+
+
+def _parquet(data: DataSet) -> bytes:
+    """Return a table with a column for each feature, output and parameter, and lists for curves."""
+    columns: dict[str, Any] = {"split": data.split}
+    for prefix, names, array in _tables(data.about, data.X, data.Y, data.ratios, data.bound):
+        columns |= {f"{prefix}.{name}": array[:, j] for j, name in enumerate(names)}
+    for name in ("curves", "noise"):
+        for j, response in enumerate(("G_p", "G_s")):
+            part = getattr(data, name)[:, j]
+            for suffix, values in _real_parts(part).items():
+                columns[f"{name}.{response}{suffix}"] = pa.FixedSizeListArray.from_arrays(
+                    np.ascontiguousarray(values).reshape(-1), values.shape[1]
+                )
+    table = pa.table(columns).replace_schema_metadata(
+        {ABOUT: json.dumps(data.about | {"frequencies_hz": data.frequencies_hz.tolist()})}
+    )
+    stream = io.BytesIO()
+    pq.write_table(table, stream, compression="zstd")
+    return stream.getvalue()
+
+
+def _read_parquet(path: Path) -> dict[str, Any]:
+    table = pq.read_table(path)
+    about = json.loads(table.schema.metadata[ABOUT.encode()])
+    found: dict[str, Any] = {"split": table["split"].to_numpy()}
+    found["frequencies_hz"] = np.array(about.pop("frequencies_hz"))
+    for key, (prefix, names, _) in zip(
+        ("X", "Y", "ratios", "bound"), _tables(about, *[None] * 4), strict=True
+    ):
+        found[key] = np.column_stack([table[f"{prefix}.{name}"].to_numpy() for name in names])
+    for name in ("curves", "noise"):
+        found[name] = np.stack(
+            [_joined(table, f"{name}.{response}") for response in ("G_p", "G_s")], axis=1
+        )
+    return found | {ABOUT: json.dumps(about)}
+
+
+def _tables(about: Mapping[str, Any], *arrays: Any) -> list[tuple[str, list[str], Any]]:
+    """Return prefix, names and array of the tables that become columns: X, Y, ratios, bound."""
+    names = (about["inputs"], about["outputs"], about["parameters"], about["outputs"])
+    return list(zip(("X", "Y", "ratio", "bound"), names, arrays, strict=True))
+
+
+def _real_parts(values: NDArray[Any]) -> dict[str, NDArray[Any]]:
+    if np.iscomplexobj(values):
+        return {".real": values.real, ".imag": values.imag}
+    return {"": values}
+
+
+def _joined(table: pa.Table, name: str) -> NDArray[Any]:
+    def rows(column: str) -> NDArray[Any]:
+        flat = table[column].combine_chunks().flatten().to_numpy()
+        return np.asarray(flat.reshape(len(table), -1))
+
+    if name in table.column_names:
+        return rows(name)
+    return rows(f"{name}.real") + 1j * rows(f"{name}.imag")
+
+
+WRITERS: Mapping[str, Callable[[DataSet], bytes]] = {
+    ".npz": _npz,
+    ".h5": _hdf5,
+    ".parquet": _parquet,
+}
+READERS: Mapping[str, Callable[[Path], dict[str, Any]]] = {
+    ".npz": _read_npz,
+    ".h5": _read_hdf5,
+    ".parquet": _read_parquet,
+}

@@ -1,0 +1,219 @@
+"""Methods and feature sets of a user: registered, saved, named on the command line only."""
+
+import json
+import re
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from cli_runner import typed
+from hydra.core.config_store import ConfigStore
+from sklearn.base import BaseEstimator, RegressorMixin
+from sklearn.ensemble import RandomForestRegressor
+from sklearn.linear_model import Ridge
+
+from suspnet import MSVR, SVR, LinearRegression, Problem, load_model, train
+from suspnet.cli import kinds, plugins
+from suspnet.cli import train as program
+from suspnet.estimation.fitted import ModelFileError
+from suspnet.learning import METHODS
+from suspnet.runs.fit import _announce
+from suspnet.runs.tables import MODEL_TITLES
+from suspnet.spectra.components import FEATURE_SETS
+from suspnet.spectra.curves import CurveSettings
+
+PAGE = (Path(__file__).parents[2] / "docs" / "extending.md").read_text(encoding="utf-8")
+CODE = "\n".join(
+    next(one for one in re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL) if words in one)
+    for words in ("class KernelRidge", "class Levels")
+)
+MODULE = f"""{CODE}
+import suspnet
+
+suspnet.register_method("kernel_ridge", KernelRidge, "kernel ridge")
+suspnet.register_features(Levels)
+"""
+SETTINGS = CurveSettings(200, 100, None, cache_dir=None)
+TINY = ("data.n_train=200", "data.n_test=100", "data.n_calibrate=null", "figures=false")
+
+
+@pytest.fixture(autouse=True)
+def _registered_here_only(monkeypatch):
+    tables = (METHODS, MODEL_TITLES, FEATURE_SETS, kinds.KINDS["model"])
+    before = [dict(one) for one in tables]
+    stored = (
+        dict(ConfigStore.instance().repo["model"])
+        if "model" in (ConfigStore.instance().repo)
+        else None
+    )
+    modules = set(sys.modules)
+    yield
+    for one, old in zip(tables, before, strict=True):
+        one.clear()
+        one.update(old)
+    if stored is None:
+        ConfigStore.instance().repo.pop("model", None)
+    else:
+        ConfigStore.instance().repo["model"] = stored
+    for name in set(sys.modules) - modules:
+        if name.startswith("suspnet_plugin_"):
+            del sys.modules[name]
+
+
+class Mean(RegressorMixin, BaseEstimator):
+    def __init__(self, shift=0.0):
+        self.shift = shift
+
+    def fit(self, X, y):
+        self.mean_ = np.mean(y, axis=0)
+        return self
+
+    def predict(self, X):
+        return np.tile(self.mean_ + self.shift, (len(X), 1))
+
+    def state(self):
+        return {"mean": self.mean_}
+
+    def restore(self, state):
+        self.mean_ = state["mean"]
+        return self
+
+
+def test_registered_method_is_trained_saved_and_refused_where_it_is_not_known(
+    quarter_car, task, tmp_path
+):
+    plugins.register_method("mean", Mean, "the mean")
+    problem = Problem(quarter_car, task(), SETTINGS)
+    metrics = train(problem, Mean(), str(tmp_path / "run"), figures=False)
+    assert metrics["model"] == "mean"
+    model = load_model(tmp_path / "run")
+    assert type(model.estimator) is Mean
+    assert json.loads((tmp_path / "run" / "metrics.json").read_text())["rms_ratio"]
+    del METHODS["mean"]
+    with pytest.raises(ModelFileError, match=r"'mean'; if it is your own.*register_method.*--plug"):
+        load_model(tmp_path / "run")
+
+
+def test_any_regressor_is_scored_without_a_folder_and_writes_nothing(
+    quarter_car, task, tmp_path, monkeypatch
+):
+    monkeypatch.chdir(tmp_path)
+    problem = Problem(quarter_car, task(), SETTINGS)
+    found = train(problem, Ridge(alpha=1e-12))
+    ours = train(problem, LinearRegression(), tmp_path / "run", figures=False)
+    assert found["model"] == "Ridge"
+    for name in ("rms_percent", "rms_ratio"):
+        assert found[name] == pytest.approx(ours[name], rel=1e-6)
+    assert [one.name for one in tmp_path.iterdir()] == ["run"]
+
+
+@pytest.mark.parametrize(
+    ("estimator", "words"),
+    [
+        (RandomForestRegressor(), "RandomForestRegressor, which cannot be saved: leave out"),
+        (MSVR(random_state=np.random.RandomState(0)), "`random_state`=RandomState"),
+        (MSVR(sigma=float("nan")), "`sigma`=nan of MSVR cannot be saved"),
+    ],
+)
+def test_what_cannot_be_saved_is_refused_before_there_is_a_folder(
+    estimator, words, quarter_car, task, tmp_path
+):
+    problem = Problem(quarter_car, task(), SETTINGS)
+    with pytest.raises(TypeError, match=words):
+        train(problem, estimator, tmp_path / "run")
+    assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize(
+    ("name", "cls", "title", "error", "words"),
+    [
+        ("msvr", Mean, None, ValueError, "one of suspnet's own"),
+        ("Mean", Mean, None, ValueError, "lower-case"),
+        ("../mean", Mean, None, ValueError, "lower-case"),
+        ("mean", Mean, "MSVR", ValueError, "that of another method"),
+        ("forest", RandomForestRegressor, None, TypeError, "lacks state, restore"),
+        ("mean", Mean(), None, TypeError, "lacks a class"),
+    ],
+)
+def test_method_that_would_not_work_is_not_registered(name, cls, title, error, words):
+    before = dict(METHODS)
+    with pytest.raises(error, match=words):
+        plugins.register_method(name, cls, title)
+    assert before == METHODS
+
+
+def test_feature_set_that_lacks_a_part_is_not_registered():
+    with pytest.raises(TypeError, match="dataclass"):
+        plugins.register_features(Mean)
+
+
+def test_module_named_on_the_command_line_adds_method_and_features(tmp_path):
+    (tmp_path / "mine.py").write_text(MODULE)
+    run = tmp_path / "run"
+    ended = typed(
+        program,
+        *("--plugin", "mine.py", "model=kernel_ridge", "model.alpha=1e-5", *TINY),
+        *("protocol.feature_set=levels", "protocol.feature_settings={half_width_hz: 0.2}"),
+        f"hydra.run.dir={run}",
+        cwd=tmp_path,
+    )
+    assert ended.returncode == 0, ended.stderr
+    model = load_model(run)
+    assert model.name == "kernel_ridge"
+    assert model.estimator.alpha == 1e-5
+    assert model.task.extractor.half_width_hz == 0.2
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("--plugin", "nothing.py"), "--plugin nothing.py: there is no such Python file"),
+        (("--plugin", "text.txt"), "there is no such Python file"),
+        (("--plugin",), "--plugin needs a file"),
+        (("--plugin=broken.py",), "line 2: ZeroDivisionError: division by zero"),
+    ],
+)
+def test_module_that_cannot_be_run_is_one_line(arguments, words, tmp_path):
+    (tmp_path / "text.txt").write_text("x = 1\n")
+    (tmp_path / "broken.py").write_text("x = 1\nx / 0\n")
+    ended = typed(program, *arguments, cwd=tmp_path)
+    assert ended.returncode == 1
+    assert words in ended.stderr
+    assert "Traceback" not in ended.stderr
+    assert not (tmp_path / "outputs").exists()
+
+
+def test_configuration_names_no_module(tmp_path):
+    (tmp_path / "model").mkdir()
+    (tmp_path / "mine.py").write_text(f"open({str(tmp_path / 'ran')!r}, 'w')\n")
+    (tmp_path / "model" / "foreign.yaml").write_text("kind: mine.Mean\nplugin: mine.py\n")
+    ended = typed(program, "--config-dir", tmp_path, "model=foreign", *TINY, cwd=tmp_path)
+    assert ended.returncode == 1
+    assert "`model.kind` must be one of" in ended.stderr
+    assert not (tmp_path / "ran").exists()
+
+
+def test_cache_of_features_depends_on_the_users_code(quarter_car, task, tmp_path):
+
+    described = []
+    for half_width in ("0.1", "0.2"):
+        code = MODULE.replace("half_width_hz: float = 0.1", f"half_width_hz: float = {half_width}")
+        path = tmp_path / f"with_{half_width[-1]}.py"
+        path.write_text(code)
+        plugins.load_plugins([str(path)])
+        features = FEATURE_SETS["levels"](half_width_hz=0.1)
+        problem = Problem(quarter_car, replace(task(), extractor=features), SETTINGS)
+        described.append(problem.describe(0))
+    assert described[0]["task"] == described[1]["task"]
+    assert described[0]["own_features"] != described[1]["own_features"]
+
+
+def test_time_of_svr_is_announced(caplog):
+    with caplog.at_level("INFO"):
+        _announce(SVR(), 499)
+        _announce(MSVR(), 5000)
+        assert not caplog.records
+        _announce(SVR(), 1000)
+    assert "SVR on 1000 curves may take minutes" in caplog.text
