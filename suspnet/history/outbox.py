@@ -23,6 +23,7 @@ from sqlalchemy.engine import Connection
 
 from suspnet.ground.parameters import Severity
 from suspnet.ground.records import Key
+from suspnet.ground.storage import json_bytes
 from suspnet.history.database import upsert
 from suspnet.history.schema import BadRow, or_null, outbox, told, trips
 from suspnet.history.suspensions import known_suspensions, read_stored
@@ -121,16 +122,16 @@ class Outbox:
             connection.execute(outbox.delete().where(old, outbox.c.kind != START))
             return sum(_queue(connection, one, fleet, now, zone) for one in recipients)
 
-    def claim(self, now: datetime, without: Collection[str] = ()) -> Message | None:
-        """Return the message that is due longest and claim it for ``LEASE_S``; None if none is.
+    def claim(self, now: datetime, channels: Collection[str]) -> Message | None:
+        """Return the message of some channels that is due longest; None if none is.
 
-        Channels of `without` are left out.
+        It is claimed for ``LEASE_S``.
         """
         now_s = now.timestamp()
         chosen = (
             sql.select(outbox)
             .where(_waiting(), outbox.c.due_s <= now_s, outbox.c.leased_s <= now_s)
-            .where(outbox.c.channel.not_in(list(without)))
+            .where(outbox.c.channel.in_(list(channels)))
             .order_by(outbox.c.due_s, outbox.c.created_s, outbox.c.id)
             .limit(1)
             .with_for_update(skip_locked=True)
@@ -315,7 +316,7 @@ def _insert(
         "channel": target[0],
         "address": target[1],
         "kind": kind,
-        "content": json.dumps(whole),
+        "content": json_bytes(whole).decode(),
         "created_s": now.timestamp(),
         "due_s": now.timestamp(),
         "leased_s": 0.0,

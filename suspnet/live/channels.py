@@ -9,7 +9,6 @@ from __future__ import annotations
 import base64
 import hashlib
 import hmac
-import json
 import queue
 import re
 import smtplib
@@ -22,6 +21,7 @@ from typing import Any, Literal, Protocol
 from urllib.parse import urlsplit
 
 from suspnet.ground.settings import check_settings, setting
+from suspnet.ground.storage import json_bytes
 from suspnet.history.outbox import Message
 from suspnet.live.broker import KEEPALIVE_S, Broker, secret
 from suspnet.report.messages import subject, text
@@ -73,7 +73,7 @@ class Webhook:
     def send(self, message: Message) -> None:
         """Post a message; a redirection is not followed."""
         urllib3 = _urllib3()
-        body = json.dumps(message.content).encode()
+        body = json_bytes(message.content)
         stamp = str(int(time.time()))
         signed = b".".join([message.id.encode(), stamp.encode(), body])
         mac = base64.b64encode(hmac.digest(self._key(), signed, hashlib.sha256)).decode()
@@ -84,15 +84,19 @@ class Webhook:
             "webhook-timestamp": stamp,
             "webhook-signature": f"v1,{mac}",
         }
-        options = {"redirect": False, "retries": False, "timeout": TIMEOUT_S}
+        # the content of the answer is not read: it may be of any size, or never end
+        options = {"redirect": False, "retries": False, "preload_content": False}
+        options |= {"timeout": TIMEOUT_S}
         where = urlsplit(self.url).hostname
         try:
             with urllib3.PoolManager() as pool:
                 answer = pool.request("POST", self.url, body=body, headers=headers, **options)
+                status = answer.status
+                answer.close()
         except (urllib3.exceptions.HTTPError, OSError) as error:
             raise DeliveryError(f"{where}: {type(error).__name__}") from None
-        if not 200 <= answer.status < 300:
-            raise DeliveryError(f"{where}: HTTP status {answer.status}")
+        if not 200 <= status < 300:
+            raise DeliveryError(f"{where}: HTTP status {status}")
 
     def _key(self) -> bytes:
         try:
@@ -155,6 +159,7 @@ class Email:
         mail["Auto-Submitted"] = "auto-generated"
         mail.set_content(text(message.content))
         context = ssl.create_default_context()
+        is_accepted = False
         try:
             with self._connected(context) as server:
                 if self.security == "starttls":
@@ -162,12 +167,15 @@ class Email:
                 if self.user is not None:
                     server.login(self.user, secret(self.password_env, "the mail server"))
                 server.send_message(mail)
-        except smtplib.SMTPResponseException as error:
-            raise DeliveryError(f"{self.host}: SMTP status {error.smtp_code}") from None
+                is_accepted = True
         except smtplib.SMTPRecipientsRefused:
             raise DeliveryError(f"{self.host}: the address is refused") from None
         except (OSError, ValueError) as error:
-            raise DeliveryError(f"{self.host}: {type(error).__name__}") from None
+            if is_accepted:  # only the end of the connection failed: not to be sent again
+                return
+            status = getattr(error, "smtp_code", None)
+            words = type(error).__name__ if status is None else f"SMTP status {status}"
+            raise DeliveryError(f"{self.host}: {words}") from None
 
     def _connected(self, context: ssl.SSLContext) -> smtplib.SMTP:
         if self.security == "tls":
@@ -189,18 +197,20 @@ class MqttChannel:
 
     def send(self, message: Message) -> None:
         """Publish a message, and wait until the broker acknowledges it."""
-        answers: queue.SimpleQueue[Any] = queue.SimpleQueue()
+        # two queues: the client connects again by itself, which acknowledges no message
+        connected: queue.SimpleQueue[Any] = queue.SimpleQueue()
+        published: queue.SimpleQueue[Any] = queue.SimpleQueue()
         broker = self.broker
         client = broker.client("")
-        client.on_connect = lambda _c, _u, _f, reason, _p: answers.put(reason)
-        client.on_publish = lambda _c, _u, _m, reason, _p: answers.put(reason)
-        body = json.dumps(message.content).encode()
+        client.on_connect = lambda _c, _u, _f, reason, _p: connected.put(reason)
+        client.on_publish = lambda _c, _u, _m, reason, _p: published.put(reason)
+        body = json_bytes(message.content)
         try:
             client.connect(str(broker.host), broker.port, KEEPALIVE_S)
             client.loop_start()
-            _accepted(answers)
+            _accepted(connected)
             client.publish(broker.topic("notifications", message.recipient), body, qos=1)
-            _accepted(answers)
+            _accepted(published)
         except queue.Empty:
             raise DeliveryError(f"{broker.where}: no answer in {TIMEOUT_S:g} s") from None
         except OSError as error:

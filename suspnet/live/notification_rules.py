@@ -1,4 +1,4 @@
-"""Who is told what: the YAML file of recipients and channels."""
+"""Rules of notifications: the YAML file of recipients and channels."""
 
 from __future__ import annotations
 
@@ -96,9 +96,14 @@ def _recipient(name: str, given: Any, channels: Mapping[str, Channel]) -> Recipi
     for key in ("vehicles", "suspensions"):
         if key in values:
             chosen[key] = _texts(values[key], f"{where}.{key}")
+            if not chosen[key]:
+                raise ValueError(f"`{where}.{key}` is empty, so that nothing would be sent")
     if "digest" in values:
         chosen["digest"] = _time(values["digest"], f"{where}.digest")
-    return Recipient(name, tuple(dict.fromkeys(targets)), **chosen)
+    found = Recipient(name, tuple(dict.fromkeys(targets)), **chosen)
+    if found.digest is None and not found.at_once:
+        raise ValueError(f"`{where}` has neither `at_once` nor `digest`: nothing would be sent")
+    return found
 
 
 def _mapping(given: Any, where: str, known: Any = None) -> Mapping[Any, Any]:

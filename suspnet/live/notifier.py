@@ -46,15 +46,16 @@ class Notifier:
         HistoryError is raised if the store cannot be used.
         """
         self._look()
-        failed: set[str] = set()
+        # those of channels that other rules name belong to the programs with these rules
+        usable = set(self._rules.channels)
         n_sent = n_failed = 0
-        # after a failure the other messages of the channel wait for the next look
-        while (message := self._outbox.claim(self._clock(), failed)) is not None:
+        while (message := self._outbox.claim(self._clock(), usable)) is not None:
             if self._send(message):
                 n_sent += 1
             else:
                 n_failed += 1
-                failed.add(message.channel)
+                # the other messages of the channel wait for the next look
+                usable.discard(message.channel)
             if self._end.is_set():
                 break
         return n_sent, n_failed
@@ -92,23 +93,21 @@ class Notifier:
 
     def _send(self, message: Message) -> bool:
         """Send a message and store the outcome; return whether it was accepted."""
-        channel = self._rules.channels.get(message.channel)
         try:
-            if channel is None:
-                raise DeliveryError(f"there is no channel {message.channel!r} any more")
-            channel.send(message)
-        except DeliveryError as error:
+            self._rules.channels[message.channel].send(message)
+        except (DeliveryError, OSError, ValueError) as error:  # a secret may be gone by now
             n = message.attempts + 1
             how = "given up" if n >= MOST_ATTEMPTS else "it is tried again"
             log.warning("a message to %s failed, %s: %s", message.recipient, how, error)
             self._outbox.mark_failed(message, str(error), self._clock())
             return False
-        while True:  # ends: when the store is available, or with the process
+        while True:  # ends: when the store is available, or the notifier is to end
             try:
                 self._outbox.mark_sent(message, self._clock())
                 break
             except HistoryError as error:
                 log.warning("%s; a sent message waits to be marked", error)
-                time.sleep(WAIT_S)
+                if self._end.wait(WAIT_S):
+                    raise
         log.info("sent to %s by %s: %s", message.recipient, message.channel, message.id)
         return True

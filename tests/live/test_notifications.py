@@ -8,7 +8,7 @@ import smtplib
 import socket
 import threading
 import time
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from email import message_from_bytes, policy
@@ -33,11 +33,14 @@ from suspnet.ground.parameters import Severity
 from suspnet.history import History, outbox
 from suspnet.history.outbox import LEASE_S
 from suspnet.live import notifier as notifier_module
-from suspnet.live.channels import DeliveryError
+from suspnet.live.broker import Broker
+from suspnet.live.channels import DeliveryError, Email, MqttChannel, Webhook
 from suspnet.live.notification_rules import read_rules
 from suspnet.live.notifier import Notifier
 
 NIGHT = datetime(2026, 3, 31, 3, tzinfo=UTC)
+_DIGEST = {"kind": "digest", "id": "1", "day": "2026-03-31", "alarms": [], "n_suspensions": 0}
+MESSAGE = outbox.Message("1", "kim", "m", "kim@example.org", "digest", _DIGEST, 0)
 
 
 @pytest.fixture(autouse=True)
@@ -166,11 +169,12 @@ def test_a_failed_message_is_tried_again_later_and_given_up_in_the_end(told, cap
 def test_a_claimed_message_belongs_to_one_program_until_its_lease_is_over(told):
     store, notifier, clock, _ = told
     notifier._look()
-    claimed = store.outbox().claim(clock.now)
-    assert store.outbox().claim(clock.now) is None
+    assert store.outbox().claim(clock.now, ["of other rules"]) is None
+    claimed = store.outbox().claim(clock.now, ["hook"])
+    assert store.outbox().claim(clock.now, ["hook"]) is None
     assert notifier.once() == (0, 0)
     clock.now += timedelta(seconds=LEASE_S + 1)
-    again = store.outbox().claim(clock.now)
+    again = store.outbox().claim(clock.now, ["hook"])
     assert again == claimed
 
 
@@ -213,6 +217,78 @@ def test_a_webhook_is_signed_as_standard_webhooks_says_and_secrets_stay_secret(t
         webhooks.Webhook(KEY).verify(body.replace(b"act", b"act "), headers)
     assert KEY not in caplog.text
     assert KEY not in (tmp_path / "a.db").read_bytes().decode(errors="replace")
+
+
+def test_the_content_of_an_answer_is_not_read():
+    """A server that answers and then sends without end holds up nothing."""
+    with socket.create_server(("127.0.0.1", 0)) as server, pytest.MonkeyPatch.context() as patch:
+        patch.setattr("suspnet.live.channels.TIMEOUT_S", 5.0)
+
+        def answer():
+            connection, _ = server.accept()
+            with connection, suppress(OSError):
+                connection.recv(65536)
+                connection.sendall(b"HTTP/1.1 200 OK\r\nContent-Length: 99999999\r\n\r\n")
+                while True:
+                    connection.sendall(b"x" * 65536)
+
+        threading.Thread(target=answer, daemon=True).start()
+        began = time.monotonic()
+        Webhook(f"http://127.0.0.1:{server.getsockname()[1]}/").send(MESSAGE)
+        assert time.monotonic() - began < 4
+
+
+def test_a_secret_that_is_gone_is_a_failure_that_is_tried_again(tmp_path, monkeypatch):
+    rules = read_rules(webhook_rules(tmp_path, "http://localhost:9/"))
+    monkeypatch.delenv("SUSPNET_WEBHOOK_SECRET")
+    with History(fill(tmp_path / "a.db")) as store:
+        assert Notifier(store, rules).once() == (0, 1)
+        ((words, n),) = [(row["error"], row["attempts"]) for row in store.outbox().unsent()]
+    assert "SUSPNET_WEBHOOK_SECRET" in words
+    assert n == 1
+
+
+def test_a_mail_that_was_accepted_is_not_sent_again_if_the_end_of_the_connection_fails(monkeypatch):
+    sent = []
+
+    class Server(smtplib.SMTP):
+        def __init__(self):
+            pass
+
+        def __exit__(self, *_):
+            raise smtplib.SMTPResponseException(421, b"timeout before QUIT")
+
+        def send_message(self, mail):
+            if sent:
+                raise smtplib.SMTPResponseException(451, b"later")
+            sent.append(mail)
+
+    monkeypatch.setattr(Email, "_connected", lambda *_: Server())
+    channel = Email("localhost", security="none", sender="s@example.org")
+    channel.send(MESSAGE)
+    assert len(sent) == 1
+
+
+def test_a_second_connection_to_a_broker_is_no_acknowledgement_of_a_message(monkeypatch):
+    class Client:
+        def connect(self, *_):
+            self.on_connect(self, None, None, Reason(), None)
+
+        def publish(self, *_, **__):  # the connection is lost, and made again
+            self.on_connect(self, None, None, Reason(), None)
+
+        def loop_start(self):
+            pass
+
+        disconnect = loop_stop = loop_start
+
+    class Reason:
+        is_failure = False
+
+    monkeypatch.setattr("suspnet.live.channels.TIMEOUT_S", 0.05)
+    monkeypatch.setattr(Broker, "client", lambda *_: Client())
+    with pytest.raises(DeliveryError, match="no answer"):
+        MqttChannel(Broker("localhost")).send(MESSAGE)
 
 
 @pytest.mark.parametrize("moment", [pytest.param("before", marks=pytest.mark.slow), "after"])
@@ -393,6 +469,16 @@ WRONG = [
     ),
     ({}, {"a": {"channels": ["h"]}}, "'h' is not a channel; known: none"),
     ({}, {}, "`recipients` must name somebody"),
+    (
+        {"h": {"kind": "webhook", "url": "https://h/"}},
+        {"a": {"channels": ["h"], "digest": None, "at_once": []}},
+        "neither `at_once` nor `digest`",
+    ),
+    (
+        {"h": {"kind": "webhook", "url": "https://h/"}},
+        {"a": {"channels": ["h"], "vehicles": []}},
+        "`recipients.a.vehicles` is empty",
+    ),
     (
         {"m": {"kind": "email", "host": "h", "sender": "a@b", "user": "u", "security": "none"}},
         {},
