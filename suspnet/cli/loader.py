@@ -39,6 +39,8 @@ CLUSTER = "monitor.cluster"
 """Key of the scheduler's address; its workers unpickle, and so run, what they receive."""
 OF_ACCESS = ("user_header", "trusted_proxies", "engineers", "token_file")
 """Keys that say who may see and acknowledge; someone else's file may not choose them."""
+RULES = "notify"
+"""Key of the file that says where alarms, and passwords of servers, are sent."""
 OF_HYDRA = ("hydra.run.dir", "hydra.sweep.dir", "hydra.sweep.subdir")
 
 
@@ -183,10 +185,12 @@ def check_typed(config: DictConfig, typed: Collection[str]) -> None:
     for name in OF_ACCESS:
         if written.get(name) and name not in typed:
             raise ValueError(f"`{name}`, who may do what, is given on the command line only")
+    if written.get(RULES) and RULES not in typed:
+        raise ValueError(f"`{RULES}`, where alarms are sent, is given on the command line only")
     swept = OmegaConf.to_container(config.hydra.sweeper.get("params") or DictConfig({}))
     for key in swept if isinstance(swept, dict) else ():
         setting = str(key).lstrip("+~").split(".")[0]
-        if setting in (*BROKERS, *OF_ACCESS, "store", "open_to_network"):
+        if setting in (*BROKERS, *OF_ACCESS, RULES, "store", "open_to_network"):
             raise ValueError(f"`hydra.sweeper.params.{key!s}` is swept on the command line only")
 
 

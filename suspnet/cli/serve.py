@@ -182,8 +182,9 @@ def _check_address(config: DictConfig) -> None:
     if is_loopback(config.host):
         return
     if not config.open_to_network:
+        no_login = "" if config.user_header else ", and there is no login"
         raise ValueError(
-            f"host={config.host} can be reached by other computers, and there is no login; give "
+            f"host={config.host} can be reached by other computers{no_login}; give "
             "open_to_network=true if that is meant"
         )
     if config.host == ANY and not config.hosts:

@@ -96,6 +96,32 @@ def test_nothing_is_replaced_that_is_not_an_earlier_backup(tmp_path):
     assert not path.exists()
 
 
+def test_a_store_is_never_replaced_by_its_own_backup(tmp_path):
+    path, link = tmp_path / "fleet.db", tmp_path / "link.db"
+    with History(path) as store:
+        store.write([trip(0, with_curves=False)])
+    link.symlink_to(path)
+    before = path.stat().st_ino
+    for copy in (path, link):
+        with pytest.raises(HistoryError, match="the store itself"):
+            back_up(str(path), copy, replace=True)
+    assert path.stat().st_ino == before
+    used = tmp_path / "used.db"
+    back_up(str(path), used)
+    (tmp_path / "used.db-journal").write_bytes(b"of a program that writes to it")
+    with pytest.raises(HistoryError, match=r"used\.db-journal: a program writes"):
+        back_up(str(path), used, replace=True)
+
+
+def test_a_backup_is_as_private_as_its_store(tmp_path):
+    path = tmp_path / "fleet.db"
+    with History(path) as store:
+        store.write([trip(0, with_curves=False)])
+    path.chmod(0o640)
+    back_up(str(path), tmp_path / "copy.db")
+    assert (tmp_path / "copy.db").stat().st_mode & 0o777 == 0o640
+
+
 def test_a_damaged_backup_or_a_full_disk_leaves_nothing_behind(tmp_path, monkeypatch):
     path, copy = tmp_path / "fleet.db", tmp_path / "copy.db"
     with History(path) as store:
