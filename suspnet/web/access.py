@@ -113,16 +113,23 @@ def of_page() -> None:
 
 
 def of_program() -> None:
-    """Find out who asks the API: abort with 401 for a wrong token, with 403 without a login."""
+    """Find out who asks the API: abort with 401 for a wrong token, with 403 without a login.
+
+    Other credentials than a token, such as those that a visitor shows to the proxy, say nothing.
+    """
     access = current_app.extensions[ACCESS]
-    given = request.headers.get("Authorization")
-    if given is None:
+    scheme, _, token = request.headers.get("Authorization", "").partition(" ")
+    if scheme.lower() != "bearer":
         of_page()
         return
-    scheme, _, token = given.partition(" ")
-    if scheme.lower() != "bearer" or not access.is_token(token.strip()):
+    if not access.is_token(token.strip()):
         raise Unauthorized("This token is not accepted: send Authorization: Bearer TOKEN.")
     g.visitor = Visitor(has_token=True)
+
+
+def is_admitted() -> bool:
+    """Return whether the current request may see what the store holds, and where it is."""
+    return "visitor" in g or not current_app.extensions[ACCESS].user_header
 
 
 def visitor() -> Visitor:

@@ -27,7 +27,7 @@ from suspnet import __version__
 from suspnet.history import HistoryError
 from suspnet.report.board import Refresher, clock
 from suspnet.report.templates import FILTERS, GLOBALS, packaged
-from suspnet.web.access import ACCESS, Access
+from suspnet.web.access import ACCESS, Access, is_admitted
 from suspnet.web.api import ROOT, api, http_problem, problem
 from suspnet.web.health import health
 from suspnet.web.pages import REFRESHER, WITH_PLOTS, pages
@@ -74,6 +74,7 @@ def create_app(
     app.jinja_env.filters |= FILTERS | {"clock": clock}
     app.jinja_env.globals |= GLOBALS | {
         "file_digest": file_digest,
+        "is_admitted": is_admitted,
         "ask_every_s": ask_every_s,
         "product": f"suspnet {__version__}",
     }

@@ -1,4 +1,7 @@
-"""Health and metrics of the server, for programs that watch it."""
+"""Health and metrics of the server, for programs that watch it.
+
+They need no login: they name no vehicle, and where a login is configured no store either.
+"""
 
 from __future__ import annotations
 
@@ -7,10 +10,11 @@ from collections import Counter
 from collections.abc import Iterable
 from typing import Any
 
-from flask import Blueprint, Response, abort, current_app
+from flask import Blueprint, Response, current_app
 
 from suspnet.history import History, HistoryError
 from suspnet.history.outbox import MOST_ATTEMPTS
+from suspnet.web.access import is_admitted
 from suspnet.web.pages import REFRESHER
 
 health = Blueprint("health", __name__)
@@ -20,11 +24,15 @@ WAIT_S = 0.5
 
 @health.get("/healthz")
 def healthz() -> tuple[dict[str, Any], int]:
-    """Return whether the pages follow the store: status 200, or 503 with the reason."""
+    """Return whether the pages follow the store: status 200, or 503.
+
+    The reason, which names the store, is left out where a login is configured.
+    """
     refresher = current_app.extensions[REFRESHER]
     fault = refresher.fault
     read_at = refresher.read_at.isoformat(timespec="seconds")
-    content = {"status": "failing" if fault else "ok", "fault": fault, "read_at": read_at}
+    reason = fault if is_admitted() else ""
+    content = {"status": "failing" if fault else "ok", "fault": reason, "read_at": read_at}
     return content, 503 if fault else 200
 
 
@@ -34,7 +42,8 @@ def metrics() -> Response:
     try:
         from prometheus_client import CollectorRegistry, generate_latest
     except ImportError:
-        abort(501, 'Metrics need prometheus-client: pip install "suspnet[live]"')
+        words = 'metrics need prometheus-client; run: pip install "suspnet[live]"\n'
+        return Response(words, 501, mimetype="text/plain")
     registry = CollectorRegistry()
     registry.register(_State())
     return Response(generate_latest(registry), mimetype="text/plain; version=0.0.4")

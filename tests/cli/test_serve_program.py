@@ -65,6 +65,10 @@ def test_mistakes_are_one_line(refused, path, tmp_path):
     assert "`port` must be" in refused(store, "port=70000")
     assert "`refresh_s` must be" in refused(store, "refresh_s=0")
     assert "there is no login; give open_to_network=true" in refused(store, "host=0.0.0.0")
+    login = "user_header=X-User", "trusted_proxies=[10.0.0.5]"
+    said = refused(store, "host=0.0.0.0", *login)
+    assert "no login" not in said
+    assert "give open_to_network=true" in said
     assert "Give hosts=[NAME, ...]" in refused(store, "host=0.0.0.0", "open_to_network=true")
     assert "must be an IPv4 address or a name" in refused(store, "host='::1'")
     assert "`today` must be a day" in refused(store, "today=soon")

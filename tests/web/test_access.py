@@ -34,6 +34,14 @@ def test_names_are_believed_of_the_proxy_alone(filled, peer, name, code):
         assert get(filled[1], path, peer, **{"X-Remote-User": name}).status_code == code
 
 
+def test_a_login_at_the_proxy_by_a_password_is_no_wrong_token(filled):
+    """nginx passes the visitor's own Authorization on."""
+    sent = {"Authorization": "Basic S2ltOng=", "X-Remote-User": "Kim Li"}
+    assert get(filled[1], "/api/v1/suspensions", **sent).status_code == 200
+    del sent["X-Remote-User"]
+    assert get(filled[1], "/api/v1/suspensions", **sent).status_code == 403
+
+
 def test_other_headers_say_nothing_about_the_peer(filled):
     sent = {"X-Remote-User": "Kim Li", "X-Forwarded-For": "10.0.0.5", "Forwarded": "for=10.0.0.5"}
     assert get(filled[1], "/", "10.0.0.6", **sent).status_code == 403

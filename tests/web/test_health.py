@@ -1,12 +1,14 @@
 """Programs that watch the server read its health and its metrics."""
 
 import os
+import sys
 
 import pytest
 import served_fleet
 
 from suspnet.history import History
 from suspnet.report.board import Board, Refresher
+from suspnet.web.access import Access
 from suspnet.web.app import create_app
 
 
@@ -37,6 +39,26 @@ def test_health_follows_the_store(watched):
     wait(lambda: client.get("/healthz").status_code == 503)
     assert "fleet.db" in client.get("/healthz").json["fault"]
     assert b"suspnet_up 0.0" in client.get("/metrics").data
+
+
+def test_with_a_login_a_fault_names_the_store_to_visitors_alone(watched):
+    path, refresher, _ = watched
+    path.rename(f"{path}.away")
+    wait(lambda: "fleet.db" in refresher.fault)
+    client = create_app(refresher, access=Access("X-U", ["127.0.0.1"])).test_client()
+    assert "fleet.db" in client.get("/", headers={"X-U": "Kim"}).text
+    for address, code in (("/healthz", 503), ("/", 403), ("/nothing", 404), ("/metrics", 200)):
+        answer = client.get(address)
+        assert answer.status_code == code
+        assert "fleet.db" not in answer.text
+        assert "am96" not in answer.text
+
+
+def test_metrics_without_their_package_say_what_to_install(watched, monkeypatch):
+    monkeypatch.setitem(sys.modules, "prometheus_client", None)
+    answer = watched[2].get("/metrics")
+    assert answer.status_code == 501
+    assert 'pip install "suspnet[live]"' in answer.text
 
 
 def test_metrics_count_suspensions_alarms_and_unsent_messages(watched):
