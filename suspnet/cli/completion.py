@@ -46,7 +46,7 @@ $bash_cases
 complete -F _suspnet suspnet
 """)
 ZSH_SCRIPT = Template("""\
-(( $$+functions[compdef] )) || { autoload -U compinit && compinit -u; }
+(( $$+functions[compdef] )) || { autoload -U compinit && compinit -i; }
 _suspnet() {
   local -a known
   if (( CURRENT == 2 )); then

@@ -52,6 +52,8 @@ WORDS: Mapping[str, Mapping[str, tuple[str, ...]]] = {
     },
 }
 """Words for each value of the keys with a choice."""
+NUMBERS = ("mileage_km", "temperature_c", "wheel_diameter_m")
+"""Keys whose values are numbers."""
 LONGEST = 200
 """Number of characters above which a line is not read."""
 _LINE = re.compile(r"[\W_]*(?P<name>[^:=;\t,]{2,40}?)[\"'\s]*[:=;\t,]+(?P<rest>.+)")
@@ -126,7 +128,7 @@ def read_value(key: str, name: str, text: str) -> tuple[str, str | float] | None
     if key == "speed":
         match = _SPEED.match(text)
         return None if match is None else (key, f"{match[1].replace(',', '.')} {match[2]}")
-    if key in ("mileage_km", "temperature_c", "wheel_diameter_m"):
+    if key in NUMBERS:
         number = _number(text, _plain(name) in GERMAN)
         if number is not None and key == "wheel_diameter_m" and number > 10:  # in mm
             number /= 1000

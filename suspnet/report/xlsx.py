@@ -138,13 +138,12 @@ def _typed(column: str, value: Any) -> Any:
 
 def _time(text: str) -> Any:
     try:
-        if re.fullmatch(r"\d{4}-\d\d-\d\d", text):
-            return date.fromisoformat(text)
-        found = datetime.fromisoformat(text)
-    except ValueError:
+        is_day = re.fullmatch(r"\d{4}-\d\d-\d\d", text)
+        found = date.fromisoformat(text) if is_day else datetime.fromisoformat(text)
+        if isinstance(found, datetime) and found.tzinfo is not None:
+            found = found.astimezone(UTC).replace(tzinfo=None)
+    except (OverflowError, ValueError):
         return _text(text)
-    if found.tzinfo is not None:
-        found = found.astimezone(UTC).replace(tzinfo=None)
     return found if found.year >= 1900 else _text(text)
 
 

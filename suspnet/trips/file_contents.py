@@ -14,7 +14,7 @@ from suspnet.recordings.clocks import Times, Zero, header_date
 from suspnet.recordings.columns import Column, OpenFile, size_of, unit_in_name
 from suspnet.recordings.errors import TripError
 from suspnet.recordings.formats import open_file, read_columns
-from suspnet.recordings.logger_notes import choice_of
+from suspnet.recordings.logger_notes import WORDS, choice_of
 from suspnet.recordings.manifest import BOGIES, SIDES, TIME_UNITS, Source
 
 ACCELERATION, SPEED = "acceleration", "speed"
@@ -31,7 +31,6 @@ _WORDS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
 }
 """For each meaning, parts of words and whole words that have it. The first match counts: an axle
 box is also on a bogie, and a bogie also belongs to a car."""
-_SIDES = {"left": ("left", "links", "li", "l"), "right": ("right", "rechts", "re", "r")}
 _BOGIE_NUMBER = re.compile(r"(?:bogie|drehgestell|dg)[\s_.-]*([12])(?!\d)")
 _TIMES = ("t", "datetime", "datum", "uhrzeit", "seconds", "sec", "utc")
 _TIME_BEGINS = ("time", "zeit")
@@ -66,7 +65,7 @@ def names_times(name: str) -> bool:
 def guessed_side(*names: str) -> str:
     """Return "left" or "right" by the first name that states a side; empty if none does."""
     for words in map(words_of, names):
-        found = [one for one in SIDES if set(words) & set(_SIDES[one])]
+        found = [one for one in SIDES if set(words) & set(WORDS["side"][one])]
         if len(found) == 1:
             return found[0]
     return ""

@@ -22,7 +22,14 @@ from suspnet.ground.parameters import DIRECTIONS
 from suspnet.ground.storage import read_plain
 from suspnet.recordings.clocks import first_moment
 from suspnet.recordings.errors import TripError, all_of
-from suspnet.recordings.logger_notes import GERMAN, Stated, key_of, read_value, stated_in
+from suspnet.recordings.logger_notes import (
+    GERMAN,
+    NUMBERS,
+    Stated,
+    key_of,
+    read_value,
+    stated_in,
+)
 from suspnet.recordings.manifest import BOGIES, CHANNELS, MIDDLE, SIDES
 from suspnet.trips.file_contents import (
     SPEED,
@@ -42,7 +49,6 @@ CHOICES: Mapping[str, tuple[str, ...]] = {
     "side": (*SIDES, MIDDLE),
     "direction": DIRECTIONS,
 }
-NUMBERS = ("mileage_km", "temperature_c", "wheel_diameter_m")
 SIGNAL_KEYS = ("unit", "rate_hz", "speed_unit", "speed_rate_hz")
 """Keys that hold for all accelerometers, or for the speed, of all trips."""
 SAYABLE = (*PLACE_LINES, SPEED, *(f"channels.{name}" for name in CHANNELS), *SIGNAL_KEYS)
@@ -111,7 +117,11 @@ def read_table(path: Path) -> dict[str, dict[str, Stated]]:
         text = data.decode("latin-1")
     head = text.partition("\n")[0]
     delimiter = max(";\t,", key=head.count)
-    rows = [row for row in csv.reader(io.StringIO(text), delimiter=delimiter) if any(row)]
+    try:
+        lines = csv.reader(io.StringIO(text, newline=""), delimiter=delimiter)
+        rows = [row for row in lines if any(row)]
+    except csv.Error as error:
+        raise ValueError(f"{path} cannot be read as a table: {error}") from None
     names = [name.strip() for name in rows[0]] if rows else []
     files = [i for i, name in enumerate(names) if name.lower() in FILE_NAMES]
     if not files:
@@ -143,8 +153,13 @@ def table_of(trips: Sequence[Trip], folder: Path) -> str:
     rows.writerow(["file", *keys])
     for trip in trips:
         known = [trip.known[key].value if key in trip.known else "" for key in keys]
-        rows.writerow([trip.files[0].relative_to(folder).as_posix(), *known])
+        rows.writerow([_cell(trip.files[0].relative_to(folder).as_posix()), *known])
     return out.getvalue()
+
+
+def _cell(name: str) -> str:
+    """Return the name of a file as a cell that a spreadsheet does not take for a formula."""
+    return f"./{name}" if name.startswith(("=", "+", "-", "@")) else name
 
 
 def folder_manifests(
@@ -197,7 +212,8 @@ def _row(
     """Return the names in a table that mean a trip, and what their rows state."""
     names = {one.path.stem}
     for file in one.files:
-        names |= {file.name, file.stem, file.relative_to(folder).as_posix()}
+        path = file.relative_to(folder).as_posix()
+        names |= {file.name, file.stem, path, _cell(path)}
     named = names & set(table)
     return named, {key: value for name in sorted(named) for key, value in table[name].items()}
 
@@ -324,9 +340,7 @@ def _with_said(one: Signal, said: Mapping[str, str], chosen: Mapping[str, Sequen
 
 def _plain_value(key: str, text: str) -> str | float:
     """Return what was said as a number where the key has one; ValueError if it is none."""
-    is_number = key in ("mileage_km", "temperature_c", "wheel_diameter_m") or key.endswith(
-        "rate_hz"
-    )
+    is_number = key in NUMBERS or key.endswith("rate_hz")
     try:
         return float(text) if is_number or key == SPEED else text
     except ValueError:

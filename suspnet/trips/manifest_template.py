@@ -83,7 +83,7 @@ def template(
         by_meaning.setdefault(one.meaning, []).append(one)
     for what, names in chosen.items():
         by_meaning[what] = [one for one in signals if one.name in names]
-    lines = [HEAD + path.name, *(f"# {_on_one_line(words)}" for words in read_as)]
+    lines = [HEAD + _on_one_line(path.name), *(f"# {_on_one_line(words)}" for words in read_as)]
     lines.append(f"format: {FORMAT}")
     for key, line in PLACE_LINES.items():
         if key == "side" and key not in known:

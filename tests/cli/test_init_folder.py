@@ -114,6 +114,16 @@ def test_missing_mileages_are_asked_for_in_a_table(tmp_path):
     assert [read_manifest(tmp_path / f"run_{i}.yaml").mileage_km for i in (1, 2)] == [1000.5] * 2
 
 
+def test_no_name_of_a_file_is_a_formula_in_a_table(tmp_path):
+    write_plain(tmp_path / "=1+1.parquet")
+    table = tmp_path / "km.csv"
+    assert asked(tmp_path, *SAID, "--table", table) == {"mileage_km"}
+    head, line = table.read_text().splitlines()
+    assert line.startswith("./=1+1.parquet;")
+    table.write_text(f"{head}\n{line.replace(';', ';7', 1)}\n")
+    written(tmp_path, *SAID, "--table", table)
+
+
 def test_time_of_the_file_is_the_last_resort_and_said(tmp_path):
     write_plain(tmp_path / "run.parquet")
     os.utime(tmp_path / "run.parquet", (1.4386e9, 1.4386e9))
@@ -230,6 +240,7 @@ def test_manifests_that_exist_are_left_and_new_trips_added(tmp_path):
         ([], "file;mileage_km\nrun_9;7\n", "the table names run_9, which"),
         ([], "file;mileage_km\nrun_1;7\nrun_1;7\n", "row 3: it names 'run_1' a second time"),
         ([], "file;mileage_km\nrun_1;much\n", "row 2: 'mileage_km' cannot be read, got 'much'"),
+        ([], f"file;mileage_km\nrun_1;{'7' * 140_000}\n", "km.csv cannot be read as a table"),
         (["-o", "x.yaml"], "", "--output is for the manifest of one trip"),
     ],
 )

@@ -56,6 +56,13 @@ def test_texts_are_never_formulas_nor_links(tmp_path, text):
     assert cell.value.endswith(text.strip())
 
 
+@pytest.mark.parametrize(
+    "text", ["1850-01-01", "0001-01-01T00:00:00+14:00", "9999-12-31T23:00:00-14:00"]
+)
+def test_times_that_a_spreadsheet_cannot_hold_are_texts(tmp_path, text):
+    assert sheet_of(tmp_path, [{"trip": "1", "start": text}])["B2"].value == text
+
+
 def test_control_characters_are_escaped(tmp_path):
     assert sheet_of(tmp_path, [{"trip": "a\x07b"}])["A2"].value == "a\\x07b"
 
