@@ -36,6 +36,7 @@ Stiffness and damping of train suspensions from three vertical accelerometers.
   {COMPLETION:12}print the completion of a shell: suspnet {COMPLETION} {"|".join(SHELLS)}
 
   suspnet PROGRAM --help    options and settings of a program
+  suspnet PROGRAM --plugin FILE ...    first run a Python file of yours, which registers methods
   suspnet --version
 
   suspnet init trips/car7 vehicle=am96 suspension="car 7"

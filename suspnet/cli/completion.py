@@ -19,7 +19,7 @@ from suspnet.cli.config_files import CONFIGS, TABLES
 from suspnet.cli.options import PARSERS
 from suspnet.trips.folder_manifests import SAYABLE
 
-HYDRA_OPTIONS = ("--help", "--cfg", "--config-dir", "--multirun")
+HYDRA_OPTIONS = ("--help", "--cfg", "--config-dir", "--multirun", "--plugin")
 """Options of the programs with a configuration that are worth a completion."""
 BASH_SCRIPT = Template("""\
 _suspnet() {

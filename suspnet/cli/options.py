@@ -29,11 +29,15 @@ exit code: 0 if every trip could be read, 1 if there is any problem.
   suspnet check trip_001.yaml trip_002.yaml --no-pictures
   suspnet check trips/car7 --run outputs/trips/RUN       are these trips read by that model?"""
 INIT_DESCRIPTION = """\
-Write a manifest of one trip from its data files: their columns, with the rates and units that the
-files say. Which column is which channel is guessed from names (axle box, bogie frame, body, left,
-right, speed; in English or German) and marked as a guess; where names are ambiguous, the
-columns are listed as comments to choose from. Unknown values are marked FILL_IN."""
+Write the manifests of all trips of a folder, or of one trip, from data files: their columns, with
+the rates and units that the files state. Which column is which channel is guessed from names (axle
+box, bogie frame, body, left, right, speed; in English or German) and marked as a guess. What is
+missing for a folder is one list, and nothing is written; in the manifest of one trip it is marked
+FILL_IN. With --vehicle, write the file of a vehicle."""
 INIT_EPILOG = """\
+  suspnet init trips/car7                       what is missing for the manifests of all trips?
+  suspnet init trips/car7 vehicle=am96 suspension="car 7" --table km.csv
+  suspnet init --vehicle mine vehicles          what numbers does the file of a vehicle need?
   suspnet init trip_7/*.csv -o trip_7.yaml      then fill in what is marked, and
   suspnet check trip_7.yaml"""
 HISTORY_DESCRIPTION = """\
@@ -104,6 +108,12 @@ def check_parser() -> ArgumentParser:
         metavar="DIR",
         help="folder of a training whose models must read the trips, as of evaluate.py; may be "
         "given several times [path; none if not given]",
+    )
+    found.add_argument(  # taken off before: it is here for --help and for completion
+        "--plugin",
+        action="append",
+        metavar="FILE",
+        help="Python file of yours that is run first and registers the methods of --run [path]",
     )
     return found
 

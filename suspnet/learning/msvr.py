@@ -22,9 +22,7 @@ from suspnet.ground.tensors import check_device
 from suspnet.ground.types import FloatArray, IntArray
 from suspnet.learning import ranks
 from suspnet.learning.design import CACHE_BYTES, DenseDesign, Design, Direction
-from suspnet.learning.feature_maps import (
-    FeatureMap,
-)
+from suspnet.learning.feature_maps import FeatureMap
 from suspnet.learning.irwls import IRWLS, Iteration, Solution, Status
 from suspnet.learning.map_kinds import MAPS
 
@@ -45,7 +43,8 @@ class MSVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mis
 
     by IRWLS in the primal. phi approximates the RBF kernel ``exp(-|x - z|^2 / sigma^2)``, i.e.
     scikit-learn's gamma = 1 / sigma^2. Scale inputs and outputs first, e.g. with
-    `suspnet.learning.Scaling`.
+    `suspnet.learning.Scaling`. All samples count alike: `fit` takes no ``sample_weight``; a sample
+    that is to count k times is given k times.
 
     Parameters
     ----------

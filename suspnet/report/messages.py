@@ -55,5 +55,5 @@ def _line(alarm: Mapping[str, Any]) -> str:
         since = f"{kilometres(alarm['begin_km'])} to {kilometres(alarm['end_km'])}"
     by = f"; acknowledged by {alarm['acknowledged_by']}" if alarm["acknowledged_by"] else ""
     where = f"{alarm['vehicle']}: {alarm['place']}: {alarm['parameter']} ({alarm['cause']})"
-    reason = " ".join(alarm["reason"].split())
-    return f"- {alarm['severity']}: {where}, {since}: {reason}{by}"
+    line = f"- {alarm['severity']}: {where}, {since}: {alarm['reason']}{by}"
+    return " ".join(line.split())  # names and reasons are others' texts: none starts a line

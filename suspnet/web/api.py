@@ -177,7 +177,7 @@ def acknowledge(given: models.AcknowledgementRequest, id: str) -> tuple[dict[str
     ]
     if not same:
         abort(409, f"No alarm of {given.parameter} with the cause {given.cause} is active.")
-    seen = next(one for one in Severity if str(one) == given.severity)
+    seen = Severity[given.severity.upper()]
     if same[0].severity > seen:
         abort(409, f"This alarm is {same[0].severity!s} by now, not {given.severity}.")
     (stored,) = pages.store_acknowledgement(state, same[:1], given.by.strip(), given.words.strip())

@@ -16,7 +16,6 @@ HIGHEST_OFFSET = 10**9
 SeverityName = Literal["act", "notice", "unknown", "none"]
 ID = r"^[0-9a-f]{12}$"
 """Pattern of the name of a suspension in addresses."""
-Line = Annotated[str, StringConstraints(strip_whitespace=True, max_length=80)]
 
 
 def _number(value: Any) -> Any:
