@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from argparse import Namespace
 from collections.abc import Sequence
 from functools import partial
@@ -46,7 +47,7 @@ def _one_trip(files: Sequence[Path], arguments: Namespace) -> int:
     path = arguments.output or files[0].with_suffix(".yaml")
     if path.suffix != ".yaml":
         raise ValueError(f"the name of a manifest must end with .yaml, got {path}")
-    if path.exists() and not arguments.force:
+    if os.path.lexists(path) and not arguments.force:
         raise ValueError(f"{path} exists; --force replaces it, --output writes another")
     seen = all_of(partial(look_into, file) for file in files)
     signals = [one for found, _ in seen for one in found]
@@ -69,7 +70,7 @@ def _folder(folder: Path, said: Sequence[str], arguments: Namespace) -> int:
     found = find_trip_files(folder, [table] if table else [])
     rows = folders.read_table(table) if table and table.exists() else {}
     trips = folders.folder_manifests(found, folder, folders.read_said(said), rows)
-    new = [trip for trip in trips if arguments.force or not trip.path.exists()]
+    new = [trip for trip in trips if arguments.force or not os.path.lexists(trip.path)]
     missing = list(dict.fromkeys(key for trip in new for key in trip.missing))
     if missing:
         print(f"{count(len(new), 'trip')} in {folder}; nothing is written yet; these are missing:")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -98,7 +99,7 @@ def write_vehicle(name: str, paths: Sequence[Path], said: Sequence[str], force: 
     if len(paths) > 1:
         raise ValueError(f"give one folder of vehicles, not {len(paths)}")
     path = (paths[0] if paths else FOLDER) / "vehicle" / f"{name}.yaml"
-    if path.exists() and not force:
+    if os.path.lexists(path) and not force:
         raise ValueError(f"{path} exists; --force replaces it")
     form = entries()
     values = _read(said, form)

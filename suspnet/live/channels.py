@@ -36,6 +36,10 @@ class DeliveryError(Exception):
     """A server did not accept a message."""
 
 
+class AddressError(DeliveryError):
+    """A server did not accept one address; it may accept others."""
+
+
 class Channel(Protocol):
     """Interface of a channel."""
 
@@ -85,12 +89,13 @@ class Webhook:
             "webhook-signature": f"v1,{mac}",
         }
         # the content of the answer is not read: it may be of any size, or never end
-        options = {"redirect": False, "retries": False, "preload_content": False}
-        options |= {"timeout": TIMEOUT_S}
+        options: dict[str, Any] = {"redirect": False, "retries": False, "preload_content": False}
         where = urlsplit(self.url).hostname
         try:
             with urllib3.PoolManager() as pool:
-                answer = pool.request("POST", self.url, body=body, headers=headers, **options)
+                answer = pool.request(
+                    "POST", self.url, body=body, headers=headers, timeout=TIMEOUT_S, **options
+                )
                 status = answer.status
                 answer.close()
         except (urllib3.exceptions.HTTPError, OSError) as error:
@@ -169,7 +174,7 @@ class Email:
                 server.send_message(mail)
                 is_accepted = True
         except smtplib.SMTPRecipientsRefused:
-            raise DeliveryError(f"{self.host}: the address is refused") from None
+            raise AddressError(f"{self.host}: the address is refused") from None
         except (OSError, ValueError) as error:
             if is_accepted:  # only the end of the connection failed: not to be sent again
                 return

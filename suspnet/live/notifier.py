@@ -10,7 +10,7 @@ from datetime import UTC, datetime
 
 from suspnet.history import History, HistoryError
 from suspnet.history.outbox import MOST_ATTEMPTS, Message, Outbox
-from suspnet.live.channels import DeliveryError
+from suspnet.live.channels import AddressError, DeliveryError
 from suspnet.live.notification_rules import Rules
 
 log = logging.getLogger(__name__)
@@ -50,10 +50,10 @@ class Notifier:
         usable = set(self._rules.channels)
         n_sent = n_failed = 0
         while (message := self._outbox.claim(self._clock(), usable)) is not None:
-            if self._send(message):
-                n_sent += 1
-            else:
-                n_failed += 1
+            error = self._send(message)
+            n_sent += error is None
+            n_failed += error is not None
+            if error is not None and not isinstance(error, AddressError):
                 # the other messages of the channel wait for the next look
                 usable.discard(message.channel)
             if self._end.is_set():
@@ -91,8 +91,8 @@ class Notifier:
         if n:
             log.info("%d messages about alarms are queued", n)
 
-    def _send(self, message: Message) -> bool:
-        """Send a message and store the outcome; return whether it was accepted."""
+    def _send(self, message: Message) -> Exception | None:
+        """Send a message and store the outcome; return why it was not accepted, or None."""
         try:
             self._rules.channels[message.channel].send(message)
         except (DeliveryError, OSError, ValueError) as error:  # a secret may be gone by now
@@ -100,7 +100,7 @@ class Notifier:
             how = "given up" if n >= MOST_ATTEMPTS else "it is tried again"
             log.warning("a message to %s failed, %s: %s", message.recipient, how, error)
             self._outbox.mark_failed(message, str(error), self._clock())
-            return False
+            return error
         while True:  # ends: when the store is available, or the notifier is to end
             try:
                 self._outbox.mark_sent(message, self._clock())
@@ -110,4 +110,4 @@ class Notifier:
                 if self._end.wait(WAIT_S):
                     raise
         log.info("sent to %s by %s: %s", message.recipient, message.channel, message.id)
-        return True
+        return None

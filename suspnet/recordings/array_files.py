@@ -56,7 +56,7 @@ def open_hdf5(path: Path, _: CsvDialect | None = None) -> Iterator[OpenFile]:
         def collect(name: str, item: Any) -> None:  # h5py calls it for hard links only
             if not isinstance(item, h5py.Dataset):
                 return
-            if why := _foreign(item):  # first, as reading the shape may open other files
+            if why := foreign(item):  # first, as reading the shape may open other files
                 refused[name] = why
                 return
             if item.dtype.kind in "iuf" and item.size > 1 and len(item.shape) <= 2:
@@ -77,7 +77,7 @@ def open_hdf5(path: Path, _: CsvDialect | None = None) -> Iterator[OpenFile]:
             yield _refusing(path, found, refused)
 
 
-def _foreign(dataset: Any) -> str:
+def foreign(dataset: Any) -> str:
     """Return which other files, plug-in or excess of memory a data set needs; "" if none."""
     if dataset.is_virtual:
         return "is virtual, which takes samples from other files"

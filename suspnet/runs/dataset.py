@@ -204,8 +204,18 @@ def _hdf5(data: DataSet) -> bytes:
 
 
 def _read_hdf5(path: Path) -> dict[str, Any]:
-    with _h5py().File(path, "r") as file:
-        found = {one.name: file[one.name][()] for one in fields(DataSet)[:-1]}
+    from suspnet.recordings.array_files import foreign
+
+    h5py = _h5py()
+    found: dict[str, Any] = {}
+    with h5py.File(path, "r") as file:
+        for name in (one.name for one in fields(DataSet)[:-1]):
+            # links and data sets may lead to any other file of the reader's
+            if name in file and not isinstance(file.get(name, getlink=True), h5py.HardLink):
+                raise ValueError(f"{name} is a link")
+            if words := foreign(file[name]):
+                raise ValueError(f"{name} {words}")
+            found[name] = file[name][()]
         return found | {ABOUT: file.attrs[ABOUT]}
 
 

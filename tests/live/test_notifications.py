@@ -34,7 +34,7 @@ from suspnet.history import History, outbox
 from suspnet.history.outbox import LEASE_S
 from suspnet.live import notifier as notifier_module
 from suspnet.live.broker import Broker
-from suspnet.live.channels import DeliveryError, Email, MqttChannel, Webhook
+from suspnet.live.channels import AddressError, DeliveryError, Email, MqttChannel, Webhook
 from suspnet.live.notification_rules import read_rules
 from suspnet.live.notifier import Notifier
 
@@ -60,7 +60,7 @@ class Recorder:
     """A channel that keeps what it gets, and fails as often as it is asked to."""
 
     def __init__(self):
-        self.got, self.n_failures = [], 0
+        self.got, self.n_failures, self.error = [], 0, DeliveryError("the server is down")
 
     def check(self, addresses):
         pass
@@ -68,7 +68,7 @@ class Recorder:
     def send(self, message):
         if self.n_failures:
             self.n_failures -= 1
-            raise DeliveryError("the server is down")
+            raise self.error
         self.got.append(message)
 
 
@@ -164,6 +164,18 @@ def test_a_failed_message_is_tried_again_later_and_given_up_in_the_end(told, cap
     notifier.once()
     assert store.outbox().unsent() == []
     assert len({one.id for one in got}) == len(got)
+
+
+@pytest.mark.parametrize(
+    ("error", "n_sent"), [(AddressError("who?"), 1), (DeliveryError("the server is down"), 0)]
+)
+def test_an_address_that_is_refused_holds_up_no_other(told, error, n_sent):
+    _, notifier, clock, _ = told
+    clock.now += timedelta(hours=4)  # the digest is due too
+    channel = notifier._rules.channels["hook"]
+    channel.n_failures, channel.error = 1, error
+    assert notifier.once() == (n_sent, 1)
+    assert notifier.once() == (1 - n_sent, 0)
 
 
 def test_a_claimed_message_belongs_to_one_program_until_its_lease_is_over(told):

@@ -129,6 +129,25 @@ def test_pickle_in_a_file_is_not_read(tmp_path):
         read_dataset(tmp_path / "evil.npz")
 
 
+@pytest.mark.parametrize("how", ["link", "virtual"])
+def test_a_file_that_leads_to_others_is_refused(few, how, tmp_path):
+    h5py = pytest.importorskip("h5py")
+    path, other = tmp_path / "set.h5", tmp_path / "other.h5"
+    write_dataset(few, path)
+    write_dataset(few, other)
+    with h5py.File(path, "a") as file:
+        shape = file["X"].shape
+        del file["X"]
+        if how == "link":
+            file["X"] = h5py.ExternalLink(str(other), "X")
+        else:
+            layout = h5py.VirtualLayout(shape, float)
+            layout[:] = h5py.VirtualSource(str(other), "X", shape)
+            file.create_virtual_dataset("X", layout)
+    with pytest.raises(ValueError, match=f"X is .*{how}"):
+        read_dataset(path)
+
+
 def test_missing_h5py_says_what_to_install(few, tmp_path, monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "h5py", None)
     with pytest.raises(ModuleNotFoundError, match=r"suspnet\[hdf5\]"):
