@@ -212,7 +212,7 @@ def history_parser() -> ArgumentParser:
 def _add_operation(does: Any) -> None:
     notify = does.add_parser("notify", help="send new alarms and digests to people and systems")
     notify.add_argument(
-        "rules", type=Path, metavar="FILE", help="who is told what [path of a YAML file]"
+        "rules", type=Path, metavar="FILE", help="recipients and channels [path of a YAML file]"
     )
     notify.add_argument(
         "--follow", action="store_true", help="go on until Ctrl-C instead of once [switch]"

@@ -1,10 +1,11 @@
 """Messages about alarms, queued in the store before they are sent: an outbox.
 
-What is new to a recipient follows from the stored alarms and from the table `told`, so no program
-that raises alarms has to be running when they are sent, and none can lose one. `look` queues
-messages and notes their alarms in one transaction. A message is claimed for ``LEASE_S`` while it is
-sent and marked once the server has accepted it: it is sent at least once. It is sent again only if
-the program ends between acceptance and mark; it then has the same id.
+What is new to a recipient follows from the stored alarms and from the table `told`, which holds
+what was reported to each. So no program that raises alarms has to be running when they are sent,
+and none can lose one. `look` queues messages and notes their alarms in one transaction. A message
+is claimed for ``LEASE_S`` while it is sent and marked once the server has accepted it: it is sent
+at least once. It is sent again only if the program ends between acceptance and mark, or the answer
+is lost; it then has the same id.
 """
 
 from __future__ import annotations
@@ -46,7 +47,7 @@ START = "start"
 
 @dataclass(frozen=True)
 class Recipient:
-    """Who is told what.
+    """A recipient, and which alarms are reported to it.
 
     `targets` are pairs of channel and address. Open alarms of a severity `at_once` are sent at the
     next look; the digest of a day, from the local time `digest` on (None: no digest), lists those
@@ -88,7 +89,7 @@ class _Told:
     is_open: bool
 
     def state(self, alarm: Alarm) -> str:
-        """Return what an alarm is to somebody who was told so much: new, worse, known or old."""
+        """Return what an alarm is to the recipient: new, worse, known, cleared or old."""
         if alarm.begin_km > self.at_km:
             return "new"
         if alarm.end_km < self.at_km:
@@ -209,7 +210,7 @@ class _Fleet:
 
 
 Of = tuple[int, str, str]
-"""Suspension, parameter and cause: what a recipient is told of once."""
+"""Suspension, parameter and cause of the alarms of which the last reported one is noted."""
 
 
 def _queue(
@@ -246,7 +247,7 @@ def _queue(
 def _chosen(
     connection: Connection, one: Recipient, fleet: _Fleet, is_first: bool, is_due: bool
 ) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
-    """Return the alarms to send at once and those of a digest, and note them as told."""
+    """Return the alarms to send at once and those of a digest, and note them as reported."""
     known = _known(connection, one.name)
     urgent: list[dict[str, Any]] = []
     listed: list[dict[str, Any]] = []
@@ -270,7 +271,7 @@ def _chosen(
             # a known alarm is noted up to the newest trip: a late trip may move its start
             if is_urgent or is_listed or is_past or (state == "known" and alarm.is_open):
                 severity = int(alarm.severity)
-                if state == "known" and before:  # one that was told as act stays told as act
+                if state == "known" and before:  # once reported as act, always
                     severity = max(severity, before.severity)
                 notes[of] = _Told(severity, fleet.up_to_km(key, alarm), alarm.is_open)
     changed = {of: note for of, note in notes.items() if known.get(of) != note}

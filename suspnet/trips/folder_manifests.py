@@ -39,7 +39,7 @@ from suspnet.trips.file_contents import (
     guessed_bogie,
     words_of,
 )
-from suspnet.trips.manifest_template import PLACE_LINES, Template, template
+from suspnet.trips.manifest_template import BY_COMMAND_LINE, PLACE_LINES, Template, template
 from suspnet.trips.trip_files import TripFiles
 
 FILE_NAMES = ("file", "datei", "dateiname", "filename", "trip", "fahrt")
@@ -192,7 +192,7 @@ def folder_manifests(
                 known["start"] = Stated(_file_time(one).isoformat(), BY_FILE_TIME)
             known |= bogie
             known |= {
-                key: Stated(_plain_value(key, value), "as said")
+                key: Stated(_plain_value(key, value), BY_COMMAND_LINE)
                 for key, value in said.items()
                 if key in PLACE_LINES
             }
@@ -296,7 +296,7 @@ def _trip(
             chosen[SPEED] = (said[SPEED],)
             known.pop(SPEED, None)
         else:
-            known[SPEED] = Stated(_plain_value(SPEED, said[SPEED]), "as said")
+            known[SPEED] = Stated(_plain_value(SPEED, said[SPEED]), BY_COMMAND_LINE)
     own = tuple(_with_said(one, said, chosen) for one in signals if not _is_of_the_trip(one))
     speeds = [one for one in own if one.meaning == SPEED]
     if len(speeds) > 1 and SPEED not in said:  # a receiver's is that of the train

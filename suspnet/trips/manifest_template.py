@@ -24,6 +24,8 @@ from suspnet.trips.file_contents import ACCELERATION, SPEED, Signal, is_of_anoth
 
 BLANK = "FILL_IN"
 """Placeholder of a missing value; suspnet check names each remaining one."""
+BY_COMMAND_LINE = "by the command line"
+"""Source of a value that KEY=VALUE of the command line states."""
 LISTED = 60
 """Largest number of columns that are offered for one channel."""
 GRAVITY = {"g": 1.0, "m/s2": 9.80665}
@@ -179,7 +181,7 @@ class _Writer:
     def _how(self, what: str, key: str) -> str:
         """Return how columns were found: said, or guessed, which is noted."""
         if what in self.chosen:
-            return "as said"
+            return BY_COMMAND_LINE
         self.guesses.append(key)
         return "guess by the name"
 

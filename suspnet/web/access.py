@@ -1,4 +1,4 @@
-"""Who asks: a name from a trusted reverse proxy, or the token of a program, and what each may."""
+"""Access: visitors that a trusted reverse proxy names, programs with a token, and their rights."""
 
 from __future__ import annotations
 
@@ -106,21 +106,21 @@ class Access:
         return bool(self.token) and hmac.compare_digest(wanted, shown)
 
 
-def of_page() -> None:
-    """Find out who asks for a page; abort with 403 if a login is configured and there is none."""
+def identify_visitor() -> None:
+    """Identify who asks for a page; abort with 403 if a login is configured and there is none."""
     access = current_app.extensions[ACCESS]
     g.visitor = _named(access) if access.user_header else Visitor()
 
 
-def of_program() -> None:
-    """Find out who asks the API: abort with 401 for a wrong token, with 403 without a login.
+def identify_program() -> None:
+    """Identify who asks the API: abort with 401 for a wrong token, with 403 without a login.
 
     Other credentials than a token, such as those that a visitor shows to the proxy, say nothing.
     """
     access = current_app.extensions[ACCESS]
     scheme, _, token = request.headers.get("Authorization", "").partition(" ")
     if scheme.lower() != "bearer":
-        of_page()
+        identify_visitor()
         return
     if not access.is_token(token.strip()):
         raise Unauthorized("This token is not accepted: send Authorization: Bearer TOKEN.")

@@ -21,13 +21,13 @@ from suspnet.report.tables import FleetView
 from suspnet.report.work_order import all_work_orders, known, work_orders
 from suspnet.web import api_models as models
 from suspnet.web import pages
-from suspnet.web.access import of_program, visitor
+from suspnet.web.access import identify_program, visitor
 from suspnet.web.api_description import Route, description
 from suspnet.web.page_values import Choice
 
 ROOT = "/api/v1"
 api = Blueprint("api", __name__, url_prefix=ROOT)
-api.before_request(of_program)
+api.before_request(identify_program)
 ROUTES: list[Route] = []
 """What the API answers, in the order of its description."""
 Query = TypeVar("Query", bound=BaseModel)

@@ -1,4 +1,4 @@
-"""What the API takes and gives, as types of which its description is made."""
+"""Types of the API's requests and answers, of which its description is made."""
 
 from __future__ import annotations
 

@@ -42,7 +42,7 @@ from suspnet.report.templates import MARKS, render
 from suspnet.report.trend import trend_of_state
 from suspnet.report.work_order import work_orders
 from suspnet.web import page_values
-from suspnet.web.access import ACCESS, MOST_NAME, Access, of_page, visitor
+from suspnet.web.access import ACCESS, MOST_NAME, Access, identify_visitor, visitor
 from suspnet.web.figures import response_figure, trend_figure
 from suspnet.web.page_values import Choice
 
@@ -57,7 +57,7 @@ WITH_PLOTS = "suspnet.plots"
 HAS_PDF = find_spec("weasyprint") is not None
 
 pages = Blueprint("pages", __name__)
-pages.before_request(of_page)
+pages.before_request(identify_visitor)
 _drawing = threading.Lock()
 
 
