@@ -16,7 +16,7 @@ from tabulate import tabulate
 from suspnet.ground import ledger
 from suspnet.ground.parameters import Cause
 from suspnet.ground.records import PLACE, Place, TripResult, outputs_of
-from suspnet.ground.storage import write_table
+from suspnet.ground.storage import printable, write_table
 from suspnet.ground.wording import thousands
 from suspnet.history import History, HistoryError
 from suspnet.history.backup import back_up, restore
@@ -43,7 +43,8 @@ def history(arguments: Namespace) -> None:
         return
     check_exists(arguments.store)
     with History(arguments.store) as store:
-        print(COMMANDS[arguments.does](store, arguments))
+        # printable: whoever acknowledges writes what is printed here
+        print(printable(COMMANDS[arguments.does](store, arguments)))
 
 
 def _listed(store: History, _: Namespace) -> str:

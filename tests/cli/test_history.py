@@ -55,6 +55,14 @@ def alarmed(path):
     return path
 
 
+def test_no_text_of_others_controls_the_terminal(alarmed, capsys):
+    run(alarmed, "acknowledge", *WHERE, "--parameter", "k_p", "--by", "Eve\x1b[2J")
+    run(alarmed, "alarms")
+    said = capsys.readouterr().out
+    assert "\x1b" not in said
+    assert "Eve\\x1b[2J" in said
+
+
 def test_alarms_are_listed_worst_first_with_who_has_seen_them(alarmed, capsys):
     seen = ("acknowledge", *WHERE, "--parameter", "k_p", "--by", "Kim", "--words", "ordered")
     run(alarmed, *seen, "--cause", "change")

@@ -110,7 +110,8 @@ def test_programs_explain_their_keys(module):
     assert done.returncode == 0
     assert "device=cpu                        Device of torch" in done.stdout
     assert done.stdout.startswith("suspnet: ")
-    assert 'eval "$(python' in done.stdout
+    assert "--plugin FILE runs a Python file of yours first" in done.stdout
+    assert "source <(suspnet completion bash)" in done.stdout
     assert max(map(len, done.stdout.splitlines())) <= COLUMNS
 
 
