@@ -29,7 +29,8 @@ from vehicles import AM96
 
 from suspnet.dynamics import SpatialVehicle
 from suspnet.dynamics.track import acceleration_density, track_spectrum
-from suspnet.estimation.bogie_fit import BogieTrip, commission_bogie
+from suspnet.estimation.bogie_fit import commission_bogie
+from suspnet.estimation.bogie_search import BogieTrip
 from suspnet.estimation.bogie_trips import HIGH_HZ, LOW_HZ, SEGMENT_S, SPACING_HZ
 from suspnet.estimation.layouts import _noise
 from suspnet.estimation.parts_regression import N_FEATURES, N_TRAIN, default_msvr, train_parts
