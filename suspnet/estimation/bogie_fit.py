@@ -9,11 +9,10 @@ under the posterior of the healthy trips. Both minimise the sum of squares of ::
 
 with F F^T the covariance of log z. The noise of each trip and what excites each wheelset alone are
 those that its spectra show with the vehicle as found so far (`suspnet.spectra.noise_subspace`).
-Starting from the healthy vehicle, model errors of 30 % of each signal are allowed first, in bands
-that widen, then less and less: the direct search ends in another valley. A part's interval is that
-of the posterior at the minimum, times ``COMMON``: what healthy trips leave open is one draw for all
-later ones. The information J^T J of n residuals is divided by that of the misfit mu, the rms
-residual over that of the noise::
+`suspnet.estimation.bogie_search` finds the minimum. A part's interval is that of the posterior
+there, times ``COMMON``: what healthy trips leave open is one draw for all later ones. The
+information J^T J of n residuals is divided by that of the misfit mu, the rms residual over that of
+the noise::
 
     max(1, mu)^2 + ALIGNED^2 n max(0, mu^2 - EXPLAINED^2)
 
@@ -23,70 +22,30 @@ like a change of a part.
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 import torch
-from scipy.optimize import least_squares
 from scipy.stats import norm
 from torch import Tensor
 
 from suspnet.dynamics import SpatialVehicle
-from suspnet.dynamics.quantities import MASS_DEVIATION, MASS_MEAN, LogNormal
+from suspnet.dynamics.quantities import LogNormal
+from suspnet.estimation.bogie_search import N_OWN, BogieSearch, BogieTrip, smallest_noise
 from suspnet.estimation.estimate import Estimate, Flags, HealthyValues
 from suspnet.estimation.intervals import COMMON
 from suspnet.estimation.trip_settings import LEAST_TRIPS
-from suspnet.ground.parameters import COMPONENTS, FORWARD, Direction
+from suspnet.ground.parameters import COMPONENTS
 from suspnet.ground.types import FloatArray
-from suspnet.spectra.noise_subspace import TripNoise, trip_noise
-from suspnet.spectra.subspace import SpectralMatrix, SubspaceMisfit
 
-ROUGH, SPREADS = 0.3, (0.1, 0.03, 0.01, 0.003, 0.0)
-"""Model errors allowed first, as fractions of each signal, and then one after the other."""
-WIDENING = 1.45
-"""Ratio of the upper ends of the bands of the first searches."""
-LOWEST_BANDS = 6
-"""Number of bands of the first searches."""
-ROUGH_SPACING_HZ = 0.5
-"""Distance of the bins of searches that allow for errors."""
-STEPS, TOL, ROUGH_TOL = 16, 1e-3, 1e-2
-"""Most evaluations of one search, and the relative decreases of the cost that end it, the last one
-and those before."""
-WEAR = 0.5
-"""Standard deviation of the logarithm of a part's ratio before the trip: wide, as wear is."""
 EXPLAINED = 1.15
 """Misfit up to which a bogie is explained: leakage of segments of 120 s alone gives up to 1.12."""
 ALIGNED = 0.15
 """Fraction of unexplained residuals that acts like a change of a part. Found on two trains of
 tests/blind_train.py (seeds 0 and 1, misfits of 1.7 to 6.9, 128 trips with one worn part of twelve
 each at most): intervals without it held 45 to 57 % at a misfit of 2, and 15 to 40 % at 6."""
-FURTHEST = 20.0
-"""Largest coordinate of vehicles that are tried: logarithms of ratios, and deviations of priors."""
-N_OWN = len(COMPONENTS)
-
-
-@dataclass(frozen=True)
-class BogieTrip:
-    """Spectral matrix of a trip at one speed, its sensors in the order of the vehicle's.
-
-    `frequencies_hz` (n_freq,) are bins that are independent of each other, `left_out` (n_freq,)
-    says which of them hold other signals, None: none; `lost` are those of the vehicle's sensors
-    that the trip has not.
-    """
-
-    frequencies_hz: Tensor
-    spectra: SpectralMatrix
-    speed_m_per_s: float
-    direction: Direction = FORWARD
-    lost: tuple[str, ...] = ()
-    left_out: Tensor | None = None
-
-    def of(self, bins: Tensor) -> Tensor:
-        """Return the numbers of those bins that are not left out."""
-        return bins if self.left_out is None else bins[~self.left_out[bins]]
 
 
 @dataclass(frozen=True)
@@ -119,8 +78,9 @@ class CommissionedBogie:
         healthy vehicle in bands that widen, and so it does again if that from `start` does not
         explain the trip. ValueError if the trip has another number of sensors.
         """
-        fit = _Fit(self.generator, [self.noise], [trip], are_healthy=False)
-        fit = replace(fit, noises=[self.noise[fit.sensors_of(trip)]])
+        assert self.generator.sensors is not None
+        kept = [i for i, name in enumerate(self.generator.sensors) if name not in trip.lost]
+        fit = BogieSearch(self.generator, [self.noise[kept]], [trip], are_healthy=False)
         if start is None:
             fit, x, converged = fit.widened()
         else:
@@ -188,8 +148,8 @@ def commission_bogie(generator: SpatialVehicle, trips: Sequence[BogieTrip]) -> C
     # the free spectra hold the densities of cross level and alignment
     prior = generator.distribution.without(("cross_level", "alignment"))
     generator = replace(generator, distribution=prior)
-    noise = torch.stack([_smallest(trip.spectra) for trip in trips]).amin(dim=0)
-    fit = _Fit(generator, [noise] * len(trips), trips, are_healthy=True)
+    noise = torch.stack([smallest_noise(trip.spectra) for trip in trips]).amin(dim=0)
+    fit = BogieSearch(generator, [noise] * len(trips), trips, are_healthy=True)
     fit, x, converged = fit.widened()
     n = fit.n_numbers
     misfit = fit.misfit(x)
@@ -206,258 +166,3 @@ def commission_bogie(generator: SpatialVehicle, trips: Sequence[BogieTrip]) -> C
         misfit,
         converged,
     )
-
-
-def _smallest(spectra: SpectralMatrix) -> Tensor:
-    """Return the least that the other sensors do not explain of each one, (m,)."""
-    inverse = torch.linalg.inv(spectra.values).diagonal(dim1=-2, dim2=-1).real
-    found: Tensor = (1 / inverse).amin(dim=0)
-    return found
-
-
-@dataclass(frozen=True)
-class _Fit:
-    """The sum of squares of some trips: coordinates of z, then each trip's own numbers.
-
-    `noises` are those of the trips' sensors as `SubspaceMisfit` takes them. Healthy trips have the
-    logarithm of their mass as their own number, others those of all parts.
-    """
-
-    generator: SpatialVehicle
-    noises: Sequence[Tensor]
-    trips: Sequence[BogieTrip]
-    are_healthy: bool
-
-    def __post_init__(self) -> None:
-        for trip in self.trips:
-            n = len(self.sensors_of(trip))
-            if not torch.equal(trip.frequencies_hz, self.frequencies_hz):
-                raise ValueError("the trips must have the same bins")
-            if trip.spectra.values.shape != (len(self.frequencies_hz), n, n):
-                raise ValueError(
-                    f"the spectra must be {n} x {n} on {len(self.frequencies_hz)} bins for the "
-                    f"sensors {', '.join(self._sensors[i] for i in self.sensors_of(trip))}, got "
-                    f"{tuple(trip.spectra.values.shape)}"
-                )
-
-    @property
-    def _sensors(self) -> tuple[str, ...]:
-        assert self.generator.sensors is not None
-        return self.generator.sensors
-
-    def sensors_of(self, trip: BogieTrip) -> list[int]:
-        """Return the numbers of the vehicle's sensors that a trip has.
-
-        Sensitivities and delays are relative to the first sensor of the vehicle, also if the trip
-        has not that one.
-        """
-        return [i for i, name in enumerate(self._sensors) if name not in trip.lost]
-
-    @property
-    def frequencies_hz(self) -> Tensor:
-        return self.trips[0].frequencies_hz
-
-    @cached_property
-    def _numbers(self) -> LogNormal:
-        assert self.generator.distribution is not None
-        return self.generator.distribution
-
-    @property
-    def n_numbers(self) -> int:
-        return len(self._numbers.names)
-
-    @property
-    def _n_own(self) -> int:
-        return 1 if self.are_healthy else N_OWN
-
-    @cached_property
-    def all_bins(self) -> Tensor:
-        return torch.arange(len(self.frequencies_hz))
-
-    @cached_property
-    def thinned(self) -> Tensor:
-        every = max(1, round(ROUGH_SPACING_HZ / float(self.frequencies_hz[:2].diff())))
-        found: Tensor = self.all_bins[::every]
-        return found
-
-    @property
-    def widening(self) -> Iterator[Tensor]:
-        """Bins of the first searches, from low frequencies to all."""
-        for i in reversed(range(LOWEST_BANDS)):
-            end = float(self.frequencies_hz[-1]) / WIDENING**i
-            yield self.thinned[self.frequencies_hz[self.thinned] <= end + 1e-9]
-
-    @cached_property
-    def _own(self) -> tuple[FloatArray, FloatArray]:
-        """Prior mean and standard deviation of each trip's own numbers, (n_own,) each."""
-        mean = np.zeros(self._n_own)
-        mean[-1] = MASS_MEAN
-        deviation = np.full(self._n_own, WEAR)
-        deviation[-1] = MASS_DEVIATION
-        return mean, deviation
-
-    def start(self, ratios: FloatArray | None = None) -> FloatArray:
-        """Return the median vehicle with the trips' own numbers; None: nothing worn."""
-        own = np.tile(self._own[0], len(self.trips)) if ratios is None else np.log(ratios)
-        return np.concatenate([np.zeros(self.n_numbers), own])
-
-    def nearer(self, ratios: FloatArray) -> FloatArray:
-        """Return the start of lower cost: with the trip's own ratios, or with nothing worn."""
-        misfits = self._misfits(SPREADS[0], self.thinned)
-        starts = self.start(ratios), self.start()
-        costs = [np.square(self._residuals(x, misfits, self.thinned)).sum() for x in starts]
-        return starts[int(np.argmin(costs))]
-
-    def widened(self) -> tuple[_Fit, FloatArray, bool]:
-        """Return the end of the searches from the healthy vehicle, as `narrowed`."""
-        x = self.start()
-        # without axle boxes, the search in the whole band ends in another valley
-        for bins in self.widening:
-            x, _ = self.search(x, ROUGH, bins)
-        return self.narrowed(x)
-
-    def narrowed(self, x: FloatArray, first: int = 0) -> tuple[_Fit, FloatArray, bool]:
-        """Return the end of the searches with smaller errors, from the first of ``SPREADS``.
-
-        The fit with the noise of the last search comes first, and last whether this converged.
-        """
-        fit = self
-        for spread in (*SPREADS[: -1 if self.are_healthy else 2][first:], 0.0):
-            fit = fit.with_noise_at(x)
-            x, converged = fit.search(x, spread, fit.thinned if spread else fit.all_bins)
-        return fit, x, converged
-
-    def search(self, x: FloatArray, spread: float, bins: Tensor) -> tuple[FloatArray, bool]:
-        """Return the end of a search from x, and whether it converged."""
-        misfits = self._misfits(spread, bins)
-        found = least_squares(
-            lambda y: self._residuals(y, misfits, bins),
-            x,
-            lambda y: self._jacobian(y, misfits, bins),
-            method="lm",
-            x_scale="jac",
-            ftol=ROUGH_TOL if spread else TOL,
-            max_nfev=STEPS,
-        )
-        return found.x, bool(found.status > 0)
-
-    def misfit(self, x: FloatArray) -> float:
-        """Return the rms residual over that of the noise."""
-        squares = []
-        for i, one in enumerate(self._misfits(0.0, self.all_bins)):
-            values = one(self._responses(x, i, self.all_bins)[None])
-            squares.append(float(values.square().mean()) / one.expected)
-        return math.sqrt(math.fsum(squares) / len(squares))
-
-    def noise_at(self, x: FloatArray) -> list[TripNoise]:
-        """Return the noise of each trip for the vehicle at x."""
-        found = []
-        for i, (trip, noise) in enumerate(zip(self.trips, self.noises, strict=True)):
-            start = noise if noise.ndim == 1 else _smallest(trip.spectra)
-            bins = trip.of(self.all_bins)
-            responses = self._responses(x, i, bins)
-            alone = self._of(trip).channels_alone(self._rows(x, i), self.frequencies_hz[bins])[0]
-            alone = alone[:, :, self.sensors_of(trip)]
-            one = trip_noise(trip.spectra.at(bins), responses, alone, start)
-            # bins that are left out have any noise
-            matrix = torch.diag(one.densities).to(one.matrix).repeat(len(self.all_bins), 1, 1)
-            found.append(replace(one, matrix=matrix.index_copy(0, bins, one.matrix)))
-        return found
-
-    def with_noise_at(self, x: FloatArray) -> _Fit:
-        """Return the fit with the noise of each trip for the vehicle at x."""
-        return replace(self, noises=[one.matrix for one in self.noise_at(x)])
-
-    @property
-    def n_residuals(self) -> float:
-        """Number of independent residuals of all trips."""
-        misfits = self._misfits(0.0, self.all_bins)
-        shapes = [one.spectra.values.shape for one in misfits]
-        n_points = sum(2 * n_bins * n * len(self._inputs) for n_bins, n, _ in shapes)
-        return n_points * misfits[0].expected
-
-    def covariance(self, x: FloatArray, excess: float) -> FloatArray:
-        """Return the posterior covariance of all coordinates, residuals `excess` times as large.
-
-        `excess` is that of their squares.
-        """
-        misfits = self._misfits(0.0, self.all_bins)
-        jacobian = self._jacobian(x, misfits, self.all_bins)
-        n_prior = len(self._prior(x))
-        data, prior = jacobian[:-n_prior], jacobian[-n_prior:]
-        information = data.T @ data / excess + prior.T @ prior
-        return np.asarray(np.linalg.inv(information))
-
-    def _misfits(self, spread: float, bins: Tensor) -> list[SubspaceMisfit]:
-        return [
-            SubspaceMisfit(
-                trip.spectra.at(trip.of(bins)),
-                noise if noise.ndim == 1 else noise[trip.of(bins)],
-                len(self._inputs),
-                spread,
-            )
-            for trip, noise in zip(self.trips, self.noises, strict=True)
-        ]
-
-    @cached_property
-    def _inputs(self) -> list[int]:
-        """Numbers of the inputs that drive all wheelsets."""
-        alone = [name.startswith("wheelset") for name in self.generator.inputs]
-        return [i for i, own in enumerate(alone) if not own]
-
-    def _of(self, trip: BogieTrip) -> SpatialVehicle:
-        there = replace(self.generator, speed_m_per_s=trip.speed_m_per_s)
-        return there.running(trip.direction)
-
-    def _rows(self, x: FloatArray, i: int) -> Tensor:
-        """Return all columns of ratios of trip i, (1, n_columns)."""
-        x = np.clip(x, -FURTHEST, FURTHEST)  # a step from afar may overflow
-        own = np.zeros(N_OWN)
-        own[-self._n_own :] = x[self.n_numbers :].reshape(len(self.trips), -1)[i]
-        numbers = self._numbers.ratios(x[None, : self.n_numbers])
-        parts = torch.as_tensor(np.exp(own))[None]
-        return self.generator.with_uncertain(parts, torch.as_tensor(numbers))
-
-    def _responses(self, x: FloatArray, i: int, bins: Tensor) -> Tensor:
-        trip = self.trips[i]
-        bins_hz = self.frequencies_hz[trip.of(bins)]
-        every = self._of(trip).channels(self._rows(x, i), bins_hz)[0, self._inputs]
-        return every[:, self.sensors_of(trip)]
-
-    @cached_property
-    def _directions(self) -> Tensor:
-        """Changes of the logarithms of the columns with each coordinate, (n, n_columns)."""
-        n, columns = self.n_numbers, self.generator.uncertain_columns
-        found = torch.zeros(n + N_OWN, len(self.generator.columns), dtype=torch.float64)
-        found[:n, columns] = torch.tensor(self._numbers.factor.T.copy())
-        found[n + torch.arange(N_OWN), torch.arange(N_OWN)] = 1.0
-        return torch.cat([found[:n], found[n + N_OWN - self._n_own :]])
-
-    def _residuals(
-        self, x: FloatArray, misfits: Sequence[SubspaceMisfit], bins: Tensor
-    ) -> FloatArray:
-        found = [one(self._responses(x, i, bins)[None])[0].numpy() for i, one in enumerate(misfits)]
-        return np.concatenate([*found, self._prior(x)])
-
-    def _prior(self, x: FloatArray) -> FloatArray:
-        mean, deviation = self._own
-        own = x[self.n_numbers :].reshape(len(self.trips), -1)
-        return np.concatenate([x[: self.n_numbers], ((own - mean) / deviation).ravel()])
-
-    def _jacobian(
-        self, x: FloatArray, misfits: Sequence[SubspaceMisfit], bins: Tensor
-    ) -> FloatArray:
-        n, n_own, found = self.n_numbers, self._n_own, []
-        for i, (trip, misfit) in enumerate(zip(self.trips, misfits, strict=True)):
-            responses, changes = self._of(trip).channels_along(
-                self._rows(x, i), self.frequencies_hz[trip.of(bins)], self._directions
-            )
-            inputs, sensors = self._inputs, self.sensors_of(trip)
-            seen = responses[0, inputs][:, sensors], changes[0][:, inputs][:, :, sensors]
-            slopes = misfit.derivative(*seen)[1].numpy().T
-            block = np.zeros((len(slopes), len(x)))
-            block[:, :n] = slopes[:, :n]
-            block[:, n + n_own * i : n + n_own * (i + 1)] = slopes[:, n:]
-            found.append(block)
-        deviations = np.concatenate([np.ones(n), np.tile(self._own[1], len(self.trips))])
-        return np.concatenate([*found, np.diag(1 / deviations)])

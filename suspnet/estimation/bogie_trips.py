@@ -12,7 +12,8 @@ from torch import Tensor
 
 from suspnet.dynamics import SpatialVehicle
 from suspnet.dynamics.spatial_numbers import PLACES
-from suspnet.estimation.bogie_fit import BogieTrip, CommissionedBogie
+from suspnet.estimation.bogie_fit import CommissionedBogie
+from suspnet.estimation.bogie_search import BogieTrip
 from suspnet.estimation.estimate import Estimate
 from suspnet.estimation.intervals import LARGEST_MISFIT
 from suspnet.estimation.steady_parts import groups_to_read

@@ -220,8 +220,9 @@ def _check_description(path: Path, content: Any) -> None:
         raise ModelFileError(
             f"{path}: unknown model {content['model']!r}; {OWN.format('register_method')}"
         )
-    kind = content["task"]["extractor"]["kind"]
-    if kind not in FEATURE_SETS:
+    task = content.get("task")
+    kind = task["extractor"]["kind"] if isinstance(task, dict) else None
+    if kind is not None and kind not in FEATURE_SETS:
         raise ModelFileError(
             f"{path}: unknown feature set {kind!r}; {OWN.format('register_features')}"
         )

@@ -18,7 +18,7 @@ from torch import Tensor
 from suspnet.dynamics import SpatialVehicle
 from suspnet.dynamics.quantities import MASS_DEVIATION, MASS_MEAN, LogNormal
 from suspnet.dynamics.track import TrackSpectrum, acceleration_density, track_spectrum
-from suspnet.estimation.bogie_fit import N_OWN, WEAR
+from suspnet.estimation.bogie_search import N_OWN, WEAR
 from suspnet.estimation.bogie_trips import HIGH_HZ, LOW_HZ
 from suspnet.ground.parameters import COMPONENTS
 from suspnet.ground.settings import check_number

@@ -20,7 +20,8 @@ from torch import Tensor
 
 from suspnet.dynamics import SpatialVehicle
 from suspnet.dynamics.quantities import MASS_DEVIATION, MASS_MEAN
-from suspnet.estimation.bogie_fit import ROUGH_SPACING_HZ, BogieTrip, CommissionedBogie
+from suspnet.estimation.bogie_fit import CommissionedBogie
+from suspnet.estimation.bogie_search import ROUGH_SPACING_HZ, BogieTrip
 from suspnet.ground.parameters import COMPONENTS, Direction
 from suspnet.ground.types import FloatArray
 from suspnet.learning import MSVR, Scaling

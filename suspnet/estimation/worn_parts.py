@@ -22,7 +22,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from suspnet.estimation.bogie_fit import WEAR, PartsEstimate
+from suspnet.estimation.bogie_fit import PartsEstimate
+from suspnet.estimation.bogie_search import WEAR
 from suspnet.ground.parameters import BOGIE_PARTS, kind_of, place_words
 from suspnet.ground.types import FloatArray
 

@@ -34,11 +34,11 @@ def as_pdf(html: str) -> bytes:
     is raised if WeasyPrint is missing.
     """
     check_pdf()
+    # steps, also of the import, and names of unknown styles
+    for name in ("weasyprint", "weasyprint.progress", "fontTools"):
+        logging.getLogger(name).setLevel(logging.ERROR)
     import weasyprint
     from weasyprint.urls import URLFetcher
-
-    for name in ("weasyprint", "weasyprint.progress", "fontTools"):
-        logging.getLogger(name).setLevel(logging.ERROR)  # steps, and names of unknown styles
 
     only_data = URLFetcher(allowed_protocols=["data"])
     page = weasyprint.HTML(string=_styled(html), url_fetcher=only_data)

@@ -316,6 +316,8 @@ def parts(rows: Sequence[Row]) -> str:
 
 BLIND = ("plain", "all at once")
 """Cases of tests/benchmarks/named_parts.py that the docs show."""
+LAYOUT_CASES = tuple(f"all at once, {name}" for name in named_parts.LAYOUTS)
+"""Those with other layouts of sensors."""
 
 
 def named_parts_km(rows: Sequence[Row]) -> str:
@@ -367,6 +369,10 @@ TABLES: dict[str, tuple[str | None, Callable[[Sequence[Row]], str]]] = {
     "named_parts_errors": (
         None,
         lambda rows: named_parts.accuracy_table(named_parts.stored(BLIND), pooled=True),
+    ),
+    "layouts_read": (
+        None,
+        lambda rows: named_parts.layouts_table(named_parts.stored(LAYOUT_CASES)),
     ),
     "two_suspensions": ("two_suspensions.csv", two_suspensions),
     "named_parts_km": ("named_parts_km.csv", named_parts_km),

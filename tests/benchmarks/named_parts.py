@@ -323,6 +323,31 @@ def named_table(rows):
     return tabulate(lines, headers, tablefmt="pipe", disable_numparse=True)
 
 
+def layouts_table(rows):
+    """Return a line for each layout of all at once: its errors over all trips, and the verdicts.
+
+    A cell holds rms error / coverage of 90 % intervals.
+    """
+    lines = []
+    for name in LAYOUTS:
+        of = [r for r in rows if r["case"] == f"all at once, {name}"]
+        if not of:
+            continue
+        misfit = np.median([float(trip[0]["misfit"]) for trip in by_trip(of)])
+        line = [name, len({r["seed"] for r in of}), len(by_trip(of)), f"{misfit:.2f}"]
+        for kind in KINDS[:4]:
+            kept = [r for r in of if r["part"].startswith(f"{kind}_")]
+            errors = np.log([float(r["estimate"]) / float(r["truth"]) for r in kept])
+            deviations = np.array([float(r["deviation_percent"]) for r in kept]) / 100
+            held = 100 * np.mean(np.abs(errors) < Z90 * deviations)
+            line.append(f"{100 * np.sqrt(np.mean(errors**2)):.2g} / {held:.0f}")
+        for wear in ("one part", "two parts", "healthy"):
+            line.append(counts(by_trip([r for r in of if r["wear"] == wear])))
+        lines.append(line)
+    headers = ["sensors", "trains", "trips", "misfit", *KINDS[:4], "one part at 62 %", "two parts"]
+    return tabulate(lines, [*headers, "healthy"], tablefmt="pipe", disable_numparse=True)
+
+
 def worn_kind(trip, kind):
     """Return whether the worn part is of a kind."""
     worn = [r["part"] for r in trip if r["part"] in COMPONENTS[:-1] and float(r["truth"]) != 1]

@@ -30,22 +30,10 @@ from suspnet.estimation.bogie_trips import bogie_trip
 from suspnet.ground.parameters import COMPONENTS
 from suspnet.recordings.manifest_files import read_manifest
 from suspnet.recordings.recording import load_recording
+from suspnet.runs.commissioning import PARTS_OF_BOGIE
 from suspnet.simulation import Fleet
 
 RESULTS = TESTS / "benchmarks" / "results"
-PARTS = (
-    "bushings",
-    "rubber",
-    "guidance",
-    "longitudinal",
-    "bending",
-    "payload",
-    "sensors",
-    "frame_sway",
-    "frame_yaw",
-    "body_yaw",
-    "creep",
-)
 N_WORN = {"one part": 1, "two parts": 2, "all twelve": 12}
 LOW, HIGH = 0.5, 1.3
 RATE_HZ = 100.0
@@ -69,7 +57,7 @@ def read(options, seed, folder):
     fleet = Fleet(n_trips=len(ratios), minutes=options.minutes, sensors=SENSORS)
     train = RichTrain.scattered(seed, (*FAMILY, "unequal"))
     paths = write_train_trips(folder, train, ratios, fleet, seed)
-    vehicle = SpatialVehicle(AM96, parts=PARTS, distribution="prior")
+    vehicle = SpatialVehicle(AM96, parts=PARTS_OF_BOGIE, distribution="prior")
     trips = [bogie_trip(load_recording(read_manifest(p), RATE_HZ), vehicle) for p in paths]
     start = time.perf_counter()
     commissioned = commission_bogie(vehicle, trips[: options.healthy])

@@ -20,7 +20,6 @@ from cells import Parser, at_least
 from foreign_trains import TESTS
 from joblib import Parallel, delayed
 from mismatch import short, write
-from parts import PARTS
 from sklearn.ensemble import HistGradientBoostingRegressor
 from sklearn.multioutput import MultiOutputRegressor
 from sklearn.neural_network import MLPRegressor
@@ -29,12 +28,14 @@ from vehicles import AM96
 
 from suspnet.dynamics import SpatialVehicle
 from suspnet.dynamics.track import acceleration_density, track_spectrum
-from suspnet.estimation.bogie_fit import BogieTrip, commission_bogie
+from suspnet.estimation.bogie_fit import commission_bogie
+from suspnet.estimation.bogie_search import BogieTrip
 from suspnet.estimation.bogie_trips import HIGH_HZ, LOW_HZ, SEGMENT_S, SPACING_HZ
 from suspnet.estimation.layouts import _noise
 from suspnet.estimation.parts_regression import N_FEATURES, N_TRAIN, default_msvr, train_parts
 from suspnet.ground.parameters import COMPONENTS
 from suspnet.learning import MVGPR, SVR, LinearRegression
+from suspnet.runs.commissioning import PARTS_OF_BOGIE
 from suspnet.spectra.estimates import EstimateSettings
 from suspnet.spectra.subspace import SpectralMatrix
 from suspnet.spectra.welch import Welch
@@ -74,7 +75,7 @@ class Drawn:
 
     def __init__(self, seed):
         self.rng = np.random.default_rng([seed, 30])
-        self.vehicle = SpatialVehicle(AM96, parts=PARTS, distribution="prior")
+        self.vehicle = SpatialVehicle(AM96, parts=PARTS_OF_BOGIE, distribution="prior")
         numbers = self.vehicle.distribution
         self.numbers = numbers.ratios(self.rng.standard_normal((1, len(numbers.names))))
         settings = EstimateSettings()

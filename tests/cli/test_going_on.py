@@ -228,15 +228,17 @@ def test_folder_of_an_earlier_version_counts_as_finished(tmp_path):
 
 
 def test_table_of_jobs_knows_several_speeds_and_unfinished_ones(tmp_path):
-    for name in "abc":
+    for name in "abcd":
         (tmp_path / name).mkdir()
         (tmp_path / name / "config.yaml").touch()
-    (tmp_path / "a" / "metrics.json").write_text(json.dumps({"rms_percent": {"k_p": 2.0}}))
+    for name, error in ("a", 2.0), ("d", 1.9):
+        (tmp_path / name / "metrics.json").write_text(json.dumps({"rms_percent": {"k_p": error}}))
     two = [{"rms_percent": {"k_p": 1.0, "c_p": 4.0}}, {"rms_percent": {"k_p": 2.0, "c_p": 0.0}}]
     (tmp_path / "c" / "speeds.json").write_text(json.dumps(two))
     assert job_rows(tmp_path) == [
-        {"job": "c", "mean": 1.75, "k_p": 1.5, "c_p": 2.0, "state": "finished"},
+        {"job": "d", "mean": 1.9, "k_p": 1.9, "c_p": None, "state": "finished"},
         {"job": "a", "mean": 2.0, "k_p": 2.0, "c_p": None, "state": "finished"},
+        {"job": "c", "mean": 1.75, "k_p": 1.5, "c_p": 2.0, "state": "finished"},
         {"job": "b", "mean": None, "k_p": None, "c_p": None, "state": "unfinished"},
     ]
     assert job_rows(tmp_path / "a") == []

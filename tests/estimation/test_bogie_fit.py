@@ -12,11 +12,10 @@ from suspnet.dynamics import SpatialVehicle
 from suspnet.estimation.bogie_fit import (
     ALIGNED,
     EXPLAINED,
-    BogieTrip,
     CommissionedBogie,
-    _Fit,
     commission_bogie,
 )
+from suspnet.estimation.bogie_search import BogieSearch, BogieTrip
 from suspnet.ground.parameters import COMPONENTS, FORWARD, REVERSE
 from suspnet.spectra.subspace import SpectralMatrix
 
@@ -121,7 +120,7 @@ def test_derivatives_are_those_of_differences(are_healthy, lost):
         trip(drawn(VEHICLE, row({}, 1.1), 6), 60.0, REVERSE),
     ]
     noise = NOISE[[place not in lost for place in VEHICLE.sensors]]
-    fit = _Fit(VEHICLE, [noise, NOISE], trips, are_healthy)
+    fit = BogieSearch(VEHICLE, [noise, NOISE], trips, are_healthy)
     x = fit.start() + 0.03 * np.random.default_rng(1).standard_normal(len(fit.start()))
     misfits = fit._misfits(0.01, fit.all_bins)
     found, step = fit._jacobian(x, misfits, fit.all_bins), 1e-5

@@ -16,7 +16,8 @@ from suspnet.cli import evaluate
 from suspnet.dynamics import SpatialVehicle
 from suspnet.dynamics.quantities import MASS_DEVIATION, MASS_MEAN
 from suspnet.estimation import layouts
-from suspnet.estimation.bogie_fit import WEAR, BogieTrip, _Fit, commission_bogie
+from suspnet.estimation.bogie_fit import commission_bogie
+from suspnet.estimation.bogie_search import WEAR, BogieSearch, BogieTrip
 from suspnet.estimation.layouts import LAYOUTS, _Trip, layout_bounds
 from suspnet.ground.parameters import COMPONENTS
 from suspnet.spectra.estimates import EstimateSettings
@@ -114,7 +115,7 @@ def test_bounds_of_a_known_vehicle_are_the_scatter_of_fits():
         signals = root @ normal(rng, *exact.shape[:2], N_AVERAGES) / np.sqrt(2)
         values = torch.as_tensor(signals @ signals.conj().swapaxes(1, 2) / N_AVERAGES)
         one_trip = BogieTrip(BINS, SpectralMatrix(values, N_AVERAGES), vehicle.speed_m_per_s)
-        fit = _Fit(vehicle, [noise], [one_trip], are_healthy=False)
+        fit = BogieSearch(vehicle, [noise], [one_trip], are_healthy=False)
         errors.append(fit.search(fit.start(), 0.0, fit.all_bins)[0][1:] - np.log(rows[0].numpy()))
     information += np.diag([WEAR**-2] * 12 + [MASS_DEVIATION**-2])
     bounds = np.sqrt(np.diag(np.linalg.inv(information)))
@@ -137,7 +138,7 @@ def test_bounds_of_a_learnt_vehicle_are_the_posterior_of_its_trips():
         return BogieTrip(bins, SpectralMatrix(matrix, found.n_averages), vehicle.speed_m_per_s)
 
     healthy = [exact({"M_s": ratio}) for ratio in layouts.HEALTHY_MASSES]
-    fit = _Fit(vehicle, [noise] * len(healthy), healthy, are_healthy=True)
+    fit = BogieSearch(vehicle, [noise] * len(healthy), healthy, are_healthy=True)
     n = fit.n_numbers
     x = np.concatenate([np.zeros(n), np.log(layouts.HEALTHY_MASSES)])
     factor = vehicle.distribution.factor
@@ -147,7 +148,7 @@ def test_bounds_of_a_learnt_vehicle_are_the_posterior_of_its_trips():
     bounds = []
     for part in COMPONENTS[:-1]:
         own = {part: layouts.WORN, "M_s": np.exp(MASS_MEAN)}
-        later = _Fit(learnt, [noise], [exact(own)], are_healthy=False)
+        later = BogieSearch(learnt, [noise], [exact(own)], are_healthy=False)
         logs = [np.log(own.get(name, 1.0)) for name in COMPONENTS]
         posterior = later.covariance(np.concatenate([np.zeros(n), logs]), 1.0)
         bounds.append(100 * np.sqrt(np.diag(posterior)[n:]))

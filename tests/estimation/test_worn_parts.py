@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
-from suspnet.estimation.bogie_fit import WEAR, PartsEstimate
+from suspnet.estimation.bogie_fit import PartsEstimate
+from suspnet.estimation.bogie_search import WEAR
 from suspnet.estimation.worn_parts import ODDS, RARE, SHARED, USUAL, worn_parts
 from suspnet.ground.parameters import COMPONENTS
 

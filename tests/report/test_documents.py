@@ -1,6 +1,8 @@
 """Tables as XLSX and pages as PDF, opened again."""
 
 import math
+import subprocess
+import sys
 from datetime import datetime
 
 import pytest
@@ -97,6 +99,15 @@ def test_page_is_printed_without_loading_anything(tmp_path):
     words = document[0].get_textpage().get_text_range()
     document.close()
     assert words.startswith("Report <b>")
+
+
+def test_log_has_no_steps_of_the_printing(tmp_path):
+    code = (
+        "import logging; logging.basicConfig(level=logging.INFO)\n"
+        "from suspnet.report.pdf import as_pdf; print(as_pdf('<p>x</p>')[:4])"
+    )
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert (run.stdout, run.stderr) == ("b'%PDF'\n", "")
 
 
 def test_documents_of_a_folder_stand_next_to_its_pages(tmp_path):
