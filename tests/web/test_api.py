@@ -3,16 +3,19 @@
 import json
 import math
 import re
+from typing import get_args
 
 import pytest
 from flask.testing import FlaskClient
 from openapi_spec_validator import validate
 from served_fleet import EVIL, FAILED, HEALTHY, NAMED_EVIL, SETTINGS, WORN, fill, name_of
 
+from suspnet.ground.parameters import Severity
 from suspnet.history import History
 from suspnet.report.board import Board, Refresher
 from suspnet.report.work_order import work_orders
 from suspnet.web.access import Access
+from suspnet.web.api_models import SeverityName
 from suspnet.web.app import create_app
 
 TOKEN = "a-token-of-programs-for-tests"
@@ -253,3 +256,7 @@ def test_work_order_page_escapes_names_and_is_printed(filled):
     assert EVIL in words
     assert "How sure" in words
     assert re.search(r"State of \d{4}-\d\d-\d\d", words)  # paper needs the day
+
+
+def test_names_of_severities_are_those_of_the_package():
+    assert set(get_args(SeverityName)) == set(map(str, Severity))
