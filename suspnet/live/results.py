@@ -105,7 +105,8 @@ def summary(estimate: Estimate) -> str:
     where = (
         f"{result.trip}, {kilometres(result.mileage_km)}{'' if estimate.is_final else ' (so far)'}"
     )
-    return f"{where}: {values or 'no estimate'}"
+    worn = f"; worn: {result.worn}" if result.worn else ""
+    return f"{where}: {values or 'no estimate'}{worn}"
 
 
 def estimate_row(name: str, estimate: Estimate, level: float) -> dict[str, Any]:
@@ -122,6 +123,7 @@ def estimate_row(name: str, estimate: Estimate, level: float) -> dict[str, Any]:
         "status": result.status,
         "reason": result.reason,
         "flags": result.flags,
+        "worn": result.worn,
         "estimates": {
             key: {"value": value, "low": ends[key][0], "high": ends[key][1]}
             for key, value in result.estimates.items()

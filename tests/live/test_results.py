@@ -1,0 +1,22 @@
+"""What is published of an estimate."""
+
+from dataclasses import replace
+
+from suspnet.ground.records import OK, TripResult
+from suspnet.live.results import estimate_row, summary
+from suspnet.live.suspension import Estimate
+
+WORN = "c_p of axle 2, left at 62.9 % of healthy (odds over 1000 : 1)"
+
+
+def test_worn_parts_are_named_in_the_row_and_on_the_line():
+    result = TripResult("2026-03-31 06:20", "", status=OK, vehicle="am96", mileage_km=30800.0)
+    result = replace(result, estimates={"c_p_axle2_left": 0.629}, worn=WORN)
+    estimate = Estimate(result, True, {"taken": 8400}, 84.0)
+    row = estimate_row("train 1", estimate, 0.9)
+    assert (row["suspension"], row["worn"], row["final"]) == ("train 1", WORN, True)
+    assert row["estimates"]["c_p_axle2_left"]["value"] == 0.629
+    assert summary(estimate).endswith(f"c_p_axle2_left 0.629; worn: {WORN}")
+    without = replace(estimate, result=replace(result, worn=""))
+    assert estimate_row("train 1", without, 0.9)["worn"] == ""
+    assert "worn" not in summary(without)
