@@ -20,6 +20,7 @@ from suspnet.ground.parameters import Severity
 from suspnet.ground.settings import check_choice
 from suspnet.ground.storage import write_atomically
 from suspnet.history import History
+from suspnet.report.language import speaking
 from suspnet.report.output import check_documents, write_documents
 from suspnet.report.tables import Evaluated
 from suspnet.runs.evaluate import FreshCurves, evaluate, write_maintenance
@@ -49,7 +50,8 @@ def ends_with_its_code(function: Callable[[DictConfig], int]) -> Callable[[DictC
     def wrapped(config: DictConfig) -> None:
         several = HydraConfig.get().mode == RunMode.MULTIRUN
         try:
-            code = function(config)
+            with speaking(config.language):
+                code = function(config)
         except SystemExit as ended:
             if not several:
                 raise
