@@ -223,9 +223,47 @@ PATTERNS = (
     N_("commissioned again"),
     N_("{severity}: start of an alarm"),
     N_("over {value} %"),
+    N_("{symbol} [% of healthy]"),
+    N_("% of healthy"),
+    N_("{symbol} [% of nominal]"),
+    N_("without a mileage, not shown: {n}"),
+    N_("its {value} % interval"),
+    N_("truth (simulated)"),
+    N_("act limit"),
+    N_("notice limit"),
+    N_("beyond the axis"),
+    N_("commissioned again; % is of the first healthy values"),
+    N_("mileage [1000 km]"),
+    N_("mileage [km]"),
+    N_("frequency [Hz]"),
+    N_("nothing to be done"),
+    N_("day of the visit"),
+    N_("train"),
+    N_("Plan of {today}: {visits}, {jobs} until {day}"),
+    N_("{n} part unknown"),
+    N_("{n} parts unknown"),
+    N_("{k} trains of {n}, the most urgent"),
+    N_("remaining life unknown"),
+    N_("visit on the first possible day"),
+    N_("visit to be decided on within a month"),
+    N_("later visit"),
+    N_("limit passed: {value} % interval"),
+    N_("least to largest value"),
+    N_("mean"),
+    N_("not usable"),
+    N_("trip at {km} km"),
+    N_("time [min]"),
+    N_("time [s]"),
+    N_("speed\n[km/h]"),
+    N_("95 % band of the last trip"),
+    N_("magnitude"),
+    N_("coherence"),
+    N_("independent\naverages"),
+    N_("mean\ncoherence"),
+    N_("usable share\n[%]"),
 )
 """Patterns of sentences; what is in braces varies, and is translated in the same way."""
-SEPARATORS = ("; ", ". ", ", ", ": ")
+SEPARATORS = ("\n", "; ", ". ", ", ", ": ")
 """What joins sentences and places, tried in this order where no pattern has the whole text."""
 LONGEST = 800
 """Length of a text above which it is not translated: its patterns would take too long."""
@@ -259,7 +297,10 @@ def _spoken(text: str, language: str) -> str:
             return gettext(pattern).format(**values)
     for separator in SEPARATORS:
         if separator in text:
-            return separator.join(_spoken(one, language) for one in text.split(separator))
+            end = "." * (separator == ". ")  # a sentence is known with its full stop
+            *parts, last = text.split(separator)
+            said = [_spoken(one + end, language).removesuffix(end) for one in parts]
+            return separator.join([*said, _spoken(last, language)])
     return text
 
 
@@ -288,6 +329,8 @@ NUMBERS = frozenset({"k", "n", "j", "m", "size", "value", "limit", "km", "factor
 def _group(name: str) -> str:
     if name in ("visits", "jobs", "waiting", "quiet"):
         return rf"(?P<{name}>\d+ [\w ]+)"
+    if name in ("day", "today"):
+        return rf"(?P<{name}>\d+-\d+-\d+)"
     if name in ("low", "high"):
         return rf"(?P<{name}>[\d \N{{NO-BREAK SPACE}}.-]+|no end)"
     if name in NUMBERS:
