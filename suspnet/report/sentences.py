@@ -187,6 +187,21 @@ PATTERNS = (
     N_("{part} or {parts}"),
     N_("{words} at {km} km"),
     N_("remaining life: {words}"),
+    # Remarks of a report.
+    N_("{k} of {n} trips is flagged, see the table"),
+    N_("{k} of {n} trip is flagged, see the table"),
+    N_("{k} of {n} trips are flagged, see the table"),
+    N_("All {n} trips are flagged, and none of these numbers is to be relied on: {words}"),
+    N_("{k} of them: {words}"),
+    N_("Worn parts on {trips}"),
+    N_("{k} of the last {n} trips"),
+    N_("the last trip"),
+    N_("Left and right differ on {trips}"),
+    N_("An estimate is the mean of both sides."),
+    N_(
+        "Sensors of a pair that differ in place or sensitivity, and a track with "
+        "one rail worse than the other, can look alike: compare several trips."
+    ),
     # The plan.
     N_("{unknown}{visits} with {jobs} until {day}, {waiting}, {quiet}."),
     N_("{n} part unknown, "),

@@ -250,11 +250,12 @@ def test_flagged_trips_are_told_with_their_reasons(tmp_path):
     assert "12, of which 12 with an estimate, 2 of these flagged" in page.text
     assert page.named("div")[0]["class"] == "result plain"  # else it would be good
     assert [a.get("class") for a in page.named("tr")].count("flagged") == 2
+    assert [a.get("class") for a in page.named("li")].count("flagged") == 2  # on a phone
     assert page.text.count(f"⚑ {FLAG}") == 2
     row = text[text.index("trip_003") : text.index("trip_004")]
     assert "27.0</td>" in row  # without an interval
     assert "±" not in row
-    assert "violet ones are flagged" in page.text
+    assert "Violet ones are flagged" in page.text
     assert "A hollow circle is a flagged trip" in page.text
 
 
@@ -283,7 +284,7 @@ def test_sentence_on_flags_is_grammatical(tmp_path, n, sentence):
 def test_page_speaks_of_intervals_and_flags_only_where_there_are_some(tmp_path):
     _, plain = write(tmp_path / "a.html", fleet(12, ()))
     _, known = write(tmp_path / "b.html", measured(), level=0.95)
-    for words in ("95 % interval", "on 95 of 100 trips", "± half of their 95 % interval"):
+    for words in ("95 % interval", "on 95 of 100 trips", "± is half of their 95 % interval"):
         assert words not in plain.text
         assert words in known.text
     assert "Interval, ±" not in plain.text
@@ -358,8 +359,8 @@ def test_weaker_side_is_told_above_and_in_the_table(tmp_path):
     _, page = write(tmp_path / "report.html", [trip(0), trip(1, sides=words, flags=words)])
     assert "Left and right differ on 1 of the last 2 trips; on trip_001: primary" in page.text
     assert (
-        page.text.replace("\N{NO-BREAK SPACE}", " ").count(words) == 3
-    )  # and as the flag's reason
+        page.text.replace("\N{NO-BREAK SPACE}", " ").count(words) == 4
+    )  # and as the flag's reason, also on a phone
     assert "\u25d0 Sides" in page.text
     _, page = write(tmp_path / "plain.html", [trip(0)])
     assert "\u25d0" not in page.text
