@@ -202,6 +202,12 @@ PATTERNS = (
         "Sensors of a pair that differ in place or sensitivity, and a track with "
         "one rail worse than the other, can look alike: compare several trips."
     ),
+    N_("axle box"),
+    N_("bogie frame"),
+    N_("car body"),
+    N_("primary suspension"),
+    N_("secondary suspension"),
+    N_("{name} at about {value} % lies outside the {low} to {high} % trained for"),
     # The plan.
     N_("{unknown}{visits} with {jobs} until {day}, {waiting}, {quiet}."),
     N_("{n} part unknown, "),
@@ -316,7 +322,7 @@ def _spoken(text: str, language: str) -> str:
             *parts, last = text.split(separator)
             said = [_spoken(one + end, language).removesuffix(end) for one in parts]
             return separator.join([*said, _spoken(last, language)])
-    return text
+    return f"{_spoken(text[:-1], language)}." if text.endswith(".") else text
 
 
 _WHOLE = frozenset(one for one in PATTERNS if "{" not in one)

@@ -359,7 +359,9 @@ def test_no_reason_keeps_an_english_word_in_german():
         "12 000 km, by 6 % on the last 5 trips"),
     ]  # fmt: skip
     reasons = set()
-    for (shape, first, name, flags, half), n in zip(COMBINATIONS[::2], cycle(range(4)), strict=False):
+    for (shape, first, name, flags, half), n in zip(
+        COMBINATIONS[::2], cycle(range(4)), strict=False
+    ):
         last = ending(name, flags, half)
         counts = {"flagged_last": len(FLAGS[flags]), "flagged_first": n, "without_flagged": n == 1}
         doubt = "all of the last 5 trips are flagged" if n == 2 else ""

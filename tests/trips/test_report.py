@@ -18,6 +18,7 @@ from suspnet.maintenance.alarms import Watched
 from suspnet.maintenance.series import make_series, series_of
 from suspnet.maintenance.state import State
 from suspnet.report import figures, report
+from suspnet.report.language import speaking
 from suspnet.report.maintenance_figures import health_trend
 from suspnet.report.report import Report
 from suspnet.report.tables import files_read_as
@@ -430,3 +431,33 @@ def test_page_does_not_deny_intervals_that_the_tables_have(tmp_path):
 def test_unknown_remaining_life_says_why(tmp_path):
     text, _ = write(tmp_path / "r.html", measured(3))
     assert '<td class="n life">unknown<small>too few trips (3 of 5)</small></td>' in text
+
+
+def test_report_is_german_where_that_is_chosen(tmp_path):
+    results = measured()
+    results[3] = flagged(results[3], k_p=0.27)
+    with speaking("de"):
+        text, page = write(tmp_path / "r.html", results, {"trend": small_figure()}, title="Bericht")
+    said = page.text.replace("\N{NO-BREAK SPACE}", " ")
+    assert '<html lang="de">' in text
+    assert "Nichts fällt auf. Kein Parameter ist jenseits seiner Grenzen" in said
+    assert "1 von 12 Fahrten ist markiert, siehe Tabelle; k_p bei etwa 27 % liegt außerhalb" in said
+    assert "12, davon 12 mit einer Schätzung, davon 1 markiert" in said
+    assert "Steifigkeit der Primärfeder, zwischen Achslagergehäuse und Drehgestellrahmen." in said
+    assert not re.search(r"\b(the|trips?|of|healthy|are|suspension)\b", said.partition("*/")[2])
+
+
+def test_texts_of_figures_are_german_but_not_what_ticks_name():
+    figure = Figure(layout="constrained")
+    axis = figure.subplots()
+    axis.set(ylabel="$k_p$ [% of healthy]", xlabel="mileage [1000 km]", title="trip at 3 000 km")
+    axis.plot([0, 1], label="act limit")
+    axis.set_yticks([0, 1], ["train left", "right"])
+    figure.legend()
+    with speaking("de"):
+        image = figures.as_svg(figure)
+    assert image
+    shown = [axis.get_ylabel(), axis.get_xlabel(), axis.get_title()]
+    assert shown == ["$k_p$ [% des Sollwerts]", "Laufleistung [1000 km]", "Fahrt bei 3 000 km"]
+    assert figure.legends[0].get_texts()[0].get_text() == "Eingriffsgrenze"
+    assert [one.get_text() for one in axis.get_yticklabels()] == ["train left", "right"]
