@@ -50,8 +50,7 @@ def ends_with_its_code(function: Callable[[DictConfig], int]) -> Callable[[DictC
     def wrapped(config: DictConfig) -> None:
         several = HydraConfig.get().mode == RunMode.MULTIRUN
         try:
-            with speaking(config.language):
-                code = function(config)
+            code = function(config)
         except SystemExit as ended:
             if not several:
                 raise
@@ -69,6 +68,11 @@ def ends_with_its_code(function: Callable[[DictConfig], int]) -> Callable[[DictC
 @program.task
 def main(config: DictConfig) -> int:
     """Run a study, read trips or score the models of a run; return the exit code."""
+    with speaking(config.language):
+        return _evaluate(config)
+
+
+def _evaluate(config: DictConfig) -> int:
     if OmegaConf.is_missing(config, "run"):
         raise ValueError("which run? Give run=PATH, the folder of a run or of a whole multirun")
     if config.study is not None:

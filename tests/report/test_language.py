@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from suspnet.ground.parameters import BOGIE_PARTS, KIND_NAMES, Cause, part_words
 from suspnet.ground.records import Place
 from suspnet.report.language import LANGUAGES, best_of, catalogue, check_language, speaking
+from suspnet.report.messages import subject, text
 from suspnet.report.sentences import PATTERNS, spoken
 from suspnet.report.templates import LABELS, render
 
@@ -127,10 +128,10 @@ def test_every_name_of_a_part_is_german():
 
 
 @given(st.sampled_from(PATTERNS), st.text(max_size=300))
-def test_any_text_is_said_without_error_and_what_is_unknown_stays(pattern, text):
+def test_any_text_is_said_without_error_and_what_is_unknown_stays(pattern, value):
     fields = [name for _, name, _, _ in string.Formatter().parse(pattern) if name]
     with speaking("de"):
-        spoken(pattern.format(**dict.fromkeys(fields, text)))
+        spoken(pattern.format(**dict.fromkeys(fields, value)))
         for mark in ("{0}", "%(x)s", "<script>"):
             assert mark in spoken(f"{mark} at 3 km")
 
@@ -163,3 +164,34 @@ def test_page_of_a_file_is_german_and_escapes_what_it_is_given():
         evil = render("overview.html", **values | {"finding": "<script> at 3 km"})
         assert "&lt;script&gt; bei 3 km" in evil
     assert '<html lang="en">' in render("overview.html", **values)
+
+
+def test_mails_are_german():
+    alarm = {
+        "severity": "act",
+        "vehicle": "am96",
+        "place": str(Place("", "leading", "left", "12", "3")),
+        "parameter": "k_s",
+        "cause": "limit",
+        "begin_km": 56_000.0,
+        "end_km": None,
+        "state": "new",
+        "acknowledged_by": "Kim",
+        "reason": "the last trip is at 62.1 % of healthy, below the act limit of 70 %",
+    }
+    content = {"kind": "digest", "day": "2026-11-25", "alarms": [alarm], "n_suspensions": 4}
+    with speaking("de"):
+        assert subject(content) == "suspnet 2026-11-25: 1 aktiver Alarm, 1 mit Eingriff"
+        lines = text(content | {"id": "abc"}).splitlines()
+        at_once = subject(content | {"kind": "alarm", "alarms": [alarm, alarm]})
+    assert lines == [
+        "Neu:",
+        "- Eingriff: am96: Zug 12, Wagen 3, vorderes Drehgestell, links: k_s (Grenze), seit "
+        "56 000 km: die letzte Fahrt liegt bei 62,1 % des Sollwerts, unter der Eingriffsgrenze "
+        "von 70 %; quittiert von Kim",
+        "",
+        "4 Federungen in der Historie.",
+        "Nachricht abc",
+    ]
+    place = "am96: Zug 12, Wagen 3, vorderes Drehgestell, links: k_s"
+    assert at_once == f"suspnet: Eingriff: {place} und 1 weitere"
