@@ -62,10 +62,10 @@ def test_no_text_lacks_its_german(texts, german):
 def test_german_has_the_placeholders_of_the_english(german):
     for one in german.values():
         english = sorted(PLACEHOLDER.findall(forms(one.id)[-1]))
-        for text in forms(one.string):
-            assert sorted(PLACEHOLDER.findall(text)) == english, one.id
-            assert '"' not in text, "it would end an attribute"
-            assert not re.search(r"<(?!/?code>)", text)
+        for said in forms(one.string):
+            assert sorted(PLACEHOLDER.findall(said)) == english, one.id
+            assert '"' not in said, "it would end an attribute"
+            assert not re.search(r"<(?!/?code>)", said)
 
 
 def test_compiled_catalogue_is_current(german):
@@ -138,8 +138,8 @@ def test_any_text_is_said_without_error_and_what_is_unknown_stays(pattern, value
 
 def test_long_texts_of_users_cost_no_time():
     with speaking("de"):
-        text = "1 part unknown, " + " with until, " * 150
-        assert spoken(text) == text
+        long = "1 part unknown, " + " with until, " * 150
+        assert spoken(long) == long
         assert len(spoken(", with until" * 60)) > 600
 
 
