@@ -20,6 +20,7 @@ from suspnet.ground.parameters import Severity
 from suspnet.ground.settings import check_choice
 from suspnet.ground.storage import write_atomically
 from suspnet.history import History
+from suspnet.report.language import speaking
 from suspnet.report.output import check_documents, write_documents
 from suspnet.report.tables import Evaluated
 from suspnet.runs.evaluate import FreshCurves, evaluate, write_maintenance
@@ -67,6 +68,11 @@ def ends_with_its_code(function: Callable[[DictConfig], int]) -> Callable[[DictC
 @program.task
 def main(config: DictConfig) -> int:
     """Run a study, read trips or score the models of a run; return the exit code."""
+    with speaking(config.language):
+        return _evaluate(config)
+
+
+def _evaluate(config: DictConfig) -> int:
     if OmegaConf.is_missing(config, "run"):
         raise ValueError("which run? Give run=PATH, the folder of a run or of a whole multirun")
     if config.study is not None:

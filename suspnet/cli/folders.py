@@ -237,7 +237,7 @@ def _with_kinds(content: Any, place: str) -> Any:
 
 UNNAMED = {
     *("experiment", "study", "job", "run", "out", "progress", "figures", "threads", "device"),
-    *("workers", "data.cache_dir", "resume", "pdf", "xlsx"),
+    *("workers", "data.cache_dir", "resume", "pdf", "xlsx", "language"),
 }
 """Keys left out of folder names: the path shows them already, or they change no number."""
 OF_THE_VEHICLE = ("vehicle", "generator", "speed_m_per_s")

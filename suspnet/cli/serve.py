@@ -25,6 +25,7 @@ from suspnet.ground.storage import read_plain, why
 from suspnet.history import History
 from suspnet.history.database import BusyError
 from suspnet.report.board import LOOK_S, Board
+from suspnet.report.language import check_language
 
 if TYPE_CHECKING:
     from suspnet.web.access import Access
@@ -68,6 +69,8 @@ def main(config: DictConfig) -> None:
     if OmegaConf.is_missing(config, "store") or not config.store:
         raise ValueError("which history? Give store=FILE, or store=postgresql://...")
     ServeSettings(config.port, config.refresh_s, config.threads)
+    if config.language is not None:
+        check_language(config.language)
     _check_store(config.store)
     _check_address(config)
     _access(config)
@@ -84,7 +87,7 @@ def serve(board: Board, config: DictConfig) -> None:
 
     refresher = Refresher(board, config.refresh_s)
     names = [*config.hosts, *([] if config.host == ANY else [config.host])]
-    app = create_app(refresher, names, config.refresh_s, _access(config))
+    app = create_app(refresher, names, config.refresh_s, _access(config), config.language)
     try:
         listening = socket.create_server((config.host, config.port))
     except OSError as error:

@@ -24,6 +24,7 @@ from suspnet.ground.settings import check_settings, setting
 from suspnet.ground.storage import json_bytes
 from suspnet.history.outbox import Message
 from suspnet.live.broker import KEEPALIVE_S, Broker, secret
+from suspnet.report.language import speaking
 from suspnet.report.messages import subject, text
 
 TIMEOUT_S = 20.0
@@ -137,6 +138,8 @@ class Email:
         rule="name that starts with SUSPNET_",
     )
 
+    language: Literal["en", "de"] = setting("en", "Language of the mails")
+
     def __post_init__(self) -> None:
         check_settings(self)
         if not isinstance(self.host, str) or not re.fullmatch(r"[\w.:-]+", self.host):
@@ -158,11 +161,13 @@ class Email:
         """Send one mail to one address."""
         mail = EmailMessage()
         mail["From"], mail["To"] = self.sender, message.address
-        mail["Subject"] = subject(message.content)
+        with speaking(self.language):
+            title, content = subject(message.content), text(message.content)
+        mail["Subject"] = title
         mail["Date"] = formatdate()
         mail["Message-ID"] = f"<{message.id}@{self.sender.rpartition('@')[2]}>"
         mail["Auto-Submitted"] = "auto-generated"
-        mail.set_content(text(message.content))
+        mail.set_content(content)
         context = ssl.create_default_context()
         is_accepted = False
         try:

@@ -12,13 +12,13 @@ import numpy as np
 
 from suspnet.ground.parameters import BOGIE_PARTS, Severity, kind_of, part_words, place_words
 from suspnet.ground.records import TripResult
-from suspnet.ground.wording import count, number
+from suspnet.ground.wording import count
 from suspnet.maintenance.judge import ABSURD
 from suspnet.maintenance.plan import suspension_of, train_of
 from suspnet.maintenance.schedule import Plan
 from suspnet.maintenance.state import State
 from suspnet.report.tables import FleetView, interval_digits
-from suspnet.report.templates import level
+from suspnet.report.templates import level, shown_number
 
 EQUAL_SIDES = (
     "these estimates take both sides and both axles as equal, protocol=components with sensors "
@@ -144,7 +144,7 @@ def _level(state: State, name: str) -> tuple[str, str]:
     if not math.isfinite(half) or state.now(name) > ABSURD:
         return level(state.now(name), 1), ""
     digits = min(interval_digits([half]), MOST_DIGITS)
-    return level(state.now(name), digits), number(max(half, LEAST_HALF), digits)
+    return level(state.now(name), digits), shown_number(max(half, LEAST_HALF), digits)
 
 
 def small_figures(state: State, images: Mapping[str, str]) -> dict[bool, list[dict[str, str]]]:

@@ -20,6 +20,7 @@ from suspnet.ground.records import OK, TripResult, by_mileage
 from suspnet.ground.types import FloatArray
 from suspnet.ground.wording import kilometres
 from suspnet.recordings.recording import Overview
+from suspnet.report.sentences import spoken
 from suspnet.report.tables import response
 
 CHANNEL_TITLES = ("axle box", "bogie frame", "car body")
@@ -189,17 +190,29 @@ SVG_LIMIT = 400_000
 PNG_DPI = 130
 
 
+def _translate(figure: Figure) -> None:
+    """Translate the texts of a figure, but not what its ticks name, such as trains."""
+    legends = [*figure.legends, *(one.get_legend() for one in figure.axes)]
+    texts = [text for one in legends if one is not None for text in one.get_texts()]
+    for axis in figure.axes:
+        texts += [axis.title, axis.xaxis.label, axis.yaxis.label, *axis.texts]
+    for text in texts:
+        text.set_text(spoken(text.get_text()))
+
+
 def as_png(figure: Figure, dpi: float = PNG_DPI) -> bytes:
-    """Return a figure as PNG."""
+    """Return a figure as PNG, its texts in the current language."""
     stream = io.BytesIO()
+    _translate(figure)
     figure.savefig(stream, format="png", dpi=dpi)
     figure.set_layout_engine("none")  # it is laid out; once more would double the time
     return stream.getvalue()
 
 
 def as_svg(figure: Figure) -> bytes:
-    """Return a figure as SVG; the same figure gives the same bytes."""
+    """Return a figure as SVG; the same figure gives the same bytes. As for ``as_png``."""
     stream = io.BytesIO()
+    _translate(figure)
     with mpl.rc_context({"svg.hashsalt": "suspnet"}):
         figure.savefig(stream, format="svg", metadata={"Date": None})
     figure.set_layout_engine("none")

@@ -6,14 +6,16 @@ from collections.abc import Mapping
 from typing import Any
 
 from suspnet.ground.storage import printable
-from suspnet.ground.wording import count, kilometres
+from suspnet.ground.wording import kilometres
+from suspnet.report.language import N_, gettext, ngettext
+from suspnet.report.sentences import spoken
 
 TITLES = {
-    "new": "New",
-    "worse": "Worse than reported before",
-    "known": "Still active",
-    "cleared": "Cleared since they were reported",
-    "over": "Raised and cleared since the last digest",
+    "new": N_("New"),
+    "worse": N_("Worse than reported before"),
+    "known": N_("Still active"),
+    "cleared": N_("Cleared since they were reported"),
+    "over": N_("Raised and cleared since the last digest"),
 }
 """Heading of the alarms of each state, in the order of a message."""
 
@@ -24,11 +26,13 @@ def subject(content: Mapping[str, Any]) -> str:
     if content["kind"] == "digest":
         active = [one for one in alarms if one["end_km"] is None]
         act = sum(one["severity"] == "act" for one in active)
-        return f"suspnet {content['day']}: {count(len(active), 'active alarm')}, {act} to act on"
+        n = ngettext("%(n)s active alarm", "%(n)s active alarms", len(active))
+        to_act = gettext("%(n)s to act on") % {"n": act}
+        return f"suspnet {content['day']}: {n % {'n': len(active)}}, {to_act}"
     first = alarms[0]
-    more = f" and {len(alarms) - 1} more" if len(alarms) > 1 else ""
-    where = f"{first['vehicle']}: {first['place']}: {first['parameter']}"
-    return " ".join(printable(f"suspnet: {first['severity']}: {where}{more}").split())
+    more = gettext("and %(n)s more") % {"n": len(alarms) - 1} if len(alarms) > 1 else ""
+    where = f"{first['vehicle']}: {spoken(first['place'])}: {first['parameter']}"
+    return " ".join(printable(f"suspnet: {spoken(first['severity'])}: {where} {more}").split())
 
 
 def text(content: Mapping[str, Any]) -> str:
@@ -36,12 +40,14 @@ def text(content: Mapping[str, Any]) -> str:
     lines = []
     for state, title in TITLES.items():
         chosen = [one for one in content["alarms"] if _state(one) == state]
-        lines += [f"{title}:", *map(_line, chosen), ""] if chosen else []
+        lines += [f"{gettext(title)}:", *map(_line, chosen), ""] if chosen else []
     if not content["alarms"]:
-        lines += ["No active alarm.", ""]
+        lines += [gettext("No active alarm."), ""]
     if content["kind"] == "digest":
-        lines.append(f"{count(content['n_suspensions'], 'suspension')} in the history.")
-    return printable("\n".join([*lines, f"Message {content['id']}", ""]))
+        n = content["n_suspensions"]
+        words = ngettext("%(n)s suspension in the history.", "%(n)s suspensions in the history.", n)
+        lines.append(words % {"n": n})
+    return printable("\n".join([*lines, gettext("Message %(id)s") % {"id": content["id"]}, ""]))
 
 
 def _state(alarm: Mapping[str, Any]) -> str:
@@ -50,10 +56,15 @@ def _state(alarm: Mapping[str, Any]) -> str:
 
 
 def _line(alarm: Mapping[str, Any]) -> str:
-    since = f"since {kilometres(alarm['begin_km'])}"
+    begin = kilometres(alarm["begin_km"])
+    since = gettext("since %(km)s") % {"km": begin}
     if alarm["end_km"] is not None:
-        since = f"{kilometres(alarm['begin_km'])} to {kilometres(alarm['end_km'])}"
-    by = f"; acknowledged by {alarm['acknowledged_by']}" if alarm["acknowledged_by"] else ""
-    where = f"{alarm['vehicle']}: {alarm['place']}: {alarm['parameter']} ({alarm['cause']})"
-    line = f"- {alarm['severity']}: {where}, {since}: {alarm['reason']}{by}"
+        ends = {"low": begin, "high": kilometres(alarm["end_km"])}
+        since = gettext("%(low)s to %(high)s") % ends
+    seen = gettext("acknowledged by %(name)s") % {"name": alarm["acknowledged_by"]}
+    by = f"; {seen}" if alarm["acknowledged_by"] else ""
+    place, cause = spoken(alarm["place"]), spoken(alarm["cause"])
+    where = f"{alarm['vehicle']}: {place}: {alarm['parameter']} ({cause})"
+    reason = spoken(" ".join(alarm["reason"].split()))
+    line = f"- {spoken(alarm['severity'])}: {where}, {since}: {reason}{by}"
     return " ".join(line.split())  # names and reasons are others' texts: none starts a line

@@ -26,6 +26,7 @@ from suspnet.maintenance.schedule import Plan, joined
 from suspnet.report import figures
 from suspnet.report.bogie import bogies_shown
 from suspnet.report.figures import as_png, data_uri
+from suspnet.report.language import gettext
 from suspnet.report.maintenance_figures import health_trend, small_trends
 from suspnet.report.pdf import check_pdf, write_pdf
 from suspnet.report.report import Report, write_report
@@ -200,7 +201,7 @@ def write_pages(report: Report, output: Path, *, draw: bool = True) -> None:
         run_log.text("verdict", spoken(state.assessments))
     metrics = json.loads(json.dumps(_metrics(report), default=float))
     write_json(output / "metrics.json", metrics)
-    write_report(output / REPORT, "Suspension report", report, drawn, small)
+    write_report(output / REPORT, gettext("Suspension report"), report, drawn, small)
 
 
 def _metrics(report: Report) -> dict[str, Any]:

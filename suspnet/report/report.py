@@ -23,60 +23,72 @@ from suspnet.maintenance.series import Event
 from suspnet.maintenance.state import State
 from suspnet.report.bogie import bogie_of, small_figures, why_no_part
 from suspnet.report.figures import data_uri
+from suspnet.report.language import N_, gettext
+from suspnet.report.sentences import spoken
 from suspnet.report.tables import sensor_rows, trip_table
 from suspnet.report.templates import KILO, SEVERITIES, render, with_unit
 
 ROLES = {
-    "k_p": ", between axle box and bogie frame.",
-    "c_p": ", between axle box and bogie frame.",
-    "k_s": ", between bogie frame and car body; often an air spring.",
-    "c_s": ", between bogie frame and car body.",
-    "M_s": ": it varies with the payload and is no sign of faults.",
+    "k_p": N_(", between axle box and bogie frame."),
+    "c_p": N_(", between axle box and bogie frame."),
+    "k_s": N_(", between bogie frame and car body; often an air spring."),
+    "c_s": N_(", between bogie frame and car body."),
+    "M_s": N_(": it varies with the payload and is no sign of faults."),
 }
 CAPTIONS = {
     "trend": (
-        "Health along the mileage",
-        "Each dot is a trip and 100 % is healthy: dots that stay level mean no change; look for a "
-        "line that leaves its level, and at the newest trips. Dashed lines are the limits, where "
-        "they are near. Red ticks at the bottom are trips without an estimate.{intervals}{flags}",
+        N_("Health along the mileage"),
+        N_(
+            "Each dot is a trip and 100 % is healthy: dots that stay level mean no change; look "
+            "for a line that leaves its level, and at the newest trips. Dashed lines are the "
+            "limits, where they are near. Red ticks at the bottom are trips without an "
+            "estimate.{intervals}{flags}"
+        ),
     ),
     "responses": (
-        "How the suspension passes vibration on",
-        "Above: by how much each suspension amplifies vibration of each frequency, one line for "
-        "each trip; a suspension that does not change draws the same line again and again. Below: "
-        "the coherence, which is near 1 where the sensors explain each other.",
+        N_("How the suspension passes vibration on"),
+        N_(
+            "Above: by how much each suspension amplifies vibration of each frequency, one line "
+            "for each trip; a suspension that does not change draws the same line again and "
+            "again. Below: the coherence, which is near 1 where the sensors explain each other."
+        ),
     ),
     "signals": (
-        "Signals of one trip",
-        "Grey is the range of the measured vibration, red its mean. A channel that is flat, cut "
-        "off at a straight edge, or unlike the others points to a sensor, not to the suspension.",
+        N_("Signals of one trip"),
+        N_(
+            "Grey is the range of the measured vibration, red its mean. A channel that is flat, "
+            "cut off at a straight edge, or unlike the others points to a sensor, not to the "
+            "suspension."
+        ),
     ),
     "quality": (
-        "Quality of the recordings",
-        "More averages, a coherence nearer to 1 and a larger usable share make the estimates of a "
-        "trip more certain.",
+        N_("Quality of the recordings"),
+        N_(
+            "More averages, a coherence nearer to 1 and a larger usable share make the estimates "
+            "of a trip more certain."
+        ),
     ),
 }
-SMALL_SHOWN = (
+SMALL_SHOWN = N_(
     "each dot is a trip and 100 % is healthy, the line is the median of five neighbouring trips. "
     "Dashed lines are the limits, where they are near; a triangle at the top is the start of an "
     "alarm, a red tick at the bottom a trip without an estimate, a red bar there where the act "
     "limit will be passed.{intervals}{flags}"
 )
-INTERVALS_SHOWN = (
+INTERVALS_SHOWN = N_(
     " The bar through a dot is its {level} % interval: on {level} of 100 trips the true value lies "
     "within it, if vehicle and recording are like those of the training. A bar that cannot be "
     "seen is shorter than the dot."
 )
-FLAGS_SHOWN = (
+FLAGS_SHOWN = N_(
     " A hollow circle is a flagged trip: it shows something outside the training, and its "
     "place may be wrong. A triangle at an edge is a trip beyond it, with its value."
 )
-RECOMMISSIONED = (
+RECOMMISSIONED = N_(
     "Commissioned again: {}. Severities, medians and changes are of the trips since; each trip's "
     "percentages are of its own healthy values, those in the figure of the first ones."
 )
-MAINTAINED = "Maintenance: {}. Severities, medians and changes are of the trips since the last."
+MAINTAINED = N_("Maintenance: {}. Severities, medians and changes are of the trips since the last.")
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,8 +131,8 @@ def write_report(
     sides = worn_finding(trips) or sides_finding(trips)
     table = trip_table(trips, report.outputs, report.level)
     shown = {
-        "intervals": INTERVALS_SHOWN.format(level=table.level) if table.level else "",
-        "flags": FLAGS_SHOWN if doubts else "",
+        "intervals": gettext(INTERVALS_SHOWN).format(level=table.level) if table.level else "",
+        "flags": gettext(FLAGS_SHOWN) if doubts else "",
     }
     tone = SEVERITIES[severity][0]
     page = render(
@@ -145,7 +157,7 @@ def write_report(
         bogie=bogie_of(state),
         no_part=why_no_part(trips, report.outputs),
         small=small_figures(state, {name: data_uri(one) for name, one in (small or {}).items()}),
-        small_words=SMALL_SHOWN.format(**shown),
+        small_words=gettext(SMALL_SHOWN).format(**shown),
         figures=[_embedded(name, figures[name], shown) for name in _ordered(figures)],
         table=table,
         sensors=sensor_rows(state.series),
@@ -208,28 +220,32 @@ def _since_when(states: Sequence[Commissioning], events: Sequence[Event]) -> str
     """Return since when the assessments count, as text; empty if since the first trip."""
     sentences = []
     if states:
-        sentences.append(RECOMMISSIONED.format("; ".join(one.words for one in states[1:])))
+        sentences.append(gettext(RECOMMISSIONED).format("; ".join(one.words for one in states[1:])))
     if events:
-        sentences.append(MAINTAINED.format("; ".join(map(str, events))))
+        sentences.append(gettext(MAINTAINED).format("; ".join(spoken(str(one)) for one in events)))
     return " ".join(sentences)
 
 
 def _headline(trips: Sequence[TripResult]) -> dict[str, str]:
     mileage = [r.mileage_km for r in trips if math.isfinite(r.mileage_km)]
-    between = "unknown"
+    between = gettext("unknown")
     if mileage:
-        between = unbroken(f"{span(thousands(min(mileage)), thousands(max(mileage)))} km")
+        ends = span(thousands(min(mileage)), thousands(max(mileage)))
+        between = unbroken(f"{spoken(ends)} km")
     starts = sorted(r.start for r in trips if r.start)
-    dates = " to ".join(dict.fromkeys(s[:10] for s in (starts[0], starts[-1]))) if starts else ""
+    dates = spoken(span(starts[0][:10], starts[-1][:10])) if starts else ""
     done = sum(r.status == OK for r in trips)
     flagged = sum(bool(r.flags) for r in trips)
     texts = {
-        "Vehicle": ", ".join(dict.fromkeys(r.vehicle for r in trips if r.vehicle)),
-        "Suspension": "; ".join(dict.fromkeys(str(r.place) for r in trips if r.place.suspension)),
-        "Mileage": between,
-        "Dates": dates,
-        "Trips": f"{len(trips)}, of which {done} with an estimate"
-        + (f", {flagged} of these flagged" if flagged else ""),
+        N_("Vehicle"): ", ".join(dict.fromkeys(r.vehicle for r in trips if r.vehicle)),
+        N_("Suspension"): "; ".join(
+            dict.fromkeys(spoken(str(r.place)) for r in trips if r.place.suspension)
+        ),
+        N_("Mileage"): between,
+        N_("Dates"): dates,
+        N_("Trips"): gettext("%(n)s, of which %(done)s with an estimate")
+        % {"n": len(trips), "done": done}
+        + (", " + gettext("%(n)s of these flagged") % {"n": flagged} if flagged else ""),
     }
     return {label: text for label, text in texts.items() if text}
 
@@ -256,8 +272,8 @@ def _ordered(figures: Mapping[str, Figure]) -> list[str]:
 def _embedded(name: str, figure: Figure, shown: Mapping[str, str]) -> dict[str, Any]:
     """Return a figure's heading, explanation of what is `shown`, and image as a data URI."""
     heading, explanation = CAPTIONS.get(name, (name.replace("_", " ").capitalize(), ""))
-    words = explanation.format(**shown)
-    return {"heading": heading, "explanation": words, "image": data_uri(figure)}
+    words = gettext(explanation).format(**shown)
+    return {"heading": gettext(heading), "explanation": words, "image": data_uri(figure)}
 
 
 def _healthy(trips: Sequence[TripResult]) -> dict[str, str]:

@@ -13,6 +13,7 @@ from markupsafe import Markup
 from suspnet.ground.parameters import (
     BOGIE_PARTS,
     KIND_NAMES,
+    NAMES,
     UNITS,
     Severity,
     condensed,
@@ -23,12 +24,14 @@ from suspnet.ground.parameters import (
 from suspnet.ground.wording import NO_NUMBER, number, thousands, unbroken
 from suspnet.maintenance.judge import ABSURD
 from suspnet.maintenance.life import Life
+from suspnet.report.language import N_, current, decimal, gettext, install
+from suspnet.report.sentences import spoken
 
 SEVERITIES = {
-    Severity.ACT: ("act", "Act"),
-    Severity.NOTICE: ("notice", "Notice"),
-    Severity.UNKNOWN: ("plain", "Not judged"),
-    Severity.NONE: ("good", "No alarm"),
+    Severity.ACT: ("act", N_("Act")),
+    Severity.NOTICE: ("notice", N_("Notice")),
+    Severity.UNKNOWN: ("plain", N_("Not judged")),
+    Severity.NONE: ("good", N_("No alarm")),
 }
 """Tone and label of each severity; style.css has the colours of each tone."""
 LABELS = {str(severity): pair for severity, pair in SEVERITIES.items()}
@@ -49,11 +52,13 @@ def environment(*packages: str) -> Environment:
     """
     found = Environment(
         autoescape=True,
+        extensions=["jinja2.ext.i18n"],
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
         loader=FunctionLoader(lambda name: packaged(name, *packages)),
     )
+    install(found)
     found.filters |= FILTERS
     found.globals |= GLOBALS
     return found
@@ -76,15 +81,20 @@ def packaged(name: str, *packages: str) -> str | None:
 def level(ratio: float | None, digits: int) -> str:
     """Return a ratio to healthy in %, without the number if it is above any real suspension's."""
     if ratio is not None and ratio > ABSURD:
-        return f"over {100 * ABSURD:.0f}"
-    return number(ratio, digits, 100)
+        return gettext("over %s") % f"{100 * ABSURD:.0f}"
+    return shown_number(ratio, digits, 100)
+
+
+def shown_number(value: float | None, digits: int = 1, scale: float = 1.0) -> str:
+    """Return a number with the decimal sign of the current language, or a dash."""
+    return decimal(number(value, digits, scale))
 
 
 def _plus_minus(half_width: float, digits: int) -> Markup:
     """Return a half width in small print; empty if there is none."""
     if not math.isfinite(half_width):
         return Markup()
-    return Markup("<small> ± {}</small>").format(number(half_width, digits))
+    return Markup("<small> ± {}</small>").format(shown_number(half_width, digits))
 
 
 def _si(value: float, name: str) -> Markup:
@@ -97,7 +107,7 @@ def _si(value: float, name: str) -> Markup:
 def with_unit(number: str, name: str) -> str:
     """Return a number, in thousands of a parameter's SI unit, with that unit."""
     unit = KILO_UNITS[UNITS[name]].replace(" ", "\N{NO-BREAK SPACE}")
-    return f"{number}\N{NO-BREAK SPACE}{unit}"
+    return f"{decimal(number)}\N{NO-BREAK SPACE}{unit}"
 
 
 def _thousands(value: float) -> str:
@@ -110,20 +120,20 @@ def _to_go(life: Life | None, unknown: str = "") -> Markup:
     It is a dash without limits, and "unknown" with the reason if that is given.
     """
     if life is not None and life.interval_km()[1] == 0:
-        return Markup("passed")
+        return Markup(gettext("passed"))
     if unknown:
-        return Markup("unknown<small>{}</small>").format(unknown)
+        return Markup("{}<small>{}</small>").format(gettext("unknown"), spoken(unknown))
     if life is None:
         return Markup(NO_NUMBER)
     low, high = life.interval_km()
     if not math.isfinite(low):
-        return Markup("no end in sight")
+        return Markup(gettext("no end in sight"))
     ends = [_rounded(km) for km in (life.quantile_km(0.5), low, high)]
-    return Markup("{}<small>{} to {}</small>").format(*ends)
+    return Markup("{}<small>{}</small>").format(ends[0], _range_of(*ends[1:]))
 
 
 def _rounded(km: float) -> str:
-    return _thousands(float(f"{km:.2g}")) if math.isfinite(km) else "no end"
+    return _thousands(float(f"{km:.2g}")) if math.isfinite(km) else gettext("no end")
 
 
 def symbol(name: str) -> Markup:
@@ -133,7 +143,7 @@ def symbol(name: str) -> Markup:
     letter, _, index = kind_of(name).partition("_")
     words = Markup("<i>{}</i><sub>{}</sub>").format(letter, index)
     return (
-        Markup('{} <span class="place">{}</span>').format(words, place_words(name))
+        Markup('{} <span class="place">{}</span>').format(words, spoken(place_words(name)))
         if name in BOGIE_PARTS
         else words
     )
@@ -141,26 +151,39 @@ def symbol(name: str) -> Markup:
 
 def named(name: str) -> str:
     """Return what a parameter is, and a part as a depot calls it; other names as given."""
-    return part_words(name) if name in BOGIE_PARTS else KIND_NAMES.get(name, name)
+    return spoken(part_words(name) if name in BOGIE_PARTS else KIND_NAMES.get(name, name))
+
+
+def _described(name: str) -> str:
+    """Return what the parameter of an alarm is, which may be a sensor."""
+    return spoken(NAMES.get(name, "sensor"))
 
 
 def _range(pair: tuple[float, float]) -> str:
-    return " to ".join(f"{100 * one:g}" for one in pair)
+    return _range_of(*(decimal(f"{100 * one:g}") for one in pair))
+
+
+def _range_of(low: str, high: str) -> str:
+    return gettext("%(low)s to %(high)s") % {"low": low, "high": high}
+
+
+def _placed(place: object) -> str:
+    return spoken(str(place))
 
 
 def _columns(names: Iterable[str]) -> list[Markup]:
     return [Markup("#{}\n[%]").format(symbol(name)) for name in names]
 
 
-GLOBALS = {"labels": LABELS, "marks": MARKS}
+GLOBALS = {"labels": LABELS, "marks": MARKS, "language": current}
 FILTERS = {
     "columns": _columns,
     "condensed": condensed,
     "level": level,
-    "number": number,
+    "number": shown_number,
     "kind_of": kind_of,
     "named": named,
-    "part_words": part_words,
+    "part_words": lambda name: spoken(part_words(name)),
     "plus_minus": _plus_minus,
     "thousands": _thousands,
     "symbol": symbol,
@@ -169,5 +192,9 @@ FILTERS = {
     "unbroken": unbroken,
     "to_go": _to_go,
     "rounded": _rounded,
+    "spoken": spoken,
+    "placed": _placed,
+    "described": _described,
+    "translated": gettext,
 }
 """Filters of the templates by name."""

@@ -26,6 +26,7 @@ from werkzeug.exceptions import HTTPException, SecurityError
 from suspnet import __version__
 from suspnet.history import HistoryError
 from suspnet.report.board import Refresher, clock
+from suspnet.report.language import N_, best_of, check_language, choose, gettext, install
 from suspnet.report.templates import FILTERS, GLOBALS, packaged
 from suspnet.web.access import ACCESS, Access, is_admitted
 from suspnet.web.api import ROOT, api, http_problem, problem
@@ -35,10 +36,10 @@ from suspnet.web.pages import REFRESHER, WITH_PLOTS, pages
 PACKAGES = ("suspnet.web",)
 """Packages whose templates the pages use, in addition to those of reports."""
 MESSAGES = {
-    400: "The form or the address could not be understood.",
-    404: "There is no such page.",
-    405: "This page cannot be asked for in this way.",
-    413: "The form is too long.",
+    400: N_("The form or the address could not be understood."),
+    404: N_("There is no such page."),
+    405: N_("This page cannot be asked for in this way."),
+    413: N_("The form is too long."),
 }
 
 FILES = {
@@ -61,16 +62,26 @@ def create_app(
     hosts: Sequence[str] = (),
     ask_every_s: float = 3.0,
     access: Access | None = None,
+    language: str | None = None,
 ) -> Flask:
     """Return the application.
 
     The caller starts the `refresher`, which holds the state of the fleet. `hosts` are accepted host
     names in addition to this computer's own; an open page polls every `ask_every_s` [s]. `access`
-    is who may see and acknowledge: by default whoever reaches the pages.
+    is who may see and acknowledge: by default whoever reaches the pages. `language` is that of all
+    pages, None: the one that the browser asks for.
     """
+    if language is not None:
+        check_language(language)
     app = Flask("suspnet.web", static_folder=None)
     app.jinja_loader = FunctionLoader(lambda name: packaged(name, *PACKAGES))
-    app.jinja_options = {"trim_blocks": True, "lstrip_blocks": True, "undefined": StrictUndefined}
+    app.jinja_options = {
+        "trim_blocks": True,
+        "lstrip_blocks": True,
+        "undefined": StrictUndefined,
+        "extensions": ["jinja2.ext.i18n"],
+    }
+    install(app.jinja_env)
     app.jinja_env.filters |= FILTERS | {"clock": clock}
     app.jinja_env.globals |= GLOBALS | {
         "file_digest": file_digest,
@@ -78,6 +89,7 @@ def create_app(
         "ask_every_s": ask_every_s,
         "product": f"suspnet {__version__}",
     }
+    app.before_request(functools.partial(_choose_language, language))
     protected = protect(app, hosts)
     app.extensions[REFRESHER] = refresher
     app.extensions[ACCESS] = access or Access()
@@ -92,19 +104,25 @@ def create_app(
     return app
 
 
+def _choose_language(language: str | None) -> None:
+    """Answer in a language, or in that of the browser; programs are answered in English."""
+    asked = request.accept_languages.values() if not _is_api() else ()
+    choose(language if language and not _is_api() else best_of(list(asked)))
+
+
 def _form_error(error: CSRFError) -> Any:
-    words = (
+    words = gettext(
         "This form was not accepted: it is older than the start of the program, or cookies are "
         "off. Go back, reload the page and send it again."
     )
-    return _message("Not accepted", words), 400
+    return _message(gettext("Not accepted"), words), 400
 
 
 def _store_error(error: HistoryError) -> Any:
-    lost = "Nothing was saved: " if request.method == "POST" else ""
+    lost = gettext("Nothing was saved:") + " " if request.method == "POST" else ""
     if _is_api():
         return problem(503, "The store cannot be used", f"{lost}{error}.")
-    return _message("The store cannot be used", f"{lost}{error}."), 503
+    return _message(gettext("The store cannot be used"), f"{lost}{error}."), 503
 
 
 def _http_error(error: HTTPException) -> Any:
@@ -115,8 +133,8 @@ def _http_error(error: HTTPException) -> Any:
     code = error.code or 500
     is_own = code == 403 or (code == 404 and request.path.startswith("/suspension/"))
     own = error.description if is_own else None
-    words = own or MESSAGES.get(code) or "Something went wrong; see the program's terminal."
-    return _message(error.name, words), code
+    rest = N_("Something went wrong; see the program's terminal.")
+    return _message(gettext(error.name), own or gettext(MESSAGES.get(code, rest))), code
 
 
 def _is_api() -> bool:

@@ -12,6 +12,8 @@ from numpy.typing import ArrayLike
 from suspnet.ground.parameters import NAMES
 from suspnet.ground.wording import unbroken
 from suspnet.report import trend as shown
+from suspnet.report.language import decimal, gettext
+from suspnet.report.sentences import spoken
 from suspnet.report.tables import PARTS, Response
 from suspnet.report.templates import symbol
 from suspnet.report.trend import LIMIT_COLOURS, Panel, Points, Trend
@@ -23,11 +25,16 @@ PLAIN: dict[str, Any] = {
     "margin": MARGINS,
     "showlegend": False,
     "hovermode": "closest",
-    "separators": ".\N{NO-BREAK SPACE}",
     "font": {"family": "system-ui, sans-serif", "size": 13},
     "dragmode": "zoom",
 }
 """Layout of every figure; plots.js gives it the colours of the page."""
+
+
+def _plain() -> dict[str, Any]:
+    return PLAIN | {"separators": decimal(".") + "\N{NO-BREAK SPACE}"}
+
+
 PANEL_PX, RESPONSES_PX = 190, 520
 """Height of the panel of one parameter, and of the figure of responses, [pixel]."""
 GAP = 0.07
@@ -47,12 +54,12 @@ def trend_figure(trend: Trend, name: str, of: str = "") -> dict[str, Any]:
     margins = MARGINS | ({"t": 12} if of else {})
     height = (1 - GAP * (n - 1)) / n
     layout: dict[str, Any] = {
-        **PLAIN,
+        **_plain(),
         "margin": margins,
         "height": PANEL_PX * n + margins["t"] + margins["b"],
         "uirevision": name,
         "xaxis": {
-            "title": {"text": "mileage [km]"},
+            "title": {"text": spoken("mileage [km]")},
             "anchor": f"y{n}" if n > 1 else "y",
             "separatethousands": True,
             "range": [km for _, *ends in shown.ranges(trend)[:1] for km in ends] or None,
@@ -73,13 +80,13 @@ def trend_figure(trend: Trend, name: str, of: str = "") -> dict[str, Any]:
             "nticks": 6,
         }
         if not of:
-            heading = f"{symbol(panel.name)}, {NAMES[panel.name]}"
+            heading = f"{symbol(panel.name)}, {spoken(NAMES[panel.name])}"
             layout["annotations"].append(_axis_title(heading, axis))
         layout["shapes"] += _levels(panel, axis)
     # maintenance and commissionings are vertical lines through all panels
     for km, words in (*trend.events, *((km, trend.again) for km in trend.again_km)):
         layout["shapes"].append(_line(x0=km, x1=km, y0=0, y1=1, yref="paper", dash="dot"))
-        note = {"x": km, "xref": "x", "y": 1, "yref": "paper", "text": html(words)}
+        note = {"x": km, "xref": "x", "y": 1, "yref": "paper", "text": html(spoken(words))}
         style = {"textangle": -90, "showarrow": False, "font": {"size": 11}}
         layout["annotations"].append(note | style | {"xanchor": "right", "yanchor": "top"})
     return {"data": data, "layout": layout}
@@ -101,13 +108,13 @@ def response_figure(responses: Sequence[Response], name: str) -> dict[str, Any]:
                 {
                     "type": "scatter",
                     "mode": "lines",
-                    "name": html(unbroken(str(one))),
+                    "name": html(unbroken(spoken(str(one)))),
                     "legendgroup": str(place),
                     "showlegend": part == 0,
                     "x": finite(one.frequencies_hz),
                     "y": finite(one.magnitudes[part]),
                     "yaxis": axis,
-                    "hovertemplate": "%{y:.3g} at %{x:.2f} Hz",
+                    "hovertemplate": "%{y:.3g}, %{x:.2f} Hz",
                     "line": {"color": colour, "width": 2.2 if is_last else 1.5, "dash": dash},
                 }
             )
@@ -115,16 +122,19 @@ def response_figure(responses: Sequence[Response], name: str) -> dict[str, Any]:
     return {
         "data": data,
         "layout": {
-            **PLAIN,
+            **_plain(),
             "margin": MARGINS | {"t": 90},
             "height": RESPONSES_PX,
             "uirevision": name,
             "showlegend": True,
             "legend": {"orientation": "h", "x": 0, "y": 1.06, "yanchor": "bottom"},
-            "xaxis": {"title": {"text": "frequency [Hz]"}, "anchor": "y2"},
+            "xaxis": {"title": {"text": spoken("frequency [Hz]")}, "anchor": "y2"},
             "yaxis": axis_of | {"domain": [0.55, 1]},
             "yaxis2": axis_of | {"domain": [0, 0.45]},
-            "annotations": [_axis_title(*pair) for pair in zip(PARTS, ("y", "y2"), strict=True)],
+            "annotations": [
+                _axis_title(spoken(part), axis)
+                for part, axis in zip(PARTS, ("y", "y2"), strict=True)
+            ],
         },
     }
 
@@ -153,7 +163,7 @@ def _traces(panel: Panel) -> list[dict[str, Any]]:
     traces = [
         {
             "mode": "lines",
-            "name": shown.MEDIAN,
+            "name": spoken(shown.MEDIAN),
             "x": finite(points.km if len(points.km) > 2 else []),
             "y": finite(shown.running_median(points.values)),
             "hoverinfo": "skip",
@@ -166,13 +176,13 @@ def _traces(panel: Panel) -> list[dict[str, Any]]:
         _at_edge(
             panel.missing_km,
             low,
-            [shown.MISSING] * len(panel.missing_km),
+            [spoken(shown.MISSING)] * len(panel.missing_km),
             {"symbol": "line-ns", "size": 10, "line": {"width": 2, "color": shown.MISSING_COLOUR}},
         ),
         _at_edge(
             [one.begin_km for one in panel.alarms],
             high,
-            [shown.alarm_label(one) for one in panel.alarms],
+            [spoken(shown.alarm_label(one)) for one in panel.alarms],
             {
                 "symbol": "triangle-down",
                 "size": 10,
@@ -190,17 +200,17 @@ def _trips(points: Points, span: tuple[float, float]) -> dict[str, Any]:
     is_flagged = bool(points.flagged.any())
     circle = "circle-open" if is_flagged else "circle"
     marks = {-1.0: "triangle-down", 0.0: circle, 1.0: "triangle-up"}
-    what = "flagged: " if is_flagged else ""
+    what = f"{gettext('flagged')}: " if is_flagged else ""
     return {
         "mode": "markers",
-        "name": shown.FLAGGED if is_flagged else shown.TRIP,
+        "name": spoken(shown.FLAGGED if is_flagged else shown.TRIP),
         "x": finite(points.km),
         "y": finite(inside),
         "text": [
-            f"{html(trip)}: {what}{shown.percent_words(value, '.4g')}"
+            f"{html(trip)}: {what}{spoken(shown.percent_words(value, '.4g'))}"
             for trip, value in zip(points.trips, points.values, strict=True)
         ],
-        "hovertemplate": "%{text}, at %{x:,.0f} km<extra></extra>",
+        "hovertemplate": "%{text}, %{x:,.0f} km<extra></extra>",
         "marker": {
             "color": shown.FLAGGED_COLOUR if is_flagged else shown.TRIP_COLOUR,
             "size": 6,
@@ -218,7 +228,7 @@ def _at_edge(
         "x": finite(km),
         "y": [edge] * len(words),
         "text": words,
-        "hovertemplate": "%{text}, at %{x:,.0f} km<extra></extra>",
+        "hovertemplate": "%{text}, %{x:,.0f} km<extra></extra>",
         "cliponaxis": False,
         "marker": marker,
     }
@@ -231,7 +241,7 @@ def _passing(panel: Panel) -> list[dict[str, Any]]:
         return []
     red = LIMIT_COLOURS["act"]
     low, median, high = passing.low_km, passing.median_km, passing.high_km
-    common = {"name": shown.PASSING, "hoverinfo": "text", "text": str(passing)}
+    common = {"name": spoken(shown.PASSING), "hoverinfo": "text", "text": spoken(str(passing))}
     return [
         common
         | {
@@ -257,7 +267,7 @@ def _levels(panel: Panel, axis: str) -> list[dict[str, Any]]:
     for kind, value in panel.limits:
         colour, dash = LIMIT_COLOURS[kind], "dash" if kind == "notice" else "solid"
         label = {
-            "text": f"{kind} {value:g} %",
+            "text": f"{spoken(kind)} {decimal(f'{value:g}')} %",
             "textposition": "start",
             "font": {"size": 11, "color": colour},
         }

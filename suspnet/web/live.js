@@ -50,12 +50,12 @@ async function look() {
     lost.hidden = true;
     pulse.textContent = state.words;
     if (state.version !== main().dataset.version) {
-      if (filled()) pulse.textContent = "There is an update; it is shown once the form is sent or left.";
+      if (filled()) pulse.textContent = main().dataset.update;
       else await replace();
     }
   } catch (error) {
     since = since || new Date().toLocaleTimeString();
-    lost.textContent = `No answer from the server since ${since}: what you see may be old.`;
+    lost.textContent = main().dataset.lost.replace("SINCE", since);
     lost.hidden = false;
   }
   if (main().dataset.state) setTimeout(look, 1000 * Number(main().dataset.every));

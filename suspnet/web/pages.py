@@ -36,7 +36,9 @@ from suspnet.maintenance.series import relative_results
 from suspnet.maintenance.state import State
 from suspnet.report.board import Refresher
 from suspnet.report.bogie import visits_of
+from suspnet.report.language import N_, current, gettext
 from suspnet.report.pdf import as_pdf
+from suspnet.report.sentences import spoken
 from suspnet.report.tables import FleetView, response
 from suspnet.report.templates import MARKS, render
 from suspnet.report.trend import trend_of_state
@@ -91,7 +93,7 @@ def calendar() -> ResponseReturnValue:
     found = current_view().plan
     if found is None:
         abort(404)
-    return Response(_calendar(found), mimetype="image/svg+xml")
+    return Response(_calendar(found, current()), mimetype="image/svg+xml")
 
 
 @pages.get("/suspension/<name>")
@@ -106,19 +108,24 @@ def acknowledge(name: str) -> ResponseReturnValue:
     """Store an acknowledgement of an alarm, and return to the page of its suspension."""
     state, form = _state(name), AcknowledgementForm()
     if not visitor().is_engineer:
-        abort(403, f"{visitor().name} may look, but not acknowledge alarms: that is for engineers.")
+        words = gettext("%(name)s may look, but not acknowledge alarms: that is for engineers.")
+        abort(403, words % {"name": visitor().name})
     if visitor().name:  # never the name that a form claims
         form.by.data = visitor().name
     if not form.validate_on_submit():
         return _suspension_page(name, form), 400
     chosen = [one for one in state.alarms if form.means(one)]
     if not chosen:
-        flash("Nothing was acknowledged: this alarm is cleared, or worse than it was shown.")
+        flash(
+            gettext("Nothing was acknowledged: this alarm is cleared, or worse than it was shown.")
+        )
         return redirect(_address(name))
     said = form.by.data.strip(), (form.words.data or "").strip()
     store_acknowledgement(state, chosen, *said)
     session["by"] = said[0]
-    flash(f"Acknowledged by {said[0]}: {', '.join(f'{a.parameter} ({a.cause})' for a in chosen)}.")
+    alarms = ", ".join(f"{a.parameter} ({gettext(str(a.cause))})" for a in chosen)
+    words = gettext("Acknowledged by %(name)s: %(alarms)s.")
+    flash(words % {"name": said[0], "alarms": alarms})
     return redirect(_address(name))
 
 
@@ -155,7 +162,10 @@ def work_order(name: str) -> ResponseReturnValue:
 def work_order_pdf(name: str) -> ResponseReturnValue:
     """Return the work orders of a suspension as PDF."""
     if not HAS_PDF:
-        abort(404, "Work orders as PDF need WeasyPrint where suspnet-serve runs: suspnet[pdf].")
+        abort(
+            404,
+            gettext("Work orders as PDF need WeasyPrint where suspnet-serve runs: suspnet[pdf]."),
+        )
     view, _ = current_view(), _state(name)
     index = view.keys[name]
     page = render(
@@ -192,11 +202,12 @@ def state() -> ResponseReturnValue:
     """Return the version of a page's state and when it was read; cheap, as pages poll it."""
     view, name = current_view(), request.args.get("of", "")
     version = _suspension_version(view, name) if name else _fleet_version(view)
-    return {"version": version, "words": current_refresher().words}
+    return {"version": version, "words": spoken(current_refresher().words)}
 
 
-@functools.lru_cache(maxsize=2)
-def _calendar(plan: Plan) -> bytes:
+@functools.lru_cache(maxsize=4)
+def _calendar(plan: Plan, language: str) -> bytes:
+    """Return the calendar in the current `language`, which is here for the cache."""
     from suspnet.report.figures import as_svg
     from suspnet.report.maintenance_figures import plan_calendar
 
@@ -272,7 +283,7 @@ def _state(name: str) -> State:
     """Return a suspension by its name in the URL; abort with 404 if there is none."""
     view = current_view()
     if name not in view.keys:
-        abort(404, "There is no such suspension in this history.")
+        abort(404, gettext("There is no such suspension in this history."))
     return view.states[view.keys[name]]
 
 
@@ -322,8 +333,8 @@ def _digest(*parts: Any) -> str:
 class AcknowledgementForm(FlaskForm):  # type: ignore[misc]
     """Form of an acknowledgement: name, text, and the alarm as the page showed it."""
 
-    by = StringField("Your name", [DataRequired("Enter your name."), Length(max=MOST_NAME)])
-    words = StringField("Action taken", [Length(max=500)])
+    by = StringField(N_("Your name"), [DataRequired(N_("Enter your name.")), Length(max=MOST_NAME)])
+    words = StringField(N_("Action taken"), [Length(max=500)])
     parameter, cause, severity = HiddenField(), HiddenField(), HiddenField()
 
     def means(self, alarm: Alarm) -> bool:

@@ -25,7 +25,7 @@ function say(plot) { // the range shown, in words and by its button; figures of 
   if (!zoom) return;
   const range = plot.layout.xaxis.range.map(Number);
   const out = document.querySelector(`output[data-zoom="${zoom}"]`);
-  if (out) out.textContent = range.map(km).join(" to ") + " km";
+  if (out) out.textContent = range.map(km).join(` ${out.dataset.to} `) + " km";
   for (const one of document.querySelectorAll(`button[data-zoom="${zoom}"]`)) {
     one.setAttribute("aria-pressed", Number(one.dataset.from) === range[0] && Number(one.dataset.to) === range[1]);
   }

@@ -2,6 +2,7 @@
 
 import csv
 import json
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -19,6 +20,7 @@ from suspnet.maintenance.series import Event
 from suspnet.maintenance.sisters import SisterSettings
 from suspnet.maintenance.visit_costs import PlanSettings
 from suspnet.report.board import BoardSettings
+from suspnet.report.language import speaking
 from suspnet.report.tables import overview_rows, overview_table
 from suspnet.report.templates import render
 from suspnet.runs.evaluate import write_maintenance
@@ -132,6 +134,17 @@ def test_study_writes_overview_plan_and_calendar(store, tmp_path):
     assert "http" not in page.replace("http://www.w3.org", "")
     assert (tmp_path / "calendar.png").read_bytes()[:4] == b"\x89PNG"
     assert json.loads((tmp_path / "metrics.json").read_text())["severities"]["act"] == 1
+
+
+def test_page_of_a_study_is_german_and_its_data_english(store, tmp_path):
+    with speaking("de"):
+        run_study(store, tmp_path)
+    page = (tmp_path / "overview.html").read_text(encoding="utf-8")
+    assert "Flotte: Zustand und Instandhaltungsplan" in page
+    assert "3 Federungen: 1 mit Eingriff, 1 anzusehen, 1 ohne Alarm." in page
+    for name in ("overview.csv", "metrics.json", "plan.csv"):
+        data = (tmp_path / name).read_text(encoding="utf-8")
+        assert not re.search(r"Federung|Eingriff|Fahrt|tauschen", data)
 
 
 def test_maintenance_clears_the_state(store, tmp_path):

@@ -1,12 +1,14 @@
 """Words: every combination of change, level, last trips and flags makes sense read aloud."""
 
+import re
 from dataclasses import replace
-from itertools import product
+from itertools import cycle, product
 
 import numpy as np
 import pytest
 
-from suspnet.ground.parameters import DEFAULT_LIMITS, Severity
+from suspnet.ground.parameters import DEFAULT_LIMITS, Cause, Severity
+from suspnet.maintenance.alarms import Alarm
 from suspnet.maintenance.assessment import (
     ALL_FLAGGED,
     assess,
@@ -17,6 +19,8 @@ from suspnet.maintenance.assessment import (
 from suspnet.maintenance.judge import LastTrips, last_trips
 from suspnet.maintenance.series import make_series
 from suspnet.maintenance.trend import Shape, Step, Trend, flagged_trend
+from suspnet.report.language import speaking
+from suspnet.report.sentences import spoken as spoken_in_language
 
 LIMITS = DEFAULT_LIMITS["k_s"]
 N_TRIPS = 30
@@ -339,3 +343,33 @@ def test_last_trips_are_those_of_largest_mileage_with_an_estimate():
     assert not last.all_flagged
     assert last_of(values, np.ones(8)).all_flagged
     assert not last_of(np.nan * values, np.ones(8)).all_flagged
+
+
+ENGLISH = re.compile(
+    r"\b(the|trips?|of|is|are|with|within|healthy|limits?|and|but|by|to|not|flagged|change|no|it)\b"
+)
+
+
+def test_no_reason_keeps_an_english_word_in_german():
+    """Of every reason, with alarms and doubts, and of the sentence on all parameters."""
+    alarms = [
+        Alarm("k_s", Cause.LIMIT, Severity.ACT, 5e4, np.nan, "was at 62 % of healthy, below the "
+        "act limit of 70 %, at 12 000 km; the last trip is at 99.5 %"),
+        Alarm("k_s", Cause.CHANGE, Severity.NOTICE, 5e4, np.nan, "fell by 3.5 % at about "
+        "12 000 km, by 6 % on the last 5 trips"),
+    ]  # fmt: skip
+    reasons = set()
+    for (shape, first, name, flags, half), n in zip(
+        COMBINATIONS[::2], cycle(range(4)), strict=False
+    ):
+        last = ending(name, flags, half)
+        counts = {"flagged_last": len(FLAGS[flags]), "flagged_first": n, "without_flagged": n == 1}
+        doubt = "all of the last 5 trips are flagged" if n == 2 else ""
+        found = made_up(shape, first, np.median(last.values), **counts)
+        for limits in (LIMITS, None):
+            one = assess(found, last, limits, alarms[:n] if n < 3 else alarms[1:], doubt)
+            reasons |= {one.words, overall([one])[1], overall([one, one])[1]}
+    assert len(reasons) > 200
+    with speaking("de"):
+        left = {words: spoken_in_language(words) for words in reasons}
+    assert {english: said for english, said in left.items() if ENGLISH.search(said)} == {}

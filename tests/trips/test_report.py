@@ -18,6 +18,7 @@ from suspnet.maintenance.alarms import Watched
 from suspnet.maintenance.series import make_series, series_of
 from suspnet.maintenance.state import State
 from suspnet.report import figures, report
+from suspnet.report.language import speaking
 from suspnet.report.maintenance_figures import health_trend
 from suspnet.report.report import Report
 from suspnet.report.tables import files_read_as
@@ -250,11 +251,12 @@ def test_flagged_trips_are_told_with_their_reasons(tmp_path):
     assert "12, of which 12 with an estimate, 2 of these flagged" in page.text
     assert page.named("div")[0]["class"] == "result plain"  # else it would be good
     assert [a.get("class") for a in page.named("tr")].count("flagged") == 2
+    assert [a.get("class") for a in page.named("li")].count("flagged") == 2  # on a phone
     assert page.text.count(f"⚑ {FLAG}") == 2
     row = text[text.index("trip_003") : text.index("trip_004")]
     assert "27.0</td>" in row  # without an interval
     assert "±" not in row
-    assert "violet ones are flagged" in page.text
+    assert "Violet ones are flagged" in page.text
     assert "A hollow circle is a flagged trip" in page.text
 
 
@@ -283,7 +285,7 @@ def test_sentence_on_flags_is_grammatical(tmp_path, n, sentence):
 def test_page_speaks_of_intervals_and_flags_only_where_there_are_some(tmp_path):
     _, plain = write(tmp_path / "a.html", fleet(12, ()))
     _, known = write(tmp_path / "b.html", measured(), level=0.95)
-    for words in ("95 % interval", "on 95 of 100 trips", "± half of their 95 % interval"):
+    for words in ("95 % interval", "on 95 of 100 trips", "± is half of their 95 % interval"):
         assert words not in plain.text
         assert words in known.text
     assert "Interval, ±" not in plain.text
@@ -358,8 +360,8 @@ def test_weaker_side_is_told_above_and_in_the_table(tmp_path):
     _, page = write(tmp_path / "report.html", [trip(0), trip(1, sides=words, flags=words)])
     assert "Left and right differ on 1 of the last 2 trips; on trip_001: primary" in page.text
     assert (
-        page.text.replace("\N{NO-BREAK SPACE}", " ").count(words) == 3
-    )  # and as the flag's reason
+        page.text.replace("\N{NO-BREAK SPACE}", " ").count(words) == 4
+    )  # and as the flag's reason, also on a phone
     assert "\u25d0 Sides" in page.text
     _, page = write(tmp_path / "plain.html", [trip(0)])
     assert "\u25d0" not in page.text
@@ -429,3 +431,33 @@ def test_page_does_not_deny_intervals_that_the_tables_have(tmp_path):
 def test_unknown_remaining_life_says_why(tmp_path):
     text, _ = write(tmp_path / "r.html", measured(3))
     assert '<td class="n life">unknown<small>too few trips (3 of 5)</small></td>' in text
+
+
+def test_report_is_german_where_that_is_chosen(tmp_path):
+    results = measured()
+    results[3] = flagged(results[3], k_p=0.27)
+    with speaking("de"):
+        text, page = write(tmp_path / "r.html", results, {"trend": small_figure()}, title="Bericht")
+    said = page.text.replace("\N{NO-BREAK SPACE}", " ")
+    assert '<html lang="de">' in text
+    assert "Nichts fällt auf. Kein Parameter ist jenseits seiner Grenzen" in said
+    assert "1 von 12 Fahrten ist markiert, siehe Tabelle; k_p bei etwa 27 % liegt außerhalb" in said
+    assert "12, davon 12 mit einer Schätzung, davon 1 markiert" in said
+    assert "Steifigkeit der Primärfeder, zwischen Achslagergehäuse und Drehgestellrahmen." in said
+    assert not re.search(r"\b(the|trips?|of|healthy|are|suspension)\b", said.partition("*/")[2])
+
+
+def test_texts_of_figures_are_german_but_not_what_ticks_name():
+    figure = Figure(layout="constrained")
+    axis = figure.subplots()
+    axis.set(ylabel="$k_p$ [% of healthy]", xlabel="mileage [1000 km]", title="trip at 3 000 km")
+    axis.plot([0, 1], label="act limit")
+    axis.set_yticks([0, 1], ["train left", "right"])
+    figure.legend()
+    with speaking("de"):
+        image = figures.as_svg(figure)
+    assert image
+    shown = [axis.get_ylabel(), axis.get_xlabel(), axis.get_title()]
+    assert shown == ["$k_p$ [% des Sollwerts]", "Laufleistung [1000 km]", "Fahrt bei 3 000 km"]
+    assert figure.legends[0].get_texts()[0].get_text() == "Eingriffsgrenze"
+    assert [one.get_text() for one in axis.get_yticklabels()] == ["train left", "right"]

@@ -356,3 +356,53 @@ def test_refresher_that_fails_or_dies_is_told_on_every_page(refresher, error, wo
     wait_for(lambda: words in client.get("/", **BASE).text)
     assert words in client.get("/plan", **BASE).text
     broken.stop()
+
+
+GERMAN = {"Accept-Language": "de-AT, de;q=0.9, en;q=0.5"}
+
+
+def test_pages_are_in_the_language_of_the_browser(client, refresher):
+    page = client.get("/", headers=GERMAN, **BASE).text
+    assert '<html lang="de">' in page
+    assert "4 Federungen: 2 mit Eingriff, 1 anzusehen, 1 ohne Alarm." in page
+    name = name_of(refresher.board.view, WORN)
+    worn = client.get(f"/suspension/{name}", headers=GERMAN, **BASE).text
+    assert "sinkt auf 82 % des Sollwerts" in worn.replace("\N{NO-BREAK SPACE}", " ")
+    assert "vorn links" in page
+    assert "Dämpfung des Sekundärdämpfers" in worn
+    figure = client.get(f"/suspension/{name}/trend.json", headers=GERMAN, **BASE).json
+    assert figure["layout"]["xaxis"]["title"]["text"] == "Laufleistung [km]"
+    assert "window.evil" not in re.sub("&lt;script&gt;window.evil", "", page)
+    missing = client.get("/suspension/none", headers=GERMAN, **BASE)
+    assert "Diese Federung gibt es in dieser Historie nicht." in missing.text
+    assert (
+        "There is no such suspension in this history." in client.get("/suspension/no", **BASE).text
+    )
+    assert '<html lang="en">' in client.get("/", headers={"Accept-Language": "fr"}, **BASE).text
+
+
+def test_language_can_be_fixed_but_programs_are_answered_in_english(refresher):
+    client = create_app(refresher, language="de").test_client()
+    assert "Aktive Alarme" in client.get("/", headers={"Accept-Language": "en"}, **BASE).text
+    alarms = client.get("/api/v1/alarms", headers=GERMAN, **BASE)
+    assert "below the act limit" in alarms.text
+    with pytest.raises(ValueError, match="`language` must be one of en, de, got 'fr'"):
+        create_app(refresher, language="fr")
+
+
+def test_german_forms_are_in_german(client, refresher):
+    name = name_of(refresher.board.view, FAILED)
+    page = client.get(f"/suspension/{name}", headers=GERMAN, **BASE).text
+    sent = client.post(
+        f"/suspension/{name}/acknowledge", data=form(page, by=""), headers=GERMAN, **BASE
+    )
+    assert sent.status_code == 400
+    assert "Bitte den Namen eingeben." in sent.text
+
+
+def test_trips_fold_to_a_line_each_with_their_verdict(client, refresher):
+    page = client.get(f"/suspension/{name_of(refresher.board.view, WORN)}", **BASE).text
+    folded = page[page.index('<div class="folded">') :]
+    lines = re.findall(r"<summary>(.*?)</summary>", folded, flags=re.S)
+    assert len(lines) == 20
+    assert lines[0] == "✓ estimated: trip_029, 60\N{NO-BREAK SPACE}000 km"

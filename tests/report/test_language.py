@@ -1,0 +1,197 @@
+"""The texts of the pages in German: the catalogue, sentences composed elsewhere, pages."""
+
+import gettext
+import re
+import string
+import tomllib
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from suspnet.ground.parameters import BOGIE_PARTS, KIND_NAMES, Cause, part_words
+from suspnet.ground.records import Place
+from suspnet.report.language import LANGUAGES, best_of, catalogue, check_language, speaking
+from suspnet.report.messages import subject, text
+from suspnet.report.sentences import PATTERNS, spoken
+from suspnet.report.templates import LABELS, render
+
+ROOT = Path(__file__).parents[2]
+FOLDER = ROOT / "suspnet/report/locale/de/LC_MESSAGES"
+PLACEHOLDER = re.compile(r"%\(\w+\)s|%%|%s|\{\w*\}|</?code>|SINCE")
+
+
+@pytest.fixture(scope="module")
+def texts():
+    """All texts of the package that pages show: of each module and each template."""
+    extract = pytest.importorskip("babel.messages.extract")
+    options = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["babel"]["mappings"]
+    methods = [(one["pattern"], one["method"]) for one in options]
+    known = {
+        one["pattern"]: {k: v for k, v in one.items() if "_" in k or k == "trimmed"}
+        for one in options
+    }
+    keywords = extract.DEFAULT_KEYWORDS | {"N_": None}
+    found = extract.extract_from_dir(ROOT / "suspnet", methods, known, keywords)
+    return {(name, message) for name, _, message, *_ in found}
+
+
+@pytest.fixture(scope="module")
+def german():
+    """The catalogue as its translators edit it, by the text that is translated."""
+    pofile = pytest.importorskip("babel.messages.pofile")
+    with (FOLDER / "suspnet.po").open("rb") as stream:
+        found = pofile.read_po(stream, locale="de")
+    return {one.id: one for one in found if one.id}
+
+
+def forms(message):
+    return message if isinstance(message, tuple | list) else (message,)
+
+
+def test_no_text_lacks_its_german(texts, german):
+    wanted = {message for _, message in texts}
+    assert len(wanted) > 300
+    assert wanted == set(german)
+    for one in german.values():
+        assert all(forms(one.string)), f"no German for {one.id!r}"
+        assert not one.fuzzy, f"not checked yet: {one.id!r}"
+
+
+def test_german_has_the_placeholders_of_the_english(german):
+    for one in german.values():
+        english = sorted(PLACEHOLDER.findall(forms(one.id)[-1]))
+        for said in forms(one.string):
+            assert sorted(PLACEHOLDER.findall(said)) == english, one.id
+            assert '"' not in said, "it would end an attribute"
+            assert not re.search(r"<(?!/?code>)", said)
+
+
+def test_compiled_catalogue_is_current(german):
+    compiled = catalogue("de")
+    assert isinstance(compiled, gettext.GNUTranslations)
+    for one in german.values():
+        if isinstance(one.id, tuple):
+            assert tuple(compiled.ngettext(*one.id, n) for n in (1, 2)) == tuple(one.string)
+        else:
+            assert compiled.gettext(one.id) == one.string
+    texts_of = {key[0] if isinstance(key, tuple) else key for key in compiled._catalog}
+    assert texts_of - {""} == {forms(one)[0] for one in german}
+
+
+@pytest.mark.parametrize("file", sorted(ROOT.glob("suspnet/*/*.html")), ids=lambda one: one.name)
+def test_template_has_no_text_outside_the_catalogue(file):
+    page = re.sub(r"\{#.*?#\}", "", file.read_text(encoding="utf-8"), flags=re.S)
+    page = re.sub(r"\{% trans.*?\{% endtrans %\}", "", page, flags=re.S)
+    page = re.sub(r"\{\{.*?\}\}|\{%.*?%\}", "", page, flags=re.S)
+    attributes = re.findall(r'(?:aria-label|alt|title|placeholder)="([^"]*)"', page)
+    words = re.findall(r"[^\W\d_]{2,}", " ".join([*attributes, re.sub(r"<[^>]*>", " ", page)]))
+    assert set(words) <= {"suspnet", "km", "nbsp"}
+
+
+@pytest.mark.parametrize("file", sorted(ROOT.glob("suspnet/*/*.html")), ids=lambda one: one.name)
+def test_template_has_no_english_in_its_columns_and_labels(file):
+    page = file.read_text(encoding="utf-8")
+    for columns in re.findall(r"\{% set columns = (.*?) %\}", page):
+        without = re.sub(r'_\("[^"]*"\)', "", columns)
+        assert not re.findall(r"""["']#?[A-Z][a-z][^"']*["']""", without)
+
+
+def test_sentences_are_german():
+    said = {
+        "the last trip is at 62.1 % of healthy, below the act limit of 70 %; falls to 62 % of "
+        "healthy (median of the last 5 trips), steadily along the mileage": "die letzte Fahrt "
+        "liegt bei 62,1 % des Sollwerts, unter der Eingriffsgrenze von 70 %; sinkt auf 62 % des "
+        "Sollwerts (Median der letzten 5 Fahrten), stetig über der Laufleistung",
+        "4 suspensions: 2 to act on, 1 without alarm.": "4 Federungen: 2 mit Eingriff, "
+        "1 ohne Alarm.",
+        "fell by 3.5 % at about 12 000 km (alarm since 14 000 km); within its limits": "sank um "
+        "3,5 % bei etwa 12 000 km (Alarm seit 14 000 km); innerhalb der Grenzen",
+        str(Place("air spring 3", "leading", "left", "ICE 4", "7")): "Zug ICE 4, Wagen 7, "
+        "air spring 3, vorderes Drehgestell, links",
+    }
+    for english, german in said.items():
+        with speaking("de"):
+            assert spoken(english) == german
+        assert spoken(english) == english
+
+
+def test_every_name_of_a_part_is_german():
+    names = [*KIND_NAMES.values(), *map(part_words, BOGIE_PARTS), *map(str, Cause)]
+    names.remove(str(Cause.SENSOR))  # the same word but for its capital
+    with speaking("de"):
+        for name in names:
+            assert not set(spoken(name).split()) & set(name.replace(",", "").split()) - {"1", "2"}
+        for _, label in LABELS.values():
+            assert spoken(label) != label or catalogue("de").gettext(label) != label
+
+
+@given(st.sampled_from(PATTERNS), st.text(max_size=300))
+def test_any_text_is_said_without_error_and_what_is_unknown_stays(pattern, value):
+    fields = [name for _, name, _, _ in string.Formatter().parse(pattern) if name]
+    with speaking("de"):
+        spoken(pattern.format(**dict.fromkeys(fields, value)))
+        for mark in ("{0}", "%(x)s", "<script>"):
+            assert mark in spoken(f"{mark} at 3 km")
+
+
+def test_long_texts_of_users_cost_no_time():
+    with speaking("de"):
+        long = "1 part unknown, " + " with until, " * 150
+        assert spoken(long) == long
+        assert len(spoken(", with until" * 60)) > 600
+
+
+def test_language_ends_with_its_block():
+    with speaking("de"), pytest.raises(RuntimeError, match="inside"):
+        raise RuntimeError("inside")
+    assert spoken("left") == "left"
+    with pytest.raises(ValueError, match="must be one of en, de, got 'fr'"):
+        check_language("fr")
+    assert best_of(["fr-FR", "de-CH", "en"]) == "de"
+    assert best_of([]) == "en"
+    assert set(LANGUAGES) == {"en", "de"}
+
+
+def test_page_of_a_file_is_german_and_escapes_what_it_is_given():
+    values = {"rows": [], "outputs": ("k_p",), "finding": "1 suspension: 1 not judged."}
+    with speaking("de"):
+        page = render("overview.html", **values)
+        assert '<html lang="de">' in page
+        assert "1 Federung: 1 nicht bewertet." in page
+        assert "Zuletzt bei" in page
+        evil = render("overview.html", **values | {"finding": "<script> at 3 km"})
+        assert "&lt;script&gt; bei 3 km" in evil
+    assert '<html lang="en">' in render("overview.html", **values)
+
+
+def test_mails_are_german():
+    alarm = {
+        "severity": "act",
+        "vehicle": "am96",
+        "place": str(Place("", "leading", "left", "12", "3")),
+        "parameter": "k_s",
+        "cause": "limit",
+        "begin_km": 56_000.0,
+        "end_km": None,
+        "state": "new",
+        "acknowledged_by": "Kim",
+        "reason": "the last trip is at 62.1 % of healthy, below the act limit of 70 %",
+    }
+    content = {"kind": "digest", "day": "2026-11-25", "alarms": [alarm], "n_suspensions": 4}
+    with speaking("de"):
+        assert subject(content) == "suspnet 2026-11-25: 1 aktiver Alarm, 1 mit Eingriff"
+        lines = text(content | {"id": "abc"}).splitlines()
+        at_once = subject(content | {"kind": "alarm", "alarms": [alarm, alarm]})
+    assert lines == [
+        "Neu:",
+        "- Eingriff: am96: Zug 12, Wagen 3, vorderes Drehgestell, links: k_s (Grenze), seit "
+        "56 000 km: die letzte Fahrt liegt bei 62,1 % des Sollwerts, unter der Eingriffsgrenze "
+        "von 70 %; quittiert von Kim",
+        "",
+        "4 Federungen in der Historie.",
+        "Nachricht abc",
+    ]
+    place = "am96: Zug 12, Wagen 3, vorderes Drehgestell, links: k_s"
+    assert at_once == f"suspnet: Eingriff: {place} und 1 weitere"
