@@ -59,6 +59,7 @@ def test_every_folder_of_the_package_is_in_the_wheel():
     assert set(setuptools["packages"]) == folders | {"suspnet.configs"}
     for file in (ROOT / "suspnet").rglob("*"):
         if file.is_file() and file.suffix not in (".py", ".pyc"):
-            package = ".".join(file.parent.relative_to(ROOT).parts)
+            above = [".".join(one.parts) for one in file.relative_to(ROOT).parents]
+            package = next(name for name in above if name in setuptools["packages"])
             patterns = setuptools["package-data"].get(package, [])
             assert any(file.match(pattern) for pattern in patterns), file

@@ -24,6 +24,7 @@ PATTERNS = (
     N_("secondary damper, {side}"),
     N_("secondary spring, {side}"),
     N_("all twelve parts"),
+    N_("axle {n}"),
     N_("axle {n}, {side}"),
     N_("left"),
     N_("right"),
@@ -178,6 +179,7 @@ PATTERNS = (
         "with sensors left and right reads each part"
     ),
     N_("worn, odds {odds}"),
+    N_("over {n} : 1"),
     N_("one of group {letter}"),
     N_("one of several has worn{common} (odds {odds}), which is not known: {parts}"),
     N_(" on the left"),
@@ -298,7 +300,7 @@ def spoken(text: str) -> str:
     >>> from suspnet.report.language import speaking
     >>> with speaking("de"):
     ...     spoken("the last trip is at 62.1 % of healthy, below the act limit of 70 %")
-    'die letzte Fahrt liegt bei 62,1 % des Sollwerts, unter der Eingriffsgrenze von 70 %'
+    'die letzte Fahrt liegt bei 62,1 % des Referenzwerts, unter der Eingriffsgrenze von 70 %'
     """
     if current() == ENGLISH or len(text) > LONGEST:
         return text

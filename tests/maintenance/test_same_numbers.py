@@ -139,7 +139,7 @@ def test_report_and_fleet_page_give_the_same_remaining_lives(outcomes):
             assert one["life"]["median_km"] == (median if np.isfinite(median) else None)
     assert known > 10
     text = (folder / "out" / "worn" / "report.html").read_text()
-    assert "predicted with the rates of wear of 7 suspensions of the history" in text
+    assert "Predicted: with the rates of wear of 7 suspensions of the history" in text
     assert reports["flagged", "k_s"]["unknown_life"] == "all of the last 5 trips are flagged"
 
 
@@ -219,5 +219,5 @@ def test_report_of_one_suspension_says_that_no_fleet_is_known(tmp_path):
         settings = FleetSettings(TripSettings())
         evaluate_fleet(tmp_path / "trips", [model], tmp_path / "out", settings, False)
     text = (tmp_path / "out" / "report.html").read_text()
-    assert "predicted by this suspension alone, as no other of its vehicle shows how fast" in text
+    assert "Predicted: by this suspension alone, as no other of its vehicle shows how fast" in text
     assert "(store=) the plan of a fleet may give others" in text

@@ -102,12 +102,15 @@ def test_sentences_are_german():
     said = {
         "the last trip is at 62.1 % of healthy, below the act limit of 70 %; falls to 62 % of "
         "healthy (median of the last 5 trips), steadily along the mileage": "die letzte Fahrt "
-        "liegt bei 62,1 % des Sollwerts, unter der Eingriffsgrenze von 70 %; sinkt auf 62 % des "
-        "Sollwerts (Median der letzten 5 Fahrten), stetig über der Laufleistung",
+        "liegt bei 62,1 % des Referenzwerts, unter der Eingriffsgrenze von 70 %; sinkt auf 62 % "
+        "des Referenzwerts (Median der letzten 5 Fahrten), stetig über der Laufleistung",
         "4 suspensions: 2 to act on, 1 without alarm.": "4 Federungen: 2 mit Eingriff, "
         "1 ohne Alarm.",
         "fell by 3.5 % at about 12 000 km (alarm since 14 000 km); within its limits": "sank um "
         "3,5 % bei etwa 12 000 km (Alarm seit 14 000 km); innerhalb der Grenzen",
+        "worn, odds over 1000 : 1": "verschlissen, Chancen über 1000 : 1",
+        "damping of the primary damper, axle 2, left": "Dämpfung des Primärdämpfers, Achse 2, "
+        "links",
         str(Place("air spring 3", "leading", "left", "ICE 4", "7")): "Zug ICE 4, Wagen 7, "
         "air spring 3, vorderes Drehgestell, links",
     }
@@ -187,7 +190,7 @@ def test_mails_are_german():
     assert lines == [
         "Neu:",
         "- Eingriff: am96: Zug 12, Wagen 3, vorderes Drehgestell, links: k_s (Grenze), seit "
-        "56 000 km: die letzte Fahrt liegt bei 62,1 % des Sollwerts, unter der Eingriffsgrenze "
+        "56 000 km: die letzte Fahrt liegt bei 62,1 % des Referenzwerts, unter der Eingriffsgrenze "
         "von 70 %; quittiert von Kim",
         "",
         "4 Federungen in der Historie.",
