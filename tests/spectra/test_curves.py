@@ -309,7 +309,9 @@ def test_cache_name_changes_with_whatever_the_features_depend_on(
 
 
 def test_cache_name_changes_with_what_features_were_learnt_from(source, cached, tmp_path, task):
-    problem = task(feature_set="curve", curve={"n_components": 3}, step=0.5, mass_step=0.1)
+    problem = task(
+        feature_set="curve", curve={"n_components": 3, "high_hz": 5.0}, step=0.5, mass_step=0.1
+    )
     few, more, everything = (
         source(dataclasses.replace(cached, n_train=n_train), problem).features(TEST).inputs
         for n_train in (150, 200, "all")

@@ -53,7 +53,7 @@ def test_shares_of_single_wheelsets_are_found(shares):
 
 
 def test_matrix_is_that_of_the_formula():
-    spectra, common, alone = drawn(np.array([0.01, 0.01, 0.01]), n_averages=20_000)
+    spectra, common, alone = drawn(np.array([0.01, 0.01, 0.01]), n_averages=2000)
     found = trip_noise(spectra, common, alone, START)
     expected = np.diag(NOISE).astype(complex)
     for k, density in enumerate((900.0, 400.0, 200.0)):
