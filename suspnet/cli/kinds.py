@@ -167,7 +167,7 @@ def read_vehicles(folder: str | Path = CONFIGS) -> dict[str, Vehicle]:
     Raises
     ------
     FileNotFoundError
-        If the folder has no `vehicle/NAME.yaml`.
+        If the folder has no ``vehicle/NAME.yaml``.
     TypeError, ValueError
         If a file is no vehicle's, or one of its numbers is missing or wrong.
     """

@@ -78,7 +78,7 @@ def register_method(name: str, cls: type, title: str | None = None) -> None:
 
 
 def register_features(cls: type) -> None:
-    """Make a feature set available as ``protocol.feature_set=KIND``, `KIND` being ``cls.kind``.
+    """Make a feature set available as ``protocol.feature_set=KIND``, ``KIND`` being ``cls.kind``.
 
     Parameters
     ----------
