@@ -200,6 +200,13 @@ def of_parts(bogie: CommissionedBogie) -> str:
     )
 
 
+NOT_CONVERGED = (
+    "The search for the bogie did not end within its steps: its parts are not to be relied on, and "
+    "wrong ones may be named. Give more healthy trips, or sensors at the axle boxes."
+)
+"""Doubt about a bogie whose search did not converge."""
+
+
 def agreement(outcome: Commissioned) -> str:
     """Return a sentence on how many starts of the search found the same vehicle."""
     return f"{outcome.n_agree} of {outcome.n_starts} starts of the search found this vehicle."

@@ -117,6 +117,8 @@ def commission_parts(
     ]
     bogie = commission_bogie(vehicle, read)
     log.info("%s", words.of_parts(bogie))
+    if not bogie.converged:
+        log.warning("%s", words.NOT_CONVERGED)
     return bogie
 
 

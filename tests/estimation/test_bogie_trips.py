@@ -1,6 +1,7 @@
 """Recordings with sensors on both sides as spectral matrices: layouts, whole trips, bad input."""
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from vehicles import AM96
 
 from suspnet.dynamics import SpatialVehicle, VerticalVehicle
 from suspnet.estimation import bogie_trips
-from suspnet.estimation.bogie_fit import commission_bogie
+from suspnet.estimation.bogie_fit import CommissionedBogie, commission_bogie
 from suspnet.estimation.bogie_trips import (
     SPACING_HZ,
     bogie_trip,
@@ -30,6 +31,7 @@ from suspnet.recordings.manifest import Channel, TripManifest
 from suspnet.recordings.manifest_files import read_manifest
 from suspnet.recordings.recording import joined, load_recording
 from suspnet.recordings.sensor import SensorSignal
+from suspnet.runs import commissioning
 from suspnet.runs.commissioning import commission_parts
 from suspnet.simulation import Fleet
 from suspnet.spectra.segments import NoEstimateError, recording_segments
@@ -107,6 +109,19 @@ def test_single_sensors_name_no_part(tmp_path):
     (single,) = recordings(tmp_path, np.ones((1, 13)), 12.0, ("roll",), sides="mean")
     with pytest.raises(NoEstimateError, match="no sensor at axle_box_axle1_left"):
         bogie_trip(single, VEHICLE)
+
+
+@pytest.mark.parametrize("converged", [True, False])
+def test_search_that_did_not_end_is_told(short, monkeypatch, caplog, converged):
+    bogie = CommissionedBogie(VEHICLE, torch.ones(6), np.ones(3), 1.0, converged)
+    monkeypatch.setattr(commissioning, "commission_bogie", lambda vehicle, trips: bogie)
+    monkeypatch.setattr(commissioning, "load_recording", lambda manifest, rate_hz: short)
+    healthy = SimpleNamespace(manifests=[short.manifest] * 3, groups=[])
+    healthy.groups = [SimpleNamespace(trip=i, direction="forward") for i in range(3)]
+    with caplog.at_level("WARNING"):
+        found = commission_parts(healthy, VerticalVehicle(AM96), TripSettings())
+    assert found is bogie
+    assert ("wrong ones may be named" in caplog.text) == (not converged)
 
 
 def test_a_short_or_slow_trip_has_no_estimate(tmp_path, short):
