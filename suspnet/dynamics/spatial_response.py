@@ -13,7 +13,8 @@ to numbers of the vehicle is that of
     f = gamma (A_0 (B - Z X_0) + C X_0 + D E) = gamma (C - A_0 (A^T kappa G - omega^2 M)) (X_0, E)
 
 (C with D, and 0 under E for M), where X_0 and A_0 = C Z^-1 are held: Z X_0 is B where they belong,
-and neither Z nor its inverse is differentiated; central differences of f come in one batch.
+and neither Z nor its inverse is differentiated. f is a sum of products of kappa, stretches, pulls,
+masses, E, C, D and gamma: central differences of these give its derivative by the product rule.
 """
 
 from __future__ import annotations
@@ -38,7 +39,7 @@ from suspnet.dynamics.vertical_motion import RAIL_LATERAL_M, Layout
 from suspnet.dynamics.vertical_response import cross_level_size, phasor, root_of_size, wheels_of
 
 STEP = 1e-6
-"""Step of the central differences of f, relative to a number; they err by 1e-9 of f."""
+"""Step of the central differences, relative to a number; the derivatives err by 1e-9 of f."""
 MOST_NUMBERS = 1 << 19
 """Complex numbers of the largest array at once; it takes 64 MB."""
 

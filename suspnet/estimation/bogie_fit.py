@@ -79,8 +79,8 @@ class CommissionedBogie:
         explain the trip. ValueError if the trip has another number of sensors.
         """
         assert self.generator.sensors is not None
-        kept = [i for i, name in enumerate(self.generator.sensors) if name not in trip.lost]
-        fit = BogieSearch(self.generator, [self.noise[kept]], [trip], are_healthy=False)
+        noise = self.noise[trip.kept(self.generator.sensors)]
+        fit = BogieSearch(self.generator, [noise], [trip], are_healthy=False)
         if start is None:
             fit, x, converged = fit.widened()
         else:

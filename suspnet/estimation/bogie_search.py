@@ -62,6 +62,14 @@ class BogieTrip:
         """Return the numbers of those bins that are not left out."""
         return bins if self.left_out is None else bins[~self.left_out[bins]]
 
+    def kept(self, sensors: Sequence[str]) -> list[int]:
+        """Return the numbers of those of a vehicle's sensors that the trip has.
+
+        Sensitivities and delays are relative to the vehicle's first sensor, also if the trip has
+        not that one.
+        """
+        return [i for i, name in enumerate(sensors) if name not in self.lost]
+
 
 def smallest_noise(spectra: SpectralMatrix) -> Tensor:
     """Return the least that the other sensors do not explain of each one, (m,)."""
@@ -101,12 +109,8 @@ class BogieSearch:
         return self.generator.sensors
 
     def sensors_of(self, trip: BogieTrip) -> list[int]:
-        """Return the numbers of the vehicle's sensors that a trip has.
-
-        Sensitivities and delays are relative to the first sensor of the vehicle, also if the trip
-        has not that one.
-        """
-        return [i for i, name in enumerate(self._sensors) if name not in trip.lost]
+        """Return the numbers of the vehicle's sensors that a trip has."""
+        return trip.kept(self._sensors)
 
     @property
     def frequencies_hz(self) -> Tensor:

@@ -116,8 +116,8 @@ def test_search_that_did_not_end_is_told(short, monkeypatch, caplog, converged):
     bogie = CommissionedBogie(VEHICLE, torch.ones(6), np.ones(3), 1.0, converged)
     monkeypatch.setattr(commissioning, "commission_bogie", lambda vehicle, trips: bogie)
     monkeypatch.setattr(commissioning, "load_recording", lambda manifest, rate_hz: short)
-    healthy = SimpleNamespace(manifests=[short.manifest] * 3, groups=[])
-    healthy.groups = [SimpleNamespace(trip=i, direction="forward") for i in range(3)]
+    groups = [SimpleNamespace(trip=i, direction="forward") for i in range(3)]
+    healthy = SimpleNamespace(manifests=[short.manifest] * 3, groups=groups)
     with caplog.at_level("WARNING"):
         found = commission_parts(healthy, VerticalVehicle(AM96), TripSettings())
     assert found is bogie
