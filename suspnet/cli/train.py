@@ -22,9 +22,16 @@ from suspnet.estimation.problem import Problem
 from suspnet.estimation.trip_settings import TripSettings
 from suspnet.ground.parameters import DIRECTIONS, FORWARD, Direction
 from suspnet.ground.settings import check_choice, check_values
+from suspnet.ground.workers import alongside
 from suspnet.learning import ranks
 from suspnet.recordings.manifest_files import ManifestFile
-from suspnet.runs.commissioning import check_generator, commission_folder, commission_parts
+from suspnet.runs.commissioning import (
+    check_generator,
+    commission_trips,
+    parts_of,
+    read_folder,
+    reported,
+)
 from suspnet.runs.commissioning_page import training_notes, write_outcome
 from suspnet.runs.scores import Metrics
 from suspnet.runs.train import RunContext, speed_ranges, train, train_ranges
@@ -207,21 +214,28 @@ def _commissioned(
             raise ValueError(NO_PARTS)
         return None
     settings, trips = _check_healthy(config), TripSettings()
-    found, outcome = commission_folder(
-        Path(config.healthy),
-        build(config, "generator"),
-        settings,
-        trips,
-        paths=paths,
-        n_first=config.n_healthy,
-        by_part=by_part,
-        progress=config.progress,
-    )
-    write_outcome(folder, found, outcome)
+    generator = build(config, "generator")
+    # both fits take about as long and neither needs the other
+    is_apart = by_part and config.threads != 1 and not ranks.is_distributed()
+    with alongside("suspnet.runs.commissioning", is_wanted=is_apart) as start:
+        found = read_folder(
+            Path(config.healthy),
+            generator,
+            settings,
+            trips,
+            paths=paths,
+            n_first=config.n_healthy,
+            progress=config.progress,
+        )
+        parts = start(parts_of(found, generator, trips)) if by_part else None
+        outcome = commission_trips(
+            found, generator, settings, by_part=by_part, progress=config.progress
+        )
+        write_outcome(folder, found, outcome)
+        bogie = reported(parts()) if parts else None
     speeds = tuple(group.speed_m_per_s for group in found.groups)
     run = tuple(one for one in DIRECTIONS if one in {group.direction for group in found.groups})
     notes = training_notes(found, outcome)
-    bogie = commission_parts(found, outcome.generator, trips) if by_part else None
     return _Healthy(outcome.generator, notes, outcome.residual, speeds, run, bogie)
 
 
