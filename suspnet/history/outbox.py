@@ -97,7 +97,7 @@ class _Told:
         """
         if alarm.begin_km > self.at_km:
             return "new"
-        # a late trip may have cleared the reported alarm before the mileage up to which it was known
+        # a late trip may have cleared the reported alarm before the mileage `at_km`
         if alarm.end_km < self.at_km and not (is_last and self.is_open):
             return "old"
         if alarm.severity > self.severity:
@@ -221,9 +221,9 @@ class _Fleet:
         where = is_one_of(suspensions.c.id, changed)
         ids = {key: one for one, (key, _) in known_suspensions(connection, where, unread).items()}
         self.ids |= ids
-        self.alarms |= dict.fromkeys(ids, []) | read_stored(connection, Alarm, unread, where)
+        self.alarms |= {key: [] for key in ids} | read_stored(connection, Alarm, unread, where)
         seen = read_stored(connection, Acknowledgement, unread, where)
-        self.seen |= dict.fromkeys(ids, []) | seen
+        self.seen |= {key: [] for key in ids} | seen
         newest = sql.select(trips.c.suspension_id, sql.func.max(trips.c.mileage_km))
         newest = newest.where(is_one_of(trips.c.suspension_id, changed))
         rows = connection.execute(newest.group_by(trips.c.suspension_id))

@@ -14,6 +14,7 @@ from datetime import UTC, datetime, timedelta
 from email import message_from_bytes, policy
 
 import pytest
+from cli_runner import run_program
 from empty_stores import KINDS, empty_store
 from live_frames import Mosquitto, until
 from notified import (
@@ -578,6 +579,21 @@ def test_a_secret_may_be_in_a_file_that_the_environment_names(tmp_path, monkeypa
     (tmp_path / "key").write_text(f"{KEY}\n")
     monkeypatch.setenv("SUSPNET_WEBHOOK_SECRET_FILE", str(tmp_path / "key"))
     assert read_rules(webhook_rules(tmp_path, "https://h/")).channels["hook"]._key()
+
+
+def test_an_evaluation_sends_what_is_new_once(tmp_path, monkeypatch):
+    from suspnet.cli import evaluate
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(evaluate, "write_maintenance", lambda *_: [])
+    store = fill(tmp_path / "a.db")
+    with receiving() as (url, got):
+        given = ["study=maintenance", f"notify={webhook_rules(tmp_path, url)}"]
+        for _ in range(2):
+            assert run_program(evaluate, tmp_path / "out", *given, f"store={store}") == 0
+        assert "`notify` needs store=FILE" in run_program(evaluate, tmp_path / "out", *given)
+    ((_, body),) = got
+    assert [one["parameter"] for one in json.loads(body)["alarms"]] == ["k_p"]
 
 
 def test_mqtt_messages_wait_for_a_killed_broker_and_arrive_once(tmp_path):
