@@ -9,8 +9,9 @@ import pytest
 from suspnet.ground.records import TripResult
 from suspnet.recordings.cleaning import KINDS
 from suspnet.recordings.formats import READERS
-from suspnet.recordings.manifest import MANIFEST, Channel
+from suspnet.recordings.manifest import MANIFEST
 from suspnet.recordings.manifest_keys import CsvDialect, keys_of
+from suspnet.recordings.manifest_sources import Channel
 from suspnet.spectra.peaks import PeakReason
 
 ROOT = Path(__file__).parents[1]

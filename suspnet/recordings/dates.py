@@ -87,7 +87,9 @@ def read_date(text: str) -> datetime | None:
     >>> read_date("03/08/2015") is None
     True
     """
-    plain = iso_from_german(" ".join(text.split()), lambda one, *by: re.sub(*by, one))
+    plain = iso_from_german(
+        " ".join(text.split()), lambda one, german, iso: re.sub(german, iso, one)
+    )
     try:
         return datetime.fromisoformat(plain)
     except ValueError:

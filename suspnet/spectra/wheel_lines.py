@@ -19,7 +19,8 @@ from scipy.signal import get_window, resample_poly
 from torch import Tensor
 
 from suspnet.ground.types import BoolArray, FloatArray, IntArray
-from suspnet.recordings.manifest import CHANNELS, channel_of
+from suspnet.recordings.manifest import CHANNELS
+from suspnet.recordings.manifest_sources import channel_of
 from suspnet.recordings.recording import Recording
 
 WINDOW_M = 200.0

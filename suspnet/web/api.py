@@ -16,7 +16,7 @@ from werkzeug.exceptions import HTTPException, UnsupportedMediaType
 from suspnet.ground.parameters import BODY_MASS, BOGIE_PARTS, NAMES, Severity, part_words
 from suspnet.ground.storage import finite_or_none
 from suspnet.maintenance.alarms import newest_of
-from suspnet.maintenance.series import relative_results
+from suspnet.maintenance.relative import relative_results
 from suspnet.maintenance.state import State
 from suspnet.report.tables import FleetView
 from suspnet.report.work_order import all_work_orders, work_orders
