@@ -20,8 +20,8 @@ TELLING = (
     *(
         path.relative_to(ROOT).as_posix()
         for path in (ROOT / "suspnet/recordings").glob("*.py")
-        # the texts of `manifest` are of the tables of keys, but for what is raised
-        if path.stem not in ("manifest", "frames", "assembler", "running")
+        # the texts of manifests are of the tables of keys, but for what is raised
+        if path.stem not in ("manifest", "manifest_sources", "frames", "assembler", "running")
     ),
     "suspnet/spectra/plausibility.py",
     "suspnet/spectra/segments.py",
