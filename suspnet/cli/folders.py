@@ -29,7 +29,7 @@ FLEET = "fleet.json"
 """Last file written by a training of several suspensions."""
 FINISHED = ("metrics.json", "speeds.json", FLEET)
 """Last files written by a training: of one model, several speeds or several suspensions."""
-NOT_COMPARED = ("resume", "progress", "threads", "workers", "data.cache_dir")
+NOT_COMPARED = ("resume", "progress", "threads", "workers", "data.cache_dir", "language")
 """Keys that change no number: runs that differ only in these count as the same."""
 FINE, MISTAKE, SOME_WITHOUT_ESTIMATE, NOTICE, ACT = 0, 1, 2, 3, 4
 """Exit codes: success; a mistake of the user; a trip without an estimate, or a parameter that

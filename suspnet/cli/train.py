@@ -24,6 +24,7 @@ from suspnet.ground.parameters import DIRECTIONS, FORWARD, Direction
 from suspnet.ground.settings import check_choice, check_values
 from suspnet.learning import ranks
 from suspnet.recordings.manifest_files import ManifestFile
+from suspnet.report.language import check_language, speaking
 from suspnet.runs.commissioning import check_generator, commission_folder, commission_parts
 from suspnet.runs.commissioning_page import training_notes, write_outcome
 from suspnet.runs.scores import Metrics
@@ -63,6 +64,7 @@ def main(config: DictConfig) -> None:
     folder.
     """
     warnings.simplefilter("always", ConvergenceWarning)
+    check_language(config.language)
     ranks.start(config.device)
     folder = program.run_folder()
     finished = folders.finished_run(config, folder)
@@ -217,7 +219,8 @@ def _commissioned(
         by_part=by_part,
         progress=config.progress,
     )
-    write_outcome(folder, found, outcome)
+    with speaking(config.language):
+        write_outcome(folder, found, outcome)
     speeds = tuple(group.speed_m_per_s for group in found.groups)
     run = tuple(one for one in DIRECTIONS if one in {group.direction for group in found.groups})
     notes = training_notes(found, outcome)

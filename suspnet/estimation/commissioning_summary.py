@@ -259,7 +259,6 @@ def cells(one: Number) -> dict[str, Any]:
     quantity = one.quantity
     return {
         "symbol": SYMBOLS.get(quantity.name, ""),
-        "meaning": quantity.meaning[0].upper() + quantity.meaning[1:],
         "unit": unit or "1",
         "prior": _value(*one.prior, scale),
         "posterior": _value(*one.posterior, scale),
