@@ -27,6 +27,7 @@ from suspnet.recordings.manifest_files import ManifestFile
 from suspnet.report.language import check_language, speaking
 from suspnet.runs.commissioning import check_generator, commission_folder, commission_parts
 from suspnet.runs.commissioning_page import training_notes, write_outcome
+from suspnet.runs.dataset import write_dataset
 from suspnet.runs.scores import Metrics
 from suspnet.runs.train import RunContext, speed_ranges, train, train_ranges
 from suspnet.spectra.estimates import (
@@ -254,6 +255,8 @@ def _train(
         threads=program.n_threads(config.threads),
         progress=config.progress,
     )
+    if config.dataset is not None and not (path := folder / f"dataset.{config.dataset}").exists():
+        write_dataset(problem, path)
     model = build(config, "model")
     search = build(config, "search") if config.get("search") else None
     resolved = program.save_config(given or config, folder)

@@ -53,7 +53,7 @@ def spoken(text: str) -> str:
 @functools.lru_cache(maxsize=10_000)
 def _spoken(text: str, language: str) -> str:
     """Return a text in a language, which is the current one: it is an argument for the cache."""
-    if re.fullmatch(r"[-+\N{MINUS SIGN}]?[\d \N{NO-BREAK SPACE}]*\.?\d+%?", text):
+    if re.fullmatch(r"[-+\N{MINUS SIGN}]?[\d \N{NO-BREAK SPACE}]*\.?\d+(?:e[-+]?\d+)?%?", text):
         return decimal(text)
     if (said := _matched(text, language)) is not None:
         return said

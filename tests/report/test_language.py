@@ -16,6 +16,7 @@ from suspnet.report.language import LANGUAGES, best_of, catalogue, check_languag
 from suspnet.report.messages import subject, text
 from suspnet.report.sentences import PATTERNS, spoken
 from suspnet.report.templates import LABELS, render
+from suspnet.trips.check_page import READY, TripCheck, write_checks
 
 ROOT = Path(__file__).parents[2]
 FOLDER = ROOT / "suspnet/report/locale/de/LC_MESSAGES"
@@ -223,3 +224,29 @@ def test_mails_are_german():
     ]
     place = "am96: Zug 12, Wagen 3, vorderes Drehgestell, links: k_s"
     assert at_once == f"suspnet: Eingriff: {place} und 1 weitere"
+
+
+def test_page_of_a_check_is_german_and_its_data_are_english(tmp_path):
+    bad = TripCheck(Path("a.yaml"), problems=("bogie: clock jumps by +15 ms against that of body",))
+    dead = "body: dead and left out: it is constant (0) throughout: is the sensor connected?"
+    good = TripCheck(
+        Path("b.yaml"),
+        READY,
+        remarks=(dead,),
+        vehicle="am96",
+        place=Place("S1", "leading"),
+        sensors="single sensors",
+    )
+    with speaking("de"):
+        page = write_checks([bad, good], ["there is no file or folder x"], tmp_path).read_text()
+    for said in (
+        "1 von 2 Fahrten bereit für eine Schätzung, 1 mit Problemen",
+        "es gibt weder Datei noch Ordner x",
+        "am96, S1, vorderes Drehgestell: 1 von 1 Fahrten bereit; eine Inbetriebnahme braucht 3",
+        "body: tot und weggelassen: durchweg konstant (0): Ist der Sensor angeschlossen?",
+        "einzelne Sensoren",
+    ):
+        assert said in page.replace("\N{NO-BREAK SPACE}", " ")
+    content = (tmp_path / "check.json").read_text()
+    assert dead in content
+    assert "bereit" not in content
