@@ -129,9 +129,7 @@ def _evaluate(config: DictConfig) -> int:
 
 def run_study(config: DictConfig, folder: Path) -> int:
     """Run the chosen study; return the exit code for the worst state that it found."""
-    check_choice(
-        "study", config.study, ("identifiability", "layouts", "maintenance", "reliability")
-    )
+    check_choice("study", config.study, STUDIES)
     threads = program.n_threads(config.threads)
     program.save_config(config, folder)
     if config.study == "identifiability":

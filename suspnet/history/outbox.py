@@ -32,7 +32,7 @@ from suspnet.maintenance.alarms import Acknowledgement, Alarm, newest_of
 
 LEASE_S = 300.0
 """Time for which a message that is being sent belongs to one program, [s]; longer than sending it
-may take. After a kill it is sent again when this is over."""
+may take. After a kill it is sent again after this time."""
 FIRST_WAIT_S, LONGEST_WAIT_S = 60.0, 6 * 3600.0
 """Time until a failed message is tried again, [s]: it doubles with each failure up to a limit."""
 MOST_ATTEMPTS = 20

@@ -143,7 +143,7 @@ def wheel_words(recording: Recording, lines: Sequence[WheelLine]) -> str:
         if first_hz <= top_hz:
             return ""
         return (
-            f"wheels cannot be seen: order 1 and the track beside it need {first_hz:.0f} Hz, the "
+            f"wheels cannot be seen: order 1 and the track next to it need {first_hz:.0f} Hz, the "
             f"recording is read up to {top_hz:.0f} Hz: raise trips.rate_hz"
         )
     given = recording.manifest.wheel_diameter_m is not None

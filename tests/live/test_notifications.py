@@ -541,7 +541,7 @@ WRONG = [
         "export SUSPNET_NONE=",
     ),
     ({}, {"a": {"channels": ["h"]}}, "'h' is not a channel; known: none"),
-    ({}, {}, "`recipients` must name somebody"),
+    ({}, {}, "`recipients` must name a recipient"),
     (
         {"h": {"kind": "webhook", "url": "https://h/"}},
         {"a": {"channels": ["h"], "digest": None, "at_once": []}},
