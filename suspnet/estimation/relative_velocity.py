@@ -2,7 +2,7 @@
 
 A damper that blows off has the slope c up to the relative velocity v_b, and ``SLOPE_AFTER`` c
 beyond. Dry friction parallel to a damper is a force that does not grow with velocity. With sigma
-the rms relative velocity across a suspension, normal, statistical linearisation gives the damping ::
+the rms relative velocity across a suspension, normal, statistical linearisation gives the damping::
 
     c g(sigma / v_b) + c_f,    g(y) = rho + (1 - rho) erf(1 / (sqrt(2) y))
 

@@ -11,12 +11,12 @@ import functools
 import re
 from collections.abc import Iterator
 from importlib import resources
-from typing import Any, BinaryIO
+from typing import IO, Any
 
 from suspnet.report.language import ENGLISH, current, decimal, gettext
 
 
-def extract(file: BinaryIO, *_: Any, **__: Any) -> Iterator[tuple[int, None, str, list[str]]]:
+def extract(file: IO[bytes], *_: Any, **__: Any) -> Iterator[tuple[int, None, str, list[str]]]:
     """Yield line and text of each pattern in the file of patterns, for ``pybabel extract``."""
     for number, line in enumerate(file.read().decode().splitlines(), 1):
         if not line.startswith("#"):
@@ -67,8 +67,8 @@ def _spoken(text: str, language: str) -> str:
         if separator in text:
             end = "." * (separator == ". ")  # a sentence is known with its full stop
             *parts, last = text.split(separator)
-            said = [_spoken(one + end, language).removesuffix(end) for one in parts]
-            return separator.join([*said, _spoken(last, language)])
+            each = [_spoken(one + end, language).removesuffix(end) for one in parts]
+            return separator.join([*each, _spoken(last, language)])
     return f"{_spoken(text[:-1], language)}." if text.endswith(".") else text
 
 
