@@ -106,20 +106,21 @@ NUMBERS = frozenset({"k", "n", "j", "m", "size", "value", "limit", "km", "factor
 
 PART = "(?:[kc]_[ps]|(?:secondary )?(?:damper|spring))"
 OF_NAME = {
-    **{
-        "quantity": "[kc]_[ps]",
-        "one": f"{PART}.*?",
-        "another": f"{PART}.*",
-        "odds": r"[\w ]+ : 1",
-        "where": "(?:(?! or ).)+",
-    },
-    **{
-        "channel": r"\w+",
-        "partner": r"\w+",
-        "trip": r"\S+",
-        "kind": r"\w+",
-        "fate": r"\w+(?: usable)?",
-    },
+    "quantity": "[kc]_[ps]",
+    "one": f"{PART}.*?",
+    "another": f"{PART}.*",
+    "where": "(?:(?! or ).)+",
+    "odds": r"[\w ]+ : 1",
+    "channel": r"\w+",
+    "partner": r"\w+",
+    "kind": r"\w+",
+    "fate": r"\w+(?: usable)?",
+    "trip": r"\S+",
+    "key": "`[^`]+`",
+    "listed": r"\[[^\]]*\]|\([^)]*\)",
+    "named_file": r"\S*\.\w+",
+    "rule": r"a mapping|text \(put .*|one of [\[(].*[\])]|a number (?:>|from) ?[^,]*"
+    "|a finite number|at most .* km .*|a time like .*",
 }
 """Regular expressions of some variable parts."""
 
