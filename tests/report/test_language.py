@@ -109,9 +109,8 @@ def test_sentences_are_german():
         "1 ohne Alarm.",
         "fell by 3.5 % at about 12 000 km (alarm since 14 000 km); within its limits": "sank um "
         "3,5 % bei etwa 12 000 km (Alarm seit 14 000 km); innerhalb der Grenzen",
-        "a.yaml: `channels.body.unit` must be one of ['m/s2', 'g'], got 'mm/s2'; give ['g']": ""
-        "a.yaml: `channels.body.unit`: verlangt ist eines von ['m/s2', 'g'], angegeben ist 'mm/s2'; ['g'] "
-        "angeben",
+        "`channels.body.unit` must be one of ['m/s2', 'g'], got 'mm/s2'; give ['g']": "`channels."
+        "body.unit`: verlangt ist eines von ['m/s2', 'g'], angegeben ist 'mm/s2'; ['g'] angeben",
         "worn, odds over 1000 : 1": "verschlissen, Chancen über 1000 : 1",
         "Worn parts on 3 of the last 5 trips; on trip_039: c_p of axle 1, left at 62 % of healthy "
         "(odds over 1000 : 1); k_s of left or c_s of left at 83.1 % of healthy (odds 41 : 1, which "
