@@ -14,7 +14,6 @@ from datetime import UTC, datetime, timedelta
 from email import message_from_bytes, policy
 
 import pytest
-from cli_runner import run_program
 from empty_stores import KINDS, empty_store
 from live_frames import Mosquitto, until
 from notified import (
@@ -582,6 +581,8 @@ def test_a_secret_may_be_in_a_file_that_the_environment_names(tmp_path, monkeypa
 
 
 def test_an_evaluation_sends_what_is_new_once(tmp_path, monkeypatch):
+    from cli_runner import run_program  # here: killed programs import this module, and quickly
+
     from suspnet.cli import evaluate
 
     monkeypatch.chdir(tmp_path)
