@@ -155,7 +155,7 @@ def _built(values: Mapping[str, Any], name: str) -> Any:
         )
     try:
         return class_(**arguments)
-    except (AttributeError, LookupError) as error:  # a value of a type that nobody expects
+    except (AttributeError, LookupError) as error:  # a value of an unexpected type
         raise ValueError(f"`{name}` cannot be built: {error}") from error
 
 

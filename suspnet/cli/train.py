@@ -25,6 +25,7 @@ from suspnet.ground.settings import check_choice, check_values
 from suspnet.ground.workers import alongside
 from suspnet.learning import ranks
 from suspnet.recordings.manifest_files import ManifestFile
+from suspnet.report.language import check_language, speaking
 from suspnet.runs.commissioning import (
     check_generator,
     commission_trips,
@@ -33,6 +34,7 @@ from suspnet.runs.commissioning import (
     reported,
 )
 from suspnet.runs.commissioning_page import training_notes, write_outcome
+from suspnet.runs.dataset import write_dataset
 from suspnet.runs.scores import Metrics
 from suspnet.runs.train import RunContext, speed_ranges, train, train_ranges
 from suspnet.spectra.estimates import (
@@ -70,6 +72,7 @@ def main(config: DictConfig) -> None:
     folder.
     """
     warnings.simplefilter("always", ConvergenceWarning)
+    check_language(config.language)
     ranks.start(config.device)
     folder = program.run_folder()
     finished = folders.finished_run(config, folder)
@@ -231,7 +234,8 @@ def _commissioned(
         outcome = commission_trips(
             found, generator, settings, by_part=by_part, progress=config.progress
         )
-        write_outcome(folder, found, outcome)
+        with speaking(config.language):
+            write_outcome(folder, found, outcome)
         bogie = reported(parts()) if parts else None
     speeds = tuple(group.speed_m_per_s for group in found.groups)
     run = tuple(one for one in DIRECTIONS if one in {group.direction for group in found.groups})
@@ -265,6 +269,8 @@ def _train(
         threads=program.n_threads(config.threads),
         progress=config.progress,
     )
+    if config.dataset is not None and not (path := folder / f"dataset.{config.dataset}").exists():
+        write_dataset(problem, path)
     model = build(config, "model")
     search = build(config, "search") if config.get("search") else None
     resolved = program.save_config(given or config, folder)

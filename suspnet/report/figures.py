@@ -195,7 +195,11 @@ PNG_DPI = 130
 
 def _translate(figure: Figure) -> None:
     """Translate the texts of a figure, but not what its ticks name, such as trains."""
-    legends = [*figure.legends, *(one.get_legend() for one in figure.axes)]
+    parts = [figure, *figure.subfigs]
+    legends = [
+        *(one for part in parts for one in part.legends),
+        *(one.get_legend() for one in figure.axes),
+    ]
     texts = [text for one in legends if one is not None for text in one.get_texts()]
     for axis in figure.axes:
         texts += [axis.title, axis.xaxis.label, axis.yaxis.label, *axis.texts]

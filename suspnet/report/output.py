@@ -16,12 +16,13 @@ from matplotlib.figure import Figure
 from tabulate import tabulate
 
 from suspnet.ground.parameters import BODY_MASS, BOGIE_PARTS, PARAMETERS
-from suspnet.ground.records import OK, TripResult, outputs_of, relative_to_first_healthy
+from suspnet.ground.records import OK, TripResult, outputs_of
 from suspnet.ground.storage import write_atomically, write_json, write_table
 from suspnet.ground.wording import count
 from suspnet.maintenance.alarms import Acknowledgement, Alarm, newest_of
 from suspnet.maintenance.assessment import overall, spoken
 from suspnet.maintenance.life import Life
+from suspnet.maintenance.relative import relative_to_first_healthy
 from suspnet.maintenance.schedule import Plan, joined
 from suspnet.report import figures
 from suspnet.report.bogie import bogies_shown

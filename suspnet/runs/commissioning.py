@@ -32,7 +32,7 @@ PARTS_OF_BOGIE = (
     *("bushings", "rubber", "guidance", "longitudinal", "bending", "payload", "sensors"),
     *("frame_sway", "frame_yaw", "body_yaw", "creep", "torsion", "yaw_dampers"),
 )
-"""What the vehicle whose parts are read may have beside rigid bodies on springs and dampers."""
+"""What a vehicle whose parts are read may have besides rigid bodies on springs and dampers."""
 FAMILY = tuple(part for part in PARTS if part != "air_spring")
 """Parts of the vehicle that is commissioned if the configuration names none."""
 AS_EQUAL = "With both sides and axles as equal, for trips that do not show their parts: "

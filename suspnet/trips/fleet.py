@@ -32,7 +32,8 @@ from suspnet.maintenance.alarms import OWN_CAUSES, Acknowledgement, detector_wor
 from suspnet.maintenance.assessment import spoken
 from suspnet.maintenance.change import ChangeSettings
 from suspnet.maintenance.fleet import Fleet
-from suspnet.maintenance.series import Event, Series, between, relative_results, series_of
+from suspnet.maintenance.relative import between, relative_results
+from suspnet.maintenance.series import Event, Series, series_of
 from suspnet.maintenance.sisters import SisterSettings
 from suspnet.maintenance.trend import LEAST_PERCENT
 from suspnet.recordings.manifest_files import ManifestFile, partial_words

@@ -16,6 +16,7 @@ from tensorboard.plugins.hparams.plugin_data_pb2 import HParamsPluginData
 from suspnet.cli import evaluate, program, train
 from suspnet.estimation.estimate import KINDS
 from suspnet.estimation.problem import Problem
+from suspnet.runs.dataset import read_dataset
 
 pytestmark = pytest.mark.usefixtures("blank")
 """Figures are made by the fixture `run` only; tests/runs/test_plots.py draws them."""
@@ -149,6 +150,14 @@ def test_evaluate_takes_a_protocol_that_fits_only(run, tmp_path):
     assert set(joint["scores"]) == {"k_p", "c_p"}
     with pytest.raises(SystemExit, match="protocol 'paper' does not fit"):
         run_main(evaluate, tmp_path / "paper", *small, "protocol=paper")
+
+
+def test_a_run_writes_its_data_set_where_it_is_asked_for(tmp_path):
+    given = [*SMALL, "model=linear", "dataset=npz"]
+    metrics = run_main(train, tmp_path / "run", *given)
+    data = read_dataset(tmp_path / "run" / "dataset.npz")
+    assert data.rows("test").sum() == metrics["n_test"]
+    assert data.about["outputs"] == list(metrics["rms_ratio"])
 
 
 @pytest.mark.slow  # test_protocols.py; test_no_means_no knows no mass

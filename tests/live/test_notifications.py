@@ -28,9 +28,10 @@ from notified import (
     receiving,
     rules_file,
 )
+from trip_records import trip
 
 from suspnet.ground.parameters import Severity
-from suspnet.history import History, outbox
+from suspnet.history import History, outbox, schema
 from suspnet.history.outbox import LEASE_S
 from suspnet.live import notifier as notifier_module
 from suspnet.live.broker import Broker
@@ -127,6 +128,59 @@ def test_what_was_told_is_told_again_only_when_worse_cleared_or_raised_again(tol
     assert states(got[-1]) == [("c_s", "known")]
 
 
+def test_an_alarm_that_a_late_trip_clears_is_reported_as_cleared_once(told):
+    store, notifier, clock, got = told
+    earlier = replace(ACT, begin_km=1e3, end_km=2e3)
+    store.keep_alarms(VEHICLE, FIRST, [earlier, ACT])
+    store.write([trip(1, with_curves=False, place=FIRST, mileage_km=5e4)])
+    notifier.once()
+    for _ in range(2):
+        store.keep_alarms(VEHICLE, FIRST, [earlier, replace(ACT, end_km=4e4)])
+        clock.now += timedelta(hours=20)  # after six o'clock
+        notifier._looked_s = -1e9
+        notifier.once()
+    news = [one for message in got[1:] for one in message.content["alarms"]]
+    cleared = [one["begin_km"] for one in news if one["state"] == "cleared"]
+    assert cleared == [ACT.begin_km]
+
+
+def test_an_unreadable_alarm_is_logged_once_and_sent_when_it_is_corrected(told, caplog):
+    store, notifier, _, got = told
+    notifier.once()
+    store.keep_alarms(VEHICLE, SECOND, [replace(NOTICE, severity=Severity.ACT)])
+    with store._writing() as connection:
+        connection.execute(schema.alarms.update().values(severity=99))
+    for _ in range(2):
+        notifier._looked_s = -1e9
+        assert notifier.once() == (0, 0)
+    assert caplog.text.count("alarms, row begin_km=10000.0, parameter=c_s, cause=change of") == 1
+    with store._writing() as connection:
+        connection.execute(schema.alarms.update().values(severity=int(Severity.ACT)))
+    notifier._looked_s = -1e9
+    assert notifier.once() == (1, 0)
+    assert states(got[-1]) == [("c_s", "new")]
+    assert len(store.bad_rows) == 1
+
+
+def test_a_look_reads_only_suspensions_that_changed(told, monkeypatch):
+    store, notifier, _, _ = told
+    read = []
+
+    def stored(connection, kind, *rest):
+        read.append(original(connection, kind, *rest))
+        return read[-1]
+
+    original = outbox.read_stored
+    monkeypatch.setattr(outbox, "read_stored", stored)
+    notifier._look()
+    assert read[0].keys() == {(VEHICLE, FIRST), (VEHICLE, SECOND)}
+    store.keep_alarms(VEHICLE, FIRST, [replace(ACT, severity=Severity.NOTICE)])
+    notifier._look()
+    notifier._looked_s = -1e9
+    notifier._look()
+    assert [one.keys() for one in read[2:]] == [{(VEHICLE, FIRST)}, set()]
+
+
 def test_alarms_cleared_before_a_recipient_was_known_are_not_sent(told):
     store, notifier, clock, got = told
     store.keep_alarms(VEHICLE, FIRST, [replace(ACT, end_km=2e4)])
@@ -158,6 +212,12 @@ def test_a_failed_message_is_tried_again_later_and_given_up_in_the_end(told, cap
         notifier.once()
     lost = [row for row in store.outbox().unsent() if row["kind"] == "alarms"]
     assert [row["attempts"] for row in lost] == [most]
+    assert "content" not in lost[0]
+    attempts = [row["attempts"] for row in store.outbox().unsent()]
+    n_given_up = sum(n >= outbox.MOST_ATTEMPTS for n in attempts)
+    (oldest,) = store.outbox().unsent(1)
+    counts = len(attempts) - n_given_up, n_given_up, oldest["created_s"]
+    assert store.outbox().count_unsent() == counts
     assert "given up" in caplog.text
     channel.n_failures = 0
     store.outbox().retry()
@@ -480,7 +540,7 @@ WRONG = [
         "export SUSPNET_NONE=",
     ),
     ({}, {"a": {"channels": ["h"]}}, "'h' is not a channel; known: none"),
-    ({}, {}, "`recipients` must name somebody"),
+    ({}, {}, "`recipients` must name a recipient"),
     (
         {"h": {"kind": "webhook", "url": "https://h/"}},
         {"a": {"channels": ["h"], "digest": None, "at_once": []}},
@@ -518,6 +578,23 @@ def test_a_secret_may_be_in_a_file_that_the_environment_names(tmp_path, monkeypa
     (tmp_path / "key").write_text(f"{KEY}\n")
     monkeypatch.setenv("SUSPNET_WEBHOOK_SECRET_FILE", str(tmp_path / "key"))
     assert read_rules(webhook_rules(tmp_path, "https://h/")).channels["hook"]._key()
+
+
+def test_an_evaluation_sends_what_is_new_once(tmp_path, monkeypatch):
+    from cli_runner import run_program  # here: killed programs import this module, and quickly
+
+    from suspnet.cli import evaluate
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(evaluate, "write_maintenance", lambda *_: [])
+    store = fill(tmp_path / "a.db")
+    with receiving() as (url, got):
+        given = ["study=maintenance", f"notify={webhook_rules(tmp_path, url)}"]
+        for _ in range(2):
+            assert run_program(evaluate, tmp_path / "out", *given, f"store={store}") == 0
+        assert "`notify` needs store=FILE" in run_program(evaluate, tmp_path / "out", *given)
+    ((_, body),) = got
+    assert [one["parameter"] for one in json.loads(body)["alarms"]] == ["k_p"]
 
 
 def test_mqtt_messages_wait_for_a_killed_broker_and_arrive_once(tmp_path):
