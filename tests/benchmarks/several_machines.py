@@ -77,6 +77,11 @@ def memory_mib(pid: int) -> float:
     return int(status.split("VmHWM:")[1].split()[0]) / 1024
 
 
+def disk_mib(pid: int) -> float:
+    """Return what a process has written to disks, [MiB]."""
+    return int(Path(f"/proc/{pid}/io").read_text().split("\nwrite_bytes: ")[1].split()[0]) / 2**20
+
+
 def family(pid: int) -> list[int]:
     """Return a process and all that it started."""
     found = [pid]
@@ -111,12 +116,12 @@ def empty_store() -> Iterator[str]:
     yield url
 
 
-def wait(condition: Callable[[], object], seconds: float = 1800.0) -> None:
-    """Wait until something holds."""
-    last_s = time.monotonic() + seconds
+def wait(condition: Callable[[], object], every_s: float = 0.2) -> None:
+    """Wait until something holds, an hour at most."""
+    last_s = time.monotonic() + 3600
     while not condition():
         assert time.monotonic() < last_s, "too slow"
-        time.sleep(0.2)
+        time.sleep(every_s)
 
 
 # monitors
@@ -167,21 +172,24 @@ def monitors(run: Path, trip: Path, n_monitors: int, n_suspensions: int, times: 
         wait(lambda: log.read_text().count("as suspnet-monitor-") == n_monitors)
         time.sleep(5)
         server = family(server_of(url))
+        written_mib = sum(map(disk_mib, pids))
         before = cpu_s(pids), cpu_s([broker.process.pid]), cpu_s(server)
         memory = sum(map(memory_mib, pids))
         sender = os.fork()
         if not sender:
             send(broker.port, trip, names, times)
             os._exit(0)
-        with History(url) as store:
-            wait(lambda: sum(len(one.trip) for one in store.series()) == n_suspensions, 3600)
+        with psycopg.connect(url, autocommit=True) as connection:
+            query = "SELECT status, count(*) FROM trips GROUP BY status"
+            wait(lambda: sum(n for _, n in connection.execute(query)) == n_suspensions, 5.0)
             assert ended(sender, 60) == 0
             time.sleep(30)
-            statuses = {s for one in store.places() for s in (r.status for r in store.read(*one))}
+            statuses = dict(connection.execute(query).fetchall())
         server = family(server[0])
         after = cpu_s(pids), cpu_s([broker.process.pid]), cpu_s(server)
         monitor_s, broker_s, server_s = (b - a for a, b in zip(before, after, strict=True))
         grown = (sum(map(memory_mib, pids)) - memory) / n_suspensions
+        written_mib = sum(map(disk_mib, pids)) - written_mib
         for pid in pids:
             os.kill(pid, signal.SIGTERM)
             ended(pid, 60)
@@ -193,7 +201,8 @@ def monitors(run: Path, trip: Path, n_monitors: int, n_suspensions: int, times: 
         f"{1e3 * broker_s / signal_s:.3f} ms of the broker "
         f"({1e6 * broker_s / signal_s / FRAMES_S:.0f} us a frame) for a second of a suspension, "
         f"{1e3 * server_s / n_suspensions:.0f} ms of PostgreSQL for a section; "
-        f"{memory / n_monitors:.0f} MiB a monitor and {grown:.1f} MiB a suspension\n"
+        f"{memory / n_monitors:.0f} MiB a monitor and {grown:.1f} MiB a suspension; "
+        f"{1024 * written_mib / signal_s:.0f} KiB/s of a suspension to the disk\n"
         f"  {N_FLEET} suspensions: {N_FLEET * monitor_s / signal_s:.1f} cores of monitors, "
         f"{N_FLEET * broker_s / signal_s:.2f} of brokers, "
         f"{N_FLEET * grown / 1024:.0f} GiB; {N_FLEET * FRAMES_S} frames/s",
@@ -230,7 +239,7 @@ def write(
     (folder / f"{k}").write_text(f"{1e3 * spent_s / n_trips} {n_trips / wall_s}")
 
 
-def writers(run: Path, trip: Path, n_writers: int, n_before: int, n_trips: int = 100) -> None:
+def writers(run: Path, trip: Path, n_writers: int, n_before: int, n_trips: int) -> None:
     """Print what storing trips takes when several programs do it at once."""
     with tempfile.TemporaryDirectory() as name, empty_store() as url:
         folder, server = Path(name), server_of(url)
@@ -250,7 +259,7 @@ def writers(run: Path, trip: Path, n_writers: int, n_before: int, n_trips: int =
     print(
         f"{n_writers} writers, {n_before} trips before: {sum(f[0] for f in found) / n_writers:.1f} "
         f"ms of the writer and {server_ms:.1f} ms of PostgreSQL for a trip; "
-        f"{sum(f[1] for f in found):.0f} trips/s together",
+        f"{sum(f[1] for f in found):.1f} trips/s together",
         flush=True,
     )
 
@@ -303,6 +312,7 @@ def main() -> None:
     parser.add_argument("--suspensions", type=int, default=24)
     parser.add_argument("--times", type=float, default=2.0)
     parser.add_argument("--before", type=int, nargs="+", default=[0, 300, 3000])
+    parser.add_argument("--stored", type=int, default=100, help="trips that a writer stores")
     given = parser.parse_args()
     run, trips = given.run.absolute(), given.trips.absolute()
     for name in ("monitor", "evaluate"):
@@ -312,7 +322,7 @@ def main() -> None:
             monitors(run, trips, n, given.suspensions, given.times)
         elif given.what == "writers":
             for n_before in given.before:
-                writers(run, trips, n, n_before)
+                writers(run, trips, n, n_before, given.stored)
         else:
             for is_dask in (False, True):
                 evaluate(run, trips, n, is_dask)
