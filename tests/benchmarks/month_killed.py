@@ -210,8 +210,11 @@ def live(
         (where / "replay").mkdir()
         replay = start("replay", [f"trips={folder}/trips", *sink], where / "replay")
         code, stored, last_s = None, 0, time.monotonic()
+        n_last = len(list((folder / "suspensions").iterdir()))
         while code is None or programs.kills.total() < n_kills or stored < n_trips:
-            programs.kill()
+            # the last trips are reported after a silence that no kill interrupts
+            if stored < n_trips - n_last or programs.kills.total() < n_kills:
+                programs.kill()
             time.sleep(rng.uniform(0, MOST_AWAY_S))
             programs.look()
             time.sleep(rng.expovariate(1 / mean_up_s))
