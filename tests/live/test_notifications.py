@@ -403,35 +403,42 @@ def _notify_apart(path, rules, key, dies_before_mark):
     notify_forever(path, rules, LEASE_S)
 
 
-@pytest.mark.slow
-def test_killed_at_random_moments_every_event_arrives_and_repeats_have_one_id(tmp_path):
+def check_random_kills(store, path, rules):
+    """Raise alarms while a notifier is killed at random moments; the last one sends the rest."""
     import random
 
     from forked import run_apart
 
-    rng, path = random.Random(0), str(fill(tmp_path / "a.db"))
+    rng = random.Random(0)
+    for i in range(20):
+        alarm = replace(ACT, begin_km=1e5 + 100 * i)
+        past = [replace(ACT, begin_km=1e5 + 100 * k, end_km=1e5 + 100 * k + 50) for k in range(i)]
+        store.keep_alarms(VEHICLE, FIRST, [*past, alarm])
+        with run_apart(_notify_quick, path, rules, KEY) as (process, *_):
+            time.sleep(rng.uniform(0.3, 1.0))
+            process.kill()
+    with run_apart(_notify_quick, path, rules, KEY):
+        until(lambda: not store.outbox().unsent(), 30)
+    assert store.outbox().unsent() == []
+
+
+def check_events(bodies):
+    """Check that the last alarm came, each event in one message, and repeats unchanged."""
+    messages = {json.loads(body)["id"]: body for body in bodies}
+    assert set(messages.values()) == set(bodies)
+    alarms = [one for body in messages.values() for one in json.loads(body)["alarms"]]
+    events = [one["event"] for one in alarms]
+    assert len(events) == len(set(events))  # no event in two messages
+    assert max(one["begin_km"] for one in alarms) == 1e5 + 1900
+
+
+@pytest.mark.slow
+def test_killed_at_random_moments_every_event_arrives_and_repeats_have_one_id(tmp_path):
+    path = str(fill(tmp_path / "a.db"))
     with receiving() as (url, got), History(path) as store:
-        rules = webhook_rules(tmp_path, url)
-        for i in range(20):
-            alarm = replace(ACT, begin_km=1e5 + 100 * i)
-            past = [
-                replace(ACT, begin_km=1e5 + 100 * k, end_km=1e5 + 100 * k + 50) for k in range(i)
-            ]
-            store.keep_alarms(VEHICLE, FIRST, [*past, alarm])
-            with run_apart(_notify_quick, path, rules, KEY) as (process, *_):
-                time.sleep(rng.uniform(0.3, 1.0))
-                process.kill()
-        with run_apart(_notify_quick, path, rules, KEY):
-            deadline = time.monotonic() + 30
-            while store.outbox().unsent() and time.monotonic() < deadline:
-                time.sleep(0.1)
-        assert store.outbox().unsent() == []
-        bodies = {headers["webhook-id"]: body for headers, body in got}
-        assert all(bodies[headers["webhook-id"]] == body for headers, body in got)
-        events = [one["event"] for body in bodies.values() for one in json.loads(body)["alarms"]]
-        assert len(events) == len(set(events))  # no event in two messages
-        kms = {one["begin_km"] for body in bodies.values() for one in json.loads(body)["alarms"]}
-        assert max(kms) == 1e5 + 1900
+        check_random_kills(store, path, webhook_rules(tmp_path, url))
+        assert all(headers["webhook-id"] == json.loads(body)["id"] for headers, body in got)
+        check_events([body for _, body in got])
 
 
 def _notify_quick(path, rules, key):
@@ -597,39 +604,97 @@ def test_an_evaluation_sends_what_is_new_once(tmp_path, monkeypatch):
     assert [one["parameter"] for one in json.loads(body)["alarms"]] == ["k_p"]
 
 
-def test_mqtt_messages_wait_for_a_killed_broker_and_arrive_once(tmp_path):
-    client_module = pytest.importorskip("paho.mqtt.client")
-    broker, got = Mosquitto(tmp_path).start(), []
+@contextmanager
+def listening(broker, folder):
+    """Subscribe to notifications; yields a file of rules that send there, and what comes."""
+    client_module, got = pytest.importorskip("paho.mqtt.client"), []
     reader = client_module.Client(client_module.CallbackAPIVersion.VERSION2, protocol=5)
-    reader.on_connect = lambda *_: reader.subscribe("suspnet/notifications/#", qos=1)
     subscribed = threading.Event()
+    reader.on_connect = lambda *_: reader.subscribe("suspnet/notifications/#", qos=1)
     reader.on_subscribe = lambda *_: subscribed.set()
     reader.on_message = lambda _c, _u, message: got.append((message.topic, message.payload))
-    reader.reconnect_delay_set(1, 1)
-    file = rules_file(
-        tmp_path / "n.json",
-        {"b": {"kind": "mqtt", "host": "127.0.0.1", "port": broker.port}},
-        {"night shift": {"channels": ["b"], "digest": None}},
-    )
-    clock = Clock()
+    reader.connect("127.0.0.1", broker.port)
+    reader.loop_start()
+    assert subscribed.wait(10)
+    channels = {"b": {"kind": "mqtt", "host": "127.0.0.1", "port": broker.port}}
+    people = {"night shift": {"channels": ["b"], "digest": None}}
     try:
-        with History(fill(tmp_path / "a.db")) as store:
-            notifier = Notifier(store, read_rules(file), clock)
-            broker.end(signal.SIGKILL)
-            assert notifier.once() == (0, 1)
-            broker.start()
-            reader.connect("127.0.0.1", broker.port)
-            reader.loop_start()
-            assert subscribed.wait(10)
-            clock.now += timedelta(minutes=2)
-            assert notifier.once() == (1, 0)
-            assert until(lambda: got)
-            assert store.outbox().unsent() == []
+        yield rules_file(folder / "n.json", channels, people), got
     finally:
         reader.disconnect()
         reader.loop_stop()
+
+
+def test_mqtt_messages_wait_for_a_killed_broker_and_arrive_once(tmp_path):
+    broker, clock = Mosquitto(tmp_path).start(), Clock()
+    try:
+        with History(fill(tmp_path / "a.db")) as store:
+            with listening(broker, tmp_path) as (file, _):
+                notifier = Notifier(store, read_rules(file), clock)
+            broker.end(signal.SIGKILL)
+            assert notifier.once() == (0, 1)
+            broker.start()
+            with listening(broker, tmp_path) as (_, got):
+                clock.now += timedelta(minutes=2)
+                assert notifier.once() == (1, 0)
+                assert until(lambda: got)
+            assert store.outbox().unsent() == []
+    finally:
         broker.end()
     ((topic, payload),) = got
     assert topic == "suspnet/notifications/night%20shift"
     assert json.loads(payload)["alarms"][0]["severity"] == "act"
     assert len(json.loads(payload)["id"]) == 32
+
+
+def _notify_up_to(path, rules, step):
+    """Notify up to a step, and wait there."""
+
+    def wait(*_):
+        print("there", flush=True)
+        time.sleep(60)
+
+    owner = MqttChannel if step == "send" else outbox.Outbox
+    setattr(owner, step, wait)
+    with History(path) as store:
+        Notifier(store, read_rules(rules)).once()
+
+
+@pytest.mark.parametrize(("step", "n_messages"), [("send", 1), ("mark_sent", 2)])
+def test_a_program_killed_before_or_after_the_broker_accepts_loses_nothing(
+    tmp_path, step, n_messages
+):
+    """Killed after it, the program does not know: the message comes again, with the same id."""
+    from forked import run_apart
+
+    broker, path = Mosquitto(tmp_path).start(), str(fill(tmp_path / "a.db"))
+    try:
+        with listening(broker, tmp_path) as (rules, got), History(path) as store:
+            with run_apart(_notify_up_to, path, rules, step) as (process, out, err):
+                assert until(out.read_text, 30), err.read_text()
+                process.kill()
+                process.join()
+            assert until(lambda: len(got) == n_messages - 1)
+            (row,) = store.outbox().unsent()
+            later = Clock()
+            assert Notifier(store, read_rules(rules), lambda: datetime.now(UTC)).once() == (0, 0)
+            later.now = datetime.now(UTC) + timedelta(seconds=LEASE_S)
+            assert Notifier(store, read_rules(rules), later).once() == (1, 0)
+            assert until(lambda: len(got) == n_messages)
+            assert store.outbox().unsent() == []
+    finally:
+        broker.end()
+    (payload,) = {payload for _, payload in got}
+    assert json.loads(payload)["id"] == row["id"]
+
+
+@pytest.mark.slow
+def test_killed_at_random_moments_every_event_arrives_by_mqtt(tmp_path):
+    broker, path = Mosquitto(tmp_path).start(), str(fill(tmp_path / "a.db"))
+    try:
+        with listening(broker, tmp_path) as (rules, got), History(path) as store:
+            check_random_kills(store, path, rules)
+            bodies = [body for _, body in got]
+    finally:
+        broker.end()
+    check_events(bodies)
