@@ -306,7 +306,8 @@ def one_line(error: BaseException) -> str:
     for noise in ("Config search path", "full_key:", "To append to your "):
         message = message.split(noise)[0]
     if message.startswith("Could not override"):
-        message = f"{message.strip().rstrip('.')}. There is no such key{_nearest(error)}; --help lists them"
+        start = message.strip().rstrip(".")
+        message = f"{start}. There is no such key{_nearest(error)}; --help lists them"
     for group, owner in (("experiment", "train.py"), ("study", "evaluate.py")):
         if message.startswith(f"Could not override '{group}'"):
             message = (
@@ -321,9 +322,10 @@ def one_line(error: BaseException) -> str:
 def _nearest(error: BaseException) -> str:
     """Return a question with the nearest key in the place of one that cannot be overridden."""
     cause = error.__cause__
-    if not isinstance(cause, OmegaConfBaseException) or not isinstance(cause.parent_node, DictConfig):
+    place = getattr(cause, "parent_node", None)
+    if not isinstance(cause, OmegaConfBaseException) or not isinstance(place, DictConfig):
         return ""
-    near = get_close_matches(str(cause.key), [str(key) for key in cause.parent_node], n=1)
+    near = get_close_matches(str(cause.key), [str(key) for key in place], n=1)
     return f": did you mean {near[0]}?" if near else ""
 
 
