@@ -150,8 +150,11 @@ def _built(values: Mapping[str, Any], name: str) -> Any:
     if unknown and not any(one.kind == one.VAR_KEYWORD for one in known.values()):
         near = difflib.get_close_matches(unknown[0], known.keys() - arguments.keys(), 1)
         meant = f"; did you mean {near[0]}?" if near else ""
+        home = ""
+        if place == "vehicle" and HydraConfig.initialized():
+            home = f"vehicle/{HydraConfig.get().runtime.choices.get('vehicle')}.yaml: "
         raise ValueError(
-            f"`{name}.{unknown[0]}` is no setting of {place}: --help lists them{meant}"
+            f"{home}`{name}.{unknown[0]}` is no setting of {place}: --help lists them{meant}"
         )
     try:
         return class_(**arguments)

@@ -202,7 +202,8 @@ def of_parts(bogie: CommissionedBogie) -> str:
 
 NOT_CONVERGED = (
     "The search for the bogie did not end within its steps: its parts are not to be relied on, and "
-    "wrong ones may be named. Give more healthy trips, or sensors at the axle boxes."
+    "wrong ones may be named. Give more healthy trips of several payloads and speeds, and sensors "
+    "at the axle boxes where there are none."
 )
 """Doubt about a bogie whose search did not converge."""
 

@@ -208,7 +208,11 @@ def test_mistake_gets_one_line(override, message, tmp_path):
     ("program", "overrides", "message"),
     [
         (train, ["protocol=foo"], "Could not find 'protocol/foo'"),
-        (train, ["data.n_trian=1"], "Could not override 'data.n_trian'"),
+        (
+            train,
+            ["data.n_trian=1"],
+            "There is no such key: did you mean n_train?; --help lists them",
+        ),
         (train, ["hydra.run.dir={file}/x"], "Not a directory"),
         (evaluate, [], "which run?"),
         (evaluate, ["run=nowhere"], "run=nowhere does not exist"),
