@@ -219,7 +219,7 @@ class BogieSearch:
             start = noise if noise.ndim == 1 else smallest_noise(trip.spectra)
             bins = trip.of(self.all_bins)
             responses = self._responses(x, i, bins)
-            alone = self._of(trip).channels_alone(self._rows(x, i), self.frequencies_hz[bins])[0]
+            alone = self._vehicles[i].channels_alone(self._rows(x, i), self.frequencies_hz[bins])[0]
             alone = alone[:, :, self.sensors_of(trip)]
             one = trip_noise(trip.spectra.at(bins), responses, alone, start)
             # bins that are left out have any noise
@@ -268,9 +268,13 @@ class BogieSearch:
         alone = [name.startswith("wheelset") for name in self.generator.inputs]
         return [i for i, own in enumerate(alone) if not own]
 
-    def _of(self, trip: BogieTrip) -> SpatialVehicle:
-        there = replace(self.generator, speed_m_per_s=trip.speed_m_per_s)
-        return there.running(trip.direction)
+    @cached_property
+    def _vehicles(self) -> list[SpatialVehicle]:
+        """The vehicle at the speed and in the direction of each trip."""
+        return [
+            replace(self.generator, speed_m_per_s=one.speed_m_per_s).running(one.direction)
+            for one in self.trips
+        ]
 
     def _rows(self, x: FloatArray, i: int) -> Tensor:
         """Return all columns of ratios of trip i, (1, n_columns)."""
@@ -284,7 +288,7 @@ class BogieSearch:
     def _responses(self, x: FloatArray, i: int, bins: Tensor) -> Tensor:
         trip = self.trips[i]
         bins_hz = self.frequencies_hz[trip.of(bins)]
-        every = self._of(trip).channels(self._rows(x, i), bins_hz)[0, self._inputs]
+        every = self._vehicles[i].channels(self._rows(x, i), bins_hz)[0, self._inputs]
         return every[:, self.sensors_of(trip)]
 
     @cached_property
@@ -312,7 +316,7 @@ class BogieSearch:
     ) -> FloatArray:
         n, n_own, found = self.n_numbers, self._n_own, []
         for i, (trip, misfit) in enumerate(zip(self.trips, misfits, strict=True)):
-            responses, changes = self._of(trip).channels_along(
+            responses, changes = self._vehicles[i].channels_along(
                 self._rows(x, i), self.frequencies_hz[trip.of(bins)], self._directions
             )
             inputs, sensors = self._inputs, self.sensors_of(trip)
