@@ -21,7 +21,8 @@ from suspnet.runs import scores, sweeps
 
 ROOT = Path(__file__).parents[1]
 FEW = ["data.n_train=300", "data.n_test=100", "data.n_calibrate=100"]
-SMALL = [*FEW, "data.cache_dir=null", "progress=false", "figures=false"]
+QUIET = ["data.cache_dir=null", "progress=false", "figures=false"]
+SMALL = [*FEW, "data.step_hz=0.05", *QUIET]
 
 
 def run_composed(module, folder, *overrides):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from typing import Annotated, Any, Generic, Literal, TypeVar
+from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, StringConstraints
 
@@ -214,10 +214,7 @@ class JobAnswer(Model):
     """Probability that the act limit is passed before the visit."""
 
 
-Item = TypeVar("Item")
-
-
-class Listed(Model, Generic[Item]):
+class Listed(Model):
     """A part of a list, and how new it is."""
 
     read_at: str
@@ -230,31 +227,42 @@ class Listed(Model, Generic[Item]):
     """Number of items without `limit` and `offset`."""
     next_offset: int | None
     """Offset of the following items; null if there are none."""
-    items: list[Item]
 
 
-class Suspensions(Listed[SuspensionAnswer]):
+class Suspensions(Listed):
     """Suspensions, the worst first."""
 
+    items: list[SuspensionAnswer]
 
-class Parts(Listed[PartAnswer]):
+
+class Parts(Listed):
     """Parameters or parts of a suspension."""
 
+    items: list[PartAnswer]
 
-class Alarms(Listed[AlarmAnswer]):
+
+class Alarms(Listed):
     """Alarms, the worst first."""
 
+    items: list[AlarmAnswer]
 
-class Trips(Listed[TripAnswer]):
+
+class Trips(Listed):
     """Trips by mileage."""
 
+    items: list[TripAnswer]
 
-class Jobs(Listed[JobAnswer]):
+
+class Jobs(Listed):
     """Jobs of the plan."""
 
+    items: list[JobAnswer]
 
-class WorkOrders(Listed[WorkOrder]):
+
+class WorkOrders(Listed):
     """Work orders, those of the worst suspensions first."""
+
+    items: list[WorkOrder]
 
 
 class AcknowledgementRequest(Model):

@@ -6,7 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from cli_runner import SMALL, run_composed, run_program
+from cli_runner import QUIET, SMALL, run_composed, run_program
 from commissioned_example import commissioned_example
 from omegaconf import OmegaConf
 from trip_fixtures import changed, small_fleet
@@ -23,7 +23,7 @@ from suspnet.runs.evaluate import find_runs
 from suspnet.trips.commissionings import models_of, place_of
 
 pytestmark = pytest.mark.usefixtures("blank")
-FEW = ["data.n_train=100", "data.n_test=20", "data.n_calibrate=null", *SMALL[3:]]
+FEW = ["data.n_train=100", "data.n_test=20", "data.n_calibrate=null", *QUIET]
 TRIPS = [*FEW, "experiment=trips", "data.minutes=5", "data.segment_s=5", "model=linear"]
 PLACES = {
     "one": Place("S1", "leading", "", "1", "1"),

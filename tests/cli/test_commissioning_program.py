@@ -6,7 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from cli_runner import SMALL, run_main, run_program
+from cli_runner import QUIET, run_main, run_program
 from commissioned_example import UNCERTAIN, commissioned_example
 from omegaconf import OmegaConf
 from trip_fixtures import changed, small_fleet
@@ -19,8 +19,8 @@ from suspnet.spectra.estimates import WIDE_SPEED_HALF_WIDTH
 from suspnet.spectra.segments import SpeedRange, range_words
 
 pytestmark = pytest.mark.usefixtures("blank")
-FEW = ["data.n_train=100", "data.n_test=20", "data.n_calibrate=null"]
-TRIPS = [*SMALL, *FEW, "experiment=trips", "data.minutes=5", "data.segment_s=5", "model=linear"]
+FEW = ["data.n_train=100", "data.n_test=20", "data.n_calibrate=null", *QUIET]
+TRIPS = [*FEW, "experiment=trips", "data.minutes=5", "data.segment_s=5", "model=linear"]
 
 
 @pytest.fixture(scope="module")
@@ -94,7 +94,7 @@ def test_run_goes_on_with_a_warning_if_one_start_alone_found_the_vehicle(
     ],
 )
 def test_mistakes_are_one_line_and_leave_nothing(overrides, words, folder, tmp_path):
-    given = [*SMALL, *overrides]
+    given = [*FEW, *overrides]
     if not any(one.startswith("healthy=") for one in given):
         given.append(f"healthy={folder}")
     said = run_program(train, tmp_path / "run", *given)

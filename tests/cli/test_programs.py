@@ -299,7 +299,7 @@ def test_interrupt_of_a_process_leaves_nothing_half_written_and_a_second_start_w
 @pytest.fixture(scope="module")
 def table6(tmp_path_factory):
     folder = tmp_path_factory.mktemp("table6")
-    few = ["data.n_train=300", "data.n_test=100", "data.n_calibrate=null"]
+    few = ["data.n_train=300", "data.n_test=100", "data.n_calibrate=null", "data.step_hz=0.05"]
     options = ["experiment=table6", "model=linear,msvr", *few, "progress=false"]
     with blank_figures():
         ended = typed(train, *options, cwd=folder)
@@ -402,6 +402,7 @@ def test_table5_writes_an_override_file_that_works(tmp_path):
     assert record["best"] == {"C": 100.0, "epsilon": 1e-3, "sigma": 3.0}
     assert record["n_settings"] == 4
     search = [f"--config-dir={tmp_path / 'sweep'}", "experiment=best", *UNCALIBRATED]
+    search.append("model.n_components=64")
     ended = typed(train, *search, "hydra.run.dir=tuned", cwd=tmp_path)
     assert ended.returncode == 0, ended.stderr
     metrics = json.loads((tmp_path / "tuned" / "metrics.json").read_text())

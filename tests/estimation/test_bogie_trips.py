@@ -107,7 +107,7 @@ def test_sensors_of_other_places_are_missing(short):
 
 
 def test_single_sensors_name_no_part(tmp_path):
-    (single,) = recordings(tmp_path, np.ones((1, 13)), 12.0, ("roll",), sides="mean")
+    (single,) = recordings(tmp_path, np.ones((1, 13)), 1.0, ("roll",), sides="mean")
     with pytest.raises(NoEstimateError, match="no sensor at axle_box_axle1_left"):
         bogie_trip(single, VEHICLE)
 
@@ -126,7 +126,7 @@ def test_search_that_did_not_end_is_told(short, monkeypatch, caplog, converged):
 
 
 def test_a_short_or_slow_trip_has_no_estimate(tmp_path, short):
-    (one,) = recordings(tmp_path, np.ones((1, 13)), 6.0, ("roll",))
+    (one,) = recordings(tmp_path, np.ones((1, 13)), 3.0, ("roll",))
     with pytest.raises(NoEstimateError, match="more than 7"):
         bogie_trip(one, VEHICLE)
     with pytest.raises(NoEstimateError, match=r"0\.0 averages"):

@@ -30,7 +30,8 @@ from suspnet.runs.tables import records_csv
 
 CONFIGS = ROOT / "configs"
 NAMES = list(OmegaConf.load(CONFIGS / "ablations.yaml"))
-SMALL = ["data.n_train=150", "data.n_test=40", "data.cache_dir=null", "progress=false"]
+SMALL = ["data.n_train=150", "data.n_test=40", "data.step_hz=0.1", "data.cache_dir=null"]
+SMALL += ["progress=false"]
 N_VEHICLES = 6
 BASE = {
     "seed": 0,

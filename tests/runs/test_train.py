@@ -25,7 +25,7 @@ PROTOCOLS = {
 }
 SAME_MODEL = {"components"}
 """Protocols that train the model of `trips`; the parts are read without it."""
-SMALL = ["data.n_train=200", "data.n_test=100", "data.n_calibrate=200", "data.step_hz=0.04"]
+SMALL = ["data.n_train=200", "data.n_test=100", "data.n_calibrate=200", "data.step_hz=0.08"]
 
 
 @pytest.fixture(scope="module")
