@@ -299,7 +299,7 @@ def test_interrupt_of_a_process_leaves_nothing_half_written_and_a_second_start_w
 @pytest.fixture(scope="module")
 def table6(tmp_path_factory):
     folder = tmp_path_factory.mktemp("table6")
-    few = ["data.n_train=300", "data.n_test=100", "data.n_calibrate=null", "data.step_hz=0.05"]
+    few = ["data.n_train=300", "data.n_test=100", "data.n_calibrate=null"]
     options = ["experiment=table6", "model=linear,msvr", *few, "progress=false"]
     with blank_figures():
         ended = typed(train, *options, cwd=folder)
