@@ -9,7 +9,8 @@ from vehicles import AM96
 from suspnet.dynamics import VerticalVehicle
 from suspnet.estimation.commissioning import commission
 from suspnet.estimation.healthy_trips import HealthySpectra, HealthyTrips
-from suspnet.recordings.manifest import CHANNELS, Channel, TripManifest
+from suspnet.recordings.manifest import CHANNELS, TripManifest
+from suspnet.recordings.manifest_sources import Channel
 from suspnet.spectra.cross_spectra import CrossSpectra, moving_average_with, sample_spectra
 from suspnet.spectra.estimates import EstimateSettings
 from suspnet.spectra.segments import Speeds

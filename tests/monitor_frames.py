@@ -10,8 +10,8 @@ import pyarrow.parquet as pq
 
 from suspnet.ground.storage import write_atomically
 from suspnet.recordings.frames import Frame, encode
-from suspnet.recordings.manifest import SpeedSource
 from suspnet.recordings.manifest_files import read_manifest
+from suspnet.recordings.manifest_sources import SpeedSource
 
 
 def columns_of(manifest):

@@ -21,8 +21,9 @@ from vehicles import AM96
 
 from suspnet.dynamics import PARAMETERS
 from suspnet.dynamics.track import make_profile
-from suspnet.recordings.manifest import Channel, SpeedSource, TripManifest
+from suspnet.recordings.manifest import TripManifest
 from suspnet.recordings.manifest_files import write_manifest
+from suspnet.recordings.manifest_sources import Channel, SpeedSource
 from suspnet.simulation.fleet import FIRST_DAY
 from suspnet.simulation.signals import LEAD_IN_S, MARGIN_M, Journey
 from suspnet.simulation.writing import ANTI_ALIAS

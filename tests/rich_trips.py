@@ -18,8 +18,9 @@ from vehicles import AM96
 from suspnet.dynamics import PARAMETERS, VerticalVehicle
 from suspnet.dynamics.quantities import UNMEASURED
 from suspnet.dynamics.track import make_profile, track_spectrum
-from suspnet.recordings.manifest import CHANNELS, Channel, SpeedSource, TripManifest
+from suspnet.recordings.manifest import CHANNELS, TripManifest
 from suspnet.recordings.manifest_files import write_manifest
+from suspnet.recordings.manifest_sources import Channel, SpeedSource
 from suspnet.simulation import Scenario
 from suspnet.simulation.fleet import FIRST_DAY
 from suspnet.simulation.signals import LEAD_IN_S, MARGIN_M, Journey, profile_length_m

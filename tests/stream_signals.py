@@ -6,7 +6,8 @@ import pyarrow.parquet as pq
 
 from suspnet.live.journal import dump_state, load_state
 from suspnet.recordings.frames import Frame, FrameError, decode, encode
-from suspnet.recordings.manifest import CHANNELS, Channel, SpeedSource, TripManifest
+from suspnet.recordings.manifest import CHANNELS, TripManifest
+from suspnet.recordings.manifest_sources import Channel, SpeedSource
 from suspnet.recordings.recording import load_recording
 
 ZERO_NS = 1_700_000_000_000_000_000

@@ -9,8 +9,9 @@ import pytest
 from suspnet.ground.records import TripResult
 from suspnet.recordings.cleaning import KINDS
 from suspnet.recordings.formats import READERS
-from suspnet.recordings.manifest import MANIFEST, Channel
+from suspnet.recordings.manifest import MANIFEST
 from suspnet.recordings.manifest_keys import CsvDialect, keys_of
+from suspnet.recordings.manifest_sources import Channel
 from suspnet.spectra.peaks import PeakReason
 
 ROOT = Path(__file__).parents[1]
@@ -19,8 +20,8 @@ TELLING = (
     *(
         path.relative_to(ROOT).as_posix()
         for path in (ROOT / "suspnet/recordings").glob("*.py")
-        # the texts of `manifest` are of the tables of keys, but for what is raised
-        if path.stem not in ("manifest", "frames", "assembler", "running")
+        # the texts of manifests are of the tables of keys, but for what is raised
+        if path.stem not in ("manifest", "manifest_sources", "frames", "assembler", "running")
     ),
     "suspnet/spectra/plausibility.py",
     "suspnet/spectra/segments.py",

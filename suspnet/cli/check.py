@@ -15,6 +15,7 @@ from suspnet.ground.settings import check_number
 from suspnet.ground.storage import distinct, new_folder
 from suspnet.ground.workers import LostWorkerError, each
 from suspnet.recordings.manifest_files import find_trips
+from suspnet.report.language import speaking
 from suspnet.trips.check import CheckSettings, Opened, check_trip
 from suspnet.trips.check_page import PROBLEM, TripCheck, summary, with_shared_data, write_checks
 
@@ -34,16 +35,20 @@ def check(arguments: Namespace) -> int:
     settings = CheckSettings(known, pictures=pictures, models=models)
     paths, elsewhere = find_trips(arguments.trips)
     with progress.on_stderr():
-        checks = with_shared_data(_checked(paths, settings, arguments.workers))
-    page = write_checks(checks, elsewhere, output)
+        checks = with_shared_data(_checked(paths, settings, arguments.workers, arguments.language))
+    with speaking(arguments.language):
+        page = write_checks(checks, elsewhere, output)
     print(f"{summary(checks, elsewhere)}\n-> {page}")
     return exit_code(checks, elsewhere)
 
 
-def _checked(paths: Sequence[Path], settings: CheckSettings, n_workers: int) -> list[TripCheck]:
+def _checked(
+    paths: Sequence[Path], settings: CheckSettings, n_workers: int, language: str
+) -> list[TripCheck]:
     opened = Opened() if n_workers == 1 else None  # processes share nothing
     names = picture_names(paths)
-    done = each(partial(_check_one, settings=settings, opened=opened), names.items(), n_workers)
+    one = partial(_check_one, settings=settings, opened=opened, language=language)
+    done = each(one, names.items(), n_workers)
     found = {}
     for (path, _), result in progress.bar("trips", len(paths), items=done, unit="trip"):
         if isinstance(result, LostWorkerError):
@@ -52,8 +57,11 @@ def _checked(paths: Sequence[Path], settings: CheckSettings, n_workers: int) -> 
     return [found[path] for path in paths]
 
 
-def _check_one(item: tuple[Path, str], settings: CheckSettings, opened: Opened | None) -> TripCheck:
-    return check_trip(item[0], settings, item[1], opened)
+def _check_one(
+    item: tuple[Path, str], settings: CheckSettings, opened: Opened | None, language: str
+) -> TripCheck:
+    with speaking(language):
+        return check_trip(item[0], settings, item[1], opened)
 
 
 def exit_code(checks: Sequence[TripCheck], elsewhere: Sequence[str]) -> int:

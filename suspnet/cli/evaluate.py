@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import logging
 import sys
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
@@ -20,6 +21,8 @@ from suspnet.ground.parameters import Severity
 from suspnet.ground.settings import check_choice
 from suspnet.ground.storage import write_atomically
 from suspnet.history import History
+from suspnet.live.notification_rules import read_rules
+from suspnet.live.notifier import Notifier
 from suspnet.report.language import speaking
 from suspnet.report.output import check_documents, write_documents
 from suspnet.report.tables import Evaluated
@@ -30,6 +33,7 @@ from suspnet.runs.reliability import write_reliability
 from suspnet.runs.sweeps import write_table6
 from suspnet.trips.fleet import evaluate_fleet
 
+log = logging.getLogger(__name__)
 STUDIES = ("identifiability", "layouts", "maintenance", "reliability")
 ALARMS = {Severity.UNKNOWN: SOME_WITHOUT_ESTIMATE, Severity.NOTICE: NOTICE, Severity.ACT: ACT}
 
@@ -68,8 +72,15 @@ def ends_with_its_code(function: Callable[[DictConfig], int]) -> Callable[[DictC
 @program.task
 def main(config: DictConfig) -> int:
     """Run a study, read trips or score the models of a run; return the exit code."""
+    rules = None if config.notify is None else read_rules(Path(config.notify))
+    if rules is not None and not config.store:
+        raise ValueError("`notify` needs store=FILE: what is new is found in the history")
     with speaking(config.language):
-        return _evaluate(config)
+        code = _evaluate(config)
+    if rules is not None:
+        with History(config.store) as store:
+            log.info("alarms: %d messages sent, %d failed", *Notifier(store, rules).once())
+    return code
 
 
 def _evaluate(config: DictConfig) -> int:
@@ -118,9 +129,7 @@ def _evaluate(config: DictConfig) -> int:
 
 def run_study(config: DictConfig, folder: Path) -> int:
     """Run the chosen study; return the exit code for the worst state that it found."""
-    check_choice(
-        "study", config.study, ("identifiability", "layouts", "maintenance", "reliability")
-    )
+    check_choice("study", config.study, STUDIES)
     threads = program.n_threads(config.threads)
     program.save_config(config, folder)
     if config.study == "identifiability":

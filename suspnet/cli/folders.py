@@ -29,7 +29,7 @@ FLEET = "fleet.json"
 """Last file written by a training of several suspensions."""
 FINISHED = ("metrics.json", "speeds.json", FLEET)
 """Last files written by a training: of one model, several speeds or several suspensions."""
-NOT_COMPARED = ("resume", "progress", "threads", "workers", "data.cache_dir")
+NOT_COMPARED = ("resume", "progress", "threads", "workers", "data.cache_dir", "language", "dataset")
 """Keys that change no number: runs that differ only in these count as the same."""
 FINE, MISTAKE, SOME_WITHOUT_ESTIMATE, NOTICE, ACT = 0, 1, 2, 3, 4
 """Exit codes: success; a mistake of the user; a trip without an estimate, or a parameter that
@@ -237,7 +237,7 @@ def _with_kinds(content: Any, place: str) -> Any:
 
 UNNAMED = {
     *("experiment", "study", "job", "run", "out", "progress", "figures", "threads", "device"),
-    *("workers", "data.cache_dir", "resume", "pdf", "xlsx", "language"),
+    *("workers", "data.cache_dir", "resume", "pdf", "xlsx", "language", "dataset"),
 }
 """Keys left out of folder names: the path shows them already, or they change no number."""
 OF_THE_VEHICLE = ("vehicle", "generator", "speed_m_per_s")

@@ -21,6 +21,7 @@ from suspnet.ground.wording import thousands
 from suspnet.history import History, HistoryError
 from suspnet.history.backup import back_up, restore
 from suspnet.history.database import check_exists
+from suspnet.history.outbox import MOST_LISTED
 from suspnet.history.store import acknowledge_alarms
 from suspnet.maintenance.alarms import Acknowledgement, Alarm, newest_of
 from suspnet.maintenance.series import Event
@@ -158,6 +159,9 @@ def _notify(store: History, arguments: Namespace) -> str:
     for row in store.outbox().unsent():
         error = f": {row['error']}" if row["error"] else ""
         lines.append(f"not sent: {row['kind']} to {row['recipient']} by {row['channel']}{error}")
+    n_more = sum(store.outbox().count_unsent()[:2]) - MOST_LISTED
+    if n_more > 0:
+        lines.append(f"and {n_more} more that are not sent")
     if n_failed:
         raise HistoryError("; ".join(lines))
     return "\n".join(lines)

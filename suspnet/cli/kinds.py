@@ -93,7 +93,8 @@ def build(config: DictConfig, name: str) -> Any:
     missing = sorted(OmegaConf.missing_keys(node))
     if missing:
         raise ValueError(f"Missing mandatory value: {missing[0]}")
-    return _built(plain(node), name)
+    choices = HydraConfig.get().runtime.choices if HydraConfig.initialized() else {}
+    return _built(plain(node), name, choices.get("vehicle"))
 
 
 def plain(node: Any) -> Any:
@@ -133,13 +134,13 @@ def new_name(place: str, target: Any) -> str:
     return f"write `kind: ...` with one of {', '.join(kinds)}" if kinds else "nothing is built here"
 
 
-def _built(values: Mapping[str, Any], name: str) -> Any:
+def _built(values: Mapping[str, Any], name: str, vehicle: str | None = None) -> Any:
     """Return an object built from its settings, after the objects among them."""
     check_kind(name, values)
     place = name.rpartition(".")[2]
     class_ = class_of(place, values.get("kind"))
     arguments = {
-        key: _built(one, f"{name}.{key}")
+        key: _built(one, f"{name}.{key}", vehicle)
         if key in PARTS.get(place, ()) and isinstance(one, dict)
         else one
         for key, one in values.items()
@@ -150,12 +151,13 @@ def _built(values: Mapping[str, Any], name: str) -> Any:
     if unknown and not any(one.kind == one.VAR_KEYWORD for one in known.values()):
         near = difflib.get_close_matches(unknown[0], known.keys() - arguments.keys(), 1)
         meant = f"; did you mean {near[0]}?" if near else ""
+        file = f"vehicle/{vehicle}.yaml: " if vehicle and place == "vehicle" else ""
         raise ValueError(
-            f"`{name}.{unknown[0]}` is no setting of {place}: --help lists them{meant}"
+            f"{file}`{name}.{unknown[0]}` is no setting of {place}: --help lists them{meant}"
         )
     try:
         return class_(**arguments)
-    except (AttributeError, LookupError) as error:  # a value of a type that nobody expects
+    except (AttributeError, LookupError) as error:  # a value of an unexpected type
         raise ValueError(f"`{name}` cannot be built: {error}") from error
 
 

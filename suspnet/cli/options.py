@@ -84,6 +84,12 @@ def check_parser() -> ArgumentParser:
         "outputs/check/TIME if not given]",
     )
     found.add_argument(
+        "--language",
+        default="en",
+        choices=("en", "de"),
+        help="language of page and pictures; check.json and the terminal are English [en]",
+    )
+    found.add_argument(
         "--no-pictures", action="store_true", help="draw nothing, which is faster [switch]"
     )
     found.add_argument(

@@ -11,6 +11,7 @@ import traceback
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import ExitStack, contextmanager, nullcontext, redirect_stderr
+from difflib import get_close_matches
 from importlib import import_module
 from pathlib import Path
 from string import Template
@@ -305,7 +306,8 @@ def one_line(error: BaseException) -> str:
     for noise in ("Config search path", "full_key:", "To append to your "):
         message = message.split(noise)[0]
     if message.startswith("Could not override"):
-        message = f"{message.strip().rstrip('.')}. There is no such key; --help lists them"
+        start = message.strip().rstrip(".")
+        message = f"{start}. There is no such key{_nearest(error)}; --help lists them"
     for group, owner in (("experiment", "train.py"), ("study", "evaluate.py")):
         if message.startswith(f"Could not override '{group}'"):
             message = (
@@ -315,6 +317,16 @@ def one_line(error: BaseException) -> str:
     if isinstance(error, OSError) and error.filename is not None:
         message = why(error)
     return printable("error: " + " ".join(message.split()))
+
+
+def _nearest(error: BaseException) -> str:
+    """Return a question with the nearest key in the place of one that cannot be overridden."""
+    cause = error.__cause__
+    place = getattr(cause, "parent_node", None)
+    if not isinstance(cause, OmegaConfBaseException) or not isinstance(place, DictConfig):
+        return ""
+    near = get_close_matches(str(cause.key), [str(key) for key in place], n=1)
+    return f": did you mean {near[0]}?" if near else ""
 
 
 def run_folder() -> Path:

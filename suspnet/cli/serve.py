@@ -24,6 +24,7 @@ from suspnet.ground.settings import check_settings, setting
 from suspnet.ground.storage import read_plain, why
 from suspnet.history import History
 from suspnet.history.database import BusyError
+from suspnet.live.broker import secret
 from suspnet.report.board import LOOK_S, Board
 from suspnet.report.language import check_language
 
@@ -36,7 +37,7 @@ NEEDED = ("flask", "flask_wtf", "waitress", "plotly", "pydantic")
 END_S = 2.0
 """Longest wait for each part of the program at the end, [s]."""
 TOKEN_VARIABLE = "SUSPNET_API_TOKEN"
-"""Environment variable with the token of programs, if no file has it."""
+"""Environment variable with the token of programs; with _FILE after its name, of its file."""
 MOST_TOKEN_BYTES = 4096
 ANY = "0.0.0.0"
 """Address that means all addresses of this computer."""
@@ -160,10 +161,11 @@ def _access(config: DictConfig) -> Access:
 
 def _token(file: str | None) -> str:
     """Return the token of programs from a file or the environment; empty if there is none."""
+    given = [one for one in (TOKEN_VARIABLE, f"{TOKEN_VARIABLE}_FILE") if os.environ.get(one)]
     if file is None:
-        return os.environ.get(TOKEN_VARIABLE, "")
-    if os.environ.get(TOKEN_VARIABLE):
-        raise ValueError(f"the token is given twice, by token_file= and by {TOKEN_VARIABLE}")
+        return secret(TOKEN_VARIABLE, "the API") if given else ""
+    if given:
+        raise ValueError(f"the token is given twice, by token_file= and by {given[0]}")
     try:
         content = read_plain(Path(file), MOST_TOKEN_BYTES)
         if os.stat(file).st_mode & 0o077:

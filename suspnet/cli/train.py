@@ -22,10 +22,19 @@ from suspnet.estimation.problem import Problem
 from suspnet.estimation.trip_settings import TripSettings
 from suspnet.ground.parameters import DIRECTIONS, FORWARD, Direction
 from suspnet.ground.settings import check_choice, check_values
+from suspnet.ground.workers import alongside
 from suspnet.learning import ranks
 from suspnet.recordings.manifest_files import ManifestFile
-from suspnet.runs.commissioning import check_generator, commission_folder, commission_parts
+from suspnet.report.language import check_language, speaking
+from suspnet.runs.commissioning import (
+    check_generator,
+    commission_trips,
+    parts_of,
+    read_folder,
+    reported,
+)
 from suspnet.runs.commissioning_page import training_notes, write_outcome
+from suspnet.runs.dataset import write_dataset
 from suspnet.runs.scores import Metrics
 from suspnet.runs.train import RunContext, speed_ranges, train, train_ranges
 from suspnet.spectra.estimates import (
@@ -63,6 +72,7 @@ def main(config: DictConfig) -> None:
     folder.
     """
     warnings.simplefilter("always", ConvergenceWarning)
+    check_language(config.language)
     ranks.start(config.device)
     folder = program.run_folder()
     finished = folders.finished_run(config, folder)
@@ -207,21 +217,29 @@ def _commissioned(
             raise ValueError(NO_PARTS)
         return None
     settings, trips = _check_healthy(config), TripSettings()
-    found, outcome = commission_folder(
-        Path(config.healthy),
-        build(config, "generator"),
-        settings,
-        trips,
-        paths=paths,
-        n_first=config.n_healthy,
-        by_part=by_part,
-        progress=config.progress,
-    )
-    write_outcome(folder, found, outcome)
+    generator = build(config, "generator")
+    # both fits take about as long and neither needs the other
+    is_apart = by_part and config.threads != 1 and not ranks.is_distributed()
+    with alongside("suspnet.runs.commissioning", is_wanted=is_apart) as start:
+        found = read_folder(
+            Path(config.healthy),
+            generator,
+            settings,
+            trips,
+            paths=paths,
+            n_first=config.n_healthy,
+            progress=config.progress,
+        )
+        parts = start(parts_of(found, generator, trips)) if by_part else None
+        outcome = commission_trips(
+            found, generator, settings, by_part=by_part, progress=config.progress
+        )
+        with speaking(config.language):
+            write_outcome(folder, found, outcome)
+        bogie = reported(parts()) if parts else None
     speeds = tuple(group.speed_m_per_s for group in found.groups)
     run = tuple(one for one in DIRECTIONS if one in {group.direction for group in found.groups})
     notes = training_notes(found, outcome)
-    bogie = commission_parts(found, outcome.generator, trips) if by_part else None
     return _Healthy(outcome.generator, notes, outcome.residual, speeds, run, bogie)
 
 
@@ -251,6 +269,8 @@ def _train(
         threads=program.n_threads(config.threads),
         progress=config.progress,
     )
+    if config.dataset is not None and not (path := folder / f"dataset.{config.dataset}").exists():
+        write_dataset(problem, path)
     model = build(config, "model")
     search = build(config, "search") if config.get("search") else None
     resolved = program.save_config(given or config, folder)

@@ -221,8 +221,6 @@ QUANTITIES = tuple(
 """Every number, in the order of ``UNMEASURED``."""
 UNMEASURED = tuple(quantity.name for quantity in QUANTITIES)
 """Names of the quantities: columns of ratios after ``PARAMETERS``, the speed first."""
-MEDIANS = {quantity.name: quantity.median for quantity in QUANTITIES}
-"""Ratio of each number to nominal where nothing else is known."""
 MASS_MEAN, MASS_DEVIATION = math.log(1.05), 0.15
 """Prior mean and standard deviation of the logarithm of a trip's car-body mass over nominal."""
 

@@ -31,7 +31,7 @@ speed V, half gauge b_r, conicity lambda and creep coefficients of a wheel, c al
     F   = -2 rho c (s (y_w + r_0 x) / V - t chi_w / a)
     M   = -2 c b_r (lambda (y_w + r_0 x - v) / r_0 + s b_r t chi_w / (a V))
 
-Gravity and the stiffness of flanges are left out: both are small beside creep above 0.3 Hz. What
+Gravity and the stiffness of flanges are left out: both are small against creep above 0.3 Hz. What
 the vehicle's parts do not have is held at 0.
 """
 

@@ -117,8 +117,12 @@ class Equations:
         elements = squares.new_zeros(n_freq, self.kappa.shape[1], squares.shape[2])
         elements = elements.index_add(1, self.element, squares)
         inertia = (seen.mT[..., None] * motion[0][:, :, None]).flatten(2)
+        both = torch.cat([elements, inertia], dim=1).transpose(0, 1)
         stiffness = torch.cat([changes.kappa, -changes.inertia.to(whole.dtype)], dim=1)
-        found = stiffness.permute(2, 0, 1) @ torch.cat([elements, inertia], dim=1)
+        # a number changes few of the elements and masses: only those are taken
+        row, k = (stiffness != 0).any(dim=2).nonzero(as_tuple=True)
+        found = both.new_zeros(len(stiffness), *both.shape[1:])
+        found = found.index_add(0, row, stiffness[row, k, :, None] * both[k])
         # few factors of the coordinates depend on a number: only those are taken
         k, i = _changing(changes.pulls)
         weights = seen[:, :, i, None] * (kappa[..., None] * stretched)[:, None, k]
@@ -126,9 +130,9 @@ class Equations:
         k, i = _changing(changes.stretches)
         loads = (pulled * kappa[:, None])[:, :, k, None] * whole[:, None, i]
         factors = torch.cat([factors, changes.stretches[:, k, i]], dim=1)
-        weights = torch.cat([weights, loads], dim=2).transpose(1, 2).flatten(2)
-        found = -(found + factors.to(whole.dtype) @ weights)
-        found = found.unflatten(2, (n_sensors, n_inputs)).transpose(0, 1)
+        weights = torch.cat([weights, loads], dim=2).permute(2, 0, 1, 3).flatten(2)
+        found = -(found + (factors.to(whole.dtype) @ weights.flatten(1)).view_as(found))
+        found = found.unflatten(2, (n_sensors, n_inputs))
         rows = _moving(changes.places)
         found[rows] += changes.places[rows, None].to(whole.dtype) @ whole
         rows = _moving(changes.inputs)
@@ -142,14 +146,20 @@ class Equations:
             slopes = slopes * self.gains[:, None] + without * changes.gains[:, None]
         return slopes
 
+    def of(self, vehicles: slice) -> Equations:
+        """Return the equations of some of the vehicles."""
+        return replace(self, **{k: v[vehicles] for k, v in self._by_vehicle().items()})
+
     def minus(self, other: Equations, size: float) -> Equations:
         """Return the difference of two equations over a size."""
-        found = {
-            one.name: (getattr(self, one.name) - getattr(other, one.name)) / size
-            for one in fields(self)
-            if one.name != "element" and getattr(self, one.name) is not None
-        }
+        theirs = other._by_vehicle()
+        found = {name: (one - theirs[name]) / size for name, one in self._by_vehicle().items()}
         return replace(self, **found)
+
+    def _by_vehicle(self) -> dict[str, Tensor]:
+        """Return all fields but `element`, and but `gains` if these are all 1."""
+        found = {one.name: getattr(self, one.name) for one in fields(self)}
+        return {k: v for k, v in found.items() if k != "element" and v is not None}
 
 
 def _changing(factors: Tensor) -> tuple[Tensor, ...]:
@@ -191,20 +201,27 @@ def _matrix(rows: Sequence[Row], names: Sequence[str], like: Tensor) -> Tensor:
     """Return factors of the coordinates `names`, (n_vehicles, n_rows, n_names); others are held."""
     column = {name: i for i, name in enumerate(names)}
     known = like.new_zeros(len(rows) * len(names))
-    values, where = [], []
+    # many factors are the same tensor: each is taken once
+    values: dict[int, Tensor] = {}
+    order, where = [], []
     for i, row in enumerate(rows):
         for name, value in row.items():
             if name not in column:
                 continue
+            place = i * len(names) + column[name]
             if isinstance(value, Tensor):
-                values.append(value)
-                where.append(i * len(names) + column[name])
+                values.setdefault(id(value), value)
+                order.append(id(value))
+                where.append(place)
             else:
-                known[i * len(names) + column[name]] = value
+                known[place] = value
     flat = known.expand(len(like), -1)
     if values:
+        number = {key: j for j, key in enumerate(values)}
+        chosen = torch.tensor([number[key] for key in order], device=like.device)
         places = torch.tensor(where, device=like.device)
-        flat = flat.index_copy(1, places, torch.cat(values, dim=1))
+        every = torch.cat(list(values.values()), dim=1)
+        flat = flat.index_copy(1, places, every[:, chosen])
     return flat.reshape(len(like), len(rows), len(names))
 
 
@@ -304,16 +321,18 @@ def derivatives(
     `columns` (n_columns,); `sizes` (n_columns,) are the units in which each is changed, and those
     of 0 are left out of the derivatives (n_derivatives, n_inputs, n_sensors, n_freq).
     """
-    system = equations(layout, numbers(columns[None]), sensors, omega)
-    motion, factors = system.solved()
-    adjoint = system.adjoint(factors)
-    slopes = []
-    n_rows = MOST_NUMBERS // (system.kappa.shape[1] * len(omega))
-    for some in torch.diag(sizes)[sizes != 0].split(max(1, n_rows // 2)):
-        up, down = (
-            equations(layout, numbers(columns + step * some), sensors, omega)
-            for step in (STEP, -STEP)
-        )
+    steps = STEP * torch.diag(sizes)[sizes != 0]
+    n_rows = MOST_NUMBERS // (len(coordinates(layout.parts)) * len(omega))
+    slopes: list[Tensor] = []
+    for some in steps.split(max(1, n_rows // 2)):
+        # one call for the vehicle and its changes, as one for few rows takes as long as for many
+        rows = torch.cat([columns[None], columns + some, columns - some])
+        every = equations(layout, numbers(rows), sensors, omega)
+        if not slopes:
+            system = every.of(slice(1))
+            motion, factors = system.solved()
+            adjoint = system.adjoint(factors)
+        up, down = every.of(slice(1, len(some) + 1)), every.of(slice(len(some) + 1, None))
         slopes.append(system.moved(up.minus(down, 2 * STEP), motion, adjoint))
     return system.measured(motion)[0], torch.cat(slopes)
 

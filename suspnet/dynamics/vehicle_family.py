@@ -209,19 +209,23 @@ class VehicleFamily:
             return ratios
         n_given = ratios.shape[-1] if ratios.ndim == 2 else n_outputs
         check_ratios(ratios, max(n_given, n_outputs))
-        medians = [1.0] * n_outputs + [quantity.median for quantity in self.quantities]
-        columns = torch.tensor(medians, dtype=torch.float64).to(ratios).repeat(len(ratios), 1)
-        if self.distribution is not None:
-            columns[:, self.uncertain_columns] = torch.as_tensor(self.distribution.median).to(
-                ratios
-            )
+        columns = self._medians.to(ratios).repeat(len(ratios), 1)
         columns[:, :n_given] = ratios
         if self.other_bogie == "same":
             other = [self.columns.index(f"other_{name}") for name in self.outputs[:4]]
             columns[:, other] = ratios[:, :4]
         return columns
 
-    @property
+    @cached_property
+    def _medians(self) -> Tensor:
+        """Median of each column, 1 for those of ``outputs``."""
+        medians = [1.0] * len(self.outputs) + [quantity.median for quantity in self.quantities]
+        found = torch.tensor(medians, dtype=torch.float64)
+        if self.distribution is not None:
+            found[self.uncertain_columns] = torch.as_tensor(self.distribution.median)
+        return found
+
+    @cached_property
     def uncertain_columns(self) -> list[int]:
         """Columns of the distribution's names."""
         assert self.distribution is not None
@@ -255,8 +259,7 @@ class VehicleFamily:
 
     def _in_si(self, columns: Tensor) -> dict[str, Tensor]:
         """Return every number in SI units from ratios with all columns, which are not checked."""
-        nominal = torch.tensor(self.nominal_values(), dtype=torch.float64, device=self.device)
-        values = (columns * nominal).T.unsqueeze(-1)
+        values = (columns * self._nominal).T.unsqueeze(-1)
         p = dict(zip(self.columns, values, strict=True))
         for name in PARAMETERS[:4]:  # these columns are relative to the uncertain healthy values
             p[f"other_{name}"] = p[f"other_{name}"] * p[f"healthy_{name}"]
@@ -266,6 +269,10 @@ class VehicleFamily:
     def _measured(self, p: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """Return springs and dampers of the measured bogie from ratios and healthy values."""
         return {name: p[name] * p[f"healthy_{name}"] for name in PARAMETERS[:4]}
+
+    @cached_property
+    def _nominal(self) -> Tensor:
+        return torch.tensor(self.nominal_values(), dtype=torch.float64, device=self.device)
 
     def nominal_values(self) -> tuple[float, ...]:
         """Return the values at a ratio of 1, SI units; those that multiply healthy values are 1."""

@@ -85,11 +85,13 @@ class Element:
         if self.damping is not None:
             imaginary = imaginary + self.damping * omega
         if self.loss is not None:
-            lossy, ladder = self.loss * self.stiffness, _ladder(omega)
-            real, imaginary = real + lossy * ladder.real, imaginary + lossy * ladder.imag
+            lossy, (stored, lost) = self.loss * self.stiffness, _ladder(omega)
+            real, imaginary = real + lossy * stored, imaginary + lossy * lost
+        square = omega.square()
         for stiffness, rate in self.branches:
-            share = stiffness * omega / (omega**2 + rate**2)
-            real, imaginary = real + share * omega, imaginary + share * rate
+            share = stiffness * omega / (square + rate.square())
+            real = torch.addcmul(real, share, omega)
+            imaginary = torch.addcmul(imaginary, share, rate)
         return torch.complex(*torch.broadcast_tensors(real, imaginary))
 
     def times(self, factor: float) -> Element:
@@ -122,13 +124,16 @@ class Element:
         return stiffness, damping, branches
 
 
-def _ladder(omega: Tensor) -> Tensor:
-    """Return Lambda at angular frequencies (n_freq,) [rad/s], complex (n_freq,), [-]."""
-    rates = 2 * math.pi * torch.tensor(LOSS_HZ, dtype=omega.dtype, device=omega.device)
-    shares = torch.tensor(LOSS_SHARES, dtype=omega.dtype, device=omega.device)
-    square = (2 * math.pi * LOSS_REFERENCE_HZ) ** 2
-    branches = 1j * omega[:, None] / (1j * omega[:, None] + rates)
-    return ((branches - square / (square + rates**2)) * shares).sum(dim=1)
+def _ladder(omega: Tensor) -> tuple[Tensor, Tensor]:
+    """Return real and imaginary part of Lambda at angular frequencies [rad/s], (n_freq,), [-]."""
+    stored, lost = torch.zeros_like(omega), torch.zeros_like(omega)
+    square, reference = omega.square(), (2 * math.pi * LOSS_REFERENCE_HZ) ** 2
+    for loss_hz, share in zip(LOSS_HZ, LOSS_SHARES, strict=True):
+        rate = 2 * math.pi * loss_hz
+        branch = share / (square + rate**2)
+        stored = stored + square * branch - share * reference / (reference + rate**2)
+        lost = lost + rate * omega * branch
+    return stored, lost
 
 
 def primary_element(

@@ -81,20 +81,16 @@ class CommissionedBogie:
         assert self.generator.sensors is not None
         noise = self.noise[trip.kept(self.generator.sensors)]
         fit = BogieSearch(self.generator, [noise], [trip], are_healthy=False)
-        if start is None:
-            fit, x, converged = fit.widened()
-        else:
-            fit, x, converged = fit.narrowed(fit.nearer(start), 1)
-        misfit = fit.misfit(x)
-        if start is not None and not (converged and misfit <= EXPLAINED * max(1.0, self.misfit)):
-            other = fit.widened()
-            if other[0].misfit(other[1]) < misfit:
-                fit, x, converged = other
-                misfit = fit.misfit(x)
+        explained = EXPLAINED * max(1.0, self.misfit)
+        found = None if start is None else fit.narrowed(fit.nearer(start), 2)
+        if found is None or not (found.converged and found.misfit <= explained):
+            other = fit.found(explained)
+            found = other if found is None or other.misfit < found.misfit else found
+        fit, x, misfit = found.fit, found.x, found.misfit
         unexplained = max(0.0, max(misfit, self.misfit) ** 2 - EXPLAINED**2)
         excess = max(1.0, misfit) ** 2 + ALIGNED**2 * fit.n_residuals * unexplained
         covariance = COMMON**2 * fit.covariance(x, excess)[-N_OWN:, -N_OWN:]
-        return PartsEstimate(np.exp(x[-N_OWN:]), covariance, misfit, converged, level)
+        return PartsEstimate(np.exp(x[-N_OWN:]), covariance, misfit, found.converged, level)
 
 
 @dataclass(frozen=True)
@@ -150,9 +146,8 @@ def commission_bogie(generator: SpatialVehicle, trips: Sequence[BogieTrip]) -> C
     generator = replace(generator, distribution=prior)
     noise = torch.stack([smallest_noise(trip.spectra) for trip in trips]).amin(dim=0)
     fit = BogieSearch(generator, [noise] * len(trips), trips, are_healthy=True)
-    fit, x, converged = fit.widened()
-    n = fit.n_numbers
-    misfit = fit.misfit(x)
+    found = fit.found(EXPLAINED)
+    fit, x, misfit, n = found.fit, found.x, found.misfit, fit.n_numbers
     covariance = fit.covariance(x, max(1.0, misfit) ** 2)[:n, :n]
     factor = prior.factor
     spread_of = factor @ covariance @ factor.T
@@ -164,5 +159,5 @@ def commission_bogie(generator: SpatialVehicle, trips: Sequence[BogieTrip]) -> C
         torch.stack([one.densities for one in fit.noise_at(x)]).mean(dim=0),
         np.exp(x[n:]),
         misfit,
-        converged,
+        found.converged,
     )

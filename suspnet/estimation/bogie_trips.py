@@ -20,7 +20,8 @@ from suspnet.estimation.steady_parts import groups_to_read
 from suspnet.estimation.trip_settings import TripSettings
 from suspnet.estimation.worn_parts import worn_parts, worn_words
 from suspnet.ground.parameters import COMPONENTS, FORWARD, Direction
-from suspnet.recordings.manifest import LEAST_SENSORS, MIDDLE, SIDES, TripManifest
+from suspnet.recordings.manifest import LEAST_SENSORS, TripManifest
+from suspnet.recordings.manifest_sources import MIDDLE, SIDES
 from suspnet.recordings.recording import Recording
 from suspnet.spectra.segments import NoEstimateError, segment_speeds, sensor_segments, without_loud
 from suspnet.spectra.subspace import SpectralMatrix

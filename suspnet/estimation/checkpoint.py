@@ -299,7 +299,7 @@ def _with_tuples(content: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _bogie_json(bogie: CommissionedBogie) -> dict[str, Any]:
-    """Return what asdict would but for tensors, which it does not take apart."""
+    """Return what asdict would but for tensors, which it keeps whole."""
     others = {name: getattr(bogie, name) for name in ("masses", "misfit", "converged")}
     return others | {"generator": asdict(bogie.generator), "noise": bogie.noise.numpy()}
 

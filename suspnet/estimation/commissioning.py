@@ -319,15 +319,15 @@ class _Search(HealthyMisfit):
     ) -> _Found:
         """Return the end of successive searches with some spreads, up to `high_hz`."""
         point = row_of(start)
-        solver = LevenbergMarquardt(
-            max_iter=FEW,
-            tol=ROUGH_TOL,
-            first_damping=ROUGH_DAMPING,
-            bounds=self._bounds(len(start)),
-            one_sided=True,
-            least_decrease=ROUGH_DECREASE,
-        )
         for spread in spreads:
+            solver = LevenbergMarquardt(
+                max_iter=FEW,
+                tol=ROUGH_TOL,
+                first_damping=ROUGH_DAMPING,
+                bounds=self._bounds(len(start)),
+                least_decrease=ROUGH_DECREASE,
+                derivative=partial(self._slopes, spread, high_hz),
+            )
             found = solver.minimise(partial(self._residuals, spread, high_hz), point)
             point = found.parameters
             self.on_step()
@@ -349,9 +349,9 @@ class _Search(HealthyMisfit):
             tol=TOL,
             first_damping=DAMPING,
             bounds=self._bounds(len(start)),
-            one_sided=True,
             least_decrease=LEAST_DECREASE * max(1.0, level),
             accelerated=True,
+            derivative=partial(self._slopes, 0.0, math.inf),
         )
         for _ in range(N_ROUNDS):
             one = solver.minimise(partial(self._residuals, 0.0, math.inf), row_of(found.x))
@@ -383,6 +383,9 @@ class _Search(HealthyMisfit):
 
     def _residuals(self, spread: float, high_hz: float, theta: Tensor, _: Tensor) -> Tensor:
         return self.residuals(theta, spread, high_hz)
+
+    def _slopes(self, spread: float, high_hz: float, theta: Tensor, _: Tensor) -> Tensor:
+        return self.derivative(theta, spread, high_hz)
 
 
 def _cost(found: _Found) -> float:

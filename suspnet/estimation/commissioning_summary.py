@@ -20,7 +20,7 @@ from suspnet.spectra.estimates import EstimateSettings
 
 LEAST_AGREEING = 2
 """Starts that must find the same vehicle, as a single one may have ended in another valley."""
-TOLD = 0.8
+IDENTIFIED = 0.8
 """A number is identified if the trips reduce its deviation below this fraction of the prior's."""
 NARROW = 0.5
 """Largest standard deviation over the median for which a number is written with plus and minus."""
@@ -86,7 +86,7 @@ class Number:
     @property
     def is_told(self) -> bool:
         """Whether the trips identify the number."""
-        return self.uncertainty_left < TOLD
+        return self.uncertainty_left < IDENTIFIED
 
     def as_json(self) -> dict[str, Any]:
         """Return the number in SI units, for a file."""
@@ -186,23 +186,24 @@ def verdict(found: HealthyTrips, outcome: Commissioned) -> str:
 def of_parts(bogie: CommissionedBogie) -> str:
     """Return a sentence on a bogie of which each part is read."""
     healthy = dict(zip(bogie.healthy.names, bogie.healthy.values, strict=True))
-    apart = []
+    spreads = []
     for kind, name in (("k", "springs"), ("c", "dampers")):
         ratios = [
             healthy[one] / np.mean([healthy[o] for o in BOGIE_PARTS if kind_of(o) == kind_of(one)])
             for one in BOGIE_PARTS
             if one.startswith(kind)
         ]
-        apart.append(f"{name} by up to {100 * max(abs(ratio - 1) for ratio in ratios):.1f} %")
+        spreads.append(f"{name} by up to {100 * max(abs(ratio - 1) for ratio in ratios):.1f} %")
     return (
         f"Each part of the bogie is read: its misfit is {bogie.misfit:.2f} times the noise; "
-        f"{' and '.join(apart)} differ from the mean of their kind while healthy."
+        f"{' and '.join(spreads)} differ from the mean of their kind while healthy."
     )
 
 
 NOT_CONVERGED = (
     "The search for the bogie did not end within its steps: its parts are not to be relied on, and "
-    "wrong ones may be named. Give more healthy trips, or sensors at the axle boxes."
+    "wrong ones may be named. Give more healthy trips of several payloads and speeds, and sensors "
+    "at the axle boxes where there are none."
 )
 """Doubt about a bogie whose search did not converge."""
 
@@ -214,11 +215,11 @@ def agreement(outcome: Commissioned) -> str:
 
 def reference(outcome: Commissioned) -> str:
     """Return what healthy means for models of this vehicle, as text."""
-    told = {one.quantity.name: one for one in numbers(outcome)}
+    known = {one.quantity.name: one for one in numbers(outcome)}
     values = [
-        f"{name} = {spoken(told[f'healthy_{name}'])}"
+        f"{name} = {spoken(known[f'healthy_{name}'])}"
         for name in PARAMETERS[:4]
-        if f"healthy_{name}" in told
+        if f"healthy_{name}" in known
     ]
     shown = f": 100 % is {', '.join(values)}" if values else ""
     if "±" in shown:
@@ -259,7 +260,6 @@ def cells(one: Number) -> dict[str, Any]:
     quantity = one.quantity
     return {
         "symbol": SYMBOLS.get(quantity.name, ""),
-        "meaning": quantity.meaning[0].upper() + quantity.meaning[1:],
         "unit": unit or "1",
         "prior": _value(*one.prior, scale),
         "posterior": _value(*one.posterior, scale),

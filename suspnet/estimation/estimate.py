@@ -44,7 +44,7 @@ class Estimate:
     healthy : HealthyValues or None
         Healthy values in SI units.
     found : str
-        What the fit of a trip's curve found beside the parameters; empty if nothing.
+        What the fit of a trip's curve found in addition to the parameters; empty if nothing.
 
     Examples
     --------

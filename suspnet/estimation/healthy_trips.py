@@ -24,6 +24,7 @@ from suspnet.estimation.steady_parts import groups_to_read, steady
 from suspnet.estimation.trip_settings import LEAST_TRIPS, TripSettings
 from suspnet.ground.parameters import FORWARD, Direction
 from suspnet.ground.progress import bar
+from suspnet.ground.tensors import complex_log
 from suspnet.ground.types import ComplexArray, FloatArray
 from suspnet.learning.least_squares import ONE_SIDED_DIFFERENCE
 from suspnet.recordings.errors import TripError
@@ -271,31 +272,33 @@ class HealthyMisfit:
             rows[:, _CHANGING] *= self._of_damping.factors(own, group).repeat(1, 2)
         return rows
 
-    def part(self, theta: Tensor, group: int, spread: float, high_hz: float = math.inf) -> Tensor:
-        """Return the residuals of one group, (n_rows, n_points), set to 0 above `high_hz`."""
-        misfit = (self._thinned if spread >= ROUGH else self._groups)[group]
-        expected = misfit.observer.noise_free(self.ratios(theta, group))
-        return self._compared(misfit, expected, spread, high_hz)
-
     @staticmethod
     def _compared(
         misfit: EstimateMisfit, expected: Tensor, spread: float, high_hz: float
     ) -> Tensor:
-        """Return the residuals of a group whose curves are expected to be those."""
+        """Return the residuals of a group whose curves are expected to be those.
+
+        They are 0 above `high_hz`.
+        """
         # logarithms converge from far off, but have the heavy tails of a ratio of noise
-        u = (misfit.observed / expected).log() if spread else 1 - expected / misfit.observed
+        ratio = misfit.observed / expected if spread else expected / misfit.observed
+        u = complex_log(ratio) if spread else 1 - ratio
         spreads = torch.where(misfit.observer.frequencies_hz > high_hz, math.inf, spread)
-        return misfit.whitened(u, torch.zeros(len(u), dtype=torch.int64), spreads)
+        return misfit.whitened(u, torch.zeros(1, dtype=torch.int64), spreads)
 
     def parts(self, theta: Tensor, spread: float, high_hz: float = math.inf) -> list[Tensor]:
         """Return the residuals of each group, (n_rows, n_points)."""
+        return self._each([theta] * len(self._trips), spread, high_hz)
+
+    def _each(self, thetas: Sequence[Tensor], spread: float, high_hz: float) -> list[Tensor]:
+        """Return the residuals of each group at points of its own, (n_rows, n_points)."""
         misfits = self._thinned if spread >= ROUGH else self._groups
         found: dict[int, Tensor] = {}
         # one call for all groups at the same speeds: a call for 1 row takes as long as for 10
         for alike in self._alike:
-            rows = torch.cat([self.ratios(theta, group) for group in alike])
-            expected = misfits[alike[0]].observer.noise_free(rows).split(len(theta))
-            for group, one in zip(alike, expected, strict=True):
+            rows = [self.ratios(thetas[group], group) for group in alike]
+            expected = misfits[alike[0]].observer.noise_free(torch.cat(rows))
+            for group, one in zip(alike, expected.split([*map(len, rows)]), strict=True):
                 found[group] = self._compared(misfits[group], one, spread, high_hz)
         return [found[group] for group in range(len(misfits))]
 
@@ -308,17 +311,24 @@ class HealthyMisfit:
 
     def jacobian(self, x: FloatArray, spread: float, high_hz: float = math.inf) -> FloatArray:
         """Return the finite-difference derivative of all residuals, (n_points, n_coordinates)."""
-        n, found = len(self.prior.names), []
-        for group, trip in enumerate(self._trips):
-            # the masses of other trips do not affect this group
-            columns = [*range(n), n + trip, *range(n + self.n_trips, len(x))]
-            steps = ONE_SIDED_DIFFERENCE * torch.eye(len(x), dtype=torch.float64)[[0, *columns]]
-            steps[0] = 0.0
-            rows = self.part(row_of(x) + steps, group, spread, high_hz)
-            own = np.zeros((rows.shape[1], len(x)))
-            own[:, columns] = ((rows[1:] - rows[:1]) / ONE_SIDED_DIFFERENCE).T.numpy()
-            found.append(own)
-        return np.concatenate([*found, np.diag(1 / self._prior_deviations())])
+        return self.derivative(row_of(x), spread, high_hz)[0].T.numpy()
+
+    def derivative(self, theta: Tensor, spread: float, high_hz: float = math.inf) -> Tensor:
+        """Return the derivative as `jacobian` for one row, (1, n_coordinates, n_points)."""
+        n = len(self.prior.names)
+        steps = ONE_SIDED_DIFFERENCE * torch.eye(theta.shape[1], dtype=torch.float64)
+        # the masses of other trips do not affect a group
+        columns = [
+            [*range(n), n + trip, *range(n + self.n_trips, theta.shape[1])] for trip in self._trips
+        ]
+        moved = [torch.cat([theta, theta + steps[own]]) for own in columns]
+        found = []
+        for own, rows in zip(columns, self._each(moved, spread, high_hz), strict=True):
+            slopes = rows.new_zeros(theta.shape[1], rows.shape[1])
+            slopes[own] = (rows[1:] - rows[:1]) / ONE_SIDED_DIFFERENCE
+            found.append(slopes)
+        priors = torch.as_tensor(1 / self._prior_deviations()).diag()
+        return torch.cat([*found, priors], dim=1)[None]
 
     def _prior_deviations(self) -> FloatArray:
         """Return the prior standard deviations of theta, (n_coordinates,)."""

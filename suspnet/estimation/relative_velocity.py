@@ -1,8 +1,8 @@
 """Damping at equal relative velocity, for trips rougher, smoother or faster than the healthy ones.
 
 A damper that blows off has the slope c up to the relative velocity v_b, and ``SLOPE_AFTER`` c
-beyond. Dry friction beside a damper is a force that does not grow with velocity. With sigma the rms
-relative velocity across a suspension, normal, statistical linearisation gives the damping ::
+beyond. Dry friction parallel to a damper is a force that does not grow with velocity. With sigma
+the rms relative velocity across a suspension, normal, statistical linearisation gives the damping::
 
     c g(sigma / v_b) + c_f,    g(y) = rho + (1 - rho) erf(1 / (sqrt(2) y))
 
@@ -56,9 +56,9 @@ STUCK = 0.25
 """Largest s' over that of s: friction that slips for most of the time is no spring. Trips of a
 train with rubber friction, on tracks of different roughness, gave s' / s of about 0.15."""
 LEAST_RATIO = 0.01
-"""Smallest ratio r of a damper beside friction, which may be all that is left of the damping."""
+"""Smallest ratio r of a damper next to friction, which may be all that is left of the damping."""
 FASTER = 1.3
-"""Velocity over the healthy trips' for which the loss of damping is told."""
+"""Velocity over the healthy trips' for which the loss of damping is reported."""
 N_DRAWS = 256
 """Draws of s and u; their mean and spread are of log r, to a hundredth of that spread."""
 

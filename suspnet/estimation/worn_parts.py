@@ -37,7 +37,7 @@ RARE = 0.01
 ODDS = 20.0
 """Odds from which a part is named."""
 MOST_ODDS = 1000.0
-"""Odds above which no number is told: they are those of a model."""
+"""Odds above which no number is reported: they are those of a model."""
 
 
 @dataclass(frozen=True)

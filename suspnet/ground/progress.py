@@ -58,6 +58,13 @@ class _Lines(tqdm):  # type: ignore[type-arg]
     monitor = None
     monitor_interval = 1
 
+    def __iter__(self) -> Iterator[Any]:
+        """Yield the items and count each; tqdm's own loop counts only what `miniters` lets it."""
+        with self:
+            for item in self.iterable:
+                yield item
+                self.update()
+
     def refresh(self, nolock: bool = False, lock_args: Any = None) -> None:
         """Log a line; the next one comes after `maxinterval`."""
         self.last_print_t, self.miniters = time.time(), math.inf

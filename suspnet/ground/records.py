@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, astuple, dataclass, field, fields, replace
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, astuple, dataclass, field, fields
 from typing import Any
 
 import numpy as np
@@ -23,8 +23,6 @@ from suspnet.ground.wording import kilometres
 
 HIGHEST_KM = 2e7
 """Mileage that no rail vehicle reaches, [km]: 40 years of 500 000 km, as fast trains run."""
-
-
 INTERVAL_LEVEL = 0.9
 """Probability of the intervals of trips, unless a setting names another one."""
 
@@ -402,20 +400,3 @@ def outputs_of(results: Iterable[TripResult]) -> tuple[str, ...]:
 def by_mileage(results: Iterable[TripResult]) -> list[TripResult]:
     """Return trips sorted by mileage and name, those without a mileage last."""
     return sorted(results, key=lambda r: (not math.isfinite(r.mileage_km), r.mileage_km, r.trip))
-
-
-def relative_to_first_healthy(
-    results: Sequence[TripResult], found: Sequence[Commissioning]
-) -> list[TripResult]:
-    """Return results relative to the healthy values of the first commissioning."""
-    factors = {one.since_km: one.relative for one in found}
-    return [_times(r, factors.get(r.healthy_since_km, {})) for r in results]
-
-
-def _times(result: TripResult, factors: dict[str, float]) -> TripResult:
-    """Return a result with estimates and truth multiplied by factors; a missing factor is 1."""
-    estimates, truth = (
-        {name: value * factors.get(name, 1.0) for name, value in part.items()}
-        for part in (result.estimates, result.truth)
-    )
-    return replace(result, estimates=estimates, truth=truth)

@@ -218,11 +218,12 @@ def _finite(content: Any) -> Any:
         return {str(key): _finite(value) for key, value in content.items()}
     if isinstance(content, list | tuple):
         return [_finite(value) for value in content]
-    if isinstance(content, np.generic):
-        content = content.item()
-    if isinstance(content, float) and not np.isfinite(content):
-        return None
-    return content
+    return finite_or_none(content.item() if isinstance(content, np.generic) else content)
+
+
+def finite_or_none(value: Any) -> Any:
+    """Return a value, with None for NaN and infinity."""
+    return None if isinstance(value, float) and not np.isfinite(value) else value
 
 
 MOST_TEXT_BYTES = 2**24

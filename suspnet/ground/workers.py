@@ -7,6 +7,7 @@ waiting and running items; here each worker is a pool of one process.
 from __future__ import annotations
 
 import functools
+import importlib
 import math
 import multiprocessing
 import os
@@ -18,6 +19,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
 from typing import Any, TypeVar
 
 from joblib import cpu_count, register_parallel_backend
@@ -100,6 +102,41 @@ def each(
     finally:
         for executor in alive:
             executor.shutdown(kill_workers=True)
+
+
+@contextmanager
+def alongside(
+    module: str, *, is_wanted: bool = True
+) -> Iterator[Callable[[Callable[[], Result]], Callable[[], Result]]]:
+    """Yield a function that starts work in a second process, and returns what waits for its result.
+
+    The process starts at once and imports `module`, which may take seconds. The work, its result
+    and its exceptions must be picklable. If its process is killed, this one does the work, as it
+    does where a second process is not wanted, would have no core, or this one is a worker itself.
+    """
+    is_worker = multiprocessing.parent_process() is not None
+    if not is_wanted or is_worker or cpu_count() < USUAL_WORKERS:
+        yield lambda work: work
+        return
+    executor = guarded(USUAL_WORKERS)
+
+    def start(work: Callable[[], Result]) -> Callable[[], Result]:
+        future = executor.submit(work)
+
+        def result() -> Result:
+            try:
+                found: Result = future.result()
+            except BrokenProcessPool:
+                return work()
+            return found
+
+        return result
+
+    try:
+        executor.submit(importlib.import_module, module)
+        yield start
+    finally:
+        executor.shutdown(kill_workers=True)
 
 
 def _killed(error: BrokenProcessPool) -> str:

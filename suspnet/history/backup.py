@@ -14,7 +14,7 @@ from suspnet.ground.ledger import check_own
 from suspnet.history.database import APPLICATION_ID, MARKER, WAIT_S, HistoryError
 from suspnet.history.store import History
 
-BESIDE = ("-journal", "-wal", "-shm")
+COMPANIONS = ("-journal", "-wal", "-shm")
 """Ends of the names of files that SQLite applies to a database of the same name."""
 
 
@@ -32,7 +32,7 @@ def back_up(place: str, copy: Path, *, replace: bool = False) -> int:
         raise HistoryError(f"{copy}: there is such a file; give another name, or --replace")
     if copy.exists() and copy.samefile(place):
         raise HistoryError(f"{copy} is the store itself; give another name for the backup")
-    for path in (copy.with_name(copy.name + end) for end in BESIDE):
+    for path in (copy.with_name(copy.name + end) for end in COMPANIONS):
         if os.path.lexists(path):
             raise HistoryError(
                 f"{path}: a program writes to {copy}, or was killed while it did; give another name"
@@ -48,7 +48,7 @@ def restore(copy: Path, place: str) -> int:
     SQLite would apply to the restored store, or if the backup is damaged or not a store.
     """
     _check_file(place)
-    for path in (place, *(place + end for end in BESIDE)):
+    for path in (place, *(place + end for end in COMPANIONS)):
         if os.path.lexists(path):
             raise HistoryError(
                 f"{path}: nothing is replaced: move this file away first, and end the programs "

@@ -26,19 +26,21 @@ from suspnet.ground.parameters import Severity
 from suspnet.ground.records import Key
 from suspnet.ground.storage import json_bytes
 from suspnet.history.database import upsert
-from suspnet.history.schema import BadRow, or_null, outbox, told, trips
-from suspnet.history.suspensions import known_suspensions, read_stored
+from suspnet.history.schema import BadRow, or_null, outbox, suspensions, told, trips
+from suspnet.history.suspensions import is_one_of, known_suspensions, read_stored
 from suspnet.maintenance.alarms import Acknowledgement, Alarm, newest_of
 
 LEASE_S = 300.0
 """Time for which a message that is being sent belongs to one program, [s]; longer than sending it
-may take. After a kill it is sent again when this is over."""
+may take. After a kill it is sent again after this time."""
 FIRST_WAIT_S, LONGEST_WAIT_S = 60.0, 6 * 3600.0
 """Time until a failed message is tried again, [s]: it doubles with each failure up to a limit."""
 MOST_ATTEMPTS = 20
 """Number of failures, in about three days, after which a message is not tried again."""
 KEPT_S = 90 * 86400.0
 """Time for which a sent message stays in the store, [s]."""
+MOST_LISTED = 100
+"""Largest number of unsent messages that are listed."""
 LOCK = 0x73757371
 """Number of PostgreSQL's advisory lock under which messages are queued."""
 START = "start"
@@ -88,11 +90,15 @@ class _Told:
     at_km: float
     is_open: bool
 
-    def state(self, alarm: Alarm) -> str:
-        """Return what an alarm is to the recipient: new, worse, known, cleared or old."""
+    def state(self, alarm: Alarm, is_last: bool) -> str:
+        """Return what an alarm is to the recipient: new, worse, known, cleared or old.
+
+        `is_last`: no later one starts up to `at_km`, so that this is the one that was reported.
+        """
         if alarm.begin_km > self.at_km:
             return "new"
-        if alarm.end_km < self.at_km:
+        # a late trip may have cleared the reported alarm before the mileage `at_km`
+        if alarm.end_km < self.at_km and not (is_last and self.is_open):
             return "old"
         if alarm.severity > self.severity:
             return "worse"
@@ -100,14 +106,19 @@ class _Told:
 
 
 class Outbox:
-    """Messages of a store; `reading` and `writing` start a transaction of it."""
+    """Messages of a store; `reading` and `writing` start a transaction of it.
+
+    Unreadable rows are appended to `bad`, which the store logs.
+    """
 
     def __init__(
         self,
         reading: Callable[[], AbstractContextManager[Connection]],
         writing: Callable[[], AbstractContextManager[Connection]],
+        bad: list[BadRow],
     ) -> None:
-        self._reading, self._writing = reading, writing
+        self._reading, self._writing, self._bad = reading, writing, bad
+        self._fleet = _Fleet()
 
     def look(self, recipients: Iterable[Recipient], now: datetime, zone: tzinfo | None) -> int:
         """Queue messages about what is new to each recipient, and return their number.
@@ -115,10 +126,13 @@ class Outbox:
         `now` has a zone; digests are due by the clock of `zone` (None: this computer's). Alarms
         that were cleared before a recipient was first named are never sent to it.
         """
+        fleet = self._fleet
+        with self._reading() as connection:
+            fleet.update(connection, self._bad)
         with self._writing() as connection:
             if connection.dialect.name == "postgresql":
                 connection.execute(sql.select(sql.func.pg_advisory_xact_lock(LOCK)))
-            fleet = _Fleet(connection)
+            fleet.update(connection, self._bad)  # with what changed in between
             old = outbox.c.sent_s < now.timestamp() - KEPT_S
             connection.execute(outbox.delete().where(old, outbox.c.kind != START))
             return sum(_queue(connection, one, fleet, now, zone) for one in recipients)
@@ -157,11 +171,24 @@ class Outbox:
         with self._writing() as connection:
             _update(connection, message.id, attempts=message.attempts + 1, **values)
 
-    def unsent(self) -> list[dict[str, Any]]:
-        """Return the messages that no server has accepted yet, as rows, the oldest first."""
-        chosen = sql.select(outbox).where(outbox.c.sent_s.is_(None)).order_by(outbox.c.created_s)
+    def unsent(self, most: int = MOST_LISTED) -> list[dict[str, Any]]:
+        """Return at most `most` of the messages that no server has accepted yet, the oldest first.
+
+        They are rows without the content.
+        """
+        columns = [one for one in outbox.columns if one.name != "content"]
+        chosen = sql.select(*columns).where(outbox.c.sent_s.is_(None))
         with self._reading() as connection:
-            return [dict(row) for row in connection.execute(chosen).mappings()]
+            found = connection.execute(chosen.order_by(outbox.c.created_s).limit(most))
+            return [dict(row) for row in found.mappings()]
+
+    def count_unsent(self) -> tuple[int, int, float | None]:
+        """Return how many messages wait and were given up, and when the oldest was created, [s]."""
+        n_waiting = sql.func.count().filter(_waiting())
+        chosen = sql.select(n_waiting, sql.func.count(), sql.func.min(outbox.c.created_s))
+        with self._reading() as connection:
+            found = connection.execute(chosen.where(outbox.c.sent_s.is_(None))).one()
+        return found[0], found[1] - found[0], found[2]
 
     def retry(self) -> int:
         """Make all messages due that are not sent, also those given up; return their number."""
@@ -171,16 +198,40 @@ class Outbox:
 
 
 class _Fleet:
-    """Alarms of all suspensions with what messages say about them, as of one transaction."""
+    """Alarms of all suspensions with what messages say about them, as of the last `update`."""
 
-    def __init__(self, connection: Connection) -> None:
-        bad: list[BadRow] = []
-        self.ids = {key: one for one, (key, _) in known_suspensions(connection, bad=bad).items()}
-        self.alarms = read_stored(connection, Alarm, bad)
-        self.seen = read_stored(connection, Acknowledgement, bad)
+    def __init__(self) -> None:
+        self.ids: dict[Key, int] = {}
+        self.alarms: dict[Key, list[Alarm]] = {}
+        self.seen: dict[Key, list[Acknowledgement]] = {}
+        self.newest_km: dict[int, float] = {}
+        self._read: dict[int, int] = {}
+        """Revisions up to which suspensions were read."""
+
+    def update(self, connection: Connection, bad: list[BadRow]) -> None:
+        """Read the suspensions that changed; unreadable rows are appended to `bad`."""
+        read = sql.select(suspensions.c.id, suspensions.c.revision)
+        now = {row[0]: row[1] for row in connection.execute(read)}
+        self._read = {one: of for one, of in self._read.items() if now.get(one) == of}
+        self.ids = {key: one for key, one in self.ids.items() if one in now}
+        changed = now.keys() - self._read.keys()
+        if not changed:
+            return
+        unread: list[BadRow] = []
+        where = is_one_of(suspensions.c.id, changed)
+        ids = {key: one for one, (key, _) in known_suspensions(connection, where, unread).items()}
+        self.ids |= ids
+        self.alarms |= {key: [] for key in ids} | read_stored(connection, Alarm, unread, where)
+        seen = read_stored(connection, Acknowledgement, unread, where)
+        self.seen |= {key: [] for key in ids} | seen
         newest = sql.select(trips.c.suspension_id, sql.func.max(trips.c.mileage_km))
+        newest = newest.where(is_one_of(trips.c.suspension_id, changed))
         rows = connection.execute(newest.group_by(trips.c.suspension_id))
-        self.newest_km = {row[0]: row[1] for row in rows}
+        self.newest_km |= {row[0]: row[1] for row in rows}
+        bad += unread
+        # those with unreadable rows are read again at the next look: a row may be corrected by hand
+        damaged = {row.key for row in unread}
+        self._read |= {one: now[one] for key, one in ids.items() if key not in damaged}
 
     def up_to_km(self, key: Key, alarm: Alarm) -> float:
         """Return the mileage up to which an alarm is known."""
@@ -255,10 +306,13 @@ def _chosen(
     for key, alarms in fleet.alarms.items():
         if not one.is_about(key) or key not in fleet.ids:
             continue
-        for alarm in alarms:
-            of = fleet.ids[key], alarm.parameter, str(alarm.cause)
+        own: list[tuple[Of, Alarm]] = [
+            ((fleet.ids[key], one.parameter, str(one.cause)), one) for one in alarms
+        ]
+        last = {of: one for of, one in own if of in known and one.begin_km <= known[of].at_km}
+        for of, alarm in own:
             before = known.get(of)
-            state = before.state(alarm) if before else "new"
+            state = before.state(alarm, alarm is last.get(of)) if before else "new"
             is_news = state in ("new", "worse")
             is_urgent = alarm.is_open and is_news and alarm.severity in one.at_once
             # cleared before the recipient was known: no news to it

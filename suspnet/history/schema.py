@@ -236,7 +236,7 @@ def result_of(key: Key, row: RowMapping) -> TripResult:
 
 
 def or_null(value: Any) -> Any:
-    """Return a value, with None for NaN."""
+    """Return a value, with None for NaN; half widths may be infinite."""
     return None if isinstance(value, float) and math.isnan(value) else value
 
 

@@ -113,7 +113,7 @@ class History:
 
     def outbox(self) -> Outbox:
         """Return the messages about alarms, waiting and sent."""
-        return Outbox(self._reading, self._writing)
+        return Outbox(self._reading, self._writing, self.bad_rows)
 
     def check(self) -> None:
         """Raise HistoryError if an SQLite file is damaged; a server is not checked."""
@@ -257,6 +257,7 @@ class History:
         """Yield a connection that sees one snapshot of the store and blocks no writer."""
         with self._transaction(reading(self._engine)) as connection:
             yield connection
+        self.bad_rows[:] = dict.fromkeys(self.bad_rows)  # a program that polls finds them often
         log_once(str(self), self.bad_rows)
 
     def _writing(self) -> AbstractContextManager[Connection]:

@@ -52,7 +52,7 @@ class Broker:
     prefix: str = setting("suspnet", "First part of all topics", rule="text without + and #")
     user: str | None = setting(
         None,
-        "Name of a user, whose password an environment variable holds; null is nobody",
+        "Name of a user, whose password an environment variable holds; null is none",
         rule="text",
     )
     password_env: str = setting(

@@ -25,6 +25,12 @@ log = logging.getLogger(__name__)
 MOST_UNACKNOWLEDGED = 20
 """Largest number of results in flight to the broker; of the others the latest of each topic
 waits."""
+TAKEN_OVER = "Session taken over"
+"""Reason, as paho-mqtt names it, for which a broker ends a connection when another client of the
+same name connects. Mosquitto 2.0.11 states none."""
+SHORT_S, MOST_SHORT = 10.0, 3
+"""Length below which a connection is short, [s], and number of short ones in a row after which the
+log asks for a second monitor of the same part: two end each other's connections."""
 CLOSING_S = 5.0
 """Longest time that `close` waits for the broker to take the results, [s]."""
 
@@ -84,8 +90,9 @@ class Mqtt:
         # shared with the client thread: messages by number of the connection, under `_changed`
         self._changed = threading.Condition()
         self._arrived: deque[tuple[int, int, bytes]] = deque()
-        self._connection = 0
-        self._is_connected = self._is_away = self._is_closing = False
+        self._connection = self._n_short = 0
+        self._connected_s = 0.0
+        self._is_connected = self._is_away = self._is_closing = self._is_replaced = False
         # of the calling thread only
         self._given: list[tuple[int, int]] = []
         self._results: dict[str, bytes] = {}
@@ -121,10 +128,20 @@ class Mqtt:
         return mine
 
     def receive(self, timeout_s: float) -> list[bytes]:
-        """Return the frames received so far; the source never ends. See `Source`."""
+        """Return the frames received so far; the source never ends. See `Source`.
+
+        ValueError is raised once another monitor has taken over the session: of two that share
+        frames, each would see a part of every section.
+        """
         self._send()
         with self._changed:
-            self._changed.wait_for(lambda: self._arrived, timeout_s)
+            self._changed.wait_for(lambda: self._arrived or self._is_replaced, timeout_s)
+            if self._is_replaced:
+                raise ValueError(
+                    f"the broker at {self.broker.where}: another monitor has connected as "
+                    f"{self.client_id!r}; give each a `part` (source.part=1/2, source.part=2/2) or "
+                    "a `client_id` of its own"
+                )
             arrived = list(self._arrived)
             self._arrived.clear()
             self._changed.notify_all()
@@ -202,6 +219,7 @@ class Mqtt:
             if self._connection:
                 self._counts["reconnect"] += 1
             self._connection += 1
+            self._connected_s = time.monotonic()
             self._is_connected, self._is_away = True, False
         log.info("connected to the broker at %s", self.broker.where)
         options = importlib.import_module("paho.mqtt.subscribeoptions").SubscribeOptions
@@ -210,11 +228,21 @@ class Mqtt:
             part = self._topics[start : start + MOST_PER_REQUEST]
             client.subscribe([(topic, once) for topic in part])
 
-    def _on_disconnect(self, client: Client, *_: Any) -> None:
+    def _on_disconnect(
+        self, client: Client, userdata: Any, flags: Any, reason: Any, properties: Any
+    ) -> None:
         with self._changed:
             self._is_connected = False
-        if not self._is_closing:
+            self._is_replaced = reason == TAKEN_OVER
+            self._changed.notify_all()
+        if self._is_replaced:
+            client.disconnect()  # it would connect again, and replace the other one
+        elif not self._is_closing:
+            is_short = time.monotonic() - self._connected_s < SHORT_S
+            self._n_short = self._n_short + 1 if is_short else 0
             self._count("disconnect", "the connection is lost")
+            if self._n_short == MOST_SHORT:
+                log.warning("does another monitor run with the same part, %s?", self.client_id)
 
     def _on_connect_fail(self, client: Client, userdata: Any) -> None:
         self._count("unreachable", "connection refused")

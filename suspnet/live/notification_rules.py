@@ -53,7 +53,7 @@ def read_rules(path: Path) -> Rules:
     except (TypeError, ValueError) as error:
         raise ValueError(f"{path}: {error}") from None
     if not recipients:
-        raise ValueError(f"{path}: `recipients` must name somebody")
+        raise ValueError(f"{path}: `recipients` must name a recipient")
     return Rules(recipients, channels, zone)
 
 

@@ -26,8 +26,9 @@ from suspnet.recordings.dates import SECOND_NS, ahead_ns, nanoseconds, time_zone
 from suspnet.recordings.errors import TripError
 from suspnet.recordings.faults import find_gaps, runs
 from suspnet.recordings.frames import MOST_SAMPLES, Frame, end_ns
-from suspnet.recordings.manifest import UNITS, TripManifest
+from suspnet.recordings.manifest import TripManifest
 from suspnet.recordings.manifest_files import ManifestFile
+from suspnet.recordings.manifest_sources import UNITS
 from suspnet.recordings.sources import open_source, zero_of
 from suspnet.trips.grouping import find_groups
 

@@ -66,10 +66,10 @@ class SensorTrend:
             "faulty": f"drop-outs in {100 * float(self.values['faulty'][trip]):.2g} % of the trip",
         }
         if self.fellow:  # of two that differ, each may have changed by all of it
-            apart = 100 * math.expm1(2 * size["gain"])
+            difference = 100 * math.expm1(2 * size["gain"])
             texts["gain"] = (
-                f"sensitivity {apart:+.2g} % against {self.fellow} since the first trips: one of "
-                "the two"
+                f"sensitivity {difference:+.2g} % against {self.fellow} since the first trips: "
+                "one of the two"
             )
         return ", ".join(texts[name] for name in texts if self.beyond[name][trip])
 

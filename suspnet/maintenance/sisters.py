@@ -258,8 +258,8 @@ def _compared(i: int, levels: FloatArray, variances: FloatArray) -> _Compared:
     median = np.where(n > 0, (middle[0] + middle[1]) / 2, np.nan)
     mean = np.nansum(np.delete(variances, i, axis=0), axis=0) / np.maximum(n, 1)
     variance = variances[i] + np.minimum(1.0, np.pi / 2 / np.maximum(n, 1)) * mean
-    apart = there & (np.abs(others - own) > np.abs(own - median) / 2)
-    return _Compared(own, median, np.sqrt(variance), n, apart.sum(axis=0))
+    distant = there & (np.abs(others - own) > np.abs(own - median) / 2)
+    return _Compared(own, median, np.sqrt(variance), n, distant.sum(axis=0))
 
 
 def _alarms(

@@ -19,7 +19,8 @@ from scipy.signal import get_window
 from suspnet.ground.types import BoolArray, ComplexArray, FloatArray, IntArray
 from suspnet.recordings.cleaning import Fault
 from suspnet.recordings.errors import TripError
-from suspnet.recordings.manifest import CHANNELS, TripManifest, channel_of
+from suspnet.recordings.manifest import CHANNELS, TripManifest
+from suspnet.recordings.manifest_sources import channel_of
 from suspnet.recordings.speed import STANDING_M_PER_S
 
 WINDOW_S = 20.0

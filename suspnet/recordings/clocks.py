@@ -25,7 +25,8 @@ from suspnet.recordings.dates import (
     time_zone,
 )
 from suspnet.recordings.errors import TripError
-from suspnet.recordings.manifest import TIME_UNITS, Source, TripManifest
+from suspnet.recordings.manifest import TripManifest
+from suspnet.recordings.manifest_sources import TIME_UNITS, Source
 
 DATED_S = (3.15e8, 4.1e9)
 """Range of a first time [s] that is taken as seconds since 1970: the years 1979 to 2099."""

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from suspnet.ground.storage import open_plain, stored_bytes
 from suspnet.recordings.errors import TripError
-from suspnet.recordings.manifest import ACCELERATION_UNITS, SPEED_UNITS, UNITS
 from suspnet.recordings.manifest_keys import CsvDialect
+from suspnet.recordings.manifest_sources import ACCELERATION_UNITS, SPEED_UNITS, UNITS
 
 BLOCK = 2**18
 """Largest number of samples of a column in one block."""

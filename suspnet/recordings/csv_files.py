@@ -18,6 +18,7 @@ import pyarrow.parquet
 from suspnet.ground.types import FloatArray
 from suspnet.recordings.columns import Block, Column, OpenFile, as_block, check_samples
 from suspnet.recordings.csv_dialect import MISSING, Found, find_dialect
+from suspnet.recordings.dates import iso_from_german
 from suspnet.recordings.errors import TripError
 from suspnet.recordings.manifest_keys import CsvDialect
 
@@ -25,13 +26,6 @@ BLOCK_BYTES = 2**19
 """Number of bytes that are parsed at once; Arrow reads 32 of these blocks ahead."""
 LONGEST_LINE = 2**20
 """Largest number of bytes of a line whose delimiter is blanks; Arrow limits other lines."""
-GERMAN_STAMP = (
-    (r"^(\d)\.", r"0\1."),
-    (r"^(\d\d)\.(\d)\.", r"\1.0\2."),
-    (r"^(\d\d)\.(\d\d)\.(\d{4})", r"\3-\2-\1"),
-    (r" (\d):", r" 0\1:"),
-)
-"""Replacements that make a time stamp like 3.8.2015 8:00:05 one as in ISO 8601."""
 PARQUET_ROWS, PARQUET_BUFFER_BYTES = 2**17, 2**20
 """Number of rows in a batch, and bytes in the read buffer, of a Parquet file."""
 
@@ -149,8 +143,7 @@ def _stamps(column: Any, kind: str) -> Any:
     if isinstance(column.type, pa.TimestampType):
         return as_block(column.to_numpy(zero_copy_only=False))
     plain = pa.compute.replace_substring(pa.compute.utf8_trim_whitespace(column), ",", ".")
-    for german, iso in GERMAN_STAMP:
-        plain = pa.compute.replace_substring_regex(plain, german, iso)
+    plain = iso_from_german(plain, pa.compute.replace_substring_regex)
     zone = "UTC" if kind == "utc" else None
     return as_block(plain.cast(pa.timestamp("ns", zone)).to_numpy(zero_copy_only=False))
 

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from datetime import UTC, datetime, timedelta, tzinfo
+from typing import Any
 from zoneinfo import ZoneInfo
 
 EARLIEST_YEAR = 1990
@@ -12,13 +13,20 @@ EARLIEST_YEAR = 1990
 AHEAD = timedelta(days=2)
 """Largest plausible time ahead of this computer's clock: time zones differ by a day."""
 LONGEST_LINE = 200
-"""Number of characters above which a line is not searched for a date."""
+"""Number of characters above which a line is not searched for dates and other keys."""
 _NAMED = re.compile(
     r"\W*(?:(?:start|record|measured|date|datum|(?:mess)?beginn|aufnahme|aufgenommen)[\w /.-]*"
     r"|time|zeit|uhrzeit)\W*?[:=;,\t]\W*(\d.*)",
     re.IGNORECASE,
 )
-_FORMATS = ("%d.%m.%Y", "%d-%b-%y", "%d-%b-%Y", "%Y/%m/%d", "%Y:%m:%d")
+_FORMATS = ("%Y-%m-%d", "%d-%b-%y", "%d-%b-%Y", "%Y/%m/%d", "%Y:%m:%d")
+_GERMAN = (
+    (r"^(\d)\.", r"0\1."),
+    (r"^(\d\d)\.(\d)\.", r"\1.0\2."),
+    (r"^(\d\d)\.(\d\d)\.(\d{4})", r"\3-\2-\1"),
+    (r" (\d):", r" 0\1:"),
+)
+"""Replacements that make a time stamp like 3.8.2015 8:00:05 one as in ISO 8601."""
 _CLOCK = re.compile(r"\d{1,2}:\d\d(?::\d\d(?:[.,]\d+)?)?")
 
 
@@ -55,6 +63,16 @@ def date_problem(moment: datetime) -> str:
     return ""
 
 
+def iso_from_german(stamps: Any, replace: Callable[[Any, str, str], Any]) -> Any:
+    """Return one or several time stamps as ISO 8601 if they are German, else as they are.
+
+    `replace` returns its first argument with matches of a regular expression replaced by a text.
+    """
+    for german, iso in _GERMAN:
+        stamps = replace(stamps, german, iso)
+    return stamps
+
+
 def read_date(text: str) -> datetime | None:
     """Return the date and time of day in a header; None if there is none or it is ambiguous.
 
@@ -69,7 +87,9 @@ def read_date(text: str) -> datetime | None:
     >>> read_date("03/08/2015") is None
     True
     """
-    plain = " ".join(text.split())
+    plain = iso_from_german(
+        " ".join(text.split()), lambda one, german, iso: re.sub(german, iso, one)
+    )
     try:
         return datetime.fromisoformat(plain)
     except ValueError:
@@ -92,6 +112,11 @@ def read_date(text: str) -> datetime | None:
     return None
 
 
+def short_lines(lines: Iterable[str]) -> list[str]:
+    """Return the lines that are short enough to be searched."""
+    return [line for line in lines if len(line) <= LONGEST_LINE]
+
+
 def date_in_lines(lines: Sequence[str]) -> str | None:
     """Return the start stated above a table, in one line or as separate date and time of day.
 
@@ -100,7 +125,7 @@ def date_in_lines(lines: Sequence[str]) -> str | None:
     >>> date_in_lines(["Logger 7", "Datum;03.08.2015", "Uhrzeit;08:00:05"])
     '03.08.2015 08:00:05'
     """
-    matches = [_NAMED.match(line) for line in lines if len(line) <= LONGEST_LINE]
+    matches = [_NAMED.match(line) for line in short_lines(lines)]
     values = [match[1].rstrip(" \t;,\"'") for match in matches if match is not None]
     clock = next((value for value in values if _CLOCK.fullmatch(value)), "")
     for value in values:

@@ -12,7 +12,8 @@ import numpy as np
 
 from suspnet.recordings.cleaning import Fault
 from suspnet.recordings.errors import DeadSensorError, TripError
-from suspnet.recordings.manifest import LEAST_SENSORS, TripManifest, partner_of
+from suspnet.recordings.manifest import LEAST_SENSORS, TripManifest
+from suspnet.recordings.manifest_sources import partner_of
 from suspnet.recordings.sensor import SensorSignal
 
 DEAD = "dead"

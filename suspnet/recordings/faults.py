@@ -122,11 +122,11 @@ def _height(values: FloatArray, starts: IntArray, stops: IntArray) -> tuple[Floa
     peak = values[np.minimum(starts[:, None] + np.arange(width), stops[:, None] - 1)]
     above, below, spread = [], [], []
     for border, side in ((starts, np.arange(-SIDE_SAMPLES, 0)), (stops, np.arange(SIDE_SAMPLES))):
-        beside = values[border[:, None] + side]  # (n_runs, SIDE_SAMPLES)
-        level = np.median(beside, axis=1, keepdims=True)
+        on_sides = values[border[:, None] + side]  # (n_runs, SIDE_SAMPLES)
+        level = np.median(on_sides, axis=1, keepdims=True)
         above.append((peak - level).min(axis=1))
         below.append((level - peak).min(axis=1))
-        spread.append(np.partition(np.abs(beside - level), -2, axis=1)[:, -2])
+        spread.append(np.partition(np.abs(on_sides - level), -2, axis=1)[:, -2])
     height = np.maximum(np.minimum(*above), np.minimum(*below))
     return height, np.maximum(*spread)
 

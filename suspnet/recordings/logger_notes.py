@@ -10,7 +10,7 @@ import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
-from suspnet.recordings.dates import read_date
+from suspnet.recordings.dates import read_date, short_lines
 
 NAMES: Mapping[str, tuple[str, ...]] = {
     "mileage_km": (
@@ -54,8 +54,6 @@ WORDS: Mapping[str, Mapping[str, tuple[str, ...]]] = {
 """Words for each value of the keys with a choice."""
 NUMBERS = ("mileage_km", "temperature_c", "wheel_diameter_m")
 """Keys whose values are numbers."""
-LONGEST = 200
-"""Number of characters above which a line is not read."""
 _LINE = re.compile(r"[\W_]*(?P<name>[^:=;\t,]{2,40}?)[\"'\s]*[:=;\t,]+(?P<rest>.+)")
 _NUMBER = re.compile(r"[-+]?\d[\d.,' ]*")
 _SPEED = re.compile(r"(\d+(?:[.,]\d+)?) *(km/h|m/s)")
@@ -85,8 +83,8 @@ def stated_in(lines: Iterable[str]) -> dict[str, Stated]:
     {'mileage_km': 123456.7, 'vehicle': 'am96', 'bogie': 'leading'}
     """
     found: dict[str, Stated] = {}
-    for line in lines:
-        match = _LINE.match(line) if len(line) <= LONGEST else None
+    for line in short_lines(lines):
+        match = _LINE.match(line)
         key = key_of(match["name"]) if match else ""
         if match is None or not key:
             continue

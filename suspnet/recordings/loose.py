@@ -24,7 +24,7 @@ from scipy.signal import get_window
 from suspnet.ground.types import BoolArray, ComplexArray, FloatArray
 from suspnet.recordings.cleaning import Fault
 from suspnet.recordings.faults import runs
-from suspnet.recordings.manifest import partner_of
+from suspnet.recordings.manifest_sources import partner_of
 
 FRAME_S, STEP_S = 2.0, 1.0
 """Length of the frames whose spectra are averaged, and step from one to the next, [s]."""

@@ -13,8 +13,9 @@ from suspnet.ground.records import Place
 from suspnet.ground.storage import printable, read_json, read_plain, why, write_atomically
 from suspnet.recordings.core_yaml import MOST_BYTES, dump_yaml, parse_yaml
 from suspnet.recordings.errors import TripError, all_of, opening
-from suspnet.recordings.manifest import BOGIES, FORMAT, MANIFEST, SIDES, TripManifest
+from suspnet.recordings.manifest import BOGIES, FORMAT, MANIFEST, TripManifest
 from suspnet.recordings.manifest_keys import Value, keys_of
+from suspnet.recordings.manifest_sources import SIDES
 
 NAMES = ("vehicle", "suspension", "train", "car")
 """Keys of names, which may be numbers."""

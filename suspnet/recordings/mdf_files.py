@@ -37,8 +37,6 @@ REFUSED = {
     },
 }
 """Names of unsupported conversions by their numbers in MDF 4, and in MDF 2 and 3."""
-MOST_NOTES = 1000
-"""Largest number of lines of a comment that are searched for what it says of the trip."""
 VIRTUAL = (3, 6)
 """Types of MDF 4 channels whose raw values are the record numbers."""
 
@@ -89,7 +87,7 @@ def _notes(header: Any) -> tuple[str, ...]:
     named = {"vehicle": getattr(header, "subject", "")} | properties
     lines = [f"{name}: {value}" for name, value in named.items() if value]
     comment = str(getattr(header, "comment", "") or getattr(header, "description", ""))
-    return (*lines, *re.sub(r"<[^<>]*>", "\n", comment).splitlines()[:MOST_NOTES])
+    return (*lines, *re.sub(r"<[^<>]*>", "\n", comment).splitlines())
 
 
 def _disarm() -> None:

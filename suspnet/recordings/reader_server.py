@@ -28,8 +28,11 @@ from typing import IO, Any
 import numpy as np
 
 from suspnet.recordings.columns import SHARED_BYTES, Block, OpenFile, Reader
+from suspnet.recordings.dates import short_lines
 from suspnet.recordings.errors import TripError
 
+MOST_NOTES = 1000
+"""Largest number of lines in which a logger describes a recording; the rest is ignored."""
 MEMORY_WORDS = (
     "reading it takes more memory than a recording of its size does, so the file is damaged or "
     "declares more than it holds; export the recording again"
@@ -126,7 +129,7 @@ def _answers(
                     file = stack.enter_context(reader(path, None))
                     columns = [asdict(column) for column in file.columns]
                     answer = {"columns": columns, "words": file.words, "hint": file.hint}
-                    answer["notes"] = file.notes
+                    answer["notes"] = short_lines(file.notes)[:MOST_NOTES]
                 else:
                     number = request["block"]
                     if number not in blocks:

@@ -25,13 +25,8 @@ from suspnet.recordings.clocks import first_moment, offsets_s
 from suspnet.recordings.dead_sensors import DEAD, dead_faults, living, nearly_dead
 from suspnet.recordings.errors import TripError, all_of
 from suspnet.recordings.loose import find_loose
-from suspnet.recordings.manifest import (
-    CHANNELS,
-    SIDES,
-    TripManifest,
-    channel_of,
-    partner_of,
-)
+from suspnet.recordings.manifest import CHANNELS, TripManifest
+from suspnet.recordings.manifest_sources import SIDES, channel_of, partner_of
 from suspnet.recordings.sensor import Sensor, SensorSignal
 from suspnet.recordings.sources import open_source, zero_of
 from suspnet.recordings.speed import SpeedTrack, read_speed, speed_at

@@ -40,7 +40,8 @@ from suspnet.recordings.dates import SECOND_NS
 from suspnet.recordings.dead_sensors import living
 from suspnet.recordings.errors import TripError
 from suspnet.recordings.frames import Frame, FrameError, end_ns
-from suspnet.recordings.manifest import UNITS, SpeedSource, TripManifest
+from suspnet.recordings.manifest import TripManifest
+from suspnet.recordings.manifest_sources import UNITS, SpeedSource
 from suspnet.recordings.recording import HIGHEST_HZ, Recording, followed, joined
 from suspnet.recordings.sensor import Sensor
 from suspnet.recordings.sources import TIMES_TOLERANCE

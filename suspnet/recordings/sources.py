@@ -15,7 +15,8 @@ from suspnet.recordings.clocks import Times, Zero, header_date
 from suspnet.recordings.columns import BLOCK, Column, OpenFile, agreed_size, choose, size_of
 from suspnet.recordings.errors import TripError
 from suspnet.recordings.formats import open_file, read_columns
-from suspnet.recordings.manifest import Channel, Source, TripManifest
+from suspnet.recordings.manifest import TripManifest
+from suspnet.recordings.manifest_sources import Channel, Source
 
 RATE_TOLERANCE = 1e-4
 """Largest relative difference between a stated rate and that in the header of a file."""

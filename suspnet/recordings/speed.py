@@ -13,7 +13,8 @@ from suspnet.recordings.cleaning import Fault
 from suspnet.recordings.clocks import Zero
 from suspnet.recordings.errors import TripError
 from suspnet.recordings.faults import paint, runs
-from suspnet.recordings.manifest import SpeedSource, TripManifest
+from suspnet.recordings.manifest import TripManifest
+from suspnet.recordings.manifest_sources import SpeedSource
 from suspnet.recordings.sources import GAP_STEPS, OpenSource, check_rate, check_rising, open_source
 
 LARGEST_SPEED_M_PER_S = 150.0

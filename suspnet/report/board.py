@@ -214,7 +214,7 @@ class Board:
             self._plan,
             version=self._view.version + 1,
             is_complete=is_complete,
-            bad_rows=list(dict.fromkeys(history.bad_rows)),
+            bad_rows=history.bad_rows,
         )
         self._shown_at = time.monotonic()
 

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import base64
 import io
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any
 
 import matplotlib as mpl
 import numpy as np
 from matplotlib import colormaps
 from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
@@ -192,7 +195,11 @@ PNG_DPI = 130
 
 def _translate(figure: Figure) -> None:
     """Translate the texts of a figure, but not what its ticks name, such as trains."""
-    legends = [*figure.legends, *(one.get_legend() for one in figure.axes)]
+    parts = [figure, *figure.subfigs]
+    legends = [
+        *(one for part in parts for one in part.legends),
+        *(one.get_legend() for one in figure.axes),
+    ]
     texts = [text for one in legends if one is not None for text in one.get_texts()]
     for axis in figure.axes:
         texts += [axis.title, axis.xaxis.label, axis.yaxis.label, *axis.texts]
@@ -203,20 +210,32 @@ def _translate(figure: Figure) -> None:
 def as_png(figure: Figure, dpi: float = PNG_DPI) -> bytes:
     """Return a figure as PNG, its texts in the current language."""
     stream = io.BytesIO()
-    _translate(figure)
-    figure.savefig(stream, format="png", dpi=dpi)
-    figure.set_layout_engine("none")  # it is laid out; once more would double the time
+    with _printed(figure, dpi):
+        FigureCanvasAgg(figure).print_png(stream)
     return stream.getvalue()
 
 
 def as_svg(figure: Figure) -> bytes:
     """Return a figure as SVG; the same figure gives the same bytes. As for ``as_png``."""
     stream = io.BytesIO()
-    _translate(figure)
-    with mpl.rc_context({"svg.hashsalt": "suspnet"}):
-        figure.savefig(stream, format="svg", metadata={"Date": None})
-    figure.set_layout_engine("none")
+    with _printed(figure), mpl.rc_context({"svg.hashsalt": "suspnet"}):
+        FigureCanvasSVG(figure).print_svg(stream, metadata={"Date": None})
     return stream.getvalue()
+
+
+@contextmanager
+def _printed(figure: Figure, dpi: float | None = None) -> Iterator[None]:
+    """Translate a figure that is printed by its canvas, which changes its resolution.
+
+    The method `savefig` draws it twice, also if it is laid out already.
+    """
+    _translate(figure)
+    before, figure.dpi = figure.dpi, dpi or figure.dpi
+    try:
+        yield
+    finally:
+        figure.dpi = before
+    figure.set_layout_engine("none")  # it is laid out; once more would double the time
 
 
 def data_uri(figure: Figure) -> str:

@@ -16,12 +16,13 @@ from matplotlib.figure import Figure
 from tabulate import tabulate
 
 from suspnet.ground.parameters import BODY_MASS, BOGIE_PARTS, PARAMETERS
-from suspnet.ground.records import OK, TripResult, outputs_of, relative_to_first_healthy
+from suspnet.ground.records import NO_PART, OK, TripResult, outputs_of
 from suspnet.ground.storage import write_atomically, write_json, write_table
 from suspnet.ground.wording import count
 from suspnet.maintenance.alarms import Acknowledgement, Alarm, newest_of
 from suspnet.maintenance.assessment import overall, spoken
 from suspnet.maintenance.life import Life
+from suspnet.maintenance.relative import relative_to_first_healthy
 from suspnet.maintenance.schedule import Plan, joined
 from suspnet.report import figures
 from suspnet.report.bogie import bogies_shown
@@ -50,7 +51,7 @@ def summary(results: Sequence[TripResult], outputs: Sequence[str]) -> str:
             r.trip,
             r.mileage_km / 1000,
             *(r.estimates.get(name) for name in columns),
-            *[r.worn] * bool(of_parts),
+            *["not read" if r.quality.no_part else r.worn] * bool(of_parts),
             r.quality.n_averages,
             "flagged" if r.flags else "" if r.status == OK else r.status,
         ]
@@ -102,10 +103,19 @@ def _part_table(results: Sequence[TripResult], parts: Sequence[str]) -> str:
 
 
 def _reasons(results: Sequence[TripResult]) -> list[str]:
-    """Return a paragraph for each reason and flag with its trips, as Markdown."""
+    """Return a paragraph for each reason and flag with its trips, as Markdown.
+
+    Trips without an estimate or without their parts also say which faults their sensors have.
+    """
     trips: dict[str, list[str]] = {}
     for result in results:
-        if words := result.reason or result.flags:
+        why = [
+            result.reason or result.flags,
+            result.quality.no_part and f"{NO_PART}{result.quality.no_part}",
+        ]
+        if result.status != OK or result.quality.no_part:
+            why.append(result.quality.faults)
+        if words := "; ".join(filter(None, why)):
             trips.setdefault(words, []).append(result.trip)
     return [f"\n{', '.join(names)}: {words}" for words, names in trips.items()]
 

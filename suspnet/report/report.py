@@ -177,18 +177,11 @@ def sides_finding(trips: Sequence[TripResult]) -> str:
 
     `trips` are in the order of the mileage.
     """
-    last = [r for r in trips if r.status == OK][-N_LAST:]
-    differing = [r for r in last if r.sides]
-    if not differing:
-        return ""
-    trips_are = (
-        f"{len(differing)} of the last {len(last)} trips" if len(last) > 1 else "the last trip"
-    )
-    return (
-        f"Left and right differ on {trips_are}; on {differing[-1].trip}: {differing[-1].sides}. "
-        "An estimate is the mean of both sides. Sensors of a pair that differ in place or "
-        "sensitivity, and a track with one rail worse than the other, can look alike: compare "
-        "several trips."
+    on, words = _on_last(trips, "sides")
+    return words and (
+        f"Left and right differ on {on}: {words}. An estimate is the mean of both sides. "
+        "Sensors of a pair that differ in place or sensitivity, and a track with one rail worse "
+        "than the other, can look alike: compare several trips."
     )
 
 
@@ -197,12 +190,18 @@ def worn_finding(trips: Sequence[TripResult]) -> str:
 
     `trips` are in the order of the mileage.
     """
+    on, words = _on_last(trips, "worn")
+    return words and f"Worn parts on {on}: {words}."
+
+
+def _on_last(trips: Sequence[TripResult], name: str) -> tuple[str, str]:
+    """Return on which of the last trips a field has text, and the newest; empty without any."""
     last = [r for r in trips if r.status == OK][-N_LAST:]
-    found = [r for r in last if r.worn]
+    found = [r for r in last if getattr(r, name)]
     if not found:
-        return ""
+        return "", ""
     on = f"{len(found)} of the last {len(last)} trips" if len(last) > 1 else "the last trip"
-    return f"Worn parts on {on}; on {found[-1].trip}: {found[-1].worn}."
+    return f"{on}; on {found[-1].trip}", getattr(found[-1], name)
 
 
 def wheels_finding(trips: Sequence[TripResult]) -> str:

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from suspnet.ground.parameters import BODY_MASS, KIND_NAMES, Cause, Severity, part_words
+from suspnet.ground.storage import finite_or_none
 from suspnet.maintenance.alarms import Alarm, newest_of
 from suspnet.maintenance.plan import suspension_of, train_of
 from suspnet.maintenance.state import State
@@ -171,9 +172,9 @@ def _of_part(view: FleetView, index: int, name: str, job: dict[str, Any]) -> Wor
         latest=job.get("latest") or None,
         decide_by=job.get("decide_by") or None,
         is_passed=life is not None and life.interval_km()[1] == 0,
-        until_km=known(state.last_km + life.quantile_km(0.1)) if life else None,
-        median_km=known(state.last_km + life.quantile_km(0.5)) if life else None,
-        failure_percent=known(100 * job["probability"]) if job else None,
+        until_km=finite_or_none(state.last_km + life.quantile_km(0.1)) if life else None,
+        median_km=finite_or_none(state.last_km + life.quantile_km(0.5)) if life else None,
+        failure_percent=finite_or_none(100 * job["probability"]) if job else None,
     )
 
 
@@ -226,16 +227,11 @@ def _level(state: State, name: str) -> dict[str, Any]:
     nearer = np.where(side < 0, last.high, last.low)
     alike = side * (nearer - 1) > 0  # False without an interval
     ends = ((np.median(end[clear]) if clear.any() else math.nan) for end in (last.low, last.high))
-    low, high = (known(100 * float(end)) for end in ends)
+    low, high = (finite_or_none(100 * float(end)) for end in ends)
     return {
-        "value_percent": known(100 * state.now(name)),
+        "value_percent": finite_or_none(100 * state.now(name)),
         "low_percent": low,
         "high_percent": high,
         "n_alike": int(alike.sum()),
         "n_last": len(last.values),
     }
-
-
-def known(value: float) -> float | None:
-    """Return a number, None if it is not finite."""
-    return float(value) if math.isfinite(value) else None

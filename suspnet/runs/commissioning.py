@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 from suspnet.dynamics import ResponseGenerator, SpatialVehicle, VerticalVehicle
@@ -16,8 +17,10 @@ from suspnet.estimation.commissioning import Commissioned, commission
 from suspnet.estimation.healthy_trips import HealthyTrips, read_healthy
 from suspnet.estimation.lone_sensors import SIDE_M
 from suspnet.estimation.trip_settings import TripSettings
+from suspnet.ground.parameters import Direction
+from suspnet.ground.tensors import threads
 from suspnet.recordings.errors import TripError
-from suspnet.recordings.manifest import CHANNELS, LEAST_SENSORS
+from suspnet.recordings.manifest import CHANNELS, LEAST_SENSORS, TripManifest
 from suspnet.recordings.manifest_files import ManifestFile
 from suspnet.recordings.recording import load_recording
 from suspnet.spectra.estimates import EstimateSettings
@@ -29,14 +32,14 @@ PARTS_OF_BOGIE = (
     *("bushings", "rubber", "guidance", "longitudinal", "bending", "payload", "sensors"),
     *("frame_sway", "frame_yaw", "body_yaw", "creep", "torsion", "yaw_dampers"),
 )
-"""What the vehicle whose parts are read may have beside rigid bodies on springs and dampers."""
+"""What a vehicle whose parts are read may have besides rigid bodies on springs and dampers."""
 FAMILY = tuple(part for part in PARTS if part != "air_spring")
 """Parts of the vehicle that is commissioned if the configuration names none."""
 AS_EQUAL = "With both sides and axles as equal, for trips that do not show their parts: "
 """Start of the sentence on the vertical vehicle where each part is to be read."""
 
 
-def commission_folder(
+def read_folder(
     folder: Path,
     generator: ResponseGenerator,
     settings: EstimateSettings,
@@ -44,33 +47,42 @@ def commission_folder(
     *,
     paths: Sequence[ManifestFile] | None = None,
     n_first: int | None = None,
-    by_part: bool = False,
     progress: bool = False,
-) -> tuple[HealthyTrips, Commissioned]:
-    """Return the healthy trips of a folder and the vehicle that they show.
+) -> HealthyTrips:
+    """Return the healthy trips of a folder.
 
-    `generator` is the nominal vehicle; without parts it gets all but the air spring, without a
-    distribution the prior of its parts. `paths` are the manifests of one suspension if the folder
-    holds several; only the `n_first` trips by mileage are used. If each part is to be read, this
-    vehicle is only for trips that do not show their parts. Raises FileNotFoundError or TripError if
-    the folder does not hold at least three healthy trips of one suspension of the vehicle and its
-    bogie, ValueError if the generator cannot be commissioned.
+    `paths` are the manifests of one suspension if the folder holds several; only the `n_first`
+    trips by mileage are used. Raises FileNotFoundError or TripError if the folder does not hold at
+    least three healthy trips of one suspension of the vehicle and its bogie, ValueError if the
+    generator cannot be commissioned.
     """
     generator = check_generator(generator)
     settings = settings.bound(generator.vehicle)
-    found = read_healthy(
-        folder,
-        generator,
-        settings,
-        trips,
-        paths=paths,
-        n_first=n_first,
-        progress=progress,
+    return read_healthy(
+        folder, generator, settings, trips, paths=paths, n_first=n_first, progress=progress
     )
+
+
+def commission_trips(
+    found: HealthyTrips,
+    generator: ResponseGenerator,
+    settings: EstimateSettings,
+    *,
+    by_part: bool = False,
+    progress: bool = False,
+) -> Commissioned:
+    """Return the vehicle that healthy trips show.
+
+    `generator` is the nominal vehicle; without parts it gets all but the air spring, without a
+    distribution the prior of its parts. If each part is to be read, this vehicle is only for trips
+    that do not show their parts. ValueError if the generator cannot be commissioned.
+    """
+    generator = check_generator(generator)
+    settings = settings.bound(generator.vehicle)
     outcome = commission(_prior(generator, found), settings, found.groups, progress=progress)
     if by_part:
         log.info("%s%s", AS_EQUAL, words.verdict(found, outcome))
-        return found, outcome
+        return outcome
     log.info("%s %s", words.verdict(found, outcome), words.agreement(outcome))
     for doubt in words.doubts(outcome):
         log.warning("%s", doubt)
@@ -79,17 +91,43 @@ def commission_folder(
             log.warning("%s", hint)
     if hint := words.other_minutes(found, settings):
         log.info("%s", hint)
-    return found, outcome
+    return outcome
+
+
+def commission_folder(
+    folder: Path,
+    generator: ResponseGenerator,
+    settings: EstimateSettings,
+    trips: TripSettings,
+    *,
+    n_first: int | None = None,
+    progress: bool = False,
+) -> tuple[HealthyTrips, Commissioned]:
+    """Return the healthy trips of a folder and the vehicle that they show.
+
+    It takes and raises what `read_folder` and `commission_trips` do.
+    """
+    found = read_folder(folder, generator, settings, trips, n_first=n_first, progress=progress)
+    return found, commission_trips(found, generator, settings, progress=progress)
 
 
 def commission_parts(
-    found: HealthyTrips, generator: VerticalVehicle, trips: TripSettings
+    found: HealthyTrips, generator: ResponseGenerator, trips: TripSettings
 ) -> CommissionedBogie:
-    """Return the bogie that healthy trips show, part by part.
+    """Return the bogie that healthy trips show, part by part; raises as `parts_of` does."""
+    return reported(parts_of(found, generator, trips)())
 
+
+def parts_of(
+    found: HealthyTrips, generator: ResponseGenerator, trips: TripSettings
+) -> Callable[[], CommissionedBogie]:
+    """Return what commissions the bogie that healthy trips show, part by part.
+
+    The result can be pickled, to be called in another process, which reads the recordings again.
     `generator` gives vehicle and bogie, the manifests give the places of sensors. TripError is
-    raised if these do not show the parts, NoEstimateError if a trip is too short for its parts.
+    raised if these do not show the parts, when called NoEstimateError if a trip is too short.
     """
+    generator = check_generator(generator)
     folder, frame_sensor = found.manifests[0].path.parent, generator.frame_sensor
     several = {sensor_places(manifest, frame_sensor) for manifest in found.manifests}
     if len(several) > 1:
@@ -111,11 +149,26 @@ def commission_parts(
         sensors=sensors,
     ).with_prior()
     directions = {group.trip: group.direction for group in found.groups}
+    each = [(manifest, directions[i]) for i, manifest in enumerate(found.manifests)]
+    return partial(_commissioned_bogie, vehicle, each, trips)
+
+
+# one thread: systems of 30 equations are too small for two, and results are the same anywhere
+@threads(1)
+def _commissioned_bogie(
+    vehicle: SpatialVehicle,
+    each: Sequence[tuple[TripManifest, Direction]],
+    trips: TripSettings,
+) -> CommissionedBogie:
     read = [
-        bogie_trip(load_recording(manifest, trips.rate_hz), vehicle, trips, directions[i])
-        for i, manifest in enumerate(found.manifests)
+        bogie_trip(load_recording(manifest, trips.rate_hz), vehicle, trips, direction)
+        for manifest, direction in each
     ]
-    bogie = commission_bogie(vehicle, read)
+    return commission_bogie(vehicle, read)
+
+
+def reported(bogie: CommissionedBogie) -> CommissionedBogie:
+    """Return a bogie whose healthy parts, and whether its search ended, are now in the log."""
     log.info("%s", words.of_parts(bogie))
     if not bogie.converged:
         log.warning("%s", words.NOT_CONVERGED)

@@ -27,6 +27,8 @@ from suspnet.ground.types import ComplexArray, FloatArray
 from suspnet.ground.wording import kilometres
 from suspnet.recordings.manifest import CHANNELS
 from suspnet.report.figures import SUSPENSIONS, as_png, data_uri, say
+from suspnet.report.language import gettext
+from suspnet.report.sentences import spoken
 from suspnet.report.tables import band
 from suspnet.report.templates import render
 
@@ -49,8 +51,6 @@ CAPTIONS = {
         "as the grey one is a number that they do not determine.",
     ),
 }
-
-
 MEASURED, NOMINAL, FITTED = "0.7", "tab:orange", "tab:blue"
 ROW_INCH = 0.21
 """Height of a row of the figure of numbers, [inch]."""
@@ -117,11 +117,13 @@ def _page(found: HealthyTrips, outcome: Commissioned, drawn: Mapping[str, Figure
     doubts, numbers = words.doubts(outcome), words.numbers(outcome)
     groups: dict[str, list[dict[str, Any]]] = {}
     for one in numbers:
-        groups.setdefault(words.PART_TITLES[one.quantity.part], []).append(words.cells(one))
+        meaning = spoken(one.quantity.meaning)
+        row = words.cells(one) | {"meaning": meaning[0].upper() + meaning[1:]}
+        groups.setdefault(words.PART_TITLES[one.quantity.part], []).append(row)
     vehicle = outcome.generator.vehicle
     return render(
         "commissioning.html",
-        title=f"Commissioning of {vehicle.name}",
+        title=spoken(f"Commissioning of {vehicle.name}"),
         headline=_headline(found, vehicle.name),
         mileage_km=training_notes(found, outcome)["mileage_km"],
         tone="notice" if doubts else "good",
@@ -130,7 +132,11 @@ def _page(found: HealthyTrips, outcome: Commissioned, drawn: Mapping[str, Figure
         agreement="" if doubts else words.agreement(outcome),
         reference=words.reference(outcome),
         figures=[
-            {"heading": heading, "explanation": text, "image": data_uri(drawn[name])}
+            {
+                "heading": gettext(heading),
+                "explanation": gettext(text),
+                "image": data_uri(drawn[name]),
+            }
             for name, (heading, text) in CAPTIONS.items()
         ],
         groups=groups,
@@ -287,7 +293,7 @@ def number_ranges(found: Sequence[words.Number]) -> Figure:
             axis.plot(np.maximum(ends, LEAST_RATIO), [place] * 3, markevery=[1], **style)
         axis.plot([], [], label=label, **style)
     axis.set(xscale="log", xlabel="over the value of the drawing", ylim=(places[-1] - 1, 1))
-    axis.set_yticks(places, [one.quantity.meaning for one in found], fontsize="x-small")
+    axis.set_yticks(places, [spoken(one.quantity.meaning) for one in found], fontsize="x-small")
     ticks = (0.2, 0.5, 1, 2, 5)
     axis.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
     axis.xaxis.set_minor_formatter(NullFormatter())

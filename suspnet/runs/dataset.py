@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
-from zipfile import BadZipFile
+from zipfile import ZIP_STORED, BadZipFile, ZipFile
 
 import numpy as np
 import pyarrow as pa
@@ -31,6 +31,8 @@ SPLITS = {"train": TRAIN, "test": TEST, "calibrate": CALIBRATE}
 """Name of each split and its stream of curves."""
 ABOUT = "about"
 """Name of the JSON text that describes a file's columns."""
+UNREADABLE = (KeyError, MemoryError, OSError, TypeError, ValueError, BadZipFile, pa.ArrowException)
+"""Errors of the libraries on a file that is no data set."""
 NEEDS_H5PY = 'a file NAME.h5 needs h5py: pip install "suspnet[hdf5]"'
 
 
@@ -172,7 +174,7 @@ def read_dataset(path: Path | str) -> DataSet:
         return DataSet(**found, about=about)
     except FileNotFoundError:
         raise
-    except (KeyError, OSError, TypeError, ValueError, BadZipFile, pa.ArrowException) as error:
+    except UNREADABLE as error:
         raise ValueError(f"{path} is no data set of suspnet: {error}") from error
 
 
@@ -188,8 +190,11 @@ def _npz(data: DataSet) -> bytes:
 
 
 def _read_npz(path: Path) -> dict[str, Any]:
+    with ZipFile(path) as packed:  # what is stored as it is takes no more memory than the file
+        if any(one.compress_type != ZIP_STORED for one in packed.infolist()):
+            raise ValueError("it is compressed; save the arrays by numpy.savez")
     with np.load(path, allow_pickle=False) as file:
-        return dict(file)
+        return {name: file[name] for name in (one.name for one in fields(DataSet))}
 
 
 def _hdf5(data: DataSet) -> bytes:
@@ -215,6 +220,8 @@ def _read_hdf5(path: Path) -> dict[str, Any]:
                 raise ValueError(f"{name} is a link")
             if words := foreign(file[name]):
                 raise ValueError(f"{name} {words}")
+            if file[name].nbytes > file[name].id.get_storage_size():
+                raise ValueError(f"{name} is compressed or declares more than it holds")
             found[name] = file[name][()]
         return found | {ABOUT: file.attrs[ABOUT]}
 

@@ -46,8 +46,8 @@ def write_layouts(
     missing = [name for name in GEOMETRY if getattr(vehicle, name) is None]
     if missing:
         raise ValueError(
-            f"vehicle {vehicle.name!r} lacks {missing}: without them, its parts cannot be told "
-            "from each other by any layout; give them in its file"
+            f"vehicle {vehicle.name!r} lacks {missing}: without them, no layout can distinguish "
+            "its parts; give them in its file"
         )
     generator = SpatialVehicle(vehicle, speed_m_per_s=settings.speed_m_per_s, parts=PARTS_OF_BOGIE)
     records = []

@@ -108,11 +108,11 @@ def seed_rows(folder: Path, rows: Sequence[Mapping[str, Any]]) -> list[dict[str,
     [] if no two jobs do. `jobs` names the first job of each row, `n` counts its seeds.
     """
     alike: dict[str, list[Mapping[str, Any]]] = {}
-    for row in rows:
-        if row["state"] == "finished":
-            config = yaml.safe_load((folder / row["job"] / "config.yaml").read_text())
-            same_but_seed = _without_seed(config, config.get("seed"))
-            alike.setdefault(json.dumps(same_but_seed, sort_keys=True, default=str), []).append(row)
+    for key, some in _same_but_seeds(folder, rows).items():
+        # the seed of a part follows the job's, or is a setting
+        fixed = sorted({at for _, own in some for at in own if own[at] != own.get("/seed")})
+        for row, own in some:
+            alike.setdefault(str([key, *map(own.get, fixed)]), []).append(row)
     if all(len(same) < 2 for same in alike.values()):
         return []
     found = []
@@ -127,14 +127,29 @@ def seed_rows(folder: Path, rows: Sequence[Mapping[str, Any]]) -> list[dict[str,
     return found
 
 
-def _without_seed(config: Any, seed: Any) -> Any:
-    """Return a configuration without the seed, and the seeds of parts that follow it."""
+def _same_but_seeds(
+    folder: Path, rows: Sequence[Mapping[str, Any]]
+) -> dict[str, list[tuple[Mapping[str, Any], dict[str, Any]]]]:
+    """Return finished jobs, each with its seeds by place, by the rest of their configurations."""
+    found: dict[str, list[tuple[Mapping[str, Any], dict[str, Any]]]] = {}
+    for row in rows:
+        if row["state"] == "finished":
+            config = yaml.safe_load((folder / row["job"] / "config.yaml").read_text())
+            seeds: dict[str, Any] = {}
+            rest = json.dumps(_without_seeds(config, seeds), sort_keys=True, default=str)
+            found.setdefault(rest, []).append((row, seeds))
+    return found
+
+
+def _without_seeds(config: Any, seeds: dict[str, Any], place: str = "") -> Any:
+    """Return a configuration without seeds, which are added to `seeds` by their places."""
     if not isinstance(config, dict):
         return config
+    seeds |= {f"{place}/{key}": config[key] for key in ("seed", "random_state") if key in config}
     return {
-        key: _without_seed(value, seed)
+        key: _without_seeds(value, seeds, f"{place}/{key}")
         for key, value in config.items()
-        if not (key in ("seed", "random_state") and value == seed)
+        if f"{place}/{key}" not in seeds
     }
 
 

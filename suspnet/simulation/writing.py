@@ -31,8 +31,9 @@ from suspnet.ground.progress import bar as progress_bar
 from suspnet.ground.storage import content_hash, write_atomically, write_json
 from suspnet.ground.types import FloatArray
 from suspnet.ground.workers import LostWorkerError, each, workers_for
-from suspnet.recordings.manifest import CHANNELS, SIDES, Channel, Pair, SpeedSource, TripManifest
+from suspnet.recordings.manifest import CHANNELS, TripManifest
 from suspnet.recordings.manifest_files import write_manifest
+from suspnet.recordings.manifest_sources import SIDES, Channel, Pair, SpeedSource
 from suspnet.simulation.fleet import (
     FIRST_DAY,
     Aboard,

@@ -83,7 +83,7 @@ def trip_noise(
         columns = torch.view_as_real(seen / sizes[:, None, None, None]).flatten(1).T.numpy()
         rows = torch.view_as_real(target.to(seen.dtype)).flatten().numpy()
         numbers = torch.as_tensor(nnls(columns, rows)[0]) / sizes
-        # a sensor whose noise is nothing beside that of the others would leave N singular
+        # a sensor whose noise is negligible against that of the others would leave N singular
         noise = numbers[:m].maximum(LEAST_NOISE * start)
         matrix = torch.diag(noise) + (numbers[m:, None, None, None] * patterns[m:]).sum(dim=0)
         found = TripNoise(noise, numbers[m:], matrix)

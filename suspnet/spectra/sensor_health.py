@@ -23,7 +23,8 @@ from torch import Tensor
 from suspnet.dynamics import PARAMETERS, ResponseGenerator
 from suspnet.ground.parameters import FORWARD
 from suspnet.ground.records import SensorHealth
-from suspnet.recordings.manifest import CHANNELS, channel_of
+from suspnet.recordings.manifest import CHANNELS
+from suspnet.recordings.manifest_sources import channel_of
 from suspnet.recordings.recording import Recording
 from suspnet.spectra.segments import segment_speeds, sensor_segments
 from suspnet.spectra.welch import Welch

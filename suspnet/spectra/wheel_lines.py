@@ -19,7 +19,8 @@ from scipy.signal import get_window, resample_poly
 from torch import Tensor
 
 from suspnet.ground.types import BoolArray, FloatArray, IntArray
-from suspnet.recordings.manifest import CHANNELS, channel_of
+from suspnet.recordings.manifest import CHANNELS
+from suspnet.recordings.manifest_sources import channel_of
 from suspnet.recordings.recording import Recording
 
 WINDOW_M = 200.0
@@ -142,7 +143,7 @@ def wheel_words(recording: Recording, lines: Sequence[WheelLine]) -> str:
         if first_hz <= top_hz:
             return ""
         return (
-            f"wheels cannot be seen: order 1 and the track beside it need {first_hz:.0f} Hz, the "
+            f"wheels cannot be seen: order 1 and the track next to it need {first_hz:.0f} Hz, the "
             f"recording is read up to {top_hz:.0f} Hz: raise trips.rate_hz"
         )
     given = recording.manifest.wheel_diameter_m is not None

@@ -21,8 +21,9 @@ from suspnet.estimation.trip_settings import TripSettings
 from suspnet.ground.records import ERROR, OK
 from suspnet.recordings.errors import TripError, all_of
 from suspnet.recordings.formats import open_columns
-from suspnet.recordings.manifest import CHANNELS, TripManifest, channel_of
+from suspnet.recordings.manifest import CHANNELS, TripManifest
 from suspnet.recordings.manifest_files import ManifestFile
+from suspnet.recordings.manifest_sources import channel_of
 from suspnet.recordings.recording import Recording, load_recording
 from suspnet.spectra.estimates import EstimateSettings
 from suspnet.spectra.plausibility import (

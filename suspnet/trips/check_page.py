@@ -20,6 +20,7 @@ from suspnet.ground.storage import printable, write_atomically, write_json
 from suspnet.ground.wording import span
 from suspnet.recordings.recording import Recording, overview
 from suspnet.report.figures import CHANNEL_TITLES, as_png, draw_signals, say
+from suspnet.report.sentences import spoken
 from suspnet.report.templates import render
 from suspnet.spectra.cross_spectra import CrossSpectra
 from suspnet.spectra.estimates import SPEED_HALF_WIDTH
@@ -237,7 +238,7 @@ def write_checks(checks: Sequence[TripCheck], elsewhere: Sequence[str], output: 
     worst = max((check.state for check in checks), key=list(TONES).index, default=PROBLEM)
     page = render(
         "check.html",
-        title="Check of recordings",
+        title=spoken("Check of recordings"),
         verdict=content["verdict"],
         tone=TONES[PROBLEM if elsewhere else worst],
         elsewhere=elsewhere,
@@ -291,5 +292,5 @@ def trip_figure(
 
 def write_picture(path: Path, figure: Figure, title: str) -> None:
     """Write a figure as PNG, atomically."""
-    figure.suptitle(title, fontsize="medium")
+    figure.suptitle(spoken(title), fontsize="medium")
     write_atomically(path, as_png(figure, DPI))

@@ -20,7 +20,7 @@ from suspnet.estimation.steady_parts import speed_range
 from suspnet.estimation.trained import TrainedModel
 from suspnet.ground.parameters import BODY_MASS, REVERSE
 from suspnet.ground.records import Commissioning, Place, TripResult
-from suspnet.maintenance.series import divided, medians
+from suspnet.maintenance.relative import divided, medians
 from suspnet.spectra.segments import range_words
 
 NAMED = 6

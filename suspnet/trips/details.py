@@ -14,7 +14,7 @@ from suspnet.ground.parameters import Limits, limits_words
 from suspnet.ground.records import TripResult
 from suspnet.ground.storage import printable
 from suspnet.ground.wording import count, kilometres
-from suspnet.maintenance.series import first_trips
+from suspnet.maintenance.relative import first_trips
 from suspnet.maintenance.state import UNKNOWN_HEALTHY
 from suspnet.report.tables import files_read_as
 from suspnet.trips.commissionings import eras, speed_words

@@ -15,7 +15,8 @@ from suspnet.recordings.columns import Column, OpenFile, size_of, unit_in_name
 from suspnet.recordings.errors import TripError
 from suspnet.recordings.formats import open_file, read_columns
 from suspnet.recordings.logger_notes import WORDS, choice_of
-from suspnet.recordings.manifest import BOGIES, SIDES, TIME_UNITS, Source
+from suspnet.recordings.manifest import BOGIES
+from suspnet.recordings.manifest_sources import SIDES, TIME_UNITS, Source
 
 ACCELERATION, SPEED = "acceleration", "speed"
 MOST_COLUMNS = 500

@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import logging
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -32,7 +32,8 @@ from suspnet.maintenance.alarms import OWN_CAUSES, Acknowledgement, detector_wor
 from suspnet.maintenance.assessment import spoken
 from suspnet.maintenance.change import ChangeSettings
 from suspnet.maintenance.fleet import Fleet
-from suspnet.maintenance.series import Event, Series, between, relative_results, series_of
+from suspnet.maintenance.relative import between, relative_results
+from suspnet.maintenance.series import Event, Series, series_of
 from suspnet.maintenance.sisters import SisterSettings
 from suspnet.maintenance.trend import LEAST_PERCENT
 from suspnet.recordings.manifest_files import ManifestFile, partial_words
@@ -158,13 +159,18 @@ def evaluate_fleet(
         if partial := partial_words(folder):
             log.warning("%s is %s; the same simulation again writes the others", folder, partial)
     done: list[Evaluated] = []
-    read = []
+    plans = []
     for group in groups:
         with _reported(group, done, is_alone):
             if group.error:
                 raise ValueError(group.error)
             where = output if is_alone else output / group.name
-            read.append(_read_group(group, models, where, settings, progress, store))
+            plans.append(_plan(group, models, where, settings))
+    read = []
+    for plan in _evaluated(plans, settings, progress):
+        with _reported(plan.group, done, is_alone):
+            read.append(_read(plan, settings, store))
+    read.sort(key=lambda one: groups.index(one.group))
     # all suspensions are read before the first report: its lives use their rates of wear
     fleet = Fleet({one.vehicle: one.limits for one in read}, settings.changes, SISTERS, seed)
     if store is not None:
@@ -200,6 +206,19 @@ def _reported(group: Group, done: list[Evaluated], is_alone: bool) -> Iterator[N
 
 
 @dataclass(frozen=True, eq=False)
+class _Plan:
+    """Trips of one suspension: those to be read, with what they are made from, and results."""
+
+    group: Group
+    models: Sequence[TrainedModel]
+    output: Path
+    limits: Mapping[str, Limits]
+    finished: FinishedTrips
+    waiting: dict[ManifestFile, Any]
+    results: list[TripResult]
+
+
+@dataclass(frozen=True, eq=False)
 class _Read:
     """Trips of one suspension, with earlier ones from the store, and their output folder."""
 
@@ -216,23 +235,33 @@ class _Read:
         return self.models[0].vehicle.name
 
 
-def _read_group(
-    group: Group,
-    models: Sequence[TrainedModel],
-    output: Path,
-    settings: FleetSettings,
-    progress: bool,
-    store: History | None,
-) -> _Read:
+def _plan(
+    group: Group, models: Sequence[TrainedModel], output: Path, settings: FleetSettings
+) -> _Plan:
+    """Return which trips of a suspension are to be read, and the results of the others."""
     fitting = models_of(models, group.place)
-    vehicle, limits = fitting[0].vehicle.name, settings.limits_of(fitting)
+    limits = settings.limits_of(fitting)
     if settings.reference == "first_trips":
         check_one_reference(fitting)
-    title = f"trips of {group.place}"
-    results = [
-        replace(result, place=group.place)
-        for result in _evaluated(group.manifests, fitting, output, settings, progress, title)
-    ]
+    finished = FinishedTrips(output, fitting, settings.trips)
+    waiting, results = {}, []
+    for file in [one.absolute() for one in group.manifests]:
+        try:
+            waiting[file] = finished.made_from(file)
+            result = finished.read(waiting[file])
+        except Exception:  # `evaluate_trip` then reports the fault, without a worker
+            result = evaluate_trip(file, fitting, settings.trips)
+        if result is not None:
+            waiting.pop(file, None)
+            results.append(result)
+    return _Plan(group, fitting, output, limits, finished, waiting, results)
+
+
+def _read(plan: _Plan, settings: FleetSettings, store: History | None) -> _Read:
+    """Return the trips of a suspension whose trips are all read, after storing them."""
+    group, fitting = plan.group, plan.models
+    vehicle = fitting[0].vehicle.name
+    results = [replace(result, place=group.place) for result in plan.results]
     events: list[Event] = []
     if store is not None:
         results = with_earlier(results, group.place, fitting, store)
@@ -243,7 +272,7 @@ def _read_group(
     found = commissionings(fitting, results)
     results = with_truth_of_each(results, found)
     relative = series.relative_to_first(settings.n_first)
-    return _Read(group, fitting, output, limits, results, found, relative)
+    return _Read(group, fitting, plan.output, plan.limits, results, found, relative)
 
 
 def _report(
@@ -280,62 +309,77 @@ def _report(
     return Evaluated(group.name, group.place, results, state)
 
 
-def _evaluated(
-    files: Sequence[ManifestFile],
-    models: Sequence[TrainedModel],
-    output: Path,
-    settings: FleetSettings,
-    progress: bool,
-    title: str,
-) -> list[TripResult]:
-    finished = FinishedTrips(output, models, settings.trips)
-    results, made_from = [], {}
-    bar = progress_bar(title, len(files), unit="trip", shown=progress)
+def _evaluated(plans: Sequence[_Plan], settings: FleetSettings, progress: bool) -> Iterator[_Plan]:
+    """Read the trips of all suspensions, and yield each suspension once its trips are read.
+
+    One pool of workers reads all: started for each suspension, it would start over and over, and
+    wait for the last trip of each.
+    """
+    of_file = {file: plan for plan in plans for file in plan.waiting}
+    n_finished = sum(len(plan.results) for plan in plans)
+    where = f"{plans[0].group.place}" if len(plans) == 1 else f"{len(plans)} suspensions"
+    n_trips = n_finished + len(of_file)
+    bar = progress_bar(f"trips of {where}", n_trips, unit="trip", shown=progress)
     with bar, warnings.catch_warnings():
         # a worker whose memory has grown is replaced; no trip is lost
         warnings.filterwarnings("ignore", "A worker stopped while", UserWarning)
-        for file in [one.absolute() for one in files]:
-            try:
-                made_from[file] = finished.made_from(file)
-                result = finished.read(made_from[file])
-            except Exception:  # `evaluate_trip` then reports the fault, without a worker
-                result = evaluate_trip(file, models, settings.trips)
-            if result is not None:
-                made_from.pop(file, None)
-                results.append(result)
-                bar.update()
-        if results and made_from:
-            log.info("%d trips are finished already, %d are to be read", bar.n, len(made_from))
-        read = functools.partial(evaluate_trip, models=models, settings=settings.trips)
-        for file, one in _read_by_workers(read, list(made_from), settings):
+        bar.update(n_finished)
+        if n_finished and of_file:
+            words = "%d trips are finished already, %d are to be read"
+            log.info(words, n_finished, len(of_file))
+        n_left = {id(plan): len(plan.waiting) for plan in plans}
+        yield from (plan for plan in plans if not plan.waiting)
+        items = [(file, plan.models) for file, plan in of_file.items()]
+        for (file, _), one in _read_by_workers(items, settings):
+            plan = of_file[file]
             if isinstance(one, LostWorkerError):
-                results.append(lost_trip(file.path, str(one)))
+                plan.results.append(lost_trip(file.path, str(one)))
             else:
-                results.append(one)
-                finished.write(made_from[file], one)
+                plan.results.append(one)
+                plan.finished.write(plan.waiting[file], one)
             bar.update()
-    return results
+            n_left[id(plan)] -= 1
+            if not n_left[id(plan)]:
+                yield plan
+
+
+_Item = tuple[ManifestFile, Sequence[TrainedModel]]
+
+
+def _read_trip(item: _Item, settings: TripSettings) -> TripResult:
+    return evaluate_trip(*item, settings)
+
+
+def _itself(value: Any) -> Any:
+    return value
 
 
 def _read_by_workers(
-    read: Callable[[ManifestFile], TripResult],
-    files: Sequence[ManifestFile],
-    settings: FleetSettings,
-) -> Iterator[tuple[ManifestFile, TripResult | LostWorkerError]]:
+    items: Sequence[_Item], settings: FleetSettings
+) -> Iterator[tuple[_Item, TripResult | LostWorkerError]]:
     """Yield trips with their results as they are read, in local processes or on a dask cluster."""
-    n_workers = workers_for(len(files), settings.workers)
+    n_workers = workers_for(len(items), settings.workers)
     if settings.cluster is None:
-        yield from each(read, files, n_workers)
+        yield from each(functools.partial(_read_trip, settings=settings.trips), items, n_workers)
         return
     address = None if settings.cluster == "local" else settings.cluster
     options = {} if address else {"n_workers": n_workers, "dashboard_address": None}
     with distributed.Client(address, **options) as client:
-        trips = {client.submit(read, file, pure=False, retries=1): file for file in files}
+        # models are larger than anything else: sent once, and to a worker by another one; a task,
+        # unlike scattered data, is computed again where the only worker that holds it is killed
+        known = {id(model): model for _, models in items for model in models}
+        shared = {key: client.submit(_itself, one, pure=False) for key, one in known.items()}
+        trips = {}
+        for item in items:
+            models = [shared[id(model)] for model in item[1]]
+            arguments = (evaluate_trip, item[0], models, settings.trips)
+            trips[client.submit(*arguments, pure=False, retries=1)] = item
         for future in distributed.as_completed(trips):
             try:
                 yield trips[future], future.result()
             except distributed.KilledWorker as error:
                 yield trips[future], LostWorkerError(str(error))
+            future.release()  # the workers hold its result until then
 
 
 def least_percent(outputs: Sequence[str], models: Sequence[TrainedModel]) -> dict[str, float]:

@@ -30,7 +30,8 @@ from suspnet.recordings.logger_notes import (
     read_value,
     stated_in,
 )
-from suspnet.recordings.manifest import BOGIES, CHANNELS, MIDDLE, SIDES
+from suspnet.recordings.manifest import BOGIES, CHANNELS
+from suspnet.recordings.manifest_sources import MIDDLE, SIDES
 from suspnet.trips.file_contents import (
     SPEED,
     Contents,

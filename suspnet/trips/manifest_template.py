@@ -12,14 +12,8 @@ from pathlib import Path
 from suspnet.recordings.clocks import first_moment
 from suspnet.recordings.columns import size_of
 from suspnet.recordings.logger_notes import Stated
-from suspnet.recordings.manifest import (
-    ACCELERATION_UNITS,
-    CHANNELS,
-    FORMAT,
-    MIDDLE,
-    SIDES,
-    SPEED_UNITS,
-)
+from suspnet.recordings.manifest import CHANNELS, FORMAT
+from suspnet.recordings.manifest_sources import ACCELERATION_UNITS, MIDDLE, SIDES, SPEED_UNITS
 from suspnet.trips.file_contents import ACCELERATION, SPEED, Signal, is_of_another_direction
 
 BLANK = "FILL_IN"

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from suspnet.ground.storage import distinct
 from suspnet.recordings.formats import READERS
-from suspnet.recordings.manifest import SIDES
+from suspnet.recordings.manifest_sources import SIDES
 from suspnet.trips.file_contents import guessed_meaning, guessed_side, words_of
 
 DEEPEST = 3

@@ -14,11 +14,12 @@ from pydantic import BaseModel, ValidationError
 from werkzeug.exceptions import HTTPException, UnsupportedMediaType
 
 from suspnet.ground.parameters import BODY_MASS, BOGIE_PARTS, NAMES, Severity, part_words
+from suspnet.ground.storage import finite_or_none
 from suspnet.maintenance.alarms import newest_of
-from suspnet.maintenance.series import relative_results
+from suspnet.maintenance.relative import relative_results
 from suspnet.maintenance.state import State
 from suspnet.report.tables import FleetView
-from suspnet.report.work_order import all_work_orders, known, work_orders
+from suspnet.report.work_order import all_work_orders, work_orders
 from suspnet.web import api_models as models
 from suspnet.web import pages
 from suspnet.web.access import identify_program, visitor
@@ -302,7 +303,7 @@ def _suspension(view: FleetView, index: int) -> dict[str, Any]:
     return {
         **_place(view, index),
         **{name: row[name] for name in (*texts, "n_flagged")},
-        **{name: known(row[name]) for name in numbers},
+        **{name: finite_or_none(row[name]) for name in numbers},
         "parameters": [one for one in row["parameter"].split(", ") if one],
     }
 
@@ -320,12 +321,12 @@ def _part(state: State, assessment: Any) -> dict[str, Any]:
         "part": part_words(name) if name in BOGIE_PARTS else NAMES[name],
         "severity": str(assessment.severity),
         "reason": assessment.words,
-        "value_percent": known(100 * state.now(name)),
+        "value_percent": finite_or_none(100 * state.now(name)),
         "notice_percent": percent(limits.notice) if limits else None,
         "act_percent": percent(limits.act) if limits else None,
-        "life_low_km": known(low),
-        "life_median_km": known(life.quantile_km(0.5)) if life else None,
-        "life_high_km": known(high),
+        "life_low_km": finite_or_none(low),
+        "life_median_km": finite_or_none(life.quantile_km(0.5)) if life else None,
+        "life_high_km": finite_or_none(high),
         "life_unknown": state.unknown.get(name, ""),
     }
 
@@ -339,7 +340,7 @@ def _alarm(view: FleetView, index: int, alarm: Any) -> dict[str, Any]:
         "severity": str(alarm.severity),
         "active": alarm.is_open,
         "begin_km": alarm.begin_km,
-        "end_km": known(alarm.end_km),
+        "end_km": finite_or_none(alarm.end_km),
         "reason": alarm.words,
         "acknowledged_by": seen.by if seen else "",
         "acknowledged_at": seen.at if seen else None,
@@ -357,7 +358,7 @@ def _trip(one: Any) -> dict[str, Any]:
     }
     return {
         **{name: getattr(one, name) for name in texts},
-        **{name: known(value) for name, value in numbers.items()},
+        **{name: finite_or_none(value) for name, value in numbers.items()},
         "estimates": {k: v for k, v in one.estimates.items() if np.isfinite(v)},
         "half_widths": {k: v for k, v in one.half_widths.items() if np.isfinite(v)},
     }
@@ -368,6 +369,6 @@ def _job(row: dict[str, Any]) -> dict[str, Any]:
     return {
         **{name: row[name] for name in (*texts, "unknown")},
         **{name: row[name] or None for name in ("day", "latest", "decide_by")},
-        "mileage_km": known(row["mileage_km"]),
-        "probability": known(row["probability"]),
+        "mileage_km": finite_or_none(row["mileage_km"]),
+        "probability": finite_or_none(row["probability"]),
     }

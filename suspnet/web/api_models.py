@@ -68,7 +68,7 @@ class OfAlarms(OfFleet):
     """Which alarms are asked for."""
 
     acknowledged: Literal["true", "false"] | None = None
-    """Whether somebody has acknowledged the alarm; all if it is missing."""
+    """Whether the alarm is acknowledged; all if it is missing."""
     active: Literal["true", "false"] | None = None
     """Whether the alarm is active; all, also cleared ones, if it is missing."""
 
@@ -160,7 +160,7 @@ class AlarmAnswer(PlaceAnswer):
     """Mileage of the trip that cleared it [km]; null while it is active."""
     reason: str
     acknowledged_by: str
-    """Empty if nobody has acknowledged it as it is now."""
+    """Empty if it is not acknowledged as it is now."""
     acknowledged_at: str | None
     action: str
     """What that person is doing about it."""

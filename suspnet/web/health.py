@@ -13,7 +13,6 @@ from typing import Any
 from flask import Blueprint, Response, current_app
 
 from suspnet.history import History, HistoryError
-from suspnet.history.outbox import MOST_ATTEMPTS
 from suspnet.web.access import is_admitted
 from suspnet.web.pages import REFRESHER
 
@@ -74,13 +73,12 @@ class _State:
         yield _by("suspnet_active_alarms", "Active alarms", ["severity", "cause"], alarms)
         try:
             with History(refresher.board.store, wait_s=WAIT_S, must_exist=True) as store:
-                unsent = store.outbox().unsent()
+                n_waiting, n_given_up, oldest_s = store.outbox().count_unsent()
         except HistoryError:  # suspnet_up reports it
             return
-        given_up = sum(row["attempts"] >= MOST_ATTEMPTS for row in unsent)
-        kinds = {"waiting": len(unsent) - given_up, "given_up": given_up}
+        kinds = {"waiting": n_waiting, "given_up": n_given_up}
         yield _by("suspnet_unsent_messages", "Messages about alarms", ["state"], kinds)
-        oldest = max((time.time() - row["created_s"] for row in unsent), default=0.0)
+        oldest = 0.0 if oldest_s is None else max(time.time() - oldest_s, 0.0)
         yield GaugeMetricFamily("suspnet_oldest_unsent_seconds", "Age of the oldest one", oldest)
 
 

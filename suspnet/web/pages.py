@@ -31,8 +31,8 @@ from suspnet.ground.parameters import Severity
 from suspnet.history import History, HistoryError
 from suspnet.history.store import acknowledge_alarms
 from suspnet.maintenance.alarms import Acknowledgement, Alarm
+from suspnet.maintenance.relative import relative_results
 from suspnet.maintenance.schedule import Plan
-from suspnet.maintenance.series import relative_results
 from suspnet.maintenance.state import State
 from suspnet.report.board import Refresher
 from suspnet.report.bogie import visits_of

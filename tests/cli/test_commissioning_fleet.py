@@ -291,3 +291,14 @@ def test_models_of_each_suspension_are_for_the_speeds_of_its_own_trips(
     assert trained(tmp_path / "run", fleet) == 0
     assert speeds == [70.0, 50.0]
     assert OmegaConf.load(tmp_path / "run" / "config.yaml").speed_m_per_s is None
+
+
+def test_table_shows_the_misfit_of_the_parts_first():
+    row = {"suspension": "car", "n_trips": 5, "misfit": 6.623, "rms_percent": {"k_p": 1.0}}
+    plain = commission_fleet._table([row])
+    assert "misfit |" in plain
+    assert "6.62 |" in plain
+    by_part = commission_fleet._table([row, row | {"misfit_of_parts": 1.084}])
+    columns = [one.strip() for one in by_part.splitlines()[0].strip("|").split("|")]
+    assert columns == ["suspension", "trips", "misfit of parts", "sides as equal", "k_p"]
+    assert [one.strip() for one in by_part.splitlines()[-1].strip("|").split("|")][2] == "1.08"

@@ -16,6 +16,7 @@ from tensorboard.plugins.hparams.plugin_data_pb2 import HParamsPluginData
 from suspnet.cli import evaluate, program, train
 from suspnet.estimation.estimate import KINDS
 from suspnet.estimation.problem import Problem
+from suspnet.runs.dataset import read_dataset
 
 pytestmark = pytest.mark.usefixtures("blank")
 """Figures are made by the fixture `run` only; tests/runs/test_plots.py draws them."""
@@ -151,6 +152,14 @@ def test_evaluate_takes_a_protocol_that_fits_only(run, tmp_path):
         run_main(evaluate, tmp_path / "paper", *small, "protocol=paper")
 
 
+def test_a_run_writes_its_data_set_where_it_is_asked_for(tmp_path):
+    given = [*SMALL, "model=linear", "dataset=npz"]
+    metrics = run_main(train, tmp_path / "run", *given)
+    data = read_dataset(tmp_path / "run" / "dataset.npz")
+    assert data.rows("test").sum() == metrics["n_test"]
+    assert data.about["outputs"] == list(metrics["rms_ratio"])
+
+
 @pytest.mark.slow  # test_protocols.py; test_no_means_no knows no mass
 def test_mass_known_and_mass_estimated(tmp_path):
     known = run_main(
@@ -199,7 +208,11 @@ def test_mistake_gets_one_line(override, message, tmp_path):
     ("program", "overrides", "message"),
     [
         (train, ["protocol=foo"], "Could not find 'protocol/foo'"),
-        (train, ["data.n_trian=1"], "Could not override 'data.n_trian'"),
+        (
+            train,
+            ["data.n_trian=1"],
+            "There is no such key: did you mean n_train?; --help lists them",
+        ),
         (train, ["hydra.run.dir={file}/x"], "Not a directory"),
         (evaluate, [], "which run?"),
         (evaluate, ["run=nowhere"], "run=nowhere does not exist"),
@@ -286,7 +299,7 @@ def test_interrupt_of_a_process_leaves_nothing_half_written_and_a_second_start_w
 @pytest.fixture(scope="module")
 def table6(tmp_path_factory):
     folder = tmp_path_factory.mktemp("table6")
-    few = ["data.n_train=300", "data.n_test=100", "data.n_calibrate=null", "data.step_hz=0.05"]
+    few = ["data.n_train=300", "data.n_test=100", "data.n_calibrate=null"]
     options = ["experiment=table6", "model=linear,msvr", *few, "progress=false"]
     with blank_figures():
         ended = typed(train, *options, cwd=folder)

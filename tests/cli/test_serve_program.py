@@ -86,6 +86,10 @@ def test_mistakes_about_who_may_do_what_are_one_line(refused, path, tmp_path, mo
     assert "24 to 200 ASCII characters" in refused(store, "token_file=api.token")
     monkeypatch.setenv(serve.TOKEN_VARIABLE, "x" * 30)
     assert "given twice" in refused(store, "token_file=api.token")
+    monkeypatch.delenv(serve.TOKEN_VARIABLE)
+    monkeypatch.setenv(f"{serve.TOKEN_VARIABLE}_FILE", str(token))
+    assert "given twice" in refused(store, "token_file=api.token")
+    assert "24 to 200 ASCII characters" in refused(store)
 
 
 @pytest.mark.parametrize(

@@ -6,11 +6,11 @@ import math
 import numpy as np
 import pytest
 import torch
-from vehicles import AM96
+from vehicles import AM96, MEDIANS
 
 from suspnet import COMPONENTS, SpatialVehicle
 from suspnet.dynamics import VerticalVehicle
-from suspnet.dynamics.quantities import MEDIANS, PARTS, UNMEASURED, LogNormal
+from suspnet.dynamics.quantities import PARTS, UNMEASURED, LogNormal
 from suspnet.dynamics.spatial_numbers import ADDITIONS, PLACES
 
 FREQUENCIES = torch.tensor([0.5, 1.3, 6.0]).double()

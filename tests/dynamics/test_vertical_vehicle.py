@@ -10,10 +10,10 @@ import torch
 import trips_reference
 from scipy import stats
 from scipy.linalg import eigh
-from vehicles import AM96
+from vehicles import AM96, MEDIANS
 
 from suspnet.dynamics import PARAMETERS, QuarterCar, ResponseGenerator, VerticalVehicle
-from suspnet.dynamics.quantities import MEDIANS, PARTS, QUANTITIES, UNMEASURED, LogNormal
+from suspnet.dynamics.quantities import PARTS, QUANTITIES, UNMEASURED, LogNormal
 from suspnet.dynamics.vehicle import GEOMETRY
 
 FREQUENCIES = torch.tensor([0.05, 0.4, 0.9, 1.31, 1.9, 3.3, 5.4, 7.7, 11.0, 19.0]).double()

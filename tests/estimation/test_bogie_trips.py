@@ -27,8 +27,9 @@ from suspnet.estimation.healthy_trips import HealthyTrips
 from suspnet.estimation.trip_settings import TripSettings
 from suspnet.ground.parameters import COMPONENTS
 from suspnet.recordings.errors import TripError
-from suspnet.recordings.manifest import Channel, TripManifest
+from suspnet.recordings.manifest import TripManifest
 from suspnet.recordings.manifest_files import read_manifest
+from suspnet.recordings.manifest_sources import Channel
 from suspnet.recordings.recording import joined, load_recording
 from suspnet.recordings.sensor import SensorSignal
 from suspnet.runs import commissioning

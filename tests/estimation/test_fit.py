@@ -161,6 +161,19 @@ def test_jacobian_is_that_of_finer_differences(bushed, spread):
     assert (error < 1e-4 * scale).all()
 
 
+def test_masses_of_other_trips_have_no_derivative(bushed):
+    generator, _, groups, found = bushed
+    target = HealthyMisfit(generator, SETTINGS, groups)
+    n = len(found.prior.names)
+    theta = torch.cat([torch.zeros(n), torch.as_tensor(TWO).log()]).double()[None]
+    slopes = target.derivative(theta, 0.0)[0]
+    sizes = [part.shape[1] for part in target.parts(theta, 0.0)]
+    for trip, own in zip(target._trips, slopes.split([*sizes, len(theta[0])], dim=1), strict=False):
+        masses = own[n : n + target.n_trips].abs().sum(dim=1)
+        assert masses[trip] > 0
+        assert not masses[torch.arange(target.n_trips) != trip].any()
+
+
 def test_bins_above_a_band_count_for_nothing_and_those_below_as_before(bushed):
     generator, _, groups, _ = bushed
     target = HealthyMisfit(generator, SETTINGS, groups)

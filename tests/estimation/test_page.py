@@ -11,12 +11,14 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 from commissioned_example import MASSES, SETTINGS, UNCERTAIN, commissioned_example, trip
+from matplotlib.figure import Figure
 
 from suspnet.estimation import commissioning_summary as words
 from suspnet.estimation.damping_laws import Laws
 from suspnet.estimation.flags import INCOMPLETE
 from suspnet.estimation.healthy_trips import HealthyTrips
 from suspnet.estimation.temperature import NOTE, DampingByTemperature
+from suspnet.report.language import speaking
 from suspnet.runs import commissioning_page as figures
 from suspnet.runs.commissioning_page import training_notes, write_outcome
 
@@ -46,6 +48,21 @@ def text_of(page):
 
 
 # reference
+
+
+def test_page_is_german_where_it_is_asked_for(commissioned):
+    drawn = dict.fromkeys(("responses", "numbers"), Figure(figsize=(1, 1)))
+    with speaking("de"):
+        text = text_of(figures._page(*commissioned, drawn))
+    for said in (
+        "Inbetriebnahme von am96",
+        "Das Fahrzeug erklärt seine gesunden Fahrten (3 Fahrten): Die Abweichung ist das 0,",
+        "Gesunde primäre Steifigkeit",
+        "Buchsen der Dämpfer",
+        "Gemessene und in Betrieb genommene Frequenzgänge",
+    ):
+        assert said in text
+    assert not re.search(r"\b(the|of|is|are)\b", text.partition("trip_9")[0])
 
 
 def test_numbers_in_json_are_those_of_the_outcome_in_si_units(commissioned, written):

@@ -44,6 +44,13 @@ def test_line_at_the_start_and_at_each_interval_though_nothing_is_counted(lines)
     assert len(lines()) == n_lines
 
 
+def test_items_are_counted_as_they_are_done(lines):
+    bar = progress.bar("trips", 3, items=iter("abc"), unit="trip")
+    counts = [bar.format_dict["n"] for _ in bar]
+    assert counts == [0, 1, 2]
+    assert bar.format_dict["n"] == 3
+
+
 def test_what_is_done_and_what_remains(lines, monkeypatch):
     with progress.bar("training curves", 28_000, unit="curve") as bar:
         assert lines() == ["training curves: 0 of 28,000"]

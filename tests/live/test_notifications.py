@@ -28,9 +28,10 @@ from notified import (
     receiving,
     rules_file,
 )
+from trip_records import trip
 
 from suspnet.ground.parameters import Severity
-from suspnet.history import History, outbox
+from suspnet.history import History, outbox, schema
 from suspnet.history.outbox import LEASE_S
 from suspnet.live import notifier as notifier_module
 from suspnet.live.broker import Broker
@@ -127,6 +128,59 @@ def test_what_was_told_is_told_again_only_when_worse_cleared_or_raised_again(tol
     assert states(got[-1]) == [("c_s", "known")]
 
 
+def test_an_alarm_that_a_late_trip_clears_is_reported_as_cleared_once(told):
+    store, notifier, clock, got = told
+    earlier = replace(ACT, begin_km=1e3, end_km=2e3)
+    store.keep_alarms(VEHICLE, FIRST, [earlier, ACT])
+    store.write([trip(1, with_curves=False, place=FIRST, mileage_km=5e4)])
+    notifier.once()
+    for _ in range(2):
+        store.keep_alarms(VEHICLE, FIRST, [earlier, replace(ACT, end_km=4e4)])
+        clock.now += timedelta(hours=20)  # after six o'clock
+        notifier._looked_s = -1e9
+        notifier.once()
+    news = [one for message in got[1:] for one in message.content["alarms"]]
+    cleared = [one["begin_km"] for one in news if one["state"] == "cleared"]
+    assert cleared == [ACT.begin_km]
+
+
+def test_an_unreadable_alarm_is_logged_once_and_sent_when_it_is_corrected(told, caplog):
+    store, notifier, _, got = told
+    notifier.once()
+    store.keep_alarms(VEHICLE, SECOND, [replace(NOTICE, severity=Severity.ACT)])
+    with store._writing() as connection:
+        connection.execute(schema.alarms.update().values(severity=99))
+    for _ in range(2):
+        notifier._looked_s = -1e9
+        assert notifier.once() == (0, 0)
+    assert caplog.text.count("alarms, row begin_km=10000.0, parameter=c_s, cause=change of") == 1
+    with store._writing() as connection:
+        connection.execute(schema.alarms.update().values(severity=int(Severity.ACT)))
+    notifier._looked_s = -1e9
+    assert notifier.once() == (1, 0)
+    assert states(got[-1]) == [("c_s", "new")]
+    assert len(store.bad_rows) == 1
+
+
+def test_a_look_reads_only_suspensions_that_changed(told, monkeypatch):
+    store, notifier, _, _ = told
+    read = []
+
+    def stored(connection, kind, *rest):
+        read.append(original(connection, kind, *rest))
+        return read[-1]
+
+    original = outbox.read_stored
+    monkeypatch.setattr(outbox, "read_stored", stored)
+    notifier._look()
+    assert read[0].keys() == {(VEHICLE, FIRST), (VEHICLE, SECOND)}
+    store.keep_alarms(VEHICLE, FIRST, [replace(ACT, severity=Severity.NOTICE)])
+    notifier._look()
+    notifier._looked_s = -1e9
+    notifier._look()
+    assert [one.keys() for one in read[2:]] == [{(VEHICLE, FIRST)}, set()]
+
+
 def test_alarms_cleared_before_a_recipient_was_known_are_not_sent(told):
     store, notifier, clock, got = told
     store.keep_alarms(VEHICLE, FIRST, [replace(ACT, end_km=2e4)])
@@ -158,6 +212,12 @@ def test_a_failed_message_is_tried_again_later_and_given_up_in_the_end(told, cap
         notifier.once()
     lost = [row for row in store.outbox().unsent() if row["kind"] == "alarms"]
     assert [row["attempts"] for row in lost] == [most]
+    assert "content" not in lost[0]
+    attempts = [row["attempts"] for row in store.outbox().unsent()]
+    n_given_up = sum(n >= outbox.MOST_ATTEMPTS for n in attempts)
+    (oldest,) = store.outbox().unsent(1)
+    counts = len(attempts) - n_given_up, n_given_up, oldest["created_s"]
+    assert store.outbox().count_unsent() == counts
     assert "given up" in caplog.text
     channel.n_failures = 0
     store.outbox().retry()
@@ -343,35 +403,42 @@ def _notify_apart(path, rules, key, dies_before_mark):
     notify_forever(path, rules, LEASE_S)
 
 
-@pytest.mark.slow
-def test_killed_at_random_moments_every_event_arrives_and_repeats_have_one_id(tmp_path):
+def check_random_kills(store, path, rules):
+    """Raise alarms while a notifier is killed at random moments; the last one sends the rest."""
     import random
 
     from forked import run_apart
 
-    rng, path = random.Random(0), str(fill(tmp_path / "a.db"))
+    rng = random.Random(0)
+    for i in range(20):
+        alarm = replace(ACT, begin_km=1e5 + 100 * i)
+        past = [replace(ACT, begin_km=1e5 + 100 * k, end_km=1e5 + 100 * k + 50) for k in range(i)]
+        store.keep_alarms(VEHICLE, FIRST, [*past, alarm])
+        with run_apart(_notify_quick, path, rules, KEY) as (process, *_):
+            time.sleep(rng.uniform(0.3, 1.0))
+            process.kill()
+    with run_apart(_notify_quick, path, rules, KEY):
+        until(lambda: not store.outbox().unsent(), 30)
+    assert store.outbox().unsent() == []
+
+
+def check_events(bodies):
+    """Check that the last alarm came, each event in one message, and repeats unchanged."""
+    messages = {json.loads(body)["id"]: body for body in bodies}
+    assert set(messages.values()) == set(bodies)
+    alarms = [one for body in messages.values() for one in json.loads(body)["alarms"]]
+    events = [one["event"] for one in alarms]
+    assert len(events) == len(set(events))  # no event in two messages
+    assert max(one["begin_km"] for one in alarms) == 1e5 + 1900
+
+
+@pytest.mark.slow
+def test_killed_at_random_moments_every_event_arrives_and_repeats_have_one_id(tmp_path):
+    path = str(fill(tmp_path / "a.db"))
     with receiving() as (url, got), History(path) as store:
-        rules = webhook_rules(tmp_path, url)
-        for i in range(20):
-            alarm = replace(ACT, begin_km=1e5 + 100 * i)
-            past = [
-                replace(ACT, begin_km=1e5 + 100 * k, end_km=1e5 + 100 * k + 50) for k in range(i)
-            ]
-            store.keep_alarms(VEHICLE, FIRST, [*past, alarm])
-            with run_apart(_notify_quick, path, rules, KEY) as (process, *_):
-                time.sleep(rng.uniform(0.3, 1.0))
-                process.kill()
-        with run_apart(_notify_quick, path, rules, KEY):
-            deadline = time.monotonic() + 30
-            while store.outbox().unsent() and time.monotonic() < deadline:
-                time.sleep(0.1)
-        assert store.outbox().unsent() == []
-        bodies = {headers["webhook-id"]: body for headers, body in got}
-        assert all(bodies[headers["webhook-id"]] == body for headers, body in got)
-        events = [one["event"] for body in bodies.values() for one in json.loads(body)["alarms"]]
-        assert len(events) == len(set(events))  # no event in two messages
-        kms = {one["begin_km"] for body in bodies.values() for one in json.loads(body)["alarms"]}
-        assert max(kms) == 1e5 + 1900
+        check_random_kills(store, path, webhook_rules(tmp_path, url))
+        assert all(headers["webhook-id"] == json.loads(body)["id"] for headers, body in got)
+        check_events([body for _, body in got])
 
 
 def _notify_quick(path, rules, key):
@@ -480,7 +547,7 @@ WRONG = [
         "export SUSPNET_NONE=",
     ),
     ({}, {"a": {"channels": ["h"]}}, "'h' is not a channel; known: none"),
-    ({}, {}, "`recipients` must name somebody"),
+    ({}, {}, "`recipients` must name a recipient"),
     (
         {"h": {"kind": "webhook", "url": "https://h/"}},
         {"a": {"channels": ["h"], "digest": None, "at_once": []}},
@@ -520,39 +587,114 @@ def test_a_secret_may_be_in_a_file_that_the_environment_names(tmp_path, monkeypa
     assert read_rules(webhook_rules(tmp_path, "https://h/")).channels["hook"]._key()
 
 
-def test_mqtt_messages_wait_for_a_killed_broker_and_arrive_once(tmp_path):
-    client_module = pytest.importorskip("paho.mqtt.client")
-    broker, got = Mosquitto(tmp_path).start(), []
+def test_an_evaluation_sends_what_is_new_once(tmp_path, monkeypatch):
+    from cli_runner import run_program  # here: killed programs import this module, and quickly
+
+    from suspnet.cli import evaluate
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(evaluate, "write_maintenance", lambda *_: [])
+    store = fill(tmp_path / "a.db")
+    with receiving() as (url, got):
+        given = ["study=maintenance", f"notify={webhook_rules(tmp_path, url)}"]
+        for _ in range(2):
+            assert run_program(evaluate, tmp_path / "out", *given, f"store={store}") == 0
+        assert "`notify` needs store=FILE" in run_program(evaluate, tmp_path / "out", *given)
+    ((_, body),) = got
+    assert [one["parameter"] for one in json.loads(body)["alarms"]] == ["k_p"]
+
+
+@contextmanager
+def listening(broker, folder):
+    """Subscribe to notifications; yields a file of rules that send there, and what comes."""
+    client_module, got = pytest.importorskip("paho.mqtt.client"), []
     reader = client_module.Client(client_module.CallbackAPIVersion.VERSION2, protocol=5)
-    reader.on_connect = lambda *_: reader.subscribe("suspnet/notifications/#", qos=1)
     subscribed = threading.Event()
+    reader.on_connect = lambda *_: reader.subscribe("suspnet/notifications/#", qos=1)
     reader.on_subscribe = lambda *_: subscribed.set()
     reader.on_message = lambda _c, _u, message: got.append((message.topic, message.payload))
-    reader.reconnect_delay_set(1, 1)
-    file = rules_file(
-        tmp_path / "n.json",
-        {"b": {"kind": "mqtt", "host": "127.0.0.1", "port": broker.port}},
-        {"night shift": {"channels": ["b"], "digest": None}},
-    )
-    clock = Clock()
+    reader.connect("127.0.0.1", broker.port)
+    reader.loop_start()
+    assert subscribed.wait(10)
+    channels = {"b": {"kind": "mqtt", "host": "127.0.0.1", "port": broker.port}}
+    people = {"night shift": {"channels": ["b"], "digest": None}}
     try:
-        with History(fill(tmp_path / "a.db")) as store:
-            notifier = Notifier(store, read_rules(file), clock)
-            broker.end(signal.SIGKILL)
-            assert notifier.once() == (0, 1)
-            broker.start()
-            reader.connect("127.0.0.1", broker.port)
-            reader.loop_start()
-            assert subscribed.wait(10)
-            clock.now += timedelta(minutes=2)
-            assert notifier.once() == (1, 0)
-            assert until(lambda: got)
-            assert store.outbox().unsent() == []
+        yield rules_file(folder / "n.json", channels, people), got
     finally:
         reader.disconnect()
         reader.loop_stop()
+
+
+def test_mqtt_messages_wait_for_a_killed_broker_and_arrive_once(tmp_path):
+    broker, clock = Mosquitto(tmp_path).start(), Clock()
+    try:
+        with History(fill(tmp_path / "a.db")) as store:
+            with listening(broker, tmp_path) as (file, _):
+                notifier = Notifier(store, read_rules(file), clock)
+            broker.end(signal.SIGKILL)
+            assert notifier.once() == (0, 1)
+            broker.start()
+            with listening(broker, tmp_path) as (_, got):
+                clock.now += timedelta(minutes=2)
+                assert notifier.once() == (1, 0)
+                assert until(lambda: got)
+            assert store.outbox().unsent() == []
+    finally:
         broker.end()
     ((topic, payload),) = got
     assert topic == "suspnet/notifications/night%20shift"
     assert json.loads(payload)["alarms"][0]["severity"] == "act"
     assert len(json.loads(payload)["id"]) == 32
+
+
+def _notify_up_to(path, rules, step):
+    """Notify up to a step, and wait there."""
+
+    def wait(*_):
+        print("there", flush=True)
+        time.sleep(60)
+
+    owner = MqttChannel if step == "send" else outbox.Outbox
+    setattr(owner, step, wait)
+    with History(path) as store:
+        Notifier(store, read_rules(rules)).once()
+
+
+@pytest.mark.parametrize(("step", "n_messages"), [("send", 1), ("mark_sent", 2)])
+def test_a_program_killed_before_or_after_the_broker_accepts_loses_nothing(
+    tmp_path, step, n_messages
+):
+    """Killed after it, the program does not know: the message comes again, with the same id."""
+    from forked import run_apart
+
+    broker, path = Mosquitto(tmp_path).start(), str(fill(tmp_path / "a.db"))
+    try:
+        with listening(broker, tmp_path) as (rules, got), History(path) as store:
+            with run_apart(_notify_up_to, path, rules, step) as (process, out, err):
+                assert until(out.read_text, 30), err.read_text()
+                process.kill()
+                process.join()
+            assert until(lambda: len(got) == n_messages - 1)
+            (row,) = store.outbox().unsent()
+            later = Clock()
+            assert Notifier(store, read_rules(rules), lambda: datetime.now(UTC)).once() == (0, 0)
+            later.now = datetime.now(UTC) + timedelta(seconds=LEASE_S)
+            assert Notifier(store, read_rules(rules), later).once() == (1, 0)
+            assert until(lambda: len(got) == n_messages)
+            assert store.outbox().unsent() == []
+    finally:
+        broker.end()
+    (payload,) = {payload for _, payload in got}
+    assert json.loads(payload)["id"] == row["id"]
+
+
+@pytest.mark.slow
+def test_killed_at_random_moments_every_event_arrives_by_mqtt(tmp_path):
+    broker, path = Mosquitto(tmp_path).start(), str(fill(tmp_path / "a.db"))
+    try:
+        with listening(broker, tmp_path) as (rules, got), History(path) as store:
+            check_random_kills(store, path, rules)
+            bodies = [body for _, body in got]
+    finally:
+        broker.end()
+    check_events(bodies)

@@ -15,7 +15,7 @@ import pytest
 from live_frames import Mosquitto, encoded, frame, numbers, received, until
 
 from suspnet.live.broker import Broker
-from suspnet.live.mqtt import Mqtt, is_in_part, read_part
+from suspnet.live.mqtt import TAKEN_OVER, Mqtt, is_in_part, read_part
 from suspnet.live.sinks import MqttSink
 from suspnet.recordings.frames import MOST_SAMPLES, encode
 
@@ -258,6 +258,28 @@ def test_parts_share_the_suspensions(broker, opened):
     assert sum(map(len, found)) == 48
     expected = [[name for name in NAMES if is_in_part(name, k, 3)] for k in (1, 2, 3)]
     assert [list(dict.fromkeys(name for name, *_ in part)) for part in found] == expected
+
+
+@pytest.mark.slow  # the one that the broker tells of it ends, below
+def test_two_monitors_of_one_part_are_reported(broker, opened, caplog):
+    first = opened(Mqtt(at(broker), part="1/2"))
+    second = opened(Mqtt(at(broker), part="1/2"))
+    words = "does another monitor run with the same part, suspnet-monitor-1-of-2?"
+    assert until(lambda: words in caplog.text)
+    first.close()
+    send(opened(MqttSink(at(broker))), 1, suspension=ONE)
+    assert is_in_part(ONE, 1, 2)
+    assert len(received(second, 1)) == 1
+
+
+def test_monitor_whose_session_another_one_has_taken_ends(broker, opened):
+    source = opened(Mqtt(at(broker)))
+    source._client._sock.shutdown(socket.SHUT_RDWR)
+    source._on_disconnect(source._client, None, None, TAKEN_OVER, None)  # as newer brokers do
+    with pytest.raises(ValueError, match="another monitor has connected as 'suspnet-monitor-1-of-"):
+        source.receive(0.1)
+    time.sleep(0.3)
+    assert not source._is_connected
 
 
 def test_parts_of_names_are_disjoint_complete_and_of_like_size():

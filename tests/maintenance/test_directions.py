@@ -9,7 +9,8 @@ from trip_records import trip
 from suspnet.ground.records import Place, by_mileage
 from suspnet.history import History
 from suspnet.maintenance.directions import MOST, Z, direction_errors, opposite_pairs
-from suspnet.maintenance.series import Event, make_series, relative_results, series_of
+from suspnet.maintenance.relative import relative_results
+from suspnet.maintenance.series import Event, make_series, series_of
 
 NOISE = 0.007
 

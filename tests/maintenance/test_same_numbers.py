@@ -14,7 +14,7 @@ from suspnet.estimation.trip_settings import TripSettings
 from suspnet.ground.parameters import Cause
 from suspnet.ground.records import Place
 from suspnet.history import History
-from suspnet.maintenance.series import relative_results
+from suspnet.maintenance.relative import relative_results
 from suspnet.report import report
 from suspnet.report.board import Board, BoardSettings
 from suspnet.report.tensorboard import RunLog

@@ -13,8 +13,9 @@ from recording_files import write_mdf, write_tdms
 from suspnet.recordings.clocks import Times, Zero, offsets_s
 from suspnet.recordings.columns import Column
 from suspnet.recordings.errors import TripError
-from suspnet.recordings.manifest import CHANNELS, Source, TripManifest
+from suspnet.recordings.manifest import CHANNELS, TripManifest
 from suspnet.recordings.manifest_files import read_manifest
+from suspnet.recordings.manifest_sources import Source
 from suspnet.recordings.recording import Recording, load_recording
 
 RATE_HZ = 250.0

@@ -10,7 +10,8 @@ from scipy.signal import lfilter
 from suspnet.recordings.cleaning import Fault
 from suspnet.recordings.clock_drift import _compared, clock_faults, find_drift
 from suspnet.recordings.errors import TripError
-from suspnet.recordings.manifest import CHANNELS, Channel, TripManifest
+from suspnet.recordings.manifest import CHANNELS, TripManifest
+from suspnet.recordings.manifest_sources import Channel
 
 RATE_HZ, SECONDS = 100.0, 600.0
 AT = np.arange(round(RATE_HZ * SECONDS)) / RATE_HZ

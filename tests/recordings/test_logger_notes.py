@@ -1,10 +1,13 @@
 """What loggers write about a trip: names in German and English, numbers of both kinds."""
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from suspnet.recordings.formats import open_file
 from suspnet.recordings.logger_notes import Stated, key_of, read_value, stated_in
+from suspnet.recordings.reader_server import MOST_NOTES
 
 
 def values(*lines):
@@ -69,3 +72,16 @@ def test_names_of_columns_are_known_without_their_units():
     assert key_of("Kilometerstand [km]") == key_of("km_Stand") == "mileage_km"
     assert key_of("v GPS [km/h]") == ""
     assert read_value("start", "Datum", "gestern") is None
+
+
+def test_properties_of_a_tdms_file_are_limited_in_number_and_length(tmp_path):
+    nptdms = pytest.importorskip("nptdms")
+    properties = {"Fahrzeug": "am96", "comment": 10**6 * "x"}
+    properties |= {f"note {i}": "." for i in range(2 * MOST_NOTES)}
+    with nptdms.TdmsWriter(tmp_path / "a.tdms") as writer:
+        root, channel = nptdms.RootObject(properties), nptdms.ChannelObject("g", "a", np.ones(9))
+        writer.write_segment([root, channel])
+    with open_file(tmp_path / "a.tdms") as file:
+        assert len(file.notes) == MOST_NOTES
+        assert sum(map(len, file.notes)) < 10**5
+        assert stated_in(file.notes)["vehicle"].value == "am96"

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from suspnet.ground.records import Place
 from suspnet.recordings.errors import TripError
-from suspnet.recordings.manifest import CHANNELS, SIDES, Channel, SpeedSource, TripManifest
+from suspnet.recordings.manifest import CHANNELS, TripManifest
 from suspnet.recordings.manifest_files import (
     ManifestFile,
     find_manifests,
@@ -19,6 +19,7 @@ from suspnet.recordings.manifest_files import (
     write_manifest,
 )
 from suspnet.recordings.manifest_keys import DELIMITERS, CsvDialect
+from suspnet.recordings.manifest_sources import SIDES, Channel, SpeedSource
 
 TRIP = """
 format: suspnet-trip-1

@@ -13,7 +13,8 @@ from suspnet.recordings.columns import size_of, unit_in_name
 from suspnet.recordings.errors import TripError
 from suspnet.recordings.formats import READERS, open_columns, open_file
 from suspnet.recordings.logger_files import open_uff
-from suspnet.recordings.manifest import Channel, SpeedSource, TripManifest
+from suspnet.recordings.manifest import TripManifest
+from suspnet.recordings.manifest_sources import Channel, SpeedSource
 from suspnet.recordings.mdf_files import open_mdf
 from suspnet.recordings.sources import open_source
 

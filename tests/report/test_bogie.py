@@ -20,7 +20,8 @@ from suspnet.ground.parameters import (
 )
 from suspnet.ground.records import NO_PART, Place, Quality
 from suspnet.history import History
-from suspnet.maintenance.series import Event, relative_to_first, series_of
+from suspnet.maintenance.relative import relative_to_first
+from suspnet.maintenance.series import Event, series_of
 from suspnet.maintenance.state import State
 from suspnet.report.board import BoardSettings
 from suspnet.report.bogie import NONE_NAMED, bogie_of, group_words, why_no_part, worn_entries

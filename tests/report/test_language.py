@@ -16,6 +16,7 @@ from suspnet.report.language import LANGUAGES, best_of, catalogue, check_languag
 from suspnet.report.messages import subject, text
 from suspnet.report.sentences import PATTERNS, spoken
 from suspnet.report.templates import LABELS, render
+from suspnet.trips.check_page import READY, TripCheck, write_checks
 
 ROOT = Path(__file__).parents[2]
 FOLDER = ROOT / "suspnet/report/locale/de/LC_MESSAGES"
@@ -108,7 +109,21 @@ def test_sentences_are_german():
         "1 ohne Alarm.",
         "fell by 3.5 % at about 12 000 km (alarm since 14 000 km); within its limits": "sank um "
         "3,5 % bei etwa 12 000 km (Alarm seit 14 000 km); innerhalb der Grenzen",
+        "`channels.body.unit` must be one of ['m/s2', 'g'], got 'mm/s2'; give ['g']": "`channels."
+        "body.unit`: verlangt ist eines von ['m/s2', 'g'], angegeben ist 'mm/s2'; ['g'] angeben",
         "worn, odds over 1000 : 1": "verschlissen, Chancen über 1000 : 1",
+        "Worn parts on 3 of the last 5 trips; on trip_039: c_p of axle 1, left at 62 % of healthy "
+        "(odds over 1000 : 1); k_s of left or c_s of left at 83.1 % of healthy (odds 41 : 1, which "
+        "of them is not known).": "Verschlissene Teile auf 3 der letzten 5 Fahrten; auf trip_039: "
+        "c_p von Achse 1 links bei 62 % des Referenzwerts (Chancen über 1000 : 1); k_s von links "
+        "oder c_s von links bei 83,1 % des Referenzwerts (Chancen 41 : 1; welches davon, ist "
+        "unbekannt).",
+        "body: spike of 12 samples (1.17e+03 s) from 3.1 s on, repaired; bogie right: loose from "
+        "about 183 s on: it shows nothing there of the motion that the others show, and that part "
+        "is left out; check its cable and connector": "body: Spitze über 12 Abtastwerte "
+        "(1,17e+03 s) ab 3,1 s, repariert; bogie right: lose ab etwa 183 s: zeigt dort nichts von "
+        "der Bewegung, die die anderen zeigen; dieser Teil bleibt unberücksichtigt; Kabel und "
+        "Stecker prüfen",
         "damping of the primary damper, axle 2, left": "Dämpfung des Primärdämpfers, Achse 2, "
         "links",
         str(Place("air spring 3", "leading", "left", "ICE 4", "7")): "Zug ICE 4, Wagen 7, "
@@ -128,6 +143,19 @@ def test_every_name_of_a_part_is_german():
             assert not set(spoken(name).split()) & set(name.replace(",", "").split()) - {"1", "2"}
         for _, label in LABELS.values():
             assert spoken(label) != label or catalogue("de").gettext(label) != label
+
+
+def test_what_is_wrong_with_trips_is_german():
+    """Of the tables of docs/recordings.md, all but those of manifests, files and clocks."""
+    page = (ROOT / "docs/recordings.md").read_text(encoding="utf-8")
+    blocks = re.findall(r"<!-- reasons -->\n(.*?)<!-- end of reasons -->", page, re.DOTALL)[3:]
+    reasons = re.findall(r"^\| ``(.+?)`` \|", "".join(blocks), re.MULTILINE)
+    assert len(reasons) > 80
+    english = r"\b(?:the|is|are|and|or|of|to|that|with|which|its|not|at|by|from|for)\b"
+    with speaking("de"):
+        for reason in reasons:
+            said = re.sub(r"`[^`]*`|\S+=\S+", "", spoken(reason.strip()))
+            assert not re.search(english, said), said
 
 
 @given(st.sampled_from(PATTERNS), st.text(max_size=300))
@@ -198,3 +226,29 @@ def test_mails_are_german():
     ]
     place = "am96: Zug 12, Wagen 3, vorderes Drehgestell, links: k_s"
     assert at_once == f"suspnet: Eingriff: {place} und 1 weitere"
+
+
+def test_page_of_a_check_is_german_and_its_data_are_english(tmp_path):
+    bad = TripCheck(Path("a.yaml"), problems=("bogie: clock jumps by +15 ms against that of body",))
+    dead = "body: dead and left out: it is constant (0) throughout: is the sensor connected?"
+    good = TripCheck(
+        Path("b.yaml"),
+        READY,
+        remarks=(dead,),
+        vehicle="am96",
+        place=Place("S1", "leading"),
+        sensors="single sensors",
+    )
+    with speaking("de"):
+        page = write_checks([bad, good], ["there is no file or folder x"], tmp_path).read_text()
+    for said in (
+        "1 von 2 Fahrten bereit für eine Schätzung, 1 mit Problemen",
+        "es gibt weder Datei noch Ordner x",
+        "am96, S1, vorderes Drehgestell: 1 von 1 Fahrten bereit; eine Inbetriebnahme braucht 3",
+        "body: tot und weggelassen: durchweg konstant (0): Ist der Sensor angeschlossen?",
+        "einzelne Sensoren",
+    ):
+        assert said in page.replace("\N{NO-BREAK SPACE}", " ")
+    content = (tmp_path / "check.json").read_text()
+    assert dead in content
+    assert "bereit" not in content

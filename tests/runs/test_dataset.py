@@ -148,6 +148,26 @@ def test_a_file_that_leads_to_others_is_refused(few, how, tmp_path):
         read_dataset(path)
 
 
+@pytest.mark.parametrize("how", ["packed.npz", "header.npz", "packed.h5", "empty.h5"])
+def test_a_small_file_that_unpacks_to_a_large_one_is_refused(few, how, tmp_path):
+    path, zeros = tmp_path / how, np.zeros((1000, 1000))
+    if how == "packed.npz":
+        np.savez_compressed(path, X=zeros)
+    elif how == "header.npz":
+        np.savez(path, X=zeros)
+        path.write_bytes(path.read_bytes().replace(b"(1000, 1000)", b"(99999,99999)"))
+    else:
+        write_dataset(few, path)
+        with h5py.File(path, "a") as file:
+            del file["X"]
+            if how == "packed.h5":
+                file.create_dataset("X", data=zeros, compression="gzip")
+            else:
+                file.create_dataset("X", (10**6, 10**6), float)
+    with pytest.raises(ValueError, match="is no data set of suspnet"):
+        read_dataset(path)
+
+
 def test_missing_h5py_says_what_to_install(few, tmp_path, monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "h5py", None)
     with pytest.raises(ModuleNotFoundError, match=r"suspnet\[hdf5\]"):

@@ -22,7 +22,7 @@ from suspnet.runs.predict import calibrated, predict_stream
 from suspnet.spectra.curves import CurveMisfit, CurveSettings
 from suspnet.spectra.estimates import EstimateSettings
 
-SETTINGS = CurveSettings(300, 200, 300, low_hz=0.3, high_hz=12.0, step_hz=0.08, cache_dir=None)
+SETTINGS = CurveSettings(300, 200, 300, low_hz=0.3, high_hz=12.0, step_hz=0.04, cache_dir=None)
 METHODS = {
     "msvr": lambda: MSVR(1e4, 8.0, 1e-3, n_components=256),
     "linear": LinearRegression,
@@ -270,7 +270,7 @@ def test_curves_that_do_not_tell_the_outputs_cannot_be_refined():
 
 
 def test_curve_fit_cannot_read_trips():
-    settings = EstimateSettings(40, 8, None, minutes=5.0, cache_dir=None)
+    settings = EstimateSettings(300, 20, None, minutes=5.0, cache_dir=None)
     task = shipped_protocol("trips").task("all")
     problem = Problem(VerticalVehicle(AM96), task, settings, progress=False)
     model = fit(problem, CurveFit(8), None)

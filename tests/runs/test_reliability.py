@@ -34,7 +34,7 @@ from suspnet.runs.reliability import (
 from suspnet.spectra.curves import CurveSettings
 from tests.vehicles import AM96
 
-SETTINGS = CurveSettings(500, 200, 600, low_hz=0.3, high_hz=12.0, step_hz=0.08, cache_dir=None)
+SETTINGS = CurveSettings(n_train=500, n_test=200, n_calibrate=600, step_hz=0.08, cache_dir=None)
 ICE3 = Vehicle("ice3", 1750.0, 10000.0, 1.2e6, 10e3, 0.35e6, 20e3)
 
 

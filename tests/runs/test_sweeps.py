@@ -77,6 +77,16 @@ def test_seeds_are_averaged_where_nothing_else_differs(tmp_path):
     }
 
 
+def test_a_seed_of_a_model_that_is_fixed_is_one_setting(tmp_path):
+    for seed in (0, 1):
+        finished(
+            tmp_path, f"{seed}", seed, "primary", {"k_p": 2.0 + seed}, part={"random_state": 0}
+        )
+    finished(tmp_path, "2", 1, "primary", {"k_p": 9.0}, part={"random_state": 7})
+    found = {row["jobs"]: (row["n"], row["k_p"]) for row in seed_rows(tmp_path, job_rows(tmp_path))}
+    assert found == {"0": (2, 2.5), "2": (1, 9.0)}
+
+
 def test_tables_of_a_sweep_show_the_seeds(tmp_path):
     sweep(tmp_path)
     Jobs().on_multirun_end(OmegaConf.create({"hydra": {"sweep": {"dir": str(tmp_path)}}}))

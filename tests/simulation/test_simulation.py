@@ -13,8 +13,9 @@ from suspnet.dynamics import PARAMETERS, QuarterCar, VerticalVehicle
 from suspnet.dynamics.quantities import UNMEASURED
 from suspnet.dynamics.track import TrackProfile, make_profile, track_spectrum
 from suspnet.ground.storage import read_json
-from suspnet.recordings.manifest import CHANNELS, Channel, SpeedSource
+from suspnet.recordings.manifest import CHANNELS
 from suspnet.recordings.manifest_files import read_manifest
+from suspnet.recordings.manifest_sources import Channel, SpeedSource
 from suspnet.simulation.fleet import Scenario
 from suspnet.simulation.signals import (
     BLOCK,

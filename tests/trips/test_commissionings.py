@@ -17,7 +17,8 @@ from suspnet.dynamics.quantities import LogNormal
 from suspnet.estimation.fitted import ModelFileError
 from suspnet.estimation.trip_settings import TripSettings
 from suspnet.ground.parameters import DEFAULT_LIMITS
-from suspnet.ground.records import Commissioning, relative_to_first_healthy
+from suspnet.ground.records import Commissioning
+from suspnet.maintenance.relative import relative_to_first_healthy
 from suspnet.maintenance.series import series_of
 from suspnet.report.maintenance_figures import health_trend
 from suspnet.report.trend import AGAIN_OF_FIRST

@@ -15,7 +15,8 @@ from suspnet.ground.parameters import COMPONENTS
 from suspnet.ground.records import ERROR
 from suspnet.history import History
 from suspnet.maintenance import Acknowledgement, Cause, Severity
-from suspnet.maintenance.series import Event, between
+from suspnet.maintenance.relative import between
+from suspnet.maintenance.series import Event
 from suspnet.trips import fleet as fleet_module
 from suspnet.trips.earlier import with_earlier
 from suspnet.trips.fleet import FleetSettings, evaluate_fleet

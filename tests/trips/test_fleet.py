@@ -25,6 +25,7 @@ from suspnet.estimation.fitted import ModelFileError
 from suspnet.estimation.trip_settings import TripSettings
 from suspnet.ground import workers
 from suspnet.ground.parameters import DEFAULT_LIMITS, Severity
+from suspnet.ground.records import NO_PART
 from suspnet.ground.storage import read_arrays, read_plain
 from suspnet.maintenance.series import series_of
 from suspnet.maintenance.state import State
@@ -638,6 +639,15 @@ def test_reasons_are_whole_in_the_summary_and_in_the_table(alone, tmp_path):
     write_tables(results, OUTPUTS, tmp_path)
     assert [row["flags"] for row in rows(tmp_path / "trips.csv")] == [words, "", words]
     assert "1 is flagged" in summary(results[1:], OUTPUTS)
+
+
+def test_trip_without_its_parts_says_why_and_which_faults_it_has(alone):
+    why = f"{NO_PART}misfit 24 times that of noise"
+    quality = replace(alone[0].quality, warnings=f"a sensor is alone; {why}", faults="a is loose")
+    _, *reasons = summary([replace(alone[0], quality=quality), alone[1]], OUTPUTS).split("\n\n")
+    assert reasons == [f"{alone[0].trip}: {why}; a is loose"]
+    read = replace(alone[0], quality=replace(quality, warnings=""))
+    assert "loose" not in summary([read], OUTPUTS)
 
 
 def test_coverage_is_the_naive_one(alone):

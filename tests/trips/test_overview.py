@@ -58,6 +58,32 @@ def bogie_of(folder):
 # the whole way
 
 
+def test_one_pool_reads_all_suspensions_in_any_order(
+    models, made_up, no_figures, tmp_path, monkeypatch
+):
+    folder = tmp_path / "trips"
+    for car in (1, 2, 3):
+        write(folder / f"{car}", 100, 90 + car, suspension=f"car {car}", bogie="leading")
+    several = replace(SETTINGS, workers=2)
+    calls, kept = [], {}
+    monkeypatch.setattr(fleet.FinishedTrips, "made_from", lambda _, file: file.path)
+    monkeypatch.setattr(fleet.FinishedTrips, "read", lambda _, path: kept.get(path))
+    monkeypatch.setattr(fleet.FinishedTrips, "write", lambda _, path, one: kept.update({path: one}))
+
+    def read(function, items, n_workers):
+        calls.append((len(items), n_workers))
+        return [(item, function(item)) for item in items[::-1]]
+
+    monkeypatch.setattr(fleet, "each", read)
+    found = evaluate_fleet(folder, models, tmp_path / "out", several, progress=False)
+    assert calls == [(6, 2)]
+    k_s = {one.name: {r.estimates["k_s"] for r in one.results} for one in found}
+    assert k_s == {f"{car}": {1.0, (90 + car) / 100} for car in (1, 2, 3)}
+    again = evaluate_fleet(folder, models, tmp_path / "out", several, progress=False)
+    assert calls == [(6, 2), (0, 2)]  # all trips are finished
+    assert [one.name for one in again] == [one.name for one in found]
+
+
 def test_each_suspension_has_its_model_and_the_worst_is_first(
     models, made_up, no_figures, tmp_path, caplog
 ):

@@ -458,6 +458,6 @@ def test_texts_of_figures_are_german_but_not_what_ticks_name():
         image = figures.as_svg(figure)
     assert image
     shown = [axis.get_ylabel(), axis.get_xlabel(), axis.get_title()]
-    assert shown == ["$k_p$ [% des Referenzwerts]", "Laufleistung [1000 km]", "Fahrt bei 3 000 km"]
+    assert shown == ["$k_p$ [% Referenz]", "Laufleistung [1000 km]", "Fahrt bei 3 000 km"]
     assert figure.legends[0].get_texts()[0].get_text() == "Eingriffsgrenze"
     assert [one.get_text() for one in axis.get_yticklabels()] == ["train left", "right"]
