@@ -125,6 +125,27 @@ def _configurations_composed_once():
         yield
 
 
+@pytest.fixture(scope="module")
+def trips_fitted_once():
+    """Fit the same trips once for all boards of a module, which is most of the time of a view."""
+    import pickle
+
+    from suspnet.maintenance import fleet, life
+
+    known, fit = {}, life.fit_trips
+
+    def once(*given):
+        key = pickle.dumps(given)
+        if key not in known:
+            known[key] = fit(*given)
+        return known[key]
+
+    with pytest.MonkeyPatch.context() as patch:
+        for one in (life, fleet):
+            patch.setattr(one, "fit_trips", once)
+        yield
+
+
 @pytest.fixture
 def blank():
     from cli_runner import blank_figures

@@ -45,7 +45,7 @@ from suspnet.spectra.estimates import EstimateSettings
 ROOT = Path(__file__).parents[2]
 CURVES = CurveSettings(cache_dir=None)
 COARSE = CurveSettings(step_hz=0.1, cache_dir=None)
-TRIP = EstimateSettings(minutes=10.0, cache_dir=None).bound(AM96)
+TRIP = EstimateSettings(minutes=10.0, segment_s=10.0, cache_dir=None).bound(AM96)
 QUARTER_CAR, PITCHING = QuarterCar(AM96), VerticalVehicle(AM96)
 RATIOS = with_healthy(np.array([[0.8, 1.3, 1.2, 0.9, 1.1], [1.5, 0.7, 0.6, 1.8, 0.9]]))
 HEALTHY = np.ones(5)

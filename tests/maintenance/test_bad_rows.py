@@ -15,6 +15,7 @@ from suspnet.maintenance.alarms import Acknowledgement, Alarm
 from suspnet.maintenance.series import Event
 from suspnet.report.board import Board, BoardSettings
 
+pytestmark = pytest.mark.usefixtures("trips_fitted_once")
 SETTINGS = BoardSettings(today="2026-03-01")
 SIDES = [place("left"), place("right")]
 FIRST = "UPDATE {} SET {} = {} WHERE rowid = (SELECT MIN(rowid) FROM {})"

@@ -16,7 +16,6 @@ from suspnet.ground.parameters import Cause, Severity
 from suspnet.ground.records import Place
 from suspnet.history import History, HistoryError
 from suspnet.maintenance import fleet as fleet_module
-from suspnet.maintenance import life
 from suspnet.maintenance.alarms import OWN_CAUSES, Acknowledgement, Alarm
 from suspnet.maintenance.fleet import fleet_state
 from suspnet.maintenance.plan import make_plan, parts_of, trains_of
@@ -25,6 +24,7 @@ from suspnet.report import board as module
 from suspnet.report.board import Board, BoardSettings
 from suspnet.report.tables import address
 
+pytestmark = pytest.mark.usefixtures("trips_fitted_once")
 TODAY = "2026-03-01"
 SETTINGS = BoardSettings(today=TODAY)
 FAILED = {"k_s": np.where(np.arange(N_TRIPS) < 38, 1.0, 1.5)}
@@ -38,23 +38,6 @@ FLEET = {
     place("right", "4"): trips(place("right", "4"), 3),
     place("left", "5"): trips(place("left", "5"), 4),
 }
-
-
-@pytest.fixture(scope="module", autouse=True)
-def _trips_fitted_once():
-    """Fit the same trips once for all boards, which is most of the time of a view."""
-    known, fit = {}, life.fit_trips
-
-    def once(*given):
-        key = pickle.dumps(given)
-        if key not in known:
-            known[key] = fit(*given)
-        return known[key]
-
-    with pytest.MonkeyPatch.context() as patch:
-        for one in (life, fleet_module):
-            patch.setattr(one, "fit_trips", once)
-        yield
 
 
 @pytest.fixture(scope="module")

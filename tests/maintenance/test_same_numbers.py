@@ -21,6 +21,7 @@ from suspnet.report.tensorboard import RunLog
 from suspnet.trips import fleet
 from suspnet.trips.fleet import FleetSettings, evaluate_fleet
 
+pytestmark = pytest.mark.usefixtures("trips_fitted_once")
 K_AND_C = ("k_p", "c_p", "k_s", "c_s")
 SEED = 3
 NAMES = ("worn", "failed", "flagged", "few", "left", "right", "unsure")

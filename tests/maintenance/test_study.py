@@ -25,7 +25,7 @@ from suspnet.report.tables import overview_rows, overview_table
 from suspnet.report.templates import render
 from suspnet.runs.evaluate import write_maintenance
 
-pytestmark = pytest.mark.usefixtures("blank")
+pytestmark = pytest.mark.usefixtures("blank", "trips_fitted_once")
 
 TODAY = "2026-03-01"
 SEEN = "2026-02-01T08:00:00+00:00"
