@@ -175,16 +175,13 @@ class BogieSearch:
         return starts[int(np.argmin(costs))]
 
     def found(self, explained: float) -> Found:
-        """Return the first end of `widened` of at most that misfit, or that of the least."""
-        best = None
+        """Return the first end that converged with at most that misfit, or that of the least."""
+        ends = []
         for rough in ROUGH:
-            one = self.widened(rough)
-            if best is None or one.misfit < best.misfit:
-                best = one
-            if one.converged and one.misfit <= explained:
-                break
-        assert best is not None
-        return best
+            ends.append(self.widened(rough))
+            if ends[-1].converged and ends[-1].misfit <= explained:
+                return ends[-1]
+        return min(ends, key=lambda one: one.misfit)
 
     def widened(self, rough: float) -> Found:
         """Return the end of the searches from the healthy vehicle."""

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -197,6 +198,25 @@ def test_parts_are_found_without_the_sensor_that_sensitivities_are_relative_to()
     assert found.converged
     np.testing.assert_allclose(found.values, given[0].numpy(), rtol=3e-3)
     assert (found.deviations > known.estimate(one, start=start).deviations).all()
+
+
+@pytest.mark.parametrize(
+    ("misfits", "converged", "chosen"),
+    [
+        ((1.0, 9.0), (True, True), 0),
+        ((1.05, 1.06), (False, True), 1),
+        ((1.3, 1.2), (True, True), 1),
+        ((1.2, 1.3), (True, True), 0),
+    ],
+)
+def test_another_start_is_tried_where_the_first_fails(monkeypatch, misfits, converged, chosen):
+    ends = [SimpleNamespace(misfit=m, converged=c) for m, c in zip(misfits, converged, strict=True)]
+    left = iter(ends)
+    monkeypatch.setattr(BogieSearch, "widened", lambda *_: next(left))
+    one = trip(drawn(VEHICLE, row({}), 5), 70.0)
+    found = BogieSearch(VEHICLE, [NOISE], [one], are_healthy=False).found(explained=1.15)
+    assert found is ends[chosen]
+    assert len(list(left)) == (misfits[0] == 1.0)
 
 
 # property
