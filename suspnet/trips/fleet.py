@@ -206,33 +206,34 @@ def _reported(group: Group, done: list[Evaluated], is_alone: bool) -> Iterator[N
 
 
 @dataclass(frozen=True, eq=False)
-class _Plan:
-    """Trips of one suspension: those to be read, with what they are made from, and results."""
-
-    group: Group
-    models: Sequence[TrainedModel]
-    output: Path
-    limits: Mapping[str, Limits]
-    finished: FinishedTrips
-    waiting: dict[ManifestFile, Any]
-    results: list[TripResult]
-
-
-@dataclass(frozen=True, eq=False)
-class _Read:
-    """Trips of one suspension, with earlier ones from the store, and their output folder."""
+class _Suspension:
+    """A suspension with its models, its output folder, and the results of its trips."""
 
     group: Group
     models: Sequence[TrainedModel]
     output: Path
     limits: Mapping[str, Limits]
     results: list[TripResult]
-    commissionings: list[Commissioning]
-    series: Series
 
     @property
     def vehicle(self) -> str:
         return self.models[0].vehicle.name
+
+
+@dataclass(frozen=True, eq=False)
+class _Plan(_Suspension):
+    """A suspension of which trips are still to be read, with what they are made from."""
+
+    finished: FinishedTrips
+    waiting: dict[ManifestFile, Any]
+
+
+@dataclass(frozen=True, eq=False)
+class _Read(_Suspension):
+    """A suspension whose trips are read; `results` are also those of the store."""
+
+    commissionings: list[Commissioning]
+    series: Series
 
 
 def _plan(
@@ -254,13 +255,12 @@ def _plan(
         if result is not None:
             waiting.pop(file, None)
             results.append(result)
-    return _Plan(group, fitting, output, limits, finished, waiting, results)
+    return _Plan(group, fitting, output, limits, results, finished, waiting)
 
 
 def _read(plan: _Plan, settings: FleetSettings, store: History | None) -> _Read:
     """Return the trips of a suspension whose trips are all read, after storing them."""
-    group, fitting = plan.group, plan.models
-    vehicle = fitting[0].vehicle.name
+    group, fitting, vehicle = plan.group, plan.models, plan.vehicle
     results = [replace(result, place=group.place) for result in plan.results]
     events: list[Event] = []
     if store is not None:
