@@ -111,13 +111,6 @@ def commission_folder(
     return found, commission_trips(found, generator, settings, progress=progress)
 
 
-def commission_parts(
-    found: HealthyTrips, generator: ResponseGenerator, trips: TripSettings
-) -> CommissionedBogie:
-    """Return the bogie that healthy trips show, part by part; raises as `parts_of` does."""
-    return reported(parts_of(found, generator, trips)())
-
-
 def parts_of(
     found: HealthyTrips, generator: ResponseGenerator, trips: TripSettings
 ) -> Callable[[], CommissionedBogie]:

@@ -33,7 +33,7 @@ from suspnet.recordings.manifest_sources import Channel
 from suspnet.recordings.recording import joined, load_recording
 from suspnet.recordings.sensor import SensorSignal
 from suspnet.runs import commissioning
-from suspnet.runs.commissioning import commission_parts
+from suspnet.runs.commissioning import parts_of, reported
 from suspnet.simulation import Fleet
 from suspnet.spectra.segments import NoEstimateError, recording_segments
 from suspnet.spectra.sensor_health import sensor_health
@@ -120,7 +120,7 @@ def test_search_that_did_not_end_is_told(short, monkeypatch, caplog, converged):
     groups = [SimpleNamespace(trip=i, direction="forward") for i in range(3)]
     healthy = SimpleNamespace(manifests=[short.manifest] * 3, groups=groups)
     with caplog.at_level("WARNING"):
-        found = commission_parts(healthy, VerticalVehicle(AM96), TripSettings())
+        found = reported(parts_of(healthy, VerticalVehicle(AM96), TripSettings())())
     assert found is bogie
     assert ("wrong ones may be named" in caplog.text) == (not converged)
 
@@ -215,7 +215,7 @@ def test_healthy_trips_must_show_the_parts_alike():
     ):
         trips = HealthyTrips(tuple(map(manifest_of, several)), (), (True, False, False))
         with pytest.raises(TripError, match=message):
-            commission_parts(trips, VerticalVehicle(AM96), TripSettings())
+            parts_of(trips, VerticalVehicle(AM96), TripSettings())
 
 
 @pytest.mark.slow  # test_bogie_fit.py: drawn spectra of a smaller vehicle
