@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,6 +16,7 @@ from sqlalchemy.engine import Connection
 from suspnet.ground.parameters import ESTIMATED
 from suspnet.ground.records import (
     HIGHEST_KM,
+    OK,
     VALUES,
     Key,
     TripCurves,
@@ -28,8 +29,16 @@ from suspnet.ground.storage import DamagedFileError, dump_arrays, load_arrays
 from suspnet.ground.times import utc
 from suspnet.ground.types import ComplexArray, FloatArray
 from suspnet.history.database import HistoryError, upsert
-from suspnet.history.schema import BadRow, bad_row, check_types, curves, suspensions, trips
-from suspnet.history.suspensions import is_one_of, known_suspensions, read_stored
+from suspnet.history.schema import (
+    BadRow,
+    bad_row,
+    check_types,
+    curves,
+    suspensions,
+    trip_key,
+    trips,
+)
+from suspnet.history.suspensions import is_of, is_one_of, known_suspensions, read_stored
 from suspnet.maintenance.directions import SIGNS
 from suspnet.maintenance.series import NUMBERS, Event, Series, with_estimates
 
@@ -41,6 +50,8 @@ VALUE_COLUMNS = [
 ]
 N_NUMBERS = 2 + len(NUMBERS) + len(VALUE_COLUMNS)
 """Number of numeric columns: suspension, whether flagged, ``NUMBERS`` and ``VALUE_COLUMNS``."""
+SAME = 1e-9
+"""Largest relative difference of two healthy values that count as equal."""
 NOT_NEGATIVE = {"mileage_km", *VALUE_COLUMNS[len(ESTIMATED) :]}
 Block = tuple[
     FloatArray, NDArray[np.str_], NDArray[np.datetime64], NDArray[np.str_], NDArray[np.object_]
@@ -48,17 +59,75 @@ Block = tuple[
 """Columns of some trips: numbers of shape (n_trips, ``N_NUMBERS``), and ``TEXTS``."""
 
 
-def read_series(
-    connection: Connection, bad: list[BadRow], keys: Collection[Key] | None = None
-) -> list[Series]:
-    """Return all trips of each suspension, or of those in `keys`, sorted by vehicle and place.
+@dataclass(frozen=True)
+class Reference:
+    """A healthy state to which estimates are relative.
 
-    Unreadable rows are left out and appended to `bad`.
+    `since_km` is the mileage of its first healthy trip, [km], NaN for a nominal vehicle;
+    `healthy_si` are its values, [N/m, N s/m, kg].
     """
-    names = {one: key for one, (key, _) in known_suspensions(connection).items()}
+
+    since_km: float
+    healthy_si: Mapping[str, float]
+
+
+def is_comparable(
+    references: Iterable[Reference], results: Sequence[TripResult]
+) -> sql.ColumnElement[bool]:
+    """Return the condition that a trip is relative to one of `references`, or has no estimate.
+
+    It also holds for the trips of `results`.
+    """
+    own = trips.c.key.in_([trip_key(one) for one in results])
+    return _certain(sql.or_(trips.c.status != OK, own, *map(_is_relative_to, references)))
+
+
+def is_dated_again(results: Sequence[TripResult]) -> sql.ColumnElement[bool]:
+    """Return the condition that a trip with a start is one of `results` that has none."""
+    undated = [one for one in results if not one.start]
+    same = (
+        sql.and_(trips.c.trip == one.trip, _is(trips.c.mileage_km, one.mileage_km))
+        for one in undated
+    )
+    return _certain(sql.and_(trips.c.start != "", sql.or_(sql.false(), *same)))
+
+
+def _is_relative_to(one: Reference) -> sql.ColumnElement[bool]:
+    columns = {VALUES["healthy_si"].format(name): value for name, value in one.healthy_si.items()}
+    if not all(map(math.isfinite, columns.values())):
+        return sql.false()
+    same = (
+        sql.func.abs(trips.c[name] - value) <= SAME * abs(value) for name, value in columns.items()
+    )
+    return sql.and_(_is(trips.c.healthy_since_km, one.since_km), *same)
+
+
+def _certain(condition: sql.ColumnElement[bool]) -> sql.ColumnElement[bool]:
+    """Return a condition that is false, not NULL, where a column is NULL."""
+    return sql.func.coalesce(condition, sql.false())
+
+
+def _is(column: sql.Column[float], value: float) -> sql.ColumnElement[bool]:
+    """Return the condition that a column has a value; NaN is NULL there."""
+    return column.is_(None) if math.isnan(value) else column == value
+
+
+def read_series(
+    connection: Connection,
+    bad: list[BadRow],
+    keys: Collection[Key] | None = None,
+    where: sql.ColumnElement[bool] | None = None,
+) -> list[Series]:
+    """Return the trips of each suspension, or of those in `keys`, sorted by vehicle and place.
+
+    `where` selects trips. Unreadable rows are left out and appended to `bad`.
+    """
+    one_key = is_of(*next(iter(keys))) if keys is not None and len(keys) == 1 else None
+    names = {one: key for one, (key, _) in known_suspensions(connection, one_key).items()}
     chosen = None if keys is None else [one for one, key in names.items() if key in keys]
-    events = read_stored(connection, Event, bad)
-    numbers, texts, starts, sensors, worn = _columns(connection, chosen, names, bad)
+    of_chosen = None if chosen is None else is_one_of(suspensions.c.id, chosen)
+    events = read_stored(connection, Event, bad, of_chosen)
+    numbers, texts, starts, sensors, worn = _columns(connection, chosen, names, bad, where)
     owner, km = numbers[:, 0].astype(np.int64), numbers[:, 2]
     order = np.lexsort((texts, km, owner))  # NaN last
     numbers, texts, starts = numbers[order], texts[order], starts[order]
@@ -95,7 +164,11 @@ def read_series(
 
 
 def _columns(
-    connection: Connection, chosen: list[int] | None, names: Mapping[int, Key], bad: list[BadRow]
+    connection: Connection,
+    chosen: list[int] | None,
+    names: Mapping[int, Key],
+    bad: list[BadRow],
+    where: sql.ColumnElement[bool] | None,
 ) -> Block:
     sign = sql.case(*((trips.c.direction == one, number) for one, number in SIGNS.items()))
     columns = [
@@ -106,6 +179,8 @@ def _columns(
     query = sql.select(trips.c.suspension_id, flagged, *columns, *texts, trips.c.id)
     if chosen is not None:
         query = query.where(is_one_of(trips.c.suspension_id, chosen))
+    if where is not None:
+        query = query.where(where)
     blocks = [_block([])]
     for rows in connection.execute(query, execution_options={"yield_per": ROWS}).partitions():
         blocks += _readable(rows, names, bad)

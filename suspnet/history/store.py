@@ -13,7 +13,15 @@ from sqlalchemy.exc import SQLAlchemyError
 
 from suspnet.ground.parameters import Cause
 from suspnet.ground.records import Key, Place, TripResult
-from suspnet.history.arrays import TripResponses, read_responses, read_series, write_curves
+from suspnet.history.arrays import (
+    Reference,
+    TripResponses,
+    is_comparable,
+    is_dated_again,
+    read_responses,
+    read_series,
+    write_curves,
+)
 from suspnet.history.database import (
     WAIT_S,
     HistoryError,
@@ -27,7 +35,15 @@ from suspnet.history.database import (
     version_of,
 )
 from suspnet.history.outbox import Outbox
-from suspnet.history.schema import SCHEMA, BadRow, log_once, row_of, trips, undated_key
+from suspnet.history.schema import (
+    SCHEMA,
+    BadRow,
+    log_once,
+    row_of,
+    suspensions,
+    trips,
+    undated_key,
+)
 from suspnet.history.suspensions import (
     Stored,
     add_suspensions,
@@ -169,6 +185,36 @@ class History:
         """
         with self._reading() as connection:
             return read_series(connection, self.bad_rows, None if keys is None else set(keys))
+
+    def comparable(
+        self,
+        vehicle: str,
+        place: Place,
+        references: Sequence[Reference],
+        results: Sequence[TripResult] = (),
+    ) -> tuple[Series | None, int]:
+        """Return the trips of a suspension that are relative to one of some healthy states.
+
+        Trips without an estimate are included, and those of `results`, which have just been stored.
+        If one of these has no start, others of its name and mileage are the same trip and left out.
+
+        Returns
+        -------
+        Series or None
+            None if there is no such trip.
+        int
+            Number of trips that are relative to another healthy state.
+        """
+        chosen, once = is_comparable(references, results), ~is_dated_again(results)
+        others = (
+            sql.select(trips.c.id).join(suspensions).where(is_of(vehicle, place), ~chosen, once)
+        )
+        with self._reading() as connection:
+            found = read_series(connection, self.bad_rows, {(vehicle, place)}, chosen & once)
+            n_others = connection.execute(
+                sql.select(sql.func.count()).select_from(others.subquery())
+            )
+            return next(iter(found), None), int(n_others.scalar_one())
 
     def responses(self, vehicle: str, place: Place) -> list[TripResponses]:
         """Return the stored transfer functions of a suspension by mileage.

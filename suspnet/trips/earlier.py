@@ -27,16 +27,22 @@ from suspnet.ground.records import (
     to_row,
 )
 from suspnet.history import History
+from suspnet.history.arrays import Reference
 from suspnet.history.schema import trip_key, undated_key
 from suspnet.maintenance.alarms import OWN_CAUSES, Alarm, watch
 from suspnet.maintenance.change import ChangeSettings
-from suspnet.maintenance.series import series_of
 from suspnet.recordings.manifest_files import ManifestFile
 from suspnet.trips.commissionings import since_km
 
 log = logging.getLogger(__name__)
 FOLDER = "finished_trips"
 """Subfolder of an evaluation's output that holds its trips' results."""
+LEFT_OUT = (
+    "{}: {} earlier trips of {} are relative to another healthy vehicle than these models' and are "
+    "left out; name that model's run too: run=[EARLIER,LATER]"
+)
+_LOGGED: set[str] = set()
+"""Such warnings that a monitor has logged: it stores many trips of each suspension."""
 
 
 class FinishedTrips:
@@ -97,8 +103,7 @@ def with_earlier(
     if the store cannot be used.
     """
     vehicle = models[0].vehicle.name
-    kept = [r for r in results if r.status != ERROR and r.vehicle == vehicle]
-    store.write(kept)
+    store.write(_kept(results, vehicle))
     now = {key(r) for r in results for key in (trip_key, undated_key)}
     undated = {trip_key(r) for r in results if not r.start}
     earlier = [
@@ -108,13 +113,7 @@ def with_earlier(
     ]
     fitting = [r for r in earlier if r.status != OK or any(_is_of(r, m) for m in models)]
     if len(fitting) < len(earlier):
-        log.warning(
-            "%s: %d earlier trips of %s are relative to another healthy vehicle than these models' "
-            "and are left out; name that model's run too: run=[EARLIER,LATER]",
-            store,
-            len(earlier) - len(fitting),
-            place,
-        )
+        log.warning("%s", LEFT_OUT.format(store, len(earlier) - len(fitting), place))
     return [*results, *fitting]
 
 
@@ -139,10 +138,25 @@ def keep_trips(
 ) -> list[Alarm]:
     """Store trips of a suspension, and the alarms that its whole history raises; return these.
 
+    The alarms are those of ``with_earlier``, of which only the series of numbers is read.
     HistoryError is raised if the store cannot be used.
     """
     vehicle = models[0].vehicle.name
-    every = with_earlier(results, place, models, store)
-    found = watch(series_of(every, store.events(vehicle, place)), limits, settings)
-    store.keep_alarms(vehicle, place, found.alarms, OWN_CAUSES)
-    return found.alarms
+    store.write(kept := _kept(results, vehicle))
+    references = [
+        Reference(since_km(model), dict(zip(one.names, one.values.tolist(), strict=True)))
+        for model in models
+        for one in model.references
+    ]
+    series, n_others = store.comparable(vehicle, place, references, kept)
+    if n_others and (words := LEFT_OUT.format(store, n_others, place)) not in _LOGGED:
+        _LOGGED.add(words)
+        log.warning("%s", words)
+    alarms = [] if series is None else watch(series, limits, settings).alarms
+    store.keep_alarms(vehicle, place, alarms, OWN_CAUSES)
+    return alarms
+
+
+def _kept(results: Sequence[TripResult], vehicle: str) -> list[TripResult]:
+    """Return the trips that are stored: one that could not be read may be fixed by the next run."""
+    return [one for one in results if one.status != ERROR and one.vehicle == vehicle]

@@ -6,19 +6,23 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
 from trip_fixtures import changed, recalled_trip
 from trip_records import fleet, trip
 
 from suspnet.estimation.estimate import HealthyValues
 from suspnet.estimation.trip_settings import TripSettings
-from suspnet.ground.parameters import COMPONENTS
-from suspnet.ground.records import ERROR
+from suspnet.ground.parameters import COMPONENTS, DEFAULT_LIMITS
+from suspnet.ground.records import ERROR, SensorHealth, sensors_text
 from suspnet.history import History
 from suspnet.maintenance import Acknowledgement, Cause, Severity
+from suspnet.maintenance.alarms import watch
+from suspnet.maintenance.change import ChangeSettings
 from suspnet.maintenance.relative import between
-from suspnet.maintenance.series import Event
+from suspnet.maintenance.series import Event, series_of
 from suspnet.trips import fleet as fleet_module
-from suspnet.trips.earlier import with_earlier
+from suspnet.trips.earlier import keep_trips, with_earlier
 from suspnet.trips.fleet import FleetSettings, evaluate_fleet
 
 SETTINGS = FleetSettings(TripSettings())
@@ -144,3 +148,87 @@ def test_alarms_are_kept_and_say_who_has_seen_them(
     assert (row["end_km"], row["cause"], row["severity"]) == (None, "limit", "act")
     assert row["seen_by"] == "Kim"
     assert metrics["severity"] == "act"
+
+
+def commissioned(model, km, of=1.0):
+    """Return the model as commissioned at a mileage, with healthy values times `of`."""
+    healthy = replace(model.healthy, values=of * model.healthy.values)
+    of_parts = SimpleNamespace(healthy=healthy)  # a second reference, next to the vehicle's
+    training = model.training | {"commissioned": {"mileage_km": [km]}}
+    return replace(model, bogie=of_parts, training=training)
+
+
+def history_of(models, rng, n_trips):
+    """Return trips of two commissionings, in an order of their own; what is odd is drawn."""
+    found = []
+    for i in range(n_trips):
+        km = 1e4 * (i + 1)
+        era = models[int(km >= 1.5e5)]
+        healthy = era.references[int(rng.integers(len(era.references)))]
+        odd = float(rng.choice([0, 0, 0, 5e-10, 2e-9]))  # equal, and not equal any more
+        values = dict(zip(healthy.names, ((1 + odd) * healthy.values).tolist(), strict=True))
+        change = {"c_s": 1.0 - 0.06 * max(0, i % 15 - 4), "k_p": 1.2 if i == 20 else 1.0}
+        gain = 0.3 if i > 11 else 0.001 * rng.normal()
+        sensors = {"axle_box": SensorHealth(1e-3, 0.0, 0.0, 0.0, 0.0)}
+        sensors["bogie"] = SensorHealth(1e-3, gain, 0.0, 0.0, 0.0)
+        one = trip(
+            i,
+            change,
+            bool(rng.random() < 0.1),
+            False,
+            vehicle=era.vehicle.name,
+            healthy_si={} if rng.random() < 0.05 else values,
+            healthy_since_km=era.training["commissioned"]["mileage_km"][0],
+            flags="odd" if rng.random() < 0.1 else "",
+            half_widths={"c_s": 0.01, "k_p": 0.01},
+            temperature_c=float(rng.normal()),
+        )
+        direction = str(rng.choice(["forward", "reverse", ""]))
+        quality = replace(one.quality, sensors=sensors_text(sensors), direction=direction)
+        one = replace(one, quality=quality)
+        if rng.random() < 0.1:
+            one = replace(one, start="")
+        if rng.random() < 0.1:
+            one = replace(one, mileage_km=np.nan)
+        found.append(one)
+    return [found[i] for i in rng.permutation(n_trips)]
+
+
+@settings(max_examples=2)
+@example(0)
+@given(st.integers(1, 1000))
+def test_alarms_of_the_series_are_those_of_the_whole_history(model, tmp_path_factory, seed):
+    """Two commissionings, of one or both of which models are given, and maintenance."""
+    rng = np.random.default_rng(seed)
+    models = [commissioned(model, 1e4), commissioned(model, 1.5e5, of=0.9)]
+    trips = history_of(models, rng, 32)
+    place, changes, alarms = trips[0].place, ChangeSettings(), []
+    with History(tmp_path_factory.mktemp("history") / "fleet.db") as store:
+        store.write(trips[:-1])
+        where = model.vehicle.name, place
+        store.add_event(*where, Event(2.2e5, "exchanged", "new damper"))
+        store.add_event(*where, Event(2.6e5, "sensor", "bogie"))
+        undated = replace(trips[0], start="")  # the same trip, of a file that has lost its date
+        last = trips[-1:]
+        several = ((last, models[:1]), (last, models[1:]), (last, models), ([undated], models))
+        for new, chosen in several:
+            found = keep_trips(new, place, chosen, DEFAULT_LIMITS, changes, store)
+            every = with_earlier(new, place, chosen, store)
+            whole = watch(series_of(every, store.events(*where)), DEFAULT_LIMITS, changes)
+            assert repr(found) == repr(whole.alarms) == repr(store.alarms(*where))
+            alarms.append(found)
+    if seed == 0:  # the comparison is not one of nothing
+        assert {one.parameter for found in alarms for one in found} >= {"c_s", "k_p", "bogie"}
+        assert len({repr(found) for found in alarms[:3]}) == 3
+
+
+def test_trips_of_another_reference_are_named_once_by_a_monitor(model, store, caplog):
+    first, last = commissioned(model, 0.0), commissioned(model, 5e4)
+    for i, era in enumerate((first, first, last, last)):
+        healthy = dict(zip(era.healthy.names, era.healthy.values.tolist(), strict=True))
+        since = {"healthy_si": healthy, "healthy_since_km": 5e4 * (era is last)}
+        one = trip(i, vehicle=model.vehicle.name, with_curves=False, **since)
+        keep_trips([one], one.place, [era], DEFAULT_LIMITS, ChangeSettings(), store)
+    (record,) = caplog.records
+    assert "2 earlier trips of" in record.getMessage()
+    assert str(store) in record.getMessage()
