@@ -16,8 +16,10 @@ PR_SET_PDEATHSIG = 1
 """Number of an option of Linux, in sys/prctl.h."""
 START_S = 60.0
 """Longest time until the server answers, [s]."""
-UNSAFE = ("fsync=off", "full_page_writes=off", "synchronous_commit=off", "listen_addresses=")
-"""Settings of a server whose data outlive no crash and which no network reaches."""
+CLOSED = ("listen_addresses=",)
+"""Settings of a server that no network reaches."""
+UNSAFE = (*CLOSED, "fsync=off", "full_page_writes=off", "synchronous_commit=off")
+"""Settings of such a server whose data outlive no crash."""
 
 
 def programs():
@@ -29,7 +31,7 @@ def programs():
 
 
 @functools.cache
-def url():
+def url(given=UNSAFE):
     """Return the URL of a database of a server that ends with this process; None without one."""
     place = programs()
     if place is None:
@@ -44,7 +46,7 @@ def url():
         subprocess.run(
             [place / "initdb", "-D", folder / "data", *new], check=True, stderr=errors, **options
         )
-        settings = [word for one in UNSAFE for word in ("-c", one)]
+        settings = [word for one in given for word in ("-c", one)]
         server = subprocess.Popen(
             [place / "postgres", "-D", folder / "data", "-k", folder, *settings],
             stderr=errors,

@@ -10,12 +10,14 @@
 
 ``monitors``: 24 suspensions of three channels at 5000, 2000 and 2000 Hz send frames of 1 s for 20
 minutes of signal to Mosquitto; 1, 2 and 4 monitors take them (``source.part``) into one PostgreSQL.
-``writers``: programs that do nothing but store trips as monitors do, with histories of some length.
+``writers``: programs that do nothing but store trips as monitors do, with histories of some length,
+in one SQLite file and one PostgreSQL.
 ``evaluate``: the trips of a folder, which should be many, read by processes of this machine and by
 a Dask cluster of as many workers.
 
 All numbers are processor time of each program, as the system counts it, so that they hold on a busy
-machine; what starting a program takes is not counted, nor the sending of frames.
+machine; what starting a program takes is not counted, nor the sending of frames. Only trips/s are
+of wall time.
 """
 
 from __future__ import annotations
@@ -29,11 +31,13 @@ import tempfile
 import time
 from argparse import ArgumentParser
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import replace
 from importlib import import_module
+from itertools import product
 from pathlib import Path
 
+import numpy as np
 import psycopg
 import yaml
 
@@ -45,7 +49,8 @@ from live_frames import Mosquitto
 
 from suspnet.estimation.checkpoint import load_model
 from suspnet.estimation.trip_settings import TripSettings
-from suspnet.ground.records import Place
+from suspnet.ground.parameters import DEFAULT_LIMITS
+from suspnet.ground.records import Place, TripResult
 from suspnet.history import History
 from suspnet.live.broker import Broker
 from suspnet.live.replay import Replay
@@ -107,8 +112,8 @@ def server_of(url: str) -> int:
 
 @contextmanager
 def empty_store() -> Iterator[str]:
-    """Yield the URL of the server's database, emptied."""
-    url = postgres_server.url()
+    """Yield the URL of a server's database, emptied; the server waits for the disk as it should."""
+    url = postgres_server.url(postgres_server.CLOSED)
     assert url is not None, "PostgreSQL is not installed"
     with psycopg.connect(url, autocommit=True) as connection:
         connection.execute("DROP SCHEMA public CASCADE")
@@ -220,29 +225,42 @@ def write(
     model = load_model(run)
     result = evaluate_trip(next(trip.glob("*.yaml")), [model], TripSettings())
     assert result.status == "ok", result.reason
-    place = Place("x", train=str(k))
+    place, rng = Place("x", train=str(k)), np.random.default_rng(k)
     many = [
         replace(
-            result, place=place, mileage_km=10.0 * i, start=f"2026-01-{1 + i % 28:02d}", trip=str(i)
+            result,
+            place=place,
+            mileage_km=10.0 * i,
+            start=f"2026-01-{1 + i % 28:02d}",
+            trip=str(i),
+            estimates={name: 1 + 0.003 * rng.normal() for name in result.estimates},
         )
-        for i in range(n_before + n_trips)
+        for i in range(n_before + 1 + n_trips)
     ]
+
+    def store_one(one: TripResult) -> None:
+        keep_trips([one], place, [model], DEFAULT_LIMITS, ChangeSettings(), store)
+
     with History(url) as store:
-        if n_before:
-            store.write(many[:n_before])
+        store.write(many[:n_before])
+        store_one(many[n_before])  # a program's first one compiles statements, simulates thresholds
         (folder / f"{k} ready").touch()
-        wait((folder / "go").exists)
+        wait((folder / "go").exists, 0.001)
         begin = time.process_time(), time.perf_counter()
-        for one in many[n_before:]:
-            keep_trips([one], place, [model], {}, ChangeSettings(), store)
+        for one in many[n_before + 1 :]:
+            store_one(one)
         spent_s, wall_s = time.process_time() - begin[0], time.perf_counter() - begin[1]
-    (folder / f"{k}").write_text(f"{1e3 * spent_s / n_trips} {n_trips / wall_s}")
+    (folder / f"{k} done").write_text(f"{1e3 * spent_s / n_trips} {wall_s}")
 
 
-def writers(run: Path, trip: Path, n_writers: int, n_before: int, n_trips: int) -> None:
+def writers(run: Path, trip: Path, kind: str, n_writers: int, n_before: int, n_trips: int) -> None:
     """Print what storing trips takes when several programs do it at once."""
-    with tempfile.TemporaryDirectory() as name, empty_store() as url:
-        folder, server = Path(name), server_of(url)
+    with tempfile.TemporaryDirectory() as name, ExitStack() as stack:
+        folder, server = Path(name), 0
+        url = str(folder / "fleet.db")
+        if kind == "postgresql":
+            url = stack.enter_context(empty_store())
+            server = server_of(url)
         pids = []
         for k in range(n_writers):
             pids.append(os.fork())
@@ -250,16 +268,18 @@ def writers(run: Path, trip: Path, n_writers: int, n_before: int, n_trips: int) 
                 write(url, run, trip, k, n_before, n_trips, folder)
                 os._exit(0)
         wait(lambda: len(list(folder.glob("* ready"))) == n_writers)
-        before_s = cpu_s(family(server))
+        before_s = cpu_s(family(server)) if server else 0.0
         (folder / "go").touch()
-        wait(lambda: len(list(folder.glob("[0-9]"))) == n_writers)
-        server_ms = 1e3 * (cpu_s(family(server)) - before_s) / n_trips / n_writers
+        wait(lambda: len(list(folder.glob("* done"))) == n_writers, 0.01)
+        server_s = cpu_s(family(server)) - before_s if server else 0.0
         assert all(ended(pid, 60) == 0 for pid in pids)
-        found = [tuple(map(float, (folder / str(k)).read_text().split())) for k in range(n_writers)]
+        texts = [(folder / f"{k} done").read_text() for k in range(n_writers)]
+        spent_ms, wall_s = zip(*(map(float, text.split()) for text in texts), strict=True)
+    n_all = n_writers * n_trips
     print(
-        f"{n_writers} writers, {n_before} trips before: {sum(f[0] for f in found) / n_writers:.1f} "
-        f"ms of the writer and {server_ms:.1f} ms of PostgreSQL for a trip; "
-        f"{sum(f[1] for f in found):.1f} trips/s together",
+        f"{kind}, {n_writers} writers, {n_before} trips before: {np.mean(spent_ms):.1f} ms of the "
+        f"writer and {1e3 * server_s / n_all:.1f} ms of the server for a trip; "
+        f"{n_all / max(wall_s):.1f} trips/s together",
         flush=True,
     )
 
@@ -311,7 +331,8 @@ def main() -> None:
     parser.add_argument("--counts", type=int, nargs="+", default=[1, 2, 4])
     parser.add_argument("--suspensions", type=int, default=24)
     parser.add_argument("--times", type=float, default=2.0)
-    parser.add_argument("--before", type=int, nargs="+", default=[0, 300, 3000])
+    parser.add_argument("--before", type=int, nargs="+", default=[100, 1000, 3000])
+    parser.add_argument("--stores", nargs="+", default=["sqlite", "postgresql"])
     parser.add_argument("--stored", type=int, default=100, help="trips that a writer stores")
     given = parser.parse_args()
     run, trips = given.run.absolute(), given.trips.absolute()
@@ -321,8 +342,8 @@ def main() -> None:
         if given.what == "monitors":
             monitors(run, trips, n, given.suspensions, given.times)
         elif given.what == "writers":
-            for n_before in given.before:
-                writers(run, trips, n, n_before, given.stored)
+            for kind, n_before in product(given.stores, given.before):
+                writers(run, trips, kind, n, n_before, given.stored)
         else:
             for is_dask in (False, True):
                 evaluate(run, trips, n, is_dask)
