@@ -26,7 +26,7 @@ from suspnet.live.notifier import Notifier
 from suspnet.report.language import speaking
 from suspnet.report.output import check_documents, write_documents
 from suspnet.report.tables import Evaluated
-from suspnet.runs.evaluate import FreshCurves, evaluate, write_maintenance
+from suspnet.runs.evaluate import FreshCurves, evaluate, existing_history, write_maintenance
 from suspnet.runs.identifiability import write_identifiability
 from suspnet.runs.layouts import write_layouts
 from suspnet.runs.reliability import write_reliability
@@ -75,31 +75,35 @@ def main(config: DictConfig) -> int:
     rules = None if config.notify is None else read_rules(Path(config.notify))
     if rules is not None and not config.store:
         raise ValueError("`notify` needs store=FILE: what is new is found in the history")
-    with speaking(config.language):
-        code = _evaluate(config)
-    if rules is not None:
-        with History(config.store) as store:
-            log.info("alarms: %d messages sent, %d failed", *Notifier(store, rules).once())
-    return code
+    with ExitStack() as stack:
+
+        @functools.cache  # opened when it is needed first, and once
+        def history() -> History:
+            opened = existing_history if config.study is not None else History
+            return stack.enter_context(opened(config.store))
+
+        with speaking(config.language):
+            code = _evaluate(config, history)
+        if rules is not None:
+            log.info("alarms: %d messages sent, %d failed", *Notifier(history(), rules).once())
+        return code
 
 
-def _evaluate(config: DictConfig) -> int:
+def _evaluate(config: DictConfig, history: Callable[[], History]) -> int:
     if OmegaConf.is_missing(config, "run"):
         raise ValueError("which run? Give run=PATH, the folder of a run or of a whole multirun")
     if config.study is not None:
-        return run_study(config, program.run_folder())
+        return run_study(config, program.run_folder(), history)
     runs, output = named_runs(config.run), program.run_folder()
     program.save_config(config, output)
     if config.trips is not None:
         check_documents(pdf=config.pdf, xlsx=config.xlsx)  # before hours of reading
         models = [load_model(folder, config.device) for folder in runs]
         settings = build(config, "monitor")
-        with ExitStack() as stack:
-            store = config.store and stack.enter_context(History(config.store))
-            trips = Path(config.trips)
-            done = evaluate_fleet(
-                trips, models, output, settings, config.progress, store, config.seed, config.figures
-            )
+        store, trips = history() if config.store else None, Path(config.trips)
+        done = evaluate_fleet(
+            trips, models, output, settings, config.progress, store, config.seed, config.figures
+        )
         write_documents(done, output, pdf=config.pdf, xlsx=config.xlsx)
         return exit_code(done)
     if not isinstance(config.data, DictConfig):
@@ -127,8 +131,8 @@ def _evaluate(config: DictConfig) -> int:
     return FINE
 
 
-def run_study(config: DictConfig, folder: Path) -> int:
-    """Run the chosen study; return the exit code for the worst state that it found."""
+def run_study(config: DictConfig, folder: Path, history: Callable[[], History]) -> int:
+    """Run the chosen study, which may need the history; return the exit code for its worst state."""
     check_choice("study", config.study, STUDIES)
     threads = program.n_threads(config.threads)
     program.save_config(config, folder)
@@ -162,5 +166,5 @@ def run_study(config: DictConfig, folder: Path) -> int:
             config.device,
         )
         return FINE
-    states = write_maintenance(config.store, folder, board_settings(config, config.monitor))
+    states = write_maintenance(history(), folder, board_settings(config, config.monitor))
     return worst(ALARMS.get(one.severity, FINE) for one in states)

@@ -120,23 +120,27 @@ def fitting_task(trained: Task, protocol: Protocol) -> Task:
     )
 
 
-def write_maintenance(store: str | None, folder: Path, settings: BoardSettings) -> list[State]:
-    """Write overview, plan and calendar of all suspensions of a history, and store their alarms.
-
-    Returns the states, the worst first. HistoryError if the store is missing or cannot be used;
-    ValueError if it is empty.
-    """
+def existing_history(store: str | None) -> History:
+    """Return a history, to be closed; ValueError without a name, HistoryError if it is missing."""
     if not store:
         raise ValueError("which history? Give store=FILE, or store=postgresql://...")
     check_exists(store)
-    with History(store) as history:
-        fleet = [one.relative_to_first(settings.n_first) for one in history.series()]
-        if not fleet:
-            raise ValueError(f"{store}: no trip is stored here yet")
-        own = {one.vehicle: settings.limits_of(one.vehicle) for one in fleet}
-        states = fleet_state(fleet, own, settings.changes, settings.sisters, settings.seed)
-        history.keep_all_alarms({state.key: state.watched.alarms for state in states})
-        acknowledged = history.all_acknowledgements()
+    return History(store)
+
+
+def write_maintenance(history: History, folder: Path, settings: BoardSettings) -> list[State]:
+    """Write overview, plan and calendar of all suspensions of a history, and store their alarms.
+
+    Returns the states, the worst first. HistoryError if the store cannot be used; ValueError if it
+    is empty.
+    """
+    fleet = [one.relative_to_first(settings.n_first) for one in history.series()]
+    if not fleet:
+        raise ValueError(f"{history}: no trip is stored here yet")
+    own = {one.vehicle: settings.limits_of(one.vehicle) for one in fleet}
+    states = fleet_state(fleet, own, settings.changes, settings.sisters, settings.seed)
+    history.keep_all_alarms({state.key: state.watched.alarms for state in states})
+    acknowledged = history.all_acknowledgements()
     planned = Planner(settings.plan).plan(states, settings.day())
     view = fleet_view(states, own, acknowledged, planned)
     write_fleet(view, planned, plan_calendar(planned), folder)

@@ -56,13 +56,13 @@ def main() -> None:
         with History(where) as store:
             for made in fleet(given.suspensions, given.trips, given.seed):
                 store.write(made)
-        print(f"the store takes {size(where):.0f} MiB")
-        states = timed(
-            "overview and plan",
-            lambda: write_maintenance(
-                where, output, BoardSettings(today="2025-10-28", seed=given.seed)
-            ),
-        )
+            print(f"the store takes {size(where):.0f} MiB")
+            states = timed(
+                "overview and plan",
+                lambda: write_maintenance(
+                    store, output, BoardSettings(today="2025-10-28", seed=given.seed)
+                ),
+            )
     wrong = sum(s.series.place.car != "" and bool(s.alarms) for s in states)
     print(f"{wrong} of {len(states)} suspensions have an alarm")
 

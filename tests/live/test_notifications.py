@@ -591,14 +591,18 @@ def test_an_evaluation_sends_what_is_new_once(tmp_path, monkeypatch):
     from cli_runner import run_program  # here: killed programs import this module, and quickly
 
     from suspnet.cli import evaluate
+    from suspnet.history import store as module
 
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(evaluate, "write_maintenance", lambda *_: [])
-    store = fill(tmp_path / "a.db")
+    store, opened = fill(tmp_path / "a.db"), []
+    connect = module.connect
+    monkeypatch.setattr(module, "connect", lambda *_, **__: opened.append(1) or connect(*_, **__))
     with receiving() as (url, got):
         given = ["study=maintenance", f"notify={webhook_rules(tmp_path, url)}"]
         for _ in range(2):
             assert run_program(evaluate, tmp_path / "out", *given, f"store={store}") == 0
+        assert len(opened) == 2  # once each time
         assert "`notify` needs store=FILE" in run_program(evaluate, tmp_path / "out", *given)
     ((_, body),) = got
     assert [one["parameter"] for one in json.loads(body)["alarms"]] == ["k_p"]

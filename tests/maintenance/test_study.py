@@ -23,7 +23,7 @@ from suspnet.report.board import BoardSettings
 from suspnet.report.language import speaking
 from suspnet.report.tables import overview_rows, overview_table
 from suspnet.report.templates import render
-from suspnet.runs.evaluate import write_maintenance
+from suspnet.runs.evaluate import existing_history, write_maintenance
 
 pytestmark = pytest.mark.usefixtures("blank", "trips_fitted_once")
 
@@ -191,7 +191,8 @@ def test_limits_of_a_vehicle_can_be_replaced(store, tmp_path):
 
 
 def run_study(store, folder, *, today=TODAY, limits=None):
-    return write_maintenance(str(store), folder, BoardSettings(limits=limits, today=today))
+    with existing_history(str(store)) as history:
+        return write_maintenance(history, folder, BoardSettings(limits=limits, today=today))
 
 
 def test_what_cannot_be_computed_is_unknown_in_plan_overview_and_page(tmp_path):

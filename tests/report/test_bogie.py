@@ -324,7 +324,8 @@ def store(few, tmp_path_factory):
 @pytest.mark.usefixtures("blank")
 def test_study_names_parts_in_plan_tables_and_overview(store, tmp_path, caplog):
     caplog.set_level("INFO")
-    states = write_maintenance(str(store), tmp_path, BoardSettings(today=TODAY))
+    with History(store) as history:
+        states = write_maintenance(history, tmp_path, BoardSettings(today=TODAY))
     assert states[0].parameters == "c_p_axle2_left"
     assert "replace car 1, leading bogie, damper of axle 2, left" in caplog.text
     with (tmp_path / "plan.csv").open() as stream:
