@@ -15,6 +15,7 @@ from suspnet.dynamics.spatial_numbers import PLACES
 from suspnet.estimation.bogie_fit import CommissionedBogie
 from suspnet.estimation.bogie_search import BogieTrip
 from suspnet.estimation.estimate import Estimate
+from suspnet.estimation.flags import with_doubt
 from suspnet.estimation.intervals import LARGEST_MISFIT
 from suspnet.estimation.steady_parts import groups_to_read
 from suspnet.estimation.trip_settings import TripSettings
@@ -153,9 +154,10 @@ def estimate_parts(
             f"{100 * parts.values[COMPONENTS.index(furthest)]:.3g} % of healthy: look there and at "
             "the sensors"
         )
-    estimate = replace(
-        parts.as_estimate(), healthy=bogie.healthy, found=worn_words(worn_parts(parts))
-    )
+    found = parts.as_estimate()
+    flags = with_doubt(found.flags, has_converged=bogie.converged)
+    worn = worn_words(worn_parts(parts))
+    estimate = replace(found, flags=flags, healthy=bogie.healthy, found=worn)
     if parts.converged:
         return estimate
     text = "the search for the parts did not end within its steps"

@@ -4,7 +4,8 @@ There are six kinds of flags. `OODDetector` sets four: a peak is missing; the fe
 the cloud of the training curves; a parameter lies outside the training range; the generator does
 not explain the curve with any parameters. `Unexplained` sets one if the generator did not explain
 the healthy trips of its commissioning, and `suspnet.estimation.trip_flags` one if the equations do
-not explain how left and right differ.
+not explain how left and right differ. `with_doubt` sets that of physics on every trip read with a
+vehicle whose commissioning did not converge.
 
 Unexplained residual: with d_gf the logarithm of the response of group g of the healthy trips in bin
 f over that of the commissioned vehicle, and s_gf the standard deviation of its real and imaginary
@@ -140,6 +141,18 @@ class Unexplained:
         if costs.ndim != 1 or not (np.isfinite(costs) & (costs >= 0)).all():
             raise ValueError("`costs` must be a list of numbers >= 0")
         return cls(float(misfit[0]), costs)
+
+
+NOT_CONVERGED = (
+    "the search for the healthy vehicle did not converge when it was commissioned, so the interval "
+    "is too narrow: commission again, on more or longer trips"
+)
+"""Flag of every trip that is read with such a vehicle."""
+
+
+def with_doubt(flags: Flags, *, has_converged: bool) -> Flags:
+    """Return the flags of a trip, with the doubt about the healthy vehicle it is compared with."""
+    return flags if has_converged else flags.with_kind("physics", NOT_CONVERGED)
 
 
 N_REFERENCE, N_NEIGHBOURS = 4096, 4

@@ -36,6 +36,7 @@ from suspnet.dynamics.quantities import FAILED_DEVIATION, FAILED_OTHER, OF_THE_T
 from suspnet.dynamics.vertical_vehicle import VerticalVehicle
 from suspnet.estimation.estimate import Estimate, Flags
 from suspnet.estimation.fitted import FittedMethod, ModelFileError
+from suspnet.estimation.flags import with_doubt
 from suspnet.estimation.from_curves import ONE_SIGMA, corrected, residual_scales
 from suspnet.estimation.information import output_bounds
 from suspnet.estimation.intervals import COMMON, LARGEST_MISFIT
@@ -198,6 +199,8 @@ def _estimate(
     flags = flags or Flags.none(1)
     if method.unexplained is not None:
         flags = method.unexplained.flagged(flags)
+    commissioned = method.training.get("commissioned", {})
+    flags = with_doubt(flags, has_converged=commissioned.get("converged", True))
     rows = values[None], low[None], high[None]
     return Estimate(method.task.outputs, *rows, level, flags, method.healthy)
 

@@ -176,6 +176,7 @@ def _check_training(training: Any) -> None:
         return
     healthy = training["commissioned"]
     check_number("training.commissioned.n_trips", healthy["n_trips"], low=0, whole=True)
+    check_flag("training.commissioned.converged", healthy.get("converged", True))
     first, last = healthy["mileage_km"]
     for value in (first, last):
         check_number("training.commissioned.mileage_km", value)

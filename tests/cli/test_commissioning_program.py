@@ -59,6 +59,7 @@ def test_run_on_healthy_trips_has_page_posterior_and_notes(fitted, folder, tmp_p
     assert notes["trips"] == sorted(path.stem for path in folder.glob("*.yaml"))
     assert notes["n_trips"] == 3
     assert notes["misfit"] == fitted.misfit
+    assert notes["converged"] is True
     content = json.loads((tmp_path / "run" / "commissioning.json").read_text())
     assert {one["name"] for one in content["numbers"]} == set(UNCERTAIN)
 
@@ -75,6 +76,7 @@ def test_run_goes_on_with_a_warning_if_one_start_alone_found_the_vehicle(
     with caplog.at_level(logging.WARNING):
         assert run_program(train, tmp_path / "run", *TRIPS, f"healthy={folder}") == 0
     assert trained[0]["commissioned"]["n_trips"] == 3
+    assert trained[0]["commissioned"]["converged"] is False
     said = [r.getMessage() for r in caplog.records if r.name == "suspnet.runs.commissioning"]
     assert "did not converge" in said[0]
     assert "no other one found this vehicle" in said[1]

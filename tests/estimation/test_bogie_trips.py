@@ -13,15 +13,17 @@ from vehicles import AM96
 
 from suspnet.dynamics import SpatialVehicle, VerticalVehicle
 from suspnet.estimation import bogie_trips
-from suspnet.estimation.bogie_fit import CommissionedBogie, commission_bogie
+from suspnet.estimation.bogie_fit import CommissionedBogie, PartsEstimate, commission_bogie
 from suspnet.estimation.bogie_trips import (
     SPACING_HZ,
     bogie_trip,
+    estimate_parts,
     lost_sensors,
     sensor_places,
     show_parts,
 )
 from suspnet.estimation.direction import direction_of
+from suspnet.estimation.flags import NOT_CONVERGED
 from suspnet.estimation.from_recording import all_bins
 from suspnet.estimation.healthy_trips import HealthyTrips
 from suspnet.estimation.trip_settings import TripSettings
@@ -123,6 +125,17 @@ def test_search_that_did_not_end_is_told(short, monkeypatch, caplog, converged):
         found = reported(parts_of(healthy, VerticalVehicle(AM96), TripSettings())())
     assert found is bogie
     assert ("wrong ones may be named" in caplog.text) == (not converged)
+
+
+@pytest.mark.parametrize("converged", [True, False])
+def test_parts_read_with_a_bogie_that_did_not_converge_are_flagged(monkeypatch, converged):
+    monkeypatch.setattr(bogie_trips, "bogie_trip", lambda *_: None)
+    parts = PartsEstimate(np.ones(13), 1e-4 * np.eye(13), 1.0, True, 0.9)
+    bogie = SimpleNamespace(
+        generator=VEHICLE, misfit=1.0, converged=converged, healthy=None, estimate=lambda *_: parts
+    )
+    estimate = estimate_parts(bogie, None, TripSettings())
+    assert estimate.flags.reasons == ("" if converged else NOT_CONVERGED,)
 
 
 def test_a_short_or_slow_trip_has_no_estimate(tmp_path, short):

@@ -191,6 +191,7 @@ def test_notes_for_the_model_file_name_the_trips(commissioned):
         "n_trips": 3,
         "misfit": commissioned[1].misfit,
         "explained": True,
+        "converged": True,
         "mileage_km": [12345.0, 37035.0],
         "trips": ["trip_0", "trip_1", "trip_2"],
         "place": {"suspension": "S1", "bogie": "", "side": "", "train": "", "car": ""},

@@ -8,7 +8,7 @@ import torch
 from trip_fixtures import OUTPUTS, model_at
 
 from suspnet.estimation.estimate import KINDS, Estimate, Flags
-from suspnet.estimation.flags import COSTLY, UNTRUSTED, Residual, Unexplained
+from suspnet.estimation.flags import COSTLY, NOT_CONVERGED, UNTRUSTED, Residual, Unexplained
 from suspnet.estimation.from_curves import estimate_curves
 from suspnet.estimation.from_spectra import COMMON, UNWORN, estimate_with_noise, unworn_deviations
 from suspnet.estimation.problem import Problem
@@ -211,3 +211,17 @@ def test_curves_without_features_get_one_clear_error():
     residual = Residual(9.0, np.full((2, bins), np.inf, complex))
     with pytest.raises(ValueError, match="no curve keeps its features"), np.errstate(all="ignore"):
         with_unexplained(problem, model, residual)
+
+
+@pytest.mark.parametrize(
+    ("noted", "flagged"), [({}, 0), ({"converged": True}, 0), ({"converged": False}, 1)]
+)
+def test_trips_of_a_commissioning_that_did_not_converge_are_flagged(noted, flagged):
+    model = model_at()
+    known = replace(model, training=model.training | {"commissioned": noted})
+    estimate, _ = estimate_with_noise(known, trip(model), LEVEL)
+    plain, _ = estimate_with_noise(model, trip(model), LEVEL)
+    assert estimate.flags.reasons == (NOT_CONVERGED * flagged,)
+    assert estimate.flags.has("physics").tolist() == [bool(flagged)]
+    np.testing.assert_array_equal(estimate.values, plain.values)
+    assert "commission again" in NOT_CONVERGED
