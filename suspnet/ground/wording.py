@@ -6,6 +6,8 @@ import math
 import re
 
 NO_NUMBER = "\N{EN DASH}"
+_FILE = re.compile(r"[^;:]+\.\w+: (?=delimiter )")
+"""Name of a CSV file before the words on how it is read."""
 
 
 def count(n: int, noun: str) -> str:
@@ -39,3 +41,16 @@ def span(*texts: str) -> str:
 def unbroken(words: str) -> str:
     """Return text without line breaks between a number and its unit, or within a number."""
     return re.sub(r"(?<=\d) (?=%|km|\d{3})", "\N{NO-BREAK SPACE}", words)
+
+
+def files_of(read_as: str) -> dict[str, int]:
+    """Return what is said of reading a trip, without names of files, with their number; 0: none.
+
+    >>> files_of("a.csv: delimiter tab, utf-8; b.csv: delimiter tab, utf-8")
+    {'delimiter tab, utf-8': 2}
+    """
+    found: dict[str, int] = {}
+    for part in filter(None, read_as.split("; ")):
+        words, n_files = _FILE.subn("", part)
+        found[words] = found.get(words, 0) + n_files
+    return found

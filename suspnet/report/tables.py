@@ -18,7 +18,7 @@ from tabulate import tabulate
 from suspnet.ground.parameters import Limits, Severity
 from suspnet.ground.records import OK, PLACE_FROM_TRAIN, Key, Place, TripCurves, TripResult
 from suspnet.ground.types import FloatArray
-from suspnet.ground.wording import count, kilometres
+from suspnet.ground.wording import count, files_of, kilometres
 from suspnet.history.arrays import TripResponses
 from suspnet.history.schema import BadRow
 from suspnet.maintenance.alarms import Acknowledgement, newest_of
@@ -295,16 +295,19 @@ def sensor_rows(series: Series) -> list[dict[str, Any]]:
 def files_read_as(results: Sequence[TripResult]) -> dict[str, str]:
     """Return how the files of trips were read, as a detail; empty if nothing had to be detected.
 
-    Trips that were read alike share one remark, with their number if others were not.
+    Files that were read alike share one remark with their number; another remark has that of its
+    trips, if these are not all.
     """
-    counts = Counter(r.quality.read_as for r in results if r.quality.read_as)
-    if not counts:
-        return {}
-    remarks = [
-        words if n == len(results) else f"{words} ({count(n, 'trip')})"
-        for words, n in counts.most_common()
-    ]
-    return {"files read as": " · ".join(remarks)}
+    n_trips, n_files = Counter[str](), Counter[str]()
+    for result in results:
+        found = files_of(result.quality.read_as)
+        n_trips.update(found.keys())
+        n_files.update(found)
+    remarks = []
+    for words, n in n_trips.most_common():
+        of = count(n_files[words], "file") if n_files[words] else count(n, "trip")
+        remarks.append(words if n == len(results) and not n_files[words] else f"{words} ({of})")
+    return {"files read as": " · ".join(remarks)} if remarks else {}
 
 
 PARTS = ("primary suspension: axle box to bogie frame", "secondary suspension: frame to car body")

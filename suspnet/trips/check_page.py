@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
@@ -17,7 +18,7 @@ from suspnet._version import __version__
 from suspnet.estimation.trip_settings import LEAST_TRIPS
 from suspnet.ground.records import Place
 from suspnet.ground.storage import printable, write_atomically, write_json
-from suspnet.ground.wording import span
+from suspnet.ground.wording import count, files_of, span
 from suspnet.recordings.recording import Recording, overview
 from suspnet.report.figures import CHANNEL_TITLES, as_png, draw_signals, say
 from suspnet.report.sentences import spoken
@@ -212,12 +213,22 @@ def _cells(check: TripCheck) -> list[str]:
 
 
 def _by_words(remarks: Iterable[tuple[str, Sequence[str]]]) -> list[tuple[str, str]]:
-    """Return each sentence once with its trips, in the order of the trips."""
+    """Return each sentence once with its trips, in the order of the trips.
+
+    How files are read is one sentence for all files that are read alike, with their number.
+    """
     names: dict[str, list[str]] = {}
+    n_files: Counter[str] = Counter()
     for name, sentences in remarks:
-        for words in sentences:
-            names.setdefault(words, []).append(name)
-    return [(words, _listing(of)) for words, of in names.items()]
+        for sentence in sentences:
+            found = files_of(sentence)
+            n_files.update(found)
+            for words in found if any(found.values()) else [sentence]:
+                names.setdefault(words, []).append(name)
+    return [
+        (f"{words} ({count(n_files[words], 'file')})" if n_files[words] else words, _listing(of))
+        for words, of in names.items()
+    ]
 
 
 def _listing(names: Sequence[str]) -> str:

@@ -404,9 +404,14 @@ def test_how_files_were_read_is_a_detail_and_no_fault(tmp_path):
     words = "axle_box.csv: delimiter ';', decimal comma"
     results = [replace(r, quality=replace(r.quality, read_as=words, faults="")) for r in measured()]
     results[3] = replace(results[3], quality=replace(results[3].quality, read_as="other"))
+    several = f"{words}; b.csv: delimiter ',', no names; c.csv: delimiter ',', no names"
+    results[4] = replace(results[4], quality=replace(results[4].quality, read_as=several))
     details = files_read_as(results)
-    assert details == {"files read as": f"{words} (11 trips) · other (1 trip)"}
-    assert files_read_as(results[:3]) == {"files read as": words}
+    words = "delimiter ';', decimal comma"
+    assert details == {
+        "files read as": f"{words} (11 files) · other (1 trip) · delimiter ',', no names (2 files)"
+    }
+    assert files_read_as(results[3:4]) == {"files read as": "other"}
     assert files_read_as(measured()) == {}
     text, page = write(tmp_path / "r.html", results, details=details)
     assert page.text.count(words) == 1
