@@ -8,7 +8,7 @@ from datetime import datetime
 from functools import partial
 from pathlib import Path
 
-from suspnet.cli.kinds import named_runs, read_vehicles
+from suspnet.cli.kinds import named_runs, vehicles_with
 from suspnet.estimation.checkpoint import load_model
 from suspnet.ground import ledger, progress
 from suspnet.ground.settings import check_number
@@ -23,12 +23,7 @@ from suspnet.trips.check_page import PROBLEM, TripCheck, summary, with_shared_da
 def check(arguments: Namespace) -> int:
     """Check what the command line names and return the exit code."""
     check_number("--workers", arguments.workers, low=1, whole=True)
-    vehicles = read_vehicles()
-    if arguments.config_dir is not None:
-        if not (arguments.config_dir / "vehicle").is_dir():
-            raise ValueError(f"--config-dir={arguments.config_dir} holds no folder `vehicle`")
-        vehicles |= read_vehicles(arguments.config_dir)
-    known = {vehicle.name: vehicle for vehicle in vehicles.values()}
+    known = {vehicle.name: vehicle for vehicle in vehicles_with(arguments.config_dir).values()}
     models = [load_model(run) for run in named_runs(arguments.run or [])]
     output = _folder(arguments.output)
     pictures = None if arguments.no_pictures else output

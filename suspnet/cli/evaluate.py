@@ -132,7 +132,7 @@ def _evaluate(config: DictConfig, history: Callable[[], History]) -> int:
 
 
 def run_study(config: DictConfig, folder: Path, history: Callable[[], History]) -> int:
-    """Run the chosen study, which may need the history; return the exit code for its worst state."""
+    """Run the chosen study, some of which need the history; return its exit code."""
     check_choice("study", config.study, STUDIES)
     threads = program.n_threads(config.threads)
     program.save_config(config, folder)

@@ -7,6 +7,7 @@ from argparse import Namespace
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
+from shlex import join, quote
 
 from suspnet.ground.storage import printable, write_atomically
 from suspnet.ground.wording import count
@@ -14,7 +15,7 @@ from suspnet.recordings.errors import TripError, all_of
 from suspnet.trips import folder_manifests as folders
 from suspnet.trips.file_contents import look_into
 from suspnet.trips.manifest_template import template
-from suspnet.trips.trip_files import find_trip_files
+from suspnet.trips.trip_files import find_tables, find_trip_files
 
 
 def init(arguments: Namespace) -> int:
@@ -57,7 +58,7 @@ def _one_trip(files: Sequence[Path], arguments: Namespace) -> int:
         f"-> {path}: {count(len(signals), 'column')} of {count(len(files), 'file')}\n"
         f"fill in: {', '.join(found.blanks) or 'nothing'}\n"
         f"guessed, to be checked: {', '.join(found.guesses) or 'nothing'}\n"
-        f"then run: suspnet check {path}"
+        f"then run: {_command('check', path, *_known_vehicles(arguments.config_dir, []))}"
     )
     return 0
 
@@ -66,12 +67,16 @@ def _folder(folder: Path, said: Sequence[str], arguments: Namespace) -> int:
     """Write the manifests of all trips of a folder, or print what is missing for them."""
     if arguments.output:
         raise ValueError("--output is for the manifest of one trip; a folder's lie in it")
-    table = arguments.table
-    found = find_trip_files(folder, [table] if table else [])
+    table, tables = arguments.table, find_tables(folder)
+    found = find_trip_files(folder, [*tables, *([table] if table else [])])
     rows = folders.read_table(table) if table and table.exists() else {}
     trips = folders.folder_manifests(found, folder, folders.read_said(said), rows)
     new = [trip for trip in trips if arguments.force or not os.path.lexists(trip.path)]
     missing = list(dict.fromkeys(key for trip in new for key in trip.missing))
+    known = _known_vehicles(arguments.config_dir, new)
+    for one in tables:
+        if table is None or one.resolve() != table.resolve():
+            print(printable(f"{one} is a table of trips, which --table {quote(str(one))} reads"))
     if missing:
         print(f"{count(len(new), 'trip')} in {folder}; nothing is written yet; these are missing:")
         for key in missing:
@@ -81,8 +86,12 @@ def _folder(folder: Path, said: Sequence[str], arguments: Namespace) -> int:
         if table and not table.exists() and "mileage_km" in missing:
             write_atomically(table, folders.table_of(new, folder))
             print(f"-> {table}: fill in its columns, then run the same command again")
-        once = f"say each once for all trips: suspnet init {folder} KEY=VALUE ..."
-        print(*_left_open(new), once, sep="\n")
+        # options come last: argparse takes no KEY=VALUE after them
+        options = [*(["--table", str(table)] if table else []), *known]
+        again = " ".join(
+            [_command("init", folder, *said), "KEY=VALUE ...", printable(join(options))]
+        )
+        print(*_left_open(new), f"say each once for all trips: {again.rstrip()}", sep="\n")
         return 1
     for trip in new:
         write_atomically(trip.path, trip.manifest.text, force=arguments.force)
@@ -91,8 +100,29 @@ def _folder(folder: Path, said: Sequence[str], arguments: Namespace) -> int:
     print(f"-> {folder}: {count(len(new), 'manifest')} of {count(len(found), 'trip')}{old}")
     for line in folders.origins(new):
         print(printable(f"  {line}"))
-    print(*_left_open(new), f"then run: suspnet check {folder}", sep="\n")
+    print(*_left_open(new), f"then run: {_command('check', folder, *known)}", sep="\n")
     return 0
+
+
+def _known_vehicles(folder: Path | None, trips: Sequence[folders.Trip]) -> list[str]:
+    """Return the option that names the user's own vehicles, for the next command.
+
+    ValueError if the vehicle of a trip is neither one of these nor of suspnet.
+    """
+    if folder is None:
+        return []
+    from suspnet.cli.kinds import vehicles_with  # with Hydra
+
+    names = {str(trip.known["vehicle"].value) for trip in trips if "vehicle" in trip.known}
+    known = {vehicle.name for vehicle in vehicles_with(folder).values()}
+    if unknown := sorted(names - known):
+        raise ValueError(f"`vehicle` must be one of {', '.join(sorted(known))}, got {unknown[0]!r}")
+    return ["--config-dir", str(folder)]
+
+
+def _command(name: str, *arguments: object) -> str:
+    """Return a command line as it can be copied into a shell."""
+    return printable(join(["suspnet", name, *map(str, arguments)]))
 
 
 def _left_open(trips: Sequence[folders.Trip]) -> list[str]:

@@ -181,6 +181,18 @@ def read_vehicles(folder: str | Path = CONFIGS) -> dict[str, Vehicle]:
     return found
 
 
+def vehicles_with(folder: Path | None) -> dict[str, Vehicle]:
+    """Return suspnet's vehicles, and those of a user's folder (`--config-dir`) if there is one.
+
+    ValueError if the folder holds no vehicles; it raises what ``read_vehicles`` does.
+    """
+    if folder is None:
+        return read_vehicles()
+    if not (folder / "vehicle").is_dir():
+        raise ValueError(f"--config-dir={folder} holds no folder `vehicle`")
+    return read_vehicles() | read_vehicles(folder)
+
+
 def _vehicles_of(folder: str | Path) -> dict[str, Vehicle]:
     vehicles: dict[str, Vehicle] = {}
     for file in sorted((Path(folder) / "vehicle").glob("*.yaml")):

@@ -138,6 +138,13 @@ def init_parser() -> ArgumentParser:
         f"[paths with {', '.join(sorted(READERS))}]",
     )
     found.add_argument(
+        "--config-dir",
+        type=Path,
+        metavar="DIR",
+        help="folder with your own vehicles, vehicle/NAME.yaml: the trips' vehicle must be one of "
+        "them or of suspnet's [path; none if not given]",
+    )
+    found.add_argument(
         "--table",
         type=Path,
         metavar="FILE",

@@ -41,10 +41,14 @@ from suspnet.trips.file_contents import (
     words_of,
 )
 from suspnet.trips.manifest_template import BY_COMMAND_LINE, PLACE_LINES, Template, template
-from suspnet.trips.trip_files import TripFiles
+from suspnet.trips.trip_files import (
+    TripFiles,
+    cell_of,
+    columns_of_files,
+    names_of,
+    table_rows,
+)
 
-FILE_NAMES = ("file", "datei", "dateiname", "filename", "trip", "fahrt")
-"""Names of the column of a table that names a trip or one of its files."""
 CHOICES: Mapping[str, tuple[str, ...]] = {
     "bogie": BOGIES,
     "side": (*SIDES, MIDDLE),
@@ -111,20 +115,9 @@ def read_table(path: Path) -> dict[str, dict[str, Stated]]:
     Columns are named as keys of a manifest, or in English or German as loggers do; others are
     ignored. ValueError if none names files, a name is given twice or a value cannot be read.
     """
-    data = read_plain(path)
-    try:
-        text = data.decode("utf-8-sig")
-    except UnicodeDecodeError:
-        text = data.decode("latin-1")
-    head = text.partition("\n")[0]
-    delimiter = max(";\t,", key=head.count)
-    try:
-        lines = csv.reader(io.StringIO(text, newline=""), delimiter=delimiter)
-        rows = [row for row in lines if any(row)]
-    except csv.Error as error:
-        raise ValueError(f"{path} cannot be read as a table: {error}") from None
+    rows, delimiter = table_rows(read_plain(path), str(path))
     names = [name.strip() for name in rows[0]] if rows else []
-    files = [i for i, name in enumerate(names) if name.lower() in FILE_NAMES]
+    files = columns_of_files(names)
     if not files:
         raise ValueError(f"{path}: no column is called file, trip, Datei or Fahrt; it has {names}")
     found: dict[str, dict[str, Stated]] = {}
@@ -154,13 +147,8 @@ def table_of(trips: Sequence[Trip], folder: Path) -> str:
     rows.writerow(["file", *keys])
     for trip in trips:
         known = [trip.known[key].value if key in trip.known else "" for key in keys]
-        rows.writerow([_cell(trip.files[0].relative_to(folder).as_posix()), *known])
+        rows.writerow([cell_of(trip.files[0].relative_to(folder).as_posix()), *known])
     return out.getvalue()
-
-
-def _cell(name: str) -> str:
-    """Return the name of a file as a cell that a spreadsheet does not take for a formula."""
-    return f"./{name}" if name.startswith(("=", "+", "-", "@")) else name
 
 
 def folder_manifests(
@@ -211,11 +199,7 @@ def _row(
     table: Mapping[str, Mapping[str, Stated]], one: TripFiles, folder: Path
 ) -> tuple[set[str], dict[str, Stated]]:
     """Return the names in a table that mean a trip, and what their rows state."""
-    names = {one.path.stem}
-    for file in one.files:
-        path = file.relative_to(folder).as_posix()
-        names |= {file.name, file.stem, path, _cell(path)}
-    named = names & set(table)
+    named = {one.path.stem, *names_of(one.files, folder)} & set(table)
     return named, {key: value for name in sorted(named) for key, value in table[name].items()}
 
 

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import csv
+import io
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,6 +20,10 @@ DEEPEST = 3
 IGNORED = ("vehicle", "outputs")
 """Names of folders that hold no trips."""
 _GPS = ("gps", "gnss", "nmea")
+FILE_NAMES = ("file", "datei", "dateiname", "filename", "trip", "fahrt")
+"""Names of the column of a table that names a trip or one of its files."""
+HEAD_BYTES = 65_536
+"""Size of the start of a file that shows whether it is a table of trips."""
 
 
 @dataclass(frozen=True)
@@ -55,6 +62,64 @@ def find_trip_files(folder: Path, besides: Iterable[Path] = ()) -> list[TripFile
         TripFiles(Path(f"{name}.yaml"), tuple(files))
         for name, files in zip(names, by_trip.values(), strict=True)
     ]
+
+
+def find_tables(folder: Path) -> list[Path]:
+    """Return the tables of trips (CSV) that lie in a folder or its subfolders, next to recordings.
+
+    Such a table has a column of ``FILE_NAMES`` that names another data file of the folder, or a
+    trip. OSError is raised if a folder cannot be read.
+    """
+    files = sorted(_data_files(folder, DEEPEST)) if folder.is_dir() else []
+    return [
+        file for file in files if file.suffix.lower() == ".csv" and _is_table(file, files, folder)
+    ]
+
+
+def _is_table(file: Path, files: Sequence[Path], folder: Path) -> bool:
+    with suppress(OSError, ValueError), file.open("rb") as stream:
+        rows, _ = table_rows(stream.read(HEAD_BYTES), str(file))
+        columns = columns_of_files([name.strip() for name in rows[0]] if rows else [])
+        cells = {row[i].strip() for i in columns for row in rows[1:] if i < len(row)}
+        others = [one for one in files if one != file]
+        trips = {_trip_of(one, folder).name for one in others}
+        return bool(cells & (trips | names_of(others, folder)))
+    return False
+
+
+def table_rows(data: bytes, name: str) -> tuple[list[list[str]], str]:
+    """Return the rows of a table (CSV) that are not empty, and its delimiter.
+
+    ValueError, whose message starts with `name`, is raised if it is none.
+    """
+    try:
+        text = data.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        text = data.decode("latin-1")
+    head = text.partition("\n")[0]
+    delimiter = max(";\t,", key=head.count)
+    try:
+        lines = csv.reader(io.StringIO(text, newline=""), delimiter=delimiter)
+        return [row for row in lines if any(row)], delimiter
+    except csv.Error as error:
+        raise ValueError(f"{name} cannot be read as a table: {error}") from None
+
+
+def columns_of_files(names: Sequence[str]) -> list[int]:
+    """Return which columns of a table name trips or files."""
+    return [i for i, name in enumerate(names) if name.lower() in FILE_NAMES]
+
+
+def names_of(files: Iterable[Path], folder: Path) -> set[str]:
+    """Return the names that a table may give to files of a folder."""
+    paths = {file: file.relative_to(folder).as_posix() for file in files}
+    own = {name for file in paths for name in (file.name, file.stem)}
+    return own | {name for path in paths.values() for name in (path, cell_of(path))}
+
+
+def cell_of(name: str) -> str:
+    """Return the name of a file as a cell that a spreadsheet does not take for a formula."""
+    return f"./{name}" if name.startswith(("=", "+", "-", "@")) else name
 
 
 def _data_files(folder: Path, depth: int) -> Iterable[Path]:

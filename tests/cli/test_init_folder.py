@@ -1,7 +1,9 @@
 """suspnet init of a folder: all manifests at once, and one list of what is missing."""
 
 import os
+import shlex
 from datetime import datetime, timedelta
+from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
@@ -13,10 +15,11 @@ from recording_files import write_mdf
 from trip_fixtures import RATES_HZ, signal, small_fleet
 
 from suspnet.cli import check, init
+from suspnet.cli.config_files import CONFIGS
 from suspnet.dynamics import Vehicle
 from suspnet.recordings.manifest import CHANNELS
 from suspnet.recordings.manifest_files import read_manifest
-from suspnet.trips.trip_files import find_trip_files
+from suspnet.trips.trip_files import find_tables, find_trip_files
 
 WORDS = ("Achslager", "Rahmen", "Wagenkasten")
 SAID = ("vehicle=am96", "suspension=car 7", "speed=70", "unit=m/s2", "rate_hz=250", "side=left")
@@ -317,3 +320,74 @@ def test_mistakes_in_a_vehicle_are_one_line(tmp_path, words, said):
     assert done.returncode == 1
     assert words in done.stderr
     assert not list(tmp_path.iterdir())
+
+
+def test_table_of_trips_among_the_recordings_is_no_recording(tmp_path):
+    table = "file;mileage_km;direction\n{};1000;forward\n"
+    for name in ("run_1", "run_2"):
+        write_plain(tmp_path / f"{name}.parquet")
+    (tmp_path / "trips.csv").write_text(table.format("run_1.parquet"))
+    write_plain(tmp_path / "more" / "run_3.parquet")
+    (tmp_path / "more" / "Fahrten.csv").write_text("Fahrt;km-Stand\nrun_3;30\n")
+    write_german(tmp_path / "run_4.csv", columns={"trip": np.arange(400), "file": np.ones(400)})
+    assert [path.name for path in find_tables(tmp_path)] == ["Fahrten.csv", "trips.csv"]
+    done = typed(init, tmp_path, *SAID, cwd=tmp_path)
+    assert "4 trips in" in done.stdout
+    assert "trips.csv is a table of trips, which --table" in done.stdout
+    assert "more/Fahrten.csv is a table of trips, which --table" in done.stdout
+    (tmp_path / "run_4.csv").unlink()
+    table = ("--table", tmp_path / "trips.csv")
+    words = typed(init, tmp_path, *SAID, *table, cwd=tmp_path).stdout
+    assert "3 trips in" in words
+    assert "trips.csv is a table" not in words
+    assert "mileage_km (in 2 of them)" in words
+
+
+@pytest.mark.parametrize(
+    "content", [b"", b"file\n", b"file;x\n\0;\xff\n", b"\xef\xbb\xbffile\nother\n"]
+)
+def test_whatever_is_no_table_of_these_trips_stays_a_recording(tmp_path, content):
+    write_plain(tmp_path / "run_1.parquet")
+    (tmp_path / "odd.csv").write_bytes(content)
+    assert find_tables(tmp_path) == []
+    assert len(find_trip_files(tmp_path)) == 2
+
+
+def test_next_command_can_be_copied_and_names_own_vehicles(tmp_path):
+    folder = tmp_path / "car 7"
+    write_plain(folder / "run_1.parquet")
+    own = tmp_path / "our vehicles" / "vehicle"
+    own.mkdir(parents=True)
+    shipped = yaml.safe_load((Path(CONFIGS) / "vehicle" / "am96.yaml").read_text())
+    (own / "metro.yaml").write_text(yaml.safe_dump(shipped | {"name": "metro"}))
+    given = ("car 7", "vehicle=metro", *SAID[1:], "--config-dir", "our vehicles")
+    asks = typed(init, *given, cwd=tmp_path).stdout.splitlines()[-1].partition("trips: ")[2]
+    assert "KEY=VALUE ..." in asks
+    command = shlex.split(asks.replace("KEY=VALUE ...", "mileage_km=1"))
+    assert command[:4] == ["suspnet", "init", "car 7", "vehicle=metro"]
+    done = typed(init, *command[2:], cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    then = shlex.split(done.stdout.splitlines()[-1].partition("run: ")[2])
+    assert then == ["suspnet", "check", "car 7", "--config-dir", "our vehicles"]
+    checked = typed(check, *then[2:], "--no-pictures", cwd=tmp_path)
+    assert "metro, car 7" in checked.stdout
+    assert "none of" not in checked.stdout
+    for wrong, words in (("vehicle=tram", "must be one of"), ("vehicle=am96", "")):
+        (folder / "run_1.yaml").unlink(missing_ok=True)
+        said = [wrong if one == "vehicle=metro" else one for one in command[2:]]
+        assert words in typed(init, *said, cwd=tmp_path).stderr
+        assert (folder / "run_1.yaml").exists() == (not words)
+    missing = typed(init, *command[2:-1], "nowhere", "--force", cwd=tmp_path)
+    assert "--config-dir=nowhere holds no folder `vehicle`" in missing.stderr
+
+
+def test_how_files_are_read_is_said_once_for_all(tmp_path):
+    for i in range(3):
+        write_german(tmp_path / f"Fahrt_{i}.csv", n=70 * 250)
+    rows = "".join(f"Fahrt_{i};{i}\n" for i in range(3))
+    (tmp_path / "t.csv").write_text(f"file;mileage_km\n{rows}")
+    written(tmp_path, "vehicle=am96", "suspension=x", "direction=forward", "--table", "t.csv")
+    said = typed(check, tmp_path, "--no-pictures", cwd=tmp_path).stdout
+    assert said.count("delimiter") == 1
+    assert "Fahrt_0, Fahrt_1, Fahrt_2: delimiter ';'" in said
+    assert "(3 files)" in said
