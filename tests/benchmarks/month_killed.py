@@ -126,9 +126,9 @@ class Programs:
                 self._pids[name] = start(program, arguments, where)
                 self.starts[name] += 1
 
-    def kill(self) -> None:
-        """Kill one of them without warning."""
-        name = self._rng.choice(list(self._pids))
+    def kill(self, name: str = "") -> None:
+        """Kill one of them without warning, a random one if none is named."""
+        name = name or self._rng.choice(list(self._pids))
         os.kill(self._pids[name], signal.SIGKILL)
         self.kills[name] += 1
 
@@ -229,6 +229,10 @@ def live(
             before = now
             time.sleep(2 * QUIET_S)
             programs.look()
+        # rates of wear are learned again only when many trips are new: here, from all of them
+        programs.kill("serve")
+        time.sleep(MOST_AWAY_S)
+        programs.look()
         pages = _pages(port)
     finally:
         programs.end()
