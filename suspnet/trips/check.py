@@ -29,6 +29,7 @@ from suspnet.estimation.trained import TrainedModel
 from suspnet.estimation.trip_settings import TripSettings
 from suspnet.ground.parameters import Direction
 from suspnet.ground.records import ERROR, OK
+from suspnet.ground.tensors import threads
 from suspnet.recordings.errors import TripError, all_of
 from suspnet.recordings.formats import open_columns
 from suspnet.recordings.manifest import CHANNELS, TripManifest
@@ -359,6 +360,7 @@ def _with_plausibility(
     return replace(result, remarks=result.remarks + tuple(dict.fromkeys(filter(None, doubts))))
 
 
+@threads(1)  # as for estimates: systems of 30 equations are too small for two
 def _check_bogie(
     recording: Recording, vehicle: Vehicle, settings: TripSettings, ways: Sequence[Direction]
 ) -> None:
