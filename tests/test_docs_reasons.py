@@ -37,6 +37,7 @@ TELLING = (
     "suspnet/trips/trip.py",
     "suspnet/estimation/flags.py",
     "suspnet/estimation/bogie_trips.py",
+    "suspnet/estimation/swapped_sensors.py",
     "suspnet/ground/workers.py",
 )
 """Modules whose every sentence is a reason."""

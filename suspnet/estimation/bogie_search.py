@@ -65,6 +65,10 @@ class BogieTrip:
         """Return the numbers of those bins that are not left out."""
         return bins if self.left_out is None else bins[~self.left_out[bins]]
 
+    def in_order(self, order: Sequence[int]) -> BogieTrip:
+        """Return the trip with its sensors in another order, given by their numbers."""
+        return replace(self, spectra=self.spectra.of_sensors(order))
+
     def kept(self, sensors: Sequence[str]) -> list[int]:
         """Return the numbers of those of a vehicle's sensors that the trip has.
 
@@ -173,6 +177,16 @@ class BogieSearch:
         starts = self.start(ratios), self.start()
         costs = [np.square(self._residuals(x, misfits, self.thinned)).sum() for x in starts]
         return starts[int(np.argmin(costs))]
+
+    def misfits_in(self, orders: Sequence[Sequence[int]]) -> FloatArray:
+        """Return the rms residual of the first trip at the start, its sensors in other orders.
+
+        Model errors are allowed for as in `nearer`; `orders` (n_orders, n_sensors) are numbers.
+        """
+        responses = self._responses(self.start(), 0, self.thinned)
+        rows = torch.stack([responses[:, list(order)] for order in orders])
+        values = self._misfits(SPREADS[1], self.thinned)[0](rows)
+        return values.square().mean(dim=1).sqrt().numpy()
 
     def found(self, explained: float) -> Found:
         """Return the first end that converged with at most that misfit, or that of the least."""

@@ -9,7 +9,7 @@ import numpy as np
 from torch import Tensor
 
 from suspnet.dynamics import ResponseGenerator
-from suspnet.estimation.bogie_trips import estimate_parts
+from suspnet.estimation.bogie_trips import UNEXPLAINED, UnexplainedError, estimate_parts
 from suspnet.estimation.direction import direction_of, of_direction
 from suspnet.estimation.estimate import Estimate
 from suspnet.estimation.fitted import FittedMethod
@@ -56,7 +56,7 @@ def estimate_recording(
     It is that of each part if the method has a bogie and the recording shows its parts.
     """
     segments = recording_segments(recording, trip_settings(method).welch)
-    without_parts = None
+    without_parts, unexplained = None, False
     try:
         bins = all_bins([(method, segments)], recording, settings, wheel_lines(recording))
     except NoEstimateError as reason:
@@ -66,9 +66,12 @@ def estimate_recording(
             return estimate_bogie(method, recording, segments, settings)
         except NoEstimateError as reason:
             without_parts = without_parts and NoEstimateError(f"{without_parts}; {reason}")
+            unexplained = isinstance(reason, UnexplainedError)
     if without_parts is not None:
         raise without_parts
     estimate = with_sides(combined(bins), bins, recording)[0]
+    if unexplained:
+        estimate = replace(estimate, flags=estimate.flags.with_kind("misfit", UNEXPLAINED))
     return at_healthy_temperature(method, estimate, recording)
 
 

@@ -12,14 +12,15 @@ from suspnet.dynamics import ResponseGenerator, SpatialVehicle, VerticalVehicle
 from suspnet.dynamics.quantities import PARTS, LogNormal
 from suspnet.estimation import commissioning_summary as words
 from suspnet.estimation.bogie_fit import CommissionedBogie, commission_bogie
-from suspnet.estimation.bogie_trips import bogie_trip, sensor_places, show_parts
+from suspnet.estimation.bogie_trips import PARTS_OF_BOGIE, bogie_trip, sensor_places, show_parts
 from suspnet.estimation.commissioning import Commissioned, commission
 from suspnet.estimation.healthy_trips import HealthyTrips, read_healthy
 from suspnet.estimation.lone_sensors import SIDE_M
+from suspnet.estimation.swapped_sensors import check_order
 from suspnet.estimation.trip_settings import TripSettings
 from suspnet.ground.parameters import Direction
 from suspnet.ground.tensors import threads
-from suspnet.recordings.errors import TripError
+from suspnet.recordings.errors import TripError, all_of
 from suspnet.recordings.manifest import CHANNELS, LEAST_SENSORS, TripManifest
 from suspnet.recordings.manifest_files import ManifestFile
 from suspnet.recordings.recording import load_recording
@@ -28,11 +29,6 @@ from suspnet.spectra.estimates import EstimateSettings
 log = logging.getLogger(__name__)
 SETTINGS = ("bogie", "axle", "frame_sensor", "body_sensor_m", "nominal")
 """Settings that the vehicle of the parts shares with the vertical one."""
-PARTS_OF_BOGIE = (
-    *("bushings", "rubber", "guidance", "longitudinal", "bending", "payload", "sensors"),
-    *("frame_sway", "frame_yaw", "body_yaw", "creep", "torsion", "yaw_dampers"),
-)
-"""What a vehicle whose parts are read may have besides rigid bodies on springs and dampers."""
 FAMILY = tuple(part for part in PARTS if part != "air_spring")
 """Parts of the vehicle that is commissioned if the configuration names none."""
 AS_EQUAL = "With both sides and axles as equal, for trips that do not show their parts: "
@@ -157,6 +153,11 @@ def _commissioned_bogie(
         bogie_trip(load_recording(manifest, trips.rate_hz), vehicle, trips, direction)
         for manifest, direction in each
     ]
+    if trips.check_channels:
+        all_of(
+            partial(check_order, vehicle, trip, f"{manifest.path}: ")
+            for (manifest, _), trip in zip(each, read, strict=True)
+        )
     return commission_bogie(vehicle, read)
 
 

@@ -13,12 +13,11 @@ from tabulate import tabulate
 
 from suspnet.dynamics import SpatialVehicle, Vehicle
 from suspnet.dynamics.vehicle import GEOMETRY
-from suspnet.estimation.bogie_trips import HIGH_HZ, LOW_HZ
+from suspnet.estimation.bogie_trips import HIGH_HZ, LOW_HZ, PARTS_OF_BOGIE
 from suspnet.estimation.layouts import LAYOUTS, WORN, LayoutBounds, layout_bounds
 from suspnet.ground.parameters import BODY_MASS, COMPONENTS, PARAMETERS, kind_of
 from suspnet.ground.settings import check_number
 from suspnet.report.figures import SYMBOLS
-from suspnet.runs.commissioning import PARTS_OF_BOGIE
 from suspnet.runs.tables import Record, write_study
 from suspnet.spectra.estimates import EstimateSettings
 from suspnet.spectra.observation import Observation

@@ -19,6 +19,7 @@ fraction eps of each sensor's signal are allowed for by adding eps^2 diag S to N
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Self
@@ -52,6 +53,11 @@ class SpectralMatrix:
     def at(self, bins: Tensor) -> SpectralMatrix:
         """Return the matrices of chosen bins, a bool tensor (n_freq,) or their numbers."""
         return SpectralMatrix(self.values[bins], self.n_averages)
+
+    def of_sensors(self, numbers: Sequence[int]) -> SpectralMatrix:
+        """Return the matrices of chosen sensors in the order of their numbers."""
+        chosen = list(numbers)
+        return SpectralMatrix(self.values[:, chosen][:, :, chosen], self.n_averages)
 
     @property
     def densities(self) -> Tensor:

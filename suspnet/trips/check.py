@@ -2,23 +2,34 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from suspnet.dynamics import Vehicle, best_generator
+from suspnet.dynamics import SpatialVehicle, Vehicle, best_generator
+from suspnet.estimation.bogie_trips import (
+    PARTS_OF_BOGIE,
+    bogie_trip,
+    sensor_places,
+    show_parts,
+)
 from suspnet.estimation.from_recording import no_channel
 from suspnet.estimation.steady_parts import Steady, groups_to_read, readable_words, steady
+from suspnet.estimation.swapped_sensors import check_order
 from suspnet.estimation.trained import TrainedModel
 from suspnet.estimation.trip_settings import TripSettings
+from suspnet.ground.parameters import Direction
 from suspnet.ground.records import ERROR, OK
+from suspnet.ground.tensors import threads
 from suspnet.recordings.errors import TripError, all_of
 from suspnet.recordings.formats import open_columns
 from suspnet.recordings.manifest import CHANNELS, TripManifest
@@ -32,7 +43,12 @@ from suspnet.spectra.plausibility import (
     check_pairs,
     shown_direction,
 )
-from suspnet.spectra.segments import difference_segments, recording_segments, segment_speeds
+from suspnet.spectra.segments import (
+    NoEstimateError,
+    difference_segments,
+    recording_segments,
+    segment_speeds,
+)
 from suspnet.spectra.welch import SegmentSpectra
 from suspnet.trips.check_page import (
     PROBLEM,
@@ -197,7 +213,7 @@ def _inspected(
     # channels can be tested for a swap only against a known vehicle
     if vehicle is None or spectra is None or result.state == PROBLEM:
         return result
-    return _with_plausibility(result, recording, segments, checked, vehicle)
+    return _with_plausibility(result, recording, segments, checked, vehicle, trips)
 
 
 def _read(result: TripCheck, recording: Recording, settings: CheckSettings) -> TripCheck:
@@ -309,10 +325,12 @@ def _with_plausibility(
     segments: SegmentSpectra,
     checked: Sequence[Tensor],
     vehicle: Vehicle,
+    settings: TripSettings,
 ) -> TripCheck:
     doubts: list[str] = []
+    ways = [way] if (way := recording.manifest.direction) else []
 
-    def check_order(chosen: Tensor) -> None:
+    def check_channel_order(chosen: Tensor) -> None:
         speed = float(segment_speeds(recording, segments)[chosen].mean())
         manifest, frequencies_hz = recording.manifest, segments.frequencies_hz
         bogie = manifest.bogie or "leading"
@@ -322,17 +340,40 @@ def _with_plausibility(
         # in reverse the leading bogie moves like the trailing one: unnamed, either will do
         said = manifest.direction if manifest.bogie else None
         generator = generator.running(said or shown)
-        if generator.direction and not manifest.direction and factor < DIRECTION_MARGIN:
-            doubts.append(NO_DIRECTION)
+        if generator.direction and not manifest.direction:
+            if factor < DIRECTION_MARGIN:
+                doubts.append(NO_DIRECTION)
+            else:
+                ways.append(shown)
         doubts.append(check_channels(spectra, frequencies_hz, generator, vehicle, doubtful=single))
 
     def check_sides(chosen: Tensor) -> None:
         differences = difference_segments(recording, segments.welch)
         check_pairs(segments, differences, chosen, recording.paired, vehicle)
 
-    parts = [check_order, *([check_sides] if any(recording.paired) else [])]
+    parts = [check_channel_order, *([check_sides] if any(recording.paired) else [])]
+    each = [partial(part, chosen) for part in parts for chosen in checked]
     try:
-        all_of(partial(part, chosen) for part in parts for chosen in checked)
+        all_of([*each, partial(_check_bogie, recording, vehicle, settings, ways)])
     except TripError as error:
         return _with_problems(result, error.problems)
     return replace(result, remarks=result.remarks + tuple(dict.fromkeys(filter(None, doubts))))
+
+
+@threads(1)  # as for estimates: systems of 30 equations are too small for two
+def _check_bogie(
+    recording: Recording, vehicle: Vehicle, settings: TripSettings, ways: Sequence[Direction]
+) -> None:
+    """Raise TripError if two of the sensors that show each part of a bogie look swapped.
+
+    `ways` are the directions of travel of the recording's parts, empty if unknown.
+    """
+    places = sensor_places(recording.manifest, "axle")
+    if not ways or not show_parts(places):
+        return
+    bogie: Literal["leading", "trailing"] = (
+        "trailing" if recording.manifest.bogie == "trailing" else "leading"
+    )
+    unknown = SpatialVehicle(vehicle, bogie=bogie, parts=PARTS_OF_BOGIE, sensors=places)
+    with contextlib.suppress(NoEstimateError):  # what can be read is said elsewhere
+        check_order(unknown.with_prior(), bogie_trip(recording, unknown, settings, ways[0]))

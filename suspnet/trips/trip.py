@@ -14,7 +14,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from suspnet.estimation.bogie_trips import lost_sensors
+from suspnet.estimation.bogie_trips import UNEXPLAINED, UnexplainedError, lost_sensors
 from suspnet.estimation.estimate import Estimate, HealthyValues
 from suspnet.estimation.from_recording import all_bins, at_healthy_temperature, estimate_bogie
 from suspnet.estimation.from_spectra import trip_settings
@@ -42,7 +42,7 @@ from suspnet.recordings.recording import Recording, load_recording, overview
 from suspnet.spectra.segments import NoEstimateError, recording_segments
 from suspnet.spectra.sensor_health import sensor_health
 from suspnet.spectra.welch import SegmentSpectra, Welch
-from suspnet.spectra.wheel_lines import wheel_lines, wheel_words
+from suspnet.spectra.wheel_lines import WheelLine, wheel_lines, wheel_words
 from suspnet.trips.commissionings import models_at, since_km
 
 log = logging.getLogger(__name__)
@@ -153,14 +153,25 @@ def _estimated(
     result = replace(result, quality=replace(quality, segments_total=n_total))
     pairs = [(model, segments[_welch(model)]) for model in models]
     try:
-        bins = all_bins(pairs, recording, settings, lines)
+        equal = _with_equal_sides(result, recording, pairs, settings, lines)
+        return _with_parts(equal, recording, pairs[0], settings)
     except TripError as error:  # reported only now, as the quality is known
         return replace(result, reason=str(error))
+
+
+def _with_equal_sides(
+    result: TripResult,
+    recording: Recording,
+    pairs: Sequence[tuple[TrainedModel, SegmentSpectra]],
+    settings: TripSettings,
+    lines: Sequence[WheelLine],
+) -> TripResult:
+    """Return a result with the estimate of both sides as equal, or why there is none."""
+    try:
+        bins = all_bins(pairs, recording, settings, lines)
     except NoEstimateError as error:
-        result = replace(result, status=NO_ESTIMATE, reason=str(error))
-    else:
-        result = _combined(result, recording, bins)
-    return _with_parts(result, recording, pairs[0], settings)
+        return replace(result, status=NO_ESTIMATE, reason=str(error))
+    return _combined(result, recording, bins)
 
 
 def _with_parts(
@@ -171,7 +182,8 @@ def _with_parts(
 ) -> TripResult:
     """Return a result with the estimate of each part in place of that of both sides as equal.
 
-    If the trip does not show the parts, it stays as it is, and a warning says why.
+    If the trip does not show the parts, it stays as it is, and a warning says why; it is flagged
+    if no change of the parts explains it.
     """
     model, segments = pair
     if model.bogie is None:
@@ -179,6 +191,8 @@ def _with_parts(
     try:
         estimate = estimate_bogie(model, recording, segments, settings)
     except NoEstimateError as error:
+        if isinstance(error, UnexplainedError):
+            result = replace(result, flags="; ".join(filter(None, (result.flags, UNEXPLAINED))))
         return _warned(result, f"{NO_PART}{error}")
     result = replace(result, reason="", sides="", worn=estimate.found)
     if lost := lost_sensors(recording, model.bogie.generator):

@@ -26,11 +26,10 @@ from vehicles import AM96
 
 from suspnet.dynamics import SpatialVehicle
 from suspnet.estimation.bogie_fit import commission_bogie
-from suspnet.estimation.bogie_trips import bogie_trip
+from suspnet.estimation.bogie_trips import PARTS_OF_BOGIE, bogie_trip
 from suspnet.ground.parameters import COMPONENTS
 from suspnet.recordings.manifest_files import read_manifest
 from suspnet.recordings.recording import load_recording
-from suspnet.runs.commissioning import PARTS_OF_BOGIE
 from suspnet.simulation import Fleet
 
 RESULTS = TESTS / "benchmarks" / "results"

@@ -13,12 +13,17 @@ from scipy.stats import norm
 from trip_fixtures import MINUTES, OUTPUTS, SPEED
 from trip_records import trip
 
-from suspnet.estimation import trip_flags
+from suspnet.estimation import from_recording, trip_flags
+from suspnet.estimation.bogie_trips import UNEXPLAINED as UNEXPLAINED_PARTS
+from suspnet.estimation.bogie_trips import UnexplainedError
 from suspnet.estimation.trip_flags import SIDE_COSTS, UNEXPLAINED, side_errors, spoken_sides
 from suspnet.estimation.trip_settings import TripSettings
 from suspnet.ground.records import ERROR, NO_ESTIMATE, OK
+from suspnet.recordings.errors import TripError
 from suspnet.report.report import sides_finding
+from suspnet.spectra.segments import NoEstimateError
 from suspnet.spectra.side_difference import SideDifference
+from suspnet.trips import trip as trip_evaluation
 from suspnet.trips.trip import evaluate_trip
 
 RATE_HZ, TOP_HZ = 250.0, 15.0
@@ -159,6 +164,29 @@ def test_sensors_swapped_on_one_side_are_named(tmp_path, model, side):
     assert result.reason.startswith(
         f"axle_box and bogie: their {name} sensors look swapped: with them"
     )
+
+
+@pytest.mark.parametrize("error", [TripError, NoEstimateError, UnexplainedError])
+def test_what_becomes_of_a_trip_whose_parts_are_not_read(manifests, model, monkeypatch, error):
+    def not_read(*_):
+        raise error("why")
+
+    monkeypatch.setattr(trip_evaluation, "estimate_bogie", not_read)
+    monkeypatch.setattr(from_recording, "estimate_bogie", not_read)
+    equal = evaluate_trip(manifests[0], [model], TripSettings())
+    with_bogie = replace(model, bogie=object())
+    result = evaluate_trip(manifests[0], [with_bogie], TripSettings())
+    assert result.quality.n_averages == equal.quality.n_averages * (error is not TripError)
+    if error is TripError:  # the sensors are wrong: there is nothing to fall back on
+        assert (result.status, result.reason, result.estimates) == (ERROR, "why", {})
+        with pytest.raises(TripError, match="why"):
+            with_bogie.estimate(manifests[0])
+        return
+    assert (result.status, result.estimates) == (OK, equal.estimates)
+    assert result.quality.no_part == "why"
+    flags = UNEXPLAINED_PARTS if error is UnexplainedError else ""
+    assert result.flags == flags
+    assert with_bogie.estimate(manifests[0]).flags.reasons == (flags,)
 
 
 def test_pair_needs_a_model_of_pairs(tmp_path, model):

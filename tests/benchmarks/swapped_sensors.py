@@ -1,0 +1,85 @@
+"""Whether two sensors in each other's place are found, on trains written without the estimator.
+
+python tests/benchmarks/swapped_sensors.py [--cases plain "all at once"] [--seeds 0 1 2]
+
+Each seed is a train of tests/blind_train.py: 5 healthy trips to commission, then 2 healthy ones, 6
+with two and 6 with twelve worn parts, and 16 with one at 62 or 30 %, of 20 minutes. A correct trip
+is looked at with the drawing's vehicle and the commissioned one; in every third trip two sensors
+are exchanged, and the likeliest order by the drawing is compared.
+"""
+
+import sys
+import tempfile
+from argparse import ArgumentParser
+from pathlib import Path
+
+import numpy as np
+import torch
+from named_parts import CASES, drawn_trips, family_of, runs_of
+
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+
+from blind_train import Track, Train, record, write_trip
+
+import suspnet
+from suspnet.estimation.swapped_sensors import check_order, likeliest_order
+from suspnet.recordings.errors import TripError
+
+EXCHANGES = ((0, 1), (2, 3), (4, 5), (0, 2), (1, 3), (2, 4))
+ONE_PART = [(part, 62) for part in range(12)] + [(part, 30) for part in range(0, 12, 3)]
+EVERY = 3
+
+
+def trips_of(name, seed, folder):
+    """Return the vehicle of the drawing, the commissioned one and all trips of a train."""
+    case, rng = CASES[name], np.random.default_rng([seed, 10])
+    train = Train.scattered(
+        seed, case.geometry, case.unequal, case.sensors, case.torsion, case.scatter
+    )
+    family = family_of(case, train)
+    trips = drawn_trips([], [], 6, 5, rng, 2)
+    for part, level in ONE_PART:
+        trips.append(("one part", level, np.where(np.arange(13) == part, level / 100, 1.0)))
+    runs, loads = runs_of(case, len(trips), 20.0, rng)
+    found = []
+    for i, ((_, _, ratios), run, load) in enumerate(zip(trips, runs, loads, strict=True)):
+        signals = record(train.worn(np.append(ratios[:-1], load)), Track.drawn(rng), run, [seed, i])
+        path = write_trip(folder, f"trip_{i}", signals, run, 1000.0 + i, case.places)
+        recording = suspnet.load_recording(suspnet.read_manifest(path), 100.0)
+        found.append(suspnet.bogie_trip(recording, family))
+        (folder / f"trip_{i}.parquet").unlink()
+    return family, suspnet.commission_bogie(family, found[:5]).generator, found
+
+
+def main():
+    parser = ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--cases", nargs="+", default=["plain", "all at once"], choices=CASES)
+    parser.add_argument("--seeds", nargs="+", type=int, default=[0, 1, 2])
+    options = parser.parse_args()
+    torch.set_num_threads(1)
+    for name in options.cases:
+        for seed in options.seeds:
+            with tempfile.TemporaryDirectory() as folder:
+                drawing, commissioned, trips = trips_of(name, seed, Path(folder))
+            called = 0
+            for trip in trips:
+                for vehicle in (drawing, commissioned):
+                    try:
+                        check_order(vehicle, trip)
+                    except TripError as error:
+                        called += 1
+                        print(error)
+            right, chosen = 0, trips[::EVERY]
+            for i, j in EXCHANGES:
+                order = list(range(6))
+                order[i], order[j] = j, i
+                right += sum(likeliest_order(drawing, t.in_order(order)) == order for t in chosen)
+            print(
+                f"{name}, {seed}: {called} of 2 x {len(trips)} correct trips called swapped, "
+                f"{right} of {len(EXCHANGES) * len(chosen)} exchanges found",
+                flush=True,
+            )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,69 @@
+"""Sensors of a bogie in each other's place: found by the drawing alone, and no others."""
+
+from itertools import combinations
+
+import numpy as np
+import pytest
+from test_bogie_fit import VEHICLE, drawn, row, trip, without
+
+from suspnet.estimation import swapped_sensors
+from suspnet.estimation.bogie_search import BogieSearch, smallest_noise
+from suspnet.estimation.swapped_sensors import check_order, likeliest_order
+from suspnet.recordings.errors import TripError
+
+PAIRS = list(combinations(range(6), 2))
+
+
+def search(one):
+    return BogieSearch(VEHICLE, [smallest_noise(one.spectra)], [one], are_healthy=False)
+
+
+def exchanged(one, i, j):
+    order = list(range(one.spectra.values.shape[-1]))
+    order[i], order[j] = j, i
+    return one.in_order(order)
+
+
+@pytest.mark.parametrize("worn", [{}, {"c_p_axle2_left": 0.3}, {"k_s_left": 1.6, "c_s_right": 0.5}])
+@pytest.mark.parametrize("lost", [(), ("axle_box_axle1_left",)])
+def test_sensors_in_their_places_are_not_called_swapped(worn, lost):
+    for seed in range(5):
+        one = trip(drawn(VEHICLE, row(worn, seed=seed), seed), 70.0)
+        check_order(VEHICLE, without(one, lost) if lost else one)
+
+
+@pytest.mark.parametrize(("i", "j"), PAIRS)
+def test_the_exchange_that_was_made_fits_best(i, j):
+    one = exchanged(trip(drawn(VEHICLE, row({"k_p_axle1_right": 0.7}), 7), 70.0), i, j)
+    expected = list(range(6))
+    expected[i], expected[j] = j, i
+    assert likeliest_order(VEHICLE, one) == expected
+
+
+@pytest.mark.parametrize(("i", "j", "lost"), [(0, 1, ()), (2, 3, ("axle_box_axle1_left",))])
+def test_two_sensors_that_are_swapped_are_named(i, j, lost):
+    one = trip(drawn(VEHICLE, row({"k_p_axle1_right": 0.7}), 7), 70.0)
+    one = without(exchanged(one, i, j), lost) if lost else exchanged(one, i, j)
+    names = f"trip_7.yaml: {VEHICLE.sensors[i]} and {VEHICLE.sensors[j]} look swapped: with them"
+    with pytest.raises(TripError, match=names) as error:
+        check_order(VEHICLE, one, "trip_7.yaml: ")
+    assert "exchange them in the manifest" in str(error.value)
+
+
+def test_an_exchange_that_no_fit_confirms_is_none(monkeypatch):
+    """The physics of another train may look better with two sensors exchanged."""
+    one = trip(drawn(VEHICLE, row({}), 7), 70.0)
+    monkeypatch.setattr(swapped_sensors, "likeliest_order", lambda *_: [1, 0, 2, 3, 4, 5])
+    check_order(VEHICLE, one)
+
+
+# reference
+
+
+def test_misfits_of_orders_are_those_of_the_reordered_spectra():
+    one = trip(drawn(VEHICLE, row({"c_s_left": 0.5}), 3), 70.0)
+    orders = [[0, 1, 2, 3, 4, 5], [0, 4, 2, 3, 1, 5], [5, 1, 2, 3, 4, 0]]
+    found = search(one).misfits_in(orders)
+    assert found[1] != pytest.approx(found[0], rel=0.1)
+    alone = [search(one.in_order(order)).misfits_in(orders[:1])[0] for order in orders]
+    np.testing.assert_allclose(found, alone, rtol=1e-9)
