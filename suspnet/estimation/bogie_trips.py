@@ -80,6 +80,9 @@ def bogie_trip(
     settings = settings or TripSettings()
     assert generator.sensors is not None
     lost = lost_sensors(recording, generator)
+    n_sensors = len(generator.sensors) - len(lost)
+    if recording.duration_s < SEGMENT_S:
+        raise NoEstimateError(_too_short(0.0, n_sensors))
     names, segments = sensor_segments(recording, Welch(SEGMENT_S))
     there = _places(recording.manifest, generator.frame_sensor)
     places = [there.get(name) for name in names]
@@ -88,13 +91,8 @@ def bogie_trip(
     groups = groups_to_read(speeds, settings.speed_tolerance, settings.min_speed_m_per_s)
     chosen = without_loud(segments, groups[0]) if groups else torch.zeros(0, dtype=torch.bool)
     n_averages = segments.welch.n_averages(int(chosen.sum())) if bool(chosen.any()) else 0.0
-    if n_averages <= len(order) + 1:
-        raise NoEstimateError(
-            f"the longest stretch at one speed gives {n_averages:.1f} averages of {SEGMENT_S:g} s; "
-            f"{len(order)} sensors need more than {len(order) + 1}: at least "
-            f"{SEGMENT_S / 60 * (len(order) + 2) / 2:.0f} to "
-            f"{SEGMENT_S / 60 * (len(order) + 2):.0f} minutes"
-        )
+    if n_averages <= n_sensors + 1:
+        raise NoEstimateError(_too_short(n_averages, n_sensors))
     bins = _bins(segments.frequencies_hz)
     matrix = SpectralMatrix.of(segments, chosen).at(bins).of_sensors(order)
     frequencies_hz, lines = segments.frequencies_hz[bins], wheel_lines(recording)
@@ -124,6 +122,15 @@ def lost_sensors(recording: Recording, generator: SpatialVehicle) -> tuple[str, 
             f"{', '.join(generator.sensors)}, at least {LEAST_SENSORS} of them on both sides"
         )
     return lost
+
+
+def _too_short(n_averages: float, n_sensors: int) -> str:
+    return (
+        f"the longest stretch at one speed gives {n_averages:.1f} averages of {SEGMENT_S:g} s; "
+        f"{n_sensors} sensors need more than {n_sensors + 1}: at least "
+        f"{SEGMENT_S / 60 * (n_sensors + 2) / 2:.0f} to {SEGMENT_S / 60 * (n_sensors + 2):.0f} "
+        "minutes"
+    )
 
 
 def sensor_places(
