@@ -30,7 +30,14 @@ from suspnet.recordings.reader_process import in_own_process
 from suspnet.recordings.recording import WINDOWS, load_recording
 from suspnet.spectra.welch import Welch
 from suspnet.trips.check import CheckSettings, check_trip
-from suspnet.trips.check_page import PROBLEM, READY, TOO_LITTLE, trip_figure
+from suspnet.trips.check_page import (
+    PROBLEM,
+    READY,
+    TOO_LITTLE,
+    TripCheck,
+    summary,
+    trip_figure,
+)
 
 N_GOOD = 2
 """Number of trips that are checked; the first is drawn, which takes a second, others are blank."""
@@ -440,3 +447,22 @@ def test_ten_thousand_broken_manifests_take_less_than_20_s(manifests, tmp_path):
     assert time.process_time() - start < 20
     assert done.returncode == 1
     assert_told(tmp_path / "o", BROKEN)
+
+
+def test_how_files_are_read_is_said_once_for_all():
+    how = "delimiter ';', decimal sign ',', names in line 1, rows from line 2 on, latin-1"
+    checks = [
+        TripCheck(
+            Path(f"trip_{i}.yaml"), remarks=(f"a_{i}.csv: {how}; gps_{i}.csv: {how}", "loose")
+        )
+        for i in range(3)
+    ]
+    other = f"b.csv: {how.replace('latin-1', 'utf-8')}; 'a' is taken in g, its file says 'V'"
+    checks.append(TripCheck(Path("odd.yaml"), remarks=(other,)))
+    lines = summary(checks, []).partition("Remarks:\n")[2].splitlines()
+    assert lines == [
+        f"  trip_0, trip_1, trip_2: {how} (6 files)",
+        "  trip_0, trip_1, trip_2: loose",
+        f"  odd: {how.replace('latin-1', 'utf-8')} (1 file)",
+        "  odd: 'a' is taken in g, its file says 'V'",
+    ]

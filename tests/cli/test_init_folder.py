@@ -379,15 +379,3 @@ def test_next_command_can_be_copied_and_names_own_vehicles(tmp_path):
         assert (folder / "run_1.yaml").exists() == (not words)
     missing = typed(init, *command[2:-1], "nowhere", "--force", cwd=tmp_path)
     assert "--config-dir=nowhere holds no folder `vehicle`" in missing.stderr
-
-
-def test_how_files_are_read_is_said_once_for_all(tmp_path):
-    for i in range(3):
-        write_german(tmp_path / f"Fahrt_{i}.csv", n=70 * 250)
-    rows = "".join(f"Fahrt_{i};{i}\n" for i in range(3))
-    (tmp_path / "t.csv").write_text(f"file;mileage_km\n{rows}")
-    written(tmp_path, "vehicle=am96", "suspension=x", "direction=forward", "--table", "t.csv")
-    said = typed(check, tmp_path, "--no-pictures", cwd=tmp_path).stdout
-    assert said.count("delimiter") == 1
-    assert "Fahrt_0, Fahrt_1, Fahrt_2: delimiter ';'" in said
-    assert "(3 files)" in said
