@@ -1,4 +1,4 @@
-"""What a suspension, a broker and a store cost when several monitors share them: docs/scaling.md.
+"""What a suspension, a broker and a store cost when several monitors share them: docs/operation.md.
 
     python -m suspnet.simulate scenario=healthy generator=best out=trips/bench fleet.n_trips=1
     python train.py experiment=trips hydra.run.dir=outputs/bench data.minutes=20 \
