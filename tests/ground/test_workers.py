@@ -13,7 +13,13 @@ import pytest
 from joblib import Parallel, delayed
 
 from suspnet.ground import workers
-from suspnet.ground.workers import LostWorkerError, alongside, each, guard_joblib
+from suspnet.ground.workers import (
+    LostWorkerError,
+    alongside,
+    each,
+    fork_from_server,
+    guard_joblib,
+)
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="signals are those of POSIX")
 ORPHANS_S = 10.0
@@ -118,6 +124,37 @@ def test_work_alongside_without_a_second_core_is_done_here(monkeypatch, n_cores,
         assert start(partial(work, "a"))() == os.getpid()
 
 
+def parent_of(_):
+    """Return this process and its parent."""
+    return os.getpid(), os.getppid()
+
+
+@pytest.fixture(autouse=True)
+def _workers_start_on_their_own(monkeypatch):
+    """Start workers as without a program, which forks them."""
+    monkeypatch.setattr(workers, "_start_method", "loky")
+
+
+def test_workers_of_programs_are_forked_from_one_server(monkeypatch, tmp_path):
+    monkeypatch.setattr(workers.multiprocessing, "set_forkserver_preload", lambda _: None)
+    for name in workers.THREADS:
+        monkeypatch.delenv(name, raising=False)
+    before = signal.getsignal(signal.SIGINT)
+    fork_from_server("json", 1)  # one worker is this process
+    assert workers._start_method == "loky"
+    fork_from_server("json", 2)
+    assert signal.getsignal(signal.SIGINT) is before
+    assert not set(workers.THREADS) & os.environ.keys()
+    found = dict(each(parent_of, [*range(4)], 2))
+    (server,) = {parent for _, parent in found.values()}
+    assert server in children(os.getpid())
+    assert len({pid for pid, _ in found.values()} - {os.getpid()}) == 2
+    found = dict(each(work, ["a", "die", tmp_path / "once"], 2))
+    assert "killed (SIGKILL(-9))" in str(found.pop("die"))
+    assert not any(isinstance(one, LostWorkerError) for one in found.values())
+    assert not children(server)
+
+
 def test_joblib_is_guarded_and_works_as_before(joblib_as_before):
     guard_joblib()
     assert os.getpid() not in Parallel(2)(delayed(work)(item) for item in "abcd")
@@ -163,13 +200,15 @@ def until(condition, seconds):
 PARENTS = {
     "each": "list(each(nap, [folder / 'a', folder / 'b', folder / 'c'], 2))",
     "joblib": "guard_joblib(); Parallel(2)(delayed(nap)(folder / one) for one in 'abc')",
+    "forked": "fork_from_server('json', 2); list(each(nap, [folder / o for o in 'abc'], 2))",
     "idle": "guard_joblib(); Parallel(3, pre_dispatch=1)(delayed(nap)(folder / o) for o in 'ab')",
 }
 
 
 @pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="needs Linux's /proc")
 @pytest.mark.parametrize(
-    "kind", ["joblib", *(pytest.param(kind, marks=pytest.mark.slow) for kind in ("each", "idle"))]
+    "kind",
+    ["forked", "joblib", *(pytest.param(one, marks=pytest.mark.slow) for one in ("each", "idle"))],
 )
 def test_no_worker_outlives_a_parent_that_is_killed(tmp_path, kind):
     code = (
@@ -181,7 +220,7 @@ def test_no_worker_outlives_a_parent_that_is_killed(tmp_path, kind):
     try:
         n_sleeping = 1 if kind == "idle" else 2
         assert until(lambda: len(list(tmp_path.iterdir())) >= n_sleeping, 60)
-        started = children(parent.pid)
+        started = {int(file.suffix[1:]) for file in tmp_path.iterdir()} | {*children(parent.pid)}
         assert len(started) >= n_sleeping
     finally:
         parent.kill()
