@@ -22,7 +22,7 @@ from concurrent.futures.process import BrokenProcessPool
 from contextlib import ExitStack, contextmanager
 from multiprocessing import forkserver
 from multiprocessing.process import BaseProcess
-from typing import Any, TypeVar
+from typing import Any, Protocol, TypeVar
 
 from joblib import cpu_count, register_parallel_backend
 from joblib.externals.loky import ProcessPoolExecutor
@@ -148,10 +148,20 @@ def each(
             executor.shutdown(kill_workers=True)
 
 
+class Start(Protocol):
+    """Starts some work, which may run in a second process, and returns what waits for it."""
+
+    def __call__(self, work: Callable[[], Result]) -> Callable[[], Result]:
+        """Start work, and return the function that returns its result."""
+
+
+def here(work: Callable[[], Result]) -> Callable[[], Result]:
+    """Start nothing: the work is done where its result is asked for."""
+    return work
+
+
 @contextmanager
-def alongside(
-    module: str, *, is_wanted: bool = True
-) -> Iterator[Callable[[Callable[[], Result]], Callable[[], Result]]]:
+def alongside(module: str, *, is_wanted: bool = True) -> Iterator[Start]:
     """Yield a function that starts work in a second process, and returns what waits for its result.
 
     The process starts at once and imports `module`, which may take seconds. The work, its result
@@ -160,7 +170,7 @@ def alongside(
     """
     is_worker = multiprocessing.parent_process() is not None
     if not is_wanted or is_worker or cpu_count() < USUAL_WORKERS:
-        yield lambda work: work
+        yield here
         return
     executor = guarded(USUAL_WORKERS)
 

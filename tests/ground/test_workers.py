@@ -1,5 +1,6 @@
 """A worker that is killed costs what it worked on, and no worker outlives its parent."""
 
+import json
 import os
 import signal
 import subprocess
@@ -13,13 +14,7 @@ import pytest
 from joblib import Parallel, delayed
 
 from suspnet.ground import workers
-from suspnet.ground.workers import (
-    LostWorkerError,
-    alongside,
-    each,
-    fork_from_server,
-    guard_joblib,
-)
+from suspnet.ground.workers import LostWorkerError, alongside, each, guard_joblib
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="signals are those of POSIX")
 ORPHANS_S = 10.0
@@ -124,35 +119,50 @@ def test_work_alongside_without_a_second_core_is_done_here(monkeypatch, n_cores,
         assert start(partial(work, "a"))() == os.getpid()
 
 
-def parent_of(_):
-    """Return this process and its parent."""
-    return os.getpid(), os.getppid()
-
-
 @pytest.fixture(autouse=True)
 def _workers_start_on_their_own(monkeypatch):
     """Start workers as without a program, which forks them."""
     monkeypatch.setattr(workers, "_start_method", "loky")
 
 
-def test_workers_of_programs_are_forked_from_one_server(monkeypatch, tmp_path):
-    monkeypatch.setattr(workers.multiprocessing, "set_forkserver_preload", lambda _: None)
-    for name in workers.THREADS:
-        monkeypatch.delenv(name, raising=False)
-    before = signal.getsignal(signal.SIGINT)
-    fork_from_server("json", 1)  # one worker is this process
-    assert workers._start_method == "loky"
-    fork_from_server("json", 2)
-    assert signal.getsignal(signal.SIGINT) is before
-    assert not set(workers.THREADS) & os.environ.keys()
-    found = dict(each(parent_of, [*range(4)], 2))
-    (server,) = {parent for _, parent in found.values()}
-    assert server in children(os.getpid())
-    assert len({pid for pid, _ in found.values()} - {os.getpid()}) == 2
-    found = dict(each(work, ["a", "die", tmp_path / "once"], 2))
-    assert "killed (SIGKILL(-9))" in str(found.pop("die"))
-    assert not any(isinstance(one, LostWorkerError) for one in found.values())
-    assert not children(server)
+FORKED = """
+from test_workers import *
+from suspnet.ground.workers import fork_from_server
+before = signal.getsignal(signal.SIGINT), dict(os.environ)
+fork_from_server("json", 1)
+found = {"alone": workers._start_method}
+fork_from_server("json", 2)
+found["unchanged"] = before == (signal.getsignal(signal.SIGINT), dict(os.environ))
+found["pids"] = [one for _, one in each(parent_of, [*range(4)], 2)]
+found["children"] = children(os.getpid())
+done = dict(each(work, ["a", "die", "b"], 2))
+found["lost"] = [str(one) for one in done.values() if not isinstance(one, int)]
+(server,) = {parent for _, parent, _ in found["pids"]}
+found["left"] = children(server)
+print(json.dumps(found))
+"""
+
+
+def parent_of(_):
+    """Return this process, its parent and its number of threads."""
+    return os.getpid(), os.getppid(), os.environ[workers.THREADS[0]]
+
+
+def test_workers_of_programs_are_forked_from_one_server():
+    path = os.pathsep.join(sys.path)
+    environment = {name: one for name, one in os.environ.items() if name not in workers.THREADS}
+    command = [sys.executable, "-c", FORKED]
+    ended = subprocess.run(command, env=environment | {"PYTHONPATH": path}, capture_output=True)
+    assert ended.stderr == b""
+    found = json.loads(ended.stdout)
+    assert found["alone"] == "loky"
+    assert found["unchanged"]
+    assert {parent for _, parent, _ in found["pids"]} <= set(found["children"])
+    assert len({pid for pid, *_ in found["pids"]} - set(found["children"])) == 2
+    assert {threads for *_, threads in found["pids"]} == {str(max(workers.cpu_count() // 2, 1))}
+    (lost,) = found["lost"]
+    assert "killed (SIGKILL(-9))" in lost
+    assert not found["left"]
 
 
 def test_joblib_is_guarded_and_works_as_before(joblib_as_before):
@@ -200,7 +210,7 @@ def until(condition, seconds):
 PARENTS = {
     "each": "list(each(nap, [folder / 'a', folder / 'b', folder / 'c'], 2))",
     "joblib": "guard_joblib(); Parallel(2)(delayed(nap)(folder / one) for one in 'abc')",
-    "forked": "fork_from_server('json', 2); list(each(nap, [folder / o for o in 'abc'], 2))",
+    "forked": "workers.fork_from_server('json', 2); list(each(nap, [folder / 'a', folder / 'b'], 2))",
     "idle": "guard_joblib(); Parallel(3, pre_dispatch=1)(delayed(nap)(folder / o) for o in 'ab')",
 }
 
