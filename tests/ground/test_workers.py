@@ -210,7 +210,7 @@ def until(condition, seconds):
 PARENTS = {
     "each": "list(each(nap, [folder / 'a', folder / 'b', folder / 'c'], 2))",
     "joblib": "guard_joblib(); Parallel(2)(delayed(nap)(folder / one) for one in 'abc')",
-    "forked": "workers.fork_from_server('json', 2); list(each(nap, [folder / 'a', folder / 'b'], 2))",
+    "forked": "workers.fork_from_server('json', 2); list(each(nap, [folder / o for o in 'ab'], 2))",
     "idle": "guard_joblib(); Parallel(3, pre_dispatch=1)(delayed(nap)(folder / o) for o in 'ab')",
 }
 
