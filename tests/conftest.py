@@ -73,6 +73,21 @@ def _nothing_forced_to_the_disk():
 
 
 @pytest.fixture(scope="session", autouse=True)
+def _workers_forked():
+    """Fork the workers of all pools, as programs do, from the server that forks programs."""
+    from forked import forks
+
+    from suspnet.cli import program
+    from suspnet.ground import workers
+
+    forks()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(workers, "_start_method", "forkserver")
+        patch.setattr(program, "fork_from_server", lambda *_: None)  # the server imports more
+        yield
+
+
+@pytest.fixture(scope="session", autouse=True)
 def _built_in_one_folder(tmp_path_factory):
     """Name the folder of what the processes of this run build for each other."""
     root = tmp_path_factory.getbasetemp()

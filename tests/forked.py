@@ -13,7 +13,10 @@ from pathlib import Path
 
 from suspnet.cli.start import start
 
-IMPORTED = ("suspnet.cli.replay", "suspnet.cli.serve", "suspnet.cli.simulate")
+IMPORTED = (
+    *("suspnet.cli.replay", "suspnet.cli.serve", "suspnet.cli.simulate"),
+    "suspnet.trips.fleet",
+)
 """What the server imports once, for the processes of the tests that are not slow."""
 
 

@@ -36,10 +36,22 @@ from suspnet.ground import progress
 from suspnet.ground.parameters import DEFAULT_LIMITS, read_limits
 from suspnet.ground.settings import Declared, Setting
 from suspnet.ground.storage import printable, why, write_atomically
-from suspnet.ground.workers import LostWorkerError, end_with_parent, guard_joblib
+from suspnet.ground.workers import (
+    LostWorkerError,
+    end_with_parent,
+    fork_from_server,
+    guard_joblib,
+)
 
 WITH_OPTIONS = ("check", "history", "init")
 """Programs that read no configuration."""
+POOLS = {
+    "evaluate": ("suspnet.trips.fleet", "monitor.workers", "trips"),
+    "simulate": ("suspnet.simulation.writing", "workers", "out"),
+    "train": ("suspnet.cli.train", "workers", "healthy"),
+}
+"""Programs with worker processes: the module that these need, the key of their number, and the key
+that is not null where they have work."""
 DEBUG = "HYDRA_FULL_ERROR"
 MISTAKES = (
     ValueError,
@@ -96,10 +108,22 @@ def _task_of(name: str, plugins: Sequence[str] = ()) -> Callable[[DictConfig], N
     def program(config: DictConfig) -> None:
         if plugins:  # in a worker of a multirun they are not loaded yet
             import_module("suspnet.cli.plugins").load_plugins(plugins)
+        else:
+            _serve_workers(name, config)
         _imported(name).main(config)
 
     program.__module__ = f"suspnet.cli.{name}"  # Hydra names the log by it
     return program
+
+
+def _serve_workers(name: str, config: DictConfig) -> None:
+    """Let another process import what workers need, while this one imports the program."""
+    module, number, work = POOLS.get(name, ("", "", ""))
+    n_workers = OmegaConf.select(config, number) if OmegaConf.select(config, work) else None
+    if name == "train" and not OmegaConf.select(config, "protocol.by_part"):
+        return  # most often a single suspension, whose commissioning needs no second process
+    if isinstance(n_workers, int):  # null depends on the number of trips
+        fork_from_server(module, n_workers)
 
 
 def _imported(name: str) -> ModuleType:

@@ -6,6 +6,7 @@ import logging
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +23,7 @@ from suspnet.estimation.problem import Problem
 from suspnet.estimation.trip_settings import TripSettings
 from suspnet.ground.parameters import DIRECTIONS, FORWARD, Direction
 from suspnet.ground.settings import check_choice, check_values
-from suspnet.ground.workers import alongside
+from suspnet.ground.workers import Start, alongside
 from suspnet.learning import ranks
 from suspnet.recordings.manifest_files import ManifestFile
 from suspnet.report.language import check_language, speaking
@@ -103,26 +104,31 @@ def _run(
     `paths`: manifests of its healthy trips, None is all of the folder; `varied`: what a multirun
     varies; `draw`: whether to draw figures of the vehicle.
     """
-    healthy = _commissioned(_at_a_speed(config), folder, paths)
-    speeds = config.speed_m_per_s
-    if speeds is None:
-        if healthy is None:
-            raise ValueError(NO_HEALTHY)
-        speeds = covering(healthy.speeds_m_per_s, _half_width(config))
-        log.info("healthy trips at %s: %s", _span(healthy.speeds_m_per_s), setting_words(speeds))
-    directions = _directions(config, healthy)
-    if not isinstance(speeds, ListConfig | list) and len(directions) == 1:
-        found = config.copy()
-        found.speed_m_per_s = speeds
-        if "speed_half_width" in found.data:
-            found.data.speed_half_width = _half_width(config)
-        _train(_running(found, directions[0]), folder, healthy, varied, draw, config)
-        return
-    ranges = [replace(r, direction=d) for r in _ranges(config, speeds) for d in directions]
-    program.save_config(config, folder)
-    train_ranges(
-        ranges, lambda one, where: _train(_bound(config, one), where, healthy, varied, draw), folder
-    )
+    by_part = build(config, "protocol").by_part
+    # where each part is read, two processes are busy to the end of the commissioning
+    is_wanted = by_part and config.healthy is not None and config.threads != 1
+    is_wanted &= not ranks.is_distributed()
+    with alongside("suspnet.runs.commissioning", is_wanted=is_wanted) as start:
+        healthy = _commissioned(_at_a_speed(config), folder, paths, by_part, start)
+        speeds = config.speed_m_per_s
+        if speeds is None:
+            if healthy is None:
+                raise ValueError(NO_HEALTHY)
+            speeds = covering(healthy.speeds_m_per_s, _half_width(config))
+            span = _span(healthy.speeds_m_per_s)
+            log.info("healthy trips at %s: %s", span, setting_words(speeds))
+        directions = _directions(config, healthy)
+        train_one = partial(_train, healthy=healthy, varied=varied, draw=draw, start=start)
+        if not isinstance(speeds, ListConfig | list) and len(directions) == 1:
+            found = config.copy()
+            found.speed_m_per_s = speeds
+            if "speed_half_width" in found.data:
+                found.data.speed_half_width = _half_width(config)
+            train_one(_running(found, directions[0]), folder, given=config)
+            return
+        ranges = [replace(r, direction=d) for r in _ranges(config, speeds) for d in directions]
+        program.save_config(config, folder)
+        train_ranges(ranges, lambda one, where: train_one(_bound(config, one), where), folder)
 
 
 def _span(speeds: Sequence[float]) -> str:
@@ -208,35 +214,36 @@ def _check_healthy(config: DictConfig) -> EstimateSettings:
 
 
 def _commissioned(
-    config: DictConfig, folder: Path, paths: Sequence[ManifestFile] | None
+    config: DictConfig,
+    folder: Path,
+    paths: Sequence[ManifestFile] | None,
+    by_part: bool,
+    start: Start,
 ) -> _Healthy | None:
     """Return the vehicle that healthy trips show; None without a folder of them."""
-    by_part = build(config, "protocol").by_part
     if config.healthy is None:
         if by_part:
             raise ValueError(NO_PARTS)
         return None
     settings, trips = _check_healthy(config), TripSettings()
     generator = build(config, "generator")
+    found = read_folder(
+        Path(config.healthy),
+        generator,
+        settings,
+        trips,
+        paths=paths,
+        n_first=config.n_healthy,
+        progress=config.progress,
+    )
     # both fits take about as long and neither needs the other
-    is_apart = by_part and config.threads != 1 and not ranks.is_distributed()
-    with alongside("suspnet.runs.commissioning", is_wanted=is_apart) as start:
-        found = read_folder(
-            Path(config.healthy),
-            generator,
-            settings,
-            trips,
-            paths=paths,
-            n_first=config.n_healthy,
-            progress=config.progress,
-        )
-        parts = start(parts_of(found, generator, trips)) if by_part else None
-        outcome = commission_trips(
-            found, generator, settings, by_part=by_part, progress=config.progress
-        )
-        with speaking(config.language):
-            write_outcome(folder, found, outcome)
-        bogie = reported(parts()) if parts else None
+    parts = start(parts_of(found, generator, trips)) if by_part else None
+    outcome = commission_trips(
+        found, generator, settings, by_part=by_part, progress=config.progress
+    )
+    with speaking(config.language):
+        write_outcome(folder, found, outcome)
+    bogie = reported(parts()) if parts else None
     speeds = tuple(group.speed_m_per_s for group in found.groups)
     run = tuple(one for one in DIRECTIONS if one in {group.direction for group in found.groups})
     notes = training_notes(found, outcome)
@@ -258,6 +265,7 @@ def _train(
     healthy: _Healthy | None,
     varied: Mapping[str, Any] | None,
     draw: bool,
+    start: Start,
     given: DictConfig | None = None,
 ) -> Metrics:
     """Train one model and fill a folder; config.yaml holds `given`, or else `config`."""
@@ -288,5 +296,6 @@ def _train(
             notes={"commissioned": healthy.notes} if healthy else {},
             residual=healthy.residual if healthy else None,
             bogie=healthy.bogie if healthy else None,
+            start=start,
         ),
     )

@@ -11,11 +11,11 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 import torch
-from scipy.optimize import least_squares
+from scipy.optimize import leastsq
 from torch import Tensor
 
 from suspnet.dynamics import SpatialVehicle
@@ -38,6 +38,10 @@ ROUGH_SPACING_HZ = 0.5
 STEPS, TOL, ROUGH_TOL = 16, 1e-3, 1e-2
 """Most evaluations of one search, and the relative decreases of the cost that end it, the last one
 and those before."""
+XTOL = 1e-8
+"""Relative step, and cosine between residuals and their derivative, that end it too."""
+CONVERGED = (1, 2, 3, 4)
+"""Results of MINPACK's lmder where a search has ended by one of these."""
 WEAR = 0.5
 """Standard deviation of the logarithm of a part's ratio before the trip: wide, as wear is."""
 FURTHEST = 20.0
@@ -216,16 +220,21 @@ class BogieSearch:
     def search(self, x: FloatArray, spread: float, bins: Tensor) -> tuple[FloatArray, bool]:
         """Return the end of a search from x, and whether it converged."""
         misfits = self._misfits(spread, bins)
-        found = least_squares(
-            lambda y: self._residuals(y, misfits, bins),
+        # Not least_squares: it evaluates the derivative, most of the time, once more at the end.
+        # Both evaluate it twice at the start, where the second is that of the first.
+        residuals = lru_cache(1)(lambda y: self._residuals(np.frombuffer(y), misfits, bins))
+        slopes = lru_cache(1)(lambda y: self._jacobian(np.frombuffer(y), misfits, bins))
+        found, *_, status = leastsq(
+            lambda y: residuals(y.tobytes()),
             x,
-            lambda y: self._jacobian(y, misfits, bins),
-            method="lm",
-            x_scale="jac",
+            Dfun=lambda y: slopes(y.tobytes()),
+            full_output=True,
             ftol=ROUGH_TOL if spread else TOL,
-            max_nfev=STEPS,
+            xtol=XTOL,
+            gtol=XTOL,
+            maxfev=STEPS,
         )
-        return found.x, bool(found.status > 0)
+        return found, status in CONVERGED
 
     def misfit(self, x: FloatArray) -> float:
         """Return the rms residual over that of the noise."""

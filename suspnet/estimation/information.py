@@ -18,6 +18,7 @@ from torch import Tensor
 from suspnet.dynamics import PARAMETERS
 from suspnet.estimation.protocols import BODY_MASS_COLUMN, RESPONSES, Task, columns_of
 from suspnet.ground.parameters import BODY_MASS
+from suspnet.ground.tensors import threads
 from suspnet.ground.types import ComplexArray, FloatArray
 from suspnet.learning.least_squares import ONE_SIDED_DIFFERENCE
 from suspnet.spectra.observation import Directions, Misfit, Observer
@@ -62,6 +63,7 @@ def fisher_information(
     return without_uncertain(every, len(parameters))
 
 
+@threads(1)  # spectra are computed in blocks as large as the cache of one core
 def joint_information(
     observer: Observer,
     ratios: FloatArray,
@@ -83,6 +85,7 @@ def joint_information(
     return np.concatenate(blocks)
 
 
+@threads(1)
 def shifts(
     observer: Observer, ratios: FloatArray, parameters: Sequence[str], logs: ComplexArray
 ) -> FloatArray:

@@ -19,8 +19,10 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
-from typing import Any, TypeVar
+from contextlib import ExitStack, contextmanager
+from multiprocessing import forkserver
+from multiprocessing.process import BaseProcess
+from typing import Any, Protocol, TypeVar
 
 from joblib import cpu_count, register_parallel_backend
 from joblib.externals.loky import ProcessPoolExecutor
@@ -38,6 +40,8 @@ USUAL_WORKERS, ITEMS_A_WORKER = 2, 10
 takes 2 s to start, about as long as 10 trips of 5 minutes."""
 Item = TypeVar("Item")
 Result = TypeVar("Result")
+_start_method = "loky"
+"""How processes start: each on its own, or "forkserver" for programs (`fork_from_server`)."""
 
 
 class LostWorkerError(RuntimeError):
@@ -51,11 +55,51 @@ def workers_for(n_items: int, wanted: int | None) -> int:
     return max(1, min(USUAL_WORKERS, math.ceil(n_items / ITEMS_A_WORKER)))
 
 
+def fork_from_server(module: str, n_workers: int) -> None:
+    """Start a process that imports `module`, and let all later workers be forked from it.
+
+    The import takes seconds, which each worker would need otherwise; it runs alongside what this
+    process does next. Only for programs: workers import the main module again, which must start
+    nothing then. Workers start on their own where processes cannot be forked, and in a worker.
+    """
+    global _start_method
+    is_worker = multiprocessing.parent_process() is not None
+    if is_worker or n_workers < 2 or "forkserver" not in multiprocessing.get_all_start_methods():
+        return
+    multiprocessing.set_forkserver_preload([module])
+    with ExitStack() as stack:
+        # the server inherits both; Ctrl-C is for this process, which ends it
+        for name, value in _environment(n_workers).items():
+            stack.callback(_put_back, name, os.environ.get(name))
+            os.environ[name] = value
+        if threading.current_thread() is threading.main_thread():
+            before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+            stack.callback(signal.signal, signal.SIGINT, before)
+        forkserver.ensure_running()
+    _start_method = "forkserver"
+
+
+def _put_back(name: str, value: str | None) -> None:
+    if value is None:
+        del os.environ[name]
+    else:
+        os.environ[name] = value
+
+
+def _environment(n_workers: int) -> dict[str, str]:
+    """Return the numbers of threads of processes that share the cores, unless they are set."""
+    n_threads = str(max(cpu_count() // n_workers, 1))
+    return {name: os.environ.get(name, n_threads) for name in THREADS}
+
+
 def guarded(n_workers: int) -> ProcessPoolExecutor:
     """Return an executor with one process that ends with this one; `n_workers` share the cores."""
-    n_threads = str(max(cpu_count() // n_workers, 1))
-    env = {name: os.environ.get(name, n_threads) for name in THREADS}
-    return ProcessPoolExecutor(1, env=env, initializer=begin)
+    is_forked = _start_method == "forkserver"
+    context = multiprocessing.get_context("forkserver") if is_forked else None
+    env = _environment(n_workers)
+    return ProcessPoolExecutor(
+        1, context=context, env=env, initializer=begin, initargs=(is_forked,)
+    )
 
 
 def each(
@@ -104,10 +148,20 @@ def each(
             executor.shutdown(kill_workers=True)
 
 
+class Start(Protocol):
+    """Starts some work, which may run in a second process, and returns what waits for it."""
+
+    def __call__(self, work: Callable[[], Result]) -> Callable[[], Result]:
+        """Start work, and return the function that returns its result."""
+
+
+def here(work: Callable[[], Result]) -> Callable[[], Result]:
+    """Start nothing: the work is done where its result is asked for."""
+    return work
+
+
 @contextmanager
-def alongside(
-    module: str, *, is_wanted: bool = True
-) -> Iterator[Callable[[Callable[[], Result]], Callable[[], Result]]]:
+def alongside(module: str, *, is_wanted: bool = True) -> Iterator[Start]:
     """Yield a function that starts work in a second process, and returns what waits for its result.
 
     The process starts at once and imports `module`, which may take seconds. The work, its result
@@ -116,7 +170,7 @@ def alongside(
     """
     is_worker = multiprocessing.parent_process() is not None
     if not is_wanted or is_worker or cpu_count() < USUAL_WORKERS:
-        yield lambda work: work
+        yield here
         return
     executor = guarded(USUAL_WORKERS)
 
@@ -148,28 +202,29 @@ def _killed(error: BrokenProcessPool) -> str:
     )
 
 
-def begin() -> None:
+def begin(is_forked: bool = False) -> None:
     """Prepare a worker process: it ends with its parent, and only the parent receives Ctrl-C."""
     # tqdm's default lock is a system semaphore, which a killed worker would leave behind
     tqdm.set_lock(threading.RLock())
     if threading.current_thread() is threading.main_thread():
         signal.signal(signal.SIGINT, signal.SIG_IGN)
-    end_with_parent()
+    end_with_parent(is_forked)
 
 
 @functools.cache
-def end_with_parent() -> None:
+def end_with_parent(is_forked: bool = False) -> None:
     """End this process within ``WATCH_S`` of its parent, if it is a worker.
 
     A killed parent cannot stop its workers, which would wait for work forever.
     """
     parent = multiprocessing.parent_process()
     if parent is not None and parent.pid is not None and hasattr(os, "getppid"):
-        threading.Thread(target=_watch, args=(parent.pid,), daemon=True).start()
+        threading.Thread(target=_watch, args=(parent, is_forked), daemon=True).start()
 
 
-def _watch(parent: int) -> None:
-    while os.getppid() == parent:  # an orphan is adopted by another process
+def _watch(parent: BaseProcess, is_forked: bool) -> None:
+    # an orphan is adopted by another process; of those forked by a server, the server is adopted
+    while parent.is_alive() if is_forked else os.getppid() == parent.pid:
         time.sleep(WATCH_S)
     os._exit(128 + signal.SIGTERM)
 

@@ -35,6 +35,7 @@ AS_EQUAL = "With both sides and axles as equal, for trips that do not show their
 """Start of the sentence on the vertical vehicle where each part is to be read."""
 
 
+@threads(1)  # a second process may be about to start
 def read_folder(
     folder: Path,
     generator: ResponseGenerator,

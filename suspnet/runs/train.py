@@ -14,6 +14,7 @@ import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
+from functools import partial
 from importlib.metadata import version
 from itertools import pairwise
 from pathlib import Path
@@ -24,18 +25,25 @@ from tabulate import tabulate
 
 from suspnet.estimation.bogie_fit import CommissionedBogie
 from suspnet.estimation.checkpoint import check_saveable, save_model
-from suspnet.estimation.flags import Residual
+from suspnet.estimation.flags import Residual, Unexplained
 from suspnet.estimation.problem import TEST, Problem
 from suspnet.estimation.trained import TrainedModel
 from suspnet.ground.parameters import REVERSE
 from suspnet.ground.progress import stage
 from suspnet.ground.settings import check_number
 from suspnet.ground.storage import write_json
+from suspnet.ground.workers import Start, here
 from suspnet.learning import ranks
 from suspnet.learning.search import GridSearch, SearchResult
 from suspnet.report.tensorboard import RunLog
 from suspnet.runs.fit import fit, method_name, tune
-from suspnet.runs.predict import Outcome, calibrated, predict_stream, with_unexplained
+from suspnet.runs.predict import (
+    Outcome,
+    calibrated,
+    cost_without_model,
+    predict_stream,
+    with_unexplained,
+)
 from suspnet.runs.scores import (
     Metrics,
     draw_run,
@@ -59,7 +67,8 @@ class RunContext:
     what a multirun varies, by configuration key: TensorBoard's first columns. `draw_vehicle`: once
     is enough in a multirun. `notes` are further entries of the model's `training`, such as the
     healthy trips as "commissioned"; `residual` is the unexplained part of a commissioned vehicle's
-    healthy trips, `bogie` its bogie if each part is to be read.
+    healthy trips, `bogie` its bogie if each part is to be read. `start` may start work in a second
+    process, see `suspnet.ground.workers.alongside`.
     """
 
     config: Mapping[str, Any] = field(default_factory=dict)
@@ -68,6 +77,7 @@ class RunContext:
     notes: Mapping[str, Any] = field(default_factory=dict)
     residual: Residual | None = None
     bogie: CommissionedBogie | None = None
+    start: Start = here
 
 
 def train(
@@ -135,9 +145,12 @@ def train(
             found = tune(problem, estimator, search, run_log)
             searched = {"search_seconds": time.perf_counter() - start}
             estimator.set_params(**found.best)
+        cost = None
+        if context.residual is not None:  # it needs no model
+            cost = context.start(partial(cost_without_model, problem, context.residual))
         model = replace(fit(problem, estimator, run_log), refined=refine)
         model.training.update(searched)
-        model = _trusted(problem, model, context.residual, context.bogie is not None)
+        model = _trusted(problem, model, context, cost)
         stage("test")
         model = replace(model, training=model.training | dict(context.notes), bogie=context.bogie)
         outcome = predict_stream(problem, model, TEST)
@@ -157,17 +170,23 @@ def train(
 
 
 def _trusted(
-    problem: Problem, model: TrainedModel, residual: Residual | None, by_part: bool
+    problem: Problem,
+    model: TrainedModel,
+    context: RunContext,
+    cost: Callable[[], Unexplained | None] | None,
 ) -> TrainedModel:
-    """Return a model with intervals, flags and the cost of the unexplained residual."""
+    """Return a model with intervals, flags and the cost of the unexplained residual.
+
+    `cost` returns this cost where it needs no model.
+    """
     if problem.settings.n_calibrate is not None:
         stage("calibration of intervals and flags")
     model = calibrated(problem, model)
-    if residual is None:
+    if context.residual is None or cost is None:
         return model
-    model = with_unexplained(problem, model, residual)
+    model = with_unexplained(problem, model, context.residual, cost())
     assert model.unexplained is not None
-    if model.unexplained.is_incomplete and not by_part:  # trips are read by their parts
+    if model.unexplained.is_incomplete and context.bogie is None:  # trips are read by their parts
         costs = ", ".join(f"{name} {value:.2g} %" for name, value in _cost_percent(model).items())
         log.warning(
             "the physics is incomplete: %s. The interval of every estimate is wider by a standard "

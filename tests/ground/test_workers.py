@@ -1,5 +1,6 @@
 """A worker that is killed costs what it worked on, and no worker outlives its parent."""
 
+import json
 import os
 import signal
 import subprocess
@@ -118,6 +119,52 @@ def test_work_alongside_without_a_second_core_is_done_here(monkeypatch, n_cores,
         assert start(partial(work, "a"))() == os.getpid()
 
 
+@pytest.fixture(autouse=True)
+def _workers_start_on_their_own(monkeypatch):
+    """Start workers as without a program, which forks them."""
+    monkeypatch.setattr(workers, "_start_method", "loky")
+
+
+FORKED = """
+from test_workers import *
+from suspnet.ground.workers import fork_from_server
+before = signal.getsignal(signal.SIGINT), dict(os.environ)
+fork_from_server("json", 1)
+found = {"alone": workers._start_method}
+fork_from_server("json", 2)
+found["unchanged"] = before == (signal.getsignal(signal.SIGINT), dict(os.environ))
+found["pids"] = [one for _, one in each(parent_of, [*range(4)], 2)]
+found["children"] = children(os.getpid())
+done = dict(each(work, ["a", "die", "b"], 2))
+found["lost"] = [str(one) for one in done.values() if not isinstance(one, int)]
+(server,) = {parent for _, parent, _ in found["pids"]}
+found["left"] = children(server)
+print(json.dumps(found))
+"""
+
+
+def parent_of(_):
+    """Return this process, its parent and its number of threads."""
+    return os.getpid(), os.getppid(), os.environ[workers.THREADS[0]]
+
+
+def test_workers_of_programs_are_forked_from_one_server():
+    path = os.pathsep.join(sys.path)
+    environment = {name: one for name, one in os.environ.items() if name not in workers.THREADS}
+    command = [sys.executable, "-c", FORKED]
+    ended = subprocess.run(command, env=environment | {"PYTHONPATH": path}, capture_output=True)
+    assert ended.stderr == b""
+    found = json.loads(ended.stdout)
+    assert found["alone"] == "loky"
+    assert found["unchanged"]
+    assert {parent for _, parent, _ in found["pids"]} <= set(found["children"])
+    assert len({pid for pid, *_ in found["pids"]} - set(found["children"])) == 2
+    assert {threads for *_, threads in found["pids"]} == {str(max(workers.cpu_count() // 2, 1))}
+    (lost,) = found["lost"]
+    assert "killed (SIGKILL(-9))" in lost
+    assert not found["left"]
+
+
 def test_joblib_is_guarded_and_works_as_before(joblib_as_before):
     guard_joblib()
     assert os.getpid() not in Parallel(2)(delayed(work)(item) for item in "abcd")
@@ -163,13 +210,15 @@ def until(condition, seconds):
 PARENTS = {
     "each": "list(each(nap, [folder / 'a', folder / 'b', folder / 'c'], 2))",
     "joblib": "guard_joblib(); Parallel(2)(delayed(nap)(folder / one) for one in 'abc')",
+    "forked": "workers.fork_from_server('json', 2); list(each(nap, [folder / o for o in 'ab'], 2))",
     "idle": "guard_joblib(); Parallel(3, pre_dispatch=1)(delayed(nap)(folder / o) for o in 'ab')",
 }
 
 
 @pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="needs Linux's /proc")
 @pytest.mark.parametrize(
-    "kind", ["joblib", *(pytest.param(kind, marks=pytest.mark.slow) for kind in ("each", "idle"))]
+    "kind",
+    ["forked", "joblib", *(pytest.param(one, marks=pytest.mark.slow) for one in ("each", "idle"))],
 )
 def test_no_worker_outlives_a_parent_that_is_killed(tmp_path, kind):
     code = (
@@ -181,7 +230,7 @@ def test_no_worker_outlives_a_parent_that_is_killed(tmp_path, kind):
     try:
         n_sleeping = 1 if kind == "idle" else 2
         assert until(lambda: len(list(tmp_path.iterdir())) >= n_sleeping, 60)
-        started = children(parent.pid)
+        started = {int(file.suffix[1:]) for file in tmp_path.iterdir()} | {*children(parent.pid)}
         assert len(started) >= n_sleeping
     finally:
         parent.kill()
