@@ -208,6 +208,40 @@ def test_points_redrawn_differ_far_off_and_in_one_group_of_numbers_alone(bushed)
         np.testing.assert_array_equal(point[len(prior.names) :], x[len(prior.names) :])
 
 
+def test_a_search_meets_another_only_near_it_and_at_nearly_its_cost(bushed):
+    generator, _, groups, found = bushed
+    target = module._Search(generator, SETTINGS, groups)
+    prior = generator.distribution
+    x = np.concatenate([np.linalg.solve(prior.factor, found.posterior.mean), np.log(found.masses)])
+    one = module._Found(x, 100.0, converged=True)
+    # each number by less than 1.5 deviations, one by more
+    within, beyond = (
+        np.linalg.solve(prior.factor, found.posterior.mean + steps * found.posterior.deviations)
+        for steps in (1.4 * np.ones(len(prior.names)), 1.6 * np.eye(len(prior.names))[2])
+    )
+    for z, cost, meets in (
+        (within, 97.5, True),
+        (within, 102.5, True),
+        (within, 103.5, False),
+        (beyond, 100.0, False),
+    ):
+        other = module._Found(np.concatenate([z, x[len(z) :]]), cost, converged=False)
+        assert target.meets(one, found.posterior, other) is (one if meets else None)
+
+
+def test_a_valley_that_several_searches_found_is_followed_once(bushed, monkeypatch):
+    generator, _, groups, found = bushed
+    prior = generator.distribution
+    x = np.concatenate([np.linalg.solve(prior.factor, found.posterior.mean), np.log(found.masses)])
+    one, other = (module._Found(x, cost, converged=True) for cost in (1.0, 2.0))
+    followed = []
+    monkeypatch.setattr(module._Search, "first_searches", lambda self, _: [one, other, one])
+    monkeypatch.setattr(module._Search, "search", lambda self, *_: followed.append(1) or one)
+    monkeypatch.setattr(module._Search, "finished", lambda self, *_: one)
+    found = commission(generator, SETTINGS, groups)
+    assert (len(followed), found.n_agree, found.n_starts) == (2, 3, 3)
+
+
 def test_posterior_is_the_closed_form_of_the_problem_linearised_there(bushed):
     generator, _, groups, found = bushed
     n = len(found.prior.names)
