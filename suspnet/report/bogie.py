@@ -13,7 +13,7 @@ import numpy as np
 from suspnet.ground.parameters import BOGIE_PARTS, Severity, kind_of, part_words, place_words
 from suspnet.ground.records import TripResult
 from suspnet.ground.wording import count
-from suspnet.maintenance.judge import ABSURD
+from suspnet.maintenance.judge import ABSURD, N_LAST
 from suspnet.maintenance.plan import suspension_of, train_of
 from suspnet.maintenance.schedule import Plan
 from suspnet.maintenance.state import State
@@ -88,8 +88,9 @@ class Bogie:
 def bogie_of(state: State, plan: Plan | None = None) -> Bogie | None:
     """Return the bogie of a suspension; None if no trip has an estimate of its parts.
 
-    A value is the median of the last trips, its interval the median of those of these trips that
-    are not flagged. Verdicts are those of the newest trip with an estimate of parts.
+    The value of a part with a finding or a verdict is that of its newest trip: it may have failed
+    since. Else it is the median of the last trips, and the interval the median of those of them
+    that are not flagged. Verdicts are those of the newest trip with an estimate of parts.
     """
     if not set(BOGIE_PARTS) & set(state.outputs):
         return None
@@ -99,10 +100,11 @@ def bogie_of(state: State, plan: Plan | None = None) -> Bogie | None:
     visits = visits_of(plan, state)
     parts = {}
     for name in BOGIE_PARTS:
-        severity = str(state.severities.get(name, Severity.UNKNOWN))
+        severity = state.severities.get(name, Severity.UNKNOWN)
         letters = " ".join(letter for letter, (names, _) in groups.items() if name in names)
         found = letters, odds.get(name, ""), visits.get(name, "")
-        parts[name] = DrawnPart(name, severity, *_level(state, name), *found)
+        n_last = 1 if severity >= Severity.NOTICE or any(found[:2]) else N_LAST
+        parts[name] = DrawnPart(name, str(severity), *_level(state, name, n_last), *found)
     return Bogie(parts, {letter: group_words(*one) for letter, one in groups.items()})
 
 
@@ -134,17 +136,18 @@ def bogies_shown(view: FleetView, chosen: Iterable[int] | None = None) -> dict[s
     }
 
 
-def _level(state: State, name: str) -> tuple[str, str]:
+def _level(state: State, name: str, n_last: int) -> tuple[str, str]:
     """Return value and half width of the interval of a part, [% of healthy], as text."""
     if name not in state.outputs or not len(state.last_of(name).values):
         return "", ""
-    last = state.last_of(name)
-    halves = 100 * (last.high - last.low)[~last.flagged] / 2
+    last, newest = state.last_of(name), slice(-n_last, None)
+    now = float(np.median(last.values[newest]))
+    halves = 100 * (last.high - last.low)[newest][~last.flagged[newest]] / 2
     half = float(np.median(halves)) if len(halves) else math.nan
-    if not math.isfinite(half) or state.now(name) > ABSURD:
-        return level(state.now(name), 1), ""
+    if not math.isfinite(half) or now > ABSURD:
+        return level(now, 1), ""
     digits = min(interval_digits([half]), MOST_DIGITS)
-    return level(state.now(name), digits), shown_number(max(half, LEAST_HALF), digits)
+    return level(now, digits), shown_number(max(half, LEAST_HALF), digits)
 
 
 def small_figures(state: State, images: Mapping[str, str]) -> dict[bool, list[dict[str, str]]]:

@@ -219,6 +219,19 @@ def test_part_that_is_named_is_marked_with_its_odds_though_it_is_within_its_limi
     assert label.endswith(", worn, odds 400 : 1")
 
 
+def test_part_that_has_just_failed_is_shown_as_it_is_now():
+    name, verdict = "c_p_axle2_left", worn_words([WornPart(("c_p_axle2_left",), 400.0, 0.5)])
+    trips = bogie_trips(PLACE, 1, {name: lambda i: 0.5 if i == 9 else 1.0}, n_trips=10)
+    healthy = drawn(trips[:-1])[1].parts
+    for worn in ("", verdict):
+        found = drawn([*trips[:-1], replace(trips[-1], worn=worn)])[1].parts
+        assert float(found[name].value) == pytest.approx(100 * trips[-1].estimates[name], abs=0.51)
+        assert float(healthy[name].value) == pytest.approx(100, abs=2)
+        assert found["k_s_left"].severity == "none"
+        last = np.median([one.estimates["k_s_left"] for one in trips[-5:]])
+        assert float(found["k_s_left"].value) == pytest.approx(100 * last, abs=0.051)
+
+
 def test_verdict_is_that_of_the_newest_trip_whose_parts_were_read(results):
     unread = replace(results[-1], estimates={"k_p": 1.0}, worn="")
     assert drawn([*results[:-1], unread])[1].groups
