@@ -83,7 +83,10 @@ def main(name: str) -> None:
     run(lambda: plugins.extend(_load_plugins(sys.argv)))
     if name in WITH_OPTIONS:
         options = import_module("suspnet.cli.options")
-        arguments = options.PARSERS[name]().parse_args()
+        parser = options.PARSERS[name]()
+        # files and KEY=VALUE may stand between options; argparse cannot do so with subcommands
+        is_mixed = name != "history"
+        arguments = parser.parse_intermixed_args() if is_mixed else parser.parse_args()
         run(lambda: sys.exit(getattr(_imported(name), name)(arguments)))
         return
     program = hydra.main(version_base="1.3", config_path=CONFIGS, config_name=name)(

@@ -4,6 +4,7 @@ import os
 import shlex
 from datetime import datetime, timedelta
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pyarrow as pa
@@ -14,7 +15,7 @@ from cli_runner import typed
 from recording_files import write_mdf
 from trip_fixtures import RATES_HZ, signal, small_fleet
 
-from suspnet.cli import check, init
+from suspnet.cli import check, init, program
 from suspnet.cli.config_files import CONFIGS
 from suspnet.dynamics import Vehicle
 from suspnet.recordings.manifest import CHANNELS
@@ -379,3 +380,16 @@ def test_next_command_can_be_copied_and_names_own_vehicles(tmp_path):
         assert (folder / "run_1.yaml").exists() == (not words)
     missing = typed(init, *command[2:-1], "nowhere", "--force", cwd=tmp_path)
     assert "--config-dir=nowhere holds no folder `vehicle`" in missing.stderr
+
+
+@pytest.mark.parametrize("between", [True, False])
+def test_keys_may_follow_options(between, monkeypatch):
+    monkeypatch.setattr("sys.argv", ["init", "d", "--table", "t.csv", "vehicle=v", "side=left"])
+    if between:
+        monkeypatch.setattr("sys.argv", ["init", "d", "vehicle=v", "--table", "t.csv", "side=left"])
+    given = []
+    monkeypatch.setattr(program, "_imported", lambda name: SimpleNamespace(init=given.append))
+    with pytest.raises(SystemExit):
+        program.main("init")
+    assert given[0].files == ["d", "vehicle=v", "side=left"]
+    assert given[0].table == Path("t.csv")
