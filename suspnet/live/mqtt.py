@@ -233,7 +233,7 @@ class Mqtt:
     ) -> None:
         with self._changed:
             self._is_connected = False
-            self._is_replaced = reason == TAKEN_OVER
+            self._is_replaced |= reason == TAKEN_OVER  # a last disconnection has another reason
             self._changed.notify_all()
         if self._is_replaced:
             client.disconnect()  # it would connect again, and replace the other one
