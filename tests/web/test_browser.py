@@ -270,6 +270,8 @@ def test_every_page_fits_the_window_shows_names_as_text_and_names_its_parts(brow
         browser.get(address)
         if "suspension" in address:
             wait(browser, has_plots)
+        # while a page is laid out, the window may be as wide as what does not fit yet
+        wait(browser, lambda b: b.execute_script("return innerWidth") == width)
         widths = "return [document.documentElement.scrollWidth, innerWidth]"
         page, window = browser.execute_script(widths)
         assert page <= window == width
