@@ -86,7 +86,6 @@ def _folder(folder: Path, said: Sequence[str], arguments: Namespace) -> int:
         if table and not table.exists() and "mileage_km" in missing:
             write_atomically(table, folders.table_of(new, folder))
             print(f"-> {table}: fill in its columns, then run the same command again")
-        # options come last: argparse takes no KEY=VALUE after them
         options = [*(["--table", str(table)] if table else []), *known]
         again = " ".join(
             [_command("init", folder, *said), "KEY=VALUE ...", printable(join(options))]
