@@ -82,7 +82,7 @@ class CommissionedBogie:
         noise = self.noise[trip.kept(self.generator.sensors)]
         fit = BogieSearch(self.generator, [noise], [trip], are_healthy=False)
         explained = EXPLAINED * max(1.0, self.misfit)
-        found = None if start is None else fit.narrowed(fit.nearer(start), 2)
+        found = None if start is None else fit.narrowed(fit.nearer(start), 2).finished()
         if found is None or not (found.converged and found.misfit <= explained):
             other = fit.found(explained)
             found = other if found is None or other.misfit < found.misfit else found

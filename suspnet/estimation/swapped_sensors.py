@@ -39,8 +39,8 @@ def check_order(generator: SpatialVehicle, trip: BogieTrip, where: str = "") -> 
     if not moved:
         return
     search = _search(generator, trip)
-    given = search.widened(ROUGH[0]).misfit
-    other = _search(generator, trip.in_order(best)).widened(ROUGH[0]).misfit
+    given = search.widened(ROUGH[0]).finished().misfit
+    other = _search(generator, trip.in_order(best)).widened(ROUGH[0]).finished().misfit
     if not other < given / CLEARER:
         return
     there = search.sensors_of(trip)

@@ -16,7 +16,8 @@ from suspnet.estimation.bogie_fit import (
     CommissionedBogie,
     commission_bogie,
 )
-from suspnet.estimation.bogie_search import BogieSearch, BogieTrip
+from suspnet.estimation.bogie_search import BogieSearch, BogieTrip, Found
+from suspnet.estimation.bogie_trips import PARTS_OF_BOGIE
 from suspnet.ground.parameters import COMPONENTS, FORWARD, REVERSE
 from suspnet.spectra.subspace import SpectralMatrix
 
@@ -201,25 +202,61 @@ def test_parts_are_found_without_the_sensor_that_sensitivities_are_relative_to()
 
 
 @pytest.mark.parametrize(
-    ("misfits", "converged", "chosen"),
+    ("near", "misfits", "converged", "chosen", "searched"),
     [
-        ((1.0, 9.0), (True, True), 0),
-        ((1.05, 1.06), (False, True), 1),
-        ((1.3, 1.2), (True, True), 1),
-        ((1.2, 1.3), (True, True), 0),
+        ((1.1, 9.0), (1.0, 9.0), (True, True), 0, "wf"),
+        ((1.1, 1.1), (1.05, 1.06), (False, True), 1, "wfwf"),
+        ((2.0, 1.1), (1.6, 1.0), (True, True), 1, "wwf"),
+        ((1.4, 1.3), (1.3, 1.2), (True, True), 1, "wwff"),
+        ((1.3, 1.4), (1.2, 1.3), (True, True), 0, "wwff"),
+        ((1.2, 1.4), (1.1, 1.3), (True, True), 0, "wwf"),
     ],
 )
-def test_another_start_is_tried_where_the_first_fails(monkeypatch, misfits, converged, chosen):
-    ends = [SimpleNamespace(misfit=m, converged=c) for m, c in zip(misfits, converged, strict=True)]
-    left = iter(ends)
-    monkeypatch.setattr(BogieSearch, "widened", lambda *_: next(left))
+def test_another_start_is_tried_where_the_first_fails(
+    monkeypatch, near, misfits, converged, chosen, searched
+):
+    order = []
+
+    def end(misfit, has_converged):
+        one = Found(None, None, has_converged)
+        object.__setattr__(one, "misfit", misfit)
+        return one
+
+    ends = [end(*one) for one in zip(misfits, converged, strict=True)]
+    starts = [
+        SimpleNamespace(misfit=m, finished=lambda e=e: order.append("f") or e)
+        for m, e in zip(near, ends, strict=True)
+    ]
+    left = iter(starts)
+    monkeypatch.setattr(BogieSearch, "widened", lambda *_: order.append("w") or next(left))
     one = trip(drawn(VEHICLE, row({}), 5), 70.0)
     found = BogieSearch(VEHICLE, [NOISE], [one], are_healthy=False).found(explained=1.15)
     assert found is ends[chosen]
-    assert len(list(left)) == (misfits[0] == 1.0)
+    assert "".join(order) == searched
 
 
 # property
+
+
+def test_healthy_trips_end_at_the_minimum():
+    vehicle = SpatialVehicle(AM96, parts=PARTS_OF_BOGIE).with_prior()
+    prior = vehicle.distribution.without(("cross_level", "alignment"))
+    vehicle = replace(vehicle, distribution=prior)
+    numbers = prior.ratios(np.random.default_rng(3).standard_normal((1, len(prior.names))))
+    trips = []
+    for i, mass in enumerate(MASSES):
+        parts = torch.ones(1, len(COMPONENTS), dtype=torch.float64)
+        parts[0, -1] = mass
+        true = vehicle.with_uncertain(parts, torch.as_tensor(numbers))
+        trips.append(trip(drawn(vehicle, true, i), 70.0))
+    end = BogieSearch(vehicle, [NOISE] * len(trips), trips, are_healthy=True).found(EXPLAINED)
+    misfits = end.fit._misfits(0.0, end.fit.all_bins)
+    residuals = end.fit._residuals(end.x, misfits, end.fit.all_bins)
+    slopes = end.fit._jacobian(end.x, misfits, end.fit.all_bins)
+    step = np.linalg.lstsq(slopes, -residuals, rcond=None)[0]
+    deviations = np.sqrt(np.diag(np.linalg.inv(slopes.T @ slopes)))
+    assert end.converged
+    assert (np.abs(step) < 0.3 * deviations).all()  # 0.95 where the decrease may be 1e-3
 
 
 def test_healthy_trips_show_the_vehicle(commissioned):
