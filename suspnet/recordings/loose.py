@@ -262,7 +262,7 @@ def _words(loose: BoolArray, alone: BoolArray, start_s: float) -> str:
             stretches.append(f"from about {first:.0f} s on")
         else:
             stretches.append(f"from about {first:.0f} to {last:.0f} s")
-    more = f" and {len(stretches) - LISTED} times more" if len(stretches) > LISTED else ""
+    more = f" and {len(stretches) - LISTED} more" if len(stretches) > LISTED else ""
     return (
         f"{', '.join(stretches[:LISTED])}{more}: it shows nothing there of the motion that the "
         "others show, and that part is left out; check its cable and connector"
