@@ -8,8 +8,10 @@ from datetime import datetime
 from functools import partial
 from pathlib import Path
 
+from suspnet.cli.init import command_line
 from suspnet.cli.kinds import named_runs, vehicles_with
 from suspnet.estimation.checkpoint import load_model
+from suspnet.estimation.trip_settings import LEAST_TRIPS
 from suspnet.ground import ledger, progress
 from suspnet.ground.settings import check_number
 from suspnet.ground.storage import distinct, new_folder
@@ -17,7 +19,20 @@ from suspnet.ground.workers import LostWorkerError, each
 from suspnet.recordings.manifest_files import find_trips
 from suspnet.report.language import speaking
 from suspnet.trips.check import CheckSettings, Opened, check_trip
-from suspnet.trips.check_page import PROBLEM, TripCheck, summary, with_shared_data, write_checks
+from suspnet.trips.check_page import (
+    PROBLEM,
+    READY,
+    TripCheck,
+    summary,
+    suspensions,
+    with_shared_data,
+    write_checks,
+)
+
+MANY_TRIPS = 5
+"""Number of healthy trips from which on more of them change little."""
+PARTS_MINUTES = 15
+"""Least length of trips that show each part of a bogie, [min]."""
 
 
 def check(arguments: Namespace) -> int:
@@ -34,7 +49,37 @@ def check(arguments: Namespace) -> int:
     with speaking(arguments.language):
         page = write_checks(checks, elsewhere, output)
     print(f"{summary(checks, elsewhere)}\n-> {page}")
+    if step := _next_step(arguments, checks, elsewhere):
+        print(step)
     return exit_code(checks, elsewhere)
+
+
+def _next_step(
+    arguments: Namespace, checks: Sequence[TripCheck], elsewhere: Sequence[str]
+) -> str | None:
+    """Return what to run after a folder of ready trips of one vehicle; None after any other."""
+    (folder, *others), config_dir = arguments.trips, arguments.config_dir
+    own = [] if config_dir is None else ["--config-dir", config_dir]
+    vehicles = {check.vehicle for check in checks}
+    if others or not Path(folder).is_dir() or arguments.run or exit_code(checks, elsewhere):
+        return None
+    named = {
+        one.name: key for key, one in vehicles_with(config_dir).items() if one.name in vehicles
+    }
+    if named.keys() != vehicles:
+        again = command_line("check", folder, "--config-dir", "FOLDER")
+        return f"with the folder of the vehicle's file all is checked: {again}"
+    ready = [[one for one in group.checks if one.state == READY] for group in suspensions(checks)]
+    n_healthy = min([MANY_TRIPS, *map(len, ready)])
+    if len(vehicles) > 1 or n_healthy < LEAST_TRIPS:
+        return None
+    minutes = int(min(one.duration_s for group in ready for one in group) / 60)
+    all_pairs = all(one.sensors.split(";")[0] == "pairs" for group in ready for one in group)
+    parts = ["protocol=components"] if all_pairs and minutes >= PARTS_MINUTES else []
+    settings = [f"vehicle={named.popitem()[1]}", "experiment=trips", *parts]
+    trips = [f"healthy={folder}", f"n_healthy={n_healthy}", f"data.minutes={minutes}"]
+    then = command_line("train", *own, *settings, *trips)
+    return f"then run, with n_healthy as many of the first trips as were healthy: {then}"
 
 
 def _checked(

@@ -58,7 +58,7 @@ def _one_trip(files: Sequence[Path], arguments: Namespace) -> int:
         f"-> {path}: {count(len(signals), 'column')} of {count(len(files), 'file')}\n"
         f"fill in: {', '.join(found.blanks) or 'nothing'}\n"
         f"guessed, to be checked: {', '.join(found.guesses) or 'nothing'}\n"
-        f"then run: {_command('check', path, *_known_vehicles(arguments.config_dir, []))}"
+        f"then run: {command_line('check', path, *_known_vehicles(arguments.config_dir, []))}"
     )
     return 0
 
@@ -88,7 +88,7 @@ def _folder(folder: Path, said: Sequence[str], arguments: Namespace) -> int:
             print(f"-> {table}: fill in its columns, then run the same command again")
         options = [*(["--table", str(table)] if table else []), *known]
         again = " ".join(
-            [_command("init", folder, *said), "KEY=VALUE ...", printable(join(options))]
+            [command_line("init", folder, *said), "KEY=VALUE ...", printable(join(options))]
         )
         print(*_left_open(new), f"say each once for all trips: {again.rstrip()}", sep="\n")
         return 1
@@ -99,7 +99,7 @@ def _folder(folder: Path, said: Sequence[str], arguments: Namespace) -> int:
     print(f"-> {folder}: {count(len(new), 'manifest')} of {count(len(found), 'trip')}{old}")
     for line in folders.origins(new):
         print(printable(f"  {line}"))
-    print(*_left_open(new), f"then run: {_command('check', folder, *known)}", sep="\n")
+    print(*_left_open(new), f"then run: {command_line('check', folder, *known)}", sep="\n")
     return 0
 
 
@@ -119,7 +119,7 @@ def _known_vehicles(folder: Path | None, trips: Sequence[folders.Trip]) -> list[
     return ["--config-dir", str(folder)]
 
 
-def _command(name: str, *arguments: object) -> str:
+def command_line(name: str, *arguments: object) -> str:
     """Return a command line as it can be copied into a shell."""
     return printable(join(["suspnet", name, *map(str, arguments)]))
 

@@ -26,7 +26,8 @@ GRAVITY = {"g": 1.0, "m/s2": 9.80665}
 """Gravity in each unit: the mean of a sensor that measures it reveals the sensor's unit."""
 HEAD = f"""\
 # Manifest of one trip: a template written by suspnet init. Values marked {BLANK} are missing,
-# those marked "guess" are taken from names: check both. Then run: suspnet check """
+# those marked "guess" are taken from names: check both. Then run suspnet check, with the options
+# that init has printed, on """
 
 
 PLACE_LINES = {

@@ -6,6 +6,8 @@ import random
 import re
 import shlex
 import time
+from argparse import Namespace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -79,6 +81,46 @@ def fleet(manifests, tmp_path_factory):
 
 def found_in(output):
     return json.loads((output / "check.json").read_text(encoding="utf-8"))
+
+
+# what comes next
+
+
+def after(tmp_path, *checks, trips=None, run=None, config_dir=None):
+    given = Namespace(trips=trips or [str(tmp_path)], run=run, config_dir=config_dir)
+    return check._next_step(given, checks, [])
+
+
+def ready(name, vehicle="am96", sensors="pairs", seconds=1290.0):
+    return TripCheck(
+        Path(name), READY, vehicle=vehicle, sensors=sensors, mileage_km=1.0, duration_s=seconds
+    )
+
+
+def test_training_of_a_ready_folder_can_be_copied(tmp_path):
+    trips = [ready(f"{i}.yaml") for i in range(6)]
+    step = after(tmp_path, *trips)
+    assert step.endswith(
+        f"suspnet train vehicle=am96 experiment=trips protocol=components healthy={tmp_path} "
+        "n_healthy=5 data.minutes=21"
+    )
+    step = after(tmp_path, *(replace(one, sensors="single sensors") for one in trips[:4]))
+    assert step.endswith(f"experiment=trips healthy={tmp_path} n_healthy=4 data.minutes=21")
+    assert "components" not in after(tmp_path, *(ready(f"{i}.yaml", seconds=800) for i in range(3)))
+
+
+def test_an_unknown_vehicle_is_asked_for_before_training(tmp_path):
+    step = after(tmp_path, *(ready(f"{i}.yaml", vehicle="own") for i in range(3)))
+    assert step.endswith(f"suspnet check {tmp_path} --config-dir FOLDER")
+
+
+def test_nothing_is_trained_on_what_is_not_ready(tmp_path):
+    trips = [ready(f"{i}.yaml") for i in range(3)]
+    assert after(tmp_path, *trips[:2]) is None
+    assert after(tmp_path, *trips, TripCheck(Path("x.yaml"), problems=("?",))) is None
+    assert after(tmp_path, *trips, run=["outputs/trips/x"]) is None
+    assert after(tmp_path, *trips, trips=[str(tmp_path), "other"]) is None
+    assert after(tmp_path, *trips, *(ready(f"{i}.yaml", "ice3") for i in range(3, 6))) is None
 
 
 # what an estimate would have to work with
