@@ -98,13 +98,15 @@ class BogieSearch:
     """The sum of squares of some trips: coordinates of z, then each trip's own numbers.
 
     `noises` are those of the trips' sensors as `SubspaceMisfit` takes them. Healthy trips have the
-    logarithm of their mass as their own number, others those of all parts.
+    logarithm of their mass as their own number, others those of all parts. `mass` is what the
+    masses of the trips are expected about, the median of their prior.
     """
 
     generator: SpatialVehicle
     noises: Sequence[Tensor]
     trips: Sequence[BogieTrip]
     are_healthy: bool
+    mass: float = math.exp(MASS_MEAN)
 
     def __post_init__(self) -> None:
         for trip in self.trips:
@@ -169,7 +171,7 @@ class BogieSearch:
     def _own(self) -> tuple[FloatArray, FloatArray]:
         """Prior mean and standard deviation of each trip's own numbers, (n_own,) each."""
         mean = np.zeros(self._n_own)
-        mean[-1] = MASS_MEAN
+        mean[-1] = math.log(self.mass)
         deviation = np.full(self._n_own, WEAR)
         deviation[-1] = MASS_DEVIATION
         return mean, deviation
