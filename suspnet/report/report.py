@@ -258,7 +258,10 @@ def _doubts(trips: Sequence[TripResult]) -> str:
     most, n = reasons.most_common(1)[0]
     why = most if len(reasons) == 1 else f"{n} of them: {most}"
     if flagged == done > 1:
-        return f"All {done} trips are flagged, and none of these numbers is to be relied on: {why}."
+        return (
+            f"All {done} trips are flagged, so intervals may not hold, and only what is beyond its "
+            f"limits is judged: {why}."
+        )
     are = "is" if flagged == 1 else "are"
     return f"{flagged} of {count(done, 'trip')} {are} flagged, see the table; {why}."
 

@@ -273,7 +273,11 @@ def test_a_level_that_no_suspension_has_is_no_number_in_the_table(tmp_path):
     ("n", "sentence"),
     [
         (1, "1 of 6 trips is flagged, see the table; "),
-        (6, "All 6 trips are flagged, and none of these numbers is to be relied on: "),
+        (
+            6,
+            "All 6 trips are flagged, so intervals may not hold, and only what is beyond its "
+            "limits is judged: ",
+        ),
     ],
 )
 def test_sentence_on_flags_is_grammatical(tmp_path, n, sentence):
