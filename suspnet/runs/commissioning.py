@@ -81,8 +81,9 @@ def commission_trips(
         log.info("%s%s", AS_EQUAL, words.verdict(found, outcome))
         return outcome
     log.info("%s %s", words.verdict(found, outcome), words.agreement(outcome))
-    for doubt in words.doubts(outcome):
-        log.warning("%s", doubt)
+    for doubt in [*words.doubts(outcome), words.mass_doubt(outcome.masses)]:
+        if doubt:
+            log.warning("%s", doubt)
     if not words.is_explained(outcome) and not any(generator.sensor_lateral_m):
         if hint := words.unplaced(found):
             log.warning("%s", hint)
@@ -165,6 +166,8 @@ def _commissioned_bogie(
 def reported(bogie: CommissionedBogie) -> CommissionedBogie:
     """Return a bogie whose healthy parts, and whether its search ended, are now in the log."""
     log.info("%s", words.of_parts(bogie))
+    if doubt := words.mass_doubt(bogie.masses):
+        log.warning("%s", doubt)
     if not bogie.converged:
         log.warning("%s", words.NOT_CONVERGED)
     return bogie
