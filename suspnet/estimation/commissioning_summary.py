@@ -218,6 +218,12 @@ NOT_CONVERGED = (
 """Doubt about a bogie whose search did not converge."""
 
 
+def doubts_of_parts(bogie: CommissionedBogie) -> list[str]:
+    """Return a sentence for each reason not to rely on a bogie of which each part is read."""
+    found = [] if bogie.converged else [NOT_CONVERGED]
+    return [*found, *filter(None, [mass_doubt(bogie.masses)])]
+
+
 def mass_doubt(masses: FloatArray) -> str | None:
     """Return a sentence if healthy trips show another car body than the vehicle file.
 

@@ -166,10 +166,8 @@ def _commissioned_bogie(
 def reported(bogie: CommissionedBogie) -> CommissionedBogie:
     """Return a bogie whose healthy parts, and whether its search ended, are now in the log."""
     log.info("%s", words.of_parts(bogie))
-    if doubt := words.mass_doubt(bogie.masses):
+    for doubt in words.doubts_of_parts(bogie):
         log.warning("%s", doubt)
-    if not bogie.converged:
-        log.warning("%s", words.NOT_CONVERGED)
     return bogie
 
 

@@ -6,6 +6,7 @@ import math
 import re
 from dataclasses import replace
 from html import unescape
+from types import SimpleNamespace
 
 import numpy as np
 import pyarrow.parquet as pq
@@ -18,6 +19,7 @@ from suspnet.estimation.damping_laws import Laws
 from suspnet.estimation.flags import INCOMPLETE
 from suspnet.estimation.healthy_trips import HealthyTrips
 from suspnet.estimation.temperature import NOTE, DampingByTemperature
+from suspnet.ground.parameters import COMPONENTS
 from suspnet.report.language import speaking
 from suspnet.runs import commissioning_page as figures
 from suspnet.runs.commissioning_page import training_notes, write_outcome
@@ -301,3 +303,23 @@ def test_another_body_than_the_file_says_is_to_be_checked(masses, told):
     if told is not None:
         assert f"a car body of {told} times" in doubt
         assert "body_mass_kg" in doubt
+
+
+@pytest.mark.parametrize(("converged", "tone"), [(True, "good"), (False, "notice")])
+def test_parts_that_are_read_come_first(commissioned, tmp_path, converged, tone):
+    names = tuple(COMPONENTS[:-1])
+    values = [2e5, *[1e5] * 11]
+    healthy = SimpleNamespace(names=names, values=np.array(values))
+    bogie = SimpleNamespace(
+        healthy=healthy, misfit=1.04, converged=converged, masses=np.array([1.0, 1.1])
+    )
+    write_outcome(tmp_path, *commissioned, bogie)
+    page = (tmp_path / "commissioning.html").read_text(encoding="utf-8")
+    text, verdict = text_of(page), words.verdict(*commissioned)
+    first = "Each part of the bogie is read: its misfit is 1.04 times the noise"
+    assert f'class="result {tone}"' in page
+    assert text.index(first) < text.index("Both sides and axles as equal") < text.index(verdict)
+    assert (words.NOT_CONVERGED in text) == (not converged)
+    found = json.loads((tmp_path / "commissioning.json").read_text())
+    assert found["verdict"][0].startswith(first)
+    assert verdict in found["verdict"]
