@@ -51,6 +51,7 @@ from suspnet.spectra.segments import (
 )
 from suspnet.spectra.welch import SegmentSpectra
 from suspnet.trips.check_page import (
+    NEED_A_VEHICLE,
     PROBLEM,
     READY,
     TOO_LITTLE,
@@ -192,6 +193,7 @@ def _inspected(
         duration_s=recording.duration_s,
         usable_percent=100 * float(recording.usable.mean()),
         band_hz=(estimate.low_hz, estimate.high_hz),
+        unchecked=vehicle is None and not settings.models,
     )
     if recording.absent:
         result = replace(result, state=TOO_LITTLE, remarks=(*result.remarks, no_channel(recording)))
@@ -280,8 +282,8 @@ def _vehicle(
     vehicle = vehicles.get(manifest.vehicle)
     if vehicle is None:
         words = (
-            f"units, signs and order of the channels are not checked: vehicle "
-            f"{manifest.vehicle!r} is none of {sorted(vehicles)}; --config-dir gives others"
+            f"{NEED_A_VEHICLE} are not checked: vehicle {manifest.vehicle!r} is none of "
+            f"{sorted(vehicles)}; --config-dir gives others"
         )
         return None, unknown, [words]
     try:
@@ -354,26 +356,32 @@ def _with_plausibility(
     parts = [check_channel_order, *([check_sides] if any(recording.paired) else [])]
     each = [partial(part, chosen) for part in parts for chosen in checked]
     try:
-        all_of([*each, partial(_check_bogie, recording, vehicle, settings, ways)])
+        *_, shows_parts = all_of(
+            [*each, partial(_check_bogie, recording, vehicle, settings, ways)]
+        )
     except TripError as error:
         return _with_problems(result, error.problems)
-    return replace(result, remarks=result.remarks + tuple(dict.fromkeys(filter(None, doubts))))
+    remarks = result.remarks + tuple(dict.fromkeys(filter(None, doubts)))
+    return replace(result, remarks=remarks, shows_parts=shows_parts)
 
 
 @threads(1)  # as for estimates: systems of 30 equations are too small for two
 def _check_bogie(
     recording: Recording, vehicle: Vehicle, settings: TripSettings, ways: Sequence[Direction]
-) -> None:
-    """Raise TripError if two of the sensors that show each part of a bogie look swapped.
+) -> bool:
+    """Return whether a recording shows each part of a bogie.
 
-    `ways` are the directions of travel of the recording's parts, empty if unknown.
+    TripError if two of the sensors that show them look swapped. `ways` are the directions of travel
+    of the recording's parts, empty if unknown.
     """
     places = sensor_places(recording.manifest, "axle")
     if not ways or not show_parts(places):
-        return
+        return False
     bogie: Literal["leading", "trailing"] = (
         "trailing" if recording.manifest.bogie == "trailing" else "leading"
     )
     unknown = SpatialVehicle(vehicle, bogie=bogie, parts=PARTS_OF_BOGIE, sensors=places)
     with contextlib.suppress(NoEstimateError):  # what can be read is said elsewhere
         check_order(unknown.with_prior(), bogie_trip(recording, unknown, settings, ways[0]))
+        return True
+    return False
