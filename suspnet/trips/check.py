@@ -23,7 +23,13 @@ from suspnet.estimation.bogie_trips import (
     show_parts,
 )
 from suspnet.estimation.from_recording import no_channel
-from suspnet.estimation.steady_parts import Steady, groups_to_read, readable_words, steady
+from suspnet.estimation.steady_parts import (
+    Steady,
+    groups_to_read,
+    minutes_words,
+    readable_words,
+    steady,
+)
 from suspnet.estimation.swapped_sensors import check_order
 from suspnet.estimation.trained import TrainedModel
 from suspnet.estimation.trip_settings import TripSettings
@@ -49,7 +55,7 @@ from suspnet.spectra.segments import (
     recording_segments,
     segment_speeds,
 )
-from suspnet.spectra.welch import SegmentSpectra
+from suspnet.spectra.welch import SegmentSpectra, Welch
 from suspnet.trips.check_page import (
     NEED_A_VEHICLE,
     PROBLEM,
@@ -262,7 +268,7 @@ def _with_parts(
     kept = [(one, part) for one, part in found if one.has_enough]
     certain = [(one, part) for one, part in kept if one.is_certain]
     uncertain = [part for one, part in kept if not one.is_certain]
-    words = _too_little([part for _, part in found], settings) if not kept else ""
+    words = _too_little([one for one, _ in found], segments.welch, settings) if not kept else ""
     words += "; ".join(_too_uncertain(part, settings) for part in uncertain)
     result = replace(
         result,
@@ -303,13 +309,13 @@ def _part(one: Steady) -> SteadyPart:
     )
 
 
-def _too_little(parts: Sequence[SteadyPart], settings: TripSettings) -> str:
-    most = max(parts, key=lambda part: part.n_averages, default=None)
-    found = f"{most.n_averages:.1f} at {most.speed_m_per_s:.1f} m/s" if most else "none"
+def _too_little(found: Sequence[Steady], welch: Welch, settings: TripSettings) -> str:
+    most = max(found, key=lambda one: one.n_averages, default=None)
+    there = minutes_words(welch, int(most.chosen.sum()) if most else 0, settings.min_averages)
+    where = f"{most.speed[0]:.1f} m/s" if most else "a steady speed"
     return (
-        f"too little at a steady speed: {found}, {settings.min_averages:g} averages are needed "
-        f"(about two minutes within {100 * settings.speed_tolerance:g} % of one speed, at "
-        f"{settings.min_speed_m_per_s:g} m/s or faster)"
+        f"too little at {where}: {there} (within {100 * settings.speed_tolerance:g} % of one "
+        f"speed, at {settings.min_speed_m_per_s:g} m/s or faster)"
     )
 
 
@@ -356,9 +362,7 @@ def _with_plausibility(
     parts = [check_channel_order, *([check_sides] if any(recording.paired) else [])]
     each = [partial(part, chosen) for part in parts for chosen in checked]
     try:
-        *_, shows_parts = all_of(
-            [*each, partial(_check_bogie, recording, vehicle, settings, ways)]
-        )
+        *_, shows_parts = all_of([*each, partial(_check_bogie, recording, vehicle, settings, ways)])
     except TripError as error:
         return _with_problems(result, error.problems)
     remarks = result.remarks + tuple(dict.fromkeys(filter(None, doubts)))

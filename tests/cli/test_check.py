@@ -160,7 +160,8 @@ def test_slow_trip_holds_too_little_but_is_no_mistake(manifests, tmp_path, speed
     assert done.returncode == 0
     (trip,) = found_in(tmp_path / "o")["trips"]
     assert trip["state"] == TOO_LITTLE
-    assert "too little at a steady speed" in done.stdout
+    words = "too little at a steady speed: 0.0 minutes, at least 2.0 are needed, 2.0 more"
+    assert words in done.stdout
 
 
 def test_speed_of_no_train_is_told_as_km_per_h(manifests, tmp_path):
