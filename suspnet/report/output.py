@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import re
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -15,10 +16,10 @@ import pyarrow.parquet as pq
 from matplotlib.figure import Figure
 from tabulate import tabulate
 
-from suspnet.ground.parameters import BODY_MASS, BOGIE_PARTS, PARAMETERS
+from suspnet.ground.parameters import BODY_MASS, BOGIE_PARTS, PARAMETERS, Cause, Severity
 from suspnet.ground.records import NO_PART, OK, TripResult, outputs_of
 from suspnet.ground.storage import write_atomically, write_json, write_table
-from suspnet.ground.wording import count
+from suspnet.ground.wording import count, kilometres
 from suspnet.maintenance.alarms import Acknowledgement, Alarm, newest_of
 from suspnet.maintenance.assessment import overall, spoken
 from suspnet.maintenance.life import Life
@@ -39,6 +40,10 @@ from suspnet.report.xlsx import check_xlsx, write_xlsx
 
 KNOWN_ERROR_PERCENT = "rms error %"
 COVERAGE_PERCENT = "intervals hold %"
+LISTED = 5
+"""Largest number of trips that are listed for a dead sensor."""
+DEAD = re.compile(r"(?:^|; )([\w ]+: dead and left out.*?)(?=; [a-z_]+(?: [\w ]+)?: |$)")
+"""A dead sensor with what is known of it, among the faults of a trip."""
 
 
 def summary(results: Sequence[TripResult], outputs: Sequence[str]) -> str:
@@ -118,6 +123,24 @@ def _reasons(results: Sequence[TripResult]) -> list[str]:
         if words := "; ".join(filter(None, why)):
             trips.setdefault(words, []).append(result.trip)
     return [f"\n{', '.join(names)}: {words}" for words, names in trips.items()]
+
+
+def sensor_lines(results: Sequence[TripResult], alarms: Sequence[Alarm]) -> list[str]:
+    """Return a line for a terminal on each sensor with an active alarm, and on each dead one."""
+    lines = [
+        f"{one.words} (alarm since {kilometres(one.begin_km)})"
+        for one in alarms
+        if one.cause == Cause.SENSOR and one.is_open
+    ]
+    trips: dict[str, list[str]] = {}
+    for result in results:
+        for words in DEAD.findall(result.quality.faults):
+            whole = words if words.count("(") == words.count(")") else words.rpartition(" (")[0]
+            trips.setdefault(whole, []).append(result.trip)
+    for words, names in trips.items():
+        more = f" and {len(names) - LISTED} more" * (len(names) > LISTED)
+        lines.append(f"sensor {words} (in {', '.join(names[:LISTED])}{more})")
+    return [f"  {Severity.NOTICE!s:7s}  {line}" for line in lines]
 
 
 def errors_percent(results: Sequence[TripResult], outputs: Sequence[str]) -> dict[str, float]:
