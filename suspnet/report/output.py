@@ -32,7 +32,14 @@ from suspnet.report.language import gettext
 from suspnet.report.maintenance_figures import health_trend, small_trends
 from suspnet.report.pdf import check_pdf, write_pdf
 from suspnet.report.report import Report, write_report
-from suspnet.report.tables import REPORT, Evaluated, FleetView, finding, same_columns
+from suspnet.report.tables import (
+    REPORT,
+    Evaluated,
+    FleetView,
+    finding,
+    same_columns,
+    split_outputs,
+)
 from suspnet.report.templates import render
 from suspnet.report.tensorboard import RunLog
 from suspnet.report.trend import trend_of_trips
@@ -48,15 +55,17 @@ DEAD = re.compile(r"(?:^|; )([\w ]+: dead and left out.*?)(?=; [a-z_]+(?: [\w ]+
 
 def summary(results: Sequence[TripResult], outputs: Sequence[str]) -> str:
     """Return a table of all trips, errors where the truth is known, and all reasons and flags."""
-    of_parts = [name for name in outputs if name in BOGIE_PARTS]
-    columns = [name for name in outputs if name not in BOGIE_PARTS]
+    columns, equal = split_outputs(outputs)
+    of_parts = [name for name in columns if name in BOGIE_PARTS]
+    known = {name for result in results for name in result.estimates}
+    columns = [name for name in columns if name in known and name not in BOGIE_PARTS]
     header = ["trip", "1000 km", *columns, *["worn parts"] * bool(of_parts), "averages", "state"]
     rows = [
         [
             r.trip,
             r.mileage_km / 1000,
             *(r.estimates.get(name) for name in columns),
-            *["not read" if r.quality.no_part else r.worn] * bool(of_parts),
+            *[_worn(r, equal)] * bool(of_parts),
             r.quality.n_averages,
             "flagged" if r.flags else "" if r.status == OK else r.status,
         ]
@@ -84,6 +93,16 @@ def summary(results: Sequence[TripResult], outputs: Sequence[str]) -> str:
     head = f"{done} of {count(len(results), 'trip')} {have} an estimate, {flagged} {are} flagged"
     parts = [f"\n{_part_table(results, of_parts)}"] if of_parts else []
     return "\n".join([head, table, *parts, *_reasons(results)])
+
+
+def _worn(result: TripResult, equal: Sequence[str]) -> str:
+    """Return the worn parts of a trip, or what it shows in their place: both sides as equal."""
+    if not result.quality.no_part:
+        return result.worn
+    known = [
+        f"{name} {100 * result.estimates[name]:.4g}" for name in equal if name in result.estimates
+    ]
+    return f"not read; both sides as equal: {', '.join(known)} %" if known else "not read"
 
 
 def _part_table(results: Sequence[TripResult], parts: Sequence[str]) -> str:
