@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 
 from suspnet.dynamics.quantities import PARTS, QUANTITIES, UNMEASURED, Quantity
-from suspnet.estimation.bogie_fit import CommissionedBogie
+from suspnet.estimation.bogie_fit import EXPLAINED, CommissionedBogie
 from suspnet.estimation.commissioning import Commissioned
-from suspnet.estimation.flags import INCOMPLETE
+from suspnet.estimation.flags import INCOMPLETE, UNTRUSTED
 from suspnet.estimation.healthy_trips import HealthyTrips
 from suspnet.ground.parameters import BOGIE_PARTS, PARAMETERS, REVERSE, kind_of
 from suspnet.ground.wording import count
@@ -131,8 +131,9 @@ def doubts(outcome: Commissioned) -> list[str]:
     if not is_explained(outcome):
         found.append(
             f"A misfit above {INCOMPLETE:g} means that the physics of the model is incomplete or a "
-            "sensor is wrong; the figure shows at which frequencies. Every estimate of a model "
-            "trained on this vehicle is flagged, and its interval is wider by what this could cost."
+            "sensor is wrong; the figure shows at which frequencies. Intervals of estimates with "
+            "this vehicle are wider by what this could cost; above "
+            f"{UNTRUSTED:g} every estimate is flagged as well."
         )
     if not outcome.converged:
         found.append(
@@ -198,6 +199,27 @@ def of_parts(bogie: CommissionedBogie) -> str:
         f"Each part of the bogie is read: its misfit is {bogie.misfit:.2f} times the noise; "
         f"{' and '.join(spreads)} differ from the mean of their kind while healthy."
     )
+
+
+AS_EQUAL = "With both sides and axles as equal, for trips that do not show their parts: "
+"""Start of the sentence on the vertical vehicle where each part is to be read."""
+
+
+def doubts_of_parts(bogie: CommissionedBogie) -> list[str]:
+    """Return a sentence for each reason not to rely on a bogie of which each part is read."""
+    found = []
+    if not bogie.misfit <= EXPLAINED:
+        found.append(
+            f"A misfit of the parts above {EXPLAINED:g} means that the physics of the model is "
+            "incomplete or a sensor is wrong: the intervals of parts are wider by what this could "
+            "cost."
+        )
+    return found if bogie.converged else [*found, NOT_CONVERGED]
+
+
+def calm_of_parts() -> str:
+    """Return the sentence on a bogie without doubts."""
+    return f"That explains the healthy trips: up to {EXPLAINED:g} is noise and leakage."
 
 
 NOT_CONVERGED = (

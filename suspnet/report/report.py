@@ -91,7 +91,7 @@ RECOMMISSIONED = N_(
 MAINTAINED = N_("Maintenance: {}. Severities, medians and changes are of the trips since the last.")
 UNSURE = (
     "so their numbers may be further off than the intervals say; what is beyond a limit is to be "
-    "inspected before work is ordered, what is within them is not judged"
+    "inspected before work is ordered, what is within the limits is not judged"
 )
 """What it means that all trips are flagged. No verdict is silenced by that."""
 

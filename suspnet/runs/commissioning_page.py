@@ -17,6 +17,7 @@ from matplotlib.ticker import NullFormatter
 
 from suspnet._version import __version__
 from suspnet.estimation import commissioning_summary as words
+from suspnet.estimation.bogie_fit import EXPLAINED, CommissionedBogie
 from suspnet.estimation.commissioning import Commissioned
 from suspnet.estimation.flags import INCOMPLETE
 from suspnet.estimation.healthy_trips import HealthyTrips
@@ -58,8 +59,16 @@ LEAST_RATIO = 0.05
 """Smallest ratio to the drawing that is shown: the axis is logarithmic."""
 
 
-def write_outcome(folder: Path, found: HealthyTrips, outcome: Commissioned) -> None:
-    """Write page, numbers (JSON), curves (tables) and figures of a commissioned vehicle."""
+def write_outcome(
+    folder: Path,
+    found: HealthyTrips,
+    outcome: Commissioned,
+    bogie: CommissionedBogie | None = None,
+) -> None:
+    """Write page, numbers (JSON), curves (tables) and figures of a commissioned vehicle.
+
+    If each part is read, `bogie` shows them, and the vehicle is for trips that do not.
+    """
     drawn = {
         "responses": responses(found, outcome),
         "numbers": number_ranges(words.numbers(outcome)),
@@ -67,8 +76,8 @@ def write_outcome(folder: Path, found: HealthyTrips, outcome: Commissioned) -> N
     for name, figure in drawn.items():
         write_atomically(folder / "figures" / f"{NAME}_{name}.png", as_png(figure))
     write_table(pa.concat_tables(_curves(found, outcome)), folder / f"{NAME}_responses")
-    write_json(folder / f"{NAME}.json", as_json(found, outcome))
-    page = _page(found, outcome, drawn)
+    write_json(folder / f"{NAME}.json", as_json(found, outcome, bogie))
+    page = _page(found, outcome, drawn, bogie)
     path = write_atomically(folder / f"{NAME}.html", page.encode("utf-8", errors="replace"))
     log.info("-> %s", path)
 
@@ -93,15 +102,21 @@ def training_notes(found: HealthyTrips, outcome: Commissioned) -> dict[str, Any]
     }
 
 
-def as_json(found: HealthyTrips, outcome: Commissioned) -> dict[str, Any]:
+def as_json(
+    found: HealthyTrips, outcome: Commissioned, bogie: CommissionedBogie | None = None
+) -> dict[str, Any]:
     """Return all numbers of a commissioned vehicle in SI units, for a file."""
     generator = outcome.generator
+    of_parts, equal = [], words.verdict(found, outcome)
+    if bogie is not None:
+        of_parts = [words.of_parts(bogie), *words.doubts_of_parts(bogie)]
+        equal = f"{words.AS_EQUAL}{equal}"
     return {
         "suspnet_version": __version__,
         "vehicle": generator.vehicle.name,
         "suspension": _place(found),
         "parts": list(generator.parts),
-        "verdict": [words.verdict(found, outcome), *words.doubts(outcome)],
+        "verdict": [*of_parts, equal, *words.doubts(outcome)],
         "threshold": INCOMPLETE,
         "n_starts": outcome.n_starts,
         "n_agree": outcome.n_agree,
@@ -113,8 +128,22 @@ def as_json(found: HealthyTrips, outcome: Commissioned) -> dict[str, Any]:
     }
 
 
-def _page(found: HealthyTrips, outcome: Commissioned, drawn: Mapping[str, Figure]) -> str:
+def _page(
+    found: HealthyTrips,
+    outcome: Commissioned,
+    drawn: Mapping[str, Figure],
+    bogie: CommissionedBogie | None = None,
+) -> str:
     doubts, numbers = words.doubts(outcome), words.numbers(outcome)
+    of_parts = None
+    if bogie is not None:
+        parts_doubts = words.doubts_of_parts(bogie)
+        of_parts = {
+            "verdict": words.of_parts(bogie),
+            "tone": "notice" if parts_doubts else "good",
+            "sentences": parts_doubts or [words.calm_of_parts()],
+            "threshold": EXPLAINED,
+        }
     groups: dict[str, list[dict[str, Any]]] = {}
     for one in numbers:
         meaning = spoken(one.quantity.meaning)
@@ -126,6 +155,7 @@ def _page(found: HealthyTrips, outcome: Commissioned, drawn: Mapping[str, Figure
         title=spoken(f"Commissioning of {vehicle.name}"),
         headline=_headline(found, vehicle.name),
         mileage_km=training_notes(found, outcome)["mileage_km"],
+        of_parts=of_parts,
         tone="notice" if doubts else "good",
         verdict=words.verdict(found, outcome),
         doubts=doubts,

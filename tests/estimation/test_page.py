@@ -6,6 +6,7 @@ import math
 import re
 from dataclasses import replace
 from html import unescape
+from types import SimpleNamespace
 
 import numpy as np
 import pyarrow.parquet as pq
@@ -15,9 +16,10 @@ from matplotlib.figure import Figure
 
 from suspnet.estimation import commissioning_summary as words
 from suspnet.estimation.damping_laws import Laws
-from suspnet.estimation.flags import INCOMPLETE
+from suspnet.estimation.flags import INCOMPLETE, UNTRUSTED
 from suspnet.estimation.healthy_trips import HealthyTrips
 from suspnet.estimation.temperature import NOTE, DampingByTemperature
+from suspnet.ground.parameters import COMPONENTS
 from suspnet.report.language import speaking
 from suspnet.runs import commissioning_page as figures
 from suspnet.runs.commissioning_page import training_notes, write_outcome
@@ -228,6 +230,48 @@ def test_doubts_are_said(commissioned):
     assert words.verdict(found, spoilt).startswith(first)
     assert not training_notes(found, spoilt)["explained"]
     assert words.doubts(replace(outcome, misfit=INCOMPLETE)) == []
+
+
+def bogie(misfit, converged=True):
+    """Return what the page says of a bogie: one damper of twelve is 12 % above its kind."""
+    values = [1.16 if name == "c_p_axle2_left" else 1.0 for name in COMPONENTS]
+    healthy = SimpleNamespace(names=COMPONENTS, values=np.array(values))
+    return SimpleNamespace(misfit=misfit, converged=converged, healthy=healthy)
+
+
+@pytest.mark.parametrize(
+    ("misfit", "converged", "tone", "said"),
+    [
+        (1.05, True, "good", "That explains the healthy trips: up to 1.15 is noise and leakage."),
+        (1.3, True, "notice", "A misfit of the parts above 1.15 means that the physics"),
+        (1.05, False, "notice", words.NOT_CONVERGED),
+    ],
+)
+def test_parts_come_first_where_they_are_read(
+    commissioned, tmp_path, blank, misfit, converged, tone, said
+):
+    found, outcome = commissioned
+    unlike = replace(outcome, misfit=6.78)
+    write_outcome(tmp_path, found, unlike, bogie(misfit, converged))
+    page = (tmp_path / "commissioning.html").read_text(encoding="utf-8")
+    assert re.findall(r'class="result (\w+)"', page) == [tone, "notice"]
+    text = text_of(page)
+    parts = f"Each part of the bogie is read: its misfit is {misfit:.2f} times the noise; springs"
+    equal = "The vehicle does not explain its healthy trips (3 trips): the misfit is 6.78 times"
+    heading = "Both sides and axles as equal Trips that do not show their parts"
+    places = [text.index(one) for one in (parts, said, heading, equal)]
+    assert places == sorted(places)
+    assert "dampers by up to 11.5 %" in text
+    assert "so that it may be up to 1.15" in text
+    verdict = json.loads((tmp_path / "commissioning.json").read_text())["verdict"]
+    assert verdict[0].startswith(parts)
+    assert any(one.startswith(f"{words.AS_EQUAL}{equal}") for one in verdict)
+
+
+def test_limits_of_the_misfit_are_those_at_which_estimates_are_flagged(commissioned):
+    (said,) = words.doubts(replace(commissioned[1], misfit=6.78))
+    assert f"A misfit above {INCOMPLETE:g} means" in said
+    assert said.endswith(f"above {UNTRUSTED:g} every estimate is flagged as well.")
 
 
 def test_other_minutes_than_those_of_training_are_said(commissioned):
