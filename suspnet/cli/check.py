@@ -3,23 +3,26 @@
 from __future__ import annotations
 
 from argparse import Namespace
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from datetime import datetime
 from functools import partial
 from pathlib import Path
+from shlex import join
+from statistics import median
 
-from suspnet.cli.init import command_line
+from suspnet.cli.config_files import own_vehicles
 from suspnet.cli.kinds import named_runs, vehicles_with
 from suspnet.estimation.checkpoint import load_model
 from suspnet.estimation.trip_settings import LEAST_TRIPS
 from suspnet.ground import ledger, progress
 from suspnet.ground.settings import check_number
-from suspnet.ground.storage import distinct, new_folder
+from suspnet.ground.storage import distinct, new_folder, printable
 from suspnet.ground.workers import LostWorkerError, each
 from suspnet.recordings.manifest_files import find_trips
 from suspnet.report.language import speaking
 from suspnet.trips.check import CheckSettings, Opened, check_trip
 from suspnet.trips.check_page import (
+    NEED_A_VEHICLE,
     PROBLEM,
     READY,
     TripCheck,
@@ -29,16 +32,17 @@ from suspnet.trips.check_page import (
     write_checks,
 )
 
-MANY_TRIPS = 5
-"""Number of healthy trips from which on more of them change little."""
-PARTS_MINUTES = 15
-"""Least length of trips that show each part of a bogie, [min]."""
+N_HEALTHY = 5
+"""Number of first trips that the next command takes as healthy, which the user may change."""
+USUAL_MINUTES = 20
+"""Length of trips for which models are trained unless `data.minutes` says another, [min]."""
 
 
 def check(arguments: Namespace) -> int:
     """Check what the command line names and return the exit code."""
     check_number("--workers", arguments.workers, low=1, whole=True)
-    known = {vehicle.name: vehicle for vehicle in vehicles_with(arguments.config_dir).values()}
+    options = vehicles_with(arguments.config_dir)
+    known = {vehicle.name: vehicle for vehicle in options.values()}
     models = [load_model(run) for run in named_runs(arguments.run or [])]
     output = _folder(arguments.output)
     pictures = None if arguments.no_pictures else output
@@ -49,37 +53,11 @@ def check(arguments: Namespace) -> int:
     with speaking(arguments.language):
         page = write_checks(checks, elsewhere, output)
     print(f"{summary(checks, elsewhere)}\n-> {page}")
-    if step := _next_step(arguments, checks, elsewhere):
-        print(step)
-    return exit_code(checks, elsewhere)
-
-
-def _next_step(
-    arguments: Namespace, checks: Sequence[TripCheck], elsewhere: Sequence[str]
-) -> str | None:
-    """Return what to run after a folder of ready trips of one vehicle; None after any other."""
-    (folder, *others), config_dir = arguments.trips, arguments.config_dir
-    own = [] if config_dir is None else ["--config-dir", config_dir]
-    vehicles = {check.vehicle for check in checks}
-    if others or not Path(folder).is_dir() or arguments.run or exit_code(checks, elsewhere):
-        return None
-    named = {
-        one.name: key for key, one in vehicles_with(config_dir).items() if one.name in vehicles
-    }
-    if named.keys() != vehicles:
-        again = command_line("check", folder, "--config-dir", "FOLDER")
-        return f"with the folder of the vehicle's file all is checked: {again}"
-    ready = [[one for one in group.checks if one.state == READY] for group in suspensions(checks)]
-    n_healthy = min([MANY_TRIPS, *map(len, ready)])
-    if len(vehicles) > 1 or n_healthy < LEAST_TRIPS:
-        return None
-    minutes = int(min(one.duration_s for group in ready for one in group) / 60)
-    all_pairs = all(one.sensors.split(";")[0] == "pairs" for group in ready for one in group)
-    parts = ["protocol=components"] if all_pairs and minutes >= PARTS_MINUTES else []
-    settings = [f"vehicle={named.popitem()[1]}", "experiment=trips", *parts]
-    trips = [f"healthy={folder}", f"n_healthy={n_healthy}", f"data.minutes={minutes}"]
-    then = command_line("train", *own, *settings, *trips)
-    return f"then run, with n_healthy as many of the first trips as were healthy: {then}"
+    code = exit_code(checks, elsewhere)
+    option_of = {vehicle.name: option for option, vehicle in options.items()}
+    for line in next_steps(arguments, checks, option_of, code):
+        print(printable(line))
+    return code
 
 
 def _checked(
@@ -107,6 +85,55 @@ def _check_one(
 def exit_code(checks: Sequence[TripCheck], elsewhere: Sequence[str]) -> int:
     """Return 0 if every trip could be read, 1 otherwise."""
     return int(bool(elsewhere) or any(check.state == PROBLEM for check in checks))
+
+
+def next_steps(
+    arguments: Namespace, checks: Sequence[TripCheck], option_of: Mapping[str, str], code: int
+) -> list[str]:
+    """Return lines with the command to run next, where `code`, the exit code, is 0.
+
+    `option_of` is how ``vehicle=`` names each known vehicle. Without the numbers of a vehicle the
+    next command is the check with them, whatever the code; otherwise the training on the folder, or
+    with `run` the evaluation. There is none for single manifests, trips of several vehicles, and a
+    suspension that has too few ready trips.
+    """
+    if unknown := sorted({one.vehicle for one in checks if one.unchecked} - set(option_of)):
+        folder = own_vehicles(unknown[0])
+        again = ["suspnet", "check", *map(str, arguments.trips), "--config-dir"]
+        where = f", where DIR is the folder with vehicle/{unknown[0]}.yaml"
+        return [
+            f"not checked without the numbers of {', '.join(unknown)}: {NEED_A_VEHICLE}",
+            f"to check them too: {join([*again, str(folder or 'DIR')])}{where * (folder is None)}",
+        ]
+    vehicles = {check.vehicle for check in checks}
+    n_ready = [sum(one.state == READY for one in each.checks) for each in suspensions(checks)]
+    folder, *others = arguments.trips
+    if any(one.unchecked for one in checks) or not all(n >= LEAST_TRIPS for n in n_ready):
+        return []
+    if code or others or not folder.is_dir() or len(vehicles) != 1:
+        return []
+    if arguments.run:
+        runs = [str(run) for run in arguments.run]
+        run = runs[0] if len(runs) == 1 else f"[{','.join(runs)}]"
+        return [f"then run: {join(['suspnet', 'evaluate', f'trips={folder}', f'run={run}'])}"]
+    ready = [check for check in checks if check.state == READY]
+    minutes = max(1, round(median(check.duration_s for check in ready) / 60))
+    n_healthy = min(N_HEALTHY, *n_ready)
+    bogies = {check.place.bogie for check in checks}
+    train = [
+        *("suspnet", "train"),
+        *(["--config-dir", str(arguments.config_dir)] if arguments.config_dir else []),
+        *(f"vehicle={option_of[vehicles.pop()]}", "experiment=trips"),
+        *(["protocol=components"] if all(check.shows_parts for check in ready) else []),
+        *(f"healthy={folder}", f"n_healthy={n_healthy}"),
+        *(["generator.bogie=trailing"] if bogies == {"trailing"} else []),
+        *([f"data.minutes={minutes}"] if minutes != USUAL_MINUTES else []),
+    ]
+    return [
+        f"then run: {join(train)}",
+        f"  n_healthy={n_healthy}: the first {n_healthy} trips of each suspension by mileage are "
+        "taken as healthy; give as many as were run before any wear",
+    ]
 
 
 def picture_names(paths: Sequence[Path]) -> dict[Path, str]:

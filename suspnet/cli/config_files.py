@@ -37,6 +37,23 @@ TABLES = {"ablation": ("ablations.yaml", "_global_"), "scenario": ("scenarios.ya
 """File and package of each group whose options are the entries of one file."""
 
 
+def is_shipped(vehicle: str) -> bool:
+    """Return whether a vehicle is one of suspnet's."""
+    return any(vehicle == file.stem for file in (Path(CONFIGS) / "vehicle").glob("*.yaml"))
+
+
+def own_vehicles(vehicle: str) -> Path | None:
+    """Return the folder here that holds vehicle/NAME.yaml of a user's vehicle.
+
+    None if the vehicle is one of suspnet's, or none or several of the folders have such a file.
+    """
+    if not vehicle or is_shipped(vehicle) or Path(vehicle).name != vehicle:
+        return None
+    file = Path("vehicle") / f"{vehicle}.yaml"
+    found = [one for one in (Path(), *Path().iterdir()) if (one / file).is_file()]
+    return found[0] if len(found) == 1 else None
+
+
 def store_tables() -> None:
     """Make each entry of ablations.yaml and scenarios.yaml an option of its group.
 

@@ -9,6 +9,7 @@ from functools import partial
 from pathlib import Path
 from shlex import join, quote
 
+from suspnet.cli.config_files import is_shipped, own_vehicles
 from suspnet.ground.storage import printable, write_atomically
 from suspnet.ground.wording import count
 from suspnet.recordings.errors import TripError, all_of
@@ -16,6 +17,14 @@ from suspnet.trips import folder_manifests as folders
 from suspnet.trips.file_contents import look_into
 from suspnet.trips.manifest_template import template
 from suspnet.trips.trip_files import find_tables, find_trip_files
+
+LEFT_OPEN = {
+    "bogie": "is taken as the leading one, which decides how the other bogie and the body's pitch "
+    "add to its motion: bogie=leading or trailing, as the vehicle runs forward",
+    "direction": "is found where the phases show it, else asked for by check and train: "
+    "direction=forward or reverse",
+}
+"""What holds for keys that no trip needs, and how each is said."""
 
 
 def init(arguments: Namespace) -> int:
@@ -52,13 +61,14 @@ def _one_trip(files: Sequence[Path], arguments: Namespace) -> int:
         raise ValueError(f"{path} exists; --force replaces it, --output writes another")
     seen = all_of(partial(look_into, file) for file in files)
     signals = [one for found, _ in seen for one in found]
-    found = template(signals, path, [how for _, how in seen if how])
+    read_as = [how for _, how in seen if how]
+    found = template(signals, path, read_as, config_dir=arguments.config_dir)
     write_atomically(path, found.text, force=arguments.force)
     print(
         f"-> {path}: {count(len(signals), 'column')} of {count(len(files), 'file')}\n"
         f"fill in: {', '.join(found.blanks) or 'nothing'}\n"
         f"guessed, to be checked: {', '.join(found.guesses) or 'nothing'}\n"
-        f"then run: {command_line('check', path, *_known_vehicles(arguments.config_dir, []))}"
+        f"then run: {_command('check', path, *_known_vehicles(arguments.config_dir, []))}"
     )
     return 0
 
@@ -70,10 +80,12 @@ def _folder(folder: Path, said: Sequence[str], arguments: Namespace) -> int:
     table, tables = arguments.table, find_tables(folder)
     found = find_trip_files(folder, [*tables, *([table] if table else [])])
     rows = folders.read_table(table) if table and table.exists() else {}
-    trips = folders.folder_manifests(found, folder, folders.read_said(said), rows)
+    keys = folders.read_said(said)
+    vehicles = arguments.config_dir or own_vehicles(keys.get("vehicle", ""))
+    trips = folders.folder_manifests(found, folder, keys, rows, vehicles)
     new = [trip for trip in trips if arguments.force or not os.path.lexists(trip.path)]
     missing = list(dict.fromkeys(key for trip in new for key in trip.missing))
-    known = _known_vehicles(arguments.config_dir, new)
+    known = _known_vehicles(vehicles, new)
     for one in tables:
         if table is None or one.resolve() != table.resolve():
             print(printable(f"{one} is a table of trips, which --table {quote(str(one))} reads"))
@@ -88,7 +100,7 @@ def _folder(folder: Path, said: Sequence[str], arguments: Namespace) -> int:
             print(f"-> {table}: fill in its columns, then run the same command again")
         options = [*(["--table", str(table)] if table else []), *known]
         again = " ".join(
-            [command_line("init", folder, *said), "KEY=VALUE ...", printable(join(options))]
+            [_command("init", folder, *said), "KEY=VALUE ...", printable(join(options))]
         )
         print(*_left_open(new), f"say each once for all trips: {again.rstrip()}", sep="\n")
         return 1
@@ -99,33 +111,45 @@ def _folder(folder: Path, said: Sequence[str], arguments: Namespace) -> int:
     print(f"-> {folder}: {count(len(new), 'manifest')} of {count(len(found), 'trip')}{old}")
     for line in folders.origins(new):
         print(printable(f"  {line}"))
-    print(*_left_open(new), f"then run: {command_line('check', folder, *known)}", sep="\n")
+    print(*_left_open(new), f"then run: {_command('check', folder, *known)}", sep="\n")
     return 0
 
 
 def _known_vehicles(folder: Path | None, trips: Sequence[folders.Trip]) -> list[str]:
     """Return the option that names the user's own vehicles, for the next command.
 
-    ValueError if the vehicle of a trip is neither one of these nor of suspnet.
+    Where it is not given and the vehicle is none of suspnet's, a line says what its DIR stands for.
+    ValueError if the vehicle of a trip is neither one of the folder's nor of suspnet.
     """
+    names = {str(trip.known["vehicle"].value) for trip in trips if "vehicle" in trip.known}
     if folder is None:
-        return []
+        own = sorted(name for name in names if not is_shipped(name))
+        for name in own:
+            print(
+                printable(
+                    f"{name} is no vehicle of suspnet's: give --config-dir DIR, the folder with "
+                    f"vehicle/{name}.yaml ({_command('init', '--vehicle', name)} lists what it "
+                    "needs); without it swapped sensors, units and signs are not checked"
+                )
+            )
+        return ["--config-dir", "DIR"] if own else []
     from suspnet.cli.kinds import vehicles_with  # with Hydra
 
-    names = {str(trip.known["vehicle"].value) for trip in trips if "vehicle" in trip.known}
     known = {vehicle.name for vehicle in vehicles_with(folder).values()}
     if unknown := sorted(names - known):
         raise ValueError(f"`vehicle` must be one of {', '.join(sorted(known))}, got {unknown[0]!r}")
     return ["--config-dir", str(folder)]
 
 
-def command_line(name: str, *arguments: object) -> str:
+def _command(name: str, *arguments: object) -> str:
     """Return a command line as it can be copied into a shell."""
     return printable(join(["suspnet", name, *map(str, arguments)]))
 
 
 def _left_open(trips: Sequence[folders.Trip]) -> list[str]:
-    """Return a line on the direction of travel if it is not stated."""
-    n = sum("direction" not in trip.known for trip in trips)
-    words = f"  direction, not stated in {n}, is found where the phases show it, else asked for by "
-    return [f"{words}check and train: direction=forward or reverse, or in a table"] * (n > 0)
+    """Return a line on each of bogie and direction of travel that is not stated."""
+    lines = []
+    for key, words in LEFT_OPEN.items():
+        if n := sum(key not in trip.known for trip in trips):
+            lines.append(f"  {key}, not stated in {n}, {words}, or in a table")
+    return lines

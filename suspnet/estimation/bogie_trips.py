@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Literal
@@ -17,7 +18,7 @@ from suspnet.estimation.bogie_search import BogieTrip
 from suspnet.estimation.estimate import Estimate
 from suspnet.estimation.flags import with_doubt
 from suspnet.estimation.intervals import LARGEST_MISFIT
-from suspnet.estimation.steady_parts import groups_to_read
+from suspnet.estimation.steady_parts import groups_to_read, minutes_words
 from suspnet.estimation.swapped_sensors import check_order
 from suspnet.estimation.trip_settings import TripSettings
 from suspnet.estimation.worn_parts import worn_parts, worn_words
@@ -82,7 +83,7 @@ def bogie_trip(
     lost = lost_sensors(recording, generator)
     n_sensors = len(generator.sensors) - len(lost)
     if recording.duration_s < SEGMENT_S:
-        raise NoEstimateError(_too_short(0.0, n_sensors))
+        raise NoEstimateError(_too_short(0, n_sensors))
     names, segments = sensor_segments(recording, Welch(SEGMENT_S))
     there = _places(recording.manifest, generator.frame_sensor)
     places = [there.get(name) for name in names]
@@ -90,9 +91,9 @@ def bogie_trip(
     speeds = segment_speeds(recording, segments)
     groups = groups_to_read(speeds, settings.speed_tolerance, settings.min_speed_m_per_s)
     chosen = without_loud(segments, groups[0]) if groups else torch.zeros(0, dtype=torch.bool)
-    n_averages = segments.welch.n_averages(int(chosen.sum())) if bool(chosen.any()) else 0.0
-    if n_averages <= n_sensors + 1:
-        raise NoEstimateError(_too_short(n_averages, n_sensors))
+    n_chosen = int(chosen.sum())
+    if not n_chosen or segments.welch.n_averages(n_chosen) <= n_sensors + 1:
+        raise NoEstimateError(_too_short(n_chosen, n_sensors))
     bins = _bins(segments.frequencies_hz)
     matrix = SpectralMatrix.of(segments, chosen).at(bins).of_sensors(order)
     frequencies_hz, lines = segments.frequencies_hz[bins], wheel_lines(recording)
@@ -124,12 +125,11 @@ def lost_sensors(recording: Recording, generator: SpatialVehicle) -> tuple[str, 
     return lost
 
 
-def _too_short(n_averages: float, n_sensors: int) -> str:
+def _too_short(n_segments: int, n_sensors: int) -> str:
+    least = math.nextafter(n_sensors + 1, math.inf)  # more than one beyond the sensors
     return (
-        f"the longest stretch at one speed gives {n_averages:.1f} averages of {SEGMENT_S:g} s; "
-        f"{n_sensors} sensors need more than {n_sensors + 1}: at least "
-        f"{SEGMENT_S / 60 * (n_sensors + 2) / 2:.0f} to {SEGMENT_S / 60 * (n_sensors + 2):.0f} "
-        "minutes"
+        f"for {n_sensors} sensors, stretches of {SEGMENT_S / 60:g} minutes or more at one speed "
+        f"without faults: {minutes_words(Welch(SEGMENT_S), n_segments, least)}"
     )
 
 

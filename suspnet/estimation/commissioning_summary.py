@@ -17,9 +17,9 @@ from suspnet.dynamics.quantities import (
     UNMEASURED,
     Quantity,
 )
-from suspnet.estimation.bogie_fit import CommissionedBogie
+from suspnet.estimation.bogie_fit import EXPLAINED, CommissionedBogie
 from suspnet.estimation.commissioning import Commissioned
-from suspnet.estimation.flags import INCOMPLETE
+from suspnet.estimation.flags import INCOMPLETE, UNTRUSTED
 from suspnet.estimation.healthy_trips import HealthyTrips
 from suspnet.ground.parameters import BOGIE_PARTS, PARAMETERS, REVERSE, kind_of
 from suspnet.ground.types import FloatArray
@@ -141,8 +141,9 @@ def doubts(outcome: Commissioned) -> list[str]:
     if not is_explained(outcome):
         found.append(
             f"A misfit above {INCOMPLETE:g} means that the physics of the model is incomplete or a "
-            "sensor is wrong; the figure shows at which frequencies. Every estimate of a model "
-            "trained on this vehicle is flagged, and its interval is wider by what this could cost."
+            "sensor is wrong; the figure shows at which frequencies. Intervals of estimates with "
+            "this vehicle are wider by what this could cost; above "
+            f"{UNTRUSTED:g} every estimate is flagged as well."
         )
     if not outcome.converged:
         found.append(
@@ -210,18 +211,35 @@ def of_parts(bogie: CommissionedBogie) -> str:
     )
 
 
+AS_EQUAL = "With both sides and axles as equal, for trips that do not show their parts: "
+"""Start of the sentence on the vertical vehicle where each part is to be read."""
+
+
+def doubts_of_parts(bogie: CommissionedBogie) -> list[str]:
+    """Return a sentence for each reason not to rely on a bogie of which each part is read."""
+    found = []
+    if not bogie.misfit <= EXPLAINED:
+        found.append(
+            f"A misfit of the parts above {EXPLAINED:g} means that the physics of the model is "
+            "incomplete or a sensor is wrong: the intervals of parts are wider by what this could "
+            "cost."
+        )
+    if not bogie.converged:
+        found.append(NOT_CONVERGED)
+    return [*found, *filter(None, [mass_doubt(bogie.masses)])]
+
+
+def calm_of_parts() -> str:
+    """Return the sentence on a bogie without doubts."""
+    return f"That explains the healthy trips: up to {EXPLAINED:g} is noise and leakage."
+
+
 NOT_CONVERGED = (
     "The search for the bogie did not end within its steps: its parts are not to be relied on, and "
     "wrong ones may be named. Give more healthy trips of several payloads and speeds, and sensors "
     "at the axle boxes where there are none."
 )
 """Doubt about a bogie whose search did not converge."""
-
-
-def doubts_of_parts(bogie: CommissionedBogie) -> list[str]:
-    """Return a sentence for each reason not to rely on a bogie of which each part is read."""
-    found = [] if bogie.converged else [NOT_CONVERGED]
-    return [*found, *filter(None, [mass_doubt(bogie.masses)])]
 
 
 def mass_doubt(masses: FloatArray) -> str | None:

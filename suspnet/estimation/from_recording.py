@@ -22,6 +22,7 @@ from suspnet.estimation.steady_parts import (
     group_speed,
     groups_of,
     groups_to_read,
+    minutes_words,
     no_group_words,
     readable_words,
     reads_at_any_speed,
@@ -242,17 +243,18 @@ def _too_few(
         where = f"at {settings.min_speed_m_per_s:g} m/s or faster throughout"
     return (
         f"{int(group.sum())} of {len(group)} segments without faults are {where}, "
-        f"{part.n_incoherent} of them of low coherence: {part.n_averages:.1f} averages, at least "
-        f"{settings.min_averages:g} are needed (half of the trip is run at "
-        f"{float(speeds.mean(dim=1).median()):.1f} m/s or less, {readable_words(models)})"
+        f"{part.n_incoherent} of them of low coherence: "
+        f"{minutes_words(segments.welch, int(part.chosen.sum()), settings.min_averages)} "
+        f"(half of the trip is run at {float(speeds.mean(dim=1).median()):.1f} m/s or less, "
+        f"{readable_words(models)})"
     )
 
 
 def _too_short(recording: Recording, segments: SegmentSpectra, settings: TripSettings) -> str:
     n_segments, faults = len(segments.values), unrepaired_words(recording)
     return (
-        f"{n_segments} segments without faults: {segments.welch.n_averages(n_segments):.1f} "
-        f"averages, at least {settings.min_averages:g} are needed: "
+        f"{n_segments} segments without faults: "
+        f"{minutes_words(segments.welch, n_segments, settings.min_averages)}: "
         + (f"too little is free of faults: {faults}" if faults else "the recording is too short")
     )
 

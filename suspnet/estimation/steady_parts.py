@@ -31,7 +31,7 @@ from suspnet.spectra.segments import (
     without_incoherent,
     without_loud,
 )
-from suspnet.spectra.welch import SegmentSpectra
+from suspnet.spectra.welch import SegmentSpectra, Welch
 from suspnet.spectra.wheel_lines import WheelLine, line_bins
 
 
@@ -143,6 +143,16 @@ def no_group_words(
         f"the trip is run at {_speeds_of(speeds, groups)}, {readable_words(models)}: is the speed "
         "in m/s? If so, train a model for it, speed_m_per_s=..."
     )
+
+
+def minutes_words(welch: Welch, n_segments: int, least_averages: float) -> str:
+    """Return how long segments are together, and how much longer they must be: in minutes.
+
+    Averages of segments of different lengths cannot be compared.
+    """
+    lengths = welch.minutes(n_segments), welch.minutes(welch.n_segments(least_averages))
+    there, needed = (round(one, 1) for one in lengths)  # their difference is that of what is shown
+    return f"{there:.1f} minutes, at least {needed:.1f} are needed, {needed - there:.1f} more"
 
 
 def speed_of(speeds: Tensor, segments: SegmentSpectra) -> tuple[float, float]:

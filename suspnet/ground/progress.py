@@ -57,6 +57,8 @@ class _Lines(tqdm):  # type: ignore[type-arg]
 
     monitor = None
     monitor_interval = 1
+    counted_s = 0.0
+    """When the last item was counted, after the start, [s]."""
 
     def __iter__(self) -> Iterator[Any]:
         """Yield the items and count each; tqdm's own loop counts only what `miniters` lets it."""
@@ -65,19 +67,31 @@ class _Lines(tqdm):  # type: ignore[type-arg]
                 yield item
                 self.update()
 
+    def update(self, n: float | None = 1) -> bool | None:
+        """Count `n` more items."""
+        if n:
+            self.counted_s = self.format_dict["elapsed"]
+        return super().update(n)
+
     def refresh(self, nolock: bool = False, lock_args: Any = None) -> None:
         """Log a line; the next one comes after `maxinterval`."""
         self.last_print_t, self.miniters = time.time(), math.inf
         log.info(self.text())
 
     def text(self) -> str:
-        """Return count, elapsed time and estimated remaining time."""
+        """Return count, elapsed time and estimated remaining time.
+
+        Without an item that is counted meanwhile the remaining time shrinks; once it is over, it is
+        not given.
+        """
         state = self.format_dict
         n, total, elapsed_s = state["n"], state["total"], state["elapsed"]
         parts = [f"{n:,} of {total:,}"] if total is not None else [f"{self.unit} {n:,}"] * (n > 0)
         parts += [_span(elapsed_s)] * (elapsed_s >= 1)
         if n and total and elapsed_s >= 1:
-            parts.append(f"about {_span(elapsed_s * (total - n) / n)} left")
+            # by the pace at the last item: by the time now, it would grow while one is waited for
+            left_s = self.counted_s * total / n - elapsed_s
+            parts += [f"about {_span(left_s)} left"] * (left_s >= 1)
         return f"{self.desc}: {', '.join(parts)}" if parts else self.desc
 
 

@@ -30,6 +30,10 @@ REPORTED_PERCENT = 2.0
 the text gives its value."""
 FLAGGED = "flagged and may be wrong"
 ALL_FLAGGED = "all trips are flagged"
+INSPECT = ": inspect before work is ordered"
+"""End of the reason of a parameter beyond a limit where all of the last trips are flagged. Flags
+silence no verdict, as a badly worn part is flagged too, but the numbers may be off: they are a
+reason to look, no measurement."""
 
 
 @dataclass(frozen=True)
@@ -111,7 +115,7 @@ def _words(trend: Trend, last: LastTrips, limits: Limits | None) -> str:
             return _not_judged(trend, last)
         return _joined(_calm(trend, last, limits), trend, last)
     parts = [_level(judged, last, limits), *_development(trend, judged, limits)]
-    return _joined(parts, trend, last)
+    return _joined(parts, trend, last, severity)
 
 
 def joined(assessments: Sequence[Assessment]) -> list[list[Assessment]]:
@@ -278,7 +282,9 @@ def _change_words(trend: Trend) -> str:
     return f"{amount} at about {_km(trend.step)}"
 
 
-def _joined(parts: Sequence[str], trend: Trend, last: LastTrips) -> str:
+def _joined(
+    parts: Sequence[str], trend: Trend, last: LastTrips, severity: Severity = Severity.NONE
+) -> str:
     """Return all parts as one sentence, followed by the number of flagged trips."""
     flags = []
     if last.all_flagged:
@@ -290,7 +296,8 @@ def _joined(parts: Sequence[str], trend: Trend, last: LastTrips) -> str:
         words = [f"{n} of the {end} {trend.n_ends}" for end, n in ends.items() if n]
         if words:
             flags.append(f"{' and '.join(words)} trips {_is(sum(ends.values()))} flagged")
-    return "; ".join([*parts, *flags])
+    is_doubtful = severity >= Severity.NOTICE and bool(last.flagged.all())
+    return "; ".join([*parts, *flags]) + INSPECT * (is_doubtful and bool(flags))
 
 
 def _is(n: int) -> str:

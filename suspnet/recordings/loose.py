@@ -62,6 +62,8 @@ SMOOTHED_HZ = 0.25
 """Width of the smoothing of spectra by which signals are whitened, [Hz]."""
 LISTED = 3
 """Largest number of stretches of one sensor that are listed."""
+WITHOUT_IT = "; to read all of the trip by the other sensors, delete its line in the manifest"
+"""What else can be done about a loose sensor of a pair."""
 
 
 @dataclass(frozen=True)
@@ -104,6 +106,7 @@ def find_loose(
         if its.any():
             mask = _painted(its, n, rate_hz)
             words = _words(its, its_alone, start_s)
+            words += WITHOUT_IT * (partner_of(name) in values)
             n_loose, first_s = int(np.count_nonzero(mask)), start_s + mask.argmax() / rate_hz
             seconds = n_loose / rate_hz
             faults.append(Fault(name, "loose", n_loose, seconds, first_s, False, None, words))
@@ -262,7 +265,8 @@ def _words(loose: BoolArray, alone: BoolArray, start_s: float) -> str:
             stretches.append(f"from about {first:.0f} s on")
         else:
             stretches.append(f"from about {first:.0f} to {last:.0f} s")
-    more = f" and {len(stretches) - LISTED} more" if len(stretches) > LISTED else ""
+    n_more = len(stretches) - LISTED
+    more = (" and once more" if n_more == 1 else f" and {n_more} more times") * (n_more > 0)
     return (
         f"{', '.join(stretches[:LISTED])}{more}: it shows nothing there of the motion that the "
         "others show, and that part is left out; check its cable and connector"

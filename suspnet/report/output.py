@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import re
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -15,10 +16,10 @@ import pyarrow.parquet as pq
 from matplotlib.figure import Figure
 from tabulate import tabulate
 
-from suspnet.ground.parameters import BODY_MASS, BOGIE_PARTS, PARAMETERS
+from suspnet.ground.parameters import BODY_MASS, BOGIE_PARTS, PARAMETERS, Cause, Severity
 from suspnet.ground.records import NO_PART, OK, TripResult, outputs_of
 from suspnet.ground.storage import write_atomically, write_json, write_table
-from suspnet.ground.wording import count
+from suspnet.ground.wording import count, kilometres
 from suspnet.maintenance.alarms import Acknowledgement, Alarm, newest_of
 from suspnet.maintenance.assessment import overall, spoken
 from suspnet.maintenance.life import Life
@@ -31,7 +32,14 @@ from suspnet.report.language import gettext
 from suspnet.report.maintenance_figures import health_trend, small_trends
 from suspnet.report.pdf import check_pdf, write_pdf
 from suspnet.report.report import Report, write_report
-from suspnet.report.tables import REPORT, Evaluated, FleetView, finding, same_columns
+from suspnet.report.tables import (
+    REPORT,
+    Evaluated,
+    FleetView,
+    finding,
+    same_columns,
+    split_outputs,
+)
 from suspnet.report.templates import render
 from suspnet.report.tensorboard import RunLog
 from suspnet.report.trend import trend_of_trips
@@ -39,19 +47,25 @@ from suspnet.report.xlsx import check_xlsx, write_xlsx
 
 KNOWN_ERROR_PERCENT = "rms error %"
 COVERAGE_PERCENT = "intervals hold %"
+LISTED = 5
+"""Largest number of trips that are listed for a dead sensor."""
+DEAD = re.compile(r"(?:^|; )([\w ]+: dead and left out.*?)(?=; [a-z_]+(?: [\w ]+)?: |$)")
+"""A dead sensor with what is known of it, among the faults of a trip."""
 
 
 def summary(results: Sequence[TripResult], outputs: Sequence[str]) -> str:
     """Return a table of all trips, errors where the truth is known, and all reasons and flags."""
-    of_parts = [name for name in outputs if name in BOGIE_PARTS]
-    columns = [name for name in outputs if name not in BOGIE_PARTS]
+    columns, equal = split_outputs(outputs)
+    of_parts = [name for name in columns if name in BOGIE_PARTS]
+    read = {name for result in results for name in result.estimates}
+    columns = [name for name in columns if name in read and name not in BOGIE_PARTS]
     header = ["trip", "1000 km", *columns, *["worn parts"] * bool(of_parts), "averages", "state"]
     rows = [
         [
             r.trip,
             r.mileage_km / 1000,
             *(r.estimates.get(name) for name in columns),
-            *["not read" if r.quality.no_part else r.worn] * bool(of_parts),
+            *[_worn(r, equal)] * bool(of_parts),
             r.quality.n_averages,
             "flagged" if r.flags else "" if r.status == OK else r.status,
         ]
@@ -79,6 +93,16 @@ def summary(results: Sequence[TripResult], outputs: Sequence[str]) -> str:
     head = f"{done} of {count(len(results), 'trip')} {have} an estimate, {flagged} {are} flagged"
     parts = [f"\n{_part_table(results, of_parts)}"] if of_parts else []
     return "\n".join([head, table, *parts, *_reasons(results)])
+
+
+def _worn(result: TripResult, equal: Sequence[str]) -> str:
+    """Return the worn parts of a trip, or what it shows in their place: both sides as equal."""
+    if not result.quality.no_part:
+        return result.worn
+    known = [
+        f"{name} {100 * result.estimates[name]:.4g}" for name in equal if name in result.estimates
+    ]
+    return f"not read; both sides as equal: {', '.join(known)} %" if known else "not read"
 
 
 def _part_table(results: Sequence[TripResult], parts: Sequence[str]) -> str:
@@ -118,6 +142,24 @@ def _reasons(results: Sequence[TripResult]) -> list[str]:
         if words := "; ".join(filter(None, why)):
             trips.setdefault(words, []).append(result.trip)
     return [f"\n{', '.join(names)}: {words}" for words, names in trips.items()]
+
+
+def sensor_lines(results: Sequence[TripResult], alarms: Sequence[Alarm]) -> list[str]:
+    """Return a line for a terminal on each sensor with an active alarm, and on each dead one."""
+    lines = [
+        f"{one.words} (alarm since {kilometres(one.begin_km)})"
+        for one in alarms
+        if one.cause == Cause.SENSOR and one.is_open
+    ]
+    trips: dict[str, list[str]] = {}
+    for result in results:
+        for words in DEAD.findall(result.quality.faults):
+            whole = words if words.count("(") == words.count(")") else words.rpartition(" (")[0]
+            trips.setdefault(whole, []).append(result.trip)
+    for words, names in trips.items():
+        more = f" and {len(names) - LISTED} more" * (len(names) > LISTED)
+        lines.append(f"sensor {words} (in {', '.join(names[:LISTED])}{more})")
+    return [f"  {Severity.NOTICE!s:7s}  {line}" for line in lines]
 
 
 def errors_percent(results: Sequence[TripResult], outputs: Sequence[str]) -> dict[str, float]:

@@ -89,6 +89,11 @@ RECOMMISSIONED = N_(
     "percentages are of its own healthy values, those in the figure of the first ones."
 )
 MAINTAINED = N_("Maintenance: {}. Severities, medians and changes are of the trips since the last.")
+UNSURE = (
+    "so their numbers may be further off than the intervals say; what is beyond a limit is to be "
+    "inspected before work is ordered, what is within the limits is not judged"
+)
+"""What it means that all trips are flagged. No verdict is silenced by that."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -258,10 +263,7 @@ def _doubts(trips: Sequence[TripResult]) -> str:
     most, n = reasons.most_common(1)[0]
     why = most if len(reasons) == 1 else f"{n} of them: {most}"
     if flagged == done > 1:
-        return (
-            f"All {done} trips are flagged, so intervals may not hold, and only what is beyond its "
-            f"limits is judged: {why}."
-        )
+        return f"All {done} trips are flagged, {UNSURE}: {why}."
     are = "is" if flagged == 1 else "are"
     return f"{flagged} of {count(done, 'trip')} {are} flagged, see the table; {why}."
 

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from tabulate import tabulate
 
-from suspnet.ground.parameters import Limits, Severity
+from suspnet.ground.parameters import BODY_MASS, BOGIE_PARTS, Limits, Severity
 from suspnet.ground.records import OK, PLACE_FROM_TRAIN, Key, Place, TripCurves, TripResult
 from suspnet.ground.types import FloatArray
 from suspnet.ground.wording import count, files_of, kilometres
@@ -220,18 +220,39 @@ def finding(rows: Sequence[Mapping[str, Any]]) -> str:
 class TripTable:
     """Arguments of the macro `trip_table` of macros.html.
 
-    `trips` are in the order of the rows; `outputs` are parameters, a column each. `halves` are half
-    widths of the intervals by parameter, [% of healthy], NaN for none or a flagged trip; `digits`
-    are decimals by parameter. `level` is the probability of the intervals, [%], empty if no trip
-    has one.
+    `trips` are in the order of the rows; `outputs` are parameters, a column each. Where these are
+    parts, `equal` are those of both sides as equal, which trips have that do not show their parts.
+    `halves` are half widths of the intervals by parameter, [% of healthy], NaN for none or a
+    flagged trip; `digits` are decimals by parameter. `level` is the probability of the intervals,
+    [%], empty if no trip has one.
     """
 
     trips: tuple[TripResult, ...]
     outputs: tuple[str, ...]
+    equal: tuple[str, ...]
     halves: dict[str, list[float]]
     digits: dict[str, int]
     level: str
     ok: str = OK
+
+    def of_equal_sides(self, trip: TripResult) -> list[str]:
+        """Return the parameters of both sides as equal that a trip has in place of its parts."""
+        return [name for name in self.equal if name in trip.estimates]
+
+    def parameters_of(self, trip: TripResult) -> list[str]:
+        """Return what is shown of a trip: the columns, or what it has in place of its parts."""
+        equal = self.of_equal_sides(trip)
+        return [*equal, *(one for one in self.outputs if not equal or one == BODY_MASS)]
+
+
+def split_outputs(outputs: Sequence[str]) -> tuple[list[str], list[str]]:
+    """Return the parameters with a column, and those of both sides as equal next to parts.
+
+    The latter belong to trips that do not show their parts.
+    """
+    has_parts = bool(set(outputs) & set(BOGIE_PARTS))
+    equal = [name for name in outputs if has_parts and name not in (*BOGIE_PARTS, BODY_MASS)]
+    return [name for name in outputs if name not in equal], equal
 
 
 def trip_table(trips: Sequence[TripResult], outputs: Sequence[str], level: float) -> TripTable:
@@ -240,7 +261,8 @@ def trip_table(trips: Sequence[TripResult], outputs: Sequence[str], level: float
     known = any(math.isfinite(half) for column in halves.values() for half in column)
     digits = {name: interval_digits(column) for name, column in halves.items()}
     words = f"{100 * level:g}" if known else ""
-    return TripTable(tuple(trips), tuple(outputs), halves, digits, words)
+    columns, equal = split_outputs(outputs)
+    return TripTable(tuple(trips), tuple(columns), tuple(equal), halves, digits, words)
 
 
 def _half_width(result: TripResult, name: str) -> float:

@@ -31,8 +31,6 @@ SETTINGS = ("bogie", "axle", "frame_sensor", "body_sensor_m", "nominal")
 """Settings that the vehicle of the parts shares with the vertical one."""
 FAMILY = tuple(part for part in PARTS if part != "air_spring")
 """Parts of the vehicle that is commissioned if the configuration names none."""
-AS_EQUAL = "With both sides and axles as equal, for trips that do not show their parts: "
-"""Start of the sentence on the vertical vehicle where each part is to be read."""
 
 
 @threads(1)  # a second process may be about to start
@@ -78,7 +76,7 @@ def commission_trips(
     settings = settings.bound(generator.vehicle)
     outcome = commission(_prior(generator, found), settings, found.groups, progress=progress)
     if by_part:
-        log.info("%s%s", AS_EQUAL, words.verdict(found, outcome))
+        log.info("%s%s", words.AS_EQUAL, words.verdict(found, outcome))
         return outcome
     log.info("%s %s", words.verdict(found, outcome), words.agreement(outcome))
     for doubt in [*words.doubts(outcome), words.mass_doubt(outcome.masses)]:

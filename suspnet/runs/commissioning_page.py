@@ -17,7 +17,7 @@ from matplotlib.ticker import NullFormatter
 
 from suspnet._version import __version__
 from suspnet.estimation import commissioning_summary as words
-from suspnet.estimation.bogie_fit import CommissionedBogie
+from suspnet.estimation.bogie_fit import EXPLAINED, CommissionedBogie
 from suspnet.estimation.commissioning import Commissioned
 from suspnet.estimation.flags import INCOMPLETE
 from suspnet.estimation.healthy_trips import HealthyTrips
@@ -67,7 +67,7 @@ def write_outcome(
 ) -> None:
     """Write page, numbers (JSON), curves (tables) and figures of a commissioned vehicle.
 
-    With a bogie of which each part is read, its verdict comes first.
+    If each part is read, `bogie` shows them, and the vehicle is for trips that do not.
     """
     drawn = {
         "responses": responses(found, outcome),
@@ -107,13 +107,16 @@ def as_json(
 ) -> dict[str, Any]:
     """Return all numbers of a commissioned vehicle in SI units, for a file."""
     generator = outcome.generator
-    of_parts = [] if bogie is None else [words.of_parts(bogie), *words.doubts_of_parts(bogie)]
+    of_parts, equal = [], words.verdict(found, outcome)
+    if bogie is not None:
+        of_parts = [words.of_parts(bogie), *words.doubts_of_parts(bogie)]
+        equal = f"{words.AS_EQUAL}{equal}"
     return {
         "suspnet_version": __version__,
         "vehicle": generator.vehicle.name,
         "suspension": _place(found),
         "parts": list(generator.parts),
-        "verdict": [*of_parts, words.verdict(found, outcome), *words.doubts(outcome)],
+        "verdict": [*of_parts, equal, *words.doubts(outcome)],
         "threshold": INCOMPLETE,
         "n_starts": outcome.n_starts,
         "n_agree": outcome.n_agree,
@@ -131,12 +134,16 @@ def _page(
     drawn: Mapping[str, Figure],
     bogie: CommissionedBogie | None = None,
 ) -> str:
-    verdict, doubts = words.verdict(found, outcome), words.doubts(outcome)
-    agreement, as_equal = "" if doubts else words.agreement(outcome), []
+    doubts, numbers = words.doubts(outcome), words.numbers(outcome)
+    of_parts = None
     if bogie is not None:
-        as_equal, agreement = [verdict, *doubts], ""
-        verdict, doubts = words.of_parts(bogie), words.doubts_of_parts(bogie)
-    numbers = words.numbers(outcome)
+        parts_doubts = words.doubts_of_parts(bogie)
+        of_parts = {
+            "verdict": words.of_parts(bogie),
+            "tone": "notice" if parts_doubts else "good",
+            "sentences": parts_doubts or [words.calm_of_parts()],
+            "threshold": EXPLAINED,
+        }
     groups: dict[str, list[dict[str, Any]]] = {}
     for one in numbers:
         meaning = spoken(one.quantity.meaning)
@@ -148,11 +155,11 @@ def _page(
         title=spoken(f"Commissioning of {vehicle.name}"),
         headline=_headline(found, vehicle.name),
         mileage_km=training_notes(found, outcome)["mileage_km"],
+        of_parts=of_parts,
         tone="notice" if doubts else "good",
-        verdict=verdict,
+        verdict=words.verdict(found, outcome),
         doubts=doubts,
-        agreement=agreement,
-        as_equal=as_equal,
+        agreement="" if doubts else words.agreement(outcome),
         reference=words.reference(outcome),
         figures=[
             {

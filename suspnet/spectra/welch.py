@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from bisect import bisect_left
 from dataclasses import dataclass
 
 import numpy as np
@@ -66,6 +67,16 @@ class Welch:
             shared = float(window[j * step :] @ window[: length - j * step])
             total += 2 * (1 - j / n_segments) * (shared / float(window @ window)) ** 2
         return n_segments / total
+
+    def n_segments(self, n_averages: float) -> int:
+        """Return the least number of segments that average as well as so many independent ones."""
+        most = math.ceil(n_averages * 1e9 / self.n_averages(1e9))  # the larger, the less each adds
+        return 1 + bisect_left(range(1, most + 1), n_averages, key=self.n_averages)
+
+    def minutes(self, n_segments: int) -> float:
+        """Return how long overlapping segments are together, [min]."""
+        shared = self.overlap * max(0, n_segments - 1)
+        return (n_segments - shared) * self.segment_s / 60
 
     def smear(self) -> Tensor:
         """Return the weights of the leakage between neighbouring bins, symmetric, with sum 1.

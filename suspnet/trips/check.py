@@ -23,7 +23,13 @@ from suspnet.estimation.bogie_trips import (
     show_parts,
 )
 from suspnet.estimation.from_recording import no_channel
-from suspnet.estimation.steady_parts import Steady, groups_to_read, readable_words, steady
+from suspnet.estimation.steady_parts import (
+    Steady,
+    groups_to_read,
+    minutes_words,
+    readable_words,
+    steady,
+)
 from suspnet.estimation.swapped_sensors import check_order
 from suspnet.estimation.trained import TrainedModel
 from suspnet.estimation.trip_settings import TripSettings
@@ -49,8 +55,9 @@ from suspnet.spectra.segments import (
     recording_segments,
     segment_speeds,
 )
-from suspnet.spectra.welch import SegmentSpectra
+from suspnet.spectra.welch import SegmentSpectra, Welch
 from suspnet.trips.check_page import (
+    NEED_A_VEHICLE,
     PROBLEM,
     READY,
     TOO_LITTLE,
@@ -192,6 +199,7 @@ def _inspected(
         duration_s=recording.duration_s,
         usable_percent=100 * float(recording.usable.mean()),
         band_hz=(estimate.low_hz, estimate.high_hz),
+        unchecked=vehicle is None and not settings.models,
     )
     if recording.absent:
         result = replace(result, state=TOO_LITTLE, remarks=(*result.remarks, no_channel(recording)))
@@ -260,7 +268,7 @@ def _with_parts(
     kept = [(one, part) for one, part in found if one.has_enough]
     certain = [(one, part) for one, part in kept if one.is_certain]
     uncertain = [part for one, part in kept if not one.is_certain]
-    words = _too_little([part for _, part in found], settings) if not kept else ""
+    words = _too_little([one for one, _ in found], segments.welch, settings) if not kept else ""
     words += "; ".join(_too_uncertain(part, settings) for part in uncertain)
     result = replace(
         result,
@@ -280,8 +288,8 @@ def _vehicle(
     vehicle = vehicles.get(manifest.vehicle)
     if vehicle is None:
         words = (
-            f"units, signs and order of the channels are not checked: vehicle "
-            f"{manifest.vehicle!r} is none of {sorted(vehicles)}; --config-dir gives others"
+            f"{NEED_A_VEHICLE} are not checked: vehicle {manifest.vehicle!r} is none of "
+            f"{sorted(vehicles)}; --config-dir gives others"
         )
         return None, unknown, [words]
     try:
@@ -301,13 +309,13 @@ def _part(one: Steady) -> SteadyPart:
     )
 
 
-def _too_little(parts: Sequence[SteadyPart], settings: TripSettings) -> str:
-    most = max(parts, key=lambda part: part.n_averages, default=None)
-    found = f"{most.n_averages:.1f} at {most.speed_m_per_s:.1f} m/s" if most else "none"
+def _too_little(found: Sequence[Steady], welch: Welch, settings: TripSettings) -> str:
+    most = max(found, key=lambda one: one.n_averages, default=None)
+    there = minutes_words(welch, int(most.chosen.sum()) if most else 0, settings.min_averages)
+    where = f"{most.speed[0]:.1f} m/s" if most else "a steady speed"
     return (
-        f"too little at a steady speed: {found}, {settings.min_averages:g} averages are needed "
-        f"(about two minutes within {100 * settings.speed_tolerance:g} % of one speed, at "
-        f"{settings.min_speed_m_per_s:g} m/s or faster)"
+        f"too little at {where}: {there} (within {100 * settings.speed_tolerance:g} % of one "
+        f"speed, at {settings.min_speed_m_per_s:g} m/s or faster)"
     )
 
 
@@ -354,26 +362,30 @@ def _with_plausibility(
     parts = [check_channel_order, *([check_sides] if any(recording.paired) else [])]
     each = [partial(part, chosen) for part in parts for chosen in checked]
     try:
-        all_of([*each, partial(_check_bogie, recording, vehicle, settings, ways)])
+        *_, shows_parts = all_of([*each, partial(_check_bogie, recording, vehicle, settings, ways)])
     except TripError as error:
         return _with_problems(result, error.problems)
-    return replace(result, remarks=result.remarks + tuple(dict.fromkeys(filter(None, doubts))))
+    remarks = result.remarks + tuple(dict.fromkeys(filter(None, doubts)))
+    return replace(result, remarks=remarks, shows_parts=shows_parts)
 
 
 @threads(1)  # as for estimates: systems of 30 equations are too small for two
 def _check_bogie(
     recording: Recording, vehicle: Vehicle, settings: TripSettings, ways: Sequence[Direction]
-) -> None:
-    """Raise TripError if two of the sensors that show each part of a bogie look swapped.
+) -> bool:
+    """Return whether a recording shows each part of a bogie.
 
-    `ways` are the directions of travel of the recording's parts, empty if unknown.
+    TripError if two of the sensors that show them look swapped. `ways` are the directions of travel
+    of the recording's parts, empty if unknown.
     """
     places = sensor_places(recording.manifest, "axle")
     if not ways or not show_parts(places):
-        return
+        return False
     bogie: Literal["leading", "trailing"] = (
         "trailing" if recording.manifest.bogie == "trailing" else "leading"
     )
     unknown = SpatialVehicle(vehicle, bogie=bogie, parts=PARTS_OF_BOGIE, sensors=places)
     with contextlib.suppress(NoEstimateError):  # what can be read is said elsewhere
         check_order(unknown.with_prior(), bogie_trip(recording, unknown, settings, ways[0]))
+        return True
+    return False

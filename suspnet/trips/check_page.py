@@ -30,10 +30,14 @@ from suspnet.spectra.segments import covering, setting_words
 READY, TOO_LITTLE, PROBLEM = "ready", "too little", "problem"
 """States of a trip: it is readable by the given models, or without any by a model of its speed; too
 little of it can be used; it cannot be opened, or its channels are swapped."""
+PARTLY = "ready, partly checked"
+"""What is shown of a trip that is ready as far as it could be checked without its vehicle."""
+NEED_A_VEHICLE = "units, signs, swapped sensors and the direction of travel"
+"""What can be checked only against the numbers of the vehicle."""
 LISTED = 5
 """Largest number of trips that are listed for one problem."""
-TONES = {READY: "good", TOO_LITTLE: "notice", PROBLEM: "act"}
-"""Tone of each state on the page; its style sheet has the colours."""
+TONES = {READY: "good", PARTLY: "notice", TOO_LITTLE: "notice", PROBLEM: "act"}
+"""Tone of each state that is shown, the worst last; the page's style sheet has the colours."""
 
 
 @dataclass(frozen=True)
@@ -62,7 +66,9 @@ class TripCheck:
     `usable_percent` is the share of the recording without faults, `steady_percent` the share of its
     segments that belong to `parts`, which are the speeds with enough averages, the longest first.
     `band_hz` is where the vehicle's responses are read, and `read_by` the speeds of the models that
-    decide whether the trip is ready, empty without models.
+    decide whether the trip is ready, empty without models. `unchecked`: the vehicle's numbers are
+    not known, so that ``NEED_A_VEHICLE`` are not checked. `shows_parts`: each part of the bogie can
+    be read from it, as far as was checked.
     """
 
     manifest: Path
@@ -81,6 +87,13 @@ class TripCheck:
     sources: tuple[str, ...] = ()
     picture: str = ""
     read_by: str = ""
+    unchecked: bool = False
+    shows_parts: bool = False
+
+    @property
+    def shown(self) -> str:
+        """State as it is shown, which says if a trip that is ready was checked in part only."""
+        return PARTLY if self.state == READY and self.unchecked else self.state
 
     @property
     def name(self) -> str:
@@ -169,8 +182,11 @@ def _ends(values: Sequence[float], digits: int) -> str:
 
 def verdict(checks: Sequence[TripCheck], elsewhere: Sequence[str]) -> str:
     """Return how many trips are in which state, on one line."""
-    counts = {state: sum(check.state == state for check in checks) for state in TONES}
-    parts = [f"{counts[READY]} of {len(checks)} trips ready for an estimate"]
+    counts = {state: sum(check.shown == state for check in checks) for state in TONES}
+    n_ready = counts[READY] + counts[PARTLY]
+    parts = [f"{n_ready} of {len(checks)} trips ready for an estimate"]
+    if counts[PARTLY]:
+        parts.append(f"{counts[PARTLY]} of them only partly checked as their vehicle is not known")
     if counts[TOO_LITTLE]:
         parts.append(f"{counts[TOO_LITTLE]} can be read but hold too little")
     if counts[PROBLEM]:
@@ -209,7 +225,7 @@ def _cells(check: TripCheck) -> list[str]:
     coherence = f"{parts[0].coherence_p:.2f}, {parts[0].coherence_s:.2f}" if parts else ""
     numbers = f"{check.duration_s / 60:.1f}", f"{check.usable_percent:.1f}", speeds
     averages = f"{check.n_averages:.0f}"
-    return [check.name, *numbers, averages, coherence, check.sensors, check.state]
+    return [check.name, *numbers, averages, coherence, check.sensors, check.shown]
 
 
 def _by_words(remarks: Iterable[tuple[str, Sequence[str]]]) -> list[tuple[str, str]]:
@@ -246,7 +262,7 @@ def write_checks(checks: Sequence[TripCheck], elsewhere: Sequence[str], output: 
         "trips": [check.row() for check in checks],
     }
     write_json(output / "check.json", content)
-    worst = max((check.state for check in checks), key=list(TONES).index, default=PROBLEM)
+    worst = max((check.shown for check in checks), key=list(TONES).index, default=PROBLEM)
     page = render(
         "check.html",
         title=spoken("Check of recordings"),

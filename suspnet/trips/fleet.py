@@ -37,7 +37,13 @@ from suspnet.maintenance.series import Event, Series, series_of
 from suspnet.maintenance.sisters import SisterSettings
 from suspnet.maintenance.trend import LEAST_PERCENT
 from suspnet.recordings.manifest_files import ManifestFile, partial_words
-from suspnet.report.output import summary, write_overview, write_pages, write_tables
+from suspnet.report.output import (
+    sensor_lines,
+    summary,
+    write_overview,
+    write_pages,
+    write_tables,
+)
 from suspnet.report.report import Report
 from suspnet.report.tables import Evaluated
 from suspnet.trips.commissionings import (
@@ -304,7 +310,8 @@ def _report(
         details["history"] = printable(str(store))
     report = Report(results, outputs, state, details, level, read.commissionings, seen)
     write_pages(report, read.output, draw=figures)
-    words = f"{spoken(state.assessments)}\nAlarms of changes: {armed}."
+    lines = [spoken(state.assessments), *sensor_lines(results, state.watched.alarms)]
+    words = "\n".join([*lines, f"Alarms of changes: {armed}."])
     log.info("%s\n%s: %s\n-> %s", summary(results, outputs), group.place, words, read.output)
     return Evaluated(group.name, group.place, results, state)
 

@@ -156,10 +156,12 @@ def folder_manifests(
     folder: Path,
     said: Mapping[str, str],
     table: Mapping[str, Mapping[str, Stated]],
+    config_dir: Path | None = None,
 ) -> list[Trip]:
     """Return the manifests of the trips of a folder.
 
-    A file with columns of both bogies gives a trip of each. TripError with all `problems` if files
+    A file with columns of both bogies gives a trip of each. `config_dir` is the folder of the
+    user's vehicles, for the commands in the manifests. TripError with all `problems` if files
     cannot be read; ValueError if the table names a trip that is not there.
     """
     rows = {one.path: _row(table, one, folder) for one in found}
@@ -186,7 +188,7 @@ def folder_manifests(
                 if key in PLACE_LINES
             }
             known |= rows[one.path][1]
-            trips.append(_trip(path, one.files, several, signals, known, said))
+            trips.append(_trip(path, one.files, several, signals, known, said, config_dir))
     if "mileage_km" in said and len(trips) > 1:
         raise ValueError(
             f"`mileage_km` is another one in each of the {len(trips)} trips: give "
@@ -271,6 +273,7 @@ def _trip(
     signals: Sequence[Signal],
     known: Mapping[str, Stated],
     said: Mapping[str, str],
+    config_dir: Path | None,
 ) -> Trip:
     known, chosen = dict(known), {}
     for name in CHANNELS:
@@ -288,7 +291,8 @@ def _trip(
         best = next((one for one in speeds if {"gps", "gnss"} & set(words_of(one.name))), speeds[0])
         own = tuple(one for one in own if one is best or one not in speeds)
     words = [content.read_as for content in contents if content.read_as]
-    return Trip(path, files, known, own, template(own, path, words, known, chosen))
+    manifest = template(own, path, words, known, chosen, config_dir)
+    return Trip(path, files, known, own, manifest)
 
 
 def _columns(path: Path, key: str, names: str, signals: Sequence[Signal]) -> tuple[str, ...]:

@@ -8,6 +8,7 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from shlex import join
 
 from suspnet.recordings.clocks import first_moment
 from suspnet.recordings.columns import size_of
@@ -26,14 +27,12 @@ GRAVITY = {"g": 1.0, "m/s2": 9.80665}
 """Gravity in each unit: the mean of a sensor that measures it reveals the sensor's unit."""
 HEAD = f"""\
 # Manifest of one trip: a template written by suspnet init. Values marked {BLANK} are missing,
-# those marked "guess" are taken from names: check both. Then run suspnet check, with the options
-# that init has printed, on """
-
+# those marked "guess" are taken from names: check both. Then run: """
 
 PLACE_LINES = {
     "vehicle": f"vehicle:          # {BLANK}: as the model's, e.g. am96",
     "suspension": f"suspension:       # {BLANK}: any name; the same in all trips of one suspension",
-    "bogie": "# bogie: leading  # or trailing, as seen when the vehicle runs forward",
+    "bogie": "# bogie: leading  # or trailing, as it runs forward; without it taken as leading",
     "direction": "# direction: forward  # or reverse: with the trailing bogie ahead",
     "side": "",
     "train": "# train: '12'     # where several trains or cars are watched",
@@ -65,13 +64,14 @@ def template(
     read_as: Sequence[str] = (),
     known: Mapping[str, Stated] | None = None,
     chosen: Mapping[str, Sequence[str]] | None = None,
+    config_dir: Path | None = None,
 ) -> Template:
     """Return a manifest of the signals of some data files.
 
     `path` is that of the manifest; data files are named relative to its folder. `read_as` states
     how files are read where that had to be detected, for the first lines. `known` are values of
     keys with where they are from, `chosen` the columns of each channel or of the speed, where these
-    were said.
+    were said. `config_dir` is the folder of the user's vehicles, which the next command needs.
     """
     known, chosen = known or {}, chosen or {}
     writer = _Writer(path.parent, tuple(chosen))
@@ -80,7 +80,8 @@ def template(
         by_meaning.setdefault(one.meaning, []).append(one)
     for what, names in chosen.items():
         by_meaning[what] = [one for one in signals if one.name in names]
-    lines = [HEAD + _on_one_line(path.name), *(f"# {_on_one_line(words)}" for words in read_as)]
+    lines = [HEAD + _on_one_line(_check_command(path, config_dir))]
+    lines += [f"# {_on_one_line(words)}" for words in read_as]
     lines.append(f"format: {FORMAT}")
     for key, line in PLACE_LINES.items():
         if key == "side" and key not in known:
@@ -108,6 +109,14 @@ def template(
         lines += ["", f"# columns of unknown meaning: {names}{more}"]
     blanks = tuple(dict.fromkeys(writer.blanks))
     return Template("\n".join(lines) + "\n", blanks, tuple(writer.guesses))
+
+
+def _check_command(path: Path, config_dir: Path | None) -> str:
+    """Return the command that checks a manifest: where suspnet init ran, or in its folder."""
+    if config_dir is not None:
+        return join(["suspnet", "check", str(path), "--config-dir", str(config_dir)])
+    own = "of a vehicle that is not suspnet's with --config-dir DIR, which holds vehicle/NAME.yaml"
+    return f"{join(['suspnet', 'check', path.name])} ({own})"
 
 
 def _start(signals: Sequence[Signal]) -> str:

@@ -6,7 +6,6 @@ import random
 import re
 import shlex
 import time
-from argparse import Namespace
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,6 +17,7 @@ import scipy.signal
 import yaml
 from cli_runner import ROOT, python, typed
 from dying_readers import open_dying
+from hydra import compose, initialize_config_dir
 from matplotlib.figure import Figure
 from matplotlib.image import imread
 from trip_fixtures import changed, signal, small_fleet
@@ -26,6 +26,7 @@ from suspnet.cli import check, options
 from suspnet.cli.config_files import CONFIGS
 from suspnet.cli.kinds import read_vehicles
 from suspnet.ground.ledger import LEDGER
+from suspnet.ground.records import Place
 from suspnet.recordings.formats import READERS
 from suspnet.recordings.manifest_files import find_trips, read_manifest
 from suspnet.recordings.reader_process import in_own_process
@@ -33,6 +34,8 @@ from suspnet.recordings.recording import WINDOWS, load_recording
 from suspnet.spectra.welch import Welch
 from suspnet.trips.check import CheckSettings, check_trip
 from suspnet.trips.check_page import (
+    NEED_A_VEHICLE,
+    PARTLY,
     PROBLEM,
     READY,
     TOO_LITTLE,
@@ -81,46 +84,6 @@ def fleet(manifests, tmp_path_factory):
 
 def found_in(output):
     return json.loads((output / "check.json").read_text(encoding="utf-8"))
-
-
-# what comes next
-
-
-def after(tmp_path, *checks, trips=None, run=None, config_dir=None):
-    given = Namespace(trips=trips or [str(tmp_path)], run=run, config_dir=config_dir)
-    return check._next_step(given, checks, [])
-
-
-def ready(name, vehicle="am96", sensors="pairs", seconds=1290.0):
-    return TripCheck(
-        Path(name), READY, vehicle=vehicle, sensors=sensors, mileage_km=1.0, duration_s=seconds
-    )
-
-
-def test_training_of_a_ready_folder_can_be_copied(tmp_path):
-    trips = [ready(f"{i}.yaml") for i in range(6)]
-    step = after(tmp_path, *trips)
-    assert step.endswith(
-        f"suspnet train vehicle=am96 experiment=trips protocol=components healthy={tmp_path} "
-        "n_healthy=5 data.minutes=21"
-    )
-    step = after(tmp_path, *(replace(one, sensors="single sensors") for one in trips[:4]))
-    assert step.endswith(f"experiment=trips healthy={tmp_path} n_healthy=4 data.minutes=21")
-    assert "components" not in after(tmp_path, *(ready(f"{i}.yaml", seconds=800) for i in range(3)))
-
-
-def test_an_unknown_vehicle_is_asked_for_before_training(tmp_path):
-    step = after(tmp_path, *(ready(f"{i}.yaml", vehicle="own") for i in range(3)))
-    assert step.endswith(f"suspnet check {tmp_path} --config-dir FOLDER")
-
-
-def test_nothing_is_trained_on_what_is_not_ready(tmp_path):
-    trips = [ready(f"{i}.yaml") for i in range(3)]
-    assert after(tmp_path, *trips[:2]) is None
-    assert after(tmp_path, *trips, TripCheck(Path("x.yaml"), problems=("?",))) is None
-    assert after(tmp_path, *trips, run=["outputs/trips/x"]) is None
-    assert after(tmp_path, *trips, trips=[str(tmp_path), "other"]) is None
-    assert after(tmp_path, *trips, *(ready(f"{i}.yaml", "ice3") for i in range(3, 6))) is None
 
 
 # what an estimate would have to work with
@@ -197,7 +160,8 @@ def test_slow_trip_holds_too_little_but_is_no_mistake(manifests, tmp_path, speed
     assert done.returncode == 0
     (trip,) = found_in(tmp_path / "o")["trips"]
     assert trip["state"] == TOO_LITTLE
-    assert "too little at a steady speed" in done.stdout
+    words = "too little at a steady speed: 0.0 minutes, at least 2.0 are needed, 2.0 more"
+    assert words in done.stdout
 
 
 def test_speed_of_no_train_is_told_as_km_per_h(manifests, tmp_path):
@@ -324,6 +288,20 @@ def test_unknown_vehicle_is_told_and_may_be_given(manifests, tmp_path):
     done = typed(check, path, "--no-pictures", "-o", "a", cwd=tmp_path)
     assert done.returncode == 0
     assert "vehicle 'mine' is none of ['am96'," in done.stdout
+    assert "1 of 1 trips ready for an estimate, 1 of them only partly checked" in done.stdout
+    assert f"| {PARTLY} " in done.stdout
+    left_out, how = done.stdout.splitlines()[-2:]
+    assert left_out == f"not checked without the numbers of mine: {NEED_A_VEHICLE}"
+    again = f"suspnet check {path} --config-dir"
+    assert how == f"to check them too: {again} DIR, where DIR is the folder with vehicle/mine.yaml"
+    page = (tmp_path / "a/check.html").read_text(encoding="utf-8")
+    assert f'<span class="label notice">{PARTLY}</span>' in page
+    assert found_in(tmp_path / "a")["trips"][0]["unchecked"] is True
+    own = tmp_path / "own" / "vehicle"
+    own.mkdir(parents=True)
+    (own / "mine.yaml").touch()  # found by its name, and not read
+    done = typed(check, path, "--no-pictures", "-o", "a", cwd=tmp_path)
+    assert done.stdout.splitlines()[-1] == f"to check them too: {again} own"
     (tmp_path / "vehicle").mkdir()
     shipped = (Path(CONFIGS) / "vehicle/am96.yaml").read_text()
     (tmp_path / "vehicle/mine.yaml").write_text(shipped.replace("name: am96", "name: mine"))
@@ -335,6 +313,43 @@ def test_unknown_vehicle_is_told_and_may_be_given(manifests, tmp_path):
     assert done.returncode == 1
     assert "unit: body: the gain G_s" in done.stdout
     assert "is none of" not in done.stdout
+    assert PARTLY not in done.stdout
+    assert "not checked without" not in done.stdout
+
+
+def steps(*words, code=0, n=6, **changes):
+    """Return what is to be done after a check of a folder of ready trips."""
+    arguments = options.check_parser().parse_args([".", *words])
+    one = TripCheck(Path("t.yaml"), READY, vehicle="mine", duration_s=959.0)
+    checks = [replace(one, **changes)] * n
+    return check.next_steps(arguments, checks, {"mine": "our_file"}, code)
+
+
+def test_training_is_the_next_command_and_can_be_copied():
+    command, why = steps("--config-dir", "our vehicles", shows_parts=True)
+    head, *words = shlex.split(command.partition("then run: ")[2])
+    assert (head, words[:3]) == ("suspnet", ["train", "--config-dir", "our vehicles"])
+    assert words[3] == "vehicle=our_file"
+    assert "first 5 trips of each suspension" in why
+    with initialize_config_dir(version_base="1.3", config_dir=CONFIGS):
+        config = compose("train", overrides=["vehicle=am96", *words[4:]])
+    assert (config.healthy, config.n_healthy, config.data.minutes) == (".", 5, 16)
+    assert (config.protocol.by_part, config.generator.bogie) == (True, "leading")
+    of_one = steps(place=Place("S1", "trailing"), n=3, duration_s=1200.0)[0]
+    assert of_one == (
+        "then run: suspnet train vehicle=our_file experiment=trips healthy=. n_healthy=3 "
+        "generator.bogie=trailing"
+    )
+    (read,) = steps("--run", "outputs/one", "--run", "outputs/two")
+    assert read == "then run: suspnet evaluate trips=. 'run=[outputs/one,outputs/two]'"
+
+
+@pytest.mark.parametrize(
+    ("code", "n", "changes"),
+    [(1, 6, {}), (0, 2, {}), (0, 6, {"state": TOO_LITTLE}), (0, 6, {"unchecked": True})],
+)
+def test_no_training_is_proposed_that_would_fail(code, n, changes):
+    assert steps(code=code, n=n, **changes) == []
 
 
 def test_folder_of_vehicles_is_checked_and_runs_nothing(manifests, tmp_path):

@@ -41,9 +41,8 @@ def asked(folder, *said):
     assert (done.returncode, done.stderr) == (1, "")
     assert sorted(folder.rglob("*.yaml")) == before
     lines = done.stdout.splitlines()[1:-1]
-    return {line.partition(":")[0].split()[0] for line in lines if line[2:3] != " "} - {
-        "direction,"
-    }
+    keys = {line.partition(":")[0].split()[0] for line in lines if line[2:3] != " "}
+    return keys - {"direction,", "bogie,"}  # these need not be said
 
 
 def write_german(path, n=400, columns=None, above=()):
@@ -370,6 +369,8 @@ def test_next_command_can_be_copied_and_names_own_vehicles(tmp_path):
     assert done.returncode == 0, done.stderr
     then = shlex.split(done.stdout.splitlines()[-1].partition("run: ")[2])
     assert then == ["suspnet", "check", "car 7", "--config-dir", "our vehicles"]
+    noted = (folder / "run_1.yaml").read_text().splitlines()[1].partition("Then run: ")[2]
+    assert shlex.split(noted) == [*then[:2], "car 7/run_1.yaml", *then[3:]]
     checked = typed(check, *then[2:], "--no-pictures", cwd=tmp_path)
     assert "metro, car 7" in checked.stdout
     assert "none of" not in checked.stdout
@@ -380,6 +381,35 @@ def test_next_command_can_be_copied_and_names_own_vehicles(tmp_path):
         assert (folder / "run_1.yaml").exists() == (not words)
     missing = typed(init, *command[2:-1], "nowhere", "--force", cwd=tmp_path)
     assert "--config-dir=nowhere holds no folder `vehicle`" in missing.stderr
+
+
+def test_own_vehicle_is_found_in_a_folder_here_or_asked_for(tmp_path):
+    write_plain(tmp_path / "car 7" / "run_1.parquet")
+    said = ("car 7", "vehicle=metro", *SAID[1:], "mileage_km=1")
+    done = typed(init, *said, cwd=tmp_path)
+    assert "metro is no vehicle of suspnet's: give --config-dir DIR" in done.stdout
+    assert "without it swapped sensors, units and signs are not checked" in done.stdout
+    assert done.stdout.endswith("then run: suspnet check 'car 7' --config-dir DIR\n")
+    shipped = (Path(CONFIGS) / "vehicle" / "am96.yaml").read_text()
+    own = tmp_path / "mine" / "vehicle"
+    own.mkdir(parents=True)
+    (own / "metro.yaml").write_text(shipped.replace("name: am96", "name: metro"))
+    done = typed(init, *said, "--force", cwd=tmp_path)
+    assert "is no vehicle" not in done.stdout
+    assert done.stdout.endswith("then run: suspnet check 'car 7' --config-dir mine\n")
+    manifest = (tmp_path / "car 7" / "run_1.yaml").read_text()
+    assert "run: suspnet check 'car 7/run_1.yaml' --config-dir mine\n" in manifest
+
+
+def test_end_of_the_bogie_is_asked_for_with_its_default(tmp_path):
+    write_plain(tmp_path / "run_1.parquet")
+    line = "bogie, not stated in 1, is taken as the leading one"
+    said = (*SAID, "mileage_km=1")
+    assert line in typed(init, tmp_path, cwd=tmp_path).stdout
+    assert line in written(tmp_path, *said)
+    assert read_manifest(tmp_path / "run_1.yaml").bogie is None
+    assert line not in written(tmp_path, *said, "bogie=trailing", "--force")
+    assert read_manifest(tmp_path / "run_1.yaml").bogie == "trailing"
 
 
 @pytest.mark.parametrize("between", [True, False])

@@ -65,6 +65,21 @@ def test_what_is_done_and_what_remains(lines, monkeypatch):
     bar.close()
 
 
+def test_remaining_time_shrinks_while_the_next_item_is_waited_for(lines):
+    with progress.bar("suspensions", 2, unit="suspension") as bar:
+        bar.start_t -= 540
+        bar.update()
+        seen = [bar.text()]
+        for waited_s in (240, 299.5):
+            bar.start_t -= waited_s
+            seen.append(bar.text())
+    assert seen == [
+        "suspensions: 1 of 2, 9 min, about 9 min left",
+        "suspensions: 1 of 2, 13 min, about 5 min left",
+        "suspensions: 1 of 2, 18 min",  # longer than the first one: nothing is known
+    ]
+
+
 def test_everything_is_counted_while_it_is_iterated(lines):
     bar = progress.bar("trips", items=[3, 1, 2], unit="trip")
     assert list(bar) == [3, 1, 2]

@@ -10,7 +10,7 @@ from vehicles import AM96
 
 from suspnet.dynamics import VerticalVehicle
 from suspnet.dynamics.quantities import IN_MOTION
-from suspnet.recordings.loose import find_loose
+from suspnet.recordings.loose import _words, find_loose
 from suspnet.recordings.manifest import CHANNELS
 from suspnet.recordings.manifest_files import read_manifest
 from suspnet.recordings.recording import load_recording
@@ -91,6 +91,7 @@ def test_whatever_a_loose_sensor_shows(ten_minutes, channel, kind):
     known = recording.usable, recording.speed_m_per_s, COMMON_HZ
     (fault,), loose, silent = find_loose(signals, *known)
     assert fault.channel == channel
+    assert "manifest" not in fault.words  # a single sensor cannot be spared
     assert float(fault.words.split()[2]) == pytest.approx(180, abs=10)
     assert loose[18_000:].all()
     assert not loose[:16_000].any()
@@ -179,9 +180,20 @@ def test_one_of_six_sensors(six_sensors, which):
     values = signals | {name: loosened(signals[name], kind, COMMON_HZ, (180, 600))}
     (fault,), loose, silent = find_loose(values, usable, speed, COMMON_HZ)
     assert fault.channel == name
+    assert fault.words.endswith("by the other sensors, delete its line in the manifest")
     assert loose[18_000:].all()
     assert not loose[:16_000].any()
     assert not silent.any()
+
+
+@pytest.mark.parametrize(
+    ("n", "end"), [(3, "380 to 420 s:"), (4, " and once more:"), (6, " and 3 more times:")]
+)
+def test_stretches_beyond_the_third_are_counted(n, end):
+    alone = np.zeros(600, dtype=np.bool_)
+    for start in (100, 200, 381, 440, 490, 540)[:n]:
+        alone[start : start + 37] = True
+    assert end in _words(alone, alone, 0.0)
 
 
 def test_sensor_of_a_pair_that_never_shows_the_motion(six_sensors):

@@ -18,7 +18,7 @@ from suspnet.ground.parameters import (
     condensed,
     part_words,
 )
-from suspnet.ground.records import NO_PART, Place, Quality
+from suspnet.ground.records import NO_ESTIMATE, NO_PART, Place, Quality, outputs_of
 from suspnet.history import History
 from suspnet.maintenance.relative import relative_to_first
 from suspnet.maintenance.series import Event, series_of
@@ -26,6 +26,7 @@ from suspnet.maintenance.state import State
 from suspnet.report.board import BoardSettings
 from suspnet.report.bogie import NONE_NAMED, bogie_of, group_words, why_no_part, worn_entries
 from suspnet.report.maintenance_figures import small_trends
+from suspnet.report.output import summary
 from suspnet.report.report import Report, write_report
 from suspnet.report.tables import same_columns
 from suspnet.report.templates import environment
@@ -376,6 +377,39 @@ def test_rows_of_a_mixed_fleet_have_the_columns_of_all():
     found = same_columns([{"a": 1}, {"a": 2, "b": 3.0}])
     assert [list(one) for one in found] == [["a", "b"]] * 2
     assert np.isnan(found[0]["b"])
+
+
+def test_trip_without_its_parts_shows_both_sides_as_equal_in_their_place(few, tmp_path):
+    other = trips(PLACE, 4, n_trips=1)[0]
+    values = {"k_p": 0.987, "c_p": 0.912, "k_s": 1.034, "c_s": 0.877, "M_s": 1.0}
+    quality = Quality(warnings=f"{NO_PART}too short")
+    odd = replace(other, trip="odd", mileage_km=1.0, estimates=values, quality=quality)
+    mixed = [odd, *few]
+    outputs = outputs_of(mixed)
+    assert {"k_p", "c_p_axle2_left"} < set(outputs)
+    lines = summary(mixed, outputs).splitlines()
+    names = [cell.strip() for cell in lines[1].strip("|").split("|")]
+    assert names == ["trip", "1000 km", "M_s", "worn parts", "averages", "state"]
+    shown = "not read; both sides as equal: k_p 98.7, c_p 91.2, k_s 103.4, c_s 87.7 %"
+    assert shown in next(line for line in lines if line.startswith("| odd"))
+    given = Report(mixed, outputs, state_of(mixed))
+    page = write_report(tmp_path / "mixed.html", "Mixed", given, {}).read_text(encoding="utf-8")
+    table = page[page.index('<h2 id="trips">') :]
+    head = re.findall(r"<th[^>]*>(.*?)</th>", table.partition("<tbody>")[0], re.DOTALL)
+    assert len(head) == 3 + len(COMPONENTS) + 5
+    row = table[table.index('<th scope="row">odd</th>') :].partition("</tr>")[0]
+    cell = re.search(r'<td class="words" colspan="12">(.*?)</td>', row)[1]
+    assert Labels(cell).words.replace("\N{NO-BREAK SPACE}", " ") == (
+        "no part read; both sides as equal: kp 98.7 %, cp 91.2 %, ks 103.4 %, cs 87.7 %"
+    )
+    assert row.count("<td") == len(head) - len(COMPONENTS) + 1  # parts in one cell, and the mass
+
+
+def test_trips_without_an_estimate_have_no_empty_columns(few):
+    none = [replace(one, estimates={}, status=NO_ESTIMATE, reason="too short") for one in few]
+    lines = summary(none, outputs_of(none)).splitlines()
+    names = [cell.strip() for cell in lines[1].strip("|").split("|")]
+    assert names == ["trip", "1000 km", "averages", "state"]
 
 
 def test_healthy_is_that_of_the_first_trips_of_each_part_where_some_were_not_read(few):

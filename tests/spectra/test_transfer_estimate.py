@@ -148,6 +148,20 @@ def test_number_of_averages_is_welchs_sum(window, overlap, n):
     assert (welch.n_averages(n) == n) == (overlap == 0)
 
 
+@pytest.mark.parametrize("n_averages", [1, 3.2, 10, math.nextafter(7, 8), 1e6])
+@pytest.mark.parametrize("overlap", [0.0, 0.5, 0.75])
+def test_least_number_of_segments_holds_the_averages(overlap, n_averages):
+    welch = Welch(segment_s=20.0, overlap=overlap)
+    n = welch.n_segments(n_averages)
+    assert welch.n_averages(n) >= n_averages
+    assert n == 1 or welch.n_averages(n - 1) < n_averages
+
+
+def test_length_of_overlapping_segments():
+    assert [Welch(120.0).minutes(n) for n in (0, 1, 8)] == [0.0, 2.0, 9.0]
+    assert Welch(30.0, overlap=0.0).minutes(8) == 4.0
+
+
 @pytest.mark.parametrize("window", ["hann", "hamming", "blackman"])
 @pytest.mark.parametrize("overlap", [0.0, 0.5, 0.75])
 def test_averages_of_white_noise_scatter_as_their_number_says(window, overlap):

@@ -11,6 +11,7 @@ from suspnet.ground.parameters import DEFAULT_LIMITS, Cause, Severity
 from suspnet.maintenance.alarms import Alarm
 from suspnet.maintenance.assessment import (
     ALL_FLAGGED,
+    INSPECT,
     assess,
     overall,
     spoken,
@@ -206,7 +207,14 @@ def ends_with(*last, n=N_TRIPS):
             read(0.6 * ONES, flagged=range(N_TRIPS)),
             "act",
             "the last 5 trips are at 60 % of healthy, below the act limit of 80 %; "
-            f"it has been so since the first trips; {ALL_FLAGGED}",
+            f"it has been so since the first trips; {ALL_FLAGGED}{INSPECT}",
+        ),
+        (
+            read(np.where(KM < 255_000, 1, 0.6), flagged=range(25, N_TRIPS)),
+            "act",
+            "the last 5 trips are at 60 % of healthy, below the act limit of 80 %; "
+            f"falls to 60 % of healthy (median of the last 5 trips) at about 260 000 km; "
+            f"5 of the last 5 trips are flagged{INSPECT}",
         ),
         (
             read(ONES, flagged=range(25, N_TRIPS)),

@@ -24,17 +24,26 @@ from trip_records import fleet as made_up
 from suspnet.estimation.fitted import ModelFileError
 from suspnet.estimation.trip_settings import TripSettings
 from suspnet.ground import workers
-from suspnet.ground.parameters import DEFAULT_LIMITS, Severity
+from suspnet.ground.parameters import DEFAULT_LIMITS, Cause, Severity
 from suspnet.ground.records import NO_PART
 from suspnet.ground.storage import read_arrays, read_plain
+from suspnet.maintenance.alarms import Alarm
 from suspnet.maintenance.series import series_of
 from suspnet.maintenance.state import State
 from suspnet.maintenance.trend import LEAST_PERCENT
 from suspnet.recordings import manifest_files
+from suspnet.recordings.cleaning import Fault
+from suspnet.recordings.dead_sensors import NOTHING, dead_faults
 from suspnet.recordings.formats import READERS
 from suspnet.recordings.reader_process import LIMIT, in_own_process
 from suspnet.report import output
-from suspnet.report.output import coverage_percent, errors_percent, summary, write_tables
+from suspnet.report.output import (
+    coverage_percent,
+    errors_percent,
+    sensor_lines,
+    summary,
+    write_tables,
+)
 from suspnet.report.tensorboard import RunLog
 from suspnet.spectra.curves import CurveSettings
 from suspnet.trips import earlier as finished
@@ -448,6 +457,39 @@ def test_models_of_two_speeds_read_one_folder(manifests, model, no_figures, tmp_
     assert results[0].quality.speed_bins == "70.0 m/s: 27 averages"
     details = json.loads((tmp_path / "out" / "metrics.json").read_text())["details"]
     assert details["speeds"] == "46.0 to 54.0 m/s, 64.4 to 75.6 m/s"
+
+
+def test_dead_sensors_and_alarms_of_sensors_are_printed(
+    three, model, no_figures, monkeypatch, caplog
+):
+    alone = "{} and left out, bogie is read by its left sensor alone: it {}"
+    constant = "is constant (0) throughout: is the sensor connected?"
+    dead = [
+        Fault("bogie left", "gap", 9, 1.0, 0.0, True),
+        *dead_faults({"bogie right": NOTHING, "body axle2 right": constant}, 300.0, 100.0),
+        Fault("body", "drift", 9, 1.0, 0.0, True, 0.3),
+    ]
+
+    def half_dead(*given):
+        result = recalled_trip(*given)
+        if result.trip == "a":
+            return result
+        return replace(result, quality=replace(result.quality, faults="; ".join(map(str, dead))))
+
+    monkeypatch.setattr(fleet, "evaluate_trip", half_dead)
+    with caplog.at_level("INFO", fleet.log.name):
+        read(three, [model], three.parent / "dead")
+    lines = caplog.messages[-1].splitlines()
+    first = lines.index(f"  notice   sensor bogie right: {alone.format('dead', NOTHING)} (in b, c)")
+    assert lines[first + 1].startswith("  notice   sensor body axle2 right: dead and left out")
+    assert lines[first + 1].endswith(f"it {constant} (in b, c)")
+    assert lines[first + 2].startswith("Alarms of changes: ")
+    alarms = [
+        Alarm("body left", Cause.SENSOR, Severity.NOTICE, 7e4, end, "sensor body left: noise")
+        for end in (np.nan, 9e4)
+    ]
+    (line,) = sensor_lines([], alarms)
+    assert line == "  notice   sensor body left: noise (alarm since 70 000 km)"
 
 
 def test_change_below_what_the_model_resolves_does_not_changed_ones(model, monkeypatch):

@@ -449,7 +449,9 @@ def test_number_of_low_coherence_is_told(no_loose_sensor, manifests, model, tmp_
     result = evaluated(path, model, settings)
     assert result.status == NO_ESTIMATE
     assert "28 of 28 segments without faults are steady at 70.0 m/s" in result.reason
-    assert "7 of them of low coherence: 19.9 averages, at least 26 are needed" in result.reason
+    # 21 segments of 20 s, each beginning 10 s after the one before; 28 are needed
+    words = "7 of them of low coherence: 3.7 minutes, at least 4.8 are needed, 1.1 more"
+    assert words in result.reason
 
 
 # failure
@@ -469,8 +471,8 @@ def test_number_of_low_coherence_is_told(no_loose_sensor, manifests, model, tmp_
         (
             70.0,
             {"min_averages": 27},
-            "28 segments without faults: 26.6 averages, at least 27 are needed: the recording is "
-            "too short",
+            "28 segments without faults: 4.8 minutes, at least 5.0 are needed, 0.2 more: the "
+            "recording is too short",
         ),
         (
             70.0,
