@@ -241,7 +241,7 @@ def _commissioned(
     outcome = commission_trips(
         found, generator, settings, by_part=by_part, progress=config.progress
     )
-    bogie = reported(parts()) if parts else None  # the page is of both, and begins with the parts
+    bogie = reported(parts()) if parts else None  # the page is of both, and starts with the parts
     with speaking(config.language):
         write_outcome(folder, found, outcome, bogie)
     speeds = tuple(group.speed_m_per_s for group in found.groups)

@@ -148,6 +148,11 @@ class BogieSearch:
     def _n_own(self) -> int:
         return 1 if self.are_healthy else N_OWN
 
+    @property
+    def tols(self) -> tuple[float, float]:
+        """Decreases that end a search while model errors are allowed, and the last one."""
+        return HEALTHY_TOLS if self.are_healthy else WORN_TOLS
+
     @cached_property
     def all_bins(self) -> Tensor:
         """Numbers of all bins."""
@@ -200,22 +205,26 @@ class BogieSearch:
 
     def found(self, explained: float) -> Found:
         """Return the first end that converged with at most that misfit, or that of the least."""
-        # the last search takes as long as all before it, or ten times as long in another valley
         ends: list[Found] = []
-        left: list[Found] = []
-        for rough in ROUGH:
-            one = self.widened(rough)
-            if one.misfit > explained:
-                left.append(one)
-                continue
-            ends.append(one.finished())
-            if ends[-1].explains(explained):
-                return ends[-1]
-        for one in sorted(left, key=lambda found: found.misfit):
-            ends.append(one.finished())
+        for near in self._near(explained):
+            ends.append(near.finished())
             if ends[-1].explains(explained):
                 return ends[-1]
         return min(ends, key=lambda one: one.misfit)
+
+    def _near(self, explained: float) -> Iterator[Found]:
+        """Yield the ends of all starts: what has at most that misfit at once, the others by misfit.
+
+        The last search takes as long as all before it, or ten times as long in another valley.
+        """
+        left: list[Found] = []
+        for rough in ROUGH:
+            one = self.widened(rough)
+            if one.misfit <= explained:
+                yield one
+            else:
+                left.append(one)
+        yield from sorted(left, key=lambda one: one.misfit)
 
     def widened(self, rough: float) -> Found:
         """Return the end, near the minimum, of the searches from the healthy vehicle."""
@@ -227,10 +236,9 @@ class BogieSearch:
 
     def narrowed(self, x: FloatArray, first: int = 0) -> Found:
         """Return the end of the searches with smaller errors, from the first of ``SPREADS``."""
-        tol = (HEALTHY_TOLS if self.are_healthy else WORN_TOLS)[0]
         fit, converged = self.with_noise_at(x), False
         for spread in SPREADS[: None if self.are_healthy else 3][first:]:
-            x, converged = fit.search(x, spread, fit.thinned, tol)
+            x, converged = fit.search(x, spread, fit.thinned, fit.tols[0])
             fit = fit.with_noise_at(x)
         return Found(fit, x, converged)
 
@@ -399,8 +407,8 @@ class Found:
 
     def finished(self) -> Found:
         """Return where the search from here ends without model errors, on all bins."""
-        tol = (HEALTHY_TOLS if self.fit.are_healthy else WORN_TOLS)[1]
-        return Found(self.fit, *self.fit.search(self.x, 0.0, self.fit.all_bins, tol))
+        fit = self.fit
+        return Found(fit, *fit.search(self.x, 0.0, fit.all_bins, fit.tols[1]))
 
     @cached_property
     def misfit(self) -> float:

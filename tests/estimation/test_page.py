@@ -337,12 +337,12 @@ def test_plus_and_minus_in_the_verdict_say_what_they_are(written):
 
 
 @pytest.mark.parametrize(
-    ("masses", "told"),
+    ("masses", "stated"),
     [((0.66, 0.58), "0.62"), ((1.6, 1.6), "1.60"), ((1.0, 1.25), None), ((0.8, 0.82), None)],
 )
-def test_another_body_than_the_file_says_is_to_be_checked(masses, told):
+def test_another_body_than_the_file_says_is_to_be_checked(masses, stated):
     doubt = words.mass_doubt(np.array(masses))
-    assert (doubt is None) == (told is None)
-    if told is not None:
-        assert f"a car body of {told} times" in doubt
+    assert (doubt is None) == (stated is None)
+    if stated is not None:
+        assert f"a car body of {stated} times" in doubt
         assert "body_mass_kg" in doubt
