@@ -148,6 +148,7 @@ def test_notes_hold_the_law_of_damping_over_temperature(commissioned):
 def test_page_says_what_was_found(commissioned, written):
     text = text_of(written[1])
     assert "The vehicle explains its healthy trips (3 trips): the misfit is" in text
+    assert "as equal" not in text
     assert "2 of 2 starts of the search found this vehicle." in text
     assert "Healthy now means what these trips showed: 100 % is k_p = 1." in text
     assert "12 345 to 37 035 km" in text
