@@ -4,10 +4,11 @@ A vehicle's uncertain numbers z, with the prior of its distribution, are fitted 
 which each has its own car-body mass; then the twelve parts and the mass of a later trip, with z
 under the posterior of the healthy trips. Both minimise the sum of squares of ::
 
-    the residuals of `suspnet.spectra.subspace`, F^-1 (log z - mean), (log M_s - log 1.05) / 0.15
+    the residuals of `suspnet.spectra.subspace`, F^-1 (log z - mean), (log M_s - log m) / 0.15
     and, of a later trip, (log part) / WEAR
 
-with F F^T the covariance of log z. The noise of each trip and what excites each wheelset alone are
+with F F^T the covariance of log z, and m 1.05 for the healthy trips, their masses' geometric mean
+for later ones. The noise of each trip and what excites each wheelset alone are
 those that its spectra show with the vehicle as found so far (`suspnet.spectra.noise_subspace`).
 `suspnet.estimation.bogie_search` finds the minimum. A part's interval is that of the posterior
 there, times ``COMMON``: what healthy trips leave open is one draw for all later ones. The
@@ -80,7 +81,9 @@ class CommissionedBogie:
         """
         assert self.generator.sensors is not None
         noise = self.noise[trip.kept(self.generator.sensors)]
-        fit = BogieSearch(self.generator, [noise], [trip], are_healthy=False)
+        # far from the healthy trips' mass, as by a wrong one on the drawing, valleys differ
+        mass = float(np.exp(np.log(self.masses).mean()))
+        fit = BogieSearch(self.generator, [noise], [trip], are_healthy=False, mass=mass)
         explained = EXPLAINED * max(1.0, self.misfit)
         found = None if start is None else fit.narrowed(fit.nearer(start), 2).finished()
         if found is None or not (found.converged and found.misfit <= explained):

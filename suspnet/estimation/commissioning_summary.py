@@ -9,12 +9,20 @@ from typing import Any
 
 import numpy as np
 
-from suspnet.dynamics.quantities import PARTS, QUANTITIES, UNMEASURED, Quantity
+from suspnet.dynamics.quantities import (
+    MASS_DEVIATION,
+    MASS_MEAN,
+    PARTS,
+    QUANTITIES,
+    UNMEASURED,
+    Quantity,
+)
 from suspnet.estimation.bogie_fit import EXPLAINED, CommissionedBogie
 from suspnet.estimation.commissioning import Commissioned
 from suspnet.estimation.flags import INCOMPLETE, UNTRUSTED
 from suspnet.estimation.healthy_trips import HealthyTrips
 from suspnet.ground.parameters import BOGIE_PARTS, PARAMETERS, REVERSE, kind_of
+from suspnet.ground.types import FloatArray
 from suspnet.ground.wording import count
 from suspnet.spectra.estimates import EstimateSettings
 
@@ -26,6 +34,8 @@ NARROW = 0.5
 """Largest standard deviation over the median for which a number is written with plus and minus."""
 SIMILAR = 1.5
 """Factor between the minutes of healthy trips and of training above which a sentence reports it."""
+ODD_MASS = 2.0
+"""Deviations of the prior of a trip's mass beyond which the vehicle file's is to be checked."""
 PREFIXES = ((1e6, "M"), (1e3, "k"))
 """Prefixes of force units, the largest first."""
 PART_TITLES = {
@@ -214,7 +224,9 @@ def doubts_of_parts(bogie: CommissionedBogie) -> list[str]:
             "incomplete or a sensor is wrong: the intervals of parts are wider by what this could "
             "cost."
         )
-    return found if bogie.converged else [*found, NOT_CONVERGED]
+    if not bogie.converged:
+        found.append(NOT_CONVERGED)
+    return [*found, *filter(None, [mass_doubt(bogie.masses)])]
 
 
 def calm_of_parts() -> str:
@@ -228,6 +240,21 @@ NOT_CONVERGED = (
     "at the axle boxes where there are none."
 )
 """Doubt about a bogie whose search did not converge."""
+
+
+def mass_doubt(masses: FloatArray) -> str | None:
+    """Return a sentence if healthy trips show another car body than the vehicle file.
+
+    `masses` (n_trips,) are over nominal, [-].
+    """
+    logs = np.log(masses)
+    if abs(logs.mean() - MASS_MEAN) <= ODD_MASS * MASS_DEVIATION:
+        return None
+    return (
+        f"The healthy trips show a car body of {np.exp(logs.mean()):.2f} times the mass in the "
+        "vehicle file: check body_mass_kg there, and bogie_mass_kg, whose error it shares. M_s is "
+        "relative to that mass; springs and dampers are relative to the healthy trips."
+    )
 
 
 def agreement(outcome: Commissioned) -> str:

@@ -118,8 +118,9 @@ class FittedMethod:
         """Return parameters relative to healthy, shape (n_curves, n_outputs), [-].
 
         `inputs` (n_curves, n_inputs) are features relative to the healthy vehicle's, named as
-        ``task.inputs``. ValueError if they do not fit the model, or it fits curves and has no
-        inputs.
+        ``task.inputs``. Estimates are bounded to half the lowest and twice the highest ratio of the
+        training: a regression knows nothing farther away. ValueError if the inputs do not fit the
+        model, or it fits curves and has no inputs.
         """
         if self.input_scaling is None or self.output_scaling is None:
             raise ValueError(f"{self.name} works on curves, not on features")
@@ -132,7 +133,9 @@ class FittedMethod:
         if not np.isfinite(inputs).all() or (self.input_scaling.log and not (inputs > 0).all()):
             raise ValueError("`inputs` must be positive and finite; leave out missing peaks")
         scaled = self.estimator.predict(self.input_scaling.apply(inputs))
-        return self.output_scaling.undo(np.asarray(scaled).reshape(len(inputs), -1))
+        with np.errstate(over="ignore"):  # beyond the bounds even if it is infinite
+            found = self.output_scaling.undo(np.asarray(scaled).reshape(len(inputs), -1))
+        return self.task.bounded(found)
 
     def scaled(self, inputs: FloatArray) -> FloatArray:
         """Return scaled inputs (n_curves, n_inputs); missing ones are NaN."""

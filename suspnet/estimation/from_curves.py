@@ -118,7 +118,7 @@ def corrected(
             again = near[:, columns]  # no step where the vehicle lacks a feature
             again[usable] = method.predict(inputs[usable])
             parts.append(near[:, columns] * predicted[rows] / again)
-        estimates = np.concatenate(parts)
+        estimates = method.task.bounded(np.concatenate(parts))
     return estimates
 
 

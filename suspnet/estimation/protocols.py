@@ -27,6 +27,9 @@ from suspnet.spectra.extraction import FeatureSet, PeakFeatures
 RESPONSES = ("G_p", "G_s")
 BODY_MASS_COLUMN = PARAMETERS.index(BODY_MASS)
 """Column of the car-body mass in arrays ordered as ``PARAMETERS``."""
+REACH = 2.0
+"""Factor beyond the training range up to which the estimate of a regression means anything: of
+noisy features, the exponential of its output can be any number."""
 SHARED = ("sampling", "lower", "upper", "step", "mass_step", "mass_known", "log_ratios")
 """Settings of a protocol that its tasks share."""
 
@@ -138,6 +141,15 @@ class Task:
     def range(self, name: str) -> tuple[float, float]:
         """Return the range of a parameter's ratio, [-]."""
         return (self.mass_lower, self.mass_upper) if name == BODY_MASS else (self.lower, self.upper)
+
+    def bounded(self, ratios: FloatArray, reach: float = REACH) -> FloatArray:
+        """Return ratios of the outputs (n, n_outputs), none outside ``reach`` times their range.
+
+        From the lower end of the training range over `reach` to its upper end times `reach`; NaN
+        stays NaN.
+        """
+        ranges = np.array([self.range(name) for name in self.outputs])
+        return np.clip(ratios, ranges[:, 0] / reach, ranges[:, 1] * reach)
 
     @property
     def grid_size(self) -> int:

@@ -118,8 +118,7 @@ def complete_ratios(
     The ratio is 1 where there is no estimate.
     """
     full = np.ones((len(predicted), len(PARAMETERS)))
-    ranges = np.array([task.range(name) for name in task.outputs])
-    inside = np.clip(predicted, ranges[:, 0], ranges[:, 1])
+    inside = task.bounded(predicted, reach=1.0)
     full[:, task.output_indices] = np.where(np.isfinite(predicted), inside, 1.0)
     if mass is not None:
         full[:, BODY_MASS_COLUMN] = mass

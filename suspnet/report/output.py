@@ -57,8 +57,8 @@ def summary(results: Sequence[TripResult], outputs: Sequence[str]) -> str:
     """Return a table of all trips, errors where the truth is known, and all reasons and flags."""
     columns, equal = split_outputs(outputs)
     of_parts = [name for name in columns if name in BOGIE_PARTS]
-    estimated = {name for result in results for name in result.estimates}
-    columns = [name for name in columns if name in estimated and name not in BOGIE_PARTS]
+    read = {name for result in results for name in result.estimates}
+    columns = [name for name in columns if name in read and name not in BOGIE_PARTS]
     header = ["trip", "1000 km", *columns, *["worn parts"] * bool(of_parts), "averages", "state"]
     rows = [
         [

@@ -79,8 +79,9 @@ def commission_trips(
         log.info("%s%s", words.AS_EQUAL, words.verdict(found, outcome))
         return outcome
     log.info("%s %s", words.verdict(found, outcome), words.agreement(outcome))
-    for doubt in words.doubts(outcome):
-        log.warning("%s", doubt)
+    for doubt in [*words.doubts(outcome), words.mass_doubt(outcome.masses)]:
+        if doubt:
+            log.warning("%s", doubt)
     if not words.is_explained(outcome) and not any(generator.sensor_lateral_m):
         if hint := words.unplaced(found):
             log.warning("%s", hint)

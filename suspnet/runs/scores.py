@@ -60,6 +60,7 @@ def headline(problem: Problem, model: FittedMethod) -> Metrics:
         "snr_db": problem.settings.snr_db,
         "seed": problem.seed,
         "mass_known": problem.task.mass_known,
+        "starts_fits": problem.is_uncertain and not model.refined,
     }
 
 
@@ -153,6 +154,11 @@ def report(metrics: Metrics, folder: Path) -> None:
 
 def _trust(metrics: Metrics) -> str:
     words = []
+    if metrics.get("starts_fits"):
+        words.append(
+            "These are the estimates of the regression alone: on trips of a commissioned vehicle "
+            "it only starts the fit of the curve, which reads them."
+        )
     if "intervals" in metrics:
         words.append(f"all outputs at once: {metrics['intervals']['joint_coverage_percent']:.1f} %")
     if "flagged_percent" in metrics:

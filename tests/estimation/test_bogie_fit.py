@@ -235,6 +235,19 @@ def test_another_start_is_tried_where_the_first_fails(
     assert "".join(order) == searched
 
 
+def test_masses_are_expected_about_those_of_the_healthy_trips(commissioned, monkeypatch):
+    def stopped(search, explained):
+        starts.append((search.start()[-1], search._prior(search.start())[-1]))
+        raise StopIteration
+
+    starts = []
+    monkeypatch.setattr(BogieSearch, "found", stopped)
+    light = replace(commissioned, masses=np.array([0.5, 0.72]))
+    with pytest.raises(StopIteration):
+        light.estimate(trip(drawn(VEHICLE, row({}), 5), 70.0))
+    np.testing.assert_allclose(starts, [(np.log(0.6), 0.0)], atol=1e-12)
+
+
 # property
 
 

@@ -1,7 +1,7 @@
 """Intervals of single trips follow their noise and hold the truth; what is odd is flagged."""
 
 from dataclasses import replace
-from itertools import pairwise
+from itertools import chain, pairwise, repeat
 from types import SimpleNamespace
 
 import numpy as np
@@ -108,6 +108,17 @@ def held(model, share, n, seed=7):
 
 
 # reference
+
+
+@pytest.mark.parametrize(("output", "ends"), [(1e4, [3.2] * 4 + [2.6]), (-9e2, [0.25] * 4 + [0.4])])
+def test_a_regression_far_off_gives_bounded_estimates(model, output, ends):
+    outputs = chain([output, output], repeat(-output))  # its correction would go farther
+    wild = SimpleNamespace(predict=lambda rows: np.full((len(rows), len(OUTPUTS)), next(outputs)))
+    inputs = inputs_of(model, row(expected(model, ratios_of(WORN))))
+    wild = replace(model, estimator=wild, corrected=True)
+    assert np.abs(np.log(model.predict(inputs))).max() < 1  # far within the bounds
+    np.testing.assert_allclose(wild.predict(inputs)[0], ends, rtol=1e-12)
+    np.testing.assert_allclose(regression(wild, inputs)[0], ends, rtol=1e-12)
 
 
 def test_a_trip_like_those_of_the_training_has_the_calibrated_interval(model, monkeypatch):

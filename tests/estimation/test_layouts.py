@@ -116,7 +116,9 @@ def test_bounds_of_a_known_vehicle_are_the_scatter_of_fits():
         values = torch.as_tensor(signals @ signals.conj().swapaxes(1, 2) / N_AVERAGES)
         one_trip = BogieTrip(BINS, SpectralMatrix(values, N_AVERAGES), vehicle.speed_m_per_s)
         fit = BogieSearch(vehicle, [noise], [one_trip], are_healthy=False)
-        errors.append(fit.search(fit.start(), 0.0, fit.all_bins)[0][1:] - np.log(rows[0].numpy()))
+        errors.append(
+            fit.search(fit.start(), 0.0, fit.all_bins, 1e-3)[0][1:] - np.log(rows[0].numpy())
+        )
     information += np.diag([WEAR**-2] * 12 + [MASS_DEVIATION**-2])
     bounds = np.sqrt(np.diag(np.linalg.inv(information)))
     scatter = np.sqrt(np.mean(np.square(errors), axis=0))

@@ -252,7 +252,8 @@ def bogie(misfit, converged=True):
     """Return what the page says of a bogie: one damper of twelve is 12 % above its kind."""
     values = [1.16 if name == "c_p_axle2_left" else 1.0 for name in COMPONENTS]
     healthy = SimpleNamespace(names=COMPONENTS, values=np.array(values))
-    return SimpleNamespace(misfit=misfit, converged=converged, healthy=healthy)
+    masses = np.ones(3)
+    return SimpleNamespace(misfit=misfit, converged=converged, healthy=healthy, masses=masses)
 
 
 @pytest.mark.parametrize(
@@ -349,3 +350,15 @@ def test_phases_of_drawing_and_commissioned_vehicle_lie_in_the_same_turn(commiss
 def test_plus_and_minus_in_the_verdict_say_what_they_are(written):
     text = text_of(written[1])
     assert re.search(r"100 % is k_p = [\d.]+ ± [\d.]+ MN/m.*\(± one standard deviation\)\.", text)
+
+
+@pytest.mark.parametrize(
+    ("masses", "told"),
+    [((0.66, 0.58), "0.62"), ((1.6, 1.6), "1.60"), ((1.0, 1.25), None), ((0.8, 0.82), None)],
+)
+def test_another_body_than_the_file_says_is_to_be_checked(masses, told):
+    doubt = words.mass_doubt(np.array(masses))
+    assert (doubt is None) == (told is None)
+    if told is not None:
+        assert f"a car body of {told} times" in doubt
+        assert "body_mass_kg" in doubt

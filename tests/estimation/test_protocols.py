@@ -176,6 +176,13 @@ def test_joint_varies_all_five_parameters(task):
     assert len(problem.inputs) == 9
 
 
+def test_estimates_are_bounded_to_half_and_twice_the_range(task):
+    ratios = np.array([[0.24, 3.3, 1.0, np.inf, 0.1], [0.26, 3.1, np.nan, 0.0, 2.7]])
+    expected = np.array([[0.25, 3.2, 1.0, 3.2, 0.4], [0.26, 3.1, np.nan, 0.25, 2.6]])
+    bounded = task("trips", "all").bounded(ratios)
+    np.testing.assert_allclose(bounded, expected, rtol=1e-12)
+
+
 # failure
 
 
