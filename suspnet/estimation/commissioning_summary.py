@@ -262,8 +262,8 @@ def agreement(outcome: Commissioned) -> str:
     return f"{outcome.n_agree} of {outcome.n_starts} starts of the search found this vehicle."
 
 
-def reference(outcome: Commissioned) -> str:
-    """Return what healthy means for models of this vehicle, as text."""
+def reference(outcome: Commissioned) -> list[str]:
+    """Return what healthy means for models of this vehicle, as sentences."""
     known = {one.quantity.name: one for one in numbers(outcome)}
     values = [
         f"{name} = {spoken(known[f'healthy_{name}'])}"
@@ -274,7 +274,7 @@ def reference(outcome: Commissioned) -> str:
     if "±" in shown:
         shown += " (± one standard deviation)"
     laws = [law for law in (outcome.laws.temperature, outcome.laws.velocity) if law is not None]
-    return " ".join([f"Healthy now means what these trips showed{shown}.", *map(str, laws)])
+    return [f"Healthy now means what these trips showed{shown}.", *map(str, laws)]
 
 
 def untold(found: Sequence[Number]) -> str:

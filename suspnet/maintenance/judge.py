@@ -9,9 +9,9 @@ from numpy.typing import ArrayLike
 
 from suspnet.ground.parameters import Limits, Severity
 from suspnet.ground.types import BoolArray, FloatArray, IntArray
-from suspnet.maintenance.series import Series
+from suspnet.maintenance.series import NEWEST, Series
 
-N_LAST = 5
+N_LAST = NEWEST
 """Number of last trips that are compared with the limits."""
 N_CONFIRMING = 3
 """Number of the last trips beyond a limit that together confirm a crossing."""

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from suspnet.ground.parameters import BODY_MASS, ESTIMATED, PARAMETERS
+from suspnet.ground.parameters import BODY_MASS, BOGIE_PARTS, ESTIMATED, PARAMETERS
 from suspnet.ground.records import EVENT_KINDS, SENSOR, Key, Place, TripResult
 from suspnet.ground.times import utc
 from suspnet.ground.types import BoolArray, FloatArray, IntArray
@@ -21,6 +21,8 @@ from suspnet.maintenance.sensors import SensorTrend, sensor_trends
 
 NUMBERS = ("mileage_km", "healthy_since_km", "speed_m_per_s", "temperature_c", "direction")
 """Numeric columns of a series, in addition to those of each parameter."""
+NEWEST = 5
+"""Number of the newest trips with an estimate that verdicts are made of."""
 
 
 @dataclass(frozen=True)
@@ -121,8 +123,17 @@ class Series:
 
     @property
     def outputs(self) -> tuple[str, ...]:
-        """Parameters with an estimate for any trip; all parameters if there is none."""
+        """Parameters with an estimate for any trip; all parameters if there is none.
+
+        Where parts are read, those of both sides as equal count only if one of the newest trips
+        does not show its parts: else these say more.
+        """
         known = {name for name, column in self.estimates.items() if np.isfinite(column).any()}
+        newest = np.flatnonzero(self.done)[-NEWEST:]
+        if known & set(BOGIE_PARTS):
+            for name in PARAMETERS[:-1]:
+                if not np.isfinite(self.estimates[name][newest]).any():
+                    known.discard(name)
         return tuple(name for name in self.estimates if name in known or not known)
 
     @property

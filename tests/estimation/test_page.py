@@ -18,6 +18,7 @@ from suspnet.estimation import commissioning_summary as words
 from suspnet.estimation.damping_laws import Laws
 from suspnet.estimation.flags import INCOMPLETE, UNTRUSTED
 from suspnet.estimation.healthy_trips import HealthyTrips
+from suspnet.estimation.relative_velocity import DampingByVelocity
 from suspnet.estimation.temperature import NOTE, DampingByTemperature
 from suspnet.ground.parameters import COMPONENTS
 from suspnet.report.language import speaking
@@ -134,7 +135,7 @@ def test_notes_hold_the_law_of_damping_over_temperature(commissioned):
     notes = json.loads(json.dumps(training_notes(found, replace(outcome, laws=Laws(law)))))
     assert DampingByTemperature.noted({"commissioned": notes}) == law
     assert NOTE not in training_notes(found, outcome)
-    text = words.reference(replace(outcome, laws=Laws(law)))
+    text = " ".join(words.reference(replace(outcome, laws=Laws(law))))
     assert text.endswith(
         "Damping is compared at 12 °C, their mean temperature; per kelvin c_p 0.40 ± 0.2 % and "
         "c_s 0.51 ± 0.03 % are lost."
@@ -147,6 +148,7 @@ def test_notes_hold_the_law_of_damping_over_temperature(commissioned):
 def test_page_says_what_was_found(commissioned, written):
     text = text_of(written[1])
     assert "The vehicle explains its healthy trips (3 trips): the misfit is" in text
+    assert "as equal" not in text
     assert "2 of 2 starts of the search found this vehicle." in text
     assert "Healthy now means what these trips showed: 100 % is k_p = 1." in text
     assert "12 345 to 37 035 km" in text
@@ -230,6 +232,20 @@ def test_doubts_are_said(commissioned):
     assert words.verdict(found, spoilt).startswith(first)
     assert not training_notes(found, spoilt)["explained"]
     assert words.doubts(replace(outcome, misfit=INCOMPLETE)) == []
+
+
+def test_what_healthy_means_is_german_with_its_laws(commissioned):
+    found, outcome = commissioned
+    spread = tuple(tuple(row) for row in np.diag([1e-4] * 5).tolist())
+    law = DampingByVelocity(
+        (0.0505, 0.0417), (0.02, 0.05, 0.5, 6, 4), (0.1, 0.1, 1, 10, 10), spread
+    )
+    drawn = dict.fromkeys(("responses", "numbers"), Figure(figsize=(1, 1)))
+    with speaking("de"):
+        text = text_of(figures._page(found, replace(outcome, laws=Laws(None, law)), drawn))
+    sentence = text[text.index("Gesund heißt jetzt, was diese Fahrten zeigten: 100 % sind k_p =") :]
+    assert "(± eine Standardabweichung)." in sentence[:200]
+    assert not re.search(r"\b(loses|compared|more|across)\b", sentence[:600])
 
 
 def bogie(misfit, converged=True):

@@ -20,6 +20,7 @@ from suspnet.ground.parameters import (
 )
 from suspnet.ground.records import NO_ESTIMATE, NO_PART, Place, Quality, outputs_of
 from suspnet.history import History
+from suspnet.maintenance.alarms import watch
 from suspnet.maintenance.relative import relative_to_first
 from suspnet.maintenance.series import Event, series_of
 from suspnet.maintenance.state import State
@@ -403,6 +404,20 @@ def test_trip_without_its_parts_shows_both_sides_as_equal_in_their_place(few, tm
         "no part read; both sides as equal: kp 98.7 %, cp 91.2 %, ks 103.4 %, cs 87.7 %"
     )
     assert row.count("<td") == len(head) - len(COMPONENTS) + 1  # parts in one cell, and the mass
+
+
+@pytest.mark.parametrize(("at", "counts"), [(0, False), (-1, True), (-5, True), (-6, False)])
+def test_both_sides_as_equal_are_judged_if_one_of_the_newest_trips_shows_no_parts(few, at, counts):
+    mixed = list(few)
+    equal = {"k_p": 0.5, "c_p": 1.0, "k_s": 1.0, "c_s": 1.0, "M_s": 1.0}
+    mixed[at] = replace(few[at], estimates=equal, half_widths={}, flags="odd")
+    state = state_of(mixed)
+    assert len(mixed) > 6
+    assert ("k_p" in state.outputs) is counts
+    assert {"k_s_left", "M_s"} < set(state.outputs)
+    assert (len(state.assessments) == 17) is counts
+    watched = watch(state.series, DEFAULT_LIMITS).alarms
+    assert any(one.parameter == "k_p" for one in watched) is counts
 
 
 def test_trips_without_an_estimate_have_no_empty_columns(few):
