@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import gc
 import logging
 import os
 import signal
@@ -130,9 +131,15 @@ def _serve_workers(name: str, config: DictConfig) -> None:
 
 
 def _imported(name: str) -> ModuleType:
-    """Return the module of a program; a signal while it is imported ends the process at once."""
+    """Return the module of a program; a signal while it is imported ends the process at once.
+
+    What is imported stays to the end: from here garbage is collected, but not looked for in it.
+    """
     with signals.until_it_listens():
-        return import_module(f"suspnet.cli.{name}")
+        module = import_module(f"suspnet.cli.{name}")
+    gc.freeze()
+    gc.enable()
+    return module
 
 
 def run(main: Callable[[], Any], *, unwinds: bool = True) -> None:
