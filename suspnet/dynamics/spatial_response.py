@@ -35,7 +35,7 @@ from suspnet.dynamics.spatial_motion import (
     sensed,
     wheel_inputs,
 )
-from suspnet.dynamics.vertical_motion import RAIL_LATERAL_M, Layout
+from suspnet.dynamics.vertical_motion import RAIL_LATERAL_M, Element, Layout
 from suspnet.dynamics.vertical_response import cross_level_size, phasor, root_of_size, wheels_of
 
 STEP = 1e-6
@@ -108,37 +108,38 @@ class Equations:
         """
         n, whole = self.n, torch.cat([motion, self.inputs], dim=2)[0]
         seen = adjoint[0]  # (n_freq, n_sensors, n)
-        kappa = self.kappa[0, self.element].T  # (n_freq, n_stretches)
-        stretched = self.stretches[0].to(whole.dtype) @ whole
-        pulled = seen @ self.pulls[0].T.to(seen.dtype)
-        n_freq, n_sensors, n_inputs = len(kappa), seen.shape[1], whole.shape[2]
+        kappa = self.kappa[0, self.element, :, None]
+        # all that follows has stretches, elements or numbers first, then n_freq
+        stretched = (self.stretches[0].to(whole.dtype) @ whole).transpose(0, 1)
+        pulled = (seen @ self.pulls[0].T.to(seen.dtype)).permute(2, 0, 1)
+        n_freq, n_sensors, n_inputs = len(seen), seen.shape[1], whole.shape[2]
+        shape = n_freq, n_sensors, n_inputs
         # what each element and each mass does to each sensor for each input
-        squares = (pulled.mT[..., None] * stretched[:, :, None]).flatten(2)
-        elements = squares.new_zeros(n_freq, self.kappa.shape[1], squares.shape[2])
-        elements = elements.index_add(1, self.element, squares)
-        inertia = (seen.mT[..., None] * motion[0][:, :, None]).flatten(2)
-        both = torch.cat([elements, inertia], dim=1).transpose(0, 1)
-        stiffness = torch.cat([changes.kappa, -changes.inertia.to(whole.dtype)], dim=1)
+        squares = pulled[..., None] * stretched[:, :, None]
+        elements = squares.new_zeros(self.kappa.shape[1], *shape)
+        elements = elements.index_add(0, self.element, squares)
+        moving, moved = seen.permute(2, 0, 1), motion[0].transpose(0, 1)
+        found = squares.new_zeros(len(changes.kappa), *shape)
         # a number changes few of the elements and masses: only those are taken
-        row, k = (stiffness != 0).any(dim=2).nonzero(as_tuple=True)
-        found = both.new_zeros(len(stiffness), *both.shape[1:])
-        found = found.index_add(0, row, stiffness[row, k, :, None] * both[k])
+        row, k = _changed(changes.kappa)
+        found.index_add_(0, row, changes.kappa[row, k, :, None, None] * elements[k])
+        row, k = _changed(changes.inertia)
+        inertia = changes.inertia[row, k, :, None] * moving[k]
+        found.index_add_(0, row, inertia[..., None] * -moved[k, :, None])
         # few factors of the coordinates depend on a number: only those are taken
         k, i = _changing(changes.pulls)
-        weights = seen[:, :, i, None] * (kappa[..., None] * stretched)[:, None, k]
         factors = changes.pulls[:, k, i]
+        weights = moving[i, :, :, None] * (kappa * stretched)[k, :, None]
         k, i = _changing(changes.stretches)
-        loads = (pulled * kappa[:, None])[:, :, k, None] * whole[:, None, i]
         factors = torch.cat([factors, changes.stretches[:, k, i]], dim=1)
-        weights = torch.cat([weights, loads], dim=2).permute(2, 0, 1, 3).flatten(2)
-        found = -(found + (factors.to(whole.dtype) @ weights.flatten(1)).view_as(found))
-        found = found.unflatten(2, (n_sensors, n_inputs))
+        loads = (kappa * pulled)[k, ..., None] * whole.transpose(0, 1)[i, :, None]
+        weights = torch.view_as_real(torch.cat([weights, loads])).flatten(1)
+        found = -(found + torch.view_as_complex((factors @ weights).view(-1, *shape, 2)))
         rows = _moving(changes.places)
         found[rows] += changes.places[rows, None].to(whole.dtype) @ whole
         rows = _moving(changes.inputs)
-        below = self.places[0, :, n:] - (pulled * kappa[:, None]) @ self.stretches[0, :, n:].to(
-            whole.dtype
-        )
+        loads = (kappa * pulled).permute(1, 2, 0)
+        below = self.places[0, :, n:] - loads @ self.stretches[0, :, n:].to(whole.dtype)
         found[rows] += below @ changes.inputs[rows]
         slopes: Tensor = found.permute(0, 3, 2, 1)
         if self.gains is not None and changes.gains is not None:
@@ -167,6 +168,11 @@ def _changing(factors: Tensor) -> tuple[Tensor, ...]:
     return (factors != 0).any(dim=0).nonzero(as_tuple=True)
 
 
+def _changed(values: Tensor) -> tuple[Tensor, ...]:
+    """Return rows and elements of (n_rows, n_elements, n_freq) that are not 0 at a frequency."""
+    return (values != 0).any(dim=2).nonzero(as_tuple=True)
+
+
 def _moving(values: Tensor) -> Tensor:
     """Return the numbers of the rows that are not 0."""
     return (values != 0).flatten(1).any(dim=1).nonzero()[:, 0]
@@ -181,12 +187,12 @@ def equations(
     found = acting(layout, p)
     elements = {id(one.element): one.element for one in found}
     place = {key: i for i, key in enumerate(elements)}
-    kappa = [element.at(omega).expand(-1, len(omega)) for element in elements.values()]
+    kappa = Element.stacked(list(elements.values())).at(omega)
     inertia = torch.stack(masses(parts, p), dim=1) * omega**2
     like = p["speed"]
     pulls = [one.stretch if one.pull is None else one.pull for one in found]
     return Equations(
-        kappa=torch.stack(kappa, dim=1),
+        kappa=kappa,
         element=torch.tensor([place[id(one.element)] for one in found], device=omega.device),
         stretches=_matrix([one.stretch for one in found], (*moving, *wheels), like),
         pulls=_matrix(pulls, moving, like),
@@ -200,7 +206,7 @@ def equations(
 def _matrix(rows: Sequence[Row], names: Sequence[str], like: Tensor) -> Tensor:
     """Return factors of the coordinates `names`, (n_vehicles, n_rows, n_names); others are held."""
     column = {name: i for i, name in enumerate(names)}
-    known = like.new_zeros(len(rows) * len(names))
+    known = [0.0] * (len(rows) * len(names))
     # many factors are the same tensor: each is taken once
     values: dict[int, Tensor] = {}
     order, where = [], []
@@ -215,7 +221,7 @@ def _matrix(rows: Sequence[Row], names: Sequence[str], like: Tensor) -> Tensor:
                 where.append(place)
             else:
                 known[place] = value
-    flat = known.expand(len(like), -1)
+    flat = like.new_tensor(known).expand(len(like), -1)
     if values:
         number = {key: j for j, key in enumerate(values)}
         chosen = torch.tensor([number[key] for key in order], device=like.device)

@@ -80,7 +80,10 @@ class Element:
     loss: Tensor | None = None
 
     def at(self, omega: Tensor) -> Tensor:
-        """Return kappa at angular frequencies (n_freq,) [rad/s], (n_vehicles, n_freq), [N/m]."""
+        """Return kappa at angular frequencies (n_freq,) [rad/s], (n_vehicles, n_freq), [N/m].
+
+        The shape is (n_vehicles, n_elements, n_freq) of elements that are `stacked`.
+        """
         real, imaginary = self.stiffness, torch.zeros_like(self.stiffness)
         if self.damping is not None:
             imaginary = imaginary + self.damping * omega
@@ -93,6 +96,28 @@ class Element:
             real = torch.addcmul(real, share, omega)
             imaginary = torch.addcmul(imaginary, share, rate)
         return torch.complex(*torch.broadcast_tensors(real, imaginary))
+
+    @classmethod
+    def stacked(cls, elements: Sequence[Element]) -> Element:
+        """Return elements as one, its numbers and kappa of shape (n_vehicles, n_elements, ...).
+
+        What an element has not is 0.
+        """
+        none = torch.zeros_like(elements[0].stiffness)
+
+        def column(values: Sequence[Tensor | None]) -> Tensor:
+            return torch.stack([none if one is None else one for one in values], dim=1)
+
+        n_branches = max(len(one.branches) for one in elements)
+        absent = none, torch.ones_like(none)
+        padded = [[*one.branches, *[absent] * n_branches] for one in elements]
+        branches = [[one[j] for one in padded] for j in range(n_branches)]
+        return cls(
+            column([one.stiffness for one in elements]),
+            column([one.damping for one in elements]),
+            [(column([k for k, _ in one]), column([rate for _, rate in one])) for one in branches],
+            column([one.loss for one in elements]),
+        )
 
     def times(self, factor: float) -> Element:
         """Return as many of these elements side by side as a factor."""
