@@ -52,6 +52,10 @@ class EstimateSettings(Counts):
 
     kind: ClassVar[str] = "trips"
 
+    # fewer than of other curves: their bounds with all numbers of a vehicle took half of a training
+    n_test: int | str = setting(
+        1_000, "Number of test curves, or all", rule="whole number; 1 to 1e8"
+    )
     speed_m_per_s: float = setting(
         70.0, "Speed of the trips that the model reads, as the line's", "m/s", above=0.1, below=200
     )
