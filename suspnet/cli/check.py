@@ -90,7 +90,7 @@ def exit_code(checks: Sequence[TripCheck], elsewhere: Sequence[str]) -> int:
 def next_steps(
     arguments: Namespace, checks: Sequence[TripCheck], option_of: Mapping[str, str], code: int
 ) -> list[str]:
-    """Return lines with the command to run next, where `code`, the exit code, is 0.
+    """Return lines with the command to run next; `code` is the exit code.
 
     `option_of` is how ``vehicle=`` names each known vehicle. Without the numbers of a vehicle the
     next command is the check with them, whatever the code; otherwise the training on the folder, or
@@ -110,12 +110,13 @@ def next_steps(
     folder, *others = arguments.trips
     if any(one.unchecked for one in checks) or not all(n >= LEAST_TRIPS for n in n_ready):
         return []
-    if code or others or not folder.is_dir() or len(vehicles) != 1:
+    if others or not folder.is_dir() or len(vehicles) != 1:
         return []
+    when = "with the problems mended, run" if code else "then run"
     if arguments.run:
         runs = [str(run) for run in arguments.run]
         run = runs[0] if len(runs) == 1 else f"[{','.join(runs)}]"
-        return [f"then run: {join(['suspnet', 'evaluate', f'trips={folder}', f'run={run}'])}"]
+        return [f"{when}: {join(['suspnet', 'evaluate', f'trips={folder}', f'run={run}'])}"]
     ready = [check for check in checks if check.state == READY]
     minutes = max(1, round(median(check.duration_s for check in ready) / 60))
     n_healthy = min(N_HEALTHY, *n_ready)
@@ -130,9 +131,10 @@ def next_steps(
         *([f"data.minutes={minutes}"] if minutes != USUAL_MINUTES else []),
     ]
     return [
-        f"then run: {join(train)}",
+        f"{when}: {join(train)}",
         f"  n_healthy={n_healthy}: the first {n_healthy} trips of each suspension by mileage are "
         "taken as healthy; give as many as were run before any wear",
+        *(["  a number of each: 'n_healthy={NAME:8,NAME:4}'"] if len(n_ready) > 1 else []),
     ]
 
 

@@ -39,7 +39,8 @@ class HealthySettings:
 
     n_healthy: int | None = setting(
         None,
-        "Number of the first trips of each suspension by mileage that are used; null is all",
+        "Number of the first trips of each suspension by mileage that are used, or {NAME: number} "
+        "of several; null is all",
         low=LEAST_TRIPS,
     )
     workers: int = setting(
@@ -67,16 +68,17 @@ class Messages:
     error: str = ""
 
 
-def several_suspensions(config: DictConfig) -> list[Group]:
-    """Return the suspensions of ``healthy=``; [] if it is null or the folder of one.
+def suspensions(config: DictConfig) -> list[Group]:
+    """Return the suspensions of ``healthy=``; [] if it is null.
 
     FileNotFoundError if the folder is missing or holds no manifest.
     """
-    if config.healthy is None:
-        return []
-    folder = Path(config.healthy)
-    groups = find_groups(folder)
-    return [] if len(groups) == 1 and groups[0].folder == folder else groups
+    return [] if config.healthy is None else find_groups(Path(config.healthy))
+
+
+def are_several(config: DictConfig, groups: Sequence[Group]) -> bool:
+    """Return whether ``healthy=`` is of several suspensions, or of a folder of their folders."""
+    return len(groups) > 1 or (bool(groups) and groups[0].folder != Path(config.healthy))
 
 
 def train_fleet(
@@ -96,7 +98,8 @@ def train_fleet(
         )
     # finished runs stay; a resumed run trains only the missing ones
     failed = {group.name: group.error for group in groups if group.error}
-    runs = [_run(config, group, folder) for group in groups if not group.error]
+    numbers = first_trips(config.n_healthy, [group.name for group in groups])
+    runs = [_run(config, one, folder, numbers[one.name]) for one in groups if not one.error]
     missing = [r for r in runs if not folders.is_finished(OmegaConf.create(r.config), r.folder)]
     # no fleet.json of an earlier attempt may remain if this one fails
     folders.start_again(folder)
@@ -130,9 +133,27 @@ def train_fleet(
     write_json(folder / folders.FLEET, rows)
 
 
-def _run(config: DictConfig, group: Group, folder: Path) -> Run:
+def first_trips(given: Any, names: Sequence[str]) -> dict[str, int | None]:
+    """Return the number of healthy trips of each suspension, from one of all or one of each.
+
+    TypeError or ValueError if a number is not at least three, or of another suspension or missing.
+    """
+    of_each = isinstance(given, DictConfig)
+    numbers: dict[Any, int | None] = dict(given) if of_each else dict.fromkeys(names, given)
+    if numbers.keys() != set(names):
+        raise ValueError(
+            f"n_healthy must be a number, or name each suspension of the folder ({', '.join(names)}"
+            f"), as n_healthy={{{names[0]}:5,...}}; it names {', '.join(map(str, numbers))}"
+        )
+    for number in numbers.values():
+        check_values(HealthySettings, n_healthy=number)
+    return numbers
+
+
+def _run(config: DictConfig, group: Group, folder: Path, n_healthy: int | None) -> Run:
     """Return the run of a suspension, with its own trips and bogie."""
     one = config.copy()
+    one.n_healthy = n_healthy
     one.ablation_name = config.ablation_name  # resolved here, as workers run without Hydra
     one.healthy = str(group.folder)
     one.progress = False

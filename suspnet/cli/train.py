@@ -8,13 +8,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
+from shlex import join
 from typing import Any
 
 from omegaconf import DictConfig, ListConfig
 from sklearn.exceptions import ConvergenceWarning
 
 from suspnet.cli import folders, program
-from suspnet.cli.commission_fleet import HealthySettings, several_suspensions, train_fleet
+from suspnet.cli.commission_fleet import HealthySettings, are_several, suspensions, train_fleet
 from suspnet.cli.kinds import build
 from suspnet.dynamics import ResponseGenerator, VerticalVehicle
 from suspnet.estimation.bogie_fit import CommissionedBogie
@@ -75,21 +76,26 @@ def main(config: DictConfig) -> None:
     warnings.simplefilter("always", ConvergenceWarning)
     check_language(config.language)
     ranks.start(config.device)
-    folder = program.run_folder()
+    folder, groups = program.run_folder(), suspensions(config)
+    if len(groups) == 1 and groups[0].place.bogie and config.generator.get("bogie") == "leading":
+        config = config.copy()  # that of the manifests, unless another one than usual is asked for
+        config.generator.bogie = groups[0].place.bogie
     finished = folders.finished_run(config, folder)
     may_have_grown = (folder / folders.FLEET).is_file()  # by another suspension
     if finished is not None and not (finished == folder and may_have_grown):
         log.info("finished before: %s", finished)
         return
-    groups = several_suspensions(config)
-    if groups:
+    if are_several(config, groups):
         one = _at_a_speed(config)
         _check_healthy(one)
         check_generator(build(one, "generator"))
         train_fleet(config, folder, groups, _run)
-        return
-    folders.start_again(folder)
-    _run(config, folder, varied=folders.varied(config), draw=folders.is_first_of_its_vehicle())
+    else:
+        folders.start_again(folder)
+        _run(config, folder, varied=folders.varied(config), draw=folders.is_first_of_its_vehicle())
+    if groups:
+        read = ["suspnet", "evaluate", f"trips={config.healthy}", f"run={folder}"]
+        log.info("then run: %s", join(read))
 
 
 def _run(
@@ -148,7 +154,7 @@ def _at_a_speed(config: DictConfig) -> DictConfig:
 
 
 def _directions(config: DictConfig, healthy: _Healthy | None) -> Sequence[Direction]:
-    """Return the directions of travel to train for: as asked for, else those of healthy trips."""
+    """Return the directions of travel to train for: as asked for, else those of the trips."""
     if config.direction is None:
         return healthy.directions if healthy else (config.generator.get("direction", FORWARD),)
     check_choice("direction", config.direction, (*DIRECTIONS, BOTH))
@@ -209,7 +215,6 @@ def _check_healthy(config: DictConfig) -> EstimateSettings:
     settings = build(config, "data")
     if not isinstance(settings, EstimateSettings):
         raise ValueError("healthy= is for models that read trips: experiment=trips")
-    check_values(HealthySettings, n_healthy=config.n_healthy)
     return settings
 
 
@@ -226,6 +231,7 @@ def _commissioned(
             raise ValueError(NO_PARTS)
         return None
     settings, trips = _check_healthy(config), TripSettings()
+    check_values(HealthySettings, n_healthy=config.n_healthy)
     generator = build(config, "generator")
     found = read_folder(
         Path(config.healthy),
@@ -245,9 +251,8 @@ def _commissioned(
     with speaking(config.language):
         write_outcome(folder, found, outcome, bogie)
     speeds = tuple(group.speed_m_per_s for group in found.groups)
-    run = tuple(one for one in DIRECTIONS if one in {group.direction for group in found.groups})
     notes = training_notes(found, outcome)
-    return _Healthy(outcome.generator, notes, outcome.residual, speeds, run, bogie)
+    return _Healthy(outcome.generator, notes, outcome.residual, speeds, found.directions, bogie)
 
 
 def _generator(config: DictConfig, healthy: _Healthy | None) -> ResponseGenerator:

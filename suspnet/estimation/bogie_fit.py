@@ -122,6 +122,16 @@ class PartsEstimate:
         return Estimate(COMPONENTS, *rows, high, self.level, Flags.none(1))
 
 
+def healthy_search(generator: SpatialVehicle, trips: Sequence[BogieTrip]) -> BogieSearch:
+    """Return the search for the vehicle that healthy trips show, the prior its distribution."""
+    assert generator.distribution is not None
+    # the free spectra hold the densities of cross level and alignment
+    prior = generator.distribution.without(("cross_level", "alignment"))
+    noise = torch.stack([smallest_noise(trip.spectra) for trip in trips]).amin(dim=0)
+    vehicle = replace(generator, distribution=prior)
+    return BogieSearch(vehicle, [noise] * len(trips), trips, are_healthy=True)
+
+
 def commission_bogie(generator: SpatialVehicle, trips: Sequence[BogieTrip]) -> CommissionedBogie:
     """Return the most probable vehicle given healthy trips.
 
@@ -144,11 +154,8 @@ def commission_bogie(generator: SpatialVehicle, trips: Sequence[BogieTrip]) -> C
         raise ValueError(f"{len(trips)} healthy trips are given, at least {LEAST_TRIPS} are needed")
     if lost := sorted({name for trip in trips for name in trip.lost}):
         raise ValueError(f"healthy trips need all sensors, one has none at {', '.join(lost)}")
-    # the free spectra hold the densities of cross level and alignment
-    prior = generator.distribution.without(("cross_level", "alignment"))
-    generator = replace(generator, distribution=prior)
-    noise = torch.stack([smallest_noise(trip.spectra) for trip in trips]).amin(dim=0)
-    fit = BogieSearch(generator, [noise] * len(trips), trips, are_healthy=True)
+    fit = healthy_search(generator, trips)
+    generator, prior = fit.generator, fit.numbers
     found = fit.found(EXPLAINED)
     fit, x, misfit, n = found.fit, found.x, found.misfit, fit.n_numbers
     covariance = fit.covariance(x, max(1.0, misfit) ** 2)[:n, :n]

@@ -135,14 +135,15 @@ class BogieSearch:
         return self.trips[0].frequencies_hz
 
     @cached_property
-    def _numbers(self) -> LogNormal:
+    def numbers(self) -> LogNormal:
+        """Distribution of the vehicle's uncertain numbers."""
         assert self.generator.distribution is not None
         return self.generator.distribution
 
     @property
     def n_numbers(self) -> int:
         """Number of the vehicle's uncertain numbers."""
-        return len(self._numbers.names)
+        return len(self.numbers.names)
 
     @property
     def _n_own(self) -> int:
@@ -344,7 +345,7 @@ class BogieSearch:
         x = np.clip(x, -FURTHEST, FURTHEST)  # a step from afar may overflow
         own = np.zeros(N_OWN)
         own[-self._n_own :] = x[self.n_numbers :].reshape(len(self.trips), -1)[i]
-        numbers = self._numbers.ratios(x[None, : self.n_numbers])
+        numbers = self.numbers.ratios(x[None, : self.n_numbers])
         parts = torch.as_tensor(np.exp(own))[None]
         return self.generator.with_uncertain(parts, torch.as_tensor(numbers))
 
@@ -359,7 +360,7 @@ class BogieSearch:
         """Changes of the logarithms of the columns with each coordinate, (n, n_columns)."""
         n, columns = self.n_numbers, self.generator.uncertain_columns
         found = torch.zeros(n + N_OWN, len(self.generator.columns), dtype=torch.float64)
-        found[:n, columns] = torch.tensor(self._numbers.factor.T.copy())
+        found[:n, columns] = torch.tensor(self.numbers.factor.T.copy())
         found[n + torch.arange(N_OWN), torch.arange(N_OWN)] = 1.0
         return torch.cat([found[:n], found[n + N_OWN - self._n_own :]])
 

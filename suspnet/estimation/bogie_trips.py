@@ -176,7 +176,7 @@ def estimate_parts(
             "the sensors"
         )
     found = parts.as_estimate()
-    flags = with_doubt(found.flags, has_converged=bogie.converged)
+    flags = with_doubt(found.flags, has_converged=bogie.converged, misfit=bogie.misfit)
     worn = worn_words(worn_parts(parts))
     estimate = replace(found, flags=flags, healthy=bogie.healthy, found=worn)
     if parts.converged:

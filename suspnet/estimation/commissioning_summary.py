@@ -215,6 +215,10 @@ AS_EQUAL = "With both sides and axles as equal, for trips that do not show their
 """Start of the sentence on the vertical vehicle where each part is to be read."""
 
 
+SHOWS_MASS = 2 * EXPLAINED
+"""Largest misfit of the parts with which the mass of the healthy trips is told."""
+
+
 def doubts_of_parts(bogie: CommissionedBogie) -> list[str]:
     """Return a sentence for each reason not to rely on a bogie of which each part is read."""
     found = []
@@ -226,7 +230,9 @@ def doubts_of_parts(bogie: CommissionedBogie) -> list[str]:
         )
     if not bogie.converged:
         found.append(NOT_CONVERGED)
-    return [*found, *filter(None, [mass_doubt(bogie.masses)])]
+    # what does not explain the trips shows no mass either
+    doubt = mass_doubt(bogie.masses) if bogie.misfit <= SHOWS_MASS else None
+    return [*found, *filter(None, [doubt])]
 
 
 def calm_of_parts() -> str:

@@ -21,6 +21,8 @@ KINDS = ("missing", "cloud", "range", "misfit", "physics", "sides")
 ENDS = ("value", "low", "high")
 SHOWN = 10
 """Number of rows in the printed form."""
+AXLE_SHARE = 0.5
+"""A primary spring or damper over that of its side, which both axles share."""
 HEALTHY = "healthy_"
 """Name prefix of the uncertain numbers that are factors on the healthy values."""
 
@@ -157,7 +159,8 @@ class HealthyValues:
 
     They are the median of the generator's distribution, if it has one: the posterior of
     commissioning, or a prior about the vehicle file's values. The car body's is the nominal mass,
-    without payload. `names` are from ``PARAMETERS`` or ``COMPONENTS``, `values` (n,) in SI units;
+    without payload; a primary spring or damper is half of its side's. `names` are from
+    ``PARAMETERS`` or ``COMPONENTS``, `values` (n,) in SI units;
     `deviations` (n,) are standard deviations of their logarithms, 0 where they are assumed to be
     known.
     """
@@ -179,7 +182,8 @@ class HealthyValues:
             # a part differs by a factor of its own from the mean of its kind
             factors = {f"{HEALTHY}{kind_of(name)}", f"{HEALTHY}{name}"} & set(known.names)
             of = [known.names.index(factor) for factor in sorted(factors)]
-            values.append(nominal[kind_of(name)] * math.exp(sum(known.mean[i] for i in of)))
+            share = AXLE_SHARE if "_axle" in name else 1.0
+            values.append(share * nominal[kind_of(name)] * math.exp(sum(known.mean[i] for i in of)))
             deviations.append(math.sqrt(max(0.0, covariance[np.ix_(of, of)].sum())))
         return cls(tuple(names), np.array(values), np.array(deviations))
 

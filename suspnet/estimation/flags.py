@@ -150,8 +150,17 @@ NOT_CONVERGED = (
 """Flag of every trip that is read with such a vehicle."""
 
 
-def with_doubt(flags: Flags, *, has_converged: bool) -> Flags:
-    """Return the flags of a trip, with the doubt about the healthy vehicle it is compared with."""
+def with_doubt(flags: Flags, *, has_converged: bool, misfit: float = 1.0) -> Flags:
+    """Return the flags of a trip, with the doubt about the healthy vehicle it is compared with.
+
+    `misfit` is that of a bogie of which each part is read; `Unexplained` has that of others.
+    """
+    if misfit > UNTRUSTED:
+        flags = flags.with_kind(
+            "physics",
+            f"the bogie leaves {misfit:.3g} times the noise of its healthy trips unexplained, so "
+            "intervals of parts do not hold: look at its commissioning",
+        )
     return flags if has_converged else flags.with_kind("physics", NOT_CONVERGED)
 
 

@@ -22,7 +22,7 @@ from suspnet.estimation.from_recording import no_channel, unrepaired_words
 from suspnet.estimation.relative_velocity import CHANGING, relative_velocities
 from suspnet.estimation.steady_parts import groups_to_read, steady
 from suspnet.estimation.trip_settings import LEAST_TRIPS, TripSettings
-from suspnet.ground.parameters import FORWARD, Direction
+from suspnet.ground.parameters import DIRECTIONS, FORWARD, Direction
 from suspnet.ground.progress import bar
 from suspnet.ground.tensors import complex_log
 from suspnet.ground.types import ComplexArray, FloatArray
@@ -73,12 +73,20 @@ class HealthyTrips:
 
     `manifests` are those of the trips in use; `paired` tells which of axle box, frame and body have
     a sensor left and right; `left_out` are trips without a usable stretch, with the reason.
+    `later` are the directions of travel of the folder's other trips, as far as stated.
     """
 
     manifests: tuple[TripManifest, ...]
     groups: tuple[HealthySpectra, ...]
     paired: tuple[bool, bool, bool]
     left_out: tuple[str, ...] = ()
+    later: tuple[Direction, ...] = ()
+
+    @property
+    def directions(self) -> tuple[Direction, ...]:
+        """Directions of travel of all trips of the folder: each needs a model of its own."""
+        run = {*(group.direction for group in self.groups), *self.later}
+        return tuple(one for one in DIRECTIONS if one in run)
 
 
 def read_healthy(
@@ -120,7 +128,8 @@ def read_healthy(
     """
     manifests = [one.trip for one in paths or map(ManifestFile, find_manifests(folder))]
     manifests.sort(key=lambda manifest: manifest.mileage_km)
-    manifests = manifests[:n_first]
+    n_first = len(manifests) if n_first is None else n_first
+    manifests, later = manifests[:n_first], manifests[n_first:]
     _check_same(folder, manifests, generator)
     # a trip without a usable stretch is left out, with the reason
     kept: list[TripManifest] = []
@@ -155,7 +164,8 @@ def read_healthy(
             f"{folder}: some healthy trips have sensors left and right where others have one; "
             "commission on trips with the same sensors"
         )
-    return HealthyTrips(tuple(kept), tuple(groups), paired.pop(), tuple(left_out))
+    stated = tuple(manifest.direction for manifest in later if manifest.direction is not None)
+    return HealthyTrips(tuple(kept), tuple(groups), paired.pop(), tuple(left_out), stated)
 
 
 def _check_same(

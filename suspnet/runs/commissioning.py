@@ -16,7 +16,7 @@ from suspnet.estimation.bogie_trips import PARTS_OF_BOGIE, bogie_trip, sensor_pl
 from suspnet.estimation.commissioning import Commissioned, commission
 from suspnet.estimation.healthy_trips import HealthyTrips, read_healthy
 from suspnet.estimation.lone_sensors import SIDE_M
-from suspnet.estimation.swapped_sensors import check_order
+from suspnet.estimation.swapped_sensors import check_bogie, check_order
 from suspnet.estimation.trip_settings import TripSettings
 from suspnet.ground.parameters import Direction
 from suspnet.ground.tensors import threads
@@ -158,7 +158,10 @@ def _commissioned_bogie(
             partial(check_order, vehicle, trip, f"{manifest.path}: ")
             for (manifest, _), trip in zip(each, read, strict=True)
         )
-    return commission_bogie(vehicle, read)
+    found = commission_bogie(vehicle, read)
+    if trips.check_channels:
+        check_bogie(vehicle, read, found.misfit, f"{each[0][0].path.parent}: ")
+    return found
 
 
 def reported(bogie: CommissionedBogie) -> CommissionedBogie:

@@ -242,7 +242,7 @@ def _check_swapped(sides: Tensor, isolated: Tensor, paired: Sequence[bool]) -> N
         names = " and ".join(CHANNELS[channels[i]] for i in (one, other))
         raise TripError(
             f"{names}: their {side} sensors look swapped: with them exchanged left and right of "
-            "both agree; exchange them in the manifest"
+            "both agree; exchange the columns of their lines in the manifest"
         )
 
 

@@ -340,13 +340,15 @@ def test_training_is_the_next_command_and_can_be_copied():
         "then run: suspnet train vehicle=our_file experiment=trips healthy=. n_healthy=3 "
         "generator.bogie=trailing"
     )
+    after = steps(code=1)[0]
+    assert after.startswith("with the problems mended, run: suspnet train vehicle=our_file ")
     (read,) = steps("--run", "outputs/one", "--run", "outputs/two")
     assert read == "then run: suspnet evaluate trips=. 'run=[outputs/one,outputs/two]'"
 
 
 @pytest.mark.parametrize(
     ("code", "n", "changes"),
-    [(1, 6, {}), (0, 2, {}), (0, 6, {"state": TOO_LITTLE}), (0, 6, {"unchecked": True})],
+    [(0, 2, {}), (0, 6, {"state": TOO_LITTLE}), (0, 6, {"unchecked": True})],
 )
 def test_no_training_is_proposed_that_would_fail(code, n, changes):
     assert steps(code=code, n=n, **changes) == []

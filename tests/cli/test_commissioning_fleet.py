@@ -159,6 +159,13 @@ def test_range_of_speeds_is_several_models_of_each_suspension(fleet, tmp_path):
     assert all(row["rms_percent"]["k_p"] > 0 for row in rows)
 
 
+def test_each_suspension_may_have_its_own_number_of_healthy_trips(quick, fleet, tmp_path):
+    assert commission_fleet.first_trips(7, ["one", "two"]) == {"one": 7, "two": 7}
+    assert trained(tmp_path / "run", fleet, "n_healthy={two:4,one:3}") == 0
+    for name, number in (("one", 3), ("two", 4)):
+        assert OmegaConf.load(tmp_path / "run" / name / "config.yaml").n_healthy == number
+
+
 def test_failing_suspension_is_told_and_stops_no_other(quick, fleet, tmp_path, caplog):
     next((fleet / "one").glob("*.yaml")).unlink()
     (fleet / "empty").mkdir()
@@ -242,6 +249,8 @@ def test_warnings_of_a_run_are_told_with_its_name(quick, fleet, tmp_path, monkey
     [
         (["generator=quarter_car"], "cannot be commissioned as a QuarterCar"),
         (["n_healthy=2"], "`n_healthy` must be a whole number >= 3 or null"),
+        (["n_healthy={one:3,two:2}"], "`n_healthy` must be a whole number >= 3 or null"),
+        (["n_healthy={one:3}"], "or name each suspension of the folder (one, two)"),
         (["workers=0"], "`workers` must be a whole number >= 1"),
     ],
 )

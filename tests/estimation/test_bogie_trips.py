@@ -127,15 +127,24 @@ def test_search_that_did_not_end_is_told(short, monkeypatch, caplog, converged):
     assert ("wrong ones may be named" in caplog.text) == (not converged)
 
 
-@pytest.mark.parametrize("converged", [True, False])
-def test_parts_read_with_a_bogie_that_did_not_converge_are_flagged(monkeypatch, converged):
+@pytest.mark.parametrize(
+    ("converged", "misfit", "reason"),
+    [(True, 4.9, ""), (False, 1.0, NOT_CONVERGED), (True, 15.1, "the bogie leaves 15.1 times the")],
+)
+def test_parts_read_with_a_doubtful_bogie_are_flagged(monkeypatch, converged, misfit, reason):
     monkeypatch.setattr(bogie_trips, "bogie_trip", lambda *_: None)
     parts = PartsEstimate(np.ones(13), 1e-4 * np.eye(13), 1.0, True, 0.9)
     bogie = SimpleNamespace(
-        generator=VEHICLE, misfit=1.0, converged=converged, healthy=None, estimate=lambda *_: parts
+        generator=VEHICLE,
+        misfit=misfit,
+        converged=converged,
+        healthy=None,
+        estimate=lambda *_: parts,
     )
     estimate = estimate_parts(bogie, None, TripSettings(check_channels=False))
-    assert estimate.flags.reasons == ("" if converged else NOT_CONVERGED,)
+    (found,) = estimate.flags.reasons
+    assert found.startswith(reason)
+    assert bool(found) == bool(reason)
 
 
 def test_a_short_or_slow_trip_has_no_estimate(tmp_path, short):

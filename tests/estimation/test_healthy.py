@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from vehicles import AM96
 
-from suspnet.dynamics import PARAMETERS, QuarterCar, VerticalVehicle
+from suspnet.dynamics import PARAMETERS, QuarterCar, SpatialVehicle, VerticalVehicle
 from suspnet.dynamics.quantities import LogNormal
 from suspnet.estimation.estimate import Estimate, Flags, HealthyValues
+from suspnet.ground.parameters import COMPONENTS, SIDES
 
 POSTERIOR = LogNormal(
     ("healthy_c_p", "body_gyration", "healthy_k_s"),
@@ -34,6 +35,16 @@ def test_commissioned_healthy_values_are_the_posterior():
     k_s, c_p, mass = (AM96.healthy_values()[i] for i in (2, 1, 4))
     np.testing.assert_allclose(found.values, [1.2 * k_s, 0.5 * c_p, mass])
     np.testing.assert_allclose(found.deviations, [0.01, 0.2, 0.0])
+
+
+def test_primary_parts_are_those_of_one_axle_box():
+    vehicle = SpatialVehicle(AM96, sensors=("body_left", "body_right"))
+    healthy = dict(zip(COMPONENTS, HealthyValues.of(vehicle, COMPONENTS).values, strict=True))
+    k_p, c_p, k_s, c_s, mass = AM96.healthy_values()
+    for corner in ("axle1_left", "axle1_right", "axle2_left", "axle2_right"):
+        assert (healthy[f"k_p_{corner}"], healthy[f"c_p_{corner}"]) == (k_p / 2, c_p / 2)
+    assert [healthy[f"{k}_{s}"] for k in ("k_s", "c_s") for s in SIDES] == [k_s, k_s, c_s, c_s]
+    assert healthy["M_s"] == mass
 
 
 def test_si_interval_holds_the_uncertainty_of_the_healthy_value():

@@ -1,14 +1,15 @@
 """Sensors of a bogie in each other's place: found by the drawing alone, and no others."""
 
+from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
 import pytest
-from test_bogie_fit import VEHICLE, drawn, row, trip, without
+from test_bogie_fit import MASSES, VEHICLE, drawn, row, trip, without
 
 from suspnet.estimation import swapped_sensors
 from suspnet.estimation.bogie_search import BogieSearch, smallest_noise
-from suspnet.estimation.swapped_sensors import check_order, likeliest_order
+from suspnet.estimation.swapped_sensors import check_bogie, check_order, likeliest_order
 from suspnet.recordings.errors import TripError
 
 PAIRS = list(combinations(range(6), 2))
@@ -47,7 +48,7 @@ def test_two_sensors_that_are_swapped_are_named(i, j, lost):
     names = f"trip_7.yaml: {VEHICLE.sensors[i]} and {VEHICLE.sensors[j]} look swapped: with them"
     with pytest.raises(TripError, match=names) as error:
         check_order(VEHICLE, one, "trip_7.yaml: ")
-    assert "exchange them in the manifest" in str(error.value)
+    assert "exchange the columns of their lines in the manifest" in str(error.value)
 
 
 def test_an_exchange_that_no_fit_confirms_is_none(monkeypatch):
@@ -55,6 +56,20 @@ def test_an_exchange_that_no_fit_confirms_is_none(monkeypatch):
     one = trip(drawn(VEHICLE, row({}), 7), 70.0)
     monkeypatch.setattr(swapped_sensors, "likeliest_order", lambda *_: [1, 0, 2, 3, 4, 5])
     check_order(VEHICLE, one)
+
+
+@pytest.mark.parametrize("misfit", [1.9, 9.0])
+@pytest.mark.parametrize("end", ["leading", "trailing"])
+def test_healthy_trips_of_the_other_bogie_are_refused(end, misfit):
+    """The bogie is looked at where the trips are not explained, and named if it is the reason."""
+    trips = [trip(drawn(VEHICLE, row({}, m), i), 70.0) for i, m in enumerate(MASSES)]
+    given = replace(VEHICLE, bogie=end)
+    if (end, misfit) != ("trailing", 9.0):
+        check_bogie(given, trips, misfit)
+        return
+    with pytest.raises(TripError, match="car7: the healthy trips fit the leading bogie") as error:
+        check_bogie(given, trips, misfit, "car7: ")
+    assert "and not the trailing one that is given, with 9;" in str(error.value)
 
 
 # reference
