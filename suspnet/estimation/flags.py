@@ -159,7 +159,7 @@ def with_doubt(flags: Flags, *, has_converged: bool, misfit: float = 1.0) -> Fla
         flags = flags.with_kind(
             "physics",
             f"the bogie leaves {misfit:.3g} times the noise of its healthy trips unexplained, so "
-            "intervals of parts do not hold: look at its commissioning",
+            "intervals of parts do not hold; look at its commissioning page",
         )
     return flags if has_converged else flags.with_kind("physics", NOT_CONVERGED)
 
