@@ -137,8 +137,9 @@ def _imported(name: str) -> ModuleType:
     """
     with signals.until_it_listens():
         module = import_module(f"suspnet.cli.{name}")
-    gc.freeze()
-    gc.enable()
+    if not gc.isenabled():  # once, not in each job of a multirun, whose garbage would stay
+        gc.freeze()
+        gc.enable()
     return module
 
 
