@@ -30,10 +30,9 @@ from suspnet.recordings.manifest_files import ManifestFile
 from suspnet.report.language import check_language, speaking
 from suspnet.runs.commissioning import (
     check_generator,
+    commission_parts,
     commission_trips,
-    parts_of,
     read_folder,
-    reported,
 )
 from suspnet.runs.commissioning_page import training_notes, write_outcome
 from suspnet.runs.dataset import write_dataset
@@ -115,7 +114,7 @@ def _run(
     is_wanted = by_part and config.healthy is not None and config.threads != 1
     is_wanted &= not ranks.is_distributed()
     with alongside("suspnet.runs.commissioning", is_wanted=is_wanted) as start:
-        healthy = _commissioned(_at_a_speed(config), folder, paths, by_part, start)
+        healthy = _commissioned(_at_a_speed(config), folder, paths, by_part)
         speeds = config.speed_m_per_s
         if speeds is None:
             if healthy is None:
@@ -223,7 +222,6 @@ def _commissioned(
     folder: Path,
     paths: Sequence[ManifestFile] | None,
     by_part: bool,
-    start: Start,
 ) -> _Healthy | None:
     """Return the vehicle that healthy trips show; None without a folder of them."""
     if config.healthy is None:
@@ -240,14 +238,11 @@ def _commissioned(
         trips,
         paths=paths,
         n_first=config.n_healthy,
+        by_part=by_part,
         progress=config.progress,
     )
-    # both fits take about as long and neither needs the other
-    parts = start(parts_of(found, generator, trips)) if by_part else None
-    outcome = commission_trips(
-        found, generator, settings, by_part=by_part, progress=config.progress
-    )
-    bogie = reported(parts()) if parts else None  # the page is of both, and starts with the parts
+    bogie = commission_parts(found, trips) if by_part else None
+    outcome = commission_trips(found, generator, settings, bogie=bogie, progress=config.progress)
     with speaking(config.language):
         write_outcome(folder, found, outcome, bogie)
     speeds = tuple(group.speed_m_per_s for group in found.groups)

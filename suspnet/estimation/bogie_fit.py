@@ -75,9 +75,9 @@ class CommissionedBogie:
         """Return the ratio to healthy of every part on a later trip.
 
         `start` (13,) are ratios near it, such as those of `suspnet.train_parts`: the search
-        starts there, or from the healthy vehicle where that is nearer. None: it starts from the
-        healthy vehicle in bands that widen, and so it does again if that from `start` does not
-        explain the trip. ValueError if the trip has another number of sensors.
+        starts there, or from the healthy vehicle where that is nearer. If it does not explain the
+        trip, it starts from the healthy vehicle in bands that widen. ValueError if the trip has
+        another number of sensors.
         """
         assert self.generator.sensors is not None
         noise = self.noise[trip.kept(self.generator.sensors)]
@@ -85,10 +85,10 @@ class CommissionedBogie:
         mass = float(np.exp(np.log(self.masses).mean()))
         fit = BogieSearch(self.generator, [noise], [trip], are_healthy=False, mass=mass)
         explained = EXPLAINED * max(1.0, self.misfit)
-        found = None if start is None else fit.narrowed(fit.nearer(start), 2).finished()
-        if found is None or not (found.converged and found.misfit <= explained):
-            other = fit.found(explained)
-            found = other if found is None or other.misfit < found.misfit else found
+        near, first = (fit.start(), 0) if start is None else (fit.nearer(start), 2)
+        found = fit.narrowed(near, first).finished()
+        if not found.explains(explained):
+            found = min(found, fit.found(explained), key=lambda one: one.misfit)
         fit, x, misfit = found.fit, found.x, found.misfit
         unexplained = max(0.0, max(misfit, self.misfit) ** 2 - EXPLAINED**2)
         excess = max(1.0, misfit) ** 2 + ALIGNED**2 * fit.n_residuals * unexplained

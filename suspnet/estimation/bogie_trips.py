@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from suspnet.dynamics import SpatialVehicle
+from suspnet.dynamics import SpatialVehicle, VerticalVehicle
 from suspnet.dynamics.spatial_numbers import PLACES
 from suspnet.estimation.bogie_fit import CommissionedBogie
 from suspnet.estimation.bogie_search import BogieTrip
@@ -23,6 +23,7 @@ from suspnet.estimation.swapped_sensors import check_order
 from suspnet.estimation.trip_settings import TripSettings
 from suspnet.estimation.worn_parts import worn_parts, worn_words
 from suspnet.ground.parameters import COMPONENTS, FORWARD, Direction
+from suspnet.recordings.errors import TripError
 from suspnet.recordings.manifest import LEAST_SENSORS, TripManifest
 from suspnet.recordings.manifest_sources import MIDDLE, SIDES
 from suspnet.recordings.recording import Recording
@@ -36,6 +37,8 @@ PARTS_OF_BOGIE = (
     *("frame_sway", "frame_yaw", "body_yaw", "creep", "torsion", "yaw_dampers"),
 )
 """What a vehicle whose parts are read may have besides rigid bodies on springs and dampers."""
+SHARED = ("bogie", "axle", "frame_sensor", "body_sensor_m", "nominal")
+"""Settings that it shares with the vehicle of both sides as equal."""
 SEGMENT_S = 120.0
 """Length of a segment. The leakage of a Hann window of 20 s leaves a misfit of 4 to 7, of 60 s 1.4
 and of 120 s 1.05 (stepped trips of 20 minutes of the tests' rich train)."""
@@ -49,6 +52,34 @@ UNEXPLAINED = "all sensors together fit no bogie, however worn its parts are"
 
 class UnexplainedError(NoEstimateError):
     """No bogie whose parts alone have changed explains the trip."""
+
+
+def bogie_vehicle(manifests: Sequence[TripManifest], generator: VerticalVehicle) -> SpatialVehicle:
+    """Return the vehicle, with its prior, whose parts the sensors of some trips show.
+
+    `generator` gives vehicle and bogie, the manifests give the places of sensors. TripError is
+    raised if these differ, or do not show the parts.
+    """
+    folder = manifests[0].path.parent
+    several = {sensor_places(manifest, generator.frame_sensor) for manifest in manifests}
+    if len(several) > 1:
+        raise TripError(
+            f"{folder}: the healthy trips differ in their sensors; take those of one layout"
+        )
+    sensors = several.pop()
+    if not show_parts(sensors):
+        raise TripError(
+            f"{folder}: each part is read from at least {LEAST_SENSORS} sensors on both sides, "
+            f"best left and right at axle box, frame and body, the healthy trips have "
+            f"{', '.join(sensors) or 'none'}: give all sensors in the manifests with "
+            "`side` and `axle`, or take protocol=trips"
+        )
+    return SpatialVehicle(
+        generator.vehicle,
+        **{name: getattr(generator, name) for name in SHARED},
+        parts=PARTS_OF_BOGIE,
+        sensors=sensors,
+    ).with_prior()
 
 
 def bogie_trip(

@@ -37,6 +37,7 @@ from torch import Tensor
 
 from suspnet.dynamics import VerticalVehicle
 from suspnet.dynamics.quantities import MASS_MEAN, OF_THE_TRIP, QUANTITIES, LogNormal
+from suspnet.estimation.bogie_fit import CommissionedBogie
 from suspnet.estimation.damping_laws import Laws
 from suspnet.estimation.flags import Residual
 from suspnet.estimation.healthy_trips import HealthyMisfit, HealthySpectra, row_of
@@ -167,6 +168,7 @@ def commission(
     groups: Sequence[HealthySpectra],
     *,
     n_starts: int = N_STARTS,
+    near: CommissionedBogie | None = None,
     progress: bool = False,
 ) -> Commissioned:
     """Return the most probable vehicle given healthy trips.
@@ -181,6 +183,8 @@ def commission(
         From `read_healthy`.
     n_starts : int
         Largest number of searches that are completed.
+    near : CommissionedBogie, optional
+        The bogie that these trips show part by part: only its valley is searched.
     progress : bool
         Show a progress bar.
 
@@ -195,7 +199,7 @@ def commission(
         target = _Search(generator, settings, groups)
         target.on_step = steps.update
         # allow model errors first: a direct search would end in a valley far off
-        first = target.first_searches(n_starts)
+        first = target.first_searches(n_starts) if near is None else [target.search_near(near)]
         distinct = {id(found): found for found in first}
         on = {key: target.search(found.x, SPREADS[1:]) for key, found in distinct.items()}
         rough = sorted((on[id(found)] for found in first), key=_cost)
@@ -286,10 +290,24 @@ class _Search(HealthyMisfit):
         n_separate = max(1, n_starts - 1)
         return [*separate[:n_separate], *again[:1], *separate[n_separate:]][:n_starts]
 
+    def search_near(self, bogie: CommissionedBogie) -> _Found:
+        """Return the end of the first search from the bogie that these trips show."""
+        posterior = bogie.generator.distribution
+        assert posterior is not None
+        known = dict(zip(posterior.names, posterior.mean, strict=True))
+        changes = [
+            known.get(name, mean) - mean
+            for name, mean in zip(self.prior.names, self.prior.mean, strict=True)
+        ]
+        z = np.linalg.lstsq(self.every.factor.numpy(), np.array(changes), rcond=None)[0]
+        return self.search(self._start(z, np.log(bogie.masses)), SPREADS[:1])
+
+    def _start(self, z: FloatArray, masses: FloatArray) -> FloatArray:
+        return np.concatenate([z, masses, np.zeros(self.n_of_damping)])
+
     def widened(self, ratio: float) -> FloatArray:
         """Return the end of searches in bands that widen by `ratio`, but for the whole band."""
-        masses = np.full(self.n_trips, MASS_MEAN)
-        x = np.concatenate([np.zeros(len(self.prior.names)), masses, np.zeros(self.n_of_damping)])
+        x = self._start(np.zeros(len(self.prior.names)), np.full(self.n_trips, MASS_MEAN))
         low_hz, high_hz = self.frequencies_hz[[0, -1]].tolist()
         n_bands = int(math.log(max(high_hz / (LOWEST_BAND * low_hz), 1.0), ratio))
         for i in range(n_bands, 0, -1):

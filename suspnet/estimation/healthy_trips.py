@@ -14,8 +14,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from suspnet.dynamics import PARAMETERS, VerticalVehicle
+from suspnet.dynamics import PARAMETERS, SpatialVehicle, VerticalVehicle
 from suspnet.dynamics.quantities import MASS_DEVIATION, MASS_MEAN, UNMEASURED, LogNormal
+from suspnet.estimation.bogie_search import BogieTrip
+from suspnet.estimation.bogie_trips import bogie_trip, bogie_vehicle
 from suspnet.estimation.damping_laws import DampingNumbers, Laws
 from suspnet.estimation.direction import direction_of
 from suspnet.estimation.from_recording import no_channel, unrepaired_words
@@ -73,7 +75,9 @@ class HealthyTrips:
 
     `manifests` are those of the trips in use; `paired` tells which of axle box, frame and body have
     a sensor left and right; `left_out` are trips without a usable stretch, with the reason.
-    `later` are the directions of travel of the folder's other trips, as far as stated.
+    `later` are the directions of travel of the folder's other trips, as far as stated. Where each
+    part is to be read, `vehicle` is the one with the parts that the sensors show, and `of_parts`
+    are the trips as it reads them.
     """
 
     manifests: tuple[TripManifest, ...]
@@ -81,6 +85,8 @@ class HealthyTrips:
     paired: tuple[bool, bool, bool]
     left_out: tuple[str, ...] = ()
     later: tuple[Direction, ...] = ()
+    vehicle: SpatialVehicle | None = None
+    of_parts: tuple[BogieTrip, ...] = ()
 
     @property
     def directions(self) -> tuple[Direction, ...]:
@@ -97,6 +103,7 @@ def read_healthy(
     *,
     paths: Sequence[ManifestFile] | None = None,
     n_first: int | None = None,
+    by_part: bool = False,
     progress: bool = False,
 ) -> HealthyTrips:
     """Return the spectra of a folder's healthy trips.
@@ -115,6 +122,8 @@ def read_healthy(
         Manifests to read, if the folder holds others as well; None is all.
     n_first : int, optional
         Use only the first trips by mileage.
+    by_part : bool
+        Whether each part is to be read.
     progress : bool
         Show a progress bar.
 
@@ -124,13 +133,18 @@ def read_healthy(
         If there is no such folder, or no manifest in it.
     TripError
         If the trips are of another vehicle or bogie, of several suspensions or of different
-        sensors, if a recording is faulty, or if fewer than three trips have a usable stretch.
+        sensors, if these do not show the parts that are to be read, if a recording is faulty, or if
+        fewer than three trips have a usable stretch.
+    NoEstimateError
+        If each part is to be read and a trip is too short for that.
     """
     manifests = [one.trip for one in paths or map(ManifestFile, find_manifests(folder))]
     manifests.sort(key=lambda manifest: manifest.mileage_km)
     n_first = len(manifests) if n_first is None else n_first
     manifests, later = manifests[:n_first], manifests[n_first:]
     _check_same(folder, manifests, generator)
+    vehicle = bogie_vehicle(manifests, generator) if by_part else None
+    of_parts = []
     # a trip without a usable stretch is left out, with the reason
     kept: list[TripManifest] = []
     groups: list[HealthySpectra] = []
@@ -151,6 +165,8 @@ def read_healthy(
             continue
         kept.append(replace(manifest, start=manifest.start or recording.started))
         groups += found
+        if vehicle is not None:
+            of_parts.append(bogie_trip(recording, vehicle, trips, found[0].direction))
         paired.add(recording.paired)
     # the remaining trips must be enough, and of the same sensors
     if len(kept) < LEAST_TRIPS:
@@ -165,7 +181,15 @@ def read_healthy(
             "commission on trips with the same sensors"
         )
     stated = tuple(manifest.direction for manifest in later if manifest.direction is not None)
-    return HealthyTrips(tuple(kept), tuple(groups), paired.pop(), tuple(left_out), stated)
+    return HealthyTrips(
+        tuple(kept),
+        tuple(groups),
+        paired.pop(),
+        tuple(left_out),
+        stated,
+        vehicle,
+        tuple(of_parts),
+    )
 
 
 def _check_same(

@@ -3,37 +3,31 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-from suspnet.dynamics import ResponseGenerator, SpatialVehicle, VerticalVehicle
+from suspnet.dynamics import ResponseGenerator, VerticalVehicle
 from suspnet.dynamics.quantities import PARTS, LogNormal
 from suspnet.estimation import commissioning_summary as words
-from suspnet.estimation.bogie_fit import CommissionedBogie, commission_bogie
-from suspnet.estimation.bogie_trips import PARTS_OF_BOGIE, bogie_trip, sensor_places, show_parts
+from suspnet.estimation.bogie_fit import EXPLAINED, CommissionedBogie, commission_bogie
 from suspnet.estimation.commissioning import Commissioned, commission
 from suspnet.estimation.healthy_trips import HealthyTrips, read_healthy
 from suspnet.estimation.lone_sensors import SIDE_M
 from suspnet.estimation.swapped_sensors import check_bogie, check_order
 from suspnet.estimation.trip_settings import TripSettings
-from suspnet.ground.parameters import Direction
 from suspnet.ground.tensors import threads
-from suspnet.recordings.errors import TripError, all_of
-from suspnet.recordings.manifest import CHANNELS, LEAST_SENSORS, TripManifest
+from suspnet.recordings.errors import all_of
+from suspnet.recordings.manifest import CHANNELS
 from suspnet.recordings.manifest_files import ManifestFile
-from suspnet.recordings.recording import load_recording
 from suspnet.spectra.estimates import EstimateSettings
 
 log = logging.getLogger(__name__)
-SETTINGS = ("bogie", "axle", "frame_sensor", "body_sensor_m", "nominal")
-"""Settings that the vehicle of the parts shares with the vertical one."""
 FAMILY = tuple(part for part in PARTS if part != "air_spring")
 """Parts of the vehicle that is commissioned if the configuration names none."""
 
 
-@threads(1)  # a second process may be about to start
 def read_folder(
     folder: Path,
     generator: ResponseGenerator,
@@ -42,19 +36,26 @@ def read_folder(
     *,
     paths: Sequence[ManifestFile] | None = None,
     n_first: int | None = None,
+    by_part: bool = False,
     progress: bool = False,
 ) -> HealthyTrips:
     """Return the healthy trips of a folder.
 
     `paths` are the manifests of one suspension if the folder holds several; only the `n_first`
-    trips by mileage are used. Raises FileNotFoundError or TripError if the folder does not hold at
-    least three healthy trips of one suspension of the vehicle and its bogie, ValueError if the
-    generator cannot be commissioned.
+    trips by mileage are used, `by_part` for each part as well. Raises FileNotFoundError, TripError
+    or NoEstimateError if the folder does not hold at least three healthy trips of one suspension of
+    the vehicle and its bogie that show this, ValueError if the generator cannot be commissioned.
     """
     generator = check_generator(generator)
-    settings = settings.bound(generator.vehicle)
     return read_healthy(
-        folder, generator, settings, trips, paths=paths, n_first=n_first, progress=progress
+        folder,
+        generator,
+        settings.bound(generator.vehicle),
+        trips,
+        paths=paths,
+        n_first=n_first,
+        by_part=by_part,
+        progress=progress,
     )
 
 
@@ -63,19 +64,22 @@ def commission_trips(
     generator: ResponseGenerator,
     settings: EstimateSettings,
     *,
-    by_part: bool = False,
+    bogie: CommissionedBogie | None = None,
     progress: bool = False,
 ) -> Commissioned:
-    """Return the vehicle that healthy trips show.
+    """Return the vehicle that healthy trips show, both sides and axles as equal.
 
     `generator` is the nominal vehicle; without parts it gets all but the air spring, without a
-    distribution the prior of its parts. If each part is to be read, this vehicle is only for trips
-    that do not show their parts. ValueError if the generator cannot be commissioned.
+    distribution the prior of its parts. If each part is read, this vehicle is only for trips that
+    do not show their parts, and is near the `bogie` if that explains the trips. ValueError if the
+    generator cannot be commissioned.
     """
     generator = check_generator(generator)
     settings = settings.bound(generator.vehicle)
-    outcome = commission(_prior(generator, found), settings, found.groups, progress=progress)
-    if by_part:
+    near = bogie if bogie is not None and bogie.misfit <= EXPLAINED else None
+    prior = _prior(generator, found)
+    outcome = commission(prior, settings, found.groups, near=near, progress=progress)
+    if bogie is not None:
         log.info("%s%s", words.AS_EQUAL, words.verdict(found, outcome))
         return outcome
     log.info("%s %s", words.verdict(found, outcome), words.agreement(outcome))
@@ -107,65 +111,24 @@ def commission_folder(
     return found, commission_trips(found, generator, settings, progress=progress)
 
 
-def parts_of(
-    found: HealthyTrips, generator: ResponseGenerator, trips: TripSettings
-) -> Callable[[], CommissionedBogie]:
-    """Return what commissions the bogie that healthy trips show, part by part.
-
-    The result can be pickled, to be called in another process, which reads the recordings again.
-    `generator` gives vehicle and bogie, the manifests give the places of sensors. TripError is
-    raised if these do not show the parts, when called NoEstimateError if a trip is too short.
-    """
-    generator = check_generator(generator)
-    folder, frame_sensor = found.manifests[0].path.parent, generator.frame_sensor
-    several = {sensor_places(manifest, frame_sensor) for manifest in found.manifests}
-    if len(several) > 1:
-        raise TripError(
-            f"{folder}: the healthy trips differ in their sensors; take those of one layout"
-        )
-    sensors = several.pop()
-    if not show_parts(sensors):
-        raise TripError(
-            f"{folder}: each part is read from at least {LEAST_SENSORS} sensors on both sides, "
-            f"best left and right at axle box, frame and body, the healthy trips have "
-            f"{', '.join(sensors) or 'none'}: give all sensors in the manifests with "
-            "`side` and `axle`, or take protocol=trips"
-        )
-    vehicle = SpatialVehicle(
-        generator.vehicle,
-        **{name: getattr(generator, name) for name in SETTINGS},
-        parts=PARTS_OF_BOGIE,
-        sensors=sensors,
-    ).with_prior()
-    directions = {group.trip: group.direction for group in found.groups}
-    each = [(manifest, directions[i]) for i, manifest in enumerate(found.manifests)]
-    return partial(_commissioned_bogie, vehicle, each, trips)
-
-
 # one thread: systems of 30 equations are too small for two, and results are the same anywhere
 @threads(1)
-def _commissioned_bogie(
-    vehicle: SpatialVehicle,
-    each: Sequence[tuple[TripManifest, Direction]],
-    trips: TripSettings,
-) -> CommissionedBogie:
-    read = [
-        bogie_trip(load_recording(manifest, trips.rate_hz), vehicle, trips, direction)
-        for manifest, direction in each
-    ]
+def commission_parts(found: HealthyTrips, trips: TripSettings) -> CommissionedBogie:
+    """Return the bogie that healthy trips show, part by part.
+
+    `found` has been read for its parts. TripError if sensors look swapped, or the trips are of the
+    other bogie.
+    """
+    assert found.vehicle is not None
+    folder = found.manifests[0].path.parent
     if trips.check_channels:
         all_of(
-            partial(check_order, vehicle, trip, f"{manifest.path}: ")
-            for (manifest, _), trip in zip(each, read, strict=True)
+            partial(check_order, found.vehicle, trip, f"{manifest.path}: ")
+            for trip, manifest in zip(found.of_parts, found.manifests, strict=True)
         )
-    found = commission_bogie(vehicle, read)
+    bogie = commission_bogie(found.vehicle, found.of_parts)
     if trips.check_channels:
-        check_bogie(vehicle, read, found.misfit, f"{each[0][0].path.parent}: ")
-    return found
-
-
-def reported(bogie: CommissionedBogie) -> CommissionedBogie:
-    """Return a bogie whose healthy parts, and whether its search ended, are now in the log."""
+        check_bogie(found.vehicle, found.of_parts, bogie.misfit, f"{folder}: ")
     log.info("%s", words.of_parts(bogie))
     for doubt in words.doubts_of_parts(bogie):
         log.warning("%s", doubt)
