@@ -229,11 +229,30 @@ class BogieSearch:
 
     def widened(self, rough: float) -> Found:
         """Return the end, near the minimum, of the searches from the healthy vehicle."""
-        x = self.start()
+        few = self.of_trips(self.unlike)
+        x = few.start()
         # without axle boxes, the search in the whole band ends in another valley
-        for bins in self.widening:
-            x, _ = self.search(x, rough, bins, WIDENING_TOL)
-        return self.narrowed(x)
+        for bins in few.widening:
+            x, _ = few.search(x, rough, bins, WIDENING_TOL)
+        return self.narrowed(self.start_at(x, self.unlike))
+
+    def of_trips(self, numbers: Sequence[int]) -> BogieSearch:
+        """Return the sum of squares of some of the trips."""
+        noises = [self.noises[i] for i in numbers]
+        return replace(self, noises=noises, trips=[self.trips[i] for i in numbers])
+
+    @cached_property
+    def unlike(self) -> list[int]:
+        """Numbers of the trips that choose the valley: of the lowest and of the highest speed."""
+        order = sorted(range(len(self.trips)), key=lambda i: self.trips[i].speed_m_per_s)
+        return sorted({order[0], order[-1]})
+
+    def start_at(self, x: FloatArray, numbers: Sequence[int]) -> FloatArray:
+        """Return the coordinates of all trips from those of some, the others' as their mean."""
+        own = x[self.n_numbers :].reshape(len(numbers), -1)
+        every = np.tile(own.mean(axis=0), (len(self.trips), 1))
+        every[list(numbers)] = own
+        return np.concatenate([x[: self.n_numbers], every.ravel()])
 
     def narrowed(self, x: FloatArray, first: int = 0) -> Found:
         """Return the end of the searches with smaller errors, from the first of ``SPREADS``."""

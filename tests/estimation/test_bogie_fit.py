@@ -236,16 +236,44 @@ def test_another_start_is_tried_where_the_first_fails(
 
 
 def test_masses_are_expected_about_those_of_the_healthy_trips(commissioned, monkeypatch):
-    def stopped(search, explained):
-        starts.append((search.start()[-1], search._prior(search.start())[-1]))
+    def stopped(search, x, first):
+        starts.append((x[-1], search._prior(x)[-1]))
         raise StopIteration
 
     starts = []
-    monkeypatch.setattr(BogieSearch, "found", stopped)
+    monkeypatch.setattr(BogieSearch, "narrowed", stopped)
     light = replace(commissioned, masses=np.array([0.5, 0.72]))
     with pytest.raises(StopIteration):
         light.estimate(trip(drawn(VEHICLE, row({}), 5), 70.0))
     np.testing.assert_allclose(starts, [(np.log(0.6), 0.0)], atol=1e-12)
+
+
+@pytest.mark.parametrize("is_explained", [True, False])
+def test_trips_are_searched_in_widening_bands_only_where_the_healthy_vehicle_is_far(
+    commissioned, monkeypatch, is_explained
+):
+    search = BogieSearch.found
+    called = []
+    monkeypatch.setattr(BogieSearch, "found", lambda *args: called.append(args) or search(*args))
+    if not is_explained:
+        monkeypatch.setattr(Found, "explains", lambda *_: False)
+    worn = trip(drawn(VEHICLE, row({"c_p_axle2_left": 0.5}), 5), 70.0)
+    found = commissioned.estimate(worn)
+    assert len(called) == (not is_explained)
+    assert found.misfit < 1.1
+    assert found.values[COMPONENTS.index("c_p_axle2_left")] == pytest.approx(0.5, abs=0.02)
+
+
+def test_the_valley_is_chosen_by_the_slowest_and_the_fastest_trip():
+    spectra = drawn(VEHICLE, row({}), 5)
+    trips = [trip(spectra, speed) for speed in (60.0, 75.0, 50.0, 70.0)]
+    search = BogieSearch(VEHICLE, [NOISE] * 4, trips, are_healthy=True)
+    few = search.of_trips(search.unlike)
+    assert search.unlike == [1, 2]
+    assert few.trips == [trips[1], trips[2]]
+    x = np.concatenate([np.arange(search.n_numbers), [0.1, 0.3]])
+    start = search.start_at(x, search.unlike)
+    np.testing.assert_allclose(start, [*np.arange(search.n_numbers), 0.2, 0.1, 0.3, 0.2])
 
 
 # property

@@ -17,6 +17,7 @@ from suspnet.estimation.bogie_fit import CommissionedBogie, PartsEstimate, commi
 from suspnet.estimation.bogie_trips import (
     SPACING_HZ,
     bogie_trip,
+    bogie_vehicle,
     estimate_parts,
     lost_sensors,
     sensor_places,
@@ -35,7 +36,7 @@ from suspnet.recordings.manifest_sources import Channel
 from suspnet.recordings.recording import joined, load_recording
 from suspnet.recordings.sensor import SensorSignal
 from suspnet.runs import commissioning
-from suspnet.runs.commissioning import parts_of, reported
+from suspnet.runs.commissioning import commission_parts
 from suspnet.simulation import Fleet
 from suspnet.spectra.segments import NoEstimateError, recording_segments
 from suspnet.spectra.sensor_health import sensor_health
@@ -118,11 +119,10 @@ def test_single_sensors_name_no_part(tmp_path):
 def test_search_that_did_not_end_is_told(short, monkeypatch, caplog, converged):
     bogie = CommissionedBogie(VEHICLE, torch.ones(6), np.ones(3), 1.0, converged)
     monkeypatch.setattr(commissioning, "commission_bogie", lambda vehicle, trips: bogie)
-    monkeypatch.setattr(commissioning, "load_recording", lambda manifest, rate_hz: short)
-    groups = [SimpleNamespace(trip=i, direction="forward") for i in range(3)]
-    healthy = SimpleNamespace(manifests=[short.manifest] * 3, groups=groups)
+    trips = (bogie_trip(short, VEHICLE),) * 3
+    healthy = HealthyTrips((short.manifest,) * 3, (), (True,) * 3, vehicle=VEHICLE, of_parts=trips)
     with caplog.at_level("WARNING"):
-        found = reported(parts_of(healthy, VerticalVehicle(AM96), TripSettings())())
+        found = commission_parts(healthy, TripSettings())
     assert found is bogie
     assert ("wrong ones may be named" in caplog.text) == (not converged)
 
@@ -237,9 +237,8 @@ def test_healthy_trips_must_show_the_parts_alike():
     for several, message in zip(
         layouts, ("have axle_box_axle1_left, .*_right, body_left: give", "differ"), strict=True
     ):
-        trips = HealthyTrips(tuple(map(manifest_of, several)), (), (True, False, False))
         with pytest.raises(TripError, match=message):
-            parts_of(trips, VerticalVehicle(AM96), TripSettings())
+            bogie_vehicle([*map(manifest_of, several)], VerticalVehicle(AM96))
 
 
 @pytest.mark.slow  # test_bogie_fit.py: drawn spectra of a smaller vehicle

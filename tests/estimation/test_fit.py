@@ -1,6 +1,7 @@
 """Commissioned vehicles against naive sums, closed forms, known truths and an independent train."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from scipy.optimize import minimize
 from vehicles import AM96
 
 from suspnet.dynamics import VerticalVehicle
-from suspnet.dynamics.quantities import OF_THE_TRIP, QUANTITIES, UNMEASURED
+from suspnet.dynamics.quantities import OF_THE_TRIP, QUANTITIES, UNMEASURED, LogNormal
 from suspnet.estimation import commissioning as module
 from suspnet.estimation.commissioning import commission
 from suspnet.estimation.healthy_trips import HealthyMisfit, HealthySpectra
@@ -240,6 +241,21 @@ def test_a_valley_that_several_searches_found_is_followed_once(bushed, monkeypat
     monkeypatch.setattr(module._Search, "finished", lambda self, *_: one)
     found = commission(generator, SETTINGS, groups)
     assert (len(followed), found.n_agree, found.n_starts) == (2, 3, 3)
+
+
+def test_near_the_bogie_of_the_same_trips_one_search_finds_the_vehicle_that_all_find(bushed):
+    generator, numbers, groups, commissioned = bushed
+    known = dict(zip(generator.distribution.names, np.log(numbers), strict=True))
+    of_parts = LogNormal.independent(
+        {"healthy_k_p": 0.1, "healthy_c_p": 0.1, "gain_body_left": 0.1}
+    )
+    of_parts = replace(of_parts, mean=tuple(known.get(name, 0.0) for name in of_parts.names))
+    bogie = SimpleNamespace(generator=SimpleNamespace(distribution=of_parts), masses=np.array(TWO))
+    near = commission(generator, SETTINGS, groups, near=bogie)
+    assert near.n_starts == 1
+    assert near.misfit == pytest.approx(commissioned.misfit, rel=1e-3)
+    apart = np.array(near.posterior.mean) - np.array(commissioned.posterior.mean)
+    assert np.abs(apart / commissioned.posterior.deviations).max() < 0.1
 
 
 def test_posterior_is_the_closed_form_of_the_problem_linearised_there(bushed):
