@@ -105,7 +105,9 @@ def train_fleet(
     folders.start_again(folder)
     program.save_config(config, folder)
     already = f", {len(runs) - len(missing)} are finished already" if missing != runs else ""
-    log.info("%d suspensions in %s%s", len(groups), config.healthy, already)
+    where = folder / "NAME" / LOG  # minutes pass before the first one is finished
+    words = "%d suspensions in %s%s; each writes what it has done to %s"
+    log.info(words, len(groups), config.healthy, already, where)
     for name, message in failed.items():
         log.warning("%s is not trained: %s", name, message)
     work = functools.partial(_trained, train_one=train_one)

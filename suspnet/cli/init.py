@@ -111,7 +111,8 @@ def _folder(folder: Path, said: Sequence[str], arguments: Namespace) -> int:
     print(f"-> {folder}: {count(len(new), 'manifest')} of {count(len(found), 'trip')}{old}")
     for line in folders.origins(new):
         print(printable(f"  {line}"))
-    print(*_left_open(new), f"then run: {_command('check', folder, *known)}", sep="\n")
+    words = [*said, *(["--table", str(table)] if table else []), *known]
+    print(*_left_open(new, words), f"then run: {_command('check', folder, *known)}", sep="\n")
     return 0
 
 
@@ -146,10 +147,19 @@ def _command(name: str, *arguments: object) -> str:
     return printable(join(["suspnet", name, *map(str, arguments)]))
 
 
-def _left_open(trips: Sequence[folders.Trip]) -> list[str]:
-    """Return a line on each of bogie and direction of travel that is not stated."""
+def _left_open(trips: Sequence[folders.Trip], said: Sequence[str] | None = None) -> list[str]:
+    """Return a line on each of bogie and direction of travel that is not stated.
+
+    Where trips of several folders lack the bogie, the command of each folder follows, with the
+    words that were `said`; None: not yet.
+    """
     lines = []
     for key, words in LEFT_OPEN.items():
         if n := sum(key not in trip.known for trip in trips):
             lines.append(f"  {key}, not stated in {n}, {words}, or in a table")
+        if key == "bogie" and said is not None:
+            without = dict.fromkeys(trip.path.parent for trip in trips if key not in trip.known)
+            for folder in without if len({trip.path.parent for trip in trips}) > 1 else ():
+                command = _command("init", folder, "--force", *said, "bogie=leading")
+                lines.append(f"    of {folder} alone: {command} (or trailing)")
     return lines

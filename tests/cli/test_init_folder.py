@@ -412,6 +412,21 @@ def test_end_of_the_bogie_is_asked_for_with_its_default(tmp_path):
     assert read_manifest(tmp_path / "run_1.yaml").bogie == "trailing"
 
 
+def test_the_bogie_of_each_of_several_folders_has_a_command(tmp_path):
+    for car, km in (("car 1", 100), ("car 2", 200)):
+        path = tmp_path / "log" / car / f"run {km} km.csv"
+        path.parent.mkdir(parents=True)
+        write_german(path, above=[f"Kilometerstand;{km} km", ""])
+    done = typed(init, "log", *SAID, cwd=tmp_path)
+    assert done.stderr == ""
+    (line,) = [one for one in done.stdout.splitlines() if "of log/car 2 alone: " in one]
+    command = shlex.split(line.partition(": ")[2].removesuffix(" (or trailing)"))
+    assert command[:4] == ["suspnet", "init", "log/car 2", "--force"]
+    typed(init, *command[2:], cwd=tmp_path)
+    found = [read_manifest(*(tmp_path / "log" / car).glob("*.yaml")) for car in ("car 1", "car 2")]
+    assert [one.bogie for one in found] == [None, "leading"]
+
+
 @pytest.mark.parametrize("between", [True, False])
 def test_keys_may_follow_options(between, monkeypatch):
     monkeypatch.setattr("sys.argv", ["init", "d", "--table", "t.csv", "vehicle=v", "side=left"])
