@@ -118,10 +118,11 @@ def write_vehicle(name: str, paths: Sequence[Path], said: Sequence[str], force: 
         for key, (of, share) in GUESSED.items()
         if key not in values
     }
-    Vehicle(name=name, **(values | guessed))
+    vehicle = Vehicle(name=name, **(values | guessed))
     write_atomically(path, _text(name, form, values, guessed), force=force)
     for key, value in guessed.items():
         print(f"{key}: {value:g}, assumed as a share of {GUESSED[key][0]}")
+    print(*_as_built(vehicle), sep="\n")
     print(
         printable(
             f"-> {path}\nuse it: suspnet check DIR --config-dir {path.parents[1]}\n"
@@ -129,6 +130,20 @@ def write_vehicle(name: str, paths: Sequence[Path], said: Sequence[str], force: 
         )
     )
     return 0
+
+
+def _as_built(vehicle: Vehicle) -> list[str]:
+    """Return what the numbers of one bogie side are on the whole vehicle, for a look at them."""
+    k_p, c_p, k_s, c_s = vehicle.healthy_values()[:4]
+    return [
+        "that is, to be compared with the drawing:",
+        f"  car body {4 * vehicle.body_mass_kg:.4g} kg, each bogie frame "
+        f"{2 * vehicle.bogie_mass_kg:.4g} kg",
+        f"  each axle box {k_p / 2:.4g} N/m and {c_p / 2:.4g} N s/m, each side of a bogie "
+        f"{k_s:.4g} N/m and {c_s:.4g} N s/m",
+        f"  the body on the secondary springs at {vehicle.secondary_frequency_hz:.2g} Hz, "
+        f"the bogie on the primary ones at {vehicle.primary_frequency_hz:.2g} Hz",
+    ]
 
 
 def _read(said: Sequence[str], form: Sequence[Entry]) -> dict[str, Any]:
