@@ -137,10 +137,10 @@ def _as_built(vehicle: Vehicle) -> list[str]:
     k_p, c_p, k_s, c_s = vehicle.healthy_values()[:4]
     return [
         "that is, to be compared with the drawing:",
-        f"  car body {4 * vehicle.body_mass_kg:.4g} kg, each bogie frame "
-        f"{2 * vehicle.bogie_mass_kg:.4g} kg",
-        f"  each axle box {k_p / 2:.4g} N/m and {c_p / 2:.4g} N s/m, each side of a bogie "
-        f"{k_s:.4g} N/m and {c_s:.4g} N s/m",
+        f"  car body {4 * vehicle.body_mass_kg:,.0f} kg, each bogie frame "
+        f"{2 * vehicle.bogie_mass_kg:,.0f} kg",
+        f"  each axle box {k_p / 2:,.0f} N/m and {c_p / 2:,.0f} N s/m, each side of a bogie "
+        f"{k_s:,.0f} N/m and {c_s:,.0f} N s/m",
         f"  the body on the secondary springs at {vehicle.secondary_frequency_hz:.2g} Hz, "
         f"the bogie on the primary ones at {vehicle.primary_frequency_hz:.2g} Hz",
     ]

@@ -294,9 +294,9 @@ def test_vehicle_is_written_from_its_numbers(tmp_path):
     done = typed(init, "--vehicle", "br412", "mine", *said, "source=drawing: 7 #1", cwd=tmp_path)
     assert (done.returncode, done.stderr) == (0, "")
     assert "--config-dir mine vehicle=br412" in done.stdout
-    assert f"car body {4 * NUMBERS['body_mass_kg']:.4g} kg, each bogie frame" in done.stdout
+    assert f"car body {4 * NUMBERS['body_mass_kg']:,.0f} kg, each bogie frame" in done.stdout
     box = NUMBERS["primary_stiffness_n_per_m"] / 2, NUMBERS["primary_damping_ns_per_m"] / 2
-    assert f"each axle box {box[0]:.4g} N/m and {box[1]:.4g} N s/m" in done.stdout
+    assert f"each axle box {box[0]:,.0f} N/m and {box[1]:,.0f} N s/m" in done.stdout
     text = (tmp_path / "mine" / "vehicle" / "br412.yaml").read_text()
     content = yaml.safe_load(text)
     assert {key: content[key] for key in NUMBERS} == NUMBERS
