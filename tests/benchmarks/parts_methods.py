@@ -7,7 +7,7 @@ from its own model: 20 minutes at 70 m/s, 34 dB, an unknown track. It is commiss
 healthy trips; then each method is trained on as many drawn trips as it takes about 10 s with, and
 reads worn trips: one part at 10, 30, 62 or 80 %, two at 30 to 130 %, all twelve at 50 to 130 %.
 Errors are those before and after the fit that starts from its ratios; without a method, the fit
-starts from the healthy vehicle in bands that widen. Seconds are those of one processor. Writes
+starts from the healthy vehicle. Seconds are those of one processor. Writes
 parts_methods.csv and parts_methods.md.
 """
 
@@ -64,7 +64,7 @@ METHODS = {
     ),
 }
 """Number of training trips of each method, and the method."""
-WIDENING = "none: bands that widen"
+HEALTHY = "none: the healthy vehicle"
 OF_VALLEY = 1.005
 """A fit has found the valley if its misfit is at most this multiple of the lowest of all."""
 
@@ -130,10 +130,10 @@ def read(seed, options):
     truth = drawn.ratios(options.trips)
     trips = [drawn.trip(row) for row in truth]
     found = {}
-    for name in (WIDENING, *options.methods):
+    for name in (HEALTHY, *options.methods):
         starts, times = [None] * len(trips), (0.0, 0.0)
         n_train = 0
-        if name != WIDENING:
+        if name != HEALTHY:
             n_train, make = METHODS[name]
             regression, train_s = timed(train_parts, bogie, healthy, make(), n_train, seed)
             starts, read_s = timed(lambda r: [r(trip) for trip in trips], regression)
