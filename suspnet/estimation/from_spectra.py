@@ -46,7 +46,7 @@ from suspnet.ground.types import FloatArray
 from suspnet.spectra.cross_spectra import CrossSpectra
 from suspnet.spectra.estimate_observer import EstimateObserver
 from suspnet.spectra.estimates import EstimateSettings
-from suspnet.spectra.segments import Speeds
+from suspnet.spectra.segments import NoEstimateError, Speeds
 
 
 class MissingFeaturesError(ValueError):
@@ -69,6 +69,10 @@ OF_THE_TRAINING = ("cloud", "range")
 FAILED_FROM, FAILED_GAIN = 1.3, 1.1
 """Misfit of a trip, over that of the healthy trips if it is larger than 1, from which failures of
 the other bogie are tried, and how much smaller a failure has to make it."""
+INCOHERENT = (
+    "at no frequency do axle box, frame and body move together: look at the sensors and their cables"
+)
+"""Why a trip has no estimate."""
 CONFIRMED = 1.05
 """A calibration confirms the deviations of refined estimates up to this factor on them."""
 
@@ -86,7 +90,7 @@ def estimate_with_noise(
     segments behind them; None is the training speed. `left_out` are bins (n_freq,) that are not
     used. The estimate has one row; the share n^2 / s^2
     (n_outputs,) is 1 without an interval. Raises MissingFeaturesError if the regression lacks a
-    feature.
+    feature, NoEstimateError if the sensors are not coherent in any bin.
     """
     task, outputs = method.task, method.task.outputs
     observer = trip_observer(method) if speeds is None else trip_observer(method).at(speeds)
@@ -220,6 +224,8 @@ def _refined(
     ``FAILED_OTHER`` is tried where the usual state does not explain the curve.
     """
     misfit = observer.measured_misfit(spectra)
+    if not misfit.covariance.diagonal(dim1=1, dim2=2).real.isfinite().any():
+        raise NoEstimateError(INCOHERENT)
     best, found = refine(method.task, misfit, predicted, directions=observer.directions), ""
     usual = observer.generator
     if not isinstance(usual, VerticalVehicle) or usual.distribution is None:

@@ -107,6 +107,17 @@ class CrossSpectra:
         """Return the standard deviation of the log-magnitude of G_p, G_s, (..., 2, n_freq)."""
         return torch.stack([self.deviation(x, y, method, z) for x, y, z in CHAIN], dim=-2)
 
+    def instrument_strength(self, method: Method) -> Tensor:
+        """Return the F statistic of each instrument z for its input x, (..., 2, n_freq).
+
+        F = (n - 1) c / (1 - c) with their coherence c, infinite where z is x. With a weak
+        instrument the response is a ratio of noise, and its measured covariance too small.
+        """
+        chosen = [{"H1": x, "H2": y, "Hv": x, "IV": z}[method] for x, y, z in CHAIN]
+        found = [self.coherence(z, x) for z, (x, *_) in zip(chosen, CHAIN, strict=True)]
+        coherence = torch.stack(found, dim=-2).clamp(max=1)
+        return (self.n_averages - 1) * coherence / (1 - coherence)
+
     def covariance(self, method: Method) -> Tensor:
         """Return the covariance of (log G_p, log G_s), complex Hermitian (..., 2, 2, n_freq).
 

@@ -28,6 +28,10 @@ from suspnet.spectra.segments import Speeds
 if TYPE_CHECKING:
     from suspnet.spectra.estimates import EstimateSettings
 
+LEAST_STRENGTH = 10.0
+"""Least F statistic of an instrument on a trip (Staiger and Stock, Instrumental variables
+regression with weak instruments, Econometrica, 1997). The vehicle's own wheelbase moves the bins in
+which the body is no instrument away from those of the drawing."""
 THINNED_HZ = 0.2
 """Distance of the bins of a search far off, to which neither more bins nor their leakage matter."""
 
@@ -178,13 +182,14 @@ class EstimateObserver:
         """Return the misfit of one trip's spectra (3, n_freq), with their measured covariance."""
         method, correlation = self.settings.method, self.settings.welch.correlation()
         covariance = spectra.measured_covariance(method, correlation)
-        return EstimateMisfit(
-            self, spectra.responses(method)[None], self.without_unused(covariance[None])
-        )
+        is_weak = spectra.instrument_strength(method) < LEAST_STRENGTH
+        responses = spectra.responses(method)[None]
+        return EstimateMisfit(self, responses, self.without_unused(covariance[None], is_weak))
 
-    def without_unused(self, covariance: Tensor) -> Tensor:
-        """Return a covariance, infinite in bins that are `weak` or `beyond`."""
-        unused = (self.weak | self.beyond).to(covariance.device)
+    def without_unused(self, covariance: Tensor, is_weak: Tensor | None = None) -> Tensor:
+        """Return a covariance, infinite in bins that are `weak` or `beyond`, or weak in a trip."""
+        unused = self.weak | self.beyond
+        unused = (unused if is_weak is None else unused | is_weak).to(covariance.device)
         covariance = covariance.masked_fill(unused[:, None] | unused[None], 0.0)
         return covariance.masked_fill(torch.diag_embed(unused.T).permute(1, 2, 0), math.inf)
 

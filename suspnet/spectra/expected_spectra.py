@@ -206,9 +206,9 @@ class EstimateMisfit:
 
     @cached_property
     def _share(self) -> float:
-        """Fraction of the estimates that are used; the residuals of the others are 0."""
+        """Fraction of the estimates that are used, 1 if none is; residuals of others are 0."""
         used = self.covariance.diagonal(dim1=1, dim2=2).real.isfinite()
-        return float(used.double().mean())
+        return float(used.double().mean()) or 1.0
 
     @cached_property
     def _correlated(self) -> float:

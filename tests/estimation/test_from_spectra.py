@@ -20,6 +20,7 @@ from suspnet.estimation.information import output_bounds
 from suspnet.estimation.intervals import Conformal, Intervals
 from suspnet.spectra import cross_spectra
 from suspnet.spectra.cross_spectra import CrossSpectra, moving_average_with, sample_spectra
+from suspnet.spectra.segments import NoEstimateError
 
 LEVEL = 0.9
 WORN = {"k_p": 0.8, "c_s": 0.7, "M_s": 1.1}
@@ -410,6 +411,13 @@ def test_trips_on_another_device_are_read_on_this_one(model, monkeypatch):
 
 
 # failure
+
+
+def test_sensors_that_share_no_motion_give_no_estimate(model):
+    spectra = row(drawn(expected(model, ratios_of(WORN)), model))
+    apart = replace(spectra, cross=1e-4 * spectra.cross)
+    with pytest.raises(NoEstimateError, match="at no frequency do axle box, frame and body"):
+        estimate_with_noise(model, apart, LEVEL)
 
 
 def test_model_without_calibration_has_neither_interval_nor_flags(model):

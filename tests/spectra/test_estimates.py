@@ -454,6 +454,46 @@ def test_band_must_be_bound_and_hold_bins():
     assert int((~bound.observer(QuarterCar(AM96)).beyond[1]).sum()) == 8
 
 
+@pytest.mark.parametrize("method", METHODS)
+def test_strength_of_instruments_is_the_f_statistic_of_their_regression(method):
+    n, rng = 12, np.random.default_rng(2)
+    signals = rng.standard_normal((3, n, 4)) + 1j * rng.standard_normal((3, n, 4))
+    signals[1] += signals[0]
+    spectra = CrossSpectra(
+        torch.as_tensor(np.mean(np.abs(signals) ** 2, axis=1))[None],
+        torch.as_tensor(np.stack([(signals[a].conj() * signals[b]).mean(0) for a, b in PAIRS]))[
+            None
+        ],
+        float(n),
+    )
+    found = spectra.instrument_strength(method)[0]
+    for i, (x, y, third) in enumerate(((0, 1, 2), (1, 2, 0))):
+        z = {"H1": x, "Hv": x, "H2": y, "IV": third}[method]
+        for k in range(4):
+            instrument, own = signals[z, :, k], signals[x, :, k]
+            slope = np.vdot(instrument, own) / np.vdot(instrument, instrument)
+            explained = np.sum(np.abs(slope * instrument) ** 2)
+            left = np.sum(np.abs(own - slope * instrument) ** 2)
+            if z == x:
+                assert found[i, k] > 1e12
+            else:
+                assert float(found[i, k]) == pytest.approx((n - 1) * explained / left, rel=1e-9)
+
+
+def test_bins_whose_instrument_is_weak_on_a_trip_are_not_used():
+    at = observer("IV")
+    drawn = at.expected(RATIOS)
+    spectra = CrossSpectra(drawn.auto[0], drawn.cross[0].clone(), 50.0)
+    used = torch.isfinite(at.measured_misfit(spectra).covariance[0, 0, 0].real)
+    k = int(used.nonzero()[20])
+    spectra.cross[PAIRS.index((0, 2)), k] *= 0.01
+    covariance = at.measured_misfit(spectra).covariance[0]
+    assert torch.isinf(covariance[0, 0, k].real)
+    assert covariance[0, 1, k] == 0
+    others = torch.isfinite(covariance[0, 0].real)
+    assert int(used.sum() - others.sum()) == 1
+
+
 def test_thinned_misfit_has_every_nth_bin_at_the_mean_speed_without_leakage():
     vehicle = VerticalVehicle(AM96, parts=("roll",), sensor_lateral_m=(1.0, 1.0, 1.0))
     at = observer(generator=vehicle).at(Speeds((60.0, 80.0), (0.5, 0.5)))
