@@ -347,6 +347,12 @@ def two_suspensions(rows: Sequence[Row]) -> str:
     return markdown(list(lines.values()), heads)
 
 
+def training_time(rows: Sequence[Row]) -> str:
+    """Return the seconds of each training."""
+    lines = [[*(str(v) for v in row.values())] for row in rows]
+    return markdown(lines, list(rows[0]))
+
+
 TABLES: dict[str, tuple[str | None, Callable[[Sequence[Row]], str]]] = {
     "table6": ("table6.csv", table6),
     "table6_short": ("table6.csv", table6_short),
@@ -374,6 +380,7 @@ TABLES: dict[str, tuple[str | None, Callable[[Sequence[Row]], str]]] = {
         None,
         lambda rows: named_parts.layouts_table(named_parts.stored(LAYOUT_CASES)),
     ),
+    "training_time": ("training_time.csv", training_time),
     "two_suspensions": ("two_suspensions.csv", two_suspensions),
     "named_parts_km": ("named_parts_km.csv", named_parts_km),
     "parts_methods": ("parts_methods.csv", parts_methods.table),
