@@ -12,7 +12,6 @@ from suspnet.dynamics.vertical_vehicle import VerticalVehicle as VerticalVehicle
 from suspnet.estimation.bogie_fit import CommissionedBogie as CommissionedBogie
 from suspnet.estimation.bogie_fit import PartsEstimate as PartsEstimate
 from suspnet.estimation.bogie_fit import commission_bogie as commission_bogie
-from suspnet.estimation.bogie_search import BogieTrip as BogieTrip
 from suspnet.estimation.bogie_trips import bogie_trip as bogie_trip
 from suspnet.estimation.checkpoint import load_model as load_model
 from suspnet.estimation.checkpoint import save_model as save_model
@@ -56,6 +55,7 @@ from suspnet.runs.dataset import make_dataset as make_dataset
 from suspnet.runs.dataset import read_dataset as read_dataset
 from suspnet.runs.dataset import write_dataset as write_dataset
 from suspnet.runs.train import train as train
+from suspnet.spectra.bogie_trip import BogieTrip as BogieTrip
 from suspnet.spectra.components import CurveFeatures as CurveFeatures
 from suspnet.spectra.curves import CurveSettings as CurveSettings
 from suspnet.spectra.estimates import EstimateSettings as EstimateSettings

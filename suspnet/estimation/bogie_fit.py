@@ -34,12 +34,13 @@ from torch import Tensor
 
 from suspnet.dynamics import SpatialVehicle
 from suspnet.dynamics.quantities import LogNormal
-from suspnet.estimation.bogie_search import N_OWN, BogieSearch, BogieTrip, smallest_noise
+from suspnet.estimation.bogie_search import N_OWN, BogieSearch
 from suspnet.estimation.estimate import Estimate, Flags, HealthyValues
 from suspnet.estimation.intervals import COMMON
 from suspnet.estimation.trip_settings import LEAST_TRIPS
 from suspnet.ground.parameters import COMPONENTS
 from suspnet.ground.types import FloatArray
+from suspnet.spectra.bogie_trip import BogieTrip, smallest_noise
 
 EXPLAINED = 1.15
 """Misfit up to which a bogie is explained: leakage of segments of 120 s alone gives up to 1.12."""

@@ -20,10 +20,11 @@ from torch import Tensor
 
 from suspnet.dynamics import SpatialVehicle
 from suspnet.dynamics.quantities import MASS_DEVIATION, MASS_MEAN, LogNormal
-from suspnet.ground.parameters import COMPONENTS, FORWARD, Direction
+from suspnet.ground.parameters import COMPONENTS, Direction
 from suspnet.ground.types import FloatArray
+from suspnet.spectra.bogie_trip import BogieTrip, smallest_noise
 from suspnet.spectra.noise_subspace import TripNoise, trip_noise
-from suspnet.spectra.subspace import SpectralMatrix, SubspaceMisfit
+from suspnet.spectra.subspace import SubspaceMisfit
 
 ROUGH, SPREADS = (1.0, 0.3), (0.3, 0.1, 0.03, 0.01, 0.003)
 """Model errors as fractions of each signal: those of a first search, another where it fails, and
@@ -51,46 +52,6 @@ WEAR = 0.5
 FURTHEST = 20.0
 """Largest coordinate of vehicles that are tried: logarithms of ratios, and deviations of priors."""
 N_OWN = len(COMPONENTS)
-
-
-@dataclass(frozen=True)
-class BogieTrip:
-    """Spectral matrix of a trip at one speed, its sensors in the order of the vehicle's.
-
-    `frequencies_hz` (n_freq,) are bins that are independent of each other, `left_out` (n_freq,)
-    says which of them hold other signals, None: none; `lost` are those of the vehicle's sensors
-    that the trip has not.
-    """
-
-    frequencies_hz: Tensor
-    spectra: SpectralMatrix
-    speed_m_per_s: float
-    direction: Direction = FORWARD
-    lost: tuple[str, ...] = ()
-    left_out: Tensor | None = None
-
-    def of(self, bins: Tensor) -> Tensor:
-        """Return the numbers of those bins that are not left out."""
-        return bins if self.left_out is None else bins[~self.left_out[bins]]
-
-    def in_order(self, order: Sequence[int]) -> BogieTrip:
-        """Return the trip with its sensors in another order, given by their numbers."""
-        return replace(self, spectra=self.spectra.of_sensors(order))
-
-    def kept(self, sensors: Sequence[str]) -> list[int]:
-        """Return the numbers of those of a vehicle's sensors that the trip has.
-
-        Sensitivities and delays are relative to the vehicle's first sensor, also if the trip has
-        not that one.
-        """
-        return [i for i, name in enumerate(sensors) if name not in self.lost]
-
-
-def smallest_noise(spectra: SpectralMatrix) -> Tensor:
-    """Return the least that the other sensors do not explain of each one, (m,)."""
-    inverse = torch.linalg.inv(spectra.values).diagonal(dim1=-2, dim2=-1).real
-    found: Tensor = (1 / inverse).amin(dim=0)
-    return found
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,6 @@ from torch import Tensor
 from suspnet.dynamics import SpatialVehicle, VerticalVehicle
 from suspnet.dynamics.spatial_numbers import PLACES
 from suspnet.estimation.bogie_fit import CommissionedBogie
-from suspnet.estimation.bogie_search import BogieTrip
 from suspnet.estimation.estimate import Estimate
 from suspnet.estimation.flags import with_doubt
 from suspnet.estimation.intervals import LARGEST_MISFIT
@@ -27,6 +26,7 @@ from suspnet.recordings.errors import TripError
 from suspnet.recordings.manifest import LEAST_SENSORS, TripManifest
 from suspnet.recordings.manifest_sources import MIDDLE, SIDES
 from suspnet.recordings.recording import Recording
+from suspnet.spectra.bogie_trip import BogieTrip
 from suspnet.spectra.segments import NoEstimateError, segment_speeds, sensor_segments, without_loud
 from suspnet.spectra.subspace import SpectralMatrix
 from suspnet.spectra.welch import Welch

@@ -40,7 +40,8 @@ from suspnet.dynamics.quantities import MASS_MEAN, OF_THE_TRIP, QUANTITIES, LogN
 from suspnet.estimation.bogie_fit import CommissionedBogie
 from suspnet.estimation.damping_laws import Laws
 from suspnet.estimation.flags import Residual
-from suspnet.estimation.healthy_trips import HealthyMisfit, HealthySpectra, row_of
+from suspnet.estimation.healthy_misfit import HealthyMisfit, row_of
+from suspnet.estimation.healthy_trips import HealthySpectra
 from suspnet.ground.progress import bar
 from suspnet.ground.tensors import threads
 from suspnet.ground.types import ComplexArray, FloatArray

@@ -70,7 +70,8 @@ FAILED_FROM, FAILED_GAIN = 1.3, 1.1
 """Misfit of a trip, over that of the healthy trips if it is larger than 1, from which failures of
 the other bogie are tried, and how much smaller a failure has to make it."""
 INCOHERENT = (
-    "at no frequency do axle box, frame and body move together: look at the sensors and their cables"
+    "at no frequency do axle box, frame and body move together: look at the sensors and their "
+    "cables"
 )
 """Why a trip has no estimate."""
 CONFIRMED = 1.05

@@ -21,10 +21,11 @@ from torch import Tensor
 from suspnet.dynamics import SpatialVehicle
 from suspnet.dynamics.quantities import MASS_DEVIATION, MASS_MEAN
 from suspnet.estimation.bogie_fit import CommissionedBogie
-from suspnet.estimation.bogie_search import ROUGH_SPACING_HZ, BogieTrip
+from suspnet.estimation.bogie_search import ROUGH_SPACING_HZ
 from suspnet.ground.parameters import COMPONENTS, Direction
 from suspnet.ground.types import FloatArray
 from suspnet.learning import MSVR, Scaling
+from suspnet.spectra.bogie_trip import BogieTrip
 from suspnet.spectra.subspace_features import (
     SubspaceCoordinates,
     SubspaceFeatures,

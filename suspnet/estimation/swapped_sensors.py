@@ -26,8 +26,9 @@ import numpy as np
 from suspnet.dynamics import SpatialVehicle
 from suspnet.dynamics.vehicle_family import OTHER_END
 from suspnet.estimation.bogie_fit import healthy_search
-from suspnet.estimation.bogie_search import ROUGH, BogieSearch, BogieTrip, smallest_noise
+from suspnet.estimation.bogie_search import ROUGH, BogieSearch
 from suspnet.recordings.errors import TripError
+from suspnet.spectra.bogie_trip import BogieTrip, smallest_noise
 
 CLEARER = 1.25
 """Factor by which the misfit must fall for two sensors to be called swapped."""

@@ -29,12 +29,12 @@ from vehicles import AM96
 from suspnet.dynamics import SpatialVehicle
 from suspnet.dynamics.track import acceleration_density, track_spectrum
 from suspnet.estimation.bogie_fit import commission_bogie
-from suspnet.estimation.bogie_search import BogieTrip
 from suspnet.estimation.bogie_trips import HIGH_HZ, LOW_HZ, PARTS_OF_BOGIE, SEGMENT_S, SPACING_HZ
 from suspnet.estimation.layouts import _noise
 from suspnet.estimation.parts_regression import N_FEATURES, N_TRAIN, default_msvr, train_parts
 from suspnet.ground.parameters import COMPONENTS
 from suspnet.learning import MVGPR, SVR, LinearRegression
+from suspnet.spectra.bogie_trip import BogieTrip
 from suspnet.spectra.estimates import EstimateSettings
 from suspnet.spectra.subspace import SpectralMatrix
 from suspnet.spectra.welch import Welch

@@ -16,9 +16,10 @@ from suspnet.estimation.bogie_fit import (
     CommissionedBogie,
     commission_bogie,
 )
-from suspnet.estimation.bogie_search import BogieSearch, BogieTrip, Found
+from suspnet.estimation.bogie_search import BogieSearch, Found
 from suspnet.estimation.bogie_trips import PARTS_OF_BOGIE
 from suspnet.ground.parameters import COMPONENTS, FORWARD, REVERSE
+from suspnet.spectra.bogie_trip import BogieTrip
 from suspnet.spectra.subspace import SpectralMatrix
 
 BINS = torch.arange(1.0, 12.0, 0.75, dtype=torch.float64)

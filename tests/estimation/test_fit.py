@@ -15,7 +15,8 @@ from suspnet.dynamics import VerticalVehicle
 from suspnet.dynamics.quantities import OF_THE_TRIP, QUANTITIES, UNMEASURED, LogNormal
 from suspnet.estimation import commissioning as module
 from suspnet.estimation.commissioning import commission
-from suspnet.estimation.healthy_trips import HealthyMisfit, HealthySpectra
+from suspnet.estimation.healthy_misfit import HealthyMisfit
+from suspnet.estimation.healthy_trips import HealthySpectra
 from suspnet.simulation.true_vehicle import scattered
 from suspnet.spectra.cross_spectra import CrossSpectra, moving_average_with, sample_spectra
 from suspnet.spectra.estimates import EstimateSettings

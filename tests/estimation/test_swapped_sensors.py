@@ -8,9 +8,10 @@ import pytest
 from test_bogie_fit import MASSES, VEHICLE, drawn, row, trip, without
 
 from suspnet.estimation import swapped_sensors
-from suspnet.estimation.bogie_search import BogieSearch, smallest_noise
+from suspnet.estimation.bogie_search import BogieSearch
 from suspnet.estimation.swapped_sensors import check_bogie, check_order, likeliest_order
 from suspnet.recordings.errors import TripError
+from suspnet.spectra.bogie_trip import smallest_noise
 
 PAIRS = list(combinations(range(6), 2))
 
