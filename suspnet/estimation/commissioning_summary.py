@@ -135,10 +135,14 @@ def is_explained(outcome: Commissioned) -> bool:
     return outcome.misfit <= INCOMPLETE
 
 
-def doubts(outcome: Commissioned) -> list[str]:
-    """Return a sentence for each reason not to rely on a commissioned vehicle."""
+def doubts(outcome: Commissioned, *, by_part: bool = False) -> list[str]:
+    """Return a sentence for each reason not to rely on a commissioned vehicle.
+
+    If each part is read, as sides and axles that differ are not in it, a misfit is a reason only
+    where estimates are flagged for it, and no other start has been searched.
+    """
     found = []
-    if not is_explained(outcome):
+    if not is_explained(outcome) and not (by_part and outcome.misfit <= UNTRUSTED):
         found.append(
             f"A misfit above {INCOMPLETE:g} means that the physics of the model is incomplete or a "
             "sensor is wrong; the figure shows at which frequencies. Intervals of estimates with "
@@ -150,7 +154,7 @@ def doubts(outcome: Commissioned) -> list[str]:
             "The search for the vehicle did not converge: its numbers may not be the most "
             "probable ones. Commission on more or longer trips."
         )
-    if outcome.n_agree < LEAST_AGREEING:
+    if outcome.n_agree < LEAST_AGREEING and not by_part:
         found.append(
             f"Of {outcome.n_starts} starts of the search no other one found this vehicle: a better "
             "one may exist. Commission on more or longer trips."
@@ -211,8 +215,12 @@ def of_parts(bogie: CommissionedBogie) -> str:
     )
 
 
-AS_EQUAL = "With both sides and axles as equal, for trips that do not show their parts: "
-"""Start of the sentence on the vertical vehicle where each part is to be read."""
+def as_equal(outcome: Commissioned) -> str:
+    """Return a sentence on the vertical vehicle where each part is read."""
+    return (
+        "With both sides and axles as equal, for trips that do not show their parts, the misfit is "
+        f"{outcome.misfit:.2f}: their intervals are wider by what parts that differ could cost."
+    )
 
 
 SHOWS_MASS = 2 * EXPLAINED

@@ -80,7 +80,7 @@ def commission_trips(
     prior = _prior(generator, found)
     outcome = commission(prior, settings, found.groups, near=near, progress=progress)
     if bogie is not None:
-        log.info("%s%s", words.AS_EQUAL, words.verdict(found, outcome))
+        log.info("%s", words.as_equal(outcome))
         return outcome
     log.info("%s %s", words.verdict(found, outcome), words.agreement(outcome))
     for doubt in [*words.doubts(outcome), words.mass_doubt(outcome.masses)]:

@@ -107,16 +107,16 @@ def as_json(
 ) -> dict[str, Any]:
     """Return all numbers of a commissioned vehicle in SI units, for a file."""
     generator = outcome.generator
-    of_parts, equal = [], words.verdict(found, outcome)
+    by_part, of_parts, equal = bogie is not None, [], words.verdict(found, outcome)
     if bogie is not None:
         of_parts = [words.of_parts(bogie), *words.doubts_of_parts(bogie)]
-        equal = f"{words.AS_EQUAL}{equal}"
+        equal = words.as_equal(outcome)
     return {
         "suspnet_version": __version__,
         "vehicle": generator.vehicle.name,
         "suspension": _place(found),
         "parts": list(generator.parts),
-        "verdict": [*of_parts, equal, *words.doubts(outcome)],
+        "verdict": [*of_parts, equal, *words.doubts(outcome, by_part=by_part)],
         "threshold": INCOMPLETE,
         "n_starts": outcome.n_starts,
         "n_agree": outcome.n_agree,
@@ -134,7 +134,8 @@ def _page(
     drawn: Mapping[str, Figure],
     bogie: CommissionedBogie | None = None,
 ) -> str:
-    doubts, numbers = words.doubts(outcome), words.numbers(outcome)
+    by_part = bogie is not None
+    doubts, numbers = words.doubts(outcome, by_part=by_part), words.numbers(outcome)
     of_parts = None
     if bogie is not None:
         parts_doubts = words.doubts_of_parts(bogie)
@@ -157,9 +158,9 @@ def _page(
         mileage_km=training_notes(found, outcome)["mileage_km"],
         of_parts=of_parts,
         tone="notice" if doubts else "good",
-        verdict=words.verdict(found, outcome),
+        verdict=words.as_equal(outcome) if by_part else words.verdict(found, outcome),
         doubts=doubts,
-        agreement="" if doubts else words.agreement(outcome),
+        agreement="" if doubts or by_part else words.agreement(outcome),
         reference=words.reference(outcome),
         figures=[
             {
