@@ -37,6 +37,7 @@ from suspnet.report.tables import (
     Evaluated,
     FleetView,
     finding,
+    most_severe,
     same_columns,
     split_outputs,
 )
@@ -290,11 +291,17 @@ def write_overview(done: Sequence[Evaluated], outputs: Sequence[str], output: Pa
     """
     rows = [one.row(outputs) for one in done]
     write_table(pa.Table.from_pylist(rows), output / "overview")
-    page = render("overview.html", rows=rows, outputs=outputs, finding=finding(rows))
+    page = render(
+        "overview.html",
+        rows=rows,
+        outputs=outputs,
+        finding=finding(rows),
+        most_severe=most_severe(rows),
+    )
     write_atomically(output / "overview.html", page)
     shown = ("folder", "suspension", "bogie", "side", "severity", "parameter", "n_trips", "reason")
     table = tabulate([[row[key] for key in shown] for row in rows], shown, tablefmt="github")
-    return f"{finding(rows)}\n{table}"
+    return "\n".join([" ".join(filter(None, [finding(rows), most_severe(rows)])), table])
 
 
 def check_documents(*, pdf: bool, xlsx: bool) -> None:
@@ -335,6 +342,7 @@ def write_fleet(view: FleetView, plan: Plan, figure: Figure, output: Path) -> No
         "fleet.html",
         rows=view.rows,
         finding=finding(view.rows),
+        most_severe=most_severe(view.rows),
         plan=plan,
         jobs=joined(jobs),
         calendar=data_uri(figure),

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from tabulate import tabulate
 
-from suspnet.ground.parameters import BODY_MASS, BOGIE_PARTS, Limits, Severity
+from suspnet.ground.parameters import BODY_MASS, BOGIE_PARTS, Limits, Severity, part_words
 from suspnet.ground.records import OK, PLACE_FROM_TRAIN, Key, Place, TripCurves, TripResult
 from suspnet.ground.types import FloatArray
 from suspnet.ground.wording import count, files_of, kilometres
@@ -200,7 +200,8 @@ def overview_table(rows: Sequence[Mapping[str, Any]]) -> str:
     columns = [key for key in shown if any(row[key] for row in rows)]
     head = [[row[key] for key in columns] for row in rows[:N_SHOWN]]
     more = f"\n... and {len(rows) - N_SHOWN} more" if len(rows) > N_SHOWN else ""
-    return f"{finding(rows)}\n{tabulate(head, columns, tablefmt='github')}{more}"
+    said = " ".join(filter(None, [finding(rows), most_severe(rows)]))
+    return f"{said}\n{tabulate(head, columns, tablefmt='github')}{more}"
 
 
 def finding(rows: Sequence[Mapping[str, Any]]) -> str:
@@ -214,6 +215,19 @@ def finding(rows: Sequence[Mapping[str, Any]]) -> str:
     }
     found = ", ".join(f"{counts[level]} {text}" for level, text in words.items() if counts[level])
     return f"{count(len(rows), 'suspension')}: {found}."
+
+
+def most_severe(rows: Sequence[Mapping[str, Any]]) -> str:
+    """Return a sentence that names the part of the worst suspension; empty without a finding.
+
+    `rows` come with the most severe first.
+    """
+    worst = rows[0] if rows else {}
+    is_found = worst.get("severity") in (str(Severity.ACT), str(Severity.NOTICE))
+    if not is_found or not worst.get("parameter"):
+        return ""
+    first = part_words(worst["parameter"].partition(", ")[0])
+    return f"The most severe: {first} ({worst['suspension']})."
 
 
 @dataclass(frozen=True)

@@ -110,6 +110,7 @@ def test_mileage_per_day_that_is_assumed_is_shown_as_such(states):
         "rows": [],
         "parameters": [],
         "finding": "",
+        "most_severe": "",
         "calendar": "",
         "sisters": [],
         "bogies": [],

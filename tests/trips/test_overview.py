@@ -17,7 +17,7 @@ from suspnet.ground.records import Place
 from suspnet.maintenance.series import series_of
 from suspnet.maintenance.state import State
 from suspnet.report.output import write_overview
-from suspnet.report.tables import Evaluated, finding
+from suspnet.report.tables import Evaluated, finding, most_severe
 from suspnet.trips import fleet
 from suspnet.trips.commissionings import models_of
 from suspnet.trips.fleet import FleetSettings, evaluate_fleet
@@ -262,6 +262,14 @@ def test_page_links_each_report_and_escapes_names(tmp_path):
     assert page.links == ["a%20b%23%3F/report.html"]
     assert page.rows == [None, "plain", "plain"]
     assert "nan" not in text.lower().split()
+
+
+def test_the_most_severe_part_is_named_first():
+    act = {"severity": "act", "parameter": "c_p_axle2_left, k_s", "suspension": "Wagen 1"}
+    said = most_severe([act, {"severity": "none", "parameter": "", "suspension": "Wagen 2"}])
+    assert said == "The most severe: damper of axle 2, left (Wagen 1)."
+    assert most_severe([{"severity": "unknown", "parameter": "k_p", "suspension": "a"}]) == ""
+    assert most_severe([]) == ""
 
 
 @pytest.mark.parametrize(("n", "words"), [(1, "1 suspension: 1 "), (2, "2 suspensions: 2 ")])
