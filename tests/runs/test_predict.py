@@ -17,6 +17,7 @@ from suspnet.estimation.information import output_bounds
 from suspnet.estimation.problem import BLOCK, CALIBRATE, TEST, TRAIN, Problem
 from suspnet.estimation.refine import refine
 from suspnet.learning import MSVR, MVGPR, CurveFit, LinearRegression
+from suspnet.runs import scores
 from suspnet.runs.fit import fit
 from suspnet.runs.predict import calibrated, predict_stream
 from suspnet.spectra.curves import CurveMisfit, CurveSettings
@@ -276,3 +277,18 @@ def test_curve_fit_cannot_read_trips():
     model = fit(problem, CurveFit(8), None)
     with pytest.raises(ValueError, match="it cannot be used with data=trips"):
         predict_stream(problem, model, TEST)
+
+
+@pytest.mark.parametrize("is_uncertain", [False, True])
+def test_bounds_of_uncertain_numbers_are_those_of_the_first_curves(monkeypatch, is_uncertain):
+    problem, model, outcome = outcome_of("linear")
+    monkeypatch.setattr(scores, "N_BOUND", 50)
+    monkeypatch.setattr(Problem, "is_uncertain", is_uncertain)
+    found = scores.scores(problem, model, outcome)
+    n = 50 if is_uncertain else 200
+    assert found["n_bound"] == n
+    bounds = output_bounds(problem.task, problem.observer, outcome.data.ratios[:n])
+    truth = outcome.data.outputs[:n]
+    error = np.sqrt(np.mean((outcome.predicted / outcome.data.outputs - 1) ** 2, axis=0))
+    expected = error / np.sqrt(np.mean((bounds / truth) ** 2, axis=0))
+    np.testing.assert_allclose(list(found["rms_ratio"].values()), expected)
