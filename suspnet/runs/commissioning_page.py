@@ -135,9 +135,10 @@ def _page(
     bogie: CommissionedBogie | None = None,
 ) -> str:
     doubts, numbers = words.doubts(outcome), words.numbers(outcome)
-    of_parts = None
+    of_parts, is_calm = None, False
     if bogie is not None:
         parts_doubts = words.doubts_of_parts(bogie)
+        is_calm = not parts_doubts
         of_parts = {
             "verdict": words.of_parts(bogie),
             "tone": "notice" if parts_doubts else "good",
@@ -156,7 +157,8 @@ def _page(
         headline=_headline(found, vehicle.name),
         mileage_km=training_notes(found, outcome)["mileage_km"],
         of_parts=of_parts,
-        tone="notice" if doubts else "good",
+        # doubts about equal sides are no finding where the parts are read and explain the trips
+        tone="notice" if doubts and not is_calm else "plain" if doubts else "good",
         verdict=words.verdict(found, outcome),
         doubts=doubts,
         agreement="" if doubts else words.agreement(outcome),

@@ -132,14 +132,30 @@ def check_channels(
         )
     doubts += [IF_SURE] if doubts else []
     # at low frequency the gains hardly depend on the suspension: check units and signs there
-    slow = (frequencies_hz >= SLOW[0] * modes[0]) & (frequencies_hz <= SLOW[1] * modes[0])
+    low_hz, high_hz = (float(factor * modes[0]) for factor in SLOW)
+    slow = (frequencies_hz >= low_hz) & (frequencies_hz <= high_hz)
     coherence = spectra.coherences()[:, slow].mean(dim=1)
     if bool(slow.any()) and bool((coherence >= COHERENT).all()):
         gains = (spectra.responses("Hv")[:, slow] / expected[:, slow]).mean(dim=1)
         _check_gains([complex(gain) for gain in gains])
     else:
-        doubts.append("units and signs not checked: too little coherence at low frequency")
+        doubts.append(_unchecked_gains(coherence, low_hz, high_hz))
     return "; ".join(doubts)
+
+
+def _unchecked_gains(coherence: Tensor, low_hz: float, high_hz: float) -> str:
+    """Return why units and signs are not checked; `coherence` (2,) is NaN without a bin there."""
+    least = float(coherence.min())
+    if math.isnan(least):
+        return (
+            f"units and signs not checked: they show from {low_hz:.2g} to {high_hz:.2g} Hz only, "
+            "which these spectra do not reach"
+        )
+    return (
+        f"units and signs not checked: the coherence from {low_hz:.2g} to {high_hz:.2g} Hz, where "
+        f"they show, is {least:.2f}, at least {COHERENT:g} is needed (the coherence of tables is "
+        "that of the vehicle's band, at higher frequencies)"
+    )
 
 
 def shown_direction(
