@@ -178,7 +178,7 @@ def estimate_parts(
     found = parts.as_estimate()
     flags = with_bogie_doubt(found.flags, has_converged=bogie.converged, misfit=bogie.misfit)
     worn = worn_words(worn_parts(parts))
-    estimate = replace(found, flags=flags, healthy=bogie.healthy, found=worn)
+    estimate = replace(found, flags=flags, healthy=bogie.healthy, found=worn, misfit=parts.misfit)
     if parts.converged:
         return estimate
     text = "the search for the parts did not end within its steps"

@@ -151,7 +151,8 @@ NOT_CONVERGED = (
 BOGIE_NOT_CONVERGED = (
     "the search for the healthy bogie did not end within its steps when it was commissioned, so "
     "that a wrong part may be named and intervals are too narrow: commission again with more "
-    "healthy trips of several payloads and speeds, and with sensors at the axle boxes where there are none"
+    "healthy trips of several payloads and speeds, and with sensors at the axle boxes where there "
+    "are none"
 )
 """Flag of every trip of which each part is compared with such a bogie."""
 
