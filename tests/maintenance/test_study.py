@@ -85,6 +85,13 @@ def test_parts_and_trains_of_the_plan(states):
     assert train.km_per_day == pytest.approx(2000 / 3)
     unnamed = replace(states[0].series, place=Place("x"))
     assert train_of(replace(states[0], series=unnamed)) == "am96: x"
+    bogies = [
+        replace(states[0], series=replace(unnamed, place=Place("x", bogie=bogie)))
+        for bogie in ("leading", "trailing")
+    ]
+    assert {train_of(one) for one in bogies} == {"am96: x"}
+    lone = replace(states[0], series=replace(unnamed, place=Place(bogie="leading")))
+    assert train_of(lone) == "am96"
 
 
 def test_mileage_per_day_that_is_assumed_is_shown_as_such(states):
