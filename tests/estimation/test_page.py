@@ -278,7 +278,9 @@ def test_parts_come_first_where_they_are_read(
     text = text_of(page)
     parts = f"Each part of the bogie is read: its misfit is {misfit:.2f} times the noise; springs"
     equal = "The vehicle does not explain its healthy trips (3 trips): the misfit is 6.78 times"
-    heading = "Only for trips that do not show their parts: both sides and axles as equal Short trips"
+    heading = (
+        "Only for trips that do not show their parts: both sides and axles as equal Short trips"
+    )
     places = [text.index(one) for one in (parts, said, heading, equal)]
     assert places == sorted(places)
     assert "dampers by up to 11.5 %" in text

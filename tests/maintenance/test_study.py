@@ -71,7 +71,7 @@ def test_rows_say_state_reason_and_who_has_seen_it(states):
         "at about 75 000 km"
     )
     assert rows[0]["k_s_last"] == pytest.approx(1.0, abs=0.01)  # two of the last five
-    assert rows[2]["reason"] == rows[2]["parameter"] == ""
+    assert (rows[2]["reason"], rows[2]["parameter"]) == ("within its limits", "")
     text = overview_table(rows)
     assert text.startswith("3 suspensions: 1 to act on, 1 to be looked at, 1 without alarm.")
 
