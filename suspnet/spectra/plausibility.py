@@ -38,6 +38,8 @@ SWAPPED = 2.0
 """Mean ratio of the powers of left and right above which sensors of two pairs may be swapped."""
 ISOLATED = 2.0
 """Multiple of the second natural frequency above which a lower place moves more than a higher."""
+LINKS = ("axle box and bogie frame", "bogie frame and car body")
+"""Sensors between which the two coherences are."""
 COHERENT = 0.5
 """Lowest coherence at which gains are checked."""
 IN_ORDER = tuple(range(len(CHANNELS)))
@@ -151,9 +153,10 @@ def _unchecked_gains(coherence: Tensor, low_hz: float, high_hz: float) -> str:
             f"units and signs not checked: they show from {low_hz:.2g} to {high_hz:.2g} Hz only, "
             "which these spectra do not reach"
         )
+    link = LINKS[int(coherence.argmin())]
     return (
-        f"units and signs not checked: the coherence from {low_hz:.2g} to {high_hz:.2g} Hz, where "
-        f"they show, is {least:.2f}, at least {COHERENT:g} is needed (the coherence of tables is "
+        f"units and signs not checked: the coherence of {link} from {low_hz:.2g} to "
+        f"{high_hz:.2g} Hz, where they show, is {least:.2f}, at least {COHERENT:g} is needed (the coherence of tables is "
         "that of the vehicle's band, at higher frequencies)"
     )
 

@@ -222,7 +222,8 @@ def test_incoherent_channel_is_said_not_to_be_checked():
     noisy = signals.clone()
     noisy[2] += 1.5 * signals[2].std() * noise
     message = (
-        "units and signs not checked: the coherence from 0.26 to 0.53 Hz, where they show, is 0.12,"
+        "units and signs not checked: the coherence of bogie frame and car body from 0.26 to "
+        "0.53 Hz, where they show, is 0.12, at least 0.5 is needed"
     )
     assert check(generator, noisy).startswith(message)
     assert check(generator, scaled(noisy, "bogie", -G)).startswith(message)
