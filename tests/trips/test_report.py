@@ -111,7 +111,7 @@ def test_headline_and_verdicts_appear(whole):
     assert "bogie 1, left" in words
     assert "10 000 to 300 000 km" in words
     assert "30, of which 28 with an estimate" in words
-    assert "Act: k_s (suspension bogie 1, left) 1 of 4 parameters is beyond" in words
+    assert "Act: c_s (suspension bogie 1, left) 1 of 4 parameters is beyond" in words
     for one in state_of(results).assessments:
         assert one.words in words
     assert words.count("▲") == 4  # k_p and c_s, and where the mark is explained
