@@ -285,8 +285,8 @@ def write_overview(done: Sequence[Evaluated], outputs: Sequence[str], output: Pa
         "overview.html", rows=rows, outputs=outputs, finding=finding(rows), **bogies_of(done)
     )
     write_atomically(output / "overview.html", page)
-    shown = ("folder", "suspension", "bogie", "side", "severity", "parameter", "n_trips", "reason")
-    shown += ("sensors",) * any(row["sensors"] for row in rows)
+    shown = ["folder", "suspension", "bogie", "side", "severity", "parameter", "n_trips", "reason"]
+    shown += ["sensors"] * any(row["sensors"] for row in rows)
     table = tabulate([[row[key] for key in shown] for row in rows], shown, tablefmt="github")
     return f"{finding(rows)}\n{table}"
 

@@ -156,8 +156,8 @@ def _unchecked_gains(coherence: Tensor, low_hz: float, high_hz: float) -> str:
     link = LINKS[int(coherence.argmin())]
     return (
         f"units and signs not checked: the coherence of {link} from {low_hz:.2g} to "
-        f"{high_hz:.2g} Hz, where they show, is {least:.2f}, at least {COHERENT:g} is needed (the coherence of tables is "
-        "that of the vehicle's band, at higher frequencies)"
+        f"{high_hz:.2g} Hz, where they show, is {least:.2f}, at least {COHERENT:g} is needed (the "
+        "coherence of tables is that of the vehicle's band, at higher frequencies)"
     )
 
 
