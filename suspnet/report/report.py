@@ -276,6 +276,13 @@ def _headline(trips: Sequence[TripResult]) -> dict[str, str]:
     dates = spoken(span(starts[0][:10], starts[-1][:10])) if starts else ""
     done = sum(r.status == OK for r in trips)
     flagged = sum(bool(r.flags) for r in trips)
+    misfits = [r.quality.misfit for r in trips if math.isfinite(r.quality.misfit)]
+    misfit = ""
+    if misfits:
+        ends = span(*(f"{of(misfits):.2f}" for of in (min, max)))
+        misfit = gettext("%(between)s times the noise; 1 is noise alone") % {
+            "between": spoken(ends)
+        }
     texts = {
         N_("Vehicle"): ", ".join(dict.fromkeys(r.vehicle for r in trips if r.vehicle)),
         N_("Suspension"): "; ".join(
@@ -286,6 +293,7 @@ def _headline(trips: Sequence[TripResult]) -> dict[str, str]:
         N_("Trips"): gettext("%(n)s, of which %(done)s with an estimate")
         % {"n": len(trips), "done": done}
         + (", " + gettext("%(n)s of these flagged") % {"n": flagged} if flagged else ""),
+        N_("Misfit"): misfit,
     }
     return {label: text for label, text in texts.items() if text}
 
