@@ -421,7 +421,7 @@ def test_one_sentence_for_all_parameters_is_written_once_above_and_once_in_the_t
     _, page = write(tmp_path / "r.html", results)
     assert page.text.count("not judged, as all trips are flagged") == 2
     assert "k p , c p , k s , c s : not judged, as all trips are flagged" in page.text
-    assert {"class": "words", "rowspan": "4"} in page.named("td")
+    assert page.text.count("as above") >= 3  # no row is without a reason
     assert "within its limits" not in page.text.partition(" Words ")[0]
 
 
