@@ -15,7 +15,7 @@ from suspnet.dynamics import SpatialVehicle, VerticalVehicle
 from suspnet.dynamics.spatial_numbers import PLACES
 from suspnet.estimation.bogie_fit import CommissionedBogie
 from suspnet.estimation.estimate import Estimate
-from suspnet.estimation.flags import with_doubt
+from suspnet.estimation.flags import with_bogie_doubt
 from suspnet.estimation.intervals import LARGEST_MISFIT
 from suspnet.estimation.steady_parts import groups_to_read, minutes_words
 from suspnet.estimation.swapped_sensors import check_order
@@ -207,9 +207,9 @@ def estimate_parts(
             "the sensors"
         )
     found = parts.as_estimate()
-    flags = with_doubt(found.flags, has_converged=bogie.converged, misfit=bogie.misfit)
+    flags = with_bogie_doubt(found.flags, has_converged=bogie.converged, misfit=bogie.misfit)
     worn = worn_words(worn_parts(parts))
-    estimate = replace(found, flags=flags, healthy=bogie.healthy, found=worn)
+    estimate = replace(found, flags=flags, healthy=bogie.healthy, found=worn, misfit=parts.misfit)
     if parts.converged:
         return estimate
     text = "the search for the parts did not end within its steps"

@@ -47,6 +47,8 @@ class Estimate:
         Healthy values in SI units.
     found : str
         What the fit of a trip's curve found in addition to the parameters; empty if nothing.
+    misfit : float, [-]
+        Rms of what the fit of a trip leaves unexplained over that of the noise; NaN without a fit.
 
     Examples
     --------
@@ -63,6 +65,7 @@ class Estimate:
     flags: Flags
     healthy: HealthyValues | None = None
     found: str = ""
+    misfit: float = np.nan
 
     def widened(self, deviations: FloatArray) -> Estimate:
         """Return the estimates with intervals that hold one more, independent error.

@@ -4,8 +4,8 @@ There are six kinds of flags. `OODDetector` sets four: a peak is missing; the fe
 the cloud of the training curves; a parameter lies outside the training range; the generator does
 not explain the curve with any parameters. `Unexplained` sets one if the generator did not explain
 the healthy trips of its commissioning, and `suspnet.estimation.trip_flags` one if the equations do
-not explain how left and right differ. `with_doubt` sets that of physics on every trip read with a
-vehicle whose commissioning did not converge.
+not explain how left and right differ. `with_doubt` and `with_bogie_doubt` set that of physics on
+every trip read with a vehicle, or a bogie, whose commissioning did not converge.
 
 Unexplained residual: with d_gf the logarithm of the response of group g of the healthy trips in bin
 f over that of the commissioned vehicle, and s_gf the standard deviation of its real and imaginary
@@ -148,12 +148,24 @@ NOT_CONVERGED = (
     "is too narrow: commission again, on more or longer trips"
 )
 """Flag of every trip that is read with such a vehicle."""
+BOGIE_NOT_CONVERGED = (
+    "the search for the healthy bogie did not end within its steps when it was commissioned, so "
+    "that a wrong part may be named and intervals are too narrow: commission again with more "
+    "healthy trips of several payloads and speeds, and with sensors at the axle boxes where there "
+    "are none"
+)
+"""Flag of every trip of which each part is compared with such a bogie."""
 
 
-def with_doubt(flags: Flags, *, has_converged: bool, misfit: float = 1.0) -> Flags:
-    """Return the flags of a trip, with the doubt about the healthy vehicle it is compared with.
+def with_doubt(flags: Flags, *, has_converged: bool) -> Flags:
+    """Return the flags of a trip, with the doubt about the healthy vehicle it is compared with."""
+    return flags if has_converged else flags.with_kind("physics", NOT_CONVERGED)
 
-    `misfit` is that of a bogie of which each part is read; `Unexplained` has that of others.
+
+def with_bogie_doubt(flags: Flags, *, has_converged: bool, misfit: float) -> Flags:
+    """Return the flags of a trip, with the doubt about the bogie that its parts are compared with.
+
+    `misfit` is that of the bogie's healthy trips.
     """
     if misfit > UNTRUSTED:
         flags = flags.with_kind(
@@ -161,7 +173,7 @@ def with_doubt(flags: Flags, *, has_converged: bool, misfit: float = 1.0) -> Fla
             f"the bogie leaves {misfit:.3g} times the noise of its healthy trips unexplained, so "
             "intervals of parts do not hold; look at its commissioning page",
         )
-    return flags if has_converged else flags.with_kind("physics", NOT_CONVERGED)
+    return flags if has_converged else flags.with_kind("physics", BOGIE_NOT_CONVERGED)
 
 
 N_REFERENCE, N_NEIGHBOURS = 4096, 4

@@ -146,7 +146,7 @@ def estimate_with_noise(
     noise = noise * max(1.0, float(refined.misfit[0]))
     spread = np.sqrt(lasting + noise**2)
     estimate = _estimate(method, values, factor / usual * spread, level, flags)
-    estimate = replace(estimate, found=found)
+    estimate = replace(estimate, found=found, misfit=float(refined.misfit[0]))
     law = DampingByVelocity.noted(method.training)
     if law is not None:
         own = relative_velocities(spectra, observer.frequencies_hz)

@@ -298,7 +298,8 @@ def combined(bins: Sequence[SpeedBin]) -> Estimate:
     ends = [values * np.exp(sign * np.sqrt(noise + lasting)) for sign in (-1, 1)]
     first = bins[0].estimate
     rows = values[None], ends[0][None], ends[1][None]
-    return Estimate(first.names, *rows, first.level, _flags(bins), first.healthy)
+    misfit = largest(bins).estimate.misfit
+    return Estimate(first.names, *rows, first.level, _flags(bins), first.healthy, misfit=misfit)
 
 
 def _flags(bins: Sequence[SpeedBin]) -> Flags:

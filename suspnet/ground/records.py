@@ -99,6 +99,8 @@ class Quality:
     ----------
     coherence_p, coherence_s : float, [-]
         Mean over the band, axle box - bogie and bogie - body.
+    misfit : float, [-]
+        Rms of what the estimates leave unexplained, over that of the noise; NaN without a fit.
     n_averages : float
         Number of independent averages.
     segments_used, segments_total : int
@@ -126,6 +128,7 @@ class Quality:
 
     coherence_p: float = np.nan
     coherence_s: float = np.nan
+    misfit: float = np.nan
     n_averages: float = 0.0
     segments_used: int = 0
     segments_total: int = 0

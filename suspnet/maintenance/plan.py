@@ -5,6 +5,7 @@ from __future__ import annotations
 import operator
 from collections import defaultdict
 from collections.abc import Sequence
+from dataclasses import astuple, replace
 from datetime import date, timedelta
 from itertools import chain
 
@@ -310,8 +311,15 @@ def trains_of(states: Sequence[State], today: date, default_km_per_day: float) -
 
 
 def train_of(state: State) -> str:
-    """Return the name of a suspension's train, or of the suspension if no train is named."""
-    return state.series.place.train or f"{state.series.vehicle}: {state.series.place}"
+    """Return the name of a suspension's train, or where that is not named, its vehicle and place.
+
+    That place has no bogie and side: both bogies of a car are in one train.
+    """
+    place = state.series.place
+    if place.train:
+        return place.train
+    car = replace(place, bogie="", side="")
+    return f"{state.series.vehicle}: {car}" if any(astuple(car)) else state.series.vehicle
 
 
 def suspension_of(state: State) -> str:

@@ -17,7 +17,7 @@ from suspnet.maintenance.judge import ABSURD, N_LAST
 from suspnet.maintenance.plan import suspension_of, train_of
 from suspnet.maintenance.schedule import Plan
 from suspnet.maintenance.state import State
-from suspnet.report.tables import FleetView, interval_digits
+from suspnet.report.tables import REPORT, Evaluated, FleetView, interval_digits
 from suspnet.report.templates import level, shown_number
 
 EQUAL_SIDES = (
@@ -30,6 +30,8 @@ MOST_DIGITS = 1
 """Largest number of decimals in the drawing, whose labels are narrow."""
 LEAST_HALF = 0.1
 """Least half width of an interval that is shown with so many [% of healthy]."""
+WIDE_HALF = 10.0
+"""Half width of an interval from which on no decimals are shown [% of healthy]."""
 MOST_BOGIES = 6
 """Largest number of bogies drawn on one page of a fleet."""
 LETTERS = "ABCDEFGHIJKL"
@@ -117,7 +119,7 @@ def _newest_verdict(state: State) -> str:
 
 
 def bogies_shown(view: FleetView, chosen: Iterable[int] | None = None) -> dict[str, Any]:
-    """Return the bogies with findings of a fleet, the worst first, for the macro `bogies`.
+    """Return the bogies of a fleet, those with findings first, for the macro `fleet`.
 
     `chosen` are indices of the states, None: all. The values are "bogies", each with its place and
     its name in URLs, "n_bogies", the number of bogies whose parts are read, and "no_part", a
@@ -125,15 +127,27 @@ def bogies_shown(view: FleetView, chosen: Iterable[int] | None = None) -> dict[s
     """
     several = list(range(len(view.states)) if chosen is None else chosen)
     read = [i for i in several if set(BOGIE_PARTS) & set(view.states[i].outputs)]
-    found = [i for i in read if view.states[i].severity > Severity.NONE][:MOST_BOGIES]
     return {
         "bogies": [
             (view.rows[i]["where"], view.names[i], bogie_of(view.states[i], view.plan))
-            for i in found
+            for i in sorted(read, key=lambda i: -view.states[i].severity)[:MOST_BOGIES]
         ],
         "n_bogies": len(read),
         "no_part": "" if read or not several else NONE_NAMED,
     }
+
+
+def bogies_of(done: Iterable[Evaluated]) -> dict[str, Any]:
+    """Return the bogies of a folder's suspensions, in the order given; see `bogies_shown`.
+
+    The name of each is the path of its report.
+    """
+    drawn = [
+        (str(one.place), f"{one.name}/{REPORT}", bogie)
+        for one in done
+        if one.state is not None and (bogie := bogie_of(one.state)) is not None
+    ]
+    return {"bogies": drawn[:MOST_BOGIES], "n_bogies": len(drawn)}
 
 
 def _level(state: State, name: str, n_last: int) -> tuple[str, str]:
@@ -146,7 +160,7 @@ def _level(state: State, name: str, n_last: int) -> tuple[str, str]:
     half = float(np.median(halves)) if len(halves) else math.nan
     if not math.isfinite(half) or now > ABSURD:
         return level(now, 1), ""
-    digits = min(interval_digits([half]), MOST_DIGITS)
+    digits = 0 if half >= WIDE_HALF else min(interval_digits([half]), MOST_DIGITS)
     return level(now, digits), shown_number(max(half, LEAST_HALF), digits)
 
 

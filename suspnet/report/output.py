@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import json
-import re
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -26,7 +25,8 @@ from suspnet.maintenance.life import Life
 from suspnet.maintenance.relative import relative_to_first_healthy
 from suspnet.maintenance.schedule import Plan, joined
 from suspnet.report import figures
-from suspnet.report.bogie import bogies_shown
+from suspnet.report.bogie import bogies_of, bogies_shown
+from suspnet.report.dead_sensors import LISTED, dead_sensors
 from suspnet.report.figures import as_png, data_uri
 from suspnet.report.language import gettext
 from suspnet.report.maintenance_figures import health_trend, small_trends
@@ -48,10 +48,6 @@ from suspnet.report.xlsx import check_xlsx, write_xlsx
 
 KNOWN_ERROR_PERCENT = "rms error %"
 COVERAGE_PERCENT = "intervals hold %"
-LISTED = 5
-"""Largest number of trips that are listed for a dead sensor."""
-DEAD = re.compile(r"(?:^|; )([\w ]+: dead and left out.*?)(?=; [a-z_]+(?: [\w ]+)?: |$)")
-"""A dead sensor with what is known of it, among the faults of a trip."""
 
 
 def summary(results: Sequence[TripResult], outputs: Sequence[str]) -> str:
@@ -152,12 +148,7 @@ def sensor_lines(results: Sequence[TripResult], alarms: Sequence[Alarm]) -> list
         for one in alarms
         if one.cause == Cause.SENSOR and one.is_open
     ]
-    trips: dict[str, list[str]] = {}
-    for result in results:
-        for words in DEAD.findall(result.quality.faults):
-            whole = words if words.count("(") == words.count(")") else words.rpartition(" (")[0]
-            trips.setdefault(whole, []).append(result.trip)
-    for words, names in trips.items():
+    for words, names in dead_sensors(results).items():
         more = f" and {len(names) - LISTED} more" * (len(names) > LISTED)
         lines.append(f"sensor {words} (in {', '.join(names[:LISTED])}{more})")
     return [f"  {Severity.NOTICE!s:7s}  {line}" for line in lines]
@@ -297,9 +288,11 @@ def write_overview(done: Sequence[Evaluated], outputs: Sequence[str], output: Pa
         outputs=outputs,
         finding=finding(rows),
         most_severe=most_severe(rows),
+        **bogies_of(done),
     )
     write_atomically(output / "overview.html", page)
-    shown = ("folder", "suspension", "bogie", "side", "severity", "parameter", "n_trips", "reason")
+    shown = ["folder", "suspension", "bogie", "side", "severity", "parameter", "n_trips", "reason"]
+    shown += ["sensors"] * any(row["sensors"] for row in rows)
     table = tabulate([[row[key] for key in shown] for row in rows], shown, tablefmt="github")
     return "\n".join([" ".join(filter(None, [finding(rows), most_severe(rows)])), table])
 

@@ -12,16 +12,24 @@ from typing import Any
 
 from matplotlib.figure import Figure
 
-from suspnet.ground.parameters import KIND_NAMES
+from suspnet.ground.parameters import (
+    BODY_MASS,
+    BOGIE_PARTS,
+    KIND_NAMES,
+    Severity,
+    kind_of,
+    place_words,
+)
 from suspnet.ground.records import INTERVAL_LEVEL, OK, Commissioning, TripResult, by_mileage
 from suspnet.ground.storage import write_atomically
 from suspnet.ground.wording import count, span, thousands, unbroken
 from suspnet.maintenance.alarms import Acknowledgement, newest_of
-from suspnet.maintenance.assessment import joined, overall, worst_first
+from suspnet.maintenance.assessment import Assessment, joined, overall, worst_first
 from suspnet.maintenance.judge import N_LAST
 from suspnet.maintenance.series import Event
 from suspnet.maintenance.state import State
 from suspnet.report.bogie import bogie_of, small_figures, why_no_part
+from suspnet.report.dead_sensors import dead_words
 from suspnet.report.figures import data_uri
 from suspnet.report.language import N_, gettext
 from suspnet.report.sentences import spoken
@@ -89,6 +97,8 @@ RECOMMISSIONED = N_(
     "percentages are of its own healthy values, those in the figure of the first ones."
 )
 MAINTAINED = N_("Maintenance: {}. Severities, medians and changes are of the trips since the last.")
+NAMED = 3
+"""Largest number of parameters that the first sentence of a report names."""
 UNSURE = (
     "so their numbers may be further off than the intervals say; what is beyond a limit is to be "
     "inspected before work is ordered, what is within the limits is not judged"
@@ -132,7 +142,7 @@ def write_report(
     trips = by_mileage(report.results)
     severity, finding = overall(assessments)
     found = joined(worst_first(assessments))
-    doubts, wheels = _doubts(trips), wheels_finding(trips)
+    doubts, wheels, dead = _doubts(trips), wheels_finding(trips), dead_words(trips)
     sides = worn_finding(trips) or sides_finding(trips)
     table = trip_table(trips, report.outputs, report.level)
     shown = {
@@ -145,11 +155,13 @@ def write_report(
         title=title,
         headline=_headline(trips),
         # without an alarm but with remarks the page is neutral
-        tone="plain" if tone == "good" and (doubts or found or sides or wheels) else tone,
+        tone="plain" if tone == "good" and (doubts or found or sides or wheels or dead) else tone,
+        named=named_first(assessments, trips),
         finding=finding,
         doubts=doubts,
         sides=sides,
         wheels=wheels,
+        dead=dead,
         findings=found,
         assessments=[list(run) for _, run in groupby(assessments, lambda a: (a.severity, a.words))],
         limits=state.limits,
@@ -175,6 +187,30 @@ def write_report(
         details=report.details,
     )
     return write_atomically(path, page.encode("utf-8", errors="replace"))
+
+
+def named_first(assessments: Sequence[Assessment], trips: Sequence[TripResult]) -> str:
+    """Return the first sentence of a report with a finding, which names it; empty without one.
+
+    It names the parameters of the largest severity, ``NAMED`` at most, and the suspension.
+    """
+    severity = overall(assessments)[0]
+    if severity < Severity.NOTICE:
+        return ""
+    names = [
+        f"{kind_of(one.parameter)} of {place_words(one.parameter)}"
+        if one.parameter in BOGIE_PARTS
+        else one.parameter
+        for one in assessments
+        if one.severity == severity and one.parameter != BODY_MASS
+    ]
+    said = "; ".join(map(spoken, names[:NAMED]))
+    if len(names) > NAMED:
+        said += " " + gettext("and %(n)s more") % {"n": len(names) - NAMED}
+    places = dict.fromkeys(spoken(str(one.place)) for one in trips if one.place.suspension)
+    where = gettext("suspension %(name)s") % {"name": "; ".join(places)} if places else ""
+    label = gettext(SEVERITIES[severity][1])
+    return f"{label}: {said}" + (f" ({where})" if where else "")
 
 
 def sides_finding(trips: Sequence[TripResult]) -> str:
@@ -240,6 +276,13 @@ def _headline(trips: Sequence[TripResult]) -> dict[str, str]:
     dates = spoken(span(starts[0][:10], starts[-1][:10])) if starts else ""
     done = sum(r.status == OK for r in trips)
     flagged = sum(bool(r.flags) for r in trips)
+    misfits = [r.quality.misfit for r in trips if math.isfinite(r.quality.misfit)]
+    misfit = ""
+    if misfits:
+        ends = span(*(f"{of(misfits):.2f}" for of in (min, max)))
+        misfit = gettext("%(between)s times the noise; 1 is noise alone") % {
+            "between": spoken(ends)
+        }
     texts = {
         N_("Vehicle"): ", ".join(dict.fromkeys(r.vehicle for r in trips if r.vehicle)),
         N_("Suspension"): "; ".join(
@@ -250,6 +293,7 @@ def _headline(trips: Sequence[TripResult]) -> dict[str, str]:
         N_("Trips"): gettext("%(n)s, of which %(done)s with an estimate")
         % {"n": len(trips), "done": done}
         + (", " + gettext("%(n)s of these flagged") % {"n": flagged} if flagged else ""),
+        N_("Misfit"): misfit,
     }
     return {label: text for label, text in texts.items() if text}
 

@@ -25,6 +25,7 @@ from suspnet.maintenance.alarms import Acknowledgement, newest_of
 from suspnet.maintenance.schedule import Plan
 from suspnet.maintenance.series import Series, of_same_car
 from suspnet.maintenance.state import State
+from suspnet.report.dead_sensors import dead_words
 
 REPORT = "report.html"
 N_SHOWN = 30
@@ -74,6 +75,7 @@ class Evaluated:
             "n_estimated": sum(r.status == OK for r in self.results),
             "n_flagged": sum(bool(r.flags) for r in self.results),
             "reason": state.reason if state else reason,
+            "sensors": dead_words(self.results),
             "folder": self.name,
             "report": "" if self.error else f"{self.name}/{REPORT}",
         }
@@ -182,10 +184,14 @@ def _row(state: State, acknowledged: Mapping[Key, Sequence[Acknowledgement]]) ->
     }
 
 
+CALM = "within its limits"
+"""Reason of a suspension without a finding whose changes are watched."""
+
+
 def _quiet(state: State) -> str:
     """Return the status of a suspension without a finding."""
     why = state.watched.changes.why_not
-    return f"alarms of changes not armed yet: {why}" if why else ""
+    return f"within its limits; alarms of changes not armed yet: {why}" if why else CALM
 
 
 def same_columns(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:

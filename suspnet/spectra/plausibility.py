@@ -38,6 +38,8 @@ SWAPPED = 2.0
 """Mean ratio of the powers of left and right above which sensors of two pairs may be swapped."""
 ISOLATED = 2.0
 """Multiple of the second natural frequency above which a lower place moves more than a higher."""
+LINKS = ("axle box and bogie frame", "bogie frame and car body")
+"""Sensors between which the two coherences are."""
 COHERENT = 0.5
 """Lowest coherence at which gains are checked."""
 IN_ORDER = tuple(range(len(CHANNELS)))
@@ -132,14 +134,31 @@ def check_channels(
         )
     doubts += [IF_SURE] if doubts else []
     # at low frequency the gains hardly depend on the suspension: check units and signs there
-    slow = (frequencies_hz >= SLOW[0] * modes[0]) & (frequencies_hz <= SLOW[1] * modes[0])
+    low_hz, high_hz = (float(factor * modes[0]) for factor in SLOW)
+    slow = (frequencies_hz >= low_hz) & (frequencies_hz <= high_hz)
     coherence = spectra.coherences()[:, slow].mean(dim=1)
     if bool(slow.any()) and bool((coherence >= COHERENT).all()):
         gains = (spectra.responses("Hv")[:, slow] / expected[:, slow]).mean(dim=1)
         _check_gains([complex(gain) for gain in gains])
     else:
-        doubts.append("units and signs not checked: too little coherence at low frequency")
+        doubts.append(_unchecked_gains(coherence, low_hz, high_hz))
     return "; ".join(doubts)
+
+
+def _unchecked_gains(coherence: Tensor, low_hz: float, high_hz: float) -> str:
+    """Return why units and signs are not checked; `coherence` (2,) is NaN without a bin there."""
+    least = float(coherence.min())
+    if math.isnan(least):
+        return (
+            f"units and signs not checked: they show from {low_hz:.2g} to {high_hz:.2g} Hz only, "
+            "which these spectra do not reach"
+        )
+    link = LINKS[int(coherence.argmin())]
+    return (
+        f"units and signs not checked: the coherence of {link} from {low_hz:.2g} to "
+        f"{high_hz:.2g} Hz, where they show, is {least:.2f}, at least {COHERENT:g} is needed (the "
+        "coherence of tables is that of the vehicle's band, at higher frequencies)"
+    )
 
 
 def shown_direction(

@@ -176,6 +176,13 @@ def suspensions(checks: Iterable[TripCheck]) -> list[Suspension]:
     return [Suspension(title, by_title[title]) for title in sorted(by_title)]
 
 
+USABLE = (
+    "usable: share without faults; steady: share of that in stretches at one speed that are long "
+    "and certain enough for an estimate"
+)
+"""Explanation of two columns of the table, where they differ."""
+
+
 def _ends(values: Sequence[float], digits: int) -> str:
     return span(*(f"{of(values):.{digits}f}" for of in (min, max)))
 
@@ -204,9 +211,21 @@ def summary(checks: Sequence[TripCheck], elsewhere: Sequence[str] = ()) -> str:
     read = [check for check in checks if np.isfinite(check.duration_s)]
     lines = [verdict(checks, elsewhere)]
     if read:
-        header = ("trip", "minutes", "usable %", "m/s", "averages", "coherence", "sensors", "state")
+        header = (
+            "trip",
+            "minutes",
+            "usable %",
+            "steady %",
+            "m/s",
+            "averages",
+            "coherence",
+            "sensors",
+            "state",
+        )
         rows = [_cells(check) for check in read]
         lines += [tabulate(rows, header, tablefmt="github", disable_numparse=True)]
+    if any(check.steady_percent < check.usable_percent for check in read):
+        lines += [USABLE]
     for one in suspensions(checks):
         lines += ["", f"{one.title}: {'; '.join(one.sentences())}"]
     for title, found in (
@@ -223,7 +242,8 @@ def _cells(check: TripCheck) -> list[str]:
     parts, each = check.parts, [part.speed_m_per_s for part in check.parts]
     speeds = _ends(each, 1) if each else ""
     coherence = f"{parts[0].coherence_p:.2f}, {parts[0].coherence_s:.2f}" if parts else ""
-    numbers = f"{check.duration_s / 60:.1f}", f"{check.usable_percent:.1f}", speeds
+    steady = f"{check.steady_percent:.0f}" if np.isfinite(check.steady_percent) else ""
+    numbers = f"{check.duration_s / 60:.1f}", f"{check.usable_percent:.1f}", steady, speeds
     averages = f"{check.n_averages:.0f}"
     return [check.name, *numbers, averages, coherence, check.sensors, check.shown]
 

@@ -59,6 +59,7 @@ def report_details(
         "transfer functions": f"{trained.method}, {trained.window} windows of "
         f"{trained.segment_s:g} s",
         "healthy is": reference,
+        "misfit of the healthy trips": "; then ".join(misfit_words(era[0]) for era in eras(models)),
         "intervals": _interval_words(first, level),
         "limits": limits_words(limits),
     } | files_read_as(results)
@@ -89,6 +90,16 @@ def healthy_words(model: TrainedModel) -> str:
     law = DampingByTemperature.noted(model.training)
     at = f", damping at {law.healthy_c:.0f} °C" if law else ""
     return f"what {count(found['n_trips'], 'trip')} {span} showed{at}"
+
+
+def misfit_words(model: TrainedModel) -> str:
+    """Return the misfit of a model's healthy trips, as text."""
+    commissioned = model.training.get("commissioned")
+    of_equal = f"{commissioned['misfit']:.2f} times the noise" if commissioned else ""
+    if model.bogie is None:
+        return of_equal or "none: the vehicle is that of the drawing, not commissioned"
+    of_parts = f"{model.bogie.misfit:.2f} times the noise with each part read"
+    return f"{of_parts}, {of_equal} with both sides and axles as equal" if of_equal else of_parts
 
 
 def _interval_words(model: TrainedModel, level: float) -> str:

@@ -220,6 +220,7 @@ def _with_values(result: TripResult, estimate: Estimate, healthy: HealthyValues)
             zip(names, healthy.half_widths(estimate.level).tolist(), strict=True)
         ),
         flags=estimate.flags.reasons[0],
+        quality=replace(result.quality, misfit=estimate.misfit),
     )
 
 

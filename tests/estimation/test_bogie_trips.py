@@ -24,7 +24,7 @@ from suspnet.estimation.bogie_trips import (
     show_parts,
 )
 from suspnet.estimation.direction import direction_of
-from suspnet.estimation.flags import NOT_CONVERGED
+from suspnet.estimation.flags import BOGIE_NOT_CONVERGED
 from suspnet.estimation.from_recording import all_bins
 from suspnet.estimation.healthy_trips import HealthyTrips
 from suspnet.estimation.trip_settings import TripSettings
@@ -129,7 +129,11 @@ def test_search_that_did_not_end_is_told(short, monkeypatch, caplog, converged):
 
 @pytest.mark.parametrize(
     ("converged", "misfit", "reason"),
-    [(True, 4.9, ""), (False, 1.0, NOT_CONVERGED), (True, 15.1, "the bogie leaves 15.1 times the")],
+    [
+        (True, 4.9, ""),
+        (False, 1.0, BOGIE_NOT_CONVERGED),
+        (True, 15.1, "the bogie leaves 15.1 times the"),
+    ],
 )
 def test_parts_read_with_a_doubtful_bogie_are_flagged(monkeypatch, converged, misfit, reason):
     monkeypatch.setattr(bogie_trips, "bogie_trip", lambda *_: None)
@@ -145,6 +149,7 @@ def test_parts_read_with_a_doubtful_bogie_are_flagged(monkeypatch, converged, mi
     (found,) = estimate.flags.reasons
     assert found.startswith(reason)
     assert bool(found) == bool(reason)
+    assert estimate.misfit == parts.misfit
 
 
 def test_a_short_or_slow_trip_has_no_estimate(tmp_path, short):

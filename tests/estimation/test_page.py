@@ -277,7 +277,9 @@ def test_parts_come_first_where_they_are_read(
     parts = f"Each part of the bogie is read: its misfit is {misfit:.2f} times the noise; springs"
     equal = words.as_equal(unlike)
     assert f"the misfit is {of_equal}: their intervals are wider" in equal
-    heading = "Both sides and axles as equal Trips that do not show their parts"
+    heading = (
+        "Only for trips that do not show their parts: both sides and axles as equal Short trips"
+    )
     places = [text.index(one) for one in (parts, said, heading, equal)]
     assert places == sorted(places)
     assert "dampers by up to 11.5 %" in text

@@ -71,7 +71,7 @@ def test_rows_say_state_reason_and_who_has_seen_it(states):
         "at about 75 000 km"
     )
     assert rows[0]["k_s_last"] == pytest.approx(1.0, abs=0.01)  # two of the last five
-    assert rows[2]["reason"] == rows[2]["parameter"] == ""
+    assert (rows[2]["reason"], rows[2]["parameter"]) == ("within its limits", "")
     text = overview_table(rows)
     assert text.startswith("3 suspensions: 1 to act on, 1 to be looked at, 1 without alarm.")
 
@@ -85,6 +85,13 @@ def test_parts_and_trains_of_the_plan(states):
     assert train.km_per_day == pytest.approx(2000 / 3)
     unnamed = replace(states[0].series, place=Place("x"))
     assert train_of(replace(states[0], series=unnamed)) == "am96: x"
+    bogies = [
+        replace(states[0], series=replace(unnamed, place=Place("x", bogie=bogie)))
+        for bogie in ("leading", "trailing")
+    ]
+    assert {train_of(one) for one in bogies} == {"am96: x"}
+    lone = replace(states[0], series=replace(unnamed, place=Place(bogie="leading")))
+    assert train_of(lone) == "am96"
 
 
 def test_mileage_per_day_that_is_assumed_is_shown_as_such(states):

@@ -187,7 +187,7 @@ def test_language_ends_with_its_block():
 
 def test_page_of_a_file_is_german_and_escapes_what_it_is_given():
     values = {"rows": [], "outputs": ("k_p",), "finding": "1 suspension: 1 not judged."}
-    values["most_severe"] = ""
+    values |= {"most_severe": "", "bogies": [], "n_bogies": 0}
     with speaking("de"):
         page = render("overview.html", **values)
         assert '<html lang="de">' in page

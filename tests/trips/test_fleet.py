@@ -328,6 +328,7 @@ def test_metrics_and_figures(done, broken, alone):
     assert details["speeds"] == "64.4 to 75.6 m/s"
     assert details["transfer functions"] == "IV, hann windows of 20 s"
     assert details["healthy is"] == "the vehicle file's drawing"
+    assert details["misfit of the healthy trips"].startswith("none: the vehicle is that of the")
     assert {path.stem for path in (folder / "figures").glob("*.png")} == FIGURES
 
 

@@ -36,16 +36,19 @@ def site(tmp_path_factory):
 def test_fleet_draws_the_worst_bogies_with_links_to_their_trends(site):
     client, view = site
     page = client.get("/", **BASE).text
-    assert page.count('<svg class="bogie"') == 1
-    address = f"/suspension/{name_of(view, WORN)}#trend-"
+    assert page.count('<svg class="bogie"') == 2  # the healthy one as well
+    addresses = [f"/suspension/{name_of(view, one)}#trend-" for one in (WORN, CALM)]
     links = re.findall(r'<a href="([^"]+)" class="part ', page)
-    assert sorted(links) == sorted(address + name for name in BOGIE_PARTS)
-    assert "Not drawn: 1 more" in page
+    assert sorted(links) == sorted(one + name for one in addresses for name in BOGIE_PARTS)
+    assert links[0].startswith(addresses[0])  # the worst one first
+    assert "Not drawn" not in page
     assert "damper of axle 2, left</td>" in page
     assert "replace at the visit of 2026-03-15" in page
     assert NONE_NAMED not in page
     assert not re.search(r"<script(?! src=)|\son\w+=|style=", page)
-    assert "No part of these bogies has an alarm." in client.get("/?severity=none", **BASE).text
+    none = client.get("/?severity=none", **BASE).text
+    assert none.count('<svg class="bogie"') == 1
+    assert "None of the twelve parts has an alarm or has worn." in none
 
 
 def test_suspension_has_a_plot_of_each_part_those_without_alarm_folded(site):
