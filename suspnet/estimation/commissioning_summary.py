@@ -138,10 +138,12 @@ def is_explained(outcome: Commissioned) -> bool:
 def doubts(outcome: Commissioned, *, by_part: bool = False) -> list[str]:
     """Return a sentence for each reason not to rely on a commissioned vehicle.
 
-    If each part is read, as sides and axles that differ are not in it, a misfit is a reason only
-    where estimates are flagged for it, and no other start has been searched.
+    If each part is read, sides and axles that differ are not in this vehicle: a misfit is a reason
+    only where estimates are flagged for it, a search that it ends early is none, and no other start
+    has been searched.
     """
     found = []
+    differ = by_part and not is_explained(outcome)
     if not is_explained(outcome) and not (by_part and outcome.misfit <= UNTRUSTED):
         found.append(
             f"A misfit above {INCOMPLETE:g} means that the physics of the model is incomplete or a "
@@ -149,7 +151,7 @@ def doubts(outcome: Commissioned, *, by_part: bool = False) -> list[str]:
             "this vehicle are wider by what this could cost; above "
             f"{UNTRUSTED:g} every estimate is flagged as well."
         )
-    if not outcome.converged:
+    if not outcome.converged and not differ:
         found.append(
             "The search for the vehicle did not converge: its numbers may not be the most "
             "probable ones. Commission on more or longer trips."

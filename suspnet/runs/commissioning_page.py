@@ -157,7 +157,7 @@ def _page(
         headline=_headline(found, vehicle.name),
         mileage_km=training_notes(found, outcome)["mileage_km"],
         of_parts=of_parts,
-        tone="notice" if doubts else "good",
+        tone="notice" if doubts else "plain" if by_part else "good",
         verdict=words.as_equal(outcome) if by_part else words.verdict(found, outcome),
         doubts=doubts,
         agreement="" if doubts or by_part else words.agreement(outcome),

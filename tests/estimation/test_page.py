@@ -259,16 +259,16 @@ def bogie(misfit, converged=True):
 @pytest.mark.parametrize(
     ("misfit", "converged", "tones", "said", "of_equal"),
     [
-        (1.05, True, ["good", "good"], "That explains the healthy trips: up to 1.15 is", 2.34),
+        (1.05, True, ["good", "plain"], "That explains the healthy trips: up to 1.15 is", 2.34),
         (1.3, True, ["notice", "notice"], "A misfit of the parts above 1.15 means that", 6.78),
-        (1.05, False, ["notice", "good"], words.NOT_CONVERGED, 2.34),
+        (1.05, False, ["notice", "plain"], words.NOT_CONVERGED, 2.34),
     ],
 )
 def test_parts_come_first_where_they_are_read(
     commissioned, tmp_path, blank, misfit, converged, tones, said, of_equal
 ):
     found, outcome = commissioned
-    unlike = replace(outcome, misfit=of_equal, n_agree=1, n_starts=1)
+    unlike = replace(outcome, misfit=of_equal, n_agree=1, n_starts=1, converged=False)
     write_outcome(tmp_path, found, unlike, bogie(misfit, converged))
     page = (tmp_path / "commissioning.html").read_text(encoding="utf-8")
     assert re.findall(r'class="result (\w+)"', page) == tones
