@@ -94,8 +94,8 @@ def healthy_words(model: TrainedModel) -> str:
 
 def misfit_words(model: TrainedModel) -> str:
     """Return the misfit of a model's healthy trips, as text."""
-    commissioned = model.training.get("commissioned")
-    of_equal = f"{commissioned['misfit']:.2f} times the noise" if commissioned else ""
+    misfit = model.training.get("commissioned", {}).get("misfit")
+    of_equal = "" if misfit is None else f"{misfit:.2f} times the noise"
     if model.bogie is None:
         return of_equal or "none: the vehicle is that of the drawing, not commissioned"
     of_parts = f"{model.bogie.misfit:.2f} times the noise with each part read"
