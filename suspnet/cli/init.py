@@ -86,6 +86,7 @@ def _folder(folder: Path, said: Sequence[str], arguments: Namespace) -> int:
     new = [trip for trip in trips if arguments.force or not os.path.lexists(trip.path)]
     missing = list(dict.fromkeys(key for trip in new for key in trip.missing))
     known = _known_vehicles(vehicles, new)
+    options = [*(["--table", str(table)] if table else []), *known]
     for one in tables:
         if table is None or one.resolve() != table.resolve():
             print(printable(f"{one} is a table of trips, which --table {quote(str(one))} reads"))
@@ -98,7 +99,6 @@ def _folder(folder: Path, said: Sequence[str], arguments: Namespace) -> int:
         if table and not table.exists() and "mileage_km" in missing:
             write_atomically(table, folders.table_of(new, folder))
             print(f"-> {table}: fill in its columns, then run the same command again")
-        options = [*(["--table", str(table)] if table else []), *known]
         again = " ".join(
             [_command("init", folder, *said), "KEY=VALUE ...", printable(join(options))]
         )
@@ -111,8 +111,11 @@ def _folder(folder: Path, said: Sequence[str], arguments: Namespace) -> int:
     print(f"-> {folder}: {count(len(new), 'manifest')} of {count(len(found), 'trip')}{old}")
     for line in folders.origins(new):
         print(printable(f"  {line}"))
-    words = [*said, *(["--table", str(table)] if table else []), *known]
-    print(*_left_open(new, words), f"then run: {_command('check', folder, *known)}", sep="\n")
+    print(
+        *_left_open(new, [*said, *options]),
+        f"then run: {_command('check', folder, *known)}",
+        sep="\n",
+    )
     return 0
 
 

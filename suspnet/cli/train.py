@@ -110,7 +110,7 @@ def _run(
     varies; `draw`: whether to draw figures of the vehicle.
     """
     by_part = build(config, "protocol").by_part
-    # where each part is read, two processes are busy to the end of the commissioning
+    # where each part is read, what the residual costs takes about as long as the fit of the method
     is_wanted = by_part and config.healthy is not None and config.threads != 1
     is_wanted &= not ranks.is_distributed()
     with alongside("suspnet.runs.commissioning", is_wanted=is_wanted) as start:

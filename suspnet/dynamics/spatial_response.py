@@ -14,7 +14,7 @@ to numbers of the vehicle is that of
 
 (C with D, and 0 under E for M), where X_0 and A_0 = C Z^-1 are held: Z X_0 is B where they belong,
 and neither Z nor its inverse is differentiated. f is a sum of products of kappa, stretches, pulls,
-masses, E, C, D and gamma: central differences of these give its derivative by the product rule.
+masses, E, C, D and gamma: differences of these give its derivative by the product rule.
 """
 
 from __future__ import annotations

@@ -37,6 +37,7 @@ from suspnet.report.tables import (
     Evaluated,
     FleetView,
     finding,
+    first_words,
     most_severe,
     same_columns,
     split_outputs,
@@ -294,7 +295,7 @@ def write_overview(done: Sequence[Evaluated], outputs: Sequence[str], output: Pa
     shown = ["folder", "suspension", "bogie", "side", "severity", "parameter", "n_trips", "reason"]
     shown += ["sensors"] * any(row["sensors"] for row in rows)
     table = tabulate([[row[key] for key in shown] for row in rows], shown, tablefmt="github")
-    return "\n".join([" ".join(filter(None, [finding(rows), most_severe(rows)])), table])
+    return f"{first_words(rows)}\n{table}"
 
 
 def check_documents(*, pdf: bool, xlsx: bool) -> None:

@@ -14,11 +14,9 @@ from matplotlib.figure import Figure
 
 from suspnet.ground.parameters import (
     BODY_MASS,
-    BOGIE_PARTS,
     KIND_NAMES,
     Severity,
-    kind_of,
-    place_words,
+    symbol_words,
 )
 from suspnet.ground.records import INTERVAL_LEVEL, OK, Commissioning, TripResult, by_mileage
 from suspnet.ground.storage import write_atomically
@@ -198,9 +196,7 @@ def named_first(assessments: Sequence[Assessment], trips: Sequence[TripResult]) 
     if severity < Severity.NOTICE:
         return ""
     names = [
-        f"{kind_of(one.parameter)} of {place_words(one.parameter)}"
-        if one.parameter in BOGIE_PARTS
-        else one.parameter
+        symbol_words(one.parameter)
         for one in assessments
         if one.severity == severity and one.parameter != BODY_MASS
     ]

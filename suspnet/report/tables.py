@@ -185,13 +185,13 @@ def _row(state: State, acknowledged: Mapping[Key, Sequence[Acknowledgement]]) ->
 
 
 CALM = "within its limits"
-"""Reason of a suspension without a finding whose changes are watched."""
+"""Reason of a suspension without a finding."""
 
 
 def _quiet(state: State) -> str:
     """Return the status of a suspension without a finding."""
     why = state.watched.changes.why_not
-    return f"within its limits; alarms of changes not armed yet: {why}" if why else CALM
+    return f"{CALM}; alarms of changes not armed yet: {why}" if why else CALM
 
 
 def same_columns(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
@@ -206,8 +206,12 @@ def overview_table(rows: Sequence[Mapping[str, Any]]) -> str:
     columns = [key for key in shown if any(row[key] for row in rows)]
     head = [[row[key] for key in columns] for row in rows[:N_SHOWN]]
     more = f"\n... and {len(rows) - N_SHOWN} more" if len(rows) > N_SHOWN else ""
-    said = " ".join(filter(None, [finding(rows), most_severe(rows)]))
-    return f"{said}\n{tabulate(head, columns, tablefmt='github')}{more}"
+    return f"{first_words(rows)}\n{tabulate(head, columns, tablefmt='github')}{more}"
+
+
+def first_words(rows: Sequence[Mapping[str, Any]]) -> str:
+    """Return what a text on a fleet begins with: `finding` and `most_severe`."""
+    return " ".join(filter(None, [finding(rows), most_severe(rows)]))
 
 
 def finding(rows: Sequence[Mapping[str, Any]]) -> str:

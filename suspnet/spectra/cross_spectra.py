@@ -113,8 +113,8 @@ class CrossSpectra:
         F = (n - 1) c / (1 - c) with their coherence c, infinite where z is x. With a weak
         instrument the response is a ratio of noise, and its measured covariance too small.
         """
-        chosen = [{"H1": x, "H2": y, "Hv": x, "IV": z}[method] for x, y, z in CHAIN]
-        found = [self.coherence(z, x) for z, (x, *_) in zip(chosen, CHAIN, strict=True)]
+        pairs = zip(_instruments(method), CHAIN, strict=True)
+        found = [self.coherence(z, x) for z, (x, *_) in pairs]
         coherence = torch.stack(found, dim=-2).clamp(max=1)
         return (self.n_averages - 1) * coherence / (1 - coherence)
 
@@ -135,7 +135,7 @@ class CrossSpectra:
         """
         kind: Method = "H1" if method == "Hv" else method
         responses = self.responses(kind)
-        chosen = [{"H1": x, "H2": y, "IV": z}[kind] for x, y, z in CHAIN]
+        chosen = _instruments(method)
         rows, scales = [], []
         for i, (x_i, y_i, _) in enumerate(CHAIN):
             row, row_scales = [], []
@@ -165,6 +165,11 @@ class CrossSpectra:
         # the inverse of a measured covariance, 2 x 2 from n averages, is too large by n / (n - 2)
         n = self.n_averages * _independent(correlation)
         return covariance * n / (n - 2)
+
+
+def _instruments(method: Method) -> list[int]:
+    """Return the channel that each response of ``CHAIN`` is estimated with, Hv as H1."""
+    return [{"H1": x, "H2": y, "Hv": x, "IV": z}[method] for x, y, z in CHAIN]
 
 
 def _smoothed(covariance: Tensor) -> Tensor:
