@@ -8,7 +8,7 @@ from scipy.stats import multivariate_normal
 
 from suspnet.estimation.bogie_fit import PartsEstimate
 from suspnet.estimation.bogie_search import WEAR
-from suspnet.estimation.worn_parts import ODDS, RARE, SHARED, USUAL, worn_parts
+from suspnet.estimation.worn_parts import ODDS, RARE, SHARED, STIFFER, USUAL, worn_parts
 from suspnet.ground.parameters import COMPONENTS
 
 PARTS = COMPONENTS[:-1]
@@ -24,8 +24,9 @@ def estimate_of(worn, covariance=None, seed=None):
     return PartsEstimate(np.exp(logs), covariance, 1.0, True, 0.9)
 
 
-def test_odds_are_those_of_normal_densities():
-    estimate = estimate_of({"c_p_axle2_left": 0.9}, seed=1)
+@pytest.mark.parametrize(("level", "side"), [(0.9, 1 - STIFFER["c"]), (1.2, STIFFER["c"])])
+def test_odds_are_those_of_normal_densities(level, side):
+    estimate = estimate_of({"c_p_axle2_left": level}, seed=1)
     (found,) = worn_parts(estimate)
     usual = np.diag([USUAL[name[0]] ** 2 for name in PARTS])
     for i, one in enumerate(PARTS):
@@ -38,7 +39,7 @@ def test_odds_are_those_of_normal_densities():
     wider[j, j] += WEAR**2
     logs = np.log(estimate.values[:12])
     densities = [multivariate_normal(cov=cov).logpdf(logs) for cov in (wider, plain)]
-    expected = math.exp(densities[0] - densities[1]) * RARE / (1 - RARE)
+    expected = 2 * side * math.exp(densities[0] - densities[1]) * RARE / (1 - RARE)
     assert found.odds == pytest.approx(expected, rel=1e-6)
     assert (found.names, found.is_named) == (("c_p_axle2_left",), True)
 
@@ -86,6 +87,14 @@ def test_what_all_dampers_share_accuses_none_of_them():
     assert worn_parts(estimate_of(warmer)) == []
     found = worn_parts(estimate_of(warmer | {"c_p_axle1_left": 0.9}))
     assert [one.names for one in found] == [("c_p_axle1_left",)]
+
+
+def test_the_weaker_of_two_dampers_is_named():
+    certain = np.diag(np.full(len(COMPONENTS), 0.002**2))
+    weaker = worn_parts(estimate_of({"c_s_left": 0.95}, certain))
+    assert [one.names for one in weaker] == [("c_s_left",)]
+    stiffer = worn_parts(estimate_of({"c_s_left": 1.05}, certain))  # or the other is weaker
+    assert {name for one in stiffer for name in one.names} == {"c_s_left", "c_s_right"}
 
 
 def test_parts_that_trade_for_each_other_are_named_together():
