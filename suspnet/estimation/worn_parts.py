@@ -9,11 +9,11 @@ load act on all of them; worn ones scatter by ``WEAR`` as well. For a set W of w
 
 A part has worn with the prior probability ``RARE``, springs to either side, dampers upwards in the
 fraction ``STIFFER`` of cases: oil and seals are lost, blocked valves are rare. The side is that of
-the part's wear as expected given e and W, WEAR^2 V^-1 e. Parts, or all of a kind at once, join W one
-after the other, the most probable first, as long as the odds of W with it over W without it exceed
-20 : 1; then those leave again whose odds, given the others, do not. Where another part in its place
-is not 20 times less probable, they are named together. The estimates themselves are not changed by
-this.
+the part's wear as expected given e and W, WEAR^2 V^-1 e. Parts, or all of a kind at once, join W
+one after the other, the most probable first, as long as the odds of W with it over W without it
+exceed 20 : 1; then those leave again whose odds, given the others, do not. Where another part in
+its place is not 20 times less probable, they are named together. The estimates themselves are not
+changed by this.
 """
 
 from __future__ import annotations
