@@ -42,7 +42,8 @@ HEADWAY = timedelta(minutes=20)
 class Fleet:
     """Trips of one suspension over its mileage.
 
-    `sensors` holds arguments of `Sensor` for axle_box, bogie and body.
+    `sensors` holds arguments of `Sensor` for axle_box, bogie and body, whose rates `rate_hz` takes
+    the place of.
     """
 
     n_trips: int = setting(
@@ -65,6 +66,9 @@ class Fleet:
     short_waves: bool = setting(
         False,
         "Whether to add the short waves of a rail head to the track, below 2.5 m; not on roads",
+    )
+    rate_hz: float | None = setting(
+        None, "Sampling rate of all sensors; null is each one's own", "Hz", above=0, most=1e6
     )
     sensors: Mapping[str, Mapping[str, Any]] | None = None
     sides: Literal["both", "left"] | None = setting(
@@ -95,8 +99,9 @@ class Fleet:
         if set(given) - set(CHANNELS):
             raise ValueError(f"`sensors` must be named as in {CHANNELS}, got {sorted(given)}")
         rates = dict(zip(CHANNELS, (5000.0, 2000.0, 2000.0), strict=True))
+        common = {} if self.rate_hz is None else {"rate_hz": self.rate_hz}
         return {
-            name: Sensor(**({"rate_hz": rates[name]} | dict(given.get(name, {}))))
+            name: Sensor(**({"rate_hz": rates[name]} | dict(given.get(name, {})) | common))
             for name in CHANNELS
         }
 

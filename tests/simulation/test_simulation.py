@@ -383,6 +383,10 @@ def test_loggers_are_those_of_table_2_unless_given():
     assert [loggers[name].snr_db for name in CHANNELS] == [34.0, None, 34.0]
     assert loggers["body"].range_g == 2.0
     assert [s.rate_hz for s in Fleet().loggers().values()] == [5000.0, 2000.0, 2000.0]
+    given = {"axle_box": {"rate_hz": 5000.0, "snr_db": 20.0}}
+    loggers = Fleet(sensors=given, rate_hz=500.0).loggers()
+    assert [s.rate_hz for s in loggers.values()] == [500.0] * 3
+    assert loggers["axle_box"].snr_db == 20.0
 
 
 def pair(folder, trip, place):
