@@ -203,7 +203,7 @@ class _Healthy:
 
     generator: VerticalVehicle
     notes: dict[str, Any]
-    residual: Residual
+    residual: Residual | None
     speeds_m_per_s: tuple[float, ...]
     directions: tuple[Direction, ...]
     bogie: CommissionedBogie | None = None
@@ -245,9 +245,10 @@ def _commissioned(
     outcome = commission_trips(found, generator, settings, bogie=bogie, progress=config.progress)
     with speaking(config.language):
         write_outcome(folder, found, outcome, bogie)
-    speeds = tuple(group.speed_m_per_s for group in found.groups)
     notes = training_notes(found, outcome)
-    return _Healthy(outcome.generator, notes, outcome.residual, speeds, found.directions, bogie)
+    return _Healthy(
+        outcome.generator, notes, outcome.residual, found.speeds_m_per_s, found.directions, bogie
+    )
 
 
 def _generator(config: DictConfig, healthy: _Healthy | None) -> ResponseGenerator:

@@ -158,8 +158,13 @@ class Commissioned:
     laws: Laws = field(default_factory=Laws)
 
     @property
-    def residual(self) -> Residual:
-        """The unexplained difference of the healthy trips, averaged over the groups."""
+    def residual(self) -> Residual | None:
+        """The unexplained difference of the healthy trips, averaged over the groups.
+
+        None without groups: the vehicle is that of a bogie whose sensors show no curves.
+        """
+        if not self.misfits:
+            return None
         return Residual.of(self.misfit, self.observed, self.fitted, self.deviations)
 
 
@@ -236,6 +241,44 @@ def commission(
         n_starts=len(first),
         converged=best.converged,
         laws=laws,
+    )
+
+
+def as_bogie(
+    generator: VerticalVehicle, settings: EstimateSettings, bogie: CommissionedBogie
+) -> Commissioned:
+    """Return the vehicle of equal sides with the numbers of a bogie, fitted to no curves.
+
+    It takes what `commission` does. Numbers that the bogie has not keep their prior.
+    """
+    prior, known = generator.distribution, bogie.generator.distribution
+    assert prior is not None
+    assert known is not None
+    mean, covariance = np.array(prior.mean), np.array(prior.covariance)
+    shared = [name for name in prior.names if name in known.names]
+    here = [prior.names.index(name) for name in shared]
+    there = [known.names.index(name) for name in shared]
+    covariance[here], covariance[:, here] = 0.0, 0.0
+    covariance[np.ix_(here, here)] = np.array(known.covariance)[np.ix_(there, there)]
+    mean[here] = np.array(known.mean)[there]
+    posterior = LogNormal(prior.names, tuple(mean), tuple(map(tuple, covariance)))
+    frequencies_hz = settings.frequencies_hz().numpy()
+    none = np.zeros((0, 2, len(frequencies_hz)))
+    return Commissioned(
+        generator=_simplest(generator, posterior),
+        prior=prior,
+        posterior=posterior,
+        masses=bogie.masses,
+        misfit=bogie.misfit,
+        misfits=(),
+        frequencies_hz=frequencies_hz,
+        observed=none.astype(np.complex128),
+        nominal=none.astype(np.complex128),
+        fitted=none.astype(np.complex128),
+        deviations=none,
+        n_agree=0,
+        n_starts=0,
+        converged=bogie.converged,
     )
 
 

@@ -142,7 +142,9 @@ def doubts(outcome: Commissioned, *, by_part: bool = False) -> list[str]:
     only where estimates are flagged for it, a search that it ends early is none, and no other start
     has been searched.
     """
-    found = []
+    found: list[str] = []
+    if not outcome.misfits:
+        return found  # the bogie has its own
     differ = by_part and not is_explained(outcome)
     if not is_explained(outcome) and not (by_part and outcome.misfit <= UNTRUSTED):
         found.append(
@@ -219,12 +221,19 @@ def of_parts(bogie: CommissionedBogie) -> str:
 
 def as_equal(outcome: Commissioned) -> str:
     """Return a sentence on the vertical vehicle where each part is read."""
+    if not outcome.misfits:
+        return NO_CURVES
     return (
         "With both sides and axles as equal, for trips that do not show their parts, the misfit is "
         f"{outcome.misfit:.2f}: their intervals are wider by what parts that differ could cost."
     )
 
 
+NO_CURVES = (
+    "Both sides and axles as equal are not read, as that takes sensors at axle 1 on axle box, "
+    "frame and body: trips that do not show their parts have no estimate."
+)
+"""Sentence on a bogie whose sensors show its parts only."""
 SHOWS_MASS = 2 * EXPLAINED
 """Largest misfit of the parts with which the mass of the healthy trips is told."""
 

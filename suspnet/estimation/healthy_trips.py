@@ -24,6 +24,7 @@ from suspnet.spectra.bogie_trip import BogieTrip
 from suspnet.spectra.cross_spectra import CrossSpectra
 from suspnet.spectra.estimates import EstimateSettings
 from suspnet.spectra.segments import Speeds, recording_segments, segment_speeds
+from suspnet.spectra.welch import SegmentSpectra
 from suspnet.spectra.wheel_lines import wheel_lines
 
 
@@ -57,7 +58,7 @@ class HealthyTrips:
     a sensor left and right; `left_out` are trips without a usable stretch, with the reason.
     `later` are the directions of travel of the folder's other trips, as far as stated. Where each
     part is to be read, `vehicle` is the one with the parts that the sensors show, and `of_parts`
-    are the trips as it reads them.
+    are the trips as it reads them; `groups` are empty if a channel has no sensor at axle 1.
     """
 
     manifests: tuple[TripManifest, ...]
@@ -71,8 +72,14 @@ class HealthyTrips:
     @property
     def directions(self) -> tuple[Direction, ...]:
         """Directions of travel of all trips of the folder: each needs a model of its own."""
-        run = {*(group.direction for group in self.groups), *self.later}
+        run = {one.direction for one in self.groups} | {one.direction for one in self.of_parts}
+        run |= set(self.later)
         return tuple(one for one in DIRECTIONS if one in run)
+
+    @property
+    def speeds_m_per_s(self) -> tuple[float, ...]:
+        """Speeds of the stretches in use, [m/s]."""
+        return tuple(one.speed_m_per_s for one in self.groups or self.of_parts)
 
 
 def read_healthy(
@@ -130,23 +137,29 @@ def read_healthy(
     groups: list[HealthySpectra] = []
     paired: set[tuple[bool, bool, bool]] = set()
     left_out = []
+    has_curves = True
     for manifest in bar("healthy trips", items=manifests, unit="trip", shown=progress):
         recording = load_recording(manifest, trips.rate_hz)
         if recording.dead:
             faults = [str(fault) for fault in recording.faults if fault.channel in recording.dead]
             left_out.append(": ".join([manifest.name, *faults]))
             continue
-        if recording.absent:
+        if recording.absent and vehicle is None:
             raise TripError(f"{manifest.path}: {no_channel(recording)}")
-        found = _spectra(recording, len(kept), generator, settings, trips)
-        if not found:
+        has_curves &= not recording.absent
+        segments = recording_segments(recording, settings.welch)
+        direction = direction_of(recording, segments, generator, trips)
+        found = []
+        if not recording.absent:
+            found = _spectra(recording, segments, direction, len(kept), settings, trips)
+        if not found and not recording.absent:
             words = f"{manifest.name}: no stretch at one speed is long enough and free of faults"
             left_out.append(": ".join(filter(None, [words, unrepaired_words(recording)])))
             continue
         kept.append(replace(manifest, start=manifest.start or recording.started))
         groups += found
         if vehicle is not None:
-            of_parts.append(bogie_trip(recording, vehicle, trips, found[0].direction))
+            of_parts.append(bogie_trip(recording, vehicle, trips, direction))
         paired.add(recording.paired)
     # the remaining trips must be enough, and of the same sensors
     if len(kept) < LEAST_TRIPS:
@@ -163,7 +176,7 @@ def read_healthy(
     stated = tuple(manifest.direction for manifest in later if manifest.direction is not None)
     return HealthyTrips(
         tuple(kept),
-        tuple(groups),
+        tuple(groups) if has_curves else (),
         paired.pop(),
         tuple(left_out),
         stated,
@@ -199,17 +212,16 @@ def _check_same(
 
 def _spectra(
     recording: Recording,
+    segments: SegmentSpectra,
+    direction: Direction,
     trip: int,
-    generator: VerticalVehicle,
     settings: EstimateSettings,
     trips: TripSettings,
 ) -> list[HealthySpectra]:
-    segments = recording_segments(recording, settings.welch)
     if not len(segments.values):
         return []
     speeds = segment_speeds(recording, segments)
     groups = groups_to_read(speeds, trips.speed_tolerance, trips.min_speed_m_per_s)
-    direction = direction_of(recording, segments, generator, trips)
     manifest = recording.manifest
     # uncertain groups are included, as the fit of the vehicle weights each by its noise
     return [

@@ -12,7 +12,7 @@ from suspnet.dynamics import ResponseGenerator, VerticalVehicle
 from suspnet.dynamics.quantities import PARTS, LogNormal
 from suspnet.estimation import commissioning_summary as words
 from suspnet.estimation.bogie_fit import EXPLAINED, CommissionedBogie, commission_bogie
-from suspnet.estimation.commissioning import Commissioned, commission
+from suspnet.estimation.commissioning import Commissioned, as_bogie, commission
 from suspnet.estimation.healthy_trips import HealthyTrips, read_healthy
 from suspnet.estimation.lone_sensors import SIDE_M
 from suspnet.estimation.swapped_sensors import check_bogie, check_order
@@ -71,14 +71,17 @@ def commission_trips(
 
     `generator` is the nominal vehicle; without parts it gets all but the air spring, without a
     distribution the prior of its parts. If each part is read, this vehicle is only for trips that
-    do not show their parts, and is near the `bogie` if that explains the trips. ValueError if the
-    generator cannot be commissioned.
+    do not show their parts, and is near the `bogie` if that explains the trips; it is that of the
+    bogie if the trips have no spectra for it. ValueError if the generator cannot be commissioned.
     """
     generator = check_generator(generator)
     settings = settings.bound(generator.vehicle)
     near = bogie if bogie is not None and bogie.misfit <= EXPLAINED else None
     prior = _prior(generator, found)
-    outcome = commission(prior, settings, found.groups, near=near, progress=progress)
+    if bogie is not None and not found.groups:
+        outcome = as_bogie(prior, settings, bogie)
+    else:
+        outcome = commission(prior, settings, found.groups, near=near, progress=progress)
     if bogie is not None:
         log.info("%s", words.as_equal(outcome))
         return outcome
@@ -161,8 +164,9 @@ def _lateral_m(given: Sequence[float], found: HealthyTrips) -> tuple[float, floa
     """Return each channel's lateral position: 0 for a pair, else as given, else by its side."""
     manifest = found.manifests[0]
     sensors = manifest.sensors()
+    sides = {name: manifest.side_of(one) for name, one in sensors.items()}
     box, frame, body = (
-        0.0 if is_pair else lateral_m or SIDE_M.get(manifest.side_of(sensors[name]) or "", 0.0)
+        0.0 if is_pair else lateral_m or SIDE_M.get(sides.get(name) or "", 0.0)
         for lateral_m, is_pair, name in zip(given, found.paired, CHANNELS, strict=True)
     )
     return box, frame, body

@@ -69,13 +69,12 @@ def write_outcome(
 
     If each part is read, `bogie` shows them, and the vehicle is for trips that do not.
     """
-    drawn = {
-        "responses": responses(found, outcome),
-        "numbers": number_ranges(words.numbers(outcome)),
-    }
+    drawn = {"numbers": number_ranges(words.numbers(outcome))}
+    if found.groups:
+        drawn["responses"] = responses(found, outcome)
+        write_table(pa.concat_tables(_curves(found, outcome)), folder / f"{NAME}_responses")
     for name, figure in drawn.items():
         write_atomically(folder / "figures" / f"{NAME}_{name}.png", as_png(figure))
-    write_table(pa.concat_tables(_curves(found, outcome)), folder / f"{NAME}_responses")
     write_json(folder / f"{NAME}.json", as_json(found, outcome, bogie))
     page = _page(found, outcome, drawn, bogie)
     path = write_atomically(folder / f"{NAME}.html", page.encode("utf-8", errors="replace"))
@@ -157,6 +156,7 @@ def _page(
         headline=_headline(found, vehicle.name),
         mileage_km=training_notes(found, outcome)["mileage_km"],
         of_parts=of_parts,
+        reads_equal=bool(found.groups),
         tone="notice" if doubts else "plain" if by_part else "good",
         verdict=words.as_equal(outcome) if by_part else words.verdict(found, outcome),
         doubts=doubts,
@@ -169,6 +169,7 @@ def _page(
                 "image": data_uri(drawn[name]),
             }
             for name, (heading, text) in CAPTIONS.items()
+            if name in drawn
         ],
         groups=groups,
         untold=words.untold(numbers),
@@ -190,6 +191,8 @@ def _headline(found: HealthyTrips, vehicle: str) -> dict[str, str]:
         f"{channel.replace('_', ' ')} {'left and right' if pair else 'one'}"
         for channel, pair in zip(CHANNELS, found.paired, strict=True)
     ]
+    if found.vehicle is not None and found.vehicle.sensors and not found.groups:
+        pairs = [place.replace("_", " ") for place in found.vehicle.sensors]
     left_out = f", {len(found.left_out)} left out" if found.left_out else ""
     return {
         "Vehicle": vehicle,
@@ -206,7 +209,7 @@ def _place(found: HealthyTrips) -> str:
 def _trips(found: HealthyTrips, outcome: Commissioned) -> list[dict[str, Any]]:
     rows = []
     for i, manifest in enumerate(found.manifests):
-        groups = [
+        groups: list[dict[str, float | None]] = [
             {
                 "speed_m_per_s": group.speed_m_per_s,
                 "n_averages": group.spectra.n_averages,
@@ -215,6 +218,15 @@ def _trips(found: HealthyTrips, outcome: Commissioned) -> list[dict[str, Any]]:
             for group, misfit in zip(found.groups, outcome.misfits, strict=True)
             if group.trip == i
         ]
+        if not found.groups:
+            trip = found.of_parts[i]
+            groups = [
+                {
+                    "speed_m_per_s": trip.speed_m_per_s,
+                    "n_averages": trip.spectra.n_averages,
+                    "misfit": None,
+                }
+            ]
         ratio = float(outcome.masses[i])
         rows.append(
             {

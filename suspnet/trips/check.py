@@ -42,6 +42,7 @@ from suspnet.recordings.manifest import CHANNELS, TripManifest
 from suspnet.recordings.manifest_files import ManifestFile
 from suspnet.recordings.manifest_sources import channel_of
 from suspnet.recordings.recording import Recording, load_recording
+from suspnet.spectra.bogie_trip import BogieTrip
 from suspnet.spectra.estimates import EstimateSettings
 from suspnet.spectra.plausibility import (
     DIRECTION_MARGIN,
@@ -203,7 +204,9 @@ def _inspected(
     )
     if recording.absent:
         result = replace(result, state=TOO_LITTLE, remarks=(*result.remarks, no_channel(recording)))
-        return _read(result, recording, settings) if settings.models else result
+        if settings.models:
+            return _read(result, recording, settings)
+        return result if vehicle is None else _of_parts(result, recording, vehicle, settings.trips)
     segments = recording_segments(recording, estimate.welch)
     any_speed = vehicle is not None and best_generator(vehicle).speed_m_per_s is None
     trips = settings.trips
@@ -359,33 +362,57 @@ def _with_plausibility(
         differences = difference_segments(recording, segments.welch)
         check_pairs(segments, differences, chosen, recording.paired, vehicle)
 
+    def check_parts() -> BogieTrip | None:
+        with contextlib.suppress(NoEstimateError):  # what can be read is said elsewhere
+            return _check_bogie(recording, vehicle, settings, ways)
+        return None
+
     parts = [check_channel_order, *([check_sides] if any(recording.paired) else [])]
     each = [partial(part, chosen) for part in parts for chosen in checked]
     try:
-        *_, shows_parts = all_of([*each, partial(_check_bogie, recording, vehicle, settings, ways)])
+        *_, trip = all_of([*each, check_parts])
     except TripError as error:
         return _with_problems(result, error.problems)
     remarks = result.remarks + tuple(dict.fromkeys(filter(None, doubts)))
-    return replace(result, remarks=remarks, shows_parts=shows_parts)
+    return replace(result, remarks=remarks, shows_parts=trip is not None)
+
+
+def _of_parts(
+    result: TripCheck, recording: Recording, vehicle: Vehicle, settings: TripSettings
+) -> TripCheck:
+    """Return the check of a recording whose sensors can show nothing but each part."""
+    way = recording.manifest.direction
+    if way is None and show_parts(sensor_places(recording.manifest, "axle")):
+        return replace(result, remarks=(*result.remarks, NO_DIRECTION))
+    try:
+        trip = _check_bogie(recording, vehicle, settings, [way] if way else [])
+    except TripError as error:
+        return _with_problems(result, error.problems)
+    except NoEstimateError as reason:
+        return replace(result, remarks=(*result.remarks, str(reason)))
+    if trip is None:
+        return result
+    unknown = [float("nan")] * 3
+    part = SteadyPart(trip.speed_m_per_s, trip.spectra.n_averages, *unknown)
+    return replace(result, state=READY, parts=(part,), shows_parts=True)
 
 
 @threads(1)  # as for estimates: systems of 30 equations are too small for two
 def _check_bogie(
     recording: Recording, vehicle: Vehicle, settings: TripSettings, ways: Sequence[Direction]
-) -> bool:
-    """Return whether a recording shows each part of a bogie.
+) -> BogieTrip | None:
+    """Return the stretch of a recording that shows each part of a bogie; None without the sensors.
 
-    TripError if two of the sensors that show them look swapped. `ways` are the directions of travel
-    of the recording's parts, empty if unknown.
+    NoEstimateError if no stretch is long enough, TripError if two of the sensors look swapped.
+    `ways` are the directions of travel of the recording's parts, empty if unknown.
     """
     places = sensor_places(recording.manifest, "axle")
     if not ways or not show_parts(places):
-        return False
+        return None
     bogie: Literal["leading", "trailing"] = (
         "trailing" if recording.manifest.bogie == "trailing" else "leading"
     )
     unknown = SpatialVehicle(vehicle, bogie=bogie, parts=PARTS_OF_BOGIE, sensors=places)
-    with contextlib.suppress(NoEstimateError):  # what can be read is said elsewhere
-        check_order(unknown.with_prior(), bogie_trip(recording, unknown, settings, ways[0]))
-        return True
-    return False
+    trip = bogie_trip(recording, unknown, settings, ways[0])
+    check_order(unknown.with_prior(), trip)
+    return trip

@@ -46,7 +46,8 @@ class SteadyPart:
 
     `n_averages` counts independent averages. Coherences are means over the vehicle's band, of axle
     box and bogie and of bogie and body. `deviation_percent` is the standard deviation of the
-    log-magnitude of the less certain response, median over the band.
+    log-magnitude of the less certain response, median over the band. They are NaN where nothing but
+    each part is read.
     """
 
     speed_m_per_s: float
@@ -241,7 +242,9 @@ def summary(checks: Sequence[TripCheck], elsewhere: Sequence[str] = ()) -> str:
 def _cells(check: TripCheck) -> list[str]:
     parts, each = check.parts, [part.speed_m_per_s for part in check.parts]
     speeds = _ends(each, 1) if each else ""
-    coherence = f"{parts[0].coherence_p:.2f}, {parts[0].coherence_s:.2f}" if parts else ""
+    coherence = ""
+    if parts and np.isfinite(parts[0].coherence_p):
+        coherence = f"{parts[0].coherence_p:.2f}, {parts[0].coherence_s:.2f}"
     steady = f"{check.steady_percent:.0f}" if np.isfinite(check.steady_percent) else ""
     numbers = f"{check.duration_s / 60:.1f}", f"{check.usable_percent:.1f}", steady, speeds
     averages = f"{check.n_averages:.0f}"
