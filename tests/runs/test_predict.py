@@ -271,7 +271,7 @@ def test_curves_that_do_not_tell_the_outputs_cannot_be_refined():
 
 
 def test_curve_fit_cannot_read_trips():
-    settings = EstimateSettings(300, 20, None, minutes=5.0, cache_dir=None)
+    settings = EstimateSettings(50, 20, None, minutes=5.0, cache_dir=None)
     task = shipped_protocol("trips").task("all")
     problem = Problem(VerticalVehicle(AM96), task, settings, progress=False)
     model = fit(problem, CurveFit(8), None)
