@@ -172,6 +172,7 @@ def test_same_seed_gives_the_same_numbers_whatever_the_threads(refined):
     assert_same(first, predict_stream(problem, model, TEST, flags=True))
 
 
+@pytest.mark.slow  # of programs: test_programs.py
 def test_another_seed_gives_other_numbers():
     _, model, _ = outcome_of("linear")
     _, other, _ = outcome_of("linear", seed=1)
