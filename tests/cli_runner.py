@@ -20,7 +20,7 @@ from suspnet.cli.program import CONFIGS, DEBUG
 from suspnet.runs import scores, sweeps
 
 ROOT = Path(__file__).parents[1]
-FEW = ["data.n_train=300", "data.n_test=100", "data.n_calibrate=100"]
+FEW = ["data.n_train=150", "data.n_test=60", "data.n_calibrate=100"]
 QUIET = ["data.cache_dir=null", "progress=false", "figures=false"]
 SMALL = [*FEW, "data.step_hz=0.05", *QUIET]
 

@@ -117,7 +117,9 @@ def test_estimate_reads_aloud_and_goes_into_json(trained):
     assert second["flags"] == found.flags.reasons[1] != ""
 
 
-@pytest.mark.parametrize("kind", ["path", "text", "recording"])
+@pytest.mark.parametrize(
+    "kind", ["path", "recording", pytest.param("text", marks=pytest.mark.slow)]
+)
 def test_model_estimates_a_trip_as_the_program_does(kind):
     model = model_at()
     path = small_fleet()[0]

@@ -33,7 +33,7 @@ SENSORS = {name: {"rate_hz": rate} for name, rate in zip(CHANNELS, RATES_HZ, str
 MINUTES = 5.0
 SPEED = 70.0
 N_TRIPS = 6
-N_CALIBRATE = 400
+N_CALIBRATE = 200
 BAND = {"high_hz": 9.9, "body_high_hz": 9.0}
 """Narrower than usual, which trains a model in a third of the time; [Hz]."""
 
@@ -48,7 +48,7 @@ class NoLog:
 @cache
 def model_at(
     speed=SPEED,
-    n_train=2000,
+    n_train=1000,
     snr_db=34.0,
     n_calibrate=N_CALIBRATE,
     direction="forward",

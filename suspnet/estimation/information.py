@@ -8,7 +8,7 @@ Gaussian error has MAPE = sqrt(2 / pi) times its relative standard deviation.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import torch
@@ -141,17 +141,27 @@ def _joint_derivative(
 
 
 def _derivative(misfit: Misfit, ratios: Tensor, columns: Sequence[int]) -> Tensor:
-    """Return the derivative of a misfit to some of the ratios, (n, n_columns, n_points).
+    """Return the derivative of a misfit to some of the ratios, (n, n_columns, n_points)."""
+    every = torch.arange(len(ratios))
+    return derivative_of_rows(lambda point: misfit(point, every), ratios, columns)
+
+
+def derivative_of_rows(
+    function: Callable[[Tensor], Tensor], rows: Tensor, columns: Sequence[int]
+) -> Tensor:
+    """Return the derivative of real values of each row to some of its columns, (n, n_columns, ...).
+
+    `function` gives values of the shape (n, ...), each from its own row of `rows` alone.
 
     J^T v by reverse differentiation is linear in v: its derivative with respect to v is J. One
     evaluation serves all columns, while torch.func.jvp needs one for each and, once, two seconds to
     import the compiler of torch.
     """
     with torch.enable_grad():
-        point = ratios.detach().clone().requires_grad_()
-        residuals = misfit(point, torch.arange(len(ratios)))
-        v = torch.zeros_like(residuals, requires_grad=True)
-        (product,) = torch.autograd.grad((residuals * v).sum(), point, create_graph=True)
+        point = rows.detach().clone().requires_grad_()
+        values = function(point)
+        v = torch.zeros_like(values, requires_grad=True)
+        (product,) = torch.autograd.grad((values * v).sum(), point, create_graph=True)
         found = [
             torch.autograd.grad(product[:, column].sum(), v, retain_graph=True)[0]
             for column in columns

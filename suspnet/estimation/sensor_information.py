@@ -42,7 +42,7 @@ from numpy.typing import ArrayLike
 from torch import Tensor
 
 from suspnet.dynamics import PARAMETERS, ResponseGenerator
-from suspnet.estimation.information import without_uncertain
+from suspnet.estimation.information import derivative_of_rows, without_uncertain
 from suspnet.estimation.protocols import columns_of
 from suspnet.ground.types import FloatArray
 from suspnet.spectra.estimate_observer import EstimateObserver
@@ -144,20 +144,14 @@ def _slopes(
     """
     n_columns = len(PARAMETERS)
     start = torch.cat([rows, rows.new_zeros(len(rows), uncertain.n)], dim=1)
-    columns = columns_of(parameters)
-    slopes: list[Tensor] = []
-    for column in [*columns, *range(n_columns, n_columns + uncertain.n)]:
-        tangent = torch.zeros_like(start)
-        tangent[:, column] = 1
-        pair = torch.func.jvp(
-            lambda x: place_channels(
-                generator, uncertain.vehicles(x[:, :n_columns], x[:, n_columns:]), frequencies_hz
-            ),
-            (start,),
-            (tangent,),
-        )
-        slopes.append(pair[1])
-    return torch.stack(slopes, dim=1)
+
+    def parts(x: Tensor) -> Tensor:
+        """Return real and imaginary parts of each place, for numbers of the vehicles."""
+        vehicles = uncertain.vehicles(x[:, :n_columns], x[:, n_columns:])
+        return torch.view_as_real(place_channels(generator, vehicles, frequencies_hz))
+
+    columns = [*columns_of(parameters), *range(n_columns, n_columns + uncertain.n)]
+    return torch.view_as_complex(derivative_of_rows(parts, start, columns).contiguous())
 
 
 def _without_track(a: Tensor, da: Tensor, count: Tensor) -> Tensor:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
+from functools import cache
 from importlib import resources
 from typing import Any
 
@@ -45,10 +46,12 @@ PACKAGE = "suspnet.report"
 """Package whose templates all other packages may use."""
 
 
+@cache
 def environment(*packages: str) -> Environment:
-    """Return an environment of the templates of packages, then of this one; the first match counts.
+    """Return the environment of the templates of packages, then of this one: the first one counts.
 
-    Text that is not marked as HTML is escaped; an unknown name is an error.
+    Text that is not marked as HTML is escaped; an unknown name is an error. All pages of a process
+    share it: to compile the templates of a page takes longer than to fill them in.
     """
     found = Environment(
         autoescape=True,

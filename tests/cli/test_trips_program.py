@@ -47,7 +47,7 @@ SHORT = ["fleet.minutes=5", "progress=false", "workers=1", *RATES]
 SIMULATE = [*SHORT, "generator=best", "scatter=0"]
 """The vehicle of the file itself, which a model reads that has not been commissioned."""
 TRAIN = [
-    *("experiment=trips", "data.n_train=1000", "data.n_test=100", "data.minutes=5"),
+    *("experiment=trips", "data.n_train=400", "data.n_test=60", "data.minutes=5"),
     "data.n_calibrate=100",
     *("data.rates_hz=[400,250,250]", "data.cache_dir=null", "progress=false", "threads=1"),
     *("model.feature_map=nystroem", "model.n_components=512"),

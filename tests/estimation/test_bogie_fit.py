@@ -125,7 +125,8 @@ def test_healthy_trips_may_differ_in_the_bins_that_are_left_out(commissioned):
     trips[1].spectra.values[left_out, 0, 0] *= 100
     found = commission_bogie(VEHICLE, [trips[0], replace(trips[1], left_out=left_out), trips[2]])
     assert found.misfit == pytest.approx(commissioned.misfit, rel=0.05)
-    assert commission_bogie(VEHICLE, trips).misfit > 1.2 * found.misfit
+    # the found vehicle explains this trip without the bin, and not with it
+    assert found.estimate(trips[1], start=ratios({})).misfit > 1.2 * found.misfit
 
 
 @pytest.mark.every_value
@@ -280,13 +281,19 @@ def test_the_valley_is_chosen_by_the_slowest_and_the_fastest_trip():
 # property
 
 
-def test_healthy_trips_end_at_the_minimum():
+@pytest.mark.parametrize(
+    ("masses", "part"),
+    # 0.22 and 0.44 of a deviation where the decrease may be 1e-3
+    [(MASSES[:1], 0.15), pytest.param(MASSES, 0.3, marks=pytest.mark.slow)],
+    ids=["one", "three"],
+)
+def test_healthy_trips_end_at_the_minimum(masses, part):
     vehicle = SpatialVehicle(AM96, parts=PARTS_OF_BOGIE).with_prior()
     prior = vehicle.distribution.without(("cross_level", "alignment"))
     vehicle = replace(vehicle, distribution=prior)
     numbers = prior.ratios(np.random.default_rng(3).standard_normal((1, len(prior.names))))
     trips = []
-    for i, mass in enumerate(MASSES):
+    for i, mass in enumerate(masses):
         parts = torch.ones(1, len(COMPONENTS), dtype=torch.float64)
         parts[0, -1] = mass
         true = vehicle.with_uncertain(parts, torch.as_tensor(numbers))
@@ -298,7 +305,7 @@ def test_healthy_trips_end_at_the_minimum():
     step = np.linalg.lstsq(slopes, -residuals, rcond=None)[0]
     deviations = np.sqrt(np.diag(np.linalg.inv(slopes.T @ slopes)))
     assert end.converged
-    assert (np.abs(step) < 0.3 * deviations).all()  # 0.95 where the decrease may be 1e-3
+    assert (np.abs(step) < part * deviations).all()
 
 
 def test_healthy_trips_show_the_vehicle(commissioned):

@@ -209,6 +209,7 @@ def test_sensors_of_any_layout_are_found_by_their_place():
     assert trip.lost == ()
 
 
+@pytest.mark.representatives(2)
 @pytest.mark.parametrize("lost", [0, 3, 5, 6])
 def test_a_trip_whose_sensor_is_missing_or_dead_is_read_with_the_others(lost):
     names = list(manifest_of(SEVEN).sensors())

@@ -463,6 +463,7 @@ def test_what_a_curve_does_not_tell_has_an_infinite_interval(model, monkeypatch,
 # the other bogie
 
 
+@pytest.mark.representatives(2)
 @pytest.mark.parametrize("words", ["", *FAILED_OTHER])
 def test_failed_air_spring_of_the_other_bogie_is_found_and_misleads_nothing(words):
     model = model_at()

@@ -204,6 +204,7 @@ def test_trips_of_twice_the_length_have_bounds_lower_by_the_root_of_two(found):
     np.testing.assert_allclose(one.known, found[SIX].known / np.sqrt(2), rtol=1e-3)
 
 
+@pytest.mark.representatives(1)
 @pytest.mark.parametrize("name", [SEVEN, NO_BOX])
 def test_other_sensors_commission_a_bogie_and_find_its_worn_parts(name, monkeypatch):
     worn = {"k_p_axle1_right": 0.73, "c_s_left": 0.5}

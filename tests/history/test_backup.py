@@ -28,6 +28,7 @@ def pages(path):
     return [re.sub(changing, "", one.text) for one in got]
 
 
+@pytest.mark.usefixtures("trips_fitted_once")
 def test_lost_disk_restored_gives_the_same_pages(tmp_path):
     path, copy = tmp_path / "fleet.db", tmp_path / "copy.db"
     served_fleet.fill(path)

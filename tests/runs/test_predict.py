@@ -172,6 +172,7 @@ def test_same_seed_gives_the_same_numbers_whatever_the_threads(refined):
     assert_same(first, predict_stream(problem, model, TEST, flags=True))
 
 
+@pytest.mark.slow  # of programs: test_programs.py
 def test_another_seed_gives_other_numbers():
     _, model, _ = outcome_of("linear")
     _, other, _ = outcome_of("linear", seed=1)
@@ -271,7 +272,7 @@ def test_curves_that_do_not_tell_the_outputs_cannot_be_refined():
 
 
 def test_curve_fit_cannot_read_trips():
-    settings = EstimateSettings(300, 20, None, minutes=5.0, cache_dir=None)
+    settings = EstimateSettings(50, 20, None, minutes=5.0, cache_dir=None)
     task = shipped_protocol("trips").task("all")
     problem = Problem(VerticalVehicle(AM96), task, settings, progress=False)
     model = fit(problem, CurveFit(8), None)

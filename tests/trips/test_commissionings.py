@@ -47,7 +47,7 @@ def commissioned(first_km, last_km=None, damper=1.0, trips=()):
     return replace(model, generator=generator, training=model.training | {"commissioned": notes})
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def both():
     return [commissioned(ANEW_KM, damper=NEW_DAMPER), commissioned(10_000.0)]
 

@@ -42,7 +42,7 @@ def both_ways(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def models():
-    return [model_at(), model_at(n_train=400, n_calibrate=200, direction="reverse")]
+    return [model_at(), model_at(n_train=400, n_calibrate=100, direction="reverse")]
 
 
 def exact(generator, ratios):
@@ -83,16 +83,16 @@ def test_evaluation_of_a_folder_widens_intervals_by_a_bias_of_the_directions(
         i = [path.stem for path in paths].index(file.path.stem)
         given = recalled_trip(paths[i], [model_at()], SETTINGS)
         quality = replace(given.quality, direction=("forward", "reverse")[i % 2])
-        c_s = {"c_s": 1 + 0.001 * i + 0.04 * (i % 2)}
-        return replace(given, estimates=given.estimates | c_s, quality=quality, flags="")
+        c_s = given.estimates | {"c_s": 1 + 0.001 * i + 0.04 * (i % 2)}
+        half = given.half_widths | {"c_s": 0.015}  # of any model
+        return replace(given, estimates=c_s, half_widths=half, quality=quality, flags="")
 
     monkeypatch.setattr(fleet, "evaluate_trip", biased)
     settings = fleet.FleetSettings(SETTINGS)
     (one,) = fleet.evaluate_fleet(paths[0].parent, [model_at()], tmp_path, settings, False)
-    plain = [recalled_trip(path, [model_at()], SETTINGS).half_widths["c_s"] for path in paths]
     found = [result.half_widths["c_s"] for result in one.results]
-    assert found[:5] == plain[:5]
-    assert np.sqrt(found[5] ** 2 - plain[5] ** 2) == pytest.approx(1.645 * 0.02, rel=0.1)
+    assert found[:5] == [0.015] * 5
+    assert np.sqrt(found[5] ** 2 - 0.015**2) == pytest.approx(1.645 * 0.02, rel=0.1)
     np.testing.assert_array_equal(one.state.series.half_widths["c_s"], found)
     high = pacsv.read_csv(tmp_path / "trips.csv")["c_s_high"].to_pylist()
     assert high[5] == pytest.approx(one.results[5].interval("c_s")[1], rel=1e-4)

@@ -324,7 +324,7 @@ def test_metrics_and_figures(done, broken, alone):
     )
     details = metrics["details"]
     assert details["trips"] == str(broken)
-    assert details["model"] == "msvr, trained on 2000 curves of VerticalVehicle"
+    assert details["model"] == "msvr, trained on 1000 curves of VerticalVehicle"
     assert details["speeds"] == "64.4 to 75.6 m/s"
     assert details["transfer functions"] == "IV, hann windows of 20 s"
     assert details["healthy is"] == "the vehicle file's drawing"

@@ -10,7 +10,7 @@ import pytest
 import yaml
 from roll_reference import CHANNELS, sided_responses, track_amplitudes
 from scipy.stats import norm
-from trip_fixtures import MINUTES, OUTPUTS, SPEED
+from trip_fixtures import MINUTES, OUTPUTS, SPEED, recalled_trip
 from trip_records import trip
 
 from suspnet.estimation import from_recording, trip_flags
@@ -168,12 +168,13 @@ def test_sensors_swapped_on_one_side_are_named(tmp_path, model, side):
 
 @pytest.mark.parametrize("error", [TripError, NoEstimateError, UnexplainedError])
 def test_what_becomes_of_a_trip_whose_parts_are_not_read(manifests, model, monkeypatch, error):
+    equal = recalled_trip(manifests[0], [model], TripSettings())
+
     def not_read(*_):
         raise error("why")
 
     monkeypatch.setattr(trip_evaluation, "estimate_bogie", not_read)
     monkeypatch.setattr(from_recording, "estimate_bogie", not_read)
-    equal = evaluate_trip(manifests[0], [model], TripSettings())
     with_bogie = replace(model, bogie=object())
     result = evaluate_trip(manifests[0], [with_bogie], TripSettings())
     assert result.quality.n_averages == equal.quality.n_averages * (error is not TripError)
