@@ -177,17 +177,6 @@ def suspensions(checks: Iterable[TripCheck]) -> list[Suspension]:
     return [Suspension(title, by_title[title]) for title in sorted(by_title)]
 
 
-def _without_train(checks: Iterable[TripCheck]) -> set[tuple[str, Place]]:
-    """Return the vehicles and places that count as a train each, as no manifest names one."""
-    places = [(check.vehicle, check.place) for check in checks if check.vehicle]
-    return {(name, replace(at, bogie="", side="")) for name, at in places if not at.train}
-
-
-NO_TRAIN = (
-    "The manifests name no train: in plan and pages each of these is one of its own. Give `train` "
-    "where they are of one."
-)
-"""Sentence on suspensions of different names and no train."""
 USABLE = (
     "usable: share without faults; steady: share of that in stretches at one speed that are long "
     "and certain enough for an estimate"
@@ -240,8 +229,6 @@ def summary(checks: Sequence[TripCheck], elsewhere: Sequence[str] = ()) -> str:
         lines += [USABLE]
     for one in suspensions(checks):
         lines += ["", f"{one.title}: {'; '.join(one.sentences())}"]
-    if len(_without_train(checks)) > 1:
-        lines += ["", NO_TRAIN]
     for title, found in (
         ("Problems", _by_words((check.name, check.problems) for check in checks)),
         ("Remarks", _by_words((check.name, check.remarks) for check in checks)),

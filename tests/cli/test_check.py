@@ -35,7 +35,6 @@ from suspnet.spectra.welch import Welch
 from suspnet.trips.check import CheckSettings, check_trip
 from suspnet.trips.check_page import (
     NEED_A_VEHICLE,
-    NO_TRAIN,
     PARTLY,
     PROBLEM,
     READY,
@@ -526,13 +525,3 @@ def test_how_files_are_read_is_said_once_for_all():
         f"  odd: {how.replace('latin-1', 'utf-8')} (1 file)",
         "  odd: 'a' is taken in g, its file says 'V'",
     ]
-
-
-def test_suspensions_without_a_train_are_one_each(tmp_path):
-    def checks(*places):
-        return [TripCheck(tmp_path / "t.yaml", vehicle="am96", place=one) for one in places]
-
-    alone = checks(Place("A", bogie="leading"), Place("A", bogie="trailing"))
-    named = checks(Place("A", train="1"), Place("B", train="1"))
-    assert not any(NO_TRAIN in summary(each) for each in (alone, named))
-    assert NO_TRAIN in summary(checks(Place("A"), Place("B")))
