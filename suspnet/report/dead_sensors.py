@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 
-from suspnet.ground.records import TripResult, sensors_from_text
+from suspnet.ground.records import TripResult
 from suspnet.ground.wording import count
 
 LISTED = 5
@@ -45,13 +45,3 @@ def dead_words(results: Sequence[TripResult]) -> str:
     n_trips = sum(bool(DEAD.search(one.quality.faults)) for one in results)
     of = f"{n_trips} of {count(len(results), 'trip')}"
     return f"dead and left out: {', '.join(names)} (on {of})"
-
-
-def dead_at_last(texts: Sequence[str]) -> str:
-    """Return the sensors that are dead on the newest trip that tells their health; empty if none.
-
-    `texts` are those of ``Quality.sensors``, in the order of the mileage.
-    """
-    newest = sensors_from_text(next(filter(None, reversed(texts)), ""))
-    names = [name for name, one in newest.items() if one.faulty >= 1]
-    return f"dead and left out: {', '.join(names)} on the newest trip" if names else ""

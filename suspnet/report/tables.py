@@ -25,7 +25,7 @@ from suspnet.maintenance.alarms import Acknowledgement, newest_of
 from suspnet.maintenance.schedule import Plan
 from suspnet.maintenance.series import Series, of_same_car
 from suspnet.maintenance.state import State
-from suspnet.report.dead_sensors import dead_at_last, dead_words
+from suspnet.report.dead_sensors import dead_words
 
 REPORT = "report.html"
 N_SHOWN = 30
@@ -167,7 +167,6 @@ def _row(state: State, acknowledged: Mapping[Key, Sequence[Acknowledgement]]) ->
         "severity": str(state.severity),
         "parameter": state.parameters if is_found else "",
         "reason": state.reason if is_found else _quiet(state),
-        "sensors": "" if series.sensors is None else dead_at_last(series.sensors.tolist()),
         "since_km": worst.begin_km if worst else np.nan,
         "n_alarms": len(state.alarms),
         "acknowledged": f"{seen.by}, {seen.at[:10]}" if seen else "",

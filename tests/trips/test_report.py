@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from trip_records import FLAG, HALF_WIDTHS, OUTPUTS, flagged, fleet, trend_of, trip
 
 from suspnet.ground.parameters import DEFAULT_LIMITS
-from suspnet.ground.records import Place, SensorHealth, sensors_text
+from suspnet.ground.records import Place
 from suspnet.maintenance import Acknowledgement, Alarm, Cause, Life, Severity
 from suspnet.maintenance.alarms import Watched
 from suspnet.maintenance.series import make_series, series_of
@@ -22,7 +22,7 @@ from suspnet.report.dead_sensors import dead_words
 from suspnet.report.language import speaking
 from suspnet.report.maintenance_figures import health_trend
 from suspnet.report.report import UNSURE, Report
-from suspnet.report.tables import Evaluated, files_read_as, overview_rows
+from suspnet.report.tables import Evaluated, files_read_as
 
 HOSTILE = "<script>alert('x')</script> & \"$x_\" {{ 7 * 7 }} \u5217\u8eca \udcff"
 VOID = {"meta", "br", "img"}
@@ -368,12 +368,6 @@ def test_dead_sensor_is_named_at_the_top(tmp_path):
     assert row["sensors"] == "dead and left out: bogie right (on 2 of 12 trips)"
     repaired = [*results, replace(results[0], mileage_km=1e6)]
     assert dead_words(repaired) == ""
-    health = {"bogie right": SensorHealth(faulty=1.0), "bogie left": SensorHealth(faulty=0.1)}
-    stored = [replace(r, quality=replace(r.quality, sensors=sensors_text(health))) for r in results]
-    (row,) = overview_rows([state_of(stored)], {})
-    assert row["sensors"] == "dead and left out: bogie right on the newest trip"
-    (row,) = overview_rows([state_of(results)], {})
-    assert row["sensors"] == ""
 
 
 def test_flags_on_all_trips_contradict_nothing(tmp_path):
