@@ -10,11 +10,13 @@ from pathlib import Path
 from shlex import join, quote
 
 from suspnet.cli.config_files import is_shipped, own_vehicles
+from suspnet.ground.records import Place
 from suspnet.ground.storage import printable, write_atomically
 from suspnet.ground.wording import count
 from suspnet.recordings.errors import TripError, all_of
 from suspnet.trips import folder_manifests as folders
 from suspnet.trips.file_contents import look_into
+from suspnet.trips.grouping import lone_trains
 from suspnet.trips.manifest_template import template
 from suspnet.trips.trip_files import find_tables, find_trip_files
 
@@ -23,6 +25,8 @@ LEFT_OPEN = {
     "add to its motion: bogie=leading or trailing, as the vehicle runs forward",
     "direction": "is found where the phases show it, else asked for by check and train: "
     "direction=forward or reverse",
+    "train": "is taken as another one for each suspension, which the plan calls in by itself: "
+    "train=12 if they are of one train, and car=7 if of one car",
 }
 """What holds for keys that no trip needs, and how each is said."""
 
@@ -150,6 +154,12 @@ def _command(name: str, *arguments: object) -> str:
     return printable(join(["suspnet", name, *map(str, arguments)]))
 
 
+def _vehicle_and_place(trip: folders.Trip) -> tuple[str, Place]:
+    known = {key: str(one.value) for key, one in trip.known.items()}
+    keys = ("suspension", "train", "car")
+    return known.get("vehicle", ""), Place(**{key: known.get(key, "") for key in keys})
+
+
 def _left_open(trips: Sequence[folders.Trip], said: Sequence[str] | None = None) -> list[str]:
     """Return a line on each of bogie and direction of travel that is not stated.
 
@@ -158,6 +168,8 @@ def _left_open(trips: Sequence[folders.Trip], said: Sequence[str] | None = None)
     """
     lines = []
     for key, words in LEFT_OPEN.items():
+        if key == "train" and not lone_trains(map(_vehicle_and_place, trips)):
+            continue
         if n := sum(key not in trip.known for trip in trips):
             lines.append(f"  {key}, not stated in {n}, {words}, or in a table")
         if key == "bogie" and said is not None:

@@ -1,12 +1,14 @@
-"""Dead sensors of a suspension, from the faults of its trips."""
+"""Dead and failing sensors of a suspension, from its trips."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Sequence
 
-from suspnet.ground.records import TripResult
+from suspnet.ground.parameters import Cause
+from suspnet.ground.records import TripResult, sensors_from_text
 from suspnet.ground.wording import count
+from suspnet.maintenance.state import State
 
 LISTED = 5
 """Largest number of trips that are listed for a dead sensor."""
@@ -40,8 +42,29 @@ def dead_words(results: Sequence[TripResult]) -> str:
     newest = [one for one in results if one.quality.faults or one.estimates][-1:]
     found = dead_sensors(newest)
     names = [words.partition(": ")[0] for words in found]
-    if not names:
-        return ""
-    n_trips = sum(bool(DEAD.search(one.quality.faults)) for one in results)
-    of = f"{n_trips} of {count(len(results), 'trip')}"
-    return f"dead and left out: {', '.join(names)} (on {of})"
+    return _left_out(names, sum(bool(DEAD.search(r.quality.faults)) for r in results), len(results))
+
+
+def sensor_words(state: State) -> str:
+    """Return the dead sensors of a stored suspension and those with an alarm; empty if none.
+
+    A sensor without a usable sample on the newest trip, by its share of drop-outs, is dead.
+    """
+    texts = [] if state.series.sensors is None else [*filter(None, state.series.sensors.tolist())]
+    dead = [] if not texts else _dead_in(texts[-1])
+    n_dead = sum(bool(_dead_in(text)) for text in texts) if dead else 0
+    alarms = [
+        one.words for one in state.alarms if one.cause == Cause.SENSOR and one.parameter not in dead
+    ]
+    return "; ".join(filter(None, [_left_out(dead, n_dead, len(texts)), *alarms]))
+
+
+def _dead_in(text: str) -> list[str]:
+    """Return the dead sensors of a trip from ``Quality.sensors``."""
+    return [name for name, one in sensors_from_text(text).items() if one.faulty >= 1]
+
+
+def _left_out(names: Sequence[str], n_dead: int, n_trips: int) -> str:
+    """Return the names of dead sensors as text, with the number of trips that have any."""
+    of = f"{n_dead} of {count(n_trips, 'trip')}"
+    return f"dead and left out: {', '.join(names)} (on {of})" if names else ""

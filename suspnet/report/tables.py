@@ -25,7 +25,7 @@ from suspnet.maintenance.alarms import Acknowledgement, newest_of
 from suspnet.maintenance.schedule import Plan
 from suspnet.maintenance.series import Series, of_same_car
 from suspnet.maintenance.state import State
-from suspnet.report.dead_sensors import dead_words
+from suspnet.report.dead_sensors import dead_words, sensor_words
 
 REPORT = "report.html"
 N_SHOWN = 30
@@ -167,6 +167,7 @@ def _row(state: State, acknowledged: Mapping[Key, Sequence[Acknowledgement]]) ->
         "severity": str(state.severity),
         "parameter": state.parameters if is_found else "",
         "reason": state.reason if is_found else _quiet(state),
+        "sensors": sensor_words(state),
         "since_km": worst.begin_km if worst else np.nan,
         "n_alarms": len(state.alarms),
         "acknowledged": f"{seen.by}, {seen.at[:10]}" if seen else "",
@@ -202,7 +203,7 @@ def same_columns(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
 
 def overview_table(rows: Sequence[Mapping[str, Any]]) -> str:
     """Return the worst suspensions of a fleet as a table, after a sentence on all of them."""
-    shown = ("train", "car", "suspension", "bogie", "side", "severity", "parameter", "reason")
+    shown = (*PLACE_FROM_TRAIN, "severity", "parameter", "reason", "sensors")
     columns = [key for key in shown if any(row[key] for row in rows)]
     head = [[row[key] for key in columns] for row in rows[:N_SHOWN]]
     more = f"\n... and {len(rows) - N_SHOWN} more" if len(rows) > N_SHOWN else ""

@@ -26,6 +26,7 @@ from suspnet.report.templates import render
 from suspnet.spectra.cross_spectra import CrossSpectra
 from suspnet.spectra.estimates import SPEED_HALF_WIDTH
 from suspnet.spectra.segments import covering, setting_words
+from suspnet.trips.grouping import lone_trains
 
 READY, TOO_LITTLE, PROBLEM = "ready", "too little", "problem"
 """States of a trip: it is readable by the given models, or without any by a model of its speed; too
@@ -177,6 +178,17 @@ def suspensions(checks: Iterable[TripCheck]) -> list[Suspension]:
     return [Suspension(title, by_title[title]) for title in sorted(by_title)]
 
 
+def train_words(checks: Iterable[TripCheck]) -> list[str]:
+    """Return a sentence on each vehicle with several suspensions whose manifests name no train."""
+    return [
+        f"{vehicle}: each of its {len(several)} suspensions counts as a train of its own, which "
+        "the plan calls in by itself: if they are of one train, say so by one `train` in all "
+        "manifests, before training, and by one `car` if of one car"
+        for vehicle, several in lone_trains((one.vehicle, one.place) for one in checks).items()
+        if vehicle
+    ]
+
+
 USABLE = (
     "usable: share without faults; steady: share of that in stretches at one speed that are long "
     "and certain enough for an estimate"
@@ -229,6 +241,7 @@ def summary(checks: Sequence[TripCheck], elsewhere: Sequence[str] = ()) -> str:
         lines += [USABLE]
     for one in suspensions(checks):
         lines += ["", f"{one.title}: {'; '.join(one.sentences())}"]
+    lines += train_words(checks)
     for title, found in (
         ("Problems", _by_words((check.name, check.problems) for check in checks)),
         ("Remarks", _by_words((check.name, check.remarks) for check in checks)),
@@ -293,6 +306,7 @@ def write_checks(checks: Sequence[TripCheck], elsewhere: Sequence[str], output: 
         tone=TONES[PROBLEM if elsewhere else worst],
         elsewhere=elsewhere,
         suspensions=content["suspensions"],
+        trains=train_words(checks),
         checks=checks,
         tones=TONES,
     )

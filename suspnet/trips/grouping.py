@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from suspnet.ground.ledger import LEDGER
-from suspnet.ground.records import Place
+from suspnet.ground.records import Key, Place
 from suspnet.ground.storage import distinct, why
 from suspnet.recordings.manifest_files import ManifestFile, find_manifests
 
@@ -64,6 +64,19 @@ def find_groups(folder: Path) -> list[Group]:
     if not any(group.manifests for group in groups):
         find_manifests(folder)  # raises the reason
     return _named(groups, names)
+
+
+def lone_trains(places: Iterable[Key]) -> dict[str, list[str]]:
+    """Return the suspensions of each vehicle that are trains of their own as none is named.
+
+    Only vehicles with several; bogies and sides of one suspension are in one train.
+    """
+    found: dict[str, dict[str, None]] = {}
+    for vehicle, place in places:
+        if not place.train:
+            one = str(replace(place, bogie="", side=""))
+            found.setdefault(vehicle, {})[one] = None
+    return {vehicle: sorted(several) for vehicle, several in found.items() if len(several) > 1}
 
 
 def _holds_manifests(folder: Path) -> bool:

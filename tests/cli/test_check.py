@@ -31,6 +31,7 @@ from suspnet.recordings.formats import READERS
 from suspnet.recordings.manifest_files import find_trips, read_manifest
 from suspnet.recordings.reader_process import in_own_process
 from suspnet.recordings.recording import WINDOWS, load_recording
+from suspnet.report.language import speaking
 from suspnet.spectra.welch import Welch
 from suspnet.trips.check import CheckSettings, check_trip
 from suspnet.trips.check_page import (
@@ -42,6 +43,7 @@ from suspnet.trips.check_page import (
     TripCheck,
     summary,
     trip_figure,
+    write_checks,
 )
 
 N_GOOD = 2
@@ -525,3 +527,17 @@ def test_how_files_are_read_is_said_once_for_all():
         f"  odd: {how.replace('latin-1', 'utf-8')} (1 file)",
         "  odd: 'a' is taken in g, its file says 'V'",
     ]
+
+
+def test_suspensions_without_a_train_are_said_to_be_of_several(tmp_path):
+    places = [Place("front", "leading"), Place("rear", "trailing")]
+    checks = [TripCheck(Path(f"{one.bogie}.yaml"), vehicle="am96", place=one) for one in places]
+    words = "am96: each of its 2 suspensions counts as a train of its own"
+    assert words in summary(checks)
+    with speaking("de"):
+        page = write_checks(checks, [], tmp_path).read_text()
+    assert "am96: jede seiner 2 Federungen zählt als eigener Zug" in page
+    named = [replace(one, place=replace(one.place, train="12")) for one in checks]
+    one_name = [replace(one, place=replace(one.place, suspension="S1")) for one in checks]
+    for found in (named, one_name):
+        assert "train of its own" not in summary(found)

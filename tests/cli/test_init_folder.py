@@ -42,7 +42,7 @@ def asked(folder, *said):
     assert sorted(folder.rglob("*.yaml")) == before
     lines = done.stdout.splitlines()[1:-1]
     keys = {line.partition(":")[0].split()[0] for line in lines if line[2:3] != " "}
-    return keys - {"direction,", "bogie,"}  # these need not be said
+    return keys - {"direction,", "bogie,", "train,"}  # these need not be said
 
 
 def write_german(path, n=400, columns=None, above=()):
@@ -428,6 +428,19 @@ def test_the_bogie_of_each_of_several_folders_has_a_command(tmp_path):
     typed(init, *command[2:], cwd=tmp_path)
     found = [read_manifest(*(tmp_path / "log" / car).glob("*.yaml")) for car in ("car 1", "car 2")]
     assert [one.bogie for one in found] == [None, "leading"]
+
+
+def test_the_train_of_several_suspensions_is_asked_for(tmp_path):
+    line = "train, not stated in 2, is taken as another one for each suspension"
+    said = [one for one in SAID if not one.startswith("suspension")]
+    for place, km in (("front", 100), ("rear", 200)):
+        path = tmp_path / place / "run.csv"
+        path.parent.mkdir()
+        write_german(path, above=[f"Kilometerstand;{km} km", ""])
+    assert line in written(tmp_path, *said)
+    assert line not in written(tmp_path, *said, "train=12", "--force")
+    assert read_manifest(tmp_path / "rear" / "run.yaml").train == "12"
+    assert line not in written(tmp_path, *SAID, "--force")  # bogies of one suspension are one train
 
 
 @pytest.mark.parametrize("between", [True, False])

@@ -6,12 +6,14 @@ import subprocess
 import sys
 import time
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from served_fleet import EVIL, FAILED, HEALTHY, NAMED_EVIL, SETTINGS, WORN, fill, name_of, trips
 
 from suspnet.ground.parameters import Severity
+from suspnet.ground.records import SensorHealth, sensors_text
 from suspnet.history import History
 from suspnet.report.board import Board, Refresher
 from suspnet.web.app import create_app
@@ -406,3 +408,32 @@ def test_trips_fold_to_a_line_each_with_their_verdict(client, refresher):
     lines = re.findall(r"<summary>(.*?)</summary>", folded, flags=re.S)
     assert len(lines) == 20
     assert lines[0] == "✓ estimated: trip_029, 60\N{NO-BREAK SPACE}000 km"
+
+
+def test_fleet_names_dead_and_failing_sensors(tmp_path):
+    def health(i):
+        return {
+            "body left": SensorHealth(faulty=0.0 if i < 25 else 0.2),
+            "body right": SensorHealth(faulty=0.0 if i < 28 else 1.0),
+        }
+
+    results = [
+        replace(one, quality=replace(one.quality, sensors=sensors_text(health(i))))
+        for i, one in enumerate(trips(HEALTHY))
+    ]
+    with History(tmp_path / "fleet.db") as store:
+        store.write(results)
+    board = Board(str(tmp_path / "fleet.db"), SETTINGS)
+    board.refresh()
+    client = create_app(Refresher(board, 3600.0)).test_client()
+    dead = "dead and left out: body right (on 2 of 30 trips)"
+    failing = "sensor body left: drop-outs in 20 % of the trip"
+    assert board.view.rows[0]["sensors"] == f"{dead}; {failing}"
+    page = client.get("/", headers=GERMAN, **BASE).text
+    (german,) = re.findall(r"<small>(Sensoren: .*?)</small>", page)
+    assert german.replace("\N{NO-BREAK SPACE}", " ") == (
+        "Sensoren: tot und weggelassen: body right (auf 2 von 30 Fahrten); "
+        "Sensor body left: Aussetzer auf 20 % der Fahrt"
+    )
+    (english,) = re.findall(r"<small>(Sensors: .*?)</small>", client.get("/", **BASE).text)
+    assert english.replace("\N{NO-BREAK SPACE}", " ") == f"Sensors: {dead}; {failing}"
