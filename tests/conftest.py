@@ -3,6 +3,7 @@
 Fixtures import what they need: the process that hands out tests to others needs no torch.
 """
 
+import ctypes
 import gc
 import os
 from collections.abc import Callable
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
     from suspnet.dynamics import QuarterCar, Vehicle
     from suspnet.estimation.protocols import Protocol, Task
 
-settings.register_profile("tests", deadline=None, derandomize=True, database=None, max_examples=30)
+settings.register_profile("tests", deadline=None, derandomize=True, database=None, max_examples=20)
 settings.load_profile("tests")
 
 
@@ -62,6 +63,15 @@ def _one_thread():
     n_threads = int(os.environ.setdefault("OMP_NUM_THREADS", "1"))
     with threadpool_limits(n_threads):
         yield
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _memory_kept():
+    """Keep freed memory in the process: to get it from the kernel again takes a twentieth."""
+    mallopt = getattr(ctypes.CDLL(None), "mallopt", None)  # of the GNU C library
+    if mallopt is not None:
+        mallopt(-3, 32 << 20)  # M_MMAP_THRESHOLD
+        mallopt(-1, 512 << 20)  # M_TRIM_THRESHOLD
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -1,6 +1,5 @@
 """Model files with hashes that fit and contents that do not: refused in one line, or harmless."""
 
-import copy
 import hashlib
 import json
 import math
@@ -111,6 +110,7 @@ def places(node, path=()):
 
 def mutations(content, arrays):
     """Yield what is changed in words, and the content and arrays of each forged model."""
+    text = json.dumps(content)
     for path in places(content):
         if path[0] in ("description_sha256", "arrays_sha256") or (path[0], path[-1]) == (
             "units",
@@ -118,7 +118,7 @@ def mutations(content, arrays):
         ):
             continue
         for value in (*NONSENSE, "gone", "more"):
-            forged = copy.deepcopy(content)
+            forged = json.loads(text)  # a fraction of the time of copy.deepcopy
             node = forged
             for key in path[:-1]:
                 node = node[key]

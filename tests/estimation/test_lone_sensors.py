@@ -37,7 +37,7 @@ def model():
 @pytest.fixture(scope="module")
 def trip(tmp_path_factory):
     """The manifest of a healthy trip with sensors on both sides."""
-    fleet = Fleet(n_trips=1, minutes=10.0, speed_m_per_s=SPEED, sensors=SENSORS, sides="both")
+    fleet = Fleet(n_trips=1, minutes=6.0, speed_m_per_s=SPEED, sensors=SENSORS, sides="both")
     folder = tmp_path_factory.mktemp("pairs")
     return write_fleet(folder, Simulation(fleet, Scenario("healthy"), ROLLING, seed=0))[0]
 

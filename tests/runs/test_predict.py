@@ -58,9 +58,16 @@ def assert_same(first, second):
 # reference
 
 
-@pytest.mark.every_value
-@pytest.mark.parametrize("name", ["msvr", "linear", "mvgpr"])
-@pytest.mark.parametrize("refined", [False, True])
+@pytest.mark.parametrize(
+    ("name", "refined"),
+    [
+        *(("msvr", False), ("linear", True)),
+        *(
+            pytest.param(*one, marks=pytest.mark.slow)  # MVGPR: test_train.py
+            for one in (("mvgpr", False), ("linear", False), ("msvr", True), ("mvgpr", True))
+        ),
+    ],
+)
 def test_intervals_hold_the_truth_as_often_as_asked_for(name, refined):
     _, model, outcome = outcome_of(name, refined)
     assert outcome.n_asked == 200

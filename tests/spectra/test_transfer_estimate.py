@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 import trips_reference
+from built_once import built_once
 from scipy import signal
 
 from suspnet.spectra import welch as transfer_estimate
@@ -60,10 +61,19 @@ def averaged(records, welch=WELCH):
 @pytest.fixture(scope="module")
 def many():
     """Spectra of many independent records of `three_channels`."""
-    n_samples = SEGMENT + (N_SEGMENTS - 1) * SEGMENT // 2
-    records = three_channels(np.random.default_rng(3), (N_RECORDS, n_samples))
-    frequencies, spectra = averaged(records)
-    return frequencies.numpy(), spectra
+
+    def build(folder):
+        n_samples = SEGMENT + (N_SEGMENTS - 1) * SEGMENT // 2
+        records = three_channels(np.random.default_rng(3), (N_RECORDS, n_samples))
+        frequencies, found = averaged(records)
+        folder.mkdir()
+        np.savez(folder / "many.npz", f=frequencies, auto=found.auto, cross=found.cross)
+        (folder / "n").write_text(repr(found.n_averages))
+
+    folder = built_once("three_channels", build)
+    known, n = np.load(folder / "many.npz"), float((folder / "n").read_text())
+    auto, cross = (torch.as_tensor(known[name]) for name in ("auto", "cross"))
+    return known["f"], CrossSpectra(auto, cross, n)
 
 
 @pytest.fixture(scope="module")
