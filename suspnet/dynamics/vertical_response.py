@@ -193,15 +193,15 @@ def _per_wheel(
     """
     means = answer[0] * first.force + free, answer[1] * other.force
     differences = answer[2] * first.push + swing, answer[3] * other.push
-    pairs = zip(means, differences, strict=True)
-    return [0.5 * (m + sign * d) for m, d in pairs for sign in (1, -1)]
+    halves = [(0.5 * m, 0.5 * d) for m, d in zip(means, differences, strict=True)]
+    return [one for m, d in halves for one in (m + d, m - d)]
 
 
 def moved(per_wheel: Sequence[Tensor], wheels: Sequence[Tensor]) -> Tensor:
     """Return the motion of a place, summed over its motion per metre under each wheelset."""
-    total = torch.zeros_like(wheels[0])
-    for gain, wheel in zip(per_wheel, wheels, strict=True):
-        total = total + gain * wheel
+    total, *others = (gain * wheel for gain, wheel in zip(per_wheel, wheels, strict=True))
+    for one in others:
+        total = total + one
     return total
 
 
