@@ -153,7 +153,7 @@ def first_trips(given: Any, names: Sequence[str]) -> dict[str, int | None]:
 
 
 def _run(config: DictConfig, group: Group, folder: Path, n_healthy: int | None) -> Run:
-    """Return the run of a suspension, with its own trips and bogie."""
+    """Return the run of a suspension, with its own trips, bogie and axle."""
     one = config.copy()
     one.n_healthy = n_healthy
     one.ablation_name = config.ablation_name  # resolved here, as workers run without Hydra
@@ -161,6 +161,8 @@ def _run(config: DictConfig, group: Group, folder: Path, n_healthy: int | None) 
     one.progress = False
     if group.place.bogie:
         one.generator.bogie = group.place.bogie
+    if group.axle:
+        one.generator.axle = group.axle
     plain = OmegaConf.to_container(one, resolve=False)
     assert isinstance(plain, dict)
     return Run(group, {str(key): value for key, value in plain.items()}, folder / group.name)

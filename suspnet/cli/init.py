@@ -23,6 +23,8 @@ from suspnet.trips.trip_files import find_tables, find_trip_files
 LEFT_OPEN = {
     "bogie": "is taken as the leading one, which decides how the other bogie and the body's pitch "
     "add to its motion: bogie=leading or trailing, as the vehicle runs forward",
+    "axle": "is taken as the leading one of that bogie: axle=leading or trailing, at which the "
+    "sensors are",
     "direction": "is found where the phases show it, else asked for by check and train: "
     "direction=forward or reverse",
     "train": "is taken as another one for each suspension, which the plan calls in by itself: "

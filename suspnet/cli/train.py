@@ -76,9 +76,11 @@ def main(config: DictConfig) -> None:
     check_language(config.language)
     ranks.start(config.device)
     folder, groups = program.run_folder(), suspensions(config)
-    if len(groups) == 1 and groups[0].place.bogie and config.generator.get("bogie") == "leading":
+    if len(groups) == 1:
         config = config.copy()  # that of the manifests, unless another one than usual is asked for
-        config.generator.bogie = groups[0].place.bogie
+        for key, named in (("bogie", groups[0].place.bogie), ("axle", groups[0].axle)):
+            if named and config.generator.get(key) == "leading":
+                config.generator[key] = named
     finished = folders.finished_run(config, folder)
     may_have_grown = (folder / folders.FLEET).is_file()  # by another suspension
     if finished is not None and not (finished == folder and may_have_grown):

@@ -189,7 +189,7 @@ def _check_same(
     folder: Path, manifests: Sequence[TripManifest], generator: VerticalVehicle
 ) -> None:
     """Raise TripError unless all manifests are of one suspension of the vehicle."""
-    vehicle, bogie = generator.vehicle.name, generator.bogie
+    vehicle = generator.vehicle.name
     for manifest in manifests:
         if manifest.vehicle != vehicle:
             raise TripError(
@@ -202,12 +202,12 @@ def _check_same(
             f"{folder}: the trips are of several suspensions ({', '.join(places)}); each is "
             "commissioned on trips of its own: give a folder of one"
         )
-    named = manifests[0].place.bogie
-    if named and bogie != named:
-        raise TripError(
-            f"{folder}: the trips are of the {named} bogie, the model would be of the {bogie} one: "
-            f"give generator.bogie={named}"
-        )
+    for key, ours in (("bogie", generator.bogie), ("axle", generator.axle)):
+        for named in {getattr(one, key) for one in manifests} - {None, ours}:
+            raise TripError(
+                f"{folder}: the trips are of the {named} {key}, the model would be of the {ours} "
+                f"one: give generator.{key}={named}"
+            )
 
 
 def _spectra(

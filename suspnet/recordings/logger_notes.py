@@ -22,6 +22,7 @@ NAMES: Mapping[str, tuple[str, ...]] = {
     "train": ("train", "trainset", "zug", "triebzug", "zugnummer"),
     "car": ("car", "wagen", "wagennummer"),
     "suspension": ("suspension", "bogie", "drehgestell", "federung", "aufhängung"),
+    "axle": ("axle", "measured axle", "achse", "messachse"),
     "side": ("side", "seite"),
     "direction": ("direction", "direction of travel", "richtung", "fahrtrichtung"),
     "temperature_c": (
@@ -40,11 +41,13 @@ GERMAN = frozenset(
     )
 )
 """Names of numbers whose points separate thousands and whose comma is the decimal sign."""
+_ENDS = {
+    "leading": ("leading", "front", "vorn", "vorne", "vorderes", "vordere", "führend"),
+    "trailing": ("trailing", "rear", "hinten", "hinteres", "hintere", "nachlaufend"),
+}
 WORDS: Mapping[str, Mapping[str, tuple[str, ...]]] = {
-    "bogie": {
-        "leading": ("leading", "front", "vorn", "vorne", "vorderes", "führend"),
-        "trailing": ("trailing", "rear", "hinten", "hinteres", "nachlaufend"),
-    },
+    "bogie": _ENDS,
+    "axle": _ENDS,
     "side": {"left": ("left", "links", "li", "l"), "right": ("right", "rechts", "re", "r")},
     "direction": {
         "forward": ("forward", "vorwärts", "vorwaerts", "vor", "1", "+1"),

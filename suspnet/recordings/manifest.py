@@ -168,6 +168,13 @@ class TripManifest:
         "bogie, as seen when the vehicle runs forward; chooses the models of that bogie",
         default="not given",
     )
+    axle: str | None = optional(
+        check.one_of(BOGIES),
+        "`leading`, `trailing`",
+        "axle of that bogie which its sensors are at, likewise; those at the other one say "
+        "`axle: 2`",
+        default="not given",
+    )
     side: str | None = optional(
         check.one_of(SIDES),
         "`left`, `right`",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass, is_dataclass
@@ -92,6 +93,14 @@ class ManifestFile:
         texts = {key: content.get(key) for key in ("train", "car")}
         said = {key: printable(one.strip()) for key, one in texts.items() if isinstance(one, str)}
         return Place(printable(content["suspension"].strip()), **where, **said)
+
+    @property
+    def axle(self) -> str:
+        """Axle of the bogie that the sensors are at; empty if it is not stated. Not checked."""
+        with contextlib.suppress(TripError):
+            if isinstance(self.content, dict) and self.content.get("axle") in list(BOGIES):
+                return str(self.content["axle"])
+        return ""
 
     @property
     def sources(self) -> dict[str, dict[str, Any]]:

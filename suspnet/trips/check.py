@@ -9,7 +9,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import Literal
+from typing import Any
 
 import numpy as np
 import torch
@@ -30,7 +30,7 @@ from suspnet.estimation.steady_parts import (
     readable_words,
     steady,
 )
-from suspnet.estimation.swapped_sensors import check_order
+from suspnet.estimation.swapped_sensors import check_end, check_order
 from suspnet.estimation.trained import TrainedModel
 from suspnet.estimation.trip_settings import TripSettings
 from suspnet.ground.parameters import Direction
@@ -344,8 +344,7 @@ def _with_plausibility(
     def check_channel_order(chosen: Tensor) -> None:
         speed = float(segment_speeds(recording, segments)[chosen].mean())
         manifest, frequencies_hz = recording.manifest, segments.frequencies_hz
-        bogie = manifest.bogie or "leading"
-        generator = best_generator(vehicle, speed_m_per_s=speed, bogie=bogie)
+        generator = best_generator(vehicle, speed_m_per_s=speed, **_measured_at(manifest))
         spectra, single = segments.average(chosen), not all(recording.paired)
         shown, factor = shown_direction(spectra, frequencies_hz, generator)
         # in reverse the leading bogie moves like the trailing one: unnamed, either will do
@@ -403,16 +402,24 @@ def _check_bogie(
 ) -> BogieTrip | None:
     """Return the stretch of a recording that shows each part of a bogie; None without the sensors.
 
-    NoEstimateError if no stretch is long enough, TripError if two of the sensors look swapped.
-    `ways` are the directions of travel of the recording's parts, empty if unknown.
+    NoEstimateError if no stretch is long enough, TripError if two of the sensors look swapped, or
+    are at another bogie or axle than the manifest says. `ways` are the directions of travel of the
+    recording's parts, empty if unknown.
     """
     places = sensor_places(recording.manifest, "axle")
     if not ways or not show_parts(places):
         return None
-    bogie: Literal["leading", "trailing"] = (
-        "trailing" if recording.manifest.bogie == "trailing" else "leading"
-    )
-    unknown = SpatialVehicle(vehicle, bogie=bogie, parts=PARTS_OF_BOGIE, sensors=places)
+    manifest = recording.manifest
+    unknown = SpatialVehicle(
+        vehicle, **_measured_at(manifest), parts=PARTS_OF_BOGIE, sensors=places
+    ).with_prior()
     trip = bogie_trip(recording, unknown, settings, ways[0])
-    check_order(unknown.with_prior(), trip)
+    if manifest.direction:  # else that which the phases show assumes the bogie
+        check_end(unknown, trip)
+    check_order(unknown, trip)
     return trip
+
+
+def _measured_at(manifest: TripManifest) -> dict[str, Any]:
+    """Return bogie and axle of a manifest, the leading ones where it names none."""
+    return {"bogie": manifest.bogie or "leading", "axle": manifest.axle or "leading"}

@@ -33,6 +33,10 @@ _WORDS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
 """For each meaning, parts of words and whole words that have it. The first match counts: an axle
 box is also on a bogie, and a bogie also belongs to a car."""
 _BOGIE_NUMBER = re.compile(r"(?:bogie|drehgestell|dg)[\s_.-]*([12])(?!\d)")
+_AXLE_NUMBER = re.compile(
+    r"(?:axle|achse|achslager|radsatz|radsatzlager|wheelset|box|ws|rs|ecke|corner)"
+    r"[\s_.-]*([12])(?!\d)"
+)
 _TIMES = ("t", "datetime", "datum", "uhrzeit", "seconds", "sec", "utc")
 _TIME_BEGINS = ("time", "zeit")
 _OTHER_DIRECTIONS = ("x", "y", "lateral", "longitudinal", "quer", "laengs", "längs", "lat", "long")
@@ -85,6 +89,16 @@ def guessed_bogie(*names: str) -> tuple[str, str]:
     return "", ""
 
 
+def guessed_axle(*names: str) -> int:
+    """Return the number of the bogie's axle by the first name that states 1 or 2; 0 if none does.
+
+    >>> guessed_axle("Achslager 2 links"), guessed_axle("axle_box_left"), guessed_axle("WS12")
+    (2, 0, 0)
+    """
+    found = (_AXLE_NUMBER.search(name.lower()) for name in names)
+    return next((int(one[1]) for one in found if one), 0)
+
+
 def is_of_another_direction(column: str) -> bool:
     """Return whether a column's name states a direction other than vertical."""
     return bool(set(words_of(column)) & set(_OTHER_DIRECTIONS))
@@ -99,7 +113,8 @@ class Signal:
     or the file states the rate, and `time_unit` their unit if only their column's name states it.
     `mean` and `deviation` are those of the first samples, `first` is the first of them. `zero` is
     when its times start, as far as the file states it. `names` serve to guess its meaning: its own,
-    with and without its group's, and that of a file with at most two columns.
+    with and without its group's, and that of a file with at most two columns. `axle` is 1 or 2 of
+    the bogie where this was said, else 0.
     """
 
     file: Path
@@ -113,6 +128,7 @@ class Signal:
     zero: Zero = field(default_factory=Zero)
     names: tuple[str, ...] = ()
     first: float = np.nan
+    axle: int = 0
 
     @property
     def name(self) -> str:

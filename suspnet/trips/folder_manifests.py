@@ -51,6 +51,7 @@ from suspnet.trips.trip_files import (
 
 CHOICES: Mapping[str, tuple[str, ...]] = {
     "bogie": BOGIES,
+    "axle": BOGIES,
     "side": (*SIDES, MIDDLE),
     "direction": DIRECTIONS,
 }
@@ -58,6 +59,8 @@ SIGNAL_KEYS = ("unit", "rate_hz", "speed_unit", "speed_rate_hz")
 """Keys that hold for all accelerometers, or for the speed, of all trips."""
 SAYABLE = (*PLACE_LINES, SPEED, *(f"channels.{name}" for name in CHANNELS), *SIGNAL_KEYS)
 """Keys that may be said once for all trips."""
+OTHER = "@2"
+"""End of the name of a column whose sensor is at the bogie's other axle."""
 HOW: Mapping[str, str] = {
     "vehicle": "vehicle=NAME, one of suspnet's or of a file of yours (suspnet init --vehicle NAME)",
     "suspension": 'suspension="car 7", any name, the same in all trips of one suspension',
@@ -275,13 +278,13 @@ def _trip(
     said: Mapping[str, str],
     config_dir: Path | None,
 ) -> Trip:
-    known, chosen = dict(known), {}
+    known, chosen = dict(known), dict[str, dict[str, int]]()
     for name in CHANNELS:
         if (key := f"channels.{name}") in said:
             chosen[name] = _columns(path, key, said[key], signals)
     if SPEED in said:
         if any(one.name == said[SPEED] for one in signals):
-            chosen[SPEED] = (said[SPEED],)
+            chosen[SPEED] = {said[SPEED]: 1}
             known.pop(SPEED, None)
         else:
             known[SPEED] = Stated(_plain_value(SPEED, said[SPEED]), BY_COMMAND_LINE)
@@ -295,29 +298,36 @@ def _trip(
     return Trip(path, files, known, own, manifest)
 
 
-def _columns(path: Path, key: str, names: str, signals: Sequence[Signal]) -> tuple[str, ...]:
-    """Return the columns of a channel: one, or a left and a right one with a comma between."""
+def _columns(path: Path, key: str, names: str, signals: Sequence[Signal]) -> dict[str, int]:
+    """Return the columns of a channel with their axles: one, or left and right ones in turn."""
     present = [one.name for one in signals]
-    found = (names,) if names in present else tuple(part.strip() for part in names.split(","))
-    missing = [name for name in found if name not in present]
-    if missing or len(found) > 2:
+    several = [names] if names in present else [part.strip() for part in names.split(",")]
+    found = {
+        one if one in present else one.removesuffix(OTHER): 1 if one in present else 2
+        for one in several
+    }
+    if not set(found) <= set(present) or max(Counter(found.values()).values()) > len(SIDES):
         raise TripError(
-            f"{path}: `{key}` must name one or two of the columns {present}, got {names!r}"
+            f"{path}: `{key}` must name one or two of the columns {present}, and likewise of those "
+            f"at the bogie's other axle, with {OTHER} at their end; got {names!r}"
         )
     return found
 
 
-def _with_said(one: Signal, said: Mapping[str, str], chosen: Mapping[str, Sequence[str]]) -> Signal:
-    """Return a signal with what was said for all: side, unit and rate.
+def _with_said(
+    one: Signal, said: Mapping[str, str], chosen: Mapping[str, Mapping[str, int]]
+) -> Signal:
+    """Return a signal with what was said for all: side, axle, unit and rate.
 
-    Unit and rate are those of its file if it states them. Of a chosen pair the first is left.
+    Unit and rate are those of its file if it states them. Chosen columns are left and right
+    in turn.
     """
     meaning = one.meaning
     for what, names in chosen.items():
         if one.name in names:
             meaning = what
-            if len(names) == len(SIDES):
-                one = replace(one, names=(SIDES[names.index(one.name)], *one.names))
+            side = SIDES[list(names).index(one.name) % 2] if len(names) > 1 else ""
+            one = replace(one, names=(side, *one.names), axle=names[one.name])
     prefix = "speed_" if meaning == SPEED else ""
     unit, rate = said.get(f"{prefix}unit"), said.get(f"{prefix}rate_hz")
     if unit and not one.unit:
@@ -352,7 +362,10 @@ def how_to_say(key: str, trips: Sequence[Trip]) -> str:
         return HOW[key]
     columns = dict.fromkeys(one.name for trip in trips for one in trip.signals)
     shown = ", ".join(list(columns)[:20]) + ", ..." * (len(columns) > 20)
-    return f"{key}=COLUMN, or LEFT,RIGHT for a pair; columns: {shown}"
+    pair = "LEFT,RIGHT for a pair"
+    if not key.endswith(CHANNELS[2]):
+        pair += f", or LEFT,RIGHT,LEFT{OTHER},RIGHT{OTHER} with those of the bogie's other axle"
+    return f"{key}=COLUMN, or {pair}; columns: {shown}"
 
 
 def origins(trips: Sequence[Trip]) -> list[str]:

@@ -35,6 +35,12 @@ class Group:
     name: str = ""
     error: str = ""
 
+    @property
+    def axle(self) -> str:
+        """The only axle that the manifests name; empty if there is none."""
+        named = {one.axle for one in self.manifests} - {""}
+        return named.pop() if len(named) == 1 else ""
+
 
 def find_groups(folder: Path) -> list[Group]:
     """Return a folder's trips by suspension, or those of its subfolders if it holds no manifest.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from shlex import join
@@ -15,7 +15,13 @@ from suspnet.recordings.columns import size_of
 from suspnet.recordings.logger_notes import Stated
 from suspnet.recordings.manifest import CHANNELS, FORMAT
 from suspnet.recordings.manifest_sources import ACCELERATION_UNITS, MIDDLE, SIDES, SPEED_UNITS
-from suspnet.trips.file_contents import ACCELERATION, SPEED, Signal, is_of_another_direction
+from suspnet.trips.file_contents import (
+    ACCELERATION,
+    SPEED,
+    Signal,
+    guessed_axle,
+    is_of_another_direction,
+)
 
 BLANK = "FILL_IN"
 """Placeholder of a missing value; suspnet check names each remaining one."""
@@ -33,6 +39,7 @@ PLACE_LINES = {
     "vehicle": f"vehicle:          # {BLANK}: as the model's, e.g. am96",
     "suspension": f"suspension:       # {BLANK}: any name; the same in all trips of one suspension",
     "bogie": "# bogie: leading  # or trailing, as it runs forward; without it taken as leading",
+    "axle": "# axle: leading   # or trailing: the bogie's axle at which the sensors are",
     "direction": "# direction: forward  # or reverse: with the trailing bogie ahead",
     "side": "",
     "train": "# train: '12'     # where several trains or cars are watched",
@@ -63,7 +70,7 @@ def template(
     path: Path,
     read_as: Sequence[str] = (),
     known: Mapping[str, Stated] | None = None,
-    chosen: Mapping[str, Sequence[str]] | None = None,
+    chosen: Mapping[str, Collection[str]] | None = None,
     config_dir: Path | None = None,
 ) -> Template:
     """Return a manifest of the signals of some data files.
@@ -163,11 +170,12 @@ class _Writer:
     def channel(self, name: str, found: Sequence[Signal], rest: Sequence[Signal]) -> list[str]:
         """Return the lines of a channel; `found` are its candidates by name."""
         vertical = [one for one in found if not is_of_another_direction(one.name)] or found
-        sides = [one.side for one in vertical]
-        if len(vertical) == 1 or sorted(sides) == sorted(SIDES):
+        axles = _axles(vertical) if name != CHANNELS[2] else [1] * len(vertical)
+        sides = [[v.side for v, a in zip(vertical, axles, strict=True) if a == at] for at in (1, 2)]
+        if vertical and all(len(one) < 2 or sorted(one) == sorted(SIDES) for one in sides):
             lines = [f"  {name}:  # {self._how(name, f'channels.{name}')}"]
-            for one, side in zip(vertical, sides, strict=True):
-                entry, blanks, words = self._entry(one, ACCELERATION, side)
+            for one, axle in zip(vertical, axles, strict=True):
+                entry, blanks, words = self._entry(one, ACCELERATION, one.side, axle)
                 self.blanks += [f"channels.{name}.{key}" for key in blanks]
                 lines.append(f"    - {entry}  # {words}")
             others = [one for one in found if one not in vertical]
@@ -197,11 +205,15 @@ class _Writer:
         more = len(signals) - LISTED
         return lines + ([f"    # and {more} more columns"] if more > 0 else [])
 
-    def _entry(self, one: Signal, kind: str, side: str = "") -> tuple[str, list[str], str]:
+    def _entry(
+        self, one: Signal, kind: str, side: str = "", axle: int = 1
+    ) -> tuple[str, list[str], str]:
         allowed = ACCELERATION_UNITS if kind == ACCELERATION else SPEED_UNITS
         content: dict[str, object] = {"file": self._relative(one.file), "column": one.name}
         if side and kind == ACCELERATION:
             content["side"] = side
+        if axle != 1:
+            content["axle"] = axle
         words = []
         size = size_of(kind, one.unit)
         if size is None:
@@ -239,6 +251,15 @@ class _Writer:
             return Path(os.path.relpath(file, self.folder)).as_posix()
         except ValueError:  # on another drive there is no relative path
             return str(file.resolve())
+
+
+def _axles(signals: Sequence[Signal]) -> list[int]:
+    """Return the axle of each sensor: as said, else by names that state 1, 2 and sides, else 1."""
+    said = [one.axle for one in signals]
+    named = [guessed_axle(*one.names) for one in signals if one.side]
+    if not any(said) and len(named) == len(said) and set(named) == {1, 2}:
+        return named  # without sides 1 and 2 may be left and right
+    return [axle or 1 for axle in said]
 
 
 def _yaml(value: object) -> str:

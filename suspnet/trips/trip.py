@@ -136,6 +136,12 @@ def _estimated(
             raise TripError(
                 f"the trip is of vehicle {manifest.vehicle!r}, the model was trained for {name!r}"
             )
+    axle = getattr(models[0].generator, "axle", None)  # those of users need not name one
+    if axle and manifest.axle and manifest.axle != axle:
+        raise TripError(
+            f"the trip is of the {manifest.axle} axle, the model of the other one: train one with "
+            f"generator.axle={manifest.axle}"
+        )
     recording = read()
     quality = Quality(
         duration_s=recording.duration_s,

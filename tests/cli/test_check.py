@@ -15,6 +15,7 @@ import pyarrow.parquet as pq
 import pytest
 import scipy.signal
 import yaml
+from blind_train import Run, Track, Train, record, write_trip
 from cli_runner import ROOT, python, typed
 from dying_readers import open_dying
 from hydra import compose, initialize_config_dir
@@ -541,3 +542,24 @@ def test_suspensions_without_a_train_are_said_to_be_of_several(tmp_path):
     one_name = [replace(one, place=replace(one.place, suspension="S1")) for one in checks]
     for found in (named, one_name):
         assert "train of its own" not in summary(found)
+
+
+def test_bogie_and_axle_of_the_manifest_are_checked_if_the_direction_is_stated(settings, tmp_path):
+    run, track = Run(minutes=12.0), Track()
+    signals = record(Train.scattered(0), track, run, 0)
+    path = write_trip(tmp_path, "trip", signals, run)
+    content = yaml.safe_load(path.read_text())
+    words = "the trip fits the leading axle of the leading bogie, with a misfit of "
+    for given, asked in (
+        ({}, ""),
+        ({"bogie": "trailing"}, "`bogie`"),
+        ({"axle": "trailing"}, "`axle`"),
+        ({"bogie": "trailing", "direction": None}, ""),
+    ):
+        path.write_text(yaml.safe_dump(content | given))
+        found = check_trip(path, settings)
+        assert found.shows_parts or asked
+        problems = [one for one in found.problems if one.startswith(words)]
+        assert [one.endswith(f"; correct {asked} in the manifests") for one in problems] == [
+            True
+        ] * bool(asked)

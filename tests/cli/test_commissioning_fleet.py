@@ -44,6 +44,7 @@ def fleet(manifests, tmp_path):
         (tmp_path / "fleet" / name).mkdir(parents=True)
         for path in manifests:
             where = {"bogie": place.bogie, "train": place.train, "car": place.car}
+            where["axle"] = place.bogie  # the outer ones
             changed(path, tmp_path / "fleet" / name, path.stem, suspension="S1", **where)
     return tmp_path / "fleet"
 
@@ -56,7 +57,7 @@ def fitted(monkeypatch):
 
     def commission(generator, *_, **__):
         bogies.append(generator.bogie)
-        found = replace(outcome.generator, bogie=generator.bogie)
+        found = replace(outcome.generator, bogie=generator.bogie, axle=generator.axle)
         return replace(outcome, generator=found)
 
     monkeypatch.setattr(run, "commission", commission)
@@ -128,6 +129,8 @@ def test_each_suspension_has_a_run_of_its_own_as_its_folder_alone_gives(
         assert "-> " in (folder / name / "train.log").read_text()
     saved = OmegaConf.load(folder / "two" / "config.yaml")
     assert (saved.healthy, saved.generator.bogie) == (str(fleet / "two"), "trailing")
+    assert (saved.generator.axle, models[1].generator.axle) == ("trailing", "trailing")
+    assert models[0].generator.axle == "leading"
     assert OmegaConf.load(folder / "config.yaml").healthy == str(fleet)
     run_composed(
         train, tmp_path / "two", *TRIPS, f"healthy={fleet / 'two'}", "generator.bogie=trailing"

@@ -42,7 +42,7 @@ def asked(folder, *said):
     assert sorted(folder.rglob("*.yaml")) == before
     lines = done.stdout.splitlines()[1:-1]
     keys = {line.partition(":")[0].split()[0] for line in lines if line[2:3] != " "}
-    return keys - {"direction,", "bogie,", "train,"}  # these need not be said
+    return keys - {"direction,", "bogie,", "axle,", "train,"}  # these need not be said
 
 
 def write_german(path, n=400, columns=None, above=()):
@@ -441,6 +441,40 @@ def test_the_train_of_several_suspensions_is_asked_for(tmp_path):
     assert line not in written(tmp_path, *said, "train=12", "--force")
     assert read_manifest(tmp_path / "rear" / "run.yaml").train == "12"
     assert line not in written(tmp_path, *SAID, "--force")  # bogies of one suspension are one train
+
+
+def test_the_axle_of_the_sensors_is_asked_for_with_its_default(tmp_path):
+    write_plain(tmp_path / "run_1.parquet")
+    line = "axle, not stated in 1, is taken as the leading one of that bogie"
+    said = (*SAID, "mileage_km=1")
+    assert line in written(tmp_path, *said)
+    assert line not in written(tmp_path, *said, "axle=trailing", "--force")
+    assert read_manifest(tmp_path / "run_1.yaml").axle == "trailing"
+
+
+CORNERS = ("box 1 left", "box 1 right", "box 2 left", "box 2 right")
+
+
+@pytest.mark.parametrize(
+    ("boxes", "frames", "said"),
+    [
+        (CORNERS, ("frame corner 1 left", "frame corner 2 right"), ()),
+        (
+            ("b1", "b2", "b3", "b4"),
+            ("f1", "f2"),
+            ("channels.axle_box=b1,b2,b3@2,b4@2", "channels.bogie=f1,f2@2", "channels.body=body"),
+        ),
+    ],
+)
+def test_sensors_at_both_axles_are_written_with_their_axle(tmp_path, boxes, frames, said):
+    write_plain(tmp_path / "run_1.parquet", (*boxes, *frames, "body"))
+    written(tmp_path, *SAID, "mileage_km=1", *said)
+    manifest = read_manifest(tmp_path / "run_1.yaml")
+    found = [(one.axle or 1, one.side) for one in manifest.channels["axle_box"]]
+    assert found == [(1, "left"), (1, "right"), (2, "left"), (2, "right")]
+    assert [one.column for one in manifest.channels["axle_box"]] == list(boxes)
+    found = [(one.axle or 1, one.side) for one in manifest.channels["bogie"]]
+    assert found == [(1, "left"), (2, "right")]
 
 
 @pytest.mark.parametrize("between", [True, False])

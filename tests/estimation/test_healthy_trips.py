@@ -42,8 +42,8 @@ def folder(manifests, tmp_path):
     return tmp_path
 
 
-def read(folder, bogie="leading", **options):
-    generator = VerticalVehicle(AM96, bogie=bogie)
+def read(folder, bogie="leading", axle="leading", **options):
+    generator = VerticalVehicle(AM96, bogie=bogie, axle=axle)
     return read_healthy(folder, generator, SETTINGS, TripSettings(), **options)
 
 
@@ -219,3 +219,7 @@ def test_trips_of_the_other_bogie_are_refused_before_they_are_read(manifests, tm
     with pytest.raises(TripError, match=r"of the trailing bogie.*: give generator\.bogie=trailing"):
         read(tmp_path, bogie="leading")
     assert len(read(tmp_path, bogie="trailing").manifests) == 3
+    for manifest, name in zip(manifests, NAMES, strict=True):
+        changed(manifest, tmp_path, name, axle="trailing" if name == NAMES[-1] else None)
+    with pytest.raises(TripError, match=r"of the trailing axle.*: give generator\.axle=trailing"):
+        read(tmp_path)

@@ -9,7 +9,12 @@ from test_bogie_fit import MASSES, VEHICLE, drawn, row, trip, without
 
 from suspnet.estimation import swapped_sensors
 from suspnet.estimation.bogie_search import BogieSearch
-from suspnet.estimation.swapped_sensors import check_bogie, check_order, likeliest_order
+from suspnet.estimation.swapped_sensors import (
+    check_bogie,
+    check_end,
+    check_order,
+    likeliest_order,
+)
 from suspnet.recordings.errors import TripError
 from suspnet.spectra.bogie_trip import smallest_noise
 
@@ -68,9 +73,27 @@ def test_healthy_trips_of_the_other_bogie_are_refused(end, misfit):
     if (end, misfit) != ("trailing", 9.0):
         check_bogie(given, trips, misfit)
         return
-    with pytest.raises(TripError, match="car7: the healthy trips fit the leading bogie") as error:
+    words = "car7: the healthy trips fit the leading axle of the leading bogie"
+    with pytest.raises(TripError, match=words) as error:
         check_bogie(given, trips, misfit, "car7: ")
-    assert "and not the trailing one that is given, with 9;" in str(error.value)
+    assert "and not the leading axle of the trailing bogie that is given, with 9;" in str(
+        error.value
+    )
+
+
+@pytest.mark.parametrize("bogie", ["leading", "trailing"])
+@pytest.mark.parametrize("axle", ["leading", "trailing"])
+def test_one_trip_of_another_bogie_or_axle_is_refused(bogie, axle):
+    one = trip(drawn(VEHICLE, row({"c_p_axle2_left": 0.6}), 3), 70.0)
+    given = replace(VEHICLE, bogie=bogie, axle=axle)
+    wrong = {("trailing", "leading"): "`bogie`", ("leading", "trailing"): "`axle`"}
+    if (bogie, axle) == ("leading", "leading"):
+        check_end(given, one)
+        return
+    with pytest.raises(TripError, match=r"a\.yaml: the trip fits the leading axle") as error:
+        check_end(given, one, "a.yaml: ")
+    asked = wrong.get((bogie, axle), "`bogie` and `axle`, or `direction`,")
+    assert str(error.value).endswith(f"; correct {asked} in the manifests")
 
 
 # reference

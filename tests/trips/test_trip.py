@@ -198,6 +198,16 @@ def test_trip_is_described_as_its_manifest_says(manifests, model, tmp_path):
     assert as_written.start == "2015-08-23T06:00:00+00:00"
 
 
+def test_trip_of_another_axle_than_the_models_is_refused(manifests, model, tmp_path):
+    assert evaluated(changed(manifests[2], tmp_path, axle="leading"), model).status == OK
+    result = evaluated(changed(manifests[2], tmp_path, axle="trailing"), model)
+    assert (result.status, result.reason) == (
+        "error",
+        "the trip is of the trailing axle, the model of the other one: train one with "
+        "generator.axle=trailing",
+    )
+
+
 @pytest.mark.parametrize("seconds", [200, pytest.param(280, marks=pytest.mark.slow)])
 def test_speed_bins_are_averaged_by_the_inverse_squares_of_their_half_widths(
     two_speeds, model, seconds, monkeypatch
