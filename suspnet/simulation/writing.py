@@ -238,12 +238,15 @@ def _write_trip(
     channels = _write_channels(folder, name, fleet, system, signals, rate_hz, noise)
     whole_s = np.arange(math.floor(journey.duration_s) + 1, dtype=np.float64)
     _write_columns(folder / name / "speed.parquet", {"speed": journey.at(whole_s)[1]})
+    ends = {one: getattr(generator, one, None) for one in ("bogie", "axle")}
     manifest = TripManifest(
         path=folder / f"{name}.yaml",
         name=name,
         vehicle=generator.vehicle.name,
         suspension=fleet.suspension,
         direction=direction,
+        # without a word they are taken as leading
+        **{key: end for key, end in ends.items() if end == "trailing"},
         mileage_km=mileage_km,
         start=(aboard.first_start if aboard else FIRST_DAY) + time_between(fleet.n_trips) * index,
         speed=SpeedSource(f"{name}/speed.parquet", "m/s", column="speed", rate_hz=1.0),

@@ -505,3 +505,10 @@ def test_service_journey_too_short_for_its_stops_is_rejected(tmp_path):
     with pytest.raises(ValueError, match="3 stops in 300 s leave"):
         write_fleet(tmp_path, Simulation(trips, ONE_LOAD, GENERATORS["quarter_car"]))
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("end", ["leading", "trailing"])
+def test_trailing_bogie_and_axle_are_stated(tmp_path, end):
+    (path,) = write_fleet(tmp_path, Simulation(fleet(n_trips=1), ONE_LOAD, GENERATORS[end], seed=2))
+    manifest = read_manifest(path)
+    assert (manifest.bogie, manifest.axle) == ((end, end) if end == "trailing" else (None, None))
