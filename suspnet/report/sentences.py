@@ -114,6 +114,8 @@ OF_NAME = {
     "channel": r"\w+",
     "partner": r"\w+",
     "kind": r"\w+",
+    "side": r"\w+",
+    "beyond": "(?:(?!; ).)+",
     "fate": r"\w+(?: usable)?",
     "trip": r"\S+",
     "key": "`[^`]+`",

@@ -157,7 +157,7 @@ def _tile(name: str, state: State, row: dict[str, Any], with_suspension: bool) -
     place = state.series.place
     parts = [place.suspension] if with_suspension or not (place.bogie or place.side) else []
     words = " ".join(SHORT.get(p, p) for p in (*parts, place.bogie, place.side) if p)
-    why = f"{row['parameter']} {row['reason']}".strip()
+    why = f"{row['parameter']}: {row['reason']}".removeprefix(": ")
     return Tile(name, str(state.severity), words or state.series.vehicle, why)
 
 
