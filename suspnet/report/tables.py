@@ -26,6 +26,7 @@ from suspnet.maintenance.schedule import Plan
 from suspnet.maintenance.series import Series, of_same_car
 from suspnet.maintenance.state import State
 from suspnet.report.dead_sensors import dead_words, sensor_words
+from suspnet.report.language import N_
 
 REPORT = "report.html"
 N_SHOWN = 30
@@ -354,7 +355,7 @@ def files_read_as(results: Sequence[TripResult]) -> dict[str, str]:
     for words, n in n_trips.most_common():
         of = count(n_files[words], "file") if n_files[words] else count(n, "trip")
         remarks.append(words if n == len(results) and not n_files[words] else f"{words} ({of})")
-    return {"files read as": " · ".join(remarks)} if remarks else {}
+    return {N_("files read as"): " · ".join(remarks)} if remarks else {}
 
 
 PARTS = ("primary suspension: axle box to bogie frame", "secondary suspension: frame to car body")

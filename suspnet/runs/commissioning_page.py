@@ -28,7 +28,7 @@ from suspnet.ground.types import ComplexArray, FloatArray
 from suspnet.ground.wording import kilometres
 from suspnet.recordings.manifest import CHANNELS
 from suspnet.report.figures import SUSPENSIONS, as_png, data_uri, say
-from suspnet.report.language import gettext
+from suspnet.report.language import N_, gettext
 from suspnet.report.sentences import spoken
 from suspnet.report.tables import band
 from suspnet.report.templates import render
@@ -179,7 +179,7 @@ def _page(
         threshold=INCOMPLETE,
         details={
             "trips": str(found.manifests[0].path.parent),
-            "parts": ", ".join(outcome.generator.parts) or "rigid bodies only",
+            N_("parts"): ", ".join(outcome.generator.parts) or "rigid bodies only",
             "suspnet": __version__,
             "date": datetime.now().astimezone().isoformat(timespec="seconds"),
         },

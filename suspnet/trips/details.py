@@ -16,6 +16,7 @@ from suspnet.ground.storage import printable
 from suspnet.ground.wording import count, kilometres
 from suspnet.maintenance.relative import first_trips
 from suspnet.maintenance.state import UNKNOWN_HEALTHY
+from suspnet.report.language import N_
 from suspnet.report.tables import files_read_as
 from suspnet.trips.commissionings import eras, speed_words
 
@@ -49,19 +50,21 @@ def report_details(
         if missing:
             reference = f"{reference}; {missing}" if first_ones else missing
     return {
-        "trips": printable(str(folder)),
-        "bogie": ", ".join(dict.fromkeys(m.generator.bogie or "any" for m in models)),
+        N_("trips"): printable(str(folder)),
+        N_("bogie"): ", ".join(dict.fromkeys(m.generator.bogie or "any" for m in models)),
         "suspnet": __version__,
-        "date": datetime.now().astimezone().isoformat(timespec="seconds"),
-        "model": f"{first.name}, trained on {first.training.get('n_train', 0)} curves of "
+        N_("date"): datetime.now().astimezone().isoformat(timespec="seconds"),
+        N_("model"): f"{first.name}, trained on {first.training.get('n_train', 0)} curves of "
         f"{type(first.generator).__name__}",
-        "speeds": ", ".join(dict.fromkeys(map(speed_words, models))),
-        "transfer functions": f"{trained.method}, {trained.window} windows of "
+        N_("speeds"): ", ".join(dict.fromkeys(map(speed_words, models))),
+        N_("transfer functions"): f"{trained.method}, {trained.window} windows of "
         f"{trained.segment_s:g} s",
-        "healthy is": reference,
-        "misfit of the healthy trips": "; then ".join(misfit_words(era[0]) for era in eras(models)),
-        "intervals": _interval_words(first, level),
-        "limits": limits_words(limits),
+        N_("healthy is"): reference,
+        N_("misfit of the healthy trips"): "; then ".join(
+            misfit_words(era[0]) for era in eras(models)
+        ),
+        N_("intervals"): _interval_words(first, level),
+        N_("limits"): limits_words(limits),
     } | files_read_as(results)
 
 

@@ -37,6 +37,7 @@ from suspnet.maintenance.series import Event, Series, series_of
 from suspnet.maintenance.sisters import SisterSettings
 from suspnet.maintenance.trend import LEAST_PERCENT
 from suspnet.recordings.manifest_files import ManifestFile, partial_words
+from suspnet.report.language import N_
 from suspnet.report.output import (
     sensor_lines,
     summary,
@@ -301,13 +302,15 @@ def _report(
         store.keep_alarms(read.vehicle, group.place, own, OWN_CAUSES)
         seen = store.acknowledgements(read.vehicle, group.place)
     details = report_details(group.folder, models, results, read.limits, level, settings.n_first)
-    details["remaining lives"] = wear_words(fleet.n_learnt(read.vehicle), store is not None)
-    details["alarms of changes"] = armed = detector_words(state.watched.changes, settings.changes)
+    details[N_("remaining lives")] = wear_words(fleet.n_learnt(read.vehicle), store is not None)
+    details[N_("alarms of changes")] = armed = detector_words(
+        state.watched.changes, settings.changes
+    )
     if partial := partial_words(group.folder):
         log.warning("%s is %s; the same simulation again writes the others", group.folder, partial)
         details["trips"] += f" ({partial})"
     if store is not None:
-        details["history"] = printable(str(store))
+        details[N_("history")] = printable(str(store))
     report = Report(results, outputs, state, details, level, read.commissionings, seen)
     write_pages(report, read.output, draw=figures)
     lines = [spoken(state.assessments), *sensor_lines(results, state.watched.alarms)]

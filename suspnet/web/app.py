@@ -27,6 +27,7 @@ from suspnet import __version__
 from suspnet.history import HistoryError
 from suspnet.report.board import Refresher, clock
 from suspnet.report.language import N_, best_of, check_language, choose, gettext, install
+from suspnet.report.sentences import spoken
 from suspnet.report.templates import FILTERS, GLOBALS, packaged
 from suspnet.web.access import ACCESS, Access, is_admitted
 from suspnet.web.api import ROOT, api, http_problem, problem
@@ -122,7 +123,7 @@ def _store_error(error: HistoryError) -> Any:
     lost = gettext("Nothing was saved:") + " " if request.method == "POST" else ""
     if _is_api():
         return problem(503, "The store cannot be used", f"{lost}{error}.")
-    return _message(gettext("The store cannot be used"), f"{lost}{error}."), 503
+    return _message(gettext("The store cannot be used"), f"{lost}{spoken(str(error))}."), 503
 
 
 def _http_error(error: HTTPException) -> Any:

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from suspnet.ground.parameters import BOGIE_PARTS, KIND_NAMES, Cause, part_words
+from suspnet.ground.parameters import BOGIE_PARTS, KIND_NAMES, Cause, Limits, part_words
 from suspnet.ground.records import Place
 from suspnet.report.language import LANGUAGES, best_of, catalogue, check_language, speaking
 from suspnet.report.messages import subject, text
@@ -265,3 +265,26 @@ def test_page_of_a_check_is_german_and_its_data_are_english(tmp_path):
     content = (tmp_path / "check.json").read_text()
     assert dead in content
     assert "bereit" not in content
+
+
+def test_details_of_reports_are_german():
+    said = {
+        "msvr, trained on 2000 curves of VerticalVehicle": "msvr, trainiert auf 2000 Kurven von "
+        "VerticalVehicle",
+        "observer, hann windows of 20 s": "observer, hann-Fenster von 20 s",
+        "what 5 trips from 1000 to 5000 km showed, damping at 20 °C": "was 5 Fahrten von 1000 bis "
+        "5000 km zeigten, Dämpfung bei 20 °C",
+        "1.07 times the noise with each part read, 1.20 times the noise with both sides and axles "
+        "as equal": "das 1,07-Fache des Rauschens, wenn jedes Teil gelesen wird, das 1,20-Fache "
+        "des Rauschens mit beiden Seiten und Achsen als gleich",
+        str(
+            Limits((0.8, 1.2), (0.7, 1.25))
+        ): "Warnung außerhalb von 80 bis 120 %, Eingriff außerhalb von 70 bis 125 %",
+        "armed by 20 trips, at most one false alarm in 2 000 000 km": "scharf durch 20 Fahrten, "
+        "höchstens ein Fehlalarm in 2 000 000 km",
+        "fleet.db: the store is damaged (bad header); put a copy in its place, or evaluate the "
+        "trips again into a new one": "fleet.db: der Speicher ist beschädigt (bad header); eine "
+        "Kopie an seine Stelle setzen oder die Fahrten neu in einen neuen auswerten",
+    }
+    with speaking("de"):
+        assert {one: spoken(one) for one in said} == said

@@ -491,3 +491,11 @@ def test_texts_of_figures_are_german_but_not_what_ticks_name():
     assert shown == ["$k_p$ [% Referenz]", "Laufleistung [1000 km]", "Fahrt bei 3 000 km"]
     assert figure.legends[0].get_texts()[0].get_text() == "Eingriffsgrenze"
     assert [one.get_text() for one in axis.get_yticklabels()] == ["train left", "right"]
+
+
+def test_details_are_in_the_language_of_the_page(tmp_path):
+    with speaking("de"):
+        _, page = write(
+            tmp_path / "r.html", measured(), details={"healthy is": "the vehicle file's drawing"}
+        )
+    assert "gesund ist die Zeichnung der Fahrzeugdatei" in page.text
