@@ -16,8 +16,10 @@ Bogie and axle are found likewise, from one trip whose direction is known: where
 vehicle has smaller residuals as measured elsewhere, the trip is fitted with both places. Of 20
 trips of three trains with everything at once, up to twelve parts worn, both ways, the fits of the
 right place had 1.1 to 1.2 times the misfit of noise, those of the three others at least 3.6 times
-as much, and their residuals were at least 1.007 times as large. Healthy trips that the vehicle does
-not explain are looked at in the same way.
+as much, and their residuals were at least 1.007 times as large. Of 70 trips of two of these trains
+none was called wrong, and 67 of 72 were found with another place given
+(tests/benchmarks/swapped_sensors.py). Healthy trips that the vehicle does not explain are looked at
+in the same way.
 """
 
 from __future__ import annotations
