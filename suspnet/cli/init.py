@@ -163,7 +163,7 @@ def _vehicle_and_place(trip: folders.Trip) -> tuple[str, Place]:
 
 
 def _left_open(trips: Sequence[folders.Trip], said: Sequence[str] | None = None) -> list[str]:
-    """Return a line on each of bogie and direction of travel that is not stated.
+    """Return a line on each of ``LEFT_OPEN`` that is not stated.
 
     Where trips of several folders lack the bogie, the command of each folder follows, with the
     words that were `said`; None: not yet.

@@ -149,10 +149,11 @@ def read_healthy(
         has_curves &= not recording.absent
         segments = recording_segments(recording, settings.welch)
         direction = direction_of(recording, segments, generator, trips)
-        found = []
-        if not recording.absent:
-            found = _spectra(recording, segments, direction, len(kept), settings, trips)
-        if not found and not recording.absent:
+        is_read = not recording.absent
+        found = (
+            _spectra(recording, segments, direction, len(kept), settings, trips) if is_read else []
+        )
+        if is_read and not found:
             words = f"{manifest.name}: no stretch at one speed is long enough and free of faults"
             left_out.append(": ".join(filter(None, [words, unrepaired_words(recording)])))
             continue
