@@ -40,11 +40,10 @@ def noise_components(
     noise = (noisy - clean).square().mean(dim=0).sqrt()
     noise = noise.where(noise > ROUNDING, 1.0)  # avoids division by 0: no information there
     mean = clean.mean(dim=0)
-    # eigenvectors of the covariance: a few times quicker than the singular vectors of all rows
-    power, vectors = torch.linalg.eigh(torch.cov(((clean - mean) / noise).T))
+    power, directions = _principal((clean - mean) / noise)
     n_possible = min(len(clean) - 1, clean.shape[1])
-    directions = vectors.T.flip(0)[:n_possible]
-    share = power.flip(0)[:n_possible].clamp(min=0.0) / power.sum()
+    directions = directions[:n_possible]
+    share = power[:n_possible].clamp(min=0.0) / power.sum()
     if count is None:
         count = int((share.cumsum(dim=0) < explained).sum()) + 1
     if count > len(directions):
@@ -54,3 +53,19 @@ def noise_components(
         )
     leading = directions[:count].contiguous()  # memory layout as restored: equal bit for bit
     return NoiseComponents(mean, noise, leading, share[:count])
+
+
+def _principal(rows: Tensor) -> tuple[Tensor, Tensor]:
+    """Return the variances along principal axes, largest first, and these as rows.
+
+    The eigenvectors of the smaller Gram matrix, that of columns or that of rows, are several times
+    quicker than singular vectors.
+    """
+    n_rows, n_columns = rows.shape
+    if n_rows >= n_columns:
+        power, vectors = torch.linalg.eigh(torch.cov(rows.T))
+        return power.flip(0), vectors.T.flip(0)
+    power, vectors = torch.linalg.eigh(rows @ rows.T / (n_rows - 1))
+    # weak axes still hold some of the strong ones, by rounding: the QR factors remove that
+    axes, _ = torch.linalg.qr(rows.T @ vectors.flip(1))
+    return power.flip(0), axes.T

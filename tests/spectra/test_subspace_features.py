@@ -73,10 +73,11 @@ def test_without_noise_they_hold_the_tangents_of_the_angles_between_the_subspace
         np.testing.assert_allclose(values, tangents[: M - P], rtol=1e-8)
 
 
-def test_components_are_those_of_singular_vectors():
+@pytest.mark.parametrize("n_rows", [60, 6])  # more rows than columns, and fewer
+def test_components_are_those_of_singular_vectors(n_rows):
     rng = np.random.default_rng(1)
-    clean = rng.standard_normal((60, 8)) * np.arange(1, 9)
-    noisy = clean + rng.standard_normal((60, 8)) * np.linspace(0.1, 2, 8)
+    clean = rng.standard_normal((n_rows, 8)) * np.arange(1, 9)
+    noisy = clean + rng.standard_normal((n_rows, 8)) * np.linspace(0.1, 2, 8)
     found = noise_components(torch.as_tensor(clean), torch.as_tensor(noisy), 3)
     noise = np.sqrt(np.mean((noisy - clean) ** 2, axis=0))
     rows = (clean - clean.mean(axis=0)) / noise
