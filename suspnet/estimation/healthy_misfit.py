@@ -1,6 +1,6 @@
 """The sum of squares of healthy trips, as a function of the vehicle's numbers.
 
-Its symbols are those of `suspnet.estimation.commissioning`.
+Its symbols are those of `suspnet.estimation.vehicle_search`.
 """
 
 from __future__ import annotations

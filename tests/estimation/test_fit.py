@@ -12,11 +12,11 @@ from scipy.optimize import minimize
 from vehicles import AM96
 
 from suspnet.dynamics import VerticalVehicle
-from suspnet.dynamics.quantities import OF_THE_TRIP, QUANTITIES, UNMEASURED, LogNormal
-from suspnet.estimation import commissioning as module
-from suspnet.estimation.commissioning import commission
+from suspnet.dynamics.quantities import MASS_MEAN, OF_THE_TRIP, QUANTITIES, UNMEASURED, LogNormal
+from suspnet.estimation.commissioning import N_STARTS, commission
 from suspnet.estimation.healthy_misfit import HealthyMisfit
 from suspnet.estimation.healthy_trips import HealthySpectra
+from suspnet.estimation.vehicle_search import FAR, REDRAWN, End, VehicleSearch
 from suspnet.simulation.true_vehicle import scattered
 from suspnet.spectra.cross_spectra import CrossSpectra, moving_average_with, sample_spectra
 from suspnet.spectra.estimates import EstimateSettings
@@ -195,27 +195,27 @@ def test_bins_above_a_band_count_for_nothing_and_those_below_as_before(bushed):
 
 def test_points_redrawn_differ_far_off_and_in_one_group_of_numbers_alone(bushed):
     generator, _, groups, found = bushed
-    target = module._Search(generator, SETTINGS, groups)
+    target = VehicleSearch(generator, SETTINGS, groups)
     prior = generator.distribution
     z = np.linalg.solve(prior.factor, found.posterior.mean)
     x = np.concatenate([z, np.log(found.masses)])
     points = target.redrawn(x, np.random.default_rng(0))
-    names = [set(group) & set(prior.names) for group in module.REDRAWN]
+    names = [set(group) & set(prior.names) for group in REDRAWN]
     assert len(points) == sum(map(bool, names)) == 3  # nothing bends
     for point, redrawn in zip(points, names, strict=False):
         steps = prior.factor @ (point - x)[: len(prior.names)] / prior.deviations
         moved = {name for name, step in zip(prior.names, steps, strict=True) if abs(step) > 1e-9}
         assert moved == redrawn
-        assert np.abs(steps).max() > module.FAR
+        assert np.abs(steps).max() > FAR
         np.testing.assert_array_equal(point[len(prior.names) :], x[len(prior.names) :])
 
 
 def test_a_search_meets_another_only_near_it_and_at_nearly_its_cost(bushed):
     generator, _, groups, found = bushed
-    target = module._Search(generator, SETTINGS, groups)
+    target = VehicleSearch(generator, SETTINGS, groups)
     prior = generator.distribution
     x = np.concatenate([np.linalg.solve(prior.factor, found.posterior.mean), np.log(found.masses)])
-    one = module._Found(x, 100.0, converged=True)
+    one = End(x, 100.0, converged=True)
     # each number by less than 1.5 deviations, one by more
     within, beyond = (
         np.linalg.solve(prior.factor, found.posterior.mean + steps * found.posterior.deviations)
@@ -227,7 +227,7 @@ def test_a_search_meets_another_only_near_it_and_at_nearly_its_cost(bushed):
         (within, 103.5, False),
         (beyond, 100.0, False),
     ):
-        other = module._Found(np.concatenate([z, x[len(z) :]]), cost, converged=False)
+        other = End(np.concatenate([z, x[len(z) :]]), cost, converged=False)
         assert target.meets(one, found.posterior, other) is (one if meets else None)
 
 
@@ -235,11 +235,11 @@ def test_a_valley_that_several_searches_found_is_followed_once(bushed, monkeypat
     generator, _, groups, found = bushed
     prior = generator.distribution
     x = np.concatenate([np.linalg.solve(prior.factor, found.posterior.mean), np.log(found.masses)])
-    one, other = (module._Found(x, cost, converged=True) for cost in (1.0, 2.0))
+    one, other = (End(x, cost, converged=True) for cost in (1.0, 2.0))
     followed = []
-    monkeypatch.setattr(module._Search, "first_searches", lambda self, _: [one, other, one])
-    monkeypatch.setattr(module._Search, "search", lambda self, *_: followed.append(1) or one)
-    monkeypatch.setattr(module._Search, "finished", lambda self, *_: one)
+    monkeypatch.setattr(VehicleSearch, "first_searches", lambda self, _: [one, other, one])
+    monkeypatch.setattr(VehicleSearch, "search", lambda self, *_: followed.append(1) or one)
+    monkeypatch.setattr(VehicleSearch, "finished", lambda self, *_: one)
     found = commission(generator, SETTINGS, groups)
     assert (len(followed), found.n_agree, found.n_starts) == (2, 3, 3)
 
@@ -312,7 +312,7 @@ def test_trips_without_information_leave_the_prior():
     np.testing.assert_allclose(
         found.posterior.covariance, found.prior.covariance, rtol=1e-6, atol=1e-6
     )
-    np.testing.assert_allclose(found.masses, np.exp(module.MASS_MEAN), rtol=1e-6)
+    np.testing.assert_allclose(found.masses, np.exp(MASS_MEAN), rtol=1e-6)
 
 
 # Known answers
@@ -341,7 +341,7 @@ def test_every_part_is_found_and_several_starts_agree():
     numbers = from_prior(generator, 5)
     found = commission(generator, SETTINGS, trips(generator, numbers, 6, speeds=(70, 50, 80)))
     assert found.converged
-    assert found.n_agree >= module.N_STARTS - 1  # one may end in another valley
+    assert found.n_agree >= N_STARTS - 1  # one may end in another valley
     assert np.abs(off(found.posterior, numbers)).max() < 4
     assert (found.posterior.deviations <= 1.001 * found.prior.deviations).all()
 
