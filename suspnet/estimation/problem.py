@@ -105,15 +105,21 @@ class Problem:
             return extractor
         ratios = self.ratios(TRAIN)[:LEARN_FROM]
         blocks = range(self.n_blocks(len(ratios)))
-        seen = self.observer.for_features
-        name = f"{self.task.protocol}/{self.task.group} features"
-        with progress_bar(
-            name, len(blocks), items=blocks, unit="block", shown=self.progress
-        ) as bar:
-            noisy = torch.cat([seen(self.curves(ratios, TRAIN, block)) for block in bar])
-        parts = np.array_split(ratios, len(blocks))
-        clean = torch.cat([seen(self.noise_free(part)) for part in parts])
         healthy = self.noise_free(np.ones((1, len(PARAMETERS))))[0]
+
+        def make(block: int) -> tuple[Tensor, Tensor]:
+            rows = ratios[block * BLOCK : (block + 1) * BLOCK]
+            noisy, clean = self.curves(ratios, TRAIN, block), self.noise_free(rows)
+            return self.observer.for_features(noisy), self.observer.for_features(clean)
+
+        name = f"{self.task.protocol}/{self.task.group} features"
+        bar = progress_bar(name, len(blocks), unit="block", shown=self.progress)
+        made = []
+        with bar, pool_of(self.threads) as pool:
+            for pair in pool.map(make, blocks):
+                made.append(pair)
+                bar.update()
+        noisy, clean = map(torch.cat, zip(*made, strict=True))
         bins = self.observer.frequencies_hz.to(healthy.device)
         return extractor.fitted(clean, noisy, healthy, bins)
 
