@@ -46,7 +46,7 @@ from suspnet.spectra.segments import (
     segment_speeds,
 )
 from suspnet.spectra.welch import SegmentSpectra, Welch
-from suspnet.spectra.wheel_lines import WheelLine, wheel_lines
+from suspnet.spectra.wheel_lines import wheel_lines
 
 
 def estimate_recording(
@@ -57,36 +57,42 @@ def estimate_recording(
     It is that of each part if the method has a bogie and the recording shows its parts.
     """
     segments = recording_segments(recording, trip_settings(method).welch)
-    without_parts, unexplained = None, False
-    try:
-        bins = all_bins([(method, segments)], recording, settings, wheel_lines(recording))
-    except NoEstimateError as reason:
-        without_parts = reason
-    if method.bogie is not None:
-        try:
-            return estimate_bogie(method, recording, segments, settings)
-        except NoEstimateError as reason:
-            without_parts = without_parts and NoEstimateError(f"{without_parts}; {reason}")
-            unexplained = isinstance(reason, UnexplainedError)
-    if without_parts is not None:
-        raise without_parts
+    bins, parts = both_ways([(method, segments)], recording, settings)
+    if isinstance(parts, Estimate):
+        return parts
+    if isinstance(bins, NoEstimateError):
+        raise bins if parts is None else NoEstimateError(f"{bins}; {parts}")
     estimate = with_sides(combined(bins), bins, recording)[0]
-    if unexplained:
+    if isinstance(parts, UnexplainedError):
         estimate = replace(estimate, flags=estimate.flags.with_kind("misfit", UNEXPLAINED))
     return at_healthy_temperature(method, estimate, recording)
 
 
-def estimate_bogie(
-    method: FittedMethod, recording: Recording, segments: SegmentSpectra, settings: TripSettings
-) -> Estimate:
-    """Return the estimate of each part by a method with a bogie, with damping as while healthy.
+def both_ways(
+    pairs: Sequence[tuple[FittedMethod, SegmentSpectra]],
+    recording: Recording,
+    settings: TripSettings,
+) -> tuple[list[SpeedBin] | NoEstimateError, Estimate | NoEstimateError | None]:
+    """Return the estimates of both sides as equal, and that of each part, or why there is none.
 
-    `segments` are the recording's, cut as for the method's training; raises as `estimate_parts`.
+    The latter, with damping as while healthy, is that of the first of the methods, `pairs` with
+    their segments; None if it has no bogie. TripError is raised as by `all_bins` and
+    `estimate_parts`.
     """
-    assert method.bogie is not None
-    direction = direction_of(recording, segments, method.generator, settings)
-    estimate = estimate_parts(method.bogie, recording, settings, direction)
-    return at_healthy_temperature(method, estimate, recording)
+    bins: list[SpeedBin] | NoEstimateError
+    try:
+        bins = all_bins(pairs, recording, settings)
+    except NoEstimateError as reason:
+        bins = reason
+    method, segments = pairs[0]
+    if method.bogie is None:
+        return bins, None
+    try:
+        direction = direction_of(recording, segments, method.generator, settings)
+        parts = estimate_parts(method.bogie, recording, settings, direction)
+    except NoEstimateError as reason:
+        return bins, reason
+    return bins, at_healthy_temperature(method, parts, recording)
 
 
 def at_healthy_temperature(
@@ -101,12 +107,10 @@ def all_bins(
     pairs: Sequence[tuple[FittedMethod, SegmentSpectra]],
     recording: Recording,
     settings: TripSettings,
-    lines: Sequence[WheelLine] = (),
 ) -> list[SpeedBin]:
     """Return the estimates of all groups of segments, each by the method that reads its speed.
 
-    `pairs` are the methods with their segments, `lines` those of out-of-round wheels, whose bins
-    are left out. NoEstimateError is raised with the reasons of all
+    `pairs` are the methods with their segments. NoEstimateError is raised with the reasons of all
     methods if none gives an estimate, TripError as by `speed_bins`, or if no method is for the
     direction of travel, or it is neither given nor shown by the phases.
     """
@@ -120,7 +124,7 @@ def all_bins(
     for method, segments in pairs:
         try:
             own = placed(method, recording)
-            found = speed_bins(own, recording, segments, settings, methods, lines)
+            found = speed_bins(own, recording, segments, settings, methods)
             bins += [with_lone(one, method, recording) for one in found]
         except NoEstimateError as reason:
             reasons.append(str(reason))
@@ -135,14 +139,14 @@ def speed_bins(
     segments: SegmentSpectra,
     settings: TripSettings,
     models: Sequence[FittedMethod],
-    lines: Sequence[WheelLine] = (),
 ) -> list[SpeedBin]:
     """Return a method's estimate from each group of segments at one of its speeds.
 
     `segments` are the recording's, cut as for the method's training. `models` are all that read the
     recording, the method included: each group belongs to one of them; empty means the method alone.
-    The result is empty if all readable groups belong to other models. The bins of `lines` are left
-    out, unless responses do not depend on the speed: these hold for one wheelset alone.
+    The result is empty if all readable groups belong to other models. The bins of lines of
+    out-of-round wheels are left out, unless responses do not depend on the speed: these hold for
+    one wheelset alone.
 
     Raises NoEstimateError if the recording is valid but gives no estimate, with the reason of the
     largest group, or that no model reads the trip's speeds; TripError if a channel or one sensor of
@@ -163,7 +167,7 @@ def speed_bins(
     bins, reasons = [], []
     trained = trip_settings(method)
     own = groups_of(method, models, speeds, groups)
-    lines = () if any_speed else lines
+    lines = () if any_speed else wheel_lines(recording)
     for part in steady(segments, speeds, own, trained, settings, lines):
         try:
             bins.append(_speed_bin(method, recording, part, models, speeds, segments, settings))

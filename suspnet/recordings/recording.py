@@ -41,7 +41,7 @@ HIGHEST_HZ = 1e6
 """Highest rate of a sensor [Hz]; the length of the decimation filter grows with the rate."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Recording:
     """One trip on one clock.
 

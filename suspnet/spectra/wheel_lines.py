@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from weakref import WeakKeyDictionary
 
 import numpy as np
 import torch
@@ -101,12 +102,22 @@ class _Peak:
     speed_m_per_s: float
 
 
+_FOUND: WeakKeyDictionary[Recording, tuple[WheelLine, ...]] = WeakKeyDictionary()
+"""Lines of the recordings in memory: the parts and both sides as equal ask for the same ones."""
+
+
 def wheel_lines(recording: Recording) -> tuple[WheelLine, ...]:
     """Return the lines of out-of-round wheels in the axle box's signals, by sensor and order.
 
     Only sensors at axle 1 count, so that all are on one wheelset: its diameter is the one that
     explains most of the lines. It is searched within ``DIAMETERS_M`` unless the manifest gives it.
     """
+    if recording not in _FOUND:
+        _FOUND[recording] = _search(recording)
+    return _FOUND[recording]
+
+
+def _search(recording: Recording) -> tuple[WheelLine, ...]:
     peaks = {
         name: _peaks(_windows(recording, signal))
         for name, signal in recording.sensors().items()

@@ -14,9 +14,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from suspnet.estimation.bogie_fit import CommissionedBogie
 from suspnet.estimation.bogie_trips import UNEXPLAINED, UnexplainedError, lost_sensors
 from suspnet.estimation.estimate import Estimate, HealthyValues
-from suspnet.estimation.from_recording import all_bins, at_healthy_temperature, estimate_bogie
+from suspnet.estimation.from_recording import at_healthy_temperature, both_ways
 from suspnet.estimation.from_spectra import trip_settings
 from suspnet.estimation.steady_parts import SpeedBin, combined, largest
 from suspnet.estimation.trained import TrainedModel
@@ -41,8 +42,8 @@ from suspnet.recordings.manifest_files import ManifestFile
 from suspnet.recordings.recording import Recording, load_recording, overview
 from suspnet.spectra.segments import NoEstimateError, recording_segments
 from suspnet.spectra.sensor_health import sensor_health
-from suspnet.spectra.welch import SegmentSpectra, Welch
-from suspnet.spectra.wheel_lines import WheelLine, wheel_lines, wheel_words
+from suspnet.spectra.welch import Welch
+from suspnet.spectra.wheel_lines import wheel_lines, wheel_words
 from suspnet.trips.commissionings import models_at, since_km
 
 log = logging.getLogger(__name__)
@@ -151,59 +152,45 @@ def _estimated(
     )
     if not result.start and recording.started is not None:
         result = replace(result, start=recording.started.isoformat())
-    lines = wheel_lines(recording)
+    wheels = wheel_words(recording, wheel_lines(recording))
     sensors = sensor_health(recording, models[0].generator, _welch(models[0]))
-    quality = replace(quality, wheels=wheel_words(recording, lines), sensors=sensors_text(sensors))
+    quality = replace(quality, wheels=wheels, sensors=sensors_text(sensors))
     segments = {one: recording_segments(recording, one) for one in map(_welch, models)}
     n_total = max(len(found.values) for found in segments.values())
     result = replace(result, quality=replace(quality, segments_total=n_total))
     pairs = [(model, segments[_welch(model)]) for model in models]
     try:
-        equal = _with_equal_sides(result, recording, pairs, settings, lines)
-        return _with_parts(equal, recording, pairs[0], settings)
+        bins, parts = both_ways(pairs, recording, settings)
     except TripError as error:  # reported only now, as the quality is known
         return replace(result, reason=str(error))
-
-
-def _with_equal_sides(
-    result: TripResult,
-    recording: Recording,
-    pairs: Sequence[tuple[TrainedModel, SegmentSpectra]],
-    settings: TripSettings,
-    lines: Sequence[WheelLine],
-) -> TripResult:
-    """Return a result with the estimate of both sides as equal, or why there is none."""
-    try:
-        bins = all_bins(pairs, recording, settings, lines)
-    except NoEstimateError as error:
-        return replace(result, status=NO_ESTIMATE, reason=str(error))
-    return _combined(result, recording, bins)
+    if isinstance(bins, NoEstimateError):
+        result = replace(result, status=NO_ESTIMATE, reason=str(bins))
+    else:
+        result = _combined(result, recording, bins)
+    return _with_parts(result, recording, models[0].bogie, parts)
 
 
 def _with_parts(
     result: TripResult,
     recording: Recording,
-    pair: tuple[TrainedModel, SegmentSpectra],
-    settings: TripSettings,
+    bogie: CommissionedBogie | None,
+    parts: Estimate | NoEstimateError | None,
 ) -> TripResult:
     """Return a result with the estimate of each part in place of that of both sides as equal.
 
     If the trip does not show the parts, it stays as it is, and a warning says why; it is flagged
     if no change of the parts explains it.
     """
-    model, segments = pair
-    if model.bogie is None:
+    if bogie is None or parts is None:
         return result
-    try:
-        estimate = estimate_bogie(model, recording, segments, settings)
-    except NoEstimateError as error:
-        if isinstance(error, UnexplainedError):
+    if isinstance(parts, NoEstimateError):
+        if isinstance(parts, UnexplainedError):
             result = replace(result, flags="; ".join(filter(None, (result.flags, UNEXPLAINED))))
-        return _warned(result, f"{NO_PART}{error}")
-    result = replace(result, reason="", sides="", worn=estimate.found)
-    if lost := lost_sensors(recording, model.bogie.generator):
+        return _warned(result, f"{NO_PART}{parts}")
+    result = replace(result, reason="", sides="", worn=parts.found)
+    if lost := lost_sensors(recording, bogie.generator):
         result = _warned(result, f"parts are read without the sensors of {', '.join(lost)}")
-    return _with_values(result, estimate, model.bogie.healthy)
+    return _with_values(result, parts, bogie.healthy)
 
 
 def _warned(result: TripResult, words: str) -> TripResult:

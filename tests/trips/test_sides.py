@@ -23,7 +23,6 @@ from suspnet.recordings.errors import TripError
 from suspnet.report.report import sides_finding
 from suspnet.spectra.segments import NoEstimateError
 from suspnet.spectra.side_difference import SideDifference
-from suspnet.trips import trip as trip_evaluation
 from suspnet.trips.trip import evaluate_trip
 
 RATE_HZ, TOP_HZ = 250.0, 15.0
@@ -173,8 +172,7 @@ def test_what_becomes_of_a_trip_whose_parts_are_not_read(manifests, model, monke
     def not_read(*_):
         raise error("why")
 
-    monkeypatch.setattr(trip_evaluation, "estimate_bogie", not_read)
-    monkeypatch.setattr(from_recording, "estimate_bogie", not_read)
+    monkeypatch.setattr(from_recording, "estimate_parts", not_read)
     with_bogie = replace(model, bogie=object())
     result = evaluate_trip(manifests[0], [with_bogie], TripSettings())
     assert result.quality.n_averages == equal.quality.n_averages * (error is not TripError)
