@@ -20,6 +20,7 @@ from suspnet.ground.storage import distinct, new_folder, printable
 from suspnet.ground.workers import LostWorkerError, each
 from suspnet.recordings.manifest_files import find_trips
 from suspnet.report.language import speaking
+from suspnet.spectra.estimates import EstimateSettings
 from suspnet.trips.check import CheckSettings, Opened, check_trip
 from suspnet.trips.check_page import (
     NEED_A_VEHICLE,
@@ -34,8 +35,6 @@ from suspnet.trips.check_page import (
 
 N_HEALTHY = 5
 """Number of first trips that the next command takes as healthy, which the user may change."""
-USUAL_MINUTES = 20
-"""Length of trips for which models are trained unless `data.minutes` says another, [min]."""
 
 
 def check(arguments: Namespace) -> int:
@@ -128,7 +127,7 @@ def next_steps(
         *(["protocol=components"] if all(check.shows_parts for check in ready) else []),
         *(f"healthy={folder}", f"n_healthy={n_healthy}"),
         *(["generator.bogie=trailing"] if bogies == {"trailing"} else []),
-        *([f"data.minutes={minutes}"] if minutes != USUAL_MINUTES else []),
+        *([f"data.minutes={minutes}"] if minutes != EstimateSettings.minutes else []),
     ]
     return [
         f"{when}: {join(train)}",

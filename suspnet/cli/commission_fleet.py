@@ -16,6 +16,7 @@ from omegaconf import DictConfig, OmegaConf
 from tabulate import tabulate
 
 from suspnet.cli import folders, program
+from suspnet.cli.config_files import as_written
 from suspnet.estimation.trip_settings import LEAST_TRIPS
 from suspnet.ground import ledger
 from suspnet.ground.progress import bar as progress_bar
@@ -152,20 +153,26 @@ def first_trips(given: Any, names: Sequence[str]) -> dict[str, int | None]:
     return numbers
 
 
+def of_group(config: DictConfig, group: Group) -> DictConfig:
+    """Return a configuration with bogie and axle of a suspension's manifests.
+
+    These stand unless another one than the default is asked for.
+    """
+    one = config.copy()
+    for key, named in (("bogie", group.place.bogie), ("axle", group.axle)):
+        if named and one.generator.get(key) == "leading":
+            one.generator[key] = named
+    return one
+
+
 def _run(config: DictConfig, group: Group, folder: Path, n_healthy: int | None) -> Run:
     """Return the run of a suspension, with its own trips, bogie and axle."""
-    one = config.copy()
+    one = of_group(config, group)
     one.n_healthy = n_healthy
     one.ablation_name = config.ablation_name  # resolved here, as workers run without Hydra
     one.healthy = str(group.folder)
     one.progress = False
-    if group.place.bogie:
-        one.generator.bogie = group.place.bogie
-    if group.axle:
-        one.generator.axle = group.axle
-    plain = OmegaConf.to_container(one, resolve=False)
-    assert isinstance(plain, dict)
-    return Run(group, {str(key): value for key, value in plain.items()}, folder / group.name)
+    return Run(group, as_written(one), folder / group.name)
 
 
 def _trained(run: Run, train_one: TrainOne) -> Messages:

@@ -54,6 +54,13 @@ def own_vehicles(vehicle: str) -> Path | None:
     return found[0] if len(found) == 1 else None
 
 
+def as_written(config: Any, *, resolve: bool = False) -> dict[str, Any]:
+    """Return a configuration as plain values, with interpolations as text unless `resolve`."""
+    content = OmegaConf.to_container(config, resolve=resolve)
+    assert isinstance(content, dict)
+    return {str(key): value for key, value in content.items()}
+
+
 def store_tables() -> None:
     """Make each entry of ablations.yaml and scenarios.yaml an option of its group.
 

@@ -27,7 +27,7 @@ from hydra.plugins.config_source import ConfigResult
 from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf, open_dict, read_write
 
-from suspnet.cli.config_files import CONFIGS, LOADER, check_file
+from suspnet.cli.config_files import CONFIGS, LOADER, as_written, check_file
 from suspnet.cli.trusted import check_configuration
 from suspnet.live.broker import HOST_VARIABLE, LOCAL
 
@@ -173,8 +173,7 @@ def check_typed(config: DictConfig, typed: Collection[str]) -> None:
     the network.
     """
     _check_places(config, typed)
-    written = OmegaConf.to_container(config, resolve=False)
-    assert isinstance(written, dict)
+    written = as_written(config)
     for group in BROKERS:
         if group in written:
             _check_broker(group, written[group], typed)
@@ -222,9 +221,7 @@ def _check_broker(group: str, option: Any, typed: Collection[str]) -> None:
 
 @functools.cache
 def _shipped_broker() -> dict[str, Any]:
-    shipped = OmegaConf.to_container(OmegaConf.load(Path(CONFIGS) / "base" / "broker.yaml"))
-    assert isinstance(shipped, dict)
-    return {str(key): value for key, value in shipped.items()}
+    return as_written(OmegaConf.load(Path(CONFIGS) / "base" / "broker.yaml"))
 
 
 def _check_places(config: DictConfig, typed: Collection[str]) -> None:
@@ -234,9 +231,7 @@ def _check_places(config: DictConfig, typed: Collection[str]) -> None:
         node = OmegaConf.select(config, above) if above else config
         if key in typed or not isinstance(node, DictConfig) or last not in node:
             continue
-        written = OmegaConf.to_container(node, resolve=False)
-        assert isinstance(written, dict)
-        value = written[last]
+        value = as_written(node)[last]
         if value not in _shipped_places(key) and (value is not None or key in OF_HYDRA):
             why = "what a scheduler sends is run" if key == CLUSTER else "files are written there"
             raise ValueError(

@@ -30,7 +30,7 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import GrammarParseError, OmegaConfBaseException
 
 from suspnet.cli import folders, reference, signals
-from suspnet.cli.config_files import CONFIGS, read_values, store_tables
+from suspnet.cli.config_files import CONFIGS, as_written, read_values, store_tables
 from suspnet.cli.loader import CheckedLoader
 from suspnet.cli.trusted import check_configuration
 from suspnet.ground import progress
@@ -403,6 +403,4 @@ def log_to_stderr() -> None:
 def save_config(config: DictConfig, folder: Path) -> dict[str, Any]:
     """Write the resolved configuration to config.yaml and return it as plain values."""
     write_atomically(folder / "config.yaml", OmegaConf.to_yaml(config, resolve=True))
-    plain = OmegaConf.to_container(config, resolve=True)
-    assert isinstance(plain, dict)
-    return {str(key): value for key, value in plain.items()}
+    return as_written(config, resolve=True)

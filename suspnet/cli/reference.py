@@ -15,7 +15,15 @@ from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from suspnet.cli.config_files import CONFIGS, TABLES, Comments, Keys, phrase, read_comments
+from suspnet.cli.config_files import (
+    CONFIGS,
+    TABLES,
+    Comments,
+    Keys,
+    as_written,
+    phrase,
+    read_comments,
+)
 from suspnet.cli.kinds import KINDS
 
 COLUMNS, OPTION_COLUMNS, KEY_COLUMNS = 100, 22, 36
@@ -74,9 +82,8 @@ class Reference:
 
     def __init__(self, config: DictConfig) -> None:
         self.config = config
-        plain = OmegaConf.to_container(config, resolve=False)
-        assert isinstance(plain, dict)
-        self._plain = {str(name): value for name, value in plain.items() if name != "hydra"}
+        self._plain = as_written(config)
+        self._plain.pop("hydra", None)
         sources = config.hydra.runtime.config_sources
         self._folders = [Path(source.path) for source in sources if source.schema == "file"]
         self._files = self._composed_files()

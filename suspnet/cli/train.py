@@ -15,11 +15,18 @@ from omegaconf import DictConfig, ListConfig
 from sklearn.exceptions import ConvergenceWarning
 
 from suspnet.cli import folders, program
-from suspnet.cli.commission_fleet import HealthySettings, are_several, suspensions, train_fleet
+from suspnet.cli.commission_fleet import (
+    HealthySettings,
+    are_several,
+    of_group,
+    suspensions,
+    train_fleet,
+)
 from suspnet.cli.kinds import build
 from suspnet.dynamics import ResponseGenerator, VerticalVehicle
 from suspnet.estimation.bogie_fit import CommissionedBogie
 from suspnet.estimation.flags import Residual
+from suspnet.estimation.healthy_trips import read_healthy
 from suspnet.estimation.problem import Problem
 from suspnet.estimation.trip_settings import TripSettings
 from suspnet.ground.parameters import DIRECTIONS, FORWARD, Direction
@@ -28,12 +35,7 @@ from suspnet.ground.workers import Start, alongside
 from suspnet.learning import ranks
 from suspnet.recordings.manifest_files import ManifestFile
 from suspnet.report.language import check_language, speaking
-from suspnet.runs.commissioning import (
-    check_generator,
-    commission_parts,
-    commission_trips,
-    read_folder,
-)
+from suspnet.runs.commissioning import check_generator, commission_parts, commission_trips
 from suspnet.runs.commissioning_page import training_notes, write_outcome
 from suspnet.runs.dataset import write_dataset
 from suspnet.runs.scores import Metrics
@@ -77,10 +79,7 @@ def main(config: DictConfig) -> None:
     ranks.start(config.device)
     folder, groups = program.run_folder(), suspensions(config)
     if len(groups) == 1:
-        config = config.copy()  # that of the manifests, unless another one than usual is asked for
-        for key, named in (("bogie", groups[0].place.bogie), ("axle", groups[0].axle)):
-            if named and config.generator.get(key) == "leading":
-                config.generator[key] = named
+        config = of_group(config, groups[0])
     finished = folders.finished_run(config, folder)
     may_have_grown = (folder / folders.FLEET).is_file()  # by another suspension
     if finished is not None and not (finished == folder and may_have_grown):
@@ -232,11 +231,11 @@ def _commissioned(
         return None
     settings, trips = _check_healthy(config), TripSettings()
     check_values(HealthySettings, n_healthy=config.n_healthy)
-    generator = build(config, "generator")
-    found = read_folder(
+    generator = check_generator(build(config, "generator"))
+    found = read_healthy(
         Path(config.healthy),
         generator,
-        settings,
+        settings.bound(generator.vehicle),
         trips,
         paths=paths,
         n_first=config.n_healthy,

@@ -18,7 +18,7 @@ from omegaconf import DictConfig, ListConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 from omegaconf.grammar_parser import parse
 
-from suspnet.cli.config_files import CONFIGS, walk
+from suspnet.cli.config_files import CONFIGS, as_written, walk
 from suspnet.cli.kinds import KINDS, check_kind, new_name
 from suspnet.ground.settings import check_choice
 
@@ -69,8 +69,7 @@ def check_configuration(config: DictConfig) -> None:
 
     The message names the key. A value that cannot be resolved yet was checked as written.
     """
-    written = OmegaConf.to_container(config, resolve=False)
-    assert isinstance(written, dict)
+    written = as_written(config)
     hydra = written.pop("hydra", None)
     _check_values(written, "")
     if hydra is not None:

@@ -20,43 +20,11 @@ from suspnet.estimation.trip_settings import TripSettings
 from suspnet.ground.tensors import threads
 from suspnet.recordings.errors import all_of
 from suspnet.recordings.manifest import CHANNELS
-from suspnet.recordings.manifest_files import ManifestFile
 from suspnet.spectra.estimates import EstimateSettings
 
 log = logging.getLogger(__name__)
 FAMILY = tuple(part for part in PARTS if part != "air_spring")
 """Parts of the vehicle that is commissioned if the configuration names none."""
-
-
-def read_folder(
-    folder: Path,
-    generator: ResponseGenerator,
-    settings: EstimateSettings,
-    trips: TripSettings,
-    *,
-    paths: Sequence[ManifestFile] | None = None,
-    n_first: int | None = None,
-    by_part: bool = False,
-    progress: bool = False,
-) -> HealthyTrips:
-    """Return the healthy trips of a folder.
-
-    `paths` are the manifests of one suspension if the folder holds several; only the `n_first`
-    trips by mileage are used, `by_part` for each part as well. Raises FileNotFoundError, TripError
-    or NoEstimateError if the folder does not hold at least three healthy trips of one suspension of
-    the vehicle and its bogie that show this, ValueError if the generator cannot be commissioned.
-    """
-    generator = check_generator(generator)
-    return read_healthy(
-        folder,
-        generator,
-        settings.bound(generator.vehicle),
-        trips,
-        paths=paths,
-        n_first=n_first,
-        by_part=by_part,
-        progress=progress,
-    )
 
 
 def commission_trips(
@@ -108,9 +76,11 @@ def commission_folder(
 ) -> tuple[HealthyTrips, Commissioned]:
     """Return the healthy trips of a folder and the vehicle that they show.
 
-    It takes and raises what `read_folder` and `commission_trips` do.
+    It takes and raises what `read_healthy` and `commission_trips` do.
     """
-    found = read_folder(folder, generator, settings, trips, n_first=n_first, progress=progress)
+    own = check_generator(generator)
+    bound = settings.bound(own.vehicle)
+    found = read_healthy(folder, own, bound, trips, n_first=n_first, progress=progress)
     return found, commission_trips(found, generator, settings, progress=progress)
 
 

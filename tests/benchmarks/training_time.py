@@ -26,9 +26,10 @@ from tabulate import tabulate
 
 from suspnet.cli import program  # noqa: F401 - makes our resolvers known to Hydra
 from suspnet.cli.kinds import build
+from suspnet.estimation.healthy_trips import read_healthy
 from suspnet.estimation.trip_settings import TripSettings
 from suspnet.ground.tensors import threads
-from suspnet.runs.commissioning import commission_parts, commission_trips, read_folder
+from suspnet.runs.commissioning import commission_parts, commission_trips
 from suspnet.simulation import Fleet
 
 ROOT = TESTS.parent
@@ -106,7 +107,8 @@ def stages_of(given, trips, protocol):
         protocol[0] == "c",
     )
     times = [time.perf_counter()]
-    found = read_folder(trips, generator, settings, TripSettings(), by_part=by_part)
+    bound = settings.bound(generator.vehicle)
+    found = read_healthy(trips, generator, bound, TripSettings(), by_part=by_part)
     times.append(time.perf_counter())
     bogie = commission_parts(found, TripSettings()) if by_part else None
     times.append(time.perf_counter())
