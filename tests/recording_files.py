@@ -14,6 +14,12 @@ from scipy.io import savemat, wavfile
 from suspnet.recordings.formats import CSV_SUFFIXES
 
 
+def contents(folder: Path) -> dict[str, bytes]:
+    """Return the bytes of all files of a folder and below it, by their relative names."""
+    files = sorted(path for path in folder.rglob("*") if path.is_file())
+    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in files}
+
+
 def write_parquet(path: Path, columns: Mapping, **_) -> None:
     pq.write_table(pa.table(dict(columns)), path, row_group_size=7)
 

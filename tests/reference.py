@@ -100,3 +100,15 @@ def fisher_by_differences(vehicle, ratios, frequencies_hz, snr_db, columns, rows
         jacobian = np.array(slopes)
         total += jacobian @ jacobian.T / rms**2
     return total
+
+
+def complex_normal(rng, *shape):
+    """Return complex standard normal numbers."""
+    return (rng.standard_normal(shape) + 1j * rng.standard_normal(shape)) / math.sqrt(2)
+
+
+def phasors(signals, times, frequencies_hz):
+    """Return the complex amplitudes of signals (n_signals, n), (n_frequencies, n_signals)."""
+    columns = [f(2 * math.pi * w * times) for w in frequencies_hz for f in (np.cos, np.sin)]
+    fits, *_ = np.linalg.lstsq(np.array(columns).T, signals.T)
+    return fits[0::2] - 1j * fits[1::2]

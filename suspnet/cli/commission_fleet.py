@@ -5,10 +5,12 @@ from __future__ import annotations
 import functools
 import logging
 import os
+import sys
 import traceback
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
+from logging.handlers import BufferingHandler
 from pathlib import Path
 from typing import Any
 
@@ -61,14 +63,6 @@ class Run:
     folder: Path
 
 
-@dataclass(frozen=True)
-class Messages:
-    """The warnings of a run, and its error if it failed."""
-
-    warnings: tuple[str, ...] = ()
-    error: str = ""
-
-
 def suspensions(config: DictConfig) -> list[Group]:
     """Return the suspensions of ``healthy=``; [] if it is null.
 
@@ -115,14 +109,14 @@ def train_fleet(
     bar = progress_bar("suspensions", len(missing), unit="suspension", shown=config.progress)
     with bar:
         for run, outcome in each(work, missing, config.workers):
-            messages = (
-                Messages((), str(outcome)) if isinstance(outcome, LostWorkerError) else outcome
+            warnings, error = (
+                ([], str(outcome)) if isinstance(outcome, LostWorkerError) else outcome
             )
-            for message in messages.warnings:
+            for message in warnings:
                 log.warning("%s: %s", run.group.name, message)
-            if messages.error:
-                failed[run.group.name] = messages.error
-                log.warning("%s is not trained: %s", run.group.name, messages.error)
+            if error:
+                failed[run.group.name] = error
+                log.warning("%s is not trained: %s", run.group.name, error)
             bar.update()
     rows = [_row(run) for run in runs if run.group.name not in failed]
     if rows:
@@ -175,8 +169,8 @@ def _run(config: DictConfig, group: Group, folder: Path, n_healthy: int | None) 
     return Run(group, as_written(one), folder / group.name)
 
 
-def _trained(run: Run, train_one: TrainOne) -> Messages:
-    """Train the model of one suspension with its own log; return its warnings and error."""
+def _trained(run: Run, train_one: TrainOne) -> tuple[list[str], str]:
+    """Train the model of one suspension with its own log; return its warnings and its error."""
     folders.start_again(run.folder)
     with _own_log(run.folder / LOG) as warnings:
         try:
@@ -190,15 +184,16 @@ def _trained(run: Run, train_one: TrainOne) -> Messages:
             message = f"{type(error).__name__}: {' '.join(str(error).split())}; see {file}"
         else:
             message = ""
-    return Messages(tuple(warnings), message)
+        return [record.getMessage() for record in warnings.buffer], message
 
 
 @contextmanager
-def _own_log(file: Path) -> Iterator[list[str]]:
-    """Send this package's log to a file only, and yield the list that collects its warnings."""
+def _own_log(file: Path) -> Iterator[BufferingHandler]:
+    """Send this package's log to a file only, and yield the handler that collects its warnings."""
     file.parent.mkdir(parents=True, exist_ok=True)
     file = ledger.free_name(file)  # the log of an earlier attempt stays
-    logger, warnings = logging.getLogger("suspnet"), _Warnings()
+    logger, warnings = logging.getLogger("suspnet"), BufferingHandler(sys.maxsize)
+    warnings.setLevel(logging.WARNING)
     before = logger.level, logger.propagate
     handlers = [logging.FileHandler(file, mode="x", encoding="utf-8"), warnings]
     logger.setLevel(logging.INFO)
@@ -206,24 +201,12 @@ def _own_log(file: Path) -> Iterator[list[str]]:
     for handler in handlers:
         logger.addHandler(handler)
     try:
-        yield warnings.messages
+        yield warnings
     finally:
         logger.level, logger.propagate = before
         for handler in handlers:
             logger.removeHandler(handler)
             handler.close()
-
-
-class _Warnings(logging.Handler):
-    """Collects the messages of warnings."""
-
-    def __init__(self) -> None:
-        super().__init__(logging.WARNING)
-        self.messages: list[str] = []
-
-    def emit(self, record: logging.LogRecord) -> None:
-        """Store one message."""
-        self.messages.append(record.getMessage())
 
 
 def _row(run: Run) -> dict[str, Any]:

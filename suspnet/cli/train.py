@@ -31,6 +31,7 @@ from suspnet.estimation.problem import Problem
 from suspnet.estimation.trip_settings import TripSettings
 from suspnet.ground.parameters import DIRECTIONS, FORWARD, Direction
 from suspnet.ground.settings import check_choice, check_values
+from suspnet.ground.wording import span
 from suspnet.ground.workers import Start, alongside
 from suspnet.learning import ranks
 from suspnet.recordings.manifest_files import ManifestFile
@@ -121,8 +122,8 @@ def _run(
             if healthy is None:
                 raise ValueError(NO_HEALTHY)
             speeds = covering(healthy.speeds_m_per_s, _half_width(config))
-            span = _span(healthy.speeds_m_per_s)
-            log.info("healthy trips at %s: %s", span, setting_words(speeds))
+            ends = (f"{of(healthy.speeds_m_per_s):.1f}" for of in (min, max))
+            log.info("healthy trips at %s m/s: %s", span(*ends), setting_words(speeds))
         directions = _directions(config, healthy)
         train_one = partial(_train, healthy=healthy, varied=varied, draw=draw, start=start)
         if not isinstance(speeds, ListConfig | list) and len(directions) == 1:
@@ -135,11 +136,6 @@ def _run(
         ranges = [replace(r, direction=d) for r in _ranges(config, speeds) for d in directions]
         program.save_config(config, folder)
         train_ranges(ranges, lambda one, where: train_one(_bound(config, one), where), folder)
-
-
-def _span(speeds: Sequence[float]) -> str:
-    """Return the lowest and the highest speed as text, once if they are the same."""
-    return " to ".join(dict.fromkeys(f"{one:.1f}" for one in (min(speeds), max(speeds)))) + " m/s"
 
 
 def _at_a_speed(config: DictConfig) -> DictConfig:

@@ -35,11 +35,6 @@ from suspnet.spectra.welch import SegmentSpectra, Welch
 from suspnet.spectra.wheel_lines import WheelLine, line_bins
 
 
-def steady_segments(speeds: Tensor, tolerance: float) -> Tensor:
-    """Return which segments (n_segments, n_samples) stay within 1 +- tolerance of their mean."""
-    return (speeds / speeds.mean(dim=1, keepdim=True) - 1).abs().amax(dim=1) <= tolerance
-
-
 def same_speed(speeds: Tensor, within: Tensor, tolerance: float) -> list[Tensor]:
     """Return groups of segments of similar speed, the largest first, each bool (n_segments,).
 
@@ -70,7 +65,8 @@ def groups_to_read(
     if at_any_speed:
         group = (speeds >= least_m_per_s).all(dim=1)
         return [group] if bool(group.any()) else []
-    groups = same_speed(speeds, steady_segments(speeds, tolerance), tolerance)
+    is_steady = (speeds / speeds.mean(dim=1, keepdim=True) - 1).abs().amax(dim=1) <= tolerance
+    groups = same_speed(speeds, is_steady, tolerance)
     return [group for group in groups if group_speed(speeds, group) >= least_m_per_s]
 
 
@@ -116,12 +112,6 @@ def readable_words(models: Sequence[FittedMethod]) -> str:
     return f"{subject} {range_words(ranges) if ranges else 'any speed'}"
 
 
-def _speeds_of(speeds: Tensor, groups: Sequence[Tensor], most: int = 3) -> str:
-    """Return the speeds of the largest groups as text: "69.1 and 50.0 m/s"."""
-    each = dict.fromkeys(f"{group_speed(speeds, group):.1f}" for group in groups[:most])
-    return f"{' and '.join(each)} m/s"
-
-
 def no_group_words(
     speeds: Tensor,
     groups: Sequence[Tensor],
@@ -139,8 +129,9 @@ def no_group_words(
             f"0 of {n_segments} segments without faults are {rule} (half of the trip is run at "
             f"{half:.1f} m/s or less)"
         )
+    largest = dict.fromkeys(f"{group_speed(speeds, group):.1f}" for group in groups[:3])
     return (
-        f"the trip is run at {_speeds_of(speeds, groups)}, {readable_words(models)}: is the speed "
+        f"the trip is run at {' and '.join(largest)} m/s, {readable_words(models)}: is the speed "
         "in m/s? If so, train a model for it, speed_m_per_s=..."
     )
 

@@ -41,7 +41,6 @@ class Place:
     car: str = ""
 
     def __str__(self) -> str:
-        """Return the place as text."""
         vehicle = [self.train and f"train {self.train}", self.car and f"car {self.car}"]
         where = [self.bogie and f"{self.bogie} bogie", self.side]
         return ", ".join(filter(None, (*vehicle, self.suspension, *where))) or "unknown"

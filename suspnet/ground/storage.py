@@ -11,7 +11,6 @@ import secrets
 import stat
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
@@ -91,14 +90,14 @@ def _give_name(handle: int, path: Path) -> None:
 def new_folder(wanted: Path) -> Path:
     """Create a new folder and return it: `wanted`, or `wanted`_2, _3, ... if that exists."""
     wanted.parent.mkdir(parents=True, exist_ok=True)
-    for number in count(1):  # ends: there are fewer folders than numbers
-        folder = wanted if number == 1 else wanted.with_name(f"{wanted.name}_{number}")
+    number, folder = 1, wanted
+    while True:  # ends: there are fewer folders than numbers
         try:
             folder.mkdir()
+            return folder
         except FileExistsError:
-            continue
-        return folder
-    raise AssertionError("unreachable")
+            number += 1
+            folder = wanted.with_name(f"{wanted.name}_{number}")
 
 
 @contextmanager

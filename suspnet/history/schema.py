@@ -176,7 +176,6 @@ class BadRow:
     key: Key | None = None
 
     def __str__(self) -> str:
-        """Return the row, its suspension and the reason."""
         of = "" if self.key is None else f" of {self.key[0]}: {self.key[1]}"
         return f"{self.table}, row {self.row}{of}: {self.why}"
 

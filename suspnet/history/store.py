@@ -116,11 +116,9 @@ class History:
         return self._url.render_as_string(hide_password=True)
 
     def __enter__(self) -> History:
-        """Return the store."""
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Close the store."""
         self.close()
 
     def close(self) -> None:

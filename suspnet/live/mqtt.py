@@ -208,9 +208,7 @@ class Mqtt:
             del self._results[topic]
             self._unacknowledged.add(sent.mid)
 
-    def _on_connect(
-        self, client: Client, userdata: Any, flags: Any, reason: Any, properties: Any
-    ) -> None:
+    def _on_connect(self, client: Client, _: Any, flags: Any, reason: Any, more: Any) -> None:
         """Subscribe; the broker resends frames not acknowledged over the last connection."""
         if reason.is_failure:
             self._count("rejected", str(reason))
@@ -228,9 +226,7 @@ class Mqtt:
             part = self._topics[start : start + MOST_PER_REQUEST]
             client.subscribe([(topic, once) for topic in part])
 
-    def _on_disconnect(
-        self, client: Client, userdata: Any, flags: Any, reason: Any, properties: Any
-    ) -> None:
+    def _on_disconnect(self, client: Client, _: Any, flags: Any, reason: Any, more: Any) -> None:
         with self._changed:
             self._is_connected = False
             self._is_replaced |= reason == TAKEN_OVER  # a last disconnection has another reason
@@ -247,9 +243,7 @@ class Mqtt:
     def _on_connect_fail(self, client: Client, userdata: Any) -> None:
         self._count("unreachable", "connection refused")
 
-    def _on_subscribe(
-        self, client: Client, userdata: Any, number: int, reasons: Any, properties: Any
-    ) -> None:
+    def _on_subscribe(self, client: Client, _: Any, number: int, reasons: Any, more: Any) -> None:
         for reason in reasons:
             if reason.is_failure:
                 self._count("rejected", f"a subscription: {reason}")
@@ -264,9 +258,7 @@ class Mqtt:
             self._arrived.append((self._connection, message.mid, message.payload))
             self._changed.notify_all()
 
-    def _on_publish(
-        self, client: Client, userdata: Any, number: int, reason: Any, properties: Any
-    ) -> None:
+    def _on_publish(self, client: Client, _: Any, number: int, reason: Any, more: Any) -> None:
         if reason.is_failure:
             self._count("rejected", f"a result: {reason}")
         self._acknowledged.append(number)

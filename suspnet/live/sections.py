@@ -20,7 +20,6 @@ from typing import Any
 from suspnet.ground.settings import check_number
 from suspnet.live.operating_conditions import Standing
 from suspnet.recordings.assembler import OrderSettings
-from suspnet.recordings.cleaning import CleaningSettings
 from suspnet.recordings.dates import SECOND_NS
 from suspnet.recordings.frames import Frame, FrameError, end_ns, frame_from, n_before
 from suspnet.recordings.manifest import TripManifest
@@ -68,7 +67,7 @@ class Sections:
         its trip goes on, later than this and the length of a short section after its end.
     pause_s : float, [s]
         A trip ends after this time without a frame or without moving.
-    rate_hz, cleaning, order
+    rate_hz, order
         As for ``Running``.
 
     Attributes
@@ -90,7 +89,6 @@ class Sections:
         section_s: int = 1200,
         late_s: float = 10.0,
         rate_hz: float = 100.0,
-        cleaning: CleaningSettings | None = None,
         order: OrderSettings | None = None,
         pause_s: float = 300.0,
     ) -> None:
@@ -100,7 +98,7 @@ class Sections:
         if pause_s < late_s:
             raise ValueError(f"`pause_s` must be at least `late_s`, {late_s:g} s, got {pause_s:g}")
         self.manifest, self.section_s, self.late_s = manifest, section_s, late_s
-        self.rate_hz, self.cleaning, self.pause_s = rate_hz, cleaning, pause_s
+        self.rate_hz, self.pause_s = rate_hz, pause_s
         self.order = OrderSettings() if order is None else order
         self._pause_ns, self._late_ns = round(pause_s * SECOND_NS), round(late_s * SECOND_NS)
         self._short_s = min(max(SHORT * section_s, SHORT_S), section_s)
@@ -200,7 +198,7 @@ class Sections:
 
     def _begun(self, zero_ns: int) -> Running:
         longest_s = self.section_s + self.pause_s + 1
-        settings = self.rate_hz, self.cleaning, self.order, longest_s, float(self.pause_s)
+        settings = self.rate_hz, self.order, longest_s, float(self.pause_s)
         return Running(self.manifest, zero_ns, *settings)
 
     def _full_ns(self, begin_ns: int) -> int:

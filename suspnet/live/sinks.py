@@ -190,15 +190,13 @@ class MqttSink:
         client.disconnect()
         client.loop_stop()
 
-    def _on_connect(
-        self, client: Client, userdata: Any, flags: Any, reason: Any, properties: Any
-    ) -> None:
+    def _on_connect(self, client: Client, _: Any, flags: Any, reason: Any, more: Any) -> None:
         """Limit the frames in flight to what the broker takes; beyond that it would disconnect."""
         if self._answered.is_set():  # its first answer holds
             return
         if reason.is_failure:
             self._refusal = str(reason)
-        self._most = min(self.in_flight, getattr(properties, "ReceiveMaximum", self.in_flight))
+        self._most = min(self.in_flight, getattr(more, "ReceiveMaximum", self.in_flight))
         self._answered.set()
 
     def _on_disconnect(self, client: Client, *_: Any) -> None:
@@ -206,9 +204,7 @@ class MqttSink:
             self._counts["disconnect"] += 1
             log.warning("the broker at %s is not reachable; waiting for it", self.broker.where)
 
-    def _on_publish(
-        self, client: Client, userdata: Any, number: int, reason: Any, properties: Any
-    ) -> None:
+    def _on_publish(self, client: Client, _: Any, number: int, reason: Any, more: Any) -> None:
         if reason.is_failure:
             if not self._counts["rejected"]:
                 log.warning("the broker refuses a frame: %s; others are only counted", reason)

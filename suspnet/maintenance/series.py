@@ -44,7 +44,6 @@ class Event:
             raise ValueError(f"an event is one of {', '.join(EVENT_KINDS)}, got {self.kind!r}")
 
     def __str__(self) -> str:
-        """Return the event as text."""
         return f"{self.words or self.kind} at {kilometres(self.mileage_km)}"
 
 

@@ -12,7 +12,7 @@ import csv
 import re
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from suspnet.recordings.columns import is_unit, unit_in_name
@@ -152,19 +152,8 @@ def find_dialect(path: Path, given: CsvDialect | None = None) -> Found:
     if candidate.thousands and given.decimal is None:
         raise _unreadable(path, "a comma may be its decimal sign or separate thousands")
     above = lines[: (best.header_line or best.first_line) - 1]
-    return Found(
-        encoding,
-        best.delimiter,
-        best.decimal,
-        best.header_line,
-        best.first_line,
-        best.names,
-        best.units,
-        best.stamps,
-        has_bom,
-        date_in_lines(above) or _date_in_row(lines[best.first_line - 1], candidate),
-        tuple(above),
-    )
+    date = date_in_lines(above) or _date_in_row(lines[best.first_line - 1], candidate)
+    return replace(best, encoding=encoding, has_bom=has_bom, date=date, above=tuple(above))
 
 
 def _first_lines(path: Path, given: CsvDialect) -> tuple[str, bool, list[str]]:

@@ -59,7 +59,6 @@ class Running:
         A whole second, to which `longest_s` and `before_s` refer.
     rate_hz : float, [Hz]
         Rate of the common clock.
-    cleaning : CleaningSettings, optional
     order : OrderSettings, optional
     longest_s : float, [s]
         Frames that start more than this after `zero_ns` are refused; they need a new recording.
@@ -88,7 +87,6 @@ class Running:
         manifest: TripManifest,
         zero_ns: int,
         rate_hz: float = 100.0,
-        cleaning: CleaningSettings | None = None,
         order: OrderSettings | None = None,
         longest_s: float = 3600.0,
         before_s: float = 0.0,
@@ -102,7 +100,6 @@ class Running:
         self.begin_ns, self.end_ns = zero_ns + round(longest_s * SECOND_NS), 0
         self.goes_on = False
         self.rest: Running | None = None
-        self.cleaning = CleaningSettings() if cleaning is None else cleaning
         self.order = OrderSettings() if order is None else order
         self._name = str(manifest.place)
         self._sources = manifest.sources()
@@ -203,7 +200,7 @@ class Running:
             # spread the cleaning of sensors that start together over time, reproducibly
             where = self.manifest.where(name)
             late = zlib.crc32(f"{self._name}, {name}".encode()) / 2**32
-            cleaner = Cleaner(name, rate_hz, full_scale, self.cleaning, late)
+            cleaner = Cleaner(name, rate_hz, full_scale, late=late)
             self._sensors[name] = Sensor(where, cleaner, unit * channel.sign, self.rate_hz)
 
     def _rate_problem(self, name: str, rate_hz: float) -> str:
@@ -332,7 +329,7 @@ class Running:
             self.rate_hz,
             self.longest_s,
             self.before_s,
-            asdict(self.cleaning),
+            asdict(CleaningSettings()),
             asdict(self.order),
         ]
         return [self._name, self.zero_ns, sensors, *settings]

@@ -272,14 +272,9 @@ def residuals(outcome: Commissioned) -> FloatArray:
     return np.where(np.isfinite(outcome.deviations), left, np.nan)
 
 
-def shown_group(outcome: Commissioned) -> int:
-    """Return the index of the group with the least noise, whose curves a figure shows."""
-    return int(np.argmin(np.median(outcome.deviations, axis=(1, 2))))
-
-
 def responses(found: HealthyTrips, outcome: Commissioned) -> Figure:
     """Draw measured, nominal and commissioned responses of a trip, and all residuals."""
-    group = shown_group(outcome)
+    group = int(np.argmin(np.median(outcome.deviations, axis=(1, 2))))  # with the least noise
     shown = found.groups[group]
     frequencies_hz, left = outcome.frequencies_hz, residuals(outcome)
     figure = Figure(figsize=(9.0, 8.4), layout="constrained")

@@ -78,8 +78,6 @@ class SubspaceMisfit:
         Number p of inputs, less than m.
     spread : float
         Fraction eps of each signal that the model may err by.
-    weight : float
-        Share of a bin's information that is its own: neighbours are correlated.
 
     Raises
     ------
@@ -91,7 +89,6 @@ class SubspaceMisfit:
     noise: Tensor
     n_inputs: int
     spread: float = 0.0
-    weight: float = 1.0
 
     def __post_init__(self) -> None:
         m = self.spectra.values.shape[-1]
@@ -105,7 +102,7 @@ class SubspaceMisfit:
     def expected(self) -> float:
         """Mean square of a residual where the model is right."""
         m = self.spectra.values.shape[-1]
-        return self.weight * (m - self.n_inputs) / m
+        return (m - self.n_inputs) / m
 
     @cached_property
     def _root(self) -> Tensor:
@@ -124,8 +121,7 @@ class SubspaceMisfit:
         power, vectors = torch.linalg.eigh(white)
         power, vectors = power[:, -self.n_inputs :], vectors[:, :, -self.n_inputs :]
         weights = (power - 1).clamp(min=0.0) / power.clamp(min=1.0).sqrt()
-        size = math.sqrt(2 * self.spectra.n_averages * self.weight)
-        found: Tensor = size * vectors * weights[:, None, :]
+        found: Tensor = math.sqrt(2 * self.spectra.n_averages) * vectors * weights[:, None, :]
         return found
 
     def __call__(self, responses: Tensor) -> Tensor:

@@ -177,7 +177,9 @@ def contents_of(file: Path) -> Contents:
     with open_file(file) as opened:
         columns = opened.columns[:MOST_COLUMNS]
         times = {
-            column.name: _times(file, opened, column.name) for column in columns if _is_time(column)
+            column.name: _times(file, opened, column.name)
+            for column in columns
+            if column.is_time or names_times(column.name)
         }
         times = {name: values for name, values in times.items() if len(values) > 1}
         found = [
@@ -191,10 +193,6 @@ def contents_of(file: Path) -> Contents:
     if len(signals) <= len(SIDES):
         signals = [replace(one, names=(*one.names, file.stem)) for one in signals]
     return Contents(file, tuple(signals), opened.words, opened.notes)
-
-
-def _is_time(column: Column) -> bool:
-    return column.is_time or names_times(column.name)
 
 
 def _first(file: Path, opened: OpenFile, names: Sequence[str]) -> tuple[FloatArray, ...]:

@@ -251,11 +251,6 @@ def _file_time(one: TripFiles) -> datetime:
     return written.replace(microsecond=0)
 
 
-def _is_of_the_trip(one: Signal) -> bool:
-    """Return whether a column is about the trip, not a sensor or a speed."""
-    return key_of(one.name) in ("mileage_km", "direction")
-
-
 def _by_columns(signals: Sequence[Signal]) -> dict[str, Stated]:
     """Return mileage and direction where columns have them: their first value, and their sign."""
     known: dict[str, Stated] = {}
@@ -288,7 +283,9 @@ def _trip(
             known.pop(SPEED, None)
         else:
             known[SPEED] = Stated(_plain_value(SPEED, said[SPEED]), BY_COMMAND_LINE)
-    own = tuple(_with_said(one, said, chosen) for one in signals if not _is_of_the_trip(one))
+    # columns about the trip are no sensors
+    sensors = [one for one in signals if key_of(one.name) not in ("mileage_km", "direction")]
+    own = tuple(_with_said(one, said, chosen) for one in sensors)
     speeds = [one for one in own if one.meaning == SPEED]
     if len(speeds) > 1 and SPEED not in said:  # a receiver's is that of the train
         best = next((one for one in speeds if {"gps", "gnss"} & set(words_of(one.name))), speeds[0])

@@ -5,6 +5,7 @@ import logging
 from concurrent.futures import ThreadPoolExecutor
 
 import pytest
+from recording_files import contents
 from trip_fixtures import SENSORS
 from vehicles import AM96
 
@@ -23,11 +24,6 @@ LOADS = Scenario("loads")
 
 def simulate(folder, fleet=FLEET, seed=3, **options):
     return write_fleet(folder, Simulation(fleet, LOADS, QuarterCar(AM96), seed=seed), **options)
-
-
-def contents(folder):
-    files = (path for path in folder.rglob("*") if path.is_file())
-    return {str(path.relative_to(folder)): path.read_bytes() for path in files}
 
 
 @pytest.fixture

@@ -7,6 +7,8 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 import torch
+from recording_files import contents
+from reference import phasors
 from vehicles import AM96
 
 from suspnet.dynamics import PARAMETERS, QuarterCar, VerticalVehicle
@@ -64,14 +66,6 @@ def fleet(**changes):
     return Fleet(**(options | changes))
 
 
-def contents(folder):
-    return {
-        path.relative_to(folder).as_posix(): path.read_bytes()
-        for path in sorted(folder.rglob("*"))
-        if path.is_file()
-    }
-
-
 def column(path):
     table = pq.read_table(path)
     assert table.num_columns == 1
@@ -122,20 +116,18 @@ def test_trip_over_mean_and_cross_level_shows_the_channels_of_both_sides():
     signals = simulate_trip(system, profile, journey, rate_hz, cross)[:, -5000:]
     times = np.arange(35_000, 40_000) / rate_hz
     frequencies = np.concatenate([waved, tilted])
-    columns = [f(2 * math.pi * w * times) for w in frequencies for f in (np.cos, np.sin)]
-    fits, *_ = np.linalg.lstsq(np.array(columns).T, signals.T)
-    phasors = (fits[0::2] - 1j * fits[1::2]).reshape(6, 2, 3)  # frequency, side, place
+    found = phasors(signals, times, frequencies).reshape(6, 2, 3)  # frequency, side, place
     mean, roll = FAMILY.channels(ratios[None], torch.as_tensor(frequencies))[0].numpy()
-    height = phasors[:3, :, 0].mean(axis=1)
+    height = found[:3, :, 0].mean(axis=1)
     expected = np.stack([mean[:, :3], mean[:, :3]]) * height
     tolerance = {"rtol": 3e-3, "atol": 0}  # straight lines between samples; see above
-    np.testing.assert_allclose(np.moveaxis(phasors[:3], 0, -1), expected, **tolerance)
-    scaled = phasors[3:, 0, 0] / roll[0, 3:]  # the axle box has no dynamics of its own
+    np.testing.assert_allclose(np.moveaxis(found[:3], 0, -1), expected, **tolerance)
+    scaled = found[3:, 0, 0] / roll[0, 3:]  # the axle box has no dynamics of its own
     expected = np.stack([roll[:, 3:], -roll[:, 3:]]) * scaled
-    np.testing.assert_allclose(np.moveaxis(phasors[3:], 0, -1), expected, **tolerance)
+    np.testing.assert_allclose(np.moveaxis(found[3:], 0, -1), expected, **tolerance)
     # the colour of the cross level is the track's, not the vehicle's
     amplitude = 1e-3 * (2 * math.pi * tilted) ** 2 * math.sqrt(0.5) / 0.75
-    np.testing.assert_allclose(np.abs(phasors[3:, 0, 0]), amplitude, rtol=1e-4)
+    np.testing.assert_allclose(np.abs(found[3:, 0, 0]), amplitude, rtol=1e-4)
 
 
 def test_trip_over_a_random_track_has_the_transfer_function_of_the_vehicle():

@@ -5,6 +5,7 @@ import logging
 from dataclasses import replace
 
 import pytest
+from recording_files import contents
 from trip_fixtures import SENSORS
 from vehicles import AM96
 
@@ -27,11 +28,6 @@ def simulate(folder, trains=None, fleet=FLEET, generator=None, **options):
     drawn = {name: options.pop(name, value) for name, value in (("seed", 5), ("scatter", 1.0))}
     simulation = Simulation(fleet, WORN, generator, **drawn)
     return write_trains(folder, trains or Trains(1, 1, 1), simulation, **options)
-
-
-def contents(folder):
-    files = (path for path in folder.rglob("*") if path.is_file())
-    return {str(path.relative_to(folder)): path.read_bytes() for path in files}
 
 
 def truth(folder):

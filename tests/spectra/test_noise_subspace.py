@@ -1,10 +1,9 @@
 """Noise and excitation of single wheelsets: known answers, limits, bad input."""
 
-import math
-
 import numpy as np
 import pytest
 import torch
+from reference import complex_normal
 
 from suspnet.spectra.noise_subspace import trip_noise
 from suspnet.spectra.subspace import SpectralMatrix
@@ -12,10 +11,6 @@ from suspnet.spectra.subspace import SpectralMatrix
 N_FREQ, M, P, N_WHEELS, N_AVERAGES = 200, 6, 3, 4, 60
 NOISE = np.array([1.0, 1.5, 0.5, 0.7, 0.2, 0.3])
 START = torch.full((M,), 0.7, dtype=torch.float64)
-
-
-def complex_normal(rng, *shape):
-    return (rng.standard_normal(shape) + 1j * rng.standard_normal(shape)) / math.sqrt(2)
 
 
 def drawn(shares, seed=0, n_averages=N_AVERAGES):

@@ -5,16 +5,13 @@ import math
 import numpy as np
 import pytest
 import torch
+from reference import complex_normal
 from scipy.stats import unitary_group
 
 from suspnet.spectra.subspace import SpectralMatrix, SubspaceMisfit
 from suspnet.spectra.welch import Welch, segment_spectra
 
 N_FREQ, M, P, N_AVERAGES = 300, 6, 3, 200
-
-
-def complex_normal(rng, *shape):
-    return (rng.standard_normal(shape) + 1j * rng.standard_normal(shape)) / math.sqrt(2)
 
 
 @pytest.fixture(scope="module")
@@ -40,7 +37,7 @@ def as_given(responses):
 @pytest.mark.parametrize("spread", [0.0, 0.1])
 def test_residuals_are_those_of_the_formula(case, spread):
     responses, noise, spectra = case
-    misfit = SubspaceMisfit(spectra, torch.as_tensor(noise), P, spread, weight=0.5)
+    misfit = SubspaceMisfit(spectra, torch.as_tensor(noise), P, spread)
     found = misfit(as_given(responses)[None])[0].reshape(N_FREQ, M, P, 2).numpy()
     for f in (0, 17, N_FREQ - 1):
         matrix = spectra.values[f].numpy()
@@ -52,7 +49,7 @@ def test_residuals_are_those_of_the_formula(case, spread):
         for k in range(P):
             power_k, vector = power[M - P + k], vectors[:, M - P + k]
             expected = (np.eye(M) - projector) @ vector * (power_k - 1) / math.sqrt(power_k)
-            expected *= math.sqrt(2 * N_AVERAGES * 0.5)
+            expected *= math.sqrt(2 * N_AVERAGES)
             # an eigenvector has any phase
             own = found[f, :, k, 0] + 1j * found[f, :, k, 1]
             assert np.linalg.norm(own) == pytest.approx(np.linalg.norm(expected), rel=1e-9)

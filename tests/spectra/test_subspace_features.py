@@ -1,10 +1,9 @@
 """Features of spectral matrices: angles between subspaces, naive formulas, noise, bad input."""
 
-import math
-
 import numpy as np
 import pytest
 import torch
+from reference import complex_normal
 from scipy.linalg import subspace_angles
 
 from suspnet.spectra.noise_components import noise_components
@@ -15,10 +14,6 @@ from suspnet.spectra.subspace_features import (
 )
 
 N_FREQ, M, P = 7, 5, 3
-
-
-def complex_normal(rng, *shape):
-    return (rng.standard_normal(shape) + 1j * rng.standard_normal(shape)) / math.sqrt(2)
 
 
 def as_given(responses):

@@ -14,6 +14,7 @@ import pytest
 import rich_motion
 import torch
 import trip_fixtures
+from reference import phasors
 from rich_motion import BergFriction, march, simulate
 from rich_trips import PARTS, SENSORS, drawn_ratios, off_ratios, write_rich_trips
 from rich_vehicle import RichVehicle, bending_shape, build
@@ -66,12 +67,6 @@ def rough(n_samples, rate_hz, seed=0):
 def still(times):
     """Return a flat track that lies 1 m high."""
     return np.stack([np.ones((4, len(times))), *np.zeros((2, 4, len(times)))])
-
-
-def phasors(signals, times, frequencies_hz):
-    columns = [f(2 * math.pi * w * times) for w in frequencies_hz for f in (np.cos, np.sin)]
-    fits, *_ = np.linalg.lstsq(np.array(columns).T, signals.T)
-    return fits[0::2] - 1j * fits[1::2]  # (n_frequencies, n_signals)
 
 
 def relative_error(found, expected):

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import torch
 from benchmarks.foreign_trains import CASES
+from reference import phasors
 from rich_modes import Modes, simulate_modes
 from rich_motion import simulate
 from rich_spectra import (
@@ -50,12 +51,6 @@ def tones(train, frequencies_hz, velocity=0.01):
         return np.stack([(f[:, None, None] * wave).real.sum(axis=0) for f in factors])
 
     return inputs
-
-
-def phasors(signals, times, frequencies_hz):
-    columns = [f(2 * math.pi * w * times) for w in frequencies_hz for f in (np.cos, np.sin)]
-    fits, *_ = np.linalg.lstsq(np.array(columns).T, signals.T)
-    return fits[0::2] - 1j * fits[1::2]  # (n_frequencies, n_signals)
 
 
 def half_vehicle_responses(rich, ratios):
