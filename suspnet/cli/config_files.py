@@ -20,7 +20,7 @@ from omegaconf import DictConfig, ListConfig, OmegaConf
 
 from suspnet.ground.settings import check_number
 from suspnet.ground.storage import read_plain
-from suspnet.recordings.core_yaml import parse_yaml
+from suspnet.recordings.core_yaml import LOADER, parse_yaml
 
 
 def _configs() -> str:
@@ -106,7 +106,6 @@ def walk(value: Any, path: str) -> Iterator[tuple[str, str, Any]]:
 
 Keys = tuple[str, ...]
 """A key, after those that lead to it."""
-LOADER: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 MERGE = "tag:yaml.org,2002:merge"
 NO_WORDS = re.compile(r"@package |python |suspnet-\w+ ")
 """Start of lines in a file's first comment that are commands, or directives for Hydra."""

@@ -39,7 +39,7 @@ BY_URGENCY = (FINE, SOME_WITHOUT_ESTIMATE, NOTICE, MISTAKE, ACT)
 notice."""
 EXIT_CODE = "exit_code"
 """File with the exit code in the folder of each job of a multirun."""
-_to_go_on: list[str] = []
+_to_resume: list[str] = []
 
 
 class OwnFolder(Callback):
@@ -59,7 +59,7 @@ class OwnFolder(Callback):
         finally:
             HydraConfig.instance().cfg = before
         if OmegaConf.select(config, "trips") is not None:
-            _to_go_on[:] = [config.hydra.run.dir]
+            _to_resume[:] = [config.hydra.run.dir]
 
     def on_multirun_start(self, config: DictConfig, **kwargs: Any) -> None:
         """Choose the folder before Hydra makes it, and pass it to the jobs."""
@@ -70,7 +70,7 @@ class OwnFolder(Callback):
             )
         _choose(config, "sweep")
         folder = Path(config.hydra.sweep.dir)
-        _to_go_on[:] = [str(folder)]
+        _to_resume[:] = [str(folder)]
         for old in folder.glob(f"*/{ERROR}"):
             ledger.remove(old)
         # record the file in the ledger: Hydra writes the same bytes again
@@ -106,16 +106,16 @@ def worst(codes: Iterable[int]) -> int:
     return max(known, key=BY_URGENCY.index, default=FINE)
 
 
-def how_to_go_on() -> str:
+def how_to_resume() -> str:
     """Return the advice on how to resume the run that was interrupted."""
-    if _to_go_on:
-        return f"go on with the same command and resume={_to_go_on[0]}"
+    if _to_resume:
+        return f"go on with the same command and resume={_to_resume[0]}"
     return "start again at any time"
 
 
 def _choose(config: DictConfig, kind: str) -> None:
     """Choose the folder of a run or "sweep", pass it to the sweep's jobs, and start its ledger."""
-    _to_go_on.clear()
+    _to_resume.clear()
     named = OmegaConf.select(config, "resume")
     try:
         if named is not None:

@@ -27,9 +27,10 @@ from hydra.plugins.config_source import ConfigResult
 from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf, open_dict, read_write
 
-from suspnet.cli.config_files import CONFIGS, LOADER, as_written, check_file
+from suspnet.cli.config_files import CONFIGS, as_written, check_file
 from suspnet.cli.trusted import check_configuration
 from suspnet.live.broker import HOST_VARIABLE, LOCAL
+from suspnet.recordings.core_yaml import LOADER
 
 BROKERS = ("source", "sink")
 """Groups whose options connect to a broker, configured below `broker`."""

@@ -166,7 +166,7 @@ def run(main: Callable[[], Any], *, unwinds: bool = True) -> None:
     except (KeyboardInterrupt, signals.Terminated) as ended:
         number = signal.SIGTERM if isinstance(ended, signals.Terminated) else signal.SIGINT
         verb, code = signals.VERBS[number], 128 + number
-        how = printable(folders.how_to_go_on())
+        how = printable(folders.how_to_resume())
         signals.announce(f"{verb}: nothing was half-written; {how}")
         sys.exit(code)
     except BrokenPipeError:
@@ -176,7 +176,7 @@ def run(main: Callable[[], Any], *, unwinds: bool = True) -> None:
             raise
         sys.exit(one_line(error))
     except (LostWorkerError, BrokenProcessPool) as error:
-        sys.exit(f"{one_line(error)}; {folders.how_to_go_on()}")
+        sys.exit(f"{one_line(error)}; {folders.how_to_resume()}")
     except RuntimeError as error:
         if _debugging or NO_SLURM not in str(error):
             raise

@@ -16,11 +16,10 @@ from torch import Tensor
 from suspnet.dynamics.quantities import PARTS, QUANTITIES, LogNormal, Quantity
 from suspnet.dynamics.vehicle import GEOMETRY, PARAMETERS, Vehicle, check_ratios, check_vehicle
 from suspnet.dynamics.vertical_motion import Layout, laden
-from suspnet.ground.parameters import FORWARD, REVERSE, Direction
+from suspnet.ground.parameters import FORWARD, REVERSE, Direction, End
 from suspnet.ground.settings import Setting, check_choice, check_number, check_settings, setting
 from suspnet.ground.tensors import as_tensor, check_device
 
-End = Literal["leading", "trailing"]
 OTHER_END: dict[End, End] = {"leading": "trailing", "trailing": "leading"}
 
 
@@ -53,10 +52,8 @@ class VehicleFamily:
         "m/s",
         above=0,
     )
-    bogie: Literal["leading", "trailing"] = setting("leading", "Bogie that is measured")
-    axle: Literal["leading", "trailing"] = setting(
-        "leading", "Axle box of that bogie that is measured"
-    )
+    bogie: End = setting("leading", "Bogie that is measured")
+    axle: End = setting("leading", "Axle box of that bogie that is measured")
     direction: Direction = setting(
         FORWARD,
         "Direction of travel: in reverse, what is called leading and ahead runs behind",

@@ -21,10 +21,10 @@ from suspnet.estimation.steady_parts import groups_to_read, minutes_words
 from suspnet.estimation.swapped_sensors import check_order
 from suspnet.estimation.trip_settings import TripSettings
 from suspnet.estimation.worn_parts import worn_parts, worn_words
-from suspnet.ground.parameters import COMPONENTS, FORWARD, Direction
+from suspnet.ground.parameters import COMPONENTS, FORWARD, SIDES, Direction
 from suspnet.recordings.errors import TripError
 from suspnet.recordings.manifest import LEAST_SENSORS, TripManifest
-from suspnet.recordings.manifest_sources import MIDDLE, SIDES
+from suspnet.recordings.manifest_sources import MIDDLE
 from suspnet.recordings.recording import Recording
 from suspnet.spectra.bogie_trip import BogieTrip
 from suspnet.spectra.segments import NoEstimateError, segment_speeds, sensor_segments, without_loud

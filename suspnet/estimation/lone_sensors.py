@@ -17,8 +17,8 @@ from suspnet.dynamics import ResponseGenerator, VerticalVehicle
 from suspnet.dynamics.quantities import LogNormal
 from suspnet.estimation.fitted import FittedMethod
 from suspnet.estimation.steady_parts import SpeedBin
+from suspnet.ground.parameters import SIDES
 from suspnet.recordings.manifest import CHANNELS
-from suspnet.recordings.manifest_sources import SIDES
 from suspnet.recordings.recording import Recording
 from suspnet.spectra.segments import difference_segments, in_band
 from suspnet.spectra.sensor_health import coherences

@@ -26,9 +26,9 @@ from suspnet.estimation.fitted import FittedMethod
 from suspnet.estimation.from_spectra import trip_observer
 from suspnet.estimation.refine import complete_ratios
 from suspnet.estimation.steady_parts import SpeedBin, largest
+from suspnet.ground.parameters import SIDES
 from suspnet.ground.types import ComplexArray, FloatArray
 from suspnet.recordings.manifest import CHANNELS
-from suspnet.recordings.manifest_sources import SIDES
 from suspnet.recordings.recording import Recording
 from suspnet.spectra.cross_spectra import CrossSpectra
 from suspnet.spectra.segments import Speeds, difference_segments, in_band

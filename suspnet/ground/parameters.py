@@ -14,6 +14,10 @@ from suspnet.ground.settings import check_number
 PARAMETERS = ("k_p", "c_p", "k_s", "c_s", "M_s")
 """The parameters that may vary, in the order of every array of parameter ratios (1 = healthy)."""
 SIDES = ("left", "right")
+"""Sides of a vehicle, as it runs forward."""
+End = Literal["leading", "trailing"]
+ENDS: tuple[End, ...] = ("leading", "trailing")
+"""Bogies of a vehicle, as it runs forward, and axles of a bogie."""
 CORNERS = tuple(f"axle{axle}_{side}" for axle in (1, 2) for side in SIDES)
 """Corners of the measured bogie: axle 1 is that of the sensors, left as seen in the direction
 forward."""

@@ -31,7 +31,7 @@ INTERVAL_LEVEL = 0.9
 class Place:
     """Location of a suspension; fields are empty if the manifest does not give them.
 
-    `bogie` is one of ``BOGIES``, `side` one of ``SIDES``; the others are free text.
+    `bogie` is one of ``ENDS``, `side` one of ``SIDES``; the others are free text.
     """
 
     suspension: str = ""

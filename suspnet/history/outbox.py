@@ -85,7 +85,7 @@ class Message:
 
 
 @dataclass(frozen=True)
-class _Told:
+class _Reported:
     severity: int
     at_km: float
     is_open: bool
@@ -302,7 +302,7 @@ def _chosen(
     known = _known(connection, one.name)
     urgent: list[dict[str, Any]] = []
     listed: list[dict[str, Any]] = []
-    notes: dict[Of, _Told] = {}
+    notes: dict[Of, _Reported] = {}
     for key, alarms in fleet.alarms.items():
         if not one.is_about(key) or key not in fleet.ids:
             continue
@@ -327,23 +327,23 @@ def _chosen(
                 severity = int(alarm.severity)
                 if state == "known" and before:  # once reported as act, always
                     severity = max(severity, before.severity)
-                notes[of] = _Told(severity, fleet.up_to_km(key, alarm), alarm.is_open)
+                notes[of] = _Reported(severity, fleet.up_to_km(key, alarm), alarm.is_open)
     changed = {of: note for of, note in notes.items() if known.get(of) != note}
     _note(connection, one.name, changed)
     return urgent, listed
 
 
-def _known(connection: Connection, recipient: str) -> dict[Of, _Told]:
+def _known(connection: Connection, recipient: str) -> dict[Of, _Reported]:
     rows = connection.execute(sql.select(told).where(told.c.recipient == recipient)).mappings()
     return {
-        (row["suspension_id"], row["parameter"], row["cause"]): _Told(
+        (row["suspension_id"], row["parameter"], row["cause"]): _Reported(
             row["severity"], row["at_km"], bool(row["is_open"])
         )
         for row in rows
     }
 
 
-def _note(connection: Connection, recipient: str, notes: dict[Of, _Told]) -> None:
+def _note(connection: Connection, recipient: str, notes: dict[Of, _Reported]) -> None:
     names = ("suspension_id", "parameter", "cause")
     rows = [
         {"recipient": recipient, **dict(zip(names, of, strict=True)), **asdict(note)}

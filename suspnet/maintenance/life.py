@@ -27,9 +27,9 @@ from suspnet.maintenance.noise import (
     ROUNDED,
     UNIT_KM,
     average,
+    clip_outliers,
     estimate_noise,
     robust_spread,
-    tame,
 )
 
 BEST_TRIP = 0.01
@@ -223,7 +223,7 @@ def fit_trips(
     steps = np.diff(np.log(value), 2)
     usual = np.median(sigma[known]) if known.any() else robust_spread(steps, 6, ROUNDED)
     sigma = np.maximum(np.where(known, sigma, usual), max(LEAST_NOISE, BEST_TRIP * usual))
-    value = tame(value)
+    value = clip_outliers(value)
     noise = estimate_noise(t, np.log(value), sigma, np.append(0.0, DIFFUSIONS))
     blocks = average(t, value, sigma)
     return fit_models(blocks, noise, prior), km.size

@@ -177,7 +177,7 @@ def robust_spread(differences: FloatArray, variance: float, quartile: float = QU
     return float(np.median(np.abs(differences)) / quartile / math.sqrt(variance))
 
 
-def tame(values: FloatArray) -> FloatArray:
+def clip_outliers(values: FloatArray) -> FloatArray:
     """Return values with outliers clipped to ``OUTLYING`` deviations from the median of five."""
     logs = np.log(values)
     windows = np.lib.stride_tricks.sliding_window_view(np.pad(logs, 2, mode="reflect"), 5)

@@ -250,13 +250,13 @@ class Planner:
 
     def _of(self, name: str, states: list[State], today: date) -> tuple[list[State], Plan]:
         known = self._made.get(name)
-        if known is not None and known[1].today == today and _are(states, known[0]):
+        if known is not None and known[1].today == today and _same_objects(states, known[0]):
             return known
         trains = trains_of(states, today, self.settings.km_per_day)
         return states, make_plan(parts_of(states), trains, self.settings, today)
 
 
-def _are(states: Sequence[State], others: Sequence[State]) -> bool:
+def _same_objects(states: Sequence[State], others: Sequence[State]) -> bool:
     return len(states) == len(others) and all(map(operator.is_, states, others))
 
 

@@ -31,7 +31,7 @@ _INTEGER = re.compile(r"[-+]?[0-9]{1,4000}")
 _BASED = re.compile(r"0o[0-7]{1,1000}|0x[0-9a-fA-F]{1,1000}")
 _FLOAT = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?")
 _SPECIAL = re.compile(r"[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)")
-_LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+LOADER: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 
 
 class TooLargeError(ValueError):
@@ -66,7 +66,7 @@ def parse_yaml(text: str, names: Collection[str] = ()) -> Any:
     if len(text) > LONGEST:
         raise TooLargeError(f"it has {len(text)} characters; at most {LONGEST} are read")
     try:
-        return _Builder(names).document(yaml.parse(text, Loader=_LOADER))
+        return _Builder(names).document(yaml.parse(text, Loader=LOADER))
     except yaml.YAMLError as error:
         raise ValueError(" ".join(str(error).split())) from error
 

@@ -13,7 +13,7 @@ from functools import partial
 from pathlib import Path
 from typing import Literal
 
-from suspnet.ground.parameters import DIRECTIONS, ESTIMATED
+from suspnet.ground.parameters import DIRECTIONS, ENDS, ESTIMATED, SIDES
 from suspnet.ground.records import HIGHEST_KM, Place
 from suspnet.recordings import manifest_keys as check
 from suspnet.recordings.errors import TripError, all_of
@@ -28,7 +28,6 @@ from suspnet.recordings.manifest_keys import (
 from suspnet.recordings.manifest_sources import (
     MIDDLE,
     OTHER_AXLE,
-    SIDES,
     SPEED_UNITS,
     Channel,
     Pair,
@@ -41,8 +40,6 @@ from suspnet.recordings.manifest_sources import (
 FORMAT = "suspnet-trip-1"
 CHANNELS = ("axle_box", "bogie", "body")
 """The three vertical accelerometers, in the order of every array of signals."""
-BOGIES = ("leading", "trailing")
-"""Bogies of a vehicle, as it runs forward."""
 LEAST_SENSORS = 4
 """Least number of sensors that show the parts: one more than elevation, cross level and alignment
 of the track, whose spectra are unknown."""
@@ -163,13 +160,13 @@ class TripManifest:
         check.text, "text", "name of the suspension; trips with the same name are of one suspension"
     )
     bogie: str | None = optional(
-        check.one_of(BOGIES),
+        check.one_of(ENDS),
         "`leading`, `trailing`",
         "bogie, as seen when the vehicle runs forward; chooses the models of that bogie",
         default="not given",
     )
     axle: str | None = optional(
-        check.one_of(BOGIES),
+        check.one_of(ENDS),
         "`leading`, `trailing`",
         "axle of that bogie which its sensors are at, likewise; those at the other one say "
         "`axle: 2`",

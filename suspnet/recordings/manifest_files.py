@@ -10,13 +10,13 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+from suspnet.ground.parameters import ENDS, SIDES
 from suspnet.ground.records import Place
 from suspnet.ground.storage import printable, read_json, read_plain, why, write_atomically
 from suspnet.recordings.core_yaml import MOST_BYTES, dump_yaml, parse_yaml
 from suspnet.recordings.errors import TripError, all_of, opening
-from suspnet.recordings.manifest import BOGIES, FORMAT, MANIFEST, TripManifest
+from suspnet.recordings.manifest import FORMAT, MANIFEST, TripManifest
 from suspnet.recordings.manifest_keys import Value, keys_of
-from suspnet.recordings.manifest_sources import SIDES
 
 NAMES = ("vehicle", "suspension", "train", "car")
 """Keys of names, which may be numbers."""
@@ -88,7 +88,7 @@ class ManifestFile:
             return None
         if not isinstance(content, dict) or not isinstance(content.get("suspension"), str):
             return None
-        named = {"bogie": BOGIES, "side": SIDES}
+        named = {"bogie": ENDS, "side": SIDES}
         where = {key: str(content[key]) for key in named if content.get(key) in list(named[key])}
         texts = {key: content.get(key) for key in ("train", "car")}
         said = {key: printable(one.strip()) for key, one in texts.items() if isinstance(one, str)}
@@ -98,7 +98,7 @@ class ManifestFile:
     def axle(self) -> str:
         """Axle of the bogie that the sensors are at; empty if it is not stated. Not checked."""
         with contextlib.suppress(TripError):
-            if isinstance(self.content, dict) and self.content.get("axle") in list(BOGIES):
+            if isinstance(self.content, dict) and self.content.get("axle") in list(ENDS):
                 return str(self.content["axle"])
         return ""
 

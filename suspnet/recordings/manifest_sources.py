@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
+from suspnet.ground.parameters import SIDES
 from suspnet.recordings import manifest_keys as check
 from suspnet.recordings.manifest_keys import CsvDialect, key, optional, required
 
@@ -17,8 +18,6 @@ TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 """Size of each unit in s."""
 UNITS = {"acceleration": ACCELERATION_UNITS, "speed": SPEED_UNITS, "time": TIME_UNITS}
 """Units of each kind, the SI unit first."""
-SIDES = ("left", "right")
-"""Sides of a vehicle, as it runs forward."""
 MIDDLE = "middle"
 """Side of a single sensor midway between left and right, or of the mean of both."""
 OTHER_AXLE = "axle2"

@@ -17,6 +17,7 @@ from itertools import chain
 
 import numpy as np
 
+from suspnet.ground.parameters import SIDES
 from suspnet.ground.settings import check_number
 from suspnet.ground.types import BoolArray, FloatArray
 from suspnet.recordings.cleaning import Cleaner, CleaningSettings, Fault
@@ -26,7 +27,7 @@ from suspnet.recordings.dead_sensors import DEAD, dead_faults, living, nearly_de
 from suspnet.recordings.errors import TripError, all_of
 from suspnet.recordings.loose import find_loose
 from suspnet.recordings.manifest import CHANNELS, TripManifest
-from suspnet.recordings.manifest_sources import SIDES, channel_of, partner_of
+from suspnet.recordings.manifest_sources import channel_of, partner_of
 from suspnet.recordings.sensor import Sensor, SensorSignal
 from suspnet.recordings.sources import open_source, zero_of
 from suspnet.recordings.speed import SpeedTrack, read_speed, speed_at

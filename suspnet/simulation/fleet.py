@@ -14,10 +14,12 @@ from suspnet.ground.parameters import (
     BOGIE_PARTS,
     COMPONENTS,
     DIRECTIONS,
+    ENDS,
     ESTIMATED,
     FORWARD,
     PARAMETERS,
     Direction,
+    End,
     kind_of,
 )
 from suspnet.ground.records import Place
@@ -205,11 +207,6 @@ class Scenario:
         return ratios
 
 
-Bogie = Literal["leading", "trailing"]
-BOGIES: tuple[Bogie, ...] = ("leading", "trailing")
-"""Bogies of a car, as it runs forward."""
-
-
 @dataclass(frozen=True)
 class Aboard:
     """Place of a suspension on a train, with the start of the train's first trip and its seed.
@@ -219,7 +216,7 @@ class Aboard:
 
     train: str
     car: str
-    bogie: Bogie
+    bogie: End
     first_start: datetime
     seed: int
 
@@ -267,7 +264,7 @@ class Trains:
     @property
     def n_all(self) -> int:
         """Number of suspensions of all trains."""
-        return self.trains * (self.cars or 1) * len(BOGIES)
+        return self.trains * (self.cars or 1) * len(ENDS)
 
     def suspensions(self, seed: int) -> list[Suspension]:
         """Return every suspension; its own seed depends only on its place and on `seed`.
@@ -279,7 +276,7 @@ class Trains:
             shared = _seeds(seed, train)[0]
             first_start = FIRST_DAY + HEADWAY * (train - 1)
             for car in range(1, (self.cars or 1) + 1):
-                for i, bogie in enumerate(BOGIES):
+                for i, bogie in enumerate(ENDS):
                     aboard = Aboard(str(train), str(car), bogie, first_start, shared)
                     drawn.append((aboard, *_seeds(seed, train, car, i + 1)))
         by_lot = sorted(range(self.n_all), key=lambda i: drawn[i][2])

@@ -13,6 +13,7 @@ from suspnet.dynamics.motion import LinearSystem, SampledMotion
 from suspnet.dynamics.track import TrackProfile
 from suspnet.ground.settings import Setting, check_settings, setting
 from suspnet.ground.types import FloatArray
+from suspnet.recordings.manifest_sources import ACCELERATION_UNITS
 
 BLOCK = 1 << 18
 """Number of samples simulated at once."""
@@ -20,8 +21,6 @@ LEAD_IN_S = 20.0
 """Time simulated before a trip that starts at speed [s], in which the transient decays."""
 MARGIN_M = 50.0
 """Length of track ahead of the first and behind the last wheelset [m]."""
-STANDARD_GRAVITY = 9.80665
-"""Standard acceleration of gravity [m/s^2]."""
 
 
 @dataclass(frozen=True)
@@ -257,7 +256,7 @@ class Sensor:
     @property
     def range_m_per_s2(self) -> float | None:
         """The largest acceleration that can be recorded, [m/s^2]."""
-        return None if self.range_g is None else self.range_g * STANDARD_GRAVITY
+        return None if self.range_g is None else self.range_g * ACCELERATION_UNITS["g"]
 
     def record(self, signal: FloatArray, rng: np.random.Generator) -> FloatArray:
         """Return the recording of an acceleration [m/s^2] sampled at `rate_hz`, (n_samples,)."""

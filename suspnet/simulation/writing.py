@@ -27,13 +27,14 @@ from suspnet.dynamics.motion import LinearSystem
 from suspnet.dynamics.quantities import IN_MOTION
 from suspnet.dynamics.spatial_numbers import ADDITIONS
 from suspnet.dynamics.track import TrackProfile, cross_level_spectrum, make_profile, track_spectrum
+from suspnet.ground.parameters import SIDES
 from suspnet.ground.progress import bar as progress_bar
 from suspnet.ground.storage import content_hash, write_atomically, write_json
 from suspnet.ground.types import FloatArray
 from suspnet.ground.workers import LostWorkerError, each, workers_for
 from suspnet.recordings.manifest import CHANNELS, TripManifest
 from suspnet.recordings.manifest_files import write_manifest
-from suspnet.recordings.manifest_sources import SIDES, Channel, Pair, SpeedSource
+from suspnet.recordings.manifest_sources import Channel, Pair, SpeedSource
 from suspnet.simulation.fleet import (
     FIRST_DAY,
     Aboard,

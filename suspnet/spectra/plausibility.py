@@ -21,6 +21,7 @@ from suspnet.dynamics import PARAMETERS, QuarterCar, ResponseGenerator, Vehicle,
 from suspnet.ground.parameters import DIRECTIONS, FORWARD, Direction, direction_words
 from suspnet.recordings.errors import TripError
 from suspnet.recordings.manifest import CHANNELS
+from suspnet.recordings.manifest_sources import ACCELERATION_UNITS
 from suspnet.recordings.speed import LARGEST_SPEED_M_PER_S
 from suspnet.spectra.cross_spectra import CrossSpectra
 from suspnet.spectra.estimates import LOWEST_MODE
@@ -30,7 +31,6 @@ SLOW = (0.2, 0.4)
 """Band in which the gain is checked, in multiples of the first natural frequency."""
 GAIN_TOLERANCE = 2.0
 """Largest plausible factor between a gain and the healthy vehicle's, for any suspension."""
-GRAVITY = 9.80665
 CHANCE = 2.0
 """The order of channels is checked only where the mean coherence exceeds CHANCE / n_averages:
 unrelated channels have a coherence of 1 / n_averages."""
@@ -357,7 +357,10 @@ def _suspect(gains: list[complex], sink: str, source: str) -> str:
 
 def _slip(size: float) -> str:
     """Return the unit error that explains a gain, in brackets; empty if none does."""
-    for factor, words in ((GRAVITY, "m/s2 and g are mixed up"), (1000.0, "mm/s2 or mg?")):
+    for factor, words in (
+        (ACCELERATION_UNITS["g"], "m/s2 and g are mixed up"),
+        (1000.0, "mm/s2 or mg?"),
+    ):
         for candidate in (factor, 1 / factor):
             if 0.5 < size / candidate < 2:
                 return f" ({words})"

@@ -9,14 +9,14 @@ from pathlib import Path
 
 import numpy as np
 
+from suspnet.ground.parameters import ENDS, SIDES
 from suspnet.ground.types import FloatArray
 from suspnet.recordings.clocks import Times, Zero, header_date
 from suspnet.recordings.columns import Column, OpenFile, size_of, unit_in_name
 from suspnet.recordings.errors import TripError
 from suspnet.recordings.formats import open_file, read_columns
 from suspnet.recordings.logger_notes import WORDS, choice_of
-from suspnet.recordings.manifest import BOGIES
-from suspnet.recordings.manifest_sources import SIDES, TIME_UNITS, Source
+from suspnet.recordings.manifest_sources import TIME_UNITS, Source
 
 ACCELERATION, SPEED = "acceleration", "speed"
 MOST_COLUMNS = 500
@@ -83,7 +83,7 @@ def guessed_bogie(*names: str) -> tuple[str, str]:
     """
     for name in names:
         if number := _BOGIE_NUMBER.search(name.lower()):
-            return BOGIES[int(number[1]) - 1], number[0]
+            return ENDS[int(number[1]) - 1], number[0]
         if chosen := choice_of("bogie", name):
             return chosen, chosen
     return "", ""

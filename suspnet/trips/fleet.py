@@ -360,7 +360,7 @@ def _read_trip(item: _Item, settings: TripSettings) -> TripResult:
     return evaluate_trip(*item, settings)
 
 
-def _itself(value: Any) -> Any:
+def _identity(value: Any) -> Any:
     return value
 
 
@@ -378,7 +378,7 @@ def _read_by_workers(
         # models are larger than anything else: sent once, and to a worker by another one; a task,
         # unlike scattered data, is computed again where the only worker that holds it is killed
         known = {id(model): model for _, models in items for model in models}
-        shared = {key: client.submit(_itself, one, pure=False) for key, one in known.items()}
+        shared = {key: client.submit(_identity, one, pure=False) for key, one in known.items()}
         trips = {}
         for item in items:
             models = [shared[id(model)] for model in item[1]]

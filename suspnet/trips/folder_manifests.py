@@ -18,7 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
-from suspnet.ground.parameters import DIRECTIONS
+from suspnet.ground.parameters import DIRECTIONS, ENDS, SIDES
 from suspnet.ground.storage import read_plain
 from suspnet.recordings.clocks import first_moment
 from suspnet.recordings.errors import TripError, all_of
@@ -30,8 +30,8 @@ from suspnet.recordings.logger_notes import (
     read_value,
     stated_in,
 )
-from suspnet.recordings.manifest import BOGIES, CHANNELS
-from suspnet.recordings.manifest_sources import MIDDLE, SIDES
+from suspnet.recordings.manifest import CHANNELS
+from suspnet.recordings.manifest_sources import MIDDLE
 from suspnet.trips.file_contents import (
     SPEED,
     Contents,
@@ -50,8 +50,8 @@ from suspnet.trips.trip_files import (
 )
 
 CHOICES: Mapping[str, tuple[str, ...]] = {
-    "bogie": BOGIES,
-    "axle": BOGIES,
+    "bogie": ENDS,
+    "axle": ENDS,
     "side": (*SIDES, MIDDLE),
     "direction": DIRECTIONS,
 }
@@ -213,7 +213,7 @@ def _by_bogie(
 ) -> list[tuple[Path, tuple[Signal, ...], dict[str, Stated]]]:
     """Return a trip of each bogie that the names of columns state."""
     stated = [guessed_bogie(*one.names) for one in signals]
-    bogies = [one for one in BOGIES if any(bogie == one for bogie, _ in stated)]
+    bogies: list[str] = [one for one in ENDS if any(bogie == one for bogie, _ in stated)]
     parts = []
     for one in bogies or [""]:
         own = [s for s, (bogie, _) in zip(signals, stated, strict=True) if bogie in ("", one)]

@@ -10,11 +10,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from shlex import join
 
+from suspnet.ground.parameters import SIDES
 from suspnet.recordings.clocks import first_moment
 from suspnet.recordings.columns import size_of
 from suspnet.recordings.logger_notes import Stated
 from suspnet.recordings.manifest import CHANNELS, FORMAT
-from suspnet.recordings.manifest_sources import ACCELERATION_UNITS, MIDDLE, SIDES, SPEED_UNITS
+from suspnet.recordings.manifest_sources import ACCELERATION_UNITS, MIDDLE, SPEED_UNITS
 from suspnet.trips.file_contents import (
     ACCELERATION,
     SPEED,
@@ -29,7 +30,7 @@ BY_COMMAND_LINE = "by the command line"
 """Source of a value that KEY=VALUE of the command line states."""
 LISTED = 60
 """Largest number of columns that are offered for one channel."""
-GRAVITY = {"g": 1.0, "m/s2": 9.80665}
+GRAVITY = {"g": 1.0, "m/s2": ACCELERATION_UNITS["g"]}
 """Gravity in each unit: the mean of a sensor that measures it reveals the sensor's unit."""
 HEAD = f"""\
 # Manifest of one trip: a template written by suspnet init. Values marked {BLANK} are missing,

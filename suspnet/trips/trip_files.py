@@ -10,9 +10,9 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
+from suspnet.ground.parameters import SIDES
 from suspnet.ground.storage import distinct
 from suspnet.recordings.formats import READERS
-from suspnet.recordings.manifest_sources import SIDES
 from suspnet.trips.file_contents import guessed_meaning, guessed_side, words_of
 
 DEEPEST = 3

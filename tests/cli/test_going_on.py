@@ -284,6 +284,6 @@ def test_process_that_dies_in_a_multirun_is_one_line(tmp_path, monkeypatch, caps
     def broken():
         raise program.BrokenProcessPool("a worker was killed")
 
-    monkeypatch.setattr(folders, "_to_go_on", ["outputs/train/x"])
+    monkeypatch.setattr(folders, "_to_resume", ["outputs/train/x"])
     with pytest.raises(SystemExit, match=r"^error: a worker was killed; go on with .*resume=outp"):
         program.run(broken)

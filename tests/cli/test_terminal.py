@@ -61,12 +61,12 @@ def test_error_of_a_hostile_name_is_one_plain_line(monkeypatch, capsys):
     assert ended.value.code == f"error: {SHOWN}"
 
     def interrupted():
-        folders._to_go_on[:] = [f"outputs/{STEERING}"]
+        folders._to_resume[:] = [f"outputs/{STEERING}"]
         raise KeyboardInterrupt
 
     with pytest.raises(SystemExit):
         program.run(interrupted)
-    folders._to_go_on.clear()
+    folders._to_resume.clear()
     assert not steers(capsys.readouterr().err)
 
 

@@ -9,6 +9,7 @@ import yaml
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
+from suspnet.ground.parameters import SIDES
 from suspnet.ground.records import Place
 from suspnet.recordings.errors import TripError
 from suspnet.recordings.manifest import CHANNELS, TripManifest
@@ -19,7 +20,7 @@ from suspnet.recordings.manifest_files import (
     write_manifest,
 )
 from suspnet.recordings.manifest_keys import DELIMITERS, CsvDialect
-from suspnet.recordings.manifest_sources import SIDES, Channel, SpeedSource
+from suspnet.recordings.manifest_sources import Channel, SpeedSource
 
 TRIP = """
 format: suspnet-trip-1

@@ -5,7 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from suspnet.simulation.signals import STANDARD_GRAVITY, Sensor
+from suspnet.recordings.manifest_sources import ACCELERATION_UNITS
+from suspnet.simulation.signals import Sensor
 
 RATE_HZ = 100.0
 
@@ -56,7 +57,7 @@ def test_precision_is_noise_relative_to_the_range():
 def test_signal_is_cut_off_at_the_range():
     clean = 10.0 * signal()
     sensor = Sensor(RATE_HZ, snr_db=None, range_g=1.0)
-    limit = STANDARD_GRAVITY
+    limit = ACCELERATION_UNITS["g"]
     assert sensor.range_m_per_s2 == pytest.approx(9.80665)
     recorded = sensor.record(clean, rng())
     assert np.abs(recorded).max() == limit

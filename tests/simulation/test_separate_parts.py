@@ -13,10 +13,10 @@ from vehicles import AM96
 
 from suspnet import COMPONENTS
 from suspnet.dynamics import QuarterCar, VerticalVehicle
+from suspnet.ground.parameters import SIDES
 from suspnet.ground.storage import read_json
 from suspnet.recordings.manifest import CHANNELS
 from suspnet.recordings.manifest_files import read_manifest
-from suspnet.recordings.manifest_sources import SIDES
 from suspnet.simulation.fleet import Fleet, Scenario, Trains
 from suspnet.simulation.signals import profile_length_m, simulate_trip, steady_journey
 from suspnet.simulation.true_vehicle import scattered, true_numbers, with_separate_parts
