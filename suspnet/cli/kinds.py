@@ -58,7 +58,7 @@ KINDS: dict[str, dict[str, str | type]] = {
     "changes": {"": "suspnet.maintenance.change.ChangeSettings"},
     "costs": {"": "suspnet.maintenance.visit_costs.Costs"},
     "fleet": {"": "suspnet.simulation.fleet.Fleet"},
-    "live": {"": "suspnet.live.suspension.LiveSettings"},
+    "live": {"": "suspnet.live.sections.LiveSettings"},
     "monitor": {"": "suspnet.trips.fleet.FleetSettings"},
     "order": {"": "suspnet.recordings.assembler.OrderSettings"},
     "plan": {"": "suspnet.maintenance.visit_costs.PlanSettings"},

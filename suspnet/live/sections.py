@@ -17,7 +17,7 @@ from collections import Counter
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from suspnet.ground.settings import check_number
+from suspnet.ground.settings import check_number, check_settings, setting
 from suspnet.live.operating_conditions import Standing
 from suspnet.recordings.assembler import OrderSettings
 from suspnet.recordings.dates import SECOND_NS
@@ -38,6 +38,50 @@ AHEAD_NS = 86_400 * SECOND_NS
 """Frames this much earlier than an ended section, [ns], are not late: a clock was wrong."""
 
 
+@dataclass(frozen=True)
+class LiveSettings:
+    """How a monitor divides a stream into sections, and when it reports estimates."""
+
+    section_s: int = setting(
+        1200,
+        "Largest length of a section, which is one trip in the history; a longer trip "
+        "becomes several, and a last one shorter than a quarter of it joins the one before",
+        "s",
+        low=60,
+        high=86400,
+    )
+    every_s: float | None = setting(
+        600.0,
+        "Length of signal between two interim estimates of a section; null publishes the "
+        "final one only",
+        "s",
+        low=60,
+        high=86400,
+    )
+    pause_s: float = setting(
+        300.0, "Time without a frame after which a trip has ended", "s", low=60, high=3600
+    )
+    late_s: float = setting(
+        60.0,
+        "Time for which a section stays open for frames that come later than others",
+        low=0,
+        high=3600,
+        rule="s; 0 to pause_s",
+    )
+    idle_s: float = setting(
+        3600.0,
+        "Time without a frame after which an open section is reported as if it had ended",
+        "s",
+        low=1,
+        high=1e7,
+    )
+    order: OrderSettings = field(default_factory=OrderSettings)
+
+    def __post_init__(self) -> None:
+        check_settings(self, "live")
+        check_number("live.late_s", self.late_s, low=0, high=self.pause_s)
+
+
 @dataclass
 class _Open:
     """A section that is not closed."""
@@ -53,22 +97,10 @@ class _Open:
 class Sections:
     """The recordings of one suspension, one after another.
 
-    Memory is that of at most ``MOST_OPEN`` recordings of `section_s`; see ``Running``.
-
-    Parameters
-    ----------
-    manifest : TripManifest
-        As for ``Running``.
-    section_s : int, [s]
-        Largest length of a section.
-    late_s : float, [s]
-        Largest lag of one sensor behind another. A section closes once more than ``order.window``
-        frames of one sensor in a row start later than this after the pause that follows it, or, if
-        its trip goes on, later than this and the length of a short section after its end.
-    pause_s : float, [s]
-        A trip ends after this time without a frame or without moving.
-    rate_hz, order
-        As for ``Running``.
+    Memory is that of at most ``MOST_OPEN`` recordings of `section_s`; see ``Running``. A section
+    closes once more than ``order.window`` frames of one sensor in a row start later than `late_s`
+    after the pause that follows it, or, if its trip goes on, later than this and the length of a
+    short section after its end.
 
     Attributes
     ----------
@@ -84,22 +116,11 @@ class Sections:
     """
 
     def __init__(
-        self,
-        manifest: TripManifest,
-        section_s: int = 1200,
-        late_s: float = 10.0,
-        rate_hz: float = 100.0,
-        order: OrderSettings | None = None,
-        pause_s: float = 300.0,
+        self, manifest: TripManifest, settings: LiveSettings, rate_hz: float = 100.0
     ) -> None:
-        check_number("section_s", section_s, low=60, high=86400, whole=True)
-        check_number("late_s", late_s, low=0, high=3600)
-        check_number("pause_s", pause_s, low=60, high=3600)
-        if pause_s < late_s:
-            raise ValueError(f"`pause_s` must be at least `late_s`, {late_s:g} s, got {pause_s:g}")
-        self.manifest, self.section_s, self.late_s = manifest, section_s, late_s
-        self.rate_hz, self.pause_s = rate_hz, pause_s
-        self.order = OrderSettings() if order is None else order
+        self.manifest, self.settings, self.rate_hz = manifest, settings, rate_hz
+        late_s, pause_s = settings.late_s, settings.pause_s
+        self.section_s = section_s = settings.section_s
         self._pause_ns, self._late_ns = round(pause_s * SECOND_NS), round(late_s * SECOND_NS)
         self._short_s = min(max(SHORT * section_s, SHORT_S), section_s)
         self.counts: Counter[str] = Counter()
@@ -162,13 +183,13 @@ class Sections:
             self._back[frame.sensor] = 0
             return
         self._back[frame.sensor] += 1
-        if is_known or self._back[frame.sensor] > self.order.window:
+        if is_known or self._back[frame.sensor] > self.settings.order.window:
             self._next_ns = 0
             self._back.clear()
 
     def over(self) -> list[Running]:
         """Remove the sections that have ended, and return them, the earliest first."""
-        window = self.order.window
+        window = self.settings.order.window
         passed = {k for k, one in self._open.items() if max(one.after.values(), default=0) > window}
         # a section waits for a rest that may still grow
         done = [k for k in passed if self._after(k) in passed or not self._is_short(self._after(k))]
@@ -197,8 +218,8 @@ class Sections:
         return sorted(self._open, key=lambda k: self._open[k].section.begin_ns)
 
     def _begun(self, zero_ns: int) -> Running:
-        longest_s = self.section_s + self.pause_s + 1
-        settings = self.rate_hz, self.order, longest_s, float(self.pause_s)
+        longest_s = self.section_s + self.settings.pause_s + 1
+        settings = self.rate_hz, self.settings.order, longest_s, float(self.settings.pause_s)
         return Running(self.manifest, zero_ns, *settings)
 
     def _full_ns(self, begin_ns: int) -> int:

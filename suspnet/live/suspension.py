@@ -6,7 +6,7 @@ import copy
 import math
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from datetime import timedelta
 from pathlib import Path
 
@@ -15,11 +15,9 @@ import numpy as np
 from suspnet.estimation.trained import TrainedModel
 from suspnet.estimation.trip_settings import TripSettings
 from suspnet.ground.records import TripResult
-from suspnet.ground.settings import check_number, check_settings, setting
 from suspnet.live.journal import dump_state, load_state
 from suspnet.live.operating_conditions import SlowValues
-from suspnet.live.sections import Sections
-from suspnet.recordings.assembler import OrderSettings
+from suspnet.live.sections import LiveSettings, Sections
 from suspnet.recordings.dates import EPOCH, SECOND_NS
 from suspnet.recordings.errors import TripError
 from suspnet.recordings.frames import MOST_CHARACTERS, Frame
@@ -30,50 +28,6 @@ from suspnet.trips.commissionings import models_of
 from suspnet.trips.fleet import FleetSettings
 from suspnet.trips.grouping import find_groups
 from suspnet.trips.trip import evaluate_recording
-
-
-@dataclass(frozen=True)
-class LiveSettings:
-    """How a monitor divides a stream into sections, and when it reports estimates."""
-
-    section_s: int = setting(
-        1200,
-        "Largest length of a section, which is one trip in the history; a longer trip "
-        "becomes several, and a last one shorter than a quarter of it joins the one before",
-        "s",
-        low=60,
-        high=86400,
-    )
-    every_s: float | None = setting(
-        600.0,
-        "Length of signal between two interim estimates of a section; null publishes the "
-        "final one only",
-        "s",
-        low=60,
-        high=86400,
-    )
-    pause_s: float = setting(
-        300.0, "Time without a frame after which a trip has ended", "s", low=60, high=3600
-    )
-    late_s: float = setting(
-        60.0,
-        "Time for which a section stays open for frames that come later than others",
-        low=0,
-        high=3600,
-        rule="s; 0 to pause_s",
-    )
-    idle_s: float = setting(
-        3600.0,
-        "Time without a frame after which an open section is reported as if it had ended",
-        "s",
-        low=1,
-        high=1e7,
-    )
-    order: OrderSettings = field(default_factory=OrderSettings)
-
-    def __post_init__(self) -> None:
-        check_settings(self, "live")
-        check_number("live.late_s", self.late_s, low=0, high=self.pause_s)
 
 
 @dataclass(frozen=True)
@@ -150,14 +104,7 @@ class LiveSuspension:
         self.manifest, self.models = manifest, models
         self.name = str(manifest.place)
         self._trips, self._settings = trips, settings
-        self._sections = Sections(
-            manifest,
-            settings.section_s,
-            settings.late_s,
-            trips.rate_hz,
-            order=settings.order,
-            pause_s=settings.pause_s,
-        )
+        self._sections = Sections(manifest, settings, trips.rate_hz)
         self._slow = SlowValues(manifest.mileage_km, manifest.temperature_c)
         # key of the open section with interim estimates: number of `every_s` reported
         self._reported: dict[int, int] = {}

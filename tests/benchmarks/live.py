@@ -41,7 +41,8 @@ from suspnet.live.journal import Journal
 from suspnet.live.monitor import Monitor
 from suspnet.live.replay import Replay
 from suspnet.live.results import Results
-from suspnet.live.suspension import LiveSettings, LiveSuspension
+from suspnet.live.sections import LiveSettings
+from suspnet.live.suspension import LiveSuspension
 from suspnet.recordings.frames import Frame, encode
 from suspnet.recordings.manifest_files import ManifestFile
 from suspnet.trips.fleet import FleetSettings

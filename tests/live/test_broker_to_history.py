@@ -17,8 +17,9 @@ from suspnet.live.monitor import Monitor
 from suspnet.live.mqtt import Mqtt
 from suspnet.live.replay import trip_clock, trip_frames
 from suspnet.live.results import Results
+from suspnet.live.sections import LiveSettings
 from suspnet.live.sinks import MqttSink
-from suspnet.live.suspension import LiveSettings, LiveSuspension
+from suspnet.live.suspension import LiveSuspension
 from suspnet.recordings.manifest_files import read_manifest
 from suspnet.trips.fleet import FleetSettings
 

@@ -20,8 +20,8 @@ from suspnet.history import History, HistoryError
 from suspnet.live.journal import Journal, JournalError
 from suspnet.live.monitor import Monitor
 from suspnet.live.results import Results
-from suspnet.live.sections import MOST_OPEN
-from suspnet.live.suspension import Job, LiveSettings, LiveSuspension, read_suspensions
+from suspnet.live.sections import MOST_OPEN, LiveSettings
+from suspnet.live.suspension import Job, LiveSuspension, read_suspensions
 from suspnet.recordings.assembler import OrderSettings
 from suspnet.recordings.errors import TripError
 from suspnet.recordings.frames import Frame, decode, encode

@@ -19,7 +19,7 @@ from stream_signals import (
     with_gaps,
 )
 
-from suspnet.live.sections import MOST_OPEN, Sections
+from suspnet.live.sections import MOST_OPEN, LiveSettings, Sections
 from suspnet.recordings import cleaning
 from suspnet.recordings.assembler import OrderSettings
 from suspnet.recordings.frames import Frame, FrameError, encode
@@ -36,7 +36,8 @@ def _small_windows(monkeypatch):
 
 
 def sections(folder, **changes):
-    return Sections(manifest_in(folder), **({"section_s": SECTION_S, "order": ORDER} | changes))
+    settings = {"section_s": SECTION_S, "late_s": 10.0, "order": ORDER} | changes
+    return Sections(manifest_in(folder), LiveSettings(**settings))
 
 
 def batch_of_section(folder, columns, number):
@@ -327,7 +328,7 @@ def test_refused_frames_open_no_section(tmp_path):
 
 @pytest.mark.parametrize(
     "changes",
-    [{"section_s": 10}, {"late_s": -1.0}, {"pause_s": 1.0}, {"pause_s": 60.0, "late_s": 61.0}],
+    [{"section_s": 10}, {"late_s": -1.0}, {"pause_s": 1.0}, {"late_s": 61.0, "pause_s": 60.0}],
 )
 def test_settings_out_of_range_are_refused(tmp_path, changes):
     with pytest.raises(ValueError, match=next(iter(changes))):

@@ -17,7 +17,8 @@ from suspnet.live.journal import Journal
 from suspnet.live.monitor import Monitor
 from suspnet.live.replay import Replay
 from suspnet.live.results import Results
-from suspnet.live.suspension import LiveSettings, read_suspensions
+from suspnet.live.sections import LiveSettings
+from suspnet.live.suspension import read_suspensions
 from suspnet.recordings.errors import TripError
 from suspnet.recordings.frames import encode
 from suspnet.recordings.manifest import CHANNELS
