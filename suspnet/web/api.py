@@ -298,7 +298,15 @@ def _place(view: FleetView, index: int) -> dict[str, Any]:
 
 def _suspension(view: FleetView, index: int) -> dict[str, Any]:
     row = view.rows[index]
-    texts = ("severity", "reason", "n_alarms", "life_parameter", "n_trips", "n_estimated")
+    texts = (
+        "severity",
+        "reason",
+        "sensors",
+        "n_alarms",
+        "life_parameter",
+        "n_trips",
+        "n_estimated",
+    )
     numbers = ("life_low_km", "life_median_km", "life_high_km", "last_mileage_km")
     return {
         **_place(view, index),

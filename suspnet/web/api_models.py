@@ -106,6 +106,8 @@ class SuspensionAnswer(PlaceAnswer):
     parameters: list[str]
     """Parameters of the worst severity."""
     reason: str
+    sensors: str
+    """Sensors that are dead on the newest trip, and those with an alarm; empty if none."""
     n_alarms: int
     """Number of active alarms."""
     life_parameter: str

@@ -437,3 +437,5 @@ def test_fleet_names_dead_and_failing_sensors(tmp_path):
     )
     (english,) = re.findall(r"<small>(Sensors: .*?)</small>", client.get("/", **BASE).text)
     assert english.replace("\N{NO-BREAK SPACE}", " ") == f"Sensors: {dead}; {failing}"
+    (answered,) = client.get("/api/v1/suspensions", **BASE).json["items"]
+    assert answered["sensors"] == f"{dead}; {failing}"
