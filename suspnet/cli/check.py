@@ -20,7 +20,8 @@ from suspnet.ground.storage import distinct, new_folder, printable
 from suspnet.ground.workers import LostWorkerError, each
 from suspnet.recordings.manifest_files import find_trips
 from suspnet.report.language import speaking
-from suspnet.spectra.estimates import EstimateSettings
+from suspnet.spectra.estimates import SPEED_HALF_WIDTH, EstimateSettings
+from suspnet.spectra.segments import covering, setting_words
 from suspnet.trips.check import CheckSettings, Opened, check_trip
 from suspnet.trips.check_page import (
     NEED_A_VEHICLE,
@@ -105,7 +106,8 @@ def next_steps(
             f"to check them too: {join([*again, str(folder or 'DIR')])}{where * (folder is None)}",
         ]
     vehicles = {check.vehicle for check in checks}
-    n_ready = [sum(one.state == READY for one in each.checks) for each in suspensions(checks)]
+    ready_of = [[c for c in each.checks if c.state == READY] for each in suspensions(checks)]
+    n_ready = [len(ready) for ready in ready_of]
     folder, *others = arguments.trips
     if any(one.unchecked for one in checks) or not all(n >= LEAST_TRIPS for n in n_ready):
         return []
@@ -116,18 +118,20 @@ def next_steps(
         runs = [str(run) for run in arguments.run]
         run = runs[0] if len(runs) == 1 else f"[{','.join(runs)}]"
         return [f"{when}: {join(['suspnet', 'evaluate', f'trips={folder}', f'run={run}'])}"]
-    ready = [check for check in checks if check.state == READY]
-    minutes = max(1, round(median(check.duration_s for check in ready) / 60))
+    minutes = max(1, round(median(check.duration_s for r in ready_of for check in r) / 60))
     n_healthy = min(N_HEALTHY, *n_ready)
+    # later trips may have too little for parts, as with a sensor that comes loose
+    shows_parts = all(sum(check.shows_parts for check in r) >= n_healthy for r in ready_of)
     bogies = {check.place.bogie for check in checks}
     train = [
         *("suspnet", "train"),
         *(["--config-dir", str(arguments.config_dir)] if arguments.config_dir else []),
         *(f"vehicle={option_of[vehicles.pop()]}", "experiment=trips"),
-        *(["protocol=components"] if all(check.shows_parts for check in ready) else []),
+        *(["protocol=components"] if shows_parts else []),
         *(f"healthy={folder}", f"n_healthy={n_healthy}"),
         *(["generator.bogie=trailing"] if bogies == {"trailing"} else []),
         *([f"data.minutes={minutes}"] if minutes != EstimateSettings.minutes else []),
+        *_speeds_beyond_healthy(ready_of, n_healthy),
     ]
     return [
         f"{when}: {join(train)}",
@@ -135,6 +139,22 @@ def next_steps(
         "taken as healthy; give as many as were run before any wear",
         *(["  a number of each: 'n_healthy={NAME:8,NAME:4}'"] if len(n_ready) > 1 else []),
     ]
+
+
+def _speeds_beyond_healthy(ready_of: Sequence[Sequence[TripCheck]], n_healthy: int) -> list[str]:
+    """Return the setting of the speeds of all ready trips if the healthy ones are at fewer."""
+
+    def speeds(checks: Sequence[TripCheck]) -> list[float]:
+        return [part.speed_m_per_s for check in checks for part in check.parts]
+
+    # a model reads no speed beyond those that it was trained for
+    for ready in ready_of:
+        first = speeds(sorted(ready, key=lambda check: check.mileage_km)[:n_healthy])
+        low, high = (1 - SPEED_HALF_WIDTH) * min(first), (1 + SPEED_HALF_WIDTH) * max(first)
+        if not all(low <= one <= high for one in speeds(ready)):
+            every = [one for several in ready_of for one in speeds(several)]
+            return [setting_words(covering(every, SPEED_HALF_WIDTH))]
+    return []
 
 
 def picture_names(paths: Sequence[Path]) -> dict[Path, str]:

@@ -41,6 +41,7 @@ from suspnet.trips.check_page import (
     PROBLEM,
     READY,
     TOO_LITTLE,
+    SteadyPart,
     TripCheck,
     summary,
     trip_figure,
@@ -320,11 +321,23 @@ def test_unknown_vehicle_is_told_and_may_be_given(manifests, tmp_path):
     assert "not checked without" not in done.stdout
 
 
+READY_TRIP = TripCheck(
+    Path("t.yaml"),
+    READY,
+    vehicle="mine",
+    duration_s=959.0,
+    parts=(SteadyPart(70.0, 90.0, 1.0, 1.0, 1.0),),
+)
+
+
 def steps(*words, code=0, n=6, **changes):
     """Return what is to be done after a check of a folder of ready trips."""
     arguments = options.check_parser().parse_args([".", *words])
-    one = TripCheck(Path("t.yaml"), READY, vehicle="mine", duration_s=959.0)
-    checks = [replace(one, **changes)] * n
+    checks = [replace(READY_TRIP, **changes)] * n
+    return steps_after(arguments, checks, code)
+
+
+def steps_after(arguments, checks, code=0):
     return check.next_steps(arguments, checks, {"mine": "our_file"}, code)
 
 
@@ -347,6 +360,19 @@ def test_training_is_the_next_command_and_can_be_copied():
     assert after.startswith("with the problems mended, run: suspnet train vehicle=our_file ")
     (read,) = steps("--run", "outputs/one", "--run", "outputs/two")
     assert read == "then run: suspnet evaluate trips=. 'run=[outputs/one,outputs/two]'"
+
+
+def test_next_training_reads_later_trips_at_other_speeds_and_names_parts_despite_a_short_one():
+    arguments = options.check_parser().parse_args(["."])
+    trips = [replace(READY_TRIP, mileage_km=float(i), shows_parts=i != 6) for i in range(7)]
+    (command, _) = steps_after(arguments, trips)
+    assert "protocol=components" in command
+    assert "speed_m_per_s" not in command
+    slow = replace(trips[6], parts=(replace(trips[6].parts[0], speed_m_per_s=50.0),))
+    (command, _) = steps_after(arguments, [slow, *trips[:6]])
+    assert shlex.split(command)[-1] == "speed_m_per_s=[49,72]"
+    few = [replace(one, shows_parts=one.mileage_km < 4) for one in trips]
+    assert "protocol=components" not in steps_after(arguments, few)[0]
 
 
 @pytest.mark.parametrize(
