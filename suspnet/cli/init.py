@@ -146,8 +146,12 @@ def _known_vehicles(folder: Path | None, trips: Sequence[folders.Trip]) -> list[
     from suspnet.cli.kinds import vehicles_with  # with Hydra
 
     known = {vehicle.name for vehicle in vehicles_with(folder).values()}
-    if unknown := sorted(names - known):
-        raise ValueError(f"`vehicle` must be one of {', '.join(sorted(known))}, got {unknown[0]!r}")
+    for stated in (trip.known["vehicle"] for trip in trips if "vehicle" in trip.known):
+        if stated.value not in known:
+            raise ValueError(
+                f"`vehicle` must be one of {', '.join(sorted(known))}, got {stated.value!r} "
+                f"({stated.source}); vehicle=NAME says it for all trips"
+            )
     return ["--config-dir", str(folder)]
 
 

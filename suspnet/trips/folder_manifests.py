@@ -21,7 +21,7 @@ import numpy as np
 from suspnet.ground.parameters import DIRECTIONS, ENDS, SIDES
 from suspnet.ground.storage import read_plain
 from suspnet.recordings.clocks import first_moment
-from suspnet.recordings.errors import TripError, all_of
+from suspnet.recordings.errors import all_of
 from suspnet.recordings.logger_notes import (
     GERMAN,
     NUMBERS,
@@ -185,6 +185,9 @@ def folder_manifests(
             if not is_copy and "start" not in known and not _is_dated(signals):
                 known["start"] = Stated(_file_time(one).isoformat(), BY_FILE_TIME)
             known |= bogie
+            word = guessed_bogie(path.stem)
+            if "bogie" not in known and word[0]:
+                known["bogie"] = Stated(word[0], f"guess by files named {word[1]}")
             known |= {
                 key: Stated(_plain_value(key, value), BY_COMMAND_LINE)
                 for key, value in said.items()
@@ -192,6 +195,13 @@ def folder_manifests(
             }
             known |= rows[one.path][1]
             trips.append(_trip(path, one.files, several, signals, known, said, config_dir))
+    for key, names in said.items():
+        if key.startswith("channels.") and not any(_columns(names, t.signals) for t in trips):
+            columns = ", ".join(dict.fromkeys(s.name for t in trips for s in t.signals))
+            raise ValueError(
+                f"`{key}` must name one or two of the columns {columns}, and likewise of those at "
+                f"the bogie's other axle, with {OTHER} at their end; got {names!r}"
+            )
     if "mileage_km" in said and len(trips) > 1:
         raise ValueError(
             f"`mileage_km` is another one in each of the {len(trips)} trips: give "
@@ -275,8 +285,8 @@ def _trip(
 ) -> Trip:
     known, chosen = dict(known), dict[str, dict[str, int]]()
     for name in CHANNELS:
-        if (key := f"channels.{name}") in said:
-            chosen[name] = _columns(path, key, said[key], signals)
+        if columns := _columns(said.get(f"channels.{name}", ""), signals):
+            chosen[name] = columns
     if SPEED in said:
         if any(one.name == said[SPEED] for one in signals):
             chosen[SPEED] = {said[SPEED]: 1}
@@ -295,20 +305,19 @@ def _trip(
     return Trip(path, files, known, own, manifest)
 
 
-def _columns(path: Path, key: str, names: str, signals: Sequence[Signal]) -> dict[str, int]:
-    """Return the columns of a channel with their axles: one, or left and right ones in turn."""
+def _columns(names: str, signals: Sequence[Signal]) -> dict[str, int]:
+    """Return the columns of a channel with their axles: one, or left and right ones in turn.
+
+    Empty if a trip does not have them: trips of one folder may be those of several loggers.
+    """
     present = [one.name for one in signals]
     several = [names] if names in present else [part.strip() for part in names.split(",")]
     found = {
         one if one in present else one.removesuffix(OTHER): 1 if one in present else 2
         for one in several
     }
-    if not set(found) <= set(present) or max(Counter(found.values()).values()) > len(SIDES):
-        raise TripError(
-            f"{path}: `{key}` must name one or two of the columns {present}, and likewise of those "
-            f"at the bogie's other axle, with {OTHER} at their end; got {names!r}"
-        )
-    return found
+    is_right = set(found) <= set(present) and max(Counter(found.values()).values()) <= len(SIDES)
+    return found if is_right else {}
 
 
 def _with_said(

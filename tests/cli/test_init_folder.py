@@ -2,6 +2,7 @@
 
 import os
 import shlex
+import shutil
 from datetime import datetime, timedelta
 from pathlib import Path
 from types import SimpleNamespace
@@ -229,6 +230,30 @@ def test_manifests_that_exist_are_left_and_new_trips_added(tmp_path):
     assert read_manifest(tmp_path / "run_1.yaml").mileage_km == 7.0
 
 
+def test_two_loggers_in_one_folder_have_their_own_columns_and_bogies(tmp_path):
+    write_german(tmp_path / "DG1_1.csv")
+    names = ["ACC_1", "ACC_2", "ACC_3"]
+    columns = {name: np.sin(np.arange(400.0)) for name in names}
+    pq.write_table(pa.table(columns), tmp_path / "DG2_1.parquet")
+    channels = [f"channels.{key}={name}" for key, name in zip(CHANNELS, names, strict=True)]
+    (tmp_path / "km.csv").write_text("file;mileage_km\nDG1_1;7\nDG2_1;7\n")
+    words = written(tmp_path, *SAID, *channels, "--table", tmp_path / "km.csv")
+    assert "bogie: guess by files named dg1 (1), guess by files named dg2 (1)" in words
+    first, second = (read_manifest(tmp_path / f"DG{i}_1.yaml") for i in (1, 2))
+    assert (first.bogie, second.bogie) == ("leading", "trailing")
+    assert "Achslager li [m/s²]" in str(first.channels["axle_box"])
+    assert "ACC_1" in str(second.channels["axle_box"])
+
+
+def test_unknown_vehicle_of_a_logger_says_where_it_is_from_and_what_to_say(tmp_path):
+    write_german(tmp_path / "run.csv", above=["Fahrzeug;ET 4711 Wagen 3\n"])
+    (tmp_path / "mine/vehicle").mkdir(parents=True)
+    shutil.copy(Path(CONFIGS) / "vehicle/am96.yaml", tmp_path / "mine/vehicle")
+    done = typed(init, tmp_path, "--config-dir", tmp_path / "mine", cwd=tmp_path)
+    assert "got 'ET 4711 Wagen 3' (by the line 'Fahrzeug" in done.stderr
+    assert "vehicle=NAME says it for all trips" in done.stderr
+
+
 @pytest.mark.parametrize(
     ("said", "table", "words"),
     [
@@ -238,7 +263,7 @@ def test_manifests_that_exist_are_left_and_new_trips_added(tmp_path):
         (["vehicle="], "", "`vehicle` must be a value"),
         (["rate_hz=fast"], "", "`rate_hz` must be a number, got 'fast'"),
         (["mileage_km=7"], "", "`mileage_km` is another one in each of the 2 trips"),
-        (["channels.body=nowhere"], "", "must name one or two of the columns ['axle_box'"),
+        (["channels.body=nowhere"], "", "must name one or two of the columns axle_box, "),
         ([], "a;b\n1;2\n", "no column is called file, trip, Datei or Fahrt"),
         ([], "file;mileage_km\nrun_9;7\n", "the table names run_9, which"),
         ([], "file;mileage_km\nrun_1;7\nrun_1;7\n", "row 3: it names 'run_1' a second time"),
