@@ -14,7 +14,6 @@ PAGE = """
   @bottom-right { content: counter(page) " / " counter(pages); font: 8pt sans-serif; } }
 @page wide { size: A4 landscape; }
 #trips, #trips + .scroll { page: wide; }
-#parameters + .scroll td.words { min-width: 50mm; }
 """
 """Paper: the table of trips has many columns and is printed across."""
 

@@ -29,7 +29,7 @@ from suspnet.maintenance.state import State
 from suspnet.report.bogie import bogie_of, small_figures, why_no_part
 from suspnet.report.dead_sensors import dead_words
 from suspnet.report.figures import data_uri
-from suspnet.report.language import N_, gettext
+from suspnet.report.language import N_, decimal, gettext
 from suspnet.report.sentences import spoken
 from suspnet.report.tables import sensor_rows, trip_table
 from suspnet.report.templates import KILO, SEVERITIES, render, with_unit
@@ -329,5 +329,5 @@ def _healthy(trips: Sequence[TripResult]) -> dict[str, str]:
         half = 100 * known[-1].healthy_half_widths.get(name, 0.0)
         found[name] = with_unit(f"{value / KILO:.4g}", name)
         if half > 0:
-            found[name] += f" ±\N{NO-BREAK SPACE}{half:.2g}\N{NO-BREAK SPACE}%"
+            found[name] += f" ±\N{NO-BREAK SPACE}{decimal(f'{half:.2g}')}\N{NO-BREAK SPACE}%"
     return found
