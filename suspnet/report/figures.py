@@ -83,7 +83,8 @@ def draw_signals(axes: Sequence[Axes], seen: Overview) -> None:
                 label="not usable",
             )
     axes[3].plot(time, 3.6 * seen.speed_m_per_s, **_lone_point(time))
-    axes[3].set_ylim(bottom=0)
+    fastest = 3.6 * np.nan_to_num(seen.speed_m_per_s).max(initial=0.0)
+    axes[3].set_ylim(0, 1.1 * fastest or None)  # a constant speed lies below the frame
     for axis in axes:
         axis.margins(x=0.01)
         axis.grid(True, alpha=0.3)
@@ -171,7 +172,7 @@ def quality(results: Sequence[TripResult]) -> Figure:
     if placed:
         axes[1].legend(loc="lower left", ncols=2, fontsize="small")
     if not done.all():
-        figure.suptitle("hollow: trips without an estimate", fontsize="small")
+        axes[0].set_title("hollow: trips without an estimate", fontsize="small")
     figure.align_ylabels(axes)
     return figure
 

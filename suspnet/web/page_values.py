@@ -17,6 +17,7 @@ from suspnet.maintenance.plan import suspension_of, train_of
 from suspnet.maintenance.schedule import joined
 from suspnet.maintenance.state import State
 from suspnet.report.bogie import bogie_of, bogies_shown, small_figures, why_no_part
+from suspnet.report.sentences import spoken
 from suspnet.report.tables import (
     FleetView,
     files_read_as,
@@ -156,7 +157,8 @@ def _place_order(state: State) -> tuple[Any, ...]:
 def _tile(name: str, state: State, row: dict[str, Any], with_suspension: bool) -> Tile:
     place = state.series.place
     parts = [place.suspension] if with_suspension or not (place.bogie or place.side) else []
-    words = " ".join(SHORT.get(p, p) for p in (*parts, place.bogie, place.side) if p)
+    where = " ".join(SHORT.get(p, p) for p in (place.bogie, place.side) if p)
+    words = " ".join(filter(None, (*parts, spoken(where))))
     why = f"{row['parameter']}: {row['reason']}".removeprefix(": ")
     return Tile(name, str(state.severity), words or state.series.vehicle, why)
 

@@ -241,6 +241,13 @@ def test_mails_are_german():
     assert at_once == f"suspnet: Eingriff: {place} und 1 weitere"
 
 
+def test_files_read_as_and_titles_of_figures_are_german():
+    with speaking("de"):
+        assert spoken("rows from line 10 on (16 files)") == "Werte ab Zeile 10 (16 Dateien)"
+        assert spoken("hollow: trips without an estimate") == "hohl: Fahrten ohne Schätzung"
+        assert spoken("% of nominal") == "% des Nennwerts"
+
+
 def test_page_of_a_check_is_german_and_its_data_are_english(tmp_path):
     bad = TripCheck(Path("a.yaml"), problems=("bogie: clock jumps by +15 ms against that of body",))
     dead = "body: dead and left out: it is constant (0) throughout: is the sensor connected?"

@@ -164,6 +164,13 @@ def test_gaps_in_every_curve_can_be_drawn():
         draw(figure)
 
 
+def test_constant_speed_is_drawn_below_the_frame():
+    seen = curves()
+    seen.overview_speed[:] = 64.0
+    axis = figures.trip_signals(trip(0, curves=seen)).axes[3]
+    assert axis.get_ylim() == pytest.approx((0, 1.1 * 3.6 * 64.0))
+
+
 def test_a_trip_that_failed_before_it_was_read_can_be_drawn():
     for figure in whole([replace(failed(), mileage_km=np.nan)]):
         draw(figure)

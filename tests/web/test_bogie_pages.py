@@ -51,6 +51,15 @@ def test_fleet_draws_the_worst_bogies_with_links_to_their_trends(site):
     assert "None of the twelve parts has an alarm or has worn." in none
 
 
+def test_tiles_name_suspension_and_bogie_in_german(tmp_path):
+    places = [Place(f"DG{i}", bogie) for i, bogie in ((1, "leading"), (2, "trailing"))]
+    every = [one for place in places for one in trips(place, 3, n_trips=4)]
+    page = client_of(tmp_path / "fleet.db", every)[0].get(
+        "/", headers={"Accept-Language": "de"}, **BASE
+    )
+    assert re.findall(r"<span>(DG.*?)</span>", page.text) == ["DG1 vorn", "DG2 hinten"]
+
+
 def test_suspension_has_a_plot_of_each_part_those_without_alarm_folded(site):
     client, view = site
     name = name_of(view, WORN)

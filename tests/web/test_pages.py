@@ -90,6 +90,7 @@ def test_fleet_shows_every_suspension_in_words_and_signs(client, refresher):
         tile = re.search(rf'<a class="tile[^>]*href="/suspension/{name}".*?</a>', page)[0]
         assert sign in tile
     assert 'trail. left</span><span class="hidden">, Notice</span>' in page
+    assert "<span>hinten links</span>" in client.get("/", headers=GERMAN, **BASE).text
     assert page.index("Train 9") < page.index("Train 12")  # as numbers
     assert page.count('">Acknowledge<') == len(re.findall(r"#alarm-", page)) >= 3
     assert "plotly" not in page
