@@ -537,7 +537,7 @@ def test_ten_thousand_broken_manifests_take_less_than_20_s(manifests, tmp_path):
     assert_told(tmp_path / "o", BROKEN)
 
 
-def test_how_files_are_read_is_said_once_for_all():
+def test_how_files_are_read_is_said_once_for_all(tmp_path):
     how = "delimiter ';', decimal sign ',', names in line 1, rows from line 2 on, latin-1"
     checks = [
         TripCheck(
@@ -554,6 +554,10 @@ def test_how_files_are_read_is_said_once_for_all():
         f"  odd: {how.replace('latin-1', 'utf-8')} (1 file)",
         "  odd: 'a' is taken in g, its file says 'V'",
     ]
+    page = write_checks(checks, [], tmp_path).read_text(encoding="utf-8").replace("&#39;", "'")
+    assert page.count("names in line 1") == 2
+    assert f"Files read as: {how} (6 files) · " in page
+    assert page.count(">loose</div>") == 3
 
 
 def test_suspensions_without_a_train_are_said_to_be_of_several(tmp_path):

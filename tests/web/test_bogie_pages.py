@@ -51,6 +51,12 @@ def test_fleet_draws_the_worst_bogies_with_links_to_their_trends(site):
     assert "None of the twelve parts has an alarm or has worn." in none
 
 
+def test_work_order_says_which_axle_is_the_first(site):
+    client, view = site
+    page = client.get(f"/suspension/{name_of(view, WORN)}/work-order", **BASE).text
+    assert re.search(r"vehicle am96;\s*axle 1 is that of the sensors</dd>", page)
+
+
 def test_tiles_name_suspension_and_bogie_in_german(tmp_path):
     places = [Place(f"DG{i}", bogie) for i, bogie in ((1, "leading"), (2, "trailing"))]
     every = [one for place in places for one in trips(place, 3, n_trips=4)]
