@@ -33,9 +33,12 @@ from suspnet.trips.check_page import (
     with_shared_data,
     write_checks,
 )
+from suspnet.trips.grouping import find_groups
 
 N_HEALTHY = 5
 """Number of first trips that the next command takes as healthy, which the user may change."""
+MOST_NAMES = 8
+"""Largest number of suspensions that the next command names."""
 
 
 def check(arguments: Namespace) -> int:
@@ -137,8 +140,15 @@ def next_steps(
         f"{when}: {join(train)}",
         f"  n_healthy={n_healthy}: the first {n_healthy} trips of each suspension by mileage are "
         "taken as healthy; give as many as were run before any wear",
-        *(["  a number of each: 'n_healthy={NAME:8,NAME:4}'"] if len(n_ready) > 1 else []),
+        *([f"  a number of each: {_of_each(folder, n_healthy)}"] if len(n_ready) > 1 else []),
     ]
+
+
+def _of_each(folder: Path, n_healthy: int) -> str:
+    """Return the setting of the numbers of healthy trips with the names of the suspensions."""
+    names = [group.name for group in find_groups(folder) if group.manifests]
+    numbers = [f"{name}:{n_healthy}" for name in names[:MOST_NAMES]]
+    return f"'n_healthy={{{','.join(numbers)}{',...' * (len(names) > MOST_NAMES)}}}'"
 
 
 def _speeds_beyond_healthy(ready_of: Sequence[Sequence[TripCheck]], n_healthy: int) -> list[str]:

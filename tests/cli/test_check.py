@@ -375,6 +375,17 @@ def test_next_training_reads_later_trips_at_other_speeds_and_names_parts_despite
     assert "protocol=components" not in steps_after(arguments, few)[0]
 
 
+def test_next_training_names_the_suspensions_whose_healthy_trips_may_differ(tmp_path):
+    trips = []
+    for bogie in ("leading", "trailing"):
+        manifest = {"suspension": "4711", "bogie": bogie}
+        (tmp_path / f"{bogie}.yaml").write_text(yaml.safe_dump(manifest))
+        trips += [replace(READY_TRIP, place=Place("4711", bogie))] * 3
+    arguments = options.check_parser().parse_args([str(tmp_path)])
+    *_, last = steps_after(arguments, trips)
+    assert last == ("  a number of each: 'n_healthy={4711_leading_bogie:3,4711_trailing_bogie:3}'")
+
+
 @pytest.mark.parametrize(
     ("code", "n", "changes"),
     [(0, 2, {}), (0, 6, {"state": TOO_LITTLE}), (0, 6, {"unchecked": True})],
