@@ -124,12 +124,15 @@ class Series:
     def outputs(self) -> tuple[str, ...]:
         """Parameters with an estimate for any trip; all parameters if there is none.
 
-        Where parts are read, those of both sides as equal count only if one of the newest trips
-        does not show its parts: else these say more.
+        Where parts are read, those of both sides as equal count only on the newest trips, since
+        the last one that shows its parts without a flag: else these say more.
         """
         known = {name for name, column in self.estimates.items() if np.isfinite(column).any()}
         newest = np.flatnonzero(self.done)[-NEWEST:]
-        if known & set(BOGIE_PARTS):
+        if parts := known & set(BOGIE_PARTS):
+            shown = np.isfinite([self.estimates[name] for name in parts]).any(axis=0)
+            last = np.flatnonzero(shown & ~self.flagged)[-1:]
+            newest = newest[newest > last] if len(last) else newest
             for name in PARAMETERS[:-1]:
                 if not np.isfinite(self.estimates[name][newest]).any():
                     known.discard(name)

@@ -460,9 +460,14 @@ def test_trip_without_its_parts_shows_both_sides_as_equal_in_their_place(few, tm
     assert row.count("<td") == len(head) - len(COMPONENTS) + 1  # parts in one cell, and the mass
 
 
-@pytest.mark.parametrize(("at", "counts"), [(0, False), (-1, True), (-5, True), (-6, False)])
-def test_both_sides_as_equal_are_judged_if_one_of_the_newest_trips_shows_no_parts(few, at, counts):
-    mixed = list(few)
+@pytest.mark.parametrize(
+    ("at", "n_flagged", "counts"),
+    [(0, 0, False), (-1, 0, True), (-2, 0, False), (-2, 1, True), (-5, 4, True), (-6, 5, False)],
+)
+def test_both_sides_as_equal_are_judged_until_a_later_trip_shows_its_parts(
+    few, at, n_flagged, counts
+):
+    mixed = [replace(one, flags="odd" * (i >= len(few) - n_flagged)) for i, one in enumerate(few)]
     equal = {"k_p": 0.5, "c_p": 1.0, "k_s": 1.0, "c_s": 1.0, "M_s": 1.0}
     mixed[at] = replace(few[at], estimates=equal, half_widths={}, flags="odd")
     state = state_of(mixed)
