@@ -15,6 +15,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
+from operator import attrgetter
 
 import numpy as np
 import torch
@@ -26,7 +27,7 @@ from suspnet.estimation.damping_laws import Laws
 from suspnet.estimation.flags import Residual
 from suspnet.estimation.healthy_misfit import HealthyMisfit
 from suspnet.estimation.healthy_trips import HealthySpectra
-from suspnet.estimation.vehicle_search import SHARE, SPREADS, VehicleSearch, cost_of
+from suspnet.estimation.vehicle_search import SHARE, SPREADS, VehicleSearch
 from suspnet.ground.progress import bar
 from suspnet.ground.tensors import threads
 from suspnet.ground.types import ComplexArray, FloatArray
@@ -134,16 +135,16 @@ def commission(
         first = target.first_searches(n_starts) if near is None else [target.search_near(near)]
         distinct = {id(found): found for found in first}
         on = {key: target.search(found.x, SPREADS[1:]) for key, found in distinct.items()}
-        rough = sorted((on[id(found)] for found in first), key=cost_of)
+        rough = sorted((on[id(found)] for found in first), key=attrgetter("cost"))
         ends = [target.finished(rough[0].x)]
         # the others show whether the best vehicle is the only one: those that meet it end alike
         first_posterior = target.posterior(ends[0].x)[0]
         for other in rough[1:]:
-            best = min(ends, key=cost_of)
+            best = min(ends, key=attrgetter("cost"))
             meets = partial(target.meets, best, target.posterior(best.x)[0])
             is_same = target.agrees(rough[0].x, first_posterior, other.x)
             ends.append(ends[0] if is_same else target.finished(other.x, meets))
-        best = min(ends, key=cost_of)
+        best = min(ends, key=attrgetter("cost"))
         posterior, laws, mean_square = target.posterior(best.x)
         n_agree = sum(target.agrees(best.x, posterior, end.x) for end in ends)
     n = len(target.prior.names)

@@ -25,6 +25,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
+from operator import attrgetter
 
 import numpy as np
 import torch
@@ -124,15 +125,15 @@ class VehicleSearch(HealthyMisfit):
         rng = np.random.default_rng(SEED)
         found = [self.search(self.widened(ratio), SPREADS[:1]) for ratio in BAND_RATIOS]
         for _ in range(MAX_ROUNDS):
-            best = min(found, key=cost_of)
+            best = min(found, key=attrgetter("cost"))
             more = [self.search(x, SPREADS[:1]) for x in self.redrawn(best.x, rng)]
             found += more
-            if min(map(cost_of, more), default=math.inf) >= (1 - LEAST_GAIN) * best.cost:
+            if min((one.cost for one in more), default=math.inf) >= (1 - LEAST_GAIN) * best.cost:
                 break
         # group the results by valley
         separate: list[End] = []
         again: list[End] = []
-        for one in sorted(found, key=cost_of):
+        for one in sorted(found, key=attrgetter("cost")):
             near = [other for other in separate if np.abs(one.x - other.x).max() < AGREEMENT]
             (again if near else separate).append(near[0] if near else one)
         n_separate = max(1, n_starts - 1)
@@ -265,8 +266,3 @@ class VehicleSearch(HealthyMisfit):
 
     def _slopes(self, spread: float, high_hz: float, theta: Tensor, _: Tensor) -> Tensor:
         return self.derivative(theta, spread, high_hz)
-
-
-def cost_of(found: End) -> float:
-    """Return half the sum of squares at an end, to sort by."""
-    return found.cost

@@ -131,8 +131,8 @@ class Series:
         newest = np.flatnonzero(self.done)[-NEWEST:]
         if parts := known & set(BOGIE_PARTS):
             shown = np.isfinite([self.estimates[name] for name in parts]).any(axis=0)
-            last = np.flatnonzero(shown & ~self.flagged)[-1:]
-            newest = newest[newest > last] if len(last) else newest
+            last = np.flatnonzero(shown & ~self.flagged).max(initial=-1)
+            newest = newest[newest > last]
             for name in PARAMETERS[:-1]:
                 if not np.isfinite(self.estimates[name][newest]).any():
                     known.discard(name)
