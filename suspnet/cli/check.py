@@ -20,8 +20,8 @@ from suspnet.ground.storage import distinct, new_folder, printable
 from suspnet.ground.workers import LostWorkerError, each
 from suspnet.recordings.manifest_files import find_trips
 from suspnet.report.language import speaking
-from suspnet.spectra.estimates import SPEED_HALF_WIDTH, EstimateSettings
-from suspnet.spectra.segments import covering, setting_words
+from suspnet.spectra.estimates import WIDE_SPEED_HALF_WIDTH, EstimateSettings
+from suspnet.spectra.segments import SpeedRange, covering, setting_words
 from suspnet.trips.check import CheckSettings, Opened, check_trip
 from suspnet.trips.check_page import (
     NEED_A_VEHICLE,
@@ -152,18 +152,20 @@ def _of_each(folder: Path, n_healthy: int) -> str:
 
 
 def _speeds_beyond_healthy(ready_of: Sequence[Sequence[TripCheck]], n_healthy: int) -> list[str]:
-    """Return the setting of the speeds of all ready trips if the healthy ones are at fewer."""
+    """Return the setting of the speeds of all ready trips if healthy ones alone do not read them.
+
+    A model reads no speed beyond those that it was trained for.
+    """
 
     def speeds(checks: Sequence[TripCheck]) -> list[float]:
         return [part.speed_m_per_s for check in checks for part in check.parts]
 
-    # a model reads no speed beyond those that it was trained for
     for ready in ready_of:
         first = speeds(sorted(ready, key=lambda check: check.mileage_km)[:n_healthy])
-        low, high = (1 - SPEED_HALF_WIDTH) * min(first), (1 + SPEED_HALF_WIDTH) * max(first)
-        if not all(low <= one <= high for one in speeds(ready)):
+        healthy = SpeedRange.read_by(covering(first, WIDE_SPEED_HALF_WIDTH), WIDE_SPEED_HALF_WIDTH)
+        if not all(map(healthy.holds, speeds(ready))):
             every = [one for several in ready_of for one in speeds(several)]
-            return [setting_words(covering(every, SPEED_HALF_WIDTH))]
+            return [setting_words(covering(every, WIDE_SPEED_HALF_WIDTH))]
     return []
 
 

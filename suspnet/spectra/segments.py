@@ -151,6 +151,13 @@ class SpeedRange:
         """Return the speeds within 1 +- `half_width` of that of the training curves."""
         return cls(trained_m_per_s * (1 - half_width), trained_m_per_s * (1 + half_width))
 
+    @classmethod
+    def read_by(cls, setting: float | Sequence[float], half_width: float) -> SpeedRange:
+        """Return the speeds that the models trained with a setting `speed_m_per_s` read."""
+        if isinstance(setting, float | int):
+            return cls.around(setting, half_width)
+        return cls(min(setting), max(setting))
+
     @property
     def trained_m_per_s(self) -> float:
         """Speed of the training curves, the middle of the range."""
