@@ -374,7 +374,8 @@ THREADS = Declared(
     int,
     True,
     Setting(
-        "Threads of torch, and blocks of curves made at a time; null is as many as torch takes",
+        "Threads of torch and BLAS, and blocks of curves made at a time; null is as many as torch "
+        "takes",
         low=1,
         most=1024,
     ),
@@ -383,12 +384,14 @@ THREADS = Declared(
 
 
 def n_threads(wanted: int | None) -> int:
-    """Set torch's threads to `wanted`, or leave them if None; return their number."""
+    """Set the threads of torch and BLAS to `wanted`, or leave them if None; return their number."""
     import torch  # takes seconds
+    from threadpoolctl import threadpool_limits
 
     if wanted is None:
         return torch.get_num_threads()
     THREADS.check("threads", wanted)
+    threadpool_limits(wanted)
     torch.set_num_threads(wanted)
     return wanted
 

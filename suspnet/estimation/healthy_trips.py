@@ -16,6 +16,7 @@ from suspnet.estimation.steady_parts import groups_to_read, steady
 from suspnet.estimation.trip_settings import LEAST_TRIPS, TripSettings
 from suspnet.ground.parameters import DIRECTIONS, FORWARD, Direction
 from suspnet.ground.progress import bar
+from suspnet.ground.tensors import threads
 from suspnet.recordings.errors import TripError
 from suspnet.recordings.manifest import TripManifest
 from suspnet.recordings.manifest_files import ManifestFile, find_manifests
@@ -82,6 +83,7 @@ class HealthyTrips:
         return tuple(one.speed_m_per_s for one in self.groups or self.of_parts)
 
 
+@threads(1)  # spectra are products of many small matrices
 def read_healthy(
     folder: Path,
     generator: VerticalVehicle,

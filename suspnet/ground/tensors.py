@@ -8,6 +8,7 @@ from contextlib import contextmanager
 import numpy as np
 import torch
 from numpy.typing import ArrayLike
+from threadpoolctl import threadpool_limits
 from torch import Tensor
 
 
@@ -48,15 +49,16 @@ def complex_log(values: Tensor) -> Tensor:
 
 @contextmanager
 def threads(number: int) -> Iterator[None]:
-    """Let torch use a number of threads on the CPU within the block.
+    """Let torch and the BLAS of NumPy and SciPy use a number of threads within the block.
 
     One thread is quicker for many operations on small arrays: the others would wait for work in a
     loop, and on a busy machine take the processor from those that have some (measured: a
     commissioning of 50 s took 182 s).
     """
     before = torch.get_num_threads()
-    torch.set_num_threads(number)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(before)
+    with threadpool_limits(number):
+        torch.set_num_threads(number)
+        try:
+            yield
+        finally:
+            torch.set_num_threads(before)

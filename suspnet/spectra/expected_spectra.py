@@ -18,7 +18,7 @@ from torch import Tensor
 
 from suspnet.dynamics import PARAMETERS, ResponseGenerator
 from suspnet.dynamics.track import TrackSpectrum, acceleration_density
-from suspnet.ground.tensors import complex_log, squared_size
+from suspnet.ground.tensors import complex_log, squared_size, threads
 from suspnet.ground.types import FloatArray
 from suspnet.spectra.cross_spectra import PAIRS
 from suspnet.spectra.observation import Observer
@@ -101,6 +101,7 @@ class ExpectedSpectra:
         """Return the power density of the axle box's acceleration, (n_freq,), [(m/s^2)^2/Hz]."""
         return acceleration_density(self._track, frequencies_hz, self._speed_m_per_s)
 
+    @threads(1)
     def noise_densities(
         self, responses: Responses, rates_hz: Sequence[float], snr_db: float
     ) -> Tensor:

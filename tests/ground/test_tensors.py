@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 import torch
+from threadpoolctl import threadpool_info
 from vehicles import AM96
 
 from suspnet.dynamics import QuarterCar, VerticalVehicle
-from suspnet.ground.tensors import complex_log, squared_size
+from suspnet.ground.tensors import complex_log, squared_size, threads
 from suspnet.learning import MSVR, MVGPR
 from suspnet.spectra.peaks import findpeaks
 from suspnet.spectra.welch import tfestimate
@@ -74,3 +75,15 @@ def test_complex_log_and_squared_size_are_those_of_numpy():
     np.testing.assert_allclose(found.imag, np.angle(values), rtol=1e-14, atol=1e-15)
     squares = squared_size(torch.tensor(values)).numpy()
     np.testing.assert_allclose(squares, np.abs(values) ** 2, rtol=1e-14)
+
+
+@pytest.mark.parametrize("number", [1, 2])
+def test_threads_limit_torch_and_blas_within_the_block(number):
+    def now():
+        of_blas = [one["num_threads"] for one in threadpool_info() if one["user_api"] == "blas"]
+        return torch.get_num_threads(), *of_blas
+
+    before = now()
+    with threads(number):
+        assert set(now()) == {number}
+    assert now() == before
