@@ -33,7 +33,7 @@ from suspnet.trips.check_page import (
     with_shared_data,
     write_checks,
 )
-from suspnet.trips.grouping import find_groups
+from suspnet.trips.grouping import group_names
 
 N_HEALTHY = 5
 """Number of first trips that the next command takes as healthy, which the user may change."""
@@ -140,15 +140,16 @@ def next_steps(
         f"{when}: {join(train)}",
         f"  n_healthy={n_healthy}: the first {n_healthy} trips of each suspension by mileage are "
         "taken as healthy; give as many as were run before any wear",
-        *([f"  a number of each: {_of_each(folder, n_healthy)}"] if len(n_ready) > 1 else []),
+        *_of_each(checks, folder, n_healthy),
     ]
 
 
-def _of_each(folder: Path, n_healthy: int) -> str:
-    """Return the setting of the numbers of healthy trips with the names of the suspensions."""
-    names = [group.name for group in find_groups(folder) if group.manifests]
-    numbers = [f"{name}:{n_healthy}" for name in names[:MOST_NAMES]]
-    return f"'n_healthy={{{','.join(numbers)}{',...' * (len(names) > MOST_NAMES)}}}'"
+def _of_each(checks: Sequence[TripCheck], folder: Path, n_healthy: int) -> list[str]:
+    """Return a line on the numbers of healthy trips of several suspensions; none for one."""
+    names = group_names(sorted({(c.manifest.parent, c.place) for c in checks if c.vehicle}), folder)
+    numbers = ",".join(f"{name}:{n_healthy}" for name in names[:MOST_NAMES])
+    more = ",..." * (len(names) > MOST_NAMES)
+    return [f"  a number of each: 'n_healthy={{{numbers}{more}}}'"] * (len(names) > 1)
 
 
 def _speeds_beyond_healthy(ready_of: Sequence[Sequence[TripCheck]], n_healthy: int) -> list[str]:

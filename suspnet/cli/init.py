@@ -36,9 +36,9 @@ LEFT_OPEN = {
 def init(arguments: Namespace) -> int:
     """Write what the command line asks for and return the exit code.
 
-    It is 1 if values are missing; the manifests of a folder are then not written. ValueError if
-    files cannot be read (the message lists all of them), or if a manifest exists and is not to be
-    replaced.
+    It is 1 if values are missing, or vehicles not known; the manifests of a folder are then not
+    written. ValueError if files cannot be read (the message lists all of them), or if a manifest
+    exists and is not to be replaced.
     """
     words = list(dict.fromkeys(map(str, arguments.files)))
     said = [word for word in words if "=" in word and not Path(word).exists()]
@@ -65,6 +65,7 @@ def _one_trip(files: Sequence[Path], arguments: Namespace) -> int:
         raise ValueError(f"the name of a manifest must end with .yaml, got {path}")
     if os.path.lexists(path) and not arguments.force:
         raise ValueError(f"{path} exists; --force replaces it, --output writes another")
+    _unknown_vehicles(arguments.config_dir, [])  # raises if there is no such folder
     seen = all_of(partial(look_into, file) for file in files)
     signals = [one for found, _ in seen for one in found]
     read_as = [how for _, how in seen if how]
@@ -96,8 +97,12 @@ def _folder(folder: Path, said: Sequence[str], arguments: Namespace) -> int:
     for one in tables:
         if table is None or one.resolve() != table.resolve():
             print(printable(f"{one} is a table of trips, which --table {quote(str(one))} reads"))
-    if missing:
-        print(f"{count(len(new), 'trip')} in {folder}; nothing is written yet; these are missing:")
+    wrong = _unknown_vehicles(vehicles, new)
+    if missing or wrong:
+        what = "missing or wrong" if wrong else "missing"
+        print(f"{count(len(new), 'trip')} in {folder}; nothing is written yet; these are {what}:")
+        for line in wrong:
+            print(line)
         for key in missing:
             without = [trip for trip in new if key in trip.missing]
             where = "" if len(without) == len(new) else f" (in {len(without)} of them)"
@@ -105,8 +110,9 @@ def _folder(folder: Path, said: Sequence[str], arguments: Namespace) -> int:
         if table and not table.exists() and "mileage_km" in missing:
             write_atomically(table, folders.table_of(new, folder))
             print(f"-> {table}: fill in its columns, then run the same command again")
+        right = [word for word in said if not (wrong and word.startswith("vehicle="))]
         again = " ".join(
-            [_command("init", folder, *said), "KEY=VALUE ...", printable(join(options))]
+            [_command("init", folder, *right), "KEY=VALUE ...", printable(join(options))]
         )
         print(*_left_open(new), f"say each once for all trips: {again.rstrip()}", sep="\n")
         return 1
@@ -129,30 +135,38 @@ def _known_vehicles(folder: Path | None, trips: Sequence[folders.Trip]) -> list[
     """Return the option that names the user's own vehicles, for the next command.
 
     Where it is not given and the vehicle is none of suspnet's, a line says what its DIR stands for.
-    ValueError if the vehicle of a trip is neither one of the folder's nor of suspnet.
     """
+    if folder is not None:
+        return ["--config-dir", str(folder)]
     names = {str(trip.known["vehicle"].value) for trip in trips if "vehicle" in trip.known}
-    if folder is None:
-        own = sorted(name for name in names if not is_shipped(name))
-        for name in own:
-            print(
-                printable(
-                    f"{name} is no vehicle of suspnet's: give --config-dir DIR, the folder with "
-                    f"vehicle/{name}.yaml ({_command('init', '--vehicle', name)} lists what it "
-                    "needs); without it swapped sensors, units and signs are not checked"
-                )
+    own = sorted(name for name in names if not is_shipped(name))
+    for name in own:
+        print(
+            printable(
+                f"{name} is no vehicle of suspnet's: give --config-dir DIR, the folder with "
+                f"vehicle/{name}.yaml ({_command('init', '--vehicle', name)} lists what it "
+                "needs); without it swapped sensors, units and signs are not checked"
             )
-        return ["--config-dir", "DIR"] if own else []
+        )
+    return ["--config-dir", "DIR"] if own else []
+
+
+def _unknown_vehicles(folder: Path | None, trips: Sequence[folders.Trip]) -> list[str]:
+    """Return a line on each vehicle of the trips that is neither one of the folder's nor ours."""
+    if folder is None:
+        return []
     from suspnet.cli.kinds import vehicles_with  # with Hydra
 
-    known = {vehicle.name for vehicle in vehicles_with(folder).values()}
-    for stated in (trip.known["vehicle"] for trip in trips if "vehicle" in trip.known):
-        if stated.value not in known:
-            raise ValueError(
-                f"`vehicle` must be one of {', '.join(sorted(known))}, got {stated.value!r} "
-                f"({stated.source}); vehicle=NAME says it for all trips"
-            )
-    return ["--config-dir", str(folder)]
+    known = sorted({vehicle.name for vehicle in vehicles_with(folder).values()})
+    stated = dict.fromkeys(t.known["vehicle"] for t in trips if "vehicle" in t.known)
+    return [
+        printable(
+            f"  vehicle: must be one of {', '.join(known)}, got {one.value!r} ({one.source}); "
+            "vehicle=NAME says it for all trips"
+        )
+        for one in stated
+        if one.value not in known
+    ]
 
 
 def _command(name: str, *arguments: object) -> str:

@@ -40,6 +40,7 @@ from suspnet.estimation.intervals import COMMON
 from suspnet.estimation.trip_settings import LEAST_TRIPS
 from suspnet.ground.parameters import COMPONENTS
 from suspnet.ground.types import FloatArray
+from suspnet.ground.wording import ShortRepr
 from suspnet.spectra.bogie_trip import BogieTrip, smallest_noise
 
 EXPLAINED = 1.15
@@ -50,8 +51,8 @@ tests/blind_train.py (seeds 0 and 1, misfits of 1.7 to 6.9, 128 trips with one w
 each at most): intervals without it held 45 to 57 % at a misfit of 2, and 15 to 40 % at 6."""
 
 
-@dataclass(frozen=True)
-class CommissionedBogie:
+@dataclass(frozen=True, repr=False)
+class CommissionedBogie(ShortRepr):
     """A bogie as its healthy trips show it.
 
     `generator` has the posterior of its numbers as its distribution, `noise` (n_sensors,)
@@ -97,8 +98,8 @@ class CommissionedBogie:
         return PartsEstimate(np.exp(x[-N_OWN:]), covariance, misfit, found.converged, level)
 
 
-@dataclass(frozen=True)
-class PartsEstimate:
+@dataclass(frozen=True, repr=False)
+class PartsEstimate(ShortRepr):
     """The ratio to healthy of each of ``COMPONENTS``, M_s to nominal.
 
     `covariance` (13, 13) is that of their logarithms.

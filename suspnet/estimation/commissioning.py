@@ -31,6 +31,7 @@ from suspnet.estimation.vehicle_search import SHARE, SPREADS, VehicleSearch
 from suspnet.ground.progress import bar
 from suspnet.ground.tensors import threads
 from suspnet.ground.types import ComplexArray, FloatArray
+from suspnet.ground.wording import ShortRepr
 from suspnet.spectra.estimates import EstimateSettings
 
 N_STARTS = 4
@@ -40,8 +41,8 @@ NEGLIGIBLE_SHARE = 5e-4
 wrong."""
 
 
-@dataclass(frozen=True)
-class Commissioned:
+@dataclass(frozen=True, repr=False)
+class Commissioned(ShortRepr):
     """The vehicle identified from healthy trips.
 
     Attributes

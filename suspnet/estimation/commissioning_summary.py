@@ -36,6 +36,8 @@ SIMILAR = 1.5
 """Factor between the minutes of healthy trips and of training above which a sentence reports it."""
 ODD_MASS = 2.0
 """Deviations of the prior of a trip's mass beyond which the vehicle file's is to be checked."""
+MOST_CHANGE = 10.0
+"""Ratio of medians after and before from which that before is near 0, and no change is shown."""
 PREFIXES = ((1e6, "M"), (1e3, "k"))
 """Prefixes of force units, the largest first."""
 PART_TITLES = {
@@ -84,9 +86,11 @@ class Number:
     deviations: tuple[float, float]
 
     @property
-    def ratio(self) -> float:
-        """Median of the posterior over that of the prior, [-]."""
-        return self.posterior[1] / self.prior[1] if self.prior[1] else 1.0
+    def ratio(self) -> float | None:
+        """Median of the posterior over that of the prior, [-]; None if that is near 0."""
+        before, after = self.prior[1], self.posterior[1]
+        is_near_0 = not self.quantity.median or abs(after) >= MOST_CHANGE * abs(before)
+        return None if is_near_0 else after / before
 
     @property
     def uncertainty_left(self) -> float:
@@ -337,7 +341,7 @@ def cells(one: Number) -> dict[str, Any]:
         "unit": unit or "1",
         "prior": _value(*one.prior, scale),
         "posterior": _value(*one.posterior, scale),
-        "change": one.ratio - 1,
+        "change": None if one.ratio is None else one.ratio - 1,
         "left": one.uncertainty_left,
         "told": one.is_told,
     }

@@ -17,6 +17,7 @@ from suspnet.estimation.trip_settings import LEAST_TRIPS, TripSettings
 from suspnet.ground.parameters import DIRECTIONS, FORWARD, Direction
 from suspnet.ground.progress import bar
 from suspnet.ground.tensors import threads
+from suspnet.ground.wording import ShortRepr
 from suspnet.recordings.errors import TripError
 from suspnet.recordings.manifest import TripManifest
 from suspnet.recordings.manifest_files import ManifestFile, find_manifests
@@ -51,8 +52,8 @@ class HealthySpectra:
         return self.speeds.mean
 
 
-@dataclass(frozen=True)
-class HealthyTrips:
+@dataclass(frozen=True, repr=False)
+class HealthyTrips(ShortRepr):
     """Spectra of the healthy trips of one suspension.
 
     `manifests` are those of the trips in use; `paired` tells which of axle box, frame and body have

@@ -24,6 +24,7 @@ from suspnet.estimation.bogie_fit import CommissionedBogie
 from suspnet.estimation.bogie_search import ROUGH_SPACING_HZ
 from suspnet.ground.parameters import COMPONENTS, Direction
 from suspnet.ground.types import FloatArray
+from suspnet.ground.wording import ShortRepr
 from suspnet.learning import MSVR, Scaling
 from suspnet.spectra.bogie_trip import BogieTrip
 from suspnet.spectra.subspace_features import (
@@ -48,8 +49,8 @@ SPEED_TOLERANCE = 0.01
 """Largest relative difference of a trip's speed from that of the training."""
 
 
-@dataclass(frozen=True)
-class PartsRegression:
+@dataclass(frozen=True, repr=False)
+class PartsRegression(ShortRepr):
     """A fitted regression with what it needs to read a trip of its bogie.
 
     `input_scale` (n_features,) divides the features, `outputs` are the ratios' scaling; `every` is

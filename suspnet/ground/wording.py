@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import math
 import re
+import reprlib
+from dataclasses import fields
+from typing import Any
 
 NO_NUMBER = "\N{EN DASH}"
 _FILE = re.compile(r"[^;:]+\.\w+: (?=delimiter )")
@@ -54,3 +57,38 @@ def files_of(read_as: str) -> dict[str, int]:
         words, n_files = _FILE.subn("", part)
         found[words] = found.get(words, 0) + n_files
     return found
+
+
+class _Short(reprlib.Repr):
+    """Representation of a value on at most about a line."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.maxstring = self.maxother = 60
+
+    def repr1(self, x: Any, level: int) -> str:
+        """Return the shape of an array, and any other value with at most 60 characters a part."""
+        shape = getattr(x, "shape", ())
+        return f"array{tuple(shape)}" if shape else super().repr1(x, level)
+
+
+class ShortRepr:
+    """A dataclass with ``repr=False`` that prints shapes of arrays, and no more of long values.
+
+    >>> from dataclasses import dataclass
+    >>> import numpy as np
+    >>> @dataclass(repr=False)
+    ... class Signal(ShortRepr):
+    ...     values: np.ndarray
+    ...     rate_hz: float
+    >>> Signal(np.zeros((3, 1000)), 500.0)
+    Signal(values=array(3, 1000), rate_hz=500.0)
+    """
+
+    def __repr__(self) -> str:
+        names = [one.name for one in fields(self)]  # type: ignore[arg-type]
+        shown = [f"{name}={_SHORT.repr(getattr(self, name))}" for name in names]
+        return f"{type(self).__name__}({', '.join(shown)})"
+
+
+_SHORT = _Short()

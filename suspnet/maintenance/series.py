@@ -12,12 +12,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from suspnet.ground.parameters import BODY_MASS, BOGIE_PARTS, ESTIMATED, PARAMETERS
-from suspnet.ground.records import EVENT_KINDS, SENSOR, Key, Place, TripResult
+from suspnet.ground.records import EVENT_KINDS, SENSOR, Key, Place, TripResult, sensors_from_text
 from suspnet.ground.times import utc
 from suspnet.ground.types import BoolArray, FloatArray, IntArray
 from suspnet.ground.wording import kilometres
 from suspnet.maintenance.directions import SIGNS, widened
-from suspnet.maintenance.sensors import SensorTrend, sensor_trends
+from suspnet.maintenance.sensors import LEAST, SensorTrend, sensor_trends
 
 NUMBERS = ("mileage_km", "healthy_since_km", "speed_m_per_s", "temperature_c", "direction")
 """Numeric columns of a series, in addition to those of each parameter."""
@@ -115,10 +115,31 @@ class Series:
 
     @cached_property
     def misled(self) -> BoolArray:
-        """Mask of the trips whose estimates are wrong by a sensor's sensitivity or delay."""
-        none = np.zeros(len(self.trip), dtype=np.bool_)
+        """Mask of the trips whose estimates are wrong by a sensor's sensitivity or delay.
+
+        The ``doubted`` trip is taken as one.
+        """
         wrong = [one.misleads for one in self.sensor_trends]
-        return np.asarray(np.logical_or.reduce([none, *wrong]))
+        return np.asarray(np.logical_or.reduce([self.doubted, *wrong]))
+
+    @cached_property
+    def doubted(self) -> BoolArray:
+        """Mask of the newest trip if its sensors are the likelier reason of what it shows.
+
+        It is flagged, one of its sensors is dead, loose or faulty, and it does not show the parts
+        that the trip before shows: a damaged suspension shows itself on the next trip, too.
+        """
+        found = np.zeros(len(self.trip), dtype=np.bool_)
+        read = [np.isfinite(self.estimates[one]) for one in BOGIE_PARTS if one in self.estimates]
+        shown = np.logical_or.reduce([found, *read])
+        *_, before, newest = [-1, -1, *np.flatnonzero(self.done)]
+        if self.sensors is None or not self.done.any():
+            return found
+        if shown[before] and not self.flagged[before]:
+            sensors = sensors_from_text(self.sensors[newest]).values()
+            is_faulty = any(one.faulty > LEAST["faulty"] for one in sensors)
+            found[newest] = is_faulty and self.flagged[newest] and not shown[newest]
+        return found
 
     @property
     def outputs(self) -> tuple[str, ...]:
@@ -128,7 +149,7 @@ class Series:
         the last one that shows its parts without a flag: else these say more.
         """
         known = {name for name, column in self.estimates.items() if np.isfinite(column).any()}
-        newest = np.flatnonzero(self.done)[-NEWEST:]
+        newest = np.flatnonzero(self.done & ~self.doubted)[-NEWEST:]
         if parts := known & set(BOGIE_PARTS):
             shown = np.isfinite([self.estimates[name] for name in parts]).any(axis=0)
             last = np.flatnonzero(shown & ~self.flagged).max(initial=-1)

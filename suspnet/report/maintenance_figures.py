@@ -54,6 +54,12 @@ BARS = 5
 """Largest number of parts of one train whose intervals are drawn, those that pass first."""
 BAND = 0.7
 """Share of a train's row that intervals take."""
+IN_NUMBERS: dict[str, list[str]] = {
+    "formats": ["%Y", "%Y-%m", "%m-%d", *["%H:%M"] * 3],
+    "zero_formats": ["", "%Y-%m", "%m-%d", "%m-%d", *["%H:%M"] * 2],
+    "offset_formats": ["", "", "%Y", *["%Y-%m-%d"] * 3],
+}
+"""Formats of the days of a calendar, as in the tables: names of months are always English."""
 DUE = "passing"
 """Internal label of the bars; the legend replaces it by a text with the level."""
 
@@ -107,13 +113,14 @@ def _label(axis: Axes, plan: Plan, shown: Sequence[str], n_trains: int) -> None:
     axis.set_xlim(mdates.date2num(plan.today), mdates.date2num(plan.horizon))
     locator = mdates.AutoDateLocator()
     axis.xaxis.set_major_locator(locator)
-    axis.xaxis.set_major_formatter(mdates.ConciseDateFormatter(locator))
+    axis.xaxis.set_major_formatter(mdates.ConciseDateFormatter(locator, **IN_NUMBERS))
     axis.yaxis.set_minor_locator(NullLocator())
     axis.set_xlabel("day of the visit")
     axis.set_ylabel("train")
     axis.grid(True, axis="x", alpha=0.3)
     for row in range(1, len(shown), 2):
         axis.axhspan(row - 0.5, row + 0.5, color="0.95", zorder=0, lw=0)
+    axis.tick_params(axis="x", labelsize="small")
     axis.tick_params(axis="y", length=0, pad=9)  # a mark of today extends beyond the axis
     n_jobs = sum(len(visit.jobs) for visit in plan.visits)
     title = (

@@ -26,6 +26,7 @@ from suspnet.ground.parameters import PARAMETERS
 from suspnet.ground.settings import check_choice
 from suspnet.ground.storage import write_atomically
 from suspnet.ground.types import BoolArray, FloatArray
+from suspnet.ground.wording import ShortRepr
 
 SPLITS = {"train": TRAIN, "test": TEST, "calibrate": CALIBRATE}
 """Name of each split and its stream of curves."""
@@ -36,8 +37,8 @@ UNREADABLE = (KeyError, MemoryError, OSError, TypeError, ValueError, BadZipFile,
 NEEDS_H5PY = 'a file NAME.h5 needs h5py: pip install "suspnet[hdf5]"'
 
 
-@dataclass(frozen=True)
-class DataSet:
+@dataclass(frozen=True, repr=False)
+class DataSet(ShortRepr):
     """Curves of a problem, one row per curve, with their features, their truth and their bound.
 
     Attributes

@@ -9,11 +9,12 @@ import torch
 from torch import Tensor
 
 from suspnet.ground.parameters import FORWARD, Direction
+from suspnet.ground.wording import ShortRepr
 from suspnet.spectra.subspace import SpectralMatrix
 
 
-@dataclass(frozen=True)
-class BogieTrip:
+@dataclass(frozen=True, repr=False)
+class BogieTrip(ShortRepr):
     """Spectral matrix of a trip at one speed, its sensors in the order of the vehicle's.
 
     `frequencies_hz` (n_freq,) are bins that are independent of each other, `left_out` (n_freq,)

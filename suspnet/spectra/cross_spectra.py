@@ -24,6 +24,7 @@ from torch import Tensor
 
 from suspnet.ground.settings import check_choice
 from suspnet.ground.types import FloatArray
+from suspnet.ground.wording import ShortRepr
 
 METHODS = ("H1", "H2", "Hv", "IV")
 Method = Literal["H1", "H2", "Hv", "IV"]
@@ -35,8 +36,8 @@ SMOOTHED_BINS = 5
 """Number of neighbouring bins over which a trip's measured covariance is averaged."""
 
 
-@dataclass(frozen=True)
-class CrossSpectra:
+@dataclass(frozen=True, repr=False)
+class CrossSpectra(ShortRepr):
     """Averaged auto and cross spectra of axle box, bogie and body.
 
     `auto` is real, (..., 3, n_freq), [(m/s^2)^2/Hz]. `cross` is complex, of the same shape, for the

@@ -272,30 +272,20 @@ def _by_words(remarks: Iterable[tuple[str, Sequence[str]]]) -> list[tuple[str, s
     names: dict[str, list[str]] = {}
     n_files: Counter[str] = Counter()
     for name, sentences in remarks:
-        for words, n in _parts(sentences):
-            n_files[words] += n
-            names.setdefault(words, []).append(name)
+        for sentence in sentences:
+            files = files_of(sentence)
+            for words, n in (files if any(files.values()) else {sentence: 0}).items():
+                n_files[words] += n
+                names.setdefault(words, []).append(name)
     return [
         (f"{words} ({count(n_files[words], 'file')})" if n_files[words] else words, _listing(of))
         for words, of in names.items()
     ]
 
 
-def _parts(sentences: Iterable[str]) -> list[tuple[str, int]]:
-    """Return sentences with the number of files whose reading they state, 0 of others."""
-    found: list[tuple[str, int]] = []
-    for sentence in sentences:
-        files = files_of(sentence)
-        found += files.items() if any(files.values()) else [(sentence, 0)]
-    return found
-
-
-def _n_files(remarks: Iterable[Iterable[str]]) -> Counter[str]:
-    """Return how files were read, with their numbers."""
-    found: Counter[str] = Counter()
-    for sentences in remarks:
-        found.update({words: n for words, n in _parts(sentences) if n})
-    return found
+def _on_files(check: TripCheck) -> list[str]:
+    """Return the remarks on how the trip's files were read."""
+    return [sentence for sentence in check.remarks if any(files_of(sentence).values())]
 
 
 def _listing(names: Sequence[str]) -> str:
@@ -323,11 +313,8 @@ def write_checks(checks: Sequence[TripCheck], elsewhere: Sequence[str], output: 
         suspensions=content["suspensions"],
         trains=train_words(checks),
         checks=checks,
-        findings=[[words for words, n in _parts(check.remarks) if not n] for check in checks],
-        read_as=[
-            f"{words} ({count(n, 'file')})"
-            for words, n in _n_files(check.remarks for check in checks).items()
-        ],
+        findings=[[s for s in one.remarks if s not in _on_files(one)] for one in checks],
+        read_as=[words for words, _ in _by_words((one.name, _on_files(one)) for one in checks)],
         tones=TONES,
     )
     return write_atomically(output / "check.html", page.encode("utf-8", errors="replace"))

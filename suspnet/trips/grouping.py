@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import logging
 import re
-from collections.abc import Iterable
+from collections import Counter
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -51,8 +52,8 @@ def find_groups(folder: Path) -> list[Group]:
     if not folder.is_dir() or _holds_manifests(folder):
         groups = _split(folder, find_manifests(folder))
         _warn_of_unread(folder)
-        return _named(groups, [str(group.place) for group in groups])
-    groups, names = [], []
+        return _named(groups, folder)
+    groups = []
     for part in sorted(path for path in folder.iterdir() if path.is_dir()):
         if part.name.startswith("."):
             continue
@@ -66,10 +67,23 @@ def find_groups(folder: Path) -> list[Group]:
                 words = f"none of its *.yaml files ({len(manifests)}) names a suspension"
                 found = [Group(part, Place(part.name), error=words)]
         groups += found
-        names += [part.name if len(found) == 1 else f"{part.name}_{g.place}" for g in found]
     if not any(group.manifests for group in groups):
         find_manifests(folder)  # raises the reason
-    return _named(groups, names)
+    return _named(groups, folder)
+
+
+def group_names(places: Sequence[tuple[Path, Place]], folder: Path) -> list[str]:
+    """Return a unique name for each suspension of a folder, given by its own folder and its place.
+
+    It is that of the subfolder, with the place where that holds several.
+    """
+    several = Counter(part for part, _ in places)
+    names = [
+        str(place) if part == folder else f"{part.name}_{place}" if several[part] > 1 else part.name
+        for part, place in places
+    ]
+    plain = [re.sub(r"[^\w.-]+", "_", one).strip("._")[:100] or "unknown" for one in names]
+    return distinct(plain, TAKEN)
 
 
 def lone_trains(places: Iterable[Key]) -> dict[str, list[str]]:
@@ -109,7 +123,6 @@ def _warn_of_unread(folder: Path) -> None:
         )
 
 
-def _named(groups: list[Group], names: list[str]) -> list[Group]:
-    plain = [re.sub(r"[^\w.-]+", "_", one).strip("._")[:100] or "unknown" for one in names]
-    unique = distinct(plain, TAKEN)
-    return [replace(group, name=name) for group, name in zip(groups, unique, strict=True)]
+def _named(groups: list[Group], folder: Path) -> list[Group]:
+    names = group_names([(group.folder, group.place) for group in groups], folder)
+    return [replace(group, name=name) for group, name in zip(groups, names, strict=True)]

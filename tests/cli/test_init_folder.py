@@ -245,13 +245,20 @@ def test_two_loggers_in_one_folder_have_their_own_columns_and_bogies(tmp_path):
     assert "ACC_1" in str(second.channels["axle_box"])
 
 
-def test_unknown_vehicle_of_a_logger_says_where_it_is_from_and_what_to_say(tmp_path):
+def test_unknown_vehicles_of_loggers_are_listed_with_all_that_is_missing(tmp_path):
     write_german(tmp_path / "run.csv", above=["Fahrzeug;ET 4711 Wagen 3\n"])
     (tmp_path / "mine/vehicle").mkdir(parents=True)
     shutil.copy(Path(CONFIGS) / "vehicle/am96.yaml", tmp_path / "mine/vehicle")
+    write_german(tmp_path / "other.csv", above=["Fahrzeug;ET 12\n"])
     done = typed(init, tmp_path, "--config-dir", tmp_path / "mine", cwd=tmp_path)
-    assert "got 'ET 4711 Wagen 3' (by the line 'Fahrzeug" in done.stderr
-    assert "vehicle=NAME says it for all trips" in done.stderr
+    assert done.returncode == 1
+    first, *rest = done.stdout.splitlines()
+    assert first.endswith("nothing is written yet; these are missing or wrong:")
+    assert "got 'ET 12' (by the line 'Fahrzeug" in rest[0]
+    assert "got 'ET 4711 Wagen 3' (by the line 'Fahrzeug" in rest[1]
+    assert "vehicle=NAME says it for all trips" in rest[0]
+    assert any(line.startswith("  suspension: ") for line in rest)  # with all that is missing
+    assert not list(tmp_path.glob("*.yaml"))
 
 
 @pytest.mark.parametrize(
@@ -405,7 +412,7 @@ def test_next_command_can_be_copied_and_names_own_vehicles(tmp_path):
     for wrong, words in (("vehicle=tram", "must be one of"), ("vehicle=am96", "")):
         (folder / "run_1.yaml").unlink(missing_ok=True)
         said = [wrong if one == "vehicle=metro" else one for one in command[2:]]
-        assert words in typed(init, *said, cwd=tmp_path).stderr
+        assert words in typed(init, *said, cwd=tmp_path).stdout
         assert (folder / "run_1.yaml").exists() == (not words)
     missing = typed(init, *command[2:-1], "nowhere", "--force", cwd=tmp_path)
     assert "--config-dir=nowhere holds no folder `vehicle`" in missing.stderr

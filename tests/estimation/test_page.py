@@ -14,6 +14,7 @@ import pytest
 from commissioned_example import MASSES, SETTINGS, UNCERTAIN, commissioned_example, trip
 from matplotlib.figure import Figure
 
+from suspnet.dynamics.quantities import QUANTITIES
 from suspnet.estimation import commissioning_summary as words
 from suspnet.estimation.damping_laws import Laws
 from suspnet.estimation.flags import INCOMPLETE, UNTRUSTED
@@ -331,6 +332,24 @@ def test_values_show_two_digits_of_what_is_uncertain(median, deviation, scale, e
 )
 def test_values_that_may_be_absent_may_lie_about_0(low, high, expected):
     assert words._value(low, 0.03, high, 1.0) == expected
+
+
+@pytest.mark.parametrize(
+    ("name", "before", "after", "expected"),
+    [
+        ("stiffness_exponent", 0.0009, 0.35, None),
+        ("stiffness_exponent", 0.35, 0.0009, 0.0009 / 0.35),
+        ("wheelset_share", 7e-8, 2e-4, None),  # usually 0
+        ("arm_share", 0.0, 0.02, None),
+        ("rubber_share", 0.0, 0.02, None),
+    ],
+)
+def test_no_change_is_relative_to_a_number_near_0(name, before, after, expected):
+    quantity = next(one for one in QUANTITIES if one.name == name)
+    ends = [(one - 0.01, one, one + 0.01) for one in (before, after)]
+    number = words.Number(quantity, 1.0, *ends, (0.1, 0.01))
+    assert number.ratio == number.as_json()["ratio"] == expected
+    assert words.cells(number)["change"] == (None if expected is None else expected - 1)
 
 
 def test_phases_of_drawing_and_commissioned_vehicle_lie_in_the_same_turn(commissioned):

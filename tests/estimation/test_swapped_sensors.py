@@ -96,6 +96,22 @@ def test_one_trip_of_another_bogie_or_axle_is_refused(bogie, axle):
     assert str(error.value).endswith(f"; correct {asked} in the manifests")
 
 
+@pytest.mark.parametrize("bogie", ["leading", "trailing"])
+def test_fits_decide_where_another_bogie_has_smaller_residuals_at_the_median(monkeypatch, bogie):
+    at_start = {"leading": 10.4, "trailing": 10.0}  # of a train with everything at once
+    monkeypatch.setattr(
+        swapped_sensors,
+        "_misfit_at_start",
+        lambda end, trip: at_start[end.bogie] if end.axle == "leading" else 13.0,
+    )
+    one = trip(drawn(VEHICLE, row({"c_p_axle2_left": 0.6}), 3), 70.0)
+    if bogie == "leading":
+        check_end(VEHICLE, one)
+        return
+    with pytest.raises(TripError, match="fits the leading axle of the leading bogie"):
+        check_end(replace(VEHICLE, bogie=bogie), one)
+
+
 # reference
 
 

@@ -18,7 +18,15 @@ from suspnet.ground.parameters import (
     condensed,
     part_words,
 )
-from suspnet.ground.records import NO_ESTIMATE, NO_PART, Place, Quality, outputs_of
+from suspnet.ground.records import (
+    NO_ESTIMATE,
+    NO_PART,
+    Place,
+    Quality,
+    SensorHealth,
+    outputs_of,
+    sensors_text,
+)
 from suspnet.history import History
 from suspnet.maintenance.alarms import watch
 from suspnet.maintenance.relative import relative_to_first
@@ -477,6 +485,24 @@ def test_both_sides_as_equal_are_judged_until_a_later_trip_shows_its_parts(
     assert (len(state.assessments) == 17) is counts
     watched = watch(state.series, DEFAULT_LIMITS).alarms
     assert any(one.parameter == "k_p" for one in watched) is counts
+
+
+@pytest.mark.parametrize(
+    ("n_faulty", "share", "flags", "counts"),
+    [(1, 0.2, "odd", False), (2, 0.2, "odd", True), (1, 0.001, "odd", True), (1, 0.2, "", True)],
+)
+def test_newest_trip_alone_raises_no_notice_where_a_sensor_is_faulty(
+    few, n_faulty, share, flags, counts
+):
+    quality = Quality(sensors=sensors_text({"body right": SensorHealth(faulty=share)}))
+    equal = {"k_p": 1.0, "c_p": 0.62, "k_s": 1.0, "c_s": 1.0, "M_s": 1.0}
+    loose = {"estimates": equal, "half_widths": {}, "flags": flags, "quality": quality}
+    mixed = [*few[:-n_faulty], *(replace(one, **loose) for one in few[-n_faulty:])]
+    state = state_of(mixed)
+    assert ("c_p" in state.outputs) is counts
+    watched = watch(state.series, DEFAULT_LIMITS).alarms
+    assert any(one.parameter == "c_p" for one in watched) is counts
+    assert any(one.name == "body right" for one in state.series.sensor_trends)
 
 
 def test_trips_without_an_estimate_have_no_empty_columns(few):
