@@ -354,8 +354,7 @@ def test_training_is_the_next_command_and_can_be_copied():
     assert (config.protocol.by_part, config.generator.bogie) == (True, "leading")
     of_one = steps(place=Place("S1", "trailing"), n=3, duration_s=1200.0)[0]
     assert of_one == (
-        "then run: suspnet train vehicle=our_file experiment=trips healthy=. n_healthy=3 "
-        "generator.bogie=trailing"
+        "then run: suspnet train vehicle=our_file experiment=trips healthy=. n_healthy=3"
     )
     after = steps(code=1)[0]
     assert after.startswith("with the problems mended, run: suspnet train vehicle=our_file ")
