@@ -14,6 +14,7 @@ from typing import Any, Literal
 from suspnet.estimation.from_spectra import trip_settings
 from suspnet.estimation.trained import TrainedModel
 from suspnet.estimation.trip_settings import TripSettings
+from suspnet.ground.extras import check_extra
 from suspnet.ground.parameters import ESTIMATED, TIGHTEST, Limits, read_limits
 from suspnet.ground.progress import bar as progress_bar
 from suspnet.ground.progress import stage
@@ -58,13 +59,6 @@ from suspnet.trips.details import missing_reference, report_details, wear_words
 from suspnet.trips.earlier import FinishedTrips, with_earlier
 from suspnet.trips.grouping import Group, find_groups
 from suspnet.trips.trip import evaluate_trip, lost_trip
-
-try:
-    import distributed
-except ImportError:
-    HAS_DASK = False
-else:
-    HAS_DASK = True
 
 log = logging.getLogger(__name__)
 RESOLVED = 2.0
@@ -114,8 +108,8 @@ class FleetSettings:
         read_limits(
             self.limits or {}, any_limits
         )  # checks these limits, whatever the vehicle's are
-        if self.cluster is not None and not HAS_DASK:
-            raise ValueError('`cluster` needs dask: pip install "suspnet[cluster]"')
+        if self.cluster is not None:
+            check_extra("cluster", "distributed")
 
     @property
     def n_first(self) -> int | None:
@@ -372,6 +366,8 @@ def _read_by_workers(
     if settings.cluster is None:
         yield from each(functools.partial(_read_trip, settings=settings.trips), items, n_workers)
         return
+    import distributed
+
     address = None if settings.cluster == "local" else settings.cluster
     options = {} if address else {"n_workers": n_workers, "dashboard_address": None}
     with distributed.Client(address, **options) as client:
