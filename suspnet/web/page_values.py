@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -11,6 +10,7 @@ import numpy as np
 
 from suspnet.ground.parameters import BODY_MASS, BOGIE_PARTS, NAMES, PARAMETERS, Severity
 from suspnet.ground.records import INTERVAL_LEVEL, TripResult, outputs_of
+from suspnet.ground.wording import natural
 from suspnet.history.arrays import TripResponses
 from suspnet.maintenance.alarms import Acknowledgement, Alarm, newest_of
 from suspnet.maintenance.plan import suspension_of, train_of
@@ -140,12 +140,6 @@ def jobs_of(view: FleetView, choice: Choice, address: Any) -> list[dict[str, Any
         for job in joined(view.plan.rows())
     ]
     return [job | {"address": address(name)} for name, job in jobs if name]
-
-
-def natural(text: str) -> list[tuple[int, int, str]]:
-    """Return a sort key that puts car 2 before car 10."""
-    parts = re.split(r"(\d+)", text)
-    return [(1, int(part), "") if part.isdecimal() else (0, 0, part) for part in parts]
 
 
 def _place_order(state: State) -> tuple[Any, ...]:
