@@ -17,7 +17,8 @@ from suspnet.maintenance.judge import ABSURD, N_LAST
 from suspnet.maintenance.plan import suspension_of, train_of
 from suspnet.maintenance.schedule import Plan
 from suspnet.maintenance.state import State
-from suspnet.report.tables import REPORT, Evaluated, FleetView, interval_digits
+from suspnet.report.overview import REPORT, Evaluated, FleetView
+from suspnet.report.tables import interval_digits
 from suspnet.report.templates import level, shown_number
 
 EQUAL_SIDES = (

@@ -31,9 +31,7 @@ from suspnet.report.dead_sensors import LISTED, dead_sensors
 from suspnet.report.figures import as_png, data_uri
 from suspnet.report.language import gettext
 from suspnet.report.maintenance_figures import health_trend, small_trends
-from suspnet.report.pdf import write_pdf
-from suspnet.report.report import Report, write_report
-from suspnet.report.tables import (
+from suspnet.report.overview import (
     REPORT,
     Evaluated,
     FleetView,
@@ -41,8 +39,10 @@ from suspnet.report.tables import (
     first_words,
     most_severe,
     same_columns,
-    split_outputs,
 )
+from suspnet.report.pdf import write_pdf
+from suspnet.report.report import Report, write_report
+from suspnet.report.tables import split_outputs
 from suspnet.report.templates import render
 from suspnet.report.tensorboard import RunLog
 from suspnet.report.trend import trend_of_trips

@@ -16,7 +16,7 @@ from suspnet.maintenance.alarms import Alarm, newest_of
 from suspnet.maintenance.plan import suspension_of, train_of
 from suspnet.maintenance.state import State
 from suspnet.report.bogie import bogie_of
-from suspnet.report.tables import ID_DIGITS, FleetView
+from suspnet.report.overview import ID_DIGITS, FleetView
 
 INSPECT = "inspect"
 """Work on a part with an alarm that the plan has no visit for, and on a sensor."""

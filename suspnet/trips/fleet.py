@@ -46,8 +46,8 @@ from suspnet.report.output import (
     write_pages,
     write_tables,
 )
+from suspnet.report.overview import Evaluated
 from suspnet.report.report import Report
-from suspnet.report.tables import Evaluated
 from suspnet.trips.commissionings import (
     check_one_reference,
     commissionings,

@@ -18,7 +18,7 @@ from suspnet.ground.storage import finite_or_none
 from suspnet.maintenance.alarms import newest_of
 from suspnet.maintenance.relative import relative_results
 from suspnet.maintenance.state import State
-from suspnet.report.tables import FleetView
+from suspnet.report.overview import FleetView
 from suspnet.report.work_order import all_work_orders, work_orders
 from suspnet.web import api_models as models
 from suspnet.web import pages

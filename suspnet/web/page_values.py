@@ -17,16 +17,9 @@ from suspnet.maintenance.plan import suspension_of, train_of
 from suspnet.maintenance.schedule import joined
 from suspnet.maintenance.state import State
 from suspnet.report.bogie import bogie_of, bogies_shown, small_figures, why_no_part
+from suspnet.report.overview import FleetView, finding
 from suspnet.report.sentences import spoken
-from suspnet.report.tables import (
-    FleetView,
-    files_read_as,
-    finding,
-    response,
-    response_table,
-    sensor_rows,
-    trip_table,
-)
+from suspnet.report.tables import files_read_as, response, response_table, sensor_rows, trip_table
 from suspnet.report.trend import ranges, trend_of_state
 
 MOST_ROWS = 50
