@@ -55,14 +55,8 @@ POOLS = {
 that is not null where they have work."""
 DEBUG = "HYDRA_FULL_ERROR"
 MISTAKES = (
-    ValueError,
-    TypeError,
-    OSError,
-    MemoryError,
-    RecursionError,
-    yaml.YAMLError,
-    HydraException,
-    OmegaConfBaseException,
+    *(ValueError, TypeError, OSError, MemoryError, RecursionError),
+    *(yaml.YAMLError, HydraException, OmegaConfBaseException),
 )
 NO_SLURM = 'Could not detect "srun"'
 """Start of submitit's message where there is no Slurm cluster."""

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import astuple, dataclass, field
 from datetime import UTC, datetime
@@ -14,6 +12,7 @@ from tabulate import tabulate
 
 from suspnet.ground.parameters import Limits, Severity, part_words
 from suspnet.ground.records import OK, PLACE_FROM_TRAIN, Key, Place, TripResult
+from suspnet.ground.storage import content_hash
 from suspnet.ground.wording import count
 from suspnet.history.schema import BadRow
 from suspnet.maintenance.alarms import Acknowledgement, newest_of
@@ -137,8 +136,7 @@ def fleet_view(
 def address(key: Key) -> str:
     """Return the name of a suspension in a URL: a part of a hash of vehicle and place."""
     vehicle, place = key
-    content = json.dumps([vehicle, *astuple(place)])
-    return hashlib.sha256(content.encode()).hexdigest()[:ID_DIGITS]
+    return content_hash([vehicle, *astuple(place)])[:ID_DIGITS]
 
 
 def overview_rows(

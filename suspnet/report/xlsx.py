@@ -44,7 +44,6 @@ def write_xlsx(tables: Mapping[str, Sequence[Mapping[str, Any]]], path: Path) ->
     they begin with. ValueError is raised if XlsxWriter is missing, or a table is too long.
     """
     xlsxwriter = import_extra("xlsxwriter", "xlsx", "a spreadsheet")
-
     stream = io.BytesIO()
     options = {
         "in_memory": True,

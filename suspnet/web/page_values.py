@@ -13,7 +13,7 @@ from suspnet.ground.records import INTERVAL_LEVEL, TripResult, outputs_of
 from suspnet.ground.wording import natural
 from suspnet.history.arrays import TripResponses
 from suspnet.maintenance.alarms import Acknowledgement, Alarm, newest_of
-from suspnet.maintenance.plan import suspension_of, train_of
+from suspnet.maintenance.plan import place_of
 from suspnet.maintenance.schedule import joined
 from suspnet.maintenance.state import State
 from suspnet.report.bogie import bogie_of, bogies_shown, small_figures, why_no_part
@@ -124,7 +124,7 @@ def jobs_of(view: FleetView, choice: Choice, address: Any) -> list[dict[str, Any
     if view.plan is None:
         return []
     known = {
-        (train_of(state), state.series.place.car, suspension_of(state)): name
+        place_of(state): name
         for name, state in zip(view.names, view.states, strict=True)
         if choice.holds(state)
     }
