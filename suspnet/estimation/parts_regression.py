@@ -26,11 +26,7 @@ from suspnet.ground.parameters import COMPONENTS, Direction
 from suspnet.ground.types import FloatArray
 from suspnet.learning import MSVR, Scaling
 from suspnet.spectra.bogie_trip import BogieTrip
-from suspnet.spectra.subspace_features import (
-    SubspaceCoordinates,
-    SubspaceFeatures,
-    input_spectra,
-)
+from suspnet.spectra.subspace_features import SubspaceCoordinates, SubspaceFeatures, input_spectra
 
 N_TRAIN, N_FEATURES = 2500, 150
 """Training trips and features: 12 s of one processor for one vehicle and speed."""

@@ -90,10 +90,7 @@ class IRWLS:
     slow_decrease: float = 0.3
 
     def minimise(
-        self,
-        design: Design,
-        Y: Tensor,
-        on_iteration: Callable[[Iteration], None] | None = None,
+        self, design: Design, Y: Tensor, on_iteration: Callable[[Iteration], None] | None = None
     ) -> Solution:
         """Return the minimiser of F and a bound on its distance from the optimum.
 

@@ -88,11 +88,7 @@ class Cleaner:
     """
 
     def __init__(
-        self,
-        channel: str,
-        rate_hz: float,
-        range_m_per_s2: float | None = None,
-        late: float = 0.0,
+        self, channel: str, rate_hz: float, range_m_per_s2: float | None = None, late: float = 0.0
     ) -> None:
         self.channel, self.rate_hz, self.range_m_per_s2 = channel, rate_hz, range_m_per_s2
         self.segment = max(round(rate_hz * SEGMENT_S), SEGMENT_SAMPLES)

@@ -79,11 +79,7 @@ def summary(results: Sequence[TripResult], outputs: Sequence[str]) -> str:
             rows.append([label, None, *(known.get(name) for name in columns), *more])
     words = [0, *[2 + len(columns)] * bool(of_parts), len(header) - 1]
     table = tabulate(
-        rows,
-        header,
-        tablefmt="github",
-        floatfmt=("", ".1f", *[".4g"] * 20),
-        disable_numparse=words,
+        rows, header, tablefmt="github", floatfmt=("", ".1f", *[".4g"] * 20), disable_numparse=words
     )
     done = sum(r.status == OK for r in results)
     flagged = sum(bool(r.flags) for r in results)

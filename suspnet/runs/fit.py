@@ -58,12 +58,7 @@ def tune(problem: Problem, estimator: Any, search: GridSearch, run_log: RunLog) 
             bar.update()
 
         return search.run(
-            name,
-            estimator,
-            inputs.apply(data.inputs),
-            outputs.apply(data.outputs),
-            outputs,
-            report,
+            name, estimator, inputs.apply(data.inputs), outputs.apply(data.outputs), outputs, report
         )
 
 

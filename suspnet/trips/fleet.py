@@ -21,13 +21,7 @@ from suspnet.ground.progress import stage
 from suspnet.ground.records import ERROR, Commissioning, TripResult, by_mileage, outputs_of
 from suspnet.ground.settings import check_settings, setting
 from suspnet.ground.storage import printable
-from suspnet.ground.workers import (
-    ITEMS_A_WORKER,
-    USUAL_WORKERS,
-    LostWorkerError,
-    each,
-    workers_for,
-)
+from suspnet.ground.workers import ITEMS_A_WORKER, USUAL_WORKERS, LostWorkerError, each, workers_for
 from suspnet.history import History
 from suspnet.maintenance.alarms import OWN_CAUSES, Acknowledgement, detector_words
 from suspnet.maintenance.assessment import spoken
@@ -39,13 +33,7 @@ from suspnet.maintenance.sisters import SisterSettings
 from suspnet.maintenance.trend import LEAST_PERCENT
 from suspnet.recordings.manifest_files import ManifestFile, partial_words
 from suspnet.report.language import N_
-from suspnet.report.output import (
-    sensor_lines,
-    summary,
-    write_overview,
-    write_pages,
-    write_tables,
-)
+from suspnet.report.output import sensor_lines, summary, write_overview, write_pages, write_tables
 from suspnet.report.overview import Evaluated
 from suspnet.report.report import Report
 from suspnet.trips.commissionings import (
@@ -104,10 +92,8 @@ class FleetSettings:
 
     def __post_init__(self) -> None:
         check_settings(self)
-        any_limits = dict.fromkeys(ESTIMATED, TIGHTEST)
-        read_limits(
-            self.limits or {}, any_limits
-        )  # checks these limits, whatever the vehicle's are
+        # check these limits, whatever the vehicle's are
+        read_limits(self.limits or {}, dict.fromkeys(ESTIMATED, TIGHTEST))
         if self.cluster is not None:
             check_extra("cluster", "distributed")
 
@@ -286,10 +272,7 @@ def _report(
     missing = missing_reference(between(read.series.events, results)[-1], settings.n_first)
     if missing:
         log.warning("%s: %s", group.folder, missing)
-    state = replace(
-        fleet.state_of(read.series),
-        least_percent=least_percent(outputs, models),
-    )
+    state = replace(fleet.state_of(read.series), least_percent=least_percent(outputs, models))
     seen: list[Acknowledgement] = []
     if store is not None and any(r.status != ERROR for r in results):
         own = [one for one in state.watched.alarms if one.cause in OWN_CAUSES]
