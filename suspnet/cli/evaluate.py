@@ -25,7 +25,7 @@ from suspnet.live.notification_rules import read_rules
 from suspnet.live.notifier import Notifier
 from suspnet.report.language import speaking
 from suspnet.report.output import check_documents, write_documents
-from suspnet.report.tables import Evaluated
+from suspnet.report.overview import Evaluated
 from suspnet.runs.evaluate import FreshCurves, evaluate, existing_history, write_maintenance
 from suspnet.runs.identifiability import write_identifiability
 from suspnet.runs.layouts import write_layouts

@@ -14,6 +14,7 @@ import pyarrow as pa
 from tabulate import tabulate
 
 from suspnet.ground import ledger
+from suspnet.ground.extras import check_extra
 from suspnet.ground.parameters import Cause
 from suspnet.ground.records import PLACE, Place, TripResult, outputs_of
 from suspnet.ground.storage import printable, write_table
@@ -25,7 +26,7 @@ from suspnet.history.outbox import MOST_LISTED
 from suspnet.history.store import acknowledge_alarms
 from suspnet.maintenance.alarms import Acknowledgement, Alarm, newest_of
 from suspnet.maintenance.series import Event
-from suspnet.report.xlsx import check_xlsx, write_xlsx
+from suspnet.report.xlsx import write_xlsx
 
 
 def history(arguments: Namespace) -> None:
@@ -119,7 +120,7 @@ def _acknowledge(store: History, arguments: Namespace) -> str:
 
 def _export(store: History, arguments: Namespace) -> str:
     if arguments.xlsx:
-        check_xlsx()
+        check_extra("xlsx", "xlsxwriter")
     tables: dict[str, list[dict[str, Any]]] = {
         name: [] for name in ("trips", "events", "alarms", "acknowledgements")
     }

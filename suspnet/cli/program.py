@@ -37,12 +37,7 @@ from suspnet.ground import progress
 from suspnet.ground.parameters import DEFAULT_LIMITS, read_limits
 from suspnet.ground.settings import Declared, Setting
 from suspnet.ground.storage import printable, why, write_atomically
-from suspnet.ground.workers import (
-    LostWorkerError,
-    end_with_parent,
-    fork_from_server,
-    guard_joblib,
-)
+from suspnet.ground.workers import LostWorkerError, end_with_parent, fork_from_server, guard_joblib
 
 WITH_OPTIONS = ("check", "history", "init")
 """Programs that read no configuration."""
@@ -55,14 +50,8 @@ POOLS = {
 that is not null where they have work."""
 DEBUG = "HYDRA_FULL_ERROR"
 MISTAKES = (
-    ValueError,
-    TypeError,
-    OSError,
-    MemoryError,
-    RecursionError,
-    yaml.YAMLError,
-    HydraException,
-    OmegaConfBaseException,
+    *(ValueError, TypeError, OSError, MemoryError, RecursionError),
+    *(yaml.YAMLError, HydraException, OmegaConfBaseException),
 )
 NO_SLURM = 'Could not detect "srun"'
 """Start of submitit's message where there is no Slurm cluster."""

@@ -11,7 +11,6 @@ import sys
 import threading
 import webbrowser
 from dataclasses import dataclass
-from importlib.util import find_spec
 from pathlib import Path
 from queue import SimpleQueue
 from typing import TYPE_CHECKING, Any
@@ -20,6 +19,7 @@ from omegaconf import DictConfig, ListConfig, OmegaConf
 
 from suspnet.cli import program, signals
 from suspnet.cli.kinds import board_settings
+from suspnet.ground.extras import check_extra
 from suspnet.ground.settings import check_settings, setting
 from suspnet.ground.storage import read_plain, why
 from suspnet.history import History
@@ -64,9 +64,7 @@ class ServeSettings:
 @program.task
 def main(config: DictConfig) -> None:
     """Check the settings and serve the pages until Ctrl-C."""
-    missing = [name for name in NEEDED if find_spec(name) is None]
-    if missing:
-        raise ValueError(f'{", ".join(missing)} is missing: pip install "suspnet[live]"')
+    check_extra("live", *NEEDED)
     if OmegaConf.is_missing(config, "store") or not config.store:
         raise ValueError("which history? Give store=FILE, or store=postgresql://...")
     ServeSettings(config.port, config.refresh_s, config.threads)

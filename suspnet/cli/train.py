@@ -41,11 +41,7 @@ from suspnet.runs.commissioning_page import training_notes, write_outcome
 from suspnet.runs.dataset import write_dataset
 from suspnet.runs.scores import Metrics
 from suspnet.runs.train import RunContext, speed_ranges, train, train_ranges
-from suspnet.spectra.estimates import (
-    SPEED_HALF_WIDTH,
-    WIDE_SPEED_HALF_WIDTH,
-    EstimateSettings,
-)
+from suspnet.spectra.estimates import SPEED_HALF_WIDTH, WIDE_SPEED_HALF_WIDTH, EstimateSettings
 from suspnet.spectra.segments import SpeedRange, covering, setting_words
 
 log = logging.getLogger(__name__)
@@ -215,10 +211,7 @@ def _check_healthy(config: DictConfig) -> EstimateSettings:
 
 
 def _commissioned(
-    config: DictConfig,
-    folder: Path,
-    paths: Sequence[ManifestFile] | None,
-    by_part: bool,
+    config: DictConfig, folder: Path, paths: Sequence[ManifestFile] | None, by_part: bool
 ) -> _Healthy | None:
     """Return the vehicle that healthy trips show; None without a folder of them."""
     if config.healthy is None:

@@ -53,7 +53,7 @@ GUESSED = {
 """Radii of gyration without a value, as shares of a length: those of the AM96's file."""
 LITTLE = {
     "bogie_mass_kg": "matters little: 20 % off changes no estimate of springs and dampers relative "
-    "to healthy, and that of M_s by as much",
+    "to healthy, and that of M_s by as much"
 }
 """Numbers that matter little for estimates relative to healthy, and why."""
 
@@ -165,10 +165,7 @@ def _read(said: Sequence[str], form: Sequence[Entry]) -> dict[str, Any]:
 
 
 def _text(
-    name: str,
-    form: Sequence[Entry],
-    values: Mapping[str, Any],
-    guessed: dict[str, float],
+    name: str, form: Sequence[Entry], values: Mapping[str, Any], guessed: dict[str, float]
 ) -> str:
     lines = [f"# {name}: all numbers are SI and of one bogie side", f"name: {_scalar(name)}"]
     for one in form:

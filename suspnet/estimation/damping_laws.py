@@ -15,13 +15,7 @@ import torch
 from torch import Tensor
 
 from suspnet.dynamics import Vehicle
-from suspnet.estimation.relative_velocity import (
-    CHANGING,
-    DampingByVelocity,
-    linear,
-    most,
-    prior,
-)
+from suspnet.estimation.relative_velocity import CHANGING, DampingByVelocity, linear, most, prior
 from suspnet.estimation.temperature import (
     DAMPINGS,
     SLOPE_DEVIATION,
@@ -75,9 +69,8 @@ class DampingNumbers:
         self._healthy = np.exp(logs.mean(axis=0))
         self._most = most(vehicle)
         mean, deviation = prior(vehicle)
-        varied = (
-            logs.std(axis=0)[[0, 0, 0, 0, 1]] > DIFFERENT
-        )  # friction and its exponent, blow-off of c_p, of c_s
+        # friction and its exponent, blow-off of c_p, of c_s
+        varied = logs.std(axis=0)[[0, 0, 0, 0, 1]] > DIFFERENT
         # all numbers; those that the trips tell
         self._mean = np.array([*[USUAL_SLOPE] * len(DAMPINGS), *mean])
         self._deviation = np.array([*[SLOPE_DEVIATION] * len(DAMPINGS), *deviation])

@@ -227,11 +227,7 @@ class OODDetector:
         return np.asarray(self._neighbours.kneighbors(inputs)[0].mean(axis=1))
 
     def flags(
-        self,
-        task: Task,
-        missing: Sequence[str],
-        inputs: FloatArray,
-        refined: Refined,
+        self, task: Task, missing: Sequence[str], inputs: FloatArray, refined: Refined
     ) -> Flags:
         """Return the flags of the estimates of some curves.
 
@@ -242,9 +238,8 @@ class OODDetector:
         distances = np.zeros(len(inputs))
         if complete.any():
             distances[complete] = self.distances(inputs[complete])
-        outside = np.stack(
-            [_outside(task, name, refined) for name in refined.names], axis=1
-        )  # (n_curves, n_unknown)
+        # (n_curves, n_unknown)
+        outside = np.stack([_outside(task, name, refined) for name in refined.names], axis=1)
         given = []
         for i, (words, distance, misfit) in enumerate(
             zip(missing, distances, refined.misfit, strict=True)

@@ -34,10 +34,7 @@ from suspnet.estimation.trip_settings import TripSettings
 from suspnet.recordings.errors import TripError
 from suspnet.recordings.manifest import CHANNELS
 from suspnet.recordings.recording import Recording
-from suspnet.spectra.plausibility import (
-    check_channels,
-    check_pairs,
-)
+from suspnet.spectra.plausibility import check_channels, check_pairs
 from suspnet.spectra.segments import (
     NoEstimateError,
     Speeds,

@@ -181,7 +181,6 @@ def _sides(
     for title, kind, lateral_m, count in kinds:
         if kind == "less" and generator.rolls:
             continue  # this is the baseline already
-
         source = observer.settings.observer(replace(generator, sensor_lateral_m=lateral_m))
         (information,) = recording_information(source, ratios, task.varied, [count * three])
         found.append(Option(title, kind, task.varied, information))

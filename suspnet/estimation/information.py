@@ -134,16 +134,12 @@ def _joint_derivative(
     misfit: Misfit, ratios: Tensor, parameters: Sequence[str], directions: Directions
 ) -> Tensor:
     """Return the derivative of a misfit to parameters and uncertain numbers, (n, n, n_points)."""
-    jacobian = _derivative(misfit, ratios, columns_of(parameters))
+    every = torch.arange(len(ratios))
+    columns = columns_of(parameters)
+    jacobian = derivative_of_rows(lambda point: misfit(point, every), ratios, columns)
     if not directions.n:
         return jacobian
     return torch.cat([jacobian, _nuisance(directions, misfit, ratios.to(jacobian))], dim=1)
-
-
-def _derivative(misfit: Misfit, ratios: Tensor, columns: Sequence[int]) -> Tensor:
-    """Return the derivative of a misfit to some of the ratios, (n, n_columns, n_points)."""
-    every = torch.arange(len(ratios))
-    return derivative_of_rows(lambda point: misfit(point, every), ratios, columns)
 
 
 def derivative_of_rows(

@@ -1,9 +1,9 @@
 """How well layouts of sensors show each spring and damper of a bogie, before sensors are bought.
 
-The Fisher information of a trip is that of the spectral matrix of its sensors
-(`suspnet.spectra.matrix_information`), the inputs' spectra unknown in every bin. On a trip of a
-known vehicle its twelve parts and its mass are unknown; on one of a vehicle that was learnt, all
-its numbers z are too, with the information of their prior and of the healthy trips.
+The Fisher information of a trip is that of the spectral matrix of its sensors, the inputs' spectra
+unknown in every bin. On a trip of a known vehicle its twelve parts and its mass are unknown; on one
+of a vehicle that was learnt, all its numbers z are too, with the information of their prior and of
+the healthy trips.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from suspnet.ground.parameters import COMPONENTS
 from suspnet.ground.settings import check_number
 from suspnet.ground.types import FloatArray
 from suspnet.spectra.estimates import EstimateSettings
-from suspnet.spectra.matrix_information import spectral_information
+from suspnet.spectra.expected_spectra import noise_densities
 
 _BOXES = tuple(f"axle_box_axle{axle}_{side}" for axle in (1, 2) for side in ("left", "right"))
 _FRAME, _BODY = ("frame_axle1_left", "frame_axle1_right"), ("body_left", "body_right")
@@ -54,8 +54,6 @@ HEALTHY_MASSES = (0.95, 1.05, 1.15)
 """Ratios of the car-body masses of the healthy trips, a third of them each."""
 NUISANCES = ("cross_level", "alignment", "wheelset_share", "wheelset_roll_share")
 """Numbers of the vehicle that scale the unknown spectra of the inputs."""
-_GRID_POINTS, _LOWEST_HZ = 500, 0.1
-"""Number of points and lowest frequency of the integral of a sensor's power."""
 
 
 @dataclass(frozen=True)
@@ -214,12 +212,65 @@ def _noise(
     assert vehicle.sensors is not None
     kinds = dict(zip(("axle_box", "frame", "body"), settings.rates_hz, strict=True))
     rates = [next(kinds[kind] for kind in kinds if p.startswith(kind)) for p in vehicle.sensors]
-    noise = torch.zeros(len(rates), dtype=torch.float64)
-    for rate_hz in set(rates):
-        grid = np.geomspace(_LOWEST_HZ, rate_hz / 2, _GRID_POINTS)
-        density = acceleration_density(track, grid, vehicle.speed_m_per_s)
-        gains = vehicle.channels(medians, grid)[0].abs().square().sum(dim=0).numpy()
-        power = torch.as_tensor(np.trapezoid(gains * density, grid, axis=1))
-        chosen = torch.tensor([rate == rate_hz for rate in rates])
-        noise[chosen] = 10 ** (-settings.snr_db / 10) * power[chosen] / (rate_hz / 2)
-    return noise
+    return noise_densities(
+        lambda grid: vehicle.channels(medians, grid)[0].abs().square().sum(dim=0).numpy(),
+        lambda grid: acceleration_density(track, grid, vehicle.speed_m_per_s),
+        rates,
+        settings.snr_db,
+    )
+
+
+def spectral_information(
+    responses: Tensor,
+    changes: Tensor,
+    density: Tensor,
+    noise: Tensor,
+    n_coherent: int,
+    alone: Sequence[Sequence[int]] = (),
+) -> FloatArray:
+    """Return the Fisher information of one average, (n_directions, n_directions).
+
+    With H the responses of the sensors, D the spectral matrix of the inputs and N the sensors'
+    noise, the spectral matrix is S = H D H^* + N. The information of n averages about numbers theta
+    is that of Slepian and Bangs::
+
+        I_jk = sum over the bins of n tr(W_j W_k),    W_j = L^-1 (dS / d theta_j) L^-*,  S = L L^*
+
+    D is unknown in every bin: W_j is projected off the W of D's own numbers. For D of any coherence
+    this is J^T J of the residuals of `suspnet.spectra.subspace` at the exact S, so that subspace
+    fitting reaches it. N is known here: its estimate from all bins costs little.
+
+    Parameters
+    ----------
+    responses, changes : Tensor of shape (p, m, n_freq), (n_directions, p, m, n_freq)
+        H and its derivatives, complex.
+    density : Tensor of shape (n_freq,), [(m/s^2)^2/Hz]
+        True density of each input, which are independent of each other.
+    noise : Tensor of shape (m,), [(m/s^2)^2/Hz]
+    n_coherent : int
+        Number of first inputs whose spectral matrix may be anything.
+    alone : sequence of sequences of int
+        Further inputs; those of each sequence are independent, and of one unknown density.
+    """
+    a = responses.permute(2, 1, 0)
+    s = density[:, None, None] * (a @ a.mH) + torch.diag(noise).to(a.dtype)
+    root = torch.linalg.cholesky(s)
+    a = torch.linalg.solve_triangular(root, a, upper=False)
+    n_freq, m, p = a.shape
+    moved = changes.permute(3, 2, 0, 1).reshape(n_freq, m, -1)
+    moved = torch.linalg.solve_triangular(root, moved, upper=False)
+    moved = moved.reshape(n_freq, m, -1, p).transpose(1, 2)  # (n_freq, n_directions, m, p)
+    half = density[:, None, None, None] * (moved @ a.mH[:, None])
+    own = [a[:, :, list(one)] @ a[:, :, list(one)].mH for one in alone]
+    w = torch.cat([half + half.mH, *(one[:, None] for one in own)], dim=1)
+    if n_coherent:
+        basis = torch.linalg.qr(a[:, :, :n_coherent])[0]
+        projector = (basis @ basis.mH)[:, None]
+        w = w - projector @ w @ projector
+    rows = torch.view_as_real(w).flatten(2)
+    n = len(changes)
+    rows, nuisances = rows[:, :n], rows[:, n:]
+    inverse = torch.linalg.pinv(nuisances @ nuisances.mT, hermitian=True)
+    shared = rows @ nuisances.mT
+    found = rows @ rows.mT - shared @ inverse @ shared.mT
+    return np.asarray(found.sum(dim=0).numpy())

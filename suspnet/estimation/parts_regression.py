@@ -27,11 +27,7 @@ from suspnet.ground.types import FloatArray
 from suspnet.ground.wording import ShortRepr
 from suspnet.learning import MSVR, Scaling
 from suspnet.spectra.bogie_trip import BogieTrip
-from suspnet.spectra.subspace_features import (
-    SubspaceCoordinates,
-    SubspaceFeatures,
-    input_spectra,
-)
+from suspnet.spectra.subspace_features import SubspaceCoordinates, SubspaceFeatures, input_spectra
 
 N_TRAIN, N_FEATURES = 2500, 150
 """Training trips and features: 12 s of one processor for one vehicle and speed."""

@@ -282,8 +282,7 @@ class Protocol:
         ),
     ] = field(default_factory=dict)
     feature_settings: Annotated[
-        Mapping[str, Any] | None,
-        Setting("Settings of a registered feature set", rule="mapping"),
+        Mapping[str, Any] | None, Setting("Settings of a registered feature set", rule="mapping")
     ] = None
 
     def __post_init__(self) -> None:

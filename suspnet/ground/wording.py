@@ -46,6 +46,11 @@ def unbroken(words: str) -> str:
     return re.sub(r"(?<=\d) (?=%|km|\d{3})", "\N{NO-BREAK SPACE}", words)
 
 
+def natural(text: str) -> list[str | int]:
+    """Return a sort key that puts car 2 before car 10."""
+    return [int(part) if part.isdecimal() else part for part in re.split(r"(\d+)", text)]
+
+
 def files_of(read_as: str) -> dict[str, int]:
     """Return what is said of reading a trip, without names of files, with their number; 0: none.
 

@@ -10,7 +10,6 @@ is lost; it then has the same id.
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Callable, Collection, Iterable
 from contextlib import AbstractContextManager
@@ -24,7 +23,7 @@ from sqlalchemy.engine import Connection
 
 from suspnet.ground.parameters import Severity
 from suspnet.ground.records import Key
-from suspnet.ground.storage import json_bytes
+from suspnet.ground.storage import content_hash, json_bytes
 from suspnet.history.database import upsert
 from suspnet.history.schema import BadRow, or_null, outbox, suspensions, told, trips
 from suspnet.history.suspensions import is_one_of, known_suspensions, read_stored
@@ -396,4 +395,4 @@ def _update(connection: Connection, number: str, **values: Any) -> None:
 
 
 def _digest(*parts: Any) -> str:
-    return hashlib.sha256(json.dumps(parts).encode()).hexdigest()[:32]
+    return content_hash(parts)[:32]

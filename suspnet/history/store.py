@@ -35,15 +35,7 @@ from suspnet.history.database import (
     version_of,
 )
 from suspnet.history.outbox import Outbox
-from suspnet.history.schema import (
-    SCHEMA,
-    BadRow,
-    log_once,
-    row_of,
-    suspensions,
-    trips,
-    undated_key,
-)
+from suspnet.history.schema import SCHEMA, BadRow, log_once, row_of, suspensions, trips, undated_key
 from suspnet.history.suspensions import (
     Stored,
     add_suspensions,

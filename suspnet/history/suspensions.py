@@ -30,11 +30,7 @@ from suspnet.maintenance.alarms import Acknowledgement, Alarm
 from suspnet.maintenance.series import Event
 
 Stored = TypeVar("Stored", Event, Alarm, Acknowledgement)
-TABLES: dict[type, sql.Table] = {
-    Event: events,
-    Alarm: alarms,
-    Acknowledgement: acknowledgements,
-}
+TABLES: dict[type, sql.Table] = {Event: events, Alarm: alarms, Acknowledgement: acknowledgements}
 """Table of each stored class."""
 
 

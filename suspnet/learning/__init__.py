@@ -22,12 +22,4 @@ processes) and `gives_deviations` (``predict(X, return_std=True)`` also returns 
 deviations).
 """
 
-__all__ = [
-    "METHODS",
-    "MSVR",
-    "MVGPR",
-    "SVR",
-    "CurveFit",
-    "LinearRegression",
-    "Scaling",
-]
+__all__ = ["METHODS", "MSVR", "MVGPR", "SVR", "CurveFit", "LinearRegression", "Scaling"]

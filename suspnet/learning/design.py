@@ -286,17 +286,17 @@ def _centred_factor(gram: Gram, scale: float, fit_intercept: bool) -> tuple[Tens
         matrix.addr_(sums, sums, alpha=-1 / weight_sum)
     matrix.diagonal().add_(1.0)
     advice = "lower C, or scale the outputs, or use dtype='float64'"
-    return sums, weight_sum, cholesky(matrix, scale * gram.weight_sum, advice)
+    name = f"system of IRWLS with weights of total {scale * gram.weight_sum:.1e}"
+    return sums, weight_sum, cholesky(matrix, name, advice)
 
 
-def cholesky(matrix: Tensor, weight_sum: float, advice: str) -> Tensor:
-    """Return the Cholesky factor of a system; ValueError with advice if it is singular."""
+def cholesky(matrix: Tensor, name: str, advice: str) -> Tensor:
+    """Return the Cholesky factor of a matrix; ValueError with advice if it is singular."""
     factor: Tensor
     factor, info = torch.linalg.cholesky_ex(matrix)
     if int(info) or not bool(torch.isfinite(factor).all()):
         raise ValueError(
-            f"the {len(matrix)} x {len(matrix)} system of IRWLS is singular to working precision "
-            f"with weights of total {weight_sum:.1e}; {advice}"
+            f"the {len(matrix)} x {len(matrix)} {name} is singular to working precision; {advice}"
         )
     return factor
 

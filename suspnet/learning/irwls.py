@@ -28,6 +28,9 @@ SUFFICIENT_DECREASE = 1e-4
 """Fraction of the decrease predicted by the gradient that a step must reach (Armijo's rule)."""
 SMALLEST_STEP = 1e-10
 """Smallest fraction of the direction that backtracking tries."""
+MAX_SLOW_STEPS = 20
+"""Number of slow steps in a row after which the solver leaves the reweighted equations, which can
+cycle where many samples lie on the border of the tube."""
 
 
 class Status(StrEnum):
@@ -76,8 +79,7 @@ class IRWLS:
 
     It stops when ``gap`` falls to `tol`. A step is slow if it leaves more than `slow_decrease` of
     the previous Newton decrement. The solver leaves the fixed equations after one slow step, and
-    the reweighted ones after `max_slow_steps` in a row: these can cycle where many samples lie on
-    the border of the tube.
+    the reweighted ones after ``MAX_SLOW_STEPS`` in a row.
     """
 
     C: float
@@ -86,13 +88,9 @@ class IRWLS:
     max_iter: int = 200
     tol: float = 1e-8
     slow_decrease: float = 0.3
-    max_slow_steps: int = 20
 
     def minimise(
-        self,
-        design: Design,
-        Y: Tensor,
-        on_iteration: Callable[[Iteration], None] | None = None,
+        self, design: Design, Y: Tensor, on_iteration: Callable[[Iteration], None] | None = None
     ) -> Solution:
         """Return the minimiser of F and a bound on its distance from the optimum.
 
@@ -172,7 +170,7 @@ class _Equations:
         solver = self._solver
         is_slow = step == 0 or decrement > solver.slow_decrease * self._decrement
         self._decrement, self._n_slow = decrement, self._n_slow + 1 if is_slow else 0
-        if self._n_slow >= (1 if self.is_fixed else solver.max_slow_steps):
+        if self._n_slow >= (1 if self.is_fixed else MAX_SLOW_STEPS):
             other = self._other or self._design.reweighted(solver.C, solver.fit_intercept)
             self._current, self._other = other, self._current
             self.is_fixed, self._n_slow = not self.is_fixed, 0

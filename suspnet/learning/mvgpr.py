@@ -21,6 +21,7 @@ from torch import Tensor
 from suspnet.ground.settings import Setting, check_settings
 from suspnet.ground.tensors import check_device
 from suspnet.ground.types import FloatArray
+from suspnet.learning.design import cholesky
 from suspnet.learning.feature_maps import rbf_kernel, squared_distances
 
 START_RANGES = {"length_scale": (1e-2, 10.0), "noise_to_signal": (1e-6, 1e-1)}
@@ -95,8 +96,8 @@ class MVGPR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mi
     Raises
     ------
     TypeError, ValueError
-        From `fit`, if a parameter or the data is out of range, or if the kernel matrix is not
-        positive definite to working precision (the message says what to raise).
+        From `fit`, if a parameter or the data is out of range, or if the kernel matrix is
+        singular to working precision (the message says what to raise).
 
     Warns
     -----
@@ -277,7 +278,7 @@ class MVGPR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mi
             return self._kept_factor
         kernel = self._kernel(self._samples, self._samples)
         kernel.diagonal().add_(self.noise_variance_)
-        self._kept_factor = factor = _cholesky(kernel)
+        self._kept_factor = factor = _factored(kernel)
         return factor
 
     def _condition(self, samples: Tensor, centred: Tensor) -> None:
@@ -304,7 +305,7 @@ class MVGPR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mi
             logs = torch.tensor(theta, requires_grad=True, device=samples.device)
             kernel = torch.exp(-0.5 * squared * torch.exp(-2 * logs[0]))
             kernel = kernel + torch.exp(logs[1]) * torch.eye(len(samples)).to(samples)
-            value, _ = log_marginal_likelihood(centred, _cholesky(kernel))
+            value, _ = log_marginal_likelihood(centred, _factored(kernel))
             value.backward()
             evaluations += 1
             if self.callback is not None:
@@ -339,17 +340,10 @@ class MVGPR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mi
         # optimum sets the scale of both.
         kernel = torch.exp(-0.5 * squared / self.length_scale_**2)
         kernel.diagonal().add_(noise)
-        _, omega = log_marginal_likelihood(centred, _cholesky(kernel))
+        _, omega = log_marginal_likelihood(centred, _factored(kernel))
         self.signal_variance_ = float(omega.diagonal().mean())
         self.noise_variance_ = noise * self.signal_variance_
 
 
-def _cholesky(kernel: Tensor) -> Tensor:
-    factor: Tensor
-    factor, info = torch.linalg.cholesky_ex(kernel)
-    if int(info):
-        raise ValueError(
-            f"the {len(kernel)} x {len(kernel)} kernel matrix is not positive definite to working "
-            "precision; raise noise_variance or lower length_scale"
-        )
-    return factor
+def _factored(kernel: Tensor) -> Tensor:
+    return cholesky(kernel, "kernel matrix", "raise noise_variance or lower length_scale")

@@ -174,8 +174,8 @@ class ToeplitzEquations:
         n_waves = len(self._design.waves)
         self._n_block = n_block
         self._leading = torch.cat([torch.arange(n_block), n_waves + torch.arange(n_block - 1)])
-        advice = "lower C, or scale the outputs"
-        factor = cholesky(self._leading_block(), self._centre, advice)
+        name = f"system of IRWLS with weights of total {self._centre:.1e}"
+        factor = cholesky(self._leading_block(), name, "lower C, or scale the outputs")
         self._inverse = torch.cholesky_inverse(factor)
 
     def _leading_block(self) -> Tensor:

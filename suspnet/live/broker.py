@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import logging
 import os
 import re
@@ -11,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 
+from suspnet.ground.extras import import_extra
 from suspnet.ground.settings import check_settings, setting
 from suspnet.ground.storage import read_plain
 
@@ -122,7 +122,7 @@ class Broker:
         It raises OSError or ValueError if paho-mqtt is not installed, the password is not set, or a
         certificate cannot be read.
         """
-        mqtt = paho()
+        mqtt = import_extra("paho.mqtt.client", "live", "MQTT")
         client: Client = mqtt.Client(
             mqtt.CallbackAPIVersion.VERSION2, client_id, protocol=mqtt.MQTTv5, manual_ack=manual_ack
         )
@@ -165,19 +165,10 @@ def secret(variable: str, owner: str) -> str:
     return found
 
 
-def paho() -> Any:
-    """Return paho-mqtt's client module; ValueError with the install command if it is missing."""
-    try:
-        return importlib.import_module("paho.mqtt.client")
-    except ImportError as error:
-        raise ValueError('MQTT needs paho-mqtt; run: pip install "suspnet[live]"') from error
-
-
 def properties_of_connect(**values: int) -> Any:
     """Return the properties of a CONNECT packet, by their MQTT 5 names."""
-    paho()
-    names = importlib.import_module("paho.mqtt.packettypes").PacketTypes
-    found = importlib.import_module("paho.mqtt.properties").Properties(names.CONNECT)
+    names = import_extra("paho.mqtt.packettypes", "live", "MQTT").PacketTypes
+    found = import_extra("paho.mqtt.properties", "live", "MQTT").Properties(names.CONNECT)
     for name, value in values.items():
         setattr(found, name, value)
     return found

@@ -20,6 +20,7 @@ from email.utils import formatdate
 from typing import Any, Literal, Protocol
 from urllib.parse import urlsplit
 
+from suspnet.ground.extras import check_extra
 from suspnet.ground.settings import check_settings, setting
 from suspnet.ground.storage import json_bytes
 from suspnet.history.outbox import Message
@@ -70,14 +71,15 @@ class Webhook:
 
     def check(self, addresses: tuple[str, ...]) -> None:
         """Raise ValueError without urllib3 or a key of at least 16 bytes."""
-        _urllib3()
+        check_extra("live", "urllib3")
         self._key()
         if addresses:
             raise ValueError("`to` is for channels of the kind email")
 
     def send(self, message: Message) -> None:
         """Post a message; a redirection is not followed."""
-        urllib3 = _urllib3()
+        import urllib3
+
         body = json_bytes(message.content)
         stamp = str(int(time.time()))
         signed = b".".join([message.id.encode(), stamp.encode(), body])
@@ -236,11 +238,3 @@ def _accepted(answers: queue.SimpleQueue[Any]) -> None:
     reason = answers.get(timeout=TIMEOUT_S)
     if reason.is_failure:
         raise DeliveryError(str(reason))
-
-
-def _urllib3() -> Any:
-    try:
-        import urllib3
-    except ImportError as error:
-        raise ValueError('a webhook needs urllib3; run: pip install "suspnet[live]"') from error
-    return urllib3

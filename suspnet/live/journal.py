@@ -96,9 +96,8 @@ class Journal:
         """Lock the file for this process, and create the tables if there are none."""
         run = self._connection.execute
         run(f"PRAGMA page_size = {PAGE_BYTES}")
-        run(
-            "PRAGMA secure_delete = OFF"
-        )  # some systems' SQLite overwrites deleted pages with zeros
+        # some systems' SQLite overwrites deleted pages with zeros
+        run("PRAGMA secure_delete = OFF")
         run("PRAGMA locking_mode = EXCLUSIVE")
         run("PRAGMA synchronous = FULL")
         run("BEGIN EXCLUSIVE")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import math
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -248,7 +247,9 @@ def read_suspensions(
     for group in find_groups(folder):
         if group.error:
             raise TripError(f"{group.folder}: {group.error}")
-        manifest = max((file.live_trip for file in group.manifests), key=_km)
+        # a manifest without a mileage, NaN, comes before all others
+        trips = (file.live_trip for file in group.manifests)
+        manifest = max(trips, key=lambda one: np.nan_to_num(one.mileage_km, nan=-1.0))
         name = str(manifest.place)
         if not name.isprintable() or len(name) > MOST_CHARACTERS:
             raise TripError(
@@ -266,8 +267,3 @@ def read_suspensions(
         manifest = replace(manifest, direction=None)
         found.append(LiveSuspension(manifest, fitting, settings.trips, live))
     return found
-
-
-def _km(manifest: TripManifest) -> float:
-    # a manifest without a mileage comes before all others
-    return -1.0 if math.isnan(manifest.mileage_km) else manifest.mileage_km

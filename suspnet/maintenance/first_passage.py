@@ -45,7 +45,7 @@ def first_passage_km(
     q = np.where(diffusion > 0, diffusion, 1.0)
     mean = d / v
     half = 0.5 * y * q / (v * d)
-    # the smaller root, in a form without the usual cancellation
+    # the smaller root, without the cancellation that gives negative samples of numpy's `wald` < 2.4
     smaller = mean / (1 + half + np.sqrt(half * (half + 2)))
     random = np.where(u <= mean / (mean + smaller), smaller, mean * (mean / smaller))
     reached = np.where(rate > 0, 1.0, np.where(diffusion > 0, np.exp(-2 * v * d / q), 0.0)) > away

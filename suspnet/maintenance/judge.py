@@ -56,11 +56,7 @@ class Judged:
 
 
 def judge(
-    values: ArrayLike,
-    low: ArrayLike,
-    high: ArrayLike,
-    flagged: ArrayLike,
-    limits: Limits,
+    values: ArrayLike, low: ArrayLike, high: ArrayLike, flagged: ArrayLike, limits: Limits
 ) -> Judged:
     """Return the severity of the last trips, independently of earlier ones.
 

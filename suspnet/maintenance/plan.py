@@ -329,6 +329,11 @@ def suspension_of(state: State) -> str:
     return ", ".join(filter(None, where)) or state.series.vehicle
 
 
+def place_of(state: State) -> tuple[str, str, str]:
+    """Return train, car and suspension, as ``Part.place``."""
+    return train_of(state), state.series.place.car, suspension_of(state)
+
+
 def km_per_day(starts: NDArray[np.datetime64], mileages_km: FloatArray, default: float) -> float:
     """Return the mileage of a train per day, from starts and mileages of its newest trips.
 

@@ -104,10 +104,7 @@ class Trend:
 
 
 def trend(
-    parameter: str,
-    mileage_km: ArrayLike,
-    values: ArrayLike,
-    least_percent: float = LEAST_PERCENT,
+    parameter: str, mileage_km: ArrayLike, values: ArrayLike, least_percent: float = LEAST_PERCENT
 ) -> Trend:
     """Return whether the last trips of a parameter differ from the first, or it has a step.
 

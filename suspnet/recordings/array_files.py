@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from scipy.io import loadmat, whosmat
 
+from suspnet.ground.extras import import_extra
 from suspnet.recordings.columns import (
     MOST_CHUNK_BYTES,
     Block,
@@ -22,7 +23,6 @@ from suspnet.recordings.columns import (
     Take,
     check_samples,
     is_vector,
-    needed,
     slices,
 )
 from suspnet.recordings.errors import TripError
@@ -47,7 +47,7 @@ MOST_NOTE_BYTES = 2**12
 @contextmanager
 def open_hdf5(path: Path, _: CsvDialect | None = None) -> Iterator[OpenFile]:
     """Open an HDF5 file; data sets that need other files or plug-ins are refused when read."""
-    h5py = needed(path, "h5py", "hdf5", "an HDF5 file")
+    h5py = import_extra("h5py", "hdf5", f"{path}: an HDF5 file", TripError)
     with h5py.File(path, "r", rdcc_nbytes=MOST_CHUNK_BYTES) as file:
         arrays: dict[str, Any] = {}
         datasets: dict[str, Any] = {}

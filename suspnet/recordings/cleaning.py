@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from suspnet.ground.settings import check_number
 from suspnet.ground.types import BoolArray, FloatArray
 from suspnet.recordings.faults import (
     fill,
@@ -32,44 +31,20 @@ CORE_SAMPLES = 2**18
 """Approximate number of samples checked at once, which fit in the processor's cache."""
 SEGMENT_S, SEGMENT_SAMPLES = 1.0, 64
 """Length of a segment for level and spread [s], and its least number of samples."""
-
-
-@dataclass(frozen=True)
-class CleaningSettings:
-    """Thresholds for faulty samples; ValueError unless all are positive and finite.
-
-    Parameters
-    ----------
-    spike_deviations : float
-        Least height of a spike above the level on both sides, in robust standard deviations (1.4826
-        times the median absolute deviation of one second).
-    spike_samples : int
-        Longest spike; anything longer counts as motion.
-    gap_samples : int
-        Longest gap that is repaired.
-    saturation_fraction : float
-        Fraction of the sensor's range from which a sample is saturated.
-    saturation_samples : int
-        If no range is given, least number of equal samples in a row, at the highest or lowest value
-        of the window, that are saturated.
-    constant_s : float, [s]
-        Identical values for longer than this are marked as those of a dead sensor.
-    drift_fraction : float
-        Fraction of the standard deviation above which a mean, or a change of level between the
-        first and the last tenth, is reported.
-    """
-
-    spike_deviations: float = 25.0
-    spike_samples: int = 3
-    gap_samples: int = 3
-    saturation_fraction: float = 0.999
-    saturation_samples: int = 4
-    constant_s: float = 0.1
-    drift_fraction: float = 0.5
-
-    def __post_init__(self) -> None:
-        for field in fields(self):
-            check_number(field.name, getattr(self, field.name), above=0)
+SPIKE_DEVIATIONS, SPIKE_SAMPLES = 25.0, 3
+"""Least height of a spike above the level on both sides, in robust standard deviations (1.4826
+times the median absolute deviation of a segment), and its largest number of samples; anything
+longer counts as motion."""
+GAP_SAMPLES = 3
+"""Number of samples of the longest gap that is repaired."""
+SATURATION_FRACTION, SATURATION_SAMPLES = 0.999, 4
+"""Fraction of the sensor's range from which a sample is saturated; if no range is given, least
+number of equal samples in a row at the highest or lowest value of a window."""
+CONSTANT_S = 0.1
+"""Duration beyond which identical values are marked as those of a dead sensor, [s]."""
+DRIFT_FRACTION = 0.5
+"""Fraction of the standard deviation above which a mean, or a change of level between the first and
+the last tenth, is reported."""
 
 
 @dataclass(frozen=True)
@@ -113,22 +88,16 @@ class Cleaner:
     """
 
     def __init__(
-        self,
-        channel: str,
-        rate_hz: float,
-        range_m_per_s2: float | None = None,
-        settings: CleaningSettings | None = None,
-        late: float = 0.0,
+        self, channel: str, rate_hz: float, range_m_per_s2: float | None = None, late: float = 0.0
     ) -> None:
         self.channel, self.rate_hz, self.range_m_per_s2 = channel, rate_hz, range_m_per_s2
-        self.settings = CleaningSettings() if settings is None else settings
         self.segment = max(round(rate_hz * SEGMENT_S), SEGMENT_SAMPLES)
         self.n_samples, self.n_bad = 0, 0
         self.lowest, self.highest = math.inf, -math.inf
         self._found: dict[tuple[str, bool], tuple[int, int]] = {}  # kind, repaired: count, first
         self._levels: list[FloatArray] = []
         self._sum = self._sum_of_squares = 0.0
-        self._longest_constant = int(self.settings.constant_s * rate_hz + 1e-9)
+        self._longest_constant = int(CONSTANT_S * rate_hz + 1e-9)
         context = math.ceil(max(self._longest_constant, 1) / self.segment) * self.segment
         core = math.ceil(max(CORE_SAMPLES, context) / self.segment) * self.segment
         self._windows = _Windows(core, context, int(late * core))
@@ -151,7 +120,7 @@ class Cleaner:
 
     def _cleaned(self, window: FloatArray, lead: int, length: int) -> tuple[FloatArray, BoolArray]:
         """Return values and bad samples of the core of a window: `length` samples from `lead`."""
-        values, bad, masks, centre = self._check(window, self._longest_constant)
+        values, bad, masks, centre = self._check(window)
         inside = slice(lead, lead + length)
         for (kind, repaired), mask in masks.items():
             self._count(kind, repaired, mask[inside])
@@ -172,7 +141,7 @@ class Cleaner:
         }
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Continue from the state of a cleaner of the same settings."""
+        """Continue from the state of a cleaner of the same channel."""
         self._windows.pending = [state["pending"]]
         self._windows.held, self._windows.lead = len(state["pending"]), state["lead"]
         self._levels = [state["levels"]]
@@ -181,26 +150,25 @@ class Cleaner:
         self._found = {(kind, fixed): (n, first) for kind, fixed, n, first in state["found"]}
 
     def _check(
-        self, window: FloatArray, longest_constant: int
+        self, window: FloatArray
     ) -> tuple[FloatArray, BoolArray, dict[tuple[str, bool], BoolArray], FloatArray]:
         """Return filled values, bad samples, masks by (kind, repaired), levels of the segments."""
-        settings = self.settings
         gap = find_gaps(window)
         filled = fill(window, gap)
         centre, spread = local_level(filled, self.segment)
         # motion may start within a segment: use the widest spread of it and its neighbours
         padded = np.pad(spread, 1, mode="edge")
         widest = np.maximum(np.maximum(padded[:-2], spread), padded[2:])
-        reach = settings.spike_deviations * widest
-        spike = find_spikes(filled, self.segment, centre, reach, settings.spike_samples)
-        constant = find_constant(window, longest_constant)
+        reach = SPIKE_DEVIATIONS * widest
+        spike = find_spikes(filled, self.segment, centre, reach, SPIKE_SAMPLES)
+        constant = find_constant(window, self._longest_constant)
         # without a range, only clipping shows saturation; gaps and dead sensors look alike there
         if self.range_m_per_s2 is None:
-            saturation = find_clipping(filled, settings.saturation_samples) & ~(gap | constant)
+            saturation = find_clipping(filled, SATURATION_SAMPLES) & ~(gap | constant)
         else:
-            threshold = settings.saturation_fraction * self.range_m_per_s2
+            threshold = SATURATION_FRACTION * self.range_m_per_s2
             saturation = find_saturation(filled, threshold) & ~gap
-        short = paint(len(gap), *runs(gap, at_most=settings.gap_samples))
+        short = paint(len(gap), *runs(gap, at_most=GAP_SAMPLES))
         bad = (gap & ~short) | saturation | constant
         masks = {
             ("gap", True): short,
@@ -242,7 +210,7 @@ class Cleaner:
             rms = math.sqrt(max(self._sum_of_squares / n_good - mean * mean, 0.0))
             seconds = self.n_samples / self.rate_hz
             for kind, size in (("offset", mean), ("drift", self._drift())):
-                if abs(size) > self.settings.drift_fraction * rms:
+                if abs(size) > DRIFT_FRACTION * rms:
                     found.append(
                         Fault(self.channel, kind, self.n_samples, seconds, start_s, True, size)
                     )

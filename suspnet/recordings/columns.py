@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import re
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager
@@ -141,16 +140,6 @@ def as_block(values: Any) -> NDArray[Any]:
 def is_vector(shape: Sequence[int]) -> bool:
     """Return whether an array has at most one dimension that is longer than 1."""
     return len(shape) > 0 and int(np.prod(shape, dtype=np.int64)) == max(shape)
-
-
-def needed(path: Path, module: str, extra: str, what: str) -> Any:
-    """Return the module that reads a format; TripError with the install command if it is absent."""
-    try:
-        return importlib.import_module(module)
-    except ImportError as error:
-        raise TripError(
-            f'{path}: {what} needs {module}; run: pip install "suspnet[{extra}]"'
-        ) from error
 
 
 MOST_SAMPLES = 48 * 3600 * 10_000

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from scipy.io import wavfile
 
+from suspnet.ground.extras import import_extra
 from suspnet.recordings.columns import (
     BLOCK,
     Block,
@@ -22,7 +23,6 @@ from suspnet.recordings.columns import (
     Take,
     as_block,
     check_samples,
-    needed,
     slices,
 )
 from suspnet.recordings.errors import TripError
@@ -39,7 +39,7 @@ TIME_RESPONSE = 1
 @contextmanager
 def open_tdms(path: Path, _: CsvDialect | None = None) -> Iterator[OpenFile]:
     """Open a TDMS file; columns are named "group/channel"."""
-    nptdms = needed(path, "nptdms", "tdms", "a TDMS file")
+    nptdms = import_extra("nptdms", "tdms", f"{path}: a TDMS file", TripError)
     getLogger("nptdms").setLevel(CRITICAL)  # it logs what it raises or repairs
     # Open the stream here because npTDMS does not close files that it fails to read.
     with path.open("rb") as stream, nptdms.TdmsFile.open(stream) as file:
@@ -87,7 +87,7 @@ def _tdms_column(name: str, channel: Any) -> Column:
 @contextmanager
 def open_uff(path: Path, _: CsvDialect | None = None) -> Iterator[OpenFile]:
     """Open a universal file; each time record of type 58 is a column, which is read whole."""
-    pyuff = needed(path, "pyuff", "uff", "a universal file")
+    pyuff = import_extra("pyuff", "uff", f"{path}: a universal file", TripError)
     file = pyuff.UFF(str(path))
     columns, records = _uff_columns(file)
 

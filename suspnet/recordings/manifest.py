@@ -17,14 +17,7 @@ from suspnet.ground.parameters import DIRECTIONS, ENDS, ESTIMATED, SIDES
 from suspnet.ground.records import HIGHEST_KM, Place
 from suspnet.recordings import manifest_keys as check
 from suspnet.recordings.errors import TripError, all_of
-from suspnet.recordings.manifest_keys import (
-    Key,
-    Value,
-    key,
-    keys_of,
-    optional,
-    required,
-)
+from suspnet.recordings.manifest_keys import Key, Value, key, keys_of, optional, required
 from suspnet.recordings.manifest_sources import (
     MIDDLE,
     OTHER_AXLE,

@@ -14,8 +14,9 @@ from typing import Any, BinaryIO, NoReturn
 
 import numpy as np
 
+from suspnet.ground.extras import import_extra
 from suspnet.ground.types import FloatArray
-from suspnet.recordings.columns import Block, Column, OpenFile, Take, needed, slices
+from suspnet.recordings.columns import Block, Column, OpenFile, Take, slices
 from suspnet.recordings.dates import nanoseconds
 from suspnet.recordings.errors import TripError
 from suspnet.recordings.manifest_keys import CsvDialect
@@ -44,7 +45,7 @@ VIRTUAL = (3, 6)
 @contextmanager
 def open_mdf(path: Path, _: CsvDialect | None = None) -> Iterator[OpenFile]:
     """Open an MDF file; each channel group has its own times."""
-    asammdf = needed(path, "asammdf", "mdf", "an MDF file")
+    asammdf = import_extra("asammdf", "mdf", f"{path}: an MDF file", TripError)
     _disarm()
     with path.open("rb") as stream, _opened_mdf(asammdf, stream) as file:
         places: dict[str, tuple[int, int]] = {}

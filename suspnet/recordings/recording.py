@@ -21,7 +21,7 @@ from suspnet.ground.parameters import SIDES
 from suspnet.ground.settings import check_number
 from suspnet.ground.types import BoolArray, FloatArray
 from suspnet.ground.wording import ShortRepr
-from suspnet.recordings.cleaning import Cleaner, CleaningSettings, Fault
+from suspnet.recordings.cleaning import Cleaner, Fault
 from suspnet.recordings.clock_drift import clock_faults
 from suspnet.recordings.clocks import first_moment, offsets_s
 from suspnet.recordings.dead_sensors import DEAD, dead_faults, living, nearly_dead
@@ -132,9 +132,7 @@ class Recording(ShortRepr):
         return {channel_of(one): one for one in partners if one and channel_of(one)}
 
 
-def load_recording(
-    manifest: TripManifest, rate_hz: float = 100.0, cleaning: CleaningSettings | None = None
-) -> Recording:
+def load_recording(manifest: TripManifest, rate_hz: float = 100.0) -> Recording:
     """Return a trip, cleaned and resampled to one clock.
 
     Files are read block by block, ``MOST_AT_ONCE`` sensors in parallel. A dead sensor of a pair, or
@@ -146,7 +144,6 @@ def load_recording(
     manifest : TripManifest
     rate_hz : float, [Hz]
         Rate of the result; signals are flat within 1e-4 up to a quarter of it.
-    cleaning : CleaningSettings, optional
 
     Raises
     ------
@@ -168,7 +165,7 @@ def load_recording(
         track, offsets, problems = None, dict.fromkeys(sensors, 0.0), error.problems
     with ThreadPoolExecutor(MOST_AT_ONCE) as pool:
         read = {
-            name: pool.submit(_read_sensor, manifest, name, offsets[name], rate_hz, cleaning).result
+            name: pool.submit(_read_sensor, manifest, name, offsets[name], rate_hz).result
             for name in sensors
         }
         streams, dead = living(manifest, read, problems)
@@ -271,11 +268,7 @@ def _combined(
 
 
 def _read_sensor(
-    manifest: TripManifest,
-    name: str,
-    offset_s: float,
-    wanted_hz: float,
-    cleaning: CleaningSettings | None,
+    manifest: TripManifest, name: str, offset_s: float, wanted_hz: float
 ) -> SensorSignal:
     where, channel = manifest.where(name), manifest.sensors()[name]
     with open_source(manifest, channel, where) as source:
@@ -286,7 +279,7 @@ def _read_sensor(
             raise TripError(f"{where} has {rate_hz:g} Hz; at least {wanted_hz:g} Hz are needed")
         if rate_hz > HIGHEST_HZ:
             raise TripError(f"{where} has {rate_hz:g} Hz; at most {HIGHEST_HZ:g} Hz can be read")
-        cleaner = Cleaner(name, rate_hz, source.full_scale, cleaning)
+        cleaner = Cleaner(name, rate_hz, source.full_scale)
         sensor = Sensor(where, cleaner, source.size, wanted_hz)
         for block in chain([first_block], blocks):
             sensor.push(block)

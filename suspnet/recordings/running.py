@@ -34,7 +34,7 @@ import numpy as np
 from suspnet.ground.settings import check_number
 from suspnet.ground.types import FloatArray
 from suspnet.recordings.assembler import Assembler, OrderSettings, check_frame_rate
-from suspnet.recordings.cleaning import Cleaner, CleaningSettings
+from suspnet.recordings.cleaning import Cleaner
 from suspnet.recordings.columns import size_of
 from suspnet.recordings.dates import SECOND_NS
 from suspnet.recordings.dead_sensors import living
@@ -325,13 +325,7 @@ class Running:
             name: [one.unit, one.rate_hz, getattr(one, "sign", 1), getattr(one, "range", None)]
             for name, one in self._sources.items()
         }
-        settings = [
-            self.rate_hz,
-            self.longest_s,
-            self.before_s,
-            asdict(CleaningSettings()),
-            asdict(self.order),
-        ]
+        settings = [self.rate_hz, self.longest_s, self.before_s, asdict(self.order)]
         return [self._name, self.zero_ns, sensors, *settings]
 
 

@@ -107,7 +107,8 @@ def open_source(manifest: TripManifest, source: Source, where: str) -> Iterator[
     """
     path = manifest.file_of(source)
     with open_file(path, source.csv) as file:
-        name = _value_column(path, file, source)
+        columns = [source.column] if source.time is None else [source.time, source.column]
+        name = choose(path, file, columns)[-1]
         column = file.column(name)
         if column.is_time:
             raise TripError(f"{path}: column {name!r} holds time stamps, not numbers")
@@ -145,12 +146,6 @@ def open_source(manifest: TripManifest, source: Source, where: str) -> Iterator[
             where,
             None if times is None else Timeline(where, rate_hz),
         )
-
-
-def _value_column(path: Path, file: OpenFile, source: Source) -> str:
-    if source.time is None:
-        return choose(path, file, [source.column])[0]
-    return choose(path, file, [source.time, source.column])[1]
 
 
 def _agreed_rate(where: str, stated_hz: float | None, column: Column) -> float | None:

@@ -22,7 +22,7 @@ from suspnet.maintenance.schedule import Plan
 from suspnet.maintenance.sisters import SisterSettings
 from suspnet.maintenance.state import State, by_urgency
 from suspnet.maintenance.visit_costs import PlanSettings
-from suspnet.report.tables import FleetView, fleet_view
+from suspnet.report.overview import FleetView, fleet_view
 
 log = logging.getLogger(__name__)
 SHOWN_S = 5.0

@@ -14,10 +14,11 @@ from suspnet.ground.parameters import BOGIE_PARTS, Severity, part_words, symbol_
 from suspnet.ground.records import TripResult
 from suspnet.ground.wording import count
 from suspnet.maintenance.judge import ABSURD, N_LAST
-from suspnet.maintenance.plan import suspension_of, train_of
+from suspnet.maintenance.plan import place_of
 from suspnet.maintenance.schedule import Plan
 from suspnet.maintenance.state import State
-from suspnet.report.tables import REPORT, Evaluated, FleetView, interval_digits
+from suspnet.report.overview import REPORT, Evaluated, FleetView
+from suspnet.report.tables import interval_digits
 from suspnet.report.templates import level, shown_number
 
 EQUAL_SIDES = (
@@ -209,7 +210,7 @@ def _common(places: Sequence[Sequence[str]]) -> str:
 
 def visits_of(plan: Plan | None, state: State) -> dict[str, str]:
     """Return the work on each part of a suspension that has a visit: what, and on which day."""
-    place = train_of(state), state.series.place.car, suspension_of(state)
+    place = place_of(state)
     return {
         job.part.parameter: visit.words_of(job)
         for visit in (plan.visits if plan else ())

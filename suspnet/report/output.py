@@ -15,6 +15,7 @@ import pyarrow.parquet as pq
 from matplotlib.figure import Figure
 from tabulate import tabulate
 
+from suspnet.ground.extras import check_extra
 from suspnet.ground.parameters import BODY_MASS, BOGIE_PARTS, PARAMETERS, Cause, Severity
 from suspnet.ground.records import NO_PART, OK, TripResult, outputs_of
 from suspnet.ground.storage import write_atomically, write_json, write_table
@@ -30,9 +31,7 @@ from suspnet.report.dead_sensors import LISTED, dead_sensors
 from suspnet.report.figures import as_png, data_uri
 from suspnet.report.language import gettext
 from suspnet.report.maintenance_figures import health_trend, small_trends
-from suspnet.report.pdf import check_pdf, write_pdf
-from suspnet.report.report import Report, write_report
-from suspnet.report.tables import (
+from suspnet.report.overview import (
     REPORT,
     Evaluated,
     FleetView,
@@ -40,12 +39,14 @@ from suspnet.report.tables import (
     first_words,
     most_severe,
     same_columns,
-    split_outputs,
 )
+from suspnet.report.pdf import write_pdf
+from suspnet.report.report import Report, write_report
+from suspnet.report.tables import split_outputs
 from suspnet.report.templates import render
 from suspnet.report.tensorboard import RunLog
 from suspnet.report.trend import trend_of_trips
-from suspnet.report.xlsx import check_xlsx, write_xlsx
+from suspnet.report.xlsx import write_xlsx
 
 KNOWN_ERROR_PERCENT = "rms error %"
 COVERAGE_PERCENT = "intervals hold %"
@@ -78,11 +79,7 @@ def summary(results: Sequence[TripResult], outputs: Sequence[str]) -> str:
             rows.append([label, None, *(known.get(name) for name in columns), *more])
     words = [0, *[2 + len(columns)] * bool(of_parts), len(header) - 1]
     table = tabulate(
-        rows,
-        header,
-        tablefmt="github",
-        floatfmt=("", ".1f", *[".4g"] * 20),
-        disable_numparse=words,
+        rows, header, tablefmt="github", floatfmt=("", ".1f", *[".4g"] * 20), disable_numparse=words
     )
     done = sum(r.status == OK for r in results)
     flagged = sum(bool(r.flags) for r in results)
@@ -301,9 +298,9 @@ def write_overview(done: Sequence[Evaluated], outputs: Sequence[str], output: Pa
 def check_documents(*, pdf: bool, xlsx: bool) -> None:
     """Raise ValueError if the package that writes one of these is missing."""
     if pdf:
-        check_pdf()
+        check_extra("pdf", "weasyprint")
     if xlsx:
-        check_xlsx()
+        check_extra("xlsx", "xlsxwriter")
 
 
 def write_documents(done: Sequence[Evaluated], output: Path, *, pdf: bool, xlsx: bool) -> None:

@@ -6,9 +6,9 @@ import logging
 import re
 from pathlib import Path
 
+from suspnet.ground.extras import check_extra
 from suspnet.ground.storage import write_atomically
 
-MISSING = 'weasyprint is missing: pip install "suspnet[pdf]"'
 PAGE = """
 @page { size: A4; margin: 14mm 12mm 16mm;
   @bottom-right { content: counter(page) " / " counter(pages); font: 8pt sans-serif; } }
@@ -18,21 +18,13 @@ PAGE = """
 """Paper: the table of trips has many columns and is printed across."""
 
 
-def check_pdf() -> None:
-    """Raise ValueError if WeasyPrint is missing."""
-    from importlib.util import find_spec
-
-    if find_spec("weasyprint") is None:
-        raise ValueError(MISSING)
-
-
 def as_pdf(html: str) -> bytes:
     """Return a page that holds all its styles and pictures as PDF.
 
     Addresses other than data URIs are not followed: the page may hold what others wrote. ValueError
     is raised if WeasyPrint is missing.
     """
-    check_pdf()
+    check_extra("pdf", "weasyprint")
     # steps, also of the import, and names of unknown styles
     for name in ("weasyprint", "weasyprint.progress", "fontTools"):
         logging.getLogger(name).setLevel(logging.ERROR)

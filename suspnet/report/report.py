@@ -12,12 +12,7 @@ from typing import Any
 
 from matplotlib.figure import Figure
 
-from suspnet.ground.parameters import (
-    BODY_MASS,
-    KIND_NAMES,
-    Severity,
-    symbol_words,
-)
+from suspnet.ground.parameters import BODY_MASS, KIND_NAMES, Severity, symbol_words
 from suspnet.ground.records import INTERVAL_LEVEL, OK, Commissioning, TripResult, by_mileage
 from suspnet.ground.storage import write_atomically
 from suspnet.ground.wording import count, span, thousands, unbroken

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
 from functools import cache
 from importlib import resources
 from typing import Any
@@ -157,11 +156,6 @@ def named(name: str) -> str:
     return spoken(part_words(name) if name in BOGIE_PARTS else KIND_NAMES.get(name, name))
 
 
-def _described(name: str) -> str:
-    """Return what the parameter of an alarm is, which may be a sensor."""
-    return spoken(NAMES.get(name, "sensor"))
-
-
 def _range(pair: tuple[float, float]) -> str:
     return _range_of(*(decimal(f"{100 * one:g}") for one in pair))
 
@@ -170,17 +164,9 @@ def _range_of(low: str, high: str) -> str:
     return gettext("%(low)s to %(high)s") % {"low": low, "high": high}
 
 
-def _placed(place: object) -> str:
-    return spoken(str(place))
-
-
-def _columns(names: Iterable[str]) -> list[Markup]:
-    return [Markup("#{}\n[%]").format(symbol(name)) for name in names]
-
-
 GLOBALS = {"labels": LABELS, "marks": MARKS, "language": current}
 FILTERS = {
-    "columns": _columns,
+    "columns": lambda names: [Markup("#{}\n[%]").format(symbol(name)) for name in names],
     "condensed": condensed,
     "level": level,
     "number": shown_number,
@@ -196,8 +182,8 @@ FILTERS = {
     "to_go": _to_go,
     "rounded": _rounded,
     "spoken": spoken,
-    "placed": _placed,
-    "described": _described,
+    "placed": lambda place: spoken(str(place)),
+    "described": lambda name: spoken(NAMES.get(name, "sensor")),  # of an alarm
     "translated": gettext,
 }
 """Filters of the templates by name."""

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 import math
 from dataclasses import astuple, dataclass
 from typing import Any
@@ -11,12 +9,12 @@ from typing import Any
 import numpy as np
 
 from suspnet.ground.parameters import BODY_MASS, KIND_NAMES, Cause, Severity, part_words
-from suspnet.ground.storage import finite_or_none
+from suspnet.ground.storage import content_hash, finite_or_none
 from suspnet.maintenance.alarms import Alarm, newest_of
-from suspnet.maintenance.plan import suspension_of, train_of
+from suspnet.maintenance.plan import place_of
 from suspnet.maintenance.state import State
 from suspnet.report.bogie import bogie_of
-from suspnet.report.tables import ID_DIGITS, FleetView
+from suspnet.report.overview import ID_DIGITS, FleetView
 
 INSPECT = "inspect"
 """Work on a part with an alarm that the plan has no visit for, and on a sensor."""
@@ -134,7 +132,7 @@ def _jobs(view: FleetView) -> Jobs:
 
 def _orders(view: FleetView, index: int, jobs: Jobs) -> list[WorkOrder]:
     state = view.states[index]
-    place = train_of(state), state.series.place.car, suspension_of(state)
+    place = place_of(state)
     due = {
         name: job
         for name in state.outputs
@@ -193,11 +191,10 @@ def _shared(view: FleetView, index: int, name: str, alarms: list[Alarm]) -> dict
     state, key = view.states[index], view.states[index].key
     place = key[1]
     since_km = min((one.begin_km for one in alarms), default=None)
-    content = json.dumps([key[0], *astuple(place), name, since_km])
     worst = max(alarms, key=lambda one: one.severity, default=None)
     seen = worst and newest_of(worst, view.acknowledged.get(key, ()))
     return {
-        "number": hashlib.sha256(content.encode()).hexdigest()[:ID_DIGITS],
+        "number": content_hash([key[0], *astuple(place), name, since_km])[:ID_DIGITS],
         "suspension": view.names[index],
         "vehicle": key[0],
         "train": place.train,

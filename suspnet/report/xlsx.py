@@ -10,10 +10,10 @@ from datetime import UTC, date, datetime
 from pathlib import Path
 from typing import Any
 
+from suspnet.ground.extras import import_extra
 from suspnet.ground.parameters import ESTIMATED, SI_COLUMNS
 from suspnet.ground.storage import printable, write_atomically
 
-MISSING = 'xlsxwriter is missing: pip install "suspnet[xlsx]"'
 UNITS = (
     ("_ns_per_m", "N s/m"),
     ("_n_per_m", "N/m"),
@@ -36,14 +36,6 @@ WIDEST = 60
 """Widest column, in characters."""
 
 
-def check_xlsx() -> None:
-    """Raise ValueError if XlsxWriter is missing."""
-    from importlib.util import find_spec
-
-    if find_spec("xlsxwriter") is None:
-        raise ValueError(MISSING)
-
-
 def write_xlsx(tables: Mapping[str, Sequence[Mapping[str, Any]]], path: Path) -> Path:
     """Write tables atomically, a sheet for each that has rows; return the path.
 
@@ -51,9 +43,7 @@ def write_xlsx(tables: Mapping[str, Sequence[Mapping[str, Any]]], path: Path) ->
     ``at``, ``day`` and the like are times, with a zone in UTC; all other texts are texts, whatever
     they begin with. ValueError is raised if XlsxWriter is missing, or a table is too long.
     """
-    check_xlsx()
-    import xlsxwriter
-
+    xlsxwriter = import_extra("xlsxwriter", "xlsx", "a spreadsheet")
     stream = io.BytesIO()
     options = {
         "in_memory": True,

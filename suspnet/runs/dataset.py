@@ -22,6 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 from suspnet._version import __version__
 from suspnet.estimation.information import output_bounds
 from suspnet.estimation.problem import BLOCK, CALIBRATE, TEST, TRAIN, Problem
+from suspnet.ground.extras import import_extra
 from suspnet.ground.parameters import PARAMETERS
 from suspnet.ground.settings import check_choice
 from suspnet.ground.storage import write_atomically
@@ -34,7 +35,6 @@ ABOUT = "about"
 """Name of the JSON text that describes a file's columns."""
 UNREADABLE = (KeyError, MemoryError, OSError, TypeError, ValueError, BadZipFile, pa.ArrowException)
 """Errors of the libraries on a file that is no data set."""
-NEEDS_H5PY = 'a file NAME.h5 needs h5py: pip install "suspnet[hdf5]"'
 
 
 @dataclass(frozen=True, repr=False)
@@ -147,11 +147,9 @@ def write_dataset(data: DataSet | Problem, path: Path | str) -> Path:
     Raises
     ------
     ValueError
-        If the suffix is another one.
+        If the suffix is another one, or h5py is needed and not installed.
     FileExistsError
         If the file exists: nothing is replaced.
-    ModuleNotFoundError
-        If h5py is needed and not installed.
     """
     path = Path(path)
     check_choice("suffix", path.suffix, tuple(WRITERS))
@@ -199,7 +197,7 @@ def _read_npz(path: Path) -> dict[str, Any]:
 
 
 def _hdf5(data: DataSet) -> bytes:
-    h5py = _h5py()
+    h5py = import_extra("h5py", "hdf5", "a file NAME.h5")
     stream = io.BytesIO()
     with h5py.File(stream, "w") as file:
         for name, array in _arrays(data).items():
@@ -212,7 +210,7 @@ def _hdf5(data: DataSet) -> bytes:
 def _read_hdf5(path: Path) -> dict[str, Any]:
     from suspnet.recordings.array_files import foreign
 
-    h5py = _h5py()
+    h5py = import_extra("h5py", "hdf5", "a file NAME.h5")
     found: dict[str, Any] = {}
     with h5py.File(path, "r") as file:
         for name in (one.name for one in fields(DataSet)[:-1]):
@@ -225,14 +223,6 @@ def _read_hdf5(path: Path) -> dict[str, Any]:
                 raise ValueError(f"{name} is compressed or declares more than it holds")
             found[name] = file[name][()]
         return found | {ABOUT: file.attrs[ABOUT]}
-
-
-def _h5py() -> Any:
-    try:
-        import h5py
-    except ImportError as error:
-        raise ModuleNotFoundError(NEEDS_H5PY) from error
-    return h5py
 
 
 def _parquet(data: DataSet) -> bytes:

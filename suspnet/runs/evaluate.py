@@ -21,7 +21,7 @@ from suspnet.maintenance.state import State
 from suspnet.report.board import BoardSettings
 from suspnet.report.maintenance_figures import plan_calendar
 from suspnet.report.output import write_fleet
-from suspnet.report.tables import fleet_view, overview_table
+from suspnet.report.overview import fleet_view, overview_table
 from suspnet.report.tensorboard import RunLog
 from suspnet.runs.predict import predict_stream
 from suspnet.runs.scores import (

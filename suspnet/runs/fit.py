@@ -16,7 +16,6 @@ from suspnet.estimation.problem import TRAIN, FeatureData, Problem
 from suspnet.estimation.protocols import Task
 from suspnet.estimation.trained import TrainedModel
 from suspnet.ground.progress import bar as progress_bar
-from suspnet.ground.types import FloatArray
 from suspnet.learning import METHODS, SVR, Scaling, ranks
 from suspnet.learning.search import GridSearch, SearchResult
 from suspnet.report.tensorboard import RunLog
@@ -58,12 +57,7 @@ def tune(problem: Problem, estimator: Any, search: GridSearch, run_log: RunLog) 
             bar.update()
 
         return search.run(
-            name,
-            estimator,
-            inputs.apply(data.inputs),
-            outputs.apply(data.outputs),
-            outputs,
-            report,
+            name, estimator, inputs.apply(data.inputs), outputs.apply(data.outputs), outputs, report
         )
 
 
@@ -97,7 +91,8 @@ def fit(problem: Problem, estimator: Any, run_log: RunLog | None) -> TrainedMode
             part = ranks.shard(problem.n_batches(len(problem.ratios(TRAIN))))
         data = problem.features(TRAIN, part)
         kept = data.subset(data.valid)
-        n_made, n_kept = (_count(rows) for rows in (data.inputs, kept.inputs))
+        counts = torch.tensor([len(data.inputs), len(kept.inputs)])
+        n_made, n_kept = ranks.all_reduce(counts).tolist()
         if not n_kept:
             raise ValueError(f"none of the {n_made} curves has all of its peaks")
         if 1 - n_kept / n_made > TOO_MANY_LOST:
@@ -135,10 +130,6 @@ def _announce(estimator: Any, n_samples: int) -> None:
             "150 s, and the time grows with the square of their number and with C",
             n_samples,
         )
-
-
-def _count(rows: FloatArray) -> int:
-    return int(ranks.all_reduce(torch.tensor([len(rows)])))
 
 
 @contextmanager

@@ -27,12 +27,7 @@ KNOWN, LEARNT = "vehicle known", "vehicle learnt"
 
 
 def write_layouts(
-    vehicle: Vehicle,
-    settings: Observation,
-    folder: Path,
-    *,
-    n_healthy: int,
-    wheelset_share: float,
+    vehicle: Vehicle, settings: Observation, folder: Path, *, n_healthy: int, wheelset_share: float
 ) -> list[Record]:
     """Write layouts.md, .csv, .json and .png; print the table; return the records.
 

@@ -26,13 +26,7 @@ from suspnet.ground.records import Place
 from suspnet.ground.settings import Setting, check_number, check_settings, setting
 from suspnet.ground.types import FloatArray
 from suspnet.recordings.manifest import CHANNELS
-from suspnet.simulation.signals import (
-    Journey,
-    OutOfRound,
-    Sensor,
-    service_journey,
-    steady_journey,
-)
+from suspnet.simulation.signals import Journey, OutOfRound, Sensor, service_journey, steady_journey
 
 FIRST_DAY = datetime(2015, 8, 3, 6, tzinfo=UTC)
 """Start of the first trip of the first train, a whole multiple of 20 minutes since 1970."""

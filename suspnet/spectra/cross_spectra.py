@@ -123,8 +123,7 @@ class CrossSpectra(ShortRepr):
         """Return the covariance of (log G_p, log G_s), complex Hermitian (..., 2, 2, n_freq).
 
         With e_i = y_i - G_i x_i and instruments z_i: S_zi_zj S_ej_ei / (n S_zi_yi conj(S_zj_yj)),
-        from the
-        fourth moments of normal variables. Hv is treated as H1.
+        from the fourth moments of normal variables. Hv is treated as H1.
         """
         residual, scale = self.covariance_parts(method)
         return residual / scale
@@ -191,8 +190,7 @@ def sample_spectra(mean: CrossSpectra, taps: FloatArray, source: torch.Generator
     """Return one draw of averaged spectra for each row of their mean: M M^H / n with M = L T.
 
     L L^H is the mean, T lower triangular with Gamma(n - i) squares on the diagonal, i = 0, 1, 2,
-    and
-    unit complex normals below it. `mean` has shape (n_rows, 3, n_freq); `taps` from
+    and unit complex normals below it. `mean` has shape (n_rows, 3, n_freq); `taps` from
     `moving_average_with` set the correlation of neighbouring bins.
     """
     # L, the Cholesky factor of the mean
@@ -204,7 +202,6 @@ def sample_spectra(mean: CrossSpectra, taps: FloatArray, source: torch.Generator
     l33 = (mean.auto[:, 2] - l31.abs().square() - l32.abs().square()).sqrt()
     # T, the Bartlett factor of a unit Wishart matrix, then M = L T and M M^H / n
     g = _normals((9, *l11.shape), taps, source)
-
     t11, t22, t33 = (_gamma(n - i, g[i]).sqrt() for i in range(3))
     t21, t31, t32 = (torch.complex(g[i], g[i + 1]) / math.sqrt(2) for i in (3, 5, 7))
     m11, m21, m22 = l11 * t11, l21 * t11 + l22 * t21, l22 * t22

@@ -44,10 +44,7 @@ class EstimateObserver:
     """
 
     def __init__(
-        self,
-        settings: EstimateSettings,
-        generator: ResponseGenerator,
-        speeds: Speeds | None = None,
+        self, settings: EstimateSettings, generator: ResponseGenerator, speeds: Speeds | None = None
     ) -> None:
         self.settings, self.generator, self._speeds = settings, generator, speeds
         self.frequencies_hz = settings.frequencies_hz()

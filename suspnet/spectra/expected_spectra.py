@@ -26,6 +26,7 @@ from suspnet.spectra.segments import Speeds
 from suspnet.spectra.welch import Welch
 
 Responses = Callable[[Tensor, Tensor], Tensor]
+OfFrequencies = Callable[[FloatArray], FloatArray]
 SPEED = len(PARAMETERS)
 """Column of the relative speed in ratios that include it."""
 WIDE_BAND_LOW_HZ, WIDE_BAND_POINTS = 0.1, 4000
@@ -59,7 +60,6 @@ class ExpectedSpectra:
         self._generator, self._track, self._relative = generator, track, relative
         self._speed_m_per_s, self._smear = speed_m_per_s, welch.smear()
         # neighbours on either side leak into the outer bins as well
-
         more = torch.arange(1, len(self._smear) // 2 + 1, dtype=torch.float64) / welch.segment_s
         bins = frequencies_hz
         self._bins = torch.cat([bins[0] - more.flip(0), bins, bins[-1] + more])
@@ -105,20 +105,14 @@ class ExpectedSpectra:
     def noise_densities(
         self, responses: Responses, rates_hz: Sequence[float], snr_db: float
     ) -> Tensor:
-        """Return the noise density of sensors, (n_sensors,), [(m/s^2)^2/Hz].
-
-        The noise is white, `snr_db` below the rms of the healthy vehicle's signal over the sensor's
-        band.
-        """
-        densities = []
+        """Return the noise densities of sensors with these responses to the mean track."""
         healthy = torch.ones(1, len(PARAMETERS), dtype=torch.float64)
-        for sensor, rate_hz in enumerate(rates_hz):
-            grid = np.geomspace(WIDE_BAND_LOW_HZ, rate_hz / 2, WIDE_BAND_POINTS)
-            response = responses(healthy, torch.as_tensor(grid))[0, sensor]
-            gain = response.abs().square().cpu().numpy()
-            power = np.trapezoid(gain * self.track_density(grid), grid)
-            densities.append(10 ** (-snr_db / 10) * power / (rate_hz / 2))
-        return torch.tensor(densities, dtype=torch.float64)
+        return noise_densities(
+            lambda grid: responses(healthy, torch.as_tensor(grid))[0].abs().square().cpu().numpy(),
+            self.track_density,
+            rates_hz,
+            snr_db,
+        )
 
     def gains(self, ratios: Tensor, frequencies_hz: Tensor) -> Tensor:
         """Return the root of each channel's power over that of the mean track, (n, 3, n_freq)."""
@@ -151,6 +145,23 @@ class ExpectedSpectra:
         return sum(  # type: ignore[return-value]
             float(w) * spectra[..., k : k + n_inner] for k, w in enumerate(self._smear)
         )
+
+
+def noise_densities(
+    gains: OfFrequencies, density: OfFrequencies, rates_hz: Sequence[float], snr_db: float
+) -> Tensor:
+    """Return the noise density of sensors, (n_sensors,), [(m/s^2)^2/Hz].
+
+    The noise is white, `snr_db` below the rms of the healthy vehicle's signal over the sensor's
+    band. `gains` gives the density of the signals over that of the track, (n_sensors, n_freq).
+    """
+    noise = np.empty(len(rates_hz))
+    for rate_hz in set(rates_hz):
+        grid = np.geomspace(WIDE_BAND_LOW_HZ, rate_hz / 2, WIDE_BAND_POINTS)
+        power = np.asarray(np.trapezoid(gains(grid) * density(grid), grid, axis=1))
+        chosen = np.asarray(rates_hz) == rate_hz
+        noise[chosen] = 10 ** (-snr_db / 10) * power[chosen] / (rate_hz / 2)
+    return torch.as_tensor(noise)
 
 
 @dataclass(frozen=True)

@@ -108,13 +108,7 @@ def _noise(x: Tensor, means: Tensor, place: int) -> float:
 
 
 def _gain(
-    x: Tensor,
-    means: Tensor,
-    place: int,
-    n_own: int,
-    expected: Tensor,
-    calm: Tensor,
-    bins: Tensor,
+    x: Tensor, means: Tensor, place: int, n_own: int, expected: Tensor, calm: Tensor, bins: Tensor
 ) -> tuple[float, float, float]:
     """Return a sensor's log gain, how much it rises over the band, and its delay [s]."""
     is_body = place == 2

@@ -2,26 +2,18 @@
 
 from __future__ import annotations
 
-import contextlib
 import logging
 import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from suspnet.dynamics import SpatialVehicle, Vehicle, best_generator
-from suspnet.estimation.bogie_trips import (
-    PARTS_OF_BOGIE,
-    bogie_trip,
-    sensor_places,
-    show_parts,
-)
+from suspnet.dynamics import Vehicle, best_generator
+from suspnet.estimation.bogie_trips import sensor_places, show_parts
 from suspnet.estimation.from_recording import no_channel
 from suspnet.estimation.steady_parts import (
     Steady,
@@ -30,32 +22,17 @@ from suspnet.estimation.steady_parts import (
     readable_words,
     steady,
 )
-from suspnet.estimation.swapped_sensors import check_end, check_order
 from suspnet.estimation.trained import TrainedModel
 from suspnet.estimation.trip_settings import TripSettings
-from suspnet.ground.parameters import Direction
 from suspnet.ground.records import ERROR, OK
-from suspnet.ground.tensors import threads
 from suspnet.recordings.errors import TripError, all_of
 from suspnet.recordings.formats import open_columns
 from suspnet.recordings.manifest import CHANNELS, TripManifest
 from suspnet.recordings.manifest_files import ManifestFile
 from suspnet.recordings.manifest_sources import channel_of
 from suspnet.recordings.recording import Recording, load_recording
-from suspnet.spectra.bogie_trip import BogieTrip
 from suspnet.spectra.estimates import EstimateSettings
-from suspnet.spectra.plausibility import (
-    DIRECTION_MARGIN,
-    check_channels,
-    check_pairs,
-    shown_direction,
-)
-from suspnet.spectra.segments import (
-    NoEstimateError,
-    difference_segments,
-    recording_segments,
-    segment_speeds,
-)
+from suspnet.spectra.segments import NoEstimateError, recording_segments, segment_speeds
 from suspnet.spectra.welch import SegmentSpectra, Welch
 from suspnet.trips.check_page import (
     NEED_A_VEHICLE,
@@ -68,15 +45,12 @@ from suspnet.trips.check_page import (
     write_picture,
 )
 from suspnet.trips.commissionings import models_at, models_of
+from suspnet.trips.sensor_checks import NO_DIRECTION, check_bogie, check_sensors
 from suspnet.trips.trip import evaluate_recording
 
 log = logging.getLogger(__name__)
 UNKNOWN_BAND_HZ = (0.5, 20.0)
 """Band used for an unknown vehicle, that of most railway vehicles, [Hz]."""
-NO_DIRECTION = (
-    "the phases do not show the direction of travel: give `direction: forward` or `direction: "
-    "reverse`"
-)
 Opened = dict[tuple[Path, str | None, str | None], tuple[str, ...]]
 """Why columns of a file cannot be opened, by file, times and column; empty if they can."""
 
@@ -224,7 +198,11 @@ def _inspected(
     # channels can be tested for a swap only against a known vehicle
     if vehicle is None or spectra is None or result.state == PROBLEM:
         return result
-    return _with_plausibility(result, recording, segments, checked, vehicle, trips)
+    try:
+        doubts, shows_parts = check_sensors(recording, segments, checked, vehicle, trips)
+    except TripError as error:
+        return _with_problems(result, error.problems)
+    return replace(result, remarks=result.remarks + doubts, shows_parts=shows_parts)
 
 
 def _read(result: TripCheck, recording: Recording, settings: CheckSettings) -> TripCheck:
@@ -330,52 +308,6 @@ def _too_uncertain(part: SteadyPart, settings: TripSettings) -> str:
     )
 
 
-def _with_plausibility(
-    result: TripCheck,
-    recording: Recording,
-    segments: SegmentSpectra,
-    checked: Sequence[Tensor],
-    vehicle: Vehicle,
-    settings: TripSettings,
-) -> TripCheck:
-    doubts: list[str] = []
-    ways = [way] if (way := recording.manifest.direction) else []
-
-    def check_channel_order(chosen: Tensor) -> None:
-        speed = float(segment_speeds(recording, segments)[chosen].mean())
-        manifest, frequencies_hz = recording.manifest, segments.frequencies_hz
-        generator = best_generator(vehicle, speed_m_per_s=speed, **_measured_at(manifest))
-        spectra, single = segments.average(chosen), not all(recording.paired)
-        shown, factor = shown_direction(spectra, frequencies_hz, generator)
-        # in reverse the leading bogie moves like the trailing one: unnamed, either will do
-        said = manifest.direction if manifest.bogie else None
-        generator = generator.running(said or shown)
-        if generator.direction and not manifest.direction:
-            if factor < DIRECTION_MARGIN:
-                doubts.append(NO_DIRECTION)
-            else:
-                ways.append(shown)
-        doubts.append(check_channels(spectra, frequencies_hz, generator, vehicle, doubtful=single))
-
-    def check_sides(chosen: Tensor) -> None:
-        differences = difference_segments(recording, segments.welch)
-        check_pairs(segments, differences, chosen, recording.paired, vehicle)
-
-    def check_parts() -> BogieTrip | None:
-        with contextlib.suppress(NoEstimateError):  # what can be read is said elsewhere
-            return _check_bogie(recording, vehicle, settings, ways)
-        return None
-
-    parts = [check_channel_order, *([check_sides] if any(recording.paired) else [])]
-    each = [partial(part, chosen) for part in parts for chosen in checked]
-    try:
-        *_, trip = all_of([*each, check_parts])
-    except TripError as error:
-        return _with_problems(result, error.problems)
-    remarks = result.remarks + tuple(dict.fromkeys(filter(None, doubts)))
-    return replace(result, remarks=remarks, shows_parts=trip is not None)
-
-
 def _of_parts(
     result: TripCheck, recording: Recording, vehicle: Vehicle, settings: TripSettings
 ) -> TripCheck:
@@ -384,7 +316,7 @@ def _of_parts(
     if way is None and show_parts(sensor_places(recording.manifest, "axle")):
         return replace(result, remarks=(*result.remarks, NO_DIRECTION))
     try:
-        trip = _check_bogie(recording, vehicle, settings, [way] if way else [])
+        trip = check_bogie(recording, vehicle, settings, [way] if way else [])
     except TripError as error:
         return _with_problems(result, error.problems)
     except NoEstimateError as reason:
@@ -394,32 +326,3 @@ def _of_parts(
     unknown = [float("nan")] * 3
     part = SteadyPart(trip.speed_m_per_s, trip.spectra.n_averages, *unknown)
     return replace(result, state=READY, parts=(part,), shows_parts=True)
-
-
-@threads(1)  # as for estimates: systems of 30 equations are too small for two
-def _check_bogie(
-    recording: Recording, vehicle: Vehicle, settings: TripSettings, ways: Sequence[Direction]
-) -> BogieTrip | None:
-    """Return the stretch of a recording that shows each part of a bogie; None without the sensors.
-
-    NoEstimateError if no stretch is long enough, TripError if two of the sensors look swapped, or
-    are at another bogie or axle than the manifest says. `ways` are the directions of travel of the
-    recording's parts, empty if unknown.
-    """
-    places = sensor_places(recording.manifest, "axle")
-    if not ways or not show_parts(places):
-        return None
-    manifest = recording.manifest
-    unknown = SpatialVehicle(
-        vehicle, **_measured_at(manifest), parts=PARTS_OF_BOGIE, sensors=places
-    ).with_prior()
-    trip = bogie_trip(recording, unknown, settings, ways[0])
-    if manifest.direction:  # else that which the phases show assumes the bogie
-        check_end(unknown, trip)
-    check_order(unknown, trip)
-    return trip
-
-
-def _measured_at(manifest: TripManifest) -> dict[str, Any]:
-    """Return bogie and axle of a manifest, the leading ones where it names none."""
-    return {"bogie": manifest.bogie or "leading", "axle": manifest.axle or "leading"}

@@ -14,19 +14,14 @@ from typing import Any, Literal
 from suspnet.estimation.from_spectra import trip_settings
 from suspnet.estimation.trained import TrainedModel
 from suspnet.estimation.trip_settings import TripSettings
+from suspnet.ground.extras import check_extra
 from suspnet.ground.parameters import ESTIMATED, TIGHTEST, Limits, read_limits
 from suspnet.ground.progress import bar as progress_bar
 from suspnet.ground.progress import stage
 from suspnet.ground.records import ERROR, Commissioning, TripResult, by_mileage, outputs_of
 from suspnet.ground.settings import check_settings, setting
 from suspnet.ground.storage import printable
-from suspnet.ground.workers import (
-    ITEMS_A_WORKER,
-    USUAL_WORKERS,
-    LostWorkerError,
-    each,
-    workers_for,
-)
+from suspnet.ground.workers import ITEMS_A_WORKER, USUAL_WORKERS, LostWorkerError, each, workers_for
 from suspnet.history import History
 from suspnet.maintenance.alarms import OWN_CAUSES, Acknowledgement, detector_words
 from suspnet.maintenance.assessment import spoken
@@ -38,15 +33,9 @@ from suspnet.maintenance.sisters import SisterSettings
 from suspnet.maintenance.trend import LEAST_PERCENT
 from suspnet.recordings.manifest_files import ManifestFile, partial_words
 from suspnet.report.language import N_
-from suspnet.report.output import (
-    sensor_lines,
-    summary,
-    write_overview,
-    write_pages,
-    write_tables,
-)
+from suspnet.report.output import sensor_lines, summary, write_overview, write_pages, write_tables
+from suspnet.report.overview import Evaluated
 from suspnet.report.report import Report
-from suspnet.report.tables import Evaluated
 from suspnet.trips.commissionings import (
     check_one_reference,
     commissionings,
@@ -58,13 +47,6 @@ from suspnet.trips.details import missing_reference, report_details, wear_words
 from suspnet.trips.earlier import FinishedTrips, with_earlier
 from suspnet.trips.grouping import Group, find_groups
 from suspnet.trips.trip import evaluate_trip, lost_trip
-
-try:
-    import distributed
-except ImportError:
-    HAS_DASK = False
-else:
-    HAS_DASK = True
 
 log = logging.getLogger(__name__)
 RESOLVED = 2.0
@@ -110,12 +92,10 @@ class FleetSettings:
 
     def __post_init__(self) -> None:
         check_settings(self)
-        any_limits = dict.fromkeys(ESTIMATED, TIGHTEST)
-        read_limits(
-            self.limits or {}, any_limits
-        )  # checks these limits, whatever the vehicle's are
-        if self.cluster is not None and not HAS_DASK:
-            raise ValueError('`cluster` needs dask: pip install "suspnet[cluster]"')
+        # check these limits, whatever the vehicle's are
+        read_limits(self.limits or {}, dict.fromkeys(ESTIMATED, TIGHTEST))
+        if self.cluster is not None:
+            check_extra("cluster", "distributed")
 
     @property
     def n_first(self) -> int | None:
@@ -292,10 +272,7 @@ def _report(
     missing = missing_reference(between(read.series.events, results)[-1], settings.n_first)
     if missing:
         log.warning("%s: %s", group.folder, missing)
-    state = replace(
-        fleet.state_of(read.series),
-        least_percent=least_percent(outputs, models),
-    )
+    state = replace(fleet.state_of(read.series), least_percent=least_percent(outputs, models))
     seen: list[Acknowledgement] = []
     if store is not None and any(r.status != ERROR for r in results):
         own = [one for one in state.watched.alarms if one.cause in OWN_CAUSES]
@@ -372,6 +349,8 @@ def _read_by_workers(
     if settings.cluster is None:
         yield from each(functools.partial(_read_trip, settings=settings.trips), items, n_workers)
         return
+    import distributed
+
     address = None if settings.cluster == "local" else settings.cluster
     options = {} if address else {"n_workers": n_workers, "dashboard_address": None}
     with distributed.Client(address, **options) as client:

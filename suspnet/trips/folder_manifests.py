@@ -22,14 +22,7 @@ from suspnet.ground.parameters import DIRECTIONS, ENDS, SIDES
 from suspnet.ground.storage import read_plain
 from suspnet.recordings.clocks import first_moment
 from suspnet.recordings.errors import all_of
-from suspnet.recordings.logger_notes import (
-    GERMAN,
-    NUMBERS,
-    Stated,
-    key_of,
-    read_value,
-    stated_in,
-)
+from suspnet.recordings.logger_notes import GERMAN, NUMBERS, Stated, key_of, read_value, stated_in
 from suspnet.recordings.manifest import CHANNELS
 from suspnet.recordings.manifest_sources import MIDDLE
 from suspnet.trips.file_contents import (
@@ -41,13 +34,7 @@ from suspnet.trips.file_contents import (
     words_of,
 )
 from suspnet.trips.manifest_template import BY_COMMAND_LINE, PLACE_LINES, Template, template
-from suspnet.trips.trip_files import (
-    TripFiles,
-    cell_of,
-    columns_of_files,
-    names_of,
-    table_rows,
-)
+from suspnet.trips.trip_files import TripFiles, cell_of, columns_of_files, names_of, table_rows
 
 CHOICES: Mapping[str, tuple[str, ...]] = {
     "bogie": ENDS,

@@ -12,6 +12,7 @@ from pathlib import Path
 
 from suspnet.ground.parameters import SIDES
 from suspnet.ground.storage import distinct
+from suspnet.ground.wording import natural
 from suspnet.recordings.formats import READERS
 from suspnet.trips.file_contents import guessed_meaning, guessed_side, words_of
 
@@ -46,7 +47,7 @@ def find_trip_files(folder: Path, besides: Iterable[Path] = ()) -> list[TripFile
         raise FileNotFoundError(f"there is no folder {folder}; give the one that holds the files")
     left_out = {path.resolve() for path in besides}
     by_trip: dict[Path, list[Path]] = {}
-    for file in sorted(_data_files(folder, DEEPEST), key=_natural):
+    for file in sorted(_data_files(folder, DEEPEST), key=lambda path: natural(str(path))):
         if file.resolve() not in left_out:
             by_trip.setdefault(_trip_of(file, folder), []).append(file)
     if not by_trip:
@@ -146,9 +147,3 @@ def _without_place(part: str) -> str:
     words = words_of(part)
     is_place = bool(words) and bool(guessed_meaning(part) or part.lower() in _GPS)
     return "" if is_place or guessed_side(part) in SIDES else part
-
-
-def _natural(path: Path) -> list[tuple[int, str]]:
-    """Return a sort key by which trip_2 comes before trip_10."""
-    parts = re.split(r"(\d+)", str(path))
-    return [(int(one), "") if one.isdecimal() else (-1, one) for one in parts]

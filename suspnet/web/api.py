@@ -18,7 +18,7 @@ from suspnet.ground.storage import finite_or_none
 from suspnet.maintenance.alarms import newest_of
 from suspnet.maintenance.relative import relative_results
 from suspnet.maintenance.state import State
-from suspnet.report.tables import FleetView
+from suspnet.report.overview import FleetView
 from suspnet.report.work_order import all_work_orders, work_orders
 from suspnet.web import api_models as models
 from suspnet.web import pages
@@ -298,19 +298,12 @@ def _place(view: FleetView, index: int) -> dict[str, Any]:
 
 def _suspension(view: FleetView, index: int) -> dict[str, Any]:
     row = view.rows[index]
-    texts = (
-        "severity",
-        "reason",
-        "sensors",
-        "n_alarms",
-        "life_parameter",
-        "n_trips",
-        "n_estimated",
-    )
+    texts = ("severity", "reason", "sensors", "n_alarms", "life_parameter")
+    counts = ("n_trips", "n_estimated", "n_flagged")
     numbers = ("life_low_km", "life_median_km", "life_high_km", "last_mileage_km")
     return {
         **_place(view, index),
-        **{name: row[name] for name in (*texts, "n_flagged")},
+        **{name: row[name] for name in (*texts, *counts)},
         **{name: finite_or_none(row[name]) for name in numbers},
         "parameters": [one for one in row["parameter"].split(", ") if one],
     }

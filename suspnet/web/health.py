@@ -12,6 +12,7 @@ from typing import Any
 
 from flask import Blueprint, Response, current_app
 
+from suspnet.ground.extras import import_extra
 from suspnet.history import History, HistoryError
 from suspnet.web.access import is_admitted
 from suspnet.web.pages import REFRESHER
@@ -39,13 +40,12 @@ def healthz() -> tuple[dict[str, Any], int]:
 def metrics() -> Response:
     """Return the state of fleet and store in the text format of Prometheus."""
     try:
-        from prometheus_client import CollectorRegistry, generate_latest
-    except ImportError:
-        words = 'metrics need prometheus-client; run: pip install "suspnet[live]"\n'
-        return Response(words, 501, mimetype="text/plain")
-    registry = CollectorRegistry()
+        prometheus = import_extra("prometheus_client", "live", "a page of metrics")
+    except ValueError as error:
+        return Response(f"{error}\n", 501, mimetype="text/plain")
+    registry = prometheus.CollectorRegistry()
     registry.register(_State())
-    return Response(generate_latest(registry), mimetype="text/plain; version=0.0.4")
+    return Response(prometheus.generate_latest(registry), mimetype="text/plain; version=0.0.4")
 
 
 class _State:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -11,22 +10,16 @@ import numpy as np
 
 from suspnet.ground.parameters import BODY_MASS, BOGIE_PARTS, NAMES, PARAMETERS, Severity
 from suspnet.ground.records import INTERVAL_LEVEL, TripResult, outputs_of
+from suspnet.ground.wording import natural
 from suspnet.history.arrays import TripResponses
 from suspnet.maintenance.alarms import Acknowledgement, Alarm, newest_of
-from suspnet.maintenance.plan import suspension_of, train_of
+from suspnet.maintenance.plan import place_of
 from suspnet.maintenance.schedule import joined
 from suspnet.maintenance.state import State
 from suspnet.report.bogie import bogie_of, bogies_shown, small_figures, why_no_part
+from suspnet.report.overview import FleetView, finding
 from suspnet.report.sentences import spoken
-from suspnet.report.tables import (
-    FleetView,
-    files_read_as,
-    finding,
-    response,
-    response_table,
-    sensor_rows,
-    trip_table,
-)
+from suspnet.report.tables import files_read_as, response, response_table, sensor_rows, trip_table
 from suspnet.report.trend import ranges, trend_of_state
 
 MOST_ROWS = 50
@@ -131,7 +124,7 @@ def jobs_of(view: FleetView, choice: Choice, address: Any) -> list[dict[str, Any
     if view.plan is None:
         return []
     known = {
-        (train_of(state), state.series.place.car, suspension_of(state)): name
+        place_of(state): name
         for name, state in zip(view.names, view.states, strict=True)
         if choice.holds(state)
     }
@@ -140,12 +133,6 @@ def jobs_of(view: FleetView, choice: Choice, address: Any) -> list[dict[str, Any
         for job in joined(view.plan.rows())
     ]
     return [job | {"address": address(name)} for name, job in jobs if name]
-
-
-def natural(text: str) -> list[tuple[int, int, str]]:
-    """Return a sort key that puts car 2 before car 10."""
-    parts = re.split(r"(\d+)", text)
-    return [(1, int(part), "") if part.isdecimal() else (0, 0, part) for part in parts]
 
 
 def _place_order(state: State) -> tuple[Any, ...]:

@@ -37,9 +37,10 @@ from suspnet.maintenance.state import State
 from suspnet.report.board import Refresher
 from suspnet.report.bogie import visits_of
 from suspnet.report.language import N_, current, gettext
+from suspnet.report.overview import FleetView
 from suspnet.report.pdf import as_pdf
 from suspnet.report.sentences import spoken
-from suspnet.report.tables import FleetView, response
+from suspnet.report.tables import response
 from suspnet.report.templates import MARKS, render
 from suspnet.report.trend import trend_of_state
 from suspnet.report.work_order import work_orders

@@ -541,10 +541,10 @@ def test_run_of_another_protocol_is_refused(trips, no_figures, tmp_path):
 
 
 def test_cluster_without_dask_gets_one_line(run, trips, monkeypatch, tmp_path):
-    monkeypatch.setattr(fleet, "HAS_DASK", False)
+    monkeypatch.setitem(sys.modules, "distributed", None)
     given = [f"run={run}", f"trips={trips}", "monitor.cluster=local", *EVALUATE]
     words = run_program(evaluate, tmp_path, *given)
-    assert words == 'error: `cluster` needs dask: pip install "suspnet[cluster]"'
+    assert words == 'error: distributed is missing: pip install "suspnet[cluster]"'
 
 
 @pytest.mark.representatives(6)

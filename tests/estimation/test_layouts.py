@@ -18,11 +18,10 @@ from suspnet.dynamics.quantities import MASS_DEVIATION, MASS_MEAN
 from suspnet.estimation import layouts
 from suspnet.estimation.bogie_fit import commission_bogie
 from suspnet.estimation.bogie_search import WEAR, BogieSearch
-from suspnet.estimation.layouts import LAYOUTS, _Trip, layout_bounds
+from suspnet.estimation.layouts import LAYOUTS, _Trip, layout_bounds, spectral_information
 from suspnet.ground.parameters import COMPONENTS
 from suspnet.spectra.bogie_trip import BogieTrip
 from suspnet.spectra.estimates import EstimateSettings
-from suspnet.spectra.matrix_information import spectral_information
 from suspnet.spectra.subspace import SpectralMatrix, SubspaceMisfit
 
 PARTS = ("bushings", "sensors", "frame_sway", "frame_yaw", "body_yaw")

@@ -22,7 +22,7 @@ from suspnet.maintenance.plan import make_plan, parts_of, trains_of
 from suspnet.maintenance.series import Event
 from suspnet.report import board as module
 from suspnet.report.board import Board, BoardSettings
-from suspnet.report.tables import address
+from suspnet.report.overview import address
 
 pytestmark = pytest.mark.usefixtures("trips_fitted_once")
 TODAY = "2026-03-01"

@@ -21,7 +21,7 @@ from suspnet.maintenance.sisters import SisterSettings
 from suspnet.maintenance.visit_costs import PlanSettings
 from suspnet.report.board import BoardSettings
 from suspnet.report.language import speaking
-from suspnet.report.tables import overview_rows, overview_table
+from suspnet.report.overview import overview_rows, overview_table
 from suspnet.report.templates import render
 from suspnet.runs.evaluate import existing_history, write_maintenance
 

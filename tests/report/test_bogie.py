@@ -44,9 +44,9 @@ from suspnet.report.bogie import (
 from suspnet.report.language import speaking
 from suspnet.report.maintenance_figures import small_trends
 from suspnet.report.output import summary
+from suspnet.report.overview import Evaluated, same_columns
 from suspnet.report.pdf import as_pdf
 from suspnet.report.report import Report, write_report
-from suspnet.report.tables import Evaluated, same_columns
 from suspnet.report.templates import environment
 from suspnet.report.trend import trend_of_state
 from suspnet.runs.evaluate import write_maintenance

@@ -9,8 +9,8 @@ import pytest
 from served_fleet import FAILED, WORN, trips
 
 from suspnet.report.output import check_documents, write_documents
+from suspnet.report.overview import Evaluated
 from suspnet.report.pdf import as_pdf
-from suspnet.report.tables import Evaluated
 from suspnet.report.xlsx import header_of, write_xlsx
 
 openpyxl = pytest.importorskip("openpyxl")

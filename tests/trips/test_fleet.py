@@ -4,6 +4,7 @@ import csv
 import json
 import os
 import shutil
+import sys
 from dataclasses import replace
 from html import unescape
 
@@ -650,8 +651,8 @@ def test_settings_are_checked(change, message):
 
 
 def test_cluster_needs_dask(monkeypatch):
-    monkeypatch.setattr(fleet, "HAS_DASK", False)
-    with pytest.raises(ValueError, match=r'`cluster` needs dask: pip install "suspnet\[cluster\]"'):
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with pytest.raises(ValueError, match=r'distributed is missing: .*"suspnet\[cluster\]"'):
         FleetSettings(TRIPS, cluster="local")
     assert FleetSettings(TRIPS).cluster is None
 

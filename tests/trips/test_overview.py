@@ -17,7 +17,7 @@ from suspnet.ground.records import Place
 from suspnet.maintenance.series import series_of
 from suspnet.maintenance.state import State
 from suspnet.report.output import write_overview
-from suspnet.report.tables import Evaluated, finding, most_severe
+from suspnet.report.overview import Evaluated, finding, most_severe
 from suspnet.trips import fleet
 from suspnet.trips.commissionings import models_of
 from suspnet.trips.fleet import FleetSettings, evaluate_fleet

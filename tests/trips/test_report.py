@@ -21,8 +21,9 @@ from suspnet.report import figures, report
 from suspnet.report.dead_sensors import dead_words
 from suspnet.report.language import speaking
 from suspnet.report.maintenance_figures import health_trend
+from suspnet.report.overview import Evaluated
 from suspnet.report.report import UNSURE, Report
-from suspnet.report.tables import Evaluated, files_read_as
+from suspnet.report.tables import files_read_as
 
 HOSTILE = "<script>alert('x')</script> & \"$x_\" {{ 7 * 7 }} \u5217\u8eca \udcff"
 VOID = {"meta", "br", "img"}
