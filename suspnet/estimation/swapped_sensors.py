@@ -28,8 +28,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from itertools import combinations
 from operator import itemgetter
-
-import numpy as np
+from typing import TypeVar
 
 from suspnet.dynamics import SpatialVehicle
 from suspnet.dynamics.vehicle_family import OTHER_END
@@ -38,33 +37,42 @@ from suspnet.estimation.bogie_search import ROUGH, BogieSearch
 from suspnet.recordings.errors import TripError
 from suspnet.spectra.bogie_trip import BogieTrip, smallest_noise
 
+Item = TypeVar("Item")
 CLEARER = 1.25
 """Factor by which the misfit must fall for two sensors to be called swapped."""
+EXPLAINS = 2.0
+"""Misfit below which an exchange explains a trip. With the wrong bogie given, one had 9 for 17."""
 OTHER_BOGIE = 2.0
 """Likewise for another bogie or axle. Four trips of a leading bogie had 15 and 1.1."""
 NEARLY = 1.2
-"""Largest rms residual at the median vehicle, over the smallest of all bogies and axles, with which
-one is fitted: the right one had up to 1.08 on 36 trips of three trains with everything at once."""
+"""Largest rms residual at the median vehicle, over the smallest of all bogies, axles or orders of
+sensors, with which one is fitted: the right bogie and axle had up to 1.08 on 36 trips of three
+trains with everything at once."""
 
 
-def check_order(generator: SpatialVehicle, trip: BogieTrip, where: str = "") -> None:
+def check_order(
+    generator: SpatialVehicle, trip: BogieTrip, where: str = "", *, nearly: float = 1.0
+) -> None:
     """Raise TripError if two sensors of a trip look swapped.
 
     `generator` is the vehicle as its drawing or its healthy trips show it, with a distribution; the
-    message starts with `where`.
+    message starts with `where`. `nearly` is as for `likely_orders`, each of which takes a second.
     """
     assert generator.sensors is not None
-    best = likeliest_order(generator, trip)
-    moved = [i for i, place in enumerate(best) if place != i]
-    if not moved:
+    own = list(range(len(_search(generator, trip).sensors_of(trip))))
+    first, *others = likely_orders(generator, trip, nearly)
+    orders = [one for one in (first, *others) if one != own]
+    if not orders:
         return
-    search = _search(generator, trip)
-    given = search.widened(ROUGH[0]).finished().misfit
-    other = _search(generator, trip.in_order(best)).widened(ROUGH[0]).finished().misfit
-    if not other < given / CLEARER:
+    # no order has less than about 1
+    if (given := _misfit(generator, trip)) < CLEARER:
         return
-    there = search.sensors_of(trip)
-    names = [generator.sensors[there[i]] for i in moved]
+    other, best = min((_misfit(generator, trip.in_order(one)), one) for one in orders)
+    # at the median vehicle and after the fit, or else the fit explains the trip
+    if not (other < given / CLEARER and (best == first or other < EXPLAINS)):
+        return
+    there = _search(generator, trip).sensors_of(trip)
+    names = [generator.sensors[there[i]] for i in own if best[i] != i]
     raise TripError(
         f"{where}{' and '.join(names)} look swapped: with them exchanged the misfit falls from "
         f"{given:.2g} to {other:.2g} times that of noise; exchange the columns of their lines in "
@@ -81,7 +89,7 @@ def check_bogie(
     """
     if misfit < OTHER_BOGIE:
         return
-    ends = _likely(_ends(generator)[1:], trips[0])
+    ends = _likely_ends(_ends(generator)[1:], trips[0])
     # near the minimum is near enough, and takes half as long
     fits = [healthy_search(one, trips).widened(ROUGH[0]).misfit for one in ends]
     other, end = min(zip(fits, ends, strict=True), key=itemgetter(0))
@@ -95,11 +103,10 @@ def check_end(generator: SpatialVehicle, trip: BogieTrip, where: str = "") -> No
     `generator` is as for `check_order`; the direction of travel must be known.
     """
     own, *others = _ends(generator)
-    ends = [one for one in _likely([own, *others], trip) if one is not own]
-    # near the minimum is near enough: the last search takes ten times as long in another valley
-    if not ends or (given := _search(own, trip).widened(ROUGH[0]).misfit) < OTHER_BOGIE:
+    ends = [one for one in _likely_ends([own, *others], trip) if one is not own]
+    if not ends or (given := _misfit(own, trip)) < OTHER_BOGIE:
         return
-    fits = [_search(one, trip).widened(ROUGH[0]).misfit for one in ends]
+    fits = [_misfit(one, trip) for one in ends]
     other, end = min(zip(fits, ends, strict=True), key=itemgetter(0))
     if other < given / OTHER_BOGIE:
         raise TripError(f"{where}the trip fits {_other_end(generator, given, end, other)}")
@@ -114,11 +121,15 @@ def _ends(generator: SpatialVehicle) -> list[SpatialVehicle]:
     ]
 
 
-def _likely(ends: Sequence[SpatialVehicle], trip: BogieTrip) -> list[SpatialVehicle]:
+def _likely_ends(ends: Sequence[SpatialVehicle], trip: BogieTrip) -> list[SpatialVehicle]:
     """Return those of the ends of a vehicle whose residuals of a trip are nearly the smallest."""
-    misfits = [_misfit_at_start(one, trip) for one in ends]
-    near = NEARLY * min(misfits)
-    return [one for one, misfit in zip(ends, misfits, strict=True) if misfit <= near]
+    return _near(ends, [_misfit_at_start(one, trip) for one in ends], NEARLY)
+
+
+def _near(items: Sequence[Item], misfits: Sequence[float], nearly: float) -> list[Item]:
+    """Return the items whose misfit is at most `nearly` times the smallest, which is the first."""
+    by_misfit = sorted(zip(misfits, items, strict=True), key=itemgetter(0))
+    return [one for misfit, one in by_misfit if misfit <= nearly * by_misfit[0][0]]
 
 
 def _other_end(given: SpatialVehicle, misfit: float, end: SpatialVehicle, least: float) -> str:
@@ -134,22 +145,31 @@ def _other_end(given: SpatialVehicle, misfit: float, end: SpatialVehicle, least:
 
 
 def _misfit_at_start(generator: SpatialVehicle, trip: BogieTrip) -> float:
-    """Return the rms residual of a trip at the median vehicle, as `likeliest_order` compares it."""
+    """Return the rms residual of a trip at the median vehicle, as `likely_orders` compares it."""
     search = _search(generator, trip)
     return float(search.misfits_in([range(len(search.sensors_of(trip)))])[0])
 
 
-def likeliest_order(generator: SpatialVehicle, trip: BogieTrip) -> list[int]:
-    """Return the numbers of a trip's sensors as given, or with those two exchanged that fit better.
+def likely_orders(generator: SpatialVehicle, trip: BogieTrip, nearly: float) -> list[list[int]]:
+    """Return the likely orders of a trip's sensors: as given, or with two of them exchanged.
 
-    That is decided at the median vehicle.
+    Their residuals at the median vehicle are at most `nearly` times the smallest, which is that of
+    the first.
     """
     search = _search(generator, trip)
     orders = [list(range(len(search.sensors_of(trip))))]
     for i, j in combinations(orders[0], 2):
         orders.append(list(orders[0]))
         orders[-1][i], orders[-1][j] = j, i
-    return orders[int(np.argmin(search.misfits_in(orders)))]
+    return _near(orders, search.misfits_in(orders).tolist(), nearly)
+
+
+def _misfit(generator: SpatialVehicle, trip: BogieTrip) -> float:
+    """Return the misfit of a trip near the minimum, which is near enough.
+
+    The last search would take ten times as long in another valley.
+    """
+    return _search(generator, trip).widened(ROUGH[0]).misfit
 
 
 def _search(generator: SpatialVehicle, trip: BogieTrip) -> BogieSearch:

@@ -131,7 +131,7 @@ class ManifestFile:
             raise TripError(*problems)
 
 
-def read_manifest(path: Path) -> TripManifest:
+def read_manifest(path: str | Path) -> TripManifest:
     """Return a checked manifest.
 
     Raises
@@ -140,7 +140,7 @@ def read_manifest(path: Path) -> TripManifest:
         If the file cannot be read, has unknown or missing keys or wrong values, names a missing
         data file, or names the same column for two sensors. Its `problems` are all that is wrong.
     """
-    return ManifestFile(path).trip
+    return ManifestFile(Path(path)).trip
 
 
 def _parsed(path: Path, content: Any) -> TripManifest:

@@ -15,7 +15,7 @@ from suspnet.estimation.bogie_fit import EXPLAINED, CommissionedBogie, commissio
 from suspnet.estimation.commissioning import Commissioned, as_bogie, commission
 from suspnet.estimation.healthy_trips import HealthyTrips, read_healthy
 from suspnet.estimation.lone_sensors import SIDE_M
-from suspnet.estimation.swapped_sensors import check_bogie, check_order
+from suspnet.estimation.swapped_sensors import NEARLY, check_bogie, check_order
 from suspnet.estimation.trip_settings import TripSettings
 from suspnet.ground.tensors import threads
 from suspnet.recordings.errors import all_of
@@ -92,16 +92,22 @@ def commission_parts(found: HealthyTrips, trips: TripSettings) -> CommissionedBo
     `found` has been read for its parts. TripError if sensors look swapped, or the trips are of the
     other bogie.
     """
-    assert found.vehicle is not None
+    vehicle = found.vehicle
+    assert vehicle is not None
     folder = found.manifests[0].path.parent
-    if trips.check_channels:
+
+    def check_orders(nearly: float) -> None:
         all_of(
-            partial(check_order, found.vehicle, trip, f"{manifest.path}: ")
+            partial(check_order, vehicle, trip, f"{manifest.path}: ", nearly=nearly)
             for trip, manifest in zip(found.of_parts, found.manifests, strict=True)
         )
-    bogie = commission_bogie(found.vehicle, found.of_parts)
+
     if trips.check_channels:
-        check_bogie(found.vehicle, found.of_parts, bogie.misfit, f"{folder}: ")
+        check_orders(1.0)
+    bogie = commission_bogie(vehicle, found.of_parts)
+    if trips.check_channels and bogie.misfit > EXPLAINED:
+        check_orders(NEARLY)
+        check_bogie(vehicle, found.of_parts, bogie.misfit, f"{folder}: ")
     log.info("%s", words.of_parts(bogie))
     for doubt in words.doubts_of_parts(bogie):
         log.warning("%s", doubt)

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from suspnet.dynamics import SpatialVehicle, Vehicle, best_generator
 from suspnet.estimation.bogie_trips import PARTS_OF_BOGIE, bogie_trip, sensor_places, show_parts
-from suspnet.estimation.swapped_sensors import check_end, check_order
+from suspnet.estimation.swapped_sensors import NEARLY, check_end, check_order
 from suspnet.estimation.trip_settings import TripSettings
 from suspnet.ground.parameters import Direction
 from suspnet.ground.tensors import threads
@@ -100,7 +100,7 @@ def check_bogie(
     trip = bogie_trip(recording, unknown, settings, ways[0])
     if manifest.direction:  # else that which the phases show assumes the bogie
         check_end(unknown, trip)
-    check_order(unknown, trip)
+    check_order(unknown, trip, nearly=NEARLY)
     return trip
 
 

@@ -24,7 +24,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 from blind_train import Track, Train, record, write_trip
 
 import suspnet
-from suspnet.estimation.swapped_sensors import check_end, check_order, likeliest_order
+from suspnet.estimation.swapped_sensors import NEARLY, check_end, check_order, likely_orders
 from suspnet.recordings.errors import TripError
 
 EXCHANGES = ((0, 1), (2, 3), (4, 5), (0, 2), (1, 3), (2, 4))
@@ -54,13 +54,17 @@ def trips_of(name, seed, folder):
     return family, suspnet.commission_bogie(family, found[:5]).generator, found
 
 
-def is_called(check, vehicle, trip):
-    """Return whether a check refuses a trip; its words are printed."""
+def by_drawing(vehicle, trip):
+    check_order(vehicle, trip, nearly=NEARLY)
+
+
+def is_called(check, vehicle, trip, names=()):
+    """Return whether a check refuses a trip, with these names if given; its words are printed."""
     try:
         check(vehicle, trip)
     except TripError as error:
         print(error)
-        return True
+        return all(name in str(error) for name in names)
     return False
 
 
@@ -74,17 +78,20 @@ def main():
         for seed in options.seeds:
             with tempfile.TemporaryDirectory() as folder:
                 drawing, commissioned, trips = trips_of(name, seed, Path(folder))
-            called = sum(
-                is_called(check_order, v, t) for t in trips for v in (drawing, commissioned)
-            )
-            right, chosen = 0, trips[::EVERY]
+            called = sum(is_called(by_drawing, drawing, trip) for trip in trips)
+            called += sum(is_called(check_order, commissioned, trip) for trip in trips)
+            first, right, chosen = 0, 0, trips[::EVERY]
             for i, j in EXCHANGES:
                 order = list(range(6))
                 order[i], order[j] = j, i
-                right += sum(likeliest_order(drawing, t.in_order(order)) == order for t in chosen)
+                names = drawing.sensors[i], drawing.sensors[j]
+                for trip in (one.in_order(order) for one in chosen):
+                    first += likely_orders(drawing, trip, 1.0)[0] == order
+                    right += is_called(by_drawing, drawing, trip, names)
             print(
                 f"{name}, {seed}: {called} of 2 x {len(trips)} correct trips called swapped, "
-                f"{right} of {len(EXCHANGES) * len(chosen)} exchanges found",
+                f"{right} of {len(EXCHANGES) * len(chosen)} exchanges found, {first} first by "
+                "their residuals at the median vehicle",
                 flush=True,
             )
             called = sum(is_called(check_end, drawing, trip) for trip in trips)

@@ -13,7 +13,7 @@ from suspnet.estimation.swapped_sensors import (
     check_bogie,
     check_end,
     check_order,
-    likeliest_order,
+    likely_orders,
 )
 from suspnet.recordings.errors import TripError
 from suspnet.spectra.bogie_trip import smallest_noise
@@ -44,7 +44,8 @@ def test_the_exchange_that_was_made_fits_best(i, j):
     one = exchanged(trip(drawn(VEHICLE, row({"k_p_axle1_right": 0.7}), 7), 70.0), i, j)
     expected = list(range(6))
     expected[i], expected[j] = j, i
-    assert likeliest_order(VEHICLE, one) == expected
+    assert likely_orders(VEHICLE, one, 1.0) == [expected]
+    assert likely_orders(VEHICLE, one, 1e9)[0] == expected
 
 
 @pytest.mark.parametrize(("i", "j", "lost"), [(0, 1, ()), (2, 3, ("axle_box_axle1_left",))])
@@ -60,8 +61,21 @@ def test_two_sensors_that_are_swapped_are_named(i, j, lost):
 def test_an_exchange_that_no_fit_confirms_is_none(monkeypatch):
     """The physics of another train may look better with two sensors exchanged."""
     one = trip(drawn(VEHICLE, row({}), 7), 70.0)
-    monkeypatch.setattr(swapped_sensors, "likeliest_order", lambda *_: [1, 0, 2, 3, 4, 5])
+    monkeypatch.setattr(swapped_sensors, "likely_orders", lambda *_: [[1, 0, 2, 3, 4, 5]])
     check_order(VEHICLE, one)
+
+
+def test_fits_decide_where_the_given_order_has_smaller_residuals_at_the_median(monkeypatch):
+    """As the body's sensors of the trailing bogie of a blind train had, 11.68 for 11.69."""
+    one = exchanged(trip(drawn(VEHICLE, row({"k_p_axle1_right": 0.7}), 7), 70.0), 4, 5)
+
+    def misfits_in(search, orders):
+        return np.array([1.0 if order == sorted(order) else 1.1 for order in orders])
+
+    monkeypatch.setattr(BogieSearch, "misfits_in", misfits_in)
+    check_order(VEHICLE, one)
+    with pytest.raises(TripError, match="body_left and body_right look swapped"):
+        check_order(VEHICLE, one, nearly=1.2)
 
 
 @pytest.mark.parametrize("misfit", [1.9, 9.0])

@@ -97,7 +97,7 @@ def test_what_it_needs_is_said(tmp_path):
 )
 def test_check_says_whether_its_parts_can_be_read(tmp_path, monkeypatch, minutes, direction, state):
     for name in ("check_order", "check_end"):  # noise has none
-        monkeypatch.setattr(sensor_checks, name, lambda vehicle, trip: None)
+        monkeypatch.setattr(sensor_checks, name, lambda vehicle, trip, **_: None)
     path = trips(tmp_path, minutes, direction)[0]
     found = check_trip(path, CheckSettings({"am96": AM96}))
     assert (found.state, found.shows_parts) == (state, state == READY)
