@@ -143,7 +143,8 @@ def _known_vehicles(folder: Path | None, trips: Sequence[folders.Trip]) -> list[
     for name in own:
         print(
             printable(
-                f"{name} is no vehicle of suspnet's: give --config-dir DIR, the folder with "
+                f"{name} is no vehicle of suspnet's: say vehicle=am96 or another of them if that "
+                "is a number of the train, or give --config-dir DIR, the folder with "
                 f"vehicle/{name}.yaml ({_command('init', '--vehicle', name)} lists what it "
                 "needs); without it swapped sensors, units and signs are not checked"
             )

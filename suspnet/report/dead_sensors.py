@@ -11,24 +11,27 @@ from suspnet.ground.wording import count
 from suspnet.maintenance.state import State
 
 LISTED = 5
-"""Largest number of trips that are listed for a dead sensor."""
-DEAD = re.compile(r"(?:^|; )([\w ]+: dead and left out.*?)(?=; [a-z_]+(?: [\w ]+)?: |$)")
-"""A dead sensor with what is known of it, among the faults of a trip."""
+"""Largest number of trips that are listed for a failing sensor."""
+FAILING = re.compile(
+    r"(?:^|; )([\w ]+: (?:dead and left out|loose from).*?)(?=; [a-z_]+(?: [\w ]+)?: |$)"
+)
+"""A dead or loose sensor with what is known of it, among the faults of a trip."""
+DEAD = ": dead and left out"
 
 
-def dead_sensors(results: Sequence[TripResult]) -> dict[str, list[str]]:
-    """Return what is known of each dead sensor, with the names of its trips.
+def failing_sensors(results: Sequence[TripResult]) -> dict[str, list[str]]:
+    """Return what is known of each dead or loose sensor, with the names of its trips.
 
     Examples
     --------
     >>> from suspnet.ground.records import Quality
     >>> quality = Quality(faults="body right: dead and left out (constant); speed: 2 spikes")
-    >>> dead_sensors([TripResult("trip_1", "trip_1.yaml", quality=quality)])
+    >>> failing_sensors([TripResult("trip_1", "trip_1.yaml", quality=quality)])
     {'body right: dead and left out (constant)': ['trip_1']}
     """
     trips: dict[str, list[str]] = {}
     for result in results:
-        for words in DEAD.findall(result.quality.faults):
+        for words in FAILING.findall(result.quality.faults):
             whole = words if words.count("(") == words.count(")") else words.rpartition(" (")[0]
             trips.setdefault(whole, []).append(result.trip)
     return trips
@@ -40,9 +43,8 @@ def dead_words(results: Sequence[TripResult]) -> str:
     `results` are in the order of the mileage. A sensor that was replaced since is not named.
     """
     newest = [one for one in results if one.quality.faults or one.estimates][-1:]
-    found = dead_sensors(newest)
-    names = [words.partition(": ")[0] for words in found]
-    return _left_out(names, sum(bool(DEAD.search(r.quality.faults)) for r in results), len(results))
+    names = [words.partition(":")[0] for words in failing_sensors(newest) if DEAD in words]
+    return _left_out(names, sum(DEAD in r.quality.faults for r in results), len(results))
 
 
 def sensor_words(state: State) -> str:

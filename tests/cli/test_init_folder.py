@@ -422,7 +422,7 @@ def test_own_vehicle_is_found_in_a_folder_here_or_asked_for(tmp_path):
     write_plain(tmp_path / "car 7" / "run_1.parquet")
     said = ("car 7", "vehicle=metro", *SAID[1:], "mileage_km=1")
     done = typed(init, *said, cwd=tmp_path)
-    assert "metro is no vehicle of suspnet's: give --config-dir DIR" in done.stdout
+    assert "metro is no vehicle of suspnet's: say vehicle=am96 or another of them" in done.stdout
     assert "without it swapped sensors, units and signs are not checked" in done.stdout
     assert done.stdout.endswith("then run: suspnet check 'car 7' --config-dir DIR\n")
     shipped = (Path(CONFIGS) / "vehicle" / "am96.yaml").read_text()
