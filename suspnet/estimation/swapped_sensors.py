@@ -60,9 +60,10 @@ def check_order(
     message starts with `where`. `nearly` is as for `likely_orders`, each of which takes a second.
     """
     assert generator.sensors is not None
-    own = list(range(len(_search(generator, trip).sensors_of(trip))))
-    first, *others = likely_orders(generator, trip, nearly)
-    orders = [one for one in (first, *others) if one != own]
+    there = _search(generator, trip).sensors_of(trip)
+    own = list(range(len(there)))
+    likely = likely_orders(generator, trip, nearly)
+    orders = [one for one in likely if one != own]
     if not orders:
         return
     # no order has less than about 1
@@ -70,9 +71,8 @@ def check_order(
         return
     other, best = min((_misfit(generator, trip.in_order(one)), one) for one in orders)
     # at the median vehicle and after the fit, or else the fit explains the trip
-    if not (other < given / CLEARER and (best == first or other < EXPLAINS)):
+    if not (other < given / CLEARER and (best == likely[0] or other < EXPLAINS)):
         return
-    there = _search(generator, trip).sensors_of(trip)
     names = [generator.sensors[there[i]] for i in own if best[i] != i]
     raise TripError(
         f"{where}{' and '.join(names)} look swapped: with them exchanged the misfit falls from "
