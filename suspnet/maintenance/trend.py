@@ -24,6 +24,9 @@ N_ENDS = 5
 """Number of trips at each end of the history whose medians are compared."""
 MIN_SIZE = 3
 """Fewest trips on each side of a step: one outlier is not a step."""
+N_RECENT, FAR_BETTER = 20, 0.3
+"""Number of trips in which a change that began lately is told from a step, and the share of a
+step's sum of squares that a steady change leaves at most."""
 
 
 class Shape(StrEnum):
@@ -239,7 +242,7 @@ def _shape(values: FloatArray, change: float, threshold: float, step: Step) -> S
         return Shape.STEADY
     if _slope(after[-max(5, len(after) // 2) :], change, threshold) > 0:
         return Shape.GRADUAL
-    return Shape.STEP
+    return Shape.GRADUAL if len(after) < 5 and _is_ramp(values[-N_RECENT:]) else Shape.STEP
 
 
 def _slope(values: FloatArray, change: float, threshold: float) -> float:
@@ -252,6 +255,21 @@ def _slope(values: FloatArray, change: float, threshold: float) -> float:
     line = stats.linregress(np.arange(len(values)), values)
     slope = 100 * float(np.copysign(line.slope, line.slope * change))
     return slope if line.pvalue < LEVEL and slope * (len(values) - 1) > threshold else 0.0
+
+
+def _is_ramp(values: FloatArray) -> bool:
+    """Return whether a level and a line from a bend on fit far better than two levels.
+
+    Both have three numbers: where it changes, and two for the values.
+    """
+    trips = np.arange(len(values))
+    every = trips - trips[:-1, None]
+    left = []
+    for shape in (np.maximum(every, 0.0), (every > 0) * 1.0):
+        shape = shape - shape.mean(axis=1, keepdims=True)
+        explained = np.square(shape @ values) / np.square(shape).sum(axis=1)
+        left.append(np.square(values - values.mean()).sum() - explained.max())
+    return bool(left[0] < FAR_BETTER * left[1])
 
 
 def _is_line(values: FloatArray, threshold: float) -> bool:

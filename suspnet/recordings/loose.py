@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
-from scipy.ndimage import binary_propagation, correlate1d, uniform_filter1d
+from scipy.ndimage import binary_opening, binary_propagation, correlate1d, uniform_filter1d
 from scipy.signal import get_window
 
 from suspnet.ground.types import BoolArray, ComplexArray, FloatArray
@@ -45,6 +45,9 @@ USUAL = -0.2
 COLLAPSED = 1.5
 """Least drop of a collapsed sensor's power below that of the quietest other [powers of ten]. Intact
 sensors that were alone reached 1.1."""
+FALLEN, FALLEN_FRAMES = 1.0, 2
+"""Least drop in single frames, and their number in a row, of a sensor that is loose too briefly for
+the coherence of an average to show it. Intact sensors of 20 simulated trips reached .41."""
 SLOW_SHARE, SLOW_QUANTILE = 0.7, 0.1
 """A sensor is judged only above SLOW_SHARE times this quantile of the speeds at which it shared the
 others' motion: its signal at far lower speeds is unknown."""
@@ -72,12 +75,14 @@ class _Frames:
 
     `coherences`: (n_sensors, n_frames), mean over the band, with the most similar sensor. `levels`:
     (n_sensors, n_frames), [powers of ten], median over the band of the power relative to the usual
-    one; NaN for sensors that never share motion. `speeds`: (n_frames,), [m/s]. `known`:
-    (n_frames,), whether the train moves and more than half of the averaged frames are usable.
+    one; NaN for sensors that never share motion. `single`: the same of each frame alone, NaN where
+    a sample of it is not usable. `speeds`: (n_frames,), [m/s]. `known`: (n_frames,), whether the
+    train moves and more than half of the averaged frames are usable.
     """
 
     coherences: FloatArray
     levels: FloatArray
+    single: FloatArray
     speeds: FloatArray
     known: BoolArray
 
@@ -99,7 +104,9 @@ def find_loose(
     # a sensor without shared motion is loose, has a shifted clock, or there is little motion
     alone = (frames.coherences < ALONE) & frames.known
     loose, late = _divided(signals, frames, alone, rate_hz)
-    loose |= alone & _never_shared(list(values), frames)[:, None]
+    fallen = _fallen(frames)
+    alone |= fallen
+    loose |= fallen | (alone & _never_shared(list(values), frames)[:, None])
     n = len(usable)
     faults, anywhere = [], np.zeros(n, dtype=np.bool_)
     for name, its, its_alone in zip(values, loose, alone & loose, strict=True):
@@ -135,12 +142,20 @@ def _frames(
         coherences[[i, j]] = np.maximum(coherences[[i, j]], shared)
     n_inside = _averaged(inside[:, None].astype(np.float64))[:, 0]
     known = (speeds > MOVING_M_PER_S) & (n_inside > 0.5 - 0.5 / N_AVERAGED)
-    logs = np.log10(power / np.maximum(n_inside, 1 / N_AVERAGED)[:, None])
-    levels = np.full(coherences.shape, np.nan)
-    for level, log, shares in zip(levels, logs, (coherences >= SHARED) & known, strict=True):
-        if np.count_nonzero(shares) >= N_AVERAGED:
-            level[:] = np.median(log - np.median(log[shares], axis=0), axis=1)
-    return _Frames(coherences, levels, speeds, known)
+    shares = (coherences >= SHARED) & known
+    levels = _levels(power / np.maximum(n_inside, 1 / N_AVERAGED)[:, None], shares)
+    single = _levels(np.abs(spectra) ** 2, shares & inside)
+    return _Frames(coherences, levels, np.where(inside, single, np.nan), speeds, known)
+
+
+def _levels(power: FloatArray, shares: BoolArray) -> FloatArray:
+    """Return the levels (n_sensors, n_frames) of a power, with its usual one where `shares`."""
+    logs = np.log10(np.maximum(power, np.finfo(np.float64).tiny))
+    levels = np.full(shares.shape, np.nan)
+    for level, log, its in zip(levels, logs, shares, strict=True):
+        if np.count_nonzero(its) >= N_AVERAGED:
+            level[:] = np.median(log - np.median(log[its], axis=0), axis=1)
+    return levels
 
 
 def _in_frames(values: Any, size: int, step: int) -> Any:
@@ -199,15 +214,36 @@ def _evidence(frames: _Frames, levels: FloatArray, i: int) -> BoolArray:
 
     `levels` are NaN where a sensor is no reference.
     """
-    shares = (frames.coherences[i] >= SHARED) & frames.known
-    if np.isnan(frames.levels[i]).all():
-        return np.zeros_like(shares)
     others = np.delete(levels, i, axis=0)
     loudest = np.where(np.isnan(others), -np.inf, others).max(axis=0)
+    collapsed = _below_others(frames.levels[i], others) >= COLLAPSED
+    return np.asarray(((loudest >= USUAL) | collapsed) & _is_fast_enough(frames, i))
+
+
+def _below_others(own: FloatArray, others: FloatArray) -> FloatArray:
+    """Return how far a sensor's level is below that of the quietest other; -inf if unknown."""
     quietest = np.where(np.isnan(others), np.inf, others).min(axis=0)
-    collapsed = np.isfinite(quietest) & (quietest - frames.levels[i] >= COLLAPSED)
+    known = np.isfinite(quietest) & np.isfinite(own)
+    return np.where(known, np.where(known, quietest, 0.0) - own, -np.inf)
+
+
+def _is_fast_enough(frames: _Frames, i: int) -> BoolArray:
+    """Return the frames whose speed is not far below those at which a sensor shared motion."""
+    if np.isnan(frames.levels[i]).all():
+        return np.zeros_like(frames.known)
+    shares = (frames.coherences[i] >= SHARED) & frames.known
     slowest = SLOW_SHARE * np.quantile(frames.speeds[shares], SLOW_QUANTILE)
-    return np.asarray(((loudest >= USUAL) | collapsed) & (frames.speeds >= slowest))
+    return np.asarray(frames.speeds >= slowest)
+
+
+def _fallen(frames: _Frames) -> BoolArray:
+    """Return the frames in which a sensor is far quieter than all others, for a few or more."""
+    found = np.zeros(frames.single.shape, dtype=np.bool_)
+    for i, own in enumerate(frames.single):
+        below = _below_others(own, np.delete(frames.single, i, axis=0)) >= FALLEN
+        below &= frames.known & _is_fast_enough(frames, i)
+        found[i] = binary_opening(below, np.ones(FALLEN_FRAMES))
+    return found
 
 
 def _is_elsewhere(signals: FloatArray, i: int, part: slice, rate_hz: float) -> bool:

@@ -231,4 +231,5 @@ def most_severe(rows: Sequence[Mapping[str, Any]]) -> str:
     if not is_found or not worst.get("parameter"):
         return ""
     first = part_words(worst["parameter"].partition(", ")[0])
-    return f"The most severe: {first} ({worst['suspension']})."
+    place = Place(**{name: worst[name] for name in PLACE_FROM_TRAIN})
+    return f"The most severe: {first} ({place})."

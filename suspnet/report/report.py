@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import groupby
 from pathlib import Path
@@ -135,7 +135,8 @@ def write_report(
     trips = by_mileage(report.results)
     severity, finding = overall(assessments)
     found = joined(worst_first(assessments))
-    doubts, wheels, dead = _doubts(trips), wheels_finding(trips), dead_words(trips)
+    doubts, unread = _doubts(trips), _unread(trips)
+    wheels, dead = wheels_finding(trips), dead_words(trips)
     sides = worn_finding(trips) or sides_finding(trips)
     table = trip_table(trips, report.outputs, report.level)
     shown = {
@@ -143,15 +144,17 @@ def write_report(
         "flags": gettext(FLAGS_SHOWN) if doubts else "",
     }
     tone = SEVERITIES[severity][0]
+    remarks = (doubts, unread, found, sides, wheels, dead)
     page = render(
         "report.html",
         title=title,
         headline=_headline(trips),
         # without an alarm but with remarks the page is neutral
-        tone="plain" if tone == "good" and (doubts or found or sides or wheels or dead) else tone,
+        tone="plain" if tone == "good" and any(remarks) else tone,
         named=named_first(assessments, trips),
         finding=finding,
         doubts=doubts,
+        unread=unread,
         sides=sides,
         wheels=wheels,
         dead=dead,
@@ -294,13 +297,27 @@ def _doubts(trips: Sequence[TripResult]) -> str:
     done, flagged = sum(r.status == OK for r in trips), sum(bool(r.flags) for r in trips)
     if not flagged:
         return ""
-    reasons = Counter(r.flags for r in trips if r.flags)
-    most, n = reasons.most_common(1)[0]
-    why = most if len(reasons) == 1 else f"{n} of them: {most}"
+    why = _commonest(r.flags for r in trips if r.flags)
     if flagged == done > 1:
         return f"All {done} trips are flagged, {UNSURE}: {why}."
     are = "is" if flagged == 1 else "are"
     return f"{flagged} of {count(done, 'trip')} {are} flagged, see the table; {why}."
+
+
+def _unread(trips: Sequence[TripResult]) -> str:
+    """Return a sentence on trips without an estimate; empty if there is none, or no other trip."""
+    reasons = [r.reason for r in trips if r.status != OK]
+    if len(reasons) in (0, len(trips)):
+        return ""
+    have = "has" if len(reasons) == 1 else "have"
+    of = f"{len(reasons)} of {count(len(trips), 'trip')}"
+    return f"{of} {have} no estimate, see the table; {_commonest(reasons)}."
+
+
+def _commonest(reasons: Iterable[str]) -> str:
+    """Return the reason that most trips have."""
+    (most, n), *others = Counter(reasons).most_common()
+    return f"{n} of them: {most}" if others else most
 
 
 def _ordered(figures: Mapping[str, Figure]) -> list[str]:

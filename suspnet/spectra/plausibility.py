@@ -123,7 +123,7 @@ def check_channels(
     if factor > margin and direction != generator.direction:
         raise TripError(
             f"direction: the phases fit a train that runs {direction_words(direction)} "
-            f"{factor:.2g} times better; check `direction` and `bogie` in the manifest"
+            f"{factor:.2g} times better; check `direction`, `bogie` and `axle` in the manifest"
         )
     doubts = []
     if doubtful and speed > SPEED_MARGIN:

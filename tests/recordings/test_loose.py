@@ -110,6 +110,23 @@ def test_sensor_that_is_loose_for_a_while_is_read_before_and_after(ten_minutes, 
     assert recording.usable[(at_s < 180) | ((at_s > 250) & (at_s < 360)) | (at_s > 440)].all()
 
 
+@pytest.mark.parametrize("kind", KINDS[:2])
+def test_stretches_of_four_seconds(ten_minutes, kind):
+    """The coherence of an average of 17 s does not show them."""
+    recording = loaded(ten_minutes)
+    signals = dict(zip(CHANNELS, recording.signals, strict=True))
+    starts = (200, 330, 450)
+    stretches = [(start, start + 4) for start in starts]
+    signals["bogie"] = loosened(signals["bogie"], kind, COMMON_HZ, *stretches)
+    known = recording.usable, recording.speed_m_per_s, COMMON_HZ
+    (fault,), loose, silent = find_loose(signals, *known)
+    assert fault.channel == "bogie"
+    for start in starts:
+        assert loose[100 * start : 100 * (start + 4)].all()
+    assert loose.mean() < 0.15
+    assert not silent.any()
+
+
 def test_loose_from_the_start(ten_minutes, tmp_path):
     values = loosened(signal(ten_minutes, "body"), "hum", RATE["body"], (0, 300))
     recording = loaded(changed(ten_minutes, tmp_path, signals={"body": values}))

@@ -157,7 +157,7 @@ def test_wrong_direction_is_refused(both_ways, models, tmp_path):
     found = evaluate_trip(wrong, models, SETTINGS)
     assert found.status == "error"
     assert "phases fit a train that runs in reverse" in found.reason
-    assert "check `direction` and `bogie`" in found.reason
+    assert "check `direction`, `bogie` and `axle`" in found.reason
     # likewise where nothing is said and all models are of the other direction
     silent = changed(both_ways[1], tmp_path, "silent", direction=None)
     assert "runs in reverse" in evaluate_trip(silent, models[:1], SETTINGS).reason

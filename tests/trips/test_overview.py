@@ -265,9 +265,10 @@ def test_page_links_each_report_and_escapes_names(tmp_path):
 
 
 def test_the_most_severe_part_is_named_first():
-    act = {"severity": "act", "parameter": "c_p_axle2_left, k_s", "suspension": "Wagen 1"}
+    where = {"train": "", "car": "", "suspension": "Wagen 1", "bogie": "trailing", "side": ""}
+    act = {"severity": "act", "parameter": "c_p_axle2_left, k_s", **where}
     said = most_severe([act, {"severity": "none", "parameter": "", "suspension": "Wagen 2"}])
-    assert said == "The most severe: damper of axle 2, left (Wagen 1)."
+    assert said == "The most severe: damper of axle 2, left (Wagen 1, trailing bogie)."
     assert most_severe([{"severity": "unknown", "parameter": "k_p", "suspension": "a"}]) == ""
     assert most_severe([]) == ""
 

@@ -284,6 +284,20 @@ def test_sentence_on_flags_is_grammatical(tmp_path, n, sentence):
     assert sentence in page.text
 
 
+def test_trips_without_an_estimate_are_told_with_their_reasons(tmp_path):
+    done = measured(6)
+    missing = [trip(n, missing=True) for n in (7, 8)]
+    reason = missing[0].reason
+    text, page = write(tmp_path / "a.html", [*done, missing[0]])
+    assert f"1 of 7 trips has no estimate, see the table; {reason}." in page.text
+    assert page.named("div")[0]["class"] == "result plain"
+    _, page = write(tmp_path / "b.html", [*done, *missing])
+    assert f"2 of 8 trips have no estimate, see the table; 1 of them: {reason}." in page.text
+    for name, trips in (("c.html", done), ("d.html", missing)):
+        _, page = write(tmp_path / name, trips)
+        assert "no estimate, see the table" not in page.text
+
+
 def test_page_speaks_of_intervals_and_flags_only_where_there_are_some(tmp_path):
     _, plain = write(tmp_path / "a.html", fleet(12, ()))
     _, known = write(tmp_path / "b.html", measured(), level=0.95)

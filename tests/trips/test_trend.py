@@ -259,3 +259,17 @@ def test_looking_twice_finds_no_change_that_is_not_there():
         values[odd] *= 0.97
         found += flagged_trend("k_p", MILEAGE_KM, values, flags(*odd)).changed
     assert found / 150 < 2 * LEVEL + 3 * math.sqrt(2 * LEVEL / 150)
+
+
+FADE = (0.95, 0.9, 0.85, 0.8, 0.75, 0.7, 0.62, 0.55)
+
+
+@pytest.mark.parametrize(
+    ("last", "shape"),
+    [(FADE, Shape.GRADUAL), (FADE[:6], Shape.GRADUAL), ((0.6,) * 4, Shape.STEP)],
+)
+def test_a_fade_that_began_lately_is_no_step(last, shape):
+    change = np.concatenate([np.zeros(8), np.array(last) - 1])
+    for seed in range(20):
+        values = series(change, 0.005, seed)
+        assert trend("c_p", 1900.0 * np.arange(len(values)), values).shape == shape
