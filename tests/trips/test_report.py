@@ -288,7 +288,7 @@ def test_trips_without_an_estimate_are_told_with_their_reasons(tmp_path):
     done = measured(6)
     missing = [trip(n, missing=True) for n in (7, 8)]
     reason = missing[0].reason
-    text, page = write(tmp_path / "a.html", [*done, missing[0]])
+    _, page = write(tmp_path / "a.html", [*done, missing[0]])
     assert f"1 of 7 trips has no estimate, see the table; {reason}." in page.text
     assert page.named("div")[0]["class"] == "result plain"
     _, page = write(tmp_path / "b.html", [*done, *missing])
