@@ -59,6 +59,7 @@ NUMBERS = ("mileage_km", "temperature_c", "wheel_diameter_m")
 """Keys whose values are numbers."""
 _LINE = re.compile(r"[\W_]*(?P<name>[^:=;\t,]{2,40}?)[\"'\s]*[:=;\t,]+(?P<rest>.+)")
 _NUMBER = re.compile(r"[-+]?\d[\d.,' ]*")
+_BRACKETS = re.compile(r"[\[(]([^\[\]()]*)[\])]")
 _SPEED = re.compile(r"(\d+(?:[.,]\d+)?) *(km/h|m/s)")
 
 
@@ -109,11 +110,17 @@ def key_of(name: str) -> str:
     return next((key for key, names in NAMES.items() if plain in (_plain(key), *names)), "")
 
 
-def read_value(key: str, name: str, text: str) -> tuple[str, str | float] | None:
+def read_value(
+    key: str, name: str, text: str, is_german: bool = False
+) -> tuple[str, str | float] | None:
     """Return the key and the value of a text; None if it is not one of that key.
 
-    `name` decides how a number is written. "suspension" with the word for a leading or trailing
-    bogie is "bogie". `start` is in ISO format.
+    `name` decides how a number is written, unless `is_german`, and may hold the unit of a speed in
+    brackets. "suspension" with the word for a leading or trailing bogie is "bogie". `start` is in
+    ISO format.
+
+    >>> read_value("speed", "Geschwindigkeit [km/h]", "252,5"), read_value("speed", "v", "252,5")
+    (('speed', '252.5 km/h'), None)
     """
     text = " ".join(text.split()).strip("\"', ")
     if not text:
@@ -127,10 +134,10 @@ def read_value(key: str, name: str, text: str) -> tuple[str, str | float] | None
         moment = read_date(text)
         return None if moment is None else (key, moment.isoformat())
     if key == "speed":
-        match = _SPEED.match(text)
+        match = _SPEED.match(" ".join([text, *_BRACKETS.findall(name)]))
         return None if match is None else (key, f"{match[1].replace(',', '.')} {match[2]}")
     if key in NUMBERS:
-        number = _number(text, _plain(name) in GERMAN)
+        number = _number(text, is_german or _plain(name) in GERMAN)
         if number is not None and key == "wheel_diameter_m" and number > 10:  # in mm
             number /= 1000
         return None if number is None else (key, number)
@@ -145,7 +152,7 @@ def choice_of(key: str, text: str) -> str:
 
 
 def _plain(name: str) -> str:
-    bare = re.sub(r"[\[(][^\[\]()]*[\])]", " ", name)
+    bare = _BRACKETS.sub(" ", name)
     return " ".join(re.split(r"[^\w]+|_", bare.lower())).strip()
 
 

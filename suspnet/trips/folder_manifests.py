@@ -22,7 +22,7 @@ from suspnet.ground.parameters import DIRECTIONS, ENDS, SIDES
 from suspnet.ground.storage import read_plain
 from suspnet.recordings.clocks import first_moment
 from suspnet.recordings.errors import all_of
-from suspnet.recordings.logger_notes import GERMAN, NUMBERS, Stated, key_of, read_value, stated_in
+from suspnet.recordings.logger_notes import NUMBERS, Stated, key_of, read_value, stated_in
 from suspnet.recordings.manifest import CHANNELS
 from suspnet.recordings.manifest_sources import MIDDLE
 from suspnet.trips.file_contents import (
@@ -122,9 +122,12 @@ def read_table(path: Path) -> dict[str, dict[str, Stated]]:
             if not key or not cell.strip():
                 continue
             is_german = delimiter == ";" and "." not in cell
-            value = read_value(key, min(GERMAN) if is_german else name, cell)
+            value = read_value(key, name, cell, is_german)
             if value is None:
-                raise ValueError(f"{path}, row {number}: {name!r} cannot be read, got {cell!r}")
+                unit = "; give its unit, as 252 km/h or 70 m/s" if key == "speed" else ""
+                raise ValueError(
+                    f"{path}, row {number}: {name!r} cannot be read, got {cell!r}{unit}"
+                )
             found[trip][value[0]] = Stated(value[1], f"by {path.name}")
     return found
 

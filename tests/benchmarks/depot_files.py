@@ -44,7 +44,7 @@ def main():
     options.folder.mkdir(parents=True, exist_ok=True)
     train = Train.scattered(options.seed, geometry=0.0, sensors=True)
     rng = np.random.default_rng(options.seed)
-    rows, truth = ["Datei;Datum;Kilometerstand;Fahrtrichtung"], {}
+    rows, truth = ["Datei;Datum;Kilometerstand;Fahrtrichtung;Geschwindigkeit [km/h]"], {}
     for i in range(N_HEALTHY + len(FADED)):
         wear = FADED[i - N_HEALTHY] if i >= N_HEALTHY else 100
         ratios = np.ones(13)
@@ -104,7 +104,8 @@ def written(rows, name, run, i):
     """Add a trip to the table, and return its mileage and start."""
     km, start = 297_000 + 1_900 * i, FIRST + timedelta(days=2 * i, minutes=7 * i)
     way = {"forward": "vorwärts", "reverse": "rückwärts"}[run.direction]
-    rows.append(f"{name};{start:%d.%m.%Y %H:%M};{km};{way}")
+    speed = f"{3.6 * run.speed_m_per_s:.1f}".replace(".", ",")
+    rows.append(f"{name};{start:%d.%m.%Y %H:%M};{km};{way};{speed}")
     return km, start
 
 

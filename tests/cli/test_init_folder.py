@@ -192,6 +192,9 @@ def test_speed_is_that_of_the_receiver_unless_the_table_says_another(tmp_path):
     (tmp_path / "km.csv").write_text("file;mileage_km;speed\nrun;7;180 km/h\n")
     written(tmp_path, *said, "--table", tmp_path / "km.csv", "--force")
     assert read_manifest(tmp_path / "run.yaml").speed == 50.0
+    (tmp_path / "km.csv").write_text("Datei;km;Geschwindigkeit [km/h]\nrun;7;180,9\n")
+    written(tmp_path, *said, "mileage_km=7", "--table", tmp_path / "km.csv", "--force")
+    assert read_manifest(tmp_path / "run.yaml").speed == pytest.approx(50.25)
 
 
 def test_files_are_grouped_by_trip_and_folder(tmp_path):
@@ -273,6 +276,7 @@ def test_unknown_vehicles_of_loggers_are_listed_with_all_that_is_missing(tmp_pat
         (["channels.body=nowhere"], "", "must name one or two of the columns axle_box, "),
         ([], "a;b\n1;2\n", "no column is called file, trip, Datei or Fahrt"),
         ([], "file;mileage_km\nrun_9;7\n", "the table names run_9, which"),
+        ([], "Datei;Geschwindigkeit\nrun_1;252\n", "give its unit, as 252 km/h or 70 m/s"),
         ([], "file;mileage_km\nrun_1;7\nrun_1;7\n", "row 3: it names 'run_1' a second time"),
         ([], "file;mileage_km\nrun_1;much\n", "row 2: 'mileage_km' cannot be read, got 'much'"),
         ([], f"file;mileage_km\nrun_1;{'7' * 140_000}\n", "km.csv cannot be read as a table"),
