@@ -17,7 +17,7 @@ from suspnet.estimation.trip_settings import LEAST_TRIPS
 from suspnet.ground import ledger, progress
 from suspnet.ground.settings import check_number
 from suspnet.ground.storage import distinct, new_folder, printable
-from suspnet.ground.workers import LostWorkerError, each
+from suspnet.ground.workers import LostWorkerError, each, workers_for
 from suspnet.recordings.manifest_files import find_trips
 from suspnet.report.language import speaking
 from suspnet.spectra.estimates import WIDE_SPEED_HALF_WIDTH, EstimateSettings
@@ -43,7 +43,8 @@ MOST_NAMES = 8
 
 def check(arguments: Namespace) -> int:
     """Check what the command line names and return the exit code."""
-    check_number("--workers", arguments.workers, low=1, whole=True)
+    if arguments.workers is not None:
+        check_number("--workers", arguments.workers, low=1, whole=True)
     options = vehicles_with(arguments.config_dir)
     known = {vehicle.name: vehicle for vehicle in options.values()}
     models = [load_model(run) for run in named_runs(arguments.run or [])]
@@ -52,7 +53,8 @@ def check(arguments: Namespace) -> int:
     settings = CheckSettings(known, pictures=pictures, models=models)
     paths, elsewhere = find_trips(arguments.trips)
     with progress.on_stderr():
-        checks = with_shared_data(_checked(paths, settings, arguments.workers, arguments.language))
+        n_workers = workers_for(len(paths), arguments.workers)
+        checks = with_shared_data(_checked(paths, settings, n_workers, arguments.language))
     with speaking(arguments.language):
         page = write_checks(checks, elsewhere, output)
     print(f"{summary(checks, elsewhere)}\n-> {page}")

@@ -95,10 +95,9 @@ def check_parser() -> ArgumentParser:
     found.add_argument(
         "--workers",
         type=int,
-        default=1,
         metavar="N",
         help="number of trips that are read at the same time, each in a process [whole number; at "
-        "least 1; 1 if not given]",
+        "least 1; 2 for more than 10 trips and 1 for fewer if not given]",
     )
     found.add_argument(
         "--config-dir",

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pyarrow as pa
 import pyarrow.compute
 import pyarrow.csv
@@ -28,6 +29,8 @@ LONGEST_LINE = 2**20
 """Largest number of bytes of a line whose delimiter is blanks; Arrow limits other lines."""
 PARQUET_ROWS, PARQUET_BUFFER_BYTES = 2**17, 2**20
 """Number of rows in a batch, and bytes in the read buffer, of a Parquet file."""
+LEAST_GERMAN = len("03.08.2015 08:00:05")
+"""Least length of a German time stamp with two digits for each day, month, hour, ..."""
 
 
 @contextmanager
@@ -143,9 +146,29 @@ def _stamps(column: Any, kind: str) -> Any:
     if isinstance(column.type, pa.TimestampType):
         return as_block(column.to_numpy(zero_copy_only=False))
     plain = pa.compute.replace_substring(pa.compute.utf8_trim_whitespace(column), ",", ".")
-    plain = iso_from_german(plain, pa.compute.replace_substring_regex)
+    plain = _iso(plain)
     zone = "UTC" if kind == "utc" else None
     return as_block(plain.cast(pa.timestamp("ns", zone)).to_numpy(zero_copy_only=False))
+
+
+def _iso(stamps: Any) -> Any:
+    """Return text time stamps as ISO 8601 if they are German, else as they are.
+
+    Stamps like 03.08.2015 08:00:05 of one length are reordered byte by byte, which takes a tenth of
+    the time of regular expressions.
+    """
+    n, width = len(stamps), pa.compute.max(pa.compute.binary_length(stamps)).as_py() or 0
+    if stamps.type == pa.utf8() and not stamps.null_count and width >= LEAST_GERMAN:
+        _, offsets, letters = stamps.buffers()
+        ends = np.frombuffer(offsets, np.int32)[stamps.offset : stamps.offset + n + 1]
+        if (np.diff(ends) == width).all():
+            rows = np.frombuffer(letters, np.uint8)[ends[0] : ends[-1]].reshape(n, width)
+            if (rows < 128).all() and (rows[:, [2, 5, 13]] == tuple(b"..:")).all():
+                iso = rows[:, [6, 7, 8, 9, 2, 3, 4, 5, 0, 1, *range(10, width)]]
+                iso[:, [4, 7]] = ord("-")
+                buffers = [None, pa.py_buffer(ends - ends[0]), pa.py_buffer(iso.tobytes())]
+                return pa.Array.from_buffers(pa.utf8(), n, buffers)
+    return iso_from_german(stamps, pa.compute.replace_substring_regex)
 
 
 @dataclass

@@ -334,14 +334,22 @@ def trip_figure(
 
     `frequencies_hz`: (n_freq,) [Hz]; `spectra`: (3, n_freq), None if no stretch is free of faults.
     """
-    figure = Figure(figsize=(12.0, 7.0), layout="constrained")
+    # not "constrained", which takes two thirds of the time of drawing
+    figure = Figure(figsize=(12.0, 7.0))
     columns: Any = figure.subfigures(1, 2, width_ratios=(1.15, 1.0))
     left, right = columns
     axes: list[Axes] = list(left.subplots(4, 1, sharex=True))
+    left.subplots_adjust(left=0.13, right=0.98, top=0.88, bottom=0.08, hspace=0.12)
     draw_signals(axes, overview(recording))
-    left.legend(*axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=3)
+    left.legend(
+        *axes[0].get_legend_handles_labels(),
+        loc="upper center",
+        bbox_to_anchor=(0.55, 0.945),
+        ncols=3,
+    )
     left.align_ylabels(axes)
     upper, lower = right.subplots(2, 1, sharex=True)
+    right.subplots_adjust(left=0.13, right=0.98, top=0.89, bottom=0.08, hspace=0.16)
     upper.set(ylabel="power density [(m/s²)²/Hz]", title="spectra")
     lower.set(ylabel="coherence", title="coherence", xlabel="frequency [Hz]", ylim=(0, 1.05))
     if spectra is None:

@@ -25,7 +25,7 @@ _WORDS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     SPEED: (("speed", "veloc", "geschwind", "tempo"), ("v", "vel", "kmh", "kph", "mps", "vzug")),
     "axle_box": (
         ("axle", "achs", "radsatz", "wheelset", "lager", "bearing", "journal"),
-        ("box", "ab"),
+        ("box", "ab", "al"),
     ),
     "bogie": (("bogie", "drehgestell", "rahmen", "frame"), ("dg", "truck")),
     "body": (("body", "kasten", "coach", "floor", "boden"), ("car", "wk", "wagen", "cb")),
@@ -34,8 +34,8 @@ _WORDS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
 box is also on a bogie, and a bogie also belongs to a car."""
 _BOGIE_NUMBER = re.compile(r"(?:bogie|drehgestell|dg)[\s_.-]*([12])(?!\d)")
 _AXLE_NUMBER = re.compile(
-    r"(?:axle|achse|achslager|radsatz|radsatzlager|wheelset|box|ws|rs|ecke|corner)"
-    r"[\s_.-]*([12])(?!\d)"
+    r"(?:axle|achse|achslager|radsatz|radsatzlager|wheelset|box|ws|rs|ecke|corner|\bal)"
+    r"[\s_.-]*([1-4])(?!\d)"
 )
 _TIMES = ("t", "datetime", "datum", "uhrzeit", "seconds", "sec", "utc")
 _TIME_BEGINS = ("time", "zeit")
@@ -90,7 +90,9 @@ def guessed_bogie(*names: str) -> tuple[str, str]:
 
 
 def guessed_axle(*names: str) -> int:
-    """Return the number of the bogie's axle by the first name that states 1 or 2; 0 if none does.
+    """Return the number of an axle by the first name that states 1 to 4; 0 if none does.
+
+    3 and 4 are those of a vehicle, 1 and 2 may be those of a bogie.
 
     >>> guessed_axle("Achslager 2 links"), guessed_axle("axle_box_left"), guessed_axle("WS12")
     (2, 0, 0)
@@ -138,7 +140,9 @@ class Signal:
     @property
     def meaning(self) -> str:
         """Channel or speed, by names and unit; empty if these do not show it."""
-        found = guessed_meaning(*self.names)
+        # DG1 is that of a body in "DG1 Wagenkasten", and the place itself in "DG1_L"
+        unnumbered = (re.sub(r"\d+", " ", name) for name in self.names)
+        found = guessed_meaning(*self.names) or guessed_meaning(*unnumbered)
         if size_of(SPEED, self.unit) is not None:
             return SPEED
         is_acceleration = size_of(ACCELERATION, self.unit) is not None

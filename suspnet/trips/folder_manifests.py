@@ -30,6 +30,7 @@ from suspnet.trips.file_contents import (
     Contents,
     Signal,
     contents_of,
+    guessed_axle,
     guessed_bogie,
     words_of,
 )
@@ -170,11 +171,11 @@ def folder_manifests(
     times = [_file_time(one).timestamp() for one in found]
     is_copy = len(found) > 1 and max(times) - min(times) < COPIED_S * (len(found) - 1)
     for one, several in zip(found, contents, strict=True):
-        for path, signals, bogie in _by_bogie(one.path, [s for c in several for s in c.signals]):
+        for path, signals, guessed in _by_bogie(one.path, [s for c in several for s in c.signals]):
             known = _stated(one, several, signals, folder)
             if not is_copy and "start" not in known and not _is_dated(signals):
                 known["start"] = Stated(_file_time(one).isoformat(), BY_FILE_TIME)
-            known |= bogie
+            known = guessed | known | {key: guessed[key] for key in ("bogie",) if key in guessed}
             word = guessed_bogie(path.stem)
             if "bogie" not in known and word[0]:
                 known["bogie"] = Stated(word[0], f"guess by files named {word[1]}")
@@ -211,14 +212,27 @@ def _row(
 def _by_bogie(
     path: Path, signals: Sequence[Signal]
 ) -> list[tuple[Path, tuple[Signal, ...], dict[str, Stated]]]:
-    """Return a trip of each bogie that the names of columns state."""
+    """Return a trip of each bogie that the names of columns state, with guesses of its place."""
+    axles = [guessed_axle(*one.names) for one in signals]
+    are_of_vehicle = max(axles, default=0) > len(ENDS)
     stated = [guessed_bogie(*one.names) for one in signals]
+    for i, axle in enumerate(axles):
+        if are_of_vehicle and axle and not stated[i][0]:
+            stated[i] = ENDS[axle > len(ENDS)], f"axle {axle}"
     bogies: list[str] = [one for one in ENDS if any(bogie == one for bogie, _ in stated)]
     parts = []
     for one in bogies or [""]:
         own = [s for s, (bogie, _) in zip(signals, stated, strict=True) if bogie in ("", one)]
         word = next((word for bogie, word in stated if bogie == one and word), "")
         known = {"bogie": Stated(one, f"guess by columns named {word}")} if one else {}
+        numbers = {
+            axle
+            for axle, s, (bogie, _) in zip(axles, signals, stated, strict=True)
+            if axle and s.side and bogie in ("", one)
+        }
+        if len(numbers) == 1:
+            (axle,) = numbers
+            known["axle"] = Stated(ENDS[(axle - 1) % 2], f"guess by columns named axle {axle}")
         end = f"_{one}" if len(bogies) > 1 else ""
         parts.append((path.with_name(f"{path.stem}{end}.yaml"), tuple(own), known))
     return parts

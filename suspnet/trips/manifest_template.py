@@ -255,11 +255,11 @@ class _Writer:
 
 
 def _axles(signals: Sequence[Signal]) -> list[int]:
-    """Return the axle of each sensor: as said, else by names that state 1, 2 and sides, else 1."""
+    """Return the bogie's axle of each sensor: as said, by names with both and sides, else 1."""
     said = [one.axle for one in signals]
     named = [guessed_axle(*one.names) for one in signals if one.side]
-    if not any(said) and len(named) == len(said) and set(named) == {1, 2}:
-        return named  # without sides 1 and 2 may be left and right
+    if not any(said) and len(named) == len(said) and set(named) in ({1, 2}, {3, 4}):
+        return [2 - number % 2 for number in named]  # without sides they may be left and right
     return [axle or 1 for axle in said]
 
 

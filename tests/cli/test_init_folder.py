@@ -248,6 +248,32 @@ def test_two_loggers_in_one_folder_have_their_own_columns_and_bogies(tmp_path):
     assert "ACC_1" in str(second.channels["axle_box"])
 
 
+@pytest.mark.parametrize(
+    ("axles", "places"),
+    [
+        ((4,), ["trailing trailing"]),
+        ((3,), ["trailing leading"]),
+        ((2,), ["leading trailing"]),
+        ((1, 4), ["leading leading", "trailing trailing"]),
+        ((3, 4), ["trailing None"]),
+    ],
+)
+def test_numbers_of_axles_name_bogie_and_axle(tmp_path, axles, places):
+    names = [f"AL{axle}_{side}" for axle in axles for side in "LR"]
+    for bogie in dict.fromkeys((axle + 1) // 2 for axle in axles):
+        names += [f"DG{bogie} {side}" for side in "LR"]
+    columns = dict.fromkeys([*names, "WK_L", "WK_R"], np.sin(np.arange(400.0)))
+    columns["mileage_km"] = np.full(400, 7.0)
+    pq.write_table(pa.table(columns), tmp_path / "run.parquet")
+    words = written(tmp_path, *SAID)
+    found = [read_manifest(path) for path in sorted(tmp_path.glob("*.yaml"))]
+    assert [f"{one.bogie} {one.axle}" for one in found] == places
+    if axles == (4,):
+        assert "axle: guess by columns named axle 4 (1)" in words
+    if axles == (3, 4):
+        assert [one.axle for one in found[0].channels["axle_box"]] == [None, None, 2, 2]
+
+
 def test_unknown_vehicles_of_loggers_are_listed_with_all_that_is_missing(tmp_path):
     write_german(tmp_path / "run.csv", above=["Fahrzeug;ET 4711 Wagen 3\n"])
     (tmp_path / "mine/vehicle").mkdir(parents=True)

@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -235,3 +236,21 @@ def test_dialects_are_for_csv_files(tmp_path):
     (tmp_path / "data.npy").rename(tmp_path / "data.mat")
     with pytest.raises(TripError, match=r"`csv` is for files of type \['\.csv', '\.txt'"):
         read(tmp_path / "data.mat", "a", csv=CsvDialect(decimal=","))
+
+
+def test_german_stamps_of_one_length_are_read_as_those_of_any():
+    times = np.datetime64("2015-08-31T23:59:58.998", "ms") + np.arange(5000)
+    german = [f"{t[8:10]}.{t[5:7]}.{t[:4]} {t[11:19]},{t[20:]}" for t in times.astype(str)]
+    column = pa.array([*german, "1.9.2015 8:00:00,5"])
+    for part in (slice(5000), slice(7, 4000), slice(4000, 5001)):
+        found = csv_files._stamps(column[part], "local")
+        expected = [*times, np.datetime64("2015-09-01T08:00:00.5")][part]
+        np.testing.assert_array_equal(found, np.array(expected, "datetime64[ns]"))
+
+
+@pytest.mark.parametrize(
+    "wrong", ["31.08.2015 23:5x:58", "31/08/2015 23:59:58", "31.08.2015 23:59:5ä"]
+)
+def test_one_stamp_unlike_the_others_is_no_date(wrong):
+    with pytest.raises(pa.ArrowInvalid, match="Failed to parse string"):
+        csv_files._stamps(pa.array(["31.08.2015 23:59:57", wrong]), "local")
