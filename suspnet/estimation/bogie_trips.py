@@ -90,8 +90,9 @@ def bogie_trip(
 ) -> BogieTrip:
     """Return the spectral matrix of a recording's largest stretch at one speed.
 
-    If sensors of the generator's are missing or dead, it is that of the others (`lost` of the
-    result). Bins with lines of out-of-round wheels of axle 1 are left out.
+    If sensors of the generator's are missing or dead, or one whose faults leave no long stretch, it
+    is that of the others (`lost` of the result). Bins with lines of out-of-round wheels of axle 1
+    are left out.
 
     Parameters
     ----------
@@ -107,11 +108,33 @@ def bogie_trip(
     ------
     NoEstimateError
         If places of the generator have no sensor and the others do not show the parts, or no
-        stretch at one speed is long enough for more averages than sensors.
+        stretch at one speed is long enough for more averages than sensors, also without the sensor
+        whose faults break it up the most.
     """
     settings = settings or TripSettings()
+    try:
+        return _trip_of_all(recording, generator, settings, direction)
+    except NoEstimateError:
+        if not recording.faulty:
+            raise
+        worst = max(recording.faulty, key=lambda name: int(recording.faulty[name].sum()))
+        rest = recording.without(worst, "breaks the trip up")
+        try:
+            return _trip_of_all(rest, generator, settings, direction)
+        except NoEstimateError:
+            pass
+        raise
+
+
+def _trip_of_all(
+    recording: Recording,
+    generator: SpatialVehicle,
+    settings: TripSettings,
+    direction: Direction | None,
+) -> BogieTrip:
+    """Return the spectral matrix of all sensors of a recording, as of `bogie_trip`."""
     assert generator.sensors is not None
-    lost = lost_sensors(recording, generator)
+    lost = _lost_sensors(recording, generator)
     n_sensors = len(generator.sensors) - len(lost)
     if recording.duration_s < SEGMENT_S:
         raise NoEstimateError(_too_short(0, n_sensors))
@@ -138,7 +161,7 @@ def bogie_trip(
     )
 
 
-def lost_sensors(recording: Recording, generator: SpatialVehicle) -> tuple[str, ...]:
+def _lost_sensors(recording: Recording, generator: SpatialVehicle) -> tuple[str, ...]:
     """Return the places of the generator's at which a recording has no living sensor.
 
     NoEstimateError if the sensors at its other places do not show the parts.
@@ -209,7 +232,14 @@ def estimate_parts(
     found = parts.as_estimate()
     flags = with_bogie_doubt(found.flags, has_converged=bogie.converged, misfit=bogie.misfit)
     worn = worn_words(worn_parts(parts))
-    estimate = replace(found, flags=flags, healthy=bogie.healthy, found=worn, misfit=parts.misfit)
+    estimate = replace(
+        found,
+        flags=flags,
+        healthy=bogie.healthy,
+        found=worn,
+        misfit=parts.misfit,
+        lost=trip.lost,
+    )
     if parts.converged:
         return estimate
     text = "the search for the parts did not end within its steps"

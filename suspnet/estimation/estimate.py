@@ -49,6 +49,8 @@ class Estimate:
         What the fit of a trip's curve found in addition to the parameters; empty if nothing.
     misfit : float, [-]
         Rms of what the fit of a trip leaves unexplained over that of the noise; NaN without a fit.
+    lost : tuple of str
+        Places of sensors without which the parts of a bogie were read.
 
     Examples
     --------
@@ -66,6 +68,7 @@ class Estimate:
     healthy: HealthyValues | None = None
     found: str = ""
     misfit: float = np.nan
+    lost: tuple[str, ...] = ()
 
     def widened(self, deviations: FloatArray) -> Estimate:
         """Return the estimates with intervals that hold one more, independent error.

@@ -94,10 +94,11 @@ def find_loose(
     rate_hz: float,
     start_s: float = 0.0,
 ) -> tuple[tuple[Fault, ...], BoolArray, BoolArray]:
-    """Return a fault for each loose sensor, where any is loose, and where motion is too weak.
+    """Return a fault for each loose sensor, where each is loose, and where motion is too weak.
 
-    All arrays are on the common clock, of shape (n,); its first sample is at `start_s` on the
-    trip's clock. Where motion is too weak, an intact sensor shares none with the others.
+    All arrays are on the common clock, of shape (n,), the second result (n_sensors, n); its first
+    sample is at `start_s` on the trip's clock. Where motion is too weak, an intact sensor shares
+    none with the others.
     """
     signals = np.stack(list(values.values()))
     frames = _frames(signals, usable, speed_m_per_s, rate_hz)
@@ -108,18 +109,17 @@ def find_loose(
     alone |= fallen
     loose |= fallen | (alone & _never_shared(list(values), frames)[:, None])
     n = len(usable)
-    faults, anywhere = [], np.zeros(n, dtype=np.bool_)
-    for name, its, its_alone in zip(values, loose, alone & loose, strict=True):
+    faults, masks = [], np.zeros((len(values), n), dtype=np.bool_)
+    for name, its, its_alone, mask in zip(values, loose, alone & loose, masks, strict=True):
         if its.any():
-            mask = _painted(its, n, rate_hz)
+            mask[:] = _painted(its, n, rate_hz)
             words = _words(its, its_alone, start_s)
             words += WITHOUT_IT * (partner_of(name) in values)
             n_loose, first_s = int(np.count_nonzero(mask)), start_s + mask.argmax() / rate_hz
             seconds = n_loose / rate_hz
             faults.append(Fault(name, "loose", n_loose, seconds, first_s, False, None, words))
-            anywhere |= mask
     silent = np.asarray((alone & ~loose & ~late).any(axis=0))
-    return tuple(faults), anywhere, _painted(silent, n, rate_hz)
+    return tuple(faults), masks, _painted(silent, n, rate_hz)
 
 
 def _frames(

@@ -75,6 +75,8 @@ class Recording(ShortRepr):
         How files were read, where this was detected, as in CSV files.
     started : datetime or None
         Start of the trip by the times and headers of its files; None if they do not state it.
+    faulty : mapping of str to array of shape (n,)
+        Where each sensor is not usable, by name; of those that have such times.
     """
 
     manifest: TripManifest
@@ -90,6 +92,29 @@ class Recording(ShortRepr):
     elsewhere: Mapping[str, FloatArray] = field(default_factory=dict)
     words: str = ""
     started: datetime | None = None
+    faulty: Mapping[str, BoolArray] = field(default_factory=dict)
+
+    def without(self, name: str, reason: str) -> Recording:
+        """Return the recording without a sensor, usable also where no other one is faulty.
+
+        `reason` continues "it ...".
+        """
+        kept = {one: signal for one, signal in self.sensors().items() if one != name}
+        faulty = {one: where for one, where in self.faulty.items() if one != name}
+        paired, signals, differences = _combined(kept, len(self.usable))
+        usable = np.isfinite(self.speed_m_per_s)
+        for where in faulty.values():
+            usable &= ~where
+        return replace(
+            self,
+            signals=signals,
+            usable=usable,
+            faults=(*self.faults, *dead_faults({name: reason}, self.duration_s, self.rate_hz)),
+            paired=paired,
+            differences=differences,
+            elsewhere={one: signal for one, signal in kept.items() if not channel_of(one)},
+            faulty=faulty,
+        )
 
     def sensors(self) -> dict[str, FloatArray]:
         """Return the signal (n,) of each living one of ``TripManifest.sensors``, by name."""
@@ -201,10 +226,10 @@ def joined(
     speed, speed_faults = speed_at(manifest, track, offset_s, times_s)
     # all sensors at the instants of the common clock
     touched = np.zeros(len(times_s), dtype=np.bool_)
-    values = {}
+    values, faulty = {}, {}
     for stream in streams:
         part = slice(first - stream.first, last + 1 - stream.first)
-        values[stream.name] = stream.values[part]
+        values[stream.name], faulty[stream.name] = stream.values[part], stream.touched[part]
         touched |= stream.touched[part]
     # faults between sensors: loose ones first, as they have no clock to compare
     usable = np.isfinite(speed) & ~touched
@@ -213,7 +238,8 @@ def joined(
         return without(more)
     faults = (*(fault for stream in streams for fault in stream.faults), *speed_faults, *found)
     faults += dead_faults(dead, len(times_s) / rate_hz, rate_hz)
-    usable &= ~loose
+    usable &= ~loose.any(axis=0)
+    faulty = {name: own | its for (name, own), its in zip(faulty.items(), loose, strict=True)}
     if not usable.any():
         raise TripError(
             f"{manifest.path}: at no time are all channels and the speed usable: "
@@ -236,6 +262,7 @@ def joined(
         differences,
         {name: signal for name, signal in values.items() if not channel_of(name)},
         "; ".join(dict.fromkeys(words for words in read_as if words)),
+        faulty={name: where for name, where in faulty.items() if where.any()},
     )
 
 
@@ -337,6 +364,16 @@ def followed(one: Recording, other: Recording, offset_s: float) -> Recording:
             for name, own in one.elsewhere.items()
         },
         words="; ".join(words),
+        faulty={
+            name: np.concatenate(
+                [
+                    one.faulty.get(name, np.zeros_like(one.usable)),
+                    np.zeros(n_gap, dtype=np.bool_),
+                    other.faulty.get(name, np.zeros_like(other.usable))[n_skip:],
+                ]
+            )
+            for name in dict.fromkeys((*one.faulty, *other.faulty))
+        },
     )
 
 

@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from suspnet.estimation.bogie_fit import CommissionedBogie
-from suspnet.estimation.bogie_trips import UNEXPLAINED, UnexplainedError, lost_sensors
+from suspnet.estimation.bogie_trips import UNEXPLAINED, UnexplainedError
 from suspnet.estimation.estimate import Estimate, HealthyValues
 from suspnet.estimation.from_recording import at_healthy_temperature, both_ways
 from suspnet.estimation.from_spectra import trip_settings
@@ -167,12 +167,11 @@ def _estimated(
         result = replace(result, status=NO_ESTIMATE, reason=str(bins))
     else:
         result = _combined(result, recording, bins)
-    return _with_parts(result, recording, models[0].bogie, parts)
+    return _with_parts(result, models[0].bogie, parts)
 
 
 def _with_parts(
     result: TripResult,
-    recording: Recording,
     bogie: CommissionedBogie | None,
     parts: Estimate | NoEstimateError | None,
 ) -> TripResult:
@@ -188,8 +187,8 @@ def _with_parts(
             result = replace(result, flags="; ".join(filter(None, (result.flags, UNEXPLAINED))))
         return _warned(result, f"{NO_PART}{parts}")
     result = replace(result, reason="", sides="", worn=parts.found)
-    if lost := lost_sensors(recording, bogie.generator):
-        result = _warned(result, f"parts are read without the sensors of {', '.join(lost)}")
+    if parts.lost:
+        result = _warned(result, f"parts are read without the sensors of {', '.join(parts.lost)}")
     return _with_values(result, parts, bogie.healthy)
 
 

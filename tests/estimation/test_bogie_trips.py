@@ -1,5 +1,6 @@
 """Recordings with sensors on both sides as spectral matrices: layouts, whole trips, bad input."""
 
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -19,7 +20,6 @@ from suspnet.estimation.bogie_trips import (
     bogie_trip,
     bogie_vehicle,
     estimate_parts,
-    lost_sensors,
     sensor_places,
     show_parts,
 )
@@ -136,7 +136,8 @@ def test_search_that_did_not_end_is_told(short, monkeypatch, caplog, converged):
     ],
 )
 def test_parts_read_with_a_doubtful_bogie_are_flagged(monkeypatch, converged, misfit, reason):
-    monkeypatch.setattr(bogie_trips, "bogie_trip", lambda *_: None)
+    trip = SimpleNamespace(lost=("body_left",))
+    monkeypatch.setattr(bogie_trips, "bogie_trip", lambda *_: trip)
     parts = PartsEstimate(np.ones(13), 1e-4 * np.eye(13), 1.0, True, 0.9)
     bogie = SimpleNamespace(
         generator=VEHICLE,
@@ -149,7 +150,33 @@ def test_parts_read_with_a_doubtful_bogie_are_flagged(monkeypatch, converged, mi
     (found,) = estimate.flags.reasons
     assert found.startswith(reason)
     assert bool(found) == bool(reason)
-    assert estimate.misfit == parts.misfit
+    assert (estimate.misfit, estimate.lost) == (parts.misfit, trip.lost)
+
+
+@pytest.mark.parametrize("name", ["bogie left", "body right", "axle_box left"])
+def test_a_sensor_that_breaks_the_trip_up_is_left_out(short, name):
+    every = bogie_trip(short, VEHICLE)
+    n, minute = len(short.usable), round(60 * RATE_HZ)
+    loose, one_second = np.zeros((2, n), dtype=np.bool_)
+    for start in range(0, n, minute):
+        loose[start : start + 500] = True
+    one_second[200:300] = True
+    faulty = {name: loose, "bogie right": one_second}
+    broken = replace(short, usable=short.usable & ~loose & ~one_second, faulty=faulty)
+    trip = bogie_trip(broken, VEHICLE)
+    channel, side = name.split()
+    place = {"bogie": "frame_axle1", "body": "body", "axle_box": "axle_box_axle1"}[channel]
+    assert trip.lost == (f"{place}_{side}",)
+    assert every.lost == ()
+    kept = [i for i, one in enumerate(VEHICLE.sensors) if one not in trip.lost]
+    np.testing.assert_allclose(sizes(trip), sizes(every)[kept], rtol=0.1)
+    # without it the trip is usable but for what is wrong with the other one
+    rest = broken.without(name, "breaks the trip up")
+    np.testing.assert_array_equal(rest.usable, short.usable & ~one_second)
+    assert rest.dead == (name,)
+    assert list(rest.sensors()) == [one for one in short.sensors() if one != name]
+    for one, signal in rest.sensors().items():
+        np.testing.assert_allclose(signal, short.sensors()[one], rtol=1e-12, atol=1e-12)
 
 
 def test_a_short_or_slow_trip_has_no_estimate(tmp_path, short):
@@ -223,7 +250,7 @@ def test_sensors_that_do_not_show_the_parts_name_none():
     assert not show_parts([*PLACES_OF_SEVEN[:2], "body_left"])
     assert not show_parts(["axle_box_axle1_left", "axle_box_axle2_left", *PLACES_OF_SEVEN[4::2]])
     with pytest.raises(NoEstimateError, match=r"no sensor at .*_axle2_left.* at least 4 of them"):
-        lost_sensors(noisy(SEVEN, list(manifest_of(SEVEN).sensors())[2:6]), SEVEN_VEHICLE)
+        bogie_trip(noisy(SEVEN, list(manifest_of(SEVEN).sensors())[2:6]), SEVEN_VEHICLE)
 
 
 def test_without_a_channel_both_sides_as_equal_are_not_read():

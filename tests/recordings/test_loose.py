@@ -10,7 +10,8 @@ from vehicles import AM96
 
 from suspnet.dynamics import VerticalVehicle
 from suspnet.dynamics.quantities import IN_MOTION
-from suspnet.recordings.loose import _words, find_loose
+from suspnet.recordings import loose as loose_sensors
+from suspnet.recordings.loose import _words
 from suspnet.recordings.manifest import CHANNELS
 from suspnet.recordings.manifest_files import read_manifest
 from suspnet.recordings.recording import load_recording
@@ -20,6 +21,12 @@ from suspnet.simulation.writing import Simulation, write_fleet
 RATE = dict(zip(CHANNELS, RATES_HZ, strict=True))
 COMMON_HZ = 100.0
 KINDS = ("noise", "nearly constant", "hum", "traction hum", "loud noise")
+
+
+def find_loose(*known):
+    """Return the faults, where any sensor is loose, and where motion is too weak."""
+    faults, loose, silent = loose_sensors.find_loose(*known)
+    return faults, loose.any(axis=0), silent
 
 
 def nothing(kind, values, rate_hz, seed=0):
