@@ -55,7 +55,7 @@ def no_loose_sensor(monkeypatch):
     """Take every sensor for sound, so that segments are selected by their coherence alone."""
 
     def none(values, usable, *_):
-        return (), np.zeros_like(usable), np.zeros_like(usable)
+        return (), np.zeros((len(values), len(usable)), dtype=np.bool_), np.zeros_like(usable)
 
     monkeypatch.setattr(loading, "find_loose", none)
 
