@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Callable, Sequence
+from dataclasses import fields, replace
+from functools import partial
 
 import numpy as np
 from torch import Tensor
@@ -16,6 +17,8 @@ from suspnet.estimation.fitted import FittedMethod
 from suspnet.estimation.from_spectra import MissingFeaturesError, estimate_with_noise, trip_settings
 from suspnet.estimation.lone_sensors import placed, with_lone
 from suspnet.estimation.steady_parts import (
+    Bin,
+    SeenBin,
     SpeedBin,
     Steady,
     combined,
@@ -59,7 +62,8 @@ def estimate_recording(
         return parts
     if isinstance(bins, NoEstimateError):
         raise bins if parts is None else NoEstimateError(f"{bins}; {parts}")
-    estimate = with_sides(combined(bins), bins, recording)[0]
+    read = [one for one in bins if isinstance(one, SpeedBin)]
+    estimate = with_sides(combined(read), read, recording)[0]
     if isinstance(parts, UnexplainedError):
         estimate = replace(estimate, flags=estimate.flags.with_kind("misfit", UNEXPLAINED))
     return at_healthy_temperature(method, estimate, recording)
@@ -69,27 +73,32 @@ def both_ways(
     pairs: Sequence[tuple[FittedMethod, SegmentSpectra]],
     recording: Recording,
     settings: TripSettings,
-) -> tuple[list[SpeedBin] | NoEstimateError, Estimate | NoEstimateError | None]:
+) -> tuple[Sequence[SeenBin] | NoEstimateError, Estimate | NoEstimateError | None]:
     """Return the estimates of both sides as equal, and that of each part, or why there is none.
 
     The latter, with damping as while healthy, is that of the first of the methods, `pairs` with
-    their segments; None if it has no bogie. TripError is raised as by `all_bins` and
-    `estimate_parts`.
+    their segments; None if it has no bogie. Where it exists the former are what is seen of the
+    recording alone: to read both sides as equal takes three times as long. TripError is raised as
+    by `all_bins` and `estimate_parts`.
     """
-    bins: list[SpeedBin] | NoEstimateError
-    try:
-        bins = all_bins(pairs, recording, settings)
-    except NoEstimateError as reason:
-        bins = reason
     method, segments = pairs[0]
-    if method.bogie is None:
-        return bins, None
+    why: NoEstimateError | None = None
+    if method.bogie is not None:
+        seen = _or_reason(lambda: _of_all(pairs, recording, settings, lambda _, one: one))
+        try:
+            direction = direction_of(recording, segments, method.generator, settings)
+            parts = estimate_parts(method.bogie, recording, settings, direction)
+            return seen, at_healthy_temperature(method, parts, recording)
+        except NoEstimateError as reason:
+            why = reason
+    return _or_reason(lambda: all_bins(pairs, recording, settings)), why
+
+
+def _or_reason(bins: Callable[[], list[Bin]]) -> list[Bin] | NoEstimateError:
     try:
-        direction = direction_of(recording, segments, method.generator, settings)
-        parts = estimate_parts(method.bogie, recording, settings, direction)
+        return bins()
     except NoEstimateError as reason:
-        return bins, reason
-    return bins, at_healthy_temperature(method, parts, recording)
+        return reason
 
 
 def at_healthy_temperature(
@@ -111,6 +120,20 @@ def all_bins(
     methods if none gives an estimate, TripError as by `speed_bins`, or if no method is for the
     direction of travel, or it is neither given nor shown by the phases.
     """
+
+    def read(method: FittedMethod, one: SeenBin) -> SpeedBin:
+        return with_lone(_read(one, settings.level), method, recording)
+
+    return _of_all(pairs, recording, settings, read)
+
+
+def _of_all(
+    pairs: Sequence[tuple[FittedMethod, SegmentSpectra]],
+    recording: Recording,
+    settings: TripSettings,
+    finish: Callable[[FittedMethod, SeenBin], Bin],
+) -> list[Bin]:
+    """Return what `finish` makes of each group of segments and the method that reads its speed."""
     if not any(len(segments.values) for _, segments in pairs):
         raise NoEstimateError(no_segment(recording, pairs[0][1].welch))
     if recording.absent:
@@ -121,8 +144,7 @@ def all_bins(
     for method, segments in pairs:
         try:
             own = placed(method, recording)
-            found = speed_bins(own, recording, segments, settings, methods)
-            bins += [with_lone(one, method, recording) for one in found]
+            bins += _bins(own, recording, segments, settings, methods, partial(finish, method))
         except NoEstimateError as reason:
             reasons.append(str(reason))
     if not bins:
@@ -150,6 +172,19 @@ def speed_bins(
     a pair has the wrong unit or sign, two are swapped, or a pair meets a model that was trained for
     a sensor on one side.
     """
+    read = partial(_read, level=settings.level)
+    return _bins(method, recording, segments, settings, models, read)
+
+
+def _bins(
+    method: FittedMethod,
+    recording: Recording,
+    segments: SegmentSpectra,
+    settings: TripSettings,
+    models: Sequence[FittedMethod],
+    finish: Callable[[SeenBin], Bin],
+) -> list[Bin]:
+    """Return what `finish` makes of each group of segments, as of `speed_bins`."""
     # which groups of segments at one speed are this method's
     _check_places(recording, method.generator)
     speeds = segment_speeds(recording, segments)
@@ -167,7 +202,8 @@ def speed_bins(
     lines = () if any_speed else wheel_lines(recording)
     for part in steady(segments, speeds, own, trained, settings, lines):
         try:
-            bins.append(_speed_bin(method, recording, part, models, speeds, segments, settings))
+            seen = _seen(method, recording, part, models, speeds, segments, settings)
+            bins.append(finish(seen))
         except NoEstimateError as reason:
             reasons.append(reason)
     if reasons and not bins:
@@ -175,7 +211,7 @@ def speed_bins(
     return bins
 
 
-def _speed_bin(
+def _seen(
     method: FittedMethod,
     recording: Recording,
     part: Steady,
@@ -183,7 +219,8 @@ def _speed_bin(
     speeds: Tensor,
     segments: SegmentSpectra,
     settings: TripSettings,
-) -> SpeedBin:
+) -> SeenBin:
+    """Return a group of segments as a method sees it; raises as `speed_bins` does."""
     spectra, chosen, doubts = part.spectra, part.chosen, ""
     n_candidates = int(part.candidates.sum())
     if settings.check_channels and segments.welch.n_averages(n_candidates) >= settings.min_averages:
@@ -203,20 +240,27 @@ def _speed_bin(
             f"at most {100 * settings.max_deviation:.2g} % are accepted"
         )
     at = Speeds.of(*part.speed)
+    return SeenBin(
+        method, spectra, part.band, chosen, part.speed[0], at, doubts, left_out=part.left_out
+    )
+
+
+def _read(seen: SeenBin, level: float) -> SpeedBin:
+    """Return the estimate from a group of segments; raises as `speed_bins` does."""
+    known = seen.method, seen.spectra
     try:
-        estimate, noise_share = estimate_with_noise(
-            method, spectra, settings.level, at, part.left_out
-        )
+        estimate, noise_share = estimate_with_noise(*known, level, seen.speeds, seen.left_out)
     except MissingFeaturesError as error:
         raise NoEstimateError(f"features are missing: {error}") from None
-    late = delay_words(method, spectra, estimate, at, part.left_out)
+    late = delay_words(*known, estimate, seen.speeds, seen.left_out)
     if estimate.flags.has("misfit").any() and not late:
         raise NoEstimateError(_unexplained_words(estimate))
     if late:
         estimate = replace(estimate, flags=estimate.flags.with_kind("misfit", late))
-    speed, doubts = part.speed[0], "; ".join(filter(None, (doubts, estimate.found)))
-    found = SpeedBin(method, spectra, part.band, chosen, speed, estimate, noise_share, doubts)
-    return replace(found, left_out=part.left_out)
+    doubts = "; ".join(filter(None, (seen.doubts, estimate.found)))
+    known_of_it = {one.name: getattr(seen, one.name) for one in fields(SeenBin)}
+    known_of_it["doubts"] = doubts
+    return SpeedBin(**known_of_it, estimate=estimate, noise_share=noise_share)
 
 
 def _unexplained_words(estimate: Estimate) -> str:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 import torch
@@ -25,6 +26,7 @@ from suspnet.spectra.cross_spectra import CrossSpectra
 from suspnet.spectra.estimates import EstimateSettings
 from suspnet.spectra.segments import (
     SpeedRange,
+    Speeds,
     in_band,
     range_words,
     reading_range,
@@ -228,14 +230,13 @@ def steady(
 
 
 @dataclass(frozen=True)
-class SpeedBin:
-    """One method's estimate from a group of segments, with its spectra and segments.
+class SeenBin:
+    """A group of segments that one method reads, with its spectra.
 
     `spectra` (3, n_freq) on the method's bins and `speed_m_per_s` are means over the `chosen`
-    segments (n_segments,). `estimate` has one row; `noise_share` (n_outputs,) is the fraction of
-    its squared half widths that is due to the noise of the segments. `doubts` are doubts and
-    impossible checks of the channels; empty if there are none. `left_out` (n_freq,) are bins with
-    lines of wheels.
+    segments (n_segments,). `speeds` are those of the segments. `doubts` are doubts and impossible
+    checks of the channels; empty if there are none. `left_out` (n_freq,) are bins with lines of
+    wheels.
     """
 
     method: FittedMethod
@@ -243,10 +244,9 @@ class SpeedBin:
     segments: SegmentSpectra
     chosen: Tensor
     speed_m_per_s: float
-    estimate: Estimate
-    noise_share: FloatArray
+    speeds: Speeds
     doubts: str
-    left_out: Tensor | None = None
+    left_out: Tensor | None
 
     @property
     def is_reverse(self) -> bool:
@@ -254,8 +254,23 @@ class SpeedBin:
         return self.method.generator.direction == REVERSE
 
 
-def largest(bins: Sequence[SpeedBin]) -> SpeedBin:
-    """Return the speed bin with the most averages."""
+Bin = TypeVar("Bin", bound=SeenBin)
+
+
+@dataclass(frozen=True)
+class SpeedBin(SeenBin):
+    """One method's estimate from a group of segments.
+
+    `estimate` has one row; `noise_share` (n_outputs,) is the fraction of its squared half widths
+    that is due to the noise of the segments.
+    """
+
+    estimate: Estimate
+    noise_share: FloatArray
+
+
+def largest(bins: Sequence[Bin]) -> Bin:
+    """Return the bin with the most averages."""
     return max(bins, key=lambda b: b.spectra.n_averages)
 
 

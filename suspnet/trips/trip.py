@@ -19,7 +19,7 @@ from suspnet.estimation.bogie_trips import UNEXPLAINED, UnexplainedError
 from suspnet.estimation.estimate import Estimate, HealthyValues
 from suspnet.estimation.from_recording import at_healthy_temperature, both_ways
 from suspnet.estimation.from_spectra import trip_settings
-from suspnet.estimation.steady_parts import SpeedBin, combined, largest
+from suspnet.estimation.steady_parts import SeenBin, SpeedBin, combined, largest
 from suspnet.estimation.trained import TrainedModel
 from suspnet.estimation.trip_flags import with_sides
 from suspnet.estimation.trip_settings import TripSettings
@@ -220,16 +220,14 @@ def _welch(model: TrainedModel) -> Welch:
     return trip_settings(model).welch
 
 
-def _combined(result: TripResult, recording: Recording, bins: Sequence[SpeedBin]) -> TripResult:
-    """Return a result with the combined estimate of its speed bins.
+def _combined(result: TripResult, recording: Recording, bins: Sequence[SeenBin]) -> TripResult:
+    """Return a result with the quality of its bins, and their combined estimate if they were read.
 
     Bins may overlap: a segment that two models read counts once in the quality.
     """
     # quality: averages over the bins, weighted by their numbers of averages
     weights = np.array([b.spectra.n_averages for b in bins])
     weights = weights / weights.sum()
-    estimate, sides = with_sides(combined(bins), bins, recording)
-    estimate = at_healthy_temperature(bins[0].method, estimate, recording)
     coherence = sum(
         w * b.spectra.coherences().mean(dim=1).numpy() for w, b in zip(weights, bins, strict=True)
     )
@@ -253,11 +251,16 @@ def _combined(result: TripResult, recording: Recording, bins: Sequence[SpeedBin]
         features_found=f"{len(names)} of {len(names)}",
         warnings="; ".join(dict.fromkeys(b.doubts for b in bins if b.doubts)),
     )
-    result = replace(result, sides=sides, quality=quality, curves=_curves(best, recording))
-    return _with_values(result, estimate, best.method.healthy)
+    result = replace(result, quality=quality, curves=_curves(best, recording))
+    read = [one for one in bins if isinstance(one, SpeedBin)]
+    if not read:  # the parts are
+        return result
+    estimate, sides = with_sides(combined(read), read, recording)
+    estimate = at_healthy_temperature(best.method, estimate, recording)
+    return _with_values(replace(result, sides=sides), estimate, best.method.healthy)
 
 
-def _used(bins: Sequence[SpeedBin]) -> dict[Welch, int]:
+def _used(bins: Sequence[SeenBin]) -> dict[Welch, int]:
     chosen: dict[Welch, Tensor] = {}
     for one in bins:
         welch = one.segments.welch
@@ -265,7 +268,7 @@ def _used(bins: Sequence[SpeedBin]) -> dict[Welch, int]:
     return {welch: int(segments.sum()) for welch, segments in chosen.items()}
 
 
-def _curves(best: SpeedBin, recording: Recording) -> TripCurves:
+def _curves(best: SeenBin, recording: Recording) -> TripCurves:
     method = trip_settings(best.method).method
     seen = overview(recording)
     return TripCurves(
