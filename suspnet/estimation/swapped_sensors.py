@@ -25,7 +25,7 @@ that the vehicle does not explain are looked at in the same way.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import combinations
 from operator import itemgetter
@@ -52,12 +52,18 @@ trains with everything at once."""
 
 
 def check_order(
-    generator: SpatialVehicle, trip: BogieTrip, where: str = "", *, nearly: float = 1.0
+    generator: SpatialVehicle,
+    trip: BogieTrip,
+    where: str = "",
+    *,
+    nearly: float = 1.0,
+    fit: Callable[[], float] | None = None,
 ) -> None:
     """Raise TripError if two sensors of a trip look swapped.
 
     `generator` is the vehicle as its drawing or its healthy trips show it, with a distribution; the
     message starts with `where`. `nearly` is as for `likely_orders`, each of which takes a second.
+    `fit` returns `misfit_near` of the two, where `check_end` may need it as well.
     """
     assert generator.sensors is not None
     there = _search(generator, trip).sensors_of(trip)
@@ -67,9 +73,9 @@ def check_order(
     if not orders:
         return
     # no order has less than about 1
-    if (given := _misfit(generator, trip)) < CLEARER:
+    if (given := fit() if fit else misfit_near(generator, trip)) < CLEARER:
         return
-    other, best = min((_misfit(generator, trip.in_order(one)), one) for one in orders)
+    other, best = min((misfit_near(generator, trip.in_order(one)), one) for one in orders)
     # at the median vehicle and after the fit, or else the fit explains the trip
     if not (other < given / CLEARER and (best == likely[0] or other < EXPLAINS)):
         return
@@ -98,16 +104,22 @@ def check_bogie(
         raise TripError(f"{where}the healthy trips fit {_other_end(generator, misfit, end, other)}")
 
 
-def check_end(generator: SpatialVehicle, trip: BogieTrip, where: str = "") -> None:
+def check_end(
+    generator: SpatialVehicle,
+    trip: BogieTrip,
+    where: str = "",
+    *,
+    fit: Callable[[], float] | None = None,
+) -> None:
     """Raise TripError if a trip fits another bogie or axle of the vehicle, and not its own.
 
-    `generator` is as for `check_order`; the direction of travel must be known.
+    `generator`, `where` and `fit` are as for `check_order`; the direction of travel must be known.
     """
     own, *others = _ends(generator)
     ends = [one for one in _likely_ends([own, *others], trip) if one is not own]
-    if not ends or (given := _misfit(own, trip)) < OTHER_BOGIE:
+    if not ends or (given := fit() if fit else misfit_near(own, trip)) < OTHER_BOGIE:
         return
-    fits = [_misfit(one, trip) for one in ends]
+    fits = [misfit_near(one, trip) for one in ends]
     other, end = min(zip(fits, ends, strict=True), key=itemgetter(0))
     if other < given / OTHER_BOGIE:
         raise TripError(f"{where}the trip fits {_other_end(generator, given, end, other)}")
@@ -165,7 +177,7 @@ def likely_orders(generator: SpatialVehicle, trip: BogieTrip, nearly: float) -> 
     return _near(orders, search.misfits_in(orders).tolist(), nearly)
 
 
-def _misfit(generator: SpatialVehicle, trip: BogieTrip) -> float:
+def misfit_near(generator: SpatialVehicle, trip: BogieTrip) -> float:
     """Return the misfit of a trip near the minimum, which is near enough.
 
     The last search would take ten times as long in another valley.

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Sequence
-from functools import partial
+from functools import cache, partial
 from typing import Any
 
 from torch import Tensor
 
 from suspnet.dynamics import SpatialVehicle, Vehicle, best_generator
 from suspnet.estimation.bogie_trips import PARTS_OF_BOGIE, bogie_trip, sensor_places, show_parts
-from suspnet.estimation.swapped_sensors import NEARLY, check_end, check_order
+from suspnet.estimation.swapped_sensors import NEARLY, check_end, check_order, misfit_near
 from suspnet.estimation.trip_settings import TripSettings
 from suspnet.ground.parameters import Direction
 from suspnet.ground.tensors import threads
@@ -98,9 +98,10 @@ def check_bogie(
         vehicle, **_measured_at(manifest), parts=PARTS_OF_BOGIE, sensors=places
     ).with_prior()
     trip = bogie_trip(recording, unknown, settings, ways[0])
+    fit = cache(partial(misfit_near, unknown, trip))
     if manifest.direction:  # else that which the phases show assumes the bogie
-        check_end(unknown, trip)
-    check_order(unknown, trip, nearly=NEARLY)
+        check_end(unknown, trip, fit=fit)
+    check_order(unknown, trip, nearly=NEARLY, fit=fit)
     return trip
 
 
