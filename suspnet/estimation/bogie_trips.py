@@ -118,7 +118,7 @@ def bogie_trip(
         if not recording.faulty:
             raise
         worst = max(recording.faulty, key=lambda name: int(recording.faulty[name].sum()))
-        rest = recording.without(worst, "breaks the trip up")
+        rest = recording.without(worst)
         try:
             return _trip_of_all(rest, generator, settings, direction)
         except NoEstimateError:

@@ -94,11 +94,8 @@ class Recording(ShortRepr):
     started: datetime | None = None
     faulty: Mapping[str, BoolArray] = field(default_factory=dict)
 
-    def without(self, name: str, reason: str) -> Recording:
-        """Return the recording without a sensor, usable also where no other one is faulty.
-
-        `reason` continues "it ...".
-        """
+    def without(self, name: str) -> Recording:
+        """Return the recording as if a sensor were dead, usable where no other one is faulty."""
         kept = {one: signal for one, signal in self.sensors().items() if one != name}
         faulty = {one: where for one, where in self.faulty.items() if one != name}
         paired, signals, differences = _combined(kept, len(self.usable))
@@ -109,7 +106,7 @@ class Recording(ShortRepr):
             self,
             signals=signals,
             usable=usable,
-            faults=(*self.faults, *dead_faults({name: reason}, self.duration_s, self.rate_hz)),
+            faults=(*self.faults, Fault(name, DEAD, len(usable), self.duration_s, 0.0, True)),
             paired=paired,
             differences=differences,
             elsewhere={one: signal for one, signal in kept.items() if not channel_of(one)},

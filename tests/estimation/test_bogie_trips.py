@@ -171,7 +171,7 @@ def test_a_sensor_that_breaks_the_trip_up_is_left_out(short, name):
     kept = [i for i, one in enumerate(VEHICLE.sensors) if one not in trip.lost]
     np.testing.assert_allclose(sizes(trip), sizes(every)[kept], rtol=0.1)
     # without it the trip is usable but for what is wrong with the other one
-    rest = broken.without(name, "breaks the trip up")
+    rest = broken.without(name)
     np.testing.assert_array_equal(rest.usable, short.usable & ~one_second)
     assert rest.dead == (name,)
     assert list(rest.sensors()) == [one for one in short.sensors() if one != name]
