@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from suspnet.ground.parameters import Cause
 from suspnet.ground.records import TripResult, sensors_from_text
 from suspnet.ground.wording import count
+from suspnet.maintenance.judge import N_LAST
 from suspnet.maintenance.state import State
 
 LISTED = 5
@@ -45,6 +46,16 @@ def dead_words(results: Sequence[TripResult]) -> str:
     newest = [one for one in results if one.quality.faults or one.estimates][-1:]
     names = [words.partition(":")[0] for words in failing_sensors(newest) if DEAD in words]
     return _left_out(names, sum(DEAD in r.quality.faults for r in results), len(results))
+
+
+def failing_words(results: Sequence[TripResult]) -> str:
+    """Return ``dead_words``, or the sensors that were dead or loose on one of the last trips."""
+    if words := dead_words(results):
+        return words
+    last = results[-N_LAST:]
+    names = dict.fromkeys(words.partition(":")[0] for words in failing_sensors(last))
+    n = sum(bool(failing_sensors([one])) for one in last)
+    return f"dead or loose: {', '.join(names)} (on {n} of the last {len(last)} trips)" * bool(n)
 
 
 def sensor_words(state: State) -> str:

@@ -22,7 +22,7 @@ from suspnet.maintenance.judge import N_LAST
 from suspnet.maintenance.series import Event
 from suspnet.maintenance.state import State
 from suspnet.report.bogie import bogie_of, small_figures, why_no_part
-from suspnet.report.dead_sensors import dead_words
+from suspnet.report.dead_sensors import failing_words
 from suspnet.report.figures import data_uri
 from suspnet.report.language import N_, decimal, gettext
 from suspnet.report.sentences import spoken
@@ -136,7 +136,7 @@ def write_report(
     severity, finding = overall(assessments)
     found = joined(worst_first(assessments))
     doubts, unread = _doubts(trips), _unread(trips)
-    wheels, dead = wheels_finding(trips), dead_words(trips)
+    wheels, dead = wheels_finding(trips), failing_words(trips)
     sides = worn_finding(trips) or sides_finding(trips)
     table = trip_table(trips, report.outputs, report.level)
     shown = {

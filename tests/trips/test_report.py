@@ -18,7 +18,7 @@ from suspnet.maintenance.alarms import Watched
 from suspnet.maintenance.series import make_series, series_of
 from suspnet.maintenance.state import State
 from suspnet.report import figures, report
-from suspnet.report.dead_sensors import dead_words
+from suspnet.report.dead_sensors import dead_words, failing_words
 from suspnet.report.language import speaking
 from suspnet.report.maintenance_figures import health_trend
 from suspnet.report.overview import Evaluated
@@ -383,6 +383,8 @@ def test_dead_sensor_is_named_at_the_top(tmp_path):
     assert row["sensors"] == "dead and left out: bogie right (on 2 of 12 trips)"
     repaired = [*results, replace(results[0], mileage_km=1e6)]
     assert dead_words(repaired) == ""
+    assert failing_words(repaired) == "dead or loose: bogie right (on 2 of the last 5 trips)"
+    assert failing_words([*repaired, *repaired[-1:] * 4]) == ""
 
 
 def test_flags_on_all_trips_contradict_nothing(tmp_path):
