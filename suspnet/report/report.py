@@ -12,7 +12,7 @@ from typing import Any
 
 from matplotlib.figure import Figure
 
-from suspnet.ground.parameters import BODY_MASS, KIND_NAMES, Severity, symbol_words
+from suspnet.ground.parameters import BODY_MASS, KIND_NAMES, Severity, part_words
 from suspnet.ground.records import INTERVAL_LEVEL, OK, Commissioning, TripResult, by_mileage
 from suspnet.ground.storage import write_atomically
 from suspnet.ground.wording import count, span, thousands, unbroken
@@ -194,7 +194,7 @@ def named_first(assessments: Sequence[Assessment], trips: Sequence[TripResult]) 
     if severity < Severity.NOTICE:
         return ""
     names = [
-        symbol_words(one.parameter)
+        part_words(one.parameter)
         for one in assessments
         if one.severity == severity and one.parameter != BODY_MASS
     ]
