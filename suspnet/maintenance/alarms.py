@@ -281,6 +281,8 @@ def _beyond(name: str, one: Series, limits: Limits | None) -> list[Alarm]:
             words = f"was {level_then} of healthy, {beyond}, at {kilometres(km[out])}"
             if end is None:
                 words += f"; the last trip is {level_words(centre[newest], limit)}"
+        if worst > begin:  # it began as a notice
+            words += f"; to act on since {kilometres(km[worst])}"
         until = np.nan if end is None else float(km[end])
         found.append(Alarm(name, Cause.LIMIT, level, float(km[begin]), until, words))
     return found

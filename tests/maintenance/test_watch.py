@@ -196,6 +196,9 @@ def test_words_of_an_alarm_of_a_limit_give_the_present_value(last, words):
     (alarm,) = [one for one in found.alarms if one.cause == Cause.LIMIT]
     assert alarm.is_open
     assert alarm.words.startswith(words)
+    begins_as_notice = last[0] > 0.7
+    assert alarm.words.endswith("; to act on since 140 000 km") == begins_as_notice
+    assert ("to act on since" in alarm.words) == begins_as_notice
 
 
 def test_a_level_that_no_suspension_has_is_no_number():
