@@ -182,6 +182,10 @@ def test_detector_says_what_it_takes_into_account():
     [
         ([0.795, 0.795, 0.795, 0.6], "the last trip is at 60 % of healthy, below the act limit"),
         (
+            [0.78, 0.77, 0.76, 0.6],
+            "the last trip is at 60 % of healthy, below the act limit of 70 %; ",
+        ),
+        (
             [0.6, 0.6, 0.6, 0.85],
             "was at 60 % of healthy, below the act limit of 70 %, at 130 000 km; the last trip is "
             "at 85 %",
@@ -196,9 +200,9 @@ def test_words_of_an_alarm_of_a_limit_give_the_present_value(last, words):
     (alarm,) = [one for one in found.alarms if one.cause == Cause.LIMIT]
     assert alarm.is_open
     assert alarm.words.startswith(words)
-    begins_as_notice = last[0] > 0.7
-    assert alarm.words.endswith("; to act on since 140 000 km") == begins_as_notice
-    assert ("to act on since" in alarm.words) == begins_as_notice
+    began_as_notice = alarm.begin_km == 110_000 and last[0] > 0.7
+    assert alarm.words.endswith("; to act on since 140 000 km") == began_as_notice
+    assert ("to act on since" in alarm.words) == began_as_notice
 
 
 def test_a_level_that_no_suspension_has_is_no_number():
