@@ -175,7 +175,9 @@ def folder_manifests(
             known = _stated(one, several, signals, folder)
             if not is_copy and "start" not in known and not _is_dated(signals):
                 known["start"] = Stated(_file_time(one).isoformat(), BY_FILE_TIME)
-            known = guessed | known | {key: guessed[key] for key in ("bogie",) if key in guessed}
+            known = guessed | known
+            if "bogie" in guessed:  # columns of both bogies count more than a line
+                known["bogie"] = guessed["bogie"]
             word = guessed_bogie(path.stem)
             if "bogie" not in known and word[0]:
                 known["bogie"] = Stated(word[0], f"guess by files named {word[1]}")

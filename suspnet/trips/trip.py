@@ -256,7 +256,7 @@ def _combined(result: TripResult, recording: Recording, bins: Sequence[SeenBin])
     if not read:  # the parts are
         return result
     estimate, sides = with_sides(combined(read), read, recording)
-    estimate = at_healthy_temperature(best.method, estimate, recording)
+    estimate = at_healthy_temperature(read[0].method, estimate, recording)
     return _with_values(replace(result, sides=sides), estimate, best.method.healthy)
 
 
