@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import fields, replace
-from functools import partial
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+from typing import TypeAlias
 
 import numpy as np
 from torch import Tensor
@@ -52,53 +52,67 @@ from suspnet.spectra.wheel_lines import wheel_lines
 def estimate_recording(
     method: FittedMethod, recording: Recording, settings: TripSettings
 ) -> Estimate:
-    """Return a method's estimate from a recording, one row; raises as `speed_bins` does.
+    """Return a method's estimate from a recording, one row; raises as `all_bins` does.
 
     It is that of each part if the method has a bogie and the recording shows its parts.
     """
     segments = recording_segments(recording, trip_settings(method).welch)
-    bins, parts = both_ways([(method, segments)], recording, settings)
-    if isinstance(parts, Estimate):
-        return parts
-    if isinstance(bins, NoEstimateError):
-        raise bins if parts is None else NoEstimateError(f"{bins}; {parts}")
-    read = [one for one in bins if isinstance(one, SpeedBin)]
-    estimate = with_sides(combined(read), read, recording)[0]
-    if isinstance(parts, UnexplainedError):
+    found = both_ways([(method, segments)], recording, settings)
+    if isinstance(found.parts, Estimate):
+        return found.parts
+    if isinstance(found.bins, NoEstimateError):
+        raise found.bins if found.parts is None else NoEstimateError(f"{found.bins}; {found.parts}")
+    estimate = with_sides(combined(found.equal), found.equal, recording)[0]
+    if isinstance(found.parts, UnexplainedError):
         estimate = replace(estimate, flags=estimate.flags.with_kind("misfit", UNEXPLAINED))
     return at_healthy_temperature(method, estimate, recording)
+
+
+@dataclass(frozen=True)
+class BothWays:
+    """What a recording shows of both sides as equal, and of each part.
+
+    `bins` are its groups of segments as far as they are read: without `parts` they are `equal`, the
+    estimates of both sides as equal. With them `equal` is empty, as it takes three times as long.
+    `parts` is that of each part, with damping as while healthy, or why there is none; None if the
+    method has no bogie.
+    """
+
+    bins: Sequence[SeenBin] | NoEstimateError
+    equal: Sequence[SpeedBin]
+    parts: Estimate | NoEstimateError | None
 
 
 def both_ways(
     pairs: Sequence[tuple[FittedMethod, SegmentSpectra]],
     recording: Recording,
     settings: TripSettings,
-) -> tuple[Sequence[SeenBin] | NoEstimateError, Estimate | NoEstimateError | None]:
-    """Return the estimates of both sides as equal, and that of each part, or why there is none.
+) -> BothWays:
+    """Return what a recording shows to methods, `pairs` with their segments; parts to the first.
 
-    The latter, with damping as while healthy, is that of the first of the methods, `pairs` with
-    their segments; None if it has no bogie. Where it exists the former are what is seen of the
-    recording alone: to read both sides as equal takes three times as long. TripError is raised as
-    by `all_bins` and `estimate_parts`.
+    TripError is raised as by `all_bins` and `estimate_parts`.
     """
-    method, segments = pairs[0]
-    why: NoEstimateError | None = None
-    if method.bogie is not None:
-        seen = _or_reason(lambda: _of_all(pairs, recording, settings, lambda _, one: one))
-        try:
-            direction = direction_of(recording, segments, method.generator, settings)
-            parts = estimate_parts(method.bogie, recording, settings, direction)
-            return seen, at_healthy_temperature(method, parts, recording)
-        except NoEstimateError as reason:
-            why = reason
-    return _or_reason(lambda: all_bins(pairs, recording, settings)), why
+    seen = _seen_by_method(pairs, recording, settings)
+    parts = _parts(*pairs[0], recording, settings)
+    if isinstance(parts, Estimate):
+        return BothWays(_or_reason(seen), (), parts)
+    equal = _or_reason(_read_by_method(seen, recording, settings))
+    if isinstance(equal, NoEstimateError):
+        return BothWays(equal, (), parts)
+    return BothWays(equal, equal, parts)
 
 
-def _or_reason(bins: Callable[[], list[Bin]]) -> list[Bin] | NoEstimateError:
+def _parts(
+    method: FittedMethod, segments: SegmentSpectra, recording: Recording, settings: TripSettings
+) -> Estimate | NoEstimateError | None:
+    if method.bogie is None:
+        return None
     try:
-        return bins()
+        direction = direction_of(recording, segments, method.generator, settings)
+        parts = estimate_parts(method.bogie, recording, settings, direction)
     except NoEstimateError as reason:
         return reason
+    return at_healthy_temperature(method, parts, recording)
 
 
 def at_healthy_temperature(
@@ -113,78 +127,82 @@ def all_bins(
     pairs: Sequence[tuple[FittedMethod, SegmentSpectra]],
     recording: Recording,
     settings: TripSettings,
-) -> list[SpeedBin]:
+) -> Sequence[SpeedBin]:
     """Return the estimates of all groups of segments, each by the method that reads its speed.
 
-    `pairs` are the methods with their segments. NoEstimateError is raised with the reasons of all
-    methods if none gives an estimate, TripError as by `speed_bins`, or if no method is for the
-    direction of travel, or it is neither given nor shown by the phases.
+    `pairs` are the methods with the recording's segments, cut as for the method's training. The
+    bins of lines of out-of-round wheels are left out, unless responses do not depend on the speed:
+    these hold for one wheelset alone.
+
+    Raises NoEstimateError if the recording is valid but gives no estimate, with the reasons of all
+    methods, each that of its first group, or that none reads the trip's speeds; TripError if a
+    channel or one sensor of a pair has the wrong unit or sign, two are swapped, a pair meets a
+    model that was trained for a sensor on one side, no method is for the direction of travel, or it
+    is neither given nor shown by the phases.
     """
+    seen = _seen_by_method(pairs, recording, settings)
+    found = _or_reason(_read_by_method(seen, recording, settings))
+    if isinstance(found, NoEstimateError):
+        raise found
+    return found
 
-    def read(method: FittedMethod, one: SeenBin) -> SpeedBin:
-        return with_lone(_read(one, settings.level), method, recording)
 
-    return _of_all(pairs, recording, settings, read)
+ByMethod: TypeAlias = list[tuple[FittedMethod, list[Bin | NoEstimateError]]]
+"""What each method, as given, makes of its groups of segments, or why it makes nothing of one."""
 
 
-def _of_all(
+def _seen_by_method(
     pairs: Sequence[tuple[FittedMethod, SegmentSpectra]],
     recording: Recording,
     settings: TripSettings,
-    finish: Callable[[FittedMethod, SeenBin], Bin],
-) -> list[Bin]:
-    """Return what `finish` makes of each group of segments and the method that reads its speed."""
+) -> ByMethod[SeenBin]:
+    first, segments = pairs[0]
     if not any(len(segments.values) for _, segments in pairs):
-        raise NoEstimateError(no_segment(recording, pairs[0][1].welch))
+        return [(first, [NoEstimateError(no_segment(recording, segments.welch))])]
     if recording.absent:
-        raise NoEstimateError(no_channel(recording))
-    pairs = of_direction(pairs, recording, settings)
-    bins, reasons = [], []
+        return [(first, [NoEstimateError(no_channel(recording))])]
+    try:
+        pairs = of_direction(pairs, recording, settings)
+    except NoEstimateError as reason:
+        return [(first, [reason])]
     methods = [method for method, _ in pairs]
+    seen: ByMethod[SeenBin] = []
     for method, segments in pairs:
+        own = placed(method, recording)
+        seen.append((method, _seen_groups(own, recording, segments, settings, methods)))
+    return seen
+
+
+def _read_by_method(
+    seen: ByMethod[SeenBin], recording: Recording, settings: TripSettings
+) -> ByMethod[SpeedBin]:
+    def read(method: FittedMethod, one: SeenBin | NoEstimateError) -> SpeedBin | NoEstimateError:
+        if isinstance(one, NoEstimateError):
+            return one
         try:
-            own = placed(method, recording)
-            bins += _bins(own, recording, segments, settings, methods, partial(finish, method))
+            return with_lone(_read(one, settings.level), method, recording)
         except NoEstimateError as reason:
-            reasons.append(str(reason))
-    if not bins:
-        raise NoEstimateError("; ".join(dict.fromkeys(reasons)))
-    return bins
+            return reason
+
+    return [(method, [read(method, one) for one in groups]) for method, groups in seen]
 
 
-def speed_bins(
+def _or_reason(by_method: ByMethod[Bin]) -> list[Bin] | NoEstimateError:
+    """Return the bins of all methods, or the first reasons of each why there is none."""
+    groups = [one for _, groups in by_method for one in groups]
+    bins = [one for one in groups if not isinstance(one, NoEstimateError)]
+    reasons = [str(groups[0]) for _, groups in by_method if groups]
+    return bins or NoEstimateError("; ".join(dict.fromkeys(reasons)))
+
+
+def _seen_groups(
     method: FittedMethod,
     recording: Recording,
     segments: SegmentSpectra,
     settings: TripSettings,
     models: Sequence[FittedMethod],
-) -> list[SpeedBin]:
-    """Return a method's estimate from each group of segments at one of its speeds.
-
-    `segments` are the recording's, cut as for the method's training. `models` are all that read the
-    recording, the method included: each group belongs to one of them; empty means the method alone.
-    The result is empty if all readable groups belong to other models. The bins of lines of
-    out-of-round wheels are left out, unless responses do not depend on the speed: these hold for
-    one wheelset alone.
-
-    Raises NoEstimateError if the recording is valid but gives no estimate, with the reason of the
-    largest group, or that no model reads the trip's speeds; TripError if a channel or one sensor of
-    a pair has the wrong unit or sign, two are swapped, or a pair meets a model that was trained for
-    a sensor on one side.
-    """
-    read = partial(_read, level=settings.level)
-    return _bins(method, recording, segments, settings, models, read)
-
-
-def _bins(
-    method: FittedMethod,
-    recording: Recording,
-    segments: SegmentSpectra,
-    settings: TripSettings,
-    models: Sequence[FittedMethod],
-    finish: Callable[[SeenBin], Bin],
-) -> list[Bin]:
-    """Return what `finish` makes of each group of segments, as of `speed_bins`."""
+) -> list[SeenBin | NoEstimateError]:
+    """Return each group of segments at one speed as its method sees it, or why it sees nothing."""
     # which groups of segments at one speed are this method's
     _check_places(recording, method.generator)
     speeds = segment_speeds(recording, segments)
@@ -193,22 +211,18 @@ def _bins(
     groups = groups_to_read(speeds, tolerance, least, at_any_speed=any_speed)
     if not any(groups_of(one, models, speeds, groups) for one in models):
         if segments.welch.n_averages(len(speeds)) < settings.min_averages:
-            raise NoEstimateError(_too_short(recording, segments, settings))
-        raise NoEstimateError(no_group_words(speeds, groups, models, tolerance, least))
-    # one failing group does not prevent the estimates of the others
-    bins, reasons = [], []
+            return [NoEstimateError(_too_short(recording, segments, settings))]
+        return [NoEstimateError(no_group_words(speeds, groups, models, tolerance, least))]
     trained = trip_settings(method)
     own = groups_of(method, models, speeds, groups)
     lines = () if any_speed else wheel_lines(recording)
+    seen: list[SeenBin | NoEstimateError] = []
     for part in steady(segments, speeds, own, trained, settings, lines):
         try:
-            seen = _seen(method, recording, part, models, speeds, segments, settings)
-            bins.append(finish(seen))
+            seen.append(_seen(method, recording, part, models, speeds, segments, settings))
         except NoEstimateError as reason:
-            reasons.append(reason)
-    if reasons and not bins:
-        raise reasons[0]
-    return bins
+            seen.append(reason)
+    return seen
 
 
 def _seen(
@@ -220,7 +234,7 @@ def _seen(
     segments: SegmentSpectra,
     settings: TripSettings,
 ) -> SeenBin:
-    """Return a group of segments as a method sees it; raises as `speed_bins` does."""
+    """Return a group of segments as a method sees it; raises as `all_bins` does."""
     spectra, chosen, doubts = part.spectra, part.chosen, ""
     n_candidates = int(part.candidates.sum())
     if settings.check_channels and segments.welch.n_averages(n_candidates) >= settings.min_averages:
@@ -246,7 +260,7 @@ def _seen(
 
 
 def _read(seen: SeenBin, level: float) -> SpeedBin:
-    """Return the estimate from a group of segments; raises as `speed_bins` does."""
+    """Return the estimate from a group of segments; raises as `all_bins` does."""
     known = seen.method, seen.spectra
     try:
         estimate, noise_share = estimate_with_noise(*known, level, seen.speeds, seen.left_out)

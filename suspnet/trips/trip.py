@@ -160,14 +160,23 @@ def _estimated(
     result = replace(result, quality=replace(quality, segments_total=n_total))
     pairs = [(model, segments[_welch(model)]) for model in models]
     try:
-        bins, parts = both_ways(pairs, recording, settings)
+        found = both_ways(pairs, recording, settings)
     except TripError as error:  # reported only now, as the quality is known
         return replace(result, reason=str(error))
-    if isinstance(bins, NoEstimateError):
-        result = replace(result, status=NO_ESTIMATE, reason=str(bins))
+    if isinstance(found.bins, NoEstimateError):
+        result = replace(result, status=NO_ESTIMATE, reason=str(found.bins))
     else:
-        result = _combined(result, recording, bins)
-    return _with_parts(result, models[0].bogie, parts)
+        result = _with_quality(result, recording, found.bins)
+    if found.equal:
+        result = _with_equal(result, recording, found.equal)
+    return _with_parts(result, models[0].bogie, found.parts)
+
+
+def _with_equal(result: TripResult, recording: Recording, bins: Sequence[SpeedBin]) -> TripResult:
+    """Return a result with the combined estimate of both sides as equal."""
+    estimate, sides = with_sides(combined(bins), bins, recording)
+    estimate = at_healthy_temperature(bins[0].method, estimate, recording)
+    return _with_values(replace(result, sides=sides), estimate, largest(bins).method.healthy)
 
 
 def _with_parts(
@@ -186,7 +195,7 @@ def _with_parts(
         if isinstance(parts, UnexplainedError):
             result = replace(result, flags="; ".join(filter(None, (result.flags, UNEXPLAINED))))
         return _warned(result, f"{NO_PART}{parts}")
-    result = replace(result, reason="", sides="", worn=parts.found)
+    result = replace(result, reason="", worn=parts.found)
     if parts.lost:
         result = _warned(result, f"parts are read without the sensors of {', '.join(parts.lost)}")
     return _with_values(result, parts, bogie.healthy)
@@ -220,8 +229,8 @@ def _welch(model: TrainedModel) -> Welch:
     return trip_settings(model).welch
 
 
-def _combined(result: TripResult, recording: Recording, bins: Sequence[SeenBin]) -> TripResult:
-    """Return a result with the quality of its bins, and their combined estimate if they were read.
+def _with_quality(result: TripResult, recording: Recording, bins: Sequence[SeenBin]) -> TripResult:
+    """Return a result with the quality and curves of its bins.
 
     Bins may overlap: a segment that two models read counts once in the quality.
     """
@@ -232,7 +241,7 @@ def _combined(result: TripResult, recording: Recording, bins: Sequence[SeenBin])
         w * b.spectra.coherences().mean(dim=1).numpy() for w, b in zip(weights, bins, strict=True)
     )
     names = bins[0].method.task.extractor.names
-    # direction, curves and healthy values are those of the bin with the most averages
+    # direction and curves are those of the bin with the most averages
     best = largest(bins)
     used = _used(bins)
     quality = replace(
@@ -251,13 +260,7 @@ def _combined(result: TripResult, recording: Recording, bins: Sequence[SeenBin])
         features_found=f"{len(names)} of {len(names)}",
         warnings="; ".join(dict.fromkeys(b.doubts for b in bins if b.doubts)),
     )
-    result = replace(result, quality=quality, curves=_curves(best, recording))
-    read = [one for one in bins if isinstance(one, SpeedBin)]
-    if not read:  # the parts are
-        return result
-    estimate, sides = with_sides(combined(read), read, recording)
-    estimate = at_healthy_temperature(read[0].method, estimate, recording)
-    return _with_values(replace(result, sides=sides), estimate, best.method.healthy)
+    return replace(result, quality=quality, curves=_curves(best, recording))
 
 
 def _used(bins: Sequence[SeenBin]) -> dict[Welch, int]:
