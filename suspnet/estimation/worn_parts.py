@@ -26,7 +26,7 @@ import numpy as np
 
 from suspnet.estimation.bogie_fit import PartsEstimate
 from suspnet.estimation.bogie_search import WEAR
-from suspnet.ground.parameters import BOGIE_PARTS, kind_of, symbol_words
+from suspnet.ground.parameters import BOGIE_PARTS, kind_of, part_words
 from suspnet.ground.types import FloatArray
 
 USUAL = {"k": 0.003, "c": 0.006}
@@ -64,13 +64,13 @@ class WornPart:
 
 
 def worn_words(worn: Sequence[WornPart]) -> str:
-    """Return the worn parts as text: "c_p of axle 1, left at 62 % (odds over 1000 : 1)"."""
+    """Return the worn parts as text: "damper of axle 1, left at 62 % (odds over 1000 : 1)"."""
     return "; ".join(map(_words, worn))
 
 
 def _words(one: WornPart) -> str:
     odds = f"over {MOST_ODDS:.0f}" if one.odds > MOST_ODDS else f"{one.odds:.0f}"
-    where = " or ".join(map(symbol_words, one.names))
+    where = " or ".join(map(part_words, one.names))
     unknown = "" if one.is_named else ", which of them is not known"
     return f"{where} at {100 * one.ratio:.3g} % of healthy (odds {odds} : 1{unknown})"
 

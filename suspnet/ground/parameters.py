@@ -48,14 +48,6 @@ def place_words(part: str) -> str:
     return part[4:].replace("axle", "axle ").replace("_", ", ")
 
 
-def symbol_words(name: str) -> str:
-    """Return a part by its symbol: "c_p of axle 2, left" of "c_p_axle2_left".
-
-    Any other name is returned as given.
-    """
-    return f"{kind_of(name)} of {place_words(name)}" if name in BOGIE_PARTS else name
-
-
 def part_words(name: str) -> str:
     """Return a part as a depot calls it: "damper of axle 2, left" of "c_p_axle2_left".
 

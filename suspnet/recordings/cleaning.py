@@ -74,8 +74,8 @@ class Fault:
             return f"{self.channel}: {self.kind} of {self.size_m_per_s2:.3g} m/s2, harmless"
         fate = "repaired" if self.repaired else "not usable"
         return (
-            f"{self.channel}: {self.kind} of {self.n_samples} samples ({self.seconds:.3g} s) from "
-            f"{self.first_s:.3f} s on, {fate}"
+            f"{self.channel}: {self.kind} of {self.n_samples} samples ({self.seconds:.3g} s), "
+            f"first at {self.first_s:.3f} s, {fate}"
         )
 
 

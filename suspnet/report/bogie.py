@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from suspnet.ground.parameters import BOGIE_PARTS, Severity, part_words, symbol_words
+from suspnet.ground.parameters import BOGIE_PARTS, Severity, part_words
 from suspnet.ground.records import TripResult
 from suspnet.ground.wording import count
 from suspnet.maintenance.judge import ABSURD, N_LAST
@@ -183,10 +183,10 @@ def worn_entries(worn: str) -> list[tuple[tuple[str, ...], str]]:
 
     Examples
     --------
-    >>> worn_entries("c_p of axle 1, left or k_s of right at 62 % of healthy (odds 30 : 1, ...)")
-    [(('c_p_axle1_left', 'k_s_right'), '30 : 1')]
+    >>> worn_entries("damper of axle 1, left or secondary spring, right at 62 % (odds 9 : 1)")
+    [(('c_p_axle1_left', 'k_s_right'), '9 : 1')]
     """
-    names = {symbol_words(name): name for name in BOGIE_PARTS}
+    names = {part_words(name): name for name in BOGIE_PARTS}
     found = []
     for parts, odds in re.findall(r"(?:^|; )([^;]+?) at [^;(]*\(odds ([^:]+ : 1)", worn):
         known = tuple(names[one] for one in parts.split(" or ") if one in names)

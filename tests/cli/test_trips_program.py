@@ -441,8 +441,8 @@ def test_bad_trips_end_with_code_2_and_do_no_harm_to_good_ones(bad, alone):
     ("name", "fault"),
     [
         ("csv", ""),
-        ("gap_30_s", "body: gap of 7500 samples (30 s) from 100.000 s on, not usable"),
-        ("spikes", "body: spike of 30 samples (0.12 s) from 5.000 s on, repaired"),
+        ("gap_30_s", "body: gap of 7500 samples (30 s), first at 100.000 s, not usable"),
+        ("spikes", "body: spike of 30 samples (0.12 s), first at 5.000 s, repaired"),
         ("offset", "body: offset of 9.81 m/s2, harmless"),
         ("drift", "body: drift of 7."),
         ("rate_248", ""),

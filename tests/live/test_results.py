@@ -6,7 +6,7 @@ from suspnet.ground.records import OK, TripResult
 from suspnet.live.results import estimate_row, summary
 from suspnet.live.suspension import Estimate
 
-WORN = "c_p of axle 2, left at 62.9 % of healthy (odds over 1000 : 1)"
+WORN = "damper of axle 2, left at 62.9 % of healthy (odds over 1000 : 1)"
 
 
 def test_worn_parts_are_named_in_the_row_and_on_the_line():

@@ -338,7 +338,7 @@ def test_gap_in_one_sensor_of_a_pair_is_unusable(trip):
     assert not recording.usable[(here > 20) & (here < 22)].any()
     assert recording.usable[(here < 19.8) | (here > 22.2)].all()
     assert [str(fault) for fault in recording.faults] == [
-        "axle_box right: gap of 1000 samples (2 s) from 20.000 s on, not usable"
+        "axle_box right: gap of 1000 samples (2 s), first at 20.000 s, not usable"
     ]
 
 

@@ -36,10 +36,10 @@ def test_sound_speeds_have_no_faults():
 @pytest.mark.parametrize(
     ("zeros", "words"),
     [
-        (slice(0, 30), "speed: zero of 30 samples (30 s) from 0.000 s on, not usable"),
-        (slice(40, 41), "speed: zero of 1 samples (1 s) from 40.000 s on, not usable"),
-        (slice(40, 70), "speed: zero of 30 samples (30 s) from 40.000 s on, not usable"),
-        (slice(95, 110), "speed: zero of 5 samples (5 s) from 95.000 s on, not usable"),
+        (slice(0, 30), "speed: zero of 30 samples (30 s), first at 0.000 s, not usable"),
+        (slice(40, 41), "speed: zero of 1 samples (1 s), first at 40.000 s, not usable"),
+        (slice(40, 70), "speed: zero of 30 samples (30 s), first at 40.000 s, not usable"),
+        (slice(95, 110), "speed: zero of 5 samples (5 s), first at 95.000 s, not usable"),
     ],
 )
 def test_zeros_of_a_lost_receiver_are_no_stop(zeros, words):
@@ -58,8 +58,8 @@ def test_empty_cells_and_jumps_are_told():
     speeds[[10, 11]], speeds[30:33], speeds[60] = np.nan, 90.0, -1.0
     found, faults = told(speeds)
     assert faults == [
-        "speed: gap of 3 samples (3 s) from 10.000 s on, not usable",
-        "speed: jump of 3 samples (3 s) from 30.000 s on, not usable",
+        "speed: gap of 3 samples (3 s), first at 10.000 s, not usable",
+        "speed: jump of 3 samples (3 s), first at 30.000 s, not usable",
     ]
     assert (found[np.isfinite(found)] == 50.0).all()
 
@@ -79,14 +79,14 @@ def test_receiver_that_repeats_its_speed_while_the_train_brakes_is_stuck(noise, 
         assert told(speeds, at=EACH_S)[1] == []
         speeds[70:110] = speeds[69] - max(resolution, 0.1)  # until the train is at 25 m/s
         found, faults = told(speeds, at=EACH_S)
-        assert faults == ["speed: stuck of 39 samples (39 s) from 71.000 s on, not usable"]
+        assert faults == ["speed: stuck of 39 samples (39 s), first at 71.000 s, not usable"]
         np.testing.assert_array_equal(np.isnan(found), (EACH_S > 70) & (EACH_S < 110))
 
 
 def test_receiver_that_is_stuck_to_the_end_is_seen_where_it_scatters():
     speeds = SLOWING + 0.05 * np.random.default_rng(0).standard_normal(len(SLOWING))
     speeds[150:] = speeds[150]
-    words = "speed: stuck of 29 samples (29 s) from 151.000 s on, not usable"
+    words = "speed: stuck of 29 samples (29 s), first at 151.000 s, not usable"
     assert told(speeds, at=EACH_S)[1] == [words]
 
 
@@ -103,8 +103,8 @@ def test_missing_rows_are_told():
     seconds = np.delete(np.arange(110.0), [*range(10, 13), *range(50, 70)])
     found, faults = told(np.full(len(seconds), 50.0), seconds)
     assert faults == [
-        "speed: gap of 3 samples (3 s) from 9.000 s on, repaired",
-        "speed: gap of 20 samples (20 s) from 49.000 s on, not usable",
+        "speed: gap of 3 samples (3 s), first at 9.000 s, repaired",
+        "speed: gap of 20 samples (20 s), first at 49.000 s, not usable",
     ]
     np.testing.assert_array_equal(np.isnan(found), (AT > 49.001) & (AT < 70.001))
 

@@ -112,18 +112,18 @@ def test_sentences_are_german():
         "`channels.body.unit` must be one of ['m/s2', 'g'], got 'mm/s2'; give ['g']": "`channels."
         "body.unit`: verlangt ist eines von ['m/s2', 'g'], angegeben ist 'mm/s2'; ['g'] angeben",
         "worn, odds over 1000 : 1": "verschlissen, Chancen über 1000 : 1",
-        "Worn parts on 3 of the last 5 trips; on trip_039: c_p of axle 1, left at 62 % of healthy "
-        "(odds over 1000 : 1); k_s of left or c_s of left at 83.1 % of healthy (odds 41 : 1, which "
-        "of them is not known).": "Verschlissene Teile auf 3 der letzten 5 Fahrten; auf trip_039: "
-        "c_p von Achse 1 links bei 62 % des Referenzwerts (Chancen über 1000 : 1); k_s von links "
-        "oder c_s von links bei 83,1 % des Referenzwerts (Chancen 41 : 1; welches davon, ist "
-        "unbekannt).",
-        "body: spike of 12 samples (1.17e+03 s) from 3.1 s on, repaired; bogie right: loose from "
+        "Worn parts on 3 of the last 5 trips; on trip_039: damper of axle 1, left at 62 % of "
+        "healthy (odds over 1000 : 1); secondary spring, left or secondary damper, left at 83.1 % "
+        "of healthy (odds 41 : 1, which of them is not known).": "Verschlissene Teile auf 3 der "
+        "letzten 5 Fahrten; auf trip_039: Primärdämpfer, Achse 1 links bei 62 % des Referenzwerts "
+        "(Chancen über 1000 : 1); Sekundärfeder links oder Sekundärdämpfer links bei 83,1 % des "
+        "Referenzwerts (Chancen 41 : 1; welches davon, ist unbekannt).",
+        "body: spike of 12 samples (1.17e+03 s), first at 3.1 s, repaired; bogie right: loose from "
         "about 183 s on: it shows nothing there of the motion that the others show, and that part "
         "is left out; check its cable and connector": "body: Spitze über 12 Abtastwerte "
-        "(1,17e+03 s) ab 3,1 s, repariert; bogie right: lose ab etwa 183 s: zeigt dort nichts von "
-        "der Bewegung, die die anderen zeigen; dieser Teil bleibt unberücksichtigt; Kabel und "
-        "Stecker prüfen",
+        "(1,17e+03 s), zuerst bei 3,1 s, repariert; bogie right: lose ab etwa 183 s: zeigt dort "
+        "nichts von der Bewegung, die die anderen zeigen; dieser Teil bleibt unberücksichtigt; "
+        "Kabel und Stecker prüfen",
         "damping of the primary damper, axle 2, left": "Dämpfung des Primärdämpfers, Achse 2, "
         "links",
         "secondary spring, left or secondary spring, right": "Sekundärfeder links oder "

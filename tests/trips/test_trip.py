@@ -351,7 +351,7 @@ def test_fault_costs_averages_and_is_told(manifests, model, good, tmp_path):
     body = signal(manifests[0], "body").copy()
     body[(100 * 250) : (130 * 250)] = np.nan
     result = evaluated(changed(manifests[0], tmp_path, signals={"body": body}), model)
-    assert result.quality.faults.startswith("body: gap of 7500 samples (30 s) from 100.000 s on")
+    assert result.quality.faults.startswith("body: gap of 7500 samples (30 s), first at 100.000 s")
     assert 89 < result.quality.usable_percent <= 90
     # segments start every 10 s: four or five of them overlap with the gap
     assert result.quality.segments_used == result.quality.segments_total == N_SEGMENTS - 5
@@ -654,6 +654,6 @@ def test_unknown_speed_is_a_reason(manifests, model, tmp_path):
     speed[::15] = np.nan
     result = evaluated(changed(manifests[0], tmp_path, signals={"speed": speed}), model)
     assert result.reason == (
-        "no segment of 20 s is free of faults: speed: gap of 19 samples (19 s) from 15.000 s on, "
+        "no segment of 20 s is free of faults: speed: gap of 19 samples (19 s), first at 15.000 s, "
         "not usable; the speed is unknown in part"
     )
