@@ -27,7 +27,7 @@ from suspnet.maintenance.relative import relative_to_first_healthy
 from suspnet.maintenance.schedule import Plan, joined
 from suspnet.report import figures
 from suspnet.report.bogie import bogies_of, bogies_shown
-from suspnet.report.dead_sensors import LISTED, failing_sensors
+from suspnet.report.failing_sensors import LISTED, failing_sensors
 from suspnet.report.figures import as_png, data_uri
 from suspnet.report.language import gettext
 from suspnet.report.maintenance_figures import health_trend, small_trends
@@ -140,7 +140,7 @@ def _reasons(results: Sequence[TripResult]) -> list[str]:
 
 
 def sensor_lines(results: Sequence[TripResult], alarms: Sequence[Alarm]) -> list[str]:
-    """Return a line for a terminal on each sensor with an alarm, and on each dead or loose one."""
+    """Return a line for a terminal on each sensor with an alarm, and on each failing one."""
     lines = [
         f"{one.words} (alarm since {kilometres(one.begin_km)})"
         for one in alarms

@@ -19,7 +19,7 @@ from suspnet.maintenance.alarms import Acknowledgement, newest_of
 from suspnet.maintenance.schedule import Plan
 from suspnet.maintenance.series import of_same_car
 from suspnet.maintenance.state import State
-from suspnet.report.dead_sensors import dead_words, sensor_words
+from suspnet.report.failing_sensors import dead_words, sensor_words
 
 REPORT = "report.html"
 N_SHOWN = 30

@@ -22,7 +22,7 @@ from suspnet.maintenance.judge import N_LAST
 from suspnet.maintenance.series import Event
 from suspnet.maintenance.state import State
 from suspnet.report.bogie import bogie_of, small_figures, why_no_part
-from suspnet.report.dead_sensors import failing_words
+from suspnet.report.failing_sensors import failing_words
 from suspnet.report.figures import data_uri
 from suspnet.report.language import N_, decimal, gettext
 from suspnet.report.sentences import spoken

@@ -12,13 +12,13 @@ from matplotlib.figure import Figure
 from trip_records import FLAG, HALF_WIDTHS, OUTPUTS, flagged, fleet, trend_of, trip
 
 from suspnet.ground.parameters import DEFAULT_LIMITS
-from suspnet.ground.records import Place
+from suspnet.ground.records import Place, Quality
 from suspnet.maintenance import Acknowledgement, Alarm, Cause, Life, Severity
 from suspnet.maintenance.alarms import Watched
 from suspnet.maintenance.series import make_series, series_of
 from suspnet.maintenance.state import State
 from suspnet.report import figures, report
-from suspnet.report.dead_sensors import dead_words, failing_words
+from suspnet.report.failing_sensors import dead_words, failing_sensors, failing_words
 from suspnet.report.language import speaking
 from suspnet.report.maintenance_figures import health_trend
 from suspnet.report.overview import Evaluated
@@ -383,8 +383,26 @@ def test_dead_sensor_is_named_at_the_top(tmp_path):
     assert row["sensors"] == "dead and left out: bogie right (on 2 of 12 trips)"
     repaired = [*results, replace(results[0], mileage_km=1e6)]
     assert dead_words(repaired) == ""
-    assert failing_words(repaired) == "dead or loose: bogie right (on 2 of the last 5 trips)"
+    assert (
+        failing_words(repaired) == "dead, loose or not used: bogie right (on 2 of the last 5 trips)"
+    )
     assert failing_words([*repaired, *repaired[-1:] * 4]) == ""
+
+
+def test_sensors_that_parts_are_read_without_are_named_once():
+    loose = "bogie right: loose from about 8 s on; body: spike of 1 samples (0 s), first at 1 s"
+    quality = Quality(
+        faults=loose, warnings="parts are read without the sensors of bogie_right, body_left"
+    )
+    results = [replace(r, quality=quality) for r in measured()[:2]]
+    trips = [r.trip for r in results]
+    assert failing_sensors(results) == {
+        "bogie right: loose from about 8 s on": trips,
+        "body_left: not used for the parts": trips,
+    }
+    assert failing_words(results) == (
+        "dead, loose or not used: bogie right, body_left (on 2 of the last 2 trips)"
+    )
 
 
 def test_flags_on_all_trips_contradict_nothing(tmp_path):

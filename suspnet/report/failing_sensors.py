@@ -18,10 +18,14 @@ FAILING = re.compile(
 )
 """A dead or loose sensor with what is known of it, among the faults of a trip."""
 DEAD = ": dead and left out"
+LOST = re.compile(r"parts are read without the sensors of ([^;]+)")
+"""The sensors without which the parts of a trip are read, among its warnings."""
 
 
 def failing_sensors(results: Sequence[TripResult]) -> dict[str, list[str]]:
-    """Return what is known of each dead or loose sensor, with the names of its trips.
+    """Return what is known of each sensor that is dead, loose or left out of a trip's parts.
+
+    With it are the names of its trips.
 
     Examples
     --------
@@ -35,6 +39,12 @@ def failing_sensors(results: Sequence[TripResult]) -> dict[str, list[str]]:
         for words in FAILING.findall(result.quality.faults):
             whole = words if words.count("(") == words.count(")") else words.rpartition(" (")[0]
             trips.setdefault(whole, []).append(result.trip)
+        # a sensor whose faults would break a trip up is left out of its parts alone
+        named = re.sub("[ :]", "_", result.quality.faults)
+        for words in LOST.findall(result.quality.warnings):
+            for name in words.split(", "):
+                if f"{name}__dead" not in named and f"{name}__loose" not in named:
+                    trips.setdefault(f"{name}: not used for the parts", []).append(result.trip)
     return trips
 
 
@@ -49,13 +59,16 @@ def dead_words(results: Sequence[TripResult]) -> str:
 
 
 def failing_words(results: Sequence[TripResult]) -> str:
-    """Return ``dead_words``, or the sensors that were dead or loose on one of the last trips."""
+    """Return ``dead_words``, or the sensors that failed on one of the last trips, as text."""
     if words := dead_words(results):
         return words
     last = results[-N_LAST:]
     names = dict.fromkeys(words.partition(":")[0] for words in failing_sensors(last))
     n = sum(bool(failing_sensors([one])) for one in last)
-    return f"dead or loose: {', '.join(names)} (on {n} of the last {len(last)} trips)" * bool(n)
+    return (
+        f"dead, loose or not used: {', '.join(names)} (on {n} of the last {len(last)} trips)"
+        * bool(n)
+    )
 
 
 def sensor_words(state: State) -> str:
