@@ -303,12 +303,12 @@ class Plan:
             )
         return (
             f"{unknown}{count(len(self.visits), 'visit')} with {count(n_jobs, 'job')} until "
-            f"{self.horizon}, {count(n_waiting, 'part')} wait{'s' * (n_waiting == 1)}, "
+            f"{self.horizon}, {count(n_waiting, 'part')} may need work later, "
             f"{self.n_quiet} need{'s' * (self.n_quiet == 1)} nothing. {best} {self.assumed_words}"
         ).rstrip()
 
     def __str__(self) -> str:
-        """Return the plan as a text table, and a sentence on parts that wait."""
+        """Return the plan as a text table, and a line on the first part that needs work later."""
         lines, table, before = [self.summary], [], None
         for row in joined(self.rows()):
             if row["what"] == "plan again":
@@ -325,7 +325,7 @@ class Plan:
         if self.waiting:
             first = self.waiting[0]
             when = f"within {first.plan_again_km:.0f} km" if first.plan_again_km else "at each trip"
-            lines.append(f"Plan again {when}, for train {first.part}.")
+            lines.append(f"First of those that may: {first.part}; plan again {when}.")
         return "\n".join(lines)
 
 

@@ -444,8 +444,7 @@ def test_table_and_rows_say_where_what_and_until_when():
     spared = replace(SETTINGS, costs=replace(COSTS, failure=0.0))
     waits = planned(part(300_000.0, "right"), settings=spared)
     assert waits.rows()[-1]["what"] == "plan again"
-    assert "Plan again within" in str(waits)
-    assert str(waits).endswith(", for train T1, right, c_p.")
+    assert "First of those that may: T1, right, c_p; plan again within" in str(waits)
 
 
 def test_calendar_shows_the_most_urgent_trains():
