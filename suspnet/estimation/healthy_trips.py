@@ -25,7 +25,12 @@ from suspnet.recordings.recording import Recording, load_recording
 from suspnet.spectra.bogie_trip import BogieTrip
 from suspnet.spectra.cross_spectra import CrossSpectra
 from suspnet.spectra.estimates import EstimateSettings
-from suspnet.spectra.segments import Speeds, recording_segments, segment_speeds
+from suspnet.spectra.segments import (
+    NoEstimateError,
+    Speeds,
+    recording_segments,
+    segment_speeds,
+)
 from suspnet.spectra.welch import SegmentSpectra
 from suspnet.spectra.wheel_lines import wheel_lines
 
@@ -125,8 +130,6 @@ def read_healthy(
         If the trips are of another vehicle or bogie, of several suspensions or of different
         sensors, if these do not show the parts that are to be read, if a recording is faulty, or if
         fewer than three trips have a usable stretch.
-    NoEstimateError
-        If each part is to be read and a trip is too short for that.
     """
     manifests = [one.trip for one in paths or map(ManifestFile, find_manifests(folder))]
     manifests.sort(key=lambda manifest: manifest.mileage_km)
@@ -160,10 +163,14 @@ def read_healthy(
             words = f"{manifest.name}: no stretch at one speed is long enough and free of faults"
             left_out.append(": ".join(filter(None, [words, unrepaired_words(recording)])))
             continue
+        if vehicle is not None:
+            try:
+                of_parts.append(_with_all_sensors(recording, vehicle, trips, direction))
+            except NoEstimateError as reason:
+                left_out.append(f"{manifest.name}: {reason}")
+                continue
         kept.append(replace(manifest, start=manifest.start or recording.started))
         groups += found
-        if vehicle is not None:
-            of_parts.append(bogie_trip(recording, vehicle, trips, direction))
         paired.add(recording.paired)
     # the remaining trips must be enough, and of the same sensors
     if len(kept) < LEAST_TRIPS:
@@ -212,6 +219,19 @@ def _check_same(
                 f"{folder}: the trips are of the {named} {key}, the model would be of the {ours} "
                 f"one: give generator.{key}={named}"
             )
+
+
+def _with_all_sensors(
+    recording: Recording, vehicle: SpatialVehicle, trips: TripSettings, direction: Direction
+) -> BogieTrip:
+    """Return a trip as its parts are read; NoEstimateError if it is too short for all sensors."""
+    found = bogie_trip(recording, vehicle, trips, direction)
+    if found.lost:
+        raise NoEstimateError(
+            "no stretch with all sensors at one speed is long enough to read each part: "
+            f"{unrepaired_words(recording)}"
+        )
+    return found
 
 
 def _spectra(

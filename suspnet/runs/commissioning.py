@@ -44,6 +44,8 @@ def commission_trips(
     """
     generator = check_generator(generator)
     settings = settings.bound(generator.vehicle)
+    for reason in found.left_out:
+        log.warning("left out of the healthy trips: %s", reason)
     near = bogie if bogie is not None and bogie.misfit <= EXPLAINED else None
     prior = _prior(generator, found)
     if bogie is not None and not found.groups:

@@ -2,6 +2,7 @@
 
 import shutil
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pyarrow as pa
@@ -24,6 +25,7 @@ from suspnet.recordings.reader_process import in_own_process
 from suspnet.recordings.recording import load_recording
 from suspnet.runs.commissioning import _prior
 from suspnet.spectra.estimates import EstimateSettings
+from suspnet.spectra.segments import NoEstimateError
 
 SETTINGS = EstimateSettings(rates_hz=RATES_HZ, cache_dir=None).bound(AM96)
 NAMES = ["first", "second", "third"]
@@ -87,6 +89,31 @@ def test_single_sensors_are_placed_by_the_side_that_is_said(folder, side, body, 
     assert placed.sensor_lateral_m == expected
     assert ("roll" in placed.parts) == any(expected)
     assert (unplaced(trips) is None) == (side is not None)
+
+
+def test_a_trip_that_shows_its_parts_without_a_sensor_only_is_left_out(
+    manifests, tmp_path, monkeypatch
+):
+    """One loose cable among eight healthy trips had no bogie trained at all."""
+    for manifest, name in zip(small_fleet(), (*NAMES, "fourth", "fifth"), strict=False):
+        with_pairs(changed(manifest, tmp_path, name, suspension="S1"))
+    lost = {"second": ("body_left",)}
+
+    def by_part(recording, *_):
+        if recording.manifest.name == "fourth":
+            raise NoEstimateError("0.0 minutes at one speed, 9.0 are needed")
+        return SimpleNamespace(lost=lost.get(recording.manifest.name, ()))
+
+    monkeypatch.setattr("suspnet.estimation.healthy_trips.bogie_trip", by_part)
+    found = read(tmp_path, by_part=True)
+    kept = [one.name for one in found.manifests]
+    assert len(found.of_parts) == len(kept) == 3
+    assert not {"second", "fourth"} & set(kept)
+    assert sorted(found.left_out) == [
+        "fourth: 0.0 minutes at one speed, 9.0 are needed",
+        "second: no stretch with all sensors at one speed is long enough to read each part: ",
+    ]
+    assert [one.trip for one in found.groups] == [0, 1, 2]
 
 
 def test_spectra_are_those_of_the_whole_trip(folder):
