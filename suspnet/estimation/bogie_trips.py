@@ -232,13 +232,15 @@ def estimate_parts(
     found = parts.as_estimate()
     flags = with_bogie_doubt(found.flags, has_converged=bogie.converged, misfit=bogie.misfit)
     worn = worn_words(worn_parts(parts))
+    places = _places(recording.manifest, bogie.generator.frame_sensor)
+    names = {place: name for name, place in places.items()}
     estimate = replace(
         found,
         flags=flags,
         healthy=bogie.healthy,
         found=worn,
         misfit=parts.misfit,
-        lost=trip.lost,
+        lost=tuple(names.get(place, place) for place in trip.lost),
     )
     if parts.converged:
         return estimate

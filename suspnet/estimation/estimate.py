@@ -50,7 +50,8 @@ class Estimate:
     misfit : float, [-]
         Rms of what the fit of a trip leaves unexplained over that of the noise; NaN without a fit.
     lost : tuple of str
-        Places of sensors without which the parts of a bogie were read.
+        Sensors without which the parts of a bogie were read, by their name in the manifest, or by
+        their place where it has none.
 
     Examples
     --------

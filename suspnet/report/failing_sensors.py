@@ -36,14 +36,14 @@ def failing_sensors(results: Sequence[TripResult]) -> dict[str, list[str]]:
     """
     trips: dict[str, list[str]] = {}
     for result in results:
-        for words in FAILING.findall(result.quality.faults):
+        own = FAILING.findall(result.quality.faults)
+        for words in own:
             whole = words if words.count("(") == words.count(")") else words.rpartition(" (")[0]
             trips.setdefault(whole, []).append(result.trip)
         # a sensor whose faults would break a trip up is left out of its parts alone
-        named = re.sub("[ :]", "_", result.quality.faults)
         for words in LOST.findall(result.quality.warnings):
             for name in words.split(", "):
-                if f"{name}__dead" not in named and f"{name}__loose" not in named:
+                if not any(one.startswith(f"{name}: ") for one in own):
                     trips.setdefault(f"{name}: not used for the parts", []).append(result.trip)
     return trips
 

@@ -392,16 +392,16 @@ def test_dead_sensor_is_named_at_the_top(tmp_path):
 def test_sensors_that_parts_are_read_without_are_named_once():
     loose = "bogie right: loose from about 8 s on; body: spike of 1 samples (0 s), first at 1 s"
     quality = Quality(
-        faults=loose, warnings="parts are read without the sensors of bogie_right, body_left"
+        faults=loose, warnings="parts are read without the sensors of bogie right, body left"
     )
     results = [replace(r, quality=quality) for r in measured()[:2]]
     trips = [r.trip for r in results]
     assert failing_sensors(results) == {
         "bogie right: loose from about 8 s on": trips,
-        "body_left: not used for the parts": trips,
+        "body left: not used for the parts": trips,
     }
     assert failing_words(results) == (
-        "dead, loose or not used: bogie right, body_left (on 2 of the last 2 trips)"
+        "dead, loose or not used: bogie right, body left (on 2 of the last 2 trips)"
     )
 
 
