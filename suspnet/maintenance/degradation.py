@@ -5,8 +5,9 @@ with the history. A model is a drift that starts at the onset h,
 
     level + rate * f(t - h) + B(t - h),
 
-in the value or, for "exponential", in its logarithm. f(x) = x; "changing rate" uses powers of x. B
-is Brownian motion of variance q x for "wiener", its integral for "changing rate", and 0 otherwise.
+in the value or, for "exponential", in its logarithm. f(x) = x; "changing rate" uses powers of x,
+and "step" the power 0, as where one of two nested springs breaks: nothing goes on after it. B is
+Brownian motion of variance q x for "wiener", its integral for "changing rate", and 0 otherwise.
 Measurement noise is autoregressive of order one. Given a node (onset, power, q and component of the
 prior), level and rate are Gaussian with closed-form posterior and evidence; the nodes form a grid
 over which everything else is summed.
@@ -21,16 +22,16 @@ import numpy as np
 from suspnet.ground.types import FloatArray, IntArray
 from suspnet.maintenance.noise import Blocks, Noise, noise_covariance
 
-MODELS = ("no trend", "linear", "exponential", "wiener", "changing rate")
+MODELS = ("no trend", "linear", "exponential", "step", "wiener", "changing rate")
 LEAST_EIGENVALUE = 1e-9
 """Lower bound of the eigenvalues, relative to the largest, of a covariance without a Cholesky
 factor."""
 N_ONSETS = 40
 """Number of onsets on the grid of each model."""
 ONSET_PASSES = 3
-"""Number of times that "linear" and "exponential" refine the grid of onsets around the best one."""
+"""Number of times that models without B refine the grid of onsets around the best one."""
 AT_ONCE = 0.5
-"""Prior probability that wear starts before the first trip."""
+"""Prior probability that wear starts before the first trip; a step is after it."""
 LEVEL_SPREAD = 0.1
 """Prior standard deviation of the value at the first trip, whose prior mean is 1."""
 DIFFUSIONS = np.geomspace(0.0015, 0.1, 13)
@@ -41,11 +42,13 @@ POWERS = np.array([0.5, 0.7, 1.0, 1.4, 2.0])
 """Powers of the mileage since the onset in "changing rate"."""
 POWER_UNITS = 3.0
 """Mileage [UNIT_KM] after the onset over which the rate of a power law is the mean rate."""
-FIRST_WIENER = 3
+EXPONENTIAL, STEP, FIRST_WIENER = 2, 3, 4
 FIRST_CHANGING = FIRST_WIENER + DIFFUSIONS.size
-"""First rows of "wiener" and "changing rate" in ``FleetPrior.models``."""
+"""Rows of ``FleetPrior.models``, those of "wiener" and "changing rate" the first ones."""
 N_STARTS = 8
 """Number of onsets of Brownian motion; an onset of the drift uses the last one before it."""
+SHORTEST = 1e-9
+"""Least length of a block [UNIT_KM], that of one of a single trip being 0."""
 TINY = 1e-300
 """Replaces a probability of 0 in logarithms."""
 DETAILED = 0.3
@@ -56,9 +59,9 @@ DETAILED = 0.3
 class FleetPrior:
     """Prior over models and rates.
 
-    `models`, (n_rows,): probability of "no trend", "linear", "exponential", "wiener" with each of
-    ``DIFFUSIONS`` and "changing rate" with each of ``RATE_CHANGES``. `weights` [-], `means` and
-    `spreads` [1 / UNIT_KM], (n_components,): the normal mixture of the rate.
+    `models`, (n_rows,): probability of "no trend", "linear", "exponential", "step", "wiener" with
+    each of ``DIFFUSIONS`` and "changing rate" with each of ``RATE_CHANGES``. `weights` [-], `means`
+    and `spreads` [1 / UNIT_KM], (n_components,): the normal mixture of the rate.
     """
 
     models: FloatArray
@@ -68,13 +71,15 @@ class FleetPrior:
 
 
 def fit_models(blocks: Blocks, noise: Noise, prior: FleetPrior) -> list[Fit]:
-    """Return the fit of each of ``MODELS``, or of the first three if a trend is unlikely.
+    """Return the fit of each of ``MODELS``, or of the first four if a change is unlikely.
 
     `noise` has one entry for diffusion 0 and one for each of ``DIFFUSIONS``.
     """
     covariance = noise_covariance(blocks, noise.variance, noise.correlation)
     fits = [_without_trend(blocks, covariance[:1], prior)]
-    fits += [_straight(blocks, covariance[:1], prior, row, _onsets(blocks.last)) for row in (1, 2)]
+    fits += [
+        _straight(blocks, covariance[:1], prior, row, _onsets(blocks.last)) for row in range(1, 4)
+    ]
     # Brownian motion costs most of the time and only matters where there is a trend
     if shares(fits)[0][0] > 1 - DETAILED:
         return fits
@@ -98,8 +103,11 @@ def _without_trend(blocks: Blocks, covariance: FloatArray, prior: FleetPrior) ->
 def _straight(
     blocks: Blocks, covariance: FloatArray, prior: FleetPrior, row: int, onsets: FloatArray
 ) -> Fit:
-    hinges = Hinges(onsets[None], np.ones((1, onsets.size)), _log_measure(onsets)[None])
-    return Fit(blocks, row == 1, covariance[:, None], hinges, prior, np.array([row]))
+    powers, at_once = np.ones((1, onsets.size)), AT_ONCE
+    if row == STEP:
+        powers, at_once = 0 * powers, 0.0
+    hinges = Hinges(onsets[None], powers, _log_measure(onsets, at_once)[None])
+    return Fit(blocks, row != EXPONENTIAL, covariance[:, None], hinges, prior, np.array([row]))
 
 
 def _refined(blocks: Blocks, covariance: FloatArray, prior: FleetPrior, fit: Fit) -> Fit:
@@ -126,13 +134,13 @@ def _wandering(blocks: Blocks, covariance: FloatArray, prior: FleetPrior, motion
     return Fit(blocks, True, covariance[:, None], hinges, prior, rows, motion)
 
 
-def _log_measure(onsets: FloatArray) -> FloatArray:
-    """Return the log prior of each onset; the first one includes all earlier ones."""
+def _log_measure(onsets: FloatArray, at_once: float = AT_ONCE) -> FloatArray:
+    """Return the log prior of each onset; the first one includes all earlier ones, `at_once`."""
     widths = np.gradient(onsets)
     widths[0] = 0.0
-    share = (1 - AT_ONCE) * widths / widths.sum()
-    share[0] = AT_ONCE
-    return np.asarray(np.log(share), dtype=float)
+    share = (1 - at_once) * widths / widths.sum()
+    share[0] = at_once
+    return np.asarray(np.log(np.maximum(share, TINY)))
 
 
 @dataclass(frozen=True)
@@ -186,9 +194,15 @@ class Hinges:
     powers: FloatArray
     log_prior: FloatArray
 
-    def course(self, t: FloatArray) -> FloatArray:
-        """Return the drift at `t` [UNIT_KM] for a rate of 1, (n_starts, n_onsets, n_t)."""
-        return powered(np.maximum(t - self.onsets[..., None], 0), self.powers[..., None])
+    def course(self, blocks: Blocks) -> FloatArray:
+        """Return the drift of blocks for a rate of 1, (n_starts, n_onsets, n_blocks).
+
+        A block counts as its mean mileage, but a step by the share of the block that is after it.
+        """
+        since, power = blocks.t - self.onsets[..., None], self.powers[..., None]
+        share = np.clip(0.5 + since / np.maximum(blocks.length, SHORTEST), 0, 1)
+        course = powered(np.maximum(since, 0), power)
+        return np.asarray(np.where(power == 0, share * powered(np.ones_like(since), power), course))
 
 
 def powered(since: FloatArray, power: FloatArray) -> FloatArray:
@@ -227,7 +241,7 @@ class Fit:
         scale = 1 + blocks.value if linear else np.ones(blocks.t.size)
         self._one = 1 / scale
         self._values = (blocks.value if linear else blocks.log_value) / scale
-        self._course = hinges.course(blocks.t) / scale
+        self._course = hinges.course(blocks) / scale
         start = hinges.onsets[:, 0]
         self._with_last = np.zeros((1, start.size, scale.size, 3))
         self._own = np.zeros((1, start.size, 3, 3))

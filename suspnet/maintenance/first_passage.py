@@ -7,9 +7,11 @@ import numpy as np
 from suspnet.ground.types import BoolArray, FloatArray, IntArray
 from suspnet.maintenance.degradation import (
     DIFFUSIONS,
+    EXPONENTIAL,
     FIRST_CHANGING,
     FIRST_WIENER,
     RATE_CHANGES,
+    STEP,
     State,
     powered,
 )
@@ -104,7 +106,8 @@ def draw_lives_km(
     wide = np.sqrt(freedom / rng.chisquare(freedom, (row.size, 1)))
     off = wide * (root[draw] @ rng.normal(size=(row.size, 3, 1)))[..., 0]
     now, rate, change = (state.mean[draw] + off).T
-    lower, upper = (_on_scale(limit, row == 2) for limit in limits)
+    rate = np.where(row == STEP, 0.0, rate)  # after a step nothing goes on
+    lower, upper = (_on_scale(limit, row == EXPONENTIAL) for limit in limits)
     wiener = (row >= FIRST_WIENER) & (row < FIRST_CHANGING)
     diffusion = np.where(wiener, DIFFUSIONS[np.where(wiener, row - FIRST_WIENER, 0)] ** 2, 0.0)
     samples = np.minimum(

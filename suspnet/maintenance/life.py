@@ -42,8 +42,8 @@ NOISE_TRIPS = 4.0
 DEFAULT_PRIOR = FleetPrior(
     models=np.concatenate(
         [
-            [0.8, 0.04, 0.04],
-            0.08 * DIFFUSIONS / DIFFUSIONS.sum(),
+            [0.8, 0.04, 0.04, 0.02],
+            0.06 * DIFFUSIONS / DIFFUSIONS.sum(),
             np.full(RATE_CHANGES.size, 0.04 / RATE_CHANGES.size),
         ]
     ),
@@ -63,7 +63,7 @@ class Life:
     ----------
     model : str
         "no trend" if its probability is at least 0.5, else the most probable of "linear",
-        "exponential", "wiener" and "changing rate".
+        "exponential", "step", "wiener" and "changing rate".
     samples_km : array of shape (n_samples,), [km]
         Mileage from the last trip until the nearer limit is passed; inf: not within ``HORIZON_KM``,
         0: already passed.

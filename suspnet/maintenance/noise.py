@@ -98,7 +98,7 @@ def estimate_noise(
 ) -> Noise:
     """Return the noise from differences of neighbouring trips, by the Whittle likelihood.
 
-    The differences of the residuals of the best hinge have the spectrum, at omega per trip,
+    The differences of the residuals of the best hinge or step have the spectrum, at omega per trip,
 
         variance * (2 - 2 cos omega) * (1 - rho^2) / |1 - rho e^(-i omega)|^2 + q dt / sigma^2,
 
@@ -125,12 +125,18 @@ def estimate_noise(
 
 
 def _residuals(t: FloatArray, values: FloatArray) -> FloatArray:
-    """Return the residuals of the hinge, of ``N_HINGES``, with the least sum of squares."""
+    """Return the residuals of the hinge, of ``N_HINGES``, or the step of least sum of squares."""
     hinges = np.maximum(t - t[-1] * np.linspace(0, 0.95, N_HINGES)[:, None], 0)
     fits = np.stack([np.ones(hinges.shape), hinges], axis=-1)
     gram = np.swapaxes(fits, 1, 2) @ fits + 1e-9 * np.eye(2)
     coefficients = np.linalg.solve(gram, np.swapaxes(fits, 1, 2) @ values[:, None])
     residuals = values - (fits @ coefficients)[..., 0]
+    # a step: the means of the n first trips and of the others
+    n = np.arange(1, t.size)
+    sums = np.cumsum(values - values.mean())
+    first = n[np.argmax(sums[:-1] ** 2 * (1 / n + 1 / (t.size - n)))]
+    stepped = [part - part.mean() for part in np.split(values, [first])]
+    residuals = np.vstack([residuals, np.concatenate(stepped)])
     return np.asarray(residuals[np.argmin((residuals**2).sum(axis=1))])
 
 

@@ -35,6 +35,8 @@ JUDGED = (0.5, 0.75)
 SHARES = (0.5, 0.625, 0.75, 0.875)
 """Shares of the true life of the predictions that the cumulative relative accuracy is of."""
 ALPHA, BETA = 0.2, 0.5
+STEP_SHARES, STEP_TRIPS, TRIPS_AFTER = (0.2, 0.9), (8, 60), (1, 2, 3, 5, 10, 20)
+"""Size of a single step as a share of the way to the lower limit, and trips before and after it."""
 HEALTHY_KM = (100_000.0, 300_000.0, 600_000.0, 1_200_000.0)
 CASES: dict[str, dict[str, Any]] = {
     "as simulated": {"kinds": KINDS},
@@ -165,6 +167,34 @@ def healthy(n: int, seed: int, **settings: Any) -> tuple[list[Row], float]:
     return rows, (time.process_time() - begin) / n / len(HEALTHY_KM)
 
 
+def stepped(n: int, seed: int) -> list[Row]:
+    """Return how often an end is read out of one step of 20 to 90 % of the way to a limit."""
+    histories = make_histories(n, seed, kinds=("healthy",))
+    rng = np.random.default_rng(seed)
+    sizes = rng.uniform(*STEP_SHARES, n)
+    at = rng.integers(*STEP_TRIPS, n)  # trips with an estimate before the step
+    rows = []
+    for after in TRIPS_AFTER:
+        lives = []
+        for history, size, first in zip(histories, sizes, at, strict=True):
+            known = np.flatnonzero(np.isfinite(history.values))[: first + after]
+            values = history.values[known]
+            values[first:] *= 1 - size * (1 - history.limits[0])
+            series = history.mileage_km[known], values, history.half_widths[known]
+            lives.append(predict_life(*series, history.limits))
+        rows.append(
+            {
+                "trips after the step": after,
+                "named a step (%)": 100 * np.mean([life.model == "step" for life in lives]),
+                "crossing within 20,000 km (%)": 100
+                * np.mean([life.probability(2e4) for life in lives]),
+                "interval of 80 % ends (%)": 100
+                * np.mean([np.isfinite(life.interval_km(LEVEL)[1]) for life in lives]),
+            }
+        )
+    return rows
+
+
 def with_fleet(n: int, seed: int) -> list[Row]:
     """Return widths and coverage early in life with and without what was learnt of a fleet."""
     known, fresh = make_histories(n, seed + 1000), make_histories(n, seed)
@@ -221,6 +251,7 @@ def main(argv: Sequence[str] | None = None) -> None:
         writer.writerows(rows)
     quiet, seconds = healthy(options.n, options.seed)
     print(f"\nhealthy: {1e3 * seconds:.1f} ms user time a prediction\n{table(quiet)}")
+    print(f"\none step, nothing after it\n{table(stepped(options.n, options.seed))}")
     print(f"\nwith a fleet of {options.n} others\n{table(with_fleet(options.n, options.seed))}")
 
 

@@ -47,7 +47,7 @@ def test_brownian_motion_has_the_covariance_of_its_increments(integrated):
         assert (with_last[:, 1:] == 0).all()
 
 
-@pytest.mark.parametrize("model", range(5))
+@pytest.mark.parametrize("model", range(6))
 def test_evidence_and_present_state_are_those_of_the_joint_gaussian(model):
     """Level, rate, Brownian motion and noise are one Gaussian vector, conditioned naively."""
     t, values, sigma = history(60, rate=-0.05)
@@ -57,7 +57,7 @@ def test_evidence_and_present_state_are_those_of_the_joint_gaussian(model):
     )
     prior = FleetPrior(DEFAULT_PRIOR.models, np.ones(1), np.array([0.02]), np.array([0.04]))
     fits = fit_models(blocks, noise, prior)
-    assert len(fits) == 5
+    assert len(fits) == 6
     fit = fits[model]
     rng = np.random.default_rng(3)
     nodes = np.unique(rng.integers(0, fit.log_weight.size, 6))
@@ -69,19 +69,24 @@ def test_evidence_and_present_state_are_those_of_the_joint_gaussian(model):
         m, s, o, _ = np.unravel_index(node, fit.log_weight.shape)
         start, onset = fit.hinges.onsets[s, 0], fit.hinges.onsets[s, o]
         power, row = fit.hinges.powers[s, o], fit.rows[m]
-        which = 0 if model < 3 or model == 4 else m + 1
+        which = m + 1 if model == 4 else 0
         covariance = noise_covariance(blocks, noise.variance[[which]], noise.correlation[[which]])[
             0
         ]
         rate, spread = (0.0, 1e-9) if model == 0 else (0.02, 0.04)
         # columns: level, rate, and what the present state is
         basis = np.stack([np.ones(blocks.t.size), powered(np.maximum(blocks.t - onset, 0), power)])
+        if model == 3:  # the share of each block's trips after the step, as if evenly spaced
+            past = (np.linspace(-0.5, 0.5, 200_001) * blocks.length[:, None]) > onset - blocks.t[
+                :, None
+            ]
+            basis[1] = past.mean(axis=1) * powered(np.ones(1), 0)
         now = np.array([[1, powered(t[-1] - onset, power)], [0, 1], [0, 0]])
         weights = np.diag([LEVEL_SPREAD**2, spread**2])
         total = basis.T @ weights @ basis
         cross, own = now @ weights @ basis, now @ weights @ now.T
-        if model > 2:
-            changing = model == 4
+        if model > 3:
+            changing = model == 5
             size = (RATE_CHANGES[row - FIRST_CHANGING] if changing else DIFFUSIONS[m]) ** 2
             motion = Motion(np.ones(1), changing)
             since = np.maximum(blocks.t - start, 0)[None]

@@ -115,6 +115,19 @@ def test_models_found_are_those_simulated():
     assert predict_life(KM, noise(), HALF, LIMITS).model == "no trend"
 
 
+@pytest.mark.parametrize(("n", "at"), [(16, 10), (16, 13), (150, 80), (150, 140)])
+def test_after_a_step_nothing_goes_on(n, at):
+    """Two trips after a spring leaf broke, a rate was read out of it: an end within 4,000 km."""
+    values = np.where(np.arange(n) < at, 1.0, 0.88) * noise(2, n)
+    life = predict_life(KM[:n], values, HALF[:n], (0.8, 1.25))
+    assert life.model == "step"
+    assert life.probability(1_000_000) < 0.05
+    # what steps below the limit has passed it; a fade that begins as late is none
+    assert (predict_life(KM[:n], 0.9 * values, HALF[:n], (0.8, 1.25)).samples_km == 0).all()
+    fade = 1 - 0.01 * np.maximum(np.arange(n) - at, 0)
+    assert predict_life(KM[:n], fade * noise(2, n), HALF[:n], (0.5, 1.25)).model != "step"
+
+
 def test_probabilities_of_models_are_the_shares_of_samples():
     life = predict_life(KM[:12], noise(1, 12), HALF[:12], LIMITS, n_samples=5_000)
     assert tuple(life.probabilities) == MODELS
