@@ -114,7 +114,7 @@ def next_steps(
     ready_of = [[c for c in each.checks if c.state == READY] for each in suspensions(checks)]
     n_ready = [len(ready) for ready in ready_of]
     folder, *others = arguments.trips
-    if any(one.unchecked for one in checks) or not all(n >= LEAST_TRIPS for n in n_ready):
+    if any(one.unchecked for one in checks) or min(n_ready, default=0) < LEAST_TRIPS:
         return []
     if others or not folder.is_dir() or len(vehicles) != 1:
         return []

@@ -146,19 +146,28 @@ def _built(values: Mapping[str, Any], name: str, vehicle: str | None = None) -> 
         for key, one in values.items()
         if key != "kind"
     }
+    file = f"vehicle/{vehicle}.yaml: " if vehicle and place == "vehicle" else ""
     known = inspect.signature(class_).parameters
     unknown = [key for key in arguments if key not in known]
     if unknown and not any(one.kind == one.VAR_KEYWORD for one in known.values()):
         near = difflib.get_close_matches(unknown[0], known.keys() - arguments.keys(), 1)
         meant = f"; did you mean {near[0]}?" if near else ""
-        file = f"vehicle/{vehicle}.yaml: " if vehicle and place == "vehicle" else ""
         raise ValueError(
             f"{file}`{name}.{unknown[0]}` is no setting of {place}: --help lists them{meant}"
         )
+    required = [
+        key
+        for key, one in known.items()
+        if one.default is one.empty and one.kind not in (one.VAR_POSITIONAL, one.VAR_KEYWORD)
+    ]
+    if missing := [key for key in required if key not in arguments]:
+        raise ValueError(f"{file}`{name}.{missing[0]}` is missing")
     try:
         return class_(**arguments)
     except (AttributeError, LookupError) as error:  # a value of an unexpected type
-        raise ValueError(f"`{name}` cannot be built: {error}") from error
+        raise ValueError(f"{file}`{name}` cannot be built: {error}") from error
+    except (TypeError, ValueError) as error:
+        raise type(error)(f"{file}{error}") from error
 
 
 def read_vehicles(folder: str | Path = CONFIGS) -> dict[str, Vehicle]:

@@ -65,7 +65,7 @@ UNITS = {
 }
 
 
-def save_model(folder: Path, model: TrainedModel) -> None:
+def save_model(folder: Path | str, model: TrainedModel) -> None:
     """Write model.safetensors, then model.json, each atomically, with the folder locked.
 
     Raises
@@ -80,6 +80,7 @@ def save_model(folder: Path, model: TrainedModel) -> None:
             f"`model`, the second argument, must be a TrainedModel, got {type(model).__name__}; an "
             "estimator such as MSVR is saved by joblib.dump"
         )
+    folder = Path(folder)
     content, description = _files(model)
     with locked(folder):
         write_atomically(folder / "model.safetensors", content)

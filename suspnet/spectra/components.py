@@ -24,6 +24,7 @@ from dataclasses import dataclass, field, fields, replace
 from typing import Any, ClassVar
 
 import torch
+from numpy.typing import ArrayLike
 from torch import Tensor
 
 from suspnet.ground.settings import check_settings, setting
@@ -149,7 +150,9 @@ class CurveFeatures:
         )
         return replace(self, basis=basis)
 
-    def extract(self, responses: Tensor, frequencies_hz: Tensor) -> FeatureTable:
+    def extract(
+        self, responses: Tensor | ArrayLike, frequencies_hz: Tensor | ArrayLike
+    ) -> FeatureTable:
         """Return the features of curves, NaN and reason 1 where a curve is not finite.
 
         `responses` (n_curves, 2, n_freq) are G_p and G_s, or magnitudes if the basis was learnt
@@ -157,6 +160,7 @@ class CurveFeatures:
         on other bins, or needs phases and the curves have none.
         """
         basis = self._learnt()
+        responses, frequencies_hz = torch.as_tensor(responses), torch.as_tensor(frequencies_hz)
         inside = self._inside(frequencies_hz)
         bins = frequencies_hz[inside]
         if bins.shape != basis.frequencies_hz.shape or not torch.allclose(

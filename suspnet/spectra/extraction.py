@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from typing import ClassVar, Literal, Protocol, Self
 
 import torch
+from numpy.typing import ArrayLike
 from torch import Tensor
 
 from suspnet.ground.settings import check_settings, setting
@@ -183,11 +184,14 @@ class PeakFeatures(FeatureSet):
             if reason
         )
 
-    def extract(self, curves: Tensor, frequencies_hz: Tensor) -> FeatureTable:
+    def extract(
+        self, curves: Tensor | ArrayLike, frequencies_hz: Tensor | ArrayLike
+    ) -> FeatureTable:
         """Return the features of curves (n_curves, 2, n_freq), G_p and G_s or their magnitudes.
 
         ValueError if shapes disagree or the frequencies are not ascending and evenly spaced.
         """
+        curves, frequencies_hz = torch.as_tensor(curves), torch.as_tensor(frequencies_hz)
         if curves.ndim != 3 or curves.shape[1:] != (2, len(frequencies_hz)):
             expected = f"(n_curves, 2, {len(frequencies_hz)})"
             raise ValueError(f"`curves` must have shape {expected}, got {tuple(curves.shape)}")

@@ -362,6 +362,10 @@ def test_training_is_the_next_command_and_can_be_copied():
     assert read == "then run: suspnet evaluate trips=. 'run=[outputs/one,outputs/two]'"
 
 
+def test_there_is_no_next_step_without_a_ready_trip():
+    assert steps(state=PROBLEM, vehicle="") == []
+
+
 def test_next_training_reads_later_trips_at_other_speeds_and_names_parts_despite_a_short_one():
     arguments = options.check_parser().parse_args(["."])
     trips = [replace(READY_TRIP, mileage_km=float(i), shows_parts=i != 6) for i in range(7)]

@@ -84,10 +84,20 @@ def test_folder_without_vehicles_says_so(tmp_path):
         read_vehicles(tmp_path)
 
 
-def test_misspelt_key_names_the_file_and_the_nearest_key(tmp_path):
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (
+            ("bogie_mass_kg", "bogy_mass_kg"),
+            r"`vehicle\.bogy_mass_kg` is no setting.*did you mean bogie_mass_kg\?",
+        ),
+        (("\nbody_mass_kg", "\n# body_mass_kg"), r"`vehicle\.body_mass_kg` is missing"),
+        (("\nbody_mass_kg: ", "\nbody_mass_kg: -"), "`body_mass_kg` must be a finite number > 0"),
+    ],
+)
+def test_wrong_key_or_value_names_the_file_and_the_key(tmp_path, change, words):
     (tmp_path / "vehicle").mkdir()
     text = (Path(CONFIGS) / "vehicle" / "ice3.yaml").read_text()
-    (tmp_path / "vehicle" / "mine.yaml").write_text(text.replace("bogie_mass_kg", "bogy_mass_kg"))
-    words = r"mine\.yaml: `vehicle\.bogy_mass_kg` is no setting.*did you mean bogie_mass_kg\?"
-    with pytest.raises(ValueError, match=words):
+    (tmp_path / "vehicle" / "mine.yaml").write_text(text.replace(*change))
+    with pytest.raises(ValueError, match=rf"mine\.yaml: {words}"):
         read_vehicles(tmp_path)

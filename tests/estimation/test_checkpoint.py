@@ -73,7 +73,7 @@ def calibrated(learnt=True):
 
 @pytest.fixture
 def saved(tmp_path):
-    save_model(tmp_path, trained(MSVR(n_components=64)))
+    save_model(str(tmp_path), trained(MSVR(n_components=64)))
     return tmp_path
 
 

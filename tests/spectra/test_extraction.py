@@ -32,6 +32,12 @@ def largest_relative_jump(values):
 # reference
 
 
+def test_arrays_of_numpy_are_taken_too(quarter_car):
+    curves = quarter_car.magnitudes(torch.ones(2, 5), GRID)
+    found = ALL.extract(curves.numpy(), GRID.numpy()).values
+    torch.testing.assert_close(found, ALL.extract(curves, GRID).values, rtol=0, atol=0)
+
+
 def test_names_follow_the_peaks():
     extractor = PeakFeatures(peaks=("primary_upper", "secondary"))
     assert extractor.names == (
