@@ -29,6 +29,8 @@ from suspnet.runs.tables import (
 
 log = logging.getLogger(__name__)
 Run = Mapping[str, Any]
+SEEDS = ("seed", "random_state")
+"""Names of settings that are seeds."""
 
 
 class _Summary(Callback):
@@ -54,11 +56,12 @@ class Jobs(Callback):
         rows = job_rows(folder)
         if not rows:
             return
-        write_atomically(folder / "jobs.csv", records_csv(rows))
+        write_atomically(folder / "jobs.csv", records_csv(with_swept(folder, rows, "job")))
         table = tabulate(rows, headers="keys", tablefmt="github", floatfmt=".4g")
         over_seeds = seed_rows(folder, rows)
         if over_seeds:
-            write_atomically(folder / "seeds.csv", records_csv(over_seeds))
+            swept = with_swept(folder, over_seeds, "jobs", but=SEEDS)
+            write_atomically(folder / "seeds.csv", records_csv(swept))
             table += "\n\nmean and standard deviation over seeds\n\n"
             table += _seed_table(over_seeds)
         write_atomically(folder / "jobs.md", f"{table}\n")
@@ -100,6 +103,26 @@ def job_rows(folder: Path) -> list[dict[str, Any]]:
             *(row["mean"] or 0.0, row["job"]),
         ),
     )
+
+
+def with_swept(
+    folder: Path, rows: Sequence[Mapping[str, Any]], job: str, but: Sequence[str] = ()
+) -> list[dict[str, Any]]:
+    """Return rows with a column for each override in which the jobs of a multirun differ.
+
+    `job` is the column with the job's name; overrides of settings called one of `but` are left out.
+    """
+    given: dict[str, dict[str, str]] = {}
+    for path in sorted(folder.glob("*/.hydra/overrides.yaml")):
+        pairs = (str(one).lstrip("+").partition("=") for one in yaml.safe_load(path.read_text()))
+        given[path.parents[1].name] = {key: value for key, _, value in pairs}
+    keys = dict.fromkeys(key for own in given.values() for key in own)
+    swept = [
+        key
+        for key in keys
+        if len({own.get(key) for own in given.values()}) > 1 and key.rpartition(".")[2] not in but
+    ]
+    return [{**row, **{key: given.get(row[job], {}).get(key, "") for key in swept}} for row in rows]
 
 
 def seed_rows(folder: Path, rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
@@ -145,7 +168,7 @@ def _without_seeds(config: Any, seeds: dict[str, Any], place: str = "") -> Any:
     """Return a configuration without seeds, which are added to `seeds` by their places."""
     if not isinstance(config, dict):
         return config
-    seeds |= {f"{place}/{key}": config[key] for key in ("seed", "random_state") if key in config}
+    seeds |= {f"{place}/{key}": config[key] for key in SEEDS if key in config}
     return {
         key: _without_seeds(value, seeds, f"{place}/{key}")
         for key, value in config.items()

@@ -1,5 +1,6 @@
 """What a multirun's summary says about methods that were not tuned or tested on equal terms."""
 
+import csv
 import json
 
 import pytest
@@ -9,6 +10,7 @@ from test_tables import run
 
 from suspnet.runs.sweeps import Jobs, Table5, Table6, job_rows, seed_rows
 
+FILES = ("jobs.csv", "seeds.csv")
 EDGE = "the best C, 100, is on the edge: slow"
 
 
@@ -89,9 +91,24 @@ def test_a_seed_of_a_model_that_is_fixed_is_one_setting(tmp_path):
 
 def test_tables_of_a_sweep_show_the_seeds(tmp_path):
     sweep(tmp_path)
+    for name, c, seed in (("0", 1, 0), ("1", 1, 1), ("3", 2, 0), ("4", 2, 1)):
+        hydra = tmp_path / name / ".hydra"
+        hydra.mkdir()
+        words = [f"model.C={c}", f"+seed={seed}", "data.n_train=9"]
+        (hydra / "overrides.yaml").write_text(yaml.safe_dump(words))
     Jobs().on_multirun_end(OmegaConf.create({"hydra": {"sweep": {"dir": str(tmp_path)}}}))
     assert "2 +- 1.4" in (tmp_path / "jobs.md").read_text()
     assert (tmp_path / "seeds.csv").read_text().startswith("jobs,n,mean,mean sd,")
+    # a column for each swept setting, to be plotted by
+    jobs, seeds = (
+        list(csv.DictReader((tmp_path / name).read_text().splitlines())) for name in FILES
+    )
+    assert [(row["job"], row["model.C"], row["seed"]) for row in jobs] == [
+        *(("3", "2", "0"), ("1", "1", "1"), ("0", "1", "0"), ("2", "", ""), ("4", "2", "1")),
+    ]
+    assert "data.n_train" not in jobs[0]
+    assert {(row["jobs"], row["model.C"]) for row in seeds} == {("0", "1"), ("2", ""), ("3", "2")}
+    assert "seed" not in seeds[0]
 
 
 def test_without_several_seeds_there_is_no_table_of_them(tmp_path):
