@@ -28,6 +28,7 @@ from suspnet.estimation.checkpoint import check_saveable, save_model
 from suspnet.estimation.flags import Residual, Unexplained
 from suspnet.estimation.problem import TEST, Problem
 from suspnet.estimation.trained import TrainedModel
+from suspnet.ground import ledger
 from suspnet.ground.parameters import REVERSE
 from suspnet.ground.progress import stage
 from suspnet.ground.settings import check_number
@@ -101,7 +102,8 @@ def train(
         An instance of one of ``suspnet.learning.METHODS``, or a registered one; without a folder
         any regressor with scikit-learn's interface. It is fitted here, to scaled features.
     folder : path or str, optional
-        Where the run is written; None scores the method and writes nothing.
+        Where the run is written, in place of an earlier run there; None scores the method and
+        writes nothing.
     search : GridSearch, optional
         Tunes the method first.
     refine : bool
@@ -122,6 +124,8 @@ def train(
         If the method or one of its settings cannot be saved to `folder`.
     ValueError
         If a search is asked for without a folder.
+    FileExistsError
+        If the folder holds files that are not suspnet's.
     """
     context = context or RunContext()
     if folder is None:
@@ -137,6 +141,8 @@ def train(
     if not ranks.is_rank_zero():
         fit(problem, estimator, None)  # its share of the curves; rank 0 does all else
         return {}
+    if not context.config:  # programs look at their folder before
+        ledger.begin(folder)
     with RunLog(folder, is_new=True) as run_log:
         run_log.config(context.config)
         found, searched = None, {}

@@ -127,3 +127,14 @@ def test_curve_fit_cannot_be_used_with_trips(cache, tmp_path):
     with pytest.raises(ValueError, match=r"model=curve_fit .* cannot be used with data=trips"):
         trained("curve_fit", "trips", "all", cache, tmp_path, *small)
     assert not (tmp_path / "model.json").exists()
+
+
+def test_a_folder_with_files_of_others_is_left_as_it_is(cache, tmp_path):
+    (tmp_path / "metrics.json").write_text("mine")
+    with pytest.raises(FileExistsError, match="suspnet did not write it here"):
+        trained("linear", "multi_location", "primary", cache, tmp_path, *SMALL)
+    assert [path.name for path in tmp_path.iterdir()] == ["metrics.json"]
+    # an earlier run of ours is replaced
+    for model in ("linear", "svr"):
+        trained(model, "multi_location", "primary", cache, tmp_path / "run", *SMALL)
+    assert type(load_model(tmp_path / "run").estimator).__name__ == "SVR"
