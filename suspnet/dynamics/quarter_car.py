@@ -21,7 +21,7 @@ from scipy.linalg import eigh
 from torch import Tensor
 
 from suspnet.dynamics.motion import LinearSystem
-from suspnet.dynamics.vehicle import PARAMETERS, Vehicle, check_ratios, check_vehicle
+from suspnet.dynamics.vehicle import PARAMETERS, Vehicle, angular, check_ratios, check_vehicle
 from suspnet.ground.parameters import Direction
 from suspnet.ground.tensors import as_tensor, check_device
 from suspnet.ground.types import FloatArray
@@ -115,7 +115,7 @@ class QuarterCar:
 
         `ratios`: (n_vehicles, 5); `frequencies_hz`: (n_freq,).
         """
-        s = 2j * math.pi * as_tensor(frequencies_hz).to(self.device, torch.float64)
+        s = 1j * angular(frequencies_hz, self.device)
         num_p, den_p, num_s, den_s = (
             _powers(s, c.shape[1], c.to(torch.complex128))
             for c in self.transfer_coefficients(ratios)
@@ -133,7 +133,7 @@ class QuarterCar:
         For p(s) = sum_k a_k s^k, abs(p(j omega))^2 is a polynomial in x = omega^2 with real
         coefficients, which avoids complex arithmetic on the grid.
         """
-        x = (2 * math.pi * as_tensor(frequencies_hz).to(self.device, torch.float64)) ** 2
+        x = angular(frequencies_hz, self.device) ** 2
         num_p, den_p, num_s, den_s = (
             _powers(x, c.shape[1], _squared_magnitude(c))
             for c in self.transfer_coefficients(ratios)
@@ -187,7 +187,7 @@ class QuarterCar:
     ) -> Tensor:
         """Return k_p + j omega c_p and k_s + j omega c_s, (n_vehicles, 2, n_freq), [N/m]."""
         k_p, c_p, k_s, c_s, _ = self.parameters(ratios)
-        s = 2j * math.pi * as_tensor(frequencies_hz).to(k_p)
+        s = 1j * angular(frequencies_hz, self.device)
         return torch.stack([k_p + c_p * s, k_s + c_s * s], dim=1)
 
     def motion_system(self, ratios: Tensor | ArrayLike) -> LinearSystem:

@@ -30,6 +30,7 @@ from suspnet.dynamics.spatial_response import (
     input_names,
     responses,
 )
+from suspnet.dynamics.vehicle import angular
 from suspnet.dynamics.vehicle_family import VehicleFamily
 from suspnet.ground.parameters import COMPONENTS
 from suspnet.ground.settings import check_choice, setting
@@ -193,9 +194,9 @@ class SpatialVehicle(VehicleFamily):
         return spatial_motion(self._layout, self._numbers(as_tensor(ratios)[None]), self._places)
 
     def _bins(self, frequencies_hz: Tensor | ArrayLike) -> Tensor:
-        omega = self._omega(frequencies_hz)
-        if omega.ndim != 1 or not bool((torch.isfinite(omega) & (omega > 0)).all()):
-            raise ValueError("`frequencies_hz` must be positive and finite, of shape (n_freq,)")
+        omega = angular(frequencies_hz, self.device)
+        if not bool((omega > 0).all()):
+            raise ValueError("`frequencies_hz` must be positive")
         return omega
 
     def _measured(self, p: Mapping[str, Tensor]) -> dict[str, Tensor]:

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 from typing import Annotated, Any, ClassVar, Protocol, runtime_checkable
 
 import torch
+from numpy.typing import ArrayLike
 from torch import Tensor
 
 from suspnet.dynamics.motion import LinearSystem
@@ -15,6 +16,7 @@ from suspnet.dynamics.quantities import LogNormal
 from suspnet.ground.parameters import DEFAULT_LIMITS, Direction, Limits, read_limits
 from suspnet.ground.parameters import PARAMETERS as PARAMETERS
 from suspnet.ground.settings import Setting, check_settings, setting
+from suspnet.ground.tensors import as_tensor
 
 GEOMETRY = ("half_wheelbase_m", "half_pivot_distance_m", "bogie_gyration_m", "body_gyration_m")
 
@@ -333,6 +335,17 @@ class ResponseGenerator(Protocol):
     def assumptions(self) -> str:
         """Return a sentence that states the assumptions of the generator."""
         ...
+
+
+def angular(frequencies_hz: Tensor | ArrayLike, device: str) -> Tensor:
+    """Return the angular frequencies on a device, [rad/s].
+
+    ValueError unless they are (n_freq,), finite and not negative.
+    """
+    omega = 2 * math.pi * as_tensor(frequencies_hz).to(device, torch.float64)
+    if omega.ndim != 1 or not bool((torch.isfinite(omega) & (omega >= 0)).all()):
+        raise ValueError("`frequencies_hz` must be finite and not negative, of shape (n_freq,)")
+    return omega
 
 
 def check_ratios(ratios: Tensor, n_parameters: int) -> None:

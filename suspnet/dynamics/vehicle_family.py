@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -14,7 +13,14 @@ from numpy.typing import ArrayLike
 from torch import Tensor
 
 from suspnet.dynamics.quantities import PARTS, QUANTITIES, LogNormal, Quantity
-from suspnet.dynamics.vehicle import GEOMETRY, PARAMETERS, Vehicle, check_ratios, check_vehicle
+from suspnet.dynamics.vehicle import (
+    GEOMETRY,
+    PARAMETERS,
+    Vehicle,
+    angular,
+    check_ratios,
+    check_vehicle,
+)
 from suspnet.dynamics.vertical_motion import Layout, laden
 from suspnet.ground.parameters import FORWARD, REVERSE, Direction, End
 from suspnet.ground.settings import Setting, check_choice, check_number, check_settings, setting
@@ -241,10 +247,7 @@ class VehicleFamily:
         self, ratios: Tensor | ArrayLike, frequencies_hz: Tensor | ArrayLike
     ) -> tuple[dict[str, Tensor], Tensor]:
         """Return every number of the vehicles in SI units, and the angular frequencies [rad/s]."""
-        return self._numbers(ratios), self._omega(frequencies_hz)
-
-    def _omega(self, frequencies_hz: Tensor | ArrayLike) -> Tensor:
-        return 2 * math.pi * as_tensor(frequencies_hz).to(self.device, torch.float64)
+        return self._numbers(ratios), angular(frequencies_hz, self.device)
 
     def _rows(self, ratios: Tensor | ArrayLike) -> Tensor:
         """Return checked ratios with all columns on the generator's device."""

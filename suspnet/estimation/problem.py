@@ -66,7 +66,8 @@ class Problem:
     Raises
     ------
     TypeError, ValueError
-        If seed or threads is no whole number, or the vehicle leaves no band.
+        If generator or task are none, seed or threads is no whole number, or the vehicle leaves no
+        band.
     """
 
     generator: ResponseGenerator
@@ -77,6 +78,12 @@ class Problem:
     progress: bool = False
 
     def __post_init__(self) -> None:
+        if not isinstance(self.generator, ResponseGenerator):
+            got = type(self.generator).__name__
+            raise TypeError(f"`generator` must be one such as QuarterCar(vehicle), got {got}")
+        if not isinstance(self.task, Task):
+            got = type(self.task).__name__
+            raise TypeError(f"`task` must be that of a protocol's group, got {got}")
         check_number("seed", self.seed, low=0, whole=True)
         check_number("threads", self.threads, low=1, most=1024, whole=True)
         bound = self.settings.bound(self.vehicle).counted(self.is_uncertain)

@@ -13,7 +13,7 @@ from torch import Tensor
 
 
 def as_tensor(values: Tensor | ArrayLike) -> Tensor:
-    """Return a tensor unchanged, and any other array-like as a float64 copy.
+    """Return a tensor unchanged, and any other array-like of real numbers as a float64 copy.
 
     Examples
     --------
@@ -22,6 +22,8 @@ def as_tensor(values: Tensor | ArrayLike) -> Tensor:
     """
     if isinstance(values, Tensor):
         return values
+    if np.iscomplexobj(values):
+        raise TypeError("real numbers are expected, got complex ones")
     return torch.from_numpy(np.array(values, dtype=np.float64, order="C"))
 
 

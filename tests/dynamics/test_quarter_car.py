@@ -13,7 +13,7 @@ from hypothesis.extra import numpy as hnp
 from scipy.linalg import eigh
 from vehicles import AM96
 
-from suspnet.dynamics import QuarterCar, ResponseGenerator
+from suspnet.dynamics import QuarterCar, ResponseGenerator, VerticalVehicle
 
 FREQUENCIES = torch.linspace(0.05, 25.0, 40, dtype=torch.float64)
 HEALTHY = torch.ones(1, 5, dtype=torch.float64)
@@ -195,6 +195,16 @@ def test_quarter_car_is_a_response_generator(quarter_car):
 def test_ratios_of_the_wrong_shape_are_rejected(quarter_car, shape, method):
     with pytest.raises(ValueError, match=r"must have shape \(n_vehicles, 5\)"):
         getattr(quarter_car, method)(torch.ones(shape), FREQUENCIES)
+
+
+@pytest.mark.parametrize("bins", [[-1.0, 2.0], [math.nan], [[1.0, 2.0]]])
+@pytest.mark.parametrize("generator", [QuarterCar(AM96), VerticalVehicle(AM96)])
+def test_frequencies_that_are_none_are_rejected(generator, bins):
+    for function in (generator.responses, generator.magnitudes, generator.dynamic_stiffness):
+        with pytest.raises(ValueError, match=r"finite and not negative, of shape \(n_freq,\)"):
+            function(HEALTHY, bins)
+    with pytest.raises(TypeError, match="real numbers are expected"):
+        generator.responses(np.ones((1, 5)) + 0j, FREQUENCIES)
 
 
 @pytest.mark.parametrize("value", [0.0, -0.5, math.nan, math.inf])

@@ -221,7 +221,7 @@ def test_ratios_that_are_not_positive_and_finite_are_rejected(value, column):
 
 @pytest.mark.parametrize("bins", [[0.0, 1.0], [-1.0], [math.nan], [[1.0, 2.0]]])
 def test_frequencies_that_are_not_positive_are_rejected(bins):
-    with pytest.raises(ValueError, match="`frequencies_hz` must be positive and finite"):
+    with pytest.raises(ValueError, match="`frequencies_hz` must be "):
         SpatialVehicle(AM96).channels(HEALTHY, bins)
 
 
