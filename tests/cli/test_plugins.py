@@ -109,6 +109,40 @@ def test_any_regressor_is_scored_without_a_folder_and_writes_nothing(
     assert [one.name for one in tmp_path.iterdir()] == ["run"]
 
 
+FORMS = {
+    "flat": (lambda found: found[:, 0], r"\(100, 2\), got shape \(100,\)"),
+    "narrow": (lambda found: found[:, :1], r"\(100, 2\), got shape \(100, 1\)"),
+    "lying": (lambda found: found.T, r"\(100, 2\), got shape \(2, 100\)"),
+    "empty": (lambda found: found * np.nan, r"\(100, 2\), got numbers that are not finite"),
+}
+"""What a method may return instead of (n_curves, n_outputs), and the words on it."""
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_predictions_of_another_shape_are_refused(form, quarter_car, task, monkeypatch):
+    change, words = FORMS[form]
+    predict = Mean.predict
+    monkeypatch.setattr(Mean, "predict", lambda self, X: change(predict(self, X)))
+    with pytest.raises(ValueError, match=rf"predict of the method 'Mean' must.*finite.*{words}"):
+        train(Problem(quarter_car, task(), SETTINGS), Mean())
+
+
+@pytest.mark.filterwarnings("ignore:A column-vector y")
+def test_flat_predictions_of_a_single_output_are_as_good(quarter_car, task):
+    problem = Problem(quarter_car, replace(task(), outputs=("k_p",)), SETTINGS)
+    assert train(problem, RandomForestRegressor(5, random_state=0))["rms_ratio"]["k_p"] > 0
+
+
+def test_program_refuses_predictions_of_another_shape(tmp_path):
+    (tmp_path / "mine.py").write_text(MODULE.replace("@ self.coef_", "@ self.coef_[:, 0]"))
+    ended = typed(
+        program, "--plugin", "mine.py", "model=kernel_ridge", *TINY, "threads=1", cwd=tmp_path
+    )
+    assert ended.returncode == 1
+    assert "error: predict of the method 'kernel_ridge' must return finite" in ended.stderr
+    assert "Traceback" not in ended.stderr
+
+
 @pytest.mark.parametrize(
     ("estimator", "words"),
     [
