@@ -10,6 +10,7 @@ import importlib.util
 import inspect
 import re
 import sys
+import traceback
 from collections.abc import Mapping, Sequence
 from dataclasses import is_dataclass
 from pathlib import Path
@@ -32,7 +33,11 @@ FLAGS = ("works_on_curves", "distributable", "gives_deviations")
 """Class attributes of ``METHODS``; a registered method that lacks one gets False."""
 FEATURE_PARTS = ("positive", "parts", "names", "extract", "missing", "relative", "state")
 """Attributes that a registered feature set must have, besides `kind`."""
+FRAME = re.compile(r'^ *File "(.+)", line (\d+)', re.MULTILINE)
+"""File and line of a frame in the text of a traceback, or of a syntax error."""
 SHIPPED = frozenset(METHODS), frozenset(FEATURE_SETS)
+_own_files: set[str] = set()
+"""Files of a user: modules named by ``--plugin``, and those of what they register."""
 
 
 def register_method(name: str, cls: type, title: str | None = None) -> None:
@@ -68,6 +73,7 @@ def register_method(name: str, cls: type, title: str | None = None) -> None:
     if any(title == other for key, other in MODEL_TITLES.items() if key != name):
         raise ValueError(f"`title` {title!r} is that of another method")
     settings = _defaults(name, cls)
+    _note_file(cls)
     for flag in FLAGS:
         if not hasattr(cls, flag):
             setattr(cls, flag, False)
@@ -100,6 +106,7 @@ def register_features(cls: type) -> None:
         raise TypeError(f"the feature set {cls.__name__} lacks {', '.join(lacking)}")
     kind = cls.kind  # type: ignore[attr-defined]
     _check_name("kind", kind, SHIPPED[1])
+    _note_file(cls)
     FEATURE_SETS[kind] = cls
 
 
@@ -131,9 +138,15 @@ def _run(name: str, path: Path) -> None:
     except Exception as error:
         del sys.modules[name]
         said = why(error) if isinstance(error, OSError) else f"{type(error).__name__}: {error}"
-        line = error.__traceback__ and inspect.getinnerframes(error.__traceback__)[-1].lineno
-        raise ValueError(f"{OPTION} {path}, line {line}: {said}") from error
+        place = _last_line(error, {str(path)}) or path
+        raise ValueError(f"{OPTION} {place}: {said}") from error
+    _own_files.add(str(path))
     cloudpickle.register_pickle_by_value(module)  # worker processes cannot import it by its name
+
+
+def own_line(error: BaseException) -> str:
+    """Return FILE:LINE of the last frame of an error in a user's file; empty if there is none."""
+    return _last_line(error, _own_files)
 
 
 def take_plugins(arguments: list[str]) -> list[str]:
@@ -162,6 +175,20 @@ def take_plugins(arguments: list[str]) -> list[str]:
         files.append(file)
     arguments[:] = rest
     return files
+
+
+def _note_file(cls: type) -> None:
+    file = getattr(sys.modules.get(cls.__module__), "__file__", None)
+    if file is not None:  # a notebook has none
+        _own_files.add(file)
+
+
+def _last_line(error: BaseException, files: set[str]) -> str:
+    """Return FILE:LINE of the last frame in one of some files; empty if there is none."""
+    # as text, since a traceback in a worker process reaches this one as text only
+    text = "".join(traceback.format_exception(error))
+    found = [f"{file}:{line}" for file, line in FRAME.findall(text) if file in files]
+    return found[-1] if found else ""
 
 
 def _check_name(what: str, name: Any, shipped: frozenset[str]) -> None:

@@ -206,17 +206,72 @@ def test_module_named_on_the_command_line_adds_method_and_features(tmp_path):
         (("--plugin", "nothing.py"), "--plugin nothing.py: there is no such Python file"),
         (("--plugin", "text.txt"), "there is no such Python file"),
         (("--plugin",), "--plugin needs a file"),
-        (("--plugin=broken.py",), "line 2: ZeroDivisionError: division by zero"),
+        (("--plugin=broken.py",), "broken.py:2: ZeroDivisionError: division by zero"),
+        (("--plugin=deeper.py",), "deeper.py:3: TypeError: the JSON object"),
+        (("--plugin=half.py",), "half.py:2: SyntaxError: "),
     ],
 )
 def test_module_that_cannot_be_run_is_one_line(arguments, words, tmp_path):
     (tmp_path / "text.txt").write_text("x = 1\n")
     (tmp_path / "broken.py").write_text("x = 1\nx / 0\n")
+    (tmp_path / "deeper.py").write_text("import json\n\njson.loads(None)\n")
+    (tmp_path / "half.py").write_text("x = 1\nx = (\n")
     ended = typed(program, *arguments, cwd=tmp_path)
     assert ended.returncode == 1
     assert words in ended.stderr
     assert "Traceback" not in ended.stderr
     assert not (tmp_path / "outputs").exists()
+
+
+FAULTS = {
+    "fit": ("self.samples_ = X", "self.samples_ = Z", "NameError: name 'Z' is not defined"),
+    "predict": (
+        "return rbf_kernel(X, self.samples_, gamma",
+        "return rbf_kernel(X, self.samples_, width",
+        "TypeError: ",
+    ),
+    "extract": (
+        "near = (frequencies_hz[:, None] - centres)",
+        "near = (frequencies_hz[:, 0] - centres)",
+        "IndexError: ",
+    ),
+}
+"""A line of a plugin, what stands there instead, and the words on the error that follows."""
+
+
+@pytest.mark.parametrize(
+    ("fault", "several"), [("fit", False), ("predict", False), ("extract", False), ("fit", True)]
+)
+def test_error_in_a_users_code_names_its_line(fault, several, tmp_path):
+    line, wrong, words = FAULTS[fault]
+    path = tmp_path / "mine.py"
+    path.write_text(MODULE.replace(line, wrong))
+    number = next(i for i, one in enumerate(path.read_text().splitlines(), 1) if wrong in one)
+    more = ("-m", "seed=1,2") if several else ("hydra.run.dir=run",)
+    ended = typed(
+        program,
+        *(*more, "--plugin", "mine.py", "model=kernel_ridge", "protocol.feature_set=levels"),
+        *(*TINY, "threads=1"),
+        cwd=tmp_path,
+    )
+    assert ended.returncode == 1
+    errors = [one for one in ended.stderr.splitlines() if one.startswith(f"error: {path}")]
+    assert len(errors) == 1 + several
+    assert errors[0].startswith(f"error: {path}:{number}: {words}")
+    assert "HYDRA_FULL_ERROR=1 shows it" in errors[0]
+    assert "Traceback" not in ended.stderr + ended.stdout
+    kinds = ("train.log", "error.txt") if several else ("train.log",)
+    for kind in kinds:
+        files = list(tmp_path.rglob(kind))
+        assert len(files) == 1 + several
+        assert all(f'File "{path}", line {number}' in file.read_text() for file in files)
+
+
+def test_traceback_of_a_users_code_is_shown_on_request(tmp_path, monkeypatch):
+    monkeypatch.setattr("suspnet.cli.program._debugging", True)
+    (tmp_path / "mine.py").write_text(MODULE.replace(*FAULTS["fit"][:2]))
+    with pytest.raises(NameError, match="'Z'"):
+        typed(program, "--plugin", "mine.py", "model=kernel_ridge", *TINY, cwd=tmp_path)
 
 
 def test_configuration_names_no_module(tmp_path):
