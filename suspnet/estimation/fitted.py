@@ -134,14 +134,21 @@ class FittedMethod:
             )
         if not np.isfinite(inputs).all() or (self.input_scaling.log and not (inputs > 0).all()):
             raise ValueError("`inputs` must be positive and finite; leave out missing peaks")
-        scaled = check_estimates(
-            f"predict of the method {self.name!r} must return finite numbers",
-            self.estimator.predict(self.input_scaling.apply(inputs)),
-            (len(inputs), len(self.task.outputs)),
-        )
+        scaled = self.regressed(self.input_scaling.apply(inputs))
         with np.errstate(over="ignore"):  # beyond the bounds even if it is infinite
             found = self.output_scaling.undo(scaled)
         return self.task.bounded(found)
+
+    def regressed(self, scaled: FloatArray) -> FloatArray:
+        """Return scaled estimates (n_curves, n_outputs) of the method from scaled inputs.
+
+        ValueError unless it returns a finite number for each curve and output.
+        """
+        return check_estimates(
+            f"predict of the method {self.name!r} must return finite numbers",
+            self.estimator.predict(scaled),
+            (len(scaled), len(self.task.outputs)),
+        )
 
     def scaled(self, inputs: FloatArray) -> FloatArray:
         """Return scaled inputs (n_curves, n_inputs); missing ones are NaN."""

@@ -14,12 +14,12 @@ from sklearn.base import BaseEstimator, RegressorMixin
 from sklearn.ensemble import RandomForestRegressor
 from sklearn.linear_model import Ridge
 
-from suspnet import MSVR, SVR, LinearRegression, Problem, load_model, train
+from suspnet import MSVR, SVR, LinearRegression, Problem, load_model, save_model, train
 from suspnet.cli import kinds, plugins
 from suspnet.cli import train as program
 from suspnet.estimation.fitted import ModelFileError
 from suspnet.learning import METHODS
-from suspnet.runs.fit import _announce
+from suspnet.runs.fit import _announce, fit
 from suspnet.runs.tables import MODEL_TITLES
 from suspnet.spectra.components import FEATURE_SETS
 from suspnet.spectra.curves import CurveSettings
@@ -158,6 +158,41 @@ def test_what_cannot_be_saved_is_refused_before_there_is_a_folder(
     with pytest.raises(TypeError, match=words):
         train(problem, estimator, tmp_path / "run")
     assert not (tmp_path / "run").exists()
+
+
+UNSAVEABLE = {
+    "text": (
+        lambda self: {"mean": self.mean_, "names": np.array(["a", "b"])},
+        Mean.restore,
+        "array 'names' is of <U1",
+    ),
+    "whole numbers": (lambda self: {"mean": np.arange(2)}, Mean.restore, "is of int64"),
+    "nothing": (lambda self: {}, Mean.restore, "must return all that predict needs"),
+    "no arrays": (lambda self: None, Mean.restore, "no attribute 'items'"),
+    "forgotten": (Mean.state, lambda self, state: self, "no attribute 'mean_'"),
+    "other": (
+        Mean.state,
+        lambda self, state: vars(self).update(mean_=state["mean"] + 0.01),
+        "predicts numbers that differ by 0.01",
+    ),
+}
+"""Ways of `state` and `restore` that lose a method, and the words on each."""
+
+
+@pytest.mark.parametrize("way", UNSAVEABLE)
+def test_method_that_is_not_restored_is_not_saved(way, quarter_car, task, tmp_path, monkeypatch):
+    state, restore, words = UNSAVEABLE[way]
+    plugins.register_method("mean", Mean)
+    problem = Problem(quarter_car, task(), SETTINGS)
+    model = fit(problem, Mean(), None)
+    monkeypatch.setattr(Mean, "state", state)
+    monkeypatch.setattr(Mean, "restore", restore)
+    with pytest.raises(ValueError, match=rf"the method 'mean' cannot be saved.*{words}"):
+        save_model(tmp_path, model)
+    monkeypatch.setattr("suspnet.runs.train.calibrated", None)  # refused before it is called
+    with pytest.raises(ValueError, match=rf"the method 'mean' cannot be saved.*{words}"):
+        train(problem, Mean(), tmp_path / "run")
+    assert not list(tmp_path.rglob("model.*"))
 
 
 @pytest.mark.parametrize(
