@@ -24,6 +24,7 @@ from suspnet.ground.storage import why
 from suspnet.learning import METHODS
 from suspnet.runs.tables import MODEL_TITLES, REFINED
 from suspnet.spectra.components import FEATURE_SETS
+from suspnet.spectra.extraction import FeatureSet
 
 OPTION = "--plugin"
 NAME = re.compile(r"[a-z][a-z0-9_]*", re.ASCII)
@@ -31,8 +32,10 @@ METHOD_PARTS = ("fit", "predict", "get_params", "set_params", "state", "restore"
 """Attributes that a registered method must have."""
 FLAGS = ("works_on_curves", "distributable", "gives_deviations")
 """Class attributes of ``METHODS``; a registered method that lacks one gets False."""
-FEATURE_PARTS = ("positive", "parts", "names", "extract", "missing", "relative", "state")
-"""Attributes that a registered feature set must have, besides `kind`."""
+FEATURE_PARTS = ("kind", "positive", "parts", "names", "extract", "missing", "relative")
+"""Attributes that a registered feature set must define itself."""
+WITH_DEFAULTS = ("is_fitted", "fitted", "blank", "state", "restored")
+"""Attributes of a registered feature set that those of ``FeatureSet`` will do for."""
 FRAME = re.compile(r'^ *File "(.+)", line (\d+)', re.MULTILINE)
 """File and line of a frame in the text of a traceback, or of a syntax error."""
 SHIPPED = frozenset(METHODS), frozenset(FEATURE_SETS)
@@ -89,8 +92,8 @@ def register_features(cls: type) -> None:
     Parameters
     ----------
     cls : type
-        A dataclass with what ``suspnet.spectra.extraction.FeatureSet`` lists. Its fields are set by
-        ``protocol.feature_settings``.
+        A dataclass with what ``suspnet.FeatureSet`` lists, most simply one derived from it. Its
+        fields are set by ``protocol.feature_settings``.
 
     Raises
     ------
@@ -101,9 +104,17 @@ def register_features(cls: type) -> None:
     """
     if not isinstance(cls, type) or not is_dataclass(cls):
         raise TypeError(f"`cls` must be a dataclass, got {cls!r}")
-    lacking = [part for part in ("kind", *FEATURE_PARTS) if not hasattr(cls, part)]
+    lacking = [
+        part
+        for part in FEATURE_PARTS  # those of `FeatureSet` itself are declarations
+        if inspect.getattr_static(cls, part, None) is vars(FeatureSet).get(part)
+    ]
+    lacking += [part for part in WITH_DEFAULTS if not hasattr(cls, part)]
     if lacking:
-        raise TypeError(f"the feature set {cls.__name__} lacks {', '.join(lacking)}")
+        raise TypeError(
+            f"the feature set {cls.__name__} lacks {', '.join(lacking)}; suspnet.FeatureSet, from "
+            f"which it may be derived, says what these are, and has {', '.join(WITH_DEFAULTS)}"
+        )
     kind = cls.kind  # type: ignore[attr-defined]
     _check_name("kind", kind, SHIPPED[1])
     _note_file(cls)

@@ -3,11 +3,13 @@
 import json
 import re
 import sys
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 import pytest
+import torch
 from cli_runner import typed
 from hydra.core.config_store import ConfigStore
 from sklearn.base import BaseEstimator, RegressorMixin
@@ -23,6 +25,7 @@ from suspnet.runs.fit import _announce, fit
 from suspnet.runs.tables import MODEL_TITLES
 from suspnet.spectra.components import FEATURE_SETS
 from suspnet.spectra.curves import CurveSettings
+from suspnet.spectra.extraction import FeatureSet, FeatureTable
 
 PAGE = (Path(__file__).parents[2] / "docs" / "extending.md").read_text(encoding="utf-8")
 CODE = "\n".join(
@@ -213,9 +216,67 @@ def test_method_that_would_not_work_is_not_registered(name, cls, title, error, w
     assert before == METHODS
 
 
-def test_feature_set_that_lacks_a_part_is_not_registered():
+@dataclass(frozen=True)
+class Middle(FeatureSet):
+    """Mean magnitudes of both responses; none where that of G_p is above a threshold."""
+
+    threshold: float = 1e9
+
+    kind: ClassVar[str] = "middle"
+    positive: ClassVar[bool] = True
+    parts: ClassVar[tuple[str, ...]] = ("middle",)
+    names: ClassVar[tuple[str, ...]] = ("G_p", "G_s")
+
+    def extract(self, curves, frequencies_hz):
+        values = curves.abs().mean(dim=2)
+        is_missing = (values[:, :1] > self.threshold) & (len(curves) > 1)  # but of the healthy one
+        return FeatureTable(torch.where(is_missing, torch.nan, values), is_missing.long())
+
+    def missing(self, reasons):
+        return "the middle (too high)" if reasons.any() else ""
+
+    def relative(self, values, healthy):
+        return values / healthy
+
+
+def test_what_is_no_dataclass_is_not_registered():
     with pytest.raises(TypeError, match="dataclass"):
         plugins.register_features(Mean)
+
+
+@pytest.mark.parametrize("part", plugins.FEATURE_PARTS)
+def test_feature_set_that_lacks_a_part_is_not_registered(part, monkeypatch):
+    plugins.register_features(Middle)
+    monkeypatch.delattr(Middle, part)
+    with pytest.raises(
+        TypeError, match=rf"the feature set Middle lacks {part}; suspnet.FeatureSet"
+    ):
+        plugins.register_features(Middle)
+
+
+def test_feature_set_that_is_not_derived_needs_every_part():
+    own = {name: value for name, value in vars(Middle).items() if not name.startswith("_")}
+    with pytest.raises(TypeError, match="lacks is_fitted, fitted, blank, state, restored;"):
+        plugins.register_features(dataclass(frozen=True)(type("Middle", (), own)))
+
+
+@pytest.mark.parametrize("part", ["names", "parts"])
+def test_table_of_another_width_than_its_names_is_refused(part, quarter_car, task, monkeypatch):
+    problem = Problem(quarter_car, replace(task(), extractor=Middle()), SETTINGS)
+    monkeypatch.setattr(Middle, part, ("G_p", "G_s", "G_t"))
+    width = {"names": 2, "parts": 1}[part]
+    with pytest.raises(
+        ValueError, match=rf"'middle' .* its `{part}`, \(1, 3\), got \(1, {width}\)"
+    ):
+        train(problem, LinearRegression())
+
+
+def test_own_words_say_what_all_curves_lack(quarter_car, task):
+    problem = Problem(quarter_car, replace(task(), extractor=Middle(1e-9)), SETTINGS)
+    with pytest.raises(
+        ValueError, match=r"none of the 200 curves has every feature: the middle \(too high\)$"
+    ):
+        train(problem, LinearRegression())
 
 
 def test_module_named_on_the_command_line_adds_method_and_features(tmp_path):
