@@ -53,8 +53,9 @@ def register_method(name: str, cls: type, title: str | None = None) -> None:
     name : str
         Lower-case letters, digits and underscores.
     cls : type
-        A scikit-learn regressor that also has ``state()``, which returns the arrays of the fitted
-        method, and ``restore(arrays)``. ``model=NAME`` has the defaults of its constructor.
+        A scikit-learn regressor that also has ``state()``, which returns what the fitted method
+        needs as finite arrays of floats, and ``restore(arrays)``. ``model=NAME`` has the defaults
+        of its constructor.
     title : str, optional
         Its name in tables; `name` if left out.
 

@@ -16,7 +16,7 @@ from sklearn.base import BaseEstimator, RegressorMixin
 from sklearn.ensemble import RandomForestRegressor
 from sklearn.linear_model import Ridge
 
-from suspnet import MSVR, SVR, LinearRegression, Problem, load_model, save_model, train
+from suspnet import MSVR, SVR, TEST, LinearRegression, Problem, load_model, save_model, train
 from suspnet.cli import kinds, plugins
 from suspnet.cli import train as program
 from suspnet.estimation.fitted import ModelFileError
@@ -161,6 +161,32 @@ def test_what_cannot_be_saved_is_refused_before_there_is_a_folder(
     with pytest.raises(TypeError, match=words):
         train(problem, estimator, tmp_path / "run")
     assert not (tmp_path / "run").exists()
+
+
+def test_trees_of_the_page_are_fitted_again_when_they_are_loaded(quarter_car, task, tmp_path):
+    page = (Path(__file__).parents[2] / "docs" / "datasets.md").read_text(encoding="utf-8")
+    (code,) = re.findall(r"```python\n(from sklearn[^`]*class Trees.*?)```", page, re.DOTALL)
+    namespace = {"__name__": "example"}
+    exec(compile(code, "docs/datasets.md", "exec"), namespace)
+    plugins.register_method("trees", namespace["Trees"])
+    problem = Problem(quarter_car, task(), SETTINGS)
+    model = fit(problem, namespace["Trees"](n_estimators=10), None)
+    save_model(tmp_path, model)
+    inputs = problem.features(TEST).complete().inputs
+    assert np.array_equal(load_model(tmp_path).predict(inputs), model.predict(inputs))
+
+
+def test_grid_of_an_own_method_is_searched(tmp_path):
+    (tmp_path / "mine.py").write_text(MODULE)
+    ended = typed(
+        program,
+        *("--plugin", "mine.py", "model=kernel_ridge", "search=table5", *TINY),
+        *("+search.grids.kernel_ridge={alpha: [1e-6, 1e-5, 1e-4]}", "hydra.run.dir=run"),
+        cwd=tmp_path,
+    )
+    assert ended.returncode == 0, ended.stderr
+    searched = json.loads((tmp_path / "run" / "metrics.json").read_text())["search"]
+    assert [one["alpha"] for one in searched["settings"]] == [1e-6, 1e-5, 1e-4]
 
 
 UNSAVEABLE = {
