@@ -18,6 +18,7 @@ from suspnet.estimation.checkpoint import save_model as save_model
 from suspnet.estimation.commissioning import Commissioned as Commissioned
 from suspnet.estimation.commissioning import commission as commission
 from suspnet.estimation.estimate import Estimate as Estimate
+from suspnet.estimation.feature_information import feature_information as feature_information
 from suspnet.estimation.fitted import ModelFileError as ModelFileError
 from suspnet.estimation.healthy_trips import read_healthy as read_healthy
 from suspnet.estimation.information import cramer_rao as cramer_rao
@@ -59,6 +60,8 @@ from suspnet.spectra.bogie_trip import BogieTrip as BogieTrip
 from suspnet.spectra.components import CurveFeatures as CurveFeatures
 from suspnet.spectra.curves import CurveSettings as CurveSettings
 from suspnet.spectra.estimates import EstimateSettings as EstimateSettings
+from suspnet.spectra.extraction import FeatureSet as FeatureSet
+from suspnet.spectra.extraction import FeatureTable as FeatureTable
 from suspnet.spectra.extraction import PeakFeatures as PeakFeatures
 from suspnet.spectra.peaks import PeakFit as PeakFit
 from suspnet.spectra.peaks import findpeaks as findpeaks

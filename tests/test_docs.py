@@ -50,7 +50,7 @@ NEEDS_PLUGIN = "hydra/launcher", "hydra.launcher"
 """Begin overrides that only an extra of the package understands."""
 PLACEHOLDERS = "experiment=best", "vehicle=mine", "vehicle=NAME"
 """Overrides whose options the user's own --config-dir holds."""
-OF_PLUGINS = "model=kernel_ridge", "model.alpha", "protocol.feature"
+OF_PLUGINS = "model=kernel_ridge", "model.alpha", "protocol.feature", "+search.grids.kernel_ridge"
 """Begin overrides of what a module given by --plugin registers."""
 OF_EXAMPLES = {"configs/model/kernel_ridge.yaml"}
 """Files that a page tells a reader to write."""

@@ -175,13 +175,15 @@ def _trained(run: Run, train_one: TrainOne) -> tuple[list[str], str]:
     with _own_log(run.folder / LOG) as warnings:
         try:
             train_one(OmegaConf.create(run.config), run.folder, run.group.manifests)
-        except program.MISTAKES as error:
-            message = program.one_line(error).removeprefix("error: ")
-            write_atomically(run.folder / folders.ERROR, f"{message}\n")
         except Exception as error:
-            file = run.folder / folders.ERROR
-            write_atomically(file, traceback.format_exc())
-            message = f"{type(error).__name__}: {' '.join(str(error).split())}; see {file}"
+            file, message = run.folder / folders.ERROR, program.own_error(error)
+            if isinstance(error, program.MISTAKES) and not message:
+                message = program.one_line(error).removeprefix("error: ")
+                write_atomically(file, f"{message}\n")
+            else:
+                write_atomically(file, traceback.format_exc())
+                words = f"{type(error).__name__}: {' '.join(str(error).split())}; see {file}"
+                message = message or words
         else:
             message = ""
         return [record.getMessage() for record in warnings.buffer], message

@@ -10,6 +10,7 @@ import importlib.util
 import inspect
 import re
 import sys
+import traceback
 from collections.abc import Mapping, Sequence
 from dataclasses import is_dataclass
 from pathlib import Path
@@ -23,6 +24,7 @@ from suspnet.ground.storage import why
 from suspnet.learning import METHODS
 from suspnet.runs.tables import MODEL_TITLES, REFINED
 from suspnet.spectra.components import FEATURE_SETS
+from suspnet.spectra.extraction import FeatureSet
 
 OPTION = "--plugin"
 NAME = re.compile(r"[a-z][a-z0-9_]*", re.ASCII)
@@ -30,9 +32,15 @@ METHOD_PARTS = ("fit", "predict", "get_params", "set_params", "state", "restore"
 """Attributes that a registered method must have."""
 FLAGS = ("works_on_curves", "distributable", "gives_deviations")
 """Class attributes of ``METHODS``; a registered method that lacks one gets False."""
-FEATURE_PARTS = ("positive", "parts", "names", "extract", "missing", "relative", "state")
-"""Attributes that a registered feature set must have, besides `kind`."""
+FEATURE_PARTS = ("kind", "positive", "parts", "names", "extract", "missing", "relative")
+"""Attributes that a registered feature set must define itself."""
+WITH_DEFAULTS = ("is_fitted", "fitted", "blank", "state", "restored")
+"""Attributes of a registered feature set that those of ``FeatureSet`` will do for."""
+FRAME = re.compile(r'^ *File "(.+)", line (\d+)', re.MULTILINE)
+"""File and line of a frame in the text of a traceback, or of a syntax error."""
 SHIPPED = frozenset(METHODS), frozenset(FEATURE_SETS)
+_own_files: set[str] = set()
+"""Files of a user: modules named by ``--plugin``, and those of what they register."""
 
 
 def register_method(name: str, cls: type, title: str | None = None) -> None:
@@ -45,8 +53,9 @@ def register_method(name: str, cls: type, title: str | None = None) -> None:
     name : str
         Lower-case letters, digits and underscores.
     cls : type
-        A scikit-learn regressor that also has ``state()``, which returns the arrays of the fitted
-        method, and ``restore(arrays)``. ``model=NAME`` has the defaults of its constructor.
+        A scikit-learn regressor that also has ``state()``, which returns what the fitted method
+        needs as finite arrays of floats, and ``restore(arrays)``. ``model=NAME`` has the defaults
+        of its constructor.
     title : str, optional
         Its name in tables; `name` if left out.
 
@@ -68,6 +77,7 @@ def register_method(name: str, cls: type, title: str | None = None) -> None:
     if any(title == other for key, other in MODEL_TITLES.items() if key != name):
         raise ValueError(f"`title` {title!r} is that of another method")
     settings = _defaults(name, cls)
+    _note_file(cls)
     for flag in FLAGS:
         if not hasattr(cls, flag):
             setattr(cls, flag, False)
@@ -83,8 +93,8 @@ def register_features(cls: type) -> None:
     Parameters
     ----------
     cls : type
-        A dataclass with what ``suspnet.spectra.extraction.FeatureSet`` lists. Its fields are set by
-        ``protocol.feature_settings``.
+        A dataclass with what ``suspnet.FeatureSet`` lists, most simply one derived from it. Its
+        fields are set by ``protocol.feature_settings``.
 
     Raises
     ------
@@ -95,11 +105,20 @@ def register_features(cls: type) -> None:
     """
     if not isinstance(cls, type) or not is_dataclass(cls):
         raise TypeError(f"`cls` must be a dataclass, got {cls!r}")
-    lacking = [part for part in ("kind", *FEATURE_PARTS) if not hasattr(cls, part)]
+    lacking = [
+        part
+        for part in FEATURE_PARTS  # those of `FeatureSet` itself are declarations
+        if inspect.getattr_static(cls, part, None) is vars(FeatureSet).get(part)
+    ]
+    lacking += [part for part in WITH_DEFAULTS if not hasattr(cls, part)]
     if lacking:
-        raise TypeError(f"the feature set {cls.__name__} lacks {', '.join(lacking)}")
+        raise TypeError(
+            f"the feature set {cls.__name__} lacks {', '.join(lacking)}; suspnet.FeatureSet, from "
+            f"which it may be derived, says what these are, and has {', '.join(WITH_DEFAULTS)}"
+        )
     kind = cls.kind  # type: ignore[attr-defined]
     _check_name("kind", kind, SHIPPED[1])
+    _note_file(cls)
     FEATURE_SETS[kind] = cls
 
 
@@ -131,9 +150,15 @@ def _run(name: str, path: Path) -> None:
     except Exception as error:
         del sys.modules[name]
         said = why(error) if isinstance(error, OSError) else f"{type(error).__name__}: {error}"
-        line = error.__traceback__ and inspect.getinnerframes(error.__traceback__)[-1].lineno
-        raise ValueError(f"{OPTION} {path}, line {line}: {said}") from error
+        place = _last_line(error, {str(path)}) or path
+        raise ValueError(f"{OPTION} {place}: {said}") from error
+    _own_files.add(str(path))
     cloudpickle.register_pickle_by_value(module)  # worker processes cannot import it by its name
+
+
+def own_line(error: BaseException) -> str:
+    """Return FILE:LINE of the last frame of an error in a user's file; empty if there is none."""
+    return _last_line(error, _own_files)
 
 
 def take_plugins(arguments: list[str]) -> list[str]:
@@ -162,6 +187,20 @@ def take_plugins(arguments: list[str]) -> list[str]:
         files.append(file)
     arguments[:] = rest
     return files
+
+
+def _note_file(cls: type) -> None:
+    file = getattr(sys.modules.get(cls.__module__), "__file__", None)
+    if file is not None:  # a notebook has none
+        _own_files.add(file)
+
+
+def _last_line(error: BaseException, files: set[str]) -> str:
+    """Return FILE:LINE of the last frame in one of some files; empty if there is none."""
+    # as text, since a traceback in a worker process reaches this one as text only
+    text = "".join(traceback.format_exception(error))
+    found = [f"{file}:{line}" for file, line in FRAME.findall(text) if file in files]
+    return found[-1] if found else ""
 
 
 def _check_name(what: str, name: Any, shipped: frozenset[str]) -> None:

@@ -246,7 +246,8 @@ def _leave_ranks() -> None:
 def task(function: Callable[[DictConfig], Any]) -> Callable[[DictConfig], Any]:
     """Wrap a Hydra task function: check its configuration, end with one line on a mistake.
 
-    In a job of a multirun every error is one line; the traceback of a bug goes to error.txt.
+    In a job of a multirun every error is one line; the traceback of a bug goes to error.txt. An
+    error of a user's own method or feature set is always one line, see `own_error`.
     """
 
     @functools.wraps(function)
@@ -260,17 +261,19 @@ def task(function: Callable[[DictConfig], Any]) -> Callable[[DictConfig], Any]:
                 return function(config)
         except BrokenPipeError:
             raise SystemExit(_output_ended()) from None
-        except MISTAKES as error:
+        except Exception as error:
             if _debugging:
                 raise
-            raise SystemExit(one_line(error)) from None
-        except Exception as error:
-            if _debugging or not folders.is_job():
+            own = own_error(error)
+            if isinstance(error, MISTAKES) and not own:
+                raise SystemExit(one_line(error)) from None
+            if not own and not folders.is_job():
                 raise
             file = run_folder() / folders.ERROR
-            write_atomically(file, traceback.format_exc())
-            message = f"error: {type(error).__name__}: {' '.join(str(error).split())}; see {file}"
-            raise SystemExit(message) from None
+            if folders.is_job():
+                write_atomically(file, traceback.format_exc())
+            message = f"{type(error).__name__}: {' '.join(str(error).split())}; see {file}"
+            raise SystemExit(f"error: {own or message}") from None
 
     return wrapped
 
@@ -311,6 +314,30 @@ def one_of_many(function: Callable[[DictConfig], None]) -> Callable[[DictConfig]
                 write_atomically(file, f"{ended.code}\n")
 
     return wrapped
+
+
+def own_error(error: Exception) -> str:
+    """Return a line on an error within a user's method or feature set; empty for another error.
+
+    It names the line of the user's file. The logs in files get the traceback of the error, which is
+    being handled; the terminal does not.
+    """
+    plugins = sys.modules.get("suspnet.cli.plugins")
+    place = plugins.own_line(error) if plugins is not None else ""
+    if not place:
+        return ""
+    record = logging.makeLogRecord({"msg": f"error at {place}", "exc_info": sys.exc_info()})
+    logs = [
+        handler
+        for name in ("", "suspnet")
+        for handler in logging.getLogger(name).handlers
+        if isinstance(handler, logging.FileHandler)
+    ]
+    for handler in logs:
+        handler.handle(record)
+    seen = f"the traceback is in {logs[0].baseFilename}; " if logs else ""
+    words = f"{type(error).__name__}: {' '.join(str(error).split())}"
+    return printable(f"{place}: {words}; {seen}{DEBUG}=1 shows it")
 
 
 def one_line(error: BaseException) -> str:

@@ -27,6 +27,7 @@ from suspnet.ground.storage import (
     DamagedFileError,
     content_hash,
     dump_arrays,
+    load_arrays,
     locked,
     read_arrays,
     read_json,
@@ -57,6 +58,9 @@ NOT_A_MODEL = (
     *(AssertionError, RuntimeError, MemoryError, Warning),
 )
 """Exceptions that building a model from foreign files may raise."""
+N_TRIED, SAME_PREDICTION = 8, 1e-6
+"""Rows on which a user's method is tried before it is saved, and the largest difference there of
+scaled outputs, which are of order 1: arrays may be stored in single precision."""
 UNITS = {
     "inputs": "features (and car-body mass) relative to the healthy vehicle's, dimensionless",
     "outputs": "stiffness and damping relative to healthy, dimensionless; 1 is healthy",
@@ -72,6 +76,8 @@ def save_model(folder: Path | str, model: TrainedModel) -> None:
     ------
     TypeError
         If `model` is not a model from `load_model` or `train`, such as an estimator.
+    ValueError
+        If the method is a user's and does not estimate the same after it is loaded.
     OSError
         If the folder cannot be written.
     """
@@ -81,6 +87,7 @@ def save_model(folder: Path | str, model: TrainedModel) -> None:
             "estimator such as MSVR is saved by joblib.dump"
         )
     folder = Path(folder)
+    check_restores(model)
     content, description = _files(model)
     with locked(folder):
         write_atomically(folder / "model.safetensors", content)
@@ -107,6 +114,31 @@ def check_saveable(estimator: Any, problem: Problem) -> None:
                 f"a model with {type(part).__name__} cannot be saved; known: {', '.join(kinds)} "
                 "(feature sets are added by suspnet.register_features)"
             )
+
+
+def check_restores(model: TrainedModel) -> None:
+    """Raise ValueError unless a user's method predicts the same after it is stored and loaded."""
+    method, name = model.estimator, model.name
+    if type(method).__module__.startswith("suspnet.") or model.input_scaling is None:
+        return
+    rows = np.random.default_rng(0).standard_normal((N_TRIED, len(model.task.inputs)))
+    expected = model.regressed(rows)
+    try:
+        check_arrays({key: np.asarray(array) for key, array in method.state().items()})
+        content, description = _files(model)
+        del description["description_sha256"]
+        loaded = _checked(description, load_arrays(content, "its state"), "cpu")
+        difference = np.abs(loaded.regressed(rows) - expected).max()
+    except NOT_A_MODEL as error:
+        raise ValueError(
+            f"the method {name!r} cannot be saved and restored: {error}; state() must return all "
+            "that predict needs, as finite arrays of floats, and restore() set it"
+        ) from error
+    if not difference <= SAME_PREDICTION:
+        raise ValueError(
+            f"the method {name!r} cannot be saved: restored from its state() it predicts numbers "
+            f"that differ by {difference:.2g} scaled outputs"
+        )
 
 
 def fingerprint(model: TrainedModel) -> str:

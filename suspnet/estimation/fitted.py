@@ -19,6 +19,7 @@ from suspnet.estimation.protocols import Task
 from suspnet.estimation.refine import Refined
 from suspnet.ground.types import FloatArray, IntArray
 from suspnet.learning import Scaling
+from suspnet.learning.metrics import check_estimates
 from suspnet.spectra.observation import Observation, Observer
 
 
@@ -120,7 +121,8 @@ class FittedMethod:
         `inputs` (n_curves, n_inputs) are features relative to the healthy vehicle's, named as
         ``task.inputs``. Estimates are bounded to half the lowest and twice the highest ratio of the
         training: a regression knows nothing farther away. ValueError if the inputs do not fit the
-        model, or it fits curves and has no inputs.
+        model, or it fits curves and has no inputs, or the method does not return a finite number
+        for each curve and output.
         """
         if self.input_scaling is None or self.output_scaling is None:
             raise ValueError(f"{self.name} works on curves, not on features")
@@ -132,10 +134,21 @@ class FittedMethod:
             )
         if not np.isfinite(inputs).all() or (self.input_scaling.log and not (inputs > 0).all()):
             raise ValueError("`inputs` must be positive and finite; leave out missing peaks")
-        scaled = self.estimator.predict(self.input_scaling.apply(inputs))
+        scaled = self.regressed(self.input_scaling.apply(inputs))
         with np.errstate(over="ignore"):  # beyond the bounds even if it is infinite
-            found = self.output_scaling.undo(np.asarray(scaled).reshape(len(inputs), -1))
+            found = self.output_scaling.undo(scaled)
         return self.task.bounded(found)
+
+    def regressed(self, scaled: FloatArray) -> FloatArray:
+        """Return scaled estimates (n_curves, n_outputs) of the method from scaled inputs.
+
+        ValueError unless it returns a finite number for each curve and output.
+        """
+        return check_estimates(
+            f"predict of the method {self.name!r} must return finite numbers",
+            self.estimator.predict(scaled),
+            (len(scaled), len(self.task.outputs)),
+        )
 
     def scaled(self, inputs: FloatArray) -> FloatArray:
         """Return scaled inputs (n_curves, n_inputs); missing ones are NaN."""

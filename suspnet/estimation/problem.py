@@ -8,6 +8,7 @@ from __future__ import annotations
 import hashlib
 import inspect
 import json
+from collections import Counter
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
@@ -29,7 +30,7 @@ from suspnet.ground.progress import bar as progress_bar
 from suspnet.ground.settings import check_number
 from suspnet.ground.tensors import threads
 from suspnet.ground.types import BoolArray, FloatArray, IntArray
-from suspnet.spectra.extraction import FeatureSet
+from suspnet.spectra.extraction import FeatureSet, FeatureTable
 from suspnet.spectra.observation import Observation, Observer
 
 LEARN_FROM = 4096
@@ -173,8 +174,7 @@ class Problem:
 
     def healthy_features(self) -> FloatArray:
         """Return the healthy vehicle's features, (n_features,); ValueError if a peak is missing."""
-        curves = self.noise_free(np.ones((1, len(PARAMETERS))))
-        table = self.extractor.extract(curves, self.observer.frequencies_hz.to(curves.device))
+        table = self._extracted(self.noise_free(np.ones((1, len(PARAMETERS)))))
         missing = [
             name
             for name, reason in zip(self.extractor.parts, table.reasons[0], strict=True)
@@ -186,6 +186,20 @@ class Problem:
                 f"{self.settings.high_hz} Hz; check the vehicle, data.low_hz and data.high_hz"
             )
         return np.asarray(table.values[0].cpu().numpy())
+
+    def _extracted(self, curves: Tensor) -> FeatureTable:
+        """Return the features of curves; ValueError if the table is not as wide as it should be."""
+        extractor = self.extractor
+        table = extractor.extract(curves, self.observer.frequencies_hz.to(curves.device))
+        for array, part in (("values", "names"), ("reasons", "parts")):
+            found = tuple(getattr(table, array).shape)
+            expected = (len(curves), len(getattr(extractor, part)))
+            if found != expected:
+                raise ValueError(
+                    f"`{array}` of the feature set {extractor.kind!r} must have a row for each "
+                    f"curve and a column for each of its `{part}`, {expected}, got {found}"
+                )
+        return table
 
     def n_blocks(self, n_curves: int) -> int:
         """Return the number of blocks that hold `n_curves`."""
@@ -209,11 +223,10 @@ class Problem:
             rows = slice(batch * BATCH, min((batch + 1) * BATCH, len(ratios)))
             blocks = range(rows.start // BLOCK, self.n_blocks(rows.stop))
             noisy = torch.cat([self.curves(ratios, stream, block) for block in blocks])
-            curves = self.observer.for_features(noisy)
-            table = extractor.extract(curves, self.observer.frequencies_hz.to(curves.device))
+            table = self._extracted(self.observer.for_features(noisy))
             values[rows] = extractor.relative(table.values.cpu().numpy(), healthy)
             reasons[rows] = table.reasons.cpu().numpy()
-            return len(curves)
+            return len(noisy)
 
         name = f"{self.task.protocol}/{self.task.group} {STREAM_NAMES[stream]} curves"
         n_curves = len(ratios[asked])
@@ -283,11 +296,14 @@ class FeatureData:
         """True where every feature was found, shape (n_curves,)."""
         return np.asarray(np.isfinite(self.inputs).all(axis=1))
 
-    def complete(self) -> FeatureData:
-        """Return the curves with every feature; ValueError if there is none."""
+    def complete(self, extractor: FeatureSet | None = None) -> FeatureData:
+        """Return the curves with every feature; ValueError if there is none.
+
+        The message says what is missing if the feature set is given as `extractor`.
+        """
         kept = self.valid
         if not kept.any():
-            raise ValueError(f"none of the {len(kept)} curves has all of its peaks")
+            raise ValueError(none_complete(len(kept), self.reasons, extractor))
         return self.subset(kept)
 
     def first(self, n_curves: int) -> FeatureData:
@@ -299,6 +315,13 @@ class FeatureData:
         return FeatureData(
             self.inputs[rows], self.outputs[rows], self.ratios[rows], self.reasons[rows]
         )
+
+
+def none_complete(n_curves: int, reasons: IntArray, extractor: FeatureSet | None) -> str:
+    """Return the message that no curve has every feature, with what is missing most often."""
+    texts = Counter(map(extractor.missing, reasons)) if extractor is not None else Counter[str]()
+    usual = max(texts, key=texts.__getitem__, default="")
+    return f"none of the {n_curves} curves has every feature" + f": {usual}" * bool(usual)
 
 
 @contextmanager

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 from sklearn.metrics import mean_absolute_percentage_error, root_mean_squared_error
 
 from suspnet.ground.types import BoolArray, FloatArray
@@ -13,6 +14,21 @@ from suspnet.ground.types import BoolArray, FloatArray
 METRICS = ("mape_percent", "rmse")
 Ends = tuple[FloatArray, FloatArray]
 """Lower and upper ends of intervals."""
+
+
+def check_estimates(rule: str, estimates: ArrayLike, shape: tuple[int, int]) -> FloatArray:
+    """Return estimates (n_samples, n_outputs) as numbers; ValueError unless they are finite.
+
+    `rule` starts the message, such as "`predicted` must hold finite estimates". The shape must be
+    `shape`; of a single output (n_samples,) will do, as some of scikit-learn's regressors give it.
+    """
+    found = np.asarray(estimates, dtype=np.float64)
+    if found.shape == shape[:1] and shape[1] == 1:
+        found = found[:, None]
+    if found.shape != shape or not np.isfinite(found).all():
+        got = "numbers that are not finite" if found.shape == shape else f"shape {found.shape}"
+        raise ValueError(f"{rule}, shape {shape}, got {got}")
+    return found
 
 
 def score(

@@ -23,6 +23,7 @@ from sklearn.model_selection import KFold, ParameterGrid
 
 from suspnet.ground.settings import Setting, check_settings, setting
 from suspnet.ground.types import FloatArray, IntArray
+from suspnet.learning.metrics import check_estimates
 from suspnet.learning.msvr import MSVR, SAME_GRAM_PARAMETERS
 from suspnet.learning.scaling import Scaling
 
@@ -270,7 +271,8 @@ def _predictor(
         for rows in folds:
             others = np.setdiff1d(np.arange(len(X)), rows)
             model = clone(estimator).set_params(**setting).fit(X[others], Y[others])
-            found.append(model.predict(X[rows]))
+            rule = f"predict of {type(estimator).__name__} must return finite numbers"
+            found.append(check_estimates(rule, model.predict(X[rows]), Y[rows].shape))
         return found
 
     return predict

@@ -28,6 +28,7 @@ from suspnet.ground.settings import check_choice
 from suspnet.ground.storage import write_atomically
 from suspnet.ground.types import BoolArray, FloatArray
 from suspnet.ground.wording import ShortRepr
+from suspnet.learning.metrics import check_estimates
 
 SPLITS = {"train": TRAIN, "test": TEST, "calibrate": CALIBRATE}
 """Name of each split and its stream of curves."""
@@ -85,12 +86,8 @@ class DataSet(ShortRepr):
         """
         rows = self.rows("test")
         truth, bound = self.Y[rows], self.bound[rows]
-        estimates = np.asarray(predicted, dtype=np.float64)
-        if estimates.shape != truth.shape or not np.isfinite(estimates).all():
-            raise ValueError(
-                f'`predicted` must hold finite estimates of Y[rows("test")], shape {truth.shape}, '
-                f"got shape {estimates.shape}"
-            )
+        rule = '`predicted` must hold finite estimates of Y[rows("test")]'
+        estimates = check_estimates(rule, predicted, (len(truth), truth.shape[1]))
         error = 100 * np.sqrt(np.mean((estimates / truth - 1) ** 2, axis=0))
         least = 100 * np.sqrt(np.mean((bound / truth) ** 2, axis=0))
         return {

@@ -12,7 +12,7 @@ from typing import Any
 import torch
 
 from suspnet.estimation.checkpoint import parameters
-from suspnet.estimation.problem import TRAIN, FeatureData, Problem
+from suspnet.estimation.problem import TRAIN, FeatureData, Problem, none_complete
 from suspnet.estimation.protocols import Task
 from suspnet.estimation.trained import TrainedModel
 from suspnet.ground.progress import bar as progress_bar
@@ -46,7 +46,7 @@ def flag(estimator: Any, name: str) -> bool:
 def tune(problem: Problem, estimator: Any, search: GridSearch, run_log: RunLog) -> SearchResult:
     """Return the cross-validated RMSE of every setting of a search, on the training curves."""
     name = method_name(estimator)
-    data = problem.features(TRAIN).complete()
+    data = problem.features(TRAIN).complete(problem.extractor)
     inputs, outputs = scalings(problem.task, data)
     n_settings = search.n_settings(name)
     title = f"search of settings for {name}"
@@ -94,7 +94,7 @@ def fit(problem: Problem, estimator: Any, run_log: RunLog | None) -> TrainedMode
         counts = torch.tensor([len(data.inputs), len(kept.inputs)])
         n_made, n_kept = ranks.all_reduce(counts).tolist()
         if not n_kept:
-            raise ValueError(f"none of the {n_made} curves has all of its peaks")
+            raise ValueError(none_complete(n_made, data.reasons, problem.extractor))
         if 1 - n_kept / n_made > TOO_MANY_LOST:
             log.warning(
                 "%.1f %% of the training curves lack a peak and are left out; look at "

@@ -80,10 +80,10 @@ def predict_stream(
 ) -> Outcome:
     """Return a model's estimates for a stream of curves; with `flags` each curve is fitted as well.
 
-    ValueError if no curve has all of its peaks, or the model cannot use such curves.
+    ValueError if no curve has every feature, or the model cannot use such curves.
     """
     data = problem.features(stream)
-    kept = data.complete()
+    kept = data.complete(model.task.extractor)
     start = time.perf_counter()
     predicted = regress_stream(problem, model, data, stream)
     refined = None
@@ -189,7 +189,7 @@ def calibrated(problem: Problem, model: Model) -> Model:
         intervals = Intervals.learnt(known, wrong, model.log)
     training = inputs[:0]  # a method that works on curves has no cloud of features
     if model.input_scaling is not None:
-        training = model.scaled(problem.features(TRAIN).complete().inputs)
+        training = model.scaled(problem.features(TRAIN).complete(model.task.extractor).inputs)
     ood = OODDetector.learnt(training, inputs[kept], fitted.misfit)
     return replace(model, intervals=intervals, ood=ood)
 
@@ -258,7 +258,7 @@ def _is_corrected(problem: Problem, model: FittedMethod, data: FeatureData) -> b
         or not model.log
     ):
         return False
-    some = data.first(N_TRIED).complete()
+    some = data.first(N_TRIED).complete(model.task.extractor)
     errors = []
     for choice in (False, True):
         tried = regress_stream(problem, replace(model, corrected=choice), some, CALIBRATE)

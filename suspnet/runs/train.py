@@ -24,7 +24,7 @@ import torch
 from tabulate import tabulate
 
 from suspnet.estimation.bogie_fit import CommissionedBogie
-from suspnet.estimation.checkpoint import check_saveable, save_model
+from suspnet.estimation.checkpoint import check_restores, check_saveable, save_model
 from suspnet.estimation.flags import Residual, Unexplained
 from suspnet.estimation.problem import TEST, Problem
 from suspnet.estimation.trained import TrainedModel
@@ -94,7 +94,8 @@ def train(
     """Train one method on one problem, test it, and fill a run folder.
 
     Writes metrics.json, model.json, model.safetensors, environment.json, figures and TensorBoard
-    events. What cannot be saved is refused before the folder exists.
+    events. What cannot be saved is refused before the folder exists, the arrays of a registered
+    method right after its fit.
 
     Parameters
     ----------
@@ -123,7 +124,8 @@ def train(
     TypeError
         If the method or one of its settings cannot be saved to `folder`.
     ValueError
-        If a search is asked for without a folder.
+        If a search is asked for without a folder, if the method's predictions are not finite or of
+        another shape, or if a registered method does not predict the same once it is restored.
     FileExistsError
         If the folder holds files that are not suspnet's.
     """
@@ -155,6 +157,7 @@ def train(
         if context.residual is not None:  # it needs no model
             cost = context.start(partial(cost_without_model, problem, context.residual))
         model = replace(fit(problem, estimator, run_log), refined=refine)
+        check_restores(model)  # before the calibration, which may take longer than the fit
         model.training.update(searched)
         model = _trusted(problem, model, context, cost)
         stage("test")

@@ -3,26 +3,29 @@
 import json
 import re
 import sys
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 import pytest
+import torch
 from cli_runner import typed
 from hydra.core.config_store import ConfigStore
 from sklearn.base import BaseEstimator, RegressorMixin
 from sklearn.ensemble import RandomForestRegressor
 from sklearn.linear_model import Ridge
 
-from suspnet import MSVR, SVR, LinearRegression, Problem, load_model, train
+from suspnet import MSVR, SVR, TEST, LinearRegression, Problem, load_model, save_model, train
 from suspnet.cli import kinds, plugins
 from suspnet.cli import train as program
 from suspnet.estimation.fitted import ModelFileError
 from suspnet.learning import METHODS
-from suspnet.runs.fit import _announce
+from suspnet.runs.fit import _announce, fit
 from suspnet.runs.tables import MODEL_TITLES
 from suspnet.spectra.components import FEATURE_SETS
 from suspnet.spectra.curves import CurveSettings
+from suspnet.spectra.extraction import FeatureSet, FeatureTable
 
 PAGE = (Path(__file__).parents[2] / "docs" / "extending.md").read_text(encoding="utf-8")
 CODE = "\n".join(
@@ -109,6 +112,40 @@ def test_any_regressor_is_scored_without_a_folder_and_writes_nothing(
     assert [one.name for one in tmp_path.iterdir()] == ["run"]
 
 
+FORMS = {
+    "flat": (lambda found: found[:, 0], r"\(100, 2\), got shape \(100,\)"),
+    "narrow": (lambda found: found[:, :1], r"\(100, 2\), got shape \(100, 1\)"),
+    "lying": (lambda found: found.T, r"\(100, 2\), got shape \(2, 100\)"),
+    "empty": (lambda found: found * np.nan, r"\(100, 2\), got numbers that are not finite"),
+}
+"""What a method may return instead of (n_curves, n_outputs), and the words on it."""
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_predictions_of_another_shape_are_refused(form, quarter_car, task, monkeypatch):
+    change, words = FORMS[form]
+    predict = Mean.predict
+    monkeypatch.setattr(Mean, "predict", lambda self, X: change(predict(self, X)))
+    with pytest.raises(ValueError, match=rf"predict of the method 'Mean' must.*finite.*{words}"):
+        train(Problem(quarter_car, task(), SETTINGS), Mean())
+
+
+@pytest.mark.filterwarnings("ignore:A column-vector y")
+def test_flat_predictions_of_a_single_output_are_as_good(quarter_car, task):
+    problem = Problem(quarter_car, replace(task(), outputs=("k_p",)), SETTINGS)
+    assert train(problem, RandomForestRegressor(5, random_state=0))["rms_ratio"]["k_p"] > 0
+
+
+def test_program_refuses_predictions_of_another_shape(tmp_path):
+    (tmp_path / "mine.py").write_text(MODULE.replace("@ self.coef_", "@ self.coef_[:, 0]"))
+    ended = typed(
+        program, "--plugin", "mine.py", "model=kernel_ridge", *TINY, "threads=1", cwd=tmp_path
+    )
+    assert ended.returncode == 1
+    assert "error: predict of the method 'kernel_ridge' must return finite" in ended.stderr
+    assert "Traceback" not in ended.stderr
+
+
 @pytest.mark.parametrize(
     ("estimator", "words"),
     [
@@ -124,6 +161,67 @@ def test_what_cannot_be_saved_is_refused_before_there_is_a_folder(
     with pytest.raises(TypeError, match=words):
         train(problem, estimator, tmp_path / "run")
     assert not (tmp_path / "run").exists()
+
+
+def test_trees_of_the_page_are_fitted_again_when_they_are_loaded(quarter_car, task, tmp_path):
+    page = (Path(__file__).parents[2] / "docs" / "datasets.md").read_text(encoding="utf-8")
+    (code,) = re.findall(r"```python\n(from sklearn[^`]*class Trees.*?)```", page, re.DOTALL)
+    namespace = {"__name__": "example"}
+    exec(compile(code, "docs/datasets.md", "exec"), namespace)
+    plugins.register_method("trees", namespace["Trees"])
+    problem = Problem(quarter_car, task(), SETTINGS)
+    model = fit(problem, namespace["Trees"](n_estimators=10), None)
+    save_model(tmp_path, model)
+    inputs = problem.features(TEST).complete().inputs
+    assert np.array_equal(load_model(tmp_path).predict(inputs), model.predict(inputs))
+
+
+def test_grid_of_an_own_method_is_searched(tmp_path):
+    (tmp_path / "mine.py").write_text(MODULE)
+    ended = typed(
+        program,
+        *("--plugin", "mine.py", "model=kernel_ridge", "search=table5", *TINY),
+        *("+search.grids.kernel_ridge={alpha: [1e-6, 1e-5, 1e-4]}", "hydra.run.dir=run"),
+        cwd=tmp_path,
+    )
+    assert ended.returncode == 0, ended.stderr
+    searched = json.loads((tmp_path / "run" / "metrics.json").read_text())["search"]
+    assert [one["alpha"] for one in searched["settings"]] == [1e-6, 1e-5, 1e-4]
+
+
+UNSAVEABLE = {
+    "text": (
+        lambda self: {"mean": self.mean_, "names": np.array(["a", "b"])},
+        Mean.restore,
+        "array 'names' is of <U1",
+    ),
+    "whole numbers": (lambda self: {"mean": np.arange(2)}, Mean.restore, "is of int64"),
+    "nothing": (lambda self: {}, Mean.restore, "must return all that predict needs"),
+    "no arrays": (lambda self: None, Mean.restore, "no attribute 'items'"),
+    "forgotten": (Mean.state, lambda self, state: self, "no attribute 'mean_'"),
+    "other": (
+        Mean.state,
+        lambda self, state: vars(self).update(mean_=state["mean"] + 0.01),
+        "predicts numbers that differ by 0.01",
+    ),
+}
+"""Ways of `state` and `restore` that lose a method, and the words on each."""
+
+
+@pytest.mark.parametrize("way", UNSAVEABLE)
+def test_method_that_is_not_restored_is_not_saved(way, quarter_car, task, tmp_path, monkeypatch):
+    state, restore, words = UNSAVEABLE[way]
+    plugins.register_method("mean", Mean)
+    problem = Problem(quarter_car, task(), SETTINGS)
+    model = fit(problem, Mean(), None)
+    monkeypatch.setattr(Mean, "state", state)
+    monkeypatch.setattr(Mean, "restore", restore)
+    with pytest.raises(ValueError, match=rf"the method 'mean' cannot be saved.*{words}"):
+        save_model(tmp_path, model)
+    monkeypatch.setattr("suspnet.runs.train.calibrated", None)  # refused before it is called
+    with pytest.raises(ValueError, match=rf"the method 'mean' cannot be saved.*{words}"):
+        train(problem, Mean(), tmp_path / "run")
+    assert not list(tmp_path.rglob("model.*"))
 
 
 @pytest.mark.parametrize(
@@ -144,9 +242,67 @@ def test_method_that_would_not_work_is_not_registered(name, cls, title, error, w
     assert before == METHODS
 
 
-def test_feature_set_that_lacks_a_part_is_not_registered():
+@dataclass(frozen=True)
+class Middle(FeatureSet):
+    """Mean magnitudes of both responses; none where that of G_p is above a threshold."""
+
+    threshold: float = 1e9
+
+    kind: ClassVar[str] = "middle"
+    positive: ClassVar[bool] = True
+    parts: ClassVar[tuple[str, ...]] = ("middle",)
+    names: ClassVar[tuple[str, ...]] = ("G_p", "G_s")
+
+    def extract(self, curves, frequencies_hz):
+        values = curves.abs().mean(dim=2)
+        is_missing = (values[:, :1] > self.threshold) & (len(curves) > 1)  # but of the healthy one
+        return FeatureTable(torch.where(is_missing, torch.nan, values), is_missing.long())
+
+    def missing(self, reasons):
+        return "the middle (too high)" if reasons.any() else ""
+
+    def relative(self, values, healthy):
+        return values / healthy
+
+
+def test_what_is_no_dataclass_is_not_registered():
     with pytest.raises(TypeError, match="dataclass"):
         plugins.register_features(Mean)
+
+
+@pytest.mark.parametrize("part", plugins.FEATURE_PARTS)
+def test_feature_set_that_lacks_a_part_is_not_registered(part, monkeypatch):
+    plugins.register_features(Middle)
+    monkeypatch.delattr(Middle, part)
+    with pytest.raises(
+        TypeError, match=rf"the feature set Middle lacks {part}; suspnet.FeatureSet"
+    ):
+        plugins.register_features(Middle)
+
+
+def test_feature_set_that_is_not_derived_needs_every_part():
+    own = {name: value for name, value in vars(Middle).items() if not name.startswith("_")}
+    with pytest.raises(TypeError, match="lacks is_fitted, fitted, blank, state, restored;"):
+        plugins.register_features(dataclass(frozen=True)(type("Middle", (), own)))
+
+
+@pytest.mark.parametrize("part", ["names", "parts"])
+def test_table_of_another_width_than_its_names_is_refused(part, quarter_car, task, monkeypatch):
+    problem = Problem(quarter_car, replace(task(), extractor=Middle()), SETTINGS)
+    monkeypatch.setattr(Middle, part, ("G_p", "G_s", "G_t"))
+    width = {"names": 2, "parts": 1}[part]
+    with pytest.raises(
+        ValueError, match=rf"'middle' .* its `{part}`, \(1, 3\), got \(1, {width}\)"
+    ):
+        train(problem, LinearRegression())
+
+
+def test_own_words_say_what_all_curves_lack(quarter_car, task):
+    problem = Problem(quarter_car, replace(task(), extractor=Middle(1e-9)), SETTINGS)
+    with pytest.raises(
+        ValueError, match=r"none of the 200 curves has every feature: the middle \(too high\)$"
+    ):
+        train(problem, LinearRegression())
 
 
 def test_module_named_on_the_command_line_adds_method_and_features(tmp_path):
@@ -172,17 +328,72 @@ def test_module_named_on_the_command_line_adds_method_and_features(tmp_path):
         (("--plugin", "nothing.py"), "--plugin nothing.py: there is no such Python file"),
         (("--plugin", "text.txt"), "there is no such Python file"),
         (("--plugin",), "--plugin needs a file"),
-        (("--plugin=broken.py",), "line 2: ZeroDivisionError: division by zero"),
+        (("--plugin=broken.py",), "broken.py:2: ZeroDivisionError: division by zero"),
+        (("--plugin=deeper.py",), "deeper.py:3: TypeError: the JSON object"),
+        (("--plugin=half.py",), "half.py:2: SyntaxError: "),
     ],
 )
 def test_module_that_cannot_be_run_is_one_line(arguments, words, tmp_path):
     (tmp_path / "text.txt").write_text("x = 1\n")
     (tmp_path / "broken.py").write_text("x = 1\nx / 0\n")
+    (tmp_path / "deeper.py").write_text("import json\n\njson.loads(None)\n")
+    (tmp_path / "half.py").write_text("x = 1\nx = (\n")
     ended = typed(program, *arguments, cwd=tmp_path)
     assert ended.returncode == 1
     assert words in ended.stderr
     assert "Traceback" not in ended.stderr
     assert not (tmp_path / "outputs").exists()
+
+
+FAULTS = {
+    "fit": ("self.samples_ = X", "self.samples_ = Z", "NameError: name 'Z' is not defined"),
+    "predict": (
+        "return rbf_kernel(X, self.samples_, gamma",
+        "return rbf_kernel(X, self.samples_, width",
+        "TypeError: ",
+    ),
+    "extract": (
+        "near = (frequencies_hz[:, None] - centres)",
+        "near = (frequencies_hz[:, 0] - centres)",
+        "IndexError: ",
+    ),
+}
+"""A line of a plugin, what stands there instead, and the words on the error that follows."""
+
+
+@pytest.mark.parametrize(
+    ("fault", "several"), [("fit", False), ("predict", False), ("extract", False), ("fit", True)]
+)
+def test_error_in_a_users_code_names_its_line(fault, several, tmp_path):
+    line, wrong, words = FAULTS[fault]
+    path = tmp_path / "mine.py"
+    path.write_text(MODULE.replace(line, wrong))
+    number = next(i for i, one in enumerate(path.read_text().splitlines(), 1) if wrong in one)
+    more = ("-m", "seed=1,2") if several else ("hydra.run.dir=run",)
+    ended = typed(
+        program,
+        *(*more, "--plugin", "mine.py", "model=kernel_ridge", "protocol.feature_set=levels"),
+        *(*TINY, "threads=1"),
+        cwd=tmp_path,
+    )
+    assert ended.returncode == 1
+    errors = [one for one in ended.stderr.splitlines() if one.startswith(f"error: {path}")]
+    assert len(errors) == 1 + several
+    assert errors[0].startswith(f"error: {path}:{number}: {words}")
+    assert "HYDRA_FULL_ERROR=1 shows it" in errors[0]
+    assert "Traceback" not in ended.stderr + ended.stdout
+    kinds = ("train.log", "error.txt") if several else ("train.log",)
+    for kind in kinds:
+        files = list(tmp_path.rglob(kind))
+        assert len(files) == 1 + several
+        assert all(f'File "{path}", line {number}' in file.read_text() for file in files)
+
+
+def test_traceback_of_a_users_code_is_shown_on_request(tmp_path, monkeypatch):
+    monkeypatch.setattr("suspnet.cli.program._debugging", True)
+    (tmp_path / "mine.py").write_text(MODULE.replace(*FAULTS["fit"][:2]))
+    with pytest.raises(NameError, match="'Z'"):
+        typed(program, "--plugin", "mine.py", "model=kernel_ridge", *TINY, cwd=tmp_path)
 
 
 def test_configuration_names_no_module(tmp_path):

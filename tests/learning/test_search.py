@@ -32,6 +32,13 @@ class Fussy(RegressorMixin, BaseEstimator):
         return np.full((len(X), *self.shape_), self.level)
 
 
+class Flat(Fussy):
+    """Predicts a vector whatever it has learnt."""
+
+    def predict(self, X):
+        return np.full(len(X), self.level)
+
+
 def problem(log):
     X, Y = smooth_data(0, n_samples=80)
     positive = np.exp(0.3 * Y)
@@ -72,6 +79,12 @@ def test_rmse_is_that_of_held_out_folds_on_unscaled_outputs():
     folds = KFold(5, shuffle=True, random_state=1).split(X)
     expected = np.mean([np.sqrt(((truth[t] - guess) ** 2).mean(axis=0)).mean() for _, t in folds])
     assert found.rmse == [pytest.approx(expected, rel=1e-12)]
+
+
+def test_predictions_of_another_shape_are_not_scored():
+    X, Y, scaling = problem(log=False)
+    with pytest.raises(ValueError, match=r"predict of Flat .* shape \(20, 2\), got shape \(20,\)"):
+        GridSearch({"fussy": {"level": [0.5]}}, n_folds=4).run("fussy", Flat(), X, Y, scaling)
 
 
 def test_seed_decides_the_folds():

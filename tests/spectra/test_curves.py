@@ -14,6 +14,7 @@ from suspnet.estimation.problem import BLOCK, CALIBRATE, TEST, TRAIN, FeatureDat
 from suspnet.ground.storage import dump_arrays, read_arrays
 from suspnet.spectra.components import FLOOR
 from suspnet.spectra.curves import CurveSettings, add_noise, noise_rms
+from suspnet.spectra.extraction import PeakFeatures
 
 SMALL = CurveSettings(n_train=300, n_test=40, n_calibrate=150, cache_dir=None)
 
@@ -398,5 +399,7 @@ def test_more_curves_than_the_grid_holds_are_rejected(source, task):
 def test_no_complete_curve_is_named():
     missing = np.full((3, 2), math.nan)
     data = FeatureData(missing, np.ones((3, 1)), np.ones((3, 5)), np.ones((3, 1), dtype=int))
-    with pytest.raises(ValueError, match="none of the 3 curves has all of its peaks"):
+    with pytest.raises(ValueError, match=r"none of the 3 curves has every feature$"):
         data.complete()
+    with pytest.raises(ValueError, match=r"has every feature: secondary \(not finite\)$"):
+        data.complete(PeakFeatures(["secondary"]))
