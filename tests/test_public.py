@@ -196,6 +196,8 @@ def test_known_mass_is_asked_for_and_checked(task, quarter_car):
         model.estimate(curves)
     with pytest.raises(ValueError, match="one positive number for each of 120 curves"):
         model.estimate(curves, mass=[1.0, -1.0])
+    with pytest.raises(ValueError, match="`level` must be a finite number > 0 and < 1"):
+        model.estimate(curves, mass=ratios[:120, 4], level=1.5)
 
 
 def test_trip_without_enough_averages_has_no_estimate():

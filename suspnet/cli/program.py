@@ -371,11 +371,13 @@ def one_line(error: BaseException) -> str:
 
 
 def _nearest(error: BaseException) -> str:
-    """Return a question with the nearest key in the place of one that cannot be overridden."""
+    """Return a hint for a key that cannot be overridden: the nearest one in its place, or a +."""
     cause = error.__cause__
     place = getattr(cause, "parent_node", None)
     if not isinstance(cause, OmegaConfBaseException) or not isinstance(place, DictConfig):
         return ""
+    if not place:  # a mapping to be filled
+        return ": a + before it adds it"
     near = get_close_matches(str(cause.key), [str(key) for key in place], n=1)
     return f": did you mean {near[0]}?" if near else ""
 

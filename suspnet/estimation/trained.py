@@ -17,6 +17,7 @@ from suspnet.estimation.from_recording import estimate_recording
 from suspnet.estimation.from_spectra import estimate_with_noise
 from suspnet.estimation.trip_settings import TripSettings
 from suspnet.ground.records import INTERVAL_LEVEL
+from suspnet.ground.settings import check_number
 from suspnet.recordings.manifest_files import read_manifest
 from suspnet.recordings.recording import Recording, load_recording
 from suspnet.spectra.cross_spectra import CrossSpectra
@@ -77,9 +78,10 @@ class TrainedModel(FittedMethod):
             If a trip is valid but nothing can be estimated from it.
         ModelFileError
             If `data` is a trip but the model was not trained on trips.
-        ValueError
-            If curves, frequencies or masses do not fit the model.
+        TypeError, ValueError
+            If curves, frequencies or masses do not fit the model, or the level is none.
         """
+        check_number("level", level, above=0, below=1)
         if isinstance(data, CrossSpectra):
             return estimate_with_noise(self, data, level)[0]
         if isinstance(data, str | Path | Recording):

@@ -213,6 +213,7 @@ def test_mistake_gets_one_line(override, message, tmp_path):
             ["data.n_trian=1"],
             "There is no such key: did you mean n_train?; --help lists them",
         ),
+        (train, ["protocol.feature_settings.n=4"], "no such key: a + before it adds it; --help"),
         (train, ["hydra.run.dir={file}/x"], "Not a directory"),
         (evaluate, [], "which run?"),
         (evaluate, ["run=nowhere"], "run=nowhere does not exist"),
