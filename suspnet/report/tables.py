@@ -7,7 +7,7 @@ import statistics
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -15,9 +15,11 @@ from suspnet.ground.parameters import BODY_MASS, BOGIE_PARTS
 from suspnet.ground.records import OK, TripCurves, TripResult
 from suspnet.ground.types import FloatArray
 from suspnet.ground.wording import count, files_of, kilometres
-from suspnet.history.arrays import TripResponses
 from suspnet.maintenance.series import Series
 from suspnet.report.language import N_
+
+if TYPE_CHECKING:  # the history imports SQLAlchemy, 0.4 s
+    from suspnet.history.arrays import TripResponses
 
 
 @dataclass(frozen=True)
