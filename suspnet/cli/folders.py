@@ -39,7 +39,11 @@ BY_URGENCY = (FINE, SOME_WITHOUT_ESTIMATE, NOTICE, MISTAKE, ACT)
 notice."""
 EXIT_CODE = "exit_code"
 """File with the exit code in the folder of each job of a multirun."""
+HYDRA = ".hydra"
+"""Folder of a run with the configuration as Hydra has composed it."""
 _to_resume: list[str] = []
+_made: list[Path] = []
+"""The folder that this run has made under a name of its own; none of a multirun."""
 
 
 class OwnFolder(Callback):
@@ -116,6 +120,7 @@ def how_to_resume() -> str:
 def _choose(config: DictConfig, kind: str) -> None:
     """Choose the folder of a run or "sweep", pass it to the sweep's jobs, and start its ledger."""
     _to_resume.clear()
+    _made.clear()
     named = OmegaConf.select(config, "resume")
     try:
         if named is not None:
@@ -128,6 +133,7 @@ def _choose(config: DictConfig, kind: str) -> None:
             folder = Path(config.hydra[kind].dir)
         else:
             folder = new_folder(_below_outputs(Path(config.hydra[kind].dir)))
+            _made[:] = [folder.absolute()] * (kind == "run")
         goes_on = ledger.begin(folder)
     except OSError as error:
         raise SystemExit(f"error: {error.filename}: {error.strerror}") from error
@@ -140,6 +146,19 @@ def _choose(config: DictConfig, kind: str) -> None:
             OmegaConf.update(config, key, value)
             if kind == "sweep":
                 config.hydra.overrides.hydra.append(f"{key}={_quoted(value)}")
+
+
+def remove_unused(folder: Path) -> None:
+    """Remove the folder that this run has made if it holds no more than Hydra's files and a log."""
+    if folder not in _made:
+        return
+    every = sorted(folder.rglob("*"), reverse=True)  # what is in a folder before the folder
+    unused = (folder / ledger.LEDGER, folder / HYDRA, *folder.glob("*.log"))
+    if all(path in unused or path.parent == folder / HYDRA for path in every):
+        for path in every:
+            is_folder = path.is_dir() and not path.is_symlink()
+            path.rmdir() if is_folder else path.unlink()
+        folder.rmdir()
 
 
 def _below_outputs(folder: Path) -> Path:

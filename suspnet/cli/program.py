@@ -266,6 +266,7 @@ def task(function: Callable[[DictConfig], Any]) -> Callable[[DictConfig], Any]:
                 raise
             own = own_error(error)
             if isinstance(error, MISTAKES) and not own:
+                folders.remove_unused(run_folder())
                 raise SystemExit(one_line(error)) from None
             if not own and not folders.is_job():
                 raise
