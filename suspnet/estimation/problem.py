@@ -173,17 +173,13 @@ class Problem:
         return self.observer.noise_free(torch.as_tensor(ratios))
 
     def healthy_features(self) -> FloatArray:
-        """Return the healthy vehicle's features, (n_features,); ValueError if a peak is missing."""
+        """Return the healthy vehicle's features, (n_features,); ValueError if one is missing."""
         table = self._extracted(self.noise_free(np.ones((1, len(PARAMETERS)))))
-        missing = [
-            name
-            for name, reason in zip(self.extractor.parts, table.reasons[0], strict=True)
-            if reason
-        ]
-        if missing:
+        if table.reasons[0].any():
+            missing = self.extractor.missing(table.reasons[0].cpu().numpy())
             raise ValueError(
-                f"the healthy vehicle has no peak {missing} between {self.settings.low_hz} and "
-                f"{self.settings.high_hz} Hz; check the vehicle, data.low_hz and data.high_hz"
+                f"of the healthy vehicle is missing, between {self.settings.low_hz} and "
+                f"{self.settings.high_hz} Hz: {missing}; check it, data.low_hz and data.high_hz"
             )
         return np.asarray(table.values[0].cpu().numpy())
 

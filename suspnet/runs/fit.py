@@ -97,8 +97,8 @@ def fit(problem: Problem, estimator: Any, run_log: RunLog | None) -> TrainedMode
             raise ValueError(none_complete(n_made, data.reasons, problem.extractor))
         if 1 - n_kept / n_made > TOO_MANY_LOST:
             log.warning(
-                "%.1f %% of the training curves lack a peak and are left out; look at "
-                "figures/peaks.png and at protocol.features (smoothing_hz, low_hz, high_hz)",
+                "%.1f %% of the training curves lack a feature and are left out; of peaks look at "
+                "figures/peaks.png and protocol.features (smoothing_hz, low_hz, high_hz)",
                 100 * (1 - n_kept / n_made),
             )
         inputs, outputs = scalings(problem.task, kept)

@@ -79,7 +79,10 @@ def main() -> None:
     parser.add_argument("--n-test", type=int, default=1000)
     parser.add_argument("--output", type=Path, help="CSV file")
     options = parser.parse_args()
-    load_plugins(options.plugin)
+    try:
+        load_plugins(options.plugin)
+    except ValueError as error:
+        parser.error(str(error))
     rows = records(options.n_train, options.n_test)
     print(table(rows))
     if options.output is not None:

@@ -112,7 +112,7 @@ def test_vehicle_that_loses_many_curves_is_reported(tmp_path, caplog):
     with caplog.at_level("WARNING", logger="suspnet"):
         metrics = run_main(train, tmp_path, *UNCALIBRATED, "data.n_train=100", *overrides)
     assert metrics["n_test_complete"] < 0.98 * metrics["n_test"]
-    assert "of the training curves lack a peak" in caplog.text
+    assert "of the training curves lack a feature" in caplog.text
 
 
 def test_same_seed_same_numbers_other_seed_other_numbers(run, tmp_path):

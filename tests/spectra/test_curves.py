@@ -386,7 +386,9 @@ def test_settings_out_of_range_are_rejected(setting, error, message):
 def test_healthy_vehicle_without_a_peak_is_rejected(source):
     settings = dataclasses.replace(SMALL, low_hz=2.5)  # above the body's resonance
     made = source(settings)
-    with pytest.raises(ValueError, match=r"healthy vehicle has no peak \['secondary'.*2\.5 and"):
+    with pytest.raises(
+        ValueError, match=r"of the healthy vehicle is missing, between 2\.5 .*: secondary \("
+    ):
         made.features(TEST)
 
 
