@@ -22,7 +22,7 @@ from suspnet import (
     read_manifest,
     save_model,
 )
-from suspnet.estimation.from_recording import all_bins
+from suspnet.estimation.from_recording import both_ways
 from suspnet.estimation.problem import TEST
 from suspnet.runs.fit import fit
 from suspnet.runs.predict import calibrated, predict_stream
@@ -145,7 +145,7 @@ def test_trips_are_read_with_the_public_tfestimate():
     recording = load_recording(read_manifest(path), 100.0)
     model, welch = model_at(), suspnet.Welch()
     segments = recording_segments(recording, welch)
-    (found,) = all_bins([(model, segments)], recording, TripSettings())
+    (found,) = both_ways([(model, segments)], recording, TripSettings()).equal
     assert found.chosen.all()
     axle_box, bogie, body = recording.signals
     links = [(axle_box, bogie, body), (bogie, body, axle_box)]

@@ -182,8 +182,7 @@ def _trained(run: Run, train_one: TrainOne) -> tuple[list[str], str]:
                 write_atomically(file, f"{message}\n")
             else:
                 write_atomically(file, traceback.format_exc())
-                words = f"{type(error).__name__}: {' '.join(str(error).split())}; see {file}"
-                message = message or words
+                message = message or f"{program.bug_words(error)}; see {file}"
         else:
             message = ""
         return [record.getMessage() for record in warnings.buffer], message

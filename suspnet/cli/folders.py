@@ -39,8 +39,6 @@ BY_URGENCY = (FINE, SOME_WITHOUT_ESTIMATE, NOTICE, MISTAKE, ACT)
 notice."""
 EXIT_CODE = "exit_code"
 """File with the exit code in the folder of each job of a multirun."""
-HYDRA = ".hydra"
-"""Folder of a run with the configuration as Hydra has composed it."""
 _to_resume: list[str] = []
 _made: list[Path] = []
 """The folder that this run has made under a name of its own; none of a multirun."""
@@ -153,8 +151,8 @@ def remove_unused(folder: Path) -> None:
     if folder not in _made:
         return
     every = sorted(folder.rglob("*"), reverse=True)  # what is in a folder before the folder
-    unused = (folder / ledger.LEDGER, folder / HYDRA, *folder.glob("*.log"))
-    if all(path in unused or path.parent == folder / HYDRA for path in every):
+    unused = (folder / ledger.LEDGER, folder / ledger.HYDRA, *folder.glob("*.log"))
+    if all(path in unused or path.parent == folder / ledger.HYDRA for path in every):
         for path in every:
             is_folder = path.is_dir() and not path.is_symlink()
             path.rmdir() if is_folder else path.unlink()

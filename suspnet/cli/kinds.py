@@ -167,6 +167,8 @@ def _built(values: Mapping[str, Any], name: str, vehicle: str | None = None) -> 
     except (AttributeError, LookupError) as error:  # a value of an unexpected type
         raise ValueError(f"{file}`{name}` cannot be built: {error}") from error
     except (TypeError, ValueError) as error:
+        if not file:
+            raise
         raise type(error)(f"{file}{error}") from error
 
 

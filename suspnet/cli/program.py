@@ -273,8 +273,7 @@ def task(function: Callable[[DictConfig], Any]) -> Callable[[DictConfig], Any]:
             file = run_folder() / folders.ERROR
             if folders.is_job():
                 write_atomically(file, traceback.format_exc())
-            message = f"{type(error).__name__}: {' '.join(str(error).split())}; see {file}"
-            raise SystemExit(f"error: {own or message}") from None
+            raise SystemExit(f"error: {own or f'{bug_words(error)}; see {file}'}") from None
 
     return wrapped
 
@@ -337,8 +336,12 @@ def own_error(error: Exception) -> str:
     for handler in logs:
         handler.handle(record)
     seen = f"the traceback is in {logs[0].baseFilename}; " if logs else ""
-    words = f"{type(error).__name__}: {' '.join(str(error).split())}"
-    return printable(f"{place}: {words}; {seen}{DEBUG}=1 shows it")
+    return printable(f"{place}: {bug_words(error)}; {seen}{DEBUG}=1 shows it")
+
+
+def bug_words(error: Exception) -> str:
+    """Return the type and the text of an error on one line."""
+    return f"{type(error).__name__}: {' '.join(str(error).split())}"
 
 
 def one_line(error: BaseException) -> str:

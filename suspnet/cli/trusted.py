@@ -20,6 +20,7 @@ from omegaconf.grammar_parser import parse
 
 from suspnet.cli.config_files import CONFIGS, as_written, walk
 from suspnet.cli.kinds import KINDS, check_kind, new_name
+from suspnet.ground.ledger import HYDRA
 from suspnet.ground.settings import check_choice
 
 OWN_FOLDER = "suspnet.cli.folders.OwnFolder"
@@ -166,7 +167,7 @@ def _check_hydra(hydra: dict[str, Any]) -> None:
     name = job.get("name", "job")
     if not isinstance(name, str) or not FILE_NAME.fullmatch(name):
         raise ValueError(f"`hydra.job.name` must be a plain name, got {name!r}")
-    if rest.get("output_subdir") not in (None, ".hydra"):
+    if rest.get("output_subdir") not in (None, HYDRA):
         raise ValueError(
             f"`hydra.output_subdir` must be .hydra or null, got {rest['output_subdir']!r}"
         )

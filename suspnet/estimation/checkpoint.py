@@ -86,8 +86,12 @@ def save_model(folder: Path | str, model: TrainedModel) -> None:
             f"`model`, the second argument, must be a TrainedModel, got {type(model).__name__}; an "
             "estimator such as MSVR is saved by joblib.dump"
         )
-    folder = Path(folder)
     check_restores(model)
+    write_model(Path(folder), model)
+
+
+def write_model(folder: Path, model: TrainedModel) -> None:
+    """Write a model as `save_model` does, one that is known to be restored."""
     content, description = _files(model)
     with locked(folder):
         write_atomically(folder / "model.safetensors", content)

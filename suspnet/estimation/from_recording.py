@@ -52,9 +52,10 @@ from suspnet.spectra.wheel_lines import wheel_lines
 def estimate_recording(
     method: FittedMethod, recording: Recording, settings: TripSettings
 ) -> Estimate:
-    """Return a method's estimate from a recording, one row; raises as `all_bins` does.
+    """Return a method's estimate from a recording, one row.
 
-    It is that of each part if the method has a bogie and the recording shows its parts.
+    It is that of each part if the method has a bogie and the recording shows its parts. Raises
+    NoEstimateError if there is neither, TripError as `both_ways` does.
     """
     segments = recording_segments(recording, trip_settings(method).welch)
     found = both_ways([(method, segments)], recording, settings)
@@ -88,9 +89,17 @@ def both_ways(
     recording: Recording,
     settings: TripSettings,
 ) -> BothWays:
-    """Return what a recording shows to methods, `pairs` with their segments; parts to the first.
+    """Return what a recording shows to methods, the parts to the first.
 
-    TripError is raised as by `all_bins` and `estimate_parts`.
+    `pairs` are the methods with the recording's segments, cut as for the method's training; each
+    group of segments is read by the method of its speed. The bins of lines of out-of-round wheels
+    are left out, unless responses do not depend on the speed: these hold for one wheelset alone.
+
+    The reason in place of the bins is that a valid recording gives no estimate, those of all
+    methods, each that of its first group, or that none reads the trip's speeds. Raises TripError as
+    `estimate_parts` does, and if a channel or one sensor of a pair has the wrong unit or sign, two
+    are swapped, a pair meets a model that was trained for a sensor on one side, no method is for
+    the direction of travel, or it is neither given nor shown by the phases.
     """
     seen = _seen_by_method(pairs, recording, settings)
     parts = _parts(*pairs[0], recording, settings)
@@ -121,30 +130,6 @@ def at_healthy_temperature(
     """Return a recording's estimate with damping at the temperature of the healthy trips."""
     law = DampingByTemperature.noted(method.training)
     return law.compared(estimate, recording.manifest.temperature_c) if law else estimate
-
-
-def all_bins(
-    pairs: Sequence[tuple[FittedMethod, SegmentSpectra]],
-    recording: Recording,
-    settings: TripSettings,
-) -> Sequence[SpeedBin]:
-    """Return the estimates of all groups of segments, each by the method that reads its speed.
-
-    `pairs` are the methods with the recording's segments, cut as for the method's training. The
-    bins of lines of out-of-round wheels are left out, unless responses do not depend on the speed:
-    these hold for one wheelset alone.
-
-    Raises NoEstimateError if the recording is valid but gives no estimate, with the reasons of all
-    methods, each that of its first group, or that none reads the trip's speeds; TripError if a
-    channel or one sensor of a pair has the wrong unit or sign, two are swapped, a pair meets a
-    model that was trained for a sensor on one side, no method is for the direction of travel, or it
-    is neither given nor shown by the phases.
-    """
-    seen = _seen_by_method(pairs, recording, settings)
-    found = _or_reason(_read_by_method(seen, recording, settings))
-    if isinstance(found, NoEstimateError):
-        raise found
-    return found
 
 
 ByMethod: TypeAlias = list[tuple[FittedMethod, list[Bin | NoEstimateError]]]
@@ -234,7 +219,7 @@ def _seen(
     segments: SegmentSpectra,
     settings: TripSettings,
 ) -> SeenBin:
-    """Return a group of segments as a method sees it; raises as `all_bins` does."""
+    """Return a group of segments as a method sees it, or raise NoEstimateError or TripError."""
     spectra, chosen, doubts = part.spectra, part.chosen, ""
     n_candidates = int(part.candidates.sum())
     if settings.check_channels and segments.welch.n_averages(n_candidates) >= settings.min_averages:
@@ -260,7 +245,7 @@ def _seen(
 
 
 def _read(seen: SeenBin, level: float) -> SpeedBin:
-    """Return the estimate from a group of segments; raises as `all_bins` does."""
+    """Return the estimate from a group of segments, or raise NoEstimateError."""
     known = seen.method, seen.spectra
     try:
         estimate, noise_share = estimate_with_noise(*known, level, seen.speeds, seen.left_out)

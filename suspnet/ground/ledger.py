@@ -39,7 +39,9 @@ HEADER = b'"Files that suspnet wrote below this folder: SHA-256, name, end of a 
 MAX_BYTES = 2**28
 """Largest part of a ledger that is read, [bytes]: a million files need half of it."""
 UNTOUCHED_FILES = ("*.log", "events.out.tfevents.*")
-UNTOUCHED_FOLDERS = (".hydra", ".submitit")
+HYDRA = ".hydra"
+"""Folder of a run with the configuration as Hydra has composed it."""
+UNTOUCHED_FOLDERS = (HYDRA, ".submitit")
 """Files and folders of a run that have no hash."""
 MULTIRUN = "multirun.yaml"
 """File that Hydra rewrites non-atomically: it may be empty after a kill."""

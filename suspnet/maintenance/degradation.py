@@ -78,7 +78,8 @@ def fit_models(blocks: Blocks, noise: Noise, prior: FleetPrior) -> list[Fit]:
     covariance = noise_covariance(blocks, noise.variance, noise.correlation)
     fits = [_without_trend(blocks, covariance[:1], prior)]
     fits += [
-        _straight(blocks, covariance[:1], prior, row, _onsets(blocks.last)) for row in range(1, 4)
+        _straight(blocks, covariance[:1], prior, row, _onsets(blocks.last))
+        for row in range(1, FIRST_WIENER)
     ]
     # Brownian motion costs most of the time and only matters where there is a trend
     if shares(fits)[0][0] > 1 - DETAILED:
@@ -103,10 +104,9 @@ def _without_trend(blocks: Blocks, covariance: FloatArray, prior: FleetPrior) ->
 def _straight(
     blocks: Blocks, covariance: FloatArray, prior: FleetPrior, row: int, onsets: FloatArray
 ) -> Fit:
-    powers, at_once = np.ones((1, onsets.size)), AT_ONCE
-    if row == STEP:
-        powers, at_once = 0 * powers, 0.0
-    hinges = Hinges(onsets[None], powers, _log_measure(onsets, at_once)[None])
+    is_step = row == STEP
+    log_measure = _log_measure(onsets, 0.0 if is_step else AT_ONCE)
+    hinges = Hinges(onsets[None], np.full((1, onsets.size), float(not is_step)), log_measure[None])
     return Fit(blocks, row != EXPONENTIAL, covariance[:, None], hinges, prior, np.array([row]))
 
 
@@ -200,9 +200,10 @@ class Hinges:
         A block counts as its mean mileage, but a step by the share of the block that is after it.
         """
         since, power = blocks.t - self.onsets[..., None], self.powers[..., None]
+        if self.powers.any():
+            return powered(np.maximum(since, 0), power)
         share = np.clip(0.5 + since / np.maximum(blocks.length, SHORTEST), 0, 1)
-        course = powered(np.maximum(since, 0), power)
-        return np.asarray(np.where(power == 0, share * powered(np.ones_like(since), power), course))
+        return np.asarray(share * powered(np.ones_like(since), power))
 
 
 def powered(since: FloatArray, power: FloatArray) -> FloatArray:

@@ -14,6 +14,7 @@ from hydra.experimental.callback import Callback
 from omegaconf import DictConfig
 from tabulate import tabulate
 
+from suspnet.ground.ledger import HYDRA
 from suspnet.ground.storage import read_json, write_atomically, write_json
 from suspnet.runs import plots
 from suspnet.runs.ablation import write_ablation
@@ -113,8 +114,9 @@ def with_swept(
     `job` is the column with the job's name; overrides of settings called one of `but` are left out.
     """
     given: dict[str, dict[str, str]] = {}
-    for path in sorted(folder.glob("*/.hydra/overrides.yaml")):
-        pairs = (str(one).lstrip("+").partition("=") for one in yaml.safe_load(path.read_text()))
+    for path in sorted(folder.glob(f"*/{HYDRA}/overrides.yaml")):
+        overrides = yaml.safe_load(path.read_text(encoding="utf-8"))
+        pairs = (str(one).lstrip("+").partition("=") for one in overrides)
         given[path.parents[1].name] = {key: value for key, _, value in pairs}
     keys = dict.fromkeys(key for own in given.values() for key in own)
     swept = [

@@ -24,7 +24,7 @@ import torch
 from tabulate import tabulate
 
 from suspnet.estimation.bogie_fit import CommissionedBogie
-from suspnet.estimation.checkpoint import check_restores, check_saveable, save_model
+from suspnet.estimation.checkpoint import check_restores, check_saveable, write_model
 from suspnet.estimation.flags import Residual, Unexplained
 from suspnet.estimation.problem import TEST, Problem
 from suspnet.estimation.trained import TrainedModel
@@ -167,7 +167,7 @@ def train(
         # the accuracy goes into the model's file for those who have no run folder
         accuracy = {"test_rms_percent": metrics["rms_percent"]}
         stage("figures and tables of the run")
-        save_model(folder, replace(model, training=model.training | accuracy))
+        write_model(folder, replace(model, training=model.training | accuracy))
         log_hyperparameters(run_log, metrics, model.training["parameters"], context.varied)
         if figures:
             figures_of = folder / "figures"
