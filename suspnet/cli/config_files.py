@@ -33,7 +33,11 @@ CONFIGS = _configs()
 """Absolute path of the folder that Hydra composes from."""
 MOST_INTERPOLATED = 2**13
 """Largest total length of a file's texts with interpolations, in characters."""
-TABLES = {"ablation": ("ablations.yaml", "_global_"), "scenario": ("scenarios.yaml", "scenario")}
+TABLES = {
+    "ablation": ("ablations.yaml", "_global_"),
+    "reading": ("readings.yaml", "_global_"),
+    "scenario": ("scenarios.yaml", "scenario"),
+}
 """File and package of each group whose options are the entries of one file."""
 
 
@@ -62,7 +66,7 @@ def as_written(config: Any, *, resolve: bool = False) -> dict[str, Any]:
 
 
 def store_tables() -> None:
-    """Make each entry of ablations.yaml and scenarios.yaml an option of its group.
+    """Make each entry of the files of ``TABLES`` an option of its group.
 
     The first entry holds the common settings, and the others change it. A file GROUP/NAME.yaml in a
     user's folder (`--config-dir`) is an option like any other.

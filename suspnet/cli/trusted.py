@@ -30,6 +30,7 @@ CALLBACKS = (
     "suspnet.runs.sweeps.Ablation",
     "suspnet.runs.sweeps.Comparison",
     "suspnet.runs.sweeps.Jobs",
+    "suspnet.runs.sweeps.Readings",
     "suspnet.runs.sweeps.Sensitivity",
     "suspnet.runs.sweeps.Table5",
     "suspnet.runs.sweeps.Table6",
