@@ -9,7 +9,14 @@ import torch
 from scipy.fft import next_fast_len
 from torch import Tensor
 
-from suspnet.learning.design import Columns, Direction, Gradient, cholesky, without_intercept
+from suspnet.learning.design import (
+    Columns,
+    Direction,
+    Gradient,
+    PlainVectors,
+    cholesky,
+    without_intercept,
+)
 from suspnet.learning.equispaced import EquispacedFeatures, EquispacedTransform, flat_index
 from suspnet.learning.ranks import AllReduce, identity
 
@@ -34,7 +41,7 @@ class ConjugateGradients:
     max_iter: int = 1000
 
 
-class EquispacedDesign(EquispacedTransform):
+class EquispacedDesign(EquispacedTransform, PlainVectors):
     """The design matrix Phi of equispaced modes; a `suspnet.learning.design.Design`."""
 
     def __init__(
@@ -52,25 +59,29 @@ class EquispacedDesign(EquispacedTransform):
         moved = self.matvec(change.coef) + change.intercept
         return moved, self.rmatvec(columns(slice(0, self.n_samples), moved))
 
-    def fixed(self, C: float, fit_intercept: bool) -> ToeplitzEquations:
-        """Return the equations of all weights 2 C."""
-        return ToeplitzEquations(self, C, fit_intercept, False, self._solver)
+    def fixed(self, weights: Tensor, fit_intercept: bool) -> ToeplitzEquations:
+        """Return the equations of constant weights."""
+        return ToeplitzEquations(self, weights, fit_intercept, False, self._solver)
 
-    def reweighted(self, C: float, fit_intercept: bool) -> ToeplitzEquations:
+    def reweighted(self, weights: Tensor, fit_intercept: bool) -> ToeplitzEquations:
         """Return the equations of Eq. (9), computed for the weights of every iteration."""
-        return ToeplitzEquations(self, C, fit_intercept, True, self._solver)
+        return ToeplitzEquations(self, weights, fit_intercept, True, self._solver)
+
+    def newton(self, weights: Tensor, fit_intercept: bool) -> ToeplitzEquations:
+        """Return the equations of Eq. (9): Newton's are not Toeplitz with several outputs."""
+        return self.reweighted(weights, fit_intercept)
 
 
 class ToeplitzEquations:
     """Normal equations with a Toeplitz Gram matrix, by preconditioned conjugate gradients.
 
-    If `reweighted`, the matrix is computed for the weights of each call; else all weights are 2 C.
+    If `reweighted`, the matrix is computed for the weights of each call; else they are `weights`.
     """
 
     def __init__(
         self,
         design: EquispacedTransform,
-        C: float,
+        weights: Tensor,
         fit_intercept: bool,
         reweighted: bool,
         solver: ConjugateGradients,
@@ -89,8 +100,8 @@ class ToeplitzEquations:
         self._mirrored = flat_index(-design.waves[plane] % size, half)
         wide = [4 * count + 1 for count in design.counts]
         self._steps, self._middle = flat_index(design.waves, wide), math.prod(wide) // 2
-        # The first preconditioner is that of weights 2 C, also for reweighted equations.
-        self._use(design.toeplitz(torch.full((design.n_samples,), 2 * C, dtype=torch.float64)))
+        # The first preconditioner is that of these weights, also for reweighted equations.
+        self._use(design.toeplitz(weights.double().expand(design.n_samples).contiguous()))
         strengths = torch.cat([design.modes.strengths, design.modes.strengths[1:]])
         self._diagonal = 1 + strengths * self._centre
         self._largest = min(len(design.waves), solver.largest_block)
