@@ -20,6 +20,8 @@ from suspnet.learning.ranks import AllReduce, identity
 
 CACHE_BYTES = 400_000_000
 """Largest size of a training set's features that stay in memory between passes [bytes]."""
+Penalty = Tensor | float
+"""C of all samples, or of each of them, (n_samples,)."""
 MOST_COUPLED = 4096
 """Largest number of features times outputs for which Newton's equations are factored."""
 Columns = Callable[[slice, Tensor], Tensor]
@@ -39,15 +41,13 @@ class Gradient:
     """The gradient of F at a point, and the samples' weights a_i of Eq. (10) there.
 
     `coef`: (n_features, n_outputs), `intercept`: (n_outputs,), 0 if b is not fitted, `weights`:
-    (n_samples,) of this rank's samples, `residual`: (n_samples, n_outputs) of them; `norm` is that
-    over W and b.
+    (n_samples,) of this rank's samples, `residual`: (n_samples, n_outputs) of them.
     """
 
     coef: Tensor
     intercept: Tensor
     weights: Tensor
     residual: Tensor
-    norm: float
 
 
 class NormalEquations(Protocol):
@@ -81,18 +81,15 @@ class Design(Protocol):
         """Return Phi W + b, and Phi^T V with V = columns(rows, (Phi W + b)[rows]), in one pass."""
         ...
 
-    def fixed(self, weights: Tensor, fit_intercept: bool) -> NormalEquations:
-        """Return the equations of the samples' largest weights, 2 C, computed once.
-
-        `weights` are () if all samples count alike, else (n_samples,).
-        """
+    def fixed(self, C: Penalty, fit_intercept: bool) -> NormalEquations:
+        """Return the equations of the samples' largest weights, 2 C, computed once."""
         ...
 
-    def reweighted(self, weights: Tensor, fit_intercept: bool) -> NormalEquations:
+    def reweighted(self, C: Penalty, fit_intercept: bool) -> NormalEquations:
         """Return the equations of Eq. (9), computed for the weights of every iteration."""
         ...
 
-    def newton(self, weights: Tensor, fit_intercept: bool) -> NormalEquations:
+    def newton(self, C: Penalty, fit_intercept: bool) -> NormalEquations:
         """Return the equations of Newton's method, or those of Eq. (9) where they cost less."""
         ...
 
@@ -135,6 +132,11 @@ class Gram:
             self.sums - other.sums,
             self.weight_sum - other.weight_sum,
         )
+
+
+def largest_weights(C: Penalty, like: Tensor) -> Tensor:
+    """Return 2 C of each sample, (n_samples,), which no weight of Eq. (10) exceeds."""
+    return torch.zeros_like(like) + 2 * C
 
 
 class DenseDesign(PlainVectors):
@@ -252,19 +254,24 @@ class DenseDesign(PlainVectors):
         self.all_reduce(count)
         return Gram(products.triu() + products.triu(1).T, sums, float(count))
 
-    def fixed(self, weights: Tensor, fit_intercept: bool) -> FixedGram:
-        """Return the equations of constant weights, factored once."""
-        if weights.ndim == 0:
-            return FixedGram(self.gram(), float(weights), fit_intercept)
-        return FixedGram(self.weighted_gram(weights), 1.0, fit_intercept)
+    def fixed(self, C: Penalty, fit_intercept: bool) -> FixedGram:
+        """Return the equations of all weights 2 C, computed once."""
+        if isinstance(C, Tensor):
+            return FixedGram(self.weighted_gram(C), 1.0, fit_intercept)
+        return FixedGram(self.gram(), C, fit_intercept)
 
-    def reweighted(self, weights: Tensor, fit_intercept: bool) -> ReweightedGram:
+    def reweighted(self, C: Penalty, fit_intercept: bool) -> ReweightedGram:
         """Return the equations of Eq. (9), factored for the weights of every iteration."""
         return ReweightedGram(self, fit_intercept)
 
-    def newton(self, weights: Tensor, fit_intercept: bool) -> NormalEquations:
-        """Return the equations of Newton's method while they are small, else those of Eq. (9)."""
-        return NewtonGram(self, weights, fit_intercept)
+    def newton(self, C: Penalty, fit_intercept: bool) -> NormalEquations:
+        """Return the equations of Newton's method, or those of Eq. (9) for float32 features.
+
+        The bound on the gap is that of Eq. (9), whose directions it needs where products round.
+        """
+        if self.X.dtype == torch.float32:
+            return self.reweighted(C, fit_intercept)
+        return NewtonGram(self, C, fit_intercept)
 
     def _projected(self, product: Tensor) -> Tensor:
         """Return V^T product where the blocks are those of K, else the product."""
@@ -275,15 +282,15 @@ class DenseDesign(PlainVectors):
 
 
 class FixedGram:
-    """Directions of I + scale Phi^T Phi, b eliminated: one factorisation serves every iteration.
+    """Directions of I + 2 C Phi^T Phi, b eliminated: one factorisation serves every iteration.
 
     No weight exceeds 2 C, so this quadratic bounds F from above and a full step never raises F. The
     step projects each residual onto the epsilon-ball and regresses the remainder by ridge
     regression.
     """
 
-    def __init__(self, gram: Gram, scale: float, fit_intercept: bool) -> None:
-        self._sums, self._weight_sum, self._factor = _centred_factor(gram, scale, fit_intercept)
+    def __init__(self, gram: Gram, C: float, fit_intercept: bool) -> None:
+        self._sums, self._weight_sum, self._factor = _centred_factor(gram, 2 * C, fit_intercept)
 
     def direction(self, gradient: Gradient, accuracy: float) -> Direction:
         """Return -H^-1 g, exactly."""
@@ -323,17 +330,17 @@ class NewtonGram:
     ``MOST_COUPLED`` unknowns the directions are those of Eq. (9).
     """
 
-    def __init__(self, design: DenseDesign, weights: Tensor, fit_intercept: bool) -> None:
-        self._design, self._weights, self._fit_intercept = design, weights, fit_intercept
+    def __init__(self, design: DenseDesign, C: Penalty, fit_intercept: bool) -> None:
+        self._design, self._C, self._fit_intercept = design, C, fit_intercept
         self._reweighted = ReweightedGram(design, fit_intercept)
 
     def direction(self, gradient: Gradient, accuracy: float) -> Direction:
         """Return the Newton direction, exactly."""
         n_features, n_outputs = gradient.coef.shape
         if n_outputs == 1 or n_features * n_outputs > MOST_COUPLED:
-            largest = self._weights.expand(len(gradient.weights))
-            if n_outputs == 1:  # a = c along the only direction there is
-                gradient = replace(gradient, weights=torch.where(gradient.weights > 0, largest, 0.0))
+            if n_outputs == 1:  # H = c along the only direction there is
+                largest = largest_weights(self._C, gradient.weights)
+                gradient = replace(gradient, weights=largest * (gradient.weights > 0))
             return self._reweighted.direction(gradient, accuracy)
         n = n_features + 1
         matrix = gradient.coef.new_zeros(n_outputs, n, n_outputs, n)
@@ -343,7 +350,8 @@ class NewtonGram:
             matrix[j, :, k, :] = torch.cat([block, last[:, None]], dim=1)
             matrix[k, :, j, :] = matrix[j, :, k, :]
         right = -torch.cat([gradient.coef, gradient.intercept[None]])
-        n_free = n if self._fit_intercept and bool((gradient.weights > 0).any()) else n_features
+        # without a sample outside the tube, on any rank, b is not determined
+        n_free = n if self._fit_intercept and float(matrix[0, -1, 0, -1]) > 0 else n_features
         matrix, right = matrix[:, :n_free, :, :n_free], right[:n_free]
         for j in range(n_outputs):
             matrix[j, :, j, :].diagonal()[:n_features] += 1
@@ -359,8 +367,7 @@ class NewtonGram:
         """Yield the Gram matrix of each pair of outputs j <= k, weighted by H_jk."""
         unit = torch.nn.functional.normalize(gradient.residual, dim=1)
         across = gradient.weights
-        outside = across > 0
-        rest = torch.where(outside, self._weights.expand(len(across)) - across, 0.0)
+        rest = (largest_weights(self._C, across) - across) * (across > 0)
         for j in range(unit.shape[1]):
             for k in range(j, unit.shape[1]):
                 weights = rest * unit[:, j] * unit[:, k] + (across if j == k else 0.0)

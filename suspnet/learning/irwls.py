@@ -18,6 +18,7 @@ Both have the same optimum and the same stopping rule.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import StrEnum
@@ -26,7 +27,14 @@ from typing import Literal
 import torch
 from torch import Tensor
 
-from suspnet.learning.design import Columns, Design, Direction, Gradient, NormalEquations
+from suspnet.learning.design import (
+    Columns,
+    Design,
+    Direction,
+    Gradient,
+    NormalEquations,
+    Penalty,
+)
 from suspnet.learning.loss import loss, weight
 from suspnet.learning.ranks import all_reduce, broadcast
 
@@ -37,6 +45,10 @@ SMALLEST_STEP = 1e-10
 MAX_SLOW_STEPS = 20
 """Number of slow steps in a row after which the solver leaves Newton's equations, which can cycle
 where many samples lie on the border of the tube."""
+
+
+KINDS = {"newton": ("fixed", "newton"), "irwls": ("reweighted",)}
+"""Kinds of equations of each solver, in turn."""
 
 
 class Status(StrEnum):
@@ -108,19 +120,17 @@ class IRWLS:
         `Y`: (n_samples, n_outputs), `sample_weight`: (n_samples,), None is 1. Raises ValueError if
         a system is singular to working precision.
         """
-        C = torch.tensor(self.C, dtype=torch.float64, device=Y.device)
-        if sample_weight is not None:
-            C = C * sample_weight
+        C = self.C if sample_weight is None else self.C * sample_weight
         functional = _Functional(design, C, self.epsilon, self.fit_intercept)
-        equations = _Equations(design, self, 2 * C)
+        equations = _Equations(design, self, C)
         coef = torch.zeros(design.n_features, Y.shape[1], dtype=torch.float64, device=Y.device)
         intercept = torch.zeros_like(coef[0])
         residual = Y.double().clone()
         objective, lower = functional.value(coef, residual), 0.0
         gradient = functional.gradient(coef, residual)
         objectives, n_iter, has_stagnated = [objective], 0, False
-        # The loop ends: every pass increases n_iter, except that a step of 0 switches from the
-        # fixed to the reweighted equations, or stops if these are in use.
+        # The loop ends: every pass increases n_iter, except that a step of 0 takes the next kind of
+        # equations, and stops when each kind had one.
         while (gap := _gap(objective, lower)) > self.tol and n_iter < self.max_iter:
             direction = functional.synchronised(equations.direction(gradient, self.tol * objective))
             # One pass over the samples computes everything needed for the step, the next gradient
@@ -137,11 +147,11 @@ class IRWLS:
             step, objective = functional.backtrack(
                 coef, residual, direction, change, objective, decrement
             )
-            if step == 0 and not equations.is_fixed:
+            equations.follow(step, decrement)
+            if equations.have_failed:
                 gap = _gap(objective, lower)
                 has_stagnated = True
                 break
-            equations.follow(step, decrement)
             if step == 0:
                 continue
             coef += step * direction.coef
@@ -153,13 +163,14 @@ class IRWLS:
             n_iter += 1
             support = functional.support(gradient)  # a sum over ranks: all of them take part
             if on_iteration is not None:
-                on_iteration(Iteration(n_iter, objective, gradient.norm, step, support))
+                norm = functional.norm(gradient)
+                on_iteration(Iteration(n_iter, objective, norm, step, support))
         status = Status.STAGNATED if has_stagnated else Status.MAX_ITER
         return Solution(
             design.coefficients(coef),
             intercept,
             objective,
-            gradient.norm,
+            functional.norm(gradient),
             gap,
             functional.support(gradient),
             n_iter,
@@ -169,30 +180,35 @@ class IRWLS:
 
 
 class _Equations:
-    """The current normal equations: fixed until a step is slow, then Newton's until many are."""
+    """The equations in use: the next kind after slow steps, without end if one kind is all."""
 
-    def __init__(self, design: Design, solver: IRWLS, weights: Tensor) -> None:
-        self._solver, self._design, self._weights = solver, design, weights
-        self.is_fixed = solver.solver == "newton"
-        make = design.fixed if self.is_fixed else design.reweighted
-        self._current: NormalEquations = make(weights, solver.fit_intercept)
-        self._other: NormalEquations | None = None
-        self._decrement, self._n_slow = float("inf"), 0
+    def __init__(self, design: Design, solver: IRWLS, C: Penalty) -> None:
+        self._slow_decrease = solver.slow_decrease
+        make = {"fixed": design.fixed, "newton": design.newton, "reweighted": design.reweighted}
+        self._kinds = KINDS[solver.solver]
+        self._make = [functools.partial(make[name], C, solver.fit_intercept) for name in self._kinds]
+        self._made: dict[int, NormalEquations] = {}
+        self._place = self._n_slow = self._n_failed = 0
+        self._decrement = float("inf")
 
     def direction(self, gradient: Gradient, accuracy: float) -> Direction:
-        return self._current.direction(gradient, accuracy)
+        if self._place not in self._made:
+            self._made[self._place] = self._make[self._place]()
+        return self._made[self._place].direction(gradient, accuracy)
+
+    @property
+    def have_failed(self) -> bool:
+        """Whether every kind in turn gave a direction without a step."""
+        return self._n_failed == len(self._kinds)
 
     def follow(self, step: float, decrement: float) -> None:
-        """Switch equations after one slow step of the fixed ones, or many of Newton's."""
-        solver = self._solver
-        if solver.solver == "irwls":
-            return
-        is_slow = step == 0 or decrement > solver.slow_decrease * self._decrement
+        """Take the next kind after a step of 0, a slow one of the fixed, or many of another."""
+        is_slow = step == 0 or decrement > self._slow_decrease * self._decrement
         self._decrement, self._n_slow = decrement, self._n_slow + 1 if is_slow else 0
-        if self._n_slow >= (1 if self.is_fixed else MAX_SLOW_STEPS):
-            other = self._other or self._design.newton(self._weights, solver.fit_intercept)
-            self._current, self._other = other, self._current
-            self.is_fixed, self._n_slow = not self.is_fixed, 0
+        self._n_failed = self._n_failed + 1 if step == 0 else 0
+        patience = 1 if self._kinds[self._place] == "fixed" else MAX_SLOW_STEPS
+        if step == 0 or self._n_slow >= patience:
+            self._place, self._n_slow = (self._place + 1) % len(self._kinds), 0
 
 
 @dataclass(frozen=True)
@@ -200,7 +216,7 @@ class _Functional:
     """F on a design, its gradient, and a bound below it; sums run over all ranks."""
 
     design: Design
-    C: Tensor
+    C: Penalty
     epsilon: float
     fit_intercept: bool
 
@@ -229,9 +245,12 @@ class _Functional:
         offset = torch.zeros_like(coef[0])
         if self.fit_intercept:
             offset = -self.design.all_reduce(weighted.sum(dim=0))
-        slope = coef - product
-        squared = self.design.inner(slope, slope).clamp(min=0) + offset.square().sum()
-        return Gradient(slope, offset, weights, residual, float(squared.sqrt()))
+        return Gradient(coef - product, offset, weights, residual)
+
+    def norm(self, gradient: Gradient) -> float:
+        """Return the Euclidean norm of a gradient over W and b."""
+        squared = self.design.inner(gradient.coef, gradient.coef).clamp(min=0)
+        return float((squared + gradient.intercept.square().sum()).sqrt())
 
     def columns(self, residual: Tensor, gradient: Gradient) -> Columns:
         """Return the columns that Phi^T multiplies for the next gradient and for the bound."""

@@ -10,7 +10,14 @@ from __future__ import annotations
 import torch
 from torch import Tensor, cholesky_solve
 
-from suspnet.learning.design import Columns, Direction, Gradient, cholesky
+from suspnet.learning.design import (
+    Columns,
+    Direction,
+    Gradient,
+    Penalty,
+    cholesky,
+    largest_weights,
+)
 from suspnet.learning.feature_maps import KernelColumns
 from suspnet.learning.ranks import AllReduce, identity
 
@@ -50,17 +57,17 @@ class KernelDesign:
         moved = change.coef[self.n_samples :] + change.intercept
         return moved, self.rmatvec(columns(slice(0, self.n_samples), moved))
 
-    def fixed(self, weights: Tensor, fit_intercept: bool) -> FixedKernel:
-        """Return the equations of constant weights, factored once."""
-        return FixedKernel(self, weights, fit_intercept)
+    def fixed(self, C: Penalty, fit_intercept: bool) -> FixedKernel:
+        """Return the equations of all weights 2 C, computed once."""
+        return FixedKernel(self, C, fit_intercept)
 
-    def reweighted(self, weights: Tensor, fit_intercept: bool) -> ReweightedKernel:
+    def reweighted(self, C: Penalty, fit_intercept: bool) -> ReweightedKernel:
         """Return the equations of Eq. (9), factored for the weights of every iteration."""
         return ReweightedKernel(self, fit_intercept)
 
-    def newton(self, weights: Tensor, fit_intercept: bool) -> NewtonKernel:
+    def newton(self, C: Penalty, fit_intercept: bool) -> NewtonKernel:
         """Return the equations of Newton's method."""
-        return NewtonKernel(self, weights, fit_intercept)
+        return NewtonKernel(self, C, fit_intercept)
 
     def direction(self, gradient: Gradient, rows: Tensor, eta: Tensor, shift: Tensor) -> Direction:
         """Return eta - g, with `eta` that of some rows."""
@@ -70,11 +77,11 @@ class KernelDesign:
 
 
 class FixedKernel:
-    """Directions for constant weights c, H = c: one factorisation serves every iteration."""
+    """Directions of all weights 2 C, H = 2 C: one factorisation serves every iteration."""
 
-    def __init__(self, design: KernelDesign, weights: Tensor, fit_intercept: bool) -> None:
+    def __init__(self, design: KernelDesign, C: Penalty, fit_intercept: bool) -> None:
         self._design, self._fit_intercept = design, fit_intercept
-        self._weights = weights.expand(design.n_samples)[:, None]
+        self._weights = largest_weights(C, design.K[0])[:, None]
         self._used = (self._weights[:, 0] > 0).nonzero()[:, 0]
         every = len(self._used) == design.n_samples
         kernel = design.K if every else design.K[self._used][:, self._used]
@@ -114,8 +121,8 @@ class NewtonKernel:
     The system has a row for each output of each sample outside the tube.
     """
 
-    def __init__(self, design: KernelDesign, weights: Tensor, fit_intercept: bool) -> None:
-        self._design, self._weights = design, weights.expand(design.n_samples)
+    def __init__(self, design: KernelDesign, C: Penalty, fit_intercept: bool) -> None:
+        self._design, self._weights = design, largest_weights(C, design.K[0])
         self._fit_intercept = fit_intercept
 
     def direction(self, gradient: Gradient, accuracy: float) -> Direction:

@@ -228,12 +228,16 @@ class MSVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mis
         kind = MAPS[self.feature_map]
         if self.feature_map == "exact" and len(samples) > MOST_EXACT:
             warnings.warn(
-                f"feature_map='exact' takes {3 * 8e-9 * len(samples) ** 2:.1f} GB and more for "
+                f"feature_map='exact' takes {2 * 8e-9 * len(samples) ** 2:.1f} GB and more for "
                 f"{len(samples)} samples; 'rff' or 'nystroem' needs far less",
                 UserWarning,
                 stacklevel=2,
             )
         everywhere = self.distributed and kind.of_data
+        if self.feature_map == "exact" and self.distributed and ranks.is_distributed():
+            raise ValueError(
+                "feature_map='exact' needs all samples in one process: use 'nystroem' or 'rff'"
+            )
         self._map = self._make_map(ranks.all_gather(samples) if everywhere else samples)
         all_reduce = ranks.all_reduce if self.distributed else ranks.identity
         # constant outputs are the intercept, without the rounding that a fit would leave
@@ -381,9 +385,9 @@ class MSVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mis
     def _sample_weight(self, sample_weight: ArrayLike | None, samples: Tensor) -> Tensor | None:
         if sample_weight is None:
             return None
-        weights = _check_sample_weight(sample_weight, samples.numpy(), ensure_non_negative=True)
-        if not weights.any():
-            raise ValueError("`sample_weight` must be above 0 for at least one sample")
+        weights = _check_sample_weight(
+            sample_weight, samples.cpu().numpy(), dtype=np.float64, ensure_non_negative=True
+        )
         return torch.tensor(weights, dtype=torch.float64, device=self.device)
 
     def _solve(

@@ -13,8 +13,10 @@ from suspnet.learning.design import (
     Columns,
     Direction,
     Gradient,
+    Penalty,
     PlainVectors,
     cholesky,
+    largest_weights,
     without_intercept,
 )
 from suspnet.learning.equispaced import EquispacedFeatures, EquispacedTransform, flat_index
@@ -59,29 +61,29 @@ class EquispacedDesign(EquispacedTransform, PlainVectors):
         moved = self.matvec(change.coef) + change.intercept
         return moved, self.rmatvec(columns(slice(0, self.n_samples), moved))
 
-    def fixed(self, weights: Tensor, fit_intercept: bool) -> ToeplitzEquations:
-        """Return the equations of constant weights."""
-        return ToeplitzEquations(self, weights, fit_intercept, False, self._solver)
+    def fixed(self, C: Penalty, fit_intercept: bool) -> ToeplitzEquations:
+        """Return the equations of all weights 2 C."""
+        return ToeplitzEquations(self, C, fit_intercept, False, self._solver)
 
-    def reweighted(self, weights: Tensor, fit_intercept: bool) -> ToeplitzEquations:
+    def reweighted(self, C: Penalty, fit_intercept: bool) -> ToeplitzEquations:
         """Return the equations of Eq. (9), computed for the weights of every iteration."""
-        return ToeplitzEquations(self, weights, fit_intercept, True, self._solver)
+        return ToeplitzEquations(self, C, fit_intercept, True, self._solver)
 
-    def newton(self, weights: Tensor, fit_intercept: bool) -> ToeplitzEquations:
+    def newton(self, C: Penalty, fit_intercept: bool) -> ToeplitzEquations:
         """Return the equations of Eq. (9): Newton's are not Toeplitz with several outputs."""
-        return self.reweighted(weights, fit_intercept)
+        return self.reweighted(C, fit_intercept)
 
 
 class ToeplitzEquations:
     """Normal equations with a Toeplitz Gram matrix, by preconditioned conjugate gradients.
 
-    If `reweighted`, the matrix is computed for the weights of each call; else they are `weights`.
+    If `reweighted`, the matrix is computed for the weights of each call; else all weights are 2 C.
     """
 
     def __init__(
         self,
         design: EquispacedTransform,
-        weights: Tensor,
+        C: Penalty,
         fit_intercept: bool,
         reweighted: bool,
         solver: ConjugateGradients,
@@ -100,8 +102,9 @@ class ToeplitzEquations:
         self._mirrored = flat_index(-design.waves[plane] % size, half)
         wide = [4 * count + 1 for count in design.counts]
         self._steps, self._middle = flat_index(design.waves, wide), math.prod(wide) // 2
-        # The first preconditioner is that of these weights, also for reweighted equations.
-        self._use(design.toeplitz(weights.double().expand(design.n_samples).contiguous()))
+        # The first preconditioner is that of weights 2 C, also for reweighted equations.
+        none = torch.zeros(design.n_samples, dtype=torch.float64)
+        self._use(design.toeplitz(largest_weights(C, none)))
         strengths = torch.cat([design.modes.strengths, design.modes.strengths[1:]])
         self._diagonal = 1 + strengths * self._centre
         self._largest = min(len(design.waves), solver.largest_block)
