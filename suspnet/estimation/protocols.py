@@ -140,6 +140,11 @@ class Task:
         return tuple(name for name in self.varied if name not in known)
 
     @property
+    def unknown_sets(self) -> list[tuple[str, ...]]:
+        """Unknown parameters of each of the sets that vary together."""
+        return [tuple(n for n in names if n in self.unknown) for names in self.varied_sets]
+
+    @property
     def used_responses(self) -> list[int]:
         """Indices in ``RESPONSES`` of the curves that may be used."""
         return [RESPONSES.index(name) for name in self.responses]

@@ -270,7 +270,7 @@ def test_trips_have_intervals_and_flags_too():
 
 
 def test_curves_that_do_not_tell_the_outputs_cannot_be_refined():
-    problem = problem_of("secondary", "paper", n_train=60, n_test=20, n_calibrate=100)
+    problem = problem_of("secondary", "own_curve", n_train=60, n_test=20, n_calibrate=100)
     model = replace(fit(problem, LinearRegression(), None), refined=True)
     with pytest.raises(ValueError, match="refine=true needs curves that identify k_s"):
         calibrated(problem, model)
