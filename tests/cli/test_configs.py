@@ -189,7 +189,6 @@ def test_every_reading_composes(name):
     check_configuration(config)
     assert build(config, "protocol").task("II").outputs
     assert build(config, "search").n_settings("linear") == 1
-    assert config.reading_name == name
 
 
 def test_vehicles_are_read_from_their_files():
