@@ -115,7 +115,7 @@ def _contents(repo):
     """
     found = []
     for source in repo.get_sources():
-        found.append((source.scheme(), source.path, getattr(source, "names_host", None)))
+        found.append((source.scheme(), source.path, frozenset(getattr(source, "brokers", ()))))
         if source.scheme() == "file" and source.path != CONFIGS:
             for path in islice(Path(source.path).rglob("*"), MAX_FILES + 1):
                 plain = path.is_dir() or (path.is_file() and path.stat().st_size <= MAX_BYTES)

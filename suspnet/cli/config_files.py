@@ -20,7 +20,7 @@ from omegaconf import DictConfig, ListConfig, OmegaConf
 
 from suspnet.ground.settings import check_number
 from suspnet.ground.storage import read_plain
-from suspnet.recordings.core_yaml import LOADER, parse_yaml
+from suspnet.recordings.core_yaml import LOADER, MOST_BYTES, parse_yaml
 
 
 def _configs() -> str:
@@ -79,7 +79,7 @@ def read_settings(file: Path) -> tuple[str, dict[Any, Any]]:
     ValueError if it is not a regular file, or not YAML that `parse_yaml` reads: a mapping without
     tags, whose aliases are bounded.
     """
-    text = read_plain(file).decode("utf-8-sig", errors="replace")
+    text = read_plain(file, MOST_BYTES).decode("utf-8-sig", errors="replace")
     try:
         content = parse_yaml(text) or {}
         if not isinstance(content, dict):

@@ -10,6 +10,7 @@ from __future__ import annotations
 import copy
 import os
 import re
+from collections.abc import Set as AbstractSet
 from pathlib import Path
 from typing import Any
 
@@ -123,8 +124,8 @@ def _check_package(package: str | None, group: str) -> None:
 class _TheirFolder(FileConfigSource):
     """A folder of ``--config-dir``, of whose files Hydra gets checked content only."""
 
-    names_host = False
-    """Whether the user has named the host of a broker."""
+    brokers: AbstractSet[str] = frozenset()
+    """Groups whose broker's host the user has named."""
 
     def load_config(self, config_path: str) -> ConfigResult:
         """Return the content of a file; ValueError if it sets more than it may."""
@@ -139,10 +140,10 @@ class _TheirFolder(FileConfigSource):
             if header["package"] is None:
                 settings = {group: settings}
             check_settings(settings)
-            if {"source", "sink"} & settings.keys() and not self.names_host:
+            for name in {"sink", "source"} & settings.keys() - self.brokers:
                 raise ValueError(
-                    "it sets a broker: name the broker's host yourself, source.broker.host=NAME or "
-                    f"sink.broker.host=NAME on the command line, or export {HOST_VARIABLE}=NAME"
+                    f"it sets `{name}.broker`: name the broker's host yourself, {name}.broker.host="
+                    f"NAME on the command line, or export {HOST_VARIABLE}=NAME"
                 )
         except ValueError as error:
             raise ValueError(f"{file}: {error}") from error
@@ -196,15 +197,20 @@ class CheckedLoader(ConfigLoaderImpl):
             )
         theirs = [one for one in self.get_sources() if isinstance(one, _TheirFolder)]
         for one in theirs:
-            one.names_host = bool(
-                {"source.broker.host", "sink.broker.host"} & typed or os.environ.get(HOST_VARIABLE)
-            )
+            one.brokers = {
+                group
+                for group in ("sink", "source")
+                if f"{group}.broker.host" in typed or os.environ.get(HOST_VARIABLE)
+            }
         config = super().load_configuration(
             config_name, overrides, run_mode, from_shell, validate_sweep_overrides
         )
         if run_mode == RunMode.MULTIRUN and validate_sweep_overrides and theirs:
             # the sweeper would write a file before it composes the jobs
-            for job in _jobs(config, self):
+            swept = [f"{key}={one}" for key, one in (config.hydra.sweeper.params or {}).items()]
+            parser = OverridesParser.create(config_loader=self)
+            all_of_them = parser.parse_overrides([*swept, *config.hydra.overrides.task])
+            for job in BasicSweeper.split_arguments(all_of_them, None)[0]:
                 self.load_sweep_config(config, job)
         return config
 
@@ -232,12 +238,3 @@ def _check_subfolder(config: DictConfig) -> None:
         raise ValueError(
             f"`hydra.sweep.subdir` must give a plain name for the folder of a job, got {name!r}"
         )
-
-
-def _jobs(config: DictConfig, loader: ConfigLoaderImpl) -> list[list[str]]:
-    """Return the overrides of each job of a multirun, as Hydra's basic sweeper finds them."""
-    swept = [f"{key}={value}" for key, value in (config.hydra.sweeper.params or {}).items()]
-    typed = list(config.hydra.overrides.task)
-    overrides = OverridesParser.create(config_loader=loader).parse_overrides(swept + typed)
-    (jobs,) = BasicSweeper.split_arguments(overrides, None)
-    return jobs
