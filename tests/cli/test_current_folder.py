@@ -9,7 +9,10 @@ import pytest
 
 from suspnet.cli.start import PROGRAMS
 
-PLANTED = ("joblib", "multiprocessing", "numpy", "torch", "pickle", "hydra", "suspnet")
+PLANTED = (
+    *("joblib", "multiprocessing", "numpy", "torch", "pickle", "hydra", "hydra_plugins"),
+    "suspnet",
+)
 PROBE = """
 import multiprocessing, subprocess, sys
 from suspnet.ground.workers import fork_from_server, guarded
@@ -70,6 +73,7 @@ def test_no_process_of_a_program_imports_from_the_current_folder(program, start,
     assert program in printed
 
 
+@pytest.mark.slow
 def test_workers_of_a_simulation_import_nothing_from_the_current_folder(tmp_path):
     cwd = planted(tmp_path / "recordings", PLANTED)
     short = ("out=trips", "fleet.n_trips=2", "fleet.minutes=0.5", "workers=2", "progress=false")
