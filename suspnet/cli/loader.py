@@ -158,7 +158,7 @@ class _CheckedRepository(ConfigRepository):
         super().initialize_sources(config_search_path)
         self.sources = [
             _TheirFolder(one.provider, one.path)
-            if one.scheme() == "file" and one.path != CONFIGS
+            if one.scheme() == "file" and not os.path.samefile(one.path, CONFIGS)
             else one
             for one in self.sources
         ]
