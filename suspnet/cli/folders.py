@@ -11,7 +11,6 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-import yaml
 from hydra.core.hydra_config import HydraConfig
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.experimental.callback import Callback
@@ -21,6 +20,7 @@ from omegaconf import DictConfig, OmegaConf, open_dict, read_write
 from suspnet.cli.kinds import KINDS
 from suspnet.ground import ledger
 from suspnet.ground.storage import new_folder, write_atomically
+from suspnet.recordings.core_yaml import read_yaml
 
 log = logging.getLogger(__name__)
 ERROR = "error.txt"
@@ -222,8 +222,8 @@ def _is_finished(folder: Path) -> bool:
 def _saved(folder: Path) -> Any:
     """Return the compared part of config.yaml; None if it cannot be read."""
     try:
-        return _compared(yaml.safe_load((folder / "config.yaml").read_text(encoding="utf-8")))
-    except (OSError, ValueError, yaml.YAMLError):
+        return _compared(read_yaml(folder / "config.yaml"))
+    except (OSError, ValueError):
         return None
 
 
@@ -281,9 +281,9 @@ def swept() -> list[str]:
     file = Path(config.sweep.dir) / "multirun.yaml"
     if not file.is_file():  # composed for one job of a multirun, not by a multirun
         return []
-    whole = OmegaConf.load(file).hydra
-    typed = OverridesParser.create().parse_overrides(list(whole.overrides.task))
-    keys = [str(key) for key in whole.sweeper.get("params") or ()]
+    whole = read_yaml(file)["hydra"]
+    typed = OverridesParser.create().parse_overrides(whole["overrides"]["task"])
+    keys = list(whole["sweeper"].get("params") or ())
     keys += [override.get_key_element() for override in typed if override.is_sweep_override()]
     return list(dict.fromkeys(keys))
 

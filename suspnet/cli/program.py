@@ -27,12 +27,11 @@ from hydra._internal.utils import get_args_parser
 from hydra.core.hydra_config import HydraConfig
 from hydra.errors import HydraException, InstantiationException
 from omegaconf import DictConfig, OmegaConf
-from omegaconf.errors import GrammarParseError, OmegaConfBaseException
+from omegaconf.errors import OmegaConfBaseException
 
 from suspnet.cli import folders, reference, signals
 from suspnet.cli.config_files import CONFIGS, as_written, read_values, store_tables
 from suspnet.cli.loader import CheckedLoader
-from suspnet.cli.trusted import check_configuration
 from suspnet.ground import progress
 from suspnet.ground.parameters import DEFAULT_LIMITS, read_limits
 from suspnet.ground.settings import Declared, Setting
@@ -254,7 +253,6 @@ def task(function: Callable[[DictConfig], Any]) -> Callable[[DictConfig], Any]:
     def wrapped(config: DictConfig) -> Any:
         end_with_parent()
         try:
-            check_configuration(config)
             read_values(config)
             _check_limits(config)
             with _progress():
@@ -352,8 +350,6 @@ def one_line(error: BaseException) -> str:
     ):
         error = error.__cause__
     message = str(error)
-    if isinstance(error, GrammarParseError) and error.full_key:
-        message = f"`{error.full_key}` holds an interpolation that has no end: {error.value!r}"
     if isinstance(error, RecursionError):
         message = "the configuration is nested too deeply, or refers to itself"
     if isinstance(error, MemoryError):

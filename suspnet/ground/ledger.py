@@ -165,14 +165,18 @@ def _read(root: Path) -> Listed:
 
 
 def _files(folder: Path) -> Iterator[Path]:
-    """Yield all files and links in a folder and below it."""
+    """Yield all files and links in a folder and below it, and folders with the name of a log."""
 
     def refuse(error: OSError) -> None:
         raise error
 
     for where, folders, names in os.walk(folder, onerror=refuse):
-        links = [name for name in folders if os.path.islink(os.path.join(where, name))]
-        for name in sorted([*names, *links]):
+        odd = [
+            name
+            for name in folders
+            if os.path.islink(os.path.join(where, name)) or _is_of_log(name)
+        ]
+        for name in sorted([*names, *odd]):
             yield Path(where, name)
 
 
@@ -180,10 +184,14 @@ def _is_untouched(path: Path, root: Path, listed: Listed) -> bool:
     """Return whether a regular file may exist without a hash."""
     name = _name(path, root)
     return stat.S_ISREG(path.lstat().st_mode) and (
-        any(fnmatch(path.name, pattern) for pattern in UNTOUCHED_FILES)
+        _is_of_log(path.name)
         or any(part in UNTOUCHED_FOLDERS for part in Path(name).parts[:-1])
         or listed.get(name) == set()
     )
+
+
+def _is_of_log(name: str) -> bool:
+    return any(fnmatch(name, pattern) for pattern in UNTOUCHED_FILES)
 
 
 def _is_ours(path: Path, root: Path, listed: Listed) -> bool:

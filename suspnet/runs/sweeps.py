@@ -16,6 +16,7 @@ from tabulate import tabulate
 
 from suspnet.ground.ledger import HYDRA
 from suspnet.ground.storage import read_json, write_atomically, write_json
+from suspnet.recordings.core_yaml import read_yaml
 from suspnet.runs import plots
 from suspnet.runs.ablation import write_ablation
 from suspnet.runs.tables import (
@@ -115,7 +116,7 @@ def with_swept(
     """
     given: dict[str, dict[str, str]] = {}
     for path in sorted(folder.glob(f"*/{HYDRA}/overrides.yaml")):
-        overrides = yaml.safe_load(path.read_text(encoding="utf-8"))
+        overrides = read_yaml(path)
         pairs = (str(one).lstrip("+").partition("=") for one in overrides)
         given[path.parents[1].name] = {key: value for key, _, value in pairs}
     keys = dict.fromkeys(key for own in given.values() for key in own)
@@ -159,7 +160,7 @@ def _same_but_seeds(
     found: dict[str, list[tuple[Mapping[str, Any], dict[str, Any]]]] = {}
     for row in rows:
         if row["state"] == "finished":
-            config = yaml.safe_load((folder / row["job"] / "config.yaml").read_text())
+            config = read_yaml(folder / row["job"] / "config.yaml")
             seeds: dict[str, Any] = {}
             rest = json.dumps(_without_seeds(config, seeds), sort_keys=True, default=str)
             found.setdefault(rest, []).append((row, seeds))

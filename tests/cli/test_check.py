@@ -426,7 +426,7 @@ def test_folder_of_vehicles_is_checked_and_runs_nothing(manifests, tmp_path):
     )
     done = typed(check, manifests[0], "--config-dir", tmp_path, cwd=tmp_path)
     assert done.returncode == 1
-    assert "`_target_` is no longer used" in done.stderr
+    assert "`vehicle._target_` is no setting of vehicle" in done.stderr
     assert not (tmp_path / "hit").exists()
     assert not (tmp_path / "outputs").exists()
 

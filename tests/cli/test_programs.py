@@ -194,7 +194,7 @@ def test_curve_fit_comes_close_to_the_bound(tmp_path):
         ("device=cuda:99", "`device`='cuda:99' cannot be used here"),
         ("seed=-1", "`seed` must be a whole number"),
         ("threads=0", "`threads` must be a whole number >= 1"),
-        ("+model._target_=os.system", "'os.system' is not trusted"),
+        ("+model._target_=os.system", "._target_` is no setting of "),
     ],
 )
 def test_mistake_gets_one_line(override, message, tmp_path):

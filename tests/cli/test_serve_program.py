@@ -93,18 +93,6 @@ def test_mistakes_about_who_may_do_what_are_one_line(refused, path, tmp_path, mo
 
 
 @pytest.mark.parametrize(
-    "line",
-    ["engineers: [Eve]", "user_header: X-Eve", "trusted_proxies: [6.6.6.6]", "token_file: t"],
-)
-def test_files_of_others_do_not_say_who_may_do_what(refused, path, tmp_path, line):
-    folder = tmp_path / "theirs" / "x"
-    folder.mkdir(parents=True)
-    (folder / "own.yaml").write_text(f"# @package _global_\n{line}\n")
-    said = refused(f"store={path}", "+x=own", "--config-dir", str(folder.parent))
-    assert f"`{line.partition(':')[0]}`, who may do what, is given on the command line only" in said
-
-
-@pytest.mark.parametrize(
     ("module", "where", "arguments"),
     [(serve, "serve", ()), (evaluate, "write_maintenance", ("study=maintenance",))],
 )
