@@ -11,7 +11,7 @@ import numpy as np
 
 from suspnet.ground.parameters import ENDS, SIDES
 from suspnet.ground.types import FloatArray
-from suspnet.recordings.clocks import Times, Zero, header_date
+from suspnet.recordings.clocks import Times, Zero, stated_zero
 from suspnet.recordings.columns import Column, OpenFile, size_of, unit_in_name
 from suspnet.recordings.errors import TripError
 from suspnet.recordings.formats import open_file, read_columns
@@ -245,19 +245,19 @@ def _signal(
 
 def _zero(file: Path, opened: OpenFile, column: Column, time: str, time_unit: str) -> Zero:
     if not time:
-        return Zero(column.start_ns, is_stated=True, date=header_date(column))
+        return stated_zero(column)
     times = Times(
         str(file),
         Source(str(file), time_unit=time_unit or None),
         opened.column(time),
-        column.start_ns,
+        stated_zero(column),
     )
     try:
         for block in _first(file, opened, [time]):
             times.seconds(block)
     except TripError:
-        return Zero(date=header_date(column))
-    return replace(times.zero, date=header_date(column))
+        return Zero(date=stated_zero(column).date)
+    return replace(times.zero, date=stated_zero(column).date)
 
 
 def _rate(opened: OpenFile, time: str, times: FloatArray) -> tuple[float, str]:

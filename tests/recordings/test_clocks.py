@@ -156,7 +156,7 @@ def test_equal_headers_begin_with_the_trip():
 @pytest.mark.parametrize(
     ("source", "unit", "size"),
     [({"time_unit": "ms"}, None, 1e-3), ({}, "ms", 1e-3), ({"time_unit": "us"}, "µs", 1e-6),
-     ({}, None, 1.0), ({}, "V", 1.0)],
+     ({}, None, 1.0), ({"time_unit": "s"}, "V", 1.0), ({}, "minutes", 60.0)],
 )  # fmt: skip
 def test_numbers_are_in_their_unit(source, unit, size):
     times = Times("here", Source("f", time="t", **source), Column("t", unit), None)
