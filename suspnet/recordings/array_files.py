@@ -43,10 +43,6 @@ MOST_PARTS = 1000
 """Largest number of columns of a matrix, and of cells of a variable of MATLAB."""
 MOST_CELLS = 4
 """Largest number of cells within cells."""
-MATLAB_OBJECT = (
-    "is an object of MATLAB ({}), whose content only MATLAB can read: save its numbers as arrays, "
-    "as t = x.Time; a = x.Data; save('trip.mat', 't', 'a')"
-)
 PLAIN = "; export it as plain numbers into one file"
 MISSING_NAMES = ("_FillValue", "missing_value")
 PACKING = (
@@ -54,7 +50,7 @@ PACKING = (
     *("scale_factor", "add_offset", "valid_min", "valid_max", "valid_range"),
 )
 """Attributes of netCDF on missing samples, scale, offset and valid limits of stored numbers."""
-_SINCE = re.compile(r"(\w+) since (.+?)( UTC| Z)?$")
+_SINCE = re.compile(r"(\w+)\s+since\s+(.+?)(\s+UTC|\s+Z)?$")
 """Unit of times of netCDF: a unit and the date from which times are counted, in UTC."""
 FILTERS = (1, 2, 3, 4, 5, 6, 32000)
 """Filters of the HDF5 library and h5py: deflate, shuffle, fletcher32, szip, nbit, scaleoffset and
@@ -74,7 +70,7 @@ def open_hdf5(path: Path, _: CsvDialect | None = None) -> Iterator[OpenFile]:
         arrays = dict(sorted(found.arrays.items(), key=lambda item: max(item[1].shape) <= 1))
         whole = {key: one for key, one in _stated(dict(file.attrs)).items() if key == "date"}
         descriptions = {name: whole | found.described(name) for name in arrays}
-        with _opened(path, arrays, descriptions, found.refused) as opened:
+        with _opened(path, arrays, descriptions, found.unread) as opened:
             yield opened
 
 
@@ -85,17 +81,17 @@ class _Content:
         self.h5py, self.file = h5py, file
         self.arrays: dict[str, Any] = {}
         self.datasets: dict[str, Any] = {}
-        self.refused: dict[str, str] = {}
+        self.unread: dict[str, str] = {}
 
     def collect(self, name: str, item: Any) -> None:
         """Add an object of the file; a name with # is that of MATLAB's content of cells."""
         if not isinstance(item, self.h5py.Dataset) or name.startswith("#"):
             return
         try:
-            self.refused |= {name: why} if (why := foreign(item)) else self._collected(name, item)
+            self.unread |= {name: why} if (why := foreign(item)) else self._collected(name, item)
         except Exception as error:  # types without an equivalent; HDF5 raises any error
             reason = " ".join(str(error).split())[:100]
-            self.refused[name] = f"cannot be read ({reason}){PLAIN}"
+            self.unread[name] = f"cannot be read ({reason}){PLAIN}"
 
     def _collected(self, name: str, item: Any) -> dict[str, str]:
         """Add a data set that needs nothing else; return why parts of it are not read."""
@@ -103,7 +99,7 @@ class _Content:
             return {name: "is without samples: its space is null"}
         if "MATLAB_object_decode" in item.attrs:
             kind = item.attrs.get("MATLAB_class", b"")
-            return {name: MATLAB_OBJECT.format(bytes(kind).decode("ascii", "replace"))}
+            return {name: _matlab_object(bytes(kind))}
         if self.h5py.check_ref_dtype(item.dtype) is self.h5py.Reference:
             self._collect_cells(name, item)
             return {}
@@ -128,7 +124,7 @@ class _Content:
     def _collect_cells(self, name: str, item: Any) -> None:
         """Add the content of MATLAB's cells, to which references lead."""
         if item.size > MOST_PARTS or name.count("[") >= MOST_CELLS:
-            raise ValueError("references to references")
+            raise ValueError("nested references")
         for i, reference in enumerate(item[()].ravel()):
             content = self.file[reference] if reference else None
             if content is None or not content.name.startswith("/#"):
@@ -156,6 +152,13 @@ class _Content:
             if times != name and times in self.arrays and size_of("time", unit):
                 return {"time": times}
         return {}
+
+
+def _matlab_object(kind: bytes) -> str:
+    return (
+        f"is an object of MATLAB ({kind.decode('latin-1')}), whose content only MATLAB can read: "
+        "save its numbers as arrays, as t = x.Time; a = x.Data; save('trip.mat', 't', 'a')"
+    )
 
 
 def _no_numbers(item: Any) -> str:
@@ -291,7 +294,7 @@ def open_mat(path: Path, _: CsvDialect | None = None) -> Iterator[OpenFile]:
     for name, leaf in leaves.items():
         array = np.atleast_1d(leaf)
         if isinstance(leaf, MatlabOpaque):
-            refused[name] = MATLAB_OBJECT.format(leaf["s2"].item().decode("latin-1"))
+            refused[name] = _matlab_object(leaf["s2"].item())
         elif not (why := _no_numbers(array)):
             arrays[name] = array
         elif why.strip():
@@ -314,8 +317,8 @@ def _variables(path: Path) -> tuple[list[tuple[str, tuple[int, ...], str]], dict
         for name, part in varmats_from_mat(stream):
             if name == "None":
                 record = loadmat(part)[name]
-                own, kind = (record[key].item().decode("latin-1") for key in ("s0", "s2"))
-                refused[own] = MATLAB_OBJECT.format(kind)
+                own = record["s0"].item().decode("latin-1")
+                refused[own] = _matlab_object(record["s2"].item())
             elif not name.startswith("__"):
                 found += whosmat(part)
     return found, refused
@@ -382,7 +385,7 @@ def _opened(
     refused: Mapping[str, str],
 ) -> Iterator[OpenFile]:
     """Open arrays by name; a matrix has one column ``name[i]`` for each of its columns."""
-    columns = [Column(name, refused=why) for name, why in refused.items()]
+    columns = [Column(name, unread=why) for name, why in refused.items()]
     takes: dict[str, tuple[int, Take]] = {}
     matrices = []
     for name, array in arrays.items():

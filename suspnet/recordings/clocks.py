@@ -60,16 +60,16 @@ class Zero:
 class Times:
     """Converts the times of a source into seconds, block by block.
 
-    `column` holds the times; `stated` is their origin by the file's header. `zero` is known after
-    the first block.
+    `column` holds the times; `start_ns` is their origin as the file states it of the values, else
+    it is that of `column`. `zero` is known after the first block.
     """
 
-    def __init__(self, where: str, source: Source, column: Column, stated: Zero | None) -> None:
+    def __init__(self, where: str, source: Source, column: Column, start_ns: int | None) -> None:
         self.where, self.source, self.column = where, source, column
-        self.zero = stated or Zero()
+        start_ns = column.start_ns if start_ns is None else start_ns
+        self.zero = Zero(start_ns, not column.is_local, is_stated=start_ns is not None)
         self._begun = False
-        self._size: float = 1.0
-        self._first: float = 0.0
+        self._size, self._first = 1.0, 0.0
 
     def seconds(self, times: NDArray[np.generic]) -> FloatArray:
         """Return times in seconds since `zero`, NaN where missing.
@@ -136,16 +136,17 @@ class Times:
         if dated:
             whole_s = int(first * self._size)
             is_small = self._size < 1  # then its inverse is exact
-            self._first = whole_s * round(1 / self._size) if is_small else whole_s / self._size
+            self._first = float(
+                whole_s * round(1 / self._size) if is_small else whole_s / self._size
+            )
             self.zero = Zero(whole_s * SECOND_NS)
         if self.source.time_zone is not None:
             raise TripError(f"{self.where}: `time_zone` is for time stamps, its times are numbers")
 
 
-def stated_zero(column: Column) -> Zero:
-    """Return the origin of the times of a column as the header of its file states it."""
-    date = read_date(column.date) if column.date else None
-    return Zero(column.start_ns, not column.is_local, column.start_ns is not None, date)
+def header_date(column: Column) -> datetime | None:
+    """Return the date and time of day in the header of a file; None if it has none."""
+    return read_date(column.date) if column.date else None
 
 
 def first_moment(zeros: Iterable[Zero]) -> tuple[datetime | None, str]:

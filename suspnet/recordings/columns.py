@@ -51,8 +51,8 @@ class Column:
         Largest value of integers that represent a fraction of the range.
     date : str or None
         Start of the recording as written in a header, too coarse to align clocks.
-    refused : str
-        Why the column cannot be read, and what to do about it; empty if it can.
+    unread : str
+        Why it holds neither numbers nor times that can be read; empty if it does.
     """
 
     name: str
@@ -66,8 +66,8 @@ class Column:
     is_whole_rate: bool = False
     full_scale: float | None = None
     date: str | None = None
+    unread: str = ""
     is_local: bool = False
-    refused: str = ""
 
 
 @dataclass(frozen=True)
@@ -97,19 +97,21 @@ Reader = Callable[[Path, CsvDialect | None], AbstractContextManager[OpenFile]]
 def choose(path: Path, file: OpenFile, columns: Sequence[str | None]) -> list[str]:
     """Return the name of each column, with None replaced by the only column not named.
 
-    Raises TripError if a column is missing or refused, or its name or None is ambiguous.
+    Raises TripError if a column is missing or its name not unique, or if None is ambiguous.
     """
     present = [column.name for column in file.columns]
-    listed = [column.name for column in file.columns if not column.is_part]
+    listed = [column.name for column in file.columns if not (column.is_part or column.unread)]
     named = [name for name in columns if name is not None]
     for name in named:
         if name not in present:
             raise TripError(
                 f"{path} has no column {name!r} of numbers; it has {listing(listed)}{file.hint}"
             )
+        if words := file.column(name).unread:
+            raise TripError(f"{path}: column {name!r} {words}")
     times = {column.time for column in file.columns} | set(named)
     others = [
-        c.name for c in file.columns if not (c.is_part or c.is_time or c.refused or c.name in times)
+        c.name for c in file.columns if not (c.is_part or c.is_time or c.unread or c.name in times)
     ]
     if len(named) < len(columns) and len(others) != 1:
         raise TripError(f"{path}: say which `column` to read; there are {listing(others)}")
@@ -117,8 +119,6 @@ def choose(path: Path, file: OpenFile, columns: Sequence[str | None]) -> list[st
     for name in names:
         if present.count(name) > 1:
             raise TripError(f"{path} has {present.count(name)} columns {name!r}; rename them")
-        if refused := file.column(name).refused:
-            raise TripError(f"{path}: column {name!r} {refused}")
     return names
 
 

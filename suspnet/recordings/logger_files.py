@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import warnings
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from importlib import import_module
@@ -59,11 +60,12 @@ def open_tdms(path: Path, _: CsvDialect | None = None) -> Iterator[OpenFile]:
             raise TripError(f"{path} is cut off: its last segment is incomplete")
         channels = [channel for group in file.groups() for channel in group.channels()]
         names = [f"{one.group_name}/{one.name}" for one in channels]
+        n_of_name = Counter(names)
         columns: list[Column] = []
         takes: dict[str, tuple[int, Take]] = {}
         for name, channel in zip(names, channels, strict=True):
             # "a/b" and "c" are called as "a" and "b/c": TDMS itself writes these as paths
-            name = channel.path if names.count(name) > 1 else name
+            name = channel.path if n_of_name[name] > 1 else name
             column, starts = _tdms_column(name, channel, stated.get(channel.path, []))
             columns.append(column)
             takes[name] = len(channel), channel.__getitem__
@@ -147,7 +149,7 @@ def _tdms_column(name: str, channel: Any, stated: Stated) -> tuple[Column, list[
         start_ns=starts_ns[0][1] if starts_ns else None,
         is_time=kind.kind == "M",
         is_zoned=kind.kind == "M",  # LabVIEW writes time stamps in UTC
-        refused=refused,
+        unread=refused,
     )
     return column, starts
 
@@ -235,11 +237,11 @@ def _uff_columns(file: Any) -> tuple[list[Column], dict[str, int]]:
         if what not in (None, 0, 1, TIME):  # 0 and 1 are unknown and general
             refused = "is a function of something else than time; export it over time"
         elif header.get("ord_data_type") in (5, 6):
-            refused = "holds complex numbers, not real numbers"
+            refused = f"holds {np.dtype(complex)}, not real numbers"
         about: dict[str, Any] = {
             "unit": unit or None,
             "date": _text(header, "id3") or None,
-            "refused": refused,
+            "unread": refused,
         }
         if header.get("abscissa_spacing") == 1 and not float(header.get("abscissa_min") or 0.0):
             columns.append(Column(name, rate_hz=1 / step_s if step_s > 0 else None, **about))

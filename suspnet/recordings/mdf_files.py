@@ -92,12 +92,13 @@ def _columns(file: Any, g: int, names: Sequence[str]) -> Iterator[Column]:
     for c, (name, channel) in enumerate(zip(names, file.groups[g].channels, strict=True)):
         unit, refused = _unit(file.version, channel), _refused(file.version, channel)
         if c == master:
-            yield Column(name, unit=unit or ("s" if kind == TIME else None), refused=refused)
+            known = unit or ("s" if kind == TIME else None)
+            yield Column(name, unit=known, unread=refused, is_local=about.get("is_local", False))
             continue
         if by and master is not None:
             refused = f"is sampled along {by} ({names[master]!r}), not in time; export it over time"
         time = names[master] if master is not None and kind == TIME else None
-        yield Column(name, unit=unit, time=time, refused=refused, **about)
+        yield Column(name, unit=unit, time=time, unread=refused, **about)
 
 
 def _start(file: Any) -> datetime | None:

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from suspnet.ground.types import FloatArray, IntArray
-from suspnet.recordings.clocks import Times, Zero, stated_zero
+from suspnet.recordings.clocks import Times, Zero, header_date
 from suspnet.recordings.columns import BLOCK, Column, OpenFile, agreed_size, choose, size_of
 from suspnet.recordings.errors import TripError
 from suspnet.recordings.formats import open_file, read_columns
@@ -130,7 +130,7 @@ def open_source(manifest: TripManifest, source: Source, where: str) -> Iterator[
         times = None
         if time is not None:
             choose(path, file, [time])
-            times = Times(where, source, file.column(time), stated_zero(column))
+            times = Times(where, source, file.column(time), column.start_ns)
         elif source.time_unit is not None or source.time_zone is not None:
             raise TripError(f"{where}: `time_unit` and `time_zone` are for a column of `time`")
         yield OpenSource(
@@ -140,7 +140,7 @@ def open_source(manifest: TripManifest, source: Source, where: str) -> Iterator[
             size,
             rate_hz,
             times,
-            stated_zero(column),
+            Zero(column.start_ns, not column.is_local, is_stated=True, date=header_date(column)),
             full_scale,
             "; ".join(part for part in (file.words, words) if part),
             where,
