@@ -161,7 +161,7 @@ def _starts_ns(stated: Stated, n_samples: int) -> list[tuple[int, int]]:
     for n, values in stated:
         offset_s = float(values.get("wf_start_offset", offset_s))
         start = values.get("wf_start_time")
-        if not hasattr(start, "as_datetime64"):
+        if start is None or not hasattr(start, "as_datetime64"):
             continue
         ns = int(start.as_datetime64("ns").astype(np.int64)) + round(1e9 * offset_s)
         # LabVIEW writes 1904 where there is none, and may write the same start in each segment
