@@ -68,7 +68,7 @@ def open_hdf5(path: Path, _: CsvDialect | None = None) -> Iterator[OpenFile]:
         file.visititems(found.collect)  # h5py calls it for hard links only
         # single values follow the vectors, as most describe one of them and are no signals
         arrays = dict(sorted(found.arrays.items(), key=lambda item: max(item[1].shape) <= 1))
-        whole = {key: one for key, one in _stated(dict(file.attrs)).items() if key == "date"}
+        whole = {key: one for key, one in _stated(_attributes(file)).items() if key == "date"}
         descriptions = {name: whole | found.described(name) for name in arrays}
         with _opened(path, arrays, descriptions, found.unread) as opened:
             yield opened
@@ -167,9 +167,13 @@ def _no_numbers(item: Any) -> str:
         return " "
     if item.dtype.kind not in "iuf":
         return f"holds {item.dtype}, not real numbers"
-    if len(item.shape) > 2 and not is_vector(item.shape):
-        return f"is an array of {' x '.join(map(str, item.shape))}; export it as columns"
-    return ""
+    return _of_shape(item.shape)
+
+
+def _of_shape(shape: tuple[int, ...]) -> str:
+    if is_vector(shape) or (len(shape) <= 2 and min(shape) <= MOST_PARTS):
+        return ""
+    return f"is an array of {' x '.join(map(str, shape))}; export it as columns"
 
 
 @dataclass(frozen=True)
@@ -279,12 +283,13 @@ def open_mat(path: Path, _: CsvDialect | None = None) -> Iterator[OpenFile]:
     arrays: dict[str, Any] = {}
     nested = []
     for name, shape, kind in variables:
-        if kind in NUMERIC and (len(shape) <= 2 or is_vector(shape)):
-            arrays[name] = _Variable(path, name, shape)
+        if kind in NUMERIC:
+            if why := _of_shape(shape):
+                refused[name] = why
+            else:
+                arrays[name] = _Variable(path, name, shape)
         elif kind in ("struct", "cell", "object"):
             nested.append(name)
-        elif kind in NUMERIC:
-            refused[name] = f"is an array of {' x '.join(map(str, shape))}; export it as columns"
         elif kind != "char":
             refused[name] = f"holds {kind}, not numbers"
     content = _loaded(path, nested, struct_as_record=False, squeeze_me=True) if nested else {}
@@ -429,7 +434,7 @@ def _siblings(name: str, separator: str, values: Mapping[str, Any]) -> dict[str,
 
 
 def _attributes(dataset: Any) -> dict[str, Any]:
-    """Return the small attributes of a data set."""
+    """Return the small attributes of a data set, or of a file."""
     found: dict[str, Any] = {}
     for key in dataset.attrs:
         # a type without an equivalent matters where it is the scale
@@ -441,7 +446,9 @@ def _attributes(dataset: Any) -> dict[str, Any]:
 
 def _value(dataset: Any) -> Any:
     """Return the content of a data set, a text if MATLAB 7.3 stored its character codes."""
-    content = dataset[()]
+    content = None
+    with suppress(Exception):  # one that cannot be read states nothing
+        content = dataset[()]
     if dataset.dtype != np.uint16 or dataset.attrs.get("MATLAB_class") != b"char":
         return content
     return "".join(chr(code) for code in np.asarray(content).ravel())

@@ -158,10 +158,9 @@ FORMATS = (
         states={
             "`fs`, `unit` and `start` next to the data": "used",
             "structs, cells, old objects": "columns of their numbers, by their path",
-            "Simulink's structure with time": "its times are those of its signals, which have "
-            "their labels",
-            "timeseries, tables and other objects": "refused by name; arrays next to them are read",
-            "logical, complex, sparse and three-dimensional arrays": "refused by name",
+            "Simulink's structure with time": "columns named by labels, with its times",
+            "timeseries, tables, other objects": "refused by name; arrays next to them are read",
+            "logical, complex, sparse arrays, more than two dimensions": "refused by name",
         },
     ),
     Format(
@@ -171,13 +170,11 @@ FORMATS = (
         states={
             "`rate_hz` or `fs`, `unit`, `start`: attributes, or next to the data": "used",
             "`scale_factor`, `add_offset`, `_Unsigned`": "applied",
-            "`_FillValue`, `missing_value`, `valid_min`, `valid_max`, `valid_range`, a fill value "
-            "that was chosen and is not 0": "missing samples",
-            "units like `seconds since 2015-08-03`, dimension scales": "times of their data sets, "
-            "with that origin",
+            "`_FillValue`, `missing_value`, a chosen fill value but 0": "missing samples",
+            "`valid_min`, `valid_max`, `valid_range`": "samples beyond them are missing",
+            "`seconds since 2015-08-03` as unit, dimension scales": "times, with their origin",
             "tables (compounds), cells of MATLAB 7.3": "columns of their numbers",
-            "types without an equivalent (times, 24 bits), null spaces, more dimensions than two, "
-            "other files, plug-ins": "refused by name; the rest is read",
+            "foreign types (times, 24 bits), null spaces, other files": "refused by name",
         },
     ),
     Format(
@@ -185,12 +182,10 @@ FORMATS = (
         open_tdms,
         "nptdms",
         states={
-            "`wf_increment`, `unit_string` or `NI_UnitDescription`": "used; refused by name if "
-            "another follows in a later segment",
-            "scales": "applied",
-            "`wf_start_time` and `wf_start_offset`": "start of the channel, in UTC; 1904 is none",
-            "a later start of a later segment": "a gap, from 1 ms on; segments that overlap are "
-            "refused with both times",
+            "`wf_increment`, `unit_string`, scales": "used; refused if they change later",
+            "`wf_start_time`, `wf_start_offset`": "start of the channel, in UTC; 1904 is none",
+            "a later start of a segment": "a gap, from 1 ms on",
+            "segments that overlap": "refused with both times",
             "a last segment that is incomplete": "refused",
         },
     ),
@@ -202,8 +197,9 @@ FORMATS = (
             "invalidation bits": "missing samples, at their times",
             "conversions": "applied if arithmetic, else refused by name",
             "unit of the channel, or else of its conversion": "used",
-            "master of a group": "times; one of angles or distances is refused by name, one of "
-            "numbers of samples asks for `rate_hz`",
+            "master of a group: times": "used; in seconds without a unit",
+            "master of a group: angles, distances": "refused by name",
+            "master of a group: numbers of samples": "`rate_hz` is asked for",
             "start, in UTC or in local time": "start, in UTC or in the logger's zone",
             "number of records": "refused if fewer are found",
         },
@@ -214,8 +210,7 @@ FORMATS = (
         "pyuff",
         states={
             "number of points": "refused if fewer are found; what follows is padding",
-            "increment, minimum and unit of the abscissa": "rate, or times where it is uneven or "
-            "does not start at 0; refused if it is not of time",
+            "increment, minimum and unit of the abscissa": "rate, or times; refused if of no time",
             "unit of the ordinate, or else data set 164": "used",
             "ID line 3": "date",
         },
@@ -224,7 +219,7 @@ FORMATS = (
         (".wav",),
         open_wav,
         states={
-            "rate": "used; the manifest may differ by 0.5 Hz, as it is a whole number",
+            "rate": "used; a manifest may differ by 0.5 Hz, as it is a whole number",
             "integers": "fractions of full scale, for which `range` is needed",
             "size of the data": "refused if less is found",
             "chunk `bext`": "date",
@@ -234,16 +229,19 @@ FORMATS = (
 READERS: dict[str, Reader] = {suffix: one.reader for one in FORMATS for suffix in one.suffixes}
 """Readers by suffix."""
 UNREAD: Mapping[str, str] = {
-    ".lvm": "LabVIEW text",
-    **dict.fromkeys((".raw", ".dat"), "imc FAMOS"),
-    ".ide": "enDAQ",
-    **dict.fromkeys((".d7d", ".d7z", ".dxd", ".dxz"), "Dewesoft"),
-    ".bin": "binary numbers",
-    **dict.fromkeys((".rpc", ".rsp"), "MTS RPC"),
-    ".sie": "HBK SoMat",
-    ".pnrf": "HBK Perception",
-    **dict.fromkeys((".npy", ".npz"), "NumPy"),
-    **dict.fromkeys((".xls", ".xlsx", ".ods"), "spreadsheet"),
-    **dict.fromkeys((".zip", ".gz", ".7z"), "packed files"),
+    suffix: name
+    for name, suffixes in {
+        "LabVIEW text": (".lvm",),
+        "imc FAMOS": (".raw", ".dat"),
+        "enDAQ": (".ide",),
+        "Dewesoft": (".d7d", ".d7z", ".dxd", ".dxz"),
+        "binary numbers": (".bin",),
+        "HBK": (".sie", ".pnrf"),
+        "MTS RPC": (".rpc", ".rsp"),
+        "NumPy": (".npy", ".npz"),
+        "spreadsheet": (".xls", ".xlsx", ".ods"),
+        "packed files": (".zip", ".gz", ".7z"),
+    }.items()
+    for suffix in suffixes
 }
 """Formats of recordings that are not read, by suffix."""

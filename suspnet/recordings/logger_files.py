@@ -6,7 +6,7 @@ import re
 import warnings
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from importlib import import_module
 from itertools import pairwise
 from logging import CRITICAL, getLogger
@@ -51,11 +51,9 @@ def open_tdms(path: Path, _: CsvDialect | None = None) -> Iterator[OpenFile]:
     nptdms = import_extra("nptdms", "tdms", f"{path}: a TDMS file", TripError)
     getLogger("nptdms").setLevel(CRITICAL)  # it logs what it raises or repairs
     # Open the stream here because npTDMS does not close files that it fails to read.
-    with (
-        path.open("rb") as stream,
-        _properties_of_segments() as stated,
-        nptdms.TdmsFile.open(stream) as file,
-    ):
+    with path.open("rb") as stream, ExitStack() as stack:
+        with _properties_of_segments() as stated:
+            file = stack.enter_context(nptdms.TdmsFile.open(stream))
         if file.file_status.incomplete_final_segment:
             raise TripError(f"{path} is cut off: its last segment is incomplete")
         channels = [channel for group in file.groups() for channel in group.channels()]

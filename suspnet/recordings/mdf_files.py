@@ -41,8 +41,8 @@ REFUSED = {
 """Names of unsupported conversions by their numbers in MDF 4, and in MDF 2 and 3."""
 VIRTUAL = (3, 6)
 """Types of MDF 4 channels whose raw values are the record numbers."""
-TIME, INDEX = 1, 4
-"""Kinds of MDF 4 masters that are times and numbers of samples."""
+TIME = 1
+"""Kind of MDF 4 masters that are times."""
 NO_TIMES = {2: "angle", 3: "distance"}
 """Kinds of MDF 4 masters along which channels are not sampled in time."""
 ALL_INVALID = 1
@@ -197,8 +197,6 @@ def _take(path: Path, file: Any, name: str, group: int, index: int) -> Take:
         numbers = np.arange(part.start, part.stop, dtype=np.float64)
         if file.version < "4" and index == file.masters_db.get(group) and channel.bit_count == 0:
             return numbers * (channel.sampling_rate or 1)
-        if file.version >= "4" and channel.channel_type in VIRTUAL:
-            return convert(numbers)
         at = {"record_offset": part.start, "record_count": part.stop - part.start}
         # raw values, and the mask of invalid ones, which would otherwise be left out
         values, invalid = file.get(
@@ -211,7 +209,8 @@ def _take(path: Path, file: Any, name: str, group: int, index: int) -> Take:
         )
         if values.dtype.kind not in "iufb" or values.ndim != 1:
             raise TripError(f"{path}: column {name!r} holds {values.dtype}, not numbers")
-        values = convert(values)
+        is_virtual = file.version >= "4" and channel.channel_type in VIRTUAL
+        values = convert(numbers if is_virtual else values)
         if file.version >= "4" and channel.flags & ALL_INVALID:
             values[:] = np.nan
         elif invalid is not None:

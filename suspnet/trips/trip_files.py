@@ -13,7 +13,7 @@ from pathlib import Path
 from suspnet.ground.parameters import SIDES
 from suspnet.ground.storage import distinct
 from suspnet.ground.wording import natural
-from suspnet.recordings.formats import READERS, UNREAD
+from suspnet.recordings.formats import READERS
 from suspnet.trips.file_contents import guessed_meaning, guessed_side, words_of
 
 DEEPEST = 3
@@ -73,31 +73,20 @@ def find_trip_files(folder: Path, besides: Iterable[Path] = ()) -> list[TripFile
 def unread_files(folder: Path) -> list[str]:
     """Return a line on the data files in a folder that are not read, and one on deep folders."""
     by_type: dict[str, list[Path]] = {}
-    too_deep = []
     for path in sorted(_files(folder, DEEPEST), key=lambda path: natural(str(path))):
-        suffix = path.suffix.lower()
-        if path.is_dir():
-            too_deep.append(str(path))
-        elif suffix not in (*READERS, *NO_DATA):
+        suffix = "/" if path.is_dir() else path.suffix.lower()
+        if suffix not in (*READERS, *NO_DATA):
             by_type.setdefault(suffix, []).append(path)
-    names = [
-        " ".join(
-            [
-                str(paths[0]),
-                *([f"and {len(paths) - 1} more"] if len(paths) > 1 else []),
-                *([f"({UNREAD[suffix]})"] if suffix in UNREAD else []),
-            ]
-        )
-        for suffix, paths in by_type.items()
-    ]
+    too_deep = by_type.pop("/", [])
     lines = []
-    if names:
-        endings = ", ".join(sorted(READERS))
-        lines.append(f"not read: {', '.join(names)}: export them to one of {endings}")
+    if by_type:
+        names = [f"{one[0]} and {len(one) - 1} more" for one in by_type.values()]
+        files = ", ".join(names).replace(" and 0 more", "")
+        lines.append(f"not read: {files}; export them to one of {', '.join(sorted(READERS))}")
     if too_deep:
+        deep = ", ".join(map(str, too_deep))
         lines.append(
-            f"not searched: {', '.join(too_deep)}: below {DEEPEST} levels of folders, give each by "
-            "itself"
+            f"not searched: {deep}: below {DEEPEST} levels of folders, give each by itself"
         )
     return lines
 

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from suspnet.recordings.columns import BLOCK
 from suspnet.recordings.errors import TripError
 from suspnet.recordings.formats import open_columns, open_file
 
@@ -131,14 +132,16 @@ def appended(folder: Path, signals, version="4.10", **settings) -> Path:
         return file.save(folder / f"new.{'mf4' if version >= '4' else 'mdf'}", overwrite=True)
 
 
-@pytest.mark.parametrize("all_invalid", [False, True])
-def test_invalid_samples_are_missing_at_their_times(tmp_path, all_invalid):
-    values, at = np.arange(10.0), np.arange(10) / 100
-    invalid = np.isin(values, [3, 4, 8]) | all_invalid
+@pytest.mark.parametrize("n", [10, BLOCK + 10])
+@pytest.mark.parametrize(("all_invalid", "kind"), [(False, 0), (True, 0), (False, 6)])
+def test_invalid_samples_are_missing_at_their_times(tmp_path, n, all_invalid, kind):
+    values, at = np.arange(float(n)), np.arange(n) / 100
+    invalid = np.isin(values, [3, 4, n - 2]) | all_invalid
     a = asammdf.Signal(values, at, name="a", unit="g", invalidation_bits=invalid)
-    path = appended(tmp_path, [a, asammdf.Signal(values, at, name="b")])
+    path = appended(tmp_path, [a, asammdf.Signal(values, at, name="b")], channel_type=kind)
     for name, expected in (("a", np.where(invalid, np.nan, values)), ("b", values)):
-        times, found = next(open_columns(path, ["time", name]))
+        blocks = zip(*open_columns(path, ["time", name]), strict=True)
+        times, found = map(np.concatenate, blocks)
         np.testing.assert_array_equal(found, expected)
         np.testing.assert_allclose(times, at)
 
