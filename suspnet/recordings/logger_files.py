@@ -7,6 +7,7 @@ import warnings
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
+from dataclasses import replace
 from importlib import import_module
 from itertools import pairwise
 from logging import CRITICAL, getLogger
@@ -43,6 +44,13 @@ ACCELERATION, TIME = 12, 17
 """Kinds of ordinate and abscissa of a data set 58."""
 LENGTHS = {1: "m", 2: "ft", 3: "m", 4: "ft", 5: "mm", 6: "cm", 7: "in", 8: "mm", 10: "mm"}
 """Unit of lengths by the code of a data set 164, which holds where a data set 58 names no unit."""
+LEAST_GAP_S = 1e-3
+"""Least time between the end of a segment of a TDMS file and the start of the next, [s]: less is
+inexact time stamps."""
+_FIXED = re.compile("wf_increment|unit_string|NI_(Scal|Unit|Number_Of_S)")
+"""Properties of a TDMS channel that must be the same in all segments: rate, unit and scales."""
+Stated = list[tuple[int, dict[str, Any]]]
+"""Properties that segments of a TDMS file give a channel, by the number of its samples before."""
 
 
 @contextmanager
@@ -79,13 +87,6 @@ def open_tdms(path: Path, _: CsvDialect | None = None) -> Iterator[OpenFile]:
         yield OpenFile(tuple(columns), read, notes=notes)
 
 
-LEAST_GAP_S = 1e-3
-"""Least time between the end of a segment of a TDMS file and the start of the next, [s]: less is
-inexact time stamps."""
-Stated = list[tuple[int, dict[str, Any]]]
-"""Properties that segments of a TDMS file give a channel, by the number of its samples before."""
-
-
 @contextmanager
 def _properties_of_segments() -> Iterator[dict[str, Stated]]:
     """Collect the properties of each segment by channel, of which npTDMS keeps the last."""
@@ -116,29 +117,8 @@ def _tdms_column(name: str, channel: Any, stated: Stated) -> tuple[Column, list[
     unit = properties.get("unit_string") or properties.get("NI_UnitDescription")
     kind = np.dtype(channel.dtype)
     has_rate = isinstance(step_s, float | int) and 1e-9 < step_s < 1e9
-    refused = "" if kind.kind in "iufM" else f"holds {kind}, not numbers"
-    for key in filter(
-        re.compile("wf_increment|unit_string|NI_(Scal|Unit|Number_Of_S)").match, properties
-    ):
-        values = list(dict.fromkeys(str(said[key]) for _, said in stated if key in said))
-        if len(values) > 1:
-            refused = (
-                f"has another {key!r} in a later segment, {values[1]} instead of {values[0]}; "
-                "export its parts into files of their own"
-            )
     starts_ns = _starts_ns(stated, len(channel))
-    starts = [(0, 0.0)]
-    for (n, ns), (n_next, next_ns) in pairwise(starts_ns if has_rate else ()):
-        end_ns = ns + round(1e9 * (n_next - n) * step_s)
-        gap_s, least_s = (next_ns - end_ns) / 1e9, max(LEAST_GAP_S, step_s / 2)
-        if gap_s < -least_s and not refused:
-            before, after = (np.datetime64(round(ns / 1000), "us") for ns in (end_ns, next_ns))
-            refused = (
-                f"has segments that overlap: one lasts until {before}, the next starts at {after}; "
-                "export them into files of their own"
-            )
-        elif gap_s > least_s:
-            starts.append((n_next, starts[-1][1] + (n_next - starts[-1][0]) * step_s + gap_s))
+    starts, overlap = _parts(starts_ns, step_s) if has_rate else ([], "")
     column = Column(
         name,
         unit=str(unit) if unit else None,
@@ -147,9 +127,45 @@ def _tdms_column(name: str, channel: Any, stated: Stated) -> tuple[Column, list[
         start_ns=starts_ns[0][1] if starts_ns else None,
         is_time=kind.kind == "M",
         is_zoned=kind.kind == "M",  # LabVIEW writes time stamps in UTC
-        unread=refused,
+        unread=_changed(stated) or overlap,
     )
+    if kind.kind not in "iufM":
+        column = replace(column, unread=f"holds {kind}, not numbers")
     return column, starts
+
+
+def _changed(stated: Stated) -> str:
+    """Return which property that must be one in all segments is not; empty if none."""
+    first: dict[str, str] = {}
+    for _, properties in stated:
+        for key, value in properties.items():
+            if _FIXED.match(key) and first.setdefault(key, str(value)) != str(value):
+                return (
+                    f"has another {key!r} in a later segment, {value} instead of {first[key]}; "
+                    "export its parts into files of their own"
+                )
+    return ""
+
+
+def _parts(
+    starts_ns: Sequence[tuple[int, int]], step_s: float
+) -> tuple[list[tuple[int, float]], str]:
+    """Return the first sample and the time of each part of a channel, [s], and which overlap."""
+    parts = [(0, 0.0)]
+    least_s = max(LEAST_GAP_S, step_s / 2)
+    for (n, ns), (n_next, next_ns) in pairwise(starts_ns):
+        end_ns = ns + round(1e9 * (n_next - n) * step_s)
+        gap_s = (next_ns - end_ns) / 1e9
+        if gap_s < -least_s:
+            before, after = (np.datetime64(round(ns / 1000), "us") for ns in (end_ns, next_ns))
+            return parts, (
+                f"has segments that overlap: one lasts until {before}, the next starts at {after}; "
+                "export them into files of their own"
+            )
+        if gap_s > least_s:
+            n_last, last_s = parts[-1]
+            parts.append((n_next, last_s + (n_next - n_last) * step_s + gap_s))
+    return parts, ""
 
 
 def _starts_ns(stated: Stated, n_samples: int) -> list[tuple[int, int]]:
