@@ -7,7 +7,7 @@ other; other sources start at zero of the trip's clock.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
 
 import numpy as np
@@ -141,7 +141,12 @@ class Times:
             )
             self.zero = Zero(whole_s * SECOND_NS)
         if self.source.time_zone is not None:
-            raise TripError(f"{self.where}: `time_zone` is for time stamps, its times are numbers")
+            if self.zero.ns is None or self.zero.is_zoned:
+                raise TripError(
+                    f"{self.where}: `time_zone` is for time stamps, its times are numbers"
+                )
+            ahead = self._offset_ns(self.zero.ns, self.source.time_zone)
+            self.zero = replace(self.zero, ns=self.zero.ns - ahead, is_zoned=True)
 
 
 def header_date(column: Column) -> datetime | None:

@@ -166,6 +166,14 @@ def test_numbers_are_in_their_unit(source, unit, size):
     assert times.zero.ns is None
 
 
+@pytest.mark.parametrize(("zone", "ahead_s"), [(None, 0), ("+02:00", 7200)])
+def test_local_start_of_a_header_takes_the_zone_of_the_manifest(zone, ahead_s):
+    source, column = Source("f", time="t", time_zone=zone), Column("t", "s", is_local=True)
+    times = Times("here", source, column, 1714983330 * 10**9)
+    np.testing.assert_array_equal(times.seconds(np.array([0.5, 1.5])), [0.5, 1.5])
+    assert (times.zero.ns, times.zero.is_zoned) == ((1714983330 - ahead_s) * 10**9, bool(zone))
+
+
 # --- failure -------------------------------------------------------------------------------------
 
 
