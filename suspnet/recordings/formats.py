@@ -30,8 +30,7 @@ def open_file(path: Path, csv: CsvDialect | None = None) -> Iterator[OpenFile]:
     if suffix not in READERS:
         what = f" ({UNREAD[suffix]})" if suffix in UNREAD else ""
         raise TripError(
-            f"{path}{what}: files of type {suffix!r} cannot be read; give {sorted(READERS)}, to "
-            "which the logger's software exports"
+            f"{path}{what}: files of type {suffix!r} cannot be read; give {sorted(READERS)}"
         )
     if csv is not None and READERS[suffix] is not open_csv:
         raise TripError(f"{path}: `csv` is for files of type {list(CSV_SUFFIXES)}")
