@@ -6,7 +6,7 @@ import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, cast
@@ -50,6 +50,8 @@ PACKING = (
     *("scale_factor", "add_offset", "valid_min", "valid_max", "valid_range"),
 )
 """Attributes of netCDF on missing samples, scale, offset and valid limits of stored numbers."""
+UNAPPLIED = ("gain", "scale", "offset", "sensitivity", "calibration", "calibration_factor")
+"""Attributes of no convention: the stored numbers may or may not have been multiplied by them."""
 _SINCE = re.compile(r"(\w+)\s+since\s+(.+?)(\s+UTC|\s+Z)?$")
 """Unit of times of netCDF: a unit and the date from which times are counted, in UTC."""
 FILTERS = (1, 2, 3, 4, 5, 6, 32000)
@@ -71,7 +73,8 @@ def open_hdf5(path: Path, _: CsvDialect | None = None) -> Iterator[OpenFile]:
         whole = {key: one for key, one in _stated(_attributes(file)).items() if key == "date"}
         descriptions = {name: whole | found.described(name) for name in arrays}
         with _opened(path, arrays, descriptions, found.unread) as opened:
-            yield opened
+            words = f"{path.name}: attributes that are not applied: {', '.join(found.unapplied)}"
+            yield replace(opened, words=words) if found.unapplied else opened
 
 
 class _Content:
@@ -82,6 +85,7 @@ class _Content:
         self.arrays: dict[str, Any] = {}
         self.datasets: dict[str, Any] = {}
         self.unread: dict[str, str] = {}
+        self.unapplied: list[str] = []
 
     def collect(self, name: str, item: Any) -> None:
         """Add an object of the file; a name with # is that of MATLAB's content of cells."""
@@ -104,6 +108,8 @@ class _Content:
             self._collect_cells(name, item)
             return {}
         self.datasets[name] = item
+        own = (key for key in item.attrs if key.lower() in UNAPPLIED)
+        self.unapplied += [repr(f"{name}.{key}") for key in own]
         if "MATLAB_empty" in item.attrs or "MATLAB_int_decode" in item.attrs:
             return {}
         if item.dtype.names is None:

@@ -169,6 +169,7 @@ FORMATS = (
         states={
             "`rate_hz` or `fs`, `unit`, `start`: attributes, or next to the data": "used",
             "`scale_factor`, `add_offset`, `_Unsigned`": "applied",
+            "`gain`, `scale`, `offset`, `sensitivity`, `calibration`": "named in `read_as`",
             "`_FillValue`, `missing_value`, a chosen fill value but 0": "missing samples",
             "`valid_min`, `valid_max`, `valid_range`": "samples beyond them are missing",
             "`seconds since 2015-08-03` as unit, dimension scales": "times, with their origin",

@@ -75,7 +75,7 @@ def unread_files(folder: Path) -> list[str]:
     by_type: dict[str, list[Path]] = {}
     for path in sorted(_files(folder, DEEPEST), key=lambda path: natural(str(path))):
         suffix = "/" if path.is_dir() else path.suffix.lower()
-        if suffix not in (*READERS, *NO_DATA):
+        if suffix not in NO_DATA and not (suffix in READERS and path.is_file()):
             by_type.setdefault(suffix, []).append(path)
     too_deep = by_type.pop("/", [])
     lines = []

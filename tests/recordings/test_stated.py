@@ -57,6 +57,12 @@ def test_scale_and_missing_samples_of_hdf5_are_applied(tmp_path, attributes, exp
     np.testing.assert_array_equal(read(tmp_path / "a.h5", "a")[0], expected)
 
 
+def test_attributes_of_hdf5_without_a_convention_are_named(tmp_path):
+    hdf5(tmp_path / "a.h5", Gain=10.0, unit="g").close()
+    words = "a.h5: attributes that are not applied: 'a.Gain'"
+    assert contents_of(tmp_path / "a.h5").read_as == words
+
+
 def test_fill_values_that_were_chosen_are_missing_and_signs_as_stated(tmp_path):
     with hdf5(tmp_path / "a.h5") as file:
         for name, fill in (("filled", -99), ("zero", 0)):
