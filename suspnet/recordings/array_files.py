@@ -4,19 +4,18 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 from scipy.io import loadmat, whosmat
 from scipy.io.matlab import MatlabFunction, MatlabOpaque, mat_struct, varmats_from_mat
 
 from suspnet.ground.extras import import_extra
-from suspnet.ground.types import FloatArray
 from suspnet.recordings.columns import (
     MOST_CHUNK_BYTES,
     Block,
@@ -120,7 +119,7 @@ class _Content:
             return {name: why} if why.strip() else {}
         refused = {}
         for field in item.dtype.names:
-            part, place = _Field(item, field), f"{name}.{field}"
+            part, place = _field(item, field), f"{name}.{field}"
             if not (why := _no_numbers(part)):
                 self.datasets[place], self.arrays[place] = item, part
             elif why.strip():
@@ -142,7 +141,7 @@ class _Content:
     def described(self, name: str) -> dict[str, Any]:
         """Return rate, unit and start by a data set's attributes, or else by its group."""
         own = _stated(_attributes(self.datasets[name]))
-        if isinstance(self.arrays[name], _Field):
+        if self.datasets[name].dtype.names is not None:
             own.pop("unit", None)  # a table has columns of several units
         siblings = _siblings(name, "/", self.datasets)
         small = {key: _value(one) for key, one in siblings.items() if one.nbytes <= MOST_NOTE_BYTES}
@@ -183,56 +182,29 @@ def _of_shape(shape: tuple[int, ...]) -> str:
 
 
 @dataclass(frozen=True)
-class _Field:
-    """One field of a table, that is, of a data set of compounds."""
+class _View:
+    """An array whose values are computed as they are read."""
 
-    dataset: Any
-    name: str
-
-    @property
-    def dtype(self) -> Any:
-        return self.dataset.dtype[self.name].base
-
-    @property
-    def shape(self) -> tuple[int, ...]:
-        return (*self.dataset.shape, *self.dataset.dtype[self.name].shape)
+    shape: tuple[int, ...]
+    dtype: Any
+    take: Callable[[Any], Any]
 
     def __getitem__(self, part: Any) -> Any:
-        n = len(self.dataset.shape)
-        return self.dataset.fields(self.name)[part[:n]][(slice(None), *part[n:])]
+        return self.take(part)
 
 
-@dataclass(frozen=True)
-class _Packed:
-    """Numbers that are stored with scale and offset, marks of missing ones and valid limits."""
-
-    dataset: Any
-    is_unsigned: bool
-    scale: float
-    offset: float
-    missing: FloatArray
-    lower: float
-    upper: float
-
-    @property
-    def dtype(self) -> Any:
-        return self.dataset.dtype
-
-    @property
-    def shape(self) -> tuple[int, ...]:
-        return cast(tuple[int, ...], self.dataset.shape)
-
-    def __getitem__(self, part: Any) -> Any:
-        stored = np.asarray(self.dataset[part])
-        if self.is_unsigned:
-            stored = stored.astype(f"u{stored.dtype.itemsize}")
-        values = stored.astype(np.float64)
-        is_valid = (values >= self.lower) & (values <= self.upper) & ~np.isin(values, self.missing)
-        return np.where(is_valid, values * self.scale + self.offset, np.nan)
+def _field(dataset: Any, name: str) -> _View:
+    """Return one field of a table, that is, of a data set of compounds."""
+    kind, n = dataset.dtype[name], len(dataset.shape)
+    return _View(
+        (*dataset.shape, *kind.shape),
+        kind.base,
+        lambda part: dataset.fields(name)[part[:n]][(slice(None), *part[n:])],
+    )
 
 
 def _packed(dataset: Any, filled: bool) -> Any:
-    """Return a data set whose values are those that its attributes mean.
+    """Return a data set with scale, offset and missing samples as its attributes mean them.
 
     `filled`: its fill value was chosen. ValueError if an attribute is no number.
     """
@@ -249,15 +221,19 @@ def _packed(dataset: Any, filled: bool) -> Any:
     if not numbers and not missing and not is_unsigned:
         return dataset
     limits = numbers.get("valid_range", np.array([-np.inf, np.inf]))
-    return _Packed(
-        dataset,
-        is_unsigned,
-        scale=float(numbers.get("scale_factor", [1.0])[0]),
-        offset=float(numbers.get("add_offset", [0.0])[0]),
-        missing=np.concatenate([[np.nan], *missing]),
-        lower=float(numbers.get("valid_min", limits[:1])[0]),
-        upper=float(numbers.get("valid_max", limits[1:])[0]),
-    )
+    lower, upper = numbers.get("valid_min", limits)[0], numbers.get("valid_max", limits)[-1]
+    scale, offset = numbers.get("scale_factor", [1.0])[0], numbers.get("add_offset", [0.0])[0]
+
+    def take(part: Any) -> Any:
+        stored = np.asarray(dataset[part])
+        if is_unsigned:
+            stored = stored.astype(f"u{stored.dtype.itemsize}")
+        values = stored.astype(np.float64)
+        is_valid = (values >= lower) & (values <= upper)
+        is_valid &= ~np.isin(values, np.concatenate([[np.nan], *missing]))
+        return np.where(is_valid, values * scale + offset, np.nan)
+
+    return _View(dataset.shape, dataset.dtype, take)
 
 
 def foreign(dataset: Any) -> str:

@@ -229,19 +229,13 @@ FORMATS = (
 READERS: dict[str, Reader] = {suffix: one.reader for one in FORMATS for suffix in one.suffixes}
 """Readers by suffix."""
 UNREAD: Mapping[str, str] = {
-    suffix: name
-    for name, suffixes in {
-        "LabVIEW text": (".lvm",),
-        "imc FAMOS": (".raw", ".dat"),
-        "enDAQ": (".ide",),
-        "Dewesoft": (".d7d", ".d7z", ".dxd", ".dxz"),
-        "binary numbers": (".bin",),
-        "HBK": (".sie", ".pnrf"),
-        "MTS RPC": (".rpc", ".rsp"),
-        "NumPy": (".npy", ".npz"),
-        "spreadsheet": (".xls", ".xlsx", ".ods"),
-        "packed files": (".zip", ".gz", ".7z"),
-    }.items()
-    for suffix in suffixes
+    ".lvm": "LabVIEW text",
+    **dict.fromkeys((".raw", ".dat"), "imc FAMOS"),
+    ".ide": "enDAQ",
+    **dict.fromkeys((".d7d", ".dxd"), "Dewesoft"),
+    ".bin": "binary numbers",
+    **dict.fromkeys((".xls", ".xlsx"), "spreadsheet"),
+    **dict.fromkeys((".npy", ".npz"), "NumPy"),
+    **dict.fromkeys((".zip", ".gz"), "packed files"),
 }
 """Formats of recordings that are not read, by suffix."""
