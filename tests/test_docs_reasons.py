@@ -104,7 +104,7 @@ NO_REASON = (
     "%s holds manifests of its own",
 )
 """Beginnings of sentences that are none."""
-DESCRIBING = ("setting", "Setting", "optional")
+DESCRIBING = ("setting", "Setting", "optional", "Format")
 """Functions whose texts are of the tables of settings and keys."""
 FEWEST_LETTERS = 6
 """A sentence of the code with fewer fixed letters fits too many reasons."""

@@ -18,7 +18,7 @@ from suspnet.trips import folder_manifests as folders
 from suspnet.trips.file_contents import look_into
 from suspnet.trips.grouping import lone_trains
 from suspnet.trips.manifest_template import template
-from suspnet.trips.trip_files import find_tables, find_trip_files
+from suspnet.trips.trip_files import find_tables, find_trip_files, unread_files
 
 LEFT_OPEN = {
     "bogie": "is taken as the leading one, which decides how the other bogie and the body's pitch "
@@ -97,6 +97,8 @@ def _folder(folder: Path, said: Sequence[str], arguments: Namespace) -> int:
     for one in tables:
         if table is None or one.resolve() != table.resolve():
             print(printable(f"{one} is a table of trips, which --table {quote(str(one))} reads"))
+    for line in unread_files(folder):
+        print(printable(line))
     wrong = _unknown_vehicles(vehicles, new)
     if missing or wrong:
         what = "missing or wrong" if wrong else "missing"

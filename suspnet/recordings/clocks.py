@@ -7,7 +7,7 @@ other; other sources start at zero of the trip's clock.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
 
 import numpy as np
@@ -60,13 +60,14 @@ class Zero:
 class Times:
     """Converts the times of a source into seconds, block by block.
 
-    `column` holds the times; `start_ns` is their origin as stated by the file. `zero` is known
-    after the first block.
+    `column` holds the times; `start_ns` is their origin as the file states it of the values, else
+    it is that of `column`. `zero` is known after the first block.
     """
 
     def __init__(self, where: str, source: Source, column: Column, start_ns: int | None) -> None:
         self.where, self.source, self.column = where, source, column
-        self.zero = Zero(start_ns, is_stated=start_ns is not None)
+        start_ns = column.start_ns if start_ns is None else start_ns
+        self.zero = Zero(start_ns, not column.is_local, is_stated=start_ns is not None)
         self._begun = False
         self._size, self._first = 1.0, 0.0
 
@@ -123,16 +124,29 @@ class Times:
             raise TripError(
                 f"{self.where}: `time_unit` says {stated!r}, its file says {self.column.unit!r}"
             )
+        if stated is None and found is None and self.column.unit:
+            raise TripError(
+                f"{self.where}: its times are in {self.column.unit!r}, which is not known; give "
+                f"`time_unit`, one of {list(TIME_UNITS)}"
+            )
         size = found if stated is None else TIME_UNITS[stated]
         sizes = TIME_UNITS.values() if size is None else [size]
         dated = [one for one in sizes if DATED_S[0] <= first * one <= DATED_S[1]]
         self._size = dated[0] if dated else (size or 1.0)
         if dated:
             whole_s = int(first * self._size)
-            self._first = float(whole_s * round(1 / self._size))
+            is_small = self._size < 1  # then its inverse is exact
+            self._first = float(
+                whole_s * round(1 / self._size) if is_small else whole_s / self._size
+            )
             self.zero = Zero(whole_s * SECOND_NS)
         if self.source.time_zone is not None:
-            raise TripError(f"{self.where}: `time_zone` is for time stamps, its times are numbers")
+            if self.zero.ns is None or self.zero.is_zoned:
+                raise TripError(
+                    f"{self.where}: `time_zone` is for time stamps, its times are numbers"
+                )
+            ahead = self._offset_ns(self.zero.ns, self.source.time_zone)
+            self.zero = replace(self.zero, ns=self.zero.ns - ahead, is_zoned=True)
 
 
 def header_date(column: Column) -> datetime | None:

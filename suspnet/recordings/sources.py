@@ -140,7 +140,7 @@ def open_source(manifest: TripManifest, source: Source, where: str) -> Iterator[
             size,
             rate_hz,
             times,
-            Zero(column.start_ns, is_stated=True, date=header_date(column)),
+            Zero(column.start_ns, not column.is_local, is_stated=True, date=header_date(column)),
             full_scale,
             "; ".join(part for part in (file.words, words) if part),
             where,

@@ -116,7 +116,7 @@ class Signal:
     `mean` and `deviation` are those of the first samples, `first` is the first of them. `zero` is
     when its times start, as far as the file states it. `names` serve to guess its meaning: its own,
     with and without its group's, and that of a file with at most two columns. `axle` is 1 or 2 of
-    the bogie where this was said, else 0.
+    the bogie where this was said, else 0; `range` is the sensor's where said, else NaN.
     """
 
     file: Path
@@ -131,6 +131,7 @@ class Signal:
     names: tuple[str, ...] = ()
     first: float = np.nan
     axle: int = 0
+    range: float = np.nan
 
     @property
     def name(self) -> str:
@@ -189,14 +190,16 @@ def contents_of(file: Path) -> Contents:
         found = [
             _signal(file, opened, column, times)
             for column in columns
-            if column.name not in times and not column.is_time
+            if not (column.name in times or column.is_time or column.unread)
         ]
+        refused = "; ".join(f"{one.name!r} {one.unread}" for one in columns if one.unread)
     signals = [one for one in found if one is not None]
     if not signals:
-        raise TripError(f"{file} holds no column of numbers")
+        raise TripError(f"{file} holds no column of numbers{': ' * bool(refused)}{refused}")
     if len(signals) <= len(SIDES):
         signals = [replace(one, names=(*one.names, file.stem)) for one in signals]
-    return Contents(file, tuple(signals), opened.words, opened.notes)
+    words = [opened.words, f"{file.name}: not read: {refused}" if refused else ""]
+    return Contents(file, tuple(signals), "; ".join(filter(None, words)), opened.notes)
 
 
 def _first(file: Path, opened: OpenFile, names: Sequence[str]) -> tuple[FloatArray, ...]:
@@ -226,7 +229,8 @@ def _signal(
     values = blocks[0][np.isfinite(blocks[0])]
     time, time_unit, rate_hz = "", "", column.rate_hz
     if rate_hz is None:
-        time = column.time or next(iter(times), "")
+        shared = (name for name in times if not opened.column(name).is_part)
+        time = column.time or next(shared, "")
         rate_hz, time_unit = _rate(opened, time, times[time]) if time in times else (np.nan, "")
     return Signal(
         file=file,
@@ -245,7 +249,7 @@ def _signal(
 
 def _zero(file: Path, opened: OpenFile, column: Column, time: str, time_unit: str) -> Zero:
     if not time:
-        return Zero(column.start_ns, is_stated=True, date=header_date(column))
+        return Zero(column.start_ns, not column.is_local, True, header_date(column))
     times = Times(
         str(file),
         Source(str(file), time_unit=time_unit or None),

@@ -43,7 +43,7 @@ CHOICES: Mapping[str, tuple[str, ...]] = {
     "side": (*SIDES, MIDDLE),
     "direction": DIRECTIONS,
 }
-SIGNAL_KEYS = ("unit", "rate_hz", "speed_unit", "speed_rate_hz")
+SIGNAL_KEYS = ("unit", "rate_hz", "range", "speed_unit", "speed_rate_hz")
 """Keys that hold for all accelerometers, or for the speed, of all trips."""
 SAYABLE = (*PLACE_LINES, SPEED, *(f"channels.{name}" for name in CHANNELS), *SIGNAL_KEYS)
 """Keys that may be said once for all trips."""
@@ -57,6 +57,7 @@ HOW: Mapping[str, str] = {
     "speed": 'speed=70 in m/s, speed="252 km/h", or speed=COLUMN',
     "unit": "unit=m/s2 or unit=g, of all accelerometers",
     "rate_hz": "rate_hz=500, of all accelerometers",
+    "range": "range=50, what full scale is in that unit, of all accelerometers in WAV files",
     "speed_unit": "speed_unit=km/h or speed_unit=m/s",
     "speed_rate_hz": "speed_rate_hz=1",
 }
@@ -346,12 +347,14 @@ def _with_said(
         one = replace(one, unit=unit)
     if rate and not one.time and not np.isfinite(one.rate_hz):
         one = replace(one, rate_hz=float(_plain_value("rate_hz", rate)))
+    if "range" in said and meaning != SPEED:
+        one = replace(one, range=float(_plain_value("range", said["range"])))
     return one
 
 
 def _plain_value(key: str, text: str) -> str | float:
     """Return what was said as a number where the key has one; ValueError if it is none."""
-    is_number = key in NUMBERS or key.endswith("rate_hz")
+    is_number = key in (*NUMBERS, "range") or key.endswith("rate_hz")
     try:
         return float(text) if is_number or key == SPEED else text
     except ValueError:
@@ -362,7 +365,7 @@ def _plain_value(key: str, text: str) -> str | float:
 
 def _asked(blank: str) -> str:
     """Return the key by which a blank of a manifest is said once for all trips."""
-    for key in ("unit", "rate_hz"):
+    for key in ("unit", "rate_hz", "range"):
         if blank.endswith(f".{key}"):
             return f"speed_{key}" if blank.startswith(SPEED) else key
     return blank

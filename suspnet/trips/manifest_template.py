@@ -240,6 +240,11 @@ class _Writer:
         else:
             content["rate_hz"] = BLANK
             words.append("rate in Hz?")
+        is_fraction = kind == ACCELERATION and one.column.full_scale is not None
+        if is_fraction or math.isfinite(one.range):
+            content["range"] = one.range if math.isfinite(one.range) else BLANK
+        if is_fraction:
+            words.append("range: what full scale is in that unit, these are fractions of it")
         words.append(f"mean {one.mean:.3g}, rms about it {one.deviation:.3g}")
         if kind == ACCELERATION and is_of_another_direction(one.name):
             words.append("vertical?")

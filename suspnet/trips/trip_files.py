@@ -20,6 +20,11 @@ DEEPEST = 3
 """Number of levels of folders that are searched."""
 IGNORED = ("vehicle", "outputs")
 """Names of folders that hold no trips."""
+NO_DATA = (
+    *(".yaml", ".yml", ".json", ".xml", ".ini", ".log", ".md", ".pdf", ".html", ".doc", ".docx"),
+    *(".png", ".jpg", ".jpeg", ".svg", ".py", ".ipynb", ".m", ".sh", ".tdms_index", ""),
+)
+"""Suffixes of files that hold no recording and are left out without a word."""
 _GPS = ("gps", "gnss", "nmea")
 FILE_NAMES = ("file", "datei", "dateiname", "filename", "trip", "fahrt")
 """Names of the column of a table that names a trip or one of its files."""
@@ -51,9 +56,9 @@ def find_trip_files(folder: Path, besides: Iterable[Path] = ()) -> list[TripFile
         if file.resolve() not in left_out:
             by_trip.setdefault(_trip_of(file, folder), []).append(file)
     if not by_trip:
-        raise FileNotFoundError(
-            f"{folder} holds no data file; they end with {', '.join(sorted(READERS))}"
-        )
+        endings = ", ".join(sorted(READERS))
+        others = unread_files(folder) or [f"they end with {endings}"]
+        raise FileNotFoundError(f"{folder} holds no data file; {'; '.join(others)}")
     trips = list(by_trip)
     # a folder with manifests of its own hides those of its subfolders
     if any(trip.parent == folder for trip in trips):
@@ -63,6 +68,27 @@ def find_trip_files(folder: Path, besides: Iterable[Path] = ()) -> list[TripFile
         TripFiles(Path(f"{name}.yaml"), tuple(files))
         for name, files in zip(names, by_trip.values(), strict=True)
     ]
+
+
+def unread_files(folder: Path) -> list[str]:
+    """Return a line on the data files in a folder that are not read, and one on deep folders."""
+    by_type: dict[str, list[Path]] = {}
+    for path in sorted(_files(folder, DEEPEST), key=lambda path: natural(str(path))):
+        suffix = "/" if path.is_dir() else path.suffix.lower()
+        if suffix not in NO_DATA and not (suffix in READERS and path.is_file()):
+            by_type.setdefault(suffix, []).append(path)
+    too_deep = by_type.pop("/", [])
+    lines = []
+    if by_type:
+        names = [f"{one[0]} and {len(one) - 1} more" for one in by_type.values()]
+        files = ", ".join(names).replace(" and 0 more", "")
+        lines.append(f"not read: {files}; export them to one of {', '.join(sorted(READERS))}")
+    if too_deep:
+        deep = ", ".join(map(str, too_deep))
+        lines.append(
+            f"not searched: {deep}: below {DEEPEST} levels of folders, give each by itself"
+        )
+    return lines
 
 
 def find_tables(folder: Path) -> list[Path]:
@@ -124,12 +150,19 @@ def cell_of(name: str) -> str:
 
 
 def _data_files(folder: Path, depth: int) -> Iterable[Path]:
+    for path in _files(folder, depth):
+        if path.suffix.lower() in READERS and path.is_file():
+            yield path
+
+
+def _files(folder: Path, depth: int) -> Iterable[Path]:
+    """Yield what a folder and its subfolders hold, and folders that are too deep."""
     for path in folder.iterdir():
         if path.name.startswith(".") or path.name in IGNORED:
             continue
         if path.is_dir() and depth > 1:
-            yield from _data_files(path, depth - 1)
-        elif path.suffix.lower() in READERS and path.is_file():
+            yield from _files(path, depth - 1)
+        else:
             yield path
 
 

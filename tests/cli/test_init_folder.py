@@ -14,6 +14,7 @@ import pytest
 import yaml
 from cli_runner import typed
 from recording_files import write_mdf
+from scipy.io import wavfile
 from trip_fixtures import RATES_HZ, signal, small_fleet
 
 from suspnet.cli import check, init, program
@@ -333,6 +334,30 @@ def test_all_files_that_cannot_be_read_are_named(tmp_path):
     (tmp_path / "empty").mkdir()
     assert "holds no data file" in typed(init, tmp_path / "empty", cwd=tmp_path).stderr
     assert "give a folder of data files" in typed(init, cwd=tmp_path).stderr
+
+
+def test_data_files_that_are_not_read_are_named(tmp_path):
+    (tmp_path / "a" / "b" / "c").mkdir(parents=True)
+    for name in ("1.lvm", "2.LVM", "run.d7d", "notes.pdf", "odd.xyz"):
+        (tmp_path / name).write_text("x")
+    line = "1.lvm and 1 more, {0}/odd.xyz, {0}/run.d7d; export them to one of .asc, .csv"
+    line = line.format(tmp_path)
+    done = typed(init, tmp_path, cwd=tmp_path)
+    assert f"holds no data file; not read: {tmp_path}/{line}" in done.stderr
+    write_plain(tmp_path / "run.parquet")
+    said = typed(init, tmp_path, cwd=tmp_path).stdout
+    assert f"not read: {tmp_path}/{line}" in said
+    assert f"not searched: {tmp_path}/a/b/c: below 3 levels of folders" in said
+
+
+def test_range_of_integers_in_wav_files_is_said_once(tmp_path):
+    for name in CHANNELS:
+        wavfile.write(tmp_path / f"run_{name}.wav", 500, np.arange(-99, 99, dtype="i2"))
+    said = [one for one in SAID if not one.startswith("rate_hz")]
+    assert asked(tmp_path, *said) == {"range", "mileage_km"}
+    written(tmp_path, *said, "range=50", "mileage_km=1")
+    manifest = read_manifest(tmp_path / "run.yaml")
+    assert {manifest.channels[name].range for name in CHANNELS} == {50.0}
 
 
 NUMBERS = {

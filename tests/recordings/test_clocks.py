@@ -156,7 +156,7 @@ def test_equal_headers_begin_with_the_trip():
 @pytest.mark.parametrize(
     ("source", "unit", "size"),
     [({"time_unit": "ms"}, None, 1e-3), ({}, "ms", 1e-3), ({"time_unit": "us"}, "µs", 1e-6),
-     ({}, None, 1.0), ({}, "V", 1.0)],
+     ({}, None, 1.0), ({"time_unit": "s"}, "V", 1.0), ({}, "minutes", 60.0)],
 )  # fmt: skip
 def test_numbers_are_in_their_unit(source, unit, size):
     times = Times("here", Source("f", time="t", **source), Column("t", unit), None)
@@ -164,6 +164,14 @@ def test_numbers_are_in_their_unit(source, unit, size):
         times.seconds(np.array([5.0, 7.0, np.nan])), [5 * size, 7 * size, np.nan]
     )
     assert times.zero.ns is None
+
+
+@pytest.mark.parametrize(("zone", "ahead_s"), [(None, 0), ("+02:00", 7200)])
+def test_local_start_of_a_header_takes_the_zone_of_the_manifest(zone, ahead_s):
+    source, column = Source("f", time="t", time_zone=zone), Column("t", "s", is_local=True)
+    times = Times("here", source, column, 1714983330 * 10**9)
+    np.testing.assert_array_equal(times.seconds(np.array([0.5, 1.5])), [0.5, 1.5])
+    assert (times.zero.ns, times.zero.is_zoned) == ((1714983330 - ahead_s) * 10**9, bool(zone))
 
 
 # --- failure -------------------------------------------------------------------------------------
