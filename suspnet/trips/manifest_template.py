@@ -8,9 +8,9 @@ import os
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from shlex import join
 
 from suspnet.ground.parameters import SIDES
+from suspnet.ground.wording import command
 from suspnet.recordings.clocks import first_moment
 from suspnet.recordings.columns import size_of
 from suspnet.recordings.logger_notes import Stated
@@ -122,9 +122,9 @@ def template(
 def _check_command(path: Path, config_dir: Path | None) -> str:
     """Return the command that checks a manifest: where suspnet init ran, or in its folder."""
     if config_dir is not None:
-        return join(["suspnet", "check", str(path), "--config-dir", str(config_dir)])
+        return command("check", path, "--config-dir", config_dir)
     own = "of a vehicle that is not suspnet's with --config-dir DIR, which holds vehicle/NAME.yaml"
-    return f"{join(['suspnet', 'check', path.name])} ({own})"
+    return f"{command('check', Path(path.name))} ({own})"
 
 
 def _start(signals: Sequence[Signal]) -> str:
