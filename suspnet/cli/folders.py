@@ -355,5 +355,4 @@ def _joined(words: Iterable[str]) -> str:
     """Return words joined as the end of a folder name that needs no quotes in a shell."""
     bare = (re.sub(r"[\[\](){}'\"]", "", word) for word in words)
     plain = (re.sub(r"[^\w.+-]+", "-", word).strip("-_") for word in bare)
-    name = "".join(f"_{word}" for word in plain if word)
-    return name.encode()[:MAX_BYTES].decode(errors="ignore")
+    return ledger.shortened("".join(f"_{word}" for word in plain if word), MAX_BYTES)

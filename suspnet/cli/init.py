@@ -85,9 +85,10 @@ def _folder(folder: Path, said: Sequence[str], arguments: Namespace) -> int:
     if arguments.output:
         raise ValueError("--output is for the manifest of one trip; a folder's lie in it")
     table, tables = arguments.table, find_tables(folder)
-    found = find_trip_files(folder, [*tables, *([table] if table else [])])
-    rows = folders.read_table(table) if table and table.exists() else {}
     keys = folders.read_said(said)
+    besides = [*tables, *([table] if table else [])]
+    found = find_trip_files(folder, besides, folders.loggers_of(keys))
+    rows = folders.read_table(table) if table and table.exists() else {}
     vehicles = arguments.config_dir or own_vehicles(keys.get("vehicle", ""))
     trips = folders.folder_manifests(found, folder, keys, rows, vehicles)
     new = [trip for trip in trips if arguments.force or not os.path.lexists(trip.path)]

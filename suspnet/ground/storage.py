@@ -52,7 +52,7 @@ def write_atomically(path: Path, content: bytes | str, force: bool = False) -> P
     data = content.encode() if isinstance(content, str) else content
     path.parent.mkdir(parents=True, exist_ok=True)
     token = secrets.token_hex(4)
-    temporary = path.parent / f".{path.name}.{token}"
+    temporary = path.parent / ledger.temporary_name(path.name, token)
     ledger.note(path, data, token, force)
     try:
         handle, is_named = _opened(temporary)

@@ -19,6 +19,7 @@ from suspnet.recordings.manifest_sources import ACCELERATION_UNITS, MIDDLE, SPEE
 from suspnet.trips.file_contents import (
     ACCELERATION,
     SPEED,
+    Address,
     Signal,
     guessed_axle,
     is_of_another_direction,
@@ -71,7 +72,7 @@ def template(
     path: Path,
     read_as: Sequence[str] = (),
     known: Mapping[str, Stated] | None = None,
-    chosen: Mapping[str, Collection[str]] | None = None,
+    chosen: Mapping[str, Collection[Address]] | None = None,
     config_dir: Path | None = None,
 ) -> Template:
     """Return a manifest of the signals of some data files.
@@ -87,7 +88,7 @@ def template(
     for one in signals:
         by_meaning.setdefault(one.meaning, []).append(one)
     for what, names in chosen.items():
-        by_meaning[what] = [one for one in signals if one.name in names]
+        by_meaning[what] = [one for one in signals if one.address in names]
     lines = [HEAD + _on_one_line(_check_command(path, config_dir))]
     lines += [f"# {_on_one_line(words)}" for words in read_as]
     lines.append(f"format: {FORMAT}")
@@ -102,8 +103,8 @@ def template(
         elif known[key].value != MIDDLE:
             lines.append(f"{key}: {_yaml(known[key].value)}  # {_on_one_line(known[key].comment)}")
     lines.append("")
-    taken = {name for names in chosen.values() for name in names}
-    rest = [one for one in by_meaning.get("", []) if one.name not in taken]
+    taken = {address for addresses in chosen.values() for address in addresses}
+    rest = [one for one in by_meaning.get("", []) if one.address not in taken]
     if SPEED in known:
         lines.append(f"speed: {_yaml(known[SPEED].value)}  # {_on_one_line(known[SPEED].comment)}")
     else:
