@@ -31,6 +31,7 @@ from suspnet.trips.check_page import (
     TripCheck,
     summary,
     suspensions,
+    with_distinct_names,
     with_shared_data,
     write_checks,
 )
@@ -55,7 +56,8 @@ def check(arguments: Namespace) -> int:
     paths, elsewhere = find_trips(arguments.trips)
     with progress.on_stderr():
         n_workers = workers_for(len(paths), arguments.workers)
-        checks = with_shared_data(_checked(paths, settings, n_workers, arguments.language))
+        checked = _checked(paths, settings, n_workers, arguments.language)
+        checks = with_shared_data(with_distinct_names(checked))
     with speaking(arguments.language):
         page = write_checks(checks, elsewhere, output)
     print(f"{summary(checks, elsewhere)}\n-> {page}")

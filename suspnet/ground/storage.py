@@ -187,11 +187,13 @@ def content_hash(description: Any) -> str:
 def distinct(names: Iterable[str], taken: Iterable[str] = ()) -> list[str]:
     """Return file names that differ in more than case, also from those taken: a, a_2, a_3."""
     seen, found = set(taken), []
+    last: dict[str, int] = {}
     for base in names:
-        name, number = base, 1
+        name, number = base, last.get(base, 1)
         while name.lower() in seen:  # ends: there are fewer names than numbers
             number += 1
             name = f"{base}_{number}"
+        last[base] = number
         seen.add(name.lower())
         found.append(name)
     return found

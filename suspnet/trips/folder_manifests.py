@@ -182,7 +182,7 @@ def folder_manifests(
     times = [_file_time(one).timestamp() for one in found]
     is_copy = len(found) > 1 and max(times) - min(times) < COPIED_S * (len(found) - 1)
     for one, several in zip(found, contents, strict=True):
-        for path, signals, guessed in _by_bogie(one.path, [s for c in several for s in c.signals]):
+        for path, signals, guessed in _by_bogie(one.path, _signals(several)):
             known = _stated(one, several, signals, folder)
             if not is_copy and "start" not in known and not _is_dated(signals):
                 known["start"] = Stated(_file_time(one).isoformat(), BY_FILE_TIME)
@@ -214,6 +214,14 @@ def folder_manifests(
             f"{HOW['mileage_km']}"
         )
     return trips
+
+
+def _signals(contents: Sequence[Contents]) -> list[Signal]:
+    """Return the columns of a trip; files of several folders are named by these as well."""
+    signals = [signal for content in contents for signal in content.signals]
+    if len({content.file.parent for content in contents}) == 1:
+        return signals
+    return [replace(one, names=(*one.names, one.file.parent.name)) for one in signals]
 
 
 def _row(

@@ -6,7 +6,7 @@ import csv
 import io
 import re
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import reduce
@@ -17,6 +17,7 @@ from suspnet.ground.parameters import SIDES
 from suspnet.ground.storage import distinct
 from suspnet.ground.wording import natural
 from suspnet.recordings.formats import READERS
+from suspnet.recordings.manifest import CHANNELS
 from suspnet.trips.file_contents import guessed_meaning, guessed_side, words_of
 
 DEEPEST = 3
@@ -47,17 +48,19 @@ def find_trip_files(
 
     Files of one folder whose names are equal without words for a place, a side or a receiver are of
     one trip: ``run_1_axle.csv``, ``run_1_bogie.csv`` and ``run_1_gps.csv``. A folder whose files
-    have no other word, as ``run_1/axle.csv`` and ``run_1/bogie.csv``, is a trip by itself.
+    have no other word, as ``run_1/axle.csv`` and ``run_1/bogie.csv``, is a trip by itself. Folders
+    next to each other may be named by places as well: ``axle/run_1.csv``, ``bogie/run_1.csv``.
     `loggers` are more such words. FileNotFoundError is raised if there is no such folder or no data
     file in it.
     """
     if not folder.is_dir():
         raise FileNotFoundError(f"there is no folder {folder}; give the one that holds the files")
     left_out = {path.resolve() for path in besides}
+    files = [file for file in _data_files(folder, DEEPEST) if file.resolve() not in left_out]
+    places = _folders_of_places({file.parent for file in files})
     by_trip: dict[Path, list[Path]] = {}
-    for file in sorted(_data_files(folder, DEEPEST), key=lambda path: natural(str(path))):
-        if file.resolve() not in left_out:
-            by_trip.setdefault(_trip_of(file, folder, loggers), []).append(file)
+    for file in sorted(files, key=lambda path: natural(str(path))):
+        by_trip.setdefault(_trip_of(file, folder, loggers, places), []).append(file)
     if not by_trip:
         raise FileNotFoundError(
             f"{folder} holds no data file; they end with {', '.join(sorted(READERS))}"
@@ -150,14 +153,31 @@ def without_word(name: str, word: str) -> str:
     return re.sub(rf"(?<![^\W_]){re.escape(word)}(?![^\W_])", "", name, flags=re.IGNORECASE)
 
 
-def _trip_of(file: Path, folder: Path, loggers: Iterable[str] = ()) -> Path:
+def _trip_of(
+    file: Path, folder: Path, loggers: Iterable[str] = (), places: Collection[Path] = ()
+) -> Path:
     """Return the path of a file's trip, without a suffix: by its name, or by that of its folder."""
-    name = reduce(without_word, loggers, file.stem)
+    home = file.parent.parent if file.parent in places else file.parent
+    rest = _without_places(reduce(without_word, loggers, file.stem))
+    if not rest:
+        return folder / folder.resolve().name if home == folder else home
+    return home / re.sub(r"[\W_]*[_\s-][\W_]*", "_", rest)
+
+
+def _folders_of_places(folders: Iterable[Path]) -> set[Path]:
+    """Return the folders that are named by nothing but places, of several channels."""
+    by_parent: dict[Path, dict[Path, str]] = {}
+    for one in folders:
+        if not _without_places(one.name):
+            by_parent.setdefault(one.parent, {})[one] = guessed_meaning(one.name)
+    several = (own for own in by_parent.values() if len(set(own.values()) & set(CHANNELS)) > 1)
+    return {folder for own in several for folder in own}
+
+
+def _without_places(name: str) -> str:
+    """Return a name without words for places, sides and receivers; empty if nothing is left."""
     rest = "".join(_without_place(part) for part in re.split(r"([\W_]+)", name)).strip("_-. ")
-    # one word may hold all, as AxleBoxLeft
-    if not re.search(r"\w", rest) or not re.search(r"[^\W_]", rest):
-        return folder / folder.resolve().name if file.parent == folder else file.parent
-    return file.parent / re.sub(r"[\W_]*[_\s-][\W_]*", "_", rest)
+    return rest if re.search(r"[^\W_]", rest) else ""
 
 
 def _without_place(part: str) -> str:
