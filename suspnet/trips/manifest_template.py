@@ -87,8 +87,8 @@ def template(
     by_meaning: dict[str, list[Signal]] = {}
     for one in signals:
         by_meaning.setdefault(one.meaning, []).append(one)
-    for what, names in chosen.items():
-        by_meaning[what] = [one for one in signals if one.address in names]
+    for what, addresses in chosen.items():
+        by_meaning[what] = [one for one in signals if one.address in addresses]
     lines = [HEAD + _on_one_line(_check_command(path, config_dir))]
     lines += [f"# {_on_one_line(words)}" for words in read_as]
     lines.append(f"format: {FORMAT}")
@@ -103,7 +103,7 @@ def template(
         elif known[key].value != MIDDLE:
             lines.append(f"{key}: {_yaml(known[key].value)}  # {_on_one_line(known[key].comment)}")
     lines.append("")
-    taken = {address for addresses in chosen.values() for address in addresses}
+    taken = {address for several in chosen.values() for address in several}
     rest = [one for one in by_meaning.get("", []) if one.address not in taken]
     if SPEED in known:
         lines.append(f"speed: {_yaml(known[SPEED].value)}  # {_on_one_line(known[SPEED].comment)}")
