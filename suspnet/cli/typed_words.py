@@ -92,7 +92,7 @@ def _override(word: str, is_multirun: bool) -> str:
         return start + quoted(value) if is_mapping else word
     if key not in (*PATHS, *LISTS, *FOLDERS_OF_HYDRA):
         return word
-    if is_multirun and not os.path.lexists(value):
+    if is_multirun and key not in FOLDERS_OF_HYDRA and not os.path.lexists(value):
         if CALL.fullmatch(value):
             return word
         return start + ",".join(_value(item, key) for item in _items(value))

@@ -441,15 +441,16 @@ def how_to_say(key: str, trips: Sequence[Trip]) -> str:
 def _names_of_columns(trips: Sequence[Trip]) -> str:
     """Return the columns of trips, as FILE:COLUMN where several loggers have the same ones."""
     names: dict[str, None] = {}
+    note = ""
     for trip in trips:
         own = [signal.name for signal in trip.signals]
         of_loggers = len(own) < len(CHANNELS) or len(set(own)) < len(own)
         for signal in trip.signals:
             logger = signal.file.stem.removeprefix(trip.path.stem).strip("_-. ") or signal.file.stem
             names[f"{logger}:{signal.name}" if of_loggers else signal.name] = None
-    shown = ", ".join(list(names)[:MOST_SHOWN]) + ", ..." * (len(names) > MOST_SHOWN)
-    is_of_loggers = any(":" in name for name in names)
-    return shown + " (files that FILE:COLUMN names are of one trip)" * is_of_loggers
+        if of_loggers:
+            note = " (files that FILE:COLUMN names are of one trip)"
+    return ", ".join(list(names)[:MOST_SHOWN]) + ", ..." * (len(names) > MOST_SHOWN) + note
 
 
 def origins(trips: Sequence[Trip]) -> list[str]:
