@@ -32,6 +32,7 @@ from omegaconf.errors import OmegaConfBaseException
 from suspnet.cli import folders, reference, signals
 from suspnet.cli.config_files import CONFIGS, as_written, read_values, store_tables
 from suspnet.cli.loader import CheckedLoader
+from suspnet.cli.typed_words import as_overrides, quoted
 from suspnet.ground import progress
 from suspnet.ground.parameters import DEFAULT_LIMITS, read_limits
 from suspnet.ground.settings import Declared, Setting
@@ -78,6 +79,7 @@ def main(name: str) -> None:
         arguments = parser.parse_intermixed_args() if is_mixed else parser.parse_args()
         run(lambda: sys.exit(getattr(_imported(name), name)(arguments)))
         return
+    sys.argv[1:] = as_overrides(sys.argv[1:])
     program = hydra.main(version_base="1.3", config_path=CONFIGS, config_name=name)(
         _task_of(name, plugins)
     )
@@ -218,8 +220,8 @@ def _one_writer() -> Iterator[None]:
             nowhere = stack.enter_context(TemporaryDirectory())
             stack.enter_context(redirect_stderr(stack.enter_context(open(os.devnull, "w"))))
             sys.argv += [
-                f"hydra.run.dir={nowhere}",
-                f"hydra.sweep.dir={nowhere}",
+                f"hydra.run.dir={quoted(nowhere)}",
+                f"hydra.sweep.dir={quoted(nowhere)}",
                 "hydra/job_logging=none",
                 "progress=false",
             ]

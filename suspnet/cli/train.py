@@ -8,7 +8,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from shlex import join
 from typing import Any
 
 from omegaconf import DictConfig, ListConfig
@@ -19,6 +18,7 @@ from suspnet.cli.commission_fleet import (
     HealthySettings,
     are_several,
     of_group,
+    read_numbers,
     suspensions,
     train_fleet,
 )
@@ -31,7 +31,7 @@ from suspnet.estimation.problem import Problem
 from suspnet.estimation.trip_settings import TripSettings
 from suspnet.ground.parameters import DIRECTIONS, FORWARD, Direction
 from suspnet.ground.settings import check_choice, check_values
-from suspnet.ground.wording import span
+from suspnet.ground.wording import command, span
 from suspnet.ground.workers import Start, alongside
 from suspnet.learning import ranks
 from suspnet.recordings.manifest_files import ManifestFile
@@ -74,6 +74,7 @@ def main(config: DictConfig) -> None:
     warnings.simplefilter("always", ConvergenceWarning)
     check_language(config.language)
     ranks.start(config.device)
+    config.n_healthy = read_numbers(config.n_healthy)
     folder, groups = program.run_folder(), suspensions(config)
     if len(groups) == 1:
         config = of_group(config, groups[0])
@@ -91,8 +92,8 @@ def main(config: DictConfig) -> None:
         folders.start_again(folder)
         _run(config, folder, varied=folders.varied(config), draw=folders.is_first_of_its_vehicle())
     if groups:
-        read = ["suspnet", "evaluate", f"trips={config.healthy}", f"run={folder}"]
-        log.info("then run: %s", join(read))
+        read = command("evaluate", f"trips={config.healthy}", f"run={folder}")
+        log.info("then run: %s", read)
 
 
 def _run(

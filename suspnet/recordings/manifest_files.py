@@ -13,6 +13,7 @@ from typing import Any
 from suspnet.ground.parameters import ENDS, SIDES
 from suspnet.ground.records import Place
 from suspnet.ground.storage import printable, read_json, read_plain, why, write_atomically
+from suspnet.ground.wording import command
 from suspnet.recordings.core_yaml import MOST_BYTES, dump_yaml, parse_yaml
 from suspnet.recordings.errors import TripError, all_of, opening
 from suspnet.recordings.manifest import FORMAT, MANIFEST, TripManifest
@@ -197,7 +198,7 @@ def find_manifests(folder: Path) -> list[Path]:
     if not manifests:
         raise FileNotFoundError(
             f"{folder} holds no *.yaml file; each trip needs one. "
-            f"Of data files all are written by: suspnet init {folder}"
+            f"Of data files all are written by: {command('init', folder)}"
         )
     return manifests
 
@@ -223,7 +224,7 @@ def _manifests(path: Path) -> list[Path]:
         if not os.path.lexists(path):
             raise FileNotFoundError(f"there is no file or folder {path}")
         if path.suffix not in (".yaml", ".yml"):
-            raise OSError(f"{path} is no manifest (*.yaml); to write one: suspnet init {path}")
+            raise OSError(f"{path} is no manifest (*.yaml); to write one: {command('init', path)}")
         return [path]
     if not any(path.glob("*.yaml")):
         parts = sorted(part for part in path.iterdir() if part.is_dir() and part.name[0] != ".")

@@ -6,6 +6,7 @@ import json
 import logging
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from shlex import quote
 from statistics import fmean, stdev
 from typing import Any
 
@@ -251,9 +252,10 @@ class Table5(_Summary):
                 tuned.setdefault(run["group"], {})[run["model"]] = numbers
         content = yaml.safe_dump({"tuned": tuned}, sort_keys=True)
         content += "".join(f"# {words}\n" for words in edges)
+        use = f"python train.py --config-dir {quote(str(folder))} experiment=best"
         path = write_atomically(
             folder / "experiment" / "best.yaml",
-            f"# @package _global_\n# python train.py --config-dir {folder} experiment=best\n"
+            f"# @package _global_\n# {use}\n"
             f"# or copy `tuned` into configs/protocol/{runs[0]['protocol']}.yaml\n{content}",
         )
         write_json(folder / "table5.json", [_search_record(run) for run in runs if "search" in run])
@@ -261,11 +263,11 @@ class Table5(_Summary):
         write_atomically(folder / "table5.md", f"{table}\n")
         log.info(
             "best hyperparameters (least cross-validated RMSE):\n\n%s\n\n%s-> %s\n"
-            "use them with: python train.py --config-dir %s experiment=best",
+            "use them with: %s",
             table,
             content,
             path,
-            folder,
+            use,
         )
 
 

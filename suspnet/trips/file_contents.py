@@ -16,6 +16,7 @@ from suspnet.recordings.columns import Column, OpenFile, size_of, unit_in_name
 from suspnet.recordings.errors import TripError
 from suspnet.recordings.formats import open_file, read_columns
 from suspnet.recordings.logger_notes import WORDS, choice_of
+from suspnet.recordings.manifest import CHANNELS
 from suspnet.recordings.manifest_sources import TIME_UNITS, Source
 
 ACCELERATION, SPEED = "acceleration", "speed"
@@ -106,6 +107,10 @@ def is_of_another_direction(column: str) -> bool:
     return bool(set(words_of(column)) & set(_OTHER_DIRECTIONS))
 
 
+Address = tuple[Path, str]
+"""File and name of a column."""
+
+
 @dataclass(frozen=True)
 class Signal:
     """One column of numbers, and what is known about it.
@@ -115,8 +120,9 @@ class Signal:
     or the file states the rate, and `time_unit` their unit if only their column's name states it.
     `mean` and `deviation` are those of the first samples, `first` is the first of them. `zero` is
     when its times start, as far as the file states it. `names` serve to guess its meaning: its own,
-    with and without its group's, and that of a file with at most two columns. `axle` is 1 or 2 of
-    the bogie where this was said, else 0; `range` is the sensor's where said, else NaN.
+    with and without its group's, and that of a file with at most two columns or with columns that
+    name no channel. `axle` is 1 or 2 of the bogie where this was said, else 0; `range` is the
+    sensor's where said, else NaN.
     """
 
     file: Path
@@ -137,6 +143,11 @@ class Signal:
     def name(self) -> str:
         """Name of the column."""
         return self.column.name
+
+    @property
+    def address(self) -> Address:
+        """File and column: loggers of one kind give their columns the same names."""
+        return self.file, self.name
 
     @property
     def meaning(self) -> str:
@@ -196,10 +207,20 @@ def contents_of(file: Path) -> Contents:
     signals = [one for one in found if one is not None]
     if not signals:
         raise TripError(f"{file} holds no column of numbers{': ' * bool(refused)}{refused}")
-    if len(signals) <= len(SIDES):
-        signals = [replace(one, names=(*one.names, file.stem)) for one in signals]
+    # a file DG2 of many columns is that of a bogie with all of its places
+    names_place = not _BOGIE_NUMBER.search(file.stem.lower())
+    names_place &= not {one.meaning for one in signals} & set(CHANNELS)
+    if len(signals) <= len(SIDES) or names_place:
+        signals = [_named_by_its_file(one) for one in signals]
     words = [opened.words, f"{file.name}: not read: {refused}" if refused else ""]
     return Contents(file, tuple(signals), "; ".join(filter(None, words)), opened.notes)
+
+
+def _named_by_its_file(signal: Signal) -> Signal:
+    sizes = (size_of(kind, signal.unit) for kind in (ACCELERATION, SPEED))
+    if signal.unit and all(size is None for size in sizes):  # such as a temperature
+        return signal
+    return replace(signal, names=(*signal.names, signal.file.stem))
 
 
 def _first(file: Path, opened: OpenFile, names: Sequence[str]) -> tuple[FloatArray, ...]:
