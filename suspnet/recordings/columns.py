@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -50,6 +50,8 @@ class Column:
         Largest value of integers that represent a fraction of the range.
     date : str or None
         Start of the recording as written in a header, too coarse to align clocks.
+    unread : str
+        Why it holds neither numbers nor times that can be read; empty if it does.
     """
 
     name: str
@@ -63,6 +65,7 @@ class Column:
     is_whole_rate: bool = False
     full_scale: float | None = None
     date: str | None = None
+    unread: str = ""
 
 
 @dataclass(frozen=True)
@@ -71,7 +74,7 @@ class OpenFile:
 
     `read` yields blocks of the named columns. `words` states how the file is read if this was
     detected. `hint` is added to the message about a missing column. `notes` are lines in which the
-    logger describes the recording.
+    logger describes the recording. `remarks` grow while blocks are read: what was left out.
     """
 
     columns: tuple[Column, ...]
@@ -79,6 +82,7 @@ class OpenFile:
     words: str = ""
     hint: str = ""
     notes: tuple[str, ...] = ()
+    remarks: list[str] = field(default_factory=list)
 
     def column(self, name: str) -> Column:
         """Return a column by its name."""
@@ -95,15 +99,19 @@ def choose(path: Path, file: OpenFile, columns: Sequence[str | None]) -> list[st
     Raises TripError if a column is missing or its name not unique, or if None is ambiguous.
     """
     present = [column.name for column in file.columns]
-    listed = [column.name for column in file.columns if not column.is_part]
+    listed = [column.name for column in file.columns if not (column.is_part or column.unread)]
     named = [name for name in columns if name is not None]
     for name in named:
         if name not in present:
             raise TripError(
                 f"{path} has no column {name!r} of numbers; it has {listing(listed)}{file.hint}"
             )
+        if words := file.column(name).unread:
+            raise TripError(f"{path}: column {name!r} {words}")
     times = {column.time for column in file.columns} | set(named)
-    others = [c.name for c in file.columns if not (c.is_part or c.is_time or c.name in times)]
+    others = [
+        c.name for c in file.columns if not (c.is_part or c.is_time or c.unread or c.name in times)
+    ]
     if len(named) < len(columns) and len(others) != 1:
         raise TripError(f"{path}: say which `column` to read; there are {listing(others)}")
     names = [others[0] if name is None else name for name in columns]
