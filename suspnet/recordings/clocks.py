@@ -179,10 +179,7 @@ class Times:
         zone = self.source.time_zone
         if first // (86400 * SECOND_NS) == NO_DATE.astype(np.int64):
             if zone is not None:
-                raise TripError(
-                    f"{self.where}: its times have no date, so that `time_zone` says nothing; leave "
-                    "it out"
-                )
+                raise TripError(f"{self.where}: its times have no date, leave out `time_zone`")
             self._first = int(NO_DATE.astype("datetime64[ns]").astype(np.int64))
             self.zero = Zero(is_midnight=True)
         elif zone is None:

@@ -17,6 +17,7 @@ MOST_LAYOUTS = 500
 MONTHS = ("jan", "feb", "mar|mrz", "apr", "may|mai", "jun", "jul", "aug", "sep", "oct|okt", "nov")
 MONTHS = (*MONTHS, "dec|dez")
 """First letters of the names of months, in English and German."""
+ZERO = np.uint8(ord("0"))
 _NAME = rf"(?P<name>{'|'.join(MONTHS)})[a-z]{{0,6}}"
 DATES = (
     r"(?P<year>\d{4})[-/.:](?P<month>\d\d?)[-/.:](?P<day>\d\d?)",
@@ -51,6 +52,18 @@ class Notation:
     pattern: int
     is_zoned: bool
     is_dated: bool
+
+    def is_like(self, other: Notation) -> bool:
+        """Return whether only the dates of one of them may be unclear."""
+        return (self.pattern, self.is_zoned) == (other.pattern, other.is_zoned)
+
+    def is_that_of(self, text: str) -> bool:
+        """Return whether a text is a valid time stamp in this notation."""
+        try:
+            letters = np.frombuffer(text.encode("ascii"), np.uint8)
+            return len(read_stamps(letters, np.array([0, len(letters)]), self)) == 1
+        except ValueError:
+            return False
 
     @property
     def is_unclear(self) -> bool:
@@ -105,15 +118,22 @@ def read_stamps(
             raise ValueError(text)
         # all stamps with digits in the same places, and the same characters between them
         alike = widths[rest] == widths[first]
-        at = rest[alike]
-        rows = letters[starts[at, None] + np.arange(widths[first])]
-        is_digit = rows[0] - ord("0") < 10  # below zero wraps around
-        same = ((rows == rows[0]) | is_digit).all(axis=1)
-        same &= ((rows - ord("0") < 10) | ~is_digit).all(axis=1)
-        values, is_valid = _nanoseconds(rows[same] - ord("0"), match[1], notation, day)
+        at = rest if alike.all() else rest[alike]
+        if len(at) == len(starts):
+            rows = letters[starts[0] : ends[-1]].reshape(len(at), -1)
+        else:
+            rows = letters[starts[at, None] + np.arange(widths[first])]
+        places = np.ascontiguousarray(rows.T)
+        same = np.ones(len(at), dtype=np.bool_)
+        for place in places:
+            is_digit = 48 <= place[0] < 58
+            same &= place - ZERO < 10 if is_digit else place == place[0]
+        if not same.all():
+            places = places[:, same]
+        values, is_valid = _nanoseconds(places - ZERO, match[1], notation, day)
         found[at[same]] = values
         if not is_valid.all():
-            wrong = rows[same][int(is_valid.argmin())]
+            wrong = places[:, int(is_valid.argmin())]
             raise ValueError(wrong.tobytes().decode("latin-1"))
         alike[alike] = same
         rest = rest[~alike]
@@ -128,23 +148,24 @@ def _nanoseconds(
 
     def number(name: str) -> IntArray:
         """Return a field of all stamps; zero if they have none."""
-        value = np.zeros(len(digits), dtype=np.int64)
+        value = np.zeros(digits.shape[1], dtype=np.int32)  # at most nine digits
         if fields.get(name):
             for place in range(*match.span(name)):
-                value = 10 * value + digits[:, place]
+                value *= 10
+                value += digits[place]
         return value
 
     hour, minute, second = number("hour"), number("minute"), number("second")
     is_valid = (hour < 24) & (minute < 60) & (second < 61)
     if half := fields.get("half"):
         hour = hour % 12 + 12 * (half in "pP")
-    days = np.full(len(digits), day)
+    days = np.full(digits.shape[1], day)
     if notation.is_dated:
         year = number("year")
         if len(fields["year"]) == 2:
             year += np.where(year < 70, 2000, 1900)
         if name := fields.get("name"):
-            month = np.full(len(digits), 1 + _month(name), dtype=np.int64)
+            month = np.full(digits.shape[1], 1 + _month(name), dtype=np.int64)
             of_month = number("day")
         elif "one" in fields:
             one, other = number("one"), number("other")
@@ -156,10 +177,10 @@ def _nanoseconds(
         days = months.astype("datetime64[D]") + (of_month - 1)
         is_valid &= (1 <= month) & (month <= 12) & (1 <= of_month)
         is_valid &= days.astype("datetime64[M]") == months
-    seconds = 86400 * days.astype(np.int64) + 3600 * hour + 60 * minute + second
+    seconds = 86400 * days.astype(np.int64) + (3600 * hour + 60 * minute + second)
     offset = 3600 * number("zone_hour") + 60 * number("zone_minute")
     seconds -= -offset if fields.get("sign") == "-" else offset
-    fraction = number("fraction") * 10 ** (9 - len(fields.get("fraction") or ""))
+    fraction = number("fraction") * 10 ** (9 - len(fields.get("fraction") or "0"))
     return 10**9 * seconds + fraction, is_valid
 
 
