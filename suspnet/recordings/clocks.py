@@ -34,13 +34,14 @@ from suspnet.recordings.stamps import NO_DATE
 
 DATED_S = (3.15e8, 4.1e9)
 """Range of a first time [s] that is taken as seconds since 1970: the years 1979 to 2099."""
+LONGEST_STEP_S = 60.0
+"""Longest step of times [s] that count as seconds since 1970: a counter of nanoseconds passes their
+numbers within seconds."""
 USUAL_HZ = (50.0, 50e3)
 """Rates of accelerometers from which the unit of times is inferred: a factor of 1000, so that only
 one unit fits."""
 LEAST_STEPS = 8
 """Least number of steps of the first block by which jumps of the times are judged."""
-MOST_JUMPS = 100
-"""Largest number of jumps in one block that are repaired."""
 SAME_NS = 1000
 """Largest difference [ns] between starts stated by files that count as the same."""
 
@@ -75,7 +76,8 @@ class Times:
 
     `column` holds the times; `start_ns` is their origin as stated by the file. `zero` is known
     after the first block. Times continue where a counter or a day starts again, and where clocks
-    are changed in spring and autumn; `words` states it.
+    are changed in spring and autumn; `words` states it. `n_untimed` counts the values without a
+    time, which are left out.
     """
 
     def __init__(self, where: str, source: Source, column: Column, start_ns: int | None) -> None:
@@ -87,6 +89,7 @@ class Times:
         self._last: Any = None
         self._shift = 0
         self._repairs: Counter[str] = Counter()
+        self.n_untimed = 0
 
     def likely_unit(self, rate_hz: float) -> str:
         """Return the unit of times without one that gives a usual rate; empty if seconds do.
@@ -104,7 +107,7 @@ class Times:
         return [
             f"the times of {self.column.name!r} jump {count(n, 'time')} at {reason}: they continue"
             for reason, n in self._repairs.items()
-        ]
+        ] + [f"{count(n, 'row')} without a time, left out" for n in [self.n_untimed] if n]
 
     def seconds(self, times: NDArray[np.generic]) -> FloatArray:
         """Return times in seconds since `zero`, NaN where missing.
@@ -135,16 +138,18 @@ class Times:
             self._usual = float(np.median(steps[1:])) if len(steps) > LEAST_STEPS else 0.0
         hour = 3600 * SECOND_NS if is_stamp else np.inf
         jumps = np.flatnonzero((steps < 0) | (steps > hour / 2))
-        if self._usual <= 0 or not 0 < len(jumps) <= MOST_JUMPS:
+        if self._usual <= 0 or not len(jumps):
             return raw + self._shift if self._shift else raw
         # a jump is repaired if it is a known one and leaves a step like the others
         shifts = np.zeros(len(known), dtype=known.dtype)
-        for jump in jumps:
-            for reason, period in self._periods(is_stamp).items():
-                on_hour = known[jump] % hour if abs(period) == hour else 0.0
-                if max(abs(steps[jump] + period - self._usual), on_hour) < 1.5 * self._usual:
-                    shifts[jump] = period
-                    self._repairs[reason] += 1
+        for reason, period in self._periods(is_stamp).items():
+            off = np.abs(steps[jumps] + period - self._usual)
+            if abs(period) == hour:
+                off = np.maximum(off, known[jumps] % hour)
+            is_it = (off < 1.5 * self._usual) & (shifts[jumps] == 0)
+            if is_it.any():
+                shifts[jumps[is_it]] = period
+                self._repairs[reason] += int(np.count_nonzero(is_it))
         total = self._shift + np.cumsum(shifts)
         self._shift = total[-1]
         continued = raw.copy()
@@ -179,7 +184,7 @@ class Times:
         zone = self.source.time_zone
         if first // (86400 * SECOND_NS) == NO_DATE.astype(np.int64):
             if zone is not None:
-                raise TripError(f"{self.where}: its times have no date, leave out `time_zone`")
+                raise TripError(f"{self.where}: its times have no date: leave out `time_zone`")
             self._first = int(NO_DATE.astype("datetime64[ns]").astype(np.int64))
             self.zero = Zero(is_midnight=True)
         elif zone is None:
@@ -212,7 +217,12 @@ class Times:
             )
         size = found if stated is None else TIME_UNITS[stated]
         sizes = TIME_UNITS.values() if size is None else [size]
-        dated = [one for one in sizes if DATED_S[0] <= first * one <= DATED_S[1]]
+        step = float(np.median(np.diff(known))) if len(known) > 1 else 0.0
+        dated = [
+            one
+            for one in sizes
+            if DATED_S[0] <= first * one <= DATED_S[1] and step * one < LONGEST_STEP_S
+        ]
         self._size = dated[0] if dated else (size or 1.0)
         self._is_assumed = size is None and not dated
         if dated:

@@ -80,17 +80,23 @@ class OpenSource:
         return replace(self.times.zero, date=self.stated.date)
 
     def blocks(self) -> Iterator[tuple[FloatArray, ...]]:
-        """Yield times [s], if there are any, and values in the source's unit."""
+        """Yield times [s], if there are any, and values in the source's unit.
+
+        Rows without a time are left out.
+        """
+        n_rows = 0
         for block in read_columns(self.path, self.file, self.names):
             if self.times is None:
                 yield block
                 continue
             seconds, values = self.times.seconds(block[0]), block[1]
-            # a row that holds neither time nor value is none
-            if len(nothing := np.flatnonzero(np.isnan(seconds))):
-                nothing = nothing[np.isnan(values[nothing])]
-                seconds, values = np.delete(seconds, nothing), np.delete(values, nothing)
+            if (untimed := np.isnan(seconds)).any():
+                self.times.n_untimed += int(np.count_nonzero(untimed & ~np.isnan(values)))
+                seconds, values = seconds[~untimed], values[~untimed]
+            n_rows += len(values)
             yield seconds, values
+        if self.times is not None and not n_rows:
+            raise TripError(f"{self.where}: its times are empty")
 
     def even(self, band_hz: float = BAND_HZ) -> Iterator[FloatArray]:
         """Yield evenly sampled values in the source's unit; NaN where times are missing.

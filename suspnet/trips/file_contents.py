@@ -21,6 +21,8 @@ from suspnet.recordings.manifest_sources import TIME_UNITS, Source
 ACCELERATION, SPEED = "acceleration", "speed"
 MOST_COLUMNS = 500
 """Largest number of columns of a file that are inspected."""
+MOSTLY_RISING = 0.99
+"""Least share of rising steps in a column of times."""
 _WORDS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     SPEED: (("speed", "veloc", "geschwind", "tempo"), ("v", "vel", "kmh", "kph", "mps", "vzug")),
     "axle_box": (
@@ -208,11 +210,16 @@ def _first(file: Path, opened: OpenFile, names: Sequence[str]) -> tuple[FloatArr
 
 
 def _times(file: Path, opened: OpenFile, name: str) -> FloatArray:
-    """Return the first times of a column, [s] or its own unit; empty if they do not increase."""
+    """Return the first times of a column, [s] or its own unit; empty if they do not increase.
+
+    Some may be missing, and a clock may start again.
+    """
     (block,) = _first(file, opened, [name]) or (np.empty(0),)
     if block.dtype.kind == "M":
-        block = np.asarray((block - block[0]) / np.timedelta64(1, "s"), dtype=np.float64)
-    rises = len(block) > 1 and bool((np.diff(block) > 0).all())
+        block = block[~np.isnat(block)]
+        block = np.asarray((block - block[:1]) / np.timedelta64(1, "s"), dtype=np.float64)
+    block = block[np.isfinite(block)]
+    rises = len(block) > 1 and (np.diff(block) > 0).mean() >= MOSTLY_RISING
     return np.asarray(block, dtype=np.float64) if rises else np.empty(0)
 
 
