@@ -16,7 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from suspnet.ground.types import BoolArray, FloatArray
-from suspnet.ground.wording import count
 from suspnet.recordings.columns import Column, size_of
 from suspnet.recordings.dates import (
     EPOCH,
@@ -92,22 +91,18 @@ class Times:
         self.n_untimed = 0
 
     def likely_unit(self, rate_hz: float) -> str:
-        """Return the unit of times without one that gives a usual rate; empty if seconds do.
-
-        `rate_hz` is that of times in seconds.
-        """
-        if not self._is_assumed or rate_hz >= USUAL_HZ[0]:
-            return ""
-        rates = {unit: rate_hz / size for unit, size in TIME_UNITS.items()}
-        return next((u for u, rate in rates.items() if USUAL_HZ[0] <= rate < USUAL_HZ[1]), "")
+        """Return `likely_time_unit` if neither file nor manifest states the unit."""
+        return likely_time_unit(rate_hz) if self._is_assumed else ""
 
     @property
     def words(self) -> list[str]:
         """What was repaired in the times so far."""
-        return [
-            f"the times of {self.column.name!r} jump {count(n, 'time')} at {reason}: they continue"
-            for reason, n in self._repairs.items()
-        ] + [f"{count(n, 'row')} without a time, left out" for n in [self.n_untimed] if n]
+        found = [
+            f"times jump by {reason} and continue ({n})" for reason, n in self._repairs.items()
+        ]
+        if self.n_untimed:
+            found.append(f"rows without a time are left out ({self.n_untimed})")
+        return found
 
     def seconds(self, times: NDArray[np.generic]) -> FloatArray:
         """Return times in seconds since `zero`, NaN where missing.
@@ -142,7 +137,7 @@ class Times:
             return raw + self._shift if self._shift else raw
         # a jump is repaired if it is a known one and leaves a step like the others
         shifts = np.zeros(len(known), dtype=known.dtype)
-        for reason, period in self._periods(is_stamp).items():
+        for reason, period in self._periods(is_stamp):
             off = np.abs(steps[jumps] + period - self._usual)
             if abs(period) == hour:
                 off = np.maximum(off, known[jumps] % hour)
@@ -156,23 +151,19 @@ class Times:
         continued[~missing] += total
         return continued
 
-    def _periods(self, is_stamp: bool) -> dict[str, float]:
-        """Return what the times may jump by, in their unit."""
+    def _periods(self, is_stamp: bool) -> list[tuple[str, float]]:
+        """Return what times may jump by: as text, and in their unit."""
         if not is_stamp:
-            counters = {f"2^{bits}, the end of a counter": 2.0**bits for bits in (16, 24, 31, 32)}
-            scaled = {
-                f"2^32 {unit}, the end of a counter": 2.0**32 * size / self._size
-                for unit, size in TIME_UNITS.items()
-            }
-            return counters | scaled | {"midnight": 86400 / self._size}
-        if self.zero.is_midnight:
-            return {"midnight": 86400 * SECOND_NS, "the full hour": 3600 * SECOND_NS}
-        if self.column.is_zoned:
-            return {}
-        return {
-            "the change of clocks in autumn": 3600 * SECOND_NS,
-            "the change of clocks in spring": -3600 * SECOND_NS,
-        }
+            counters = [(f"2^{bits}", 2.0**bits) for bits in (16, 24, 31, 32)]
+            scaled = [
+                (f"2^32 {unit}", 2.0**32 * size / self._size) for unit, size in TIME_UNITS.items()
+            ]
+            return [*counters, *scaled, ("a day", 86400 / self._size)]
+        hour = 3600 * SECOND_NS
+        if self.zero.is_midnight:  # stamps of minutes and seconds start again every hour
+            return [("a day", 24 * hour), ("an hour", hour)]
+        # local clocks are changed in autumn and spring
+        return [] if self.column.is_zoned else [("an hour", hour), ("an hour", -hour)]
 
     def _begin_stamps(self, times: NDArray[np.generic]) -> None:
         """Set the zero of time stamps to the whole second of the first one."""
@@ -231,6 +222,18 @@ class Times:
             self.zero = Zero(whole_s * SECOND_NS)
         if self.source.time_zone is not None:
             raise TripError(f"{self.where}: `time_zone` is for time stamps, its times are numbers")
+
+
+def likely_time_unit(rate_hz: float) -> str:
+    """Return the unit of an accelerometer's times that gives a usual rate; empty if seconds do.
+
+    `rate_hz` is the rate of times in seconds.
+
+    >>> likely_time_unit(0.0002), likely_time_unit(200.0)
+    ('us', '')
+    """
+    units = [one for one, size in TIME_UNITS.items() if USUAL_HZ[0] <= rate_hz / size < USUAL_HZ[1]]
+    return units[0] if units and rate_hz < USUAL_HZ[0] else ""
 
 
 def header_date(column: Column) -> datetime | None:

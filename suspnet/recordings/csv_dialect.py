@@ -104,7 +104,7 @@ class Found:
             return ""
         return (
             f"holds text like {kind[:40]!r}, neither numbers nor times that can be read; write "
-            "times like 2015-08-03T08:00:00.5 or in seconds, or give `rate_hz` instead"
+            "times like 2015-08-03T08:00:00.5, or give `rate_hz` instead"
         )
 
     @property
@@ -117,7 +117,7 @@ class Found:
             ):
                 found.append(f"the times of {name!r}, like {kind[:40]!r}, cannot be read")
             elif isinstance(kind, Notation) and kind.is_unclear:
-                found.append(f"the dates of {name!r} are left out: which number is the day?")
+                found.append(f"the dates of {name!r} are left out, as day and month are unclear")
         return tuple(found)
 
 

@@ -17,7 +17,6 @@ import pyarrow.parquet
 from numpy.typing import NDArray
 
 from suspnet.ground.types import FloatArray, IntArray
-from suspnet.ground.wording import count
 from suspnet.recordings.columns import Block, Column, OpenFile, as_block, check_samples
 from suspnet.recordings.csv_dialect import MISSING, NUMBER, SIGNS, Found, find_dialect, split
 from suspnet.recordings.dates import read_date
@@ -116,7 +115,7 @@ class _Remark:
         self.n += 1
         if not self.first:
             shown = re.sub(r"\s*;\s*", ";", text.strip()[:SHOWN])  # "; " separates remarks
-            self.first = f"line {line_number}: {shown!r}"
+            self.first = f"first in line {line_number}: {shown!r}"
 
 
 @dataclass
@@ -321,21 +320,19 @@ class _Rows:
         """Raise TripError if too many lines are no rows."""
         if self._lines.n > MOST_LEFT_OUT * self._n_rows + FOOTER_LINES:
             raise TripError(
-                f"{self.path}: {self._lines.n} lines are no rows of its table, the first is "
-                f"{self._lines.first}; export it again, each table into a file of its own"
+                f"{self.path}: {self._lines.n} lines are no rows of its table "
+                f"({self._lines.first}); export it again, each table into a file of its own"
             )
 
     def _remarks(self) -> Iterator[str]:
         """Yield what was left out of the file."""
         name = self.path.name
         if n := self._lines.n:
-            what = f"{count(n, 'line')} of {name} outside of its table"
-            yield f"{what}, left out ({self._lines.first})"
+            yield f"lines of {name} outside of its table are left out ({n}, {self._lines.first})"
         if n := self._words.n:
-            what = f"{count(n, 'word')} in place of numbers in {name}"
-            yield f"{what}, taken as missing ({self._words.first})"
+            yield f"words in place of numbers in {name} are missing ({n}, {self._words.first})"
         if n := self._n_zeros:
-            yield f"{count(n, 'zero byte')} in {name}, left out"
+            yield f"zero bytes in {name} are left out ({n})"
 
 
 def _letters(texts: Any) -> tuple[NDArray[np.uint8], IntArray]:

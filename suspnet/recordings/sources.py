@@ -147,9 +147,7 @@ def open_source(manifest: TripManifest, source: Source, where: str) -> Iterator[
             stamps = [one.name for one in file.columns if one.is_time]
             time = stamps[0] if len(stamps) == 1 else None
         if time is None and rate_hz is None:
-            unread = [
-                f"; its column {one.name!r} {one.unread}" for one in file.columns if one.unread
-            ]
+            unread = [f"; {one.name!r} {one.unread}" for one in file.columns if one.unread]
             raise TripError(
                 f"{where} needs `rate_hz` or `time` (a column): {path.name} does not say the rate"
                 + "".join(unread[:1])
@@ -319,8 +317,8 @@ def check_rising(where: str, times: FloatArray, before: float | None = None) -> 
         reason = "are they rounded too coarsely, or stored in single precision?"
         if later < earlier:
             reason = (
-                f"the clock steps back by {earlier - later:.6g} s: was it set, or started again, "
-                "while recording? Divide the trip there, or give `rate_hz` instead of `time`"
+                f"the clock steps back by {earlier - later:.6g} s; divide the trip there, or give "
+                "`rate_hz` instead of `time`"
             )
         raise TripError(
             f"{where}: times must rise, but {later:.9g} s follows {earlier:.9g} s; {reason}"

@@ -137,7 +137,7 @@ def read_stamps(
             raise ValueError(wrong.tobytes().decode("latin-1"))
         alike[alike] = same
         rest = rest[~alike]
-    raise ValueError(f"{text}, and {MOST_LAYOUTS} other layouts")
+    raise ValueError(text)
 
 
 def _nanoseconds(

@@ -70,8 +70,8 @@ class Grid:
         even = steps_s[steps_s <= self.gap_s]
         self.step_s = float(even.mean())
         low, high = 1e3 * np.quantile(even, [0.01, 0.99])
-        self._spread = f"steps of {low:.3g} to {high:.3g} ms"
-        self.words = f"its times are uneven, {self._spread}: interpolated at {self.rate_hz:.6g} Hz"
+        self._uneven = f"its times are uneven, steps of {low:.3g} to {high:.3g} ms"
+        self.words = f"{self._uneven}; its samples are interpolated at {self.rate_hz:.6g} Hz"
         self._first_s, self._n_done = first_s, 0
         self._times, self._values = np.empty(0), np.empty(0)
         self._n_summed, self._sum_of_squares = 0, 0.0
@@ -143,10 +143,9 @@ class Grid:
         error = math.sqrt(self._sum_of_squares / max(self._n_summed, 1))
         if error > MOST_ERROR:
             raise TripError(
-                f"{self.where}: its times are uneven, {self._spread}: at {self.band_hz:g} Hz "
-                f"interpolation would err by {100 * error:.2g} %, the most is "
-                f"{100 * MOST_ERROR:g} %; record at even steps or faster, or, if the samples are "
-                "even and only their times are not, give `rate_hz` instead of `time`"
+                f"{self.where}: {self._uneven}; at {self.band_hz:g} Hz interpolation would err by "
+                f"{100 * error:.2g} %, the most is {100 * MOST_ERROR:g} %; record faster, or give "
+                "`rate_hz` instead of `time` if only the times are uneven, not the samples"
             )
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from suspnet.ground.parameters import ENDS, SIDES
 from suspnet.ground.types import FloatArray
-from suspnet.recordings.clocks import Times, Zero, header_date
+from suspnet.recordings.clocks import Times, Zero, header_date, likely_time_unit
 from suspnet.recordings.columns import Column, OpenFile, size_of, unit_in_name
 from suspnet.recordings.errors import TripError
 from suspnet.recordings.formats import open_file, read_columns
@@ -235,6 +235,10 @@ def _signal(
     if rate_hz is None:
         time = column.time or next(iter(times), "")
         rate_hz, time_unit = _rate(opened, time, times[time]) if time in times else (np.nan, "")
+    if time and not time_unit and guessed_meaning(column.name) != SPEED:
+        stated = opened.column(time).unit or unit_in_name(time)
+        time_unit = "" if stated else likely_time_unit(rate_hz)
+        rate_hz /= TIME_UNITS[time_unit or "s"]
     return Signal(
         file=file,
         column=column,

@@ -258,7 +258,7 @@ def test_a_row_without_its_time_is_none(tmp_path, wrong):
     path.write_text("\n".join(["t;a", *lines[:40], f"{wrong};1", *lines[40:]]), "utf-8")
     with open_file(path) as file:
         blocks = list(read_columns(path, file, ["t", "a"]))
-        assert re.search("1 line .*left out .line 42: '3", file.remarks[0])
+        assert re.search("are left out .1, first in line 42: '3", file.remarks[0])
     times, values = (np.concatenate(part) for part in zip(*blocks, strict=True))
     assert np.flatnonzero(np.isnat(times)) == np.flatnonzero(np.isnan(values)) == 40
     path.write_text("\n".join(["t;a", *lines, "31/08/2015 23:59:59;1"]))
@@ -276,14 +276,17 @@ def rows(form, n=30) -> str:
 
 TABLE = rows(lambda ms: f"{ms / 1000:.3f}")
 STATED = {
-    "a word in the first row": ("t,a\n-1,ERR\n" + TABLE, "1 word .* as missing .line 2: 'ERR'"),
+    "a word in the first row": (
+        "t,a\n-1,ERR\n" + TABLE,
+        "words .* are missing .1, first in line 2: 'ERR'",
+    ),
     "a word in the third row": (
         f"t,a\n-3,7\n-2,8\n-1,over range\n{TABLE}",
-        "1 word .* as missing .line 4: 'over range'",
+        "words in place .* are missing .1, first in line 4: 'over range'",
     ),
     "words in all pieces": (
         "t,a\n" + TABLE.replace("9.5\n", "9.5\n,bad\n"),
-        "3 lines of data.csv outside of its table, left out .line 12: ',bad'",
+        "lines of data.csv outside of its table are left out .3, first in line 12: ',bad'",
     ),
     "a minus sign": ("t,a\n\N{MINUS SIGN}1,\N{MINUS SIGN}3\n" + TABLE, ""),
     "infinity": ("t,a\n-1,\N{INFINITY}\n" + TABLE, ""),
@@ -295,11 +298,20 @@ STATED = {
     "metadata of as many cells": ("Operator,Smith\nt,a\n" + TABLE, "names in line 2"),
     "names over two lines": ('"Time\n(s)","Acc\n(g)"\n' + TABLE, "names in line 3"),
     "a tag": (";Headers, time, a\n;Units, s, g\n" + TABLE, "names in line 1"),
-    "a cut last line": (f"t,a\n{TABLE}0.9", "1 line .* outside of its table.* .line 32: '0.9'"),
-    "zero bytes": ("t,a\n" + TABLE + "\0" * 3000, "3000 zero bytes in data.csv, left out"),
-    "a footer": (f"t,a\n{TABLE}\nEnd of file\n", "1 line .* outside .* .line 33: 'End of file'"),
-    "a footer with numbers": (f"t,a\n{TABLE}Rows,30\nMax; t,29.5\n", "2 lines .* left out"),
-    "names again": (f"t,a\n{TABLE}t,a\n{TABLE}", "1 line .* outside of its table.*: 't,a'"),
+    "a cut last line": (
+        f"t,a\n{TABLE}0.9",
+        "lines .* outside of its table are .* .1, first in line 32: '0.9'",
+    ),
+    "zero bytes": ("t,a\n" + TABLE + "\0" * 3000, r"zero bytes in data.csv are left out \(3000\)"),
+    "a footer": (f"t,a\n{TABLE}\nEnd of file\n", ".1, first in line 33: 'End of file'"),
+    "a footer with numbers": (
+        f"t,a\n{TABLE}Rows,30\nMax; t,29.5\n",
+        "lines .* are left out .2, first in line 32: 'Rows,30'",
+    ),
+    "names again": (
+        f"t,a\n{TABLE}t,a\n{TABLE}",
+        "lines .* are left out .1, first in line 32: 't,a'",
+    ),
 }
 
 
@@ -371,7 +383,7 @@ def test_time_stamps_of_all_notations_are_read(tmp_path, form, begin):
     path = tmp_path / "data.csv"
     path.write_text("t,a\n" + rows(form))
     with open_file(path) as file:
-        assert ("which number is the day?" in file.words) == (form(0)[:5] == "08/03")
+        assert ("as day and month are unclear" in file.words) == (form(0)[:5] == "08/03")
         assert file.column("t").is_time
     (times, _) = read(path, "t", "a")
     steps = (5 * np.arange(30)).astype("timedelta64[ms]")
@@ -393,7 +405,7 @@ def test_times_that_are_not_understood_are_named(tmp_path, form):
     message = rf"column 't' holds text like '{form(0)}', neither numbers nor times that can be read"
     with pytest.raises(TripError, match=message):
         read(path, "t", "a")
-    message = f"here needs `rate_hz` or `time` .*; its column 't' holds text like '{form(0)}'"
+    message = f"here needs `rate_hz` or `time` .*; 't' holds text like '{form(0)}'"
     with pytest.raises(TripError, match=message), opened(path, Channel(path.name, "g", "a")):
         pass
 
@@ -402,6 +414,6 @@ def test_a_file_that_is_mostly_something_else_is_refused(tmp_path, monkeypatch):
     monkeypatch.setattr(csv_dialect, "SAMPLE_BYTES", 2**10)
     path = tmp_path / "data.csv"
     path.write_text("t,a\n" + TABLE * 10 + "some other text, of three, cells\n" * 60)
-    message = "60 lines are no rows of its table, the first is line 302: 'some other text"
+    message = "60 lines are no rows of its table .first in line 302: 'some other text"
     with pytest.raises(TripError, match=message):
         read(path, "t", "a")

@@ -151,8 +151,8 @@ def test_what_a_sensor_repeats_stays_equal():
 
 def test_times_too_uneven_for_the_band_are_refused():
     message = (
-        r"channel 'body': its times are uneven, steps of \S+ to \S+ ms: at 25 Hz interpolation "
-        "would err by [0-9]+ %, the most is 1 %; record at even steps or faster"
+        r"channel 'body': its times are uneven, steps of \S+ to \S+ ms; at 25 Hz interpolation "
+        "would err by [0-9]+ %, the most is 1 %; record faster, or give `rate_hz` instead of"
     )
     with pytest.raises(TripError, match=message):
         even(3 * uneven_times("independent steps"))
