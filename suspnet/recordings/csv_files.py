@@ -16,7 +16,7 @@ import pyarrow.csv
 import pyarrow.parquet
 from numpy.typing import NDArray
 
-from suspnet.ground.types import FloatArray, IntArray
+from suspnet.ground.types import FloatArray
 from suspnet.recordings.columns import Block, Column, OpenFile, as_block, check_samples
 from suspnet.recordings.csv_dialect import MISSING, NUMBER, SIGNS, Found, find_dialect, split
 from suspnet.recordings.dates import read_date
@@ -335,7 +335,7 @@ class _Rows:
             yield f"zero bytes in {name} are left out ({n})"
 
 
-def _letters(texts: Any) -> tuple[NDArray[np.uint8], IntArray]:
+def _letters(texts: Any) -> tuple[NDArray[np.uint8], NDArray[np.int32]]:
     """Return the bytes of an Arrow array of texts, and where each text starts and ends."""
     _, offsets, letters = texts.buffers()
     ends = np.frombuffer(offsets, np.int32)[texts.offset : texts.offset + len(texts) + 1]

@@ -3,19 +3,25 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from suspnet.ground.types import IntArray
+from suspnet.ground.types import BoolArray, IntArray
 
 NO_DATE = np.datetime64("1900-01-01", "D")
 """Day of times of day whose date is unknown."""
+YEARS = (1700, 2250)
+"""Years that nanoseconds since 1970 can hold."""
 MOST_LAYOUTS = 500
 """Largest number of layouts of one block's stamps, by widths of numbers and names of months."""
-MONTHS = ("jan", "feb", "mar|mrz", "apr", "may|mai", "jun", "jul", "aug", "sep", "oct|okt", "nov")
-MONTHS = (*MONTHS, "dec|dez")
+MONTHS = (
+    *("jan", "feb", "mar|mrz", "apr", "may|mai", "jun"),
+    *("jul", "aug", "sep", "oct|okt", "nov", "dec|dez"),
+)
 """First letters of the names of months, in English and German."""
 ZERO = np.uint8(ord("0"))
 _NAME = rf"(?P<name>{'|'.join(MONTHS)})[a-z]{{0,6}}"
@@ -90,7 +96,7 @@ def notation_of(text: str) -> Notation | None:
 
 
 def read_stamps(
-    letters: NDArray[np.uint8], ends: IntArray, notation: Notation, day: np.datetime64 = NO_DATE
+    letters: NDArray[np.uint8], ends: NDArray[Any], notation: Notation, day: np.datetime64 = NO_DATE
 ) -> IntArray:
     """Return time stamps in nanoseconds since 1970, in UTC if they have a zone, (n,).
 
@@ -142,11 +148,11 @@ def read_stamps(
 
 def _nanoseconds(
     digits: NDArray[np.uint8], match: re.Match[str], notation: Notation, day: np.datetime64
-) -> tuple[IntArray, NDArray[np.bool_]]:
+) -> tuple[IntArray, BoolArray]:
     """Return stamps of one layout, whose first is matched, and which of them are valid times."""
     fields = match.groupdict()
 
-    def number(name: str) -> IntArray:
+    def number(name: str) -> NDArray[np.int32]:
         """Return a field of all stamps; zero if they have none."""
         value = np.zeros(digits.shape[1], dtype=np.int32)  # at most nine digits
         if fields.get(name):
@@ -159,31 +165,35 @@ def _nanoseconds(
     is_valid = (hour < 24) & (minute < 60) & (second < 61)
     if half := fields.get("half"):
         hour = hour % 12 + 12 * (half in "pP")
-    days = np.full(digits.shape[1], day)
     if notation.is_dated:
-        year = number("year")
-        if len(fields["year"]) == 2:
-            year += np.where(year < 70, 2000, 1900)
-        if name := fields.get("name"):
-            month = np.full(digits.shape[1], 1 + _month(name), dtype=np.int64)
-            of_month = number("day")
-        elif "one" in fields:
-            one, other = number("one"), number("other")
-            month, of_month = np.minimum(one, other), np.maximum(one, other)
-            is_valid &= of_month > 12
-        else:
-            month, of_month = number("month"), number("day")
-        months = (year - 1970).astype("datetime64[Y]").astype("datetime64[M]") + (month - 1)
-        days = months.astype("datetime64[D]") + (of_month - 1)
-        is_valid &= (1 <= month) & (month <= 12) & (1 <= of_month)
-        is_valid &= days.astype("datetime64[M]") == months
-    seconds = 86400 * days.astype(np.int64) + (3600 * hour + 60 * minute + second)
+        days, is_date = _days(number, fields)
+        is_valid &= is_date
+    else:
+        days = np.full(digits.shape[1], day).astype(np.int64)
+    seconds = 86400 * days + (3600 * hour + 60 * minute + second)
     offset = 3600 * number("zone_hour") + 60 * number("zone_minute")
     seconds -= -offset if fields.get("sign") == "-" else offset
     fraction = number("fraction") * 10 ** (9 - len(fields.get("fraction") or "0"))
-    return 10**9 * seconds + fraction, is_valid
+    return np.asarray(10**9 * seconds + fraction), is_valid
 
 
-def _month(name: str) -> int:
-    """Return the number of a month, from 0, by the start of its name."""
-    return next(i for i, names in enumerate(MONTHS) if name.lower() in names.split("|"))
+def _days(
+    number: Callable[[str], NDArray[np.int32]], fields: dict[str, Any]
+) -> tuple[IntArray, BoolArray]:
+    """Return the days of dates since 1970, and which of them are valid, by their numbers."""
+    year = number("year")
+    if len(fields["year"]) == 2:
+        year += np.where(year < 70, 2000, 1900).astype(np.int32)
+    month, of_month = number("month"), number("day")
+    is_valid = (year >= YEARS[0]) & (year <= YEARS[1])
+    if name := fields.get("name"):
+        month += next(i for i, one in enumerate(MONTHS, 1) if name.lower() in one.split("|"))
+    elif "one" in fields:
+        one, other = number("one"), number("other")
+        month, of_month = np.minimum(one, other), np.maximum(one, other)
+        is_valid &= of_month > 12
+    months = (year - 1970).astype("datetime64[Y]").astype("datetime64[M]") + (month - 1)
+    days = months.astype("datetime64[D]") + (of_month - 1)
+    is_valid &= (1 <= month) & (month <= 12) & (1 <= of_month)
+    is_valid &= days.astype("datetime64[M]") == months
+    return days.astype(np.int64), is_valid

@@ -217,7 +217,7 @@ def _times(file: Path, opened: OpenFile, name: str) -> FloatArray:
     (block,) = _first(file, opened, [name]) or (np.empty(0),)
     if block.dtype.kind == "M":
         block = block[~np.isnat(block)]
-        block = np.asarray((block - block[:1]) / np.timedelta64(1, "s"), dtype=np.float64)
+        block = np.asarray((block - block[0]) / np.timedelta64(1, "s") if len(block) else [])
     block = block[np.isfinite(block)]
     rises = len(block) > 1 and (np.diff(block) > 0).mean() >= MOSTLY_RISING
     return np.asarray(block, dtype=np.float64) if rises else np.empty(0)
