@@ -30,6 +30,8 @@ LONGEST_LINE = 2**20
 """Largest number of bytes of a line."""
 PARQUET_ROWS, PARQUET_BUFFER_BYTES = 2**17, 2**20
 """Number of rows in a batch, and bytes in the read buffer, of a Parquet file."""
+MENDED_BYTES = 2**12
+"""Size of a piece that Arrow refuses above which it is halved."""
 FOOTER_LINES, MOST_LEFT_OUT = 20, 0.1
 """Largest number of lines of a footer, and largest share of lines that may be no rows besides."""
 SHOWN = 40
@@ -166,10 +168,8 @@ class _Rows:
                 source = pa.transcoding_input_stream(source, self.found.encoding, "utf8")
             for piece in self._pieces(source):
                 block = self._read(piece)
-                end = ord("\n" if b"\n" in piece else "\r")
-                letters = np.frombuffer(piece, np.uint8)  # counted faster than bytes
-                self._n_lines += int(np.count_nonzero(letters == end))
                 self._n_rows += len(block[0])
+                self._check()
                 if len(block[0]):
                     yield block
         for line in self._pending:
@@ -196,16 +196,25 @@ class _Rows:
             yield rest
 
     def _read(self, piece: bytes) -> Block:
-        """Return the columns of a piece."""
-        with suppress(pa.ArrowInvalid, ValueError):
-            return self._parsed(piece)
-        plain = piece
-        for sign, other in SIGNS.items():
-            plain = plain.replace(sign.encode(), other.encode())
-        if plain != piece:
+        """Return the columns of a piece; one that Arrow refuses is halved until it is short."""
+        for sign in ("", *SIGNS):  # signs are replaced only where needed
+            if sign and sign.encode() not in piece:
+                continue
+            piece = piece.replace(sign.encode(), SIGNS[sign].encode()) if sign else piece
             with suppress(pa.ArrowInvalid, ValueError):
-                return self._parsed(plain)
-        return self._mended(plain.decode("utf-8", "replace"))
+                return self._counted(piece, self._parsed(piece))
+        half = piece.find(b"\n", len(piece) // 2) + 1
+        if len(piece) > MENDED_BYTES and 0 < half < len(piece):
+            parts = self._read(piece[:half]), self._read(piece[half:])
+            return tuple(np.concatenate(pair) for pair in zip(*parts, strict=True))
+        return self._counted(piece, self._mended(piece.decode("utf-8", "replace")))
+
+    def _counted(self, piece: bytes, block: Block) -> Block:
+        """Return a block, and count the lines of its piece."""
+        end = ord("\n" if b"\n" in piece else "\r")
+        letters = np.frombuffer(piece, np.uint8)  # counted faster than bytes
+        self._n_lines += int(np.count_nonzero(letters == end))
+        return block
 
     def _parsed(self, piece: bytes) -> Block:
         """Return the columns of a piece without damage; ArrowInvalid or ValueError otherwise."""
@@ -255,7 +264,6 @@ class _Rows:
             if (found.is_row and not found.words) or len(self._pending) > FOOTER_LINES:
                 rows += self._taken()
                 self._pending = []
-        self._check()
         return self._columns(rows)
 
     def _judged(self, number: int, text: str) -> _Line:
