@@ -18,6 +18,7 @@ from suspnet.recordings.manifest import CHANNELS, TripManifest
 from suspnet.recordings.manifest_files import read_manifest
 from suspnet.recordings.manifest_sources import Channel, Source
 from suspnet.recordings.recording import Recording, load_recording
+from suspnet.trips.file_contents import contents_of
 
 RATE_HZ = 250.0
 BEGIN = np.datetime64("2015-08-03T06:00:00", "ns")  # in UTC
@@ -307,3 +308,8 @@ def test_times_of_day_are_aligned_with_each_other_and_by_the_start(tmp_path):
     assert_aligned(load(write(tmp_path, mixed, start="2015-08-03T08:00:01")), -1.0)
     with pytest.raises(TripError, match="its times have no date: leave out `time_zone`"):
         load(write(tmp_path, of_day, {"body": {"time_zone": "UTC"}}))
+
+
+def test_init_says_in_which_unit_a_clock_counts(tmp_path):
+    (signal,) = contents_of(written(tmp_path, COUNTS)).signals
+    assert (signal.time, signal.time_unit, round(signal.rate_hz, 6)) == ("t", "us", 200.0)
