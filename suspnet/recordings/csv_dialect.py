@@ -344,7 +344,7 @@ def _read(delimiter: str, decimal: str, rows: Sequence[Sequence[str]], n_others:
     firsts = [row[0] for row in rows]
     is_counted = isinstance(kinds[0], str) or (
         len(firsts) > 1
-        and all(cell.isdecimal() for cell in firsts)
+        and all(cell.isdecimal() and len(cell) < 10 for cell in firsts)
         and all(int(b) - int(a) == 1 for a, b in pairwise(firsts))
     )
     return _Candidate(
