@@ -12,6 +12,23 @@ import pytest
 from scipy.io import savemat, wavfile
 
 from suspnet.recordings.formats import CSV_SUFFIXES
+from suspnet.recordings.manifest import TripManifest
+from suspnet.recordings.manifest_sources import Source
+from suspnet.recordings.sources import open_source
+
+
+def opened(path: Path, source: Source, where: str = "here"):
+    """Open a source next to a manifest that says nothing else."""
+    manifest = TripManifest(
+        path=path.parent / "trip.yaml",
+        name="trip",
+        vehicle="",
+        suspension="",
+        mileage_km=0.0,
+        speed=1.0,
+        channels={},
+    )
+    return open_source(manifest, source, where)
 
 
 def contents(folder: Path) -> dict[str, bytes]:

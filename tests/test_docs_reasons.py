@@ -74,7 +74,7 @@ ALSO = (
 )
 """Beginnings of the sentences of ``RAISING`` that are reasons though nothing raises them."""
 NO_REASON = (
-    "Failed to parse string",  # looked for in the messages of Arrow
+    "(?",  # patterns of time stamps
     "partial: ",  # words about a simulation
     "by the line ",  # where a value of a manifest is from
     "names in line ",  # how a CSV file is read

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -76,7 +76,7 @@ class OpenFile:
 
     `read` yields blocks of the named columns. `words` states how the file is read if this was
     detected. `hint` is added to the message about a missing column. `notes` are lines in which the
-    logger describes the recording.
+    logger describes the recording. `remarks` grow while blocks are read: what was left out.
     """
 
     columns: tuple[Column, ...]
@@ -84,6 +84,7 @@ class OpenFile:
     words: str = ""
     hint: str = ""
     notes: tuple[str, ...] = ()
+    remarks: list[str] = field(default_factory=list)
 
     def column(self, name: str) -> Column:
         """Return a column by its name."""

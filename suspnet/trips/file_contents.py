@@ -11,7 +11,7 @@ import numpy as np
 
 from suspnet.ground.parameters import ENDS, SIDES
 from suspnet.ground.types import FloatArray
-from suspnet.recordings.clocks import Times, Zero, header_date
+from suspnet.recordings.clocks import Times, Zero, header_date, likely_time_unit
 from suspnet.recordings.columns import Column, OpenFile, size_of, unit_in_name
 from suspnet.recordings.errors import TripError
 from suspnet.recordings.formats import open_file, read_columns
@@ -22,6 +22,8 @@ from suspnet.recordings.manifest_sources import TIME_UNITS, Source
 ACCELERATION, SPEED = "acceleration", "speed"
 MOST_COLUMNS = 500
 """Largest number of columns of a file that are inspected."""
+MOSTLY_RISING = 0.99
+"""Least share of rising steps in a column of times."""
 _WORDS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     SPEED: (("speed", "veloc", "geschwind", "tempo"), ("v", "vel", "kmh", "kph", "mps", "vzug")),
     "axle_box": (
@@ -232,11 +234,16 @@ def _first(file: Path, opened: OpenFile, names: Sequence[str]) -> tuple[FloatArr
 
 
 def _times(file: Path, opened: OpenFile, name: str) -> FloatArray:
-    """Return the first times of a column, [s] or its own unit; empty if they do not increase."""
+    """Return the first times of a column, [s] or its own unit; empty if they do not increase.
+
+    Some may be missing, and a clock may start again.
+    """
     (block,) = _first(file, opened, [name]) or (np.empty(0),)
     if block.dtype.kind == "M":
-        block = np.asarray((block - block[0]) / np.timedelta64(1, "s"), dtype=np.float64)
-    rises = len(block) > 1 and bool((np.diff(block) > 0).all())
+        block = block[~np.isnat(block)]
+        block = np.asarray((block - block[0]) / np.timedelta64(1, "s") if len(block) else [])
+    block = block[np.isfinite(block)]
+    rises = len(block) > 1 and (np.diff(block) > 0).mean() >= MOSTLY_RISING
     return np.asarray(block, dtype=np.float64) if rises else np.empty(0)
 
 
@@ -253,6 +260,10 @@ def _signal(
         shared = (name for name in times if not opened.column(name).is_part)
         time = column.time or next(shared, "")
         rate_hz, time_unit = _rate(opened, time, times[time]) if time in times else (np.nan, "")
+    if time and not time_unit and guessed_meaning(column.name) != SPEED:
+        stated = opened.column(time).unit or unit_in_name(time)
+        time_unit = "" if stated else likely_time_unit(rate_hz)
+        rate_hz /= TIME_UNITS[time_unit or "s"]
     return Signal(
         file=file,
         column=column,
