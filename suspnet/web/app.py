@@ -208,10 +208,15 @@ class Channel(HTTPChannel):  # type: ignore[misc]
             oldest.will_close = True  # the server loop closes it
 
 
-def http_server(app: Flask, listening: socket.socket, threads: int) -> Any:
-    """Return the server of an application at a listening socket, with worker threads."""
+def http_server(app: Flask, listening: socket.socket, threads: int, prefix: str = "") -> Any:
+    """Return the server of an application at a listening socket, with worker threads.
+
+    `prefix` is the path below which a reverse proxy shows the pages; requests may have it or not.
+    """
     logging.getLogger("waitress").setLevel(logging.ERROR)  # idle or lost clients are not errors
-    server = create_server(app, sockets=[listening], threads=threads, ident="suspnet", **SETTINGS)
+    app.config["APPLICATION_ROOT"] = prefix or "/"  # cookies are sent to no other application
+    options = {"ident": "suspnet", "url_prefix": prefix, **SETTINGS}
+    server = create_server(app, sockets=[listening], threads=threads, **options)
     server.channel_class = Channel
     return server
 

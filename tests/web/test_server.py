@@ -1,11 +1,14 @@
-"""The server answers while connections hang, dribble, or send too much."""
+"""The server answers while connections hang, dribble, or send too much, and below a path."""
 
 import http.client
+import json
+import re
 import socket
 import threading
 import time
 import urllib.request
 from contextlib import ExitStack, closing, contextmanager
+from urllib.parse import urlencode, urljoin
 
 import pytest
 from served_fleet import fill, served
@@ -15,11 +18,15 @@ from suspnet.web.app import MOST_CONNECTIONS
 HEAD = b"POST /suspension/x/acknowledge HTTP/1.1\r\nHost: localhost\r\nContent-Length: 9000\r\n\r\n"
 SENT = {"idle": b"", "half a head": b"GET / HTTP/1.1\r\nHost: local", "half a body": HEAD + b"a=1"}
 
+PREFIX = "/fleet"
+"""Path at which a reverse proxy shows the pages; requests without it work, too."""
+ADDRESS = re.compile(r'(?:href|src|action|data-state|data-figure)="([^"#]+)"')
+
 
 @pytest.fixture(scope="module")
 def site(tmp_path_factory):
     path = fill(tmp_path_factory.mktemp("server") / "fleet.db")
-    with served(path, 3600.0) as (address, refresher):
+    with served(path, 3600.0, prefix=PREFIX) as (address, refresher):
         end = time.monotonic() + 60
         while not refresher.board.view.is_complete:
             assert time.monotonic() < end
@@ -116,3 +123,45 @@ def test_too_large_requests_are_refused_while_they_come(site):
     assert b" 413 " in answer_to(site, head + bytes(1000)).split(b"\r\n")[0]
     large = b"GET / HTTP/1.1\r\nHost: localhost\r\nX: " + b"x" * 16_400
     assert b" 431 " in answer_to(site, large).split(b"\r\n")[0]
+
+
+def ask_behind(site, path, strips, body=None, **headers):
+    """Ask as a proxy does that strips PREFIX or passes it on; return the answer and its text."""
+    with closing(http.client.HTTPConnection(site.removeprefix("http://"), timeout=10)) as one:
+        method = "POST" if body else "GET"
+        one.request(method, path.removeprefix(PREFIX) if strips else path, body, headers)
+        answer = one.getresponse()
+        return answer, answer.read().decode("utf-8", "replace")
+
+
+@pytest.mark.parametrize("strips", [True, False])
+def test_every_address_of_every_page_works_below_the_path_of_a_proxy(site, strips):
+    waiting, seen = {f"{PREFIX}/", f"{PREFIX}/no-such-page"}, set()
+    while waiting:
+        path = waiting.pop()
+        seen.add(path)
+        answer, text = ask_behind(site, path, strips)
+        assert path.startswith(f"{PREFIX}/")
+        assert answer.status == (404 if "no-such-page" in path else 200), path
+        if answer.headers.get_content_type() == "text/html":
+            linked = {urljoin(path, one.replace("&amp;", "&")) for one in ADDRESS.findall(text)}
+            waiting |= {one for one in linked - seen if "/acknowledge" not in one}
+    ends = ("trend.json", "plotly.js", "work-order", "responses.json")
+    assert all(any(one.endswith(f"/{end}") for one in seen) for end in ends)
+    _, text = ask_behind(site, f"{PREFIX}/api/v1/openapi.json", strips)
+    assert json.loads(text)["servers"] == [{"url": PREFIX}]
+
+
+def test_a_form_leads_back_below_the_path_of_a_proxy(site):
+    _, text = ask_behind(site, f"{PREFIX}/", True)
+    page = re.search(rf'href="({PREFIX}/suspension/\w+)#', text)[1]  # that of an alarm, to its form
+    answer, text = ask_behind(site, page, True)
+    action = next(one for one in ADDRESS.findall(text) if one.endswith("/acknowledge"))
+    form = re.findall(r'name="(\w+)"[^>]*?value="([^"]*)"', text)
+    cookie = answer.headers["Set-Cookie"]
+    assert f"Path={PREFIX}" in cookie
+    kind = {"Content-Type": "application/x-www-form-urlencoded"}
+    body = urlencode(dict(form) | {"by": "Kim"})
+    answer, _ = ask_behind(site, action, True, body, Cookie=cookie.partition(";")[0], **kind)
+    assert answer.status == 302
+    assert answer.headers["Location"] == page
