@@ -188,8 +188,9 @@ MOST_CONNECTIONS = 150
 """Number of open connections above which the oldest one without a complete request is closed."""
 SETTINGS = {
     "connection_limit": 2 * MOST_CONNECTIONS,  # not reached: older connections are closed first
-    "channel_timeout": 30,
+    "channel_timeout": 30,  # also of an answer that its client does not read
     "cleanup_interval": 5,
+    "outbuf_high_watermark": 2**40,  # no worker waits for a client: answers wait in files instead
     "max_request_header_size": 16_384,
     "max_request_body_size": 4 * MAX_FORM_BYTES,  # the pages reject smaller ones with a message
     "asyncore_use_poll": hasattr(select, "poll"),
@@ -197,7 +198,11 @@ SETTINGS = {
 
 
 class Channel(HTTPChannel):  # type: ignore[misc]
-    """A connection that takes the place of the oldest waiting one if there are too many."""
+    """A connection that takes the place of the oldest waiting one if there are too many.
+
+    One request may wait for the answer to the one before; the connection ends with its answer if
+    there are more. Unread answers would otherwise fill the disk.
+    """
 
     def __init__(self, server: Any, *arguments: Any, **named: Any) -> None:
         super().__init__(server, *arguments, **named)
@@ -206,6 +211,17 @@ class Channel(HTTPChannel):  # type: ignore[misc]
             waiting = (one for one in open_ones if one is not self and not one.requests)
             oldest = min(waiting, key=lambda one: one.creation_time, default=self)
             oldest.will_close = True  # the server loop closes it
+
+    def received(self, data: bytes) -> bool:
+        """Take a request, and a second one that waits; drop all others."""
+        found: bool = super().received(data)
+        with self.requests_lock:
+            if len(self.requests) > 2:
+                self.requests[1].headers["CONNECTION"] = "close"
+                for one in self.requests[2:]:
+                    one.close()
+                del self.requests[2:]
+        return found
 
 
 def http_server(app: Flask, listening: socket.socket, threads: int, prefix: str = "") -> Any:
