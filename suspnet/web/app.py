@@ -11,6 +11,7 @@ import secrets
 import select
 import socket
 from collections.abc import Sequence
+from contextlib import suppress
 from importlib import resources
 from importlib.metadata import version
 from typing import Any
@@ -41,6 +42,7 @@ MESSAGES = {
     404: N_("There is no such page."),
     405: N_("This page cannot be asked for in this way."),
     413: N_("The form is too long."),
+    503: N_("Another work order is being drawn; try again in a few seconds."),
 }
 
 FILES = {
@@ -135,7 +137,8 @@ def _http_error(error: HTTPException) -> Any:
     is_own = code == 403 or (code == 404 and request.path.startswith("/suspension/"))
     own = error.description if is_own else None
     rest = N_("Something went wrong; see the program's terminal.")
-    return _message(gettext(error.name), own or gettext(MESSAGES.get(code, rest))), code
+    later = {"Retry-After": "5"} if code == 503 else {}
+    return _message(gettext(error.name), own or gettext(MESSAGES.get(code, rest))), code, later
 
 
 def _is_api() -> bool:
@@ -211,6 +214,13 @@ class Channel(HTTPChannel):  # type: ignore[misc]
             waiting = (one for one in open_ones if one is not self and not one.requests)
             oldest = min(waiting, key=lambda one: one.creation_time, default=self)
             oldest.will_close = True  # the server loop closes it
+
+    def readable(self) -> bool:
+        """Return whether to wait for requests; end a connection that is to be closed."""
+        if self.will_close:  # the loop closes sockets that can be written, as one is after this
+            with suppress(OSError):
+                self.socket.shutdown(socket.SHUT_RDWR)
+        return bool(super().readable())
 
     def received(self, data: bytes) -> bool:
         """Take a request, and a second one that waits; drop all others."""

@@ -61,7 +61,7 @@ HAS_PDF = find_spec("weasyprint") is not None
 
 pages = Blueprint("pages", __name__)
 pages.before_request(identify_visitor)
-_drawing = threading.Lock()
+_drawing, _drawing_calendar = threading.Lock(), threading.Lock()
 
 
 @pages.get("/")
@@ -94,7 +94,8 @@ def calendar() -> ResponseReturnValue:
     found = current_view().plan
     if found is None:
         abort(404)
-    return Response(_calendar(found, current()), mimetype="image/svg+xml")
+    with _drawing_calendar:  # around the cache: of those that wait, only the first one draws
+        return Response(_calendar(found, current()), mimetype="image/svg+xml")
 
 
 @pages.get("/suspension/<name>")
@@ -175,8 +176,12 @@ def work_order_pdf(name: str) -> ResponseReturnValue:
         orders=work_orders(view, index),
         read_at=_minute(),
     )
-    with _drawing:
+    if not _drawing.acquire(blocking=False):  # it takes seconds, and requests must not queue up
+        abort(503)
+    try:
         return Response(as_pdf(page), mimetype="application/pdf")
+    finally:
+        _drawing.release()
 
 
 @pages.get("/suspension/<name>/trend.json")
@@ -212,8 +217,7 @@ def _calendar(plan: Plan, language: str) -> bytes:
     from suspnet.report.figures import as_svg
     from suspnet.report.maintenance_figures import plan_calendar
 
-    with _drawing:
-        return as_svg(plan_calendar(plan))
+    return as_svg(plan_calendar(plan))
 
 
 def _suspension_page(name: str, form: AcknowledgementForm) -> str:

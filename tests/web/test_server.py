@@ -11,9 +11,11 @@ from contextlib import ExitStack, closing, contextmanager
 from urllib.parse import urlencode, urljoin
 
 import pytest
+from flask import Flask
 from served_fleet import fill, served
+from waitress import wasyncore
 
-from suspnet.web.app import MOST_CONNECTIONS
+from suspnet.web.app import MOST_CONNECTIONS, http_server
 
 HEAD = b"POST /suspension/x/acknowledge HTTP/1.1\r\nHost: localhost\r\nContent-Length: 9000\r\n\r\n"
 SENT = {"idle": b"", "half a head": b"GET / HTTP/1.1\r\nHost: local", "half a body": HEAD + b"a=1"}
@@ -123,6 +125,45 @@ def test_too_large_requests_are_refused_while_they_come(site):
     assert b" 413 " in answer_to(site, head + bytes(1000)).split(b"\r\n")[0]
     large = b"GET / HTTP/1.1\r\nHost: localhost\r\nX: " + b"x" * 16_400
     assert b" 431 " in answer_to(site, large).split(b"\r\n")[0]
+
+
+@contextmanager
+def served_answer(size, timeout_s):
+    """Serve an answer of some size with two workers, and give up on clients after a time."""
+    app = Flask("large")
+    app.add_url_rule("/", "large", lambda: bytes(size))
+    app.add_url_rule("/state", "small", lambda: "well")
+    server = http_server(app, socket.create_server(("127.0.0.1", 0)), 2)
+    server.adj.channel_timeout = server.adj.cleanup_interval = timeout_s
+    thread = threading.Thread(target=server.run, daemon=True)
+    thread.start()
+    try:
+        yield f"http://127.0.0.1:{server.effective_port}", server
+    finally:
+        server.task_dispatcher.shutdown(timeout=5)
+        server.trigger.pull_trigger(lambda: wasyncore.close_all(server._map, ignore_all=True))
+        thread.join(5)
+
+
+GET = b"GET / HTTP/1.1\r\nHost: localhost\r\n\r\n"
+
+
+def test_answers_that_nobody_reads_block_no_other_and_are_closed():
+    with served_answer(5_000_000, 1) as (site, server), hanging(site, 8, GET * 8):
+        for _ in range(3):
+            assert seconds_of_page(site, "/state") < 5
+        end = time.monotonic() + 20
+        while server.active_channels:
+            assert time.monotonic() < end
+            time.sleep(0.1)
+
+
+def test_one_request_of_a_connection_may_wait_and_more_end_it():
+    with served_answer(10, 30) as (site, _):
+        assert answer_to(site, GET * 2, 0.5).count(b" 200 ") == 2
+        found = answer_to(site, GET * 8)
+    assert found.count(b" 200 ") == 2
+    assert found.count(b"Connection: close") == 1
 
 
 def ask_behind(site, path, strips, body=None, **headers):
