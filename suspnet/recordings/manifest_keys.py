@@ -136,10 +136,10 @@ def text(value: Value) -> str:
 
 
 def name(value: Value) -> str:
-    """Return a short text that is not blank, without surrounding blanks."""
+    """Return a short text of one line that is not blank, without surrounding blanks."""
     found = text(value).strip()
-    if len(printable(found)) > MOST_NAME:
-        raise value.refuse(f"at most {MOST_NAME} characters")
+    if "\n" in found or len(printable(found)) > MOST_NAME:
+        raise value.refuse(f"one line of at most {MOST_NAME} characters")
     return found
 
 

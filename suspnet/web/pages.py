@@ -25,7 +25,7 @@ from flask import (
 from flask.typing import ResponseReturnValue
 from flask_wtf import FlaskForm
 from wtforms import HiddenField, StringField
-from wtforms.validators import DataRequired, Length
+from wtforms.validators import DataRequired, Length, ValidationError
 
 from suspnet.ground.parameters import Severity
 from suspnet.history import History, HistoryError
@@ -45,7 +45,7 @@ from suspnet.report.templates import MARKS, render
 from suspnet.report.trend import trend_of_state
 from suspnet.report.work_order import work_orders
 from suspnet.web import page_values
-from suspnet.web.access import ACCESS, MOST_NAME, Access, identify_visitor, visitor
+from suspnet.web.access import ACCESS, MOST_NAME, Access, identify_visitor, is_plain, visitor
 from suspnet.web.figures import response_figure, trend_figure
 from suspnet.web.page_values import Choice
 
@@ -335,11 +335,19 @@ def _digest(*parts: Any) -> str:
     return hashlib.sha256(repr(parts).encode()).hexdigest()[:16]
 
 
+def _check_plain(form: FlaskForm, field: StringField) -> None:
+    if not is_plain(field.data or ""):
+        raise ValidationError(N_("Leave out control characters."))
+
+
 class AcknowledgementForm(FlaskForm):  # type: ignore[misc]
     """Form of an acknowledgement: name, text, and the alarm as the page showed it."""
 
-    by = StringField(N_("Your name"), [DataRequired(N_("Enter your name.")), Length(max=MOST_NAME)])
-    words = StringField(N_("Action taken"), [Length(max=500)])
+    by = StringField(
+        N_("Your name"),
+        [DataRequired(N_("Enter your name.")), Length(max=MOST_NAME), _check_plain],
+    )
+    words = StringField(N_("Action taken"), [Length(max=500), _check_plain])
     parameter, cause, severity = HiddenField(), HiddenField(), HiddenField()
 
     def means(self, alarm: Alarm) -> bool:

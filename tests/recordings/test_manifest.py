@@ -224,10 +224,15 @@ MISTAKES = [
     (("vehicle",), [96], r"`vehicle` must be text .*, got \[96\]"),
     (("suspension",), "  ", "`suspension` must be text"),
     *(
-        ((name,), "é" * 101, rf"`{name}` must be at most 100 characters, got 'é")
+        ((name,), "é" * 101, rf"`{name}` must be one line of at most 100 characters, got 'é")
         for name in ("vehicle", "suspension", "train", "car")
     ),
-    (("train",), "\N{RIGHT-TO-LEFT OVERRIDE}" * 20, "`train` must be at most 100 characters"),
+    (("car",), "7\ndone: all is well", "`car` must be one line"),
+    (
+        ("train",),
+        "\N{RIGHT-TO-LEFT OVERRIDE}" * 20,
+        "`train` must be one line of at most 100 characters",
+    ),
     (("mileage_km",), "far", r"`mileage_km` must be a number >= 0 .*, got 'far'"),
     (("mileage_km",), -1.0, r"`mileage_km` must be a number >= 0, got -1.0"),
     (("mileage_km",), True, r"`mileage_km` must be a number"),

@@ -174,6 +174,9 @@ def test_alarm_is_acknowledged_with_the_token(filled, tmp_path):
     assert (order.acknowledged_by, order.action) == ("Kim Li", "ordered")
 
 
+CONTROLS = ("\0", "\n", "\x85", "\N{RIGHT-TO-LEFT OVERRIDE}", "\N{ZERO WIDTH SPACE}", "\ud800")
+
+
 @pytest.mark.parametrize(
     ("headers", "content", "code"),
     [
@@ -184,6 +187,8 @@ def test_alarm_is_acknowledged_with_the_token(filled, tmp_path):
         (BEARER, SEEN | {"cause": "change"}, 409),
         (BEARER, SEEN | {"severity": "notice"}, 409),  # it is worse than the person saw
         (BEARER, SEEN | {"by": "  "}, 400),
+        *((BEARER, SEEN | {"by": f"Kim{one}Li"}, 400) for one in CONTROLS),
+        (BEARER, SEEN | {"words": "a\0b"}, 400),
         (BEARER, SEEN | {"other": 1}, 400),
         (BEARER, SEEN | {"words": "x" * 501}, 400),
         (BEARER, [], 400),
