@@ -18,7 +18,7 @@ import ssl
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
 from email.message import EmailMessage
 from email.utils import formatdate
@@ -100,8 +100,10 @@ class Webhook:
         where, is_tls = parts.hostname or "", parts.scheme == "https"
         context = ssl.create_default_context() if is_tls else None
         try:
-            with _connected(where, parts.port or (443 if is_tls else 80), context) as connection:
-                client = http.client.HTTPConnection(parts.netloc)
+            with (
+                _connected(where, parts.port or (443 if is_tls else 80), context) as connection,
+                closing(http.client.HTTPConnection(parts.netloc)) as client,
+            ):
                 client.sock = connection
                 client.request("POST", quote(target, safe=punctuation), body, headers)
                 # the content of the answer is not read: it may be of any size, or never end
