@@ -6,6 +6,7 @@ import functools
 import gc
 import logging
 import os
+import re
 import signal
 import sys
 import traceback
@@ -19,6 +20,7 @@ from string import Template
 from tempfile import TemporaryDirectory
 from types import ModuleType
 from typing import Any
+from urllib.parse import unquote
 
 import hydra
 import yaml
@@ -55,6 +57,9 @@ MISTAKES = (
 )
 NO_SLURM = 'Could not detect "srun"'
 """Start of submitit's message where there is no Slurm cluster."""
+SERVER = re.compile(r"\bpostgres(ql)?(\+\w+)?://")
+PASSWORD = re.compile(r"(?<=://)([^:/@]*):([^@]*)@|(?<=[?&])password=([^&'\"]*)&?")
+"""Password in the URL of a server, after the user or as an option."""
 _debugging = bool(os.environ.get(DEBUG, "") not in ("", "0"))
 
 store_tables()
@@ -69,6 +74,7 @@ def main(name: str) -> None:
     """
     # a library of optional readers greets at its import, on the output that Hydra has set up
     logging.getLogger("numexpr").setLevel(logging.WARNING)
+    sys.argv[1:] = map(_without_password, sys.argv[1:])
     plugins: list[str] = []
     run(lambda: plugins.extend(_load_plugins(sys.argv)))
     if name in WITH_OPTIONS:
@@ -85,6 +91,19 @@ def main(name: str) -> None:
     )
     with signals.until_it_listens() if name == "serve" else nullcontext():
         run(program, unwinds=name != "serve")
+
+
+def _without_password(argument: str) -> str:
+    """Return an argument without the password of a PostgreSQL URL, which goes to the environment.
+
+    Hydra writes all arguments to files that others may read; libpq looks in the environment.
+    """
+
+    def take(found: re.Match[str]) -> str:
+        os.environ["PGPASSWORD"] = unquote(found[2] if found[2] is not None else found[3])
+        return f"{found[1]}@" if found[2] is not None else ""
+
+    return PASSWORD.sub(take, argument) if SERVER.search(argument) else argument
 
 
 def _load_plugins(arguments: list[str]) -> list[str]:

@@ -213,6 +213,11 @@ def printable(text: str) -> str:
     return UNPRINTABLE.sub(lambda found: found[0].encode("unicode_escape").decode(), text)
 
 
+def one_line(text: str) -> str:
+    """Return text as ``printable`` does, with newlines escaped too."""
+    return printable(text).replace("\n", "\\n")
+
+
 def _finite(content: Any) -> Any:
     """Return JSON-able values with null for NaN and infinity."""
     if isinstance(content, Mapping):

@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from suspnet.ground.parameters import ENDS, SIDES
-from suspnet.ground.records import Place
-from suspnet.ground.storage import printable, read_json, read_plain, why, write_atomically
+from suspnet.ground.records import MOST_NAME, Place
+from suspnet.ground.storage import one_line, read_json, read_plain, why, write_atomically
 from suspnet.ground.wording import command
 from suspnet.recordings.core_yaml import MOST_BYTES, dump_yaml, parse_yaml
 from suspnet.recordings.errors import TripError, all_of, opening
@@ -89,11 +89,12 @@ class ManifestFile:
             return None
         if not isinstance(content, dict) or not isinstance(content.get("suspension"), str):
             return None
-        named = {"bogie": ENDS, "side": SIDES}
-        where = {key: str(content[key]) for key in named if content.get(key) in list(named[key])}
-        texts = {key: content.get(key) for key in ("train", "car")}
-        said = {key: printable(one.strip()) for key, one in texts.items() if isinstance(one, str)}
-        return Place(printable(content["suspension"].strip()), **where, **said)
+        ends = {"bogie": ENDS, "side": SIDES}
+        where = {key: str(content[key]) for key in ends if content.get(key) in list(ends[key])}
+        texts = {key: content.get(key) for key in ("suspension", "train", "car")}
+        named = {key: one_line(one.strip()) for key, one in texts.items() if isinstance(one, str)}
+        is_short = all(len(one) <= MOST_NAME for one in named.values())
+        return Place(**where, **named) if is_short else None
 
     @property
     def axle(self) -> str:

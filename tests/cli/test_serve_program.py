@@ -72,6 +72,7 @@ def test_mistakes_are_one_line(refused, path, tmp_path):
     assert "Give hosts=[NAME, ...]" in refused(store, "host=0.0.0.0", "open_to_network=true")
     assert "must be an IPv4 address or a name" in refused(store, "host='::1'")
     assert "`today` must be a day" in refused(store, "today=soon")
+    assert "`url_prefix` must be the path" in refused(store, "url_prefix=fleet")
 
 
 def test_mistakes_about_who_may_do_what_are_one_line(refused, path, tmp_path, monkeypatch):
