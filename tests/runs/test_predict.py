@@ -16,10 +16,12 @@ from suspnet.estimation.from_curves import estimate_curves
 from suspnet.estimation.information import output_bounds
 from suspnet.estimation.problem import BLOCK, CALIBRATE, TEST, TRAIN, Problem
 from suspnet.estimation.refine import refine
+from suspnet.ground.storage import read_json, write_json
 from suspnet.learning import MSVR, MVGPR, CurveFit, LinearRegression
 from suspnet.runs import scores
 from suspnet.runs.fit import fit
 from suspnet.runs.predict import calibrated, predict_stream
+from suspnet.runs.tables import scores_table
 from suspnet.spectra.curves import CurveMisfit, CurveSettings
 from suspnet.spectra.estimates import EstimateSettings
 
@@ -300,3 +302,16 @@ def test_bounds_of_uncertain_numbers_are_those_of_the_first_curves(monkeypatch, 
     error = np.sqrt(np.mean((outcome.predicted / outcome.data.outputs - 1) ** 2, axis=0))
     expected = error / np.sqrt(np.mean((bounds / truth) ** 2, axis=0))
     np.testing.assert_allclose(list(found["rms_ratio"].values()), expected)
+
+
+def test_error_over_an_infinite_bound_is_no_number(tmp_path):
+    """G_s alone leaves stiffness, damping and mass with a common factor: no Cramer-Rao bound."""
+    problem = problem_of("secondary", "paper", n_calibrate=None)
+    model = fit(problem, LinearRegression(), None)
+    found = scores.scores(problem, model, predict_stream(problem, model, TEST))
+    written = read_json(write_json(tmp_path / "metrics.json", found))
+    for key in ("rms_ratio", "cramer_rao_percent"):
+        assert written[key] == {"k_s": None, "c_s": None}
+    assert 5 < written["bound"]["k_s"]["mape_percent"] < 20
+    for metrics in (found, written):
+        assert scores_table(metrics).count(" - ") == 4
