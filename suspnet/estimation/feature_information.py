@@ -17,6 +17,7 @@ from torch import Tensor
 from suspnet.dynamics import PARAMETERS
 from suspnet.estimation.information import cramer_rao, output_bounds, over_bound
 from suspnet.estimation.protocols import Task, columns_of
+from suspnet.ground.tensors import as_tensor
 from suspnet.ground.types import FloatArray
 from suspnet.spectra.extraction import FeatureSet
 from suspnet.spectra.observation import Observer
@@ -57,7 +58,7 @@ def feature_information(
     if n_draws < least:
         raise ValueError(f"`n_draws` must be >= {least} for {n_features} features, got {n_draws}")
     columns = columns_of(parameters)
-    blocks = torch.as_tensor(ratios).split(max(1, ROWS // n_draws))
+    blocks = as_tensor(ratios).split(max(1, ROWS // n_draws))
     seeds = np.random.SeedSequence(seed).generate_state(len(blocks))
     information = [
         _information(observer, extractor, rows, columns, n_draws, int(block_seed))

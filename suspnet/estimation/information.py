@@ -18,7 +18,7 @@ from torch import Tensor
 from suspnet.dynamics import PARAMETERS
 from suspnet.estimation.protocols import BODY_MASS_COLUMN, RESPONSES, Task, columns_of
 from suspnet.ground.parameters import BODY_MASS
-from suspnet.ground.tensors import threads
+from suspnet.ground.tensors import as_tensor, threads
 from suspnet.ground.types import ComplexArray, FloatArray
 from suspnet.learning.least_squares import ONE_SIDED_DIFFERENCE
 from suspnet.spectra.observation import Directions, Misfit, Observer
@@ -80,7 +80,7 @@ def joint_information(
     directions = observer.directions if directions is None else directions
     used = [RESPONSES.index(name) for name in responses]
     blocks = []
-    for rows in torch.as_tensor(ratios).split(ROWS):
+    for rows in as_tensor(ratios).split(ROWS):
         misfit = observer.misfit(observer.noise_free(rows), rows, used)
         jacobian = _joint_derivative(misfit, rows, parameters, directions)
         blocks.append((jacobian @ jacobian.mT).cpu().numpy())
@@ -98,7 +98,7 @@ def shifts(
     parameter, 1 for a coordinate of z), the change is (J^T J + P)^-1 J^T r, to first order. It is
     that of the parameters' logarithms.
     """
-    rows = torch.as_tensor(ratios)
+    rows = as_tensor(ratios)
     curves, directions = observer.noise_free(rows), observer.directions
     misfit = observer.misfit(curves, rows)
     jacobian = _joint_derivative(misfit, rows, parameters, directions)

@@ -28,7 +28,7 @@ from suspnet.estimation.protocols import BODY_MASS_COLUMN, Task
 from suspnet.ground.cache import Cache, code_hash
 from suspnet.ground.progress import bar as progress_bar
 from suspnet.ground.settings import check_number
-from suspnet.ground.tensors import threads
+from suspnet.ground.tensors import as_tensor, threads
 from suspnet.ground.types import BoolArray, FloatArray, IntArray
 from suspnet.spectra.extraction import FeatureSet, FeatureTable
 from suspnet.spectra.observation import Observation, Observer
@@ -164,13 +164,13 @@ class Problem:
 
     def curves(self, ratios: FloatArray, stream: int, block: int) -> Tensor:
         """Return the noisy curves of one block of vehicles, shape (<= BLOCK, 2, n_freq)."""
-        rows = torch.as_tensor(ratios[block * BLOCK : (block + 1) * BLOCK])
+        rows = as_tensor(ratios[block * BLOCK : (block + 1) * BLOCK])
         noise_seed = np.random.SeedSequence([self.seed, stream, block]).generate_state(1, np.uint64)
         return self.observer.observe(rows, int(noise_seed[0] >> np.uint64(1)))
 
     def noise_free(self, ratios: FloatArray) -> Tensor:
         """Return curves without noise, shape (n_curves, 2, n_freq)."""
-        return self.observer.noise_free(torch.as_tensor(ratios))
+        return self.observer.noise_free(as_tensor(ratios))
 
     def healthy_features(self) -> FloatArray:
         """Return the healthy vehicle's features, (n_features,); ValueError if one is missing."""

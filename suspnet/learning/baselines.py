@@ -164,16 +164,20 @@ class SVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[misc
         return predicted[:, 0] if self._single_output else predicted
 
     def state(self) -> dict[str, FloatArray]:
-        """Return the arrays that define the fitted model together with the parameters."""
+        """Return the arrays that define the fitted model together with the parameters.
+
+        The intercept has the shape () if `y` had one dimension.
+        """
         check_is_fitted(self)
         arrays = {f"support_vectors.{j}": v for j, v in enumerate(self.support_vectors_)}
         arrays |= {f"dual_coef.{j}": v for j, v in enumerate(self.dual_coef_)}
-        return arrays | {"intercept": self.intercept_}
+        return arrays | {"intercept": self.intercept_.reshape(() if self._single_output else -1)}
 
     def restore(self, state: Mapping[str, FloatArray]) -> Self:
         """Load the arrays of `state`; ValueError if they are missing or inconsistent."""
         try:
-            self.intercept_ = state["intercept"]
+            self.intercept_ = np.atleast_1d(state["intercept"])
+            self._single_output = state["intercept"].ndim == 0
             outputs = range(len(self.intercept_))
             self.support_vectors_ = [state[f"support_vectors.{j}"] for j in outputs]
             self.dual_coef_ = [state[f"dual_coef.{j}"] for j in outputs]
@@ -183,7 +187,6 @@ class SVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[misc
         if any(len(vectors) != len(dual) for vectors, dual in pairs):
             raise ValueError("support vectors and dual coefficients differ in number")
         self.n_features_in_ = self.support_vectors_[0].shape[1]
-        self._single_output = False
         return self
 
     def _fit_output(self, X: FloatArray, y: FloatArray) -> Any:
@@ -224,7 +227,7 @@ class LinearRegression(linear_model.LinearRegression):  # type: ignore[misc]
     def state(self) -> dict[str, FloatArray]:
         """Return the arrays of the fitted model."""
         check_is_fitted(self)
-        return {"coef": np.atleast_2d(self.coef_), "intercept": np.atleast_1d(self.intercept_)}
+        return {"coef": self.coef_, "intercept": np.asarray(self.intercept_)}
 
     def restore(self, state: Mapping[str, FloatArray]) -> Self:
         """Load the arrays of `state`; ValueError if they are missing or inconsistent."""
@@ -232,11 +235,11 @@ class LinearRegression(linear_model.LinearRegression):  # type: ignore[misc]
             self.coef_, self.intercept_ = state["coef"], state["intercept"]
         except KeyError as error:
             raise ValueError(f"the arrays are not those of a linear model ({error})") from error
-        if self.coef_.ndim != 2 or len(self.coef_) != len(self.intercept_):
+        if not self.coef_.ndim or self.coef_.shape[:-1] != self.intercept_.shape:
             raise ValueError(
                 f"coef has shape {self.coef_.shape}, intercept {self.intercept_.shape}"
             )
-        self.n_features_in_ = self.coef_.shape[1]
+        self.n_features_in_ = self.coef_.shape[-1]
         return self
 
 

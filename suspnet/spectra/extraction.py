@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 from torch import Tensor
 
 from suspnet.ground.settings import check_settings, setting
+from suspnet.ground.tensors import as_tensor, curves_as_tensor
 from suspnet.ground.types import FloatArray, IntArray
 from suspnet.spectra.peaks import PeakFit, PeakReason, Peaks, SmoothedCurves, check_grid, findpeaks
 
@@ -191,7 +192,7 @@ class PeakFeatures(FeatureSet):
 
         ValueError if shapes disagree or the frequencies are not ascending and evenly spaced.
         """
-        curves, frequencies_hz = torch.as_tensor(curves), torch.as_tensor(frequencies_hz)
+        curves, frequencies_hz = curves_as_tensor(curves), as_tensor(frequencies_hz)
         if curves.ndim != 3 or curves.shape[1:] != (2, len(frequencies_hz)):
             expected = f"(n_curves, 2, {len(frequencies_hz)})"
             raise ValueError(f"`curves` must have shape {expected}, got {tuple(curves.shape)}")

@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from suspnet.ground.parameters import FORWARD, REVERSE, Direction
+from suspnet.ground.tensors import as_tensor
 from suspnet.ground.types import FloatArray
 from suspnet.recordings.recording import Recording
 from suspnet.spectra.cross_spectra import CHAIN
@@ -52,18 +53,18 @@ def sensor_segments(recording: Recording, welch: Welch) -> tuple[list[str], Segm
 
 def _faultless(recording: Recording, signals: FloatArray, welch: Welch) -> SegmentSpectra:
     return segment_spectra(
-        torch.as_tensor(signals),
+        as_tensor(signals, copy=False),
         recording.rate_hz,
         welch,
         high_hz=recording.rate_hz / 4,
-        usable=torch.as_tensor(recording.usable),
+        usable=as_tensor(recording.usable, np.bool_, copy=False),
     )
 
 
 def segment_speeds(recording: Recording, segments: SegmentSpectra) -> Tensor:
     """Return the speed in each segment, shape (n_segments, n_samples of a segment), [m/s]."""
     length, _ = segments.welch.sizes(recording.rate_hz)
-    return torch.as_tensor(recording.speed_m_per_s).unfold(0, length, 1)[segments.first]
+    return as_tensor(recording.speed_m_per_s).unfold(0, length, 1)[segments.first]
 
 
 def without_loud(segments: SegmentSpectra, chosen: Tensor) -> Tensor:

@@ -162,7 +162,7 @@ def test_a_bound_that_is_infinite_is_not_drawn():
     runs = [run("msvr", ("k_s",), snr) | unknown for snr in (54.0, 34.0)]
     assert not any(map(len, line_data(plots.table6(table6_records(runs[:1])))))
     (measured, bound) = plots.sensitivity(runs).axes[0].lines
-    assert np.isnan(bound.get_ydata()).all()
+    assert np.isnan(np.array(bound.get_ydata(), float)).all()
     assert np.isfinite(measured.get_ydata()).all()
 
 
