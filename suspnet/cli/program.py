@@ -362,7 +362,7 @@ def one_line(error: BaseException) -> str:
         message = message.split(noise)[0]
     if message.startswith("Could not override"):
         start = message.strip().rstrip(".")
-        message = f"{start}. There is no such key{_nearest(error)}; --help lists them"
+        message = f"{start}. There is no {_missing_key(error)}; --help lists them"
     for group, owner in (("experiment", "train.py"), ("study", "evaluate.py")):
         if message.startswith(f"Could not override '{group}'"):
             message = (
@@ -374,16 +374,21 @@ def one_line(error: BaseException) -> str:
     return printable("error: " + " ".join(message.split()))
 
 
-def _nearest(error: BaseException) -> str:
-    """Return a hint for a key that cannot be overridden: the nearest one in its place, or a +."""
-    cause = error.__cause__
+def _missing_key(error: BaseException) -> str:
+    """Return which key cannot be overridden, with the nearest one there, or how to add it."""
+    cause, unnamed = error.__cause__, "such key"
     place = getattr(cause, "parent_node", None)
     if not isinstance(cause, OmegaConfBaseException) or not isinstance(place, DictConfig):
-        return ""
+        return unnamed
     if not place:  # a mapping to be filled
-        return ": a + before it adds it"
+        return f"{unnamed}: a + before it adds it"
     near = get_close_matches(str(cause.key), [str(key) for key in place], n=1)
-    return f": did you mean {near[0]}?" if near else ""
+    hint = f": did you mean {near[0]}?" if near else ""
+    entries = OmegaConf.to_container(place, resolve=False)
+    if isinstance(entries, dict) and all(isinstance(entry, dict) for entry in entries.values()):
+        # a mapping of mappings: its keys are names that a user may choose
+        return f"{cause.full_key} yet{hint or ':'} +{cause.full_key}=... adds it"
+    return unnamed + hint
 
 
 def run_folder() -> Path:

@@ -39,6 +39,7 @@ from suspnet.report.language import check_language, speaking
 from suspnet.runs.commissioning import check_generator, commission_parts, commission_trips
 from suspnet.runs.commissioning_page import training_notes, write_outcome
 from suspnet.runs.dataset import write_dataset
+from suspnet.runs.fit import check_hyperparameters
 from suspnet.runs.scores import Metrics
 from suspnet.runs.train import RunContext, speed_ranges, train, train_ranges
 from suspnet.spectra.estimates import SPEED_HALF_WIDTH, WIDE_SPEED_HALF_WIDTH, EstimateSettings
@@ -107,6 +108,7 @@ def _run(
     `paths`: manifests of its healthy trips, None is all of the folder; `varied`: what a multirun
     varies; `draw`: whether to draw figures of the vehicle.
     """
+    check_hyperparameters(build(config, "model"))  # before minutes of healthy trips and curves
     by_part = build(config, "protocol").by_part
     # where each part is read, what the residual costs takes about as long as the fit of the method
     is_wanted = by_part and config.healthy is not None and config.threads != 1

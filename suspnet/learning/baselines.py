@@ -22,7 +22,7 @@ from torch import Tensor
 
 from suspnet.ground.settings import Setting, check_settings, check_values
 from suspnet.ground.types import FloatArray
-from suspnet.learning.least_squares import LeastSquaresSolution, LevenbergMarquardt
+from suspnet.learning.least_squares import BEYOND, LeastSquaresSolution, LevenbergMarquardt
 
 Forward = Callable[[Tensor, Tensor], Tensor]
 """``forward(parameters, known)`` returns curves (n_rows, n_curves, n_points)."""
@@ -285,7 +285,8 @@ class CurveFit(BaseEstimator):  # type: ignore[misc]
         The residual of each curve is divided by its rms, to which the noise is proportional.
         ``forward(parameters, known)`` returns curves (n_rows, n_curves, n_points), the shape of
         `observed`; `known` (n_rows, n_known) are known parameters of each row, `lower` and `upper`
-        the range of the starts, `n` is the number of parameters.
+        the range of the starts, `n` is the number of parameters. They stay within ``BEYOND`` times
+        this range: one without effect on the curves would go to 0 or infinity.
         """
         scale = observed.square().mean(dim=2, keepdim=True).sqrt()
 
@@ -294,7 +295,9 @@ class CurveFit(BaseEstimator):  # type: ignore[misc]
             return ((observed[rows] - curves) / scale[rows]).flatten(1)
 
         start = self._nearest_start(forward, observed, known, scale, (lower, upper), n)
-        solver = LevenbergMarquardt(max_iter=self.max_iter, tol=self.tol)
+        limits = math.log(lower / BEYOND), math.log(upper * BEYOND)
+        bounds = start.new_tensor([limits[0]]), start.new_tensor([limits[1]])
+        solver = LevenbergMarquardt(max_iter=self.max_iter, tol=self.tol, bounds=bounds)
         solution = solver.minimise(residual, start.log())
         return replace(solution, parameters=solution.parameters.exp())
 

@@ -210,7 +210,7 @@ class MSVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mis
 
     def fit(self, X: ArrayLike, y: ArrayLike) -> Self:
         """Fit to samples (n_samples, n_inputs) and outputs (n_samples,) or (.., n_outputs)."""
-        self._check_parameters()
+        self.check_parameters()
         check_device(self.device)
         samples, targets = self._validated(X, y)
         kind = MAPS[self.feature_map]
@@ -259,7 +259,7 @@ class MSVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mis
         that does not depend on the samples (``shares_gram``). `folds` are row indices; each row is
         in one fold.
         """
-        self._check_parameters()
+        self.check_parameters()
         samples, targets = self._validated(X, y)
         feature_map = self._make_map(samples)
         parts = [
@@ -277,7 +277,7 @@ class MSVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mis
 
         def predict(setting: Mapping[str, float]) -> list[FloatArray]:
             model = clone(self).set_params(**setting)
-            model._check_parameters()
+            model.check_parameters()
             solutions = (model._solve(design, rows) for design, rows in others)
             return [
                 part.predict(Direction(found.coef, found.intercept)).cpu().numpy()
@@ -316,7 +316,7 @@ class MSVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mis
 
     def restore(self, state: Mapping[str, FloatArray]) -> Self:
         """Load the arrays of `state`; ValueError if they are missing or inconsistent."""
-        self._check_parameters()
+        self.check_parameters()
         map_type = MAPS[self.feature_map].holds
         names = [name.removeprefix("map.") for name in state if name.startswith("map.")]
         tensors = {
@@ -369,7 +369,8 @@ class MSVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mis
         solver = IRWLS(self.C, self.epsilon, self.fit_intercept, self.max_iter, self.tol)
         return solver.minimise(design, targets, self.callback)
 
-    def _check_parameters(self) -> None:
+    def check_parameters(self) -> None:
+        """Raise TypeError or ValueError unless every parameter is valid and they fit together."""
         check_settings(self)
         if not (isinstance(self.sigma, str) and self.sigma == "scale"):
             check_number("sigma", self.sigma, above=0)

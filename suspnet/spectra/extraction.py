@@ -13,6 +13,7 @@ from typing import ClassVar, Literal, Protocol, Self
 
 import torch
 from numpy.typing import ArrayLike
+from scipy.signal import find_peaks
 from torch import Tensor
 
 from suspnet.ground.settings import check_settings, setting
@@ -183,6 +184,19 @@ class PeakFeatures(FeatureSet):
             f"{peak} ({PeakReason(int(reason)).name.lower().replace('_', ' ')})"
             for peak, reason in zip(self.peaks, reasons, strict=True)
             if reason
+        )
+
+    def where_searched(self, curves: Tensor, frequencies_hz: Tensor) -> str:
+        """Return where noise-free curves (2, n_freq) have maxima, and where peaks are searched."""
+        maxima = [
+            ", ".join(f"{float(frequencies_hz[i]):.3g}" for i in find_peaks(curve)[0]) or "no"
+            for curve in curves.abs().cpu().numpy()
+        ]
+        return (
+            f"maxima lie at {maxima[1]} Hz (G_s) and {maxima[0]} Hz (G_p), peaks are searched from "
+            f"protocol.features.low_hz={self.low_hz:g} to protocol.features.high_hz="
+            f"{self.high_hz:g} Hz, primary_upper above UPPER_PEAK_BEGINS={UPPER_PEAK_BEGINS:g} "
+            "times that of G_s"
         )
 
     def extract(
