@@ -351,7 +351,7 @@ def one_line(error: BaseException) -> str:
         isinstance(error, InstantiationException) or not str(error)
     ):
         error = error.__cause__
-    message = str(error)
+    message = given = str(error)
     if isinstance(error, GrammarParseError) and error.full_key:
         message = f"`{error.full_key}` holds an interpolation that has no end: {error.value!r}"
     if isinstance(error, RecursionError):
@@ -362,7 +362,8 @@ def one_line(error: BaseException) -> str:
         message = message.split(noise)[0]
     if message.startswith("Could not override"):
         start = message.strip().rstrip(".")
-        message = f"{start}. There is no {_missing_key(error)}; --help lists them"
+        missing = _missing_key(error, is_mapping="={" in given)
+        message = f"{start}. There is no {missing}; --help lists them"
     for group, owner in (("experiment", "train.py"), ("study", "evaluate.py")):
         if message.startswith(f"Could not override '{group}'"):
             message = (
@@ -374,8 +375,8 @@ def one_line(error: BaseException) -> str:
     return printable("error: " + " ".join(message.split()))
 
 
-def _missing_key(error: BaseException) -> str:
-    """Return which key cannot be overridden, with the nearest one there, or how to add it."""
+def _missing_key(error: BaseException, is_mapping: bool) -> str:
+    """Return which key cannot be overridden, by a mapping or not, and the nearest one there."""
     cause, unnamed = error.__cause__, "such key"
     place = getattr(cause, "parent_node", None)
     if not isinstance(cause, OmegaConfBaseException) or not isinstance(place, DictConfig):
@@ -385,8 +386,8 @@ def _missing_key(error: BaseException) -> str:
     near = get_close_matches(str(cause.key), [str(key) for key in place], n=1)
     hint = f": did you mean {near[0]}?" if near else ""
     entries = OmegaConf.to_container(place, resolve=False)
-    if isinstance(entries, dict) and all(isinstance(entry, dict) for entry in entries.values()):
-        # a mapping of mappings: its keys are names that a user may choose
+    if is_mapping and all(isinstance(entry, dict) for entry in dict(entries).values()):
+        # one more of several mappings: it has a name that a user may choose
         return f"{cause.full_key} yet{hint or ':'} +{cause.full_key}=... adds it"
     return unnamed + hint
 

@@ -26,6 +26,9 @@ from suspnet.learning.least_squares import BEYOND, LeastSquaresSolution, Levenbe
 
 Forward = Callable[[Tensor, Tensor], Tensor]
 """``forward(parameters, known)`` returns curves (n_rows, n_curves, n_points)."""
+COMPRESSED, ROUGH_TOL = 0.05, 1e-3
+"""A curve, in units of its rms, above which it counts by its logarithm in the first search of
+`CurveFit`, and the tolerance of that search."""
 PREDICT_ROWS = 1024
 """Rows predicted at once, so that their kernel fits into memory."""
 
@@ -294,11 +297,17 @@ class CurveFit(BaseEstimator):  # type: ignore[misc]
             curves = forward(log_parameters.exp(), known[rows])
             return ((observed[rows] - curves) / scale[rows]).flatten(1)
 
-        start = self._nearest_start(forward, observed, known, scale, (lower, upper), n)
+        def compressed(log_parameters: Tensor, rows: Tensor) -> Tensor:
+            curves, floor = forward(log_parameters.exp(), known[rows]), COMPRESSED * scale[rows]
+            return (torch.asinh(observed[rows] / floor) - torch.asinh(curves / floor)).flatten(1)
+
+        start = self._nearest_start(forward, observed, known, scale, (lower, upper), n).log()
         limits = math.log(lower / BEYOND), math.log(upper * BEYOND)
         bounds = start.new_tensor([limits[0]]), start.new_tensor([limits[1]])
+        # compressed curves first: narrow peaks overlap at their feet only
+        rough = LevenbergMarquardt(max_iter=self.max_iter, tol=ROUGH_TOL, bounds=bounds)
         solver = LevenbergMarquardt(max_iter=self.max_iter, tol=self.tol, bounds=bounds)
-        solution = solver.minimise(residual, start.log())
+        solution = solver.minimise(residual, rough.minimise(compressed, start).parameters)
         return replace(solution, parameters=solution.parameters.exp())
 
     def _nearest_start(

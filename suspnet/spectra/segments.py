@@ -13,6 +13,7 @@ from torch import Tensor
 from suspnet.ground.parameters import FORWARD, REVERSE, Direction
 from suspnet.ground.tensors import as_tensor
 from suspnet.ground.types import FloatArray
+from suspnet.recordings.dead_sensors import check_copies
 from suspnet.recordings.recording import Recording
 from suspnet.spectra.cross_spectra import CHAIN
 from suspnet.spectra.welch import NEGLIGIBLE, SegmentSpectra, Welch, segment_spectra
@@ -36,7 +37,11 @@ class NoEstimateError(Exception):
 
 
 def recording_segments(recording: Recording, welch: Welch) -> SegmentSpectra:
-    """Return the segments without faults, up to a quarter of the sampling rate."""
+    """Return the segments without faults, up to a quarter of the sampling rate.
+
+    TripError if two of the recording's sensors hold the same samples.
+    """
+    check_copies(recording.sensors(), recording.usable, recording.manifest.path)
     return _faultless(recording, recording.signals, welch)
 
 
@@ -46,8 +51,12 @@ def difference_segments(recording: Recording, welch: Welch) -> SegmentSpectra:
 
 
 def sensor_segments(recording: Recording, welch: Welch) -> tuple[list[str], SegmentSpectra]:
-    """Return the names of all sensors and the same segments of their signals."""
+    """Return the names of all sensors and the same segments of their signals.
+
+    TripError if two of them hold the same samples.
+    """
     sensors = recording.sensors()
+    check_copies(sensors, recording.usable, recording.manifest.path)
     return list(sensors), _faultless(recording, np.stack(list(sensors.values())), welch)
 
 
