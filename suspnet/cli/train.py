@@ -108,8 +108,11 @@ def _run(
     `paths`: manifests of its healthy trips, None is all of the folder; `varied`: what a multirun
     varies; `draw`: whether to draw figures of the vehicle.
     """
-    check_hyperparameters(build(config, "model"))  # before minutes of healthy trips and curves
-    by_part = build(config, "protocol").by_part
+    # refuse wrong settings before minutes of healthy trips and curves
+    protocol = build(config, "protocol")
+    protocol.task(config.group)
+    check_hyperparameters(build(config, "model"))
+    by_part = protocol.by_part
     # where each part is read, what the residual costs takes about as long as the fit of the method
     is_wanted = by_part and config.healthy is not None and config.threads != 1
     is_wanted &= not ranks.is_distributed()
