@@ -385,8 +385,8 @@ def _missing_key(error: BaseException, is_mapping: bool) -> str:
         return f"{unnamed}: a + before it adds it"
     near = get_close_matches(str(cause.key), [str(key) for key in place], n=1)
     hint = f": did you mean {near[0]}?" if near else ""
-    entries = OmegaConf.to_container(place, resolve=False)
-    if is_mapping and all(isinstance(entry, dict) for entry in dict(entries).values()):
+    entries: Any = OmegaConf.to_container(place, resolve=False)
+    if is_mapping and all(isinstance(entry, dict) for entry in entries.values()):
         # one more of several mappings: it has a name that a user may choose
         return f"{cause.full_key} yet{hint or ':'} +{cause.full_key}=... adds it"
     return unnamed + hint

@@ -205,6 +205,7 @@ def run_errors(job: Path, entry: str = "rms_percent") -> dict[str, float | None]
             found = read_json(job / name)
             several = found if isinstance(found, list) else [found]
             parts = [part.get(entry) or {} for part in several]
+            numbers: dict[str, list[Any]]
             numbers = {key: [part.get(key) for part in parts] for key in parts[0]}
             return {key: None if None in some else fmean(some) for key, some in numbers.items()}
     return {}
