@@ -370,7 +370,7 @@ def one_line(error: BaseException) -> str:
         isinstance(error, InstantiationException) or not str(error)
     ):
         error = error.__cause__
-    message = str(error)
+    message = given = str(error)
     if isinstance(error, RecursionError):
         message = "the configuration is nested too deeply, or refers to itself"
     if isinstance(error, MemoryError):
@@ -379,7 +379,8 @@ def one_line(error: BaseException) -> str:
         message = message.split(noise)[0]
     if message.startswith("Could not override"):
         start = message.strip().rstrip(".")
-        message = f"{start}. There is no such key{_nearest(error)}; --help lists them"
+        missing = _missing_key(error, is_mapping="={" in given)
+        message = f"{start}. There is no {missing}; --help lists them"
     for group, owner in (("experiment", "train.py"), ("study", "evaluate.py")):
         if message.startswith(f"Could not override '{group}'"):
             message = (
@@ -391,16 +392,21 @@ def one_line(error: BaseException) -> str:
     return printable("error: " + " ".join(message.split()))
 
 
-def _nearest(error: BaseException) -> str:
-    """Return a hint for a key that cannot be overridden: the nearest one in its place, or a +."""
-    cause = error.__cause__
+def _missing_key(error: BaseException, is_mapping: bool) -> str:
+    """Return which key cannot be overridden, by a mapping or not, and the nearest one there."""
+    cause, unnamed = error.__cause__, "such key"
     place = getattr(cause, "parent_node", None)
     if not isinstance(cause, OmegaConfBaseException) or not isinstance(place, DictConfig):
-        return ""
+        return unnamed
     if not place:  # a mapping to be filled
-        return ": a + before it adds it"
+        return f"{unnamed}: a + before it adds it"
     near = get_close_matches(str(cause.key), [str(key) for key in place], n=1)
-    return f": did you mean {near[0]}?" if near else ""
+    hint = f": did you mean {near[0]}?" if near else ""
+    entries: Any = OmegaConf.to_container(place, resolve=False)
+    if is_mapping and all(isinstance(entry, dict) for entry in entries.values()):
+        # one more of several mappings: it has a name that a user may choose
+        return f"{cause.full_key} yet{hint or ':'} +{cause.full_key}=... adds it"
+    return unnamed + hint
 
 
 def run_folder() -> Path:

@@ -39,6 +39,7 @@ from suspnet.report.language import check_language, speaking
 from suspnet.runs.commissioning import check_generator, commission_parts, commission_trips
 from suspnet.runs.commissioning_page import training_notes, write_outcome
 from suspnet.runs.dataset import write_dataset
+from suspnet.runs.fit import check_hyperparameters
 from suspnet.runs.scores import Metrics
 from suspnet.runs.train import RunContext, speed_ranges, train, train_ranges
 from suspnet.spectra.estimates import SPEED_HALF_WIDTH, WIDE_SPEED_HALF_WIDTH, EstimateSettings
@@ -108,7 +109,11 @@ def _run(
     `paths`: manifests of its healthy trips, None is all of the folder; `varied`: what a multirun
     varies; `draw`: whether to draw figures of the vehicle.
     """
-    by_part = build(config, "protocol").by_part
+    # refuse wrong settings before minutes of healthy trips and curves
+    protocol = build(config, "protocol")
+    protocol.task(config.group)
+    check_hyperparameters(build(config, "model"))
+    by_part = protocol.by_part
     # where each part is read, what the residual costs takes about as long as the fit of the method
     is_wanted = by_part and config.healthy is not None and config.threads != 1
     is_wanted &= not ranks.is_distributed()

@@ -14,6 +14,7 @@ from suspnet.estimation.fitted import FittedMethod
 from suspnet.estimation.protocols import Task
 from suspnet.estimation.refine import Refined, complete_ratios, refine
 from suspnet.ground.parameters import BODY_MASS
+from suspnet.ground.tensors import as_tensor
 from suspnet.ground.types import FloatArray
 from suspnet.spectra.observation import Misfit, Observer
 
@@ -190,7 +191,7 @@ def _fit_curves(
         magnitudes = observer.generator.magnitudes(ratios, observer.frequencies_hz)
         return magnitudes[:, task.used_responses]
 
-    known = torch.empty(len(curves), 0) if mass is None else torch.as_tensor(mass)[:, None]
+    known = torch.empty(len(curves), 0) if mass is None else as_tensor(mass)[:, None]
     solution = method.estimator.fit_curves(
         forward,
         curves[:, task.used_responses],

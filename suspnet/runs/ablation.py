@@ -94,7 +94,7 @@ def figure(records: Sequence[Record]) -> Figure:
 def _draw_output(axis: Axes, records: Sequence[Record], names: Sequence[str]) -> None:
     axis.axvline(1, color=BOUND_COLOUR, lw=1, label="bound of the curves")
     for record in records:
-        if record["ablation"] == BASELINE:
+        if record["ablation"] == BASELINE and record["rms_ratio"] is not None:
             axis.axvline(record["rms_ratio"], color=OUR_COLOUR, ls="--", lw=1, label="baseline")
     for key, style, label in (
         ("features_ratio", {"marker": "|", "ms": 10, "color": "tab:red"}, "bound of the features"),

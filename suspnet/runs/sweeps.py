@@ -60,7 +60,7 @@ class Jobs(Callback):
         if not rows:
             return
         write_atomically(folder / "jobs.csv", records_csv(with_swept(folder, rows, "job")))
-        table = tabulate(rows, headers="keys", tablefmt="github", floatfmt=".4g")
+        table = tabulate(rows, "keys", "github", floatfmt=".4g", missingval="-")
         over_seeds = seed_rows(folder, rows)
         if over_seeds:
             swept = with_swept(folder, over_seeds, "jobs", but=SEEDS)
@@ -81,11 +81,14 @@ def job_rows(folder: Path) -> list[dict[str, Any]]:
 
     Jobs are ranked among those with the same outputs, and those that did not finish come last. With
     several speeds or suspensions an error is their mean. ``NAME/bound`` is the rms error over the
-    bound, where a run has one.
+    bound, None where it is infinite.
     """
     jobs = sorted({path.parent for path in folder.glob("*/config.yaml")})
     jobs += sorted({path.parent for path in folder.glob("*/error.txt")} - set(jobs))
-    errors = {job: run_errors(job) for job in jobs}
+    errors = {
+        job: {name: error for name, error in run_errors(job).items() if error is not None}
+        for job in jobs
+    }
     outputs = list(dict.fromkeys(name for found in errors.values() for name in found))
     sets = list(dict.fromkeys(tuple(found) for found in errors.values()))
     over = {job: run_errors(job, "rms_ratio") for job in jobs}
@@ -189,26 +192,24 @@ def _seed_table(rows: Sequence[Mapping[str, Any]]) -> str:
             if key not in line and not key.endswith(" sd"):
                 sd = row[f"{key} sd"]
                 scatter = "" if sd is None else f" +- {sd:.2g}"
-                line[key] = "" if row[key] is None else f"{row[key]:.4g}{scatter}"
+                line[key] = "-" if row[key] is None else f"{row[key]:.4g}{scatter}"
         shown.append(line)
     return tabulate(shown, headers="keys", tablefmt="github", disable_numparse=True)
 
 
-def run_errors(job: Path, entry: str = "rms_percent") -> dict[str, float]:
+def run_errors(job: Path, entry: str = "rms_percent") -> dict[str, float | None]:
     """Return the rms error of each output of a run, [%]; {} if it did not finish.
 
-    `entry` is that of its metrics.json.
+    `entry` is that of its metrics.json. An output without a number there has None.
     """
     for name in ("metrics.json", "speeds.json", "fleet.json"):
         if (job / name).is_file():
             found = read_json(job / name)
             several = found if isinstance(found, list) else [found]
             parts = [part.get(entry) or {} for part in several]
-            return {
-                key: sum(part[key] for part in parts) / len(parts)
-                for key in parts[0]
-                if all(part.get(key) is not None for part in parts)
-            }
+            numbers: dict[str, list[Any]]
+            numbers = {key: [part.get(key) for part in parts] for key in parts[0]}
+            return {key: None if None in some else fmean(some) for key, some in numbers.items()}
     return {}
 
 

@@ -37,7 +37,7 @@ from suspnet.ground.workers import Start, here
 from suspnet.learning import ranks
 from suspnet.learning.search import GridSearch, SearchResult
 from suspnet.report.tensorboard import RunLog
-from suspnet.runs.fit import fit, method_name, tune
+from suspnet.runs.fit import check_hyperparameters, fit, method_name, tune
 from suspnet.runs.predict import (
     Outcome,
     calibrated,
@@ -130,6 +130,7 @@ def train(
         If the folder holds files that are not suspnet's.
     """
     context = context or RunContext()
+    check_hyperparameters(estimator)
     if folder is None:
         if search is not None:
             raise ValueError("`search` needs a `folder`: its table is written there")

@@ -214,6 +214,11 @@ def test_mistake_gets_one_line(override, message, tmp_path):
             "There is no such key: did you mean n_train?; --help lists them",
         ),
         (train, ["protocol.feature_settings.n=4"], "no such key: a + before it adds it; --help"),
+        (
+            train,
+            ["protocol.groups={mine:{outputs:[k_p],responses:[G_p],peaks:[primary_largest]}}"],
+            "There is no protocol.groups.mine yet: +protocol.groups.mine=... adds it; --help",
+        ),
         (train, ["hydra.run.dir={file}/x"], "Not a directory"),
         (evaluate, [], "which run?"),
         (evaluate, ["run=nowhere"], "run=nowhere does not exist"),
