@@ -143,18 +143,3 @@ def python(*arguments, cwd, timeout=200, **options):
         check=False,
         **options,
     )
-
-
-def lay_configurations(folder, files, words):
-    """Write somebody else's files, with words replaced; return the function that replaces them."""
-
-    def filled(text):
-        for word, value in words.items():
-            text = text.replace(word, value)
-        return text
-
-    for name, text in files.items():
-        file = folder / name
-        file.parent.mkdir(parents=True, exist_ok=True)
-        file.write_text(filled(text))
-    return filled

@@ -15,7 +15,6 @@ from hydra._internal.config_loader_impl import ConfigLoaderImpl
 from hydra._internal.config_repository import CachingConfigRepository
 from omegaconf import OmegaConf, _utils, base, grammar_parser
 
-from suspnet.cli import trusted
 from suspnet.cli.program import CONFIGS
 
 MAX_FILES, MAX_BYTES = 50, 100_000
@@ -36,7 +35,7 @@ def composed_once():
         patch.setattr(ConfigLoaderImpl, name, _merged_once(getattr(ConfigLoaderImpl, name)))
         patch.setattr(CachingConfigRepository, "__init__", _share_sources)
         parse = _parses_once(grammar_parser.parse)
-        for module in (base, _utils, trusted):
+        for module in (base, _utils):
             patch.setattr(module, "parse", parse)
         yield
 
@@ -116,7 +115,7 @@ def _contents(repo):
     """
     found = []
     for source in repo.get_sources():
-        found.append((source.scheme(), source.path))
+        found.append((source.scheme(), source.path, frozenset(getattr(source, "brokers", ()))))
         if source.scheme() == "file" and source.path != CONFIGS:
             for path in islice(Path(source.path).rglob("*"), MAX_FILES + 1):
                 plain = path.is_dir() or (path.is_file() and path.stat().st_size <= MAX_BYTES)

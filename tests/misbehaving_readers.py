@@ -63,6 +63,10 @@ def attempts(folder: Path):
         "symlink": lambda: canary.symlink_to(secret),
         "link by C": lambda: by_c("link", c_secret, c_canary),
         "chmod": lambda: secret.chmod(0o777),
+        "truncate by C": lambda: by_c("truncate", c_secret, 0),
+        "write by C": lambda: by_c("open", c_secret, os.O_WRONLY),
+        "kill by C": lambda: by_c("kill", os.getppid(), signal.SIGTERM),
+        "uring": lambda: by_c("syscall", 425, 8, bytes(120)),
         "chmod by C": lambda: by_c("chmod", c_secret, 0o777),
         "utime": lambda: os.utime(secret, (0, 0)),
         "read": secret.read_text,
@@ -95,6 +99,9 @@ def open_misbehaving(path, _=None):
         import wave  # not imported before
 
         yield OpenFile((Column(wave.__name__),), lambda _: iter(()), "done")
+        return
+    if path.read_text() == "environment":
+        yield OpenFile((), lambda _: iter(()), " ".join(os.environ))
         return
     try:
         found = attempts(path.parent)[path.read_text()]()

@@ -27,8 +27,8 @@ def fill(path):
 
 
 @contextmanager
-def receiving(on_post=lambda n: 204):
-    """Serve HTTP; `on_post` gets the number of the request and returns its status.
+def receiving(on_post=lambda n: 204, context=None):
+    """Serve HTTP, or HTTPS with a `context`; `on_post` returns the status of the n-th request.
 
     Yields
     ------
@@ -49,6 +49,8 @@ def receiving(on_post=lambda n: 204):
             pass
 
     server = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
+    if context:
+        server.socket = context.wrap_socket(server.socket, server_side=True)
     thread = threading.Thread(target=server.serve_forever, args=(0.01,))
     thread.start()
     try:

@@ -8,7 +8,6 @@ from hydra import compose, initialize_config_dir
 from suspnet.cli.kinds import build
 from suspnet.cli.program import CONFIGS
 
-
 OWN_CURVE = {
     "primary": {"outputs": ["k_p", "c_p"], "responses": ["G_p"], "peaks": ["primary_largest"]},
     "secondary": {"outputs": ["k_s", "c_s"], "responses": ["G_s"], "peaks": ["secondary"]},

@@ -12,6 +12,23 @@ import pytest
 from scipy.io import savemat, wavfile
 
 from suspnet.recordings.formats import CSV_SUFFIXES
+from suspnet.recordings.manifest import TripManifest
+from suspnet.recordings.manifest_sources import Source
+from suspnet.recordings.sources import open_source
+
+
+def opened(path: Path, source: Source, where: str = "here"):
+    """Open a source next to a manifest that says nothing else."""
+    manifest = TripManifest(
+        path=path.parent / "trip.yaml",
+        name="trip",
+        vehicle="",
+        suspension="",
+        mileage_km=0.0,
+        speed=1.0,
+        channels={},
+    )
+    return open_source(manifest, source, where)
 
 
 def contents(folder: Path) -> dict[str, bytes]:
@@ -81,23 +98,33 @@ def write_uff(path: Path, columns: Mapping, **said) -> None:
     if not len(next(iter(columns.values()))):
         path.write_text("")
         return
+    known = {"rate_hz", "unit", "date", "units_code"}
+    rate_hz = said.get("rate_hz", 1.0)
+    about = {"abscissa_min": 0.0, "abscissa_inc": 1 / rate_hz, "abscissa_spacing": 1}
+    about |= {key: said[key] for key in said.keys() - known}
+    records = []
+    if "units_code" in said:
+        lengths = dict.fromkeys(("length", "force", "temp", "temp_offset"), 1.0)
+        texts = {"units_description": "", "temp_mode": 1}
+        records.append({"type": 164, "units_code": said["units_code"]} | texts | lengths)
     for name, values in columns.items():
-        at = np.arange(len(values)) / said.get("rate_hz", 1.0)
+        at = about["abscissa_min"] + np.arange(len(values)) / rate_hz
         values = np.asarray(values).astype(np.float64)
+        about.setdefault("ordinate_axis_units_lab", said.get("unit", ""))
         record = pyuff.prepare_58(
             binary=1, func_type=1, id1=name, rsp_node=1, rsp_dir=3, ref_node=1, ref_dir=3,
-            data=values, x=at, num_pts=len(values), abscissa_spacing=1, abscissa_min=0.0,
-            abscissa_inc=1 / said.get("rate_hz", 1.0), ordinate_spec_data_type=12,
-            ordinate_axis_units_lab=said.get("unit", ""), id3=said.get("date", ""),
-            return_full_dict=True,
+            data=values, x=at, num_pts=len(values), ordinate_spec_data_type=12,
+            id3=said.get("date", ""), return_full_dict=True, **about,
         )  # fmt: skip
         empty = {key: 0 for key, value in record.items() if value is None and key[-4:] != "_lab"}
         texts = {
             key: "NONE" for key in record if key.endswith(("_lab", "_name")) and not record[key]
         }
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", ResourceWarning)  # pyuff leaves its files open
-            pyuff.UFF(str(path)).write_sets(record | empty | texts | {"ord_data_type": 4}, "add")
+        records.append(record | empty | texts | {"ord_data_type": 4})
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ResourceWarning)  # pyuff leaves its files open
+        for record in records:
+            pyuff.UFF(str(path)).write_sets(record, "add")
 
 
 def write_wav(path: Path, columns: Mapping, **said) -> None:

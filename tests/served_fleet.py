@@ -73,12 +73,12 @@ def fill(path):
 
 
 @contextmanager
-def served(path, every_s=0.3, access=None):
+def served(path, every_s=0.3, access=None, **options):
     """Serve a store on a free port of this computer; give its address and the thread behind it."""
     refresher = Refresher(Board(str(path), SETTINGS), every_s)
     app = create_app(refresher, (), every_s, access)
     refresher.app = app
-    server = http_server(app, socket.create_server(("127.0.0.1", 0)), 8)
+    server = http_server(app, socket.create_server(("127.0.0.1", 0)), 8, **options)
     thread = threading.Thread(target=server.run, daemon=True)
     refresher.start()
     thread.start()

@@ -74,7 +74,7 @@ ALSO = (
 )
 """Beginnings of the sentences of ``RAISING`` that are reasons though nothing raises them."""
 NO_REASON = (
-    "Failed to parse string",  # looked for in the messages of Arrow
+    "(?",  # patterns of time stamps
     "partial: ",  # words about a simulation
     "by the line ",  # where a value of a manifest is from
     "names in line ",  # how a CSV file is read
@@ -104,7 +104,7 @@ NO_REASON = (
     "%s holds manifests of its own",
 )
 """Beginnings of sentences that are none."""
-DESCRIBING = ("setting", "Setting", "optional")
+DESCRIBING = ("setting", "Setting", "optional", "Format")
 """Functions whose texts are of the tables of settings and keys."""
 FEWEST_LETTERS = 6
 """A sentence of the code with fewer fixed letters fits too many reasons."""

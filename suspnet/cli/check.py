@@ -7,16 +7,17 @@ from collections.abc import Mapping, Sequence
 from datetime import datetime
 from functools import partial
 from pathlib import Path
-from shlex import join
 from statistics import median
 
 from suspnet.cli.config_files import own_vehicles
 from suspnet.cli.kinds import named_runs, vehicles_with
+from suspnet.cli.typed_words import listed
 from suspnet.estimation.checkpoint import load_model
 from suspnet.estimation.trip_settings import LEAST_TRIPS
 from suspnet.ground import ledger, progress
 from suspnet.ground.settings import check_number
 from suspnet.ground.storage import distinct, new_folder, printable
+from suspnet.ground.wording import command
 from suspnet.ground.workers import LostWorkerError, each, workers_for
 from suspnet.recordings.manifest_files import find_trips
 from suspnet.report.language import speaking
@@ -30,6 +31,7 @@ from suspnet.trips.check_page import (
     TripCheck,
     summary,
     suspensions,
+    with_distinct_names,
     with_shared_data,
     write_checks,
 )
@@ -54,7 +56,8 @@ def check(arguments: Namespace) -> int:
     paths, elsewhere = find_trips(arguments.trips)
     with progress.on_stderr():
         n_workers = workers_for(len(paths), arguments.workers)
-        checks = with_shared_data(_checked(paths, settings, n_workers, arguments.language))
+        checked = _checked(paths, settings, n_workers, arguments.language)
+        checks = with_shared_data(with_distinct_names(checked))
     with speaking(arguments.language):
         page = write_checks(checks, elsewhere, output)
     print(f"{summary(checks, elsewhere)}\n-> {page}")
@@ -104,11 +107,11 @@ def next_steps(
     """
     if unknown := sorted({one.vehicle for one in checks if one.unchecked} - set(option_of)):
         folder = own_vehicles(unknown[0])
-        again = ["suspnet", "check", *map(str, arguments.trips), "--config-dir"]
+        again = command("check", *arguments.trips, "--config-dir", folder or "DIR")
         where = f", where DIR is the folder with vehicle/{unknown[0]}.yaml"
         return [
             f"not checked without the numbers of {', '.join(unknown)}: {NEED_A_VEHICLE}",
-            f"to check them too: {join([*again, str(folder or 'DIR')])}{where * (folder is None)}",
+            f"to check them too: {again}{where * (folder is None)}",
         ]
     vehicles = {check.vehicle for check in checks}
     ready_of = [[c for c in each.checks if c.state == READY] for each in suspensions(checks)]
@@ -120,16 +123,14 @@ def next_steps(
         return []
     when = "with the problems mended, run" if code else "then run"
     if arguments.run:
-        runs = [str(run) for run in arguments.run]
-        run = runs[0] if len(runs) == 1 else f"[{','.join(runs)}]"
-        return [f"{when}: {join(['suspnet', 'evaluate', f'trips={folder}', f'run={run}'])}"]
+        read = command("evaluate", f"trips={folder}", f"run={listed(arguments.run)}")
+        return [f"{when}: {read}"]
     minutes = max(1, round(median(check.duration_s for r in ready_of for check in r) / 60))
     n_healthy = min(N_HEALTHY, *n_ready)
     # later trips may have too little for parts, as with a sensor that comes loose
     shows_parts = all(sum(check.shows_parts for check in r) >= n_healthy for r in ready_of)
     train = [
-        *("suspnet", "train"),
-        *(["--config-dir", str(arguments.config_dir)] if arguments.config_dir else []),
+        *(["--config-dir", arguments.config_dir] if arguments.config_dir else []),
         *(f"vehicle={option_of[vehicles.pop()]}", "experiment=trips"),
         *(["protocol=components"] if shows_parts else []),
         *(f"healthy={folder}", f"n_healthy={n_healthy}"),
@@ -137,7 +138,7 @@ def next_steps(
         *_speeds_beyond_healthy(ready_of, n_healthy),
     ]
     return [
-        f"{when}: {join(train)}",
+        f"{when}: {command('train', *train)}",
         f"  n_healthy={n_healthy}: the first {n_healthy} trips of each suspension by mileage are "
         "taken as healthy; give as many as were run before any wear",
         *_of_each(checks, folder, n_healthy),

@@ -12,6 +12,7 @@ from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from logging.handlers import BufferingHandler
 from pathlib import Path
+from shlex import quote
 from typing import Any
 
 from omegaconf import DictConfig, OmegaConf
@@ -19,6 +20,7 @@ from tabulate import tabulate
 
 from suspnet.cli import folders, program
 from suspnet.cli.config_files import as_written
+from suspnet.cli.typed_words import of_each_name
 from suspnet.estimation.trip_settings import LEAST_TRIPS
 from suspnet.ground import ledger
 from suspnet.ground.progress import bar as progress_bar
@@ -125,9 +127,14 @@ def train_fleet(
         names = ", ".join(sorted(failed))
         raise ValueError(
             f"{len(failed)} of {len(groups)} suspensions are not trained ({names}); the same "
-            f"command with resume={folder} tries these again"
+            f"command with {quote(f'resume={folder}')} tries these again"
         )
     write_json(folder / folders.FLEET, rows)
+
+
+def read_numbers(given: Any) -> Any:
+    """Return `n_healthy` with {NAME: number} of the command line, which is text, as a mapping."""
+    return of_each_name(given) if isinstance(given, str) else given
 
 
 def first_trips(given: Any, names: Sequence[str]) -> dict[str, int | None]:

@@ -35,6 +35,7 @@ $bash_cases
   COMPREPLY=($$(compgen -W "$$words" -- "$$word"))
   if [ -n "$$name" ] && { [ -z "$${COMPREPLY[*]}" ] || [ "$${COMPREPLY[*]}" = "$$word" ]; }; then
     compopt -o filenames
+    local IFS=$$'\n'  # names may have blanks
     COMPREPLY=($$(compgen -f -- "$${word#*=}"))
     return
   fi

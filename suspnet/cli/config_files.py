@@ -20,7 +20,7 @@ from omegaconf import DictConfig, ListConfig, OmegaConf
 
 from suspnet.ground.settings import check_number
 from suspnet.ground.storage import read_plain
-from suspnet.recordings.core_yaml import LOADER, parse_yaml
+from suspnet.recordings.core_yaml import LOADER, MOST_BYTES, parse_yaml
 
 
 def _configs() -> str:
@@ -31,8 +31,6 @@ def _configs() -> str:
 
 CONFIGS = _configs()
 """Absolute path of the folder that Hydra composes from."""
-MOST_INTERPOLATED = 2**13
-"""Largest total length of a file's texts with interpolations, in characters."""
 TABLES = {
     "ablation": ("ablations.yaml", "_global_"),
     "reading": ("readings.yaml", "_global_"),
@@ -79,33 +77,20 @@ def store_tables() -> None:
             ConfigStore.instance().store(name=str(name), node=node, group=group, package=package)
 
 
-def check_file(file: Path) -> None:
-    """Check that a configuration is a plain file that needs little time and memory to load.
+def read_settings(file: Path) -> tuple[str, dict[Any, Any]]:
+    """Return the text of a configuration and its content, with interpolations as text.
 
-    ValueError if it is not a regular file, is not YAML without tags, grows by aliases beyond what
-    `parse_yaml` reads, or has interpolations that would take too long to parse.
+    ValueError if it is not a regular file, or not YAML that `parse_yaml` reads: a mapping without
+    tags, whose aliases are bounded.
     """
-    content = read_plain(file)
+    text = read_plain(file, MOST_BYTES).decode("utf-8-sig", errors="replace")
     try:
-        values = walk(parse_yaml(content.decode(errors="replace")), "")
-        texts = [one for _, _, one in values if isinstance(one, str) and "${" in one]
-        if sum(map(len, texts)) > MOST_INTERPOLATED:
-            raise ValueError(f"its interpolations have more than {MOST_INTERPOLATED} characters")
+        content = parse_yaml(text) or {}
+        if not isinstance(content, dict):
+            raise ValueError("it must hold keys with their values")
     except ValueError as error:
         raise ValueError(f"{file} is no configuration: {error}") from error
-
-
-def walk(value: Any, path: str) -> Iterator[tuple[str, str, Any]]:
-    """Yield key, path and value of each value below a mapping or list."""
-    pairs: Any = ()
-    if isinstance(value, dict):
-        pairs = value.items()
-    elif isinstance(value, list):
-        pairs = enumerate(value)
-    for key, one in pairs:
-        name = f"{path}.{key}" if path else str(key)
-        yield str(key), name, one
-        yield from walk(one, name)
+    return text, content
 
 
 Keys = tuple[str, ...]

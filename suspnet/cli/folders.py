@@ -9,9 +9,9 @@ import sys
 from collections.abc import Iterable
 from datetime import datetime
 from pathlib import Path
+from shlex import quote
 from typing import Any
 
-import yaml
 from hydra.core.hydra_config import HydraConfig
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.experimental.callback import Callback
@@ -19,8 +19,10 @@ from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf, open_dict, read_write
 
 from suspnet.cli.kinds import KINDS
+from suspnet.cli.typed_words import quoted
 from suspnet.ground import ledger
 from suspnet.ground.storage import new_folder, write_atomically
+from suspnet.recordings.core_yaml import read_yaml
 
 log = logging.getLogger(__name__)
 ERROR = "error.txt"
@@ -85,7 +87,7 @@ class OwnFolder(Callback):
             names = ", ".join(path.parent.name for path in failed)
             print(
                 f"error: {len(failed)} jobs failed ({names}); the same command with "
-                f"resume={config.hydra.sweep.dir} runs these again",
+                f"{quote(f'resume={config.hydra.sweep.dir}')} runs these again",
                 file=sys.stderr,
             )
             sys.exit(1)
@@ -111,7 +113,7 @@ def worst(codes: Iterable[int]) -> int:
 def how_to_resume() -> str:
     """Return the advice on how to resume the run that was interrupted."""
     if _to_resume:
-        return f"go on with the same command and resume={_to_resume[0]}"
+        return f"go on with the same command and {quote(f'resume={_to_resume[0]}')}"
     return "start again at any time"
 
 
@@ -143,7 +145,7 @@ def _choose(config: DictConfig, kind: str) -> None:
         for key, value in changed.items():
             OmegaConf.update(config, key, value)
             if kind == "sweep":
-                config.hydra.overrides.hydra.append(f"{key}={_quoted(value)}")
+                config.hydra.overrides.hydra.append(f"{key}={quoted(value) if value else 'null'}")
 
 
 def remove_unused(folder: Path) -> None:
@@ -168,13 +170,6 @@ def _below_outputs(folder: Path) -> Path:
             "another folder"
         )
     return folder
-
-
-def _quoted(value: str | None) -> str:
-    if value is None:
-        return "null"
-    escaped = value.replace("\\", "\\\\").replace("'", "\\'")
-    return f"'{escaped}'"
 
 
 def is_job() -> bool:
@@ -222,8 +217,8 @@ def _is_finished(folder: Path) -> bool:
 def _saved(folder: Path) -> Any:
     """Return the compared part of config.yaml; None if it cannot be read."""
     try:
-        return _compared(yaml.safe_load((folder / "config.yaml").read_text(encoding="utf-8")))
-    except (OSError, ValueError, yaml.YAMLError):
+        return _compared(read_yaml(folder / "config.yaml"))
+    except (OSError, ValueError):
         return None
 
 
@@ -259,7 +254,7 @@ UNNAMED = {
 """Keys left out of folder names: the path shows them already, or they change no number."""
 OF_THE_VEHICLE = ("vehicle", "generator", "speed_m_per_s")
 """Keys that change the vehicle's frequency responses."""
-MAX_CHARACTERS = 100
+MAX_BYTES = 100
 """Length at which a name is cut; file systems allow 255 for the whole folder name."""
 
 
@@ -281,9 +276,9 @@ def swept() -> list[str]:
     file = Path(config.sweep.dir) / "multirun.yaml"
     if not file.is_file():  # composed for one job of a multirun, not by a multirun
         return []
-    whole = OmegaConf.load(file).hydra
-    typed = OverridesParser.create().parse_overrides(list(whole.overrides.task))
-    keys = [str(key) for key in whole.sweeper.get("params") or ()]
+    whole = read_yaml(file)["hydra"]
+    typed = OverridesParser.create().parse_overrides(whole["overrides"]["task"])
+    keys = list(whole["sweeper"].get("params") or ())
     keys += [override.get_key_element() for override in typed if override.is_sweep_override()]
     return list(dict.fromkeys(keys))
 
@@ -343,9 +338,9 @@ def _unless_healthy(usual: float, _root_: DictConfig) -> float | None:
 
 
 def _split(override: str) -> tuple[str, str]:
-    """Return key and value of an override, without Hydra's marks for additions."""
+    """Return key and value of an override, without Hydra's marks for additions and its quotes."""
     key, _, value = override.partition("=")
-    return key.lstrip("+~"), value
+    return key.lstrip("+~"), value.strip("'")
 
 
 def _word(key: str, value: str, is_choice: bool) -> str:
@@ -360,4 +355,4 @@ def _joined(words: Iterable[str]) -> str:
     """Return words joined as the end of a folder name that needs no quotes in a shell."""
     bare = (re.sub(r"[\[\](){}'\"]", "", word) for word in words)
     plain = (re.sub(r"[^\w.+-]+", "-", word).strip("-_") for word in bare)
-    return "".join(f"_{word}" for word in plain if word)[:MAX_CHARACTERS]
+    return ledger.shortened("".join(f"_{word}" for word in plain if word), MAX_BYTES)

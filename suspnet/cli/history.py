@@ -16,6 +16,7 @@ from tabulate import tabulate
 from suspnet.ground import ledger
 from suspnet.ground.extras import check_extra
 from suspnet.ground.parameters import Cause
+from suspnet.ground.progress import LineFormatter
 from suspnet.ground.records import PLACE, Place, TripResult, outputs_of
 from suspnet.ground.storage import printable, write_table
 from suspnet.ground.wording import thousands
@@ -153,7 +154,8 @@ def _notify(store: History, arguments: Namespace) -> str:
     if arguments.retry:
         store.outbox().retry()
     if arguments.follow:
-        logging.basicConfig(level=logging.INFO, format="%(message)s")
+        logging.basicConfig(level=logging.INFO)
+        logging.getLogger().handlers[0].setFormatter(LineFormatter())
         notifier.run()
     n_sent, n_failed = notifier.once()
     lines = [f"{n_sent} sent, {n_failed} failed"]

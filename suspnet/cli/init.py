@@ -12,13 +12,13 @@ from shlex import join, quote
 from suspnet.cli.config_files import is_shipped, own_vehicles
 from suspnet.ground.records import Place
 from suspnet.ground.storage import printable, write_atomically
-from suspnet.ground.wording import count
+from suspnet.ground.wording import command, count
 from suspnet.recordings.errors import TripError, all_of
 from suspnet.trips import folder_manifests as folders
 from suspnet.trips.file_contents import look_into
 from suspnet.trips.grouping import lone_trains
 from suspnet.trips.manifest_template import template
-from suspnet.trips.trip_files import find_tables, find_trip_files
+from suspnet.trips.trip_files import find_tables, find_trip_files, unread_files
 
 LEFT_OPEN = {
     "bogie": "is taken as the leading one, which decides how the other bogie and the body's pitch "
@@ -75,7 +75,7 @@ def _one_trip(files: Sequence[Path], arguments: Namespace) -> int:
         f"-> {path}: {count(len(signals), 'column')} of {count(len(files), 'file')}\n"
         f"fill in: {', '.join(found.blanks) or 'nothing'}\n"
         f"guessed, to be checked: {', '.join(found.guesses) or 'nothing'}\n"
-        f"then run: {_command('check', path, *_known_vehicles(arguments.config_dir, []))}"
+        f"then run: {command('check', path, *_known_vehicles(arguments.config_dir, []))}"
     )
     return 0
 
@@ -85,9 +85,10 @@ def _folder(folder: Path, said: Sequence[str], arguments: Namespace) -> int:
     if arguments.output:
         raise ValueError("--output is for the manifest of one trip; a folder's lie in it")
     table, tables = arguments.table, find_tables(folder)
-    found = find_trip_files(folder, [*tables, *([table] if table else [])])
-    rows = folders.read_table(table) if table and table.exists() else {}
     keys = folders.read_said(said)
+    besides = [*tables, *([table] if table else [])]
+    found = find_trip_files(folder, besides, folders.loggers_of(keys))
+    rows = folders.read_table(table) if table and table.exists() else {}
     vehicles = arguments.config_dir or own_vehicles(keys.get("vehicle", ""))
     trips = folders.folder_manifests(found, folder, keys, rows, vehicles)
     new = [trip for trip in trips if arguments.force or not os.path.lexists(trip.path)]
@@ -97,6 +98,8 @@ def _folder(folder: Path, said: Sequence[str], arguments: Namespace) -> int:
     for one in tables:
         if table is None or one.resolve() != table.resolve():
             print(printable(f"{one} is a table of trips, which --table {quote(str(one))} reads"))
+    for line in unread_files(folder):
+        print(printable(line))
     wrong = _unknown_vehicles(vehicles, new)
     if missing or wrong:
         what = "missing or wrong" if wrong else "missing"
@@ -112,7 +115,7 @@ def _folder(folder: Path, said: Sequence[str], arguments: Namespace) -> int:
             print(f"-> {table}: fill in its columns, then run the same command again")
         right = [word for word in said if not (wrong and word.startswith("vehicle="))]
         again = " ".join(
-            [_command("init", folder, *right), "KEY=VALUE ...", printable(join(options))]
+            [command("init", folder, *right), "KEY=VALUE ...", printable(join(options))]
         )
         print(*_left_open(new), f"say each once for all trips: {again.rstrip()}", sep="\n")
         return 1
@@ -125,7 +128,7 @@ def _folder(folder: Path, said: Sequence[str], arguments: Namespace) -> int:
         print(printable(f"  {line}"))
     print(
         *_left_open(new, [*said, *options]),
-        f"then run: {_command('check', folder, *known)}",
+        f"then run: {command('check', folder, *known)}",
         sep="\n",
     )
     return 0
@@ -145,7 +148,7 @@ def _known_vehicles(folder: Path | None, trips: Sequence[folders.Trip]) -> list[
             printable(
                 f"{name} is no vehicle of suspnet's: say vehicle=am96 or another of them if that "
                 "is a number of the train, or give --config-dir DIR, the folder with "
-                f"vehicle/{name}.yaml ({_command('init', '--vehicle', name)} lists what it "
+                f"vehicle/{name}.yaml ({command('init', '--vehicle', name)} lists what it "
                 "needs); without it swapped sensors, units and signs are not checked"
             )
         )
@@ -170,11 +173,6 @@ def _unknown_vehicles(folder: Path | None, trips: Sequence[folders.Trip]) -> lis
     ]
 
 
-def _command(name: str, *arguments: object) -> str:
-    """Return a command line as it can be copied into a shell."""
-    return printable(join(["suspnet", name, *map(str, arguments)]))
-
-
 def _vehicle_and_place(trip: folders.Trip) -> tuple[str, Place]:
     known = {key: str(one.value) for key, one in trip.known.items()}
     keys = ("suspension", "train", "car")
@@ -196,6 +194,6 @@ def _left_open(trips: Sequence[folders.Trip], said: Sequence[str] | None = None)
         if key == "bogie" and said is not None:
             without = dict.fromkeys(trip.path.parent for trip in trips if key not in trip.known)
             for folder in without if len({trip.path.parent for trip in trips}) > 1 else ():
-                command = _command("init", folder, "--force", *said, "bogie=leading")
-                lines.append(f"    of {folder} alone: {command} (or trailing)")
+                again = command("init", folder, "--force", *said, "bogie=leading")
+                lines.append(f"    of {folder} alone: {again} (or trailing)")
     return lines

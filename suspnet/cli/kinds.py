@@ -17,9 +17,8 @@ from hydra import compose, initialize_config_dir
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, ListConfig, OmegaConf
 
-from suspnet.cli.config_files import CONFIGS, check_file
+from suspnet.cli.config_files import CONFIGS, read_settings
 from suspnet.ground.settings import check_choice, check_number
-from suspnet.ground.storage import read_plain
 
 if TYPE_CHECKING:
     from suspnet.dynamics import Vehicle
@@ -123,17 +122,6 @@ def check_kind(name: str, values: Mapping[str, Any]) -> None:
         raise ValueError(f"`{name}.kind` must be {rule}, got {kind!r}")
 
 
-def new_name(place: str, target: Any) -> str:
-    """Return the advice on what replaces a ``_target_`` of an older configuration."""
-    kinds = KINDS.get(place, {})
-    if "" in kinds:
-        return "delete this line"
-    found = next((kind for kind, home in kinds.items() if home == target), None)
-    if found is not None:
-        return f"write `kind: {found}` instead"
-    return f"write `kind: ...` with one of {', '.join(kinds)}" if kinds else "nothing is built here"
-
-
 def _built(values: Mapping[str, Any], name: str, vehicle: str | None = None) -> Any:
     """Return an object built from its settings, after the objects among them."""
     check_kind(name, values)
@@ -207,15 +195,10 @@ def vehicles_with(folder: Path | None) -> dict[str, Vehicle]:
 def _vehicles_of(folder: str | Path) -> dict[str, Vehicle]:
     vehicles: dict[str, Vehicle] = {}
     for file in sorted((Path(folder) / "vehicle").glob("*.yaml")):
-        check_file(file)
-        content = OmegaConf.to_container(OmegaConf.create(read_plain(file).decode()), resolve=False)
-        # a road vehicle's file also sets a speed and a track
-        vehicle = content.get("vehicle", content) if isinstance(content, dict) else None
+        _, content = read_settings(file)
+        vehicle = content.get("vehicle", content)  # a road's file also sets a speed and a track
         if not isinstance(vehicle, dict):
             raise ValueError(f"{file} is no vehicle: its numbers are missing")
-        if "_target_" in vehicle:
-            way = new_name("vehicle", vehicle["_target_"])
-            raise ValueError(f"{file}: `_target_` is no longer used: {way}")
         try:
             vehicles[file.stem] = _built({str(key): vehicle[key] for key in vehicle}, "vehicle")
         except (TypeError, ValueError) as error:

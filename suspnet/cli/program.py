@@ -6,6 +6,7 @@ import functools
 import gc
 import logging
 import os
+import re
 import signal
 import sys
 import traceback
@@ -19,6 +20,7 @@ from string import Template
 from tempfile import TemporaryDirectory
 from types import ModuleType
 from typing import Any
+from urllib.parse import unquote
 
 import hydra
 import yaml
@@ -27,12 +29,12 @@ from hydra._internal.utils import get_args_parser
 from hydra.core.hydra_config import HydraConfig
 from hydra.errors import HydraException, InstantiationException
 from omegaconf import DictConfig, OmegaConf
-from omegaconf.errors import GrammarParseError, OmegaConfBaseException
+from omegaconf.errors import OmegaConfBaseException
 
 from suspnet.cli import folders, reference, signals
 from suspnet.cli.config_files import CONFIGS, as_written, read_values, store_tables
 from suspnet.cli.loader import CheckedLoader
-from suspnet.cli.trusted import check_configuration
+from suspnet.cli.typed_words import as_overrides, quoted
 from suspnet.ground import progress
 from suspnet.ground.parameters import DEFAULT_LIMITS, read_limits
 from suspnet.ground.settings import Declared, Setting
@@ -55,6 +57,9 @@ MISTAKES = (
 )
 NO_SLURM = 'Could not detect "srun"'
 """Start of submitit's message where there is no Slurm cluster."""
+SERVER = re.compile(r"\bpostgres(ql)?(\+\w+)?://")
+PASSWORD = re.compile(r"(?<=://)([^:/@]*):([^@]*)@|(?<=[?&])password=([^&'\"]*)&?")
+"""Password in the URL of a server, after the user or as an option."""
 _debugging = bool(os.environ.get(DEBUG, "") not in ("", "0"))
 
 store_tables()
@@ -69,6 +74,7 @@ def main(name: str) -> None:
     """
     # a library of optional readers greets at its import, on the output that Hydra has set up
     logging.getLogger("numexpr").setLevel(logging.WARNING)
+    sys.argv[1:] = map(_without_password, sys.argv[1:])
     plugins: list[str] = []
     run(lambda: plugins.extend(_load_plugins(sys.argv)))
     if name in WITH_OPTIONS:
@@ -79,11 +85,25 @@ def main(name: str) -> None:
         arguments = parser.parse_intermixed_args() if is_mixed else parser.parse_args()
         run(lambda: sys.exit(getattr(_imported(name), name)(arguments)))
         return
+    sys.argv[1:] = as_overrides(sys.argv[1:])
     program = hydra.main(version_base="1.3", config_path=CONFIGS, config_name=name)(
         _task_of(name, plugins)
     )
     with signals.until_it_listens() if name == "serve" else nullcontext():
         run(program, unwinds=name != "serve")
+
+
+def _without_password(argument: str) -> str:
+    """Return an argument without the password of a PostgreSQL URL, which goes to the environment.
+
+    Hydra writes all arguments to files that others may read; libpq looks in the environment.
+    """
+
+    def take(found: re.Match[str]) -> str:
+        os.environ["PGPASSWORD"] = unquote(found[2] if found[2] is not None else found[3])
+        return f"{found[1]}@" if found[2] is not None else ""
+
+    return PASSWORD.sub(take, argument) if SERVER.search(argument) else argument
 
 
 def _load_plugins(arguments: list[str]) -> list[str]:
@@ -219,8 +239,8 @@ def _one_writer() -> Iterator[None]:
             nowhere = stack.enter_context(TemporaryDirectory())
             stack.enter_context(redirect_stderr(stack.enter_context(open(os.devnull, "w"))))
             sys.argv += [
-                f"hydra.run.dir={nowhere}",
-                f"hydra.sweep.dir={nowhere}",
+                f"hydra.run.dir={quoted(nowhere)}",
+                f"hydra.sweep.dir={quoted(nowhere)}",
                 "hydra/job_logging=none",
                 "progress=false",
             ]
@@ -254,7 +274,6 @@ def task(function: Callable[[DictConfig], Any]) -> Callable[[DictConfig], Any]:
     def wrapped(config: DictConfig) -> Any:
         end_with_parent()
         try:
-            check_configuration(config)
             read_values(config)
             _check_limits(config)
             with _progress():
@@ -351,9 +370,7 @@ def one_line(error: BaseException) -> str:
         isinstance(error, InstantiationException) or not str(error)
     ):
         error = error.__cause__
-    message = str(error)
-    if isinstance(error, GrammarParseError) and error.full_key:
-        message = f"`{error.full_key}` holds an interpolation that has no end: {error.value!r}"
+    message = given = str(error)
     if isinstance(error, RecursionError):
         message = "the configuration is nested too deeply, or refers to itself"
     if isinstance(error, MemoryError):
@@ -362,7 +379,8 @@ def one_line(error: BaseException) -> str:
         message = message.split(noise)[0]
     if message.startswith("Could not override"):
         start = message.strip().rstrip(".")
-        message = f"{start}. There is no such key{_nearest(error)}; --help lists them"
+        missing = _missing_key(error, is_mapping="={" in given)
+        message = f"{start}. There is no {missing}; --help lists them"
     for group, owner in (("experiment", "train.py"), ("study", "evaluate.py")):
         if message.startswith(f"Could not override '{group}'"):
             message = (
@@ -374,16 +392,21 @@ def one_line(error: BaseException) -> str:
     return printable("error: " + " ".join(message.split()))
 
 
-def _nearest(error: BaseException) -> str:
-    """Return a hint for a key that cannot be overridden: the nearest one in its place, or a +."""
-    cause = error.__cause__
+def _missing_key(error: BaseException, is_mapping: bool) -> str:
+    """Return which key cannot be overridden, by a mapping or not, and the nearest one there."""
+    cause, unnamed = error.__cause__, "such key"
     place = getattr(cause, "parent_node", None)
     if not isinstance(cause, OmegaConfBaseException) or not isinstance(place, DictConfig):
-        return ""
+        return unnamed
     if not place:  # a mapping to be filled
-        return ": a + before it adds it"
+        return f"{unnamed}: a + before it adds it"
     near = get_close_matches(str(cause.key), [str(key) for key in place], n=1)
-    return f": did you mean {near[0]}?" if near else ""
+    hint = f": did you mean {near[0]}?" if near else ""
+    entries: Any = OmegaConf.to_container(place, resolve=False)
+    if is_mapping and all(isinstance(entry, dict) for entry in entries.values()):
+        # one more of several mappings: it has a name that a user may choose
+        return f"{cause.full_key} yet{hint or ':'} +{cause.full_key}=... adds it"
+    return unnamed + hint
 
 
 def run_folder() -> Path:

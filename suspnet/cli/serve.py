@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import logging
 import os
+import re
 import signal
 import socket
 import sys
@@ -72,6 +73,7 @@ def main(config: DictConfig) -> None:
         check_language(config.language)
     _check_store(config.store)
     _check_address(config)
+    _prefix(config.url_prefix)
     _access(config)
     serve(Board(config.store, board_settings(config, config)), config)
 
@@ -92,8 +94,9 @@ def serve(board: Board, config: DictConfig) -> None:
     except OSError as error:
         words = error.strerror or str(error)
         raise ValueError(f"{config.host}:{config.port}: {words}; choose another port=") from None
-    server = http_server(app, listening, config.threads)
-    address = f"http://{config.host}:{listening.getsockname()[1]}/"
+    prefix = _prefix(config.url_prefix)
+    server = http_server(app, listening, config.threads, prefix)
+    address = f"http://{config.host}:{listening.getsockname()[1]}{prefix}/"
     gc.collect()
     gc.freeze()  # collections that scan imported objects would delay answers
     # The main thread only waits for a signal: the server would catch and log an exception that a
@@ -174,6 +177,17 @@ def _token(file: str | None) -> str:
     if not token:
         raise ValueError(f"token_file={file} is empty; make one by: openssl rand -base64 32")
     return token
+
+
+def _prefix(given: str | None) -> str:
+    """Return the path of the pages without a / at its end; ValueError if it is not a path."""
+    prefix = str(given or "").rstrip("/")
+    if not re.fullmatch(r"(/[A-Za-z0-9_~-][A-Za-z0-9._~-]*)*", prefix, re.ASCII):
+        raise ValueError(
+            f"`url_prefix` must be the path at which a reverse proxy shows the pages, as /fleet/, "
+            f"got {given!r}"
+        )
+    return prefix
 
 
 def _check_address(config: DictConfig) -> None:

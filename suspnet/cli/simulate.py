@@ -12,6 +12,7 @@ from omegaconf import DictConfig
 from suspnet.cli import program
 from suspnet.cli.kinds import build
 from suspnet.ground.settings import Declared, Setting
+from suspnet.ground.wording import command
 from suspnet.ground.workers import ITEMS_A_WORKER, USUAL_WORKERS
 from suspnet.simulation.fleet import Trains
 from suspnet.simulation.folders import FolderTakenError
@@ -51,16 +52,16 @@ def main(config: DictConfig) -> None:
             _log_trains(config, trains, folder)
     except FolderTakenError as error:
         raise ValueError(f"out={error}") from error
+    learn = (
+        *("experiment=trips", f"vehicle={HydraConfig.get().runtime.choices['vehicle']}"),
+        *(f"healthy={folder}", f"n_healthy={3 if trains else 5}"),
+        f"data.minutes={config.fleet.minutes:g}",
+    )
     log.info(
-        "learn the vehicle%s: "
-        "python train.py experiment=trips vehicle=%s healthy=%s n_healthy=%d data.minutes=%g\n"
-        "then read all of them: python evaluate.py trips=%s run=RUN",
+        "learn the vehicle%s: %s\nthen read all of them: %s",
         " of each suspension from its first trips" if trains else " from the first of them",
-        HydraConfig.get().runtime.choices["vehicle"],
-        folder,
-        3 if trains else 5,
-        config.fleet.minutes,
-        folder,
+        command("train", *learn),
+        command("evaluate", f"trips={folder}", "run=RUN"),
     )
 
 

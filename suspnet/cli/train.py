@@ -8,7 +8,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from shlex import join
 from typing import Any
 
 from omegaconf import DictConfig, ListConfig
@@ -19,6 +18,7 @@ from suspnet.cli.commission_fleet import (
     HealthySettings,
     are_several,
     of_group,
+    read_numbers,
     suspensions,
     train_fleet,
 )
@@ -31,7 +31,7 @@ from suspnet.estimation.problem import Problem
 from suspnet.estimation.trip_settings import TripSettings
 from suspnet.ground.parameters import DIRECTIONS, FORWARD, Direction
 from suspnet.ground.settings import check_choice, check_values
-from suspnet.ground.wording import span
+from suspnet.ground.wording import command, span
 from suspnet.ground.workers import Start, alongside
 from suspnet.learning import ranks
 from suspnet.recordings.manifest_files import ManifestFile
@@ -39,6 +39,7 @@ from suspnet.report.language import check_language, speaking
 from suspnet.runs.commissioning import check_generator, commission_parts, commission_trips
 from suspnet.runs.commissioning_page import training_notes, write_outcome
 from suspnet.runs.dataset import write_dataset
+from suspnet.runs.fit import check_hyperparameters
 from suspnet.runs.scores import Metrics
 from suspnet.runs.train import RunContext, speed_ranges, train, train_ranges
 from suspnet.spectra.estimates import SPEED_HALF_WIDTH, WIDE_SPEED_HALF_WIDTH, EstimateSettings
@@ -74,6 +75,7 @@ def main(config: DictConfig) -> None:
     warnings.simplefilter("always", ConvergenceWarning)
     check_language(config.language)
     ranks.start(config.device)
+    config.n_healthy = read_numbers(config.n_healthy)
     folder, groups = program.run_folder(), suspensions(config)
     if len(groups) == 1:
         config = of_group(config, groups[0])
@@ -91,8 +93,8 @@ def main(config: DictConfig) -> None:
         folders.start_again(folder)
         _run(config, folder, varied=folders.varied(config), draw=folders.is_first_of_its_vehicle())
     if groups:
-        read = ["suspnet", "evaluate", f"trips={config.healthy}", f"run={folder}"]
-        log.info("then run: %s", join(read))
+        read = command("evaluate", f"trips={config.healthy}", f"run={folder}")
+        log.info("then run: %s", read)
 
 
 def _run(
@@ -107,7 +109,11 @@ def _run(
     `paths`: manifests of its healthy trips, None is all of the folder; `varied`: what a multirun
     varies; `draw`: whether to draw figures of the vehicle.
     """
-    by_part = build(config, "protocol").by_part
+    # refuse wrong settings before minutes of healthy trips and curves
+    protocol = build(config, "protocol")
+    protocol.task(config.group)
+    check_hyperparameters(build(config, "model"))
+    by_part = protocol.by_part
     # where each part is read, what the residual costs takes about as long as the fit of the method
     is_wanted = by_part and config.healthy is not None and config.threads != 1
     is_wanted &= not ranks.is_distributed()

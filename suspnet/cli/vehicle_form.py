@@ -15,6 +15,7 @@ from suspnet.dynamics.quantities import QUANTITIES
 from suspnet.dynamics.vehicle import GEOMETRY, Vehicle
 from suspnet.ground.settings import Declared, settings_of
 from suspnet.ground.storage import printable, write_atomically
+from suspnet.ground.wording import command
 
 FOLDER = Path("vehicles")
 """Folder of the vehicles if none is given."""
@@ -123,10 +124,11 @@ def write_vehicle(name: str, paths: Sequence[Path], said: Sequence[str], force: 
     for key, value in guessed.items():
         print(f"{key}: {value:g}, assumed as a share of {GUESSED[key][0]}")
     print(*_as_built(vehicle), sep="\n")
+    option = "--config-dir", path.parents[1]
     print(
         printable(
-            f"-> {path}\nuse it: suspnet check DIR --config-dir {path.parents[1]}\n"
-            f"        suspnet train --config-dir {path.parents[1]} vehicle={name} ..."
+            f"-> {path}\nuse it: {command('check', 'DIR', *option)}\n"
+            f"        {command('train', *option, f'vehicle={name}')} ..."
         )
     )
     return 0

@@ -15,8 +15,9 @@ import torch
 from torch import Tensor
 
 from suspnet.dynamics import PARAMETERS
-from suspnet.estimation.information import cramer_rao, output_bounds
+from suspnet.estimation.information import cramer_rao, output_bounds, over_bound
 from suspnet.estimation.protocols import Task, columns_of
+from suspnet.ground.tensors import as_tensor
 from suspnet.ground.types import FloatArray
 from suspnet.spectra.extraction import FeatureSet
 from suspnet.spectra.observation import Observer
@@ -57,7 +58,7 @@ def feature_information(
     if n_draws < least:
         raise ValueError(f"`n_draws` must be >= {least} for {n_features} features, got {n_draws}")
     columns = columns_of(parameters)
-    blocks = torch.as_tensor(ratios).split(max(1, ROWS // n_draws))
+    blocks = as_tensor(ratios).split(max(1, ROWS // n_draws))
     seeds = np.random.SeedSequence(seed).generate_state(len(blocks))
     information = [
         _information(observer, extractor, rows, columns, n_draws, int(block_seed))
@@ -85,8 +86,7 @@ def feature_loss(
     truth = ratios[found][:, task.output_indices]
     bounds = cramer_rao(information[found])[:, asked], output_bounds(task, observer, ratios[found])
     of_features, of_curves = (np.sqrt(np.mean((bound / truth) ** 2, axis=0)) for bound in bounds)
-    loss = np.full(len(asked), np.nan)
-    np.divide(of_features, of_curves, out=loss, where=np.isfinite(of_curves))
+    loss = over_bound(of_features, of_curves)
     return dict(zip(task.outputs, loss.tolist(), strict=True))
 
 

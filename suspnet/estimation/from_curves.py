@@ -16,6 +16,7 @@ from suspnet.estimation.fitted import FittedMethod
 from suspnet.estimation.protocols import Task, columns_of
 from suspnet.estimation.refine import Refined, complete_ratios, refine
 from suspnet.ground.parameters import BODY_MASS
+from suspnet.ground.tensors import as_tensor
 from suspnet.ground.types import FloatArray
 from suspnet.spectra.observation import Misfit, Observer
 
@@ -185,7 +186,7 @@ def _fit_curves(
             f"model={method.name} fits magnitudes with white noise; it cannot be used with "
             "data=trips"
         )
-    known = torch.empty(len(curves), 0) if mass is None else torch.as_tensor(mass)[:, None]
+    known = torch.empty(len(curves), 0) if mass is None else as_tensor(mass)[:, None]
     nearest = np.full(len(curves), np.inf)
     estimates = np.ones((len(curves), len(PARAMETERS)))
     for unknown in task.unknown_sets:

@@ -18,7 +18,7 @@ from torch import Tensor
 from suspnet.dynamics import PARAMETERS
 from suspnet.estimation.protocols import BODY_MASS_COLUMN, RESPONSES, Task, columns_of
 from suspnet.ground.parameters import BODY_MASS
-from suspnet.ground.tensors import threads
+from suspnet.ground.tensors import as_tensor, threads
 from suspnet.ground.types import ComplexArray, FloatArray
 from suspnet.learning.least_squares import ONE_SIDED_DIFFERENCE
 from suspnet.spectra.observation import Directions, Misfit, Observer
@@ -28,6 +28,8 @@ NODES = 24
 """Number of nodes of the quadrature over the noise."""
 WIDEST = 1e4
 """Largest bound used in a computation, relative to the range; larger ones lose digits."""
+SCALED_TOGETHER = ("k_s", "c_s", BODY_MASS)
+"""Parameters whose common factor leaves G_s of a quarter car unchanged."""
 
 
 def fisher_information(
@@ -78,7 +80,7 @@ def joint_information(
     directions = observer.directions if directions is None else directions
     used = [RESPONSES.index(name) for name in responses]
     blocks = []
-    for rows in torch.as_tensor(ratios).split(ROWS):
+    for rows in as_tensor(ratios).split(ROWS):
         misfit = observer.misfit(observer.noise_free(rows), rows, used)
         jacobian = _joint_derivative(misfit, rows, parameters, directions)
         blocks.append((jacobian @ jacobian.mT).cpu().numpy())
@@ -96,7 +98,7 @@ def shifts(
     parameter, 1 for a coordinate of z), the change is (J^T J + P)^-1 J^T r, to first order. It is
     that of the parameters' logarithms.
     """
-    rows = torch.as_tensor(ratios)
+    rows = as_tensor(ratios)
     curves, directions = observer.noise_free(rows), observer.directions
     misfit = observer.misfit(curves, rows)
     jacobian = _joint_derivative(misfit, rows, parameters, directions)
@@ -223,7 +225,9 @@ def scale_ambiguity_bound(task: Task, ratios: FloatArray) -> dict[str, dict[str,
             "mape_percent": mape,
             "rmse": float(np.sqrt(np.mean((ratio * (mean_mass - mass)) ** 2))),
         }
-        for name, ratio in (("k_s", stiffness), ("c_s", damping), (BODY_MASS, np.ones_like(mass)))
+        for name, ratio in zip(
+            SCALED_TOGETHER, (stiffness, damping, np.ones_like(mass)), strict=True
+        )
     }
 
 
@@ -241,23 +245,35 @@ def best_possible(
 ) -> dict[str, dict[str, float]]:
     """Return {output: {"mape_percent": ..., "rmse": ...}}: the smallest errors of a task.
 
-    From Cramer-Rao `bounds` (n_vehicles, n_outputs) of `ratios` (n_vehicles, 5), or from
-    `scale_ambiguity_bound` where the car-body mass cannot be separated from the suspension.
+    From Cramer-Rao `bounds` (n_vehicles, n_outputs) of `ratios` (n_vehicles, 5); inf where an
+    output is not identifiable. Where G_s alone cannot separate k_s, c_s and M_s, all unknown, it
+    still gives their quotients: the errors are then those of `scale_ambiguity_bound`.
     """
-    ambiguous = task.responses == ("G_s",) and BODY_MASS in task.unknown
-    if ambiguous and task.sampling == "grid":
-        return {k: v for k, v in scale_ambiguity_bound(task, ratios).items() if k in task.outputs}
     mape = math.sqrt(2 / math.pi) * relative_percent(task, bounds, ratios)
     rmse = np.sqrt(np.mean(bounds**2, axis=0))
-    return {
+    least = {
         name: {"mape_percent": float(mape[j]), "rmse": float(rmse[j])}
         for j, name in enumerate(task.outputs)
     }
+    scaled_together = task.responses == ("G_s",) and set(SCALED_TOGETHER) <= set(task.unknown)
+    if scaled_together and task.sampling == "grid":
+        of_scale = scale_ambiguity_bound(task, ratios)
+        least |= {
+            k: of_scale[k] for k in least if k in of_scale and not math.isfinite(least[k]["rmse"])
+        }
+    return least
 
 
 def relative_percent(task: Task, bounds: FloatArray, ratios: FloatArray) -> FloatArray:
     """Return the mean bound of each output relative to its value, shape (n_outputs,), [%]."""
     return np.asarray(100 * (bounds / ratios[:, task.output_indices]).mean(axis=0))
+
+
+def over_bound(errors: FloatArray, bounds: FloatArray) -> FloatArray:
+    """Return errors over their bounds; NaN where a bound is infinite, not a quotient of 0."""
+    quotients = np.full(bounds.shape, np.nan)
+    np.divide(errors, bounds, out=quotients, where=np.isfinite(bounds))
+    return quotients
 
 
 def range_limited(bounds: FloatArray, ratios: FloatArray, low: float, high: float) -> FloatArray:

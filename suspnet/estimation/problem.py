@@ -24,13 +24,13 @@ from torch import Tensor
 
 from suspnet._version import __version__
 from suspnet.dynamics import PARAMETERS, ResponseGenerator, Vehicle
-from suspnet.estimation.protocols import BODY_MASS_COLUMN, Task
+from suspnet.estimation.protocols import BODY_MASS_COLUMN, RESPONSES, Task
 from suspnet.ground.cache import Cache, code_hash
 from suspnet.ground.progress import bar as progress_bar
 from suspnet.ground.settings import check_number
-from suspnet.ground.tensors import threads
+from suspnet.ground.tensors import as_tensor, threads
 from suspnet.ground.types import BoolArray, FloatArray, IntArray
-from suspnet.spectra.extraction import FeatureSet, FeatureTable
+from suspnet.spectra.extraction import FeatureSet, FeatureTable, PeakFeatures
 from suspnet.spectra.observation import Observation, Observer
 
 LEARN_FROM = 4096
@@ -164,24 +164,34 @@ class Problem:
 
     def curves(self, ratios: FloatArray, stream: int, block: int) -> Tensor:
         """Return the noisy curves of one block of vehicles, shape (<= BLOCK, 2, n_freq)."""
-        rows = torch.as_tensor(ratios[block * BLOCK : (block + 1) * BLOCK])
+        rows = as_tensor(ratios[block * BLOCK : (block + 1) * BLOCK])
         noise_seed = np.random.SeedSequence([self.seed, stream, block]).generate_state(1, np.uint64)
         return self.observer.observe(rows, int(noise_seed[0] >> np.uint64(1)))
 
     def noise_free(self, ratios: FloatArray) -> Tensor:
         """Return curves without noise, shape (n_curves, 2, n_freq)."""
-        return self.observer.noise_free(torch.as_tensor(ratios))
+        return self.observer.noise_free(as_tensor(ratios))
 
     def healthy_features(self) -> FloatArray:
         """Return the healthy vehicle's features, (n_features,); ValueError if one is missing."""
-        table = self._extracted(self.noise_free(np.ones((1, len(PARAMETERS)))))
+        curves = self.noise_free(np.ones((1, len(PARAMETERS))))
+        table = self._extracted(curves)
         if table.reasons[0].any():
             missing = self.extractor.missing(table.reasons[0].cpu().numpy())
             raise ValueError(
                 f"of the healthy vehicle is missing, between {self.settings.low_hz} and "
-                f"{self.settings.high_hz} Hz: {missing}; check it, data.low_hz and data.high_hz"
+                f"{self.settings.high_hz} Hz: {missing}; {self._remedy(curves[0])}"
             )
         return np.asarray(table.values[0].cpu().numpy())
+
+    def _remedy(self, healthy: Tensor) -> str:
+        """Return where features of the healthy curves (2, n_freq) were searched, and what to do."""
+        bounds = "check the vehicle, data.low_hz and data.high_hz"
+        if not isinstance(self.extractor, PeakFeatures):
+            return bounds
+        searched = self.extractor.where_searched(healthy, self.observer.frequencies_hz)
+        other = "" if len(self.task.responses) == len(RESPONSES) else "protocol=multi_location "
+        return f"{searched}; {bounds}, or take {other}protocol.feature_set=curve: it has no peaks"
 
     def _extracted(self, curves: Tensor) -> FeatureTable:
         """Return the features of curves; ValueError if the table is not as wide as it should be."""

@@ -25,16 +25,13 @@ from suspnet.estimation.information import cramer_rao
 from suspnet.estimation.protocols import BODY_MASS_COLUMN, Task, columns_of
 from suspnet.ground.tensors import threads
 from suspnet.ground.types import BoolArray, FloatArray, IntArray
-from suspnet.learning.least_squares import LeastSquaresSolution, LevenbergMarquardt
+from suspnet.learning.least_squares import BEYOND, LeastSquaresSolution, LevenbergMarquardt
 from suspnet.spectra.observation import Directions, Misfit
 
 TOL = 1e-5
 """Tolerance of the logarithms of the parameters, far below their deviations."""
 FIRST_DAMPING = 1e-6
 """First damping of `LevenbergMarquardt`; a good start needs little."""
-BEYOND = 20.0
-"""Parameters stay within this factor of the range of the training curves: with the usual range they
-may be 2.5 % to 32 times healthy. At a bound nothing is known of a parameter."""
 N_LEVELS = 9
 """Number of start values tried for a parameter without an estimate."""
 SCATTER = 1.5

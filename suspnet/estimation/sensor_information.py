@@ -44,6 +44,7 @@ from torch import Tensor
 from suspnet.dynamics import PARAMETERS, ResponseGenerator
 from suspnet.estimation.information import derivative_of_rows, without_uncertain
 from suspnet.estimation.protocols import columns_of
+from suspnet.ground.tensors import as_tensor
 from suspnet.ground.types import FloatArray
 from suspnet.spectra.estimate_observer import EstimateObserver
 from suspnet.spectra.observation import Directions, every_direction
@@ -122,7 +123,7 @@ def recording_information(
     per_bin = settings.n_averages / settings.welch.correlated_bins
     uncertain = every_direction(generator)
     blocks = []
-    for rows in torch.as_tensor(ratios).split(ROWS):
+    for rows in as_tensor(ratios).split(ROWS):
         seen = place_channels(generator, rows, bins)
         slopes = _slopes(generator, rows, bins, parameters, uncertain)
         seen, slopes = seen * level.to(seen.device), slopes * level.to(seen.device)
@@ -201,7 +202,7 @@ def _of_several_inputs(a: Tensor, da: Tensor) -> Tensor:
 
 
 def _checked(counts: ArrayLike, n_places: int) -> Tensor:
-    numbers = torch.as_tensor(np.asarray(counts, dtype=np.float64))
+    numbers = as_tensor(counts)
     if numbers.ndim != 2 or numbers.shape[1] != n_places:
         raise ValueError(
             f"`counts` must have shape (n_choices, {n_places}), got {tuple(numbers.shape)}"

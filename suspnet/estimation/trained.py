@@ -18,6 +18,7 @@ from suspnet.estimation.from_spectra import estimate_with_noise
 from suspnet.estimation.trip_settings import TripSettings
 from suspnet.ground.records import INTERVAL_LEVEL
 from suspnet.ground.settings import check_number
+from suspnet.ground.tensors import as_tensor, curves_as_tensor
 from suspnet.recordings.manifest_files import read_manifest
 from suspnet.recordings.recording import Recording, load_recording
 from suspnet.spectra.cross_spectra import CrossSpectra
@@ -114,11 +115,11 @@ class TrainedModel(FittedMethod):
 def _checked_curves(
     data: ArrayLike | Tensor, frequencies_hz: ArrayLike | None, bins: Tensor
 ) -> Tensor:
-    values = data if isinstance(data, Tensor) else torch.as_tensor(np.asarray(data))
+    values = curves_as_tensor(data)
     values = values.to(torch.complex128 if values.is_complex() else torch.float64)
     values = values[None] if values.ndim == 2 else values
     if frequencies_hz is not None:
-        given = torch.as_tensor(np.asarray(frequencies_hz, dtype=np.float64))
+        given = as_tensor(frequencies_hz)
         own = bins.cpu()
         if given.shape != own.shape or not torch.allclose(given, own, rtol=0, atol=SAME_BIN_HZ):
             raise ValueError(

@@ -36,6 +36,8 @@ LEDGER = "written.jsonl"
 """Name of the ledger in a folder of results."""
 HEADER = b'"Files that suspnet wrote below this folder: SHA-256, name, end of a temporary name."\n'
 """First line of a ledger; a file of that name without it is not a ledger."""
+MOST_NAME_BYTES = 255
+"""Longest name of a file that file systems allow, [bytes]."""
 MAX_BYTES = 2**28
 """Largest part of a ledger that is read, [bytes]: a million files need half of it."""
 UNTOUCHED_FILES = ("*.log", "events.out.tfevents.*")
@@ -78,7 +80,7 @@ def begin(folder: Path) -> bool:
 def note(path: Path, content: bytes, token: str, force: bool = False) -> None:
     """Enter a file into the ledger of its folder or one above, if any, before it is written.
 
-    `token` is the end of its temporary name, ``.NAME.TOKEN``. FileExistsError is raised if the file
+    `token` is the end of its temporary name. FileExistsError is raised if the file
     exists and is not ours, unless `force` replaces it.
     """
     root = _root(path.parent)
@@ -96,6 +98,21 @@ def note(path: Path, content: bytes, token: str, force: bool = False) -> None:
         stream.write(b"\n" + json.dumps(entry).encode())
         stream.flush()
         os.fsync(stream.fileno())
+
+
+def temporary_name(name: str, token: str) -> str:
+    """Return the hidden name of a file that is not complete, ``.NAME.TOKEN``."""
+    return f".{shortened(name, MOST_NAME_BYTES - len(token) - 2)}.{token}"
+
+
+def shortened(name: str, most_bytes: int) -> str:
+    """Return a name, or its start if it is longer than `most_bytes` in a file system.
+
+    >>> shortened("Züge", 2), shortened("Züge", 5)
+    ('Z', 'Züge')
+    """
+    encoded = os.fsencode(name)
+    return name if len(encoded) <= most_bytes else encoded[:most_bytes].decode(errors="ignore")
 
 
 def remove(path: Path) -> None:
@@ -156,7 +173,7 @@ def _read(root: Path) -> Listed:
         try:
             sha256, name, token = json.loads(line)
             where, _, last = name.rpartition("/")
-            temporary = f"{where}{'/' * bool(where)}.{last}.{token}"
+            temporary = f"{where}{'/' * bool(where)}{temporary_name(last, token)}"
         except (ValueError, TypeError, AttributeError, RecursionError):
             continue
         found.setdefault(name, set()).add(str(sha256))
@@ -165,14 +182,18 @@ def _read(root: Path) -> Listed:
 
 
 def _files(folder: Path) -> Iterator[Path]:
-    """Yield all files and links in a folder and below it."""
+    """Yield all files and links in a folder and below it, and folders with the name of a log."""
 
     def refuse(error: OSError) -> None:
         raise error
 
     for where, folders, names in os.walk(folder, onerror=refuse):
-        links = [name for name in folders if os.path.islink(os.path.join(where, name))]
-        for name in sorted([*names, *links]):
+        odd = [
+            name
+            for name in folders
+            if os.path.islink(os.path.join(where, name)) or _is_of_log(name)
+        ]
+        for name in sorted([*names, *odd]):
             yield Path(where, name)
 
 
@@ -180,10 +201,14 @@ def _is_untouched(path: Path, root: Path, listed: Listed) -> bool:
     """Return whether a regular file may exist without a hash."""
     name = _name(path, root)
     return stat.S_ISREG(path.lstat().st_mode) and (
-        any(fnmatch(path.name, pattern) for pattern in UNTOUCHED_FILES)
+        _is_of_log(path.name)
         or any(part in UNTOUCHED_FOLDERS for part in Path(name).parts[:-1])
         or listed.get(name) == set()
     )
+
+
+def _is_of_log(name: str) -> bool:
+    return any(fnmatch(name, pattern) for pattern in UNTOUCHED_FILES)
 
 
 def _is_ours(path: Path, root: Path, listed: Listed) -> bool:

@@ -13,7 +13,7 @@ from typing import Any, TextIO, cast
 
 from tqdm import tqdm
 
-from suspnet.ground.storage import printable
+from suspnet.ground.storage import one_line, printable
 
 log = logging.getLogger(__name__)
 MOVES = re.compile(r"[\r\n]*(\x1b\[A)*")
@@ -49,7 +49,7 @@ def bar(
 
 def stage(text: str) -> None:
     """Log that a step starts."""
-    log.info(text)
+    log.info("%s", text)
 
 
 class _Lines(tqdm):  # type: ignore[type-arg]
@@ -76,7 +76,7 @@ class _Lines(tqdm):  # type: ignore[type-arg]
     def refresh(self, nolock: bool = False, lock_args: Any = None) -> None:
         """Log a line; the next one comes after `maxinterval`."""
         self.last_print_t, self.miniters = time.time(), math.inf
-        log.info(self.text())
+        log.info("%s", self.text())
 
     def text(self) -> str:
         """Return count, elapsed time and estimated remaining time.
@@ -99,6 +99,18 @@ def _span(seconds: float) -> str:
     return f"{seconds:.0f} s" if seconds < 100 else f"{seconds / 60:.0f} min"
 
 
+class LineFormatter(logging.Formatter):
+    """Formatter of log lines, without control characters: no name in a line forges another one.
+
+    A record has several lines only if its format has.
+    """
+
+    def formatMessage(self, record: logging.LogRecord) -> str:  # noqa: N802 - the name in logging
+        """Return the text of a record."""
+        text = super().formatMessage(record)
+        return printable(text) if "\n" in str(record.msg) else one_line(text)
+
+
 @contextmanager
 def on_stderr(before: str = "") -> Iterator[None]:
     """Log progress to standard error instead of standard output, which is for results.
@@ -108,7 +120,7 @@ def on_stderr(before: str = "") -> Iterator[None]:
     root = logging.getLogger()
     consoles = [h for h in root.handlers if getattr(h, "stream", None) is sys.stdout]
     own = logging.StreamHandler(sys.stderr)
-    own.setFormatter(logging.Formatter(f"{before}%(message)s"))
+    own.setFormatter(LineFormatter(f"{before}%(message)s"))
     own.addFilter(logging.Filter(log.name))
     for console in consoles:
         console.addFilter(_is_result)

@@ -46,6 +46,8 @@ class Place:
         return ", ".join(filter(None, (*vehicle, self.suspension, *where))) or "unknown"
 
 
+MOST_NAME = 100
+"""Largest number of characters of the name of a vehicle, a suspension, a train or a car."""
 Key = tuple[str, Place]
 """Key of a suspension: vehicle and place."""
 OK, NO_ESTIMATE, ERROR = "ok", "no estimate", "error"

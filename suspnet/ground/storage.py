@@ -52,7 +52,7 @@ def write_atomically(path: Path, content: bytes | str, force: bool = False) -> P
     data = content.encode() if isinstance(content, str) else content
     path.parent.mkdir(parents=True, exist_ok=True)
     token = secrets.token_hex(4)
-    temporary = path.parent / f".{path.name}.{token}"
+    temporary = path.parent / ledger.temporary_name(path.name, token)
     ledger.note(path, data, token, force)
     try:
         handle, is_named = _opened(temporary)
@@ -187,11 +187,13 @@ def content_hash(description: Any) -> str:
 def distinct(names: Iterable[str], taken: Iterable[str] = ()) -> list[str]:
     """Return file names that differ in more than case, also from those taken: a, a_2, a_3."""
     seen, found = set(taken), []
+    last: dict[str, int] = {}
     for base in names:
-        name, number = base, 1
+        name, number = base, last.get(base, 1)
         while name.lower() in seen:  # ends: there are fewer names than numbers
             number += 1
             name = f"{base}_{number}"
+        last[base] = number
         seen.add(name.lower())
         found.append(name)
     return found
@@ -209,6 +211,11 @@ def printable(text: str) -> str:
     not UTF-8 are escaped.
     """
     return UNPRINTABLE.sub(lambda found: found[0].encode("unicode_escape").decode(), text)
+
+
+def one_line(text: str) -> str:
+    """Return text as ``printable`` does, with newlines escaped too."""
+    return printable(text).replace("\n", "\\n")
 
 
 def _finite(content: Any) -> Any:

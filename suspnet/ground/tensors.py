@@ -7,13 +7,18 @@ from contextlib import contextmanager
 
 import numpy as np
 import torch
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, DTypeLike
 from threadpoolctl import threadpool_limits
 from torch import Tensor
 
 
-def as_tensor(values: Tensor | ArrayLike) -> Tensor:
-    """Return a tensor unchanged, and any other array-like of real numbers as a float64 copy.
+def as_tensor(
+    values: Tensor | ArrayLike, dtype: DTypeLike = np.float64, copy: bool = True
+) -> Tensor:
+    """Return a tensor unchanged, and any other array-like as a contiguous tensor.
+
+    Arrays of users come to torch here: it takes no negative strides and no foreign byte order.
+    `copy=False` shares the memory of a large array that is contiguous, writable and of the `dtype`.
 
     Examples
     --------
@@ -22,9 +27,18 @@ def as_tensor(values: Tensor | ArrayLike) -> Tensor:
     """
     if isinstance(values, Tensor):
         return values
-    if np.iscomplexobj(values):
+    if np.iscomplexobj(values) and dtype != np.complex128:
         raise TypeError("real numbers are expected, got complex ones")
-    return torch.from_numpy(np.array(values, dtype=np.float64, order="C"))
+    if not copy:
+        return torch.from_numpy(np.require(values, dtype, ("C", "W")))
+    return torch.from_numpy(np.array(values, dtype, order="C"))
+
+
+def curves_as_tensor(values: Tensor | ArrayLike) -> Tensor:
+    """Return responses (complex) or their magnitudes (real) as a tensor; see `as_tensor`."""
+    if isinstance(values, Tensor):
+        return values
+    return as_tensor(values, np.complex128 if np.iscomplexobj(values) else np.float64)
 
 
 def check_device(device: str) -> None:

@@ -6,7 +6,11 @@ import math
 import re
 import reprlib
 from dataclasses import fields
+from pathlib import Path
+from shlex import join
 from typing import Any
+
+from suspnet.ground.storage import printable
 
 NO_NUMBER = "\N{EN DASH}"
 _FILE = re.compile(r"[^;:]+\.\w+: (?=delimiter )")
@@ -16,6 +20,20 @@ _FILE = re.compile(r"[^;:]+\.\w+: (?=delimiter )")
 def count(n: int, noun: str) -> str:
     """Return a number with its noun, in the plural unless it is 1."""
     return f"{n} {noun}{'s' * (n != 1)}"
+
+
+def command(*words: object) -> str:
+    """Return a command line of suspnet that can be pasted into a shell.
+
+    >>> command("check", Path("-x"), "healthy=Züge 1")
+    "suspnet check ./-x 'healthy=Züge 1'"
+    """
+    return printable(join(["suspnet", *map(_typed, words)]))
+
+
+def _typed(word: object) -> str:
+    looks_like_option = isinstance(word, Path) and str(word).startswith("-")
+    return f"./{word}" if looks_like_option else str(word)
 
 
 def number(value: float | None, digits: int = 1, scale: float = 1.0) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import logging
 import math
+import re
 import sqlite3
 from collections.abc import Sequence
 from pathlib import Path
@@ -61,7 +62,8 @@ def database_url(place: str | Path) -> URL:
     try:
         url = make_url(text)
     except ArgumentError:
-        raise HistoryError(f"{text!r} is not a database URL") from None
+        shown = re.sub(r":[^:/@]*@", ":***@", text)  # without the password
+        raise HistoryError(f"{shown!r} is not a database URL") from None
     if url.drivername in ("postgresql", "postgres"):
         url = url.set(drivername="postgresql+psycopg")
     if url.get_backend_name() not in ("sqlite", "postgresql"):

@@ -136,6 +136,12 @@ class Outbox:
             connection.execute(outbox.delete().where(old, outbox.c.kind != START))
             return sum(_queue(connection, one, fleet, now, zone) for one in recipients)
 
+    def due_channels(self, now: datetime) -> set[str]:
+        """Return the channels of messages that are due."""
+        chosen = sql.select(outbox.c.channel).distinct().where(_due(now.timestamp()))
+        with self._reading() as connection:
+            return set(connection.execute(chosen).scalars())
+
     def claim(self, now: datetime, channels: Collection[str]) -> Message | None:
         """Return the message of some channels that is due longest; None if none is.
 
@@ -144,8 +150,7 @@ class Outbox:
         now_s = now.timestamp()
         chosen = (
             sql.select(outbox)
-            .where(_waiting(), outbox.c.due_s <= now_s, outbox.c.leased_s <= now_s)
-            .where(outbox.c.channel.in_(list(channels)))
+            .where(_due(now_s), outbox.c.channel.in_(list(channels)))
             .order_by(outbox.c.due_s, outbox.c.created_s, outbox.c.id)
             .limit(1)
             .with_for_update(skip_locked=True)
@@ -372,7 +377,7 @@ def _insert(
         "kind": kind,
         "content": json_bytes(whole).decode(),
         "created_s": now.timestamp(),
-        "due_s": now.timestamp(),
+        "due_s": 0.0,
         "leased_s": 0.0,
         "attempts": 0,
         "sent_s": now.timestamp() if is_sent else None,
@@ -383,6 +388,16 @@ def _insert(
 
 def _waiting() -> sql.ColumnElement[bool]:
     return sql.and_(outbox.c.sent_s.is_(None), outbox.c.attempts < MOST_ATTEMPTS)
+
+
+def _due(now_s: float) -> sql.ColumnElement[bool]:
+    """Return the condition that a message is to be sent now, and that no program sends it.
+
+    A time further ahead than any wait was written before the clock was set back; it is over.
+    """
+    ends = (outbox.c.due_s, LONGEST_WAIT_S), (outbox.c.leased_s, LEASE_S)
+    is_over = (sql.or_(end_s <= now_s, end_s > now_s + most_s) for end_s, most_s in ends)
+    return sql.and_(_waiting(), *is_over)
 
 
 def _has(connection: Connection, number: str) -> bool:

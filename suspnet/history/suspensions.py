@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import asdict, fields
+from dataclasses import asdict, astuple, fields
 from typing import Any, TypeVar
 
 import sqlalchemy as sql
 from sqlalchemy.engine import Connection
 
 from suspnet.ground.parameters import Cause
-from suspnet.ground.records import PLACE, Key, Place, TripResult
+from suspnet.ground.records import MOST_NAME, PLACE, Key, Place, TripResult
 from suspnet.history.database import HistoryError, upsert
 from suspnet.history.schema import (
     BadRow,
@@ -76,8 +76,13 @@ def is_of(vehicle: str, place: Place) -> sql.ColumnElement[bool]:
 
 
 def add_suspensions(connection: Connection, keys: Iterable[Key]) -> dict[Key, int]:
-    """Return the number of each suspension; new ones are added."""
+    """Return the number of each suspension; new ones are added, ValueError if a name is long."""
     wanted = list(dict.fromkeys(keys))
+    for name in (one for vehicle, place in wanted for one in (vehicle, *astuple(place))):
+        if len(name) > MOST_NAME:
+            raise ValueError(
+                f"a name must have at most {MOST_NAME} characters, got {name[:20]!r}..."
+            )
     upsert(connection, suspensions, [{"vehicle": name} | asdict(place) for name, place in wanted])
     chosen = (sql.select(suspensions.c.id).where(is_of(*key)) for key in wanted)
     found = (connection.execute(one).scalar_one() for one in chosen)

@@ -22,10 +22,13 @@ from torch import Tensor
 
 from suspnet.ground.settings import Setting, check_settings, check_values
 from suspnet.ground.types import FloatArray
-from suspnet.learning.least_squares import LeastSquaresSolution, LevenbergMarquardt
+from suspnet.learning.least_squares import BEYOND, LeastSquaresSolution, LevenbergMarquardt
 
 Forward = Callable[[Tensor, Tensor], Tensor]
 """``forward(parameters, known)`` returns curves (n_rows, n_curves, n_points)."""
+COMPRESSED, ROUGH_TOL = 0.05, 1e-3
+"""A curve, in units of its rms, above which it counts by its logarithm in the first search of
+`CurveFit`, and the tolerance of that search."""
 PREDICT_ROWS = 1024
 """Rows predicted at once, so that their kernel fits into memory."""
 
@@ -164,16 +167,20 @@ class SVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[misc
         return predicted[:, 0] if self._single_output else predicted
 
     def state(self) -> dict[str, FloatArray]:
-        """Return the arrays that define the fitted model together with the parameters."""
+        """Return the arrays that define the fitted model together with the parameters.
+
+        The intercept has the shape () if `y` had one dimension.
+        """
         check_is_fitted(self)
         arrays = {f"support_vectors.{j}": v for j, v in enumerate(self.support_vectors_)}
         arrays |= {f"dual_coef.{j}": v for j, v in enumerate(self.dual_coef_)}
-        return arrays | {"intercept": self.intercept_}
+        return arrays | {"intercept": self.intercept_.reshape(() if self._single_output else -1)}
 
     def restore(self, state: Mapping[str, FloatArray]) -> Self:
         """Load the arrays of `state`; ValueError if they are missing or inconsistent."""
         try:
-            self.intercept_ = state["intercept"]
+            self.intercept_ = np.atleast_1d(state["intercept"])
+            self._single_output = state["intercept"].ndim == 0
             outputs = range(len(self.intercept_))
             self.support_vectors_ = [state[f"support_vectors.{j}"] for j in outputs]
             self.dual_coef_ = [state[f"dual_coef.{j}"] for j in outputs]
@@ -183,7 +190,6 @@ class SVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[misc
         if any(len(vectors) != len(dual) for vectors, dual in pairs):
             raise ValueError("support vectors and dual coefficients differ in number")
         self.n_features_in_ = self.support_vectors_[0].shape[1]
-        self._single_output = False
         return self
 
     def _fit_output(self, X: FloatArray, y: FloatArray) -> Any:
@@ -224,7 +230,7 @@ class LinearRegression(linear_model.LinearRegression):  # type: ignore[misc]
     def state(self) -> dict[str, FloatArray]:
         """Return the arrays of the fitted model."""
         check_is_fitted(self)
-        return {"coef": np.atleast_2d(self.coef_), "intercept": np.atleast_1d(self.intercept_)}
+        return {"coef": self.coef_, "intercept": np.asarray(self.intercept_)}
 
     def restore(self, state: Mapping[str, FloatArray]) -> Self:
         """Load the arrays of `state`; ValueError if they are missing or inconsistent."""
@@ -232,11 +238,11 @@ class LinearRegression(linear_model.LinearRegression):  # type: ignore[misc]
             self.coef_, self.intercept_ = state["coef"], state["intercept"]
         except KeyError as error:
             raise ValueError(f"the arrays are not those of a linear model ({error})") from error
-        if self.coef_.ndim != 2 or len(self.coef_) != len(self.intercept_):
+        if not self.coef_.ndim or self.coef_.shape[:-1] != self.intercept_.shape:
             raise ValueError(
                 f"coef has shape {self.coef_.shape}, intercept {self.intercept_.shape}"
             )
-        self.n_features_in_ = self.coef_.shape[1]
+        self.n_features_in_ = self.coef_.shape[-1]
         return self
 
 
@@ -282,7 +288,8 @@ class CurveFit(BaseEstimator):  # type: ignore[misc]
         The residual of each curve is divided by its rms, to which the noise is proportional.
         ``forward(parameters, known)`` returns curves (n_rows, n_curves, n_points), the shape of
         `observed`; `known` (n_rows, n_known) are known parameters of each row, `lower` and `upper`
-        the range of the starts, `n` is the number of parameters.
+        the range of the starts, `n` is the number of parameters. They stay within ``BEYOND`` times
+        this range: one without effect on the curves would go to 0 or infinity.
         """
         scale = observed.square().mean(dim=2, keepdim=True).sqrt()
 
@@ -290,9 +297,17 @@ class CurveFit(BaseEstimator):  # type: ignore[misc]
             curves = forward(log_parameters.exp(), known[rows])
             return ((observed[rows] - curves) / scale[rows]).flatten(1)
 
-        start = self._nearest_start(forward, observed, known, scale, (lower, upper), n)
-        solver = LevenbergMarquardt(max_iter=self.max_iter, tol=self.tol)
-        solution = solver.minimise(residual, start.log())
+        def compressed(log_parameters: Tensor, rows: Tensor) -> Tensor:
+            curves, floor = forward(log_parameters.exp(), known[rows]), COMPRESSED * scale[rows]
+            return (torch.asinh(observed[rows] / floor) - torch.asinh(curves / floor)).flatten(1)
+
+        start = self._nearest_start(forward, observed, known, scale, (lower, upper), n).log()
+        limits = math.log(lower / BEYOND), math.log(upper * BEYOND)
+        bounds = start.new_tensor([limits[0]]), start.new_tensor([limits[1]])
+        # compressed curves first: narrow peaks overlap at their feet only
+        rough = LevenbergMarquardt(max_iter=self.max_iter, tol=ROUGH_TOL, bounds=bounds)
+        solver = LevenbergMarquardt(max_iter=self.max_iter, tol=self.tol, bounds=bounds)
+        solution = solver.minimise(residual, rough.minimise(compressed, start).parameters)
         return replace(solution, parameters=solution.parameters.exp())
 
     def _nearest_start(

@@ -186,7 +186,9 @@ class _Equations:
         self._slow_decrease = solver.slow_decrease
         make = {"fixed": design.fixed, "newton": design.newton, "reweighted": design.reweighted}
         self._kinds = KINDS[solver.solver]
-        self._make = [functools.partial(make[name], C, solver.fit_intercept) for name in self._kinds]
+        self._make = [
+            functools.partial(make[name], C, solver.fit_intercept) for name in self._kinds
+        ]
         self._made: dict[int, NormalEquations] = {}
         self._place = self._n_slow = self._n_failed = 0
         self._decrement = float("inf")

@@ -19,6 +19,9 @@ Residual = Callable[[Tensor, Tensor], Tensor]
 """``residual(theta, rows)`` returns (n, n_points) for theta (n, n_parameters) and row indices (n,).
 
 Each residual depends on its own row of theta only, and is differentiable in it."""
+BEYOND = 20.0
+"""Fits of curves search within this factor beyond the range of the training curves. At such a bound
+nothing is known of a parameter."""
 SMALLEST_DAMPING, LARGEST_DAMPING = 1e-12, 1e12
 """Range of the damping, relative to the diagonal of J^T J; a row stops at the largest."""
 SMALLEST_SHRINKAGE, FIRST_GROWTH = 0.2, 2.0

@@ -18,7 +18,7 @@ from sklearn.utils.validation import _check_sample_weight, check_is_fitted, vali
 from torch import Tensor
 
 from suspnet.ground.settings import Setting, check_number, check_settings
-from suspnet.ground.tensors import check_device
+from suspnet.ground.tensors import as_tensor, check_device
 from suspnet.ground.types import FloatArray, IntArray
 from suspnet.learning import ranks
 from suspnet.learning.design import CACHE_BYTES, DenseDesign, Design, Direction
@@ -41,9 +41,9 @@ class MSVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mis
 
         1/2 |W|^2 + C sum_i L(|y_i - W^T phi(x_i) - b|),   L(u) = max(0, u - epsilon)^2
 
-    by IRWLS in the primal, or for the exact kernel in dual coefficients. phi approximates the RBF kernel ``exp(-|x - z|^2 / sigma^2)``, i.e.
-    scikit-learn's gamma = 1 / sigma^2. Scale inputs and outputs first, e.g. with
-    `suspnet.learning.Scaling`.
+    by IRWLS in the primal, or for the exact kernel in dual coefficients. phi approximates the RBF
+    kernel ``exp(-|x - z|^2 / sigma^2)``, i.e. scikit-learn's gamma = 1 / sigma^2. Scale inputs and
+    outputs first, e.g. with `suspnet.learning.Scaling`.
 
     Parameters
     ----------
@@ -222,7 +222,7 @@ class MSVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mis
         `sample_weight` (n_samples,), at least 0, multiplies C for each sample: a weight of 2 is a
         sample given twice. None is 1.
         """
-        self._check_parameters()
+        self.check_parameters()
         check_device(self.device)
         samples, targets = self._validated(X, y)
         kind = MAPS[self.feature_map]
@@ -276,7 +276,7 @@ class MSVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mis
         that does not depend on the samples (``shares_gram``). `folds` are row indices; each row is
         in one fold.
         """
-        self._check_parameters()
+        self.check_parameters()
         samples, targets = self._validated(X, y)
         feature_map = self._make_map(samples)
         parts = [
@@ -294,7 +294,7 @@ class MSVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mis
 
         def predict(setting: Mapping[str, float]) -> list[FloatArray]:
             model = clone(self).set_params(**setting)
-            model._check_parameters()
+            model.check_parameters()
             solutions = (model._solve(design, rows) for design, rows in others)
             return [
                 part.predict(Direction(found.coef, found.intercept)).cpu().numpy()
@@ -312,7 +312,7 @@ class MSVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mis
         """Return predictions, shape (n_samples,) or (n_samples, n_outputs) as `y` was."""
         check_is_fitted(self)
         X = validate_data(self, X, reset=False, dtype=np.float64)
-        samples = torch.tensor(X, dtype=self._torch_dtype, device=self.device)
+        samples = as_tensor(X).to(self.device, self._torch_dtype)
         coef = torch.tensor(self.coef_, dtype=self._torch_dtype, device=self.device)
         predicted = np.empty((len(samples), coef.shape[1]))
         for start in range(0, len(samples), PREDICT_ROWS):
@@ -322,14 +322,18 @@ class MSVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mis
         return predicted[:, 0] if self._single_output else predicted
 
     def state(self) -> dict[str, FloatArray]:
-        """Return the arrays that define the fitted model together with the parameters."""
+        """Return the arrays that define the fitted model together with the parameters.
+
+        The intercept has the shape () if `y` had one dimension.
+        """
         check_is_fitted(self)
         arrays = {f"map.{k}": v.cpu().numpy() for k, v in self._map.tensors().items()}
-        return {"coef": self.coef_, "intercept": self.intercept_, **arrays}
+        intercept = self.intercept_.reshape(() if self._single_output else -1)
+        return {"coef": self.coef_, "intercept": intercept, **arrays}
 
     def restore(self, state: Mapping[str, FloatArray]) -> Self:
         """Load the arrays of `state`; ValueError if they are missing or inconsistent."""
-        self._check_parameters()
+        self.check_parameters()
         map_type = MAPS[self.feature_map].holds
         names = [name.removeprefix("map.") for name in state if name.startswith("map.")]
         tensors = {
@@ -337,19 +341,19 @@ class MSVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mis
             for name in names
         }
         try:
-            self.coef_, self.intercept_ = state["coef"], state["intercept"]
+            self.coef_, intercept = state["coef"], state["intercept"]
             if self.feature_map == "exact" and "whitening" in tensors:
                 # models saved before dual coefficients: Phi = K V
-                self.coef_ = (tensors.pop("whitening").double().numpy() @ self.coef_)
+                self.coef_ = tensors.pop("whitening").double().numpy() @ self.coef_
             self._map = map_type(**tensors)
         except (TypeError, KeyError) as error:
             raise ValueError(f"the arrays are not those of an MSVR model ({error})") from error
+        self.intercept_, self._single_output = np.atleast_1d(intercept), intercept.ndim == 0
         self.n_features_in_ = self._map.n_inputs
         none = torch.zeros(1, self.n_features_in_, dtype=self._torch_dtype, device=self.device)
         n_features = self._map(none).shape[1]
         if self.coef_.shape != (n_features, len(self.intercept_)):
             raise ValueError(f"coef has shape {self.coef_.shape}, the map {n_features} features")
-        self._single_output = False
         return self
 
     @property
@@ -362,9 +366,8 @@ class MSVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mis
             X = validate_data(self, X, dtype=np.float64, ensure_min_samples=0)
         else:
             X, y = validate_data(self, X, y, multi_output=True, y_numeric=True, dtype=np.float64)
-        X = np.ascontiguousarray(X)  # a restored model must see the same memory layout
-        samples = torch.tensor(X, dtype=self._torch_dtype, device=self.device)
-        targets = torch.tensor(np.asarray(y, dtype=np.float64), device=self.device)
+        samples = as_tensor(X).to(self.device, self._torch_dtype)
+        targets = as_tensor(y).to(self.device)
         self._single_output = targets.ndim == 1
         return samples, targets[:, None] if targets.ndim == 1 else targets
 
@@ -403,7 +406,8 @@ class MSVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mis
         )
         return solver.minimise(design, targets, self.callback, sample_weight)
 
-    def _check_parameters(self) -> None:
+    def check_parameters(self) -> None:
+        """Raise TypeError or ValueError unless every parameter is valid and they fit together."""
         check_settings(self)
         if not (isinstance(self.sigma, str) and self.sigma == "scale"):
             check_number("sigma", self.sigma, above=0)

@@ -19,7 +19,7 @@ from sklearn.utils.validation import check_is_fitted, validate_data
 from torch import Tensor
 
 from suspnet.ground.settings import Setting, check_settings
-from suspnet.ground.tensors import check_device
+from suspnet.ground.tensors import as_tensor, check_device
 from suspnet.ground.types import FloatArray
 from suspnet.learning.design import cholesky
 from suspnet.learning.feature_maps import rbf_kernel, squared_distances
@@ -179,8 +179,8 @@ class MVGPR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mi
         self._single_output = targets.ndim == 1
         targets = targets.reshape(len(targets), -1)
         self.mean_ = targets.mean(axis=0)
-        samples = torch.tensor(np.ascontiguousarray(X), device=self.device)
-        centred = torch.tensor(targets - self.mean_, dtype=torch.float64, device=self.device)
+        samples = as_tensor(X).to(self.device)
+        centred = as_tensor(targets - self.mean_).to(self.device)
         self.length_scale_ = float(self.length_scale)
         self.signal_variance_ = float(self.signal_variance)
         self.noise_variance_ = float(self.noise_variance)
@@ -218,7 +218,7 @@ class MVGPR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mi
         """
         check_is_fitted(self)
         X = validate_data(self, X, reset=False, dtype=np.float64)
-        samples = torch.tensor(X, dtype=torch.float64, device=self.device)
+        samples = as_tensor(X).to(self.device)
         weights = torch.tensor(self.weights_, device=self.device)
         spread = return_std or return_cov
         means, variances = [], []
@@ -240,13 +240,16 @@ class MVGPR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mi
         return mean, std[:, 0] if self._single_output else std
 
     def state(self) -> dict[str, FloatArray]:
-        """Return the arrays that define the fitted model together with the parameters."""
+        """Return the arrays that define the fitted model together with the parameters.
+
+        The mean has the shape () if `y` had one dimension.
+        """
         check_is_fitted(self)
         kernel = [self.length_scale_, self.signal_variance_, self.noise_variance_]
         return {
             "samples": self._samples.cpu().numpy(),
             "weights": self.weights_,
-            "mean": self.mean_,
+            "mean": self.mean_.reshape(() if self._single_output else -1),
             "omega": self.omega_,
             "kernel": np.array(kernel),
         }
@@ -255,16 +258,16 @@ class MVGPR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mi
         """Load the arrays of `state`; ValueError if they are missing or inconsistent."""
         try:
             self._samples = torch.tensor(state["samples"], device=self.device)
-            self.weights_, self.mean_ = state["weights"], state["mean"]
+            self.weights_, mean = state["weights"], state["mean"]
             self.omega_, kernel = state["omega"], state["kernel"]
         except KeyError as error:
             raise ValueError(f"the arrays are not those of an MVGPR model ({error})") from error
+        self.mean_, self._single_output = np.atleast_1d(mean), mean.ndim == 0
         n_outputs = len(self.mean_)
         if self.weights_.shape != (len(self._samples), n_outputs) or kernel.shape != (3,):
             raise ValueError(f"weights have shape {self.weights_.shape}, mean {self.mean_.shape}")
         self.length_scale_, self.signal_variance_, self.noise_variance_ = map(float, kernel)
         self.n_features_in_ = self._samples.shape[1]
-        self._single_output = False
         self._kept_factor = None
         return self
 

@@ -43,7 +43,7 @@ class Scaling:
         if log and not (values > 0).all():
             raise ValueError("values must be positive for a logarithmic scaling")
         moved = np.log(values) if log else values
-        n_rows = float(all_reduce(torch.tensor([float(len(moved))])))
+        n_rows = float(all_reduce(torch.tensor([len(moved)], dtype=torch.float64)))
         mean = all_reduce(torch.from_numpy(moved.sum(axis=0))).numpy() / n_rows
         centred = moved - mean
         scale = np.sqrt(all_reduce(torch.from_numpy((centred**2).sum(axis=0))).numpy() / n_rows)

@@ -9,18 +9,23 @@ from __future__ import annotations
 import base64
 import hashlib
 import hmac
+import http.client
 import queue
 import re
 import smtplib
+import socket
 import ssl
+import threading
 import time
+from collections.abc import Iterator
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
 from email.message import EmailMessage
 from email.utils import formatdate
+from string import punctuation
 from typing import Any, Literal, Protocol
-from urllib.parse import urlsplit
+from urllib.parse import quote, urlsplit
 
-from suspnet.ground.extras import check_extra
 from suspnet.ground.settings import check_settings, setting
 from suspnet.ground.storage import json_bytes
 from suspnet.history.outbox import Message
@@ -28,8 +33,9 @@ from suspnet.live.broker import KEEPALIVE_S, Broker, secret
 from suspnet.report.language import speaking
 from suspnet.report.messages import subject, text
 
-TIMEOUT_S = 20.0
-"""Longest wait for each answer of a server, [s]."""
+DEADLINE_S, CONNECT_S = 60.0, 10.0
+"""Longest time until a server has accepted a message, and until one of its addresses answers,
+[s]."""
 ADDRESS = re.compile(r"[^@\s<>,;:\"()\[\]\\]+@[A-Za-z0-9.-]+")
 """An e-mail address without a name."""
 
@@ -68,18 +74,16 @@ class Webhook:
         parts = urlsplit(self.url)
         if parts.scheme not in ("http", "https") or not parts.hostname or parts.username:
             raise ValueError("`url` must be https://HOST/... without a user or a password")
+        _ = parts.port  # checks its range
 
     def check(self, addresses: tuple[str, ...]) -> None:
-        """Raise ValueError without urllib3 or a key of at least 16 bytes."""
-        check_extra("live", "urllib3")
+        """Raise ValueError without a key of at least 16 bytes."""
         self._key()
         if addresses:
             raise ValueError("`to` is for channels of the kind email")
 
     def send(self, message: Message) -> None:
         """Post a message; a redirection is not followed."""
-        import urllib3
-
         body = json_bytes(message.content)
         stamp = str(int(time.time()))
         signed = b".".join([message.id.encode(), stamp.encode(), body])
@@ -91,17 +95,20 @@ class Webhook:
             "webhook-timestamp": stamp,
             "webhook-signature": f"v1,{mac}",
         }
-        # the content of the answer is not read: it may be of any size, or never end
-        options: dict[str, Any] = {"redirect": False, "retries": False, "preload_content": False}
-        where = urlsplit(self.url).hostname
+        parts = urlsplit(self.url)
+        target = (parts.path or "/") + (f"?{parts.query}" if parts.query else "")
+        where, is_tls = parts.hostname or "", parts.scheme == "https"
+        context = ssl.create_default_context() if is_tls else None
         try:
-            with urllib3.PoolManager() as pool:
-                answer = pool.request(
-                    "POST", self.url, body=body, headers=headers, timeout=TIMEOUT_S, **options
-                )
-                status = answer.status
-                answer.close()
-        except (urllib3.exceptions.HTTPError, OSError) as error:
+            with (
+                _connected(where, parts.port or (443 if is_tls else 80), context) as connection,
+                closing(http.client.HTTPConnection(parts.netloc)) as client,
+            ):
+                client.sock = connection
+                client.request("POST", quote(target, safe=punctuation), body, headers)
+                # the content of the answer is not read: it may be of any size, or never end
+                status = client.getresponse().status
+        except (http.client.HTTPException, OSError, ValueError) as error:
             raise DeliveryError(f"{where}: {type(error).__name__}") from None
         if not 200 <= status < 300:
             raise DeliveryError(f"{where}: HTTP status {status}")
@@ -170,10 +177,14 @@ class Email:
         mail["Message-ID"] = f"<{message.id}@{self.sender.rpartition('@')[2]}>"
         mail["Auto-Submitted"] = "auto-generated"
         mail.set_content(content)
-        context = ssl.create_default_context()
-        is_accepted = False
+        context, is_accepted = ssl.create_default_context(), False
         try:
-            with self._connected(context) as server:
+            with (
+                _connected(
+                    self.host, self.port, context if self.security == "tls" else None
+                ) as sock,
+                _Server(sock, self.host, self.port) as server,
+            ):
                 if self.security == "starttls":
                     server.starttls(context=context)
                 if self.user is not None:
@@ -182,17 +193,55 @@ class Email:
                 is_accepted = True
         except smtplib.SMTPRecipientsRefused:
             raise AddressError(f"{self.host}: the address is refused") from None
-        except (OSError, ValueError) as error:
+        except (DeliveryError, OSError, ValueError) as error:
             if is_accepted:  # only the end of the connection failed: not to be sent again
                 return
+            if isinstance(error, DeliveryError):
+                raise
             status = getattr(error, "smtp_code", None)
             words = type(error).__name__ if status is None else f"SMTP status {status}"
             raise DeliveryError(f"{self.host}: {words}") from None
 
-    def _connected(self, context: ssl.SSLContext) -> smtplib.SMTP:
-        if self.security == "tls":
-            return smtplib.SMTP_SSL(self.host, self.port, timeout=TIMEOUT_S, context=context)
-        return smtplib.SMTP(self.host, self.port, timeout=TIMEOUT_S)
+
+class _Server(smtplib.SMTP):
+    """An SMTP server at a socket that is connected to it."""
+
+    def __init__(self, connection: socket.socket, host: str, port: int) -> None:
+        self._connection = connection
+        super().__init__(host, port)
+
+    def _get_socket(self, *_: Any) -> socket.socket:
+        return self._connection
+
+
+@contextmanager
+def _connected(host: str, port: int, context: ssl.SSLContext | None) -> Iterator[socket.socket]:
+    """Connect to a server, by TLS if there is a context, until the deadline of a message.
+
+    Then the connection ends and DeliveryError is raised, whatever was going on: a timeout of each
+    answer would never end for a server that sends a byte now and then.
+    """
+    is_late, end_s = threading.Event(), time.monotonic() + DEADLINE_S
+    try:
+        with socket.create_connection((host, port), CONNECT_S) as plain, plain.dup() as same:
+            left_s = max(end_s - time.monotonic(), 0.01)
+            plain.settimeout(left_s)  # of a handshake as a whole
+
+            def end() -> None:
+                is_late.set()
+                with suppress(OSError):  # it is closed already
+                    same.shutdown(socket.SHUT_RDWR)
+
+            timer = threading.Timer(left_s, end)
+            timer.start()
+            try:
+                yield context.wrap_socket(plain, server_hostname=host) if context else plain
+            finally:
+                timer.cancel()
+    except (http.client.HTTPException, OSError, ValueError):
+        if is_late.is_set():
+            raise DeliveryError(f"{host}: no answer within {DEADLINE_S:g} s") from None
+        raise
 
 
 @dataclass(frozen=True)
@@ -212,7 +261,7 @@ class MqttChannel:
         # two queues: the client connects again by itself, which acknowledges no message
         connected: queue.SimpleQueue[Any] = queue.SimpleQueue()
         published: queue.SimpleQueue[Any] = queue.SimpleQueue()
-        broker = self.broker
+        broker, deadline_s = self.broker, time.monotonic() + DEADLINE_S
         client = broker.client("")
         client.on_connect = lambda _c, _u, _f, reason, _p: connected.put(reason)
         client.on_publish = lambda _c, _u, _m, reason, _p: published.put(reason)
@@ -220,11 +269,11 @@ class MqttChannel:
         try:
             client.connect(str(broker.host), broker.port, KEEPALIVE_S)
             client.loop_start()
-            _accepted(connected)
+            _accepted(connected, deadline_s)
             client.publish(broker.topic("notifications", message.recipient), body, qos=1)
-            _accepted(published)
+            _accepted(published, deadline_s)
         except queue.Empty:
-            raise DeliveryError(f"{broker.where}: no answer in {TIMEOUT_S:g} s") from None
+            raise DeliveryError(f"{broker.where}: no answer within {DEADLINE_S:g} s") from None
         except OSError as error:
             raise DeliveryError(f"{broker.where}: {error.strerror or error}") from None
         except DeliveryError as error:
@@ -234,7 +283,7 @@ class MqttChannel:
             client.loop_stop()
 
 
-def _accepted(answers: queue.SimpleQueue[Any]) -> None:
-    reason = answers.get(timeout=TIMEOUT_S)
+def _accepted(answers: queue.SimpleQueue[Any], deadline_s: float) -> None:
+    reason = answers.get(timeout=max(deadline_s - time.monotonic(), 0.0))
     if reason.is_failure:
         raise DeliveryError(str(reason))

@@ -10,11 +10,10 @@ from typing import Any
 from zoneinfo import ZoneInfo
 
 from suspnet.ground.parameters import Severity
-from suspnet.ground.storage import read_plain
 from suspnet.history.outbox import Recipient
 from suspnet.live.broker import Broker
 from suspnet.live.channels import Channel, Email, MqttChannel, Webhook
-from suspnet.recordings.core_yaml import MOST_BYTES, parse_yaml
+from suspnet.recordings.core_yaml import read_yaml
 
 KINDS: Mapping[str, type] = {"email": Email, "mqtt": Broker, "webhook": Webhook}
 """Class that checks the settings of each kind of channel."""
@@ -39,7 +38,7 @@ def read_rules(path: Path) -> Rules:
     Secrets are looked for now, so that a missing one is an error at the start.
     """
     try:
-        content = parse_yaml(read_plain(path, MOST_BYTES).decode())
+        content = read_yaml(path)
         top = _mapping(content, "the file", ("channels", "recipients", "timezone"))
         channels = {
             str(name): _channel(one, f"channels.{name}")

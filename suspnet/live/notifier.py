@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from datetime import UTC, datetime
 
 from suspnet.history import History, HistoryError
@@ -29,7 +29,8 @@ def _now() -> datetime:
 class Notifier:
     """Sends messages about the alarms of a store; `clock` returns the time with its zone.
 
-    Several may run at the same time, in any programs: a message is claimed before it is sent.
+    Several may run at the same time, in any programs: a message is claimed before it is sent. Each
+    channel sends in a thread of its own, so that none waits for a slow server of another.
     """
 
     def __init__(self, store: History, rules: Rules, clock: Callable[[], datetime] = _now) -> None:
@@ -39,32 +40,25 @@ class Notifier:
         self._looked_s = 0.0
         self._end = threading.Event()
         self._thread: threading.Thread | None = None
+        self._deliveries: dict[str, _Delivery] = {}
 
     def once(self) -> tuple[int, int]:
         """Queue what is new and send what is due; return the numbers of sent and failed messages.
 
         HistoryError is raised if the store cannot be used.
         """
-        self._look()
-        # those of channels that other rules name belong to the programs with these rules
-        usable = set(self._rules.channels)
-        n_sent = n_failed = 0
-        while (message := self._outbox.claim(self._clock(), usable)) is not None:
-            error = self._send(message)
-            n_sent += error is None
-            n_failed += error is not None
-            if error is not None and not isinstance(error, AddressError):
-                # the other messages of the channel wait for the next look
-                usable.discard(message.channel)
-            if self._end.is_set():
-                break
-        return n_sent, n_failed
+        started = self._start()
+        for one in started:
+            one.join()
+        self._raise_faults()
+        return sum(one.n_sent for one in started), sum(one.n_failed for one in started)
 
     def run(self) -> None:
         """Look and send until `stop` is called; an unavailable store is waited for."""
         while not self._end.is_set():
             try:
-                self.once()
+                self._raise_faults()
+                self._start()
             except HistoryError as error:
                 log.warning("%s; notifications wait for it, none is lost", error)
             except Exception:  # monitoring must go on
@@ -77,10 +71,11 @@ class Notifier:
         self._thread.start()
 
     def close(self) -> None:
-        """End the thread, after the message that is being sent."""
+        """End the threads, after the messages that are being sent."""
         self._end.set()
-        if self._thread is not None:
-            self._thread.join(WAIT_S)
+        end_s = time.monotonic() + WAIT_S
+        for one in filter(None, (self._thread, *self._deliveries.values())):
+            one.join(max(end_s - time.monotonic(), 0.0))
 
     def _look(self) -> None:
         revisions, now_s = self._store.revisions(), time.monotonic()
@@ -90,6 +85,34 @@ class Notifier:
         self._revisions, self._looked_s = revisions, now_s
         if n:
             log.info("%d messages about alarms are queued", n)
+
+    def _start(self) -> list[_Delivery]:
+        """Queue what is new; start the channels that have something to send and are not at it."""
+        self._look()
+        busy = {name for name, one in self._deliveries.items() if one.is_alive()}
+        # messages of channels that other rules name belong to the programs with these rules
+        due = self._outbox.due_channels(self._clock()) & self._rules.channels.keys() - busy
+        self._deliveries |= {name: _Delivery(self._send_due, name) for name in due}
+        started = [self._deliveries[name] for name in due]
+        for one in started:
+            one.start()
+        return started
+
+    def _raise_faults(self) -> None:
+        """Raise what ended the thread of a channel, once."""
+        for one in self._deliveries.values():
+            if one.fault is not None:
+                fault, one.fault = one.fault, None
+                raise fault
+
+    def _send_due(self, channel: str) -> Iterator[bool]:
+        """Send the messages of a channel that are due; yield whether each was accepted."""
+        while (message := self._outbox.claim(self._clock(), [channel])) is not None:
+            error = self._send(message)
+            yield error is None
+            is_of_server = error is not None and not isinstance(error, AddressError)
+            if is_of_server or self._end.is_set():  # the other messages wait for the next look
+                return
 
     def _send(self, message: Message) -> Exception | None:
         """Send a message and store the outcome; return why it was not accepted, or None."""
@@ -111,3 +134,21 @@ class Notifier:
                     raise
         log.info("sent to %s by %s: %s", message.recipient, message.channel, message.id)
         return None
+
+
+class _Delivery(threading.Thread):
+    """Thread that sends the messages of one channel, and what came of it."""
+
+    def __init__(self, send: Callable[[str], Iterable[bool]], channel: str) -> None:
+        super().__init__(name=f"notifier-{channel}", daemon=True)
+        self._send, self._channel = send, channel
+        self.n_sent = self.n_failed = 0
+        self.fault: Exception | None = None
+
+    def run(self) -> None:
+        try:
+            for is_accepted in self._send(self._channel):
+                self.n_sent += is_accepted
+                self.n_failed += not is_accepted
+        except Exception as error:  # raised by the notifier
+            self.fault = error

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 from scipy.io import loadmat, whosmat
+from scipy.io.matlab import MatlabFunction, MatlabOpaque, mat_struct, varmats_from_mat
 
 from suspnet.ground.extras import import_extra
 from suspnet.recordings.columns import (
@@ -23,8 +24,10 @@ from suspnet.recordings.columns import (
     Take,
     check_samples,
     is_vector,
+    size_of,
     slices,
 )
+from suspnet.recordings.dates import nanoseconds, read_date
 from suspnet.recordings.errors import TripError
 from suspnet.recordings.manifest_keys import CsvDialect
 
@@ -36,7 +39,20 @@ compared in lower case, without blanks and underscores."""
 NUMERIC = ("single", "double", *(f"{u}int{bits}" for u in ("", "u") for bits in (8, 16, 32, 64)))
 """Classes of MAT file variables that hold numbers."""
 MOST_PARTS = 1000
-"""Largest number of columns of a matrix."""
+"""Largest number of columns of a matrix, and of cells of a variable of MATLAB."""
+MOST_CELLS = 4
+"""Largest number of cells within cells."""
+PLAIN = "; export it as plain numbers into one file"
+MISSING_NAMES = ("_FillValue", "missing_value")
+PACKING = (
+    *MISSING_NAMES,
+    *("scale_factor", "add_offset", "valid_min", "valid_max", "valid_range"),
+)
+"""Attributes of netCDF on missing samples, scale, offset and valid limits of stored numbers."""
+UNAPPLIED = ("gain", "scale", "offset", "sensitivity", "calibration", "calibration_factor")
+"""Attributes of no convention: the stored numbers may or may not have been multiplied by them."""
+_SINCE = re.compile(r"(\w+)\s+since\s+(.+?)(\s+UTC|\s+Z)?$")
+"""Unit of times of netCDF: a unit and the date from which times are counted, in UTC."""
 FILTERS = (1, 2, 3, 4, 5, 6, 32000)
 """Filters of the HDF5 library and h5py: deflate, shuffle, fletcher32, szip, nbit, scaleoffset and
 LZF. Any other is a plug-in, that is, foreign code to load."""
@@ -49,95 +65,279 @@ def open_hdf5(path: Path, _: CsvDialect | None = None) -> Iterator[OpenFile]:
     """Open an HDF5 file; data sets that need other files or plug-ins are refused when read."""
     h5py = import_extra("h5py", "hdf5", f"{path}: an HDF5 file", TripError)
     with h5py.File(path, "r", rdcc_nbytes=MOST_CHUNK_BYTES) as file:
-        arrays: dict[str, Any] = {}
-        datasets: dict[str, Any] = {}
-        refused: dict[str, str] = {}
-
-        def collect(name: str, item: Any) -> None:  # h5py calls it for hard links only
-            if not isinstance(item, h5py.Dataset):
-                return
-            if why := foreign(item):  # first, as reading the shape may open other files
-                refused[name] = why
-                return
-            if item.dtype.kind in "iuf" and item.size > 1 and len(item.shape) <= 2:
-                if "MATLAB_empty" not in item.attrs and "MATLAB_int_decode" not in item.attrs:
-                    arrays[name] = item
-            datasets[name] = item
-
+        found = _Content(h5py, file)
+        file.visititems(found.collect)  # h5py calls it for hard links only
         # single values follow the vectors, as most describe one of them and are no signals
-        file.visititems(collect)
-        arrays |= {
-            name: item
-            for name, item in datasets.items()
-            if item.size <= 1 and item.dtype.kind in "iuf" and is_vector(item.shape)
-        }
-        whole = {key: one for key, one in _stated(dict(file.attrs)).items() if key == "date"}
-        descriptions = {name: whole | _described(name, datasets) for name in arrays}
-        with _opened(path, arrays, descriptions) as found:
-            yield _refusing(path, found, refused)
+        arrays = dict(sorted(found.arrays.items(), key=lambda item: max(item[1].shape) <= 1))
+        whole = {key: one for key, one in _stated(_attributes(file)).items() if key == "date"}
+        descriptions = {name: whole | found.described(name) for name in arrays}
+        with _opened(path, arrays, descriptions, found.unread) as opened:
+            words = f"{path.name}: attributes that are not applied: {', '.join(found.unapplied)}"
+            yield replace(opened, words=words) if found.unapplied else opened
+
+
+class _Content:
+    """Data sets of an HDF5 file by name: arrays of numbers, all, and why others are not read."""
+
+    def __init__(self, h5py: Any, file: Any) -> None:
+        self.h5py, self.file = h5py, file
+        self.arrays: dict[str, Any] = {}
+        self.datasets: dict[str, Any] = {}
+        self.unread: dict[str, str] = {}
+        self.unapplied: list[str] = []
+
+    def collect(self, name: str, item: Any) -> None:
+        """Add an object of the file; a name with # is that of MATLAB's content of cells."""
+        if not isinstance(item, self.h5py.Dataset) or name.startswith("#"):
+            return
+        try:
+            self.unread |= {name: why} if (why := foreign(item)) else self._collected(name, item)
+        except Exception as error:  # types without an equivalent; HDF5 raises any error
+            reason = " ".join(str(error).split())[:100]
+            self.unread[name] = f"cannot be read ({reason}){PLAIN}"
+
+    def _collected(self, name: str, item: Any) -> dict[str, str]:
+        """Add a data set that needs nothing else; return why parts of it are not read."""
+        if item.shape is None:
+            return {name: "is without samples: its space is null"}
+        if "MATLAB_object_decode" in item.attrs:
+            kind = item.attrs.get("MATLAB_class", b"")
+            return {name: _matlab_object(bytes(kind))}
+        if self.h5py.check_ref_dtype(item.dtype) is self.h5py.Reference:
+            self._collect_cells(name, item)
+            return {}
+        self.datasets[name] = item
+        own = (key for key in item.attrs if key.lower() in UNAPPLIED)
+        self.unapplied += [repr(f"{name}.{key}") for key in own]
+        if "MATLAB_empty" in item.attrs or "MATLAB_int_decode" in item.attrs:
+            return {}
+        if item.dtype.names is None:
+            if not (why := _no_numbers(item)):
+                chosen = item.id.get_create_plist().fill_value_defined()
+                filled = chosen == self.h5py.h5d.FILL_VALUE_USER_DEFINED
+                self.arrays[name] = _packed(item, filled)
+            return {name: why} if why.strip() else {}
+        refused = {}
+        for field in item.dtype.names:
+            part, place = _field(item, field), f"{name}.{field}"
+            if not (why := _no_numbers(part)):
+                self.datasets[place], self.arrays[place] = item, part
+            elif why.strip():
+                refused[place] = why
+        return refused
+
+    def _collect_cells(self, name: str, item: Any) -> None:
+        """Add the content of MATLAB's cells, to which references lead."""
+        if item.size > MOST_PARTS or name.count("[") >= MOST_CELLS:
+            raise ValueError("nested references")
+        for i, reference in enumerate(item[()].ravel()):
+            content = self.file[reference] if reference else None
+            if content is None or not content.name.startswith("/#"):
+                continue
+            self.collect(f"{name}[{i}]", content)
+            if isinstance(content, self.h5py.Group):
+                content.visititems(lambda last, one, i=i: self.collect(f"{name}[{i}]/{last}", one))
+
+    def described(self, name: str) -> dict[str, Any]:
+        """Return rate, unit and start by a data set's attributes, or else by its group."""
+        own = _stated(_attributes(self.datasets[name]))
+        if self.datasets[name].dtype.names is not None:
+            own.pop("unit", None)  # a table has columns of several units
+        siblings = _siblings(name, "/", self.datasets)
+        small = {key: _value(one) for key, one in siblings.items() if one.nbytes <= MOST_NOTE_BYTES}
+        return _stated(small) | self._times(name) | own
+
+    def _times(self, name: str) -> dict[str, str]:
+        """Return the data set of times that netCDF attaches to the dimension of another one."""
+        item = self.datasets[name]
+        with suppress(Exception):
+            scales = item.dims[int(np.argmax(item.shape))]
+            times = scales[0].name.lstrip("/") if len(scales) else name
+            unit = _stated(_attributes(self.datasets[times])).get("unit")
+            if times != name and times in self.arrays and size_of("time", unit):
+                return {"time": times}
+        return {}
+
+
+def _matlab_object(kind: bytes) -> str:
+    return (
+        f"is an object of MATLAB ({kind.decode('latin-1')}), whose content only MATLAB can read: "
+        "save its numbers as arrays, as t = x.Time; a = x.Data; save('trip.mat', 't', 'a')"
+    )
+
+
+def _no_numbers(item: Any) -> str:
+    """Return why an array is no column or matrix of numbers; a blank if it is a text or scalar."""
+    if item.dtype.kind in "OSU" or len(item.shape) == 0:
+        return " "
+    if item.dtype.kind not in "iuf":
+        return f"holds {item.dtype}, not real numbers"
+    return _of_shape(item.shape)
+
+
+def _of_shape(shape: tuple[int, ...]) -> str:
+    if is_vector(shape) or (len(shape) <= 2 and min(shape) <= MOST_PARTS):
+        return ""
+    return f"is an array of {' x '.join(map(str, shape))}; export it as columns"
+
+
+@dataclass(frozen=True)
+class _View:
+    """An array whose values are computed as they are read."""
+
+    shape: tuple[int, ...]
+    dtype: Any
+    take: Callable[[Any], Any]
+
+    def __getitem__(self, part: Any) -> Any:
+        return self.take(part)
+
+
+def _field(dataset: Any, name: str) -> _View:
+    """Return one field of a table, that is, of a data set of compounds."""
+    kind, n = dataset.dtype[name], len(dataset.shape)
+    return _View(
+        (*dataset.shape, *kind.shape),
+        kind.base,
+        lambda part: dataset.fields(name)[part[:n]][(slice(None), *part[n:])],
+    )
+
+
+def _packed(dataset: Any, filled: bool) -> Any:
+    """Return a data set with scale, offset and missing samples as its attributes mean them.
+
+    `filled`: its fill value was chosen. ValueError if an attribute is no number.
+    """
+    said = _attributes(dataset)
+    numbers = {
+        name: np.atleast_1d(np.asarray(said[name], dtype=np.float64))
+        for name in PACKING
+        if name in said
+    }
+    missing = [numbers[name] for name in MISSING_NAMES if name in numbers]
+    if filled and dataset.fillvalue != 0:  # 0 may be a sample as well
+        missing.append(np.array([dataset.fillvalue], dtype=np.float64))
+    is_unsigned = dataset.dtype.kind == "i" and str(said.get("_Unsigned")).lower() == "true"
+    if not numbers and not missing and not is_unsigned:
+        return dataset
+    limits = numbers.get("valid_range", np.array([-np.inf, np.inf]))
+    lower, upper = numbers.get("valid_min", limits)[0], numbers.get("valid_max", limits)[-1]
+    scale, offset = numbers.get("scale_factor", [1.0])[0], numbers.get("add_offset", [0.0])[0]
+
+    def take(part: Any) -> Any:
+        stored = np.asarray(dataset[part])
+        if is_unsigned:
+            stored = stored.astype(f"u{stored.dtype.itemsize}")
+        values = stored.astype(np.float64)
+        is_valid = (values >= lower) & (values <= upper)
+        is_valid &= ~np.isin(values, np.concatenate([[np.nan], *missing]))
+        return np.where(is_valid, values * scale + offset, np.nan)
+
+    return _View(dataset.shape, dataset.dtype, take)
 
 
 def foreign(dataset: Any) -> str:
     """Return which other files, plug-in or excess of memory a data set needs; "" if none."""
     if dataset.is_virtual:
-        return "is virtual, which takes samples from other files"
+        return f"is virtual, which takes samples from other files{PLAIN}"
     plan = dataset.id.get_create_plist()
     if plan.get_external_count():
-        return "is stored in other files"
+        return f"is stored in other files{PLAIN}"
     filters = [plan.get_filter(i)[0] for i in range(plan.get_nfilters())]
     others = [number for number in filters if number not in FILTERS]
     if others:
-        return f"is packed by filter {others[0]}, which is a plug-in"
+        return f"is packed by filter {others[0]}, which is a plug-in{PLAIN}"
     piece = math.prod(dataset.chunks or ()) * dataset.dtype.itemsize
     if filters and piece > MOST_CHUNK_BYTES:
-        return f"is packed in pieces of {piece} bytes, more than {MOST_CHUNK_BYTES}"
+        return f"is packed in pieces of {piece} bytes, more than {MOST_CHUNK_BYTES}{PLAIN}"
     return ""
-
-
-def _refusing(path: Path, file: OpenFile, refused: Mapping[str, str]) -> OpenFile:
-    """Return the file with its refused data sets as columns that raise their reason when read."""
-
-    def read(names: Sequence[str]) -> Iterator[Block]:
-        for name in names:
-            if name in refused:
-                raise TripError(
-                    f"{path}: column {name!r} {refused[name]}; export it as plain numbers into one "
-                    "file"
-                )
-        return file.read(names)
-
-    columns = (*file.columns, *(Column(name) for name in refused))
-    return replace(file, columns=columns, read=read)
 
 
 @contextmanager
 def open_mat(path: Path, _: CsvDialect | None = None) -> Iterator[OpenFile]:
     """Open a MAT file; before version 7.3 its variables are read whole."""
     try:
-        variables = whosmat(path, appendmat=False)
+        variables, refused = _variables(path)
     except NotImplementedError:  # version 7.3 is HDF5
         with open_hdf5(path) as file:
             yield file
         return
-    arrays: dict[str, Any] = {
-        name: _Variable(path, name, shape)
-        for name, shape, kind in variables
-        if kind in NUMERIC and len(shape) <= 2
+    arrays: dict[str, Any] = {}
+    nested = []
+    for name, shape, kind in variables:
+        if kind in NUMERIC:
+            if why := _of_shape(shape):
+                refused[name] = why
+            else:
+                arrays[name] = _Variable(path, name, shape)
+        elif kind in ("struct", "cell", "object"):
+            nested.append(name)
+        elif kind != "char":
+            refused[name] = f"holds {kind}, not numbers"
+    content = _loaded(path, nested, struct_as_record=False, squeeze_me=True) if nested else {}
+    leaves = dict(
+        leaf for name in nested if name in content for leaf in _leaves(name, content[name])
+    )
+    for name, leaf in leaves.items():
+        array = np.atleast_1d(leaf)
+        if isinstance(leaf, MatlabOpaque):
+            refused[name] = _matlab_object(leaf["s2"].item())
+        elif not (why := _no_numbers(array)):
+            arrays[name] = array
+        elif why.strip():
+            refused[name] = why
+    descriptions = {
+        name: _stated(_siblings(name, ".", leaves)) | _simulink_time(name, leaves)
+        for name in arrays
     }
-    structs = [name for name, _, kind in variables if kind == "struct"]
-    content = _loaded(path, structs, simplify_cells=True) if structs else {}
-    leaves = dict(_leaves({name: content[name] for name in structs if name in content}))
-    arrays |= {
-        name: np.atleast_1d(leaf)
-        for name, leaf in leaves.items()
-        if isinstance(leaf, np.ndarray | np.number | float | int)
-        and np.asarray(leaf).dtype.kind in "iufc"
-        and not isinstance(leaf, bool)
-        and np.ndim(leaf) <= 2
-    }
-    descriptions = {name: _stated(_siblings(name, ".", leaves)) for name in arrays}
-    with _opened(path, arrays, descriptions) as found:
+    with _opened(path, arrays, descriptions, refused) as found:
         yield found
+
+
+def _variables(path: Path) -> tuple[list[tuple[str, tuple[int, ...], str]], dict[str, str]]:
+    """Return name, shape and class of the variables of a file, and why its objects are refused."""
+    with suppress(TypeError):  # an object of MATLAB has no shape
+        found = [one for one in whosmat(path, appendmat=False) if not one[0].startswith("__")]
+        return found, {}
+    found, refused = [], {}
+    with path.open("rb") as stream:
+        for name, part in varmats_from_mat(stream):
+            if name == "None":
+                record = loadmat(part)[name]
+                own = record["s0"].item().decode("latin-1")
+                refused[own] = _matlab_object(record["s2"].item())
+            elif not name.startswith("__"):
+                found += whosmat(part)
+    return found, refused
+
+
+def _leaves(name: str, value: Any) -> Iterator[tuple[str, Any]]:
+    """Yield what structs and cells of MATLAB hold, by its path."""
+    if isinstance(value, mat_struct):
+        is_signal = {"values", "dimensions"} <= set(value._fieldnames)
+        for field in value._fieldnames:
+            if is_signal and field == "dimensions":
+                continue
+            # what Simulink calls a signal is its label
+            label = getattr(value, "label", "") if field == "values" else ""
+            last = label if isinstance(label, str) and label else field
+            yield from _leaves(f"{name}.{last}", getattr(value, field))
+    elif (
+        isinstance(value, np.ndarray)
+        and value.dtype == object
+        and not isinstance(value, MatlabOpaque | MatlabFunction)
+    ):
+        for i, one in enumerate(value.ravel()[:MOST_PARTS]):
+            yield from _leaves(f"{name}[{i}]", one)
+    else:
+        yield name, value
+
+
+def _simulink_time(name: str, leaves: Mapping[str, Any]) -> dict[str, str]:
+    """Return the times of a signal of Simulink's structure with time."""
+    whole, is_signal, _ = name.partition(".signals")
+    time = f"{whole}.time"
+    return {"time": time} if is_signal and np.size(leaves.get(time, ())) > 1 else {}
 
 
 def _loaded(path: Path, names: Sequence[str], **how: bool) -> dict[str, Any]:
@@ -166,10 +366,13 @@ class _Variable:
 
 @contextmanager
 def _opened(
-    path: Path, arrays: Mapping[str, Any], descriptions: Mapping[str, Mapping[str, Any]]
+    path: Path,
+    arrays: Mapping[str, Any],
+    descriptions: Mapping[str, Mapping[str, Any]],
+    refused: Mapping[str, str],
 ) -> Iterator[OpenFile]:
     """Open arrays by name; a matrix has one column ``name[i]`` for each of its columns."""
-    columns: list[Column] = []
+    columns = [Column(name, unread=why) for name, why in refused.items()]
     takes: dict[str, tuple[int, Take]] = {}
     matrices = []
     for name, array in arrays.items():
@@ -203,14 +406,6 @@ def _take(array: Any, axis: int, i: int) -> Take:
     return lambda part: array[(*before, part, *after)]
 
 
-def _leaves(content: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
-    for name, value in content.items():
-        if isinstance(value, dict):
-            yield from _leaves(value, f"{prefix}{name}.")
-        else:
-            yield f"{prefix}{name}", value
-
-
 def _siblings(name: str, separator: str, values: Mapping[str, Any]) -> dict[str, Any]:
     """Return the values of the same struct or group by their names in it; none at the top level."""
     parent, _, _ = name.rpartition(separator)
@@ -220,22 +415,22 @@ def _siblings(name: str, separator: str, values: Mapping[str, Any]) -> dict[str,
     return {last: value for (first, _, last), value in split if first == parent}
 
 
-def _described(name: str, datasets: Mapping[str, Any]) -> dict[str, Any]:
-    """Return rate, unit and date from a data set's attributes, or else from its group."""
-    siblings = _siblings(name, "/", datasets)
-    small = {key: _value(one) for key, one in siblings.items() if one.nbytes <= MOST_NOTE_BYTES}
-    return _stated(small) | _stated(_attributes(datasets[name]))
-
-
 def _attributes(dataset: Any) -> dict[str, Any]:
-    """Return the small attributes of a data set."""
-    sizes = {key: dataset.attrs.get_id(key).get_storage_size() for key in dataset.attrs}
-    return {key: dataset.attrs[key] for key, size in sizes.items() if size <= MOST_NOTE_BYTES}
+    """Return the small attributes of a data set, or of a file."""
+    found: dict[str, Any] = {}
+    for key in dataset.attrs:
+        # a type without an equivalent matters where it is the scale
+        with suppress(*([] if key in PACKING else [Exception])):
+            if dataset.attrs.get_id(key).get_storage_size() <= MOST_NOTE_BYTES:
+                found[key] = dataset.attrs[key]
+    return found
 
 
 def _value(dataset: Any) -> Any:
     """Return the content of a data set, a text if MATLAB 7.3 stored its character codes."""
-    content = dataset[()]
+    content = None
+    with suppress(Exception):  # one that cannot be read states nothing
+        content = dataset[()]
     if dataset.dtype != np.uint16 or dataset.attrs.get("MATLAB_class") != b"char":
         return content
     return "".join(chr(code) for code in np.asarray(content).ravel())
@@ -255,4 +450,7 @@ def _stated(values: Mapping[str, Any]) -> dict[str, Any]:
             text = text.decode("utf-8", "replace") if isinstance(text, bytes) else text
             if isinstance(text, str) and text.strip():
                 found["unit" if plain in UNIT_NAMES else "date"] = text.strip()
+    since = _SINCE.match(found.get("unit", ""))
+    if since and (start := read_date(since[2])):
+        found |= {"unit": since[1], "start_ns": nanoseconds(start)}
     return found

@@ -45,6 +45,9 @@ CONSTANT_S = 0.1
 DRIFT_FRACTION = 0.5
 """Fraction of the standard deviation above which a mean, or a change of level between the first and
 the last tenth, is reported."""
+ODD_MEAN_M_PER_S2, LARGEST_MEAN_M_PER_S2 = 30.0, 5000.0
+"""Means above which a sensor's unit is doubted, and refused: gravity has 9.81 m/s2, a zero point
+that was not subtracted about the sensor's range, and gravity in mg read as g 9,810 m/s2."""
 
 
 @dataclass(frozen=True)
@@ -71,7 +74,10 @@ class Fault:
         if self.words:
             return f"{self.channel}: {self.kind} {self.words}"
         if self.size_m_per_s2 is not None:
-            return f"{self.channel}: {self.kind} of {self.size_m_per_s2:.3g} m/s2, harmless"
+            size = f"{self.size_m_per_s2:.3g} m/s2"
+            if self.kind == "offset" and abs(self.size_m_per_s2) > ODD_MEAN_M_PER_S2:
+                return f"{self.channel}: offset of {size}, gravity is 9.81: check its unit"
+            return f"{self.channel}: {self.kind} of {size}, harmless"
         fate = "repaired" if self.repaired else "not usable"
         return (
             f"{self.channel}: {self.kind} of {self.n_samples} samples ({self.seconds:.3g} s), "
@@ -198,6 +204,12 @@ class Cleaner:
         # not BLAS: it would start threads and wait for them longer than the sum takes
         self._sum_of_squares += float(np.einsum("i,i->", good, good))
 
+    @property
+    def mean(self) -> float:
+        """Mean of the good samples so far, [m/s2]; NaN without one."""
+        n_good = self.n_samples - self.n_bad
+        return self._sum / n_good if n_good else math.nan
+
     def faults(self, start_s: float = 0.0) -> tuple[Fault, ...]:
         """Return the faults so far, sorted by ``KINDS``; the first sample is at `start_s`."""
         found = [
@@ -206,7 +218,7 @@ class Cleaner:
         ]
         n_good = self.n_samples - self.n_bad
         if n_good:
-            mean = self._sum / n_good
+            mean = self.mean
             rms = math.sqrt(max(self._sum_of_squares / n_good - mean * mean, 0.0))
             seconds = self.n_samples / self.rate_hz
             for kind, size in (("offset", mean), ("drift", self._drift())):

@@ -6,14 +6,16 @@ other; other sources start at zero of the trip's clock.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from suspnet.ground.types import FloatArray
+from suspnet.ground.types import BoolArray, FloatArray
 from suspnet.recordings.columns import Column, size_of
 from suspnet.recordings.dates import (
     EPOCH,
@@ -27,9 +29,18 @@ from suspnet.recordings.dates import (
 from suspnet.recordings.errors import TripError
 from suspnet.recordings.manifest import TripManifest
 from suspnet.recordings.manifest_sources import TIME_UNITS, Source
+from suspnet.recordings.stamps import NO_DATE
 
 DATED_S = (3.15e8, 4.1e9)
 """Range of a first time [s] that is taken as seconds since 1970: the years 1979 to 2099."""
+LONGEST_STEP_S = 60.0
+"""Longest step of times [s] that count as seconds since 1970: a counter of nanoseconds passes their
+numbers within seconds."""
+USUAL_HZ = (50.0, 50e3)
+"""Rates of accelerometers from which the unit of times is inferred: a factor of 1000, so that only
+one unit fits."""
+LEAST_STEPS = 8
+"""Least number of steps of the first block by which jumps of the times are judged."""
 SAME_NS = 1000
 """Largest difference [ns] between starts stated by files that count as the same."""
 
@@ -40,13 +51,15 @@ class Zero:
 
     `ns` is counted from 1970, in UTC or, unless `is_zoned`, in the logger's unknown time zone; None
     if unknown. `is_stated` means stated by a file header rather than by time stamps. `date` is from
-    a header that is too coarse to align clocks.
+    a header that is too coarse to align clocks. `is_midnight` means the midnight before times of
+    day whose date is unknown.
     """
 
     ns: int | None = None
     is_zoned: bool = True
     is_stated: bool = False
     date: datetime | None = None
+    is_midnight: bool = False
 
     @property
     def moment(self) -> datetime | None:
@@ -60,32 +73,98 @@ class Zero:
 class Times:
     """Converts the times of a source into seconds, block by block.
 
-    `column` holds the times; `start_ns` is their origin as stated by the file. `zero` is known
-    after the first block.
+    `column` holds the times; `start_ns` is their origin as the file states it of the values, else
+    it is that of `column`. `zero` is known after the first block. Times continue where a counter or
+    a day starts again, and where clocks are changed in spring and autumn; `words` states it.
+    `n_untimed` counts the values without a time, which are left out.
     """
 
     def __init__(self, where: str, source: Source, column: Column, start_ns: int | None) -> None:
         self.where, self.source, self.column = where, source, column
-        self.zero = Zero(start_ns, is_stated=start_ns is not None)
-        self._begun = False
+        start_ns = column.start_ns if start_ns is None else start_ns
+        self.zero = Zero(start_ns, not column.is_local, is_stated=start_ns is not None)
+        self._begun = self._is_assumed = False
         self._size, self._first = 1.0, 0.0
+        self._usual: float | None = None
+        self._last: Any = None
+        self._shift = 0
+        self._repairs: Counter[str] = Counter()
+        self.n_untimed = 0
+
+    def likely_unit(self, rate_hz: float) -> str:
+        """Return `likely_time_unit` if neither file nor manifest states the unit."""
+        return likely_time_unit(rate_hz) if self._is_assumed else ""
+
+    @property
+    def words(self) -> list[str]:
+        """What was repaired in the times so far."""
+        found = [
+            f"times jump by {reason} and continue ({n})" for reason, n in self._repairs.items()
+        ]
+        if self.n_untimed:
+            found.append(f"rows without a time are left out ({self.n_untimed})")
+        return found
 
     def seconds(self, times: NDArray[np.generic]) -> FloatArray:
         """Return times in seconds since `zero`, NaN where missing.
 
         Raises TripError if unit or time zone contradict the file, or a local time is ambiguous.
         """
+        is_stamp = times.dtype.kind == "M"
+        raw = times.astype("datetime64[ns]").view(np.int64) if is_stamp else times
+        missing = np.isnat(times) if is_stamp else ~np.isfinite(times.astype(np.float64))
         if not self._begun and len(times):
             self._begun = True
-            (self._begin_stamps if times.dtype.kind == "M" else self._begin_numbers)(times)
-        if times.dtype.kind == "M":
-            stamps = times.astype("datetime64[ns]")
-            elapsed = (stamps - np.datetime64(int(self._first), "ns")).astype(
-                np.float64
-            ) / SECOND_NS
-            elapsed[np.isnat(stamps)] = np.nan
+            (self._begin_stamps if is_stamp else self._begin_numbers)(times)
+        raw = self._continued(raw, missing, is_stamp)
+        if is_stamp:
+            elapsed = (raw - int(self._first)).astype(np.float64) / SECOND_NS
+            elapsed[missing] = np.nan
             return np.asarray(elapsed)
-        return np.asarray((times.astype(np.float64) - self._first) * self._size)
+        return np.asarray((raw.astype(np.float64) - self._first) * self._size)
+
+    def _continued(self, raw: NDArray[Any], missing: BoolArray, is_stamp: bool) -> NDArray[Any]:
+        """Return times without the jumps of a counter, a day or a change of clocks."""
+        known = raw[~missing] if missing.any() else raw
+        if not len(known):
+            return raw
+        steps = np.diff(known, prepend=known[0] if self._last is None else self._last)
+        self._last = known[-1]
+        if self._usual is None:
+            self._usual = float(np.median(steps[1:])) if len(steps) > LEAST_STEPS else 0.0
+        hour = 3600 * SECOND_NS if is_stamp else np.inf
+        jumps = np.flatnonzero((steps < 0) | (steps > hour / 2))
+        if self._usual <= 0 or not len(jumps):
+            return raw + self._shift if self._shift else raw
+        # a jump is repaired if it is a known one and leaves a step like the others
+        shifts = np.zeros(len(known), dtype=known.dtype)
+        for reason, period in self._periods(is_stamp):
+            off = np.abs(steps[jumps] + period - self._usual)
+            if abs(period) == hour:
+                off = np.maximum(off, known[jumps] % hour)
+            is_it = (off < 1.5 * self._usual) & (shifts[jumps] == 0)
+            if is_it.any():
+                shifts[jumps[is_it]] = period
+                self._repairs[reason] += int(np.count_nonzero(is_it))
+        total = self._shift + np.cumsum(shifts)
+        self._shift = total[-1]
+        continued = raw.copy()
+        continued[~missing] += total
+        return continued
+
+    def _periods(self, is_stamp: bool) -> list[tuple[str, float]]:
+        """Return what times may jump by: as text, and in their unit."""
+        if not is_stamp:
+            counters = [(f"2^{bits}", 2.0**bits) for bits in (16, 24, 31, 32)]
+            scaled = [
+                (f"2^32 {unit}", 2.0**32 * size / self._size) for unit, size in TIME_UNITS.items()
+            ]
+            return [*counters, *scaled, ("a day", 86400 / self._size)]
+        hour = 3600 * SECOND_NS
+        if self.zero.is_midnight:  # stamps of minutes and seconds start again every hour
+            return [("a day", 24 * hour), ("an hour", hour)]
+        # local clocks are changed in autumn and spring
+        return [] if self.column.is_zoned else [("an hour", hour), ("an hour", -hour)]
 
     def _begin_stamps(self, times: NDArray[np.generic]) -> None:
         """Set the zero of time stamps to the whole second of the first one."""
@@ -95,7 +174,12 @@ class Times:
         first = int(known[0].astype("datetime64[ns]").astype(np.int64)) // SECOND_NS * SECOND_NS
         self._first = first
         zone = self.source.time_zone
-        if zone is None:
+        if first // (86400 * SECOND_NS) == NO_DATE.astype(np.int64):
+            if zone is not None:
+                raise TripError(f"{self.where}: its times have no date: leave out `time_zone`")
+            self._first = int(NO_DATE.astype("datetime64[ns]").astype(np.int64))
+            self.zero = Zero(is_midnight=True)
+        elif zone is None:
             self.zero = Zero(first, self.column.is_zoned)
         elif self.column.is_zoned:
             raise TripError(f"{self.where}: its time stamps name a zone; leave out `time_zone`")
@@ -123,16 +207,47 @@ class Times:
             raise TripError(
                 f"{self.where}: `time_unit` says {stated!r}, its file says {self.column.unit!r}"
             )
+        if stated is None and found is None and self.column.unit:
+            raise TripError(
+                f"{self.where}: its times are in {self.column.unit!r}, which is not known; give "
+                f"`time_unit`, one of {list(TIME_UNITS)}"
+            )
         size = found if stated is None else TIME_UNITS[stated]
         sizes = TIME_UNITS.values() if size is None else [size]
-        dated = [one for one in sizes if DATED_S[0] <= first * one <= DATED_S[1]]
+        step = float(np.median(np.diff(known))) if len(known) > 1 else 0.0
+        dated = [
+            one
+            for one in sizes
+            if DATED_S[0] <= first * one <= DATED_S[1] and step * one < LONGEST_STEP_S
+        ]
         self._size = dated[0] if dated else (size or 1.0)
+        self._is_assumed = size is None and not dated
         if dated:
             whole_s = int(first * self._size)
-            self._first = float(whole_s * round(1 / self._size))
+            is_small = self._size < 1  # then its inverse is exact
+            self._first = float(
+                whole_s * round(1 / self._size) if is_small else whole_s / self._size
+            )
             self.zero = Zero(whole_s * SECOND_NS)
         if self.source.time_zone is not None:
-            raise TripError(f"{self.where}: `time_zone` is for time stamps, its times are numbers")
+            if self.zero.ns is None or self.zero.is_zoned:
+                raise TripError(
+                    f"{self.where}: `time_zone` is for time stamps, its times are numbers"
+                )
+            ahead = self._offset_ns(self.zero.ns, self.source.time_zone)
+            self.zero = replace(self.zero, ns=self.zero.ns - ahead, is_zoned=True)
+
+
+def likely_time_unit(rate_hz: float) -> str:
+    """Return the unit of an accelerometer's times that gives a usual rate; empty if seconds do.
+
+    `rate_hz` is the rate of times in seconds.
+
+    >>> likely_time_unit(0.0002), likely_time_unit(200.0)
+    ('us', '')
+    """
+    units = [one for one, size in TIME_UNITS.items() if USUAL_HZ[0] <= rate_hz / size < USUAL_HZ[1]]
+    return units[0] if units and rate_hz < USUAL_HZ[0] else ""
 
 
 def header_date(column: Column) -> datetime | None:
@@ -193,7 +308,11 @@ def offsets_s(manifest: TripManifest, zeros: Mapping[str, Zero]) -> dict[str, fl
             f"{manifest.path}: the times of {', '.join(dated)} are in UTC; write the time zone "
             "into `start` too, like 2015-08-03T08:00:00+02:00"
         )
-    return {
-        name: 0.0 if zero.ns is None else (zero.ns - first) / SECOND_NS
-        for name, zero in zeros.items()
+    midnight_s = 0.0
+    if others and manifest.start is not None:  # times of day count from the midnight before it
+        day = manifest.start.replace(hour=0, minute=0, second=0, microsecond=0)
+        midnight_s = (day - manifest.start).total_seconds()
+    undated = {name: midnight_s if zeros[name].is_midnight else 0.0 for name in others}
+    return undated | {
+        name: (zero.ns - first) / SECOND_NS for name, zero in dated.items() if zero.ns is not None
     }

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -39,7 +39,8 @@ class Column:
     time : str or None
         Name of the column with the times of this one.
     start_ns : int or None, [ns]
-        Time of the first sample or, with `time`, origin of its times, since 1970 in UTC.
+        Time of the first sample or, with `time`, origin of its times, since 1970 in UTC, or in the
+        logger's unknown time zone if `is_local`.
     is_time, is_zoned : bool
         It holds time stamps rather than numbers; they are in UTC rather than an unknown zone.
     is_part : bool
@@ -50,6 +51,8 @@ class Column:
         Largest value of integers that represent a fraction of the range.
     date : str or None
         Start of the recording as written in a header, too coarse to align clocks.
+    unread : str
+        Why it holds neither numbers nor times that can be read; empty if it does.
     """
 
     name: str
@@ -63,6 +66,8 @@ class Column:
     is_whole_rate: bool = False
     full_scale: float | None = None
     date: str | None = None
+    unread: str = ""
+    is_local: bool = False
 
 
 @dataclass(frozen=True)
@@ -71,7 +76,7 @@ class OpenFile:
 
     `read` yields blocks of the named columns. `words` states how the file is read if this was
     detected. `hint` is added to the message about a missing column. `notes` are lines in which the
-    logger describes the recording.
+    logger describes the recording. `remarks` grow while blocks are read: what was left out.
     """
 
     columns: tuple[Column, ...]
@@ -79,6 +84,7 @@ class OpenFile:
     words: str = ""
     hint: str = ""
     notes: tuple[str, ...] = ()
+    remarks: list[str] = field(default_factory=list)
 
     def column(self, name: str) -> Column:
         """Return a column by its name."""
@@ -95,15 +101,19 @@ def choose(path: Path, file: OpenFile, columns: Sequence[str | None]) -> list[st
     Raises TripError if a column is missing or its name not unique, or if None is ambiguous.
     """
     present = [column.name for column in file.columns]
-    listed = [column.name for column in file.columns if not column.is_part]
+    listed = [column.name for column in file.columns if not (column.is_part or column.unread)]
     named = [name for name in columns if name is not None]
     for name in named:
         if name not in present:
             raise TripError(
                 f"{path} has no column {name!r} of numbers; it has {listing(listed)}{file.hint}"
             )
+        if words := file.column(name).unread:
+            raise TripError(f"{path}: column {name!r} {words}")
     times = {column.time for column in file.columns} | set(named)
-    others = [c.name for c in file.columns if not (c.is_part or c.is_time or c.name in times)]
+    others = [
+        c.name for c in file.columns if not (c.is_part or c.is_time or c.unread or c.name in times)
+    ]
     if len(named) < len(columns) and len(others) != 1:
         raise TripError(f"{path}: say which `column` to read; there are {listing(others)}")
     names = [others[0] if name is None else name for name in columns]
@@ -128,7 +138,14 @@ def slices(
         raise TripError(f"{path}: columns {list(names)} have different lengths {list(lengths)}")
     for start in range(0, lengths[0], BLOCK):
         part = slice(start, min(start + BLOCK, lengths[0]))
-        yield tuple(as_block(take(part)) for take in takes)
+        block = tuple(as_block(take(part)) for take in takes)
+        found = [start + len(values) for values in block]
+        if set(found) != {part.stop}:
+            raise TripError(
+                f"{path} declares {lengths[0]} samples of columns {list(names)}, but holds "
+                f"{found} up to there: it is damaged or cut off, export it again"
+            )
+        yield block
 
 
 def as_block(values: Any) -> NDArray[Any]:
@@ -205,6 +222,9 @@ _SPELLINGS = {
         1e-3: ("ms", "msec", "milliseconds"),
         1e-6: ("us", "usec", "microseconds"),
         1e-9: ("ns", "nsec", "nanoseconds"),
+        60.0: ("minutes",),
+        3600.0: ("hours",),
+        86400.0: ("days",),
     },
 }
 _SIZES = {

@@ -8,9 +8,12 @@ from __future__ import annotations
 
 import re
 from collections.abc import Collection, Iterator
+from pathlib import Path
 from typing import Any
 
 import yaml
+
+from suspnet.ground.storage import read_plain
 
 DEEPEST = 20
 """Largest depth of nested lists and mappings."""
@@ -69,6 +72,14 @@ def parse_yaml(text: str, names: Collection[str] = ()) -> Any:
         return _Builder(names).document(yaml.parse(text, Loader=LOADER))
     except yaml.YAMLError as error:
         raise ValueError(" ".join(str(error).split())) from error
+
+
+def read_yaml(path: Path) -> Any:
+    """Return the content of a plain file as `parse_yaml` does, with the same errors.
+
+    NotPlainError, a ValueError, if it is not a plain file or is too large.
+    """
+    return parse_yaml(read_plain(path, MOST_BYTES).decode("utf-8-sig"))
 
 
 def dump_yaml(content: Any) -> str:

@@ -1,8 +1,8 @@
 """How a CSV file is written: encoding, delimiter, decimal sign, and where its table starts.
 
-A logger's file starts with any number of lines about the recording, followed by a line of names, in
-some files a line of units, and the rows. All of this is detected from the first ``SAMPLE_BYTES``
-bytes, except what the manifest gives.
+A logger's file starts with any number of lines about the recording, followed by lines of names,
+units and descriptions, and the rows. All of this is detected from the first ``SAMPLE_BYTES`` bytes,
+except what the manifest gives.
 """
 
 from __future__ import annotations
@@ -13,12 +13,14 @@ import re
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 
 from suspnet.recordings.columns import is_unit, unit_in_name
 from suspnet.recordings.dates import date_in_lines, read_date
 from suspnet.recordings.errors import TripError
 from suspnet.recordings.manifest_keys import DELIMITERS, CsvDialect
+from suspnet.recordings.stamps import Notation, notation_of
 
 SAMPLE_BYTES = 2**18
 """Number of bytes at the start of a file from which its dialect is detected."""
@@ -26,25 +28,31 @@ TAIL_LINES = 50
 """Largest number of rows, at the end of the sample, on which candidate dialects are compared."""
 NEXT_LINES = 10
 """Number of lines checked to find the first row: at least half of them must be rows."""
+NAME_LINES = 4
+"""Largest number of lines above the rows among which those of names and units are looked for."""
 MISSING = frozenset(
     "|#N/A|#N/A N/A|#NA|-1.#IND|-1.#QNAN|-NaN|-nan|1.#IND|1.#QNAN|N/A|NA|NULL|NaN|n/a|nan|null"
-    "|NAN|-|--|---|None|none|*|***".split("|")
+    "|1.#INF|-1.#INF|NAN|-|--|---|None|none|*|***".split("|")
 )
 """Cells that mean a missing value."""
+SIGNS = {"\N{MINUS SIGN}": "-", "\N{INFINITY}": "inf", "\0": ""}
+"""Characters that are replaced: spreadsheets write the first two, damaged files hold the last."""
 _DASHES = frozenset(("", "-", "--", "---", "*", "***"))
 """Cells that may also occur in lines of names or units."""
 _INFINITE = r"[-+]?(?:inf|Inf|INF|infinity|Infinity)"
-_NUMBER = {
+NUMBER = {
     ".": re.compile(rf"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?|{_INFINITE}"),
     ",": re.compile(rf"[-+]?(?:\d+,?\d*|,\d+)(?:[eE][-+]?\d+)?|{_INFINITE}"),
 }
-_CLOCK = re.compile(r"(?:.* )?\d{1,2}:\d\d:\d\d,\d+")
-"""A time of day with a decimal comma, alone or after a date."""
+"""Numbers, by the decimal sign."""
 _THOUSANDS = re.compile(r"[-+]?[1-9]\d{0,2}(,\d{3})+")
-_STAMP = re.compile(
-    r"(?:\d{4}-\d\d-\d\d[T ]|\d{1,2}\.\d{1,2}\.\d{4}\s)"
-    r"\d{1,2}:\d\d(?::\d\d(?:[.,]\d{1,9})?)?(Z|[+-]\d\d(?::?\d\d)?)?"
+_TIME_NAME = re.compile(
+    r"(?<![^\W_])(?:t(?![^\W\d_])|time|date|clock|zeit|datum|uhrzeit|utc)", re.IGNORECASE
 )
+_TAG = re.compile(r"[;#%!*]|\w+:$|(?:header|name|column|channel|unit)s?$", re.IGNORECASE)
+"""A word ahead of the names that marks their line."""
+_OPEN_CELL = re.compile(r'(?:^|[,;\t|])\s*"[^"]*$')
+_COMMENT = re.compile(r"^\s*(#|%|//)")
 _BOMS = (
     (codecs.BOM_UTF8, "utf-8"),
     (codecs.BOM_UTF32_LE, "utf-32"),
@@ -54,16 +62,18 @@ _BOMS = (
 )
 _WORDS = {"\t": "tab", " ": "space", "": "none"}
 
+Kind = Notation | str | None
+"""What a column holds: time stamps, text (an example of it), or numbers (None)."""
+
 
 @dataclass(frozen=True)
 class Found:
     """How one file is written.
 
     `delimiter` is "" for a single column, and " " for any number of spaces and tabs. Lines are
-    counted from 1; `header_line` is 0 if there are no names. A missing unit is "". `stamps` is, for
-    each column, "" for numbers, "local" or "utc" for time stamps without or with a zone. `date` is
-    the start of the recording as stated above the names or in text columns of the first row;
-    `above` are the lines above the names.
+    counted from 1; `header_line` is 0 if there are no names. A missing unit is "". `kinds` are
+    those of the columns. `date` is the start of the recording as stated above the names or in text
+    columns of the first row; `above` are the lines above the names.
     """
 
     encoding: str
@@ -73,7 +83,7 @@ class Found:
     first_line: int
     names: tuple[str, ...]
     units: tuple[str, ...]
-    stamps: tuple[str, ...]
+    kinds: tuple[Kind, ...]
     has_bom: bool
     date: str | None = None
     above: tuple[str, ...] = ()
@@ -87,34 +97,90 @@ class Found:
             f"{self.first_line} on, {self.encoding}{bom}"
         )
 
+    def unread(self, place: int) -> str:
+        """Return why a column cannot be read; empty if it can."""
+        kind = self.kinds[place]
+        if not isinstance(kind, str):
+            return ""
+        return (
+            f"holds text like {kind[:40]!r}, neither numbers nor times that can be read; write "
+            "times like 2015-08-03T08:00:00.5, or give `rate_hz` instead"
+        )
+
+    @property
+    def unclear(self) -> tuple[str, ...]:
+        """Remarks on columns whose texts look like times, but are not read, or not whole."""
+        found = []
+        for name, kind in zip(self.names, self.kinds, strict=True):
+            if isinstance(kind, str) and (
+                _TIME_NAME.search(name) or len(re.findall(r"\d+", kind)) > 2
+            ):
+                found.append(f"the times of {name!r}, like {kind[:40]!r}, cannot be read")
+            elif isinstance(kind, Notation) and kind.is_unclear:
+                found.append(f"the dates of {name!r} are left out, as day and month are unclear")
+        return tuple(found)
+
 
 @dataclass(frozen=True)
 class _Candidate:
-    """One way to read the rows; `n_broken` counts rows and cells that do not fit it."""
+    """One way to read the rows; `n_broken` counts rows and cells that do not fit it.
+
+    `numeric` are columns of numbers or missing values. `is_counted` means that the first column
+    holds the rows' numbers or names.
+    """
 
     delimiter: str
     decimal: str
-    n_columns: int
+    kinds: tuple[Kind, ...]
     numeric: tuple[int, ...]
-    stamped: tuple[int, ...]
     n_broken: int
     thousands: bool
+    is_counted: bool
+
+    @property
+    def n_columns(self) -> int:
+        return len(self.kinds)
+
+    @property
+    def stamped(self) -> tuple[int, ...]:
+        return tuple(i for i, kind in enumerate(self.kinds) if isinstance(kind, Notation))
 
     def splits(self, line: str) -> list[str]:
-        return _split(line, self.delimiter)
+        return split(line, self.delimiter)
+
+    def fits(self, line: str) -> list[bool]:
+        """Return of each cell of numbers or times that is not empty whether it is one.
+
+        The result is empty for lines of another number of cells, or without values.
+        """
+        cells = self.splits(line)
+        places = sorted((*self.numeric, *self.stamped))
+        if len(cells) != self.n_columns or all(cells[i] in _DASHES for i in places):
+            return []
+        return [self._holds(i, cells[i]) for i in places if cells[i]]
+
+    def _holds(self, place: int, cell: str) -> bool:
+        if cell in MISSING:
+            return True
+        kind = self.kinds[place]
+        if isinstance(kind, Notation):
+            return kind.is_that_of(cell)
+        return NUMBER[self.decimal].fullmatch(cell) is not None
 
     def is_row(self, line: str) -> bool:
         """Return whether each numeric or time column holds a fitting or missing value."""
-        cells = self.splits(line)
-        if len(cells) != self.n_columns:
-            return False
-        numbers = [cells[i] for i in self.numeric if cells[i] not in MISSING]
-        stamps = [cells[i] for i in self.stamped if cells[i] not in MISSING]
-        filled = [cells[i] for i in (*self.numeric, *self.stamped)]
-        return not all(cell in _DASHES for cell in filled) and (
-            all(_NUMBER[self.decimal].fullmatch(cell) for cell in numbers)
-            and all(_STAMP.fullmatch(cell) for cell in stamps)
-        )
+        fits = self.fits(line)
+        return bool(fits) and all(fits)
+
+    def is_damaged_row(self, line: str) -> bool:
+        """Return whether a line is a row in which words replace some of the numbers."""
+        fits = self.fits(line)
+        return bool(fits) and fits[0] and 2 * sum(fits) >= len(fits)
+
+    def has_numbers(self, cells: Sequence[str]) -> bool:
+        """Return whether a line above the rows has a number in a column of numbers."""
+        own = [cells[i] for i in self.numeric if cells[i] not in MISSING]
+        return any(NUMBER[self.decimal].fullmatch(cell) for cell in own)
 
 
 def find_dialect(path: Path, given: CsvDialect | None = None) -> Found:
@@ -168,15 +234,29 @@ def _first_lines(path: Path, given: CsvDialect) -> tuple[str, bool, list[str]]:
     except (UnicodeError, LookupError) as error:
         raise _unreadable(path, f"it is not {encoding} text") from error
     text = text.removeprefix("\ufeff").replace("\r\n", "\n").replace("\r", "\n")
+    for sign, plain in SIGNS.items():
+        text = text.replace(sign, plain)
     lines = text.split("\n")  # splitlines() would also split at form feeds
     if not is_whole:
         lines = lines[:-1]
-    return encoding, has_bom, lines
+    return encoding, has_bom, _unwrapped(lines)
+
+
+def _unwrapped(lines: list[str]) -> list[str]:
+    """Return lines with quoted cells that go over two or three lines moved to the last of these."""
+    for i, line in enumerate(lines):
+        for n in (2, 3) if _OPEN_CELL.search(line) else ():
+            text = " ".join(part.strip() for part in lines[i : i + n])
+            if text.count('"') % 2 == 0:
+                lines[i : i + n] = [*[""] * (len(lines[i : i + n]) - 1), text]
+                break
+    return lines
 
 
 def _date_in_row(line: str, one: _Candidate) -> str | None:
     """Return the date and time of day in the text columns of a row; None if there are none."""
-    read = {*one.numeric, *one.stamped}
+    dated = [i for i in one.stamped if getattr(one.kinds[i], "is_dated", False)]
+    read = {*one.numeric, *dated}
     text = " ".join(cell for i, cell in enumerate(one.splits(line)) if cell and i not in read)
     return text if re.search(r"\d:\d\d", text) and read_date(text) is not None else None
 
@@ -193,9 +273,9 @@ def _encoding(sample: bytes) -> tuple[str, bool]:
     for bom, name in _BOMS:
         if sample.startswith(bom):
             return name, True
-    zeros = [sample[i::2].count(0) for i in (0, 1)]
-    if max(zeros) > len(sample) // 5:
-        return ("utf-16-le" if zeros[1] > zeros[0] else "utf-16-be"), False
+    even, odd = (sample[i::2].count(0) for i in (0, 1))
+    if abs(even - odd) > len(sample) // 5:  # a block of zeros has as many of both
+        return ("utf-16-le" if odd > even else "utf-16-be"), False
     try:
         codecs.getincrementaldecoder("utf-8")("strict").decode(sample)
     except UnicodeDecodeError:
@@ -203,7 +283,8 @@ def _encoding(sample: bytes) -> tuple[str, bool]:
     return "utf-8", False
 
 
-def _split(line: str, delimiter: str) -> list[str]:
+def split(line: str, delimiter: str) -> list[str]:
+    """Return the cells of a line."""
     if delimiter == " ":
         return line.split()
     if not delimiter:
@@ -221,7 +302,7 @@ def _candidates(tail: Sequence[str], given: CsvDialect) -> list[_Candidate]:
     delimiters = (*DELIMITERS.values(), "") if given.delimiter is None else (given.delimiter,)
     found = []
     for delimiter in delimiters:
-        rows = [_split(line, delimiter) for line in tail]
+        rows = [split(line, delimiter) for line in tail]
         n_columns, n_rows = Counter(map(len, rows)).most_common(1)[0] if rows else (0, 0)
         if n_rows == 0 or n_columns == 0 or (n_columns == 1 and delimiter and not given.delimiter):
             continue
@@ -239,27 +320,36 @@ def _candidates(tail: Sequence[str], given: CsvDialect) -> list[_Candidate]:
 
 def _read(delimiter: str, decimal: str, rows: Sequence[Sequence[str]], n_others: int) -> _Candidate:
     """Return the candidate of a delimiter and decimal sign for rows split at that delimiter."""
-    numeric, stamped, n_broken = [], [], n_others
-    commas: list[str] = []
-
-    def is_number(cell: str) -> bool:
-        return cell in MISSING or _NUMBER[decimal].fullmatch(cell) is not None
-
+    kinds: list[Kind] = []
+    numeric, commas, n_broken = [], list[str](), n_others
     for i, cells in enumerate(zip(*rows, strict=True)):
         filled = [cell for cell in cells if cell]
-        numbers = [cell for cell in filled if is_number(cell)]
-        stamps = [cell for cell in filled if _STAMP.fullmatch(cell)]
+        numbers = [cell for cell in filled if NUMBER[decimal].fullmatch(cell)]
+        rest = [cell for cell in filled if cell not in MISSING and cell not in numbers]
+        notations = [(notation_of(cell), cell) for cell in rest]
+        stamps = [cell for notation, cell in notations if notation]
+        words = [cell for notation, cell in notations if not notation]
+        kind: Kind = None
         if stamps:
-            stamped.append(i)
-        elif numbers:
+            kind = Counter(notation for notation, _ in notations if notation).most_common(1)[0][0]
+        elif len(words) > len(numbers):
+            kind = words[0]
+        elif filled:
             numeric.append(i)
             commas += [cell for cell in numbers if "," in cell]
-        others = [cell for cell in filled if not (is_number(cell) or _STAMP.fullmatch(cell))]
-        n_broken += sum(cell.lstrip("+-.,")[:1].isdigit() for cell in others)
-        commas += [cell for cell in others if decimal == "," and _CLOCK.fullmatch(cell)]
+        kinds.append(kind)
+        n_broken += sum(cell.lstrip("+-.,")[:1].isdigit() for cell in words)
+        commas += [cell for cell in stamps if decimal == "," and "," in cell]
     thousands = bool(commas) and all(_THOUSANDS.fullmatch(cell) for cell in commas)
-    places = tuple(numeric), tuple(stamped)
-    return _Candidate(delimiter, decimal, len(rows[0]), *places, n_broken, thousands)
+    firsts = [row[0] for row in rows]
+    is_counted = isinstance(kinds[0], str) or (
+        len(firsts) > 1
+        and all(cell.isdecimal() and len(cell) < 10 for cell in firsts)
+        and all(int(b) - int(a) == 1 for a, b in pairwise(firsts))
+    )
+    return _Candidate(
+        delimiter, decimal, tuple(kinds), tuple(numeric), n_broken, thousands, is_counted
+    )
 
 
 def _table(lines: Sequence[str], one: _Candidate, given: CsvDialect) -> Found | None:
@@ -268,43 +358,91 @@ def _table(lines: Sequence[str], one: _Candidate, given: CsvDialect) -> Found | 
     first = next((i for i in range(begin, len(lines)) if _begins(lines, i, one)), None)
     if first is None:
         return None
-    # The names are in the last line of text above the rows, or before it if that line holds units.
-    above = [i for i in range(first) if re.search(r"\w", lines[i])]
-    header: int | None = None
-    units: list[str] = []
-    if given.header_line is not None:
-        header = given.header_line - 1 if given.header_line else None
-        between = [i for i in above if header is not None and i > header]
-        if len(between) == 1 and (cells := _padded(lines[between[0]], one)):
-            units = cells
-    elif above:
-        header = above[-1]
-        cells, before = _padded(lines[header], one), above[-2:-1]
-        names = _padded(lines[before[0]], one) if before else []
-        if names and len(names) == len(cells) and _are_units(cells):
-            header, units = before[0], cells
-    names = [] if header is None else _padded(lines[header], one)
-    if header is not None and not names:
-        return None  # the numbers of names and columns differ
+    # Rows with a word in place of a number are rows, not names.
+    while first > begin and one.is_damaged_row(lines[first - 1]):
+        first -= 1
+    if one.splits(lines[first])[0].isdecimal() and one.splits(lines[first])[0] != "1":
+        one = replace(one, is_counted=False)
+    above = [i for i in range(begin, first) if re.search(r"\w", lines[i])]
+    if given.header_line is None:
+        header, names, units = _names(lines, above, one)
+        if above and not names:
+            return None  # the numbers of names and columns differ
+    else:
+        header = begin - 1
+        names = _padded(lines[header], one) if begin else []
+        units = _padded(lines[above[0]], one) if begin and len(above) == 1 else []
+        if begin and not names:
+            return None
     names = [name or f"column_{i + 1}" for i, name in enumerate(names or [""] * one.n_columns)]
     if not units:
         units = [unit_in_name(name) for name in names]
-    stamps = [""] * one.n_columns
-    for line in lines[first : first + TAIL_LINES]:
-        for i, cell in enumerate(one.splits(line)[: one.n_columns]):
-            if not stamps[i] and (match := _STAMP.fullmatch(cell)):
-                stamps[i] = "utc" if match.group(1) else "local"
     return Found(
         "",
         one.delimiter,
         one.decimal,
-        0 if header is None else header + 1,
+        header + 1,
         first + 1,
-        tuple(names),
+        _distinct(names),
         tuple(unit.strip("[]() ") for unit in units),
-        tuple(stamps),
+        _kinds(lines[first : first + TAIL_LINES], one),
         False,
     )
+
+
+def _names(
+    lines: Sequence[str], above: Sequence[int], one: _Candidate
+) -> tuple[int, list[str], list[str]]:
+    """Return the index of the line of names, names and units; -1 and nothing if there are none.
+
+    Lines of units and descriptions may follow the names.
+    """
+    block: list[tuple[int, list[str]]] = []  # lines of text with a cell for each column, upwards
+    for i in reversed(above[-NAME_LINES:]):
+        cells = _padded(lines[i], one)
+        if not cells or (block and one.has_numbers(cells)):
+            break
+        if not one.has_numbers(cells):
+            block.append((i, cells))
+    if not block and above and (cells := _padded(lines[above[-1]], one)):
+        block = [(above[-1], cells)]
+    if not block:
+        return -1, [], []
+    units = next((n for n, (_, cells) in enumerate(block) if _are_units(cells)), None)
+    # the names are the next line above the units, unless a further one names a column of times
+    names = [n for n in range(len(block)) if n != units and (units is None or n > units)]
+    names = names or [0]
+    times = (n for n in names if any(map(_TIME_NAME.search, block[n][1])))
+    header = next(times, names[0])
+    return *block[header], (block[units][1] if units is not None and units != header else [])
+
+
+def _kinds(lines: Sequence[str], one: _Candidate) -> tuple[Kind, ...]:
+    """Return the kinds of the columns, by the first rows where the tail shows no numbers or times.
+
+    The tail of a short file may be damaged, and that of a long one empty in some column.
+    """
+    kinds = list(one.kinds)
+    rows = [cells for cells in map(one.splits, lines) if len(cells) == one.n_columns]
+    for i, cells in enumerate(zip(*rows, strict=True)):
+        if isinstance(kinds[i], Notation) or i in one.numeric:
+            continue
+        filled = [cell for cell in cells if cell not in MISSING]
+        n_numbers = sum(bool(NUMBER[one.decimal].fullmatch(cell)) for cell in filled)
+        if filled:
+            is_text = 2 * n_numbers < len(filled)
+            kinds[i] = notation_of(filled[0]) or (filled[0] if is_text else None)
+    return tuple(kinds)
+
+
+def _distinct(names: Sequence[str]) -> tuple[str, ...]:
+    """Return names with a number behind those that are equal, which all get one."""
+    total, so_far = Counter(names), Counter[str]()
+    found = []
+    for name in names:
+        so_far[name] += 1
+        found.append(name if total[name] == 1 else f"{name}.{so_far[name]}")
+    return tuple(found)
 
 
 def _begins(lines: Sequence[str], i: int, one: _Candidate) -> bool:
@@ -318,12 +456,17 @@ def _begins(lines: Sequence[str], i: int, one: _Candidate) -> bool:
 def _padded(line: str, one: _Candidate) -> list[str]:
     """Return the cells of a line of names or units; empty if there are too few or too many.
 
-    Empty columns at the end, as after a delimiter at the end of each row, need no name.
+    Empty columns at the end, as after a delimiter at the end of each row, need no name, nor does a
+    first column that counts the rows. A word ahead of the names that marks their line is left out.
     """
-    cells = one.splits(re.sub(r"^\s*(#|%|//)", "", line))
+    cells = one.splits(_COMMENT.sub("", line))
     filled = max((*one.numeric, *one.stamped)) + 1
     if len(cells) > one.n_columns and not any(cells[one.n_columns :]):
         cells = cells[: one.n_columns]
+    if len(cells) == one.n_columns + 1 and _TAG.match(cells[0]):
+        cells = cells[1:]
+    if len(cells) == one.n_columns - 1 == filled - 1 and one.is_counted:
+        cells = ["", *cells]
     if not filled <= len(cells) <= one.n_columns:
         return []
     return cells + [""] * (one.n_columns - len(cells))

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import io
 import re
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass, field
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -15,22 +14,28 @@ import pyarrow as pa
 import pyarrow.compute
 import pyarrow.csv
 import pyarrow.parquet
+from numpy.typing import NDArray
 
 from suspnet.ground.types import FloatArray
 from suspnet.recordings.columns import Block, Column, OpenFile, as_block, check_samples
-from suspnet.recordings.csv_dialect import MISSING, Found, find_dialect
-from suspnet.recordings.dates import iso_from_german
+from suspnet.recordings.csv_dialect import MISSING, NUMBER, SIGNS, Found, find_dialect, split
+from suspnet.recordings.dates import read_date
 from suspnet.recordings.errors import TripError
 from suspnet.recordings.manifest_keys import CsvDialect
+from suspnet.recordings.stamps import NO_DATE, Notation, notation_of, read_stamps
 
 BLOCK_BYTES = 2**19
-"""Number of bytes that are parsed at once; Arrow reads 32 of these blocks ahead."""
+"""Number of bytes that are parsed at once."""
 LONGEST_LINE = 2**20
-"""Largest number of bytes of a line whose delimiter is blanks; Arrow limits other lines."""
+"""Largest number of bytes of a line."""
 PARQUET_ROWS, PARQUET_BUFFER_BYTES = 2**17, 2**20
 """Number of rows in a batch, and bytes in the read buffer, of a Parquet file."""
-LEAST_GERMAN = len("03.08.2015 08:00:05")
-"""Least length of a German time stamp with two digits for each day, month, hour, ..."""
+MENDED_BYTES = 2**12
+"""Size of a piece that Arrow refuses above which it is halved."""
+FOOTER_LINES, MOST_LEFT_OUT = 20, 0.1
+"""Largest number of lines of a footer, and largest share of lines that may be no rows besides."""
+SHOWN = 40
+"""Number of characters of a line or a word that are shown."""
 
 
 @contextmanager
@@ -80,121 +85,271 @@ def open_csv(path: Path, given: CsvDialect | None) -> Iterator[OpenFile]:
     """Open a CSV file; the parts of its dialect that are not given are detected."""
     found = find_dialect(path, given)
     columns = tuple(
-        Column(name, unit or None, is_time=bool(stamp), is_zoned=stamp == "utc", date=found.date)
-        for name, unit, stamp in zip(found.names, found.units, found.stamps, strict=True)
+        Column(
+            name,
+            unit or None,
+            is_time=isinstance(kind, Notation),
+            is_zoned=isinstance(kind, Notation) and kind.is_zoned,
+            date=found.date,
+            unread=found.unread(place),
+        )
+        for place, (name, unit, kind) in enumerate(
+            zip(found.names, found.units, found.kinds, strict=True)
+        )
     )
+    remarks: list[str] = []
 
     def read(names: Sequence[str]) -> Iterator[Block]:
-        return _blocks(path, found, names)
+        return _Rows(path, found, names).blocks(remarks)
 
-    yield OpenFile(columns, read, f"{path.name}: {found}", notes=found.above)
+    words = "; ".join((f"{path.name}: {found}", *found.unclear))
+    yield OpenFile(columns, read, words, notes=found.above, remarks=remarks)
 
 
-def _blocks(path: Path, found: Found, names: Sequence[str]) -> Iterator[Block]:
-    stamps = dict(zip(found.names, found.stamps, strict=True))
-    types = {name: pa.string() if stamps[name] else pa.float64() for name in names}
-    convert = pa.csv.ConvertOptions(
-        include_columns=list(types),
-        column_types=types,
-        decimal_point=found.decimal,
-        null_values=sorted(MISSING),
-        strings_can_be_null=True,
-    )
-    # Messages contain row numbers only without threads.
-    read = pa.csv.ReadOptions(
-        use_threads=False,
-        block_size=BLOCK_BYTES,
-        skip_rows=found.first_line - 1,
-        column_names=list(found.names),
-    )
-    delimiter = {" ": "\t", "": "\x1f"}.get(found.delimiter, found.delimiter)
-    parse = pa.csv.ParseOptions(delimiter=delimiter)
-    # Arrow reads UTF-8 with one-character delimiters: other files are converted on the fly.
-    with pa.OSFile(str(path)) as stream:
-        source: Any = stream
-        if found.encoding.replace("-", "").lower() not in ("utf8", "ascii"):
-            source = pa.transcoding_input_stream(source, found.encoding, "utf8")
-        if found.delimiter == " ":
-            source = pa.PythonFile(_Collapsed(source), mode="r")
+@dataclass
+class _Remark:
+    """What was left out of a file: how often, and the first of it."""
+
+    n: int = 0
+    first: str = ""
+
+    def add(self, line_number: int, text: str) -> None:
+        self.n += 1
+        if not self.first:
+            shown = re.sub(r"\s*;\s*", ";", text.strip()[:SHOWN])  # "; " separates remarks
+            self.first = f"first in line {line_number}: {shown!r}"
+
+
+@dataclass
+class _Line:
+    """A line that may be part of a footer: the cells that are read, and the words among them."""
+
+    number: int
+    text: str
+    cells: list[str]
+    words: list[str]
+    is_row: bool = True
+
+
+class _Rows:
+    """Reads some columns of a CSV file, in pieces of whole lines.
+
+    Arrow parses each piece. A piece that it refuses is read line by line: a word in place of a
+    number is a missing value, and a line that is no row of the table is a row of missing values, so
+    that samples without times stay in place. Both are left out at the end of the file.
+    """
+
+    def __init__(self, path: Path, found: Found, names: Sequence[str]) -> None:
+        self.path, self.found, self.names = path, found, tuple(names)
+        self._places = [found.names.index(name) for name in names]
+        self._kinds = [found.kinds[place] for place in self._places]
+        date = None if found.date is None else read_date(found.date)
+        self._day = NO_DATE if date is None else np.datetime64(date.date(), "D")
+        self._n_lines = self._n_rows = self._n_zeros = 0
+        self._pending: list[_Line] = []
+        self._lines, self._words = _Remark(), _Remark()
+        types = [pa.string() if kind else pa.float64() for kind in self._kinds]
+        self._convert = pa.csv.ConvertOptions(
+            include_columns=list(names),
+            column_types=dict(zip(names, types, strict=True)),
+            decimal_point=found.decimal,
+            null_values=sorted(MISSING),
+            strings_can_be_null=True,
+        )
+        delimiter = {" ": "\t", "": "\x1f"}.get(found.delimiter, found.delimiter)
+        self._parse = pa.csv.ParseOptions(delimiter=delimiter)
+
+    def blocks(self, remarks: list[str]) -> Iterator[Block]:
+        """Yield blocks of the columns; afterwards add to `remarks` what was left out."""
+        # Arrow reads UTF-8 with one-character delimiters: other files are converted on the fly.
+        with pa.OSFile(str(self.path)) as stream:
+            source: Any = stream
+            if self.found.encoding.replace("-", "").lower() not in ("utf8", "ascii"):
+                source = pa.transcoding_input_stream(source, self.found.encoding, "utf8")
+            for piece in self._pieces(source):
+                block = self._read(piece)
+                self._n_rows += len(block[0])
+                self._check()
+                if len(block[0]):
+                    yield block
+        for line in self._pending:
+            if line.is_row:
+                self._lines.add(line.number, line.text)
+        self._check()
+        remarks += self._remarks()
+
+    def _pieces(self, source: Any) -> Iterator[bytes]:
+        """Yield pieces of whole lines, without zero bytes."""
+        rest = b""
+        while block := source.read(BLOCK_BYTES):
+            if b"\0" in block:
+                self._n_zeros += block.count(0)
+                block = block.replace(b"\0", b"")
+            text = rest + block
+            end = text.rfind(b"\n") + 1 or text.rfind(b"\r", 0, max(len(text) - 1, 0)) + 1
+            if not end and len(text) > LONGEST_LINE:
+                raise ValueError(f"a line of more than {LONGEST_LINE} bytes")
+            rest = text[end:]
+            if end:
+                yield text[:end]
+        if rest:
+            yield rest
+
+    def _read(self, piece: bytes) -> Block:
+        """Return the columns of a piece; one that Arrow refuses is halved until it is short."""
+        for sign in ("", *SIGNS):  # signs are replaced only where needed
+            if sign and sign.encode() not in piece:
+                continue
+            piece = piece.replace(sign.encode(), SIGNS[sign].encode()) if sign else piece
+            with suppress(pa.ArrowInvalid, ValueError):
+                return self._counted(piece, self._parsed(piece))
+        half = piece.find(b"\n", len(piece) // 2) + 1
+        if len(piece) > MENDED_BYTES and 0 < half < len(piece):
+            parts = self._read(piece[:half]), self._read(piece[half:])
+            return tuple(np.concatenate(pair) for pair in zip(*parts, strict=True))
+        return self._counted(piece, self._mended(piece.decode("utf-8", "replace")))
+
+    def _counted(self, piece: bytes, block: Block) -> Block:
+        """Return a block, and count the lines of its piece."""
+        end = ord("\n" if b"\n" in piece else "\r")
+        letters = np.frombuffer(piece, np.uint8)  # counted faster than bytes
+        self._n_lines += int(np.count_nonzero(letters == end))
+        return block
+
+    def _parsed(self, piece: bytes) -> Block:
+        """Return the columns of a piece without damage; ArrowInvalid or ValueError otherwise."""
+        if self.found.delimiter == " ":  # a tab replaces blanks; none is left at the ends of lines
+            piece = re.sub(rb"(?m)^\t|\t(?=\r?$)", b"", re.sub(rb"[ \t]+", b"\t", piece))
+        options = pa.csv.ReadOptions(
+            use_threads=False,
+            block_size=len(piece) + 1,
+            skip_rows=max(self.found.first_line - 1 - self._n_lines, 0),
+            column_names=list(self.found.names),
+        )
+        read = pa.csv.read_csv(pa.BufferReader(piece), options, self._parse, self._convert)
+        columns = [
+            self._stamps(column.combine_chunks(), kind)
+            if isinstance(kind, Notation)
+            else to_float(column)
+            for column, kind in zip(read.columns, self._kinds, strict=True)
+        ]
+        if self._pending and len(columns[0]):
+            before, self._pending = self._columns(self._taken()), []
+            columns = [np.concatenate(pair) for pair in zip(before, columns, strict=True)]
+        return tuple(columns)
+
+    def _stamps(self, column: Any, notation: Notation) -> Any:
+        """Return text time stamps as datetime64[ns], in UTC if they have a zone."""
+        known = column.drop_null() if column.null_count else column
         try:
-            with pa.csv.open_csv(source, read, parse, convert) as reader:
-                for batch in reader:
-                    yield tuple(
-                        _stamps(batch.column(name), stamps[name])
-                        if stamps[name]
-                        else to_float(batch.column(name))
-                        for name in names
-                    )
-        except pa.ArrowInvalid as error:
-            if "Failed to parse string" in str(error):
-                raise TripError(f"{path}: a time stamp is not like the first ({error})") from error
-            if "conversion error" not in str(error):
-                raise
+            stamps = read_stamps(*_letters(known), notation, self._day)
+        except ValueError:
+            known = pa.compute.utf8_trim_whitespace(known)
+            stamps = read_stamps(*_letters(known), notation, self._day)
+        if not column.null_count:
+            return stamps.view("datetime64[ns]")
+        found = np.full(len(column), np.datetime64("NaT", "ns"))
+        found[column.is_valid().to_numpy(zero_copy_only=False)] = stamps.view("datetime64[ns]")
+        return found
+
+    def _mended(self, text: str) -> Block:
+        """Return the columns of a piece with damage, read line by line."""
+        rows: list[list[str]] = []
+        lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
+        for number, line in enumerate(lines, self._n_lines + 1):
+            if number < self.found.first_line or not line.strip():
+                continue
+            found = self._judged(number, line)
+            self._pending.append(found)
+            if (found.is_row and not found.words) or len(self._pending) > FOOTER_LINES:
+                rows += self._taken()
+                self._pending = []
+        return self._columns(rows)
+
+    def _judged(self, number: int, text: str) -> _Line:
+        """Return the cells of a line that are read; "" for words, and all "" if it is no row."""
+        cells = split(text, self.found.delimiter)
+        cells = ["" if cell in MISSING else cell for cell in cells]
+        is_row = len(cells) == len(self.found.kinds)
+        words = []
+        if is_row:
+            wrong = [i for i, cell in enumerate(cells) if cell and not self._fits(i, cell)]
+            read = [i for i, kind in enumerate(self.found.kinds) if not isinstance(kind, str)]
+            is_row = any(cells[i] and i not in wrong for i in read)
+            for i in set(wrong) & set(self._places):
+                self._refuse_other_dialect(number, cells[i], i)
+                is_row &= self.found.kinds[i] is None  # without its time a row is none
+                words.append(cells[i])
+                cells[i] = ""
+        if not is_row:
+            self._lines.add(number, text)
+            return _Line(number, text, [""] * len(self._places), [], is_row=False)
+        return _Line(number, text, [cells[i] for i in self._places], words)
+
+    def _fits(self, place: int, cell: str) -> bool:
+        kind = self.found.kinds[place]
+        if isinstance(kind, Notation):
+            return kind.is_that_of(cell)
+        return kind is not None or NUMBER[self.found.decimal].fullmatch(cell) is not None
+
+    def _refuse_other_dialect(self, number: int, cell: str, place: int) -> None:
+        """Raise TripError if a cell is a number or a time that is written in another way."""
+        kind = self.found.kinds[place]
+        if isinstance(kind, Notation):
+            other = notation_of(cell)
+            if other is not None and not other.is_like(kind):
+                raise TripError(
+                    f"{self.path}: a time stamp is not like the first (line {number}: {cell!r})"
+                )
+        elif any(one.fullmatch(cell) for one in NUMBER.values()):
             raise TripError(
-                f"{path}: text in a column of numbers, one of {list(names)} ({error}); the decimal "
-                f"sign is taken to be {found.decimal!r}"
-            ) from error
+                f"{self.path}: text in a column of numbers, one of {list(self.names)} (line "
+                f"{number}: {cell!r}); the decimal sign is taken to be {self.found.decimal!r}"
+            )
+
+    def _taken(self) -> list[list[str]]:
+        """Return the cells of the pending lines, whose words become missing values."""
+        for line in self._pending:
+            for word in line.words:
+                self._words.add(line.number, word)
+        return [line.cells for line in self._pending]
+
+    def _columns(self, rows: Sequence[Sequence[str]]) -> Block:
+        """Return rows of cells that fit as columns."""
+        columns = list(zip(*rows, strict=True)) or [()] * len(self._places)
+        return tuple(
+            self._stamps(pa.array([cell or None for cell in cells], pa.string()), kind)
+            if isinstance(kind, Notation)
+            else np.array([float(cell.replace(",", ".") or "nan") for cell in cells])
+            for cells, kind in zip(columns, self._kinds, strict=True)
+        )
+
+    def _check(self) -> None:
+        """Raise TripError if too many lines are no rows."""
+        if self._lines.n > MOST_LEFT_OUT * self._n_rows + FOOTER_LINES:
+            raise TripError(
+                f"{self.path}: {self._lines.n} lines are no rows of its table "
+                f"({self._lines.first}); export it again, each table into a file of its own"
+            )
+
+    def _remarks(self) -> Iterator[str]:
+        """Yield what was left out of the file."""
+        name = self.path.name
+        if n := self._lines.n:
+            yield f"lines of {name} outside of its table are left out ({n}, {self._lines.first})"
+        if n := self._words.n:
+            yield f"words in place of numbers in {name} are missing ({n}, {self._words.first})"
+        if n := self._n_zeros:
+            yield f"zero bytes in {name} are left out ({n})"
+
+
+def _letters(texts: Any) -> tuple[NDArray[np.uint8], NDArray[np.int32]]:
+    """Return the bytes of an Arrow array of texts, and where each text starts and ends."""
+    _, offsets, letters = texts.buffers()
+    ends = np.frombuffer(offsets, np.int32)[texts.offset : texts.offset + len(texts) + 1]
+    return np.frombuffer(letters or b"", np.uint8), ends
 
 
 def to_float(column: Any) -> FloatArray:
     """Return an Arrow column as float64, NaN where a value is missing."""
     return as_block(column.cast(pa.float64(), safe=False).to_numpy(zero_copy_only=False))
-
-
-def _stamps(column: Any, kind: str) -> Any:
-    """Return text time stamps as datetime64[ns], in UTC if they have a zone."""
-    if isinstance(column.type, pa.TimestampType):
-        return as_block(column.to_numpy(zero_copy_only=False))
-    plain = pa.compute.replace_substring(pa.compute.utf8_trim_whitespace(column), ",", ".")
-    plain = _iso(plain)
-    zone = "UTC" if kind == "utc" else None
-    return as_block(plain.cast(pa.timestamp("ns", zone)).to_numpy(zero_copy_only=False))
-
-
-def _iso(stamps: Any) -> Any:
-    """Return text time stamps as ISO 8601 if they are German, else as they are.
-
-    Stamps like 03.08.2015 08:00:05 of one length are reordered byte by byte, which takes a tenth of
-    the time of regular expressions.
-    """
-    n, width = len(stamps), pa.compute.max(pa.compute.binary_length(stamps)).as_py() or 0
-    if stamps.type == pa.utf8() and not stamps.null_count and width >= LEAST_GERMAN:
-        _, offsets, letters = stamps.buffers()
-        ends = np.frombuffer(offsets, np.int32)[stamps.offset : stamps.offset + n + 1]
-        if (np.diff(ends) == width).all():
-            rows = np.frombuffer(letters, np.uint8)[ends[0] : ends[-1]].reshape(n, width)
-            if (rows < 128).all() and (rows[:, [2, 5, 13]] == tuple(b"..:")).all():
-                iso = rows[:, [6, 7, 8, 9, 2, 3, 4, 5, 0, 1, *range(10, width)]]
-                iso[:, [4, 7]] = ord("-")
-                buffers = [None, pa.py_buffer(ends - ends[0]), pa.py_buffer(iso.tobytes())]
-                return pa.Array.from_buffers(pa.utf8(), n, buffers)
-    return iso_from_german(stamps, pa.compute.replace_substring_regex)
-
-
-@dataclass
-class _Collapsed(io.RawIOBase):
-    """A stream in which a tab replaces each run of blanks; none is left at the ends of lines."""
-
-    source: Any
-    _rest: bytes = b""
-    _done: bytes = field(default=b"")
-    _ended: bool = False
-
-    def readable(self) -> bool:
-        return True
-
-    def read(self, size: int = -1) -> bytes:
-        while not self._done and not self._ended:  # ends: each round reads a block
-            if len(self._rest) > LONGEST_LINE:
-                raise ValueError(f"a line of more than {LONGEST_LINE} bytes")
-            block = self.source.read(BLOCK_BYTES)
-            self._ended = not block
-            whole, line_end, rest = (self._rest + block).rpartition(b"\n")
-            if self._ended:
-                whole, line_end, rest = self._rest, b"", b""
-            self._rest = rest
-            text = re.sub(rb"[ \t]+", b"\t", whole + line_end)
-            self._done = re.sub(rb"(?m)^\t|\t(?=\r?$)", b"", text)
-        size = len(self._done) if size < 0 else size
-        part, self._done = self._done[:size], self._done[size:]
-        return part

@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from datetime import UTC, datetime, timedelta, tzinfo
-from typing import Any
 from zoneinfo import ZoneInfo
+
+import numpy as np
+
+from suspnet.recordings.stamps import CLOCK, DATES, notation_of, read_stamps
 
 EARLIEST_YEAR = 1990
 """Earliest plausible year: digital loggers are younger, and unset clocks start in 1970 or 1980."""
@@ -19,14 +23,8 @@ _NAMED = re.compile(
     r"|time|zeit|uhrzeit)\W*?[:=;,\t]\W*(\d.*)",
     re.IGNORECASE,
 )
-_FORMATS = ("%Y-%m-%d", "%d-%b-%y", "%d-%b-%Y", "%Y/%m/%d", "%Y:%m:%d")
-_GERMAN = (
-    (r"^(\d)\.", r"0\1."),
-    (r"^(\d\d)\.(\d)\.", r"\1.0\2."),
-    (r"^(\d\d)\.(\d\d)\.(\d{4})", r"\3-\2-\1"),
-    (r" (\d):", r" 0\1:"),
-)
-"""Replacements that make a time stamp like 3.8.2015 8:00:05 one as in ISO 8601."""
+_DAYS = tuple(re.compile(rf"{date}(?!\d)", re.IGNORECASE | re.ASCII) for date in DATES)
+_TIME = re.compile(CLOCK, re.IGNORECASE | re.ASCII)
 _CLOCK = re.compile(r"\d{1,2}:\d\d(?::\d\d(?:[.,]\d+)?)?")
 
 
@@ -63,16 +61,6 @@ def date_problem(moment: datetime) -> str:
     return ""
 
 
-def iso_from_german(stamps: Any, replace: Callable[[Any, str, str], Any]) -> Any:
-    """Return one or several time stamps as ISO 8601 if they are German, else as they are.
-
-    `replace` returns its first argument with matches of a regular expression replaced by a text.
-    """
-    for german, iso in _GERMAN:
-        stamps = replace(stamps, german, iso)
-    return stamps
-
-
 def read_date(text: str) -> datetime | None:
     """Return the date and time of day in a header; None if there is none or it is ambiguous.
 
@@ -87,29 +75,24 @@ def read_date(text: str) -> datetime | None:
     >>> read_date("03/08/2015") is None
     True
     """
-    plain = iso_from_german(
-        " ".join(text.split()), lambda one, german, iso: re.sub(german, iso, one)
-    )
-    try:
+    plain = " ".join(text.split())
+    with suppress(ValueError):
         return datetime.fromisoformat(plain)
+    day = next(filter(None, (one.match(plain) for one in _DAYS)), None)
+    if day is None:
+        return None
+    clock = _TIME.search(plain, day.end())
+    stamp = f"{day[0]} {clock[0] if clock else '00:00'}"
+    notation = notation_of(stamp)
+    if notation is None or not notation.is_dated:
+        return None
+    letters = np.frombuffer(stamp.encode(), np.uint8)
+    try:
+        (ns,) = read_stamps(letters, np.array([0, len(letters)]), notation)
     except ValueError:
-        pass
-    day, _, rest = plain.replace(", ", " ").partition(" ")
-    for form in _FORMATS:
-        try:
-            found = datetime.strptime(day, form)
-        except ValueError:
-            continue
-        clock = _CLOCK.search(rest)
-        if clock is None:
-            return found
-        hours, minutes, *seconds = clock[0].replace(",", ".").split(":")
-        second = int(float(seconds[0])) if seconds else 0
-        try:
-            return found.replace(hour=int(hours), minute=int(minutes), second=second)
-        except ValueError:
-            return None
-    return None
+        return None
+    found = EPOCH + timedelta(microseconds=int(ns) // 1000)
+    return found if notation.is_zoned else found.replace(tzinfo=None)
 
 
 def short_lines(lines: Iterable[str]) -> list[str]:

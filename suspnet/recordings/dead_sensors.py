@@ -1,15 +1,17 @@
-"""Dead sensors: they are left out.
+"""Sensors without signals of their own: dead ones are left out, copies of another one refused.
 
-The place of one of a pair is read by the other one alone. A single one is left out if enough others
-remain to read each part.
+The place of a dead one of a pair is read by the other one alone. A single one is left out if enough
+others remain to read each part.
 """
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Iterable, Mapping, Sequence
 
 import numpy as np
 
+from suspnet.ground.types import BoolArray, FloatArray
 from suspnet.recordings.cleaning import Fault
 from suspnet.recordings.errors import DeadSensorError, TripError
 from suspnet.recordings.manifest import LEAST_SENSORS, TripManifest
@@ -27,6 +29,11 @@ NOTHING = "shows nothing of the motion that the others show; check its cable and
 """Less than this duration [s] is nothing, and how that is reported."""
 LARGEST_SHARE = 0.5
 """It is not left out if more than this share of what is usable of the other one is usable."""
+SAME, STRETCHES = 1e-5, 16
+"""A channel is a copy of another one if a multiple of that one explains all of its variance but
+this share, in half of the stretches of a trip. Rounding to 16 bits leaves 1e-7. Two sensors differ
+by their noise (1e-4 at 40 dB), by their axes (1e-4 for half a degree) and by the motion of their
+places: 1e-2 and more in measured records, even far below the first resonance."""
 
 
 def living(
@@ -98,3 +105,31 @@ def dead_faults(dead: Mapping[str, str], seconds: float, rate_hz: float) -> tupl
         n = round(seconds * rate_hz)
         found.append(Fault(name, DEAD, n, seconds, 0.0, True, None, words))
     return tuple(found)
+
+
+def check_copies(values: Mapping[str, FloatArray], usable: BoolArray, where: object) -> None:
+    """Raise TripError, which names them, if two channels hold the same samples.
+
+    A copy may have another gain, sign or offset. `values` (n,) are the signals by name, of which
+    those at `usable` (n,) count; `where` is the manifest.
+    """
+    stretches = np.array_split(np.flatnonzero(usable), STRETCHES)
+    centred = {
+        name: [own - own.mean() for own in map(signal.__getitem__, filter(len, stretches))]
+        for name, signal in values.items()
+    }
+    problems = []
+    for one, other in itertools.combinations(centred, 2):
+        products = np.array(
+            [(x @ x, y @ y, x @ y) for x, y in zip(centred[one], centred[other], strict=True)]
+        ).reshape(-1, 3)
+        own, its, shared = products[(products[:, :2] > 0).all(axis=1)].T
+        if len(own) and np.median(1 - shared**2 / (own * its)) < SAME:
+            gain = float(np.median(shared / own))
+            times = "" if abs(gain - 1) < SAME else f", times {gain:.4g}"
+            problems.append(
+                f"{where}: {one} and {other} hold the same samples{times}; was a file copied, or a "
+                "column named twice? Give each sensor its own recording"
+            )
+    if problems:
+        raise TripError(*problems)

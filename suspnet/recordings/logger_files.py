@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import re
 import warnings
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import replace
+from importlib import import_module
+from itertools import pairwise
 from logging import CRITICAL, getLogger
 from pathlib import Path
 from threading import Lock
@@ -15,6 +19,7 @@ import numpy as np
 from scipy.io import wavfile
 
 from suspnet.ground.extras import import_extra
+from suspnet.ground.types import FloatArray
 from suspnet.recordings.columns import (
     BLOCK,
     Block,
@@ -23,6 +28,7 @@ from suspnet.recordings.columns import (
     Take,
     as_block,
     check_samples,
+    size_of,
     slices,
 )
 from suspnet.recordings.errors import TripError
@@ -34,6 +40,17 @@ BEXT_DATE = slice(320, 338)
 """Bytes of the chunk `bext` that hold date and time of day, yyyy-mm-dd and hh:mm:ss."""
 TIME_RESPONSE = 1
 """Function type of a time record in a data set 58 of a universal file."""
+ACCELERATION, TIME = 12, 17
+"""Kinds of ordinate and abscissa of a data set 58."""
+LENGTHS = {1: "m", 2: "ft", 3: "m", 4: "ft", 5: "mm", 6: "cm", 7: "in", 8: "mm", 10: "mm"}
+"""Unit of lengths by the code of a data set 164, which holds where a data set 58 names no unit."""
+LEAST_GAP_S = 1e-3
+"""Least time between the end of a segment of a TDMS file and the start of the next, [s]: less is
+inexact time stamps."""
+_FIXED = re.compile("wf_increment|unit_string|NI_(Scal|Unit|Number_Of_S)")
+"""Properties of a TDMS channel that must be the same in all segments: rate, unit and scales."""
+Stated = list[tuple[int, dict[str, Any]]]
+"""Properties that segments of a TDMS file give a channel, by the number of its samples before."""
 
 
 @contextmanager
@@ -42,46 +59,145 @@ def open_tdms(path: Path, _: CsvDialect | None = None) -> Iterator[OpenFile]:
     nptdms = import_extra("nptdms", "tdms", f"{path}: a TDMS file", TripError)
     getLogger("nptdms").setLevel(CRITICAL)  # it logs what it raises or repairs
     # Open the stream here because npTDMS does not close files that it fails to read.
-    with path.open("rb") as stream, nptdms.TdmsFile.open(stream) as file:
+    with path.open("rb") as stream, ExitStack() as stack:
+        with _properties_of_segments() as stated:
+            file = stack.enter_context(nptdms.TdmsFile.open(stream))
         if file.file_status.incomplete_final_segment:
             raise TripError(f"{path} is cut off: its last segment is incomplete")
-        channels = {
-            f"{group.name}/{channel.name}": channel
-            for group in file.groups()
-            for channel in group.channels()
-        }
+        channels = [channel for group in file.groups() for channel in group.channels()]
+        names = [f"{one.group_name}/{one.name}" for one in channels]
+        n_of_name = Counter(names)
+        columns: list[Column] = []
+        takes: dict[str, tuple[int, Take]] = {}
+        for name, channel in zip(names, channels, strict=True):
+            # "a/b" and "c" are called as "a" and "b/c": TDMS itself writes these as paths
+            name = channel.path if n_of_name[name] > 1 else name
+            column, starts = _tdms_column(name, channel, stated.get(channel.path, []))
+            columns.append(column)
+            takes[name] = len(channel), channel.__getitem__
+            if column.time is not None:
+                columns.append(Column(column.time, unit="s", is_part=True))
+                takes[column.time] = len(channel), _times_of_segments(starts, channel)
 
         def read(names: Sequence[str]) -> Iterator[Block]:
-            for name in names:
-                kind = np.dtype(channels[name].dtype)
-                if kind.kind not in "iufM":
-                    raise TripError(f"{path}: column {name!r} holds {kind}, not numbers")
-            takes: list[Take] = [channels[name].__getitem__ for name in names]
-            return slices(path, names, [len(channels[name]) for name in names], takes)
+            chosen = [takes[name] for name in names]
+            return slices(path, names, [n for n, _ in chosen], [take for _, take in chosen])
 
         notes = tuple(f"{name}: {value}" for name, value in file.properties.items())
-        yield OpenFile(tuple(_tdms_column(*item) for item in channels.items()), read, notes=notes)
+        yield OpenFile(tuple(columns), read, notes=notes)
 
 
-def _tdms_column(name: str, channel: Any) -> Column:
+@contextmanager
+def _properties_of_segments() -> Iterator[dict[str, Stated]]:
+    """Collect the properties of each segment by channel, of which npTDMS keeps the last."""
+    reader = import_module("nptdms.reader").TdmsReader
+    found: dict[str, Stated] = {}
+
+    def read(self: Any, *arguments: Any) -> Any:
+        segment, properties = original(self, *arguments)
+        for path, values in (properties or {}).items():
+            before = self.object_metadata.get(path)
+            found.setdefault(path, []).append((before.num_values if before else 0, dict(values)))
+        return segment, properties
+
+    original, reader._read_segment_metadata = reader._read_segment_metadata, read
+    try:
+        yield found
+    finally:
+        reader._read_segment_metadata = original
+
+
+def _tdms_column(name: str, channel: Any, stated: Stated) -> tuple[Column, list[tuple[int, float]]]:
+    """Return a channel, and the first sample and the time of each part of it, [s].
+
+    There is one part unless the logger was stopped and started again.
+    """
     properties = channel.properties
     step_s = properties.get("wf_increment")
     unit = properties.get("unit_string") or properties.get("NI_UnitDescription")
-    start = properties.get("wf_start_time")
-    is_time = np.dtype(channel.dtype).kind == "M"
+    kind = np.dtype(channel.dtype)
     has_rate = isinstance(step_s, float | int) and 1e-9 < step_s < 1e9
-    start_ns = None
-    if has_rate and isinstance(start, np.datetime64) and not np.isnat(start):
-        offset_s = float(properties.get("wf_start_offset", 0.0))
-        start_ns = int(start.astype("datetime64[ns]").astype(np.int64)) + round(1e9 * offset_s)
-    return Column(
+    starts_ns = _starts_ns(stated, len(channel))
+    starts, overlap = _parts(starts_ns, step_s) if has_rate else ([], "")
+    column = Column(
         name,
         unit=str(unit) if unit else None,
         rate_hz=1 / step_s if has_rate and step_s is not None else None,
-        start_ns=start_ns,
-        is_time=is_time,
-        is_zoned=is_time,  # LabVIEW writes time stamps in UTC
+        time=f"{name}: times" if len(starts) > 1 else None,
+        start_ns=starts_ns[0][1] if starts_ns else None,
+        is_time=kind.kind == "M",
+        is_zoned=kind.kind == "M",  # LabVIEW writes time stamps in UTC
+        unread=_changed(stated) or overlap,
     )
+    if kind.kind not in "iufM":
+        column = replace(column, unread=f"holds {kind}, not numbers")
+    return column, starts
+
+
+def _changed(stated: Stated) -> str:
+    """Return which property that must be one in all segments is not; empty if none."""
+    first: dict[str, str] = {}
+    for _, properties in stated:
+        for key, value in properties.items():
+            if _FIXED.match(key) and first.setdefault(key, str(value)) != str(value):
+                return (
+                    f"has another {key!r} in a later segment, {value} instead of {first[key]}; "
+                    "export its parts into files of their own"
+                )
+    return ""
+
+
+def _parts(
+    starts_ns: Sequence[tuple[int, int]], step_s: float
+) -> tuple[list[tuple[int, float]], str]:
+    """Return the first sample and the time of each part of a channel, [s], and which overlap."""
+    parts = [(0, 0.0)]
+    least_s = max(LEAST_GAP_S, step_s / 2)
+    for (n, ns), (n_next, next_ns) in pairwise(starts_ns):
+        end_ns = ns + round(1e9 * (n_next - n) * step_s)
+        gap_s = (next_ns - end_ns) / 1e9
+        if gap_s < -least_s:
+            before, after = (np.datetime64(round(ns / 1000), "us") for ns in (end_ns, next_ns))
+            return parts, (
+                f"has segments that overlap: one lasts until {before}, the next starts at {after}; "
+                "export them into files of their own"
+            )
+        if gap_s > least_s:
+            n_last, last_s = parts[-1]
+            parts.append((n_next, last_s + (n_next - n_last) * step_s + gap_s))
+    return parts, ""
+
+
+def _starts_ns(stated: Stated, n_samples: int) -> list[tuple[int, int]]:
+    """Return the starts that a channel states, each with the number of samples before it, [ns]."""
+    found: list[tuple[int, int]] = []
+    offset_s = 0.0
+    for n, values in stated:
+        offset_s = float(values.get("wf_start_offset", offset_s))
+        start = values.get("wf_start_time")
+        if start is None or not hasattr(start, "as_datetime64"):
+            continue
+        ns = int(start.as_datetime64("ns").astype(np.int64)) + round(1e9 * offset_s)
+        # LabVIEW writes 1904 where there is none, and may write the same start in each segment
+        if ns <= 0 or (found and (ns == found[-1][1] or n >= n_samples)):
+            continue
+        if found and found[-1][0] == n:
+            found.pop()
+        found.append((n if found else 0, ns))
+    return found
+
+
+def _times_of_segments(starts: Sequence[tuple[int, float]], channel: Any) -> Take:
+    """Return the function that takes times of a channel of several parts, [s]."""
+    firsts, starts_s = np.array(starts).T
+    step_s = channel.properties["wf_increment"]
+
+    def take(part: slice) -> FloatArray:
+        numbers = np.arange(part.start, part.stop)
+        i = np.searchsorted(firsts, numbers, side="right") - 1
+        return np.asarray(starts_s[i] + (numbers - firsts[i]) * step_s)
+
+    return take
 
 
 @contextmanager
@@ -96,10 +212,14 @@ def open_uff(path: Path, _: CsvDialect | None = None) -> Iterator[OpenFile]:
         for name in names:
             is_times = name not in records
             record = file.read_sets(records[name.removesuffix(": times")])
-            values = np.asarray(record["x" if is_times else "data"])
-            if values.dtype.kind not in "iuf":
-                raise TripError(f"{path}: column {name!r} holds {values.dtype}, not real numbers")
-            arrays.append(values.ravel())
+            values = np.asarray(record["x" if is_times else "data"]).ravel()
+            n_declared = int(record["num_pts"])
+            if len(values) < n_declared:
+                raise TripError(
+                    f"{path}: column {name!r} declares {n_declared} points and holds {len(values)}"
+                    ": it is cut off; copy or export it again"
+                )
+            arrays.append(values[:n_declared])  # what follows fills up a line
         takes: list[Take] = [array.__getitem__ for array in arrays]
         return slices(path, names, [len(array) for array in arrays], takes)
 
@@ -110,29 +230,46 @@ def _uff_columns(file: Any) -> tuple[list[Column], dict[str, int]]:
     """Return the columns of a universal file, and their record numbers by name."""
     records: dict[str, int] = {}
     columns = []
+    length = None
     for i, kind in enumerate(file.get_set_types()):
+        if kind == 164:
+            length = LENGTHS.get(int(file.read_sets(i)["units_code"]))
         if kind != 58:
             continue
         header = file.read_sets(i, header_only=True)
         if header.get("func_type") != TIME_RESPONSE:
             continue
-        name = str(header.get("id1", "")).strip()
-        if not name or name.upper() == "NONE" or name in records:
+        name = _text(header, "id1")
+        if not name or name in records:
             name = f"record_{i + 1}"
         records[name] = i
-        step_s = float(header.get("abscissa_inc") or 0.0)
-        even = header.get("abscissa_spacing") == 1 and step_s > 0
-        unit = str(header.get("ordinate_axis_units_lab", "")).strip()
+        unit, along = (_text(header, f"{axis}_axis_units_lab") for axis in ("ordinate", "abscissa"))
+        if not unit and length and header.get("ordinate_spec_data_type") == ACCELERATION:
+            unit = f"{length}/s2"
+        step_s = float(header.get("abscissa_inc") or 0.0) * (size_of("time", along or "s") or 0.0)
+        what, refused = header.get("abscissa_spec_data_type"), ""
+        if what not in (None, 0, 1, TIME):  # 0 and 1 are unknown and general
+            refused = "is a function of something else than time; export it over time"
+        elif header.get("ord_data_type") in (5, 6):
+            refused = f"holds {np.dtype(complex)}, not real numbers"
         about: dict[str, Any] = {
-            "unit": None if unit.upper() in ("", "NONE") else unit,
-            "date": str(header.get("id3", "")).strip() or None,
+            "unit": unit or None,
+            "date": _text(header, "id3") or None,
+            "unread": refused,
         }
-        if even:
-            columns.append(Column(name, rate_hz=1 / step_s, **about))
+        if header.get("abscissa_spacing") == 1 and not float(header.get("abscissa_min") or 0.0):
+            columns.append(Column(name, rate_hz=1 / step_s if step_s > 0 else None, **about))
         else:
             times = f"{name}: times"
-            columns += [Column(name, time=times, **about), Column(times, is_part=True)]
+            columns.append(Column(name, time=times, **about))
+            columns.append(Column(times, unit=along or "s", is_part=True))
     return columns, records
+
+
+def _text(header: Mapping[str, Any], key: str) -> str:
+    """Return a text of a header; empty where it is "NONE"."""
+    text = str(header.get(key, "")).strip()
+    return "" if text.upper() == "NONE" else text
 
 
 @contextmanager

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Literal
 
 from suspnet.ground.parameters import DIRECTIONS, ENDS, ESTIMATED, SIDES
-from suspnet.ground.records import HIGHEST_KM, Place
+from suspnet.ground.records import HIGHEST_KM, MOST_NAME, Place
 from suspnet.recordings import manifest_keys as check
 from suspnet.recordings.errors import TripError, all_of
 from suspnet.recordings.manifest_keys import Key, Value, key, keys_of, optional, required
@@ -36,6 +36,8 @@ CHANNELS = ("axle_box", "bogie", "body")
 LEAST_SENSORS = 4
 """Least number of sensors that show the parts: one more than elevation, cross level and alignment
 of the track, whose spectra are unknown."""
+NAME = f"text, at most {MOST_NAME} characters"
+"""Type of the names in a manifest."""
 TEMPERATURES_C = (-60.0, 60.0)
 """Lowest and highest plausible outside temperature, [°C]."""
 _CONSTANT_SPEED = re.compile(r"([1-9]\d{0,2}(?:\.\d+)?) *(m/s|km/h)")
@@ -148,9 +150,9 @@ class TripManifest:
 
     path: Path
     name: str
-    vehicle: str = required(check.text, "text", "name of the vehicle, as the model's")
+    vehicle: str = required(check.name, NAME, "name of the vehicle, as the model's")
     suspension: str = required(
-        check.text, "text", "name of the suspension; trips with the same name are of one suspension"
+        check.name, NAME, "name of the suspension; trips with the same name are of one suspension"
     )
     bogie: str | None = optional(
         check.one_of(ENDS),
@@ -179,9 +181,9 @@ class TripManifest:
         default="found from the phases, if they show it",
     )
     train: str | None = optional(
-        check.stripped, "text", "train, if several are monitored", default="not given"
+        check.name, NAME, "train, if several are monitored", default="not given"
     )
-    car: str | None = optional(check.stripped, "text", "car of the train", default="not given")
+    car: str | None = optional(check.name, NAME, "car of the train", default="not given")
     mileage_km: float = required(
         _mileage, "number, 0 to 2e7", "mileage of the vehicle at this trip", "km"
     )
@@ -232,7 +234,7 @@ class TripManifest:
     def place(self) -> Place:
         """The suspension of the trip."""
         named = (self.bogie, self.side, self.train, self.car)
-        return Place(self.suspension.strip(), *(one or "" for one in named))
+        return Place(self.suspension, *(one or "" for one in named))
 
     def side_of(self, channel: Channel) -> str | None:
         """Return the side of a single sensor: its own or else the suspension's; None if unknown."""

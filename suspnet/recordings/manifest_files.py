@@ -11,8 +11,9 @@ from pathlib import Path
 from typing import Any
 
 from suspnet.ground.parameters import ENDS, SIDES
-from suspnet.ground.records import Place
-from suspnet.ground.storage import printable, read_json, read_plain, why, write_atomically
+from suspnet.ground.records import MOST_NAME, Place
+from suspnet.ground.storage import one_line, read_json, read_plain, why, write_atomically
+from suspnet.ground.wording import command
 from suspnet.recordings.core_yaml import MOST_BYTES, dump_yaml, parse_yaml
 from suspnet.recordings.errors import TripError, all_of, opening
 from suspnet.recordings.manifest import FORMAT, MANIFEST, TripManifest
@@ -88,11 +89,12 @@ class ManifestFile:
             return None
         if not isinstance(content, dict) or not isinstance(content.get("suspension"), str):
             return None
-        named = {"bogie": ENDS, "side": SIDES}
-        where = {key: str(content[key]) for key in named if content.get(key) in list(named[key])}
-        texts = {key: content.get(key) for key in ("train", "car")}
-        said = {key: printable(one.strip()) for key, one in texts.items() if isinstance(one, str)}
-        return Place(printable(content["suspension"].strip()), **where, **said)
+        ends = {"bogie": ENDS, "side": SIDES}
+        where = {key: str(content[key]) for key in ends if content.get(key) in list(ends[key])}
+        texts = {key: content.get(key) for key in ("suspension", "train", "car")}
+        named = {key: one_line(one.strip()) for key, one in texts.items() if isinstance(one, str)}
+        is_short = all(len(one) <= MOST_NAME for one in named.values())
+        return Place(**where, **named) if is_short else None
 
     @property
     def axle(self) -> str:
@@ -197,7 +199,7 @@ def find_manifests(folder: Path) -> list[Path]:
     if not manifests:
         raise FileNotFoundError(
             f"{folder} holds no *.yaml file; each trip needs one. "
-            f"Of data files all are written by: suspnet init {folder}"
+            f"Of data files all are written by: {command('init', folder)}"
         )
     return manifests
 
@@ -223,7 +225,7 @@ def _manifests(path: Path) -> list[Path]:
         if not os.path.lexists(path):
             raise FileNotFoundError(f"there is no file or folder {path}")
         if path.suffix not in (".yaml", ".yml"):
-            raise OSError(f"{path} is no manifest (*.yaml); to write one: suspnet init {path}")
+            raise OSError(f"{path} is no manifest (*.yaml); to write one: {command('init', path)}")
         return [path]
     if not any(path.glob("*.yaml")):
         parts = sorted(part for part in path.iterdir() if part.is_dir() and part.name[0] != ".")

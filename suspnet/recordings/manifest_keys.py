@@ -15,6 +15,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
+from suspnet.ground.records import MOST_NAME
+from suspnet.ground.storage import printable
 from suspnet.recordings.dates import date_problem, time_zone
 from suspnet.recordings.errors import TripError, all_of
 
@@ -133,9 +135,12 @@ def text(value: Value) -> str:
     return value.content
 
 
-def stripped(value: Value) -> str:
-    """Return a text that is not blank, without surrounding blanks."""
-    return text(value).strip()
+def name(value: Value) -> str:
+    """Return a short text of one line that is not blank, without surrounding blanks."""
+    found = text(value).strip()
+    if "\n" in found or len(printable(found)) > MOST_NAME:
+        raise value.refuse(f"one line of at most {MOST_NAME} characters")
+    return found
 
 
 def one_of(allowed: Sequence[Any]) -> Callable[[Value], Any]:

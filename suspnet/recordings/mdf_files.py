@@ -5,12 +5,13 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
+from datetime import datetime
 from importlib import import_module
 from io import BytesIO
 from logging import CRITICAL, getLogger
 from pathlib import Path
 from traceback import walk_tb
-from typing import Any, BinaryIO, NoReturn
+from typing import Any, BinaryIO, NoReturn, cast
 
 import numpy as np
 
@@ -40,6 +41,12 @@ REFUSED = {
 """Names of unsupported conversions by their numbers in MDF 4, and in MDF 2 and 3."""
 VIRTUAL = (3, 6)
 """Types of MDF 4 channels whose raw values are the record numbers."""
+TIME = 1
+"""Kind of MDF 4 masters that are times."""
+NO_TIMES = {2: "angle", 3: "distance"}
+"""Kinds of MDF 4 masters along which channels are not sampled in time."""
+ALL_INVALID = 1
+"""Flag of MDF 4 channels without a valid sample."""
 
 
 @contextmanager
@@ -50,26 +57,14 @@ def open_mdf(path: Path, _: CsvDialect | None = None) -> Iterator[OpenFile]:
     with path.open("rb") as stream, _opened_mdf(asammdf, stream) as file:
         places: dict[str, tuple[int, int]] = {}
         columns: list[Column] = []
-        known_ns = nanoseconds(file.start_time)
-        start_ns = known_ns if known_ns > 0 else None
         repeated = _repeated(file)  # such names are qualified by their group
         for g, group in enumerate(file.groups):
-            master = file.masters_db.get(g)
-            for c, channel in enumerate(group.channels):
-                name = f"group_{g}/{channel.name}" if channel.name in repeated else channel.name
-                places[name] = (g, c)
-                time = None
-                if master is not None and c != master:
-                    time = group.channels[master].name
-                    time = f"group_{g}/{time}" if time in repeated else time
-                columns.append(
-                    Column(
-                        name,
-                        unit=channel.unit or None,
-                        time=time,
-                        start_ns=start_ns if c != master else None,
-                    )
-                )
+            names = [
+                f"group_{g}/{one.name}" if one.name in repeated else one.name
+                for one in group.channels
+            ]
+            places |= {name: (g, c) for c, name in enumerate(names)}
+            columns += _columns(file, g, names)
 
         def read(names: Sequence[str]) -> Iterator[Block]:
             groups = {places[name][0] for name in names}
@@ -80,6 +75,69 @@ def open_mdf(path: Path, _: CsvDialect | None = None) -> Iterator[OpenFile]:
             return slices(path, names, [n_samples] * len(names), takes)
 
         yield OpenFile(tuple(columns), read, notes=_notes(file.header))
+
+
+def _columns(file: Any, g: int, names: Sequence[str]) -> Iterator[Column]:
+    """Yield the channels of a group as the file describes them."""
+    start = _start(file)
+    start_ns = 0 if start is None else nanoseconds(start)
+    about: dict[str, Any] = {}
+    if start is not None and start_ns > 0:
+        about = {"start_ns": start_ns, "is_local": start.tzinfo is None}
+    master = file.masters_db.get(g)
+    kind, by = TIME, ""
+    if master is not None and file.version >= "4":
+        kind = file.groups[g].channels[master].sync_type or TIME
+        by = NO_TIMES.get(kind, "")
+    for c, (name, channel) in enumerate(zip(names, file.groups[g].channels, strict=True)):
+        unit, refused = _unit(file.version, channel), _refused(file.version, channel)
+        if c == master:
+            known = unit or ("s" if kind == TIME else None)
+            yield Column(name, unit=known, unread=refused, is_local=about.get("is_local", False))
+            continue
+        if by and master is not None:
+            refused = f"is sampled along {by} ({names[master]!r}), not in time; export it over time"
+        time = names[master] if master is not None and kind == TIME else None
+        yield Column(name, unit=unit, time=time, unread=refused, **about)
+
+
+def _start(file: Any) -> datetime | None:
+    """Return the start of a file, without a zone if it is the logger's; None if it has none."""
+    if file.version >= "4" or getattr(file.header, "abs_time", 0):
+        return cast(datetime, file.start_time)
+    with suppress(ValueError):  # asammdf takes the present, and this computer's zone
+        text = f"{file.header.date.decode('ascii')} {file.header.time.decode('ascii')}"
+        return datetime.strptime(text, "%d:%m:%Y %H:%M:%S")
+    return None
+
+
+def _unit(version: str, channel: Any) -> str | None:
+    """Return the unit of a channel, or else, where it refers to none, that of its conversion."""
+    is_open = version < "4" or channel.unit_addr == 0
+    conversion = channel.conversion if is_open else None
+    return channel.unit or (conversion.unit if conversion is not None else None) or None
+
+
+def _major(version: str) -> str:
+    return "4" if version >= "4" else "3"
+
+
+def _refused(version: str, channel: Any) -> str:
+    """Return why the conversion of a channel is not applied; empty if it is."""
+    if channel.conversion is None:  # asammdf also leaves out one that it cannot read
+        return (
+            "has a conversion that is damaged; export the file again"
+            if channel.conversion_addr
+            else ""
+        )
+    major, number = _major(version), int(channel.conversion.conversion_type)
+    if number in KINDS[major]:
+        return ""
+    what = REFUSED[major].get(number, f"number {number}")
+    return (
+        f"has a conversion of a kind that is not applied, {what}; export this channel as raw or "
+        "linearly scaled numbers"
+    )
 
 
 def _notes(header: Any) -> tuple[str, ...]:
@@ -133,40 +191,40 @@ def _repeated(file: Any) -> set[str]:
 
 def _take(path: Path, file: Any, name: str, group: int, index: int) -> Take:
     channel = file.groups[group].channels[index]
-    convert = _conversion(path, name, file.version[:1], channel.conversion)
+    convert = _conversion(file.version, channel.conversion)
 
     def take(part: slice) -> FloatArray:
         numbers = np.arange(part.start, part.stop, dtype=np.float64)
         if file.version < "4" and index == file.masters_db.get(group) and channel.bit_count == 0:
             return numbers * (channel.sampling_rate or 1)
-        if file.version >= "4" and channel.channel_type in VIRTUAL:
-            return convert(numbers)
         at = {"record_offset": part.start, "record_count": part.stop - part.start}
-        # raw values, and the mask of invalid ones
-        values, invalid = file.get(group=group, index=index, samples_only=True, raw=True, **at)
+        # raw values, and the mask of invalid ones, which would otherwise be left out
+        values, invalid = file.get(
+            group=group,
+            index=index,
+            samples_only=True,
+            raw=True,
+            ignore_invalidation_bits=True,
+            **at,
+        )
         if values.dtype.kind not in "iufb" or values.ndim != 1:
             raise TripError(f"{path}: column {name!r} holds {values.dtype}, not numbers")
-        values = convert(values)
-        if invalid is not None:
+        is_virtual = file.version >= "4" and channel.channel_type in VIRTUAL
+        values = convert(numbers if is_virtual else values)
+        if file.version >= "4" and channel.flags & ALL_INVALID:
+            values[:] = np.nan
+        elif invalid is not None:
             values[np.asarray(invalid, dtype=np.bool_)] = np.nan
         return values
 
     return take
 
 
-def _conversion(
-    path: Path, name: str, version: str, conversion: Any
-) -> Callable[[Any], FloatArray]:
-    """Return the function from raw to physical values; TripError if it is not arithmetic."""
-    version = "4" if version == "4" else "3"
-    number = IDENTITY if conversion is None else int(conversion.conversion_type)
-    kind = IDENTITY if conversion is None else KINDS[version].get(number)
-    if kind is None:
-        what = REFUSED[version].get(number, f"number {number}")
-        raise TripError(
-            f"{path}: column {name!r} has a conversion of a kind that is not applied, {what}; "
-            "export this channel as raw or linearly scaled numbers"
-        )
+def _conversion(version: str, conversion: Any) -> Callable[[Any], FloatArray]:
+    """Return the function from raw to physical values of a conversion that is not refused."""
+    kind = IDENTITY
+    if conversion is not None:
+        kind = KINDS[_major(version)][int(conversion.conversion_type)]
     if kind == IDENTITY:
         return lambda x: np.array(x, dtype=np.float64)
     if kind == LINEAR:
@@ -178,7 +236,8 @@ def _conversion(
         n = (int(conversion.val_param_nr) - 1) // 3
         lower, upper, values = (_entries(conversion, key, n) for key in ("lower", "upper", "phys"))
         return lambda x: _in_ranges(lower, upper, values, float(conversion.default), x)
-    n = int(conversion.val_param_nr) // 2 if version == "4" else int(conversion.ref_param_nr)
+    is_newer = version >= "4"
+    n = int(conversion.val_param_nr) // 2 if is_newer else int(conversion.ref_param_nr)
     keys, values = (_entries(conversion, key, n) for key in ("raw", "phys"))
     if kind == INTERPOLATED:
         return lambda x: np.interp(x, keys, values)

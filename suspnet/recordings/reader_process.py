@@ -15,8 +15,10 @@ import fcntl
 import functools
 import itertools
 import json
+import logging
 import mmap
 import os
+import re
 import signal
 import socket
 import subprocess
@@ -42,6 +44,7 @@ from suspnet.recordings.columns import (
 from suspnet.recordings.errors import TripError
 from suspnet.recordings.manifest_keys import CsvDialect
 
+log = logging.getLogger(__name__)
 LIMIT = "SUSPNET_READER_S"
 """Environment variable: longest time to open a file or to read its next block, [s].
 
@@ -50,12 +53,17 @@ CRASH_S = 5.0
 """Longest time a process may take to exit after it has closed its connection, [s]."""
 DTYPES = ("float64", "datetime64[ns]")
 """Types of the arrays of a block."""
+PASSED = re.compile(
+    r"PATH|HOME|TMPDIR|TZ|LANG|LANGUAGE|LD_LIBRARY_PATH|HDF5_USE_FILE_LOCKING|\w+_NUM_THREADS"
+    r"|(LC|PYTHON|MKL|NPY|MALLOC)_?\w+"
+)
+"""Environment variables that reader processes get: none with a secret."""
 ENVIRONMENT = {
     "OPENBLAS_NUM_THREADS": "1",
     "NUMEXPR_NUM_THREADS": "1",
     "HDF5_PLUGIN_PRELOAD": "::",  # HDF5 loads no filter plug-ins
 }
-"""Environment variables of reader processes."""
+"""Environment variables of reader processes, in addition."""
 
 
 def in_own_process(reader: Reader, library: str | None = None) -> Reader:
@@ -71,6 +79,8 @@ def in_own_process(reader: Reader, library: str | None = None) -> Reader:
         process = _Process(path, [reader.__module__, reader.__name__], library)
         try:
             found, _arrays = process.ask({"open": True})
+            if found["missing"]:
+                _warn_once("; ".join(found["missing"]))
             columns = tuple(Column(**column) for column in found["columns"])
             numbers = itertools.count()
 
@@ -89,6 +99,15 @@ def in_own_process(reader: Reader, library: str | None = None) -> Reader:
     return opened
 
 
+@functools.cache
+def _warn_once(missing: str) -> None:
+    log.warning(
+        "this system lacks what confines the readers of data files, so a file of somebody else "
+        "could make them do what stands in brackets: %s",
+        missing,
+    )
+
+
 class _Server:
     """Client of the server from which reader processes are forked."""
 
@@ -103,7 +122,7 @@ class _Server:
                 [sys.executable, "-c", code],
                 stdin=theirs.fileno(),
                 stdout=subprocess.DEVNULL,
-                env=os.environ | ENVIRONMENT,
+                env={k: v for k, v in os.environ.items() if PASSED.fullmatch(k)} | ENVIRONMENT,
             )
         self._control.recv(1)  # wait until ready: a slow start must not count for the first file
 

@@ -2,13 +2,14 @@
 
 A confined process only reads its file: no writing, no new processes, no connections. The
 protections are independent, as not every system has all of them: resource limits (POSIX), Landlock
-(Linux from 5.13 on), a filter of system calls (Linux on x86-64 and ARM), and an audit hook in
-Python.
+(Linux from 5.13 on), a list of the allowed system calls (Linux on x86-64 and ARM), and an audit
+hook in Python.
 """
 
 from __future__ import annotations
 
 import ctypes
+import errno
 import importlib
 import json
 import mmap
@@ -75,8 +76,8 @@ def _forked(request: dict[str, Any], handles: Sequence[int], control: socket.soc
             file, connection, memory = handles
             shared = mmap.mmap(memory, SHARED_BYTES)
             os.chdir(request["folder"])  # names in messages may be relative to it
-            confine(file, Path(request["path"]), request["memory_bytes"])
-            _serve_file(reader, Path(request["path"]), connection, shared)
+            missing = confine(file, Path(request["path"]), request["memory_bytes"])
+            _serve_file(reader, Path(request["path"]), connection, shared, missing)
         finally:
             os._exit(0 if sys.exc_info()[0] is None else 1)
     return pid
@@ -96,7 +97,9 @@ def _end(pid: int, grace_s: float) -> int:
     return -signal.SIGKILL
 
 
-def _serve_file(reader: Reader, path: Path, connection: int, shared: mmap.mmap) -> None:
+def _serve_file(
+    reader: Reader, path: Path, connection: int, shared: mmap.mmap, missing: Sequence[str]
+) -> None:
     with (
         os.fdopen(connection, "rb", closefd=False) as requests,
         os.fdopen(connection, "wb", closefd=False) as answers,
@@ -109,7 +112,8 @@ def _serve_file(reader: Reader, path: Path, connection: int, shared: mmap.mmap) 
                 kinds.append([str(array.dtype), len(array)])
                 np.frombuffer(shared, array.dtype, len(array), place)[:] = array
                 place += array.nbytes
-            answers.write(json.dumps(answer | {"arrays": kinds}).encode() + b"\n")
+            answer |= {"arrays": kinds, "missing": missing}
+            answers.write(json.dumps(answer).encode() + b"\n")
             answers.flush()
 
 
@@ -166,31 +170,37 @@ _FS_RIGHTS = {1: 13, 2: 14, 3: 15, 5: 16}
 """Number of file access rights, by the version of Landlock that introduced them."""
 _CREATE_RULESET, _ADD_RULE, _RESTRICT_SELF = 444, 445, 446
 _SET_PDEATHSIG, _SET_SECCOMP, _SET_NO_NEW_PRIVS = 1, 22, 38
-_CLONE_THREAD = 0x10000
-_ALLOW, _REFUSE = 0x7FFF0000, 0x00050000
-_NOT_PERMITTED, _NOT_IMPLEMENTED = 1, 38
-_CLONE3 = 435
-_SYSTEM_CALLS: dict[str, tuple[int, int, tuple[int, ...]]] = {
-    "x86_64": (
-        0xC000003E,
-        56,
-        # socket, socketpair, connect, fork, vfork, execve, execveat, ptrace, process_vm_*, bpf,
-        # io_uring_setup, unshare, mount; chmod, chown, utime, setxattr, removexattr and the like
-        (
-            *(41, 53, 42, 57, 58, 59, 322, 101, 310, 311, 321, 425, 272, 165),
-            *(90, 91, 92, 93, 94, 260, 268, 452, 132, 235, 261, 280, 188, 189, 190, 197, 198, 199),
-        ),
-    ),
-    "aarch64": (
-        0xC00000B7,
-        220,
-        (
-            *(198, 199, 203, 221, 281, 117, 270, 271, 280, 425, 97, 40),
-            *(52, 53, 54, 55, 452, 88, 5, 6, 7, 14, 15, 16),
-        ),
-    ),
+_WRITES = os.O_WRONLY | os.O_RDWR | os.O_CREAT | os.O_TRUNC | os.O_APPEND
+_ARCHITECTURES = {"x86_64": (0xC000003E, 0), "aarch64": (0xC00000B7, 1)}
+"""Audit code of an architecture, and the place of its numbers in the tables of system calls."""
+# reading, memory, time, threads, and what a process asks about itself
+_ALLOWED_CALLS = """
+read:0:63 write:1:64 close:3:57 stat:4: fstat:5:80 lstat:6: poll:7: lseek:8:62 mmap:9:222
+brk:12:214 mprotect:10:226 munmap:11:215 rt_sigaction:13:134 dup:32:23 rt_sigprocmask:14:135
+rt_sigreturn:15:139 pread64:17:67 readv:19:65 writev:20:66 access:21: sched_yield:24:124
+mremap:25:216 madvise:28:233 nanosleep:35:101 setitimer:38:103 getpid:39:172 exit:60:93
+uname:63:160 flock:73:32 getcwd:79:17 readlink:89: gettimeofday:96:169 time:201:
+getrlimit:97:163 getrusage:98:165 sysinfo:99:179 times:100:153 getuid:102:174 getgid:104:176
+geteuid:107:175 getegid:108:177 getppid:110:173 sigaltstack:131:132 gettid:186:178 futex:202:98
+sched_getaffinity:204:123 getdents64:217:61 set_tid_address:218:96 restart_syscall:219:128
+fadvise64:221:223 clock_gettime:228:113 clock_getres:229:114 clock_nanosleep:230:115
+exit_group:231:94 newfstatat:262:79 readlinkat:267:78 faccessat:269:48 ppoll:271:73
+set_robust_list:273:99 eventfd2:290:19 pipe2:293:59 getcpu:309:168 getrandom:318:278
+membarrier:324:283 statx:332:291 rseq:334:293 faccessat2:439:439
+"""
+"""Name and number of each allowed system call, on x86-64 and on ARM."""
+_ALL, _CLONE_THREAD, _TCGETS, _OF_SIGNALS = 0xFFFFFFFF, 0x10000, 0x5401, 8
+_BOUNDED_CALLS = {
+    "open": (2, 0xFFFF, 1, _WRITES, 0),  # no such number on ARM
+    "openat": (257, 56, 2, _WRITES, 0),
+    "ioctl": (16, 29, 1, _ALL, _TCGETS),  # is it a terminal?
+    "fcntl": (72, 25, 1, _OF_SIGNALS, 0),
+    "clone": (56, 220, 0, _CLONE_THREAD, _CLONE_THREAD),  # threads only
+    "prlimit64": (302, 261, 0, _ALL, 0),  # of this process
 }
-"""By architecture: its audit code, the number of clone(), and the numbers of the refused calls."""
+_OWN_SIGNALS = {"kill": (62, 129), "tgkill": (234, 131)}
+"""System calls that are allowed if an argument has certain bits: the number of the argument, the
+bits that count, and their value; in the last table the first argument is this process."""
 _REFUSED_EVENTS = (
     *("ctypes.dlopen", "os.exec", "os.fork", "os.forkpty", "os.posix_spawn", "os.spawn"),
     *("os.startfile", "os.system", "pty.spawn", "subprocess.Popen", "socket.", "pickle.find_class"),
@@ -198,24 +208,30 @@ _REFUSED_EVENTS = (
     *("os.symlink", "os.truncate", "os.utime", "shutil.", "sqlite3.", "urllib.", "webbrowser."),
 )
 """Prefixes of Python audit events that no reader needs."""
-_WRITES = os.O_WRONLY | os.O_RDWR | os.O_CREAT | os.O_TRUNC | os.O_APPEND
 
 
-def confine(descriptor: int, path: Path, memory_bytes: int) -> None:
+def confine(descriptor: int, path: Path, memory_bytes: int) -> list[str]:
     """Restrict this process irrevocably to reading one file and the code of Python.
 
     `descriptor` is the open file, `path` the name by which libraries open it again. `memory_bytes`
-    is the allowed address space in addition to what is in use.
+    is the allowed address space in addition to what is in use. What this system lacks is returned,
+    with what a file could therefore make its reader do.
     """
     folders = _code_folders()
-    _limit(memory_bytes)
+    is_limited, is_private, is_filtered = _limit(memory_bytes), False, False
     with suppress(OSError, AttributeError):
         libc = ctypes.CDLL(None, use_errno=True)
         libc.prctl(_SET_PDEATHSIG, 9, 0, 0, 0)
         if libc.prctl(_SET_NO_NEW_PRIVS, 1, 0, 0, 0) == 0:
-            _restrict_files(libc, descriptor, folders)
-            _filter_calls(libc)
+            is_private = _restrict_files(libc, descriptor, folders)
+            is_filtered = _filter_calls(libc)
     _refuse_events(path, folders)
+    parts = {
+        "/proc (take any amount of memory)": is_limited,
+        "Landlock (read other files)": is_private,
+        "a filter of system calls (connect, start programs, change files)": is_filtered,
+    }
+    return [part for part, is_there in parts.items() if not is_there]
 
 
 def _code_folders() -> list[str]:
@@ -231,10 +247,10 @@ def _code_folders() -> list[str]:
     return list(filter(os.path.isdir, {*prefixes, *packages, *map(os.path.realpath, system)}))
 
 
-def _limit(memory_bytes: int) -> None:
-    """Limit memory and open files; forbid that files grow and cores are dumped."""
+def _limit(memory_bytes: int) -> bool:
+    """Limit open files, forbid that files grow and cores are dumped; return whether memory is."""
     if not HAS_LIMITS:
-        return
+        return False
     bounds = {resource.RLIMIT_FSIZE: 0, resource.RLIMIT_CORE: 0}
     bounds[resource.RLIMIT_NOFILE] = MOST_DESCRIPTORS
     with suppress(OSError, ValueError):  # without /proc the memory in use is not known
@@ -244,26 +260,30 @@ def _limit(memory_bytes: int) -> None:
         hard = resource.getrlimit(kind)[1]
         bound = bound if hard == resource.RLIM_INFINITY else min(bound, hard)
         resource.setrlimit(kind, (bound, bound))
+    return resource.RLIMIT_AS in bounds
 
 
-def _restrict_files(libc: Any, descriptor: int, folders: Sequence[str]) -> None:
-    """Refuse other files, TCP and signals to other processes by Landlock, if available."""
+def _restrict_files(libc: Any, descriptor: int, folders: Sequence[str]) -> bool:
+    """Refuse other files, TCP and signals to other processes by Landlock; return whether it is so.
+
+    Its earlier versions refuse less; the filter of system calls refuses that too.
+    """
     version = libc.syscall(_CREATE_RULESET, None, 0, 1)
     if version < 1:
-        return
+        return False
     n_rights = max(n for first, n in _FS_RIGHTS.items() if first <= version)
     attributes = ((1 << n_rights) - 1, 0b11 * (version >= 4), 0b11 * (version >= 6))
     size = 8 * (1 + (version >= 4) + (version >= 6))
     ruleset = libc.syscall(_CREATE_RULESET, struct.pack("QQQ", *attributes)[:size], size, 0)
     if ruleset < 0:
-        return
+        return False
     try:
         _allow(libc, ruleset, descriptor, _READ_FILE)
         for folder in folders:
             handle = os.open(folder, os.O_PATH | os.O_CLOEXEC)
             _allow(libc, ruleset, handle, _READ_FILE | _READ_DIR)
             os.close(handle)
-        libc.syscall(_RESTRICT_SELF, ruleset, 0)
+        return bool(libc.syscall(_RESTRICT_SELF, ruleset, 0) == 0)
     finally:
         os.close(ruleset)
 
@@ -272,25 +292,26 @@ def _allow(libc: Any, ruleset: int, handle: int, rights: int) -> None:
     libc.syscall(_ADD_RULE, ruleset, 1, struct.pack("=Qi", rights, handle), 0)
 
 
-def _filter_calls(libc: Any) -> None:
-    """Refuse system calls that start processes, open connections or change file attributes."""
-    if platform.machine() not in _SYSTEM_CALLS:
-        return
-    architecture, clone, refused = _SYSTEM_CALLS[platform.machine()]
+def _filter_calls(libc: Any) -> bool:
+    """Refuse all system calls but those of the tables; return whether it is so."""
+    if platform.machine() not in _ARCHITECTURES:
+        return False
+    code, place = _ARCHITECTURES[platform.machine()]
+    own = [(*numbers, 0, _ALL, os.getpid()) for numbers in _OWN_SIGNALS.values()]
     # classic BPF: (operation, skip if true, skip if false, operand)
-    load, equal, at_least, any_bit, give = 0x20, 0x15, 0x35, 0x45, 0x06
-    refuse, number_is = (give, 0, 0, _REFUSE | _NOT_PERMITTED), (load, 0, 0, 0)
-    program = [(load, 0, 0, 4), (equal, 1, 0, architecture), refuse, number_is]
-    program += [(at_least, 0, 1, 0x40000000), refuse]  # the x32 calls of x86-64
-    program += [(equal, 0, 1, _CLONE3), (give, 0, 0, _REFUSE | _NOT_IMPLEMENTED)]
-    for number in refused:
-        program += [(equal, 0, 1, number), refuse]
-    # clone() may start threads only; the flags of clone3() cannot be read, so it looks missing
-    program += [(equal, 1, 0, clone), (give, 0, 0, _ALLOW), (load, 0, 0, 16)]
-    program += [(any_bit, 0, 1, _CLONE_THREAD), (give, 0, 0, _ALLOW), refuse]
-    code = ctypes.create_string_buffer(b"".join(struct.pack("HBBI", *one) for one in program))
-    head = struct.pack("HxxxxxxP", len(program), ctypes.addressof(code))
-    libc.prctl(_SET_SECCOMP, 2, head, 0, 0)
+    load, equal, bits, give = 0x20, 0x15, 0x54, 0x06
+    allow, refuse = (give, 0, 0, 0x7FFF0000), (give, 0, 0, 0x00050000 | errno.EPERM)
+    program = [(load, 0, 0, 4), (equal, 1, 0, code), refuse, (load, 0, 0, 0)]
+    for number in (one.split(":")[1 + place] for one in _ALLOWED_CALLS.split()):
+        program += [(equal, 0, 1, int(number)), allow] if number else []
+    for *numbers, argument, mask, value in (*_BOUNDED_CALLS.values(), *own):
+        program += [(equal, 0, 5, numbers[place]), (load, 0, 0, 16 + 8 * argument)]
+        program += [(bits, 0, 0, mask), (equal, 0, 1, value), allow, refuse]
+    # libraries do without calls that look missing, as clone3(), whose flags cannot be read
+    program.append((give, 0, 0, 0x00050000 | errno.ENOSYS))
+    content = ctypes.create_string_buffer(b"".join(struct.pack("HBBI", *one) for one in program))
+    head = struct.pack("HxxxxxxP", len(program), ctypes.addressof(content))
+    return bool(libc.prctl(_SET_SECCOMP, 2, head, 0, 0) == 0)
 
 
 def _refuse_events(path: Path, folders: Sequence[str]) -> None:

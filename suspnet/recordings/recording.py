@@ -28,8 +28,8 @@ from suspnet.recordings.dead_sensors import DEAD, dead_faults, living, nearly_de
 from suspnet.recordings.errors import TripError, all_of
 from suspnet.recordings.loose import find_loose
 from suspnet.recordings.manifest import CHANNELS, TripManifest
-from suspnet.recordings.manifest_sources import channel_of, partner_of
-from suspnet.recordings.sensor import Sensor, SensorSignal
+from suspnet.recordings.manifest_sources import TIME_UNITS, channel_of, partner_of
+from suspnet.recordings.sensor import PASS, Sensor, SensorSignal
 from suspnet.recordings.sources import open_source, zero_of
 from suspnet.recordings.speed import SpeedTrack, read_speed, speed_at
 
@@ -296,11 +296,20 @@ def _read_sensor(
 ) -> SensorSignal:
     where, channel = manifest.where(name), manifest.sensors()[name]
     with open_source(manifest, channel, where) as source:
-        blocks = source.even()
+        blocks = source.even(PASS * wanted_hz)
         first_block = next(blocks)  # read first: time stamps then give the approximate rate
         rate_hz = source.known_rate_hz
         if rate_hz < 0.99 * wanted_hz:
-            raise TripError(f"{where} has {rate_hz:g} Hz; at least {wanted_hz:g} Hz are needed")
+            unit = "" if source.times is None else source.times.likely_unit(rate_hz)
+            more = ""
+            if unit:
+                more = (
+                    f"; its times look like {unit}, {rate_hz / TIME_UNITS[unit]:.6g} Hz: give "
+                    f"`time_unit: {unit}`"
+                )
+            raise TripError(
+                f"{where} has {rate_hz:g} Hz; at least {wanted_hz:g} Hz are needed{more}"
+            )
         if rate_hz > HIGHEST_HZ:
             raise TripError(f"{where} has {rate_hz:g} Hz; at most {HIGHEST_HZ:g} Hz can be read")
         cleaner = Cleaner(name, rate_hz, source.full_scale)

@@ -22,8 +22,8 @@ from numpy.typing import NDArray
 from scipy.signal import firwin, kaiser_beta, kaiserord, upfirdn
 
 from suspnet.ground.types import BoolArray, FloatArray, IntArray
-from suspnet.recordings.cleaning import Cleaner, Fault
-from suspnet.recordings.errors import DeadSensorError
+from suspnet.recordings.cleaning import LARGEST_MEAN_M_PER_S2, Cleaner, Fault
+from suspnet.recordings.errors import DeadSensorError, TripError
 
 
 @dataclass(frozen=True)
@@ -82,7 +82,7 @@ class Sensor:
     def finish(self, shift_s: float = 0.0) -> SensorSignal:
         """Return the signal on the common clock, after the last sample.
 
-        Raises DeadSensorError if no sample is usable.
+        Raises DeadSensorError if no sample is usable, TripError if the mean is impossible.
         `shift_s` is the zero of the result's times on the sensor's clock, a multiple of the common
         step.
         """
@@ -149,7 +149,12 @@ class Sensor:
 
 
 def _check_alive(where: str, cleaner: Cleaner, faults: tuple[Fault, ...]) -> None:
-    """Raise DeadSensorError if a sensor has no usable sample."""
+    """Raise DeadSensorError if a sensor has no usable sample, TripError if its unit is wrong."""
+    if abs(cleaner.mean) > LARGEST_MEAN_M_PER_S2:
+        raise TripError(
+            f"{where} has a mean of {cleaner.mean:.3g} m/s2, gravity is 9.81: is its unit mg, not "
+            "g? Correct `unit` in the manifest, and convert what is in neither g nor m/s2"
+        )
     if cleaner.n_bad < cleaner.n_samples:
         return
     n_constant = sum(fault.n_samples for fault in faults if fault.kind == "constant")

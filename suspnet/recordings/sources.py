@@ -17,11 +17,16 @@ from suspnet.recordings.errors import TripError
 from suspnet.recordings.formats import open_file, read_columns
 from suspnet.recordings.manifest import TripManifest
 from suspnet.recordings.manifest_sources import Channel, Source
+from suspnet.recordings.uneven import Grid, are_uneven
 
 RATE_TOLERANCE = 1e-4
 """Largest relative difference between a stated rate and that in the header of a file."""
 WHOLE_HZ = 0.5
 """Largest difference from a rate that the format stores as a whole number, [Hz]."""
+BAND_HZ = 25.0
+"""Frequency up to which samples are used unless a reader says otherwise, [Hz]."""
+GAP_STEPS = 1.5
+"""Multiple of the usual time step above which a step is a gap, where steps are even."""
 
 
 @dataclass(frozen=True)
@@ -41,8 +46,8 @@ class OpenSource:
         Origin by the file's header.
     full_scale : float or None, [m/s2]
         Largest magnitude of an acceleration.
-    words : str
-        How the file is read.
+    stated_words : str
+        How the file is read, as known when it was opened.
     where : str
         Name of the source in errors.
     """
@@ -55,9 +60,17 @@ class OpenSource:
     times: Times | None
     stated: Zero
     full_scale: float | None
-    words: str
+    stated_words: str
     where: str
     timeline: Timeline | None
+
+    @property
+    def words(self) -> str:
+        """How the file is read, and what was repaired in the blocks so far."""
+        repaired = [] if self.times is None else self.times.words
+        uneven = "" if self.timeline is None else self.timeline.words
+        parts = (self.stated_words, *self.file.remarks, *repaired, uneven)
+        return "; ".join(part for part in parts if part)
 
     @property
     def zero(self) -> Zero:
@@ -67,16 +80,31 @@ class OpenSource:
         return replace(self.times.zero, date=self.stated.date)
 
     def blocks(self) -> Iterator[tuple[FloatArray, ...]]:
-        """Yield times [s], if there are any, and values in the source's unit."""
+        """Yield times [s], if there are any, and values in the source's unit.
+
+        Rows without a time are left out.
+        """
+        n_rows = 0
         for block in read_columns(self.path, self.file, self.names):
             if self.times is None:
                 yield block
-            else:
-                yield self.times.seconds(block[0]), block[1]
+                continue
+            seconds, values = self.times.seconds(block[0]), block[1]
+            if (untimed := np.isnan(seconds)).any():
+                self.times.n_untimed += int(np.count_nonzero(untimed & ~np.isnan(values)))
+                seconds, values = seconds[~untimed], values[~untimed]
+            n_rows += len(values)
+            yield seconds, values
+        if self.times is not None and not n_rows:
+            raise TripError(f"{self.where}: its times are empty")
 
-    def even(self) -> Iterator[FloatArray]:
-        """Yield evenly sampled values in the source's unit; NaN where times are missing."""
+    def even(self, band_hz: float = BAND_HZ) -> Iterator[FloatArray]:
+        """Yield evenly sampled values in the source's unit; NaN where times are missing.
+
+        Uneven times must allow interpolation up to `band_hz`.
+        """
         if self.timeline is not None:
+            self.timeline.band_hz = band_hz
             yield from self.timeline.even(self.blocks())
         else:
             for (block,) in self.blocks():
@@ -119,8 +147,10 @@ def open_source(manifest: TripManifest, source: Source, where: str) -> Iterator[
             stamps = [one.name for one in file.columns if one.is_time]
             time = stamps[0] if len(stamps) == 1 else None
         if time is None and rate_hz is None:
+            unread = [f"; {one.name!r} {one.unread}" for one in file.columns if one.unread]
             raise TripError(
                 f"{where} needs `rate_hz` or `time` (a column): {path.name} does not say the rate"
+                + "".join(unread[:1])
             )
         # factor to SI units, and the sensor's range in them
         size, words = _size(where, source, column)
@@ -140,7 +170,7 @@ def open_source(manifest: TripManifest, source: Source, where: str) -> Iterator[
             size,
             rate_hz,
             times,
-            Zero(column.start_ns, is_stated=True, date=header_date(column)),
+            Zero(column.start_ns, not column.is_local, is_stated=True, date=header_date(column)),
             full_scale,
             "; ".join(part for part in (file.words, words) if part),
             where,
@@ -188,8 +218,6 @@ def zero_of(manifest: TripManifest, name: str) -> Zero:
         return opened.zero
 
 
-GAP_STEPS = 1.5
-"""Multiple of the usual time step above which a step is a gap."""
 LONGEST_GAP_S = 1800.0
 """Longest gap within a trip, [s]; time stamps with a longer one are refused."""
 TIMES_TOLERANCE = 0.01
@@ -202,45 +230,67 @@ class Timeline:
     `where` names the source in errors. The argument `rate_hz` is the rate of the manifest, or None;
     the attribute is the inverse mean time step without gaps, which is approximate after the first
     block, exact after the last, and NaN while there is no step. `first_s` is the first time stamp.
+    `band_hz` is the frequency up to which the samples are used.
     """
 
-    def __init__(self, where: str, rate_hz: float | None) -> None:
-        self.where, self.stated_rate_hz = where, rate_hz
+    def __init__(self, where: str, rate_hz: float | None, band_hz: float = BAND_HZ) -> None:
+        self.where, self.stated_rate_hz, self.band_hz = where, rate_hz, band_hz
         self.rate_hz = self.first_s = np.nan
         self._usual_s = self._last_s = np.nan
         self._n_steps, self._seconds = 0, 0.0
         self._rest = 0.0  # accumulated rounding error of gaps, [samples]
+        self._grid: Grid | None = None
+
+    @property
+    def words(self) -> str:
+        """What was done with uneven times; empty for even ones."""
+        return "" if self._grid is None else self._grid.words
 
     def even(self, blocks: Iterable[tuple[FloatArray, ...]]) -> Iterator[FloatArray]:
         """Yield the values of blocks of (times [s], values), with NaN where times are missing.
 
-        Raises TripError if times do not rise, are not finite, have gaps above ``LONGEST_GAP_S``, or
-        differ from the stated rate by more than ``TIMES_TOLERANCE``.
+        Uneven times are interpolated. Raises TripError if times do not rise, are not finite, have
+        gaps above ``LONGEST_GAP_S``, are too uneven, or differ from the stated rate by more than
+        ``TIMES_TOLERANCE``.
         """
         for times, values in _recut(blocks):
-            before = self._last_s if self._n_steps else None
+            before = None if np.isnan(self._last_s) else self._last_s
             check_rising(self.where, times, before)
             if before is None:
                 self.first_s = float(times[0])
             steps = np.diff(times, prepend=times[0] if before is None else before)
             if np.isnan(self._usual_s) and len(times) > 1:
                 self._usual_s = float(np.median(steps[1:]))
-            gaps = np.flatnonzero(steps > GAP_STEPS * self._usual_s)
-            self._count(steps, gaps)
+            if self._grid is None and are_uneven(steps[1:], self.band_hz):
+                first_s = self.first_s if before is None else before + 1 / self.rate_hz
+                self._grid = Grid(self.where, first_s, steps[1:], self.band_hz)
+                self.rate_hz = self._grid.rate_hz
+                check_rate(self.where, self.stated_rate_hz, self.rate_hz)
+            if self._grid is not None:
+                check_gaps(self.where, steps[steps > self._grid.gap_s])
+                yield self._grid.push(times, values)
+            else:
+                yield self._filled(steps, values)
             self._last_s = float(times[-1])
-            if len(gaps) == 0:
-                yield values
-                continue
-            # shift each value by the number of samples missing before it
-            shift = np.zeros(len(times), dtype=np.intp)
-            shift[gaps] = self._missing(steps[gaps])
-            shift = np.cumsum(shift)
-            filled = np.full(len(times) + int(shift[-1]), np.nan)
-            filled[np.arange(len(times)) + shift] = values
-            yield filled
+        if self._grid is not None:
+            yield self._grid.finish()
+
+    def _filled(self, steps: FloatArray, values: FloatArray) -> FloatArray:
+        """Return values with NaN where samples are missing before them, by the steps to each."""
+        gaps = np.flatnonzero(steps > GAP_STEPS * self._usual_s)
+        self._count(steps, gaps)
+        if len(gaps) == 0:
+            return values
+        # shift each value by the number of samples missing before it
+        shift = np.zeros(len(steps), dtype=np.intp)
+        shift[gaps] = self._missing(steps[gaps])
+        shift = np.cumsum(shift)
+        filled = np.full(len(steps) + int(shift[-1]), np.nan)
+        filled[np.arange(len(steps)) + shift] = values
+        return filled
 
     def _count(self, steps: FloatArray, gaps: IntArray) -> None:
-        n_first = 0 if self._n_steps else 1  # the very first sample follows no step
+        n_first = int(np.isnan(self._last_s))  # the very first sample follows no step
         self._n_steps += len(steps) - n_first - len(gaps)
         self._seconds += float(steps.sum() - steps[gaps].sum())
         if self._n_steps:
@@ -249,11 +299,7 @@ class Timeline:
 
     def _missing(self, gaps_s: FloatArray) -> FloatArray:
         """Return the number of samples missing in each gap; rounding errors do not accumulate."""
-        if gaps_s.sum() > LONGEST_GAP_S:
-            raise TripError(
-                f"{self.where}: its times leave out {gaps_s.sum():.6g} s at once; the most is "
-                f"{LONGEST_GAP_S:g} s, so divide the trip in two or correct the times"
-            )
+        check_gaps(self.where, gaps_s)
         exact = np.cumsum(gaps_s * self.rate_hz - 1) + self._rest
         whole = np.maximum.accumulate(np.round(exact))
         self._rest = float(exact[-1] - whole[-1])
@@ -268,9 +314,23 @@ def check_rising(where: str, times: FloatArray, before: float | None = None) -> 
     fall = np.flatnonzero(all_times[1:] <= all_times[:-1])
     if len(fall):
         earlier, later = all_times[fall[0] : fall[0] + 2]
+        reason = "are they rounded too coarsely, or stored in single precision?"
+        if later < earlier:
+            reason = (
+                f"the clock steps back by {earlier - later:.6g} s; divide the trip there, or give "
+                "`rate_hz` instead of `time`"
+            )
         raise TripError(
-            f"{where}: times must rise, but {later:.9g} s follows {earlier:.9g} s; are they "
-            "rounded too coarsely, or stored in single precision?"
+            f"{where}: times must rise, but {later:.9g} s follows {earlier:.9g} s; {reason}"
+        )
+
+
+def check_gaps(where: str, gaps_s: FloatArray) -> None:
+    """Raise TripError if gaps are longer than ``LONGEST_GAP_S`` in all."""
+    if gaps_s.sum() > LONGEST_GAP_S:
+        raise TripError(
+            f"{where}: its times leave out {gaps_s.sum():.6g} s at once; the most is "
+            f"{LONGEST_GAP_S:g} s, so divide the trip in two or correct the times"
         )
 
 

@@ -56,6 +56,7 @@ def write_xlsx(tables: Mapping[str, Sequence[Mapping[str, Any]]], path: Path) ->
             "header": book.add_format({"bold": True, "text_wrap": True, "valign": "top"}),
             "time": book.add_format({"num_format": "yyyy-mm-dd hh:mm:ss"}),
             "day": book.add_format({"num_format": "yyyy-mm-dd"}),
+            "plain": book.add_format(),
         }
         for name, rows in tables.items():
             if rows:
@@ -92,11 +93,11 @@ def _write(sheet: Any, name: str, rows: Sequence[Mapping[str, Any]], formats: An
     columns = list(dict.fromkeys(column for row in rows for column in row))
     widths = [min(len(header_of(column)) + 2, 24) for column in columns]
     for j, column in enumerate(columns):
-        sheet.write_string(0, j, header_of(column), formats["header"])
+        _write_text(sheet, (0, j), _text(header_of(column)), formats["plain"], formats["header"])
         for i, row in enumerate(rows, start=1):
             value = _typed(column, row.get(column))
             if isinstance(value, str):
-                sheet.write_string(i, j, value)
+                _write_text(sheet, (i, j), value, formats["plain"])
                 widths[j] = max(widths[j], min(len(value), WIDEST))
             elif isinstance(value, bool):
                 sheet.write_boolean(i, j, value)
@@ -109,6 +110,14 @@ def _write(sheet: Any, name: str, rows: Sequence[Mapping[str, Any]], formats: An
         sheet.set_column(j, j, widths[j])
     sheet.freeze_panes(1, 1)
     sheet.autofilter(0, 0, len(rows), len(columns) - 1)
+
+
+def _write_text(sheet: Any, at: tuple[int, int], text: str, plain: Any, *format: Any) -> None:
+    """Write a text as it is, also one that XlsxWriter would write as markup: in two pieces."""
+    if text.startswith("<r>") and text.endswith("</r>"):
+        sheet.write_rich_string(*at, text[0], plain, text[1:], *format)
+    else:
+        sheet.write_string(*at, text, *format)
 
 
 TIMES = ("start", "at", "day", "latest", "decide_by", "passing_from", "passing_to", "since")

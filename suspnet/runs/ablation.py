@@ -11,7 +11,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import yaml
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullFormatter
@@ -21,7 +20,8 @@ from suspnet.estimation.checkpoint import load_model
 from suspnet.estimation.feature_information import feature_loss
 from suspnet.estimation.problem import TEST, Problem
 from suspnet.estimation.trained import TrainedModel
-from suspnet.ground.storage import content_hash, dump_arrays, read_json, read_plain
+from suspnet.ground.storage import content_hash, dump_arrays, read_json
+from suspnet.recordings.core_yaml import read_yaml
 from suspnet.report.figures import SYMBOLS
 from suspnet.runs.plots import BOUND_COLOUR, OUR_COLOUR
 from suspnet.runs.tables import in_digits, mean_known, write_study
@@ -94,7 +94,7 @@ def figure(records: Sequence[Record]) -> Figure:
 def _draw_output(axis: Axes, records: Sequence[Record], names: Sequence[str]) -> None:
     axis.axvline(1, color=BOUND_COLOUR, lw=1, label="bound of the curves")
     for record in records:
-        if record["ablation"] == BASELINE:
+        if record["ablation"] == BASELINE and record["rms_ratio"] is not None:
             axis.axvline(record["rms_ratio"], color=OUR_COLOUR, ls="--", lw=1, label="baseline")
     for key, style, label in (
         ("features_ratio", {"marker": "|", "ms": 10, "color": "tab:red"}, "bound of the features"),
@@ -116,7 +116,7 @@ def _run(folder: Path, known: dict[str, dict[str, float]]) -> dict[str, Any]:
     metrics: dict[str, Any] = read_json(folder / "metrics.json")
     lost = features_ratio(load_model(folder), known)
     return metrics | {
-        "config": yaml.safe_load(read_plain(folder / "config.yaml")),
+        "config": read_yaml(folder / "config.yaml"),
         "features_ratio": {name: None if math.isnan(v) else v for name, v in lost.items()},
     }
 

@@ -20,7 +20,7 @@ import pyarrow.parquet as pq
 from numpy.typing import ArrayLike, NDArray
 
 from suspnet._version import __version__
-from suspnet.estimation.information import output_bounds
+from suspnet.estimation.information import output_bounds, over_bound
 from suspnet.estimation.problem import BLOCK, CALIBRATE, TEST, TRAIN, Problem
 from suspnet.ground.extras import import_extra
 from suspnet.ground.parameters import PARAMETERS
@@ -91,9 +91,13 @@ class DataSet(ShortRepr):
         error = 100 * np.sqrt(np.mean((estimates / truth - 1) ** 2, axis=0))
         least = 100 * np.sqrt(np.mean((bound / truth) ** 2, axis=0))
         return {
-            name: {"rms_percent": e, "bound_percent": b, "ratio": e / b}
-            for name, e, b in zip(
-                self.about["outputs"], error.tolist(), least.tolist(), strict=True
+            name: dict(zip(("rms_percent", "bound_percent", "ratio"), numbers, strict=True))
+            for name, *numbers in zip(
+                self.about["outputs"],
+                error.tolist(),
+                least.tolist(),
+                over_bound(error, least).tolist(),
+                strict=True,
             )
         }
 

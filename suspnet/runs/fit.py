@@ -16,6 +16,8 @@ from suspnet.estimation.problem import TRAIN, FeatureData, Problem, none_complet
 from suspnet.estimation.protocols import Task
 from suspnet.estimation.trained import TrainedModel
 from suspnet.ground.progress import bar as progress_bar
+from suspnet.ground.settings import check_settings
+from suspnet.ground.tensors import check_device
 from suspnet.learning import METHODS, SVR, Scaling, ranks
 from suspnet.learning.search import GridSearch, SearchResult
 from suspnet.report.tensorboard import RunLog
@@ -61,6 +63,16 @@ def tune(problem: Problem, estimator: Any, search: GridSearch, run_log: RunLog) 
         return search.run(
             name, estimator, inputs.apply(data.inputs), outputs.apply(data.outputs), outputs, report
         )
+
+
+def check_hyperparameters(estimator: Any) -> None:
+    """Raise TypeError or ValueError if a setting of a method is invalid, before curves are made."""
+    if hasattr(estimator, "check_parameters"):
+        estimator.check_parameters()
+    elif isinstance(getattr(estimator, "settings", None), Mapping):
+        check_settings(estimator)
+    if isinstance(device := getattr(estimator, "device", None), str):
+        check_device(device)
 
 
 def fit(problem: Problem, estimator: Any, run_log: RunLog | None) -> TrainedModel:

@@ -156,7 +156,8 @@ def table6(records: Sequence[Mapping[str, Any]]) -> Figure:
                     bar = axis.bar(x + shift, record[key], 0.4, color=colour)
                     axis.bar_label(bar, [f"{record[key]:.2g}"], fontsize=7)
         bound = next(iter(by_model.values()))["bound"]
-        axis.axhline(bound, color=BOUND_COLOUR, ls="--", lw=1)
+        if bound is not None:  # an output that the curves do not identify has none
+            axis.axhline(bound, color=BOUND_COLOUR, ls="--", lw=1)
         axis.set(title=SYMBOLS[output], yscale="log")
         axis.margins(y=0.15)
         axis.set_xticks(range(len(models)), [MODEL_TITLES[m] for m in models], rotation=30)

@@ -94,9 +94,7 @@ def compare(cells: Cells) -> Record:
         output: [PUBLISHED[output, "mape_percent"][model] for model in METHODS]
         for output in OUTPUTS
     }
-    pairs = [
-        pair for name in OUTPUTS for pair in zip(mape[name], published[name], strict=True)
-    ]
+    pairs = [pair for name in OUTPUTS for pair in zip(mape[name], published[name], strict=True)]
     ratios = [
         100 * cells[output, "rmse", model] / cells[output, "mape_percent", model]
         for output in OUTPUTS
@@ -113,7 +111,9 @@ def compare(cells: Cells) -> Record:
 
 def published_cells() -> Cells:
     """Return the cells of the paper's Table VI."""
-    return {(*key, model): value for key, models in PUBLISHED.items() for model, value in models.items()}
+    return {
+        (*key, model): value for key, models in PUBLISHED.items() for model, value in models.items()
+    }
 
 
 def readings_markdown(records: Sequence[Record]) -> str:

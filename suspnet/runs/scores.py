@@ -16,6 +16,7 @@ from suspnet.estimation.fitted import FittedMethod
 from suspnet.estimation.information import (
     best_possible,
     output_bounds,
+    over_bound,
     range_limited,
     relative_percent,
 )
@@ -102,11 +103,14 @@ def scores(problem: Problem, model: FittedMethod, outcome: Outcome) -> Metrics:
 
 
 def _rms_ratio(task: Task, outcome: Outcome, bounds: FloatArray) -> dict[str, float]:
-    """Return rms relative error over rms relative bound; warn where it is implausibly small."""
+    """Return rms relative error over rms relative bound; warn where it is implausibly small.
+
+    NaN where the bound is infinite.
+    """
     every = outcome.data.outputs
     error = np.sqrt(np.mean((outcome.predicted / every - 1) ** 2, axis=0))
     truth = every[: len(bounds)]
-    ratios = error / np.sqrt(np.mean((bounds / truth) ** 2, axis=0))
+    ratios = over_bound(error, np.sqrt(np.mean((bounds / truth) ** 2, axis=0)))
     scatter = 1 / math.sqrt(2 * len(truth))
     for j, name in enumerate(task.outputs):
         if not np.isfinite(bounds[:, j]).all():
@@ -136,6 +140,7 @@ def log_hyperparameters(
         for metric in METRICS
     }
     finals |= {f"rms_ratio_{output}": ratio for output, ratio in metrics["rms_ratio"].items()}
+    finals = {name: value for name, value in finals.items() if math.isfinite(value)}
     finals["seconds"] = metrics["seconds"]
     if "search" in metrics:
         finals["cv_rmse"] = min(metrics["search"]["rmse"])

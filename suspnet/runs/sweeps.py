@@ -6,6 +6,7 @@ import json
 import logging
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from shlex import quote
 from statistics import fmean, stdev
 from typing import Any
 
@@ -16,6 +17,7 @@ from tabulate import tabulate
 
 from suspnet.ground.ledger import HYDRA
 from suspnet.ground.storage import read_json, write_atomically, write_json
+from suspnet.recordings.core_yaml import read_yaml
 from suspnet.runs import plots
 from suspnet.runs.ablation import write_ablation
 from suspnet.runs.readings import write_readings
@@ -59,7 +61,7 @@ class Jobs(Callback):
         if not rows:
             return
         write_atomically(folder / "jobs.csv", records_csv(with_swept(folder, rows, "job")))
-        table = tabulate(rows, headers="keys", tablefmt="github", floatfmt=".4g")
+        table = tabulate(rows, "keys", "github", floatfmt=".4g", missingval="-")
         over_seeds = seed_rows(folder, rows)
         if over_seeds:
             swept = with_swept(folder, over_seeds, "jobs", but=SEEDS)
@@ -80,11 +82,14 @@ def job_rows(folder: Path) -> list[dict[str, Any]]:
 
     Jobs are ranked among those with the same outputs, and those that did not finish come last. With
     several speeds or suspensions an error is their mean. ``NAME/bound`` is the rms error over the
-    bound, where a run has one.
+    bound, None where it is infinite.
     """
     jobs = sorted({path.parent for path in folder.glob("*/config.yaml")})
     jobs += sorted({path.parent for path in folder.glob("*/error.txt")} - set(jobs))
-    errors = {job: run_errors(job) for job in jobs}
+    errors = {
+        job: {name: error for name, error in run_errors(job).items() if error is not None}
+        for job in jobs
+    }
     outputs = list(dict.fromkeys(name for found in errors.values() for name in found))
     sets = list(dict.fromkeys(tuple(found) for found in errors.values()))
     over = {job: run_errors(job, "rms_ratio") for job in jobs}
@@ -116,7 +121,7 @@ def with_swept(
     """
     given: dict[str, dict[str, str]] = {}
     for path in sorted(folder.glob(f"*/{HYDRA}/overrides.yaml")):
-        overrides = yaml.safe_load(path.read_text(encoding="utf-8"))
+        overrides = read_yaml(path)
         pairs = (str(one).lstrip("+").partition("=") for one in overrides)
         given[path.parents[1].name] = {key: value for key, _, value in pairs}
     keys = dict.fromkeys(key for own in given.values() for key in own)
@@ -160,7 +165,7 @@ def _same_but_seeds(
     found: dict[str, list[tuple[Mapping[str, Any], dict[str, Any]]]] = {}
     for row in rows:
         if row["state"] == "finished":
-            config = yaml.safe_load((folder / row["job"] / "config.yaml").read_text())
+            config = read_yaml(folder / row["job"] / "config.yaml")
             seeds: dict[str, Any] = {}
             rest = json.dumps(_without_seeds(config, seeds), sort_keys=True, default=str)
             found.setdefault(rest, []).append((row, seeds))
@@ -188,26 +193,24 @@ def _seed_table(rows: Sequence[Mapping[str, Any]]) -> str:
             if key not in line and not key.endswith(" sd"):
                 sd = row[f"{key} sd"]
                 scatter = "" if sd is None else f" +- {sd:.2g}"
-                line[key] = "" if row[key] is None else f"{row[key]:.4g}{scatter}"
+                line[key] = "-" if row[key] is None else f"{row[key]:.4g}{scatter}"
         shown.append(line)
     return tabulate(shown, headers="keys", tablefmt="github", disable_numparse=True)
 
 
-def run_errors(job: Path, entry: str = "rms_percent") -> dict[str, float]:
+def run_errors(job: Path, entry: str = "rms_percent") -> dict[str, float | None]:
     """Return the rms error of each output of a run, [%]; {} if it did not finish.
 
-    `entry` is that of its metrics.json.
+    `entry` is that of its metrics.json. An output without a number there has None.
     """
     for name in ("metrics.json", "speeds.json", "fleet.json"):
         if (job / name).is_file():
             found = read_json(job / name)
             several = found if isinstance(found, list) else [found]
             parts = [part.get(entry) or {} for part in several]
-            return {
-                key: sum(part[key] for part in parts) / len(parts)
-                for key in parts[0]
-                if all(part.get(key) is not None for part in parts)
-            }
+            numbers: dict[str, list[Any]]
+            numbers = {key: [part.get(key) for part in parts] for key in parts[0]}
+            return {key: None if None in some else fmean(some) for key, some in numbers.items()}
     return {}
 
 
@@ -251,9 +254,10 @@ class Table5(_Summary):
                 tuned.setdefault(run["group"], {})[run["model"]] = numbers
         content = yaml.safe_dump({"tuned": tuned}, sort_keys=True)
         content += "".join(f"# {words}\n" for words in edges)
+        use = f"python train.py --config-dir {quote(str(folder))} experiment=best"
         path = write_atomically(
             folder / "experiment" / "best.yaml",
-            f"# @package _global_\n# python train.py --config-dir {folder} experiment=best\n"
+            f"# @package _global_\n# {use}\n"
             f"# or copy `tuned` into configs/protocol/{runs[0]['protocol']}.yaml\n{content}",
         )
         write_json(folder / "table5.json", [_search_record(run) for run in runs if "search" in run])
@@ -261,11 +265,11 @@ class Table5(_Summary):
         write_atomically(folder / "table5.md", f"{table}\n")
         log.info(
             "best hyperparameters (least cross-validated RMSE):\n\n%s\n\n%s-> %s\n"
-            "use them with: python train.py --config-dir %s experiment=best",
+            "use them with: %s",
             table,
             content,
             path,
-            folder,
+            use,
         )
 
 

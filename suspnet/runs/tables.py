@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from statistics import fmean
@@ -172,7 +173,7 @@ def scores_table(metrics: Mapping[str, Any]) -> str:
     for output, values in metrics["scores"].items():
         bound = metrics["bound"][output]
         row = [values["mape_percent"], bound["mape_percent"], values["rmse"], bound["rmse"]]
-        row += [metrics["cramer_rao_percent"][output], metrics["rms_ratio"][output] or None]
+        row += [metrics["cramer_rao_percent"][output], metrics["rms_ratio"][output]]
         if "intervals" in metrics:
             interval = metrics["intervals"]["outputs"][output]
             row += [interval["half_width_percent"], interval["coverage_percent"]]
@@ -191,8 +192,8 @@ def mean_known(values: Iterable[float | None]) -> float | None:
 
 
 def in_digits(value: float | None) -> str:
-    """Return a number with three digits for tables; a dash for None."""
-    if value is None:
+    """Return a number with three digits for tables; a dash for None, NaN and infinity."""
+    if value is None or not math.isfinite(value):
         return "-"
     if value >= 100:
         return f"{value:.0f}"

@@ -37,7 +37,7 @@ from suspnet.ground.workers import Start, here
 from suspnet.learning import ranks
 from suspnet.learning.search import GridSearch, SearchResult
 from suspnet.report.tensorboard import RunLog
-from suspnet.runs.fit import fit, method_name, tune
+from suspnet.runs.fit import check_hyperparameters, fit, method_name, tune
 from suspnet.runs.predict import (
     Outcome,
     calibrated,
@@ -64,12 +64,12 @@ PACKAGES = ("suspnet", "torch", "numpy", "scipy", "scikit-learn", "hydra-core", 
 class RunContext:
     """What the calling program adds to the records and figures of a run.
 
-    `config` is the resolved configuration; its `ablation_name` and `reading_name` go into metrics.json. `varied` is
-    what a multirun varies, by configuration key: TensorBoard's first columns. `draw_vehicle`: once
-    is enough in a multirun. `notes` are further entries of the model's `training`, such as the
-    healthy trips as "commissioned"; `residual` is the unexplained part of a commissioned vehicle's
-    healthy trips, `bogie` its bogie if each part is to be read. `start` may start work in a second
-    process, see `suspnet.ground.workers.alongside`.
+    `config` is the resolved configuration; its `ablation_name` and `reading_name` go into
+    metrics.json. `varied` is what a multirun varies, by configuration key: TensorBoard's first
+    columns. `draw_vehicle`: once is enough in a multirun. `notes` are further entries of the
+    model's `training`, such as the healthy trips as "commissioned"; `residual` is the unexplained
+    part of a commissioned vehicle's healthy trips, `bogie` its bogie if each part is to be read.
+    `start` may start work in a second process, see `suspnet.ground.workers.alongside`.
     """
 
     config: Mapping[str, Any] = field(default_factory=dict)
@@ -130,6 +130,7 @@ def train(
         If the folder holds files that are not suspnet's.
     """
     context = context or RunContext()
+    check_hyperparameters(estimator)
     if folder is None:
         if search is not None:
             raise ValueError("`search` needs a `folder`: its table is written there")

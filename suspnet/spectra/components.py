@@ -28,6 +28,7 @@ from numpy.typing import ArrayLike
 from torch import Tensor
 
 from suspnet.ground.settings import check_settings, setting
+from suspnet.ground.tensors import as_tensor, curves_as_tensor
 from suspnet.ground.types import FloatArray, IntArray
 from suspnet.spectra.extraction import FeatureTable, PeakFeatures
 from suspnet.spectra.noise_components import noise_components
@@ -160,7 +161,7 @@ class CurveFeatures:
         on other bins, or needs phases and the curves have none.
         """
         basis = self._learnt()
-        responses, frequencies_hz = torch.as_tensor(responses), torch.as_tensor(frequencies_hz)
+        responses, frequencies_hz = curves_as_tensor(responses), as_tensor(frequencies_hz)
         inside = self._inside(frequencies_hz)
         bins = frequencies_hz[inside]
         if bins.shape != basis.frequencies_hz.shape or not torch.allclose(

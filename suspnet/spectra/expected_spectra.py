@@ -18,7 +18,7 @@ from torch import Tensor
 
 from suspnet.dynamics import PARAMETERS, ResponseGenerator
 from suspnet.dynamics.track import TrackSpectrum, acceleration_density
-from suspnet.ground.tensors import complex_log, squared_size, threads
+from suspnet.ground.tensors import as_tensor, complex_log, squared_size, threads
 from suspnet.ground.types import FloatArray
 from suspnet.spectra.cross_spectra import PAIRS
 from suspnet.spectra.observation import Observer
@@ -69,7 +69,7 @@ class ExpectedSpectra:
         """Return auto and cross spectra of each vehicle, each (n_vehicles, 3, n_freq)."""
         in_cache = max(1, IN_CACHE // (self._n_inputs * len(self._bins)))
         n_at_once = in_cache if self._generator.device == "cpu" else AT_ONCE
-        found = [self._of(block) for block in torch.as_tensor(ratios).split(n_at_once)]
+        found = [self._of(block) for block in as_tensor(ratios).split(n_at_once)]
         auto, cross = map(torch.cat, zip(*found, strict=True))
         return auto, cross
 

@@ -13,9 +13,11 @@ from typing import ClassVar, Protocol, Self
 
 import torch
 from numpy.typing import ArrayLike
+from scipy.signal import find_peaks
 from torch import Tensor
 
 from suspnet.ground.settings import check_settings, setting
+from suspnet.ground.tensors import as_tensor, curves_as_tensor
 from suspnet.ground.types import FloatArray, IntArray
 from suspnet.spectra.peaks import (
     PeakFit,
@@ -194,6 +196,19 @@ class PeakFeatures(FeatureSet):
             if reason
         )
 
+    def where_searched(self, curves: Tensor, frequencies_hz: Tensor) -> str:
+        """Return where noise-free curves (2, n_freq) have maxima, and where peaks are searched."""
+        maxima = [
+            ", ".join(f"{float(frequencies_hz[i]):.3g}" for i in find_peaks(curve)[0]) or "no"
+            for curve in curves.abs().cpu().numpy()
+        ]
+        return (
+            f"maxima lie at {maxima[1]} Hz (G_s) and {maxima[0]} Hz (G_p), peaks are searched from "
+            f"protocol.features.low_hz={self.low_hz:g} to protocol.features.high_hz="
+            f"{self.high_hz:g} Hz, primary_upper above UPPER_PEAK_BEGINS={UPPER_PEAK_BEGINS:g} "
+            "times that of G_s"
+        )
+
     def extract(
         self, curves: Tensor | ArrayLike, frequencies_hz: Tensor | ArrayLike
     ) -> FeatureTable:
@@ -201,7 +216,7 @@ class PeakFeatures(FeatureSet):
 
         ValueError if shapes disagree or the frequencies are not ascending and evenly spaced.
         """
-        curves, frequencies_hz = torch.as_tensor(curves), torch.as_tensor(frequencies_hz)
+        curves, frequencies_hz = curves_as_tensor(curves), as_tensor(frequencies_hz)
         if curves.ndim != 3 or curves.shape[1:] != (2, len(frequencies_hz)):
             expected = f"(n_curves, 2, {len(frequencies_hz)})"
             raise ValueError(f"`curves` must have shape {expected}, got {tuple(curves.shape)}")

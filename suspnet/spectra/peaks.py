@@ -254,7 +254,7 @@ def _largest(
     tilt: float,
 ) -> tuple[Tensor, Tensor]:
     """Return where the tilted curve is largest in its band, and whether that is a maximum."""
-    low, high = (torch.as_tensor(v).to(smoothed).reshape(-1, 1) for v in (low_hz, high_hz))
+    low, high = (as_tensor(v).to(smoothed).reshape(-1, 1) for v in (low_hz, high_hz))
     inside = ((frequencies_hz >= low) & (frequencies_hz <= high)).expand_as(smoothed)
     tilted = smoothed * frequencies_hz**tilt if tilt else smoothed
     index = torch.where(inside, tilted, -math.inf).argmax(dim=1, keepdim=True)

@@ -11,7 +11,9 @@ import torch
 from torch import Tensor
 
 from suspnet.ground.parameters import FORWARD, REVERSE, Direction
+from suspnet.ground.tensors import as_tensor
 from suspnet.ground.types import FloatArray
+from suspnet.recordings.dead_sensors import check_copies
 from suspnet.recordings.recording import Recording
 from suspnet.spectra.cross_spectra import CHAIN
 from suspnet.spectra.welch import NEGLIGIBLE, SegmentSpectra, Welch, segment_spectra
@@ -35,7 +37,11 @@ class NoEstimateError(Exception):
 
 
 def recording_segments(recording: Recording, welch: Welch) -> SegmentSpectra:
-    """Return the segments without faults, up to a quarter of the sampling rate."""
+    """Return the segments without faults, up to a quarter of the sampling rate.
+
+    TripError if two of the recording's sensors hold the same samples.
+    """
+    check_copies(recording.sensors(), recording.usable, recording.manifest.path)
     return _faultless(recording, recording.signals, welch)
 
 
@@ -45,25 +51,29 @@ def difference_segments(recording: Recording, welch: Welch) -> SegmentSpectra:
 
 
 def sensor_segments(recording: Recording, welch: Welch) -> tuple[list[str], SegmentSpectra]:
-    """Return the names of all sensors and the same segments of their signals."""
+    """Return the names of all sensors and the same segments of their signals.
+
+    TripError if two of them hold the same samples.
+    """
     sensors = recording.sensors()
+    check_copies(sensors, recording.usable, recording.manifest.path)
     return list(sensors), _faultless(recording, np.stack(list(sensors.values())), welch)
 
 
 def _faultless(recording: Recording, signals: FloatArray, welch: Welch) -> SegmentSpectra:
     return segment_spectra(
-        torch.as_tensor(signals),
+        as_tensor(signals, copy=False),
         recording.rate_hz,
         welch,
         high_hz=recording.rate_hz / 4,
-        usable=torch.as_tensor(recording.usable),
+        usable=as_tensor(recording.usable, np.bool_, copy=False),
     )
 
 
 def segment_speeds(recording: Recording, segments: SegmentSpectra) -> Tensor:
     """Return the speed in each segment, shape (n_segments, n_samples of a segment), [m/s]."""
     length, _ = segments.welch.sizes(recording.rate_hz)
-    return torch.as_tensor(recording.speed_m_per_s).unfold(0, length, 1)[segments.first]
+    return as_tensor(recording.speed_m_per_s).unfold(0, length, 1)[segments.first]
 
 
 def without_loud(segments: SegmentSpectra, chosen: Tensor) -> Tensor:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, field, replace
@@ -70,7 +71,7 @@ class TripCheck:
     `band_hz` is where the vehicle's responses are read, and `read_by` the speeds of the models that
     decide whether the trip is ready, empty without models. `unchecked`: the vehicle's numbers are
     not known, so that ``NEED_A_VEHICLE`` are not checked. `shows_parts`: each part of the bogie can
-    be read from it, as far as was checked.
+    be read from it, as far as was checked. `label` is its name among trips of several folders.
     """
 
     manifest: Path
@@ -91,6 +92,7 @@ class TripCheck:
     read_by: str = ""
     unchecked: bool = False
     shows_parts: bool = False
+    label: str = ""
 
     @property
     def shown(self) -> str:
@@ -100,7 +102,7 @@ class TripCheck:
     @property
     def name(self) -> str:
         """Name of the trip; bytes that are not UTF-8 are shown in hex."""
-        return printable(self.manifest.stem)
+        return self.label or printable(self.manifest.stem)
 
     @property
     def n_averages(self) -> float:
@@ -121,6 +123,22 @@ class TripCheck:
             "manifest": printable(str(self.manifest)),
             "n_averages": self.n_averages,
         }
+
+
+def with_distinct_names(checks: Sequence[TripCheck]) -> list[TripCheck]:
+    """Return checks in which trips of the same name are called FOLDER/NAME."""
+    folders: dict[str, list[Path]] = {}
+    for check in checks:
+        folders.setdefault(check.name, []).append(check.manifest.absolute().parent)
+    common = {name: Path(os.path.commonpath(own)) for name, own in folders.items() if len(own) > 1}
+    return [
+        replace(check, label=_below(check, common[check.name])) if check.name in common else check
+        for check in checks
+    ]
+
+
+def _below(check: TripCheck, folder: Path) -> str:
+    return printable((check.manifest.absolute().parent.relative_to(folder) / check.name).as_posix())
 
 
 def with_shared_data(checks: Sequence[TripCheck]) -> list[TripCheck]:

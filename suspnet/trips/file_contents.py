@@ -11,16 +11,19 @@ import numpy as np
 
 from suspnet.ground.parameters import ENDS, SIDES
 from suspnet.ground.types import FloatArray
-from suspnet.recordings.clocks import Times, Zero, header_date
+from suspnet.recordings.clocks import Times, Zero, header_date, likely_time_unit
 from suspnet.recordings.columns import Column, OpenFile, size_of, unit_in_name
 from suspnet.recordings.errors import TripError
 from suspnet.recordings.formats import open_file, read_columns
 from suspnet.recordings.logger_notes import WORDS, choice_of
+from suspnet.recordings.manifest import CHANNELS
 from suspnet.recordings.manifest_sources import TIME_UNITS, Source
 
 ACCELERATION, SPEED = "acceleration", "speed"
 MOST_COLUMNS = 500
 """Largest number of columns of a file that are inspected."""
+MOSTLY_RISING = 0.99
+"""Least share of rising steps in a column of times."""
 _WORDS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     SPEED: (("speed", "veloc", "geschwind", "tempo"), ("v", "vel", "kmh", "kph", "mps", "vzug")),
     "axle_box": (
@@ -106,6 +109,10 @@ def is_of_another_direction(column: str) -> bool:
     return bool(set(words_of(column)) & set(_OTHER_DIRECTIONS))
 
 
+Address = tuple[Path, str]
+"""File and name of a column."""
+
+
 @dataclass(frozen=True)
 class Signal:
     """One column of numbers, and what is known about it.
@@ -115,8 +122,9 @@ class Signal:
     or the file states the rate, and `time_unit` their unit if only their column's name states it.
     `mean` and `deviation` are those of the first samples, `first` is the first of them. `zero` is
     when its times start, as far as the file states it. `names` serve to guess its meaning: its own,
-    with and without its group's, and that of a file with at most two columns. `axle` is 1 or 2 of
-    the bogie where this was said, else 0.
+    with and without its group's, and that of a file with at most two columns or with columns that
+    name no channel. `axle` is 1 or 2 of the bogie where this was said, else 0; `range` is the
+    sensor's where said, else NaN.
     """
 
     file: Path
@@ -131,11 +139,17 @@ class Signal:
     names: tuple[str, ...] = ()
     first: float = np.nan
     axle: int = 0
+    range: float = np.nan
 
     @property
     def name(self) -> str:
         """Name of the column."""
         return self.column.name
+
+    @property
+    def address(self) -> Address:
+        """File and column: loggers of one kind give their columns the same names."""
+        return self.file, self.name
 
     @property
     def meaning(self) -> str:
@@ -189,14 +203,26 @@ def contents_of(file: Path) -> Contents:
         found = [
             _signal(file, opened, column, times)
             for column in columns
-            if column.name not in times and not column.is_time
+            if not (column.name in times or column.is_time or column.unread)
         ]
+        refused = "; ".join(f"{one.name!r} {one.unread}" for one in columns if one.unread)
     signals = [one for one in found if one is not None]
     if not signals:
-        raise TripError(f"{file} holds no column of numbers")
-    if len(signals) <= len(SIDES):
-        signals = [replace(one, names=(*one.names, file.stem)) for one in signals]
-    return Contents(file, tuple(signals), opened.words, opened.notes)
+        raise TripError(f"{file} holds no column of numbers{': ' * bool(refused)}{refused}")
+    # a file DG2 of many columns is that of a bogie with all of its places
+    names_place = not _BOGIE_NUMBER.search(file.stem.lower())
+    names_place &= not {one.meaning for one in signals} & set(CHANNELS)
+    if len(signals) <= len(SIDES) or names_place:
+        signals = [_named_by_its_file(one) for one in signals]
+    words = [opened.words, f"{file.name}: not read: {refused}" if refused else ""]
+    return Contents(file, tuple(signals), "; ".join(filter(None, words)), opened.notes)
+
+
+def _named_by_its_file(signal: Signal) -> Signal:
+    sizes = (size_of(kind, signal.unit) for kind in (ACCELERATION, SPEED))
+    if signal.unit and all(size is None for size in sizes):  # such as a temperature
+        return signal
+    return replace(signal, names=(*signal.names, signal.file.stem))
 
 
 def _first(file: Path, opened: OpenFile, names: Sequence[str]) -> tuple[FloatArray, ...]:
@@ -208,11 +234,16 @@ def _first(file: Path, opened: OpenFile, names: Sequence[str]) -> tuple[FloatArr
 
 
 def _times(file: Path, opened: OpenFile, name: str) -> FloatArray:
-    """Return the first times of a column, [s] or its own unit; empty if they do not increase."""
+    """Return the first times of a column, [s] or its own unit; empty if they do not increase.
+
+    Some may be missing, and a clock may start again.
+    """
     (block,) = _first(file, opened, [name]) or (np.empty(0),)
     if block.dtype.kind == "M":
-        block = np.asarray((block - block[0]) / np.timedelta64(1, "s"), dtype=np.float64)
-    rises = len(block) > 1 and bool((np.diff(block) > 0).all())
+        block = block[~np.isnat(block)]
+        block = np.asarray((block - block[0]) / np.timedelta64(1, "s") if len(block) else [])
+    block = block[np.isfinite(block)]
+    rises = len(block) > 1 and (np.diff(block) > 0).mean() >= MOSTLY_RISING
     return np.asarray(block, dtype=np.float64) if rises else np.empty(0)
 
 
@@ -226,8 +257,13 @@ def _signal(
     values = blocks[0][np.isfinite(blocks[0])]
     time, time_unit, rate_hz = "", "", column.rate_hz
     if rate_hz is None:
-        time = column.time or next(iter(times), "")
+        shared = (name for name in times if not opened.column(name).is_part)
+        time = column.time or next(shared, "")
         rate_hz, time_unit = _rate(opened, time, times[time]) if time in times else (np.nan, "")
+    if time and not time_unit and guessed_meaning(column.name) != SPEED:
+        stated = opened.column(time).unit or unit_in_name(time)
+        time_unit = "" if stated else likely_time_unit(rate_hz)
+        rate_hz /= TIME_UNITS[time_unit or "s"]
     return Signal(
         file=file,
         column=column,
@@ -245,7 +281,7 @@ def _signal(
 
 def _zero(file: Path, opened: OpenFile, column: Column, time: str, time_unit: str) -> Zero:
     if not time:
-        return Zero(column.start_ns, is_stated=True, date=header_date(column))
+        return Zero(column.start_ns, not column.is_local, True, header_date(column))
     times = Times(
         str(file),
         Source(str(file), time_unit=time_unit or None),

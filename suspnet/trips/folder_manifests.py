@@ -22,11 +22,13 @@ from suspnet.ground.parameters import DIRECTIONS, ENDS, SIDES
 from suspnet.ground.storage import read_plain
 from suspnet.recordings.clocks import first_moment
 from suspnet.recordings.errors import all_of
+from suspnet.recordings.formats import READERS
 from suspnet.recordings.logger_notes import NUMBERS, Stated, key_of, read_value, stated_in
 from suspnet.recordings.manifest import CHANNELS
 from suspnet.recordings.manifest_sources import MIDDLE
 from suspnet.trips.file_contents import (
     SPEED,
+    Address,
     Contents,
     Signal,
     contents_of,
@@ -35,7 +37,14 @@ from suspnet.trips.file_contents import (
     words_of,
 )
 from suspnet.trips.manifest_template import BY_COMMAND_LINE, PLACE_LINES, Template, template
-from suspnet.trips.trip_files import TripFiles, cell_of, columns_of_files, names_of, table_rows
+from suspnet.trips.trip_files import (
+    TripFiles,
+    cell_of,
+    columns_of_files,
+    names_of,
+    table_rows,
+    without_word,
+)
 
 CHOICES: Mapping[str, tuple[str, ...]] = {
     "bogie": ENDS,
@@ -43,10 +52,12 @@ CHOICES: Mapping[str, tuple[str, ...]] = {
     "side": (*SIDES, MIDDLE),
     "direction": DIRECTIONS,
 }
-SIGNAL_KEYS = ("unit", "rate_hz", "speed_unit", "speed_rate_hz")
+SIGNAL_KEYS = ("unit", "rate_hz", "range", "speed_unit", "speed_rate_hz")
 """Keys that hold for all accelerometers, or for the speed, of all trips."""
 SAYABLE = (*PLACE_LINES, SPEED, *(f"channels.{name}" for name in CHANNELS), *SIGNAL_KEYS)
 """Keys that may be said once for all trips."""
+MOST_SHOWN = 20
+"""Largest number of columns that are offered for a channel."""
 OTHER = "@2"
 """End of the name of a column whose sensor is at the bogie's other axle."""
 HOW: Mapping[str, str] = {
@@ -57,6 +68,7 @@ HOW: Mapping[str, str] = {
     "speed": 'speed=70 in m/s, speed="252 km/h", or speed=COLUMN',
     "unit": "unit=m/s2 or unit=g, of all accelerometers",
     "rate_hz": "rate_hz=500, of all accelerometers",
+    "range": "range=50, what full scale is in that unit, of all accelerometers in WAV files",
     "speed_unit": "speed_unit=km/h or speed_unit=m/s",
     "speed_rate_hz": "speed_rate_hz=1",
 }
@@ -171,7 +183,7 @@ def folder_manifests(
     times = [_file_time(one).timestamp() for one in found]
     is_copy = len(found) > 1 and max(times) - min(times) < COPIED_S * (len(found) - 1)
     for one, several in zip(found, contents, strict=True):
-        for path, signals, guessed in _by_bogie(one.path, [s for c in several for s in c.signals]):
+        for path, signals, guessed in _by_bogie(one.path, _signals(several)):
             known = _stated(one, several, signals, folder)
             if not is_copy and "start" not in known and not _is_dated(signals):
                 known["start"] = Stated(_file_time(one).isoformat(), BY_FILE_TIME)
@@ -189,11 +201,13 @@ def folder_manifests(
             known |= rows[one.path][1]
             trips.append(_trip(path, one.files, several, signals, known, said, config_dir))
     for key, names in said.items():
-        if key.startswith("channels.") and not any(_columns(names, t.signals) for t in trips):
-            columns = ", ".join(dict.fromkeys(s.name for t in trips for s in t.signals))
+        if key.startswith("channels.") and not any(
+            _columns(key, names, trip.signals) for trip in trips
+        ):
             raise ValueError(
-                f"`{key}` must name one or two of the columns {columns}, and likewise of those at "
-                f"the bogie's other axle, with {OTHER} at their end; got {names!r}"
+                f"`{key}` must name one or two of the columns {_names_of_columns(trips)}, and "
+                f"likewise of those at the bogie's other axle, with {OTHER} at their end; "
+                f"FILE:COLUMN is that of one file; got {names!r}"
             )
     if "mileage_km" in said and len(trips) > 1:
         raise ValueError(
@@ -201,6 +215,14 @@ def folder_manifests(
             f"{HOW['mileage_km']}"
         )
     return trips
+
+
+def _signals(contents: Sequence[Contents]) -> list[Signal]:
+    """Return the columns of a trip; files of several folders are named by these as well."""
+    signals = [signal for content in contents for signal in content.signals]
+    if len({content.file.parent for content in contents}) == 1:
+        return signals
+    return [replace(one, names=(*one.names, one.file.parent.name)) for one in signals]
 
 
 def _row(
@@ -289,13 +311,13 @@ def _trip(
     said: Mapping[str, str],
     config_dir: Path | None,
 ) -> Trip:
-    known, chosen = dict(known), dict[str, dict[str, int]]()
+    known, chosen = dict(known), dict[str, dict[Address, int]]()
     for name in CHANNELS:
-        if columns := _columns(said.get(f"channels.{name}", ""), signals):
+        if columns := _columns(name, said.get(f"channels.{name}", ""), signals):
             chosen[name] = columns
     if SPEED in said:
-        if any(one.name == said[SPEED] for one in signals):
-            chosen[SPEED] = {said[SPEED]: 1}
+        if columns := _columns(SPEED, said[SPEED], signals):
+            chosen[SPEED] = columns
             known.pop(SPEED, None)
         else:
             known[SPEED] = Stated(_plain_value(SPEED, said[SPEED]), BY_COMMAND_LINE)
@@ -311,23 +333,62 @@ def _trip(
     return Trip(path, files, known, own, manifest)
 
 
-def _columns(names: str, signals: Sequence[Signal]) -> dict[str, int]:
+def loggers_of(said: Mapping[str, str]) -> list[str]:
+    """Return the files of all FILE:COLUMN that are said, which are of one trip."""
+    words = (
+        word.strip()
+        for key, names in said.items()
+        if key == SPEED or key.startswith("channels.")
+        for word in names.split(",")
+    )
+    files = {_file_and_column(word)[0] for word in words}
+    return sorted(files - {""}, key=len, reverse=True)
+
+
+def _file_and_column(word: str) -> tuple[str, str]:
+    """Return both parts of FILE:COLUMN, the first without the ending of data files."""
+    file, _, column = word.partition(":")
+    ending = Path(file).suffix
+    return file.removesuffix(ending) if ending.lower() in READERS else file, column
+
+
+def _columns(key: str, names: str, signals: Sequence[Signal]) -> dict[Address, int]:
     """Return the columns of a channel with their axles: one, or left and right ones in turn.
 
     Empty if a trip does not have them: trips of one folder may be those of several loggers.
     """
-    present = [one.name for one in signals]
-    several = [names] if names in present else [part.strip() for part in names.split(",")]
-    found = {
-        one if one in present else one.removesuffix(OTHER): 1 if one in present else 2
-        for one in several
-    }
-    is_right = set(found) <= set(present) and max(Counter(found.values()).values()) <= len(SIDES)
-    return found if is_right else {}
+    is_one = any(signal.name == names for signal in signals)
+    found: dict[Address, int] = {}
+    for word in [names] if is_one else [part.strip() for part in names.split(",")]:
+        first = _named(key, word, signals)
+        named = first or _named(key, word.removesuffix(OTHER), signals)
+        if not named:
+            return {}
+        found |= dict.fromkeys(named, 1 if first else 2)
+    return found if max(Counter(found.values()).values()) <= len(SIDES) else {}
+
+
+def _named(key: str, word: str, signals: Sequence[Signal]) -> list[Address]:
+    """Return the columns called COLUMN or FILE:COLUMN.
+
+    Of several files it is the one whose name shows the channel, or a left and a right one.
+    """
+    file, column = _file_and_column(word)
+    named = [
+        signal
+        for signal in signals
+        if signal.name == word
+        or (signal.name == column and without_word(signal.file.stem, file) != signal.file.stem)
+    ]
+    shown = [signal for signal in named if signal.meaning == key.removeprefix("channels.")]
+    if len(named) > 1 and shown:
+        named = shown[:1] if key == SPEED else shown
+    are_distinct = len({signal.side for signal in named}) == len(named)
+    return [one.address for one in sorted(named, key=lambda one: one.side)] if are_distinct else []
 
 
 def _with_said(
-    one: Signal, said: Mapping[str, str], chosen: Mapping[str, Mapping[str, int]]
+    one: Signal, said: Mapping[str, str], chosen: Mapping[str, Mapping[Address, int]]
 ) -> Signal:
     """Return a signal with what was said for all: side, axle, unit and rate.
 
@@ -335,23 +396,25 @@ def _with_said(
     in turn.
     """
     meaning = one.meaning
-    for what, names in chosen.items():
-        if one.name in names:
+    for what, columns in chosen.items():
+        if one.address in columns:
             meaning = what
-            side = SIDES[list(names).index(one.name) % 2] if len(names) > 1 else ""
-            one = replace(one, names=(side, *one.names), axle=names[one.name])
+            side = SIDES[list(columns).index(one.address) % 2] if len(columns) > 1 else ""
+            one = replace(one, names=(side, *one.names), axle=columns[one.address])
     prefix = "speed_" if meaning == SPEED else ""
     unit, rate = said.get(f"{prefix}unit"), said.get(f"{prefix}rate_hz")
     if unit and not one.unit:
         one = replace(one, unit=unit)
     if rate and not one.time and not np.isfinite(one.rate_hz):
         one = replace(one, rate_hz=float(_plain_value("rate_hz", rate)))
+    if "range" in said and meaning != SPEED:
+        one = replace(one, range=float(_plain_value("range", said["range"])))
     return one
 
 
 def _plain_value(key: str, text: str) -> str | float:
     """Return what was said as a number where the key has one; ValueError if it is none."""
-    is_number = key in NUMBERS or key.endswith("rate_hz")
+    is_number = key in (*NUMBERS, "range") or key.endswith("rate_hz")
     try:
         return float(text) if is_number or key == SPEED else text
     except ValueError:
@@ -362,7 +425,7 @@ def _plain_value(key: str, text: str) -> str | float:
 
 def _asked(blank: str) -> str:
     """Return the key by which a blank of a manifest is said once for all trips."""
-    for key in ("unit", "rate_hz"):
+    for key in ("unit", "rate_hz", "range"):
         if blank.endswith(f".{key}"):
             return f"speed_{key}" if blank.startswith(SPEED) else key
     return blank
@@ -372,12 +435,25 @@ def how_to_say(key: str, trips: Sequence[Trip]) -> str:
     """Return how a missing value is said, with the columns to choose from."""
     if key in HOW:
         return HOW[key]
-    columns = dict.fromkeys(one.name for trip in trips for one in trip.signals)
-    shown = ", ".join(list(columns)[:20]) + ", ..." * (len(columns) > 20)
     pair = "LEFT,RIGHT for a pair"
     if not key.endswith(CHANNELS[2]):
         pair += f", or LEFT,RIGHT,LEFT{OTHER},RIGHT{OTHER} with those of the bogie's other axle"
-    return f"{key}=COLUMN, or {pair}; columns: {shown}"
+    return f"{key}=COLUMN, or {pair}; columns: {_names_of_columns(trips)}"
+
+
+def _names_of_columns(trips: Sequence[Trip]) -> str:
+    """Return the columns of trips, as FILE:COLUMN where several loggers have the same ones."""
+    names: dict[str, None] = {}
+    note = ""
+    for trip in trips:
+        own = [signal.name for signal in trip.signals]
+        of_loggers = len(own) < len(CHANNELS) or len(set(own)) < len(own)
+        for signal in trip.signals:
+            logger = signal.file.stem.removeprefix(trip.path.stem).strip("_-. ") or signal.file.stem
+            names[f"{logger}:{signal.name}" if of_loggers else signal.name] = None
+        if of_loggers:
+            note = " (files that FILE:COLUMN names are of one trip)"
+    return ", ".join(list(names)[:MOST_SHOWN]) + ", ..." * (len(names) > MOST_SHOWN) + note
 
 
 def origins(trips: Sequence[Trip]) -> list[str]:

@@ -8,9 +8,9 @@ import os
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from shlex import join
 
 from suspnet.ground.parameters import SIDES
+from suspnet.ground.wording import command
 from suspnet.recordings.clocks import first_moment
 from suspnet.recordings.columns import size_of
 from suspnet.recordings.logger_notes import Stated
@@ -19,6 +19,7 @@ from suspnet.recordings.manifest_sources import ACCELERATION_UNITS, MIDDLE, SPEE
 from suspnet.trips.file_contents import (
     ACCELERATION,
     SPEED,
+    Address,
     Signal,
     guessed_axle,
     is_of_another_direction,
@@ -71,7 +72,7 @@ def template(
     path: Path,
     read_as: Sequence[str] = (),
     known: Mapping[str, Stated] | None = None,
-    chosen: Mapping[str, Collection[str]] | None = None,
+    chosen: Mapping[str, Collection[Address]] | None = None,
     config_dir: Path | None = None,
 ) -> Template:
     """Return a manifest of the signals of some data files.
@@ -86,8 +87,8 @@ def template(
     by_meaning: dict[str, list[Signal]] = {}
     for one in signals:
         by_meaning.setdefault(one.meaning, []).append(one)
-    for what, names in chosen.items():
-        by_meaning[what] = [one for one in signals if one.name in names]
+    for what, addresses in chosen.items():
+        by_meaning[what] = [one for one in signals if one.address in addresses]
     lines = [HEAD + _on_one_line(_check_command(path, config_dir))]
     lines += [f"# {_on_one_line(words)}" for words in read_as]
     lines.append(f"format: {FORMAT}")
@@ -102,8 +103,8 @@ def template(
         elif known[key].value != MIDDLE:
             lines.append(f"{key}: {_yaml(known[key].value)}  # {_on_one_line(known[key].comment)}")
     lines.append("")
-    taken = {name for names in chosen.values() for name in names}
-    rest = [one for one in by_meaning.get("", []) if one.name not in taken]
+    taken = {address for several in chosen.values() for address in several}
+    rest = [one for one in by_meaning.get("", []) if one.address not in taken]
     if SPEED in known:
         lines.append(f"speed: {_yaml(known[SPEED].value)}  # {_on_one_line(known[SPEED].comment)}")
     else:
@@ -122,9 +123,9 @@ def template(
 def _check_command(path: Path, config_dir: Path | None) -> str:
     """Return the command that checks a manifest: where suspnet init ran, or in its folder."""
     if config_dir is not None:
-        return join(["suspnet", "check", str(path), "--config-dir", str(config_dir)])
+        return command("check", path, "--config-dir", config_dir)
     own = "of a vehicle that is not suspnet's with --config-dir DIR, which holds vehicle/NAME.yaml"
-    return f"{join(['suspnet', 'check', path.name])} ({own})"
+    return f"{command('check', Path(path.name))} ({own})"
 
 
 def _start(signals: Sequence[Signal]) -> str:
@@ -240,6 +241,11 @@ class _Writer:
         else:
             content["rate_hz"] = BLANK
             words.append("rate in Hz?")
+        is_fraction = kind == ACCELERATION and one.column.full_scale is not None
+        if is_fraction or math.isfinite(one.range):
+            content["range"] = one.range if math.isfinite(one.range) else BLANK
+        if is_fraction:
+            words.append("range: what full scale is in that unit, these are fractions of it")
         words.append(f"mean {one.mean:.3g}, rms about it {one.deviation:.3g}")
         if kind == ACCELERATION and is_of_another_direction(one.name):
             words.append("vertical?")

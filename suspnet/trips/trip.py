@@ -34,7 +34,7 @@ from suspnet.ground.records import (
     TripResult,
     sensors_text,
 )
-from suspnet.ground.storage import printable
+from suspnet.ground.storage import one_line
 from suspnet.ground.tensors import threads
 from suspnet.recordings.errors import TripError
 from suspnet.recordings.manifest import TripManifest
@@ -90,7 +90,7 @@ def evaluate_recording(
         result = _estimated(result, manifest, read, models, settings)
     except Exception as error:  # a fault in one trip must not end the run of a fleet
         result = _failed(result, error)
-    return _printable(replace(result, seconds=time.perf_counter() - start))
+    return _in_lines(replace(result, seconds=time.perf_counter() - start))
 
 
 def _failed(result: TripResult, error: Exception) -> TripResult:
@@ -98,18 +98,18 @@ def _failed(result: TripResult, error: Exception) -> TripResult:
     if not isinstance(error, TripError):
         log.debug("trip %s failed", result.manifest, exc_info=error)
         words = f"{type(error).__name__}: {error}"
-    return _printable(replace(result, reason=words))
+    return _in_lines(replace(result, reason=words))
 
 
 def lost_trip(path: Path, reason: str) -> TripResult:
     """Return the result of a trip whose evaluation was interrupted."""
-    return _printable(TripResult(path.stem, str(path), status=ERROR, reason=reason))
+    return _in_lines(TripResult(path.stem, str(path), status=ERROR, reason=reason))
 
 
-def _printable(result: TripResult) -> TripResult:
-    place = Place(*map(printable, astuple(result.place)))
+def _in_lines(result: TripResult) -> TripResult:
+    place = Place(*map(one_line, astuple(result.place)))
     values = {f.name: getattr(result, f.name) for f in fields(result)}
-    changes: dict[str, Any] = {k: printable(v) for k, v in values.items() if isinstance(v, str)}
+    changes: dict[str, Any] = {k: one_line(v) for k, v in values.items() if isinstance(v, str)}
     return replace(result, place=place, **changes)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hmac
 import ipaddress
 import re
+import unicodedata
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import cast
@@ -104,6 +105,14 @@ class Access:
         """Return whether this is the token, in a time that does not depend on what is given."""
         wanted, shown = self.token.encode(), given.encode("utf-8", "replace")
         return bool(self.token) and hmac.compare_digest(wanted, shown)
+
+
+def is_plain(text: str, allowed: str = "") -> bool:
+    """Return whether a text has no control characters and marks of direction but those `allowed`.
+
+    These are the characters of the categories C of Unicode; also unassigned ones and surrogates.
+    """
+    return all(one in allowed or unicodedata.category(one)[0] != "C" for one in text)
 
 
 def identify_visitor() -> None:

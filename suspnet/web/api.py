@@ -63,7 +63,7 @@ def _answers(
 @api.get("/openapi.json")
 def openapi() -> dict[str, Any]:
     """Return the description of the API."""
-    return description(ROOT, ROUTES)
+    return description(ROOT, ROUTES, request.script_root or "/")
 
 
 @_answers("/suspensions", models.OfFleet, models.Suspensions)

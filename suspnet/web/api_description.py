@@ -38,8 +38,8 @@ class Route:
     body: type[BaseModel] | None = None
 
 
-def description(root: str, routes: Sequence[Route]) -> dict[str, Any]:
-    """Return the description of the routes below the address `root`."""
+def description(root: str, routes: Sequence[Route], server: str = "/") -> dict[str, Any]:
+    """Return the description of the routes below the path `root` of the address `server`."""
     taken = [(one.body, "validation") for one in routes if one.body]
     given = [(one.answer, "serialization") for one in routes]
     refs, schemas = models_json_schema(
@@ -53,7 +53,7 @@ def description(root: str, routes: Sequence[Route]) -> dict[str, Any]:
     return {
         "openapi": "3.1.0",
         "info": {"title": "suspnet", "version": __version__, "description": WORDS},
-        "servers": [{"url": "/"}],
+        "servers": [{"url": server}],
         "paths": paths,
         "components": {
             "schemas": schemas["$defs"],

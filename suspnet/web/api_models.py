@@ -5,10 +5,18 @@ from __future__ import annotations
 import re
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, StringConstraints
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    StringConstraints,
+)
 
 from suspnet.ground.parameters import Cause
 from suspnet.report.work_order import WorkOrder
+from suspnet.web.access import is_plain
 
 MOST_ITEMS, USUAL_ITEMS = 500, 100
 """Largest number of items of one answer, and the number unless another one is asked for."""
@@ -29,6 +37,18 @@ def _whole(value: Any) -> Any:
     """Return a whole number of a query; ValueError for what is none, as 1.0."""
     if isinstance(value, str) and not re.fullmatch(r"-?\d{1,10}", value, re.A):
         raise ValueError("must be a whole number")
+    return value
+
+
+def _plain(value: str) -> str:
+    if not is_plain(value):
+        raise ValueError("must have no control characters")
+    return value
+
+
+def _plain_lines(value: str) -> str:
+    if not is_plain(value, "\n\t"):
+        raise ValueError("must have no control characters but newlines")
     return value
 
 
@@ -274,9 +294,13 @@ class AcknowledgementRequest(Model):
     cause: Cause
     severity: SeverityName
     """Severity that the person saw; an alarm that is worse by now is not acknowledged."""
-    by: Annotated[str, StringConstraints(min_length=1, max_length=80, pattern=r"\S")]
+    by: Annotated[
+        str,
+        StringConstraints(min_length=1, max_length=80, pattern=r"\S"),
+        AfterValidator(_plain),
+    ]
     """Name of the person."""
-    words: Annotated[str, StringConstraints(max_length=500)] = ""
+    words: Annotated[str, StringConstraints(max_length=500), AfterValidator(_plain_lines)] = ""
     """What the person is doing about it."""
 
 

@@ -11,6 +11,7 @@ import secrets
 import select
 import socket
 from collections.abc import Sequence
+from contextlib import suppress
 from importlib import resources
 from importlib.metadata import version
 from typing import Any
@@ -41,6 +42,7 @@ MESSAGES = {
     404: N_("There is no such page."),
     405: N_("This page cannot be asked for in this way."),
     413: N_("The form is too long."),
+    503: N_("Another work order is being drawn; try again in a few seconds."),
 }
 
 FILES = {
@@ -135,7 +137,8 @@ def _http_error(error: HTTPException) -> Any:
     is_own = code == 403 or (code == 404 and request.path.startswith("/suspension/"))
     own = error.description if is_own else None
     rest = N_("Something went wrong; see the program's terminal.")
-    return _message(gettext(error.name), own or gettext(MESSAGES.get(code, rest))), code
+    later = {"Retry-After": "5"} if code == 503 else {}
+    return _message(gettext(error.name), own or gettext(MESSAGES.get(code, rest))), code, later
 
 
 def _is_api() -> bool:
@@ -188,8 +191,9 @@ MOST_CONNECTIONS = 150
 """Number of open connections above which the oldest one without a complete request is closed."""
 SETTINGS = {
     "connection_limit": 2 * MOST_CONNECTIONS,  # not reached: older connections are closed first
-    "channel_timeout": 30,
+    "channel_timeout": 30,  # also of an answer that its client does not read
     "cleanup_interval": 5,
+    "outbuf_high_watermark": 2**40,  # no worker waits for a client: answers wait in files instead
     "max_request_header_size": 16_384,
     "max_request_body_size": 4 * MAX_FORM_BYTES,  # the pages reject smaller ones with a message
     "asyncore_use_poll": hasattr(select, "poll"),
@@ -197,7 +201,11 @@ SETTINGS = {
 
 
 class Channel(HTTPChannel):  # type: ignore[misc]
-    """A connection that takes the place of the oldest waiting one if there are too many."""
+    """A connection that takes the place of the oldest waiting one if there are too many.
+
+    One request may wait for the answer to the one before; the connection ends with its answer if
+    there are more. Unread answers would otherwise fill the disk.
+    """
 
     def __init__(self, server: Any, *arguments: Any, **named: Any) -> None:
         super().__init__(server, *arguments, **named)
@@ -207,11 +215,34 @@ class Channel(HTTPChannel):  # type: ignore[misc]
             oldest = min(waiting, key=lambda one: one.creation_time, default=self)
             oldest.will_close = True  # the server loop closes it
 
+    def readable(self) -> bool:
+        """Return whether to wait for requests; end a connection that is to be closed."""
+        if self.will_close:  # the loop closes sockets that can be written, as one is after this
+            with suppress(OSError):
+                self.socket.shutdown(socket.SHUT_RDWR)
+        return bool(super().readable())
 
-def http_server(app: Flask, listening: socket.socket, threads: int) -> Any:
-    """Return the server of an application at a listening socket, with worker threads."""
+    def received(self, data: bytes) -> bool:
+        """Take a request, and a second one that waits; drop all others."""
+        found: bool = super().received(data)
+        with self.requests_lock:
+            if len(self.requests) > 2:
+                self.requests[1].headers["CONNECTION"] = "close"
+                for one in self.requests[2:]:
+                    one.close()
+                del self.requests[2:]
+        return found
+
+
+def http_server(app: Flask, listening: socket.socket, threads: int, prefix: str = "") -> Any:
+    """Return the server of an application at a listening socket, with worker threads.
+
+    `prefix` is the path below which a reverse proxy shows the pages; requests may have it or not.
+    """
     logging.getLogger("waitress").setLevel(logging.ERROR)  # idle or lost clients are not errors
-    server = create_server(app, sockets=[listening], threads=threads, ident="suspnet", **SETTINGS)
+    app.config["APPLICATION_ROOT"] = prefix or "/"  # cookies are sent to no other application
+    options = {"ident": "suspnet", "url_prefix": prefix, **SETTINGS}
+    server = create_server(app, sockets=[listening], threads=threads, **options)
     server.channel_class = Channel
     return server
 

@@ -25,7 +25,7 @@ from flask import (
 from flask.typing import ResponseReturnValue
 from flask_wtf import FlaskForm
 from wtforms import HiddenField, StringField
-from wtforms.validators import DataRequired, Length
+from wtforms.validators import DataRequired, Length, ValidationError
 
 from suspnet.ground.parameters import Severity
 from suspnet.history import History, HistoryError
@@ -45,7 +45,7 @@ from suspnet.report.templates import MARKS, render
 from suspnet.report.trend import trend_of_state
 from suspnet.report.work_order import work_orders
 from suspnet.web import page_values
-from suspnet.web.access import ACCESS, MOST_NAME, Access, identify_visitor, visitor
+from suspnet.web.access import ACCESS, MOST_NAME, Access, identify_visitor, is_plain, visitor
 from suspnet.web.figures import response_figure, trend_figure
 from suspnet.web.page_values import Choice
 
@@ -61,7 +61,7 @@ HAS_PDF = find_spec("weasyprint") is not None
 
 pages = Blueprint("pages", __name__)
 pages.before_request(identify_visitor)
-_drawing = threading.Lock()
+_drawing, _drawing_calendar = threading.Lock(), threading.Lock()
 
 
 @pages.get("/")
@@ -94,7 +94,8 @@ def calendar() -> ResponseReturnValue:
     found = current_view().plan
     if found is None:
         abort(404)
-    return Response(_calendar(found, current()), mimetype="image/svg+xml")
+    with _drawing_calendar:  # around the cache: of those that wait, only the first one draws
+        return Response(_calendar(found, current()), mimetype="image/svg+xml")
 
 
 @pages.get("/suspension/<name>")
@@ -175,8 +176,12 @@ def work_order_pdf(name: str) -> ResponseReturnValue:
         orders=work_orders(view, index),
         read_at=_minute(),
     )
-    with _drawing:
+    if not _drawing.acquire(blocking=False):  # it takes seconds, and requests must not queue up
+        abort(503)
+    try:
         return Response(as_pdf(page), mimetype="application/pdf")
+    finally:
+        _drawing.release()
 
 
 @pages.get("/suspension/<name>/trend.json")
@@ -212,8 +217,7 @@ def _calendar(plan: Plan, language: str) -> bytes:
     from suspnet.report.figures import as_svg
     from suspnet.report.maintenance_figures import plan_calendar
 
-    with _drawing:
-        return as_svg(plan_calendar(plan))
+    return as_svg(plan_calendar(plan))
 
 
 def _suspension_page(name: str, form: AcknowledgementForm) -> str:
@@ -331,11 +335,19 @@ def _digest(*parts: Any) -> str:
     return hashlib.sha256(repr(parts).encode()).hexdigest()[:16]
 
 
+def _check_plain(form: FlaskForm, field: StringField) -> None:
+    if not is_plain(field.data or ""):
+        raise ValidationError(N_("Leave out control characters."))
+
+
 class AcknowledgementForm(FlaskForm):  # type: ignore[misc]
     """Form of an acknowledgement: name, text, and the alarm as the page showed it."""
 
-    by = StringField(N_("Your name"), [DataRequired(N_("Enter your name.")), Length(max=MOST_NAME)])
-    words = StringField(N_("Action taken"), [Length(max=500)])
+    by = StringField(
+        N_("Your name"),
+        [DataRequired(N_("Enter your name.")), Length(max=MOST_NAME), _check_plain],
+    )
+    words = StringField(N_("Action taken"), [Length(max=500), _check_plain])
     parameter, cause, severity = HiddenField(), HiddenField(), HiddenField()
 
     def means(self, alarm: Alarm) -> bool:

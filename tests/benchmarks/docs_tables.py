@@ -28,6 +28,7 @@ from suspnet.cli.config_files import read_comments
 from suspnet.dynamics import PARAMETERS
 from suspnet.dynamics.quantities import PARTS, QUANTITIES
 from suspnet.ground.storage import write_atomically
+from suspnet.recordings.formats import FORMATS
 from suspnet.runs.layouts import layouts_markdown
 from suspnet.runs.tables import MODEL_TITLES, table6_caption, table6_markdown
 
@@ -122,6 +123,16 @@ def family(_: Sequence[Row]) -> str:
             deviation = f"{one.deviation:g}" + " of 1 + ratio" * one.may_be_absent
             lines.append([part, f"`{one.name}`", one.meaning, nominal, deviation])
     return markdown(lines, ["part", "name", "meaning", "nominal", "deviation"])
+
+
+def formats(_: Sequence[Row]) -> str:
+    """Return what files of each format state about their data, and what is done with it."""
+    lines = [
+        [", ".join(f"`{suffix}`" for suffix in one.suffixes), what, done]
+        for one in FORMATS
+        for what, done in one.states.items()
+    ]
+    return markdown(lines, ["files", "state", "what is done with it"])
 
 
 def digits(percent: float) -> str:
@@ -363,6 +374,7 @@ TABLES: dict[str, tuple[str | None, Callable[[Sequence[Row]], str]]] = {
     "healthy_km": ("healthy_km.csv", healthy_km),
     "mixed_fleet": ("mixed_fleet.csv", mixed_fleet),
     "family": (None, family),
+    "formats": (None, formats),
     "against_n": ("against_n.csv", against_n),
     "plan": ("plan.csv", plan),
     "alarms": ("alarms.csv", alarms),

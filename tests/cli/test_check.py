@@ -189,7 +189,8 @@ def test_pairs_are_named_and_mixed_sensors_told(manifests, tmp_path):
     content = yaml.safe_load((tmp_path / "single.yaml").read_text())
     for name in ("axle_box", "bogie"):
         source, values = content["channels"][name], signal(manifests[0], name)
-        table = pa.table({"l": values, "r": 1.01 * values})
+        noise = 0.01 * values.std() * np.random.default_rng(0).standard_normal(len(values))
+        table = pa.table({"l": values, "r": values + noise})
         pq.write_table(table, tmp_path / f"{name}.parquet", use_dictionary=False)
         pair = [source | {"file": f"{name}.parquet", "column": column} for column in "lr"]
         content["channels"][name] = pair
@@ -426,7 +427,7 @@ def test_folder_of_vehicles_is_checked_and_runs_nothing(manifests, tmp_path):
     )
     done = typed(check, manifests[0], "--config-dir", tmp_path, cwd=tmp_path)
     assert done.returncode == 1
-    assert "`_target_` is no longer used" in done.stderr
+    assert "`vehicle._target_` is no setting of vehicle" in done.stderr
     assert not (tmp_path / "hit").exists()
     assert not (tmp_path / "outputs").exists()
 

@@ -27,6 +27,7 @@ CASES = {
     "suspnet train healthy=trips/ca": ["trips/car7"],
     "suspnet evaluate study=layo": ["layouts"],
     "suspnet check tri": ["trips"],
+    "suspnet train healthy=Wa": ["Wagen 7, hinten"],
     "suspnet check --no": ["--no-pictures"],
     "suspnet history fleet.db ackn": ["acknowledge"],
     "suspnet init suspension": ["suspension="],
@@ -99,17 +100,19 @@ def test_program_runs_under_the_command(monkeypatch, capsys):
 @pytest.mark.skipif(shutil.which("bash") is None, reason="there is no bash")
 def test_words_are_completed_in_bash(tmp_path):
     (tmp_path / "trips" / "car7").mkdir(parents=True)
+    (tmp_path / "Wagen 7, hinten").mkdir()
     (tmp_path / "words.sh").write_text(completion.script("bash"))
     asked = [
         f'COMP_LINE="{line}"; COMP_POINT=${{#COMP_LINE}}; COMPREPLY=(); _suspnet 2>/dev/null;'
-        'echo "${COMPREPLY[*]}"'
+        'printf "%s|" "${COMPREPLY[@]}"; echo'
         for line in CASES
     ]
     code = "\n".join(["source words.sh", *asked])
     done = subprocess.run(
         ["bash", "--norc", "-c", code], cwd=tmp_path, capture_output=True, text=True, check=True
     )
-    assert [line.split() for line in done.stdout.splitlines()] == list(CASES.values())
+    found = [[word for word in line.split("|") if word] for line in done.stdout.splitlines()]
+    assert found == list(CASES.values())
     assert done.stderr == ""
 
 

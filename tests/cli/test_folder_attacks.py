@@ -1,4 +1,4 @@
-"""No configuration, folder or ledger of somebody else's makes a program remove or replace a file.
+"""No name, folder or ledger of somebody else's makes a program remove or replace a file.
 
 A home with files of a user lies beside the folder in which the programs run. Both are compared
 with what they were, name by name and byte by byte.
@@ -7,11 +7,12 @@ with what they were, name by name and byte by byte.
 import hashlib
 import json
 import os
+import re
 import shutil
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import pytest
-from cli_runner import SMALL, lay_configurations, typed
+from cli_runner import SMALL, typed
 
 from suspnet.cli import check, evaluate, history, replay, simulate, train
 from suspnet.ground import ledger
@@ -61,14 +62,13 @@ USERS = {
 
 @dataclass(frozen=True)
 class Attack:
-    """What is tried: files of a folder for --config-dir, what is laid out, and a command line.
+    """What is tried: what is laid out, and a command line.
 
     HOME stands for the user's folder, LINK for a link to it.
     """
 
     name: str
     arguments: tuple[str, ...] = ()
-    files: dict[str, str] = field(default_factory=dict)
     program: str = "train"
     ledger: tuple[str, ...] | None = None
     words: str = ""
@@ -102,13 +102,14 @@ def lay_out(attack, folder):
     (folder / "link").symlink_to(home)
     (cwd / "here").symlink_to(home)
     places = {"HOME": str(home), "LINK": str(folder / "link")}
-    filled = lay_configurations(folder / "theirs", attack.files, places)
+
+    def filled(text):
+        return re.sub("HOME|LINK", lambda word: places[word[0]], text)
+
     if attack.ledger is not None:
         lines = [filled(line) for line in attack.ledger]
         (home / ledger.LEDGER).write_text("\n".join(lines))
-    theirs = [f"--config-dir={folder / 'theirs'}"] if attack.files else []
-    given = [*theirs, *map(filled, attack.arguments), *PROGRAMS[attack.program][1]]
-    return sorted(given, key=lambda one: not one.startswith("-")) if theirs else given
+    return [*map(filled, attack.arguments), *PROGRAMS[attack.program][1]]
 
 
 def is_harmless(attack, folder):
@@ -123,99 +124,6 @@ def is_harmless(attack, folder):
     assert ended.returncode == 1, ended.stdout + ended.stderr
     assert [line[:7] for line in ended.stderr.splitlines()] == ["error: "], ended.stderr
     assert attack.words in ended.stderr
-
-
-def packaged(name, text, *arguments, program="train", **options):
-    """Return an attack by an option that changes the whole configuration."""
-    group = {"train": "experiment", "evaluate": "study", "simulate": "scenario"}[program]
-    head = "# @package _global_\n"
-    if program == "simulate":
-        head += "defaults: [/scenario/healthy]\n"
-    given = (f"{group}=evil", *arguments)
-    return Attack(name, given, {f"{group}/evil.yaml": head + text}, program, **options)
-
-
-SWEEP = "mode: MULTIRUN, sweeper: {params: {seed: '1,2'}}"
-BELOW = ("HOME", "../home", "LINK", "here", "HOME/deep/er", "HOME/new", "~/x", "../new")
-CONFIGURATIONS = [
-    packaged(
-        "of_the_issue",
-        "resume: HOME\ndata: {cache_dir: deep}\n"
-        "hydra: {mode: MULTIRUN, sweep: {subdir: '${data.cache_dir}'}}",
-        words="can be named on the command line only",
-        small=True,
-    ),
-    *[packaged(f"run_dir_{i}", f"hydra: {{run: {{dir: '{p}'}}}}") for i, p in enumerate(BELOW)],
-    *[
-        packaged(f"sweep_dir_{i}", f"hydra: {{sweep: {{dir: '{p}'}}, {SWEEP}}}")
-        for i, p in enumerate(BELOW)
-    ],
-    *[
-        packaged(f"subdir_{i}", f"hydra: {{sweep: {{subdir: '{p}'}}, {SWEEP}}}")
-        for i, p in enumerate(BELOW)
-    ],
-    *[packaged(f"resume_{i}", f"resume: '{p}'") for i, p in enumerate(BELOW[:5])],
-    *[
-        packaged(f"resume_sweep_{i}", f"resume: '{p}'\nhydra: {{{SWEEP}}}")
-        for i, p in enumerate(BELOW[:5])
-    ],
-    *[packaged(f"job_{i}", f"job: '{p}'", words="which is not below outputs", small=i == 0)
-      for i, p in enumerate(("../../home", "../new", ".."))],
-    *[
-        packaged(f"name_in_a_folder_{i}", f"protocol: {{name: '{p}'}}\nhydra: {{{m}}}")
-        for i, (p, m) in enumerate((("x/../../../../home", "mode: RUN"), ("x/../../y", SWEEP)))
-    ],
-    *[packaged(f"cache_{i}", f"data: {{cache_dir: '{p}'}}") for i, p in enumerate(BELOW)],
-    packaged("cache_elsewhere", "x: {cache_dir: HOME}\ndata: '${x}'"),
-    packaged("resolved", "hydra: {run: {dir: '${now:HOME}'}}"),
-    packaged("referred", "x: HOME\nhydra: {run: {dir: '${x}'}}", small=True),
-    packaged("referred_resume", "x: HOME\nresume: '${x}'"),
-    packaged("swept_resume", "hydra: {mode: MULTIRUN, sweeper: {params: {resume: HOME}}}"),
-    packaged("swept_cache", "hydra: {mode: MULTIRUN, sweeper: {params: {data.cache_dir: HOME}}}"),
-    packaged("unguarded", "hydra: {callbacks: {folders: null}, run: {dir: HOME}}"),
-    packaged(
-        "unguarded_by_another",
-        "hydra: {callbacks: {folders: {_target_: suspnet.runs.sweeps.Jobs}}}",
-    ),
-    packaged("output_subdir", "hydra: {output_subdir: sub}", "hydra.run.dir=HOME"),
-    packaged("job_name", "hydra: {job: {name: ../../home/train}}"),
-    packaged("log_file", "hydra: {job_logging: {handlers: {file: {filename: HOME/train.log}}}}"),
-    packaged("environment", "hydra: {job: {env_set: {HOME: HOME}}}"),
-    *[
-        packaged(f"study_{i}", f"study: null\n{text}", program="evaluate")
-        for i, text in enumerate(
-            (
-                "resume: HOME",
-                "store: HOME/fleet.db",
-                "hydra: {run: {dir: HOME}}",
-                "job: ../../home",
-                "resume: HOME\nhydra: {mode: MULTIRUN, sweep: {subdir: deep}}",
-            )
-        )
-    ],
-    *[
-        packaged(f"out_{i}", text, program="simulate")
-        for i, text in enumerate(
-            (
-                "out: HOME",
-                "out: HOME/new",
-                "out: ../new",
-                "scenario: {name: ../../home}",
-                "hydra: {run: {dir: HOME}}",
-                "job: ../../home",
-            )
-        )
-    ],
-    Attack("sink", ("sink=evil",), {"sink/evil.yaml": "_target_: suspnet.live.sinks.Folder\n"
-            "_convert_: all\nfolder: HOME\nbytes_a_file: 1000"}, "replay"),
-    Attack("no_guard", ("--config-name=evil",), {"evil.yaml": "hydra: {run: {dir: HOME}}"}),
-    Attack("null_hydra", ("--config-name=evil",),
-           {"evil.yaml": "defaults: [train, _self_]\nhydra: null"},
-           words="error: `hydra` must be a mapping, as shipped, or be left out", small=True),
-    packaged("unclosed", "model: {C: '${data.n_train'}", small=True,
-             words="error: `model.C` holds an interpolation that has no end: '${data.n_train'"),
-    packaged("empty_list", "hydra: []"),
-]  # fmt: skip
 
 
 def entry(name, text=None, token="0123abcd"):
@@ -271,8 +179,7 @@ NAMED = [
         )
     ],
 ]  # fmt: skip
-ALL = {f"{kind}: {a.name}": a for kind, several in (
-    ("configuration", CONFIGURATIONS), ("named", NAMED)) for a in several}  # fmt: skip
+ALL = {a.name: a for a in NAMED}
 
 
 def chosen(small):
@@ -284,9 +191,7 @@ def chosen(small):
 
 
 def test_there_are_enough_attacks():
-    assert len(CONFIGURATIONS) >= 60
-    assert len(NAMED) >= 50
-    assert len(ALL) == len(CONFIGURATIONS) + len(NAMED)
+    assert len(ALL) == len(NAMED) >= 50
 
 
 @pytest.mark.representatives(5)
@@ -331,6 +236,7 @@ CHANGES = {
     "a pipe": lambda run: os.mkfifo(run / "speeds.json"),
     "a second ledger": lambda run: put(run / "sub" / ledger.LEDGER, HEAD),
     "a link to the log": lambda run: linked(run / "train.log"),
+    "a folder in the place of a log": lambda run: (run / "evaluate.log").mkdir(),
 }
 
 
@@ -350,6 +256,17 @@ def test_what_the_user_put_into_a_run_since_stays(trained, tmp_path, change, res
     assert ended.stderr.startswith("error: run/")
     assert "suspnet did not write it here, or it was changed since: give a new" in ended.stderr
     assert ended.stderr.count("\n") == 1
+
+
+def test_run_whose_configuration_grows_by_aliases_is_another_one(trained, tmp_path):
+    run = tmp_path / "run"
+    shutil.copytree(trained, run)
+    laughs = ["a0: &a0 [x]", *(f"a{i}: &a{i} [{f'*a{i - 1}, ' * 9}]" for i in range(1, 15))]
+    put(run / "config.yaml", "\n".join(laughs))
+    with (run / ledger.LEDGER).open("a") as stream:
+        stream.write("\n" + entry("config.yaml", "\n".join(laughs)))
+    ended = typed(train, *TRAIN, "resume=run", cwd=tmp_path)
+    assert "run holds a finished run of other settings" in ended.stderr
 
 
 def test_same_command_again_replaces_what_it_wrote(trained, tmp_path):

@@ -169,9 +169,9 @@ def test_german_csv_of_a_logger_becomes_a_manifest(channels, tmp_path):
     header = ";".join(
         ["Zeit [s]", *(f"{one} {side} [m/s2]" for one in names for side in ("li", "re"))]
     )
-    columns = [np.arange(75_000) / 250.0]
+    columns, rng = [np.arange(75_000) / 250.0], np.random.default_rng(0)
     for one in channels.values():
-        columns += [one, 1.01 * one]
+        columns += [one, one + 0.01 * one.std() * rng.standard_normal(len(one))]
     rows = np.column_stack(columns)[:40_000]
     (tmp_path / "Messung.csv").write_text(
         header

@@ -14,13 +14,17 @@ import pytest
 import yaml
 from cli_runner import typed
 from recording_files import write_mdf
+from scipy.io import wavfile
 from trip_fixtures import RATES_HZ, signal, small_fleet
 
 from suspnet.cli import check, init, program
 from suspnet.cli.config_files import CONFIGS
 from suspnet.dynamics import Vehicle
+from suspnet.ground import ledger
+from suspnet.ground.storage import write_atomically
 from suspnet.recordings.manifest import CHANNELS
 from suspnet.recordings.manifest_files import read_manifest
+from suspnet.trips import trip_files
 from suspnet.trips.trip_files import find_tables, find_trip_files
 
 WORDS = ("Achslager", "Rahmen", "Wagenkasten")
@@ -335,6 +339,30 @@ def test_all_files_that_cannot_be_read_are_named(tmp_path):
     assert "give a folder of data files" in typed(init, cwd=tmp_path).stderr
 
 
+def test_data_files_that_are_not_read_are_named(tmp_path):
+    (tmp_path / "a" / "b" / "c").mkdir(parents=True)
+    for name in ("1.lvm", "2.LVM", "run.d7d", "notes.pdf", "odd.xyz"):
+        (tmp_path / name).write_text("x")
+    line = "1.lvm and 1 more, {0}/odd.xyz, {0}/run.d7d; export them to one of .asc, .csv"
+    line = line.format(tmp_path)
+    done = typed(init, tmp_path, cwd=tmp_path)
+    assert f"holds no data file; not read: {tmp_path}/{line}" in done.stderr
+    write_plain(tmp_path / "run.parquet")
+    said = typed(init, tmp_path, cwd=tmp_path).stdout
+    assert f"not read: {tmp_path}/{line}" in said
+    assert f"not searched: {tmp_path}/a/b/c: below 3 levels of folders" in said
+
+
+def test_range_of_integers_in_wav_files_is_said_once(tmp_path):
+    for name in CHANNELS:
+        wavfile.write(tmp_path / f"run_{name}.wav", 500, np.arange(-99, 99, dtype="i2"))
+    said = [one for one in SAID if not one.startswith("rate_hz")]
+    assert asked(tmp_path, *said) == {"range", "mileage_km"}
+    written(tmp_path, *said, "range=50", "mileage_km=1")
+    manifest = read_manifest(tmp_path / "run.yaml")
+    assert {manifest.channels[name].range for name in CHANNELS} == {50.0}
+
+
 NUMBERS = {
     "bogie_mass_kg": 1300.0,
     "body_mass_kg": 5200.0,
@@ -550,3 +578,112 @@ def test_keys_may_follow_options(between, monkeypatch):
         program.main("init")
     assert given[0].files == ["d", "vehicle=v", "side=left"]
     assert given[0].table == Path("t.csv")
+
+
+PLACES = ("axle_box", "bogie", "body")
+GERMAN = ("Achslager", "Drehgestell", "Wagenkasten")
+LOGGERS = {
+    "in the folder": (PLACES, "DIR.yaml"),
+    "in German": (GERMAN, "DIR.yaml"),
+    "in a subfolder": ([f"run 7/{place}" for place in PLACES], "run 7.yaml"),
+    "behind a name": ([f"run_7_{place}" for place in PLACES], "run_7.yaml"),
+    "in folders of places": ([f"{place}/rec" for place in PLACES], "rec.yaml"),
+}
+"""Files of three loggers of one kind, without their ending, and the manifest of their trip."""
+
+
+@pytest.mark.parametrize("columns", [["Acc_X"], ["Acc_X", "Acc_Y", "Acc_Z"]], ids=len)
+@pytest.mark.parametrize(("files", "manifest"), LOGGERS.values(), ids=LOGGERS)
+def test_names_of_files_show_the_places_of_identical_loggers(tmp_path, files, manifest, columns):
+    folder = tmp_path / "DIR"
+    for name in files:
+        write_plain(folder / f"{name}.parquet", columns)
+    assert "1 manifest of 1 trip\n" in written(folder, *SAID, "mileage_km=7")
+    (path,) = folder.rglob("*.yaml")
+    assert path == folder / manifest
+    found = read_manifest(path)
+    at = [(found.channels[name].file, found.channels[name].column) for name in CHANNELS]
+    assert at == [(f"{name}.parquet", columns[-1]) for name in files]  # the vertical one of three
+    assert "guess by the name" in path.read_text()
+
+
+def test_loggers_of_unclear_names_are_said_as_file_and_column(tmp_path):
+    for run in (1, 2):
+        for number in range(1, 6):
+            write_plain(tmp_path / f"run {run}" / f"S{number}.parquet", ["Acc_X", "Temp [°C]"])
+    (tmp_path / "km.csv").write_text("file;mileage_km\nrun 1;7\nrun 2;8\n")
+    asks = typed(init, tmp_path, *SAID, cwd=tmp_path).stdout
+    assert "columns: S1:Acc_X, S1:Temp [°C], S2:Acc_X" in asks
+    said = ["channels.axle_box=S3:Acc_X,S1.parquet:Acc_X", "channels.bogie=S2:Acc_X,S4:Acc_X"]
+    table = ("--table", tmp_path / "km.csv")
+    written(tmp_path, *SAID, *said, "channels.body=S5:Acc_X", *table)
+    for run in (1, 2):
+        found = read_manifest(tmp_path / f"run {run}.yaml")
+        at = {one.side: one.file for one in found.channels["axle_box"]}
+        assert at == {"left": f"run {run}/S3.parquet", "right": f"run {run}/S1.parquet"}
+        assert found.channels["body"].file == f"run {run}/S5.parquet"
+        assert found.channels["body"].column == "Acc_X"
+    wrong = typed(init, tmp_path, *SAID, *said, "channels.body=S6:Acc_X", cwd=tmp_path)
+    assert "FILE:COLUMN is that of one file; got 'S6:Acc_X'" in wrong.stderr
+
+
+def test_a_column_of_several_loggers_is_that_of_the_file_named_by_the_channel(tmp_path):
+    for name in ("axle_box_left", "axle_box_right", "bogie", "body"):
+        write_plain(tmp_path / f"{name}.parquet", ["ch1", "ch2", "ch3"])
+    said = [f"channels.{name}=ch2" for name in CHANNELS]
+    written(tmp_path, *SAID, "mileage_km=7", *said)
+    found = read_manifest(*tmp_path.glob("*.yaml"))
+    sides = [(one.side, one.file, one.column) for one in found.channels["axle_box"]]
+    assert sides == [(s, f"axle_box_{s}.parquet", "ch2") for s in ("left", "right")]
+    assert found.channels["body"].file == "body.parquet"
+
+
+def test_identical_loggers_in_one_folder_are_ready(tmp_path):
+    manifest = small_fleet()[0]
+    for name, rate in zip(CHANNELS, RATES_HZ, strict=True):
+        field = pa.field("Acc_X", pa.float64(), metadata={"unit": "m/s2", "rate_hz": str(rate)})
+        table = pa.table([signal(manifest, name)], schema=pa.schema([field]))
+        pq.write_table(table, tmp_path / f"{name}.parquet")
+    said = [*SAID[:3], "side=middle", "direction=forward", "mileage_km=7"]
+    line = written(tmp_path, *said).splitlines()[-1]
+    words = shlex.split(line.partition(": ")[2])
+    done = typed(check, *words[2:], "--no-pictures", cwd=tmp_path)
+    assert "1 of 1 trips ready for an estimate" in done.stdout, done.stdout
+
+
+def test_trips_of_the_same_name_are_told_apart_by_check(tmp_path):
+    for day in ("mon", "tue"):
+        write_plain(tmp_path / "log" / day / "rec.parquet")
+        written(tmp_path / "log" / day, *SAID, "mileage_km=7")
+    done = typed(check, "log", "--no-pictures", cwd=tmp_path)
+    assert "  mon/rec, tue/rec: only 2.0 s are common" in done.stdout
+
+
+@pytest.mark.parametrize("n_bytes", [246, 250, 255])
+def test_files_of_long_names_get_manifests(tmp_path, n_bytes):
+    name = "ü" * 100 + "x" * (n_bytes - 200 - len(".parquet")) + ".parquet"
+    write_plain(tmp_path / name)
+    written(tmp_path, *SAID, "mileage_km=7")
+    (path,) = tmp_path.glob("*.yaml")
+    assert read_manifest(path).channels["body"].file == name
+    ledger.begin(tmp_path / "results")
+    for text in "ab":
+        write_atomically(tmp_path / "results" / f"{'y' * 251}.txt", text)
+    assert not list(tmp_path.rglob(".*"))
+
+
+def test_time_is_in_proportion_to_the_number_of_files(tmp_path, monkeypatch):
+    n_guesses = []
+    guess = trip_files.guessed_meaning
+    monkeypatch.setattr(trip_files, "guessed_meaning", lambda *a: n_guesses.append(a) or guess(*a))
+    spent = []
+    for n_files in (20, 40):
+        folder = tmp_path / str(n_files)
+        folder.mkdir()
+        for number in range(n_files):
+            (folder / f"run_{number}.csv").write_text("file,x\nnone,1\n")
+        n_guesses.clear()
+        assert find_tables(folder) == []
+        assert len(find_trip_files(folder)) == n_files
+        spent.append(len(n_guesses))
+    assert spent[1] <= 2 * spent[0]

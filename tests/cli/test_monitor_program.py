@@ -38,15 +38,6 @@ def monitored(folder, run, fleet, *more):
     )
 
 
-def test_a_file_of_others_does_not_say_where_alarms_are_sent(tmp_path):
-    (tmp_path / "theirs" / "x").mkdir(parents=True)
-    own = tmp_path / "theirs" / "x" / "own.yaml"
-    own.write_text("# @package _global_\nnotify: theirs.yaml\n")
-    ended = monitored(tmp_path, "run", "fleet", "+x=own", "--config-dir", "theirs")
-    assert ended.returncode == 1
-    assert "`notify`, where alarms are sent, is given on the command line only" in ended.stderr
-
-
 def test_replay_and_monitor_fill_the_history_and_tensorboard(tmp_path, run, fleet, monkeypatch):
     monkeypatch.setenv("SUSPNET_WEBHOOK_SECRET", KEY)
     sent = typed(

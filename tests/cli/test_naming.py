@@ -6,7 +6,7 @@ import pytest
 from hydra import compose, initialize_config_dir
 from hydra.core.hydra_config import HydraConfig
 
-from suspnet.cli.folders import MAX_CHARACTERS
+from suspnet.cli.folders import MAX_BYTES
 from suspnet.cli.program import CONFIGS
 
 
@@ -55,5 +55,5 @@ def test_multirun_is_named_by_what_its_runs_share():
 
 def test_name_is_short_and_needs_no_quotes():
     job, name = folder("train", f"vehicle.name='a b/{'=,c ' * 50}'", "model.epsilon=1e-3")
-    assert len(name) < 2 * MAX_CHARACTERS
+    assert len(name) < 2 * MAX_BYTES
     assert re.fullmatch(r"[\w.+-]+", job + name)

@@ -194,7 +194,7 @@ def test_curve_fit_comes_close_to_the_bound(tmp_path):
         ("device=cuda:99", "`device`='cuda:99' cannot be used here"),
         ("seed=-1", "`seed` must be a whole number"),
         ("threads=0", "`threads` must be a whole number >= 1"),
-        ("+model._target_=os.system", "'os.system' is not trusted"),
+        ("+model._target_=os.system", "._target_` is no setting of "),
     ],
 )
 def test_mistake_gets_one_line(override, message, tmp_path):
@@ -214,6 +214,11 @@ def test_mistake_gets_one_line(override, message, tmp_path):
             "There is no such key: did you mean n_train?; --help lists them",
         ),
         (train, ["protocol.feature_settings.n=4"], "no such key: a + before it adds it; --help"),
+        (
+            train,
+            ["protocol.groups={mine:{outputs:[k_p],responses:[G_p],peaks:[primary_largest]}}"],
+            "There is no protocol.groups.mine yet: +protocol.groups.mine=... adds it; --help",
+        ),
         (train, ["hydra.run.dir={file}/x"], "Not a directory"),
         (evaluate, [], "which run?"),
         (evaluate, ["run=nowhere"], "run=nowhere does not exist"),

@@ -72,6 +72,7 @@ def test_mistakes_are_one_line(refused, path, tmp_path):
     assert "Give hosts=[NAME, ...]" in refused(store, "host=0.0.0.0", "open_to_network=true")
     assert "must be an IPv4 address or a name" in refused(store, "host='::1'")
     assert "`today` must be a day" in refused(store, "today=soon")
+    assert "`url_prefix` must be the path" in refused(store, "url_prefix=fleet")
 
 
 def test_mistakes_about_who_may_do_what_are_one_line(refused, path, tmp_path, monkeypatch):
@@ -90,18 +91,6 @@ def test_mistakes_about_who_may_do_what_are_one_line(refused, path, tmp_path, mo
     monkeypatch.setenv(f"{serve.TOKEN_VARIABLE}_FILE", str(token))
     assert "given twice" in refused(store, "token_file=api.token")
     assert "24 to 200 ASCII characters" in refused(store)
-
-
-@pytest.mark.parametrize(
-    "line",
-    ["engineers: [Eve]", "user_header: X-Eve", "trusted_proxies: [6.6.6.6]", "token_file: t"],
-)
-def test_files_of_others_do_not_say_who_may_do_what(refused, path, tmp_path, line):
-    folder = tmp_path / "theirs" / "x"
-    folder.mkdir(parents=True)
-    (folder / "own.yaml").write_text(f"# @package _global_\n{line}\n")
-    said = refused(f"store={path}", "+x=own", "--config-dir", str(folder.parent))
-    assert f"`{line.partition(':')[0]}`, who may do what, is given on the command line only" in said
 
 
 @pytest.mark.parametrize(

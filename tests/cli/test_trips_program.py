@@ -514,7 +514,7 @@ def test_bad_recording_is_a_row_with_its_reason(bad, name, status, reason):
             ["trips={trips}", "monitor.trips.min_averages=x"],
             r"`trips\.min_averages` must be a finite num",
         ),
-        (["trips={trips}", "+monitor._target_=os.system"], "'os.system' is not trusted"),
+        (["trips={trips}", "+monitor._target_=os.system"], "._target_` is no setting of "),
     ],
 )
 def test_mistake_with_trips_gets_one_line(run, trips, tmp_path, overrides, message):
@@ -562,7 +562,7 @@ def test_cluster_without_dask_gets_one_line(run, trips, monkeypatch, tmp_path):
         (["fleet.sides=up"], r"`sides` must be one of \('both', 'left', None\), got 'up'"),
         (["fleet.sides=both"], "`sides`=both needs a vehicle with roll"),
         (["vehicle=sedan", "generator=vertical_vehicle"], "vehicle 'sedan' lacks"),
-        (["+fleet._target_=os.system"], "'os.system' is not trusted"),
+        (["+fleet._target_=os.system"], "._target_` is no setting of "),
         (["cars=2"], "cars=2 is of a fleet of trains: give trains= too"),
         (["n_wearing=0"], "n_wearing=0 is of a fleet of trains: give trains= too"),
         (["trains=0"], "`trains` must be a whole number >= 1"),

@@ -57,12 +57,14 @@ def speeds(manifest, *parts):
 
 
 def with_pairs(path, names=("axle_box", "bogie", "body")):
-    """Give channels of a manifest a second sensor, on the right, with the same signal."""
+    """Give channels of a manifest a second sensor, on the right: the same motion, other noise."""
     content = yaml.safe_load(path.read_text())
     for name in names:
         left = content["channels"][name]
         copy = path.parent / f"{path.stem}_{name}.parquet"
-        pq.write_table(pa.table({"right": pq.read_table(left["file"]).column(0)}), copy)
+        values = pq.read_table(left["file"]).column(0).to_numpy()
+        noise = 0.01 * values.std() * np.random.default_rng(0).standard_normal(len(values))
+        pq.write_table(pa.table({"right": values + noise}), copy)
         right = left | {"file": str(copy), "column": "right", "side": "right"}
         content["channels"][name] = [left | {"side": "left"}, right]
     path.write_text(yaml.safe_dump(content))

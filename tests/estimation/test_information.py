@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import reference
+from protocols import shipped_protocol
 from scipy.optimize import least_squares
 
 from suspnet.dynamics import PARAMETERS
@@ -342,6 +343,41 @@ def test_best_possible_is_the_cramer_rao_bound_elsewhere(task, quarter_car, name
         assert found[output]["mape_percent"] == pytest.approx(mape)
         assert found[output]["rmse"] == pytest.approx(math.sqrt(np.mean(deviation**2)))
         assert 0 < found[output]["mape_percent"] < 10
+
+
+@pytest.mark.parametrize(
+    ("outputs", "varied", "limited_by_scale"),
+    [
+        (["k_s"], ("k_s", "M_s"), ()),
+        (["c_s"], ("c_s", "M_s"), ()),
+        (["k_p", "k_s"], ("k_s", "M_s"), ()),
+        (["k_p", "k_s", "c_s"], (), ("k_s", "c_s")),
+    ],
+)
+def test_best_possible_is_the_bound_of_what_varies(quarter_car, outputs, varied, limited_by_scale):
+    """G_s alone with the mass unknown: separable unless springs and dampers vary together."""
+    groups = {"one": {"outputs": outputs, "responses": ["G_s"], "peaks": ["secondary"]}}
+    problem = shipped_protocol("paper", groups=groups).task("one")
+    found, ratios = best(quarter_car, problem, n=20)
+    assert tuple(found) == problem.outputs
+    of_scale = scale_ambiguity_bound(problem, ratios)
+    columns = [PARAMETERS.index(name) for name in varied]
+    for name in outputs:
+        if name in limited_by_scale:
+            assert found[name] == of_scale[name]
+        elif name in varied:
+            every = [
+                reference.fisher_by_differences(
+                    quarter_car.vehicle, row, FREQUENCIES.numpy(), 34.0, columns, [1]
+                )
+                for row in ratios
+            ]
+            deviation = np.sqrt(np.linalg.inv(every)[:, 0, 0])
+            mape = 100 * np.mean(math.sqrt(2 / math.pi) * deviation / ratios[:, columns[0]])
+            assert found[name]["mape_percent"] == pytest.approx(mape, rel=1e-5)
+            assert mape < of_scale[name]["mape_percent"] / 50
+        else:  # G_s does not depend on it
+            assert found[name] == {"mape_percent": math.inf, "rmse": math.inf}
 
 
 def test_range_does_not_matter_far_from_its_edges():

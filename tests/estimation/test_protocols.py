@@ -293,7 +293,7 @@ def test_incomplete_group_is_named():
 
 
 def test_whole_curves_need_both_responses(protocol):
-    with pytest.raises(ValueError, match=r"uses both responses, protocol 'own_curve' only \['G_p'\]"):
+    with pytest.raises(ValueError, match=r"both responses, protocol 'own_curve' only \['G_p'\]"):
         protocol("own_curve", feature_set="curve")
     assert protocol("joint", feature_set="curve").task("all").extractor.kind == "curve"
 

@@ -2,14 +2,18 @@
 
 import io
 import logging
+import logging.config
 import re
 import sys
 import time
+from pathlib import Path
 
 import pytest
+import yaml
 from cli_runner import SMALL, typed
 
 from suspnet.cli import simulate, train
+from suspnet.cli.config_files import CONFIGS
 from suspnet.ground import progress
 
 
@@ -126,6 +130,30 @@ def test_lines_go_to_standard_error_and_results_to_standard_output(monkeypatch):
     assert out.getvalue() == "rms error 1 %\n"
     assert err.getvalue() == "3: test\n"
     assert file.getvalue() == "test\nrms error 1 %\n"
+
+
+@pytest.mark.parametrize(
+    ("name", "shown"),
+    [
+        ("a\nalarm cleared", "a\\nalarm cleared"),
+        ("a\r\nb", "a\\r\\nb"),
+        ("a\N{LINE SEPARATOR}b", "a\\u2028b"),
+        ("\x1b[2Ja", "\\x1b[2Ja"),
+        ("\N{RIGHT-TO-LEFT OVERRIDE}a", "\\u202ea"),
+        ("Züge 4", "Züge 4"),
+    ],
+)
+def test_no_name_in_a_log_line_forges_another_line(name, shown):
+    file = Path(CONFIGS, "base", "program.yaml")
+    given = yaml.safe_load(file.read_text())["hydra"]["job_logging"]["formatters"]
+    formatter = logging.config.DictConfigurator({}).configure_formatter(given["simple"])
+
+    def text(form, *args):
+        return formatter.format(logging.LogRecord("x", logging.INFO, "", 0, form, args, None))
+
+    assert text("%s is %d", name, 3) == f"{shown} is 3"
+    table = text("%s\n-> %s", "a | b\n1 | 2", name)
+    assert table.startswith("a | b\n1 | 2\n-> ")
 
 
 STAGES = [

@@ -7,8 +7,12 @@ from threadpoolctl import threadpool_info
 from vehicles import AM96
 
 from suspnet.dynamics import QuarterCar, VerticalVehicle
+from suspnet.estimation.information import fisher_information
 from suspnet.ground.tensors import complex_log, squared_size, threads
 from suspnet.learning import MSVR, MVGPR
+from suspnet.spectra.components import CurveFeatures
+from suspnet.spectra.curves import CurveSettings
+from suspnet.spectra.extraction import PeakFeatures
 from suspnet.spectra.peaks import findpeaks
 from suspnet.spectra.welch import tfestimate
 
@@ -17,10 +21,11 @@ BINS_HZ = np.arange(1, 200) * 0.1
 
 
 def layouts(values):
-    """Return the same values as lists, reversed views and arrays that cannot be written to."""
+    """Return the same values as people have them: lists, views, read-only, foreign byte order."""
     fixed = values.copy()
     fixed.flags.writeable = False
-    return values.tolist(), values[::-1].copy()[::-1], fixed
+    foreign = values.astype(values.dtype.newbyteorder())
+    return values.tolist(), values[::-1].copy()[::-1], fixed, foreign
 
 
 @pytest.mark.parametrize("generator", [QuarterCar(AM96), VerticalVehicle(AM96)])
@@ -50,6 +55,23 @@ def test_findpeaks_takes_arrays():
     expected = findpeaks(curves, torch.tensor(BINS_HZ), low_hz=torch.full((3,), 0.3))
     found = findpeaks(curves.numpy(), BINS_HZ, low_hz=np.full(3, 0.3, np.float32))
     torch.testing.assert_close(found.position_hz, expected.position_hz, rtol=0, atol=0)
+
+
+def test_features_and_information_take_arrays_of_any_layout():
+    responses = torch.stack(QuarterCar(AM96).responses(RATIOS, BINS_HZ), dim=1).numpy()
+    tensors = torch.tensor(responses), torch.tensor(BINS_HZ)
+    curve = CurveFeatures(n_components=2).fitted(
+        tensors[0], tensors[0] * (1 + 1e-3j), tensors[0][0], tensors[1]
+    )
+    observer = CurveSettings().observer(QuarterCar(AM96))
+    information = fisher_information(observer, RATIOS)
+    for ratios in layouts(RATIOS):
+        np.testing.assert_array_equal(fisher_information(observer, ratios), information)
+    for features in (curve, PeakFeatures(peaks=("secondary",))):
+        expected = features.extract(*tensors).values
+        for curves, bins in zip(layouts(responses), layouts(BINS_HZ), strict=True):
+            found = features.extract(curves, bins).values
+            torch.testing.assert_close(found, expected, rtol=0, atol=0, equal_nan=True)
 
 
 def test_tfestimate_takes_lists_and_tensors():

@@ -90,6 +90,20 @@ def test_whatever_a_result_holds_comes_back(tmp_path_factory, name, reason, valu
         assert same(store.read("am96", place)[0], given_)
 
 
+@pytest.mark.parametrize("name", ["suspension", "train", "car", "vehicle"])
+def test_names_are_as_short_as_those_of_manifests(store, name):
+    for length in (100, 101):
+        text = length * "x"
+        place = Place() if name == "vehicle" else Place(**{name: text})
+        given_ = trip(0, with_curves=False, place=place, vehicle=text if name == "vehicle" else "a")
+        if length == 100:
+            store.write([given_])
+        else:
+            with pytest.raises(ValueError, match="a name must have at most 100 characters"):
+                store.write([given_])
+    assert len(store.places()) == 1
+
+
 # property
 
 

@@ -1,16 +1,21 @@
-"""Every estimator keeps scikit-learn's contract."""
+"""Every estimator keeps scikit-learn's contract, on arrays as people have them."""
 
+import numpy as np
 import pytest
+import torch
+from learning_reference import smooth_data
+from sklearn.base import clone
 from sklearn.utils.estimator_checks import estimator_checks_generator, parametrize_with_checks
 
 from suspnet.learning import MSVR, MVGPR, SVR, LinearRegression
 
-
 # The array API check is skipped, with this warning, unless array_api_compat is installed.
+ESTIMATORS = [MSVR(n_components=64), SVR(), LinearRegression(), MVGPR(n_restarts=0, n_optimize=100)]
+MAPPED = [MSVR(feature_map=name, n_components=64) for name in ("orf", "nystroem", "exact")]
+
+
 @pytest.mark.filterwarnings("ignore::sklearn.exceptions.SkipTestWarning")
-@parametrize_with_checks(
-    [MSVR(n_components=64), SVR(), LinearRegression(), MVGPR(n_restarts=0, n_optimize=100)]
-)
+@parametrize_with_checks(ESTIMATORS)
 def test_estimator_keeps_the_contract(estimator, check):
     check(estimator)
 
@@ -38,3 +43,76 @@ def test_equispaced_keeps_the_contract_with_few_inputs(check):
         if "supports at most 3 inputs" not in f"{error} {error.__cause__} {error.__context__}":
             raise
         pytest.skip("the check gives more than three inputs")
+
+
+def by_name(estimators):
+    return [pytest.param(one, id=str(one).partition(", n_")[0]) for one in estimators]
+
+
+@pytest.mark.parametrize("dtype", [np.float64, np.float32])
+@pytest.mark.parametrize("column", [0, [0], [0, 1]])
+@pytest.mark.parametrize("estimator", by_name(ESTIMATORS + MAPPED))
+def test_restored_model_predicts_in_the_shape_and_type_of_the_fitted_one(estimator, column, dtype):
+    X, Y = (array.astype(dtype) for array in smooth_data(0, n_samples=40))
+    model = clone(estimator).fit(X, Y[:, column])
+    restored = clone(estimator).restore(model.state())
+    expected, found = model.predict(X), restored.predict(X)
+    assert expected.shape == Y[:, column].shape
+    assert found.dtype == expected.dtype
+    np.testing.assert_array_equal(found, expected, strict=True)
+    assert {k: v.shape for k, v in restored.state().items()} == {
+        k: v.shape for k, v in model.state().items()
+    }
+
+
+@pytest.mark.parametrize("default", [torch.float64, torch.float16])
+@pytest.mark.parametrize("estimator", by_name(ESTIMATORS + MAPPED))
+def test_fit_depends_on_no_global_state_of_torch_or_numpy(estimator, default):
+    X, Y = smooth_data(1, n_samples=40)
+    expected = clone(estimator).fit(X, Y).predict(X)
+    torch.set_default_dtype(default)
+    torch.manual_seed(3)
+    np.random.seed(3)  # noqa: NPY002
+    try:
+        found = clone(estimator).fit(X, Y).predict(X)
+    finally:
+        torch.set_default_dtype(torch.float32)
+    np.testing.assert_array_equal(found, expected)
+
+
+def read_only(array):
+    array = array.copy()
+    array.setflags(write=False)
+    return array
+
+
+def frame(array):
+    pandas = pytest.importorskip("pandas")
+    return pandas.DataFrame(array[::-1].copy())[::-1]
+
+
+LAYOUTS = {
+    "reversed": lambda array: array[::-1].copy()[::-1],
+    "columns reversed": lambda array: array[:, ::-1].copy()[:, ::-1],
+    "every second": lambda array: np.repeat(array, 2, axis=0)[::2],
+    "read only": read_only,
+    "big endian": lambda array: array.astype(">f8"),
+    "Fortran": np.asfortranarray,
+    "frame": frame,
+    "list": np.ndarray.tolist,
+}
+
+
+@pytest.mark.filterwarnings("ignore:X (has|does not have valid) feature names")
+@pytest.mark.parametrize("layout", LAYOUTS)
+@pytest.mark.parametrize("estimator", by_name(ESTIMATORS + MAPPED))
+def test_memory_layout_of_the_data_does_not_matter(estimator, layout):
+    X, Y = smooth_data(2, n_samples=40)
+    model = clone(estimator).fit(X, Y)
+    expected = model.predict(X)
+    as_laid_out = LAYOUTS[layout]
+    # NumPy sums a column of another layout in another order
+    same = {"rtol": 0, "atol": 1e-12}
+    np.testing.assert_allclose(model.predict(as_laid_out(X)), expected, **same)
+    again = clone(estimator).fit(as_laid_out(X), as_laid_out(Y))
+    np.testing.assert_allclose(again.predict(as_laid_out(X)), expected, **same)

@@ -292,9 +292,7 @@ def test_wrong_fixed_equations_do_not_change_the_minimum(factor):
 @pytest.mark.parametrize("path", ["newton", "as printed"])
 def test_wrong_equations_do_not_change_the_minimum(path, factor):
     design, _, Y = small_problem()
-    found = IRWLS(10.0, 0.1, max_iter=3000, **PATHS[path]).minimise(
-        Rigged(design, 1.0, factor), Y
-    )
+    found = IRWLS(10.0, 0.1, max_iter=3000, **PATHS[path]).minimise(Rigged(design, 1.0, factor), Y)
     assert found.status == Status.CONVERGED
     assert found.objective == pytest.approx(small_minimum(10.0, 0.1, True), rel=2e-8)
 

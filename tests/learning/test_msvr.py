@@ -451,7 +451,9 @@ def test_sample_weights_that_mean_nothing_are_refused(weights, message):
 def test_exact_models_saved_with_a_whitening_are_read():
     X, Y = smooth_data(0, 60)
     model = small(feature_map="exact").fit(X, Y)
-    values, vectors = np.linalg.eigh(np.exp(-np.square(X[:, None] - X).sum(axis=2) / model.sigma**2))
+    values, vectors = np.linalg.eigh(
+        np.exp(-np.square(X[:, None] - X).sum(axis=2) / model.sigma**2)
+    )
     kept = values > 1e-12
     whitening = vectors[:, kept] / np.sqrt(values[kept])
     old = model.state() | {"map.whitening": whitening}

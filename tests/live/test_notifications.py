@@ -3,12 +3,15 @@
 import json
 import logging
 import os
+import shutil
 import signal
 import smtplib
 import socket
+import ssl
+import subprocess
 import threading
 import time
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from email import message_from_bytes, policy
@@ -291,23 +294,124 @@ def test_a_webhook_is_signed_as_standard_webhooks_says_and_secrets_stay_secret(t
     assert KEY not in (tmp_path / "a.db").read_bytes().decode(errors="replace")
 
 
-def test_the_content_of_an_answer_is_not_read():
-    """A server that accepts a message and does not end its answer has accepted it."""
-    with socket.create_server(("127.0.0.1", 0)) as server, pytest.MonkeyPatch.context() as patch:
-        patch.setattr("suspnet.live.channels.TIMEOUT_S", 1.0)
+@contextmanager
+def dripping(answers, drip):
+    """Serve a connection: answer its requests, the first unasked, then drip until it is closed."""
+    with socket.create_server(("127.0.0.1", 0)) as server:
 
-        def answer():
+        def serve():
             connection, _ = server.accept()
             with connection, suppress(OSError):
-                connection.recv(65536)
-                connection.sendall(b"HTTP/1.1 200 OK\r\nContent-Length: 99999999\r\n\r\n")
-                connection.recv(65536)  # until the other end closes the connection
-                closed.set()
+                connection.settimeout(10)
+                for i, answer in enumerate(answers):
+                    if i:
+                        connection.recv(65536)
+                    connection.sendall(answer)
+                while True:  # ends with the connection
+                    connection.sendall(drip)
+                    time.sleep(0.05)
 
-        closed = threading.Event()
-        threading.Thread(target=answer, daemon=True).start()
-        Webhook(f"http://127.0.0.1:{server.getsockname()[1]}/").send(MESSAGE)
-        assert closed.wait(10)
+        thread = threading.Thread(target=serve)
+        thread.start()
+        yield server.getsockname()[1]
+        thread.join(10)
+        assert not thread.is_alive()
+
+
+HEAD = b"HTTP/1.1 200 OK\r\nContent-Length: 99999999\r\n"
+MAIL = [b"220 x\r\n", *[b"250 x\r\n"] * 3, b"354 x\r\n", b"250 x\r\n"]
+DRIPS = {
+    "webhook, status": ("webhook", [b"", b""], b"H", False),
+    "webhook, head": ("webhook", [b"", HEAD], b"X", True),
+    "webhook, content": ("webhook", [b"", HEAD + b"\r\n"], b"X", True),
+    "email, greeting": ("email", [], b"2", False),
+    "email, last answer": ("email", MAIL[:-1], b"2", False),
+    "email, goodbye": ("email", MAIL, b"2", True),
+    "mqtt": ("mqtt", [b"\x20\xff\xff\x7f"], b"\0", False),
+}
+
+
+@pytest.mark.parametrize("what", DRIPS)
+def test_a_server_that_drips_its_answer_has_one_deadline_for_a_message(monkeypatch, what):
+    """What it has accepted by its first line is accepted, and not sent again."""
+    kind, answers, drip, is_accepted = DRIPS[what]
+    monkeypatch.setattr("suspnet.live.channels.DEADLINE_S", 0.5)
+    with dripping(answers, drip) as port:
+        channel = {
+            "webhook": lambda: Webhook(f"http://127.0.0.1:{port}/a?b=c"),
+            "email": lambda: Email("127.0.0.1", port, security="none", sender="s@example.org"),
+            "mqtt": lambda: MqttChannel(Broker("127.0.0.1", port)),
+        }[kind]()
+        begin = time.monotonic()
+        with nullcontext() if is_accepted else pytest.raises(DeliveryError, match="no answer wit"):
+            channel.send(MESSAGE)
+        assert time.monotonic() - begin < 5
+
+
+@pytest.mark.skipif(not shutil.which("openssl"), reason="needs openssl to make a certificate")
+def test_a_server_with_tls_is_checked_by_its_certificate(tmp_path, monkeypatch):
+    key, certificate = tmp_path / "key", tmp_path / "certificate"
+    command = "openssl req -x509 -newkey ec -pkeyopt ec_paramgen_curve:P-256 -nodes -subj /CN=x"
+    made = [
+        "-addext",
+        "subjectAltName=DNS:localhost",
+        "-keyout",
+        str(key),
+        "-out",
+        str(certificate),
+    ]
+    subprocess.run([*command.split(), *made], check=True, capture_output=True)
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+    context.load_cert_chain(certificate, key)
+    with receiving(context=context) as (url, got):
+        hook = Webhook(url.replace("http://127.0.0.1", "https://localhost") + "?ü")
+        with pytest.raises(DeliveryError, match="SSLCertVerificationError"):
+            hook.send(MESSAGE)
+        monkeypatch.setenv("SSL_CERT_FILE", str(certificate))
+        hook.send(MESSAGE)
+    assert len(got) == 1
+
+
+def test_a_slow_channel_holds_up_no_other_and_gets_its_message_once(told, monkeypatch):
+    monkeypatch.setattr(notifier_module, "LOOK_S", 0.05)
+    store, notifier, clock, got = told
+    may_end, slow = threading.Event(), Recorder()
+    slow.send = lambda message: slow.got.append(message) or may_end.wait(60)
+    rules = notifier._rules
+    people = [replace(rules.recipients[0], targets=(("slow", ""), ("hook", "")))]
+    rules = replace(rules, recipients=people, channels={**rules.channels, "slow": slow})
+    notifier = Notifier(store, rules, clock)
+    notifier.start()
+    try:
+        assert until(lambda: len(got) == len(slow.got) == 1)
+        store.keep_alarms(VEHICLE, SECOND, [replace(NOTICE, severity=Severity.ACT)])
+        assert until(lambda: len(got) == 2)
+        assert len(slow.got) == 1
+    finally:
+        may_end.set()
+    assert until(lambda: not store.outbox().unsent())
+    notifier.close()
+    assert len({one.id for one in slow.got}) == len(slow.got) == 2
+
+
+@pytest.mark.parametrize("back", [timedelta(hours=1), timedelta(days=3650)])
+def test_messages_do_not_wait_for_a_clock_that_is_set_back(told, back):
+    store, notifier, clock, got = told
+    rules, channel = notifier._rules, notifier._rules.channels["hook"]
+    people = [replace(rules.recipients[0], digest=None)]
+    notifier = Notifier(store, replace(rules, recipients=people), clock)
+    notifier._look()  # queued, not sent
+    clock.now -= back
+    channel.n_failures = 1
+    assert notifier.once() == (0, 1)
+    clock.now -= max(back, timedelta(hours=7))
+    assert notifier.once() == (1, 0)
+    store.keep_alarms(VEHICLE, SECOND, [replace(NOTICE, severity=Severity.ACT)])
+    notifier._look()
+    assert store.outbox().claim(clock.now, ["hook"])  # and the program is killed
+    clock.now -= back
+    assert notifier.once() == (1, 0)
+    assert len(got) == 2
 
 
 def test_a_secret_that_is_gone_is_a_failure_that_is_tried_again(tmp_path, monkeypatch):
@@ -318,27 +422,6 @@ def test_a_secret_that_is_gone_is_a_failure_that_is_tried_again(tmp_path, monkey
         ((words, n),) = [(row["error"], row["attempts"]) for row in store.outbox().unsent()]
     assert "SUSPNET_WEBHOOK_SECRET" in words
     assert n == 1
-
-
-def test_a_mail_that_was_accepted_is_not_sent_again_if_the_end_of_the_connection_fails(monkeypatch):
-    sent = []
-
-    class Server(smtplib.SMTP):
-        def __init__(self):
-            pass
-
-        def __exit__(self, *_):
-            raise smtplib.SMTPResponseException(421, b"timeout before QUIT")
-
-        def send_message(self, mail):
-            if sent:
-                raise smtplib.SMTPResponseException(451, b"later")
-            sent.append(mail)
-
-    monkeypatch.setattr(Email, "_connected", lambda *_: Server())
-    channel = Email("localhost", security="none", sender="s@example.org")
-    channel.send(MESSAGE)
-    assert len(sent) == 1
 
 
 def test_a_second_connection_to_a_broker_is_no_acknowledgement_of_a_message(monkeypatch):
@@ -357,7 +440,7 @@ def test_a_second_connection_to_a_broker_is_no_acknowledgement_of_a_message(monk
     class Reason:
         is_failure = False
 
-    monkeypatch.setattr("suspnet.live.channels.TIMEOUT_S", 0.05)
+    monkeypatch.setattr("suspnet.live.channels.DEADLINE_S", 0.05)
     monkeypatch.setattr(Broker, "client", lambda *_: Client())
     with pytest.raises(DeliveryError, match="no answer"):
         MqttChannel(Broker("localhost")).send(MESSAGE)

@@ -130,7 +130,7 @@ def test_faulty_trip_is_told_and_the_exit_code_is_one(trip, tmp_path):
         (["sink=moon"], "sink/moon"),
         (["times=0"], "`times` must be"),
         (["start=soon"], "`start` must be a date and time"),
-        (["sink=mqtt", "+sink.broker._target_=os.system"], "is not trusted"),
+        (["sink=mqtt", "+sink.broker._target_=os.system"], "is no setting of broker"),
     ],
 )
 def test_mistake_gets_one_line(trip, tmp_path, arguments, message):

@@ -1,5 +1,6 @@
 """Absolute times: found in numbers, stamps and headers, aligned, and refused where ambiguous."""
 
+import re
 from datetime import UTC, datetime, timedelta, timezone
 from pathlib import Path
 
@@ -8,15 +9,16 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 import yaml
-from recording_files import write_mdf, write_tdms
+from recording_files import opened, write_mdf, write_tdms
 
 from suspnet.recordings.clocks import Times, Zero, offsets_s
 from suspnet.recordings.columns import Column
 from suspnet.recordings.errors import TripError
 from suspnet.recordings.manifest import CHANNELS, TripManifest
 from suspnet.recordings.manifest_files import read_manifest
-from suspnet.recordings.manifest_sources import Source
+from suspnet.recordings.manifest_sources import Channel, Source
 from suspnet.recordings.recording import Recording, load_recording
+from suspnet.trips.file_contents import contents_of
 
 RATE_HZ = 250.0
 BEGIN = np.datetime64("2015-08-03T06:00:00", "ns")  # in UTC
@@ -156,7 +158,7 @@ def test_equal_headers_begin_with_the_trip():
 @pytest.mark.parametrize(
     ("source", "unit", "size"),
     [({"time_unit": "ms"}, None, 1e-3), ({}, "ms", 1e-3), ({"time_unit": "us"}, "µs", 1e-6),
-     ({}, None, 1.0), ({}, "V", 1.0)],
+     ({}, None, 1.0), ({"time_unit": "s"}, "V", 1.0), ({}, "minutes", 60.0)],
 )  # fmt: skip
 def test_numbers_are_in_their_unit(source, unit, size):
     times = Times("here", Source("f", time="t", **source), Column("t", unit), None)
@@ -164,6 +166,14 @@ def test_numbers_are_in_their_unit(source, unit, size):
         times.seconds(np.array([5.0, 7.0, np.nan])), [5 * size, 7 * size, np.nan]
     )
     assert times.zero.ns is None
+
+
+@pytest.mark.parametrize(("zone", "ahead_s"), [(None, 0), ("+02:00", 7200)])
+def test_local_start_of_a_header_takes_the_zone_of_the_manifest(zone, ahead_s):
+    source, column = Source("f", time="t", time_zone=zone), Column("t", "s", is_local=True)
+    times = Times("here", source, column, 1714983330 * 10**9)
+    np.testing.assert_array_equal(times.seconds(np.array([0.5, 1.5])), [0.5, 1.5])
+    assert (times.zero.ns, times.zero.is_zoned) == ((1714983330 - ahead_s) * 10**9, bool(zone))
 
 
 # --- failure -------------------------------------------------------------------------------------
@@ -212,3 +222,102 @@ def test_offset_of_a_zone_in_summer():
     times.seconds(np.array(["2015-08-03T08:00:00.5"], "datetime64[ns]"))
     summer = datetime(2015, 8, 3, 8, tzinfo=timezone(timedelta(hours=2)))
     assert times.zero == Zero(round(summer.timestamp()) * 10**9)
+
+
+# jumps of the times
+
+
+def written(folder: Path, times) -> Path:
+    path = folder / "data.csv"
+    path.write_text("t,a\n" + "".join(f"{t},{i}\n" for i, t in enumerate(times)))
+    return path
+
+
+N = 20_000
+SECONDS = 0.005 * np.arange(N)
+COUNTS = 5000 * np.arange(N)
+NIGHT = np.datetime64("2026-08-03T23:59:30", "ms") + COUNTS // 1000
+SPRING = np.datetime64("2026-03-29T01:59:30", "ms") + COUNTS // 1000
+SPRING[6000:] += 3_600_000
+AUTUMN = np.datetime64("2026-10-25T02:59:30", "ms") + COUNTS // 1000
+AUTUMN[6000:] -= 3_600_000
+
+
+@pytest.mark.parametrize(
+    ("times", "unit", "reason"),
+    [
+        ([str(t)[11:] for t in NIGHT], None, "a day"),
+        (np.round((86370 + SECONDS) % 86400, 3), None, "a day"),
+        ([f"{t // 60 % 60:02.0f}:{t % 60:06.3f}" for t in 3570 + SECONDS], None, "an hour"),
+        ((2**32 - 10**6 + COUNTS) % 2**32, "us", r"2\^32"),
+        (np.round((2**32 - 10**6 + COUNTS) % 2**32 / 1e6, 6), None, r"2\^32 us"),
+        (COUNTS // 1000 % 2**16, "ms", r"2\^16"),
+        (SPRING, None, "an hour"),
+        (AUTUMN, None, "an hour"),
+    ],
+)
+def test_times_continue_where_a_clock_starts_again(tmp_path, times, unit, reason):
+    path = written(tmp_path, times)
+    with opened(path, Channel(path.name, "g", "a", time="t", time_unit=unit)) as source:
+        np.testing.assert_array_equal(np.concatenate(list(source.even())), np.arange(N))
+        assert source.known_rate_hz == pytest.approx(200)
+        assert re.search(rf"times jump by {reason} and continue \(1\)$", source.words)
+
+
+@pytest.mark.parametrize(
+    ("times", "message"),
+    [
+        (
+            np.where(SECONDS < 45, SECONDS, SECONDS - 0.8),
+            "the clock steps back by 0.795 s; divide the",
+        ),
+        (
+            np.where(SECONDS < 45, SECONDS, SECONDS - 45),
+            "the clock steps back by 44.995 s; divide the",
+        ),
+        ([""] * N, "its times are empty"),
+    ],
+)
+def test_clocks_that_step_back_are_refused(tmp_path, times, message):
+    path = written(tmp_path, times)
+    source = Channel(path.name, "g", "a", time="t")
+    with opened(path, source) as one, pytest.raises(TripError, match=message):
+        list(one.even())
+
+
+def test_rows_without_a_time_are_left_out(tmp_path):
+    path = written(tmp_path, ["0.25", *SECONDS[1:50], "ERR", *SECONDS[51:]])
+    path.write_text(path.read_text().replace("0.25,0\n", "0,0\n"))
+    with opened(path, Channel(path.name, "g", "a", time="t")) as source:
+        values = np.concatenate(list(source.even()))
+        assert "rows without a time are left out (1)" in source.words
+    np.testing.assert_array_equal(np.flatnonzero(np.isnan(values)), [50])
+    assert len(values) == N
+
+
+@pytest.mark.parametrize(("unit", "size"), [("ms", 1e-3), ("us", 1e-6), ("ns", 1e-9)])
+def test_times_without_their_unit_are_named_by_it(tmp_path, unit, size):
+    times = {name: np.round(elapsed(name) / size) for name in LATE_S}
+    path = write(tmp_path, times, {"speed": {"time_unit": unit}})
+    message = (
+        f"at least 100 Hz are needed; its times look like {unit}, 250 Hz: give `time_unit: {unit}`"
+    )
+    with pytest.raises(TripError, match=message):
+        load(path)
+
+
+def test_times_of_day_are_aligned_with_each_other_and_by_the_start(tmp_path):
+    day_ns = np.datetime64("1900-01-01T08:00:00", "ns")
+    of_day = {
+        name: day_ns + np.round(1e9 * elapsed(name)).astype("timedelta64[ns]") for name in LATE_S
+    }
+    assert_aligned(load(write(tmp_path, of_day)), 8 * 3600.0)
+    mixed = of_day | {"body": stamped("body", None, 2.0)}
+    assert_aligned(load(write(tmp_path, mixed, start="2015-08-03T08:00:01")), -1.0)
+    with pytest.raises(TripError, match="its times have no date: leave out `time_zone`"):
+        load(write(tmp_path, of_day, {"body": {"time_zone": "UTC"}}))
+
+
+def test_init_says_in_which_unit_a_clock_counts(tmp_path):
+    (signal,) = contents_of(written(tmp_path, COUNTS)).signals
+    assert (signal.time, signal.time_unit, round(signal.rate_hz, 6)) == ("t", "us", 200.0)

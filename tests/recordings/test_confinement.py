@@ -4,6 +4,7 @@ import ctypes
 import hashlib
 import os
 import platform
+import re
 import resource
 import socket
 import time
@@ -20,15 +21,15 @@ from suspnet.recordings.formats import open_file
 HAS_LANDLOCK = platform.system() == "Linux" and (
     ctypes.CDLL(None, use_errno=True).syscall(confinement._CREATE_RULESET, None, 0, 1) > 0
 )
-HAS_FILTER = platform.system() == "Linux" and platform.machine() in confinement._SYSTEM_CALLS
-NEEDS_LANDLOCK = (
-    *("list", "kill the parent", "creat by C", "unlink by C", "rename by C", "mkdir by C"),
-    *("link by C", "read by C", "passwords"),
+HAS_FILTER = platform.system() == "Linux" and platform.machine() in confinement._ARCHITECTURES
+NEEDS_LANDLOCK = ("list", "read by C", "passwords")
+NEEDS_FILTER = {one for one in attempts(Path()) if one.endswith(" by C")} - {*NEEDS_LANDLOCK}
+NEEDS_FILTER |= {"kill the parent", "trace", "uring"}
+HEADERS = (
+    ("/usr/include/x86_64-linux-gnu/asm/unistd_64.h", r"NR_(\w+) (\d+)"),
+    ("/usr/include/asm-generic/unistd.h", r"NR(?:3264)?_(\w+)\s+(\d+)"),
 )
-NEEDS_FILTER = (
-    *("fork by C", "system by C", "execve by C", "datagram by C", "stream by C", "chmod by C"),
-    "trace",
-)
+"""Where Linux names its system calls, on x86-64 and on ARM."""
 
 
 @pytest.fixture
@@ -71,6 +72,52 @@ def test_reader_can_do_nothing_but_read_its_file(file, tmp_path, what):
     assert state(tmp_path) == before
 
 
+def test_numbers_of_the_allowed_calls_are_those_of_linux():
+    if not all(os.path.exists(header) for header, _ in HEADERS):
+        pytest.skip("needs the headers of Linux")
+    words = (one.split(":") for one in confinement._ALLOWED_CALLS.split())
+    tables = {name: numbers for name, *numbers in words}
+    tables |= confinement._BOUNDED_CALLS | confinement._OWN_SIGNALS
+    for place, (header, pattern) in enumerate(HEADERS):
+        known = dict(re.findall(pattern, Path(header).read_text()))
+        known["newfstatat"] = known.get("newfstatat") or known["fstatat"]
+        wrong = {
+            name: numbers[place]
+            for name, numbers in tables.items()
+            if str(numbers[place]) != known.get(name, "65535" if name == "open" else "")
+        }
+        assert wrong == {}
+
+
+def test_reader_gets_no_secret_of_the_environment(file, monkeypatch):
+    for name in ("SUSPNET_SMTP_PASSWORD", "PGPASSWORD", "AWS_SECRET_ACCESS_KEY", "MY_TOKEN"):
+        monkeypatch.setenv(name, "secret")
+    monkeypatch.setenv("LC_ALL", "C.UTF-8")
+    reader_process.end_all()  # the next reader gets a server of this environment
+    with open_file(file("environment")) as opened:
+        names = opened.words.split()
+    assert {"LC_ALL", "OPENBLAS_NUM_THREADS"} <= set(names)
+    assert [one for one in names if not reader_process.PASSED.fullmatch(one)] == [
+        "HDF5_PLUGIN_PRELOAD"
+    ]
+
+
+def test_what_a_system_lacks_is_one_warning(file, monkeypatch, caplog):
+    answer = reader_process._Process.ask
+
+    def ask(self, request):
+        found, arrays = answer(self, request)
+        return found | {"missing": [*found["missing"], "Landlock (read other files)"]}, arrays
+
+    monkeypatch.setattr(reader_process._Process, "ask", ask)
+    reader_process._warn_once.cache_clear()
+    for _ in range(2):
+        with open_file(file("thread")):
+            pass
+    (line,) = caplog.messages
+    assert "Landlock (read other files)" in line
+
+
 def test_reader_may_import_and_start_threads(file):
     with open_file(file("thread")) as opened:
         assert opened.words == "done"
@@ -107,10 +154,15 @@ def test_protections_do_not_need_each_other(tmp_path, missing):
             if missing in ("Landlock", "both"):
                 confinement._CREATE_RULESET = 1_000_000  # no such system call
             if missing in ("the filter", "both"):
-                confinement._SYSTEM_CALLS.clear()
+                confinement._ARCHITECTURES.clear()
             handle = os.open(tmp_path / "data.mat", os.O_RDONLY)
-            confinement.confine(handle, tmp_path / "data.mat", 2**28)
-            for what in ("write", "truncate", "system", "fork", "connection", "read", "rename"):
+            lacking = confinement.confine(handle, tmp_path / "data.mat", 2**28)
+            os.write(into, f"{[one.split(' (')[0] for one in lacking]} ".encode())
+            by_c = ("creat by C", "unlink by C", "kill by C", "truncate by C", "write by C")
+            for what in (
+                *("write", "truncate", "system", "fork", "connection", "read", "rename"),
+                *(by_c if missing == "Landlock" and HAS_FILTER else ()),
+            ):
                 try:
                     attempts(tmp_path)[what]()
                 except OSError:
@@ -119,5 +171,10 @@ def test_protections_do_not_need_each_other(tmp_path, missing):
         finally:
             os._exit(0)
     os.waitpid(pid, 0)
-    assert os.read(out, 99) == b".......x"
+    lacking, _, done = os.read(out, 999).decode().rpartition(" ")
+    names = {"Landlock": HAS_LANDLOCK, "a filter of system calls": HAS_FILTER}
+    wanted = [one for one, there in names.items() if missing in (one, "both") or not there]
+    wanted += ["a filter of system calls"] * (missing == "the filter")
+    assert lacking == str(wanted)
+    assert done == "." * (12 if missing == "Landlock" and HAS_FILTER else 7) + "x"
     assert state(tmp_path) == before

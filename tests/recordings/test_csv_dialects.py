@@ -1,18 +1,20 @@
 """CSV files as loggers write them: the dialect is found out, or the error says what to give."""
 
+import re
 from pathlib import Path
 
 import numpy as np
-import pyarrow as pa
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from recording_files import opened
 
 from suspnet.recordings import csv_dialect, csv_files
 from suspnet.recordings.csv_dialect import find_dialect
 from suspnet.recordings.errors import TripError
-from suspnet.recordings.formats import open_columns, open_file
+from suspnet.recordings.formats import open_columns, open_file, read_columns
 from suspnet.recordings.manifest_keys import CsvDialect
+from suspnet.recordings.manifest_sources import Channel
 
 ROWS = np.array([[0.0, 1.5, -0.25], [0.1, -2.5, 1e-5], [0.2, np.nan, 12.0], [0.3, 4.0, 0.125]])
 
@@ -223,7 +225,7 @@ def test_files_that_are_no_table_are_refused(tmp_path, text, given, message):
 def test_later_rows_of_another_dialect_are_refused(tmp_path):
     path = tmp_path / "data.csv"
     path.write_text("t;a\n" + "0;1\n" * 200_000 + "0,5;1,5\n")
-    message = r"text in a column of numbers.*Row #200002.*'0,5'.*decimal sign is taken to be '\.'"
+    message = r"text in a column of numbers.*line 200002.*'0,5'.*decimal sign is taken to be '\.'"
     with pytest.raises(TripError, match=message):
         read(path, "t")
     path.write_text("t;a\n" + "2015-08-03T08:00:00;1\n" * 200_000 + "2015-08-03T08:00:00Z;1\n")
@@ -238,19 +240,180 @@ def test_dialects_are_for_csv_files(tmp_path):
         read(tmp_path / "data.mat", "a", csv=CsvDialect(decimal=","))
 
 
-def test_german_stamps_of_one_length_are_read_as_those_of_any():
+def test_german_stamps_of_one_length_are_read_as_those_of_any(tmp_path, monkeypatch):
     times = np.datetime64("2015-08-31T23:59:58.998", "ms") + np.arange(5000)
     german = [f"{t[8:10]}.{t[5:7]}.{t[:4]} {t[11:19]},{t[20:]}" for t in times.astype(str)]
-    column = pa.array([*german, "1.9.2015 8:00:00,5"])
-    for part in (slice(5000), slice(7, 4000), slice(4000, 5001)):
-        found = csv_files._stamps(column[part], "local")
-        expected = [*times, np.datetime64("2015-09-01T08:00:00.5")][part]
-        np.testing.assert_array_equal(found, np.array(expected, "datetime64[ns]"))
+    path = tmp_path / "data.csv"
+    path.write_text("\n".join(["t;a", *(f"{t};1" for t in (*german, "1.9.2015 8:00:00,5"))]))
+    for monkeypatched in (2**19, 999):
+        monkeypatch.setattr(csv_files, "BLOCK_BYTES", monkeypatched)
+        expected = np.array([*times, np.datetime64("2015-09-01T08:00:00.5")], "datetime64[ns]")
+        np.testing.assert_array_equal(read(path, "t")[0], expected)
+
+
+@pytest.mark.parametrize("wrong", ["31.08.2015 23:5x:58", "31.09.2015 23:59:58", "31.08.2015 \xe4"])
+def test_a_row_without_its_time_is_none(tmp_path, wrong):
+    path = tmp_path / "data.csv"
+    lines = [f"31.08.2015 23:59:{second};1" for second in range(10, 59)]
+    path.write_text("\n".join(["t;a", *lines[:40], f"{wrong};1", *lines[40:]]), "utf-8")
+    with open_file(path) as file:
+        blocks = list(read_columns(path, file, ["t", "a"]))
+        assert re.search("are left out .1, first in line 42: '3", file.remarks[0])
+    times, values = (np.concatenate(part) for part in zip(*blocks, strict=True))
+    assert np.flatnonzero(np.isnat(times)) == np.flatnonzero(np.isnan(values)) == 40
+    path.write_text("\n".join(["t;a", *lines, "31/08/2015 23:59:59;1"]))
+    with pytest.raises(TripError, match=r"a time stamp is not like the first .line 51: '31/08"):
+        read(path, "t", "a")
+
+
+# files as people have them
+
+
+def rows(form, n=30) -> str:
+    """Return n rows of a table: a time, in a form of milliseconds, and i + 0.5."""
+    return "".join(f"{form(5 * i)},{i}.5\n" for i in range(n))
+
+
+TABLE = rows(lambda ms: f"{ms / 1000:.3f}")
+STATED = {
+    "a word in the first row": (
+        "t,a\n-1,ERR\n" + TABLE,
+        "words .* are missing .1, first in line 2: 'ERR'",
+    ),
+    "a word in the third row": (
+        f"t,a\n-3,7\n-2,8\n-1,over range\n{TABLE}",
+        "words in place .* are missing .1, first in line 4: 'over range'",
+    ),
+    "words in all pieces": (
+        "t,a\n" + TABLE.replace("9.5\n", "9.5\n,bad\n"),
+        "lines of data.csv outside of its table are left out .3, first in line 12: ',bad'",
+    ),
+    "a minus sign": ("t,a\n\N{MINUS SIGN}1,\N{MINUS SIGN}3\n" + TABLE, ""),
+    "infinity": ("t,a\n-1,\N{INFINITY}\n" + TABLE, ""),
+    "infinity of C": ("t,a\n-1,-1.#INF\n" + TABLE, ""),
+    "names and a second line of them": ("Time,Acc\nvertical,raw\n" + TABLE, "names in line 1"),
+    "names, units, descriptions": ("Time,Acc\n[s],[g]\nlogger,axle box\n" + TABLE, "in line 1"),
+    "names, descriptions, units": ("Time,Acc\nlogger,axle box\ns,g\n" + TABLE, "in line 1"),
+    "names, units, sensitivities": ("t,a\ns,g\nScale,100.2\n" + TABLE, "in line 1"),
+    "metadata of as many cells": ("Operator,Smith\nt,a\n" + TABLE, "names in line 2"),
+    "names over two lines": ('"Time\n(s)","Acc\n(g)"\n' + TABLE, "names in line 3"),
+    "a tag": (";Headers, time, a\n;Units, s, g\n" + TABLE, "names in line 1"),
+    "a cut last line": (
+        f"t,a\n{TABLE}0.9",
+        "lines .* outside of its table are .* .1, first in line 32: '0.9'",
+    ),
+    "zero bytes": ("t,a\n" + TABLE + "\0" * 3000, r"zero bytes in data.csv are left out \(3000\)"),
+    "a footer": (f"t,a\n{TABLE}\nEnd of file\n", ".1, first in line 33: 'End of file'"),
+    "a footer with numbers": (
+        f"t,a\n{TABLE}Rows,30\nMax; t,29.5\n",
+        "lines .* are left out .2, first in line 32: 'Rows,30'",
+    ),
+    "names again": (
+        f"t,a\n{TABLE}t,a\n{TABLE}",
+        "lines .* are left out .1, first in line 32: 't,a'",
+    ),
+}
+
+
+@pytest.mark.parametrize("block", [200, 2**19])
+@pytest.mark.parametrize("case", STATED)
+def test_good_rows_are_read_and_the_rest_is_reported(tmp_path, monkeypatch, case, block):
+    monkeypatch.setattr(csv_files, "BLOCK_BYTES", block)
+    text, remark = STATED[case]
+    path = tmp_path / "data.csv"
+    path.write_text(text, "utf-8")
+    with open_file(path) as file:
+        time, values = [column.name for column in file.columns]
+        parts = list(read_columns(path, file, [time, values]))
+        times, values = (np.concatenate(part) for part in zip(*parts, strict=True))
+        assert re.search(remark, "; ".join([file.words, *file.remarks]))
+    known = np.isfinite(values) & (times >= 0)
+    n = len(TABLE.splitlines())
+    np.testing.assert_array_equal(values[known][:n], np.arange(n) + 0.5)
+    np.testing.assert_array_equal(times[known][:n], np.arange(n) * 5 / 1000)
+    assert np.count_nonzero(known) == (2 * n if case == "names again" else n)
+    if "infinity" in case or "word in the first" in case:
+        assert not np.isfinite(values[0])
+    if case == "a minus sign":
+        assert (times[0], values[0]) == (-1, -3)
 
 
 @pytest.mark.parametrize(
-    "wrong", ["31.08.2015 23:5x:58", "31/08/2015 23:59:58", "31.08.2015 23:59:5ä"]
+    ("text", "names"),
+    [
+        ('"t","a"\n' + "".join(f'"{i}",{i},2.5\n' for i in range(1, 30)), ["column_1", "t", "a"]),
+        ("t a\n" + "".join(f"{i} {i} 2.5\n" for i in range(1, 30)), ["column_1", "t", "a"]),
+        ("t,a,a\n" + "0.5,1,2\n" * 9, ["t", "a.1", "a.2"]),
+    ],
 )
-def test_one_stamp_unlike_the_others_is_no_date(wrong):
-    with pytest.raises(pa.ArrowInvalid, match="Failed to parse string"):
-        csv_files._stamps(pa.array(["31.08.2015 23:59:57", wrong]), "local")
+def test_names_of_columns_are_distinct_and_complete(tmp_path, text, names):
+    path = tmp_path / "data.csv"
+    path.write_text(text)
+    assert find_dialect(path).names == tuple(names)
+
+
+def test_a_name_too_few_is_refused_if_no_column_counts_rows(tmp_path):
+    (tmp_path / "data.csv").write_text("t,a\n" + "".join(f"{i},1,{2 * i}\n" for i in range(30)))
+    with pytest.raises(TripError, match="no row has as many values as there are names"):
+        find_dialect(tmp_path / "data.csv")
+
+
+def clock(ms: int) -> str:
+    return f"08:00:00.{ms:03d}"
+
+
+@pytest.mark.parametrize(
+    ("form", "begin"),
+    [
+        (lambda ms: f"2026/08/03 {clock(ms)}", "2026-08-03T08"),
+        (lambda ms: f"2026-08-03 {clock(ms)} +02:00", "2026-08-03T06"),
+        (lambda ms: f"2026-08-03 08:00:00:{ms:03d}", "2026-08-03T08"),
+        (lambda ms: f"2026-08-03 {clock(ms)} UTC", "2026-08-03T08"),
+        (lambda ms: f"08/23/2026 {clock(ms)} PM", "2026-08-23T20"),
+        (lambda ms: f"23/08/2026 {clock(ms)}", "2026-08-23T08"),
+        (lambda ms: f"3-Aug-26 {clock(ms)[1:]}", "2026-08-03T08"),
+        (lambda ms: f"3. August 2026 {clock(ms)}", "2026-08-03T08"),
+        (lambda ms: f"{clock(ms)[1:].rstrip('0')} am".replace(". ", " "), "1900-01-01T08"),
+        (lambda ms: f"08:00:00:{ms:03d}", "1900-01-01T08"),
+        (lambda ms: f"00:00.{ms:03d}", "1900-01-01T00"),
+        (lambda ms: f"08/03/2026 {clock(ms)}", "1900-01-01T08"),
+    ],
+)
+def test_time_stamps_of_all_notations_are_read(tmp_path, form, begin):
+    path = tmp_path / "data.csv"
+    path.write_text("t,a\n" + rows(form))
+    with open_file(path) as file:
+        assert ("as day and month are unclear" in file.words) == (form(0)[:5] == "08/03")
+        assert file.column("t").is_time
+    (times, _) = read(path, "t", "a")
+    steps = (5 * np.arange(30)).astype("timedelta64[ms]")
+    np.testing.assert_array_equal(times, np.datetime64(begin, "ns") + steps)
+
+
+def test_times_of_day_take_the_date_of_the_header(tmp_path):
+    path = tmp_path / "data.csv"
+    path.write_text("Datum: 03.08.2026\nt,a\n" + rows(clock))
+    assert read(path, "t")[0][0] == np.datetime64("2026-08-03T08:00:00", "ns")
+
+
+@pytest.mark.parametrize("form", [lambda ms: f"day 3, {ms} ticks", lambda ms: f"08h00m{ms}"])
+def test_times_that_are_not_understood_are_named(tmp_path, form):
+    path = tmp_path / "data.csv"
+    path.write_text("t;a\n" + rows(lambda ms: form(ms) + ";").replace(";,", ";"))
+    with open_file(path) as file:
+        assert f"the times of 't', like {form(0)!r}, cannot be read" in file.words
+    message = rf"column 't' holds text like '{form(0)}', neither numbers nor times that can be read"
+    with pytest.raises(TripError, match=message):
+        read(path, "t", "a")
+    message = f"here needs `rate_hz` or `time` .*; 't' holds text like '{form(0)}'"
+    with pytest.raises(TripError, match=message), opened(path, Channel(path.name, "g", "a")):
+        pass
+
+
+def test_a_file_that_is_mostly_something_else_is_refused(tmp_path, monkeypatch):
+    monkeypatch.setattr(csv_dialect, "SAMPLE_BYTES", 2**10)
+    path = tmp_path / "data.csv"
+    path.write_text("t,a\n" + TABLE * 10 + "some other text, of three, cells\n" * 60)
+    message = "60 lines are no rows of its table .first in line 302: 'some other text"
+    with pytest.raises(TripError, match=message):
+        read(path, "t", "a")

@@ -223,6 +223,16 @@ MISTAKES = [
     (("vehicle",), None, "`vehicle` is missing"),
     (("vehicle",), [96], r"`vehicle` must be text .*, got \[96\]"),
     (("suspension",), "  ", "`suspension` must be text"),
+    *(
+        ((name,), "é" * 101, rf"`{name}` must be one line of at most 100 characters, got 'é")
+        for name in ("vehicle", "suspension", "train", "car")
+    ),
+    (("car",), "7\ndone: all is well", "`car` must be one line"),
+    (
+        ("train",),
+        "\N{RIGHT-TO-LEFT OVERRIDE}" * 20,
+        "`train` must be one line of at most 100 characters",
+    ),
     (("mileage_km",), "far", r"`mileage_km` must be a number >= 0 .*, got 'far'"),
     (("mileage_km",), -1.0, r"`mileage_km` must be a number >= 0, got -1.0"),
     (("mileage_km",), True, r"`mileage_km` must be a number"),
@@ -441,7 +451,10 @@ def test_wrong_place_is_named(folder, key, to, rule):
     assert ManifestFile(path).place == Place("car 7, leading bogie, right")
 
 
-@pytest.mark.parametrize("text", ["<b>: [", "just text", "[]", "suspension: true", "\0"])
+@pytest.mark.parametrize(
+    "text",
+    ["<b>: [", "just text", "[]", "suspension: true", "\0", f"suspension: {'x' * 101}"],
+)
 def test_manifest_that_does_not_say_its_place_has_none(folder, text):
     assert ManifestFile(write(folder, text)).place is None
     assert ManifestFile(folder / "nowhere.yaml").place is None

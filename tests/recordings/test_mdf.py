@@ -1,12 +1,14 @@
 """Conversions of MDF files: those that are arithmetic give what they say, others are refused."""
 
+from datetime import datetime
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from suspnet.recordings.columns import BLOCK
 from suspnet.recordings.errors import TripError
-from suspnet.recordings.formats import open_columns
+from suspnet.recordings.formats import open_columns, open_file
 
 asammdf = pytest.importorskip("asammdf")
 RAW = np.array([0, 1, 2, 3, 5, 8, 13, 21, 200, 255])
@@ -41,15 +43,20 @@ KINDS = {  # numbers of MDF 4 and MDF 3, settings, and what each conversion mean
 }
 
 
-def written(folder: Path, version: str, kind: str, number: int, settings, place=1) -> Path:
+def written(
+    folder: Path, version: str, kind: str, number: int, settings, place=1, units=("g", "")
+) -> Path:
     """Write a file whose channel has a conversion."""
     if version < "4":
         from asammdf.blocks.v2_v3_blocks import ChannelConversion
     else:
         from asammdf.blocks.v4_blocks import ChannelConversion
     with asammdf.MDF(version=version) as file:
-        file.append([asammdf.Signal(RAW.astype(kind), np.arange(10) / 100, name="a", unit="g")])
+        file.append(
+            [asammdf.Signal(RAW.astype(kind), np.arange(10) / 100, name="a", unit=units[0])]
+        )
         conversion = ChannelConversion(conversion_type=number, **settings)
+        conversion.unit = units[1]
         file.groups[0].channels[place].conversion = conversion
         path = file.save(folder / f"new.{'mf4' if version >= '4' else 'mdf'}", overwrite=True)
     return path
@@ -114,3 +121,58 @@ def test_other_conversions_are_refused_by_name(tmp_path, version, number, settin
         list(open_columns(path, ["a"]))
     times = np.concatenate([block[0] for block in open_columns(path, ["time"])])
     np.testing.assert_allclose(times, np.arange(10) / 100)
+
+
+def appended(folder: Path, signals, version="4.10", **settings) -> Path:
+    """Write a file with signals of one group, and settings of its first channel and its header."""
+    with asammdf.MDF(version=version) as file:
+        file.append(signals)
+        for key, value in settings.items():
+            setattr(file.groups[0].channels[1], key, value)
+        return file.save(folder / f"new.{'mf4' if version >= '4' else 'mdf'}", overwrite=True)
+
+
+@pytest.mark.parametrize("n", [10, BLOCK + 10])
+@pytest.mark.parametrize(("all_invalid", "kind"), [(False, 0), (True, 0), (False, 6)])
+def test_invalid_samples_are_missing_at_their_times(tmp_path, n, all_invalid, kind):
+    values, at = np.arange(float(n)), np.arange(n) / 100
+    invalid = np.isin(values, [3, 4, n - 2]) | all_invalid
+    a = asammdf.Signal(values, at, name="a", unit="g", invalidation_bits=invalid)
+    path = appended(tmp_path, [a, asammdf.Signal(values, at, name="b")], channel_type=kind)
+    for name, expected in (("a", np.where(invalid, np.nan, values)), ("b", values)):
+        blocks = zip(*open_columns(path, ["time", name]), strict=True)
+        times, found = map(np.concatenate, blocks)
+        np.testing.assert_array_equal(found, expected)
+        np.testing.assert_allclose(times, at)
+
+
+@pytest.mark.parametrize(("kind", "word"), [(2, "angle"), (3, "distance"), (4, ""), (1, "")])
+def test_masters_that_are_no_times_are_not_taken_as_seconds(tmp_path, kind, word):
+    at = asammdf.Signal(np.arange(10.0), np.arange(10) / 100, name="a", unit="g")
+    at.master_metadata = ("along", kind)
+    path = appended(tmp_path, [at])
+    with open_file(path) as file:
+        assert file.column("a").time == ("along" if kind == 1 else None)
+        if word:
+            message = rf"'a' is sampled along {word} \('along'\), not in time; export it over time"
+            with pytest.raises(TripError, match=message):
+                list(open_columns(path, ["a"]))
+        assert next(open_columns(path, ["along"]))[0][1] == 0.01
+
+
+@pytest.mark.parametrize("version", ["4.10", "3.30"])
+def test_unit_may_be_that_of_the_conversion(tmp_path, version):
+    number = {"4": 1, "3": 0}[version[0]]
+    path = written(tmp_path, version, "f8", number, {"a": 2.0, "b": 1.0}, units=("", "mg"))
+    with open_file(path) as file:
+        assert [column.unit for column in file.columns] == ["s", "mg"]
+
+
+def test_start_of_a_logger_without_a_zone_is_local(tmp_path):
+    with asammdf.MDF(version="4.10") as file:
+        file.append([asammdf.Signal(np.arange(9.0), np.arange(9.0), name="a")])
+        file.start_time = datetime(2024, 5, 6, 8, 15, 30)
+        path = file.save(tmp_path / "new.mf4", overwrite=True)
+    with open_file(path) as file:
+        assert file.column("a").start_ns == 1714983330 * 10**9
+        assert file.column("a").is_local

@@ -15,6 +15,9 @@ from suspnet.recordings.errors import TripError
 from suspnet.recordings.manifest import CHANNELS
 from suspnet.recordings.manifest_files import read_manifest
 from suspnet.recordings.recording import Recording, load_recording
+from suspnet.spectra.segments import recording_segments, sensor_segments
+from suspnet.spectra.welch import Welch
+from suspnet.trips.check import CheckSettings, check_trip
 
 FREQUENCIES_HZ = np.array([0.5, 1.3, 4.0, 7.7, 12.0, 20.0, 25.0])
 PHASES = np.arange(7) ** 2.0
@@ -498,3 +501,70 @@ def test_faults_of_all_sensors_and_of_the_speed_are_told_at_once(trip):
         load(path)
     words = ("no column 'v'", "no column 'b'", "is constant", "has 50 Hz")
     assert all(word in told for word, told in zip(words, caught.value.problems, strict=True))
+
+
+# --- samples that cannot be right ------------------------------------------------------------
+
+
+def own_motions(n: int) -> dict[str, np.ndarray]:
+    """Return a motion of each channel, of which half is that of all."""
+    shared, *own = np.random.default_rng(5).standard_normal((4, n)).cumsum(axis=1)
+    return {name: shared + (x - x.mean()) for name, x in zip(CHANNELS, own, strict=True)}
+
+
+def quantised(values: np.ndarray, n_bits: int) -> np.ndarray:
+    step = np.abs(values).max() / 2 ** (n_bits - 1)
+    return step * np.round(values / step)
+
+
+COPIES = {
+    "same": (lambda x: x, ""),
+    "gain": (lambda x: 2.5 * x, ", times 2.5"),
+    "sign and offset": (lambda x: 7.0 - x, ", times -1"),
+    "16 bits": (lambda x: quantised(3 * x, 16), ", times 3"),
+}
+
+
+@pytest.mark.parametrize("copied", COPIES)
+def test_two_channels_with_the_same_samples_are_named_and_refused(trip, copied):
+    make, times = COPIES[copied]
+    signals = own_motions(int(DURATION_S * 2000))
+    signals["body"] = make(signals["axle_box"])
+    path = trip(signals=signals, body={"rate_hz": 2000.0})
+    words = f"axle_box and body hold the same samples{times}; was a file copied, or a column named"
+    recording = load(path)
+    for read in (recording_segments, sensor_segments):
+        with pytest.raises(TripError, match=words) as refused:
+            read(recording, Welch(10.0))
+        assert len(refused.value.problems) == 1
+    (problem,) = check_trip(path, CheckSettings({})).problems
+    assert problem.startswith(words)
+
+
+@pytest.mark.parametrize("noise", [1e-2, 1.0])
+def test_two_sensors_of_nearly_the_same_motion_are_read(trip, noise):
+    """40 dB of noise, or a motion of its own, is enough; and a sensor of a constant is dead."""
+    signals = own_motions(int(DURATION_S * 2000))
+    x = signals["axle_box"]
+    own = np.random.default_rng(6).standard_normal(len(x)).cumsum()
+    signals["body"] = 2 * x + 2 * noise * x.std() / own.std() * own
+    recording = load(trip(signals=signals, body={"rate_hz": 2000.0}))
+    assert len(recording_segments(recording, Welch(10.0)).values)
+
+
+@pytest.mark.parametrize(("unit", "gravity"), [("g", 1000.0), ("m/s2", 1e6)])
+def test_impossible_mean_asks_for_the_unit(trip, unit, gravity):
+    values = gravity + motion_at(RATES["body"], DURATION_S, 0.0)
+    with pytest.raises(
+        TripError, match=r"body.* mean of \S+ m/s2, gravity is 9\.81: is its unit mg"
+    ):
+        load(trip(signals={"body": values}, body={"unit": unit}))
+
+
+@pytest.mark.parametrize(
+    ("mean", "words"), [(9.81, "9.81 m/s2, harmless"), (-96.0, "-96 m/s2, gravity is 9.81: check")]
+)
+def test_mean_above_gravity_is_doubted(trip, mean, words):
+    values = mean + motion_at(RATES["body"], DURATION_S, 0.0)
+    (fault,) = load(trip(signals={"body": values})).faults
+    assert str(fault).startswith(f"body: offset of {words}")

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from recording_files import WRITERS
+from recording_files import WRITERS, opened
 from scipy.io import savemat, wavfile
 
 from suspnet.recordings.array_files import open_hdf5
@@ -13,26 +13,11 @@ from suspnet.recordings.columns import size_of, unit_in_name
 from suspnet.recordings.errors import TripError
 from suspnet.recordings.formats import READERS, open_columns, open_file
 from suspnet.recordings.logger_files import open_uff
-from suspnet.recordings.manifest import TripManifest
 from suspnet.recordings.manifest_sources import Channel, SpeedSource
 from suspnet.recordings.mdf_files import open_mdf
-from suspnet.recordings.sources import open_source
 
 STATING = (".h5", ".tdms", ".mf4", ".uff")
 """Formats in which unit and rate may stand."""
-
-
-def opened(path: Path, source):
-    manifest = TripManifest(
-        path=path.parent / "trip.yaml",
-        name="trip",
-        vehicle="",
-        suspension="",
-        mileage_km=0.0,
-        speed=1.0,
-        channels={},
-    )
-    return open_source(manifest, source, "here")
 
 
 def written(tmp_path, suffix, **said) -> Path:

@@ -4,10 +4,14 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.interpolate import CubicSpline
+from trip_fixtures import MINUTES, RATES_HZ, changed, model_at, signal, write_trips
 
+from suspnet.estimation.trip_settings import TripSettings
 from suspnet.recordings import sources as timeline
 from suspnet.recordings.errors import TripError
 from suspnet.recordings.sources import Timeline
+from suspnet.trips.trip import evaluate_trip
 
 
 def even(times, values=None, block=1000, rate_hz=None) -> tuple[np.ndarray, Timeline]:
@@ -83,3 +87,99 @@ def test_rate_that_disagrees_is_named():
     assert even(times, rate_hz=2019.0)[1].rate_hz == pytest.approx(2000)
     with pytest.raises(TripError, match=r"`rate_hz` says 2021 Hz, its times say 2000 Hz.*1 %"):
         even(times, rate_hz=2021.0)
+
+
+# uneven times
+
+RATE_HZ = 200.0
+
+
+def uneven_times(kind: str, n=4000, seed=0, low=-0.9) -> np.ndarray:
+    """Return times about even ones, or with independent steps: steps of 5 +- 1.2 ms."""
+    rng = np.random.default_rng(seed)
+    if kind == "even grid":
+        return np.arange(n) / RATE_HZ + np.clip(rng.normal(0, 0.85e-3, n), -2.4e-3, 2.4e-3)
+    return np.cumsum(np.clip(1 + rng.normal(0, 0.24, n), 1 + low, 1 - low)) / RATE_HZ
+
+
+def missed(times, frequency_hz, **options) -> tuple[np.ndarray, Timeline]:
+    """Return the errors of a sine at the instants of the grid, NaN where it has no value."""
+    got, line = even(times, np.sin(2 * np.pi * frequency_hz * times), **options)
+    at = line.first_s + np.arange(len(got)) / line.rate_hz
+    return got - np.sin(2 * np.pi * frequency_hz * at), line
+
+
+@pytest.mark.parametrize("kind", ["even grid", "independent steps"])
+@pytest.mark.parametrize(("frequency_hz", "most"), [(1.0, 1e-9), (10.0, 1e-5), (25.0, 1e-3)])
+def test_signals_at_uneven_times_come_back(kind, frequency_hz, most, monkeypatch):
+    times = uneven_times(kind)
+    errors, line = missed(times, frequency_hz)
+    assert np.sqrt(2 * np.mean(errors**2)) < most
+    assert len(errors) == pytest.approx(len(times), abs=1)
+    assert line.rate_hz == pytest.approx((len(times) - 1) / (times[-1] - times[0]))
+    assert line.words.startswith("its times are uneven, steps of 2")
+    monkeypatch.setattr(timeline, "BLOCK", 500)
+    in_blocks, _ = missed(times, frequency_hz, block=7)
+    assert np.sqrt(2 * np.mean(in_blocks**2)) < 2 * most
+
+
+def test_interpolation_keeps_its_bound():
+    times = uneven_times("independent steps", low=-0.2)
+    errors, _ = missed(times, 25.0)
+    longest = np.diff(times).max()
+    assert longest == pytest.approx(0.006)
+    bound = 105**2 / (2**8 * 40320) * (2 * np.pi * 25 * longest) ** 8
+    assert 0.01 * bound < np.abs(errors[10:-10]).max() < bound
+
+
+def test_a_gap_is_where_samples_are_missing():
+    times, lost = uneven_times("even grid"), np.r_[1000:1002, 2000:2500]
+    errors, _ = missed(np.delete(times, lost), 10.0)
+    missing = np.flatnonzero(np.isnan(errors))
+    np.testing.assert_array_equal(missing, lost)
+    assert np.nanmax(np.abs(errors)) < 0.01
+    assert not np.isnan(missed(times, 10.0)[0]).any()
+
+
+def test_what_a_sensor_repeats_stays_equal():
+    times = uneven_times("independent steps")
+    values = np.where(times < 9, np.sin(times), 0.3)
+    got, line = even(times, values)
+    at = line.first_s + np.arange(len(got)) / line.rate_hz
+    np.testing.assert_array_equal(got[at > 9.1], 0.3)
+
+
+def test_times_too_uneven_for_the_band_are_refused():
+    message = (
+        r"channel 'body': its times are uneven, steps of \S+ to \S+ ms; at 25 Hz interpolation "
+        "would err by [0-9]+ %, the most is 1 %; record faster, or give `rate_hz` instead of"
+    )
+    with pytest.raises(TripError, match=message):
+        even(3 * uneven_times("independent steps"))
+
+
+@pytest.mark.parametrize("resolution_s", [1e-3, 2**-11])
+def test_even_times_that_were_rounded_stay_even(resolution_s):
+    times = np.round(np.arange(9000) / 300 / resolution_s) * resolution_s
+    got, line = even(times)
+    np.testing.assert_array_equal(got, np.arange(9000))
+    assert line.words == ""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["even grid", "independent steps"])
+def test_a_healthy_damper_at_uneven_times_is_healthy(tmp_path, kind):
+    (trip,) = write_trips(tmp_path, seed=3)
+    times, signals = uneven_times(kind, round(290 * RATE_HZ)) + 5, {}
+    for name, rate_hz in zip(("axle_box", "bogie", "body"), RATES_HZ, strict=True):
+        spectrum = np.fft.rfft(signal(trip, name))
+        spectrum[round(70 * MINUTES * 60) :] = 0  # as the logger's filter does
+        fine = np.fft.irfft(8 * spectrum, 8 * round(MINUTES * 60 * rate_hz))
+        at = np.arange(len(fine)) / (8 * rate_hz)
+        signals[name] = {"t": times, "a": CubicSpline(at, fine)(times)}
+    channels = {name: {"time": "t", "column": "a", "rate_hz": None} for name in signals}
+    path = changed(trip, tmp_path, "uneven", signals, channels)
+    result = evaluate_trip(path, [model_at()], TripSettings())
+    assert result.quality.faults == result.flags == ""
+    assert "its times are uneven, steps of 2" in result.quality.read_as
+    assert result.estimates["c_p"] == pytest.approx(1.0, abs=0.01)

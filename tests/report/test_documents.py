@@ -65,6 +65,14 @@ def test_times_that_a_spreadsheet_cannot_hold_are_texts(tmp_path, text):
     assert sheet_of(tmp_path, [{"trip": "1", "start": text}])["B2"].value == text
 
 
+@pytest.mark.parametrize(
+    "text", ["<r>...</r>", "<r><t>1</t></r>", "<r>&</r>", "<r></r>", "_x0041_"]
+)
+def test_texts_are_never_markup(tmp_path, text):
+    sheet = sheet_of(tmp_path, [{"trip": text, text: 1.0}])
+    assert (sheet["A2"].value, sheet["B1"].value) == (text, text)
+
+
 def test_control_characters_are_escaped(tmp_path):
     assert sheet_of(tmp_path, [{"trip": "a\x07b"}])["A2"].value == "a\\x07b"
 

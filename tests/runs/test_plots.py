@@ -157,6 +157,15 @@ def test_table6_draws_a_model_the_paper_lacks():
     assert_drawn(figure, 1)
 
 
+def test_a_bound_that_is_infinite_is_not_drawn():
+    unknown = {"bound": {"k_s": dict.fromkeys(("mape_percent", "rmse"))}}
+    runs = [run("msvr", ("k_s",), snr) | unknown for snr in (54.0, 34.0)]
+    assert not any(map(len, line_data(plots.table6(table6_records(runs[:1])))))
+    (measured, bound) = plots.sensitivity(runs).axes[0].lines
+    assert np.isnan(np.array(bound.get_ydata(), float)).all()
+    assert np.isfinite(measured.get_ydata()).all()
+
+
 def test_sensitivity_shows_each_model_against_the_precision():
     runs = [run(model, NAMES, snr) for model in ("msvr", "linear") for snr in (54.0, 34.0, 26.0)]
     figure = plots.sensitivity(runs)

@@ -16,10 +16,13 @@ from suspnet.estimation.from_curves import estimate_curves
 from suspnet.estimation.information import output_bounds
 from suspnet.estimation.problem import BLOCK, CALIBRATE, TEST, TRAIN, Problem
 from suspnet.estimation.refine import refine
+from suspnet.ground.storage import read_json, write_json
 from suspnet.learning import MSVR, MVGPR, CurveFit, LinearRegression
+from suspnet.learning.least_squares import BEYOND
 from suspnet.runs import scores
 from suspnet.runs.fit import fit
 from suspnet.runs.predict import calibrated, predict_stream
+from suspnet.runs.tables import scores_table
 from suspnet.spectra.curves import CurveMisfit, CurveSettings
 from suspnet.spectra.estimates import EstimateSettings
 
@@ -300,3 +303,42 @@ def test_bounds_of_uncertain_numbers_are_those_of_the_first_curves(monkeypatch, 
     error = np.sqrt(np.mean((outcome.predicted / outcome.data.outputs - 1) ** 2, axis=0))
     expected = error / np.sqrt(np.mean((bounds / truth) ** 2, axis=0))
     np.testing.assert_allclose(list(found["rms_ratio"].values()), expected)
+
+
+@pytest.mark.parametrize(
+    ("zeta", "low_hz", "high_hz", "at_bound"),
+    [(0.01, 0.3, 12.0, True), (0.001, 0.3, 12.0, False), (0.05, 8.0, 12.0, False)],
+)
+def test_curve_fit_ends_for_light_damping_and_narrow_bands(zeta, low_hz, high_hz, at_bound):
+    v = AM96
+    damping = {
+        "primary_damping_ns_per_m": 2
+        * zeta
+        * (v.primary_stiffness_n_per_m * v.bogie_mass_kg) ** 0.5,
+        "secondary_damping_ns_per_m": 2
+        * zeta
+        * (v.secondary_stiffness_n_per_m * v.body_mass_kg) ** 0.5,
+    }
+    task = shipped_protocol("joint", feature_set="curve").task("all")
+    settings = replace(SETTINGS, n_train=30, n_test=30, low_hz=low_hz, high_hz=high_hz)
+    problem = Problem(QuarterCar(replace(v, **damping)), task, settings, seed=0)
+    model = fit(problem, CurveFit(128), None)
+    outcome = predict_stream(problem, model, TEST)
+    reach = 0.5 / BEYOND * (1 - 1e-9), 2.0 * BEYOND * (1 + 1e-9)
+    assert ((outcome.predicted >= reach[0]) & (outcome.predicted <= reach[1])).all()
+    if at_bound:
+        for ratio in scores.scores(problem, model, outcome)["rms_ratio"].values():
+            assert 0.5 < ratio < 1.6  # efficient, within the sampling error of 30 curves
+
+
+def test_error_over_an_infinite_bound_is_no_number(tmp_path):
+    """G_s alone leaves stiffness, damping and mass with a common factor: no Cramer-Rao bound."""
+    problem = problem_of("secondary", "paper", n_calibrate=None)
+    model = fit(problem, LinearRegression(), None)
+    found = scores.scores(problem, model, predict_stream(problem, model, TEST))
+    written = read_json(write_json(tmp_path / "metrics.json", found))
+    for key in ("rms_ratio", "cramer_rao_percent"):
+        assert written[key] == {"k_s": None, "c_s": None}
+    assert 5 < written["bound"]["k_s"]["mape_percent"] < 20
+    for metrics in (found, written):
+        assert scores_table(metrics).count(" - ") == 4

@@ -28,9 +28,7 @@ def runs_of(reading, factor, seed=0):
             "scores": {output: scores(output, method, 1) for output in outputs},
             "scores_where": {
                 "varied": {output: scores(output, method, 2) for output in outputs},
-                "degraded": {
-                    output: dict.fromkeys(("mape_percent", "rmse")) for output in outputs
-                },
+                "degraded": {output: dict.fromkeys(("mape_percent", "rmse")) for output in outputs},
             },
         }
         for method in METHODS

@@ -2,12 +2,14 @@
 
 import csv
 import json
+import math
 
 import pytest
 import yaml
 from omegaconf import OmegaConf
 from test_tables import run
 
+from suspnet.ground.storage import read_json, write_json
 from suspnet.runs.sweeps import Jobs, Table5, Table6, job_rows, seed_rows
 
 FILES = ("jobs.csv", "seeds.csv")
@@ -63,6 +65,21 @@ def test_jobs_are_ranked_among_those_with_the_same_outputs(tmp_path):
     assert [row["k_p/bound"] for row in rows[:3]] == [1.0, 2.0, 6.0]
     assert rows[3]["k_p/bound"] is None
     assert rows[4]["state"] == "unfinished"
+
+
+def test_error_over_an_infinite_bound_is_a_dash_not_zero(tmp_path):
+    finished(tmp_path, "0", 0, "primary", {"k_p": 3.0, "c_p": 5.0})
+    finished(tmp_path, "1", 0, "secondary", {"k_s": 0.5})
+    metrics = tmp_path / "1" / "metrics.json"
+    write_json(metrics, read_json(metrics) | {"rms_ratio": {"k_s": math.nan}})
+    Jobs().on_multirun_end(OmegaConf.create({"hydra": {"sweep": {"dir": str(tmp_path)}}}))
+    header, _, *rows = (
+        [cell.strip() for cell in line.strip("|").split("|")]
+        for line in (tmp_path / "jobs.md").read_text().splitlines()
+    )
+    shown = {row[0]: dict(zip(header, row, strict=True)) for row in rows}
+    assert shown["1"]["k_s/bound"] == shown["0"]["k_s/bound"] == shown["1"]["k_p/bound"] == "-"
+    assert shown["0"]["k_p/bound"] == "6"
 
 
 def test_seeds_are_averaged_where_nothing_else_differs(tmp_path):

@@ -217,7 +217,7 @@ SCORES = ["output", "MAPE %", "bound", "RMSE", "bound", "Cramer-Rao sd %", "rms 
 
 def scored(**changes):
     bounds = {"cramer_rao_percent": {"k_p": 0.157, "c_p": math.inf}}
-    ratios = {"rms_ratio": {"k_p": 1.0249, "c_p": 0.0}}
+    ratios = {"rms_ratio": {"k_p": 1.0249, "c_p": math.nan}}
     return run("msvr", ("k_p", "c_p")) | bounds | ratios | changes
 
 
@@ -226,7 +226,7 @@ def test_scores_table_puts_each_score_beside_its_bound():
     assert header == SCORES
     assert rows == [
         ["k_p", "1.50", "0.125", "0.01", "0.0005", "0.157", "1.02"],
-        ["c_p", "2.50", "1.12", "0.02", "0.0015", "inf", "-"],
+        ["c_p", "2.50", "1.12", "0.02", "0.0015", "-", "-"],
     ]
 
 

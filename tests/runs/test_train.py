@@ -129,6 +129,24 @@ def test_curve_fit_cannot_be_used_with_trips(cache, tmp_path):
     assert not (tmp_path / "model.json").exists()
 
 
+@pytest.mark.parametrize(
+    ("model", "setting", "message"),
+    [
+        ("msvr", "model.C=-1", "`C` must be a finite number > 0, got -1"),
+        ("msvr", "model.sigma=0", "`sigma` must be a finite number > 0, got 0"),
+        ("svr", "model.epsilon=-1", "`epsilon` must be a finite number >= 0"),
+        ("mvgpr", "model.device=cuda:99", "`device`='cuda:99' cannot be used here"),
+    ],
+)
+def test_hyperparameters_are_checked_before_curves_are_made(
+    model, setting, message, monkeypatch, tmp_path
+):
+    monkeypatch.setattr(Problem, "curves", lambda *_: pytest.fail("curves are made"))
+    for folder in (None, tmp_path / "run"):
+        with pytest.raises(ValueError, match=message):
+            trained(model, "multi_location", "primary", tmp_path, folder, *SMALL, setting)
+
+
 def test_a_folder_with_files_of_others_is_left_as_it_is(cache, tmp_path):
     (tmp_path / "metrics.json").write_text("mine")
     with pytest.raises(FileExistsError, match="suspnet did not write it here"):

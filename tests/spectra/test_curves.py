@@ -404,6 +404,20 @@ def test_healthy_vehicle_without_a_peak_is_rejected(source):
         made.features(TEST)
 
 
+def test_maximum_outside_of_the_search_is_said_with_its_bounds(source):
+    made = source()
+    stiff = dataclasses.replace(made.vehicle, primary_stiffness_n_per_m=2.2e7)  # 18 Hz
+    with pytest.raises(ValueError, match=r"primary_upper \(no maximum\); maxima lie at") as caught:
+        dataclasses.replace(made, generator=QuarterCar(stiff)).features(TEST)
+    for words in (
+        "18.1 Hz (G_p)",
+        "protocol.features.high_hz=15 Hz",
+        "UPPER_PEAK_BEGINS=1.6",
+        "or take protocol.feature_set=curve",
+    ):
+        assert words in str(caught.value)
+
+
 def test_more_curves_than_the_grid_holds_are_rejected(source, task):
     made = source(problem=task(step=0.5, mass_step=0.5))
     with pytest.raises(ValueError, match="holds 64 curves, 300 were asked for"):

@@ -14,6 +14,7 @@ from suspnet.ground.parameters import Severity
 from suspnet.history import History
 from suspnet.report.board import Board, Refresher
 from suspnet.report.work_order import work_orders
+from suspnet.web import pages
 from suspnet.web.access import Access
 from suspnet.web.api_models import SeverityName
 from suspnet.web.app import create_app
@@ -173,6 +174,9 @@ def test_alarm_is_acknowledged_with_the_token(filled, tmp_path):
     assert (order.acknowledged_by, order.action) == ("Kim Li", "ordered")
 
 
+CONTROLS = ("\0", "\n", "\x85", "\N{RIGHT-TO-LEFT OVERRIDE}", "\N{ZERO WIDTH SPACE}", "\ud800")
+
+
 @pytest.mark.parametrize(
     ("headers", "content", "code"),
     [
@@ -183,6 +187,8 @@ def test_alarm_is_acknowledged_with_the_token(filled, tmp_path):
         (BEARER, SEEN | {"cause": "change"}, 409),
         (BEARER, SEEN | {"severity": "notice"}, 409),  # it is worse than the person saw
         (BEARER, SEEN | {"by": "  "}, 400),
+        *((BEARER, SEEN | {"by": f"Kim{one}Li"}, 400) for one in CONTROLS),
+        (BEARER, SEEN | {"words": "a\0b"}, 400),
         (BEARER, SEEN | {"other": 1}, 400),
         (BEARER, SEEN | {"words": "x" * 501}, 400),
         (BEARER, [], 400),
@@ -256,6 +262,22 @@ def test_work_order_page_escapes_names_and_is_printed(filled):
     assert EVIL in words
     assert "How sure" in words
     assert re.search(r"State of \d{4}-\d\d-\d\d", words)  # paper needs the day
+
+
+def test_one_pdf_is_drawn_at_a_time_and_others_are_asked_to_wait(filled, monkeypatch):
+    pytest.importorskip("weasyprint")
+    visitor, name = client(filled[1]), name_of(filled[1].view, FAILED)
+    path, inner = f"/suspension/{name}/work-order.pdf", []
+
+    def draw(_):
+        inner.append(client(filled[1]).get(path, base_url=BASE))
+        return b"%PDF"
+
+    monkeypatch.setattr(pages, "as_pdf", draw)
+    assert [visitor.get(path, base_url=BASE).status_code for _ in range(2)] == [200, 200]
+    assert [one.status_code for one in inner] == [503, 503]
+    assert inner[0].headers["Retry-After"] == "5"
+    assert "Another work order is being drawn" in inner[0].text
 
 
 def test_names_of_severities_are_those_of_the_package():

@@ -184,6 +184,9 @@ def test_acknowledgement_needs_token_and_name(client, refresher, path):
     assert "Enter your name." in unnamed.text
     assert "data-state" not in unnamed.text  # nothing takes the form away
     assert 'value="ok"' in unnamed.text
+    forged = client.post(f"{address}/acknowledge", data=form(page, by="Kim\u202eLi"), **BASE)
+    assert forged.status_code == 400
+    assert "Leave out control characters." in forged.text
     with History(path) as store:
         assert store.acknowledgements("am96", FAILED) == []
 

@@ -1,25 +1,34 @@
-"""The server answers while connections hang, dribble, or send too much."""
+"""The server answers while connections hang, dribble, or send too much, and below a path."""
 
 import http.client
+import json
+import re
 import socket
 import threading
 import time
 import urllib.request
 from contextlib import ExitStack, closing, contextmanager
+from urllib.parse import urlencode, urljoin
 
 import pytest
+from flask import Flask
 from served_fleet import fill, served
+from waitress import wasyncore
 
-from suspnet.web.app import MOST_CONNECTIONS
+from suspnet.web.app import MOST_CONNECTIONS, http_server
 
 HEAD = b"POST /suspension/x/acknowledge HTTP/1.1\r\nHost: localhost\r\nContent-Length: 9000\r\n\r\n"
 SENT = {"idle": b"", "half a head": b"GET / HTTP/1.1\r\nHost: local", "half a body": HEAD + b"a=1"}
+
+PREFIX = "/fleet"
+"""Path at which a reverse proxy shows the pages; requests without it work, too."""
+ADDRESS = re.compile(r'(?:href|src|action|data-state|data-figure)="([^"#]+)"')
 
 
 @pytest.fixture(scope="module")
 def site(tmp_path_factory):
     path = fill(tmp_path_factory.mktemp("server") / "fleet.db")
-    with served(path, 3600.0) as (address, refresher):
+    with served(path, 3600.0, prefix=PREFIX) as (address, refresher):
         end = time.monotonic() + 60
         while not refresher.board.view.is_complete:
             assert time.monotonic() < end
@@ -116,3 +125,84 @@ def test_too_large_requests_are_refused_while_they_come(site):
     assert b" 413 " in answer_to(site, head + bytes(1000)).split(b"\r\n")[0]
     large = b"GET / HTTP/1.1\r\nHost: localhost\r\nX: " + b"x" * 16_400
     assert b" 431 " in answer_to(site, large).split(b"\r\n")[0]
+
+
+@contextmanager
+def served_answer(size, timeout_s):
+    """Serve an answer of some size with two workers, and give up on clients after a time."""
+    app = Flask("large")
+    app.add_url_rule("/", "large", lambda: bytes(size))
+    app.add_url_rule("/state", "small", lambda: "well")
+    server = http_server(app, socket.create_server(("127.0.0.1", 0)), 2)
+    server.adj.channel_timeout = server.adj.cleanup_interval = timeout_s
+    thread = threading.Thread(target=server.run, daemon=True)
+    thread.start()
+    try:
+        yield f"http://127.0.0.1:{server.effective_port}", server
+    finally:
+        server.task_dispatcher.shutdown(timeout=5)
+        server.trigger.pull_trigger(lambda: wasyncore.close_all(server._map, ignore_all=True))
+        thread.join(5)
+
+
+GET = b"GET / HTTP/1.1\r\nHost: localhost\r\n\r\n"
+
+
+def test_answers_that_nobody_reads_block_no_other_and_are_closed():
+    with served_answer(5_000_000, 1) as (site, server), hanging(site, 8, GET * 8):
+        for _ in range(3):
+            assert seconds_of_page(site, "/state") < 5
+        end = time.monotonic() + 20
+        while server.active_channels:
+            assert time.monotonic() < end
+            time.sleep(0.1)
+
+
+def test_one_request_of_a_connection_may_wait_and_more_end_it():
+    with served_answer(10, 30) as (site, _):
+        assert answer_to(site, GET * 2, 0.5).count(b" 200 ") == 2
+        found = answer_to(site, GET * 8)
+    assert found.count(b" 200 ") == 2
+    assert found.count(b"Connection: close") == 1
+
+
+def ask_behind(site, path, strips, body=None, **headers):
+    """Ask as a proxy does that strips PREFIX or passes it on; return the answer and its text."""
+    with closing(http.client.HTTPConnection(site.removeprefix("http://"), timeout=10)) as one:
+        method = "POST" if body else "GET"
+        one.request(method, path.removeprefix(PREFIX) if strips else path, body, headers)
+        answer = one.getresponse()
+        return answer, answer.read().decode("utf-8", "replace")
+
+
+@pytest.mark.parametrize("strips", [True, False])
+def test_every_address_of_every_page_works_below_the_path_of_a_proxy(site, strips):
+    waiting, seen = {f"{PREFIX}/", f"{PREFIX}/no-such-page"}, set()
+    while waiting:
+        path = waiting.pop()
+        seen.add(path)
+        answer, text = ask_behind(site, path, strips)
+        assert path.startswith(f"{PREFIX}/")
+        assert answer.status == (404 if "no-such-page" in path else 200), path
+        if answer.headers.get_content_type() == "text/html":
+            linked = {urljoin(path, one.replace("&amp;", "&")) for one in ADDRESS.findall(text)}
+            waiting |= {one for one in linked - seen if "/acknowledge" not in one}
+    ends = ("trend.json", "plotly.js", "work-order", "responses.json")
+    assert all(any(one.endswith(f"/{end}") for one in seen) for end in ends)
+    _, text = ask_behind(site, f"{PREFIX}/api/v1/openapi.json", strips)
+    assert json.loads(text)["servers"] == [{"url": PREFIX}]
+
+
+def test_a_form_leads_back_below_the_path_of_a_proxy(site):
+    _, text = ask_behind(site, f"{PREFIX}/", True)
+    page = re.search(rf'href="({PREFIX}/suspension/\w+)#', text)[1]  # that of an alarm, to its form
+    answer, text = ask_behind(site, page, True)
+    action = next(one for one in ADDRESS.findall(text) if one.endswith("/acknowledge"))
+    form = re.findall(r'name="(\w+)"[^>]*?value="([^"]*)"', text)
+    cookie = answer.headers["Set-Cookie"]
+    assert f"Path={PREFIX}" in cookie
+    kind = {"Content-Type": "application/x-www-form-urlencoded"}
+    body = urlencode(dict(form) | {"by": "Kim"})
+    answer, _ = ask_behind(site, action, True, body, Cookie=cookie.partition(";")[0], **kind)
+    assert answer.status == 302
+    assert answer.headers["Location"] == page

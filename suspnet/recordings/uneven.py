@@ -1,0 +1,158 @@
+"""Uneven times: samples interpolated onto an even grid at their mean rate.
+
+A value at time t is that of the polynomial through the ``POINTS`` samples around it. For a sine of
+angular frequency w and steps of at most h, its error in the middle of them is at most
+``(w h)^8 (1 3 5 7)^2 / (2^8 8!)`` = 0.00107 (w h)^8 of the amplitude, the remainder of Lagrange's
+formula. The error for the times of a file is summed up exactly, from the weights of its samples.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from suspnet.ground.types import FloatArray
+from suspnet.recordings.errors import TripError
+from suspnet.recordings.faults import find_gaps
+
+POINTS = 8
+"""Number of samples from which a value is interpolated."""
+LEAST_STEPS = 4 * POINTS
+"""Least number of steps by which times are judged."""
+NEGLIGIBLE = 0.003
+"""Spread of the steps up to which times count as even, in units of 1/w at the end of the band."""
+MOST_ERROR = 0.01
+"""Largest rms error of interpolation for a sine at the end of the band, relative to its rms."""
+DEVIATIONS, LEAST_GAP = 5.0, 0.5
+"""A step is a gap if it exceeds the usual one by this many robust standard deviations of the steps,
+and by at least this fraction of the usual step."""
+SHORT_GAP = 4.5
+"""Multiple of the usual step up to which the samples on both sides of a gap are used together."""
+BLOCK_ROWS = 2**14
+"""Number of values interpolated at once, which bounds the memory."""
+
+
+def are_uneven(steps_s: FloatArray, band_hz: float) -> bool:
+    """Return whether samples are at uneven times, which matters up to `band_hz`.
+
+    Steps that are multiples of a resolution and differ by at most two of it are those of even times
+    that were rounded. Steps above 1.5 times the median are gaps.
+    """
+    if len(steps_s) < LEAST_STEPS:
+        return False
+    steps = steps_s[steps_s < (1 + LEAST_GAP) * np.median(steps_s)]
+    low, high = np.quantile(steps, [0.05, 0.95])
+    if 2 * math.pi * band_hz * (high - low) <= NEGLIGIBLE:
+        return False
+    usual = steps[(steps >= low) & (steps <= high)]
+    different = np.unique(np.round(usual / (high - low), 4)) * (high - low)
+    resolution = np.diff(different).min()
+    multiples = different / resolution
+    return bool(
+        high - low > 2.01 * resolution or np.abs(multiples - np.round(multiples)).max() > 0.05
+    )
+
+
+class Grid:
+    """Interpolates a stream of samples at uneven times onto an even grid, block by block.
+
+    The result does not depend on how the stream is cut into blocks. `first_s` is the first instant
+    of the grid; `steps_s` are steps from which its rate is computed. Where a sample is missing, the
+    result is NaN: within steps above `gap_s`. `words` states what was done.
+    """
+
+    def __init__(self, where: str, first_s: float, steps_s: FloatArray, band_hz: float) -> None:
+        self.where, self.band_hz = where, band_hz
+        usual_s = float(np.median(steps_s))
+        deviation_s = 1.4826 * float(np.median(np.abs(steps_s - usual_s)))
+        self.gap_s = usual_s + max(DEVIATIONS * deviation_s, LEAST_GAP * usual_s)
+        even = steps_s[steps_s <= self.gap_s]
+        self.step_s = float(even.mean())
+        low, high = 1e3 * np.quantile(even, [0.01, 0.99])
+        self._uneven = f"its times are uneven, steps of {low:.3g} to {high:.3g} ms"
+        self.words = f"{self._uneven}; its samples are interpolated at {self.rate_hz:.6g} Hz"
+        self._first_s, self._n_done = first_s, 0
+        self._times, self._values = np.empty(0), np.empty(0)
+        self._n_summed, self._sum_of_squares = 0, 0.0
+
+    @property
+    def rate_hz(self) -> float:
+        """Rate of the grid, the mean of the samples without gaps."""
+        return 1 / self.step_s
+
+    def push(self, times: FloatArray, values: FloatArray) -> FloatArray:
+        """Return the values that the next samples complete."""
+        good = ~find_gaps(values)
+        self._times = np.concatenate([self._times, times[good]])
+        self._values = np.concatenate([self._values, values[good]])
+        return self._until(POINTS // 2)
+
+    def finish(self) -> FloatArray:
+        """Return the remaining values.
+
+        Raises TripError if interpolation is too inaccurate.
+        """
+        return self._until(1)
+
+    def _until(self, n_after: int) -> FloatArray:
+        """Return the values up to the sample that `n_after` - 1 others follow."""
+        if len(self._times) < 2 * POINTS:
+            return np.empty(0)
+        n = math.floor((self._times[-n_after] - self._first_s) / self.step_s + 1e-6) + 1
+        instants = self._first_s + self.step_s * np.arange(self._n_done, n)
+        blocks = [
+            self._at(instants[start : start + BLOCK_ROWS])
+            for start in range(0, len(instants), BLOCK_ROWS)
+        ]
+        self._n_done = max(n, self._n_done)
+        # the next values need the last samples, and those before a gap among them
+        self._times, self._values = self._times[-3 * POINTS :], self._values[-3 * POINTS :]
+        self._check()
+        return np.concatenate([np.empty(0), *blocks])
+
+    def _at(self, instants: FloatArray) -> FloatArray:
+        """Return the values at instants of the grid; NaN in gaps."""
+        times, half = self._times, POINTS // 2
+        after = np.clip(np.searchsorted(times, instants), 1, len(times) - 1)
+        # the samples around each instant, on one side of a long gap
+        borders = np.flatnonzero(np.diff(times) > SHORT_GAP * self.step_s) + 1
+        starts, stops = np.append(0, borders), np.append(borders, len(times))
+        is_later = instants - times[after - 1] > times[after] - instants
+        part = np.searchsorted(borders, after - 1 + is_later, side="right")
+        first = np.clip(after - half, starts[part], np.maximum(stops[part] - POINTS, starts[part]))
+        around = first[:, None] + np.arange(POINTS)
+        is_known = around[:, -1] < stops[part]
+        around = np.minimum(around, len(times) - 1)
+        to_samples = times[around] - instants[:, None]
+        nearest = np.abs(to_samples).min(axis=1)
+        is_known &= (times[after] - times[after - 1] <= self.gap_s) | (nearest < self.step_s / 2)
+        weights = _weights(to_samples[is_known])
+        # sums of differences, so that equal samples stay equal
+        values = self._values[around[is_known]]
+        level = values[:, half - 1]
+        found = np.full(len(instants), np.nan)
+        found[is_known] = level + np.einsum("ij,ij->i", weights, values - level[:, None])
+        turned = np.exp(2j * math.pi * self.band_hz * to_samples[is_known])
+        errors = np.abs(np.einsum("ij,ij->i", weights, turned) - 1)
+        self._sum_of_squares += float(np.square(errors).sum())
+        self._n_summed += len(errors)
+        return found
+
+    def _check(self) -> None:
+        error = math.sqrt(self._sum_of_squares / max(self._n_summed, 1))
+        if error > MOST_ERROR:
+            raise TripError(
+                f"{self.where}: {self._uneven}; at {self.band_hz:g} Hz interpolation would err by "
+                f"{100 * error:.2g} %, the most is {100 * MOST_ERROR:g} %; record faster, or give "
+                "`rate_hz` instead of `time` if only the times are uneven, not the samples"
+            )
+
+
+def _weights(offsets: FloatArray) -> FloatArray:
+    """Return the weights of samples at `offsets` (n, POINTS) from an instant, by Lagrange."""
+    weights = np.empty_like(offsets)
+    for i in range(POINTS):
+        others = np.delete(offsets, i, axis=1)
+        weights[:, i] = np.prod(others / (others - offsets[:, [i]]), axis=1)
+    return weights

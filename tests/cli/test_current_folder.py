@@ -1,0 +1,81 @@
+"""Code in the current folder is not run, by a program or by a process that it starts."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from suspnet.cli.start import PROGRAMS
+
+PLANTED = (
+    *("joblib", "multiprocessing", "numpy", "torch", "pickle", "hydra", "hydra_plugins"),
+    "suspnet",
+)
+PROBE = """
+import multiprocessing, subprocess, sys
+from suspnet.ground.workers import fork_from_server, guarded
+
+with guarded(2) as executor:
+    executor.submit(len, "loky").result()
+process = multiprocessing.get_context("spawn").Process(target=print, args=("spawn",))
+process.start()
+process.join()
+fork_from_server("json", 2)
+with guarded(2) as executor:
+    executor.submit(len, "forkserver").result()
+subprocess.run([sys.executable, "-c", "import joblib, numpy"], check=True)
+"""
+"""Starts a process in each of the ways in which programs do."""
+
+
+def planted(folder, names):
+    """Make a folder with packages that leave a file behind if they are imported."""
+    folder.mkdir()
+    for name in names:
+        file = folder / name / "__init__.py"
+        file.parent.mkdir()
+        file.write_text(f"open({str(folder.parent / 'executed')!r}, 'a').write('{name} ')\n")
+    return folder
+
+
+def ran(arguments, cwd):
+    """Run a program in a folder; assert that nothing of that folder was executed."""
+    environment = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
+    done = subprocess.run(
+        arguments,
+        cwd=cwd,
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=200,
+        check=False,
+    )
+    marker = cwd.parent / "executed"
+    assert not marker.exists(), marker.read_text()
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+@pytest.mark.representatives(2)
+@pytest.mark.every_value
+@pytest.mark.parametrize("start", ["script", "module"])
+@pytest.mark.parametrize("program", PROGRAMS)
+def test_no_process_of_a_program_imports_from_the_current_folder(program, start, tmp_path):
+    # with `python -m suspnet` the user asks for what the folder holds of that name
+    cwd = planted(tmp_path / "recordings", PLANTED[: None if start == "script" else -1])
+    (tmp_path / "probe.py").write_text(PROBE)
+    script = [Path(sys.executable).with_name("suspnet")]
+    started = script if start == "script" else [sys.executable, "-m", "suspnet"]
+    printed = ran([*started, program, "--plugin", tmp_path / "probe.py", "--help"], cwd)
+    assert "spawn" in printed
+    assert program in printed
+
+
+@pytest.mark.slow
+def test_workers_of_a_simulation_import_nothing_from_the_current_folder(tmp_path):
+    cwd = planted(tmp_path / "recordings", PLANTED)
+    short = ("out=trips", "fleet.n_trips=2", "fleet.minutes=0.5", "workers=2", "progress=false")
+    printed = ran([Path(sys.executable).with_name("suspnet"), "simulate", *short], cwd)
+    assert "2 trips of scenario" in printed

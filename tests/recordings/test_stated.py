@@ -1,0 +1,344 @@
+"""What files state about their data is used, or refused by name and the rest is read."""
+
+import struct
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from recording_files import write_uff
+from scipy.io import savemat
+from scipy.sparse import csc_array
+
+from suspnet.recordings.errors import TripError
+from suspnet.recordings.formats import FORMATS, UNREAD, open_columns, open_file
+from suspnet.trips.file_contents import contents_of
+
+N = 8
+VALUES = np.arange(float(N))
+
+
+def read(path: Path, *names: str | None) -> list[np.ndarray]:
+    return [np.concatenate(parts) for parts in zip(*open_columns(path, names), strict=True)]
+
+
+def unread(path: Path) -> dict[str, str]:
+    with open_file(path) as file:
+        return {column.name: column.unread for column in file.columns if column.unread}
+
+
+# HDF5
+
+
+def hdf5(path: Path, **attributes):
+    """Return an HDF5 file that is open for writing, with integers as `a`."""
+    file = pytest.importorskip("h5py").File(path, "w")
+    file["a"] = np.arange(N, dtype="i2")
+    file["a"].attrs.update(attributes)
+    return file
+
+
+@pytest.mark.parametrize(
+    ("attributes", "expected"),
+    [
+        ({"scale_factor": 0.5, "add_offset": -1.0}, 0.5 * VALUES - 1),
+        ({"scale_factor": np.array([2.0])}, 2 * VALUES),
+        ({"_FillValue": np.int16(3), "scale_factor": 3.0}, [0, 3, 6, np.nan, 12, 15, 18, 21]),
+        ({"missing_value": [0, 7]}, [np.nan, 1, 2, 3, 4, 5, 6, np.nan]),
+        ({"valid_range": [1, 6]}, [np.nan, 1, 2, 3, 4, 5, 6, np.nan]),
+        ({"valid_min": 1, "valid_max": 6.0}, [np.nan, 1, 2, 3, 4, 5, 6, np.nan]),
+        ({"_Unsigned": "true", "scale_factor": 1.0}, VALUES),
+        ({"other": 5.0}, VALUES),
+    ],
+)
+def test_scale_and_missing_samples_of_hdf5_are_applied(tmp_path, attributes, expected):
+    hdf5(tmp_path / "a.h5", **attributes).close()
+    np.testing.assert_array_equal(read(tmp_path / "a.h5", "a")[0], expected)
+
+
+def test_attributes_of_hdf5_without_a_convention_are_named(tmp_path):
+    hdf5(tmp_path / "a.h5", Gain=10.0, unit="g").close()
+    words = "a.h5: attributes that are not applied: 'a.Gain'"
+    assert contents_of(tmp_path / "a.h5").read_as == words
+
+
+def test_fill_values_that_were_chosen_are_missing_and_signs_as_stated(tmp_path):
+    with hdf5(tmp_path / "a.h5") as file:
+        for name, fill in (("filled", -99), ("zero", 0)):
+            file.create_dataset(name, (N,), "i2", fillvalue=fill)[:4] = [1, 2, 3, 4]
+        file["unsigned"] = np.array([-1, 1], "i1")
+        file["unsigned"].attrs["_Unsigned"] = "true"
+    missing = [np.nan] * 4
+    np.testing.assert_array_equal(read(tmp_path / "a.h5", "filled")[0], [1, 2, 3, 4, *missing])
+    np.testing.assert_array_equal(read(tmp_path / "a.h5", "zero")[0], [1, 2, 3, 4, 0, 0, 0, 0])
+    np.testing.assert_array_equal(read(tmp_path / "a.h5", "unsigned")[0], [255, 1])
+
+
+def test_foreign_objects_of_hdf5_are_named_and_the_rest_is_read(tmp_path):
+    h5py = pytest.importorskip("h5py")
+    path = tmp_path / "a.h5"
+    with hdf5(path) as file:
+        space, wide = h5py.h5s.create_simple((N,)), h5py.h5t.STD_I32LE.copy()
+        wide.set_precision(24)
+        wide.set_size(3)
+        h5py.h5d.create(file.id, b"moments", h5py.h5t.UNIX_D32LE.copy(), space)
+        h5py.h5d.create(file.id, b"integers", wide, space)
+        file["empty"] = h5py.Empty("f8")
+        file["complex"], file["cube"] = 1j * VALUES, np.zeros((4, 3, 2))
+        file["scaled"] = VALUES
+        file["scaled"].attrs["scale_factor"] = "a half"
+        kinds = [("t", "f8"), ("a", "f4"), ("pair", "f8", 2), ("name", "S3"), ("in", [("x", "f8")])]
+        file["table"] = np.zeros(N, kinds)
+        file["table"].attrs["unit"] = "g"  # of which field?
+    found = unread(path)
+    assert found["moments"].startswith("cannot be read (No NumPy equivalent")
+    assert found["integers"].startswith("cannot be read (data type '<i3'")
+    assert found["empty"] == "is without samples: its space is null"
+    assert found["cube"] == "is an array of 4 x 3 x 2; export it as columns"
+    assert found["scaled"].startswith("cannot be read (could not convert string")
+    assert set(found) == {"moments", "integers", "empty", "complex", "cube", "scaled", "table.in"}
+    assert "complex128, not real numbers" in found["complex"]
+    with pytest.raises(TripError, match=r"a\.h5: column 'moments' cannot be read"):
+        read(path, "moments")
+    assert "a.h5: not read: 'complex' holds complex128" in contents_of(path).read_as
+    with open_file(path) as file:
+        fields = [column.name for column in file.columns if column.name.startswith("table")]
+        assert fields == ["table.in", "table.t", "table.a", "table.pair[0]", "table.pair[1]"]
+        assert file.column("table.a").unit is None
+    np.testing.assert_array_equal(read(path, "a")[0], VALUES)
+    np.testing.assert_array_equal(read(path, "table.pair[1]")[0], 0 * VALUES)
+
+
+@pytest.mark.parametrize(
+    ("unit", "start_ns"),
+    [("milliseconds since 2024-05-06 08:15:30 UTC", 1714983330 * 10**9), ("s", None)],
+)
+def test_times_of_netcdf_are_those_of_their_data_sets(tmp_path, unit, start_ns):
+    with hdf5(tmp_path / "a.h5", units="g") as file:
+        file["x"] = 4 * VALUES
+        file["x"].attrs["units"] = unit
+        file["x"].make_scale("x")
+        file["a"].dims[0].attach_scale(file["x"])
+    with open_file(tmp_path / "a.h5") as file:
+        assert (file.column("a").unit, file.column("a").time) == ("g", "x")
+        assert file.column("x").unit == unit.split(" since ")[0]
+        assert file.column("x").start_ns == start_ns
+    (signal,) = (one for one in contents_of(tmp_path / "a.h5").signals if one.name == "a")
+    assert signal.zero.ns == start_ns
+
+
+def test_cells_and_objects_of_matlab_7_3(tmp_path):
+    h5py = pytest.importorskip("h5py")
+    with hdf5(tmp_path / "a.h5") as file:
+        file["#refs#/x"], file["#refs#/g/y"] = VALUES[None], 2 * VALUES[None]
+        file["c"] = np.array([[file["#refs#/x"].ref], [file["#refs#/g"].ref]], h5py.ref_dtype)
+        file["ts"] = np.arange(6, dtype="u4")
+        file["ts"].attrs.update(MATLAB_class=np.bytes_("timeseries"), MATLAB_object_decode=3)
+    with open_file(tmp_path / "a.h5") as file:
+        assert {column.name for column in file.columns} == {"a", "c[0]", "c[1]/y", "ts"}
+    assert unread(tmp_path / "a.h5")["ts"].startswith("is an object of MATLAB (timeseries), whose")
+    np.testing.assert_array_equal(read(tmp_path / "a.h5", "c[1]/y")[0], 2 * VALUES)
+
+
+# MAT
+
+
+def signals_of_simulink(*labels):
+    kinds = [(name, object) for name in ("values", "dimensions", "label")]
+    found = np.empty((1, len(labels)), kinds)
+    for i, label in enumerate(labels):
+        found[0, i] = (VALUES[:, None] * (i + 1), 1.0, label)
+    return found
+
+
+def element(kind: int, data: bytes) -> bytes:
+    return struct.pack("<II", kind, len(data)) + data + bytes(-len(data) % 8)
+
+
+def matlab_object(name: bytes, kind: bytes) -> bytes:
+    """Return an object of MATLAB as files before version 7.3 hold it."""
+    ids = [(6, struct.pack("<II", 13, 0)), (5, struct.pack("<ii", 1, 1)), (1, b"")]
+    content = b"".join(element(*part) for part in [*ids, (6, struct.pack("<I", 7))])
+    parts = [(6, struct.pack("<II", 17, 0)), (1, name), (1, b"MCOS"), (1, kind), (14, content)]
+    return element(14, b"".join(element(*part) for part in parts))
+
+
+def test_structs_cells_and_simulink_are_looked_into(tmp_path):
+    path = tmp_path / "a.mat"
+    cell, several = np.empty((1, 3), object), np.empty((1, 2), [("a", object)])
+    cell[0, :] = [VALUES, "text", {"a": 2 * VALUES, "fs": 100.0}]
+    several[0, 0], several[0, 1] = (VALUES,), (3 * VALUES,)
+    scope = {"time": VALUES[:, None] / 100, "signals": signals_of_simulink("acc box", "")}
+    one = {"time": np.empty((0, 0)), "signals": signals_of_simulink("x")}
+    flags = {"flag": VALUES > 3, "sparse": csc_array(np.eye(3)), "cube": np.zeros((4, 3, 2))}
+    savemat(path, {"c": cell, "s": several, "scope": scope, "one": one} | flags)
+    for name, factor in (("c[0]", 1), ("c[2].a", 2), ("s[1].a", 3), ("scope.signals[1].values", 2)):
+        np.testing.assert_array_equal(read(path, name)[0], factor * VALUES)
+    with open_file(path) as file:
+        assert file.column("c[2].a").rate_hz == 100.0
+        assert file.column("scope.signals[0].acc box").time == "scope.time"
+        assert file.column("one.signals.x").time is None
+        assert not any("dimensions" in column.name for column in file.columns)
+    assert unread(path) == {
+        "flag": "holds logical, not numbers",
+        "sparse": "holds sparse, not numbers",
+        "cube": "is an array of 4 x 3 x 2; export it as columns",
+    }
+
+
+def test_objects_of_matlab_are_named_and_the_rest_is_read(tmp_path):
+    path = tmp_path / "a.mat"
+    savemat(path, {"a": VALUES})
+    with path.open("ab") as stream:
+        stream.write(matlab_object(b"ts", b"timeseries") + matlab_object(b"tt", b"timetable"))
+    found = unread(path)
+    assert found["ts"].startswith("is an object of MATLAB (timeseries), whose content only MATLAB")
+    assert found["tt"].startswith("is an object of MATLAB (timetable)")
+    np.testing.assert_array_equal(read(path, None)[0], VALUES)
+    savemat(path, {"flag": VALUES > 3})
+    with pytest.raises(TripError, match=r"no column of numbers: 'flag' holds logical, not"):
+        contents_of(path)
+
+
+# TDMS
+
+
+def tdms(path: Path, *segments, values=VALUES, group="g", channel="a") -> Path:
+    nptdms = pytest.importorskip("nptdms")
+    with nptdms.TdmsWriter(path) as writer:
+        for start, properties in segments:
+            said = {"wf_increment": 0.01, "unit_string": "g"} | properties
+            if start is not None:
+                said["wf_start_time"] = np.datetime64(f"2024-05-06T08:{start}")
+            writer.write_segment([nptdms.ChannelObject(group, channel, values, properties=said)])
+    return path
+
+
+@pytest.mark.parametrize(
+    ("second", "gap_s"),
+    [
+        ("15:30.08", 0),
+        ("15:30.0804", 0),
+        ("15:30", 0),
+        (None, 0),
+        ("15:30.28", 0.2),
+        ("25:30.08", 600),
+    ],
+)
+def test_pause_between_segments_of_tdms_is_a_gap(tmp_path, second, gap_s):
+    path = tdms(tmp_path / "a.tdms", ("15:30", {}), (second, {}), (None, {}))
+    with open_file(path) as file:
+        column = file.column("g/a")
+        assert column.start_ns == 1714983330 * 10**9
+        assert column.time == ("g/a: times" if gap_s else None)
+    if gap_s:
+        times, values = read(path, "g/a: times", "g/a")
+        expected = np.arange(3 * N) * 0.01 + gap_s * (np.arange(3 * N) >= N)
+        np.testing.assert_allclose(times, expected, atol=1e-9)
+        np.testing.assert_array_equal(values, np.tile(VALUES, 3))
+
+
+@pytest.mark.parametrize(
+    ("second", "properties", "message"),
+    [
+        (
+            *("15:30.04", {}),
+            "'g/a' has segments that overlap: one lasts until 2024-05-06T08:15:30.080000, the next "
+            "starts at 2024-05-06T08:15:30.040000; export them",
+        ),
+        ("15:30.08", {"wf_increment": 0.02}, "has another 'wf_increment' in a later segment, 0.02"),
+        ("15:30.08", {"unit_string": "m/s2"}, "another 'unit_string' in a later segment, m/s2 ins"),
+    ],
+)
+def test_segments_of_tdms_that_contradict_are_refused(tmp_path, second, properties, message):
+    path = tdms(tmp_path / "a.tdms", ("15:30", {}), (second, properties))
+    with pytest.raises(TripError, match=message):
+        read(path, "g/a")
+
+
+def test_no_channel_of_tdms_is_lost_by_its_name(tmp_path):
+    nptdms = pytest.importorskip("nptdms")
+    names = [("a/b", "c"), ("a", "b/c"), ("a", "d")]
+    with nptdms.TdmsWriter(tmp_path / "a.tdms") as writer:
+        writer.write_segment(
+            [nptdms.ChannelObject(*name, (i + 1) * VALUES) for i, name in enumerate(names)]
+        )
+    for i, name in enumerate(("/'a/b'/'c'", "/'a'/'b/c'", "a/d")):
+        np.testing.assert_array_equal(read(tmp_path / "a.tdms", name)[0], (i + 1) * VALUES)
+
+
+def test_start_of_1904_is_none(tmp_path):
+    said = {"wf_start_time": np.datetime64("1904-01-01T00:00:00")}
+    with open_file(tdms(tmp_path / "a.tdms", (None, said))) as file:
+        assert file.column("g/a").start_ns is None
+
+
+# universal files, Parquet
+
+
+@pytest.mark.parametrize("n_declared", [5, N, 9])
+def test_points_that_universal_files_declare_count(tmp_path, n_declared):
+    path = tmp_path / "a.uff"
+    write_uff(path, {"a": VALUES})
+    form = b"%10d%10d%10d"  # kind of numbers, number of points, even spacing
+    path.write_bytes(path.read_bytes().replace(form % (4, N, 1), form % (4, n_declared, 1)))
+    if n_declared <= N:
+        np.testing.assert_array_equal(read(path, "a")[0], VALUES[:n_declared])
+    else:
+        with pytest.raises(TripError, match="column 'a' declares 9 points and holds 8: it is cut"):
+            read(path, "a")
+
+
+@pytest.mark.parametrize(
+    ("said", "unit", "rate_hz", "time_unit"),
+    [
+        ({}, None, 4.0, None),
+        ({"abscissa_axis_units_lab": "ms"}, None, 4000.0, None),
+        ({"abscissa_min": 2.5}, None, None, "s"),
+        ({"abscissa_min": 2.5, "abscissa_axis_units_lab": "ms"}, None, None, "ms"),
+        ({"ordinate_axis_units_lab": "g", "units_code": 1}, "g", 4.0, None),
+        ({"units_code": 1}, "m/s2", 4.0, None),
+        ({"units_code": 5}, "mm/s2", 4.0, None),
+        ({"abscissa_axis_units_lab": "km"}, None, None, None),
+    ],
+)
+def test_axes_of_universal_files_are_as_stated(tmp_path, said, unit, rate_hz, time_unit):
+    path = tmp_path / "a.uff"
+    write_uff(path, {"a": VALUES}, rate_hz=4.0, **said)
+    with open_file(path) as file:
+        column = file.column("a")
+        assert (column.unit, column.rate_hz) == (unit, rate_hz)
+        if time_unit:
+            assert file.column(column.time).unit == time_unit
+            np.testing.assert_allclose(read(path, column.time)[0], 2.5 + VALUES / 4)
+
+
+def test_record_along_something_else_is_refused(tmp_path):
+    write_uff(tmp_path / "a.uff", {"a": VALUES}, abscissa_spec_data_type=18)
+    with pytest.raises(TripError, match="'a' is a function of something else than time; export"):
+        read(tmp_path / "a.uff", "a")
+
+
+def test_unit_and_rate_of_parquet_are_those_of_the_column(tmp_path):
+    field = pa.field("a", pa.float64(), metadata={"unit": "g", "rate_hz": "500"})
+    pq.write_table(pa.table([VALUES], schema=pa.schema([field])), tmp_path / "a.parquet")
+    with open_file(tmp_path / "a.parquet") as file:
+        assert (file.column("a").unit, file.column("a").rate_hz) == ("g", 500.0)
+
+
+# the table of the documentation, and formats that are not read
+
+
+def test_statements_of_all_formats_are_listed():
+    assert all(len(one.states) >= 3 for one in FORMATS)
+    assert not set(UNREAD) & {suffix for one in FORMATS for suffix in one.suffixes}
+
+
+@pytest.mark.parametrize("suffix", [".lvm", ".raw", ".dat", ".ide", ".d7d", ".dxd", ".bin"])
+def test_formats_that_are_not_read_are_named(tmp_path, suffix):
+    path = tmp_path / f"run{suffix}"
+    path.write_bytes(b"x")
+    message = rf"run\{suffix} \(.*\): files of type '\{suffix}' cannot be read; give \['\.asc'"
+    with pytest.raises(TripError, match=message), open_file(path):
+        pass
