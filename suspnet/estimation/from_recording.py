@@ -9,6 +9,7 @@ from typing import TypeAlias
 import numpy as np
 from torch import Tensor
 
+from suspnet.ground.wording import count
 from suspnet.dynamics import ResponseGenerator
 from suspnet.estimation.bogie_trips import UNEXPLAINED, UnexplainedError, estimate_parts
 from suspnet.estimation.direction import direction_of, of_direction
@@ -286,7 +287,7 @@ def _too_few(
     if reads_at_any_speed(models[0]):
         where = f"at {settings.min_speed_m_per_s:g} m/s or faster throughout"
     return (
-        f"{int(group.sum())} of {len(group)} segments without faults are {where}, "
+        f"{int(group.sum())} of {count(len(group), 'segment')} without faults are {where}, "
         f"{part.n_incoherent} of them of low coherence: "
         f"{minutes_words(segments.welch, int(part.chosen.sum()), settings.min_averages)} "
         f"(half of the trip is run at {float(speeds.mean(dim=1).median()):.1f} m/s or less, "
@@ -297,7 +298,7 @@ def _too_few(
 def _too_short(recording: Recording, segments: SegmentSpectra, settings: TripSettings) -> str:
     n_segments, faults = len(segments.values), unrepaired_words(recording)
     return (
-        f"{n_segments} segments without faults: "
+        f"{count(n_segments, 'segment')} without faults: "
         f"{minutes_words(segments.welch, n_segments, settings.min_averages)}: "
         + (f"too little is free of faults: {faults}" if faults else "the recording is too short")
     )

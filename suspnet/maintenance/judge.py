@@ -38,6 +38,12 @@ class LastTrips:
     flagged: BoolArray
     all_flagged: bool = False
 
+    @property
+    def newest(self) -> LastTrips:
+        """The newest of these trips alone."""
+        columns = self.values, self.low, self.high, self.flagged
+        return LastTrips(*(one[-1:] for one in columns), all_flagged=self.all_flagged)
+
 
 @dataclass(frozen=True)
 class Judged:

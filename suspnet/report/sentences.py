@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from importlib import resources
 from typing import IO, Any
 
-from suspnet.report.language import ENGLISH, current, decimal, gettext
+from suspnet.report.language import ENGLISH, current, day, decimal, gettext
 
 
 def extract(file: IO[bytes], *_: Any, **__: Any) -> Iterator[tuple[int, None, str, list[str]]]:
@@ -26,6 +26,11 @@ def extract(file: IO[bytes], *_: Any, **__: Any) -> Iterator[tuple[int, None, st
 with resources.files("suspnet.report").joinpath("sentences.txt").open("rb") as _file:
     PATTERNS = tuple(text for _, _, text, _ in extract(_file))
 """Patterns of sentences; what is in braces varies, and is translated in the same way."""
+_AXLE_BOX = re.compile(r"(?<![\w.`/])axle_box(?: axle\d)?(?: left| right)?(?![\w`/]|\.\w)")
+"""A sensor at an axle box by its name in manifests, within a text."""
+_SENSOR = re.compile(r"(?:axle_box|bogie|body)(?: axle\d)?(?: left| right)?")
+"""Any sensor by its name in manifests."""
+_PLACES = {"axle_box": "axle box", "bogie": "bogie frame", "body": "car body"}
 SEPARATORS = ("\n", "; ", ". ", ": ", ", ")
 """What joins sentences and places, tried in this order where no pattern has the whole text."""
 LONGEST = 800
@@ -42,8 +47,10 @@ def spoken(text: str) -> str:
     ...     spoken("the last trip is at 62.1 % of healthy, below the act limit of 70 %")
     'die letzte Fahrt liegt bei 62,1 % des Referenzwerts, unter der Eingriffsgrenze von 70 %'
     """
+    if _SENSOR.fullmatch(text):
+        text = _sensor_words(text)
     if current() == ENGLISH:
-        return text
+        return _AXLE_BOX.sub(_sensor_words, text)
     if len(text) > LONGEST:  # a list may be long, as of faults
         each = text.split("; ")
         return text if len(each) == 1 else "; ".join(map(spoken, each))
@@ -53,6 +60,10 @@ def spoken(text: str) -> str:
 @functools.lru_cache(maxsize=10_000)
 def _spoken(text: str, language: str) -> str:
     """Return a text in a language, which is the current one: it is an argument for the cache."""
+    if _SENSOR.fullmatch(text):
+        text = _sensor_words(text)
+    if re.fullmatch(r"\d{4}-\d\d-\d\d(?: \d\d:\d\d:\d\d.*)?", text):
+        return day(text)
     if re.fullmatch(r"[-+\N{MINUS SIGN}]?[\d \N{NO-BREAK SPACE}]*\.?\d+(?:e[-+]?\d+)?%?", text):
         return decimal(text)
     if (said := _matched(text, language)) is not None:
@@ -70,6 +81,13 @@ def _spoken(text: str, language: str) -> str:
             each = [_spoken(one + end, language).removesuffix(end) for one in parts]
             return separator.join([*each, _spoken(last, language)])
     return f"{_spoken(text[:-1], language)}." if text.endswith(".") else text
+
+
+def _sensor_words(name: str | re.Match[str]) -> str:
+    """Return a sensor as its place in words: "axle box of axle 2, left" of "axle_box axle2 left"."""
+    place, *more = str(name if isinstance(name, str) else name[0]).split()
+    where = (f" of axle {one[4:]}" if one.startswith("axle") else f", {one}" for one in more)
+    return _PLACES[place] + "".join(where)
 
 
 def _matched(text: str, language: str) -> str | None:
