@@ -9,7 +9,6 @@ from typing import TypeAlias
 import numpy as np
 from torch import Tensor
 
-from suspnet.ground.wording import count
 from suspnet.dynamics import ResponseGenerator
 from suspnet.estimation.bogie_trips import UNEXPLAINED, UnexplainedError, estimate_parts
 from suspnet.estimation.direction import direction_of, of_direction
@@ -35,6 +34,7 @@ from suspnet.estimation.steady_parts import (
 from suspnet.estimation.temperature import DampingByTemperature
 from suspnet.estimation.trip_flags import delay_words, with_sides
 from suspnet.estimation.trip_settings import TripSettings
+from suspnet.ground.wording import count
 from suspnet.recordings.errors import TripError
 from suspnet.recordings.manifest import CHANNELS
 from suspnet.recordings.recording import Recording

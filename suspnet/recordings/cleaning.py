@@ -75,8 +75,8 @@ class Fault:
             return f"{self.channel}: {self.kind} of {self.size_m_per_s2:.3g} m/s2, harmless"
         fate = "repaired" if self.repaired else "not usable"
         return (
-            f"{self.channel}: {self.kind} of {count(self.n_samples, 'sample')} ({self.seconds:.3g} s), "
-            f"first at {self.first_s:.3f} s, {fate}"
+            f"{self.channel}: {self.kind} of {count(self.n_samples, 'sample')} "
+            f"({self.seconds:.3g} s), first at {self.first_s:.3f} s, {fate}"
         )
 
 

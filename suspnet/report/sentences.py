@@ -47,10 +47,8 @@ def spoken(text: str) -> str:
     ...     spoken("the last trip is at 62.1 % of healthy, below the act limit of 70 %")
     'die letzte Fahrt liegt bei 62,1 % des Referenzwerts, unter der Eingriffsgrenze von 70 %'
     """
-    if _SENSOR.fullmatch(text):
-        text = _sensor_words(text)
     if current() == ENGLISH:
-        return _AXLE_BOX.sub(_sensor_words, text)
+        return (_SENSOR if _SENSOR.fullmatch(text) else _AXLE_BOX).sub(_sensor_words, text)
     if len(text) > LONGEST:  # a list may be long, as of faults
         each = text.split("; ")
         return text if len(each) == 1 else "; ".join(map(spoken, each))
@@ -60,8 +58,8 @@ def spoken(text: str) -> str:
 @functools.lru_cache(maxsize=10_000)
 def _spoken(text: str, language: str) -> str:
     """Return a text in a language, which is the current one: it is an argument for the cache."""
-    if _SENSOR.fullmatch(text):
-        text = _sensor_words(text)
+    if sensor := _SENSOR.fullmatch(text):
+        text = _sensor_words(sensor)
     if re.fullmatch(r"\d{4}-\d\d-\d\d(?: \d\d:\d\d:\d\d.*)?", text):
         return day(text)
     if re.fullmatch(r"[-+\N{MINUS SIGN}]?[\d \N{NO-BREAK SPACE}]*\.?\d+(?:e[-+]?\d+)?%?", text):
@@ -83,9 +81,9 @@ def _spoken(text: str, language: str) -> str:
     return f"{_spoken(text[:-1], language)}." if text.endswith(".") else text
 
 
-def _sensor_words(name: str | re.Match[str]) -> str:
-    """Return a sensor as its place in words: "axle box of axle 2, left" of "axle_box axle2 left"."""
-    place, *more = str(name if isinstance(name, str) else name[0]).split()
+def _sensor_words(name: re.Match[str]) -> str:
+    """Return a sensor's place in words: "axle box of axle 2, left" of "axle_box axle2 left"."""
+    place, *more = name[0].split()
     where = (f" of axle {one[4:]}" if one.startswith("axle") else f", {one}" for one in more)
     return _PLACES[place] + "".join(where)
 

@@ -89,6 +89,7 @@ class Panel:
     passing: Passing | None
     act: float | None
     axis: tuple[float, float]
+    severity: Severity
 
 
 @dataclass(frozen=True, eq=False)
@@ -229,6 +230,7 @@ def _panel(name: str, points: Points, state: State, healthy: float = 1.0) -> Pan
         passing,
         act,
         _axis(shown, act),
+        state.severities.get(name, Severity.NONE),
     )
 
 
@@ -251,8 +253,8 @@ def _axis(points: Points, act: float | None) -> tuple[float, float]:
 
     One odd trip must not squeeze all others. The axis includes 100 %, a passed act limit, unflagged
     trips (all if all are flagged) and the running median between its ends, which follows a lasting
-    change even if flagged, but no level above that of any real suspension. Other trips widen it by up to its span
-    on each side, intervals by up to half of that.
+    change even if flagged, but no level above that of any real suspension. Other trips widen it by
+    up to its span on each side, intervals by up to half of that.
     """
     clear = ~points.flagged if not points.flagged.all() else np.ones(len(points.km), dtype=bool)
     held = np.append(points.values[clear], running_median(points.values)[1:-1])

@@ -67,8 +67,8 @@ def test_rows_say_state_reason_and_who_has_seen_it(states):
     rows = overview_rows(states, seen)
     assert rows[0]["acknowledged"] == "Kim, 2026-02-01"
     assert rows[0]["reason"] == (
-        "the last trip is at 150 % of healthy; the last 2 trips are above the act limit of 125 %; the change began "
-        "at about 75 000 km"
+        "the last trip is at 150 % of healthy; the last 2 trips are above the act limit of 125 %; "
+        "the change began at about 75 000 km"
     )
     assert rows[0]["k_s_last"] == pytest.approx(1.0, abs=0.01)  # two of the last five
     assert (rows[2]["reason"], rows[2]["parameter"]) == ("within its limits", "")

@@ -123,7 +123,8 @@ def ends_with(*last, n=N_TRIPS):
         (
             read(ends_with(1.5, 1.5, n=12)),
             "act",
-            "the last trip is at 150 % of healthy; the last 2 trips are above the act limit of 125 %; "
+            "the last trip is at 150 % of healthy; "
+            "the last 2 trips are above the act limit of 125 %; "
             "too few trips so far to call it a lasting change",
         ),
         (
@@ -135,7 +136,8 @@ def ends_with(*last, n=N_TRIPS):
         (
             read(ends_with(1.5, 1.5)),
             "act",
-            "the last trip is at 150 % of healthy; the last 2 trips are above the act limit of 125 %; "
+            "the last trip is at 150 % of healthy; "
+            "the last 2 trips are above the act limit of 125 %; "
             "the change began at about 280 000 km",
         ),
         (
@@ -147,19 +149,21 @@ def ends_with(*last, n=N_TRIPS):
         (
             read(np.where(KM < 155_000, 1, 0.6), parameter="c_s"),
             "act",
-            "the last trip is at 60 % of healthy; the last 5 trips are below the act limit of 70 %; "
+            "the last trip is at 60 % of healthy; "
+            "the last 5 trips are below the act limit of 70 %; "
             "falls to 60 % of healthy (median of the last 5 trips) at about 160 000 km",
         ),
         (
             read(0.6 * ONES),
             "act",
-            "the last trip is at 60 % of healthy; the last 5 trips are below the act limit of 80 %; "
+            "the last trip is at 60 % of healthy; "
+            "the last 5 trips are below the act limit of 80 %; "
             "it has been so since the first trips",
         ),
         (
             read(ends_with(1.5, 1.5, 1.5, 1)),
             "act",
-            "3 of the last trip is at 150 % of healthy; the last 5 trips are above the act limit of 125 %; the last "
+            "3 of the last 5 trips are at 150 % of healthy, above the act limit of 125 %; the last "
             "trip is at 100 %; rises to 150 % of healthy (median of the last 5 "
             "trips) at about 260 000 km",
         ),
@@ -206,13 +210,15 @@ def ends_with(*last, n=N_TRIPS):
         (
             read(0.6 * ONES, flagged=range(N_TRIPS)),
             "act",
-            "the last trip is at 60 % of healthy; the last 5 trips are below the act limit of 80 %; "
+            "the last trip is at 60 % of healthy; "
+            "the last 5 trips are below the act limit of 80 %; "
             f"it has been so since the first trips; {ALL_FLAGGED}{INSPECT}",
         ),
         (
             read(np.where(KM < 255_000, 1, 0.6), flagged=range(25, N_TRIPS)),
             "act",
-            "the last trip is at 60 % of healthy; the last 5 trips are below the act limit of 80 %; "
+            "the last trip is at 60 % of healthy; "
+            "the last 5 trips are below the act limit of 80 %; "
             f"falls to 60 % of healthy (median of the last 5 trips) at about 260 000 km; "
             f"5 of the last 5 trips are flagged{INSPECT}",
         ),

@@ -356,7 +356,7 @@ def test_colour_and_label_are_those_of_the_severity(tmp_path, k_s, tone):
     label = {"act": "Act", "notice": "Notice"}.get(tone)
     shown = re.search(rf'<span class="label {tone}">.*</span> {label}\s*</span>', text)
     assert bool(shown) == bool(label)
-    assert ("the last 2 trips are at" in page.text) == bool(label)
+    assert ("the last 2 trips are above" in page.text) == bool(label)
     assert ("Nothing stands out" in page.text) == (tone == "good")
     assert ("falls by 1.0 % " in page.text) == (tone == "plain")
 
