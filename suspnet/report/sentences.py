@@ -94,7 +94,10 @@ def _matched(text: str, language: str) -> str | None:
         return gettext(text)
     for pattern, expression in _expressions():
         if found := expression.fullmatch(text):
-            values = {name: _spoken(value, language) for name, value in found.groupdict().items()}
+            values = {
+                name: value if name == "typed" else _spoken(value, language)
+                for name, value in found.groupdict().items()
+            }
             return gettext(pattern).format(**values)
     return None
 

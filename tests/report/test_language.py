@@ -129,8 +129,9 @@ def test_sentences_are_german():
         "secondary spring, left or secondary spring, right": "Sekundärfeder links oder "
         "Sekundärfeder rechts",
         "c_s, k_s: the last trip is at 150 % of healthy; the last 2 trips are above the act limit "
-        "of 125 %; the change began at about 75 000 km": "c_s, k_s: die letzte Fahrt liegt bei 150 % "
-        "des Referenzwerts; die letzten 2 Fahrten liegen über der Eingriffsgrenze von 125 %; die Änderung begann bei etwa 75 000 km",
+        "of 125 %; the change began at about 75 000 km": "c_s, k_s: die letzte Fahrt liegt bei "
+        "150 % des Referenzwerts; die letzten 2 Fahrten liegen über der Eingriffsgrenze von 125 %; "
+        "die Änderung begann bei etwa 75 000 km",
         "within its limits; alarms of changes not armed yet: 2 of 20 trips for the reference so "
         "far": "innerhalb der Grenzen; Änderungsalarme noch nicht scharf: bisher 2 von 20 Fahrten "
         "für die Referenz",
