@@ -26,11 +26,16 @@ def extract(file: IO[bytes], *_: Any, **__: Any) -> Iterator[tuple[int, None, st
 with resources.files("suspnet.report").joinpath("sentences.txt").open("rb") as _file:
     PATTERNS = tuple(text for _, _, text, _ in extract(_file))
 """Patterns of sentences; what is in braces varies, and is translated in the same way."""
-_AXLE_BOX = re.compile(r"(?<![\w.`/])axle_box(?: axle\d)?(?: left| right)?(?![\w`/]|\.\w)")
-"""A sensor at an axle box by its name in manifests, within a text."""
-_SENSOR = re.compile(r"(?:axle_box|bogie|body)(?: axle\d)?(?: left| right)?")
-"""Any sensor by its name in manifests."""
-_PLACES = {"axle_box": "axle box", "bogie": "bogie frame", "body": "car body"}
+_SENSOR = re.compile(
+    r"(axle_box|bogie|frame|body)(?:[ _](axle\d|centre))?(?:[ _](left|right|middle))?(?![\w`/]|\.\w)"
+)
+"""A sensor by its name in manifests or in layouts: "axle_box axle2 left", "frame_centre_left"."""
+_SENSORS = re.compile(
+    rf"(?:^|(?<=; )){_SENSOR.pattern}(?=: |$)"
+    rf"|(?<![\w.`/])(?=axle_box|\w+_(?:axle\d|centre|left|right|middle)){_SENSOR.pattern}"
+)
+"""Sensors within a text: names that it begins with, and those with an underscore anywhere."""
+_PLACES = {"axle_box": "axle box", "bogie": "bogie frame", "frame": "bogie frame"}
 SEPARATORS = ("\n", "; ", ". ", ": ", ", ")
 """What joins sentences and places, tried in this order where no pattern has the whole text."""
 LONGEST = 800
@@ -48,11 +53,12 @@ def spoken(text: str) -> str:
     'die letzte Fahrt liegt bei 62,1 % des Referenzwerts, unter der Eingriffsgrenze von 70 %'
     """
     if current() == ENGLISH:
-        return (_SENSOR if _SENSOR.fullmatch(text) else _AXLE_BOX).sub(_sensor_words, text)
+        return _SENSORS.sub(_sensor_words, text)
     if len(text) > LONGEST:  # a list may be long, as of faults
         each = text.split("; ")
         return text if len(each) == 1 else "; ".join(map(spoken, each))
-    return _spoken(text, current())
+    said = _spoken(text, current())
+    return _SENSORS.sub(lambda name: _spoken(_sensor_words(name), current()), said)
 
 
 @functools.lru_cache(maxsize=10_000)
@@ -60,7 +66,7 @@ def _spoken(text: str, language: str) -> str:
     """Return a text in a language, which is the current one: it is an argument for the cache."""
     if sensor := _SENSOR.fullmatch(text):
         text = _sensor_words(sensor)
-    if re.fullmatch(r"\d{4}-\d\d-\d\d(?: \d\d:\d\d:\d\d.*)?", text):
+    if re.fullmatch(r"\d{4}-\d\d-\d\d(?: \d\d:\d\d:\d\d(?:[+-]\d\d:\d\d)?)?", text):
         return day(text)
     if re.fullmatch(r"[-+\N{MINUS SIGN}]?[\d \N{NO-BREAK SPACE}]*\.?\d+(?:e[-+]?\d+)?%?", text):
         return decimal(text)
@@ -83,9 +89,11 @@ def _spoken(text: str, language: str) -> str:
 
 def _sensor_words(name: re.Match[str]) -> str:
     """Return a sensor's place in words: "axle box of axle 2, left" of "axle_box axle2 left"."""
-    place, *more = name[0].split()
-    where = (f" of axle {one[4:]}" if one.startswith("axle") else f", {one}" for one in more)
-    return _PLACES[place] + "".join(where)
+    place, *where = filter(None, name.groups())
+    words = _PLACES.get(place, "car body")
+    for one in where:
+        words += f" of axle {one[4:]}" if one.startswith("axle") else f", {one}"
+    return words
 
 
 def _matched(text: str, language: str) -> str | None:

@@ -143,8 +143,19 @@ def ends_with(*last, n=N_TRIPS):
         (
             read([1.5]),
             "act",
-            "the last trip is at 150 % of healthy, above the act limit of 125 %; "
-            "too few trips (1 of 10) to find a change",
+            "the last trip is at 150 % of healthy, above the act limit of 125 %",
+        ),
+        (  # a fall that eight trips show beyond doubt is not one that they cannot show
+            read([1, 1, 1, 1, 0.88, 0.755, 0.63, 0.51], parameter="c_s"),
+            "act",
+            "the last trip is at 51 % of healthy; the last 2 trips are below the act limit of "
+            "70 %; the first 4 trips were at 100 % of healthy",
+        ),
+        (
+            read([1, 1, 1, 0.86, 0.85, 0.84, 0.83], parameter="c_s"),
+            "none",
+            "at 85 % of healthy, within its limits; the first 3 trips were at 100 % of healthy; "
+            "the last trip is at 83 %",
         ),
         (
             read(np.where(KM < 155_000, 1, 0.6), parameter="c_s"),
@@ -270,7 +281,7 @@ def test_step_before_an_alarm_does_not_end_as_it_began():
 
 def test_level_is_told_from_the_limit_beyond_which_it_lies():
     found = read(ends_with(1.1004, 1.1004, 1.1004), half=1e-4)
-    assert "of healthy, above the notice limit of 110 %" in found.words
+    assert "are above the notice limit of 110 %" in found.words
     assert "at 110 %" not in found.words
 
 
