@@ -31,7 +31,7 @@ _SENSOR = re.compile(
 )
 """A sensor by its name in manifests or in layouts: "axle_box axle2 left", "frame_centre_left"."""
 _SENSORS = re.compile(
-    rf"(?:^|(?<=; )){_SENSOR.pattern}(?=: |$)"
+    rf"(?:^|(?<=; )|(?<=: )|(?<=sensor )){_SENSOR.pattern}(?=: |, | \(|$)"
     rf"|(?<![\w.`/])(?=axle_box|\w+_(?:axle\d|centre|left|right|middle)){_SENSOR.pattern}"
 )
 """Sensors within a text: names that it begins with, and those with an underscore anywhere."""

@@ -165,7 +165,10 @@ def work_order_pdf(name: str) -> ResponseReturnValue:
     if not HAS_PDF:
         abort(
             404,
-            gettext("Work orders as PDF need WeasyPrint where suspnet-serve runs: suspnet[pdf]."),
+            gettext(
+                "Work orders as PDF need WeasyPrint where suspnet-serve runs: "
+                'pip install ".[pdf]" in the folder of suspnet.'
+            ),
         )
     view, _ = current_view(), _state(name)
     index = view.keys[name]
