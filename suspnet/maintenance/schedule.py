@@ -254,8 +254,8 @@ class Plan:
         newest = max(self.stale, key=lambda train: train.on).on
         return (
             f"{_names(self.stale)}: the newest trip is {thousands((self.today - newest).days)} "
-            f"days old ({newest}). The wear since then is unknown, so that only parts with an alarm "
-            "have a visit, to inspect them. Evaluate newer trips, or give "
+            f"days old ({newest}). The wear since then is unknown, so that only parts with an "
+            "alarm have a visit, to inspect them. Evaluate newer trips, or give "
             f"today={newest + timedelta(days=1)} for the plan of that time. "
         )
 
@@ -321,9 +321,9 @@ class Plan:
                 f"The search was ended: the best plan may cost up to {100 * self.gap:.2g} % less."
             )
         return (
-            f"{self.stale_words}{unknown}{count(len(self.visits), 'visit')} with {count(n_jobs, 'job')} until "
-            f"{self.horizon}, {count(n_waiting, 'part')} may need work later, "
-            f"{self.n_quiet} need{'s' * (self.n_quiet == 1)} nothing. {best} {self.assumed_words}"
+            f"{self.stale_words}{unknown}{count(len(self.visits), 'visit')} with "
+            f"{count(n_jobs, 'job')} until {self.horizon}, {count(n_waiting, 'part')} may need "
+            f"work later, {self.n_quiet} need{'s' * (self.n_quiet == 1)} nothing. {best} {self.assumed_words}"
         ).rstrip()
 
     def __str__(self) -> str:

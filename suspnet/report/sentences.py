@@ -27,7 +27,8 @@ with resources.files("suspnet.report").joinpath("sentences.txt").open("rb") as _
     PATTERNS = tuple(text for _, _, text, _ in extract(_file))
 """Patterns of sentences; what is in braces varies, and is translated in the same way."""
 _SENSOR = re.compile(
-    r"(axle_box|bogie|frame|body)(?:[ _](axle\d|centre))?(?:[ _](left|right|middle))?(?![\w`/]|\.\w)"
+    r"(axle_box|bogie|frame|body)(?:[ _](axle\d|centre))?(?:[ _](left|right|middle))?"
+    r"(?![\w`/]|\.\w)"
 )
 """A sensor by its name in manifests or in layouts: "axle_box axle2 left", "frame_centre_left"."""
 _SENSORS = re.compile(

@@ -427,10 +427,9 @@ def test_fleet_names_dead_and_failing_sensors(tmp_path):
     board = Board(str(tmp_path / "fleet.db"), SETTINGS)
     board.refresh()
     client = create_app(Refresher(board, 3600.0)).test_client()
-    assert board.view.rows[0]["sensors"] == (
-        "dead and left out: body right (on 2 of 30 trips); "
-        "sensor body left: drop-outs in 20 % of the trip"
-    )
+    dead = "dead and left out: body right (on 2 of 30 trips)"
+    failing = "sensor body left: drop-outs in 20 % of the trip"
+    assert board.view.rows[0]["sensors"] == f"{dead}; {failing}"
     page = client.get("/", headers=GERMAN, **BASE).text
     (german,) = re.findall(r"<small>(Sensoren: .*?)</small>", page)
     assert german.replace("\N{NO-BREAK SPACE}", " ") == (
