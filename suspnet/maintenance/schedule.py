@@ -323,7 +323,8 @@ class Plan:
         return (
             f"{self.stale_words}{unknown}{count(len(self.visits), 'visit')} with "
             f"{count(n_jobs, 'job')} until {self.horizon}, {count(n_waiting, 'part')} may need "
-            f"work later, {self.n_quiet} need{'s' * (self.n_quiet == 1)} nothing. {best} {self.assumed_words}"
+            f"work later, {self.n_quiet} need{'s' * (self.n_quiet == 1)} nothing. "
+            f"{best} {self.assumed_words}"
         ).rstrip()
 
     def __str__(self) -> str:

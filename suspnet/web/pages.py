@@ -165,10 +165,7 @@ def work_order_pdf(name: str) -> ResponseReturnValue:
     if not HAS_PDF:
         abort(
             404,
-            gettext(
-                "Work orders as PDF need WeasyPrint where suspnet-serve runs: "
-                'pip install ".[pdf]" in the folder of suspnet.'
-            ),
+            gettext("Work orders as PDF need WeasyPrint where suspnet-serve runs: the extra pdf."),
         )
     view, _ = current_view(), _state(name)
     index = view.keys[name]
