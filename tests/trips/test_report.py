@@ -377,7 +377,7 @@ def test_dead_sensor_is_named_at_the_top(tmp_path):
         for i, r in enumerate(measured())
     ]
     _, page = write(tmp_path / "r.html", results)
-    assert "Sensors: dead and left out: bogie right (on 2 of 12 trips)" in page.text
+    assert "Sensors: dead and left out: bogie frame, right (on 2 of 12 trips)" in page.text
     assert page.named("div")[0]["class"] != "result good"
     row = Evaluated("a", results[0].place, results, state_of(results)).row(OUTPUTS)
     assert row["sensors"] == "dead and left out: bogie right (on 2 of 12 trips)"
@@ -390,7 +390,7 @@ def test_dead_sensor_is_named_at_the_top(tmp_path):
 
 
 def test_sensors_that_parts_are_read_without_are_named_once():
-    loose = "bogie right: loose from about 8 s on; body: spike of 1 samples (0 s), first at 1 s"
+    loose = "bogie right: loose from about 8 s on; body: spike of 1 sample (0 s), first at 1 s"
     quality = Quality(
         faults=loose, warnings="parts are read without the sensors of bogie right, body left"
     )
