@@ -41,8 +41,9 @@ class LastTrips:
     @property
     def newest(self) -> LastTrips:
         """The newest of these trips alone."""
-        columns = self.values, self.low, self.high, self.flagged
-        return LastTrips(*(one[-1:] for one in columns), all_flagged=self.all_flagged)
+        at = slice(-1, None)
+        ends = self.low[at], self.high[at]
+        return LastTrips(self.values[at], *ends, self.flagged[at], self.all_flagged)
 
 
 @dataclass(frozen=True)
