@@ -250,7 +250,7 @@ def test_mails_are_german():
     }
     content = {"kind": "digest", "day": "2026-11-25", "alarms": [alarm], "n_suspensions": 4}
     with speaking("de"):
-        assert subject(content) == "suspnet 2026-11-25: 1 aktiver Alarm, 1 mit Eingriff"
+        assert subject(content) == "suspnet 25.11.2026: 1 aktiver Alarm, 1 mit Eingriff"
         lines = text(content | {"id": "abc"}).splitlines()
         at_once = subject(content | {"kind": "alarm", "alarms": [alarm, alarm]})
     assert lines == [
