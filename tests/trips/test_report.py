@@ -112,7 +112,7 @@ def test_headline_and_verdicts_appear(whole):
     assert "bogie 1, left" in words
     assert "10 000 to 300 000 km" in words
     assert "30, of which 28 with an estimate" in words
-    assert "Act: c_s (suspension bogie 1, left) 1 of 4 parameters is beyond" in words
+    assert "Act: c s (suspension bogie 1, left) 1 of 4 parameters is beyond" in words
     for one in state_of(results).assessments:
         assert one.words in words
     assert words.count("▲") == 4  # k_p and c_s, and where the mark is explained
@@ -366,7 +366,7 @@ def test_first_sentence_names_three_findings_and_counts_the_others(tmp_path):
     _, page = write(tmp_path / "r.html", [flagged(r, **ratios) for r in measured()])
     named = report.named_first(state_of([flagged(r, **ratios) for r in measured()]).assessments, [])
     assert named == "Act: k_p; c_p; k_s and 1 more"
-    assert "Act: k_p; c_p; k_s and 1 more" in page.text
+    assert "Act: k p ; c p ; k s and 1 more" in page.text
     assert report.named_first(state_of(measured()).assessments, []) == ""
 
 
