@@ -179,9 +179,10 @@ def _page(
         threshold=INCOMPLETE,
         details={
             "trips": str(found.manifests[0].path.parent),
-            N_("parts"): ", ".join(outcome.generator.parts) or "rigid bodies only",
+            N_("parts"): ", ".join(outcome.generator.parts).replace("_", " ")
+            or "rigid bodies only",
             "suspnet": __version__,
-            "date": datetime.now().astimezone().isoformat(timespec="seconds"),
+            "date": datetime.now().astimezone().isoformat(" ", "seconds"),
         },
     )
 

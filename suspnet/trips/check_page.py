@@ -166,7 +166,7 @@ class Suspension:
     def sentences(self) -> list[str]:
         """Return how much data commissioning and reading would have."""
         ready = [check for check in self.checks if check.state == READY]
-        words = [f"{len(ready)} of {len(self.checks)} trips ready"]
+        words = [f"{len(ready)} of {count(len(self.checks), 'trip')} ready"]
         speeds = [part.speed_m_per_s for check in ready for part in check.parts]
         if speeds:
             setting = setting_words(covering(speeds, SPEED_HALF_WIDTH))
@@ -222,7 +222,7 @@ def verdict(checks: Sequence[TripCheck], elsewhere: Sequence[str]) -> str:
     """Return how many trips are in which state, on one line."""
     counts = {state: sum(check.shown == state for check in checks) for state in TONES}
     n_ready = counts[READY] + counts[PARTLY]
-    parts = [f"{n_ready} of {len(checks)} trips ready for an estimate"]
+    parts = [f"{n_ready} of {count(len(checks), 'trip')} ready for an estimate"]
     if counts[PARTLY]:
         parts.append(f"{counts[PARTLY]} of them only partly checked as their vehicle is not known")
     if counts[TOO_LITTLE]:
