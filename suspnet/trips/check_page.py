@@ -70,7 +70,7 @@ class TripCheck:
     `band_hz` is where the vehicle's responses are read, and `read_by` the speeds of the models that
     decide whether the trip is ready, empty without models. `unchecked`: the vehicle's numbers are
     not known, so that ``NEED_A_VEHICLE`` are not checked. `shows_parts`: each part of the bogie can
-    be read from it, as far as was checked.
+    be read from it, as far as was checked. `frame_sensor` is where the frame's sensor looks to be.
     """
 
     manifest: Path
@@ -91,6 +91,7 @@ class TripCheck:
     read_by: str = ""
     unchecked: bool = False
     shows_parts: bool = False
+    frame_sensor: str = "axle"
 
     @property
     def shown(self) -> str:
