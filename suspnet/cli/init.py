@@ -32,8 +32,8 @@ LEFT_OPEN = {
 }
 """What holds for keys that no trip needs, and how each is said."""
 FRAME_PLACE = (
-    "  the frame's sensor is taken as above the measured axle; if it is at the frame's centre, train "
-    "with generator.frame_sensor=centre; check compares both"
+    "  the frame's sensor is taken as above the measured axle; if it is at the frame's centre, "
+    "train with generator.frame_sensor=centre; check compares both"
 )
 """What holds for the place that no manifest gives."""
 
