@@ -204,8 +204,8 @@ def _inspected(
         )
     except TripError as error:
         return _with_problems(result, error.problems)
-    remarks = result.remarks + doubts
-    return replace(result, remarks=remarks, shows_parts=shows_parts, frame_sensor=frame_sensor)
+    every = result.remarks + doubts
+    return replace(result, remarks=every, shows_parts=shows_parts, frame_sensor=frame_sensor)
 
 
 def _read(result: TripCheck, recording: Recording, settings: CheckSettings) -> TripCheck:

@@ -148,7 +148,7 @@ def test_accelerated_steps_are_never_tried_beyond_the_bounds():
 
     def residual(theta, rows):
         tried.append(theta.abs().max())
-        return torch.stack([1e-4 * theta[:, 0] ** 3 - 1, _rosenbrock(theta, rows)[:, 1]], dim=1)
+        return torch.stack([1e-4 * theta[:, 0] ** 3 - 1, theta[:, 1] - 1], dim=1)
 
     solver = LevenbergMarquardt(accelerated=True, first_damping=1e-9, bounds=bounds)
     found = solver.minimise(residual, torch.tensor([[0.01, 0.5]], dtype=torch.float64))
