@@ -115,7 +115,7 @@ def as_json(
         "vehicle": generator.vehicle.name,
         "suspension": _place(found),
         "parts": list(generator.parts),
-        "verdict": [*of_parts, equal, *words.doubts(outcome, by_part=by_part)],
+        "verdict": [*of_parts, equal, *found.doubts, *words.doubts(outcome, by_part=by_part)],
         "threshold": INCOMPLETE,
         "n_starts": outcome.n_starts,
         "n_agree": outcome.n_agree,
@@ -134,7 +134,8 @@ def _page(
     bogie: CommissionedBogie | None = None,
 ) -> str:
     by_part = bogie is not None
-    doubts, numbers = words.doubts(outcome, by_part=by_part), words.numbers(outcome)
+    doubts = [*found.doubts, *words.doubts(outcome, by_part=by_part)]
+    numbers = words.numbers(outcome)
     of_parts = None
     if bogie is not None:
         parts_doubts = words.doubts_of_parts(bogie)

@@ -71,7 +71,8 @@ class TripCheck:
     `band_hz` is where the vehicle's responses are read, and `read_by` the speeds of the models that
     decide whether the trip is ready, empty without models. `unchecked`: the vehicle's numbers are
     not known, so that ``NEED_A_VEHICLE`` are not checked. `shows_parts`: each part of the bogie can
-    be read from it, as far as was checked. `label` is its name among trips of several folders.
+    be read from it, as far as was checked. `label` is its name among trips of several folders,
+    `frame_sensor` where the frame's sensor looks to be.
     """
 
     manifest: Path
@@ -93,6 +94,7 @@ class TripCheck:
     unchecked: bool = False
     shows_parts: bool = False
     label: str = ""
+    frame_sensor: str = "axle"
 
     @property
     def shown(self) -> str:
