@@ -108,8 +108,8 @@ class Elsewhere:
             looks.append(f"the train looks to run {direction_words(now.direction)}")
             say.append("correct `direction`, or `bogie`, in the manifests")
         return (
-            f"{', '.join(looks)}: misfit {self.found.misfit:.2g} times the noise instead of "
-            f"{self.given.misfit:.2g}, with rigid bodies alone; {', '.join(say)}"
+            f"{'; '.join(looks)}: misfit {self.found.misfit:.2g} times the noise instead of "
+            f"{self.given.misfit:.2g}, with rigid bodies alone; {'; '.join(say)}"
         )
 
 

@@ -150,7 +150,7 @@ OF_NAME = {
     "listed": r"\[[^\]]*\]|\([^)]*\)",
     "named_file": r"\S*\.\w+",
     "rule": r"a mapping|text \(put .*|one of [\[(].*[\])]|a number (?:>|from) ?[^,]*"
-    "|a finite number|at most .* km .*|a time like .*",
+    "|a finite number|at most .* km .*|a time like .*|one line of at most .* characters",
 }
 """Regular expressions of some variable parts."""
 
