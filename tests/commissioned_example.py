@@ -8,7 +8,8 @@ from vehicles import AM96
 
 from suspnet.dynamics import VerticalVehicle
 from suspnet.estimation.commissioning import commission
-from suspnet.estimation.healthy_trips import HealthySpectra, HealthyTrips
+from suspnet.estimation.healthy_misfit import HealthySpectra
+from suspnet.estimation.healthy_trips import HealthyTrips
 from suspnet.recordings.manifest import CHANNELS, TripManifest
 from suspnet.recordings.manifest_sources import Channel
 from suspnet.spectra.cross_spectra import CrossSpectra, moving_average_with, sample_spectra

@@ -102,6 +102,7 @@ NO_REASON = (
     "vehicle  cannot be commissioned as a ",  # a mistake in the command
     "its reader has ended",  # not printed: a file is opened again
     "%s holds manifests of its own",
+    "\nread:0:63",  # a table of system calls
 )
 """Beginnings of sentences that are none."""
 DESCRIBING = ("setting", "Setting", "optional", "Format")

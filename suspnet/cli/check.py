@@ -129,10 +129,12 @@ def next_steps(
     n_healthy = min(N_HEALTHY, *n_ready)
     # later trips may have too little for parts, as with a sensor that comes loose
     shows_parts = all(sum(check.shows_parts for check in r) >= n_healthy for r in ready_of)
+    at_centre = all(check.frame_sensor == "centre" for r in ready_of for check in r[:n_healthy])
     train = [
         *(["--config-dir", arguments.config_dir] if arguments.config_dir else []),
         *(f"vehicle={option_of[vehicles.pop()]}", "experiment=trips"),
         *(["protocol=components"] if shows_parts else []),
+        *(["generator.frame_sensor=centre"] if at_centre else []),
         *(f"healthy={folder}", f"n_healthy={n_healthy}"),
         *([f"data.minutes={minutes}"] if minutes != EstimateSettings.minutes else []),
         *_speeds_beyond_healthy(ready_of, n_healthy),

@@ -31,6 +31,11 @@ LEFT_OPEN = {
     "train=12 if they are of one train, and car=7 if of one car",
 }
 """What holds for keys that no trip needs, and how each is said."""
+FRAME_PLACE = (
+    "  the frame's sensor is taken as above the measured axle; if it is at the frame's centre, "
+    "train with generator.frame_sensor=centre; check compares both"
+)
+"""What holds for the place that no manifest gives."""
 
 
 def init(arguments: Namespace) -> int:
@@ -196,4 +201,4 @@ def _left_open(trips: Sequence[folders.Trip], said: Sequence[str] | None = None)
             for folder in without if len({trip.path.parent for trip in trips}) > 1 else ():
                 again = command("init", folder, "--force", *said, "bogie=leading")
                 lines.append(f"    of {folder} alone: {again} (or trailing)")
-    return lines
+    return [*lines, FRAME_PLACE] if trips and said is not None else lines

@@ -74,6 +74,7 @@ def main(config: DictConfig) -> None:
     """
     warnings.simplefilter("always", ConvergenceWarning)
     check_language(config.language)
+    program.n_threads(config.threads)  # healthy trips are fitted before the models are
     ranks.start(config.device)
     config.n_healthy = read_numbers(config.n_healthy)
     folder, groups = program.run_folder(), suspensions(config)

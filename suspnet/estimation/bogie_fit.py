@@ -34,7 +34,7 @@ from torch import Tensor
 
 from suspnet.dynamics import SpatialVehicle
 from suspnet.dynamics.quantities import LogNormal
-from suspnet.estimation.bogie_search import N_OWN, BogieSearch
+from suspnet.estimation.bogie_search import N_OWN, NEARLY_EXPLAINED, BogieSearch
 from suspnet.estimation.estimate import Estimate, Flags, HealthyValues
 from suspnet.estimation.intervals import COMMON
 from suspnet.estimation.trip_settings import LEAST_TRIPS
@@ -88,7 +88,7 @@ class CommissionedBogie(ShortRepr):
         fit = BogieSearch(self.generator, [noise], [trip], are_healthy=False, mass=mass)
         explained = EXPLAINED * max(1.0, self.misfit)
         near, first = (fit.start(), 0) if start is None else (fit.nearer(start), 2)
-        found = fit.narrowed(near, first).finished()
+        found = fit.narrowed(near, first).finished(NEARLY_EXPLAINED * explained)
         if not found.explains(explained):
             found = min(found, fit.found(explained), key=lambda one: one.misfit)
         fit, x, misfit = found.fit, found.x, found.misfit

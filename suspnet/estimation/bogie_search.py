@@ -36,8 +36,14 @@ LOWEST_BANDS = 6
 """Number of bands of the first searches."""
 ROUGH_SPACING_HZ = 0.5
 """Distance of the bins of searches that allow for errors."""
-STEPS = 64
-"""Most evaluations of one search. Trips of two payloads at four speeds took up to 33 on 36 bins."""
+STEPS, ROUNDS = 64, 4
+"""Most evaluations of one search, and how often the last one is continued. Trips of two payloads at
+four speeds took up to 33 on 36 bins, healthy trips on soft ballast 70 on all."""
+NEARLY_EXPLAINED = 1.5
+"""Misfit over that of an explained trip up to which the last search is continued, and healthy trips
+are not searched from another start: what is left is the physics, not another valley."""
+SETTLED = 0.5
+"""Step still to go, in deviations of the posterior, up to which a search counts as ended."""
 WIDENING_TOL, WORN_TOLS, HEALTHY_TOLS = 1e-2, (1e-2, 1e-3), (1e-3, 1e-5)
 """Relative decreases of the cost that end a search: of the first bands, then of trips that may be
 worn and of healthy trips, while model errors are allowed and at last. An end of healthy trips that
@@ -169,7 +175,9 @@ class BogieSearch:
         """Return the first end that converged with at most that misfit, or that of the least."""
         ends: list[Found] = []
         for near in self._near(explained):
-            ends.append(near.finished())
+            if self.are_healthy and ends and ends[-1].explains(NEARLY_EXPLAINED * explained):
+                break  # the same valley, or a worse one
+            ends.append(near.finished(NEARLY_EXPLAINED * explained))
             if ends[-1].explains(explained):
                 return ends[-1]
         return min(ends, key=lambda one: one.misfit)
@@ -291,6 +299,20 @@ class BogieSearch:
         information = data.T @ data / excess + prior.T @ prior
         return np.asarray(np.linalg.inv(information))
 
+    def step_left(self, x: FloatArray) -> float:
+        """Return the largest Newton step of a part from x, in deviations of the posterior."""
+        misfits = self._misfits(0.0, self.all_bins)
+        slopes = self._jacobian(x, misfits, self.all_bins)
+        spread = np.linalg.inv(slopes.T @ slopes)
+        step = -spread @ (slopes.T @ self._residuals(x, misfits, self.all_bins))
+        rows = np.eye(len(x))[self.n_numbers :]  # the trips' own numbers
+        if self.are_healthy:
+            names = [name.startswith("healthy_") for name in self.numbers.names]
+            factor = self.numbers.factor[np.flatnonzero(names)]
+            rows = np.pad(factor, ((0, 0), (0, len(x) - self.n_numbers)))
+        deviations = np.sqrt(np.einsum("ij,jk,ik->i", rows, spread, rows))
+        return float(np.abs(rows @ step / deviations).max())
+
     def _misfits(self, spread: float, bins: Tensor) -> list[SubspaceMisfit]:
         return [
             SubspaceMisfit(
@@ -386,10 +408,18 @@ class Found:
         """Return whether the search converged, with at most that misfit."""
         return self.converged and self.misfit <= explained
 
-    def finished(self) -> Found:
-        """Return where the search from here ends without model errors, on all bins."""
-        fit = self.fit
-        return Found(fit, *fit.search(self.x, 0.0, fit.all_bins, fit.tols[1]))
+    def finished(self, explained: float) -> Found:
+        """Return where the search from here ends without model errors, on all bins.
+
+        Where it has at most that misfit it is continued while it does not end, as it creeps along a
+        bent valley, and counts as ended if the parts have hardly any way to go.
+        """
+        fit, found = self.fit, self
+        for _ in range(ROUNDS):
+            found = Found(fit, *fit.search(found.x, 0.0, fit.all_bins, fit.tols[1]))
+            if found.converged or not found.misfit <= explained:
+                return found
+        return replace(found, converged=fit.step_left(found.x) <= SETTLED * max(1.0, found.misfit))
 
     @cached_property
     def misfit(self) -> float:

@@ -25,8 +25,7 @@ from suspnet.dynamics.quantities import OF_THE_TRIP, QUANTITIES, LogNormal
 from suspnet.estimation.bogie_fit import CommissionedBogie
 from suspnet.estimation.damping_laws import Laws
 from suspnet.estimation.flags import Residual
-from suspnet.estimation.healthy_misfit import HealthyMisfit
-from suspnet.estimation.healthy_trips import HealthySpectra
+from suspnet.estimation.healthy_misfit import HealthyMisfit, HealthySpectra
 from suspnet.estimation.vehicle_search import SHARE, SPREADS, VehicleSearch
 from suspnet.ground.progress import bar
 from suspnet.ground.tensors import threads

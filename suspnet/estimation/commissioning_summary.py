@@ -139,6 +139,15 @@ def is_explained(outcome: Commissioned) -> bool:
     return outcome.misfit <= INCOMPLETE
 
 
+LOOK_FIRST = (
+    f"With a misfit above {UNTRUSTED:g}, first make sure that the sensors are where they are "
+    "supposed to be: the frame's above the measured axle or at the centre "
+    "(generator.frame_sensor), the others as `bogie`, `axle`, `side` and `direction` of the "
+    "manifests say, and no two channels exchanged. suspnet check compares them."
+)
+"""Advice on a vehicle that is far from its trips."""
+
+
 def doubts(outcome: Commissioned, *, by_part: bool = False) -> list[str]:
     """Return a sentence for each reason not to rely on a commissioned vehicle.
 
@@ -157,6 +166,8 @@ def doubts(outcome: Commissioned, *, by_part: bool = False) -> list[str]:
             "this vehicle are wider by what this could cost; above "
             f"{UNTRUSTED:g} every estimate is flagged as well."
         )
+    if outcome.misfit > UNTRUSTED:
+        found.append(LOOK_FIRST)
     if not outcome.converged and not differ:
         found.append(
             "The search for the vehicle did not converge: its numbers may not be the most "
@@ -251,6 +262,8 @@ def doubts_of_parts(bogie: CommissionedBogie) -> list[str]:
             "incomplete or a sensor is wrong: the intervals of parts are wider by what this could "
             "cost."
         )
+    if bogie.misfit > UNTRUSTED:
+        found.append(LOOK_FIRST)
     if not bogie.converged:
         found.append(NOT_CONVERGED)
     # what does not explain the trips shows no mass either

@@ -34,6 +34,7 @@ from suspnet.estimation.steady_parts import (
 from suspnet.estimation.temperature import DampingByTemperature
 from suspnet.estimation.trip_flags import delay_words, with_sides
 from suspnet.estimation.trip_settings import TripSettings
+from suspnet.ground.wording import count
 from suspnet.recordings.errors import TripError
 from suspnet.recordings.manifest import CHANNELS
 from suspnet.recordings.recording import Recording
@@ -286,7 +287,7 @@ def _too_few(
     if reads_at_any_speed(models[0]):
         where = f"at {settings.min_speed_m_per_s:g} m/s or faster throughout"
     return (
-        f"{int(group.sum())} of {len(group)} segments without faults are {where}, "
+        f"{int(group.sum())} of {count(len(group), 'segment')} without faults are {where}, "
         f"{part.n_incoherent} of them of low coherence: "
         f"{minutes_words(segments.welch, int(part.chosen.sum()), settings.min_averages)} "
         f"(half of the trip is run at {float(speeds.mean(dim=1).median()):.1f} m/s or less, "
@@ -297,7 +298,7 @@ def _too_few(
 def _too_short(recording: Recording, segments: SegmentSpectra, settings: TripSettings) -> str:
     n_segments, faults = len(segments.values), unrepaired_words(recording)
     return (
-        f"{n_segments} segments without faults: "
+        f"{count(n_segments, 'segment')} without faults: "
         f"{minutes_words(segments.welch, n_segments, settings.min_averages)}: "
         + (f"too little is free of faults: {faults}" if faults else "the recording is too short")
     )

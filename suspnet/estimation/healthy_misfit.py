@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -15,20 +16,44 @@ from torch import Tensor
 from suspnet.dynamics import PARAMETERS, VerticalVehicle
 from suspnet.dynamics.quantities import MASS_DEVIATION, MASS_MEAN, UNMEASURED, LogNormal
 from suspnet.estimation.damping_laws import DampingNumbers, Laws
-from suspnet.estimation.healthy_trips import HealthySpectra
 from suspnet.estimation.relative_velocity import CHANGING, relative_velocities
+from suspnet.ground.parameters import FORWARD, Direction
 from suspnet.ground.tensors import complex_log
 from suspnet.ground.types import ComplexArray, FloatArray
 from suspnet.learning.least_squares import ONE_SIDED_DIFFERENCE
+from suspnet.spectra.cross_spectra import CrossSpectra
 from suspnet.spectra.estimates import EstimateSettings
 from suspnet.spectra.expected_spectra import EstimateMisfit
 from suspnet.spectra.observation import every_direction
+from suspnet.spectra.segments import Speeds
 
 _COLUMNS = (*PARAMETERS, *UNMEASURED)
 _CHANGING = [_COLUMNS.index(bogie + name) for bogie in ("", "other_") for name in CHANGING]
 """Columns of what depends on temperature or velocity, of the measured and of the other bogie."""
 ROUGH = 0.01
 """Least allowed model error of a search on thinned bins, without leakage."""
+
+
+@dataclass(frozen=True)
+class HealthySpectra:
+    """Spectra (3, n_freq) at one speed of trip number `trip`: one car-body mass, one direction.
+
+    `left_out` (n_freq,) are bins with lines of out-of-round wheels; `temperature_c` [°C] is that of
+    the trip, None if unknown.
+    """
+
+    trip: int
+    name: str
+    speeds: Speeds
+    spectra: CrossSpectra
+    direction: Direction = FORWARD
+    left_out: Tensor | None = None
+    temperature_c: float | None = None
+
+    @property
+    def speed_m_per_s(self) -> float:
+        """Mean speed, [m/s]."""
+        return self.speeds.mean
 
 
 class HealthyMisfit:

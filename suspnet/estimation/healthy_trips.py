@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-
-from torch import Tensor
 
 from suspnet.dynamics import SpatialVehicle, VerticalVehicle
 from suspnet.estimation.bogie_trips import bogie_trip, bogie_vehicle
 from suspnet.estimation.direction import direction_of
 from suspnet.estimation.from_recording import no_channel, unrepaired_words
+from suspnet.estimation.healthy_misfit import HealthySpectra
 from suspnet.estimation.steady_parts import groups_to_read, steady
+from suspnet.estimation.swapped_sensors import Elsewhere, elsewhere
 from suspnet.estimation.trip_settings import LEAST_TRIPS, TripSettings
-from suspnet.ground.parameters import DIRECTIONS, FORWARD, Direction
+from suspnet.ground.parameters import DIRECTIONS, REVERSE, Direction
 from suspnet.ground.progress import bar
 from suspnet.ground.tensors import threads
 from suspnet.ground.wording import ShortRepr
@@ -23,7 +24,6 @@ from suspnet.recordings.manifest import TripManifest
 from suspnet.recordings.manifest_files import ManifestFile, find_manifests
 from suspnet.recordings.recording import Recording, load_recording
 from suspnet.spectra.bogie_trip import BogieTrip
-from suspnet.spectra.cross_spectra import CrossSpectra
 from suspnet.spectra.estimates import EstimateSettings
 from suspnet.spectra.segments import (
     NoEstimateError,
@@ -35,28 +35,6 @@ from suspnet.spectra.welch import SegmentSpectra
 from suspnet.spectra.wheel_lines import wheel_lines
 
 
-@dataclass(frozen=True)
-class HealthySpectra:
-    """Spectra (3, n_freq) at one speed of trip number `trip`: one car-body mass, one direction.
-
-    `left_out` (n_freq,) are bins with lines of out-of-round wheels; `temperature_c` [°C] is that of
-    the trip, None if unknown.
-    """
-
-    trip: int
-    name: str
-    speeds: Speeds
-    spectra: CrossSpectra
-    direction: Direction = FORWARD
-    left_out: Tensor | None = None
-    temperature_c: float | None = None
-
-    @property
-    def speed_m_per_s(self) -> float:
-        """Mean speed, [m/s]."""
-        return self.speeds.mean
-
-
 @dataclass(frozen=True, repr=False)
 class HealthyTrips(ShortRepr):
     """Spectra of the healthy trips of one suspension.
@@ -66,6 +44,7 @@ class HealthyTrips(ShortRepr):
     `later` are the directions of travel of the folder's other trips, as far as stated. Where each
     part is to be read, `vehicle` is the one with the parts that the sensors show, and `of_parts`
     are the trips as it reads them; `groups` are empty if a channel has no sensor at axle 1.
+    `doubts` are sentences on sensors that look to be elsewhere, and on the direction of travel.
     """
 
     manifests: tuple[TripManifest, ...]
@@ -75,6 +54,7 @@ class HealthyTrips(ShortRepr):
     later: tuple[Direction, ...] = ()
     vehicle: SpatialVehicle | None = None
     of_parts: tuple[BogieTrip, ...] = ()
+    doubts: tuple[str, ...] = ()
 
     @property
     def directions(self) -> tuple[Direction, ...]:
@@ -144,6 +124,7 @@ def read_healthy(
     paired: set[tuple[bool, bool, bool]] = set()
     left_out = []
     has_curves = True
+    others: list[Elsewhere | None] = []
     for manifest in bar("healthy trips", items=manifests, unit="trip", shown=progress):
         recording = load_recording(manifest, trips.rate_hz)
         if recording.dead:
@@ -154,11 +135,14 @@ def read_healthy(
             raise TripError(f"{manifest.path}: {no_channel(recording)}")
         has_curves &= not recording.absent
         segments = recording_segments(recording, settings.welch)
-        direction = direction_of(recording, segments, generator, trips)
-        is_read = not recording.absent
-        found = (
-            _spectra(recording, segments, direction, len(kept), settings, trips) if is_read else []
-        )
+        is_read, other = not recording.absent, None
+        found = _spectra(recording, segments, len(kept), settings, trips) if is_read else []
+        if found and trips.check_channels:
+            other = elsewhere(generator, settings, found[0], manifest.direction)
+        # phases show the direction only with the sensors in their places
+        placed = generator if other is None else other.found.vehicle
+        direction = direction_of(recording, segments, placed, trips)
+        found = [replace(one, direction=direction) for one in found]
         if is_read and not found:
             words = f"{manifest.name}: no stretch at one speed is long enough and free of faults"
             left_out.append(": ".join(filter(None, [words, unrepaired_words(recording)])))
@@ -170,6 +154,7 @@ def read_healthy(
                 left_out.append(f"{manifest.name}: {reason}")
                 continue
         kept.append(replace(manifest, start=manifest.start or recording.started))
+        others.append(other)
         groups += found
         paired.add(recording.paired)
     # the remaining trips must be enough, and of the same sensors
@@ -193,7 +178,32 @@ def read_healthy(
         stated,
         vehicle,
         tuple(of_parts),
+        tuple(_doubts(kept, groups, others, generator)),
     )
+
+
+def _doubts(
+    manifests: Sequence[TripManifest],
+    groups: Sequence[HealthySpectra],
+    others: Sequence[Elsewhere | None],
+    generator: VerticalVehicle,
+) -> list[str]:
+    """Return sentences on trips that look measured elsewhere, and on trips all run in reverse."""
+    found = []
+    changes = Counter(other.change for other in others if other is not None)
+    for change, n in changes.most_common(1):
+        if 2 * n > len(others):  # one trip alone may be at fault
+            first = next(one for one in others if one is not None and one.change == change)
+            found.append(f"On {n} of {len(others)} healthy trips {first}.")
+    is_reverse = bool(groups) and all(one.direction == REVERSE for one in groups)
+    if is_reverse and all(one.direction is None for one in manifests):
+        found.append(
+            f"All {len(others)} healthy trips look to run in reverse: if they do, say `direction: "
+            "reverse` in the manifests. Otherwise the sensors are not at the "
+            f"{generator.axle} axle of the {generator.bogie} bogie, or the frame's is not where "
+            f"generator.frame_sensor={generator.frame_sensor} has it."
+        )
+    return found
 
 
 def _check_same(
@@ -237,7 +247,6 @@ def _with_all_sensors(
 def _spectra(
     recording: Recording,
     segments: SegmentSpectra,
-    direction: Direction,
     trip: int,
     settings: EstimateSettings,
     trips: TripSettings,
@@ -254,9 +263,8 @@ def _spectra(
             manifest.name,
             Speeds.of(*part.speed),
             part.spectra,
-            direction,
-            part.left_out,
-            manifest.temperature_c,
+            left_out=part.left_out,
+            temperature_c=manifest.temperature_c,
         )
         for part in steady(segments, speeds, groups, settings, trips, wheel_lines(recording))
         if part.spectra is not None and part.has_enough

@@ -22,6 +22,7 @@ from suspnet.estimation.from_spectra import trip_settings
 from suspnet.estimation.trip_settings import TripSettings
 from suspnet.ground.parameters import REVERSE
 from suspnet.ground.types import FloatArray
+from suspnet.ground.wording import count
 from suspnet.spectra.cross_spectra import CrossSpectra
 from suspnet.spectra.estimates import EstimateSettings
 from suspnet.spectra.segments import (
@@ -128,8 +129,8 @@ def no_group_words(
         if any(map(reads_at_any_speed, models)):
             rule = f"at {least_m_per_s:g} m/s or faster throughout"
         return (
-            f"0 of {n_segments} segments without faults are {rule} (half of the trip is run at "
-            f"{half:.1f} m/s or less)"
+            f"0 of {count(n_segments, 'segment')} without faults are {rule} (half of the trip is "
+            f"run at {half:.1f} m/s or less)"
         )
     largest = dict.fromkeys(f"{group_speed(speeds, group):.1f}" for group in groups[:3])
     return (

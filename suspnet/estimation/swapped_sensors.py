@@ -26,17 +26,25 @@ that the vehicle does not explain are looked at in the same way.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
-from itertools import combinations
-from operator import itemgetter
-from typing import TypeVar
+from dataclasses import dataclass, replace
+from itertools import combinations, product
+from operator import attrgetter, itemgetter
+from typing import Literal, TypeVar
 
-from suspnet.dynamics import SpatialVehicle
+import numpy as np
+
+from suspnet.dynamics import SpatialVehicle, VerticalVehicle
+from suspnet.dynamics.quantities import MASS_MEAN
 from suspnet.dynamics.vehicle_family import OTHER_END
 from suspnet.estimation.bogie_fit import healthy_search
 from suspnet.estimation.bogie_search import ROUGH, BogieSearch
+from suspnet.estimation.healthy_misfit import HealthySpectra, row_of
+from suspnet.estimation.vehicle_search import SPREADS, VehicleSearch
+from suspnet.ground.parameters import DIRECTIONS, Direction, direction_words
+from suspnet.ground.types import FloatArray
 from suspnet.recordings.errors import TripError
 from suspnet.spectra.bogie_trip import BogieTrip, smallest_noise
+from suspnet.spectra.estimates import EstimateSettings
 
 Item = TypeVar("Item")
 CLEARER = 1.25
@@ -49,6 +57,118 @@ NEARLY = 1.2
 """Largest rms residual at the median vehicle, over the smallest of all bogies, axles or orders of
 sensors, with which one is fitted: the right bogie and axle had up to 1.08 on 36 trips of three
 trains with everything at once."""
+
+OTHER_PLACE: dict[Literal["axle", "centre"], Literal["axle", "centre"]] = {
+    "axle": "centre",
+    "centre": "axle",
+}
+ROUGHLY = 0.5
+"""Rms residual of `place_fits` up to which sensors at some place explain a trip: rigid vehicles had
+up to 0.2 in their own place, and a bogie frame stiffened by its axle guidance 0.9 in the other."""
+
+
+@dataclass(frozen=True)
+class PlaceFit:
+    """A trip's fit with its sensors at one place: the vehicle measured there.
+
+    `score` is the rms residual with model errors of 30 % and the priors, `misfit` that over noise.
+    """
+
+    vehicle: VerticalVehicle
+    score: float
+    misfit: float
+
+
+@dataclass(frozen=True)
+class Elsewhere:
+    """Another place of the sensors than the given one, which explains a trip where that does not.
+
+    The place is that of the frame's sensor, the measured axle, and the direction of travel.
+    """
+
+    given: PlaceFit
+    found: PlaceFit
+
+    @property
+    def change(self) -> tuple[str, str, Direction]:
+        """What tells the place from the given one."""
+        return place_of(self.found.vehicle)
+
+    def __str__(self) -> str:
+        was, now = self.given.vehicle, self.found.vehicle
+        looks, say = [], []
+        if now.frame_sensor != was.frame_sensor:
+            where = {"centre": "at the frame's centre", "axle": "above the measured axle"}
+            looks.append(f"the frame's sensor looks to be {where[now.frame_sensor]}")
+            say.append(f"say generator.frame_sensor={now.frame_sensor}")
+        if now.axle != was.axle:
+            looks.append(f"the sensors look to be at the {now.axle} axle")
+            say.append("correct `axle` or `bogie` in the manifests")
+        if now.direction != was.direction:
+            looks.append(f"the train looks to run {direction_words(now.direction)}")
+            say.append("correct `direction`, or `bogie`, in the manifests")
+        return (
+            f"{'; '.join(looks)}: misfit {self.found.misfit:.2g} times the noise instead of "
+            f"{self.given.misfit:.2g}, with rigid bodies alone; {'; '.join(say)}"
+        )
+
+
+def place_of(vehicle: VerticalVehicle) -> tuple[str, str, Direction]:
+    """Return the place of the frame's sensor, the measured axle and the direction of travel."""
+    return vehicle.frame_sensor, vehicle.axle, vehicle.direction
+
+
+def elsewhere(
+    generator: VerticalVehicle,
+    settings: EstimateSettings,
+    trip: HealthySpectra,
+    direction: Direction | None,
+) -> Elsewhere | None:
+    """Return where a trip's sensors are if not where the vehicle has them; None if they may be.
+
+    Place of the frame's sensor, axle and direction of travel are judged together: one that is wrong
+    looks like another one. `direction` is that of the manifest, None if it says none. `settings`
+    are bound to the vehicle, the spectra on their bins.
+    """
+    ways = DIRECTIONS if direction is None else (direction,)
+    own = [generator.running(way) for way in ways]
+    given = min((_place_fit(one, settings, trip) for one in own), key=attrgetter("score"))
+    if given.score <= ROUGHLY:
+        return None
+    places = product(OTHER_PLACE, OTHER_END, DIRECTIONS)
+    every = [replace(generator, frame_sensor=f, axle=a, direction=way) for f, a, way in places]
+    # most trips are nearest to their own place at the median vehicle already
+    at_start = [_rms_residual(*_place_search(one, settings, trip)) for one in every]
+    likely = [one for one in _near(every, at_start, NEARLY) if one not in own]
+    fits = [_place_fit(one, settings, trip) for one in likely]
+    found = min(fits, key=attrgetter("score"), default=given)
+    if found.score > min(ROUGHLY, given.score / OTHER_BOGIE):
+        return None
+    if direction is None:  # either may be: it is no difference
+        given = replace(given, vehicle=given.vehicle.running(found.vehicle.direction))
+    return Elsewhere(given, found)
+
+
+def _place_search(
+    vehicle: VerticalVehicle, settings: EstimateSettings, trip: HealthySpectra
+) -> tuple[VehicleSearch, FloatArray]:
+    """Return the search for a rigid vehicle that explains one trip, and its start."""
+    # with axle guidance a frame may be as good as rigid, and its sensor be anywhere
+    rigid = replace(vehicle, parts=(), distribution=None, nominal=None).with_prior()
+    search = VehicleSearch(rigid, settings, [replace(trip, trip=0, direction=vehicle.direction)])
+    return search, search.start(np.zeros(len(search.prior.names)), np.array([MASS_MEAN]))
+
+
+def _rms_residual(search: VehicleSearch, x: FloatArray) -> float:
+    return float(search.residuals(row_of(x), SPREADS[0]).square().mean().sqrt())
+
+
+def _place_fit(
+    vehicle: VerticalVehicle, settings: EstimateSettings, trip: HealthySpectra
+) -> PlaceFit:
+    search, start = _place_search(vehicle, settings, trip)
+    end = search.search(start, SPREADS[:1]).x
+    return PlaceFit(vehicle, _rms_residual(search, end), *search.misfits(row_of(end)))
 
 
 def check_order(

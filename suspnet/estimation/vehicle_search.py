@@ -149,14 +149,15 @@ class VehicleSearch(HealthyMisfit):
             for name, mean in zip(self.prior.names, self.prior.mean, strict=True)
         ]
         z = np.linalg.lstsq(self.every.factor.numpy(), np.array(changes), rcond=None)[0]
-        return self.search(self._start(z, np.log(bogie.masses)), SPREADS[:1])
+        return self.search(self.start(z, np.log(bogie.masses)), SPREADS[:1])
 
-    def _start(self, z: FloatArray, masses: FloatArray) -> FloatArray:
+    def start(self, z: FloatArray, masses: FloatArray) -> FloatArray:
+        """Return theta of a vehicle's coordinates and the logarithms of the trips' masses."""
         return np.concatenate([z, masses, np.zeros(self.n_of_damping)])
 
     def widened(self, ratio: float) -> FloatArray:
         """Return the end of searches in bands that widen by `ratio`, but for the whole band."""
-        x = self._start(np.zeros(len(self.prior.names)), np.full(self.n_trips, MASS_MEAN))
+        x = self.start(np.zeros(len(self.prior.names)), np.full(self.n_trips, MASS_MEAN))
         low_hz, high_hz = self.frequencies_hz[[0, -1]].tolist()
         n_bands = int(math.log(max(high_hz / (LOWEST_BAND * low_hz), 1.0), ratio))
         for i in range(n_bands, 0, -1):

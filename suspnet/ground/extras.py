@@ -1,4 +1,7 @@
-"""Packages of extras, which may be missing: errors state the command that installs them."""
+"""Packages of extras, which may be missing: errors state the command that installs them.
+
+It installs from suspnet's own folder: no package index has suspnet.
+"""
 
 from __future__ import annotations
 
@@ -12,11 +15,16 @@ def import_extra(module: str, extra: str, user: str, error: type[Exception] = Va
     try:
         return importlib.import_module(module)
     except ImportError as missing:
-        raise error(f'{user} needs {module}; run: pip install "suspnet[{extra}]"') from missing
+        raise error(f"{user} needs {module}; run: {command(extra)}") from missing
 
 
 def check_extra(extra: str, *modules: str) -> None:
     """Raise ValueError unless modules of an extra are installed; none of them is imported."""
     missing = [name for name in modules if importlib.util.find_spec(name) is None]
     if missing:
-        raise ValueError(f'{", ".join(missing)} is missing: pip install "suspnet[{extra}]"')
+        raise ValueError(f"{', '.join(missing)} is missing: {command(extra)}")
+
+
+def command(extra: str) -> str:
+    """Return the command that installs an extra, and where to run it."""
+    return f'pip install ".[{extra}]" in the folder of suspnet'

@@ -12,7 +12,7 @@ from tabulate import tabulate
 
 from suspnet.ground.parameters import BODY_MASS, Cause, Limits, Severity
 from suspnet.ground.types import BoolArray, FloatArray
-from suspnet.ground.wording import kilometres
+from suspnet.ground.wording import count, kilometres
 from suspnet.maintenance.change import Change, Changes, ChangeSettings, find_changes
 from suspnet.maintenance.judge import N_LAST, judge, level_words
 from suspnet.maintenance.series import Series
@@ -245,7 +245,7 @@ def detector_words(changes: Changes, settings: ChangeSettings) -> str:
     if changes.why_not:
         return f"not armed yet, {changes.why_not}"
     used = f"; {', '.join(changes.covariates)} taken into account" if changes.covariates else ""
-    unlike = f"; {changes.n_unlike} trips too unlike the first to be judged"
+    unlike = f"; {count(changes.n_unlike, 'trip')} too unlike the first to be judged"
     return (
         f"armed by {changes.n_needed} trips, at most one false alarm in "
         f"{kilometres(settings.km_per_false_alarm)}{used}{unlike if changes.n_unlike else ''}"

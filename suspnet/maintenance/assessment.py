@@ -179,16 +179,18 @@ def _level(judged: Judged, last: LastTrips, limits: Limits) -> str:
     name = "act" if severity == Severity.ACT else "notice"
     limit = getattr(limits, name)[(side + 1) // 2]
     beyond = f"{'above' if side > 0 else 'below'} the {name} limit of {100 * limit:g} %"
+    newest = f"the last trip is {level_words(last.values[-1], limit)}"
     if count >= N_CONFIRMING and run < count and severity != Severity.UNKNOWN:
+        trips = f"{count} of the last {n_last} trips are"
+        if run:
+            return f"{newest} of healthy; {trips} {beyond}"
         out = last.values[side * (last.values - limit) > 0]
-        where = level_words(np.median(out), limit)
-        words = f"{count} of the last {n_last} trips are {where} of healthy, {beyond}"
-        return words if run else f"{words}; the last trip is {level_words(last.values[-1], limit)}"
-    trips, it, are, its = ("trip", "it", "is", "its interval reaches")
+        return f"{trips} {level_words(np.median(out), limit)} of healthy, {beyond}; {newest}"
+    it, are, its = ("it", "is", "its interval reaches")
+    words = f"{newest} of healthy, {beyond}"
     if run > 1:
-        trips, it, are, its = (f"{run} trips", "they", "are", "their intervals reach")
-    where = level_words(np.median(last.values[n_last - run :]), limit)
-    words = f"the last {trips} {are} {where} of healthy, {beyond}"
+        it, are, its = ("they", "are", "their intervals reach")
+        words = f"{newest} of healthy; the last {run} trips are {beyond}"
     if judged.weak and last.flagged[n_last - run :].any():
         return words if last.all_flagged else f"{words}, but {it} {are} {FLAGGED}"
     if judged.weak:
@@ -205,12 +207,14 @@ def _development(trend: Trend, judged: Judged, limits: Limits) -> list[str]:
             return [f"the change began at about {_km(trend.step)}"]
         size = _percent(trend.step.size_percent)
         return [f"earlier, it differed by {size} before and after about {_km(trend.step)}"]
-    if trend.shape != Shape.NONE:
+    if trend.changed:
         return [_change(trend)]
-    side = int(judged.side)
+    side, is_short = int(judged.side), trend.shape == Shape.TOO_FEW
     if side * (trend.first_median - limits.notice[(side + 1) // 2]) > 0:
         return ["it has been so since the first trips"]
-    if judged.severity == Severity.UNKNOWN:
+    if is_short and trend.n_ends:
+        return [_first_trips(trend)]
+    if is_short or judged.severity == Severity.UNKNOWN:
         return []
     if judged.run and judged.count < N_CONFIRMING:
         return ["too few trips so far to call it a lasting change"]
@@ -261,6 +265,8 @@ def _change(trend: Trend) -> str:
 
 def _change_words(trend: Trend) -> str:
     if trend.shape == Shape.TOO_FEW:
+        if abs(trend.change_percent) >= LARGE_PERCENT and trend.parameter != BODY_MASS:
+            return _first_trips(trend)
         return f"too few trips ({trend.n_trips} of {trend.n_needed}) to find a change"
     if trend.shape == Shape.NONE:
         return f"no change beyond the spread of {_percent(trend.spread_percent)}"
@@ -280,6 +286,12 @@ def _change_words(trend: Trend) -> str:
     if trend.shape == Shape.GRADUAL:
         return f"{amount}, gradually around {_km(trend.step)}, and was still {going_on} at the end"
     return f"{amount} at about {_km(trend.step)}"
+
+
+def _first_trips(trend: Trend) -> str:
+    """Return where the first trips were, for a difference that too few trips can test."""
+    trips = "trip was" if trend.n_ends == 1 else f"{trend.n_ends} trips were"
+    return f"the first {trips} at {100 * trend.first_median:.0f} % of healthy"
 
 
 def _joined(

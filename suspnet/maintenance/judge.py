@@ -38,6 +38,13 @@ class LastTrips:
     flagged: BoolArray
     all_flagged: bool = False
 
+    @property
+    def newest(self) -> LastTrips:
+        """The newest of these trips alone."""
+        at = slice(-1, None)
+        ends = self.low[at], self.high[at]
+        return LastTrips(self.values[at], *ends, self.flagged[at], self.all_flagged)
+
 
 @dataclass(frozen=True)
 class Judged:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from suspnet.ground.parameters import ESTIMATED, Severity
 from suspnet.ground.types import FloatArray
+from suspnet.ground.wording import thousands
 from suspnet.maintenance.schedule import (
     SLACK,
     SOON_DAYS,
@@ -72,10 +73,14 @@ def make_plan(
             raise ValueError(f"`trains` must hold the train of each part, not that of {part}")
         seen.add(key)
         groups[part.train].append(part)
-    planned = [_Calendar(named[name], groups[name], settings, today) for name in sorted(groups)]
+    stale = tuple(one for one in trains if one.age_days(today) > settings.stale_days)
+    for train in stale:
+        if own := groups.get(train.name):
+            groups[train.name] = [_of_unknown_life(part, train, today) for part in own]
+    planned = [_Calendar(named[one], groups[one], settings, today) for one in sorted(groups)]
     horizon = today + timedelta(days=settings.horizon_days)
-    assumed = tuple(one for one in trains if one.is_assumed)
-    empty = Plan(today, horizon, (), (), (), 0, 0.0, 0.0, settings.level, assumed)
+    assumed = tuple(one for one in trains if one.is_assumed and one not in stale)
+    empty = Plan(today, horizon, (), (), (), 0, 0.0, 0.0, settings.level, assumed, stale)
     return join_plans([empty, *(one.plan(horizon) for one in planned)])
 
 
@@ -83,9 +88,9 @@ def join_plans(plans: Sequence[Plan]) -> Plan:
     """Return one plan from plans of different trains, of the same days and level."""
     if len({(plan.today, plan.horizon, plan.level) for plan in plans}) != 1:
         raise ValueError("plans to be joined must be of the same days and level")
-    unknown, visits, waiting, assumed = (
+    unknown, visits, waiting, assumed, stale = (
         tuple(chain.from_iterable(getattr(plan, name) for plan in plans))
-        for name in ("unknown", "visits", "waiting", "assumed")
+        for name in ("unknown", "visits", "waiting", "assumed", "stale")
     )
     return Plan(
         plans[0].today,
@@ -102,7 +107,14 @@ def join_plans(plans: Sequence[Plan]) -> Plan:
         sum(plan.bound for plan in plans),
         plans[0].level,
         assumed,
+        stale,
     )
+
+
+def _of_unknown_life(part: Part, train: Train, today: date) -> Part:
+    """Return a part of a train whose newest trip is too old: only its severity plans its visit."""
+    why = f"the newest trip is {thousands(train.age_days(today))} days old"
+    return replace(part, samples_km=np.array([np.inf]), unknown=why)
 
 
 class _Calendar:
@@ -209,12 +221,13 @@ class _Calendar:
         day, last = (self.today + timedelta(days=float(self.days[i])) for i in (at, latest))
         decide_by = last - timedelta(days=self.settings.lead_days)
         soon = (decide_by - self.today).days <= SOON_DAYS
+        is_known = self.train.age_days(self.today) <= self.settings.stale_days
         return Visit(
             self.train.name,
             day,
             last,
-            self.train.mileage_at(day),
-            self.train.mileage_at(last),
+            self.train.mileage_at(day) if is_known else np.nan,
+            self.train.mileage_at(last) if is_known else np.nan,
             decide_by,
             URGENCIES[1 if at == 0 else 2 if soon else 3],
             tuple(sorted(jobs, key=_likeliest_first)),

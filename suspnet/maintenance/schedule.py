@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import date, timedelta
@@ -13,7 +14,7 @@ from tabulate import tabulate
 from suspnet.ground.parameters import Severity, condensed, part_words
 from suspnet.ground.settings import check_number
 from suspnet.ground.types import FloatArray
-from suspnet.ground.wording import count
+from suspnet.ground.wording import count, number, thousands
 
 URGENCIES = ("unknown", "now", "soon", "later")
 """Urgencies of jobs: remaining life unknown, visit on the first possible day, visit to be decided
@@ -52,6 +53,10 @@ class Train:
     def __post_init__(self) -> None:
         check_number(f"mileage_km of train {self.name}", self.mileage_km)
         check_number(f"km_per_day of train {self.name}", self.km_per_day, above=0)
+
+    def age_days(self, today: date) -> int:
+        """Return the age of its newest trip, [days]."""
+        return (today - self.on).days
 
     def mileage_at(self, day: date) -> float:
         """Return the mileage expected on a day, [km]."""
@@ -161,7 +166,7 @@ class Visit:
     day, latest : date
         Day of least cost, and last day on which the extra cost is small (``SLACK``).
     mileage_km, latest_km : float, [km]
-        Mileage of the train on these days.
+        Mileage of the train on these days; NaN if its trips are too old to know.
     decide_by : date
         `latest` minus the lead time.
     urgency : {"now", "soon", "later"}
@@ -214,6 +219,8 @@ class Plan:
         Probability of the interval ``Job.passing_days``.
     assumed : tuple of Train
         Trains whose mileage per day is assumed.
+    stale : tuple of Train
+        Trains whose newest trip is too old to plan by: the lives of their parts are unknown.
     """
 
     today: date
@@ -226,18 +233,30 @@ class Plan:
     bound: float
     level: float
     assumed: tuple[Train, ...] = ()
+    stale: tuple[Train, ...] = ()
 
     @property
     def assumed_words(self) -> str:
         """Text on trains with an assumed mileage per day; empty if there are none."""
         if not self.assumed:
             return ""
-        names = ", ".join(train.name for train in self.assumed[:MOST_NAMED])
-        more = len(self.assumed) - MOST_NAMED
         pace = f"{self.assumed[0].km_per_day:g} km a day"
         return (
-            f"{names}{f' and {more} more' if more > 0 else ''}: {pace} are assumed, as the dates "
-            "of the trips are unknown or too close."
+            f"{_names(self.assumed)}: {pace} are assumed, as the dates of the trips are unknown or "
+            "too close."
+        )
+
+    @property
+    def stale_words(self) -> str:
+        """Text on trains whose newest trip is too old, and what follows; empty if none is."""
+        if not self.stale:
+            return ""
+        newest = max(self.stale, key=lambda train: train.on).on
+        return (
+            f"{_names(self.stale)}: the newest trip is {thousands((self.today - newest).days)} "
+            f"days old ({newest}). The wear since then is unknown, so that only parts with an "
+            "alarm have a visit, to inspect them. Evaluate newer trips, or give "
+            f"today={newest + timedelta(days=1)} for the plan of that time. "
         )
 
     @property
@@ -276,8 +295,8 @@ class Plan:
             "day": visit.day.isoformat() if visit else "",
             "latest": visit.latest.isoformat() if visit else "",
             "decide_by": visit.decide_by.isoformat() if visit else "",
-            "mileage_km": round(visit.mileage_km) if visit else np.nan,
-            "latest_km": round(visit.latest_km) if visit else np.nan,
+            "mileage_km": _whole(visit.mileage_km) if visit else np.nan,
+            "latest_km": _whole(visit.latest_km) if visit else np.nan,
             "probability": job.probability,
             "passing_from": ends[0].isoformat() if ends[0] else "",
             "passing_to": ends[1].isoformat() if ends[1] else "",
@@ -292,7 +311,7 @@ class Plan:
 
     @property
     def summary(self) -> str:
-        """Numbers of parts, visits and jobs, whether the plan is optimal, and assumed mileages."""
+        """Too old trips, numbers of visits and jobs, the optimum, and assumed mileages."""
         n_jobs = sum(len(visit.jobs) for visit in self.visits)
         n_waiting = len(self.waiting)
         unknown = f"{count(len(self.unknown), 'part')} unknown, " if self.unknown else ""
@@ -302,9 +321,10 @@ class Plan:
                 f"The search was ended: the best plan may cost up to {100 * self.gap:.2g} % less."
             )
         return (
-            f"{unknown}{count(len(self.visits), 'visit')} with {count(n_jobs, 'job')} until "
-            f"{self.horizon}, {count(n_waiting, 'part')} may need work later, "
-            f"{self.n_quiet} need{'s' * (self.n_quiet == 1)} nothing. {best} {self.assumed_words}"
+            f"{self.stale_words}{unknown}{count(len(self.visits), 'visit')} with "
+            f"{count(n_jobs, 'job')} until {self.horizon}, {count(n_waiting, 'part')} may need "
+            f"work later, {self.n_quiet} need{'s' * (self.n_quiet == 1)} nothing. "
+            f"{best} {self.assumed_words}"
         ).rstrip()
 
     def __str__(self) -> str:
@@ -313,7 +333,7 @@ class Plan:
         for row in joined(self.rows()):
             if row["what"] == "plan again":
                 break
-            km = f"{row['mileage_km']:.0f}" if row["day"] else ""
+            km = number(row["mileage_km"], 0) if row["day"] else ""
             visit = [row["train"], row["urgency"], row["day"], row["latest"], km]
             failure = "passed" if row["passed"] else f"{100 * row['probability']:.1f} %"
             shown = visit if visit != before else [""] * len(visit)
@@ -327,6 +347,16 @@ class Plan:
             when = f"within {first.plan_again_km:.0f} km" if first.plan_again_km else "at each trip"
             lines.append(f"First of those that may: {first.part}; plan again {when}.")
         return "\n".join(lines)
+
+
+def _whole(value: float) -> float:
+    return round(value) if math.isfinite(value) else value
+
+
+def _names(trains: Sequence[Train]) -> str:
+    names = ", ".join(train.name for train in trains[:MOST_NAMED])
+    more = len(trains) - MOST_NAMED
+    return f"{names} and {more} more" if more > 0 else names
 
 
 def joined(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:

@@ -10,7 +10,14 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
-from suspnet.ground.parameters import BODY_MASS, Limits, Severity, kind_of
+from suspnet.ground.parameters import (
+    BODY_MASS,
+    BOGIE_PARTS,
+    Limits,
+    Severity,
+    kind_of,
+    part_words,
+)
 from suspnet.ground.records import Key
 from suspnet.ground.types import FloatArray
 from suspnet.maintenance.alarms import Alarm, Watched
@@ -24,7 +31,7 @@ from suspnet.maintenance.assessment import (
     worst_first,
 )
 from suspnet.maintenance.degradation import FleetPrior
-from suspnet.maintenance.judge import N_LAST, LastTrips, last_trips
+from suspnet.maintenance.judge import N_LAST, LastTrips, judge_last, last_trips
 from suspnet.maintenance.life import MIN_TRIPS, Life, predict_life
 from suspnet.maintenance.sensors import IN_A_ROW
 from suspnet.maintenance.series import Series
@@ -171,12 +178,32 @@ class State:
         """Return the last ``N_LAST`` trips with an estimate of a parameter."""
         return self._last[name]
 
+    def leading(self, name: str) -> LastTrips:
+        """Return the trips behind the present value of a parameter: the newest, or the last ones.
+
+        It is the newest alone if the verdict rests on it: it is beyond a limit, or names the part
+        as worn, which may have failed since the trips before.
+        """
+        last = self._last[name]
+        severity, judged = judge_last(last, self.limits.get(name))
+        is_beyond = severity >= Severity.NOTICE and judged is not None and judged.run > 0
+        is_named = name in BOGIE_PARTS and part_words(name) in self.worn
+        return last.newest if is_beyond or is_named else last
+
+    @cached_property
+    def worn(self) -> str:
+        """Which parts have worn on the newest trip with an estimate of parts, as text."""
+        recent = self.recent
+        read = [np.isfinite(column) for n, column in recent.estimates.items() if n in BOGIE_PARTS]
+        newest = np.flatnonzero(np.any(read, axis=0))[-1:]
+        return "" if recent.worn is None or not len(newest) else str(recent.worn[newest[0]])
+
     def now(self, name: str) -> float:
-        """Return the present value of a parameter, [-]: the median of the last ``N_LAST`` trips.
+        """Return the present value of a parameter, [-]: the median of its ``leading`` trips.
 
         NaN if there is no estimate.
         """
-        values = self._last[name].values
+        values = self.leading(name).values
         return float(np.median(values)) if len(values) else np.nan
 
     def furthest(self, name: str) -> float:

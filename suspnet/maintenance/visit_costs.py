@@ -101,6 +101,13 @@ class PlanSettings:
     km_per_day: float = setting(
         500.0, "Daily mileage of trains whose trips do not determine it", "km", above=0
     )
+    stale_days: float = setting(
+        180.0,
+        "Age of a train's newest trip beyond which its wear and mileage count as unknown; as long "
+        "as the trips that determine the daily mileage",
+        "days",
+        above=0,
+    )
     plan_again_risk: float = setting(
         0.01,
         "Probability that a limit is passed at which a part without a visit is planned again at "

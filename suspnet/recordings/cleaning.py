@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from suspnet.ground.types import BoolArray, FloatArray
+from suspnet.ground.wording import count
 from suspnet.recordings.faults import (
     fill,
     find_clipping,
@@ -80,8 +81,8 @@ class Fault:
             return f"{self.channel}: {self.kind} of {size}, harmless"
         fate = "repaired" if self.repaired else "not usable"
         return (
-            f"{self.channel}: {self.kind} of {self.n_samples} samples ({self.seconds:.3g} s), "
-            f"first at {self.first_s:.3f} s, {fate}"
+            f"{self.channel}: {self.kind} of {count(self.n_samples, 'sample')} "
+            f"({self.seconds:.3g} s), first at {self.first_s:.3f} s, {fate}"
         )
 
 

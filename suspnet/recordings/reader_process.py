@@ -103,8 +103,7 @@ def in_own_process(reader: Reader, library: str | None = None) -> Reader:
 def _warn_once(missing: str) -> None:
     log.warning(
         "this system lacks what confines the readers of data files, so a file of somebody else "
-        "could make them do what stands in brackets: %s",
-        missing,
+        f"could make them do what stands in brackets: {missing}"
     )
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from suspnet.ground.parameters import BOGIE_PARTS, Severity, part_words
 from suspnet.ground.records import TripResult
 from suspnet.ground.wording import count
-from suspnet.maintenance.judge import ABSURD, N_LAST
+from suspnet.maintenance.judge import ABSURD
 from suspnet.maintenance.plan import place_of
 from suspnet.maintenance.schedule import Plan
 from suspnet.maintenance.state import State
@@ -91,13 +91,12 @@ class Bogie:
 def bogie_of(state: State, plan: Plan | None = None) -> Bogie | None:
     """Return the bogie of a suspension; None if no trip has an estimate of its parts.
 
-    The value of a part with a finding or a verdict is that of its newest trip: it may have failed
-    since. Else it is the median of the last trips, and the interval the median of those of them
-    that are not flagged. Verdicts are those of the newest trip with an estimate of parts.
+    Value and interval of a part are medians of its ``State.leading`` trips, of the interval those
+    of them that are not flagged. Verdicts are those of the newest trip with an estimate of parts.
     """
     if not set(BOGIE_PARTS) & set(state.outputs):
         return None
-    entries = worn_entries(_newest_verdict(state))
+    entries = worn_entries(state.worn)
     groups = dict(zip(LETTERS, (one for one in entries if len(one[0]) > 1), strict=False))
     odds = {names[0]: words for names, words in entries if len(names) == 1}
     visits = visits_of(plan, state)
@@ -106,17 +105,8 @@ def bogie_of(state: State, plan: Plan | None = None) -> Bogie | None:
         severity = state.severities.get(name, Severity.UNKNOWN)
         letters = " ".join(letter for letter, (names, _) in groups.items() if name in names)
         found = letters, odds.get(name, ""), visits.get(name, "")
-        n_last = 1 if severity >= Severity.NOTICE or any(found[:2]) else N_LAST
-        parts[name] = DrawnPart(name, str(severity), *_level(state, name, n_last), *found)
+        parts[name] = DrawnPart(name, str(severity), *_level(state, name), *found)
     return Bogie(parts, {letter: group_words(*one) for letter, one in groups.items()})
-
-
-def _newest_verdict(state: State) -> str:
-    """Return which parts have worn on the newest trip with an estimate of parts, as text."""
-    recent = state.recent
-    read = [np.isfinite(recent.estimates[name]) for name in recent.outputs if name in BOGIE_PARTS]
-    newest = np.flatnonzero(np.any(read, axis=0))[-1:]
-    return "" if recent.worn is None or not len(newest) else str(recent.worn[newest[0]])
 
 
 def bogies_shown(view: FleetView, chosen: Iterable[int] | None = None) -> dict[str, Any]:
@@ -151,13 +141,12 @@ def bogies_of(done: Iterable[Evaluated]) -> dict[str, Any]:
     return {"bogies": drawn[:MOST_BOGIES], "n_bogies": len(drawn)}
 
 
-def _level(state: State, name: str, n_last: int) -> tuple[str, str]:
+def _level(state: State, name: str) -> tuple[str, str]:
     """Return value and half width of the interval of a part, [% of healthy], as text."""
     if name not in state.outputs or not len(state.last_of(name).values):
         return "", ""
-    last, newest = state.last_of(name), slice(-n_last, None)
-    now = float(np.median(last.values[newest]))
-    halves = 100 * (last.high - last.low)[newest][~last.flagged[newest]] / 2
+    last, now = state.leading(name), state.now(name)
+    halves = 100 * (last.high - last.low)[~last.flagged] / 2
     half = float(np.median(halves)) if len(halves) else math.nan
     if not math.isfinite(half) or now > ABSURD:
         return level(now, 1), ""

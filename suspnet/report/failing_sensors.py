@@ -65,10 +65,8 @@ def failing_words(results: Sequence[TripResult]) -> str:
     last = results[-N_LAST:]
     names = dict.fromkeys(words.partition(":")[0] for words in failing_sensors(last))
     n = sum(bool(failing_sensors([one])) for one in last)
-    return (
-        f"dead, loose or not used: {', '.join(names)} (on {n} of the last {len(last)} trips)"
-        * bool(n)
-    )
+    of = f" (on {n} of the last {len(last)} trips)" if len(last) > 1 else ""
+    return f"dead, loose or not used: {', '.join(names)}{of}" if n else ""
 
 
 def sensor_words(state: State) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import gettext as catalogues
+import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
@@ -76,6 +77,16 @@ def N_(text: str) -> str:  # noqa: N802 - the usual name of this mark
 def decimal(text: str) -> str:
     """Return a number with the decimal sign of the current language."""
     return text if current() == ENGLISH else text.replace(".", ",")
+
+
+def day(text: str) -> str:
+    """Return a day in ISO 8601, and a time of day after it, as the current language writes days.
+
+    >>> with speaking("de"):
+    ...     day("2026-11-27")
+    '27.11.2026'
+    """
+    return text if current() == ENGLISH else re.sub(r"(\d+)-(\d\d)-(\d\d)", r"\3.\2.\1", text)
 
 
 def install(environment: Environment) -> None:

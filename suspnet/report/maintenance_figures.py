@@ -14,10 +14,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullLocator
 
-from suspnet.ground.parameters import BODY_MASS, BOGIE_PARTS
+from suspnet.ground.parameters import BODY_MASS, BOGIE_PARTS, Severity
 from suspnet.ground.wording import count
 from suspnet.maintenance.schedule import UNKNOWN, URGENCIES, Job, Plan, Visit
 from suspnet.report.figures import MILEAGE_LABEL, SYMBOLS, say
+from suspnet.report.language import ENGLISH, current
 from suspnet.report.trend import (
     BEYOND,
     FLAGGED,
@@ -54,12 +55,6 @@ BARS = 5
 """Largest number of parts of one train whose intervals are drawn, those that pass first."""
 BAND = 0.7
 """Share of a train's row that intervals take."""
-IN_NUMBERS: dict[str, list[str]] = {
-    "formats": ["%Y", "%Y-%m", "%m-%d", *["%H:%M"] * 3],
-    "zero_formats": ["", "%Y-%m", "%m-%d", "%m-%d", *["%H:%M"] * 2],
-    "offset_formats": ["", "", "%Y", *["%Y-%m-%d"] * 3],
-}
-"""Formats of the days of a calendar, as in the tables: names of months are always English."""
 DUE = "passing"
 """Internal label of the bars; the legend replaces it by a text with the level."""
 
@@ -105,6 +100,18 @@ def plan_calendar(plan: Plan, figure: Figure | None = None) -> Figure:
     return figure
 
 
+def _day_formats() -> dict[str, list[str]]:
+    """Return the formats of the days of a calendar, as in the tables, without names of months."""
+    month, day, full = "%Y-%m", "%m-%d", "%Y-%m-%d"
+    if current() != ENGLISH:
+        month, day, full = "%m.%Y", "%d.%m.", "%d.%m.%Y"
+    return {
+        "formats": ["%Y", month, day, *["%H:%M"] * 3],
+        "zero_formats": ["", month, day, day, *["%H:%M"] * 2],
+        "offset_formats": ["", "", "%Y", *[full] * 3],
+    }
+
+
 def _label(axis: Axes, plan: Plan, shown: Sequence[str], n_trains: int) -> None:
     """Label trains, days and the numbers of visits; shade every other train."""
     axis.set_ylim(max(len(shown), LEAST_ROWS) - 0.5, -0.5)
@@ -113,7 +120,7 @@ def _label(axis: Axes, plan: Plan, shown: Sequence[str], n_trains: int) -> None:
     axis.set_xlim(mdates.date2num(plan.today), mdates.date2num(plan.horizon))
     locator = mdates.AutoDateLocator()
     axis.xaxis.set_major_locator(locator)
-    axis.xaxis.set_major_formatter(mdates.ConciseDateFormatter(locator, **IN_NUMBERS))
+    axis.xaxis.set_major_formatter(mdates.ConciseDateFormatter(locator, **_day_formats()))
     axis.yaxis.set_minor_locator(NullLocator())
     axis.set_xlabel("day of the visit")
     axis.set_ylabel("train")
@@ -185,13 +192,16 @@ SMALL_MARGINS = {"left": 0.17, "right": 0.98, "top": 0.89, "bottom": 0.24}
 
 
 def small_trends(trend: Trend) -> dict[str, Figure]:
-    """Draw a small figure of each parameter where parts of a bogie are read; else none.
+    """Draw a figure of each parameter where parts of a bogie are read; else none.
 
-    All have the same range of mileages, so that they can be compared.
+    Those without a finding are small. All have the same range of mileages.
     """
     if not any(one.name in BOGIE_PARTS for one in trend.panels):
         return {}
-    figures = {one.name: health_trend(replace(trend, panels=(one,)), True) for one in trend.panels}
+    figures = {
+        one.name: health_trend(replace(trend, panels=(one,)), one.severity == Severity.NONE)
+        for one in trend.panels
+    }
     ends = [figure.axes[0].get_xlim() for figure in figures.values()]
     for figure in figures.values():
         figure.axes[0].set_xlim(min(low for low, _ in ends), max(high for _, high in ends))

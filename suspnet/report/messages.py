@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from suspnet.ground.parameters import part_words
 from suspnet.ground.storage import printable
 from suspnet.ground.wording import kilometres
-from suspnet.report.language import N_, gettext, ngettext
+from suspnet.report.language import N_, day, gettext, ngettext
 from suspnet.report.sentences import spoken
 
 TITLES = {
@@ -28,10 +29,10 @@ def subject(content: Mapping[str, Any]) -> str:
         act = sum(one["severity"] == "act" for one in active)
         n = ngettext("%(n)s active alarm", "%(n)s active alarms", len(active))
         to_act = gettext("%(n)s to act on") % {"n": act}
-        return f"suspnet {content['day']}: {n % {'n': len(active)}}, {to_act}"
+        return f"suspnet {day(content['day'])}: {n % {'n': len(active)}}, {to_act}"
     first = alarms[0]
     more = gettext("and %(n)s more") % {"n": len(alarms) - 1} if len(alarms) > 1 else ""
-    where = f"{first['vehicle']}: {spoken(first['place'])}: {first['parameter']}"
+    where = f"{first['vehicle']}: {spoken(first['place'])}: {_part(first)}"
     return " ".join(printable(f"suspnet: {spoken(first['severity'])}: {where} {more}").split())
 
 
@@ -55,6 +56,11 @@ def _state(alarm: Mapping[str, Any]) -> str:
     return "over" if is_over else str(alarm["state"])
 
 
+def _part(alarm: Mapping[str, Any]) -> str:
+    """Return a part or a sensor in words; a parameter by its symbol."""
+    return spoken(part_words(alarm["parameter"]))
+
+
 def _line(alarm: Mapping[str, Any]) -> str:
     begin = kilometres(alarm["begin_km"])
     since = gettext("since %(km)s") % {"km": begin}
@@ -64,7 +70,7 @@ def _line(alarm: Mapping[str, Any]) -> str:
     seen = gettext("acknowledged by %(name)s") % {"name": alarm["acknowledged_by"]}
     by = f"; {seen}" if alarm["acknowledged_by"] else ""
     place, cause = spoken(alarm["place"]), spoken(alarm["cause"])
-    where = f"{alarm['vehicle']}: {place}: {alarm['parameter']} ({cause})"
+    where = f"{alarm['vehicle']}: {place}: {_part(alarm)} ({cause})"
     reason = spoken(" ".join(alarm["reason"].split()))
     line = f"- {spoken(alarm['severity'])}: {where}, {since}: {reason}{by}"
     return " ".join(line.split())  # names and reasons are others' texts: none starts a line

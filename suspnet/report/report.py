@@ -71,7 +71,8 @@ CAPTIONS = {
     ),
 }
 SMALL_SHOWN = N_(
-    "each dot is a trip and 100 % is healthy, the line is the median of five neighbouring trips. "
+    "each dot is a trip and 100 % is healthy, the line is the median of five neighbouring trips, "
+    "near the ends of fewer. "
     "Dashed lines are the limits, where they are near; a triangle at the top is the start of an "
     "alarm, a red tick at the bottom a trip without an estimate, a red bar there where the act "
     "limit will be passed.{intervals}{flags}"
@@ -245,9 +246,8 @@ def wheels_finding(trips: Sequence[TripResult]) -> str:
     found = [r for r in last if r.quality.wheels]
     if not found:
         return ""
-    return f"Wheels on {found[-1].trip} ({len(found)} of the last {len(last)} trips): " + (
-        found[-1].quality.wheels
-    )
+    of = f" ({len(found)} of the last {len(last)} trips)" if len(last) > 1 else ""
+    return f"Wheels on {found[-1].trip}{of}: {found[-1].quality.wheels}"
 
 
 def _since_when(states: Sequence[Commissioning], events: Sequence[Event]) -> str:

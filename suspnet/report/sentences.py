@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from importlib import resources
 from typing import IO, Any
 
-from suspnet.report.language import ENGLISH, current, decimal, gettext
+from suspnet.report.language import ENGLISH, current, day, decimal, gettext
 
 
 def extract(file: IO[bytes], *_: Any, **__: Any) -> Iterator[tuple[int, None, str, list[str]]]:
@@ -26,6 +26,17 @@ def extract(file: IO[bytes], *_: Any, **__: Any) -> Iterator[tuple[int, None, st
 with resources.files("suspnet.report").joinpath("sentences.txt").open("rb") as _file:
     PATTERNS = tuple(text for _, _, text, _ in extract(_file))
 """Patterns of sentences; what is in braces varies, and is translated in the same way."""
+_SENSOR = re.compile(
+    r"(axle_box|bogie|frame|body)(?:[ _](axle\d|centre))?(?:[ _](left|right|middle))?"
+    r"(?![\w`/]|\.\w)"
+)
+"""A sensor by its name in manifests or in layouts: "axle_box axle2 left", "frame_centre_left"."""
+_SENSORS = re.compile(
+    rf"(?:^|(?<=; )|(?<=: )|(?<=sensor )){_SENSOR.pattern}(?=: |, | \(|$)"
+    rf"|(?<![\w.`/])(?=axle_box|\w+_(?:axle\d|centre|left|right|middle)){_SENSOR.pattern}"
+)
+"""Sensors within a text: names that it begins with, and those with an underscore anywhere."""
+_PLACES = {"axle_box": "axle box", "bogie": "bogie frame", "frame": "bogie frame"}
 SEPARATORS = ("\n", "; ", ". ", ": ", ", ")
 """What joins sentences and places, tried in this order where no pattern has the whole text."""
 LONGEST = 800
@@ -43,16 +54,21 @@ def spoken(text: str) -> str:
     'die letzte Fahrt liegt bei 62,1 % des Referenzwerts, unter der Eingriffsgrenze von 70 %'
     """
     if current() == ENGLISH:
-        return text
+        return _SENSORS.sub(_sensor_words, text)
     if len(text) > LONGEST:  # a list may be long, as of faults
         each = text.split("; ")
         return text if len(each) == 1 else "; ".join(map(spoken, each))
-    return _spoken(text, current())
+    said = _spoken(text, current())
+    return _SENSORS.sub(lambda name: _spoken(_sensor_words(name), current()), said)
 
 
 @functools.lru_cache(maxsize=10_000)
 def _spoken(text: str, language: str) -> str:
     """Return a text in a language, which is the current one: it is an argument for the cache."""
+    if sensor := _SENSOR.fullmatch(text):
+        text = _sensor_words(sensor)
+    if re.fullmatch(r"\d{4}-\d\d-\d\d(?: \d\d:\d\d:\d\d(?:[+-]\d\d:\d\d)?)?", text):
+        return day(text)
     if re.fullmatch(r"[-+\N{MINUS SIGN}]?[\d \N{NO-BREAK SPACE}]*\.?\d+(?:e[-+]?\d+)?%?", text):
         return decimal(text)
     if (said := _matched(text, language)) is not None:
@@ -72,13 +88,25 @@ def _spoken(text: str, language: str) -> str:
     return f"{_spoken(text[:-1], language)}." if text.endswith(".") else text
 
 
+def _sensor_words(name: re.Match[str]) -> str:
+    """Return a sensor's place in words: "axle box of axle 2, left" of "axle_box axle2 left"."""
+    place, *where = filter(None, name.groups())
+    words = _PLACES.get(place, "car body")
+    for one in where:
+        words += f" of axle {one[4:]}" if one.startswith("axle") else f", {one}"
+    return words
+
+
 def _matched(text: str, language: str) -> str | None:
     """Return the translation of a text that one pattern has as a whole; None if there is none."""
     if text in _WHOLE:
         return gettext(text)
     for pattern, expression in _expressions():
         if found := expression.fullmatch(text):
-            values = {name: _spoken(value, language) for name, value in found.groupdict().items()}
+            values = {
+                name: value if name == "typed" else _spoken(value, language)
+                for name, value in found.groupdict().items()
+            }
             return gettext(pattern).format(**values)
     return None
 
@@ -122,7 +150,7 @@ OF_NAME = {
     "listed": r"\[[^\]]*\]|\([^)]*\)",
     "named_file": r"\S*\.\w+",
     "rule": r"a mapping|text \(put .*|one of [\[(].*[\])]|a number (?:>|from) ?[^,]*"
-    "|a finite number|at most .* km .*|a time like .*",
+    "|a finite number|at most .* km .*|a time like .*|one line of at most .* characters",
 }
 """Regular expressions of some variable parts."""
 

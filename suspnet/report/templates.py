@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from functools import cache
 from importlib import resources
 from typing import Any
@@ -139,9 +140,9 @@ def _rounded(km: float) -> str:
 
 
 def symbol(name: str) -> Markup:
-    """Return the symbol of a parameter; the name of anything else, as of a sensor, as it is."""
+    """Return the symbol of a parameter; of anything else, as of a sensor, its name in words."""
     if name not in UNITS:
-        return Markup.escape(name)
+        return Markup.escape(spoken(name))
     letter, _, index = kind_of(name).partition("_")
     words = Markup("<i>{}</i><sub>{}</sub>").format(letter, index)
     return (
@@ -149,6 +150,12 @@ def symbol(name: str) -> Markup:
         if name in BOGIE_PARTS
         else words
     )
+
+
+def typeset(text: str) -> Markup:
+    """Return a text with its symbols, such as k_p, as a letter with an index."""
+    letters = r"(?<![\w.=])([kchM\N{GREEK SMALL LETTER RHO}])_([a-z\d])(?!\w)"
+    return Markup(re.sub(letters, r"<i>\1</i><sub>\2</sub>", str(Markup.escape(text))))
 
 
 def named(name: str) -> str:
@@ -178,6 +185,7 @@ FILTERS = {
     "symbol": symbol,
     "range": _range,
     "si": _si,
+    "typeset": typeset,
     "unbroken": unbroken,
     "to_go": _to_go,
     "rounded": _rounded,

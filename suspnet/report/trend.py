@@ -89,6 +89,7 @@ class Panel:
     passing: Passing | None
     act: float | None
     axis: tuple[float, float]
+    severity: Severity
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,14 +184,14 @@ def ranges(trend: Trend) -> list[tuple[str, float, float]]:
 
 
 def running_median(values: FloatArray, window: int = 5) -> FloatArray:
-    """Return the median of the `window` values around each; the window shrinks at the ends.
+    """Return the median of the `window` values around each, fewer near the ends.
 
+    There are as many before as after, so that the line follows a slope to its first and last value.
     `values`: (n_trips,), in the order of the mileage, without NaN; `window` is odd.
     """
-    half = window // 2
-    return np.array(
-        [np.median(values[max(i - half, 0) : i + half + 1]) for i in range(len(values))]
-    )
+    n = len(values)
+    halves = [min(i, n - 1 - i, window // 2) for i in range(n)]
+    return np.array([np.median(values[i - half : i + half + 1]) for i, half in enumerate(halves)])
 
 
 def percent_words(value: float, form: str = ".0f") -> str:
@@ -229,6 +230,7 @@ def _panel(name: str, points: Points, state: State, healthy: float = 1.0) -> Pan
         passing,
         act,
         _axis(shown, act),
+        state.severities.get(name, Severity.NONE),
     )
 
 
@@ -250,12 +252,12 @@ def _axis(points: Points, act: float | None) -> tuple[float, float]:
     """Return the range of an axis: all required values, and trips and intervals near these.
 
     One odd trip must not squeeze all others. The axis includes 100 %, a passed act limit, unflagged
-    trips (all if all are flagged) and the running median, which follows a lasting change even if
-    flagged, but no level above that of any real suspension. Other trips widen it by up to its span
-    on each side, intervals by up to half of that.
+    trips (all if all are flagged) and the running median between its ends, which follows a lasting
+    change even if flagged, but no level above that of any real suspension. Other trips widen it by
+    up to its span on each side, intervals by up to half of that.
     """
     clear = ~points.flagged if not points.flagged.all() else np.ones(len(points.km), dtype=bool)
-    held = np.append(points.values[clear], running_median(points.values))
+    held = np.append(points.values[clear], running_median(points.values)[1:-1])
     truth = points.truth[clear]
     base = np.concatenate([[100.0], np.minimum(held, 100 * ABSURD), truth[np.isfinite(truth)]])
     base = base if act is None else np.append(base, act)

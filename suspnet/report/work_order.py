@@ -219,11 +219,12 @@ def _day_of(state: State, km: float) -> str | None:
 
 
 def _level(state: State, name: str) -> dict[str, Any]:
-    last = state.last_of(name)
-    clear, side = ~last.flagged, np.sign(state.now(name) - 1)
+    last, leading = state.last_of(name), state.leading(name)
+    clear, side = ~leading.flagged, np.sign(state.now(name) - 1)
     nearer = np.where(side < 0, last.high, last.low)
     alike = side * (nearer - 1) > 0  # False without an interval
-    ends = ((np.median(end[clear]) if clear.any() else math.nan) for end in (last.low, last.high))
+    both = leading.low[clear], leading.high[clear]
+    ends = (np.median(end) if clear.any() else math.nan for end in both)
     low, high = (finite_or_none(100 * float(end)) for end in ends)
     return {
         "value_percent": finite_or_none(100 * state.now(name)),

@@ -46,6 +46,8 @@ def commission_trips(
     settings = settings.bound(generator.vehicle)
     for reason in found.left_out:
         log.warning("left out of the healthy trips: %s", reason)
+    if bogie is None:
+        _log_doubts(found)
     near = bogie if bogie is not None and bogie.misfit <= EXPLAINED else None
     prior = _prior(generator, found)
     if bogie is not None and not found.groups:
@@ -97,6 +99,7 @@ def commission_parts(found: HealthyTrips, trips: TripSettings) -> CommissionedBo
     vehicle = found.vehicle
     assert vehicle is not None
     folder = found.manifests[0].path.parent
+    _log_doubts(found)
 
     def check_orders(nearly: float) -> None:
         all_of(
@@ -114,6 +117,12 @@ def commission_parts(found: HealthyTrips, trips: TripSettings) -> CommissionedBo
     for doubt in words.doubts_of_parts(bogie):
         log.warning("%s", doubt)
     return bogie
+
+
+def _log_doubts(found: HealthyTrips) -> None:
+    """Log doubts about the sensors before the search, which takes minutes."""
+    for doubt in found.doubts:
+        log.warning("%s", doubt)
 
 
 def check_generator(generator: ResponseGenerator) -> VerticalVehicle:

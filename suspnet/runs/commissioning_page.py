@@ -115,7 +115,7 @@ def as_json(
         "vehicle": generator.vehicle.name,
         "suspension": _place(found),
         "parts": list(generator.parts),
-        "verdict": [*of_parts, equal, *words.doubts(outcome, by_part=by_part)],
+        "verdict": [*of_parts, equal, *found.doubts, *words.doubts(outcome, by_part=by_part)],
         "threshold": INCOMPLETE,
         "n_starts": outcome.n_starts,
         "n_agree": outcome.n_agree,
@@ -134,7 +134,8 @@ def _page(
     bogie: CommissionedBogie | None = None,
 ) -> str:
     by_part = bogie is not None
-    doubts, numbers = words.doubts(outcome, by_part=by_part), words.numbers(outcome)
+    doubts = [*found.doubts, *words.doubts(outcome, by_part=by_part)]
+    numbers = words.numbers(outcome)
     of_parts = None
     if bogie is not None:
         parts_doubts = words.doubts_of_parts(bogie)
@@ -179,9 +180,10 @@ def _page(
         threshold=INCOMPLETE,
         details={
             "trips": str(found.manifests[0].path.parent),
-            N_("parts"): ", ".join(outcome.generator.parts) or "rigid bodies only",
+            N_("parts"): ", ".join(outcome.generator.parts).replace("_", " ")
+            or "rigid bodies only",
             "suspnet": __version__,
-            "date": datetime.now().astimezone().isoformat(timespec="seconds"),
+            "date": datetime.now().astimezone().isoformat(" ", "seconds"),
         },
     )
 

@@ -45,7 +45,13 @@ class Fleet:
     n_trips: int = setting(
         30, "Number of trips, which lie evenly over the mileage", low=1, most=100000
     )
-    last_mileage_km: float = setting(308_000.0, "Mileage of the last trip", "km", above=0, most=2e7)
+    last_mileage_km: float = setting(
+        308_000.0,
+        "Mileage of the last trip; their dates are of a train that runs 5 hours a day at its speed",
+        "km",
+        above=0,
+        most=2e7,
+    )
     minutes: float = setting(20.0, "Length of a trip", "min", above=0, most=10000)
     speed_m_per_s: float = setting(
         70.0, "Steady or cruising speed, as the line's", "m/s", above=0, most=200

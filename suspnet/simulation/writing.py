@@ -44,19 +44,26 @@ ROW_GROUP = 1 << 20
 """Rows per row group of the Parquet files."""
 ANTI_ALIAS = ("kaiser", 12.0)
 """Window of the resampling filter."""
-DAYS_BETWEEN = timedelta(days=10)
-"""Time from one trip to the next, if there are few."""
+HOURS_A_DAY = 5.0
+"""Hours a day that a simulated train runs at its speed: at 70 m/s 1,260 km a day, or 460,000 km a
+year, which is what high-speed trains run."""
 LONGEST = timedelta(days=3650)
 """Longest time from the first trip to the last, so that none of many trips is in the future."""
+STEP = timedelta(minutes=20)
+"""Times between trips are whole multiples of this, so that each trip starts a section of the
+monitor."""
 
 
-def time_between(n_trips: int) -> timedelta:
-    """Return the time from one trip to the next: ten days, or less for many trips.
+def time_between(fleet: Fleet) -> timedelta:
+    """Return the time from one trip to the next, in which the train runs the mileage between them.
 
-    It is a whole multiple of ten minutes.
+    It runs ``HOURS_A_DAY`` at its speed. Trips do not overlap, and all lie within ``LONGEST``: a
+    mileage that would take longer is run faster.
     """
-    step = timedelta(minutes=10)
-    return min(DAYS_BETWEEN, LONGEST // n_trips // step * step)
+    km_per_day = 3.6 * fleet.speed_m_per_s * HOURS_A_DAY
+    days = min(fleet.last_mileage_km / fleet.n_trips / km_per_day, LONGEST.days)
+    steps = max(round(timedelta(days=days) / STEP), -(-timedelta(minutes=fleet.minutes) // STEP))
+    return min(steps * STEP, LONGEST // fleet.n_trips // STEP * STEP)
 
 
 @dataclass(frozen=True)
@@ -242,7 +249,7 @@ def _write_trip(
         # without a word they are taken as leading
         **{key: end for key, end in ends.items() if end == "trailing"},
         mileage_km=mileage_km,
-        start=(aboard.first_start if aboard else FIRST_DAY) + time_between(fleet.n_trips) * index,
+        start=(aboard.first_start if aboard else FIRST_DAY) + time_between(fleet) * index,
         speed=SpeedSource(f"{name}/speed.parquet", "m/s", column="speed", rate_hz=1.0),
         channels=channels,
         truth=dict(zip(_outputs(generator), ratios.tolist(), strict=True)),

@@ -199,10 +199,13 @@ def _inspected(
     if vehicle is None or spectra is None or result.state == PROBLEM:
         return result
     try:
-        doubts, shows_parts = check_sensors(recording, segments, checked, vehicle, trips)
+        doubts, shows_parts, frame_sensor = check_sensors(
+            recording, segments, checked, vehicle, estimate, trips
+        )
     except TripError as error:
         return _with_problems(result, error.problems)
-    return replace(result, remarks=result.remarks + doubts, shows_parts=shows_parts)
+    every = result.remarks + doubts
+    return replace(result, remarks=every, shows_parts=shows_parts, frame_sensor=frame_sensor)
 
 
 def _read(result: TripCheck, recording: Recording, settings: CheckSettings) -> TripCheck:

@@ -71,7 +71,8 @@ class TripCheck:
     `band_hz` is where the vehicle's responses are read, and `read_by` the speeds of the models that
     decide whether the trip is ready, empty without models. `unchecked`: the vehicle's numbers are
     not known, so that ``NEED_A_VEHICLE`` are not checked. `shows_parts`: each part of the bogie can
-    be read from it, as far as was checked. `label` is its name among trips of several folders.
+    be read from it, as far as was checked. `label` is its name among trips of several folders,
+    `frame_sensor` where the frame's sensor looks to be.
     """
 
     manifest: Path
@@ -93,6 +94,7 @@ class TripCheck:
     unchecked: bool = False
     shows_parts: bool = False
     label: str = ""
+    frame_sensor: str = "axle"
 
     @property
     def shown(self) -> str:
@@ -166,7 +168,7 @@ class Suspension:
     def sentences(self) -> list[str]:
         """Return how much data commissioning and reading would have."""
         ready = [check for check in self.checks if check.state == READY]
-        words = [f"{len(ready)} of {len(self.checks)} trips ready"]
+        words = [f"{len(ready)} of {count(len(self.checks), 'trip')} ready"]
         speeds = [part.speed_m_per_s for check in ready for part in check.parts]
         if speeds:
             setting = setting_words(covering(speeds, SPEED_HALF_WIDTH))
@@ -222,7 +224,7 @@ def verdict(checks: Sequence[TripCheck], elsewhere: Sequence[str]) -> str:
     """Return how many trips are in which state, on one line."""
     counts = {state: sum(check.shown == state for check in checks) for state in TONES}
     n_ready = counts[READY] + counts[PARTLY]
-    parts = [f"{n_ready} of {len(checks)} trips ready for an estimate"]
+    parts = [f"{n_ready} of {count(len(checks), 'trip')} ready for an estimate"]
     if counts[PARTLY]:
         parts.append(f"{counts[PARTLY]} of them only partly checked as their vehicle is not known")
     if counts[TOO_LITTLE]:

@@ -53,7 +53,7 @@ def report_details(
         N_("trips"): printable(str(folder)),
         N_("bogie"): ", ".join(dict.fromkeys(m.generator.bogie or "any" for m in models)),
         "suspnet": __version__,
-        N_("date"): datetime.now().astimezone().isoformat(timespec="seconds"),
+        N_("date"): datetime.now().astimezone().isoformat(" ", "seconds"),
         N_("model"): f"{first.name}, trained on {first.training.get('n_train', 0)} curves of "
         f"{type(first.generator).__name__}",
         N_("speeds"): ", ".join(dict.fromkeys(map(speed_words, models))),
@@ -120,5 +120,5 @@ def wear_words(n_learnt: int, is_history: bool) -> str:
     words = ALONE
     if n_learnt:
         where = "the history" if is_history else "this folder"
-        words = f"with the rates of wear of {n_learnt} suspensions of {where}"
+        words = f"with the rates of wear of {count(n_learnt, 'suspension')} of {where}"
     return words if is_history else words + NO_STORE

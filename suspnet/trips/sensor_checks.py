@@ -3,15 +3,23 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import cache, partial
 from typing import Any
 
 from torch import Tensor
 
-from suspnet.dynamics import SpatialVehicle, Vehicle, best_generator
+from suspnet.dynamics import SpatialVehicle, Vehicle, VerticalVehicle, best_generator
 from suspnet.estimation.bogie_trips import PARTS_OF_BOGIE, bogie_trip, sensor_places, show_parts
-from suspnet.estimation.swapped_sensors import NEARLY, check_end, check_order, misfit_near
+from suspnet.estimation.healthy_misfit import HealthySpectra
+from suspnet.estimation.steady_parts import speed_of
+from suspnet.estimation.swapped_sensors import (
+    NEARLY,
+    check_end,
+    check_order,
+    elsewhere,
+    misfit_near,
+)
 from suspnet.estimation.trip_settings import TripSettings
 from suspnet.ground.parameters import Direction
 from suspnet.ground.tensors import threads
@@ -19,13 +27,20 @@ from suspnet.recordings.errors import all_of
 from suspnet.recordings.manifest import TripManifest
 from suspnet.recordings.recording import Recording
 from suspnet.spectra.bogie_trip import BogieTrip
+from suspnet.spectra.estimates import EstimateSettings
 from suspnet.spectra.plausibility import (
     DIRECTION_MARGIN,
     check_channels,
     check_pairs,
     shown_direction,
 )
-from suspnet.spectra.segments import NoEstimateError, difference_segments, segment_speeds
+from suspnet.spectra.segments import (
+    NoEstimateError,
+    Speeds,
+    difference_segments,
+    in_band,
+    segment_speeds,
+)
 from suspnet.spectra.welch import SegmentSpectra
 
 NO_DIRECTION = (
@@ -39,20 +54,26 @@ def check_sensors(
     segments: SegmentSpectra,
     checked: Sequence[Tensor],
     vehicle: Vehicle,
+    estimate: EstimateSettings,
     settings: TripSettings,
-) -> tuple[tuple[str, ...], bool]:
-    """Return doubts about the sensors, and whether they show each part of a bogie.
+) -> tuple[tuple[str, ...], bool, str]:
+    """Return doubts about the sensors, whether they show each part, and where the frame's is.
 
-    `checked` are the segments of the steady parts. TripError if the signals contradict the places
+    The last is "axle" or "centre". `checked` are the segments of the steady parts, the longest
+    first; `estimate` is bound to the vehicle. TripError if the signals contradict the places
     that the manifest gives the sensors.
     """
     doubts: list[str] = []
     ways = [way] if (way := recording.manifest.direction) else []
+    place: dict[str, Any] = {}
+    if bool(checked[0].any()):
+        place = _frame_place(recording, segments, checked[0], vehicle, estimate, doubts)
 
     def check_channel_order(chosen: Tensor) -> None:
         speed = float(segment_speeds(recording, segments)[chosen].mean())
         manifest, frequencies_hz = recording.manifest, segments.frequencies_hz
-        generator = best_generator(vehicle, speed_m_per_s=speed, **_measured_at(manifest))
+        there = _measured_at(manifest) | place
+        generator = best_generator(vehicle, speed_m_per_s=speed, **there)
         spectra, single = segments.average(chosen), not all(recording.paired)
         shown, factor = shown_direction(spectra, frequencies_hz, generator)
         # in reverse the leading bogie moves like the trailing one: unnamed, either will do
@@ -71,31 +92,65 @@ def check_sensors(
 
     def check_parts() -> BogieTrip | None:
         with contextlib.suppress(NoEstimateError):  # what can be read is said elsewhere
-            return check_bogie(recording, vehicle, settings, ways)
+            return check_bogie(recording, vehicle, settings, ways, place)
         return None
 
     parts = [check_channel_order, *([check_sides] if any(recording.paired) else [])]
     each = [partial(part, chosen) for part in parts for chosen in checked]
     *_, trip = all_of([*each, check_parts])
-    return tuple(dict.fromkeys(filter(None, doubts))), trip is not None
+    frame_sensor = place.get("frame_sensor", "axle")
+    return tuple(dict.fromkeys(filter(None, doubts))), trip is not None, frame_sensor
+
+
+def _frame_place(
+    recording: Recording,
+    segments: SegmentSpectra,
+    chosen: Tensor,
+    vehicle: Vehicle,
+    estimate: EstimateSettings,
+    doubts: list[str],
+) -> dict[str, Any]:
+    """Return the place of the frame's sensor if it looks to be elsewhere, and add that doubt."""
+    speeds = segment_speeds(recording, segments)[chosen]
+    manifest = recording.manifest
+    generator = best_generator(
+        vehicle, speed_m_per_s=float(speeds.mean()), **_measured_at(manifest)
+    )
+    if not isinstance(generator, VerticalVehicle):
+        return {}
+    with contextlib.suppress(NoEstimateError):  # the band is reported elsewhere
+        band = in_band(segments, estimate.frequencies_hz())
+        at = Speeds.of(*speed_of(speeds, band))
+        trip = HealthySpectra(0, manifest.name, at, band.average(chosen))
+        other = elsewhere(generator, estimate, trip, manifest.direction)
+        # another axle or direction is an error of the checks below
+        if other is not None and other.found.vehicle.frame_sensor != generator.frame_sensor:
+            doubts.append(str(other))
+            return {"frame_sensor": other.found.vehicle.frame_sensor}
+    return {}
 
 
 @threads(1)  # as for estimates: systems of 30 equations are too small for two
 def check_bogie(
-    recording: Recording, vehicle: Vehicle, settings: TripSettings, ways: Sequence[Direction]
+    recording: Recording,
+    vehicle: Vehicle,
+    settings: TripSettings,
+    ways: Sequence[Direction],
+    place: Mapping[str, Any] | None = None,
 ) -> BogieTrip | None:
     """Return the stretch of a recording that shows each part of a bogie; None without the sensors.
 
     NoEstimateError if no stretch is long enough, TripError if two of the sensors look swapped, or
     are at another bogie or axle than the manifest says. `ways` are the directions of travel of the
-    recording's parts, empty if unknown.
+    recording's parts, empty if unknown; `place` is that of the frame's sensor, if it is not usual.
     """
-    places = sensor_places(recording.manifest, "axle")
+    place = place or {}
+    places = sensor_places(recording.manifest, place.get("frame_sensor", "axle"))
     if not ways or not show_parts(places):
         return None
     manifest = recording.manifest
     unknown = SpatialVehicle(
-        vehicle, **_measured_at(manifest), parts=PARTS_OF_BOGIE, sensors=places
+        vehicle, **_measured_at(manifest), **place, parts=PARTS_OF_BOGIE, sensors=places
     ).with_prior()
     trip = bogie_trip(recording, unknown, settings, ways[0])
     fit = cache(partial(misfit_near, unknown, trip))

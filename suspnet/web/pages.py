@@ -36,7 +36,7 @@ from suspnet.maintenance.schedule import Plan
 from suspnet.maintenance.state import State
 from suspnet.report.board import Refresher
 from suspnet.report.bogie import visits_of
-from suspnet.report.language import N_, current, gettext
+from suspnet.report.language import N_, current, day, gettext
 from suspnet.report.overview import FleetView
 from suspnet.report.pdf import as_pdf
 from suspnet.report.sentences import spoken
@@ -166,7 +166,7 @@ def work_order_pdf(name: str) -> ResponseReturnValue:
     if not HAS_PDF:
         abort(
             404,
-            gettext("Work orders as PDF need WeasyPrint where suspnet-serve runs: suspnet[pdf]."),
+            gettext("Work orders as PDF need WeasyPrint where suspnet-serve runs: the extra pdf."),
         )
     view, _ = current_view(), _state(name)
     index = view.keys[name]
@@ -328,7 +328,7 @@ def _suspension_version(view: FleetView, name: str) -> str:
 
 def _minute() -> str:
     """Return when the store was read, with the day: for paper."""
-    return f"{current_refresher().read_at.astimezone():%Y-%m-%d %H:%M}"
+    return day(f"{current_refresher().read_at.astimezone():%Y-%m-%d %H:%M}")
 
 
 def _digest(*parts: Any) -> str:

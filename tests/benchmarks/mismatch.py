@@ -38,7 +38,7 @@ from suspnet.dynamics.quantities import LogNormal
 from suspnet.estimation.commissioning import Commissioned, commission
 from suspnet.estimation.estimate import Estimate
 from suspnet.estimation.from_spectra import estimate_with_noise
-from suspnet.estimation.healthy_trips import HealthySpectra
+from suspnet.estimation.healthy_misfit import HealthySpectra
 from suspnet.estimation.problem import TRAIN, Problem
 from suspnet.estimation.relative_velocity import NOTE
 from suspnet.estimation.trained import TrainedModel

@@ -47,6 +47,8 @@ from suspnet.ground.records import OK, Key, Quality, TripResult
 from suspnet.history import History
 from suspnet.recordings.manifest import TripManifest
 from suspnet.recordings.recording import Recording
+from suspnet.simulation.fleet import Fleet
+from suspnet.simulation.writing import time_between
 from suspnet.trips import trip
 
 RATES = [
@@ -182,12 +184,13 @@ def evaluate(folder: Path) -> None:
 
 
 def _daily(file: Path) -> str:
-    """Return a manifest with a start a day after that of the trip before, not ten days."""
+    """Return a manifest with a start a day after that of the trip before, as in a month of days."""
     text = file.read_text()
     (written,) = re.findall(r"^start: (.*)$", text, re.M)
-    first = datetime.fromisoformat(written.strip("'"))
+    start = datetime.fromisoformat(written.strip("'"))
     index = int(file.stem.removeprefix("trip_")) - 1
-    return text.replace(written, (first - timedelta(days=9) * index).isoformat())
+    a_trip = time_between(Fleet(n_trips=1, last_mileage_km=1000.0, minutes=5.0))
+    return text.replace(written, (start + (timedelta(days=1) - a_trip) * index).isoformat())
 
 
 def live(

@@ -5,7 +5,7 @@
         data.n_train=2000 data.n_test=200 data.n_calibrate=500 figures=false
     python tests/benchmarks/several_machines.py outputs/bench trips/bench monitors
     python tests/benchmarks/several_machines.py outputs/bench trips/bench writers
-    pip install "suspnet[cluster]"
+    pip install ".[cluster]"
     python tests/benchmarks/several_machines.py outputs/bench trips/bench evaluate
 
 ``monitors``: 24 suspensions of three channels at 5000, 2000 and 2000 Hz send frames of 1 s for 20

@@ -294,7 +294,7 @@ def test_unknown_vehicle_is_told_and_may_be_given(manifests, tmp_path):
     done = typed(check, path, "--no-pictures", "-o", "a", cwd=tmp_path)
     assert done.returncode == 0
     assert "vehicle 'mine' is none of ['am96'," in done.stdout
-    assert "1 of 1 trips ready for an estimate, 1 of them only partly checked" in done.stdout
+    assert "1 of 1 trip ready for an estimate, 1 of them only partly checked" in done.stdout
     assert f"| {PARTLY} " in done.stdout
     left_out, how = done.stdout.splitlines()[-2:]
     assert left_out == f"not checked without the numbers of mine: {NEED_A_VEHICLE}"

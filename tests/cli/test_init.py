@@ -59,7 +59,7 @@ def assert_ready(tmp_path):
     options = ["--no-pictures", "-o", tmp_path / "out"]
     done = typed(check, tmp_path / "trip.yaml", *options, cwd=tmp_path)
     assert done.returncode == 0, done.stdout
-    assert "1 of 1 trips ready" in done.stdout
+    assert "1 of 1 trip ready" in done.stdout
     return read_manifest(tmp_path / "trip.yaml")
 
 

@@ -544,7 +544,8 @@ def test_cluster_without_dask_gets_one_line(run, trips, monkeypatch, tmp_path):
     monkeypatch.setitem(sys.modules, "distributed", None)
     given = [f"run={run}", f"trips={trips}", "monitor.cluster=local", *EVALUATE]
     words = run_program(evaluate, tmp_path, *given)
-    assert words == 'error: distributed is missing: pip install "suspnet[cluster]"'
+    how = 'pip install ".[cluster]" in the folder of suspnet'
+    assert words == f"error: distributed is missing: {how}"
 
 
 @pytest.mark.representatives(6)

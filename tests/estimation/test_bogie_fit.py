@@ -10,6 +10,7 @@ import torch
 from vehicles import AM96
 
 from suspnet.dynamics import SpatialVehicle
+from suspnet.estimation import bogie_search
 from suspnet.estimation.bogie_fit import (
     ALIGNED,
     EXPLAINED,
@@ -206,6 +207,8 @@ def test_parts_are_found_without_the_sensor_that_sensitivities_are_relative_to()
 @pytest.mark.parametrize(
     ("near", "misfits", "converged", "chosen", "searched"),
     [
+        # healthy trips that are nearly explained are not searched again in the same valley
+        pytest.param((1.3, 1.4), (1.2, 1.3), (True, True), 0, "wwf", id="healthy"),
         ((1.1, 9.0), (1.0, 9.0), (True, True), 0, "wf"),
         ((1.1, 1.1), (1.05, 1.06), (False, True), 1, "wfwf"),
         ((2.0, 1.1), (1.6, 1.0), (True, True), 1, "wwf"),
@@ -215,7 +218,7 @@ def test_parts_are_found_without_the_sensor_that_sensitivities_are_relative_to()
     ],
 )
 def test_another_start_is_tried_where_the_first_fails(
-    monkeypatch, near, misfits, converged, chosen, searched
+    monkeypatch, request, near, misfits, converged, chosen, searched
 ):
     order = []
 
@@ -226,15 +229,38 @@ def test_another_start_is_tried_where_the_first_fails(
 
     ends = [end(*one) for one in zip(misfits, converged, strict=True)]
     starts = [
-        SimpleNamespace(misfit=m, finished=lambda e=e: order.append("f") or e)
+        SimpleNamespace(misfit=m, finished=lambda _, e=e: order.append("f") or e)
         for m, e in zip(near, ends, strict=True)
     ]
     left = iter(starts)
     monkeypatch.setattr(BogieSearch, "widened", lambda *_: order.append("w") or next(left))
     one = trip(drawn(VEHICLE, row({}), 5), 70.0)
-    found = BogieSearch(VEHICLE, [NOISE], [one], are_healthy=False).found(explained=1.15)
+    are_healthy = "healthy" in request.node.name
+    found = BogieSearch(VEHICLE, [NOISE], [one], are_healthy=are_healthy).found(explained=1.15)
     assert found is ends[chosen]
     assert "".join(order) == searched
+
+
+def test_a_search_that_creeps_is_continued_and_ends_where_the_parts_have_no_way_to_go(
+    commissioned, monkeypatch
+):
+    trips = [trip(drawn(VEHICLE, row({}, m), i), 70.0) for i, m in enumerate(MASSES)]
+    fit = BogieSearch(VEHICLE, [NOISE] * 3, trips, are_healthy=True)
+    end = Found(fit, fit.start(), False).finished(math.inf)
+    assert fit.step_left(end.x) < 0.1
+    monkeypatch.setattr(bogie_search, "STEPS", 3)  # not enough at once
+    assert not fit.search(fit.start(), 0.0, fit.all_bins, fit.tols[1])[1]
+    far = Found(fit, fit.start(), False)
+    assert not far.finished(0.0).converged  # nor continued where the trips are not explained
+    continued = far.finished(math.inf)
+    assert continued.converged
+    assert fit.step_left(continued.x) < bogie_search.SETTLED
+    # without an end, what the parts still have to go decides
+    monkeypatch.setattr(BogieSearch, "search", lambda *args: (args[1], False))
+    moved = end.x.copy()
+    moved[fit.numbers.names.index("healthy_k_s")] += 0.5
+    for x, has_ended in ((end.x, True), (moved, False)):
+        assert Found(fit, x, False).finished(math.inf).converged == has_ended
 
 
 def test_masses_are_expected_about_those_of_the_healthy_trips(commissioned, monkeypatch):

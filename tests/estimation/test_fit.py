@@ -14,8 +14,7 @@ from vehicles import AM96
 from suspnet.dynamics import VerticalVehicle
 from suspnet.dynamics.quantities import MASS_MEAN, OF_THE_TRIP, QUANTITIES, UNMEASURED, LogNormal
 from suspnet.estimation.commissioning import N_STARTS, commission
-from suspnet.estimation.healthy_misfit import HealthyMisfit
-from suspnet.estimation.healthy_trips import HealthySpectra
+from suspnet.estimation.healthy_misfit import HealthyMisfit, HealthySpectra
 from suspnet.estimation.vehicle_search import FAR, REDRAWN, End, VehicleSearch
 from suspnet.simulation.true_vehicle import scattered
 from suspnet.spectra.cross_spectra import CrossSpectra, moving_average_with, sample_spectra

@@ -291,7 +291,9 @@ def test_parts_come_first_where_they_are_read(
 
 
 def test_limits_of_the_misfit_are_those_at_which_estimates_are_flagged(commissioned):
-    (said,) = words.doubts(replace(commissioned[1], misfit=6.78))
+    said, first = words.doubts(replace(commissioned[1], misfit=UNTRUSTED + 1))
+    assert first == words.LOOK_FIRST
+    assert words.LOOK_FIRST not in words.doubts(replace(commissioned[1], misfit=UNTRUSTED - 1))
     assert f"A misfit above {INCOMPLETE:g} means" in said
     assert said.endswith(f"above {UNTRUSTED:g} every estimate is flagged as well.")
 

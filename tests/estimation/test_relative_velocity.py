@@ -15,7 +15,7 @@ from suspnet.estimation.commissioning import commission
 from suspnet.estimation.damping_laws import DampingNumbers
 from suspnet.estimation.estimate import Estimate, Flags
 from suspnet.estimation.from_spectra import estimate_with_noise
-from suspnet.estimation.healthy_trips import HealthySpectra
+from suspnet.estimation.healthy_misfit import HealthySpectra
 from suspnet.estimation.relative_velocity import (
     NOTE,
     DampingByVelocity,

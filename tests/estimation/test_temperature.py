@@ -13,8 +13,7 @@ from vehicles import AM96
 from suspnet.dynamics import VerticalVehicle
 from suspnet.estimation.commissioning import commission
 from suspnet.estimation.estimate import Estimate, Flags
-from suspnet.estimation.healthy_misfit import HealthyMisfit
-from suspnet.estimation.healthy_trips import HealthySpectra
+from suspnet.estimation.healthy_misfit import HealthyMisfit, HealthySpectra
 from suspnet.estimation.temperature import (
     DAMPINGS,
     NOTE,

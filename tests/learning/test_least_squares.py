@@ -141,6 +141,21 @@ def test_step_that_is_not_taken_costs_one_evaluation(one_sided):
     np.testing.assert_allclose(found.parameters, [[1.0, 1.0]], rtol=1e-7)
 
 
+def test_accelerated_steps_are_never_tried_beyond_the_bounds():
+    """A step far too long overflowed: "`ratios` must be positive and finite"."""
+    bounds = torch.full((2,), -3.0).double(), torch.full((2,), 3.0).double()
+    tried = []
+
+    def residual(theta, rows):
+        tried.append(theta.abs().max())
+        return torch.stack([1e-4 * theta[:, 0] ** 3 - 1, theta[:, 1] - 1], dim=1)
+
+    solver = LevenbergMarquardt(accelerated=True, first_damping=1e-9, bounds=bounds)
+    found = solver.minimise(residual, torch.tensor([[0.01, 0.5]], dtype=torch.float64))
+    assert max(tried) <= 3.0 + 1e-3  # the step of differences
+    assert found.parameters[0, 0] == 3.0 or found.converged[0]
+
+
 def test_acceleration_is_half_the_second_derivative_along_a_step():
     _, data = decays(1)
 

@@ -146,7 +146,7 @@ def test_failed_air_spring_of_the_issue_is_an_alarm():
     last = last_trips(make_series(km, {"k_s": spring}, {"k_s": widths}), "k_s")
     found = assess(trend("k_s", km, spring), last, DEFAULT_LIMITS["k_s"])
     assert found.severity == Severity.ACT
-    assert found.words.startswith("the last 2 trips are at 601 % of healthy, above the act limit")
+    assert found.words.startswith("the last trip is at 603 % of healthy; the last 2 trips are")
     assert overall([found])[1] == "Act: 1 of 1 parameters is beyond the act limit:"
 
 

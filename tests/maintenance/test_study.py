@@ -67,10 +67,10 @@ def test_rows_say_state_reason_and_who_has_seen_it(states):
     rows = overview_rows(states, seen)
     assert rows[0]["acknowledged"] == "Kim, 2026-02-01"
     assert rows[0]["reason"] == (
-        "the last 2 trips are at 150 % of healthy, above the act limit of 125 %; the change began "
-        "at about 75 000 km"
+        "the last trip is at 150 % of healthy; the last 2 trips are above the act limit of 125 %; "
+        "the change began at about 75 000 km"
     )
-    assert rows[0]["k_s_last"] == pytest.approx(1.0, abs=0.01)  # two of the last five
+    assert rows[0]["k_s_last"] == pytest.approx(1.5, abs=0.01)  # as the reason says
     assert (rows[2]["reason"], rows[2]["parameter"]) == ("within its limits", "")
     text = overview_table(rows)
     assert text.startswith("3 suspensions: 1 to act on, 1 to be looked at, 1 without alarm.")
@@ -196,6 +196,25 @@ def test_limits_of_a_vehicle_can_be_replaced(store, tmp_path):
     found = run_study(store, tmp_path, limits=limits)
     assert DEFAULT_LIMITS["k_s"].act == (0.8, 1.25)
     assert found[0].severity == Severity.NOTICE
+
+
+def test_plan_of_old_trips_says_how_old_they_are(store, tmp_path):
+    """The newest trip, of train 12, is of 2026-02-26; nothing is known of the decade after it."""
+    run_study(store, tmp_path, today="2036-11-22")
+    page = (tmp_path / "overview.html").read_text()
+    assert "12: the newest trip is 3 922 days old (2026-02-26)." in page
+    assert "give today=2026-02-27 for the plan of that time" in page
+    with (tmp_path / "plan.csv").open() as stream:
+        jobs = list(csv.DictReader(stream))
+    assert {job["unknown"] for job in jobs} == {"the newest trip is 3 922 days old"}
+    assert {job["mileage_km"] for job in jobs} <= {"", "nan"}  # not four millions
+    planned = [job for job in jobs if job["day"]]
+    assert {(job["parameter"], job["what"]) for job in planned} == {
+        ("k_s", "inspect"),
+        ("c_s", "inspect"),
+    }
+    run_study(store, tmp_path, today="2026-08-24")  # 179 days
+    assert "days old" not in (tmp_path / "overview.html").read_text()
 
 
 def run_study(store, folder, *, today=TODAY, limits=None):

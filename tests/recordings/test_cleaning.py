@@ -281,7 +281,7 @@ def test_faults_come_in_order_and_read_well():
     assert kinds == ["gap", "spike", "constant", "offset"]
     assert [str(fault) for fault in faults] == [
         "body: gap of 2 samples (0.002 s), first at 6.000 s, repaired",
-        "body: spike of 1 samples (0.001 s), first at 5.300 s, repaired",
+        "body: spike of 1 sample (0.001 s), first at 5.300 s, repaired",
         "body: constant of 300 samples (0.3 s), first at 5.500 s, not usable",
         f"body: offset of {faults[3].size_m_per_s2:.3g} m/s2, harmless",
     ]

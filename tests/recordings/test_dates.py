@@ -17,7 +17,6 @@ from suspnet.recordings.dates import date_in_lines, date_problem, read_date
 from suspnet.recordings.errors import TripError
 from suspnet.recordings.manifest_files import read_manifest
 from suspnet.recordings.recording import load_recording
-from suspnet.simulation.writing import DAYS_BETWEEN, time_between
 from suspnet.trips.file_contents import look_into
 from suspnet.trips.manifest_template import template
 from suspnet.trips.trip import evaluate_trip
@@ -203,14 +202,6 @@ def test_exact_times_come_before_dates_and_known_zones_before_others():
     assert first_moment([coarse, local])[0] == START - timedelta(seconds=100)
     assert first_moment([coarse])[0] == datetime(2001, 1, 1)
     assert first_moment([Zero()]) == (None, "")
-
-
-@pytest.mark.parametrize("n_trips", [1, 30, 365, 366, 100_000])
-def test_simulated_trips_lie_in_the_past(n_trips):
-    between = time_between(n_trips)
-    assert timedelta(0) < between <= DAYS_BETWEEN
-    assert between.total_seconds() % 600 == 0
-    assert date_problem(datetime(2015, 8, 3) + n_trips * between) == ""
 
 
 def test_start_is_left_to_the_user_where_some_files_have_no_times(tmp_path):

@@ -131,7 +131,7 @@ def test_mat_7_3_is_read_as_hdf5(tmp_path, monkeypatch):
     np.testing.assert_array_equal(read(path, "body")[0], np.arange(6))
     monkeypatch.setitem(formats.READERS, ".mat", open_mat)  # not in another process
     monkeypatch.setitem(sys.modules, "h5py", None)
-    with pytest.raises(TripError, match=r'needs h5py; run: pip install "suspnet\[hdf5\]"'):
+    with pytest.raises(TripError, match=r'needs h5py; run: pip install ".\[hdf5\]"'):
         read(path, "body")
 
 
@@ -139,7 +139,7 @@ def test_missing_extras_are_named(tmp_path, monkeypatch):
     monkeypatch.setitem(formats.READERS, ".tdms", open_tdms)  # not in another process
     monkeypatch.setitem(sys.modules, "nptdms", None)
     (tmp_path / "data.tdms").write_bytes(b"TDSm")
-    with pytest.raises(TripError, match=r'needs nptdms; run: pip install "suspnet\[tdms\]"'):
+    with pytest.raises(TripError, match=r'needs nptdms; run: pip install ".\[tdms\]"'):
         read(tmp_path / "data.tdms", "g/a")
 
 

@@ -151,7 +151,7 @@ def test_missing_extra_is_named(tmp_path, monkeypatch, suffix, reader, module, e
     monkeypatch.setitem(sys.modules, module, None)
     path = tmp_path / f"data{suffix}"
     path.write_bytes(b"MDF     ")
-    message = rf'needs {module}; run: pip install "suspnet\[{extra}\]"'
+    message = rf'needs {module}; run: pip install ".\[{extra}\]"'
     with pytest.raises(TripError, match=message), open_file(path):
         pass
 

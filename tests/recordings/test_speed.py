@@ -37,7 +37,7 @@ def test_sound_speeds_have_no_faults():
     ("zeros", "words"),
     [
         (slice(0, 30), "speed: zero of 30 samples (30 s), first at 0.000 s, not usable"),
-        (slice(40, 41), "speed: zero of 1 samples (1 s), first at 40.000 s, not usable"),
+        (slice(40, 41), "speed: zero of 1 sample (1 s), first at 40.000 s, not usable"),
         (slice(40, 70), "speed: zero of 30 samples (30 s), first at 40.000 s, not usable"),
         (slice(95, 110), "speed: zero of 5 samples (5 s), first at 95.000 s, not usable"),
     ],

@@ -50,6 +50,7 @@ from suspnet.report.report import Report, write_report
 from suspnet.report.templates import environment
 from suspnet.report.trend import trend_of_state
 from suspnet.runs.evaluate import write_maintenance
+from suspnet.trips.details import wear_words
 
 PLACE = Place("", "leading", "", "7", "1")
 GROUP = WornPart(("k_s_left", "k_s_right"), 30.0, 0.93)
@@ -58,6 +59,8 @@ WEAR = {
     "k_p_axle1_right": lambda i: 0.86,
 }
 TODAY = "2026-03-01"
+DETAILS = {"date": "2026-02-27 08:00:00+01:00", "remaining lives": wear_words(1, False)}
+FADING = dict(enumerate([1, 1, 1, 1, 0.88, 0.755, 0.63, 0.512], 8))  # none is flagged
 
 
 def worn(i):
@@ -112,7 +115,7 @@ def report_of(results, path):
     state = state_of(results)
     trend = trend_of_state(state)
     one, *_ = small_trends(replace(trend, panels=trend.panels[:1])).values()
-    given = Report(results, COMPONENTS, state)
+    given = Report(results, COMPONENTS, state, DETAILS)
     return write_report(path, "Bogie", given, {}, dict.fromkeys(COMPONENTS, one)).read_text(
         encoding="utf-8"
     )
@@ -353,6 +356,67 @@ def test_report_shows_the_bogie_the_worst_first_and_loads_nothing(report):
     assert NONE_NAMED not in report
 
 
+def text_of(page):
+    """Return what a reader sees of a page above its table of trips, and in the details."""
+    page = re.sub(r"<(style|script).*?</\1>", " ", page, flags=re.DOTALL)
+    above, _, below = page.partition('<h2 id="trips">')
+    whole = Labels(above + below[below.index("<h2>") :]).words
+    return " ".join(whole.replace("\N{NO-BREAK SPACE}", " ").split())
+
+
+@pytest.fixture(scope="module")
+def fading():
+    """Return eight trips on which a damper fades to half."""
+    wear = {"c_p_axle2_left": FADING.__getitem__}
+    verdict = lambda i: worn_words([WornPart(("c_p_axle2_left",), 1e6, FADING[i])])  # noqa: E731
+    health = {
+        one: SensorHealth(noise=0.03, faulty=0.0)
+        for one in ("axle_box left", "axle_box axle2 right")
+    }
+    sensors = sensors_text(health)
+    found = bogie_trips(PLACE, 1, wear, verdict, n_trips=8, begin=8)
+    return [replace(one, quality=replace(one.quality, sensors=sensors)) for one in found]
+
+
+@pytest.mark.parametrize("language", ["en", "de"])
+def test_one_number_leads_and_is_said_in_words(fading, tmp_path, language):
+    """It was at 51.2, 57 and 75.5 % on one page: the newest trip, the last two, the last five."""
+    with speaking(language):
+        text = text_of(report_of(fading, tmp_path / "report.html"))
+    state = state_of(fading)
+    leading = 100 * state.now("c_p_axle2_left")
+    assert leading == pytest.approx(51.2, rel=0.02)
+    assert leading == pytest.approx(100 * fading[-1].estimates["c_p_axle2_left"])
+    assert not re.search(r"\b(57|63|69|75)([.,]\d)? %", text)
+    assert not re.findall(r"\b(?!trip_0)[a-z]+_[a-z]\w*", text.replace("n_reference", ""))
+    if language == "en":
+        reason = f"the last trip is at {leading:.0f} % of healthy; the last 2 trips are below the"
+        assert text.count(f"{reason} act limit of 70 %; the first 4 trips were at 100 %") == 2
+        assert "axle box, left" in text
+        assert "axle box of axle 2, right" in text
+        assert "1 suspension of this folder" in text
+    else:
+        assert "Quote über 1000 : 1" in text
+        assert "Achslagergehäuse der Achse 2, rechts" in text
+        assert "1 Federung dieses Ordners" in text
+        assert "25.11.2025 bis 16.12.2025" in text
+        assert "27.02.2026 08:00:00+01:00" in text
+        assert not re.search(r"\d{4}-\d\d-\d\d|Chancen|\b1 \w+en dieses", text)
+
+
+def test_figure_of_the_finding_is_first_and_no_smaller_than_others(fading):
+    drawn = small_trends(trend_of_state(state_of(fading)))
+    sizes = {name: figure.get_size_inches().prod() for name, figure in drawn.items()}
+    assert max(sizes, key=sizes.__getitem__) == "c_p_axle2_left"
+    line = next(
+        line
+        for line in drawn["c_p_axle2_left"].axes[0].lines
+        if line.get_label() == "median of five neighbouring trips"
+    )
+    dots = [100 * one.estimates["c_p_axle2_left"] for one in fading]
+    assert line.get_ydata()[3:] == pytest.approx(dots[3:])
+
+
 def test_report_without_parts_has_one_sentence_more(tmp_path):
     plain = trips(WORN, 2)
     given = Report(plain, ("k_p", "c_p", "k_s", "c_s", "M_s"), state_of(plain))
@@ -364,7 +428,7 @@ def test_report_without_parts_has_one_sentence_more(tmp_path):
     several = [replace(one, quality=Quality(warnings=why)) for one in plain]
     given = replace(given, results=several)
     page = write_report(tmp_path / "why.html", "Why", given, {}).read_text(encoding="utf-8")
-    assert page.count("no sensor at body_left; parts are read from others") == 1
+    assert page.count("no sensor at car body, left; parts are read from others") == 1
     assert "(trip trip_029)" in page
     assert page.count(">loose<") == 2 * len(plain)  # in the table, and folded on a phone
 

@@ -137,7 +137,7 @@ def test_documents_of_a_folder_stand_next_to_its_pages(tmp_path):
 
 def test_missing_packages_are_named_before_anything_is_read(monkeypatch):
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
-    with pytest.raises(ValueError, match=r"weasyprint is missing: pip install .suspnet\[pdf\]"):
+    with pytest.raises(ValueError, match=r"weasyprint is missing: pip install ..\[pdf\]"):
         check_documents(pdf=True, xlsx=False)
-    with pytest.raises(ValueError, match=r"xlsxwriter is missing: pip install .suspnet\[xlsx\]"):
+    with pytest.raises(ValueError, match=r"xlsxwriter is missing: pip install ..\[xlsx\]"):
         check_documents(pdf=False, xlsx=True)

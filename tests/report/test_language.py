@@ -111,31 +111,36 @@ def test_sentences_are_german():
         "3,5 % bei etwa 12 000 km (Alarm seit 14 000 km); innerhalb der Grenzen",
         "`channels.body.unit` must be one of ['m/s2', 'g'], got 'mm/s2'; give ['g']": "`channels."
         "body.unit`: verlangt ist eines von ['m/s2', 'g'], angegeben ist 'mm/s2'; ['g'] angeben",
-        "worn, odds over 1000 : 1": "verschlissen, Chancen über 1000 : 1",
+        "2015-08-03 to 2016-02-07": "03.08.2015 bis 07.02.2016",
+        "replace at the visit of 2026-03-15": "beim Termin am 15.03.2026 tauschen",
+        "12: the newest trip is 3 922 days old (2026-02-26). The wear since then is unknown, so "
+        "that only parts with an alarm have a visit, to inspect them. Evaluate newer trips, or "
+        "give today=2026-02-27 for the plan of that time. 1 visit with 1 job until 2038-11-22, 0 "
+        "parts may need work later, 1 needs nothing. No plan costs less.": "12: Die neueste Fahrt "
+        "ist 3 922 Tage alt (26.02.2026). Der Verschleiß seither ist unbekannt; deshalb haben nur "
+        "Teile mit einem Alarm einen Termin, zur Prüfung. Neuere Fahrten auswerten, oder "
+        "today=2026-02-27 angeben für den Plan von damals. 1 Termin mit 1 Arbeit bis 22.11.2038, 0 "
+        "Teile brauchen vielleicht später Arbeit, 1 braucht nichts. Kein Plan kostet weniger.",
+        "worn, odds over 1000 : 1": "verschlissen, Quote über 1000 : 1",
         "Worn parts on 3 of the last 5 trips; on trip_039: damper of axle 1, left at 62 % of "
         "healthy (odds over 1000 : 1); secondary spring, left or secondary damper, left at 83.1 % "
         "of healthy (odds 41 : 1, which of them is not known).": "Verschlissene Teile auf 3 der "
         "letzten 5 Fahrten; auf trip_039: Primärdämpfer, Achse 1 links bei 62 % des Referenzwerts "
-        "(Chancen über 1000 : 1); Sekundärfeder links oder Sekundärdämpfer links bei 83,1 % des "
-        "Referenzwerts (Chancen 41 : 1; welches davon, ist unbekannt).",
-        "body: spike of 12 samples (1.17e+03 s), first at 3.1 s, repaired; bogie right: loose from "
-        "about 183 s on: it shows nothing there of the motion that the others show, and that part "
-        "is left out; check its cable and connector": "body: Spitze über 12 Abtastwerte "
-        "(1,17e+03 s), zuerst bei 3,1 s, repariert; bogie right: lose ab etwa 183 s: zeigt dort "
-        "nichts von der Bewegung, die die anderen zeigen; dieser Teil bleibt unberücksichtigt; "
-        "Kabel und Stecker prüfen",
+        "(Quote über 1000 : 1); Sekundärfeder links oder Sekundärdämpfer links bei 83,1 % des "
+        "Referenzwerts (Quote 41 : 1; welches davon, ist unbekannt).",
         "damping of the primary damper, axle 2, left": "Dämpfung des Primärdämpfers, Achse 2, "
         "links",
         "secondary spring, left or secondary spring, right": "Sekundärfeder links oder "
         "Sekundärfeder rechts",
-        "c_s, k_s: the last 2 trips are at 150 % of healthy, above the act limit of 125 %; the "
-        "change began at about 75 000 km": "c_s, k_s: die letzten 2 Fahrten liegen bei 150 % des "
-        "Referenzwerts, über der Eingriffsgrenze von 125 %; die Änderung begann bei etwa 75 000 km",
+        "c_s, k_s: the last trip is at 150 % of healthy; the last 2 trips are above the act limit "
+        "of 125 %; the change began at about 75 000 km": "c_s, k_s: die letzte Fahrt liegt bei "
+        "150 % des Referenzwerts; die letzten 2 Fahrten liegen über der Eingriffsgrenze von 125 %; "
+        "die Änderung begann bei etwa 75 000 km",
         "within its limits; alarms of changes not armed yet: 2 of 20 trips for the reference so "
         "far": "innerhalb der Grenzen; Änderungsalarme noch nicht scharf: bisher 2 von 20 Fahrten "
         "für die Referenz",
         "Plan of 2026-03-01: 0 visits, 0 jobs until 2028-02-29, 4 parts unknown": "Instandhaltungs"
-        "plan vom 2026-03-01: 0 Termine, 0 Arbeiten bis 2028-02-29, 4 Teile unbekannt",
+        "plan vom 01.03.2026: 0 Termine, 0 Arbeiten bis 29.02.2028, 4 Teile unbekannt",
         "not read: only 7 averages, 20 are needed": "nicht gelesen: nur 7 Mittelungen, nötig sind "
         "20",
         str(Place("air spring 3", "leading", "left", "ICE 4", "7")): "Zug ICE 4, Wagen 7, "
@@ -145,6 +150,26 @@ def test_sentences_are_german():
         with speaking("de"):
             assert spoken(english) == german
         assert spoken(english) == english
+
+
+def test_sensors_are_in_words():
+    said = {
+        "body: spike of 12 samples (1.17e+03 s), first at 3.1 s, repaired; bogie right: loose from "
+        "about 183 s on: it shows nothing there of the motion that the others show, and that part "
+        "is left out; check its cable and connector": "Wagenkasten: Spitze über 12 Abtastwerte "
+        "(1,17e+03 s), zuerst bei 3,1 s, repariert; Drehgestellrahmen, rechts: lose ab etwa 183 s: "
+        "zeigt dort nichts von der Bewegung, die die anderen zeigen; dieser Teil bleibt "
+        "unberücksichtigt; Kabel und Stecker prüfen",
+        "axle_box axle2 left": "Achslagergehäuse der Achse 2, links",
+        "axle_box: spike of 1 sample (0.002 s), first at 3.1 s, repaired": "Achslagergehäuse: "
+        "Spitze über 1 Abtastwert (0,002 s), zuerst bei 3,1 s, repariert",
+    }
+    for english, german in said.items():
+        with speaking("de"):
+            assert spoken(english) == german
+    assert spoken("axle_box: gap; see axle_box left") == "axle box: gap; see axle box, left"
+    assert spoken("bogie axle2 right") == "bogie frame of axle 2, right"
+    assert spoken("body: gap; give `bogie: leading`") == "car body: gap; give `bogie: leading`"
 
 
 def test_every_name_of_a_part_is_german():
@@ -225,7 +250,7 @@ def test_mails_are_german():
     }
     content = {"kind": "digest", "day": "2026-11-25", "alarms": [alarm], "n_suspensions": 4}
     with speaking("de"):
-        assert subject(content) == "suspnet 2026-11-25: 1 aktiver Alarm, 1 mit Eingriff"
+        assert subject(content) == "suspnet 25.11.2026: 1 aktiver Alarm, 1 mit Eingriff"
         lines = text(content | {"id": "abc"}).splitlines()
         at_once = subject(content | {"kind": "alarm", "alarms": [alarm, alarm]})
     assert lines == [
@@ -264,8 +289,8 @@ def test_page_of_a_check_is_german_and_its_data_are_english(tmp_path):
     for said in (
         "1 von 2 Fahrten bereit für eine Schätzung, 1 mit Problemen",
         "es gibt weder Datei noch Ordner x",
-        "am96, S1, vorderes Drehgestell: 1 von 1 Fahrten bereit; eine Inbetriebnahme braucht 3",
-        "body: tot und weggelassen: durchweg konstant (0): Ist der Sensor angeschlossen?",
+        "am96, S1, vorderes Drehgestell: 1 von 1 Fahrt bereit; eine Inbetriebnahme braucht 3",
+        "Wagenkasten: tot und weggelassen: durchweg konstant (0): Ist der Sensor angeschlossen?",
         "einzelne Sensoren",
     ):
         assert said in page.replace("\N{NO-BREAK SPACE}", " ")

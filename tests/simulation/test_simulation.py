@@ -15,10 +15,11 @@ from suspnet.dynamics import PARAMETERS, QuarterCar, VerticalVehicle
 from suspnet.dynamics.quantities import UNMEASURED
 from suspnet.dynamics.track import TrackProfile, make_profile, track_spectrum
 from suspnet.ground.storage import read_json
+from suspnet.recordings.dates import date_problem
 from suspnet.recordings.manifest import CHANNELS
 from suspnet.recordings.manifest_files import read_manifest
 from suspnet.recordings.manifest_sources import Channel, SpeedSource
-from suspnet.simulation.fleet import Scenario
+from suspnet.simulation.fleet import FIRST_DAY, Scenario
 from suspnet.simulation.signals import (
     BLOCK,
     LEAD_IN_S,
@@ -28,7 +29,7 @@ from suspnet.simulation.signals import (
     steady_journey,
 )
 from suspnet.simulation.true_vehicle import scattered, true_numbers
-from suspnet.simulation.writing import Fleet, Simulation, write_fleet
+from suspnet.simulation.writing import Fleet, Simulation, time_between, write_fleet
 from suspnet.spectra.welch import Welch, tfestimate
 
 DEGRADED = torch.tensor([0.8, 1.4, 1.2, 0.9, 1.1], dtype=torch.float64)
@@ -271,8 +272,27 @@ def test_files_are_those_of_the_manifest(tmp_path):
         assert (manifest.speed.unit, manifest.speed.rate_hz) == ("m/s", 1.0)
         np.testing.assert_allclose(speed, np.full(13, 40.0))
     starts = [read_manifest(path).start for path in paths]
-    assert (starts[2] - starts[1]).days == (starts[1] - starts[0]).days == 10
+    assert starts[2] - starts[1] == starts[1] - starts[0]
     assert starts[0].isoformat() == "2015-08-03T06:00:00+00:00"
+
+
+@pytest.mark.parametrize(
+    ("changes", "km_per_day"),
+    [
+        ({}, 5 * 252),
+        ({"speed_m_per_s": 20.0}, 5 * 72),
+        ({"n_trips": 400}, 5 * 252),
+        ({"last_mileage_km": 2e7}, 2e7 / 3650),  # else the last trips were in the future
+        ({"n_trips": 100_000}, 308_000 / 100_000 * 72),  # these trips overlap if closer
+    ],
+)
+def test_dates_follow_from_mileage_and_speed(changes, km_per_day):
+    trips = Fleet(**changes)
+    between = time_between(trips)
+    km = trips.mileage_km()[0]
+    assert km / (between.total_seconds() / 86400) == pytest.approx(km_per_day, rel=0.02)
+    assert date_problem(FIRST_DAY + trips.n_trips * between) == ""
+    assert between.total_seconds() % 1200 == 0
 
 
 def test_channels_of_other_rates_are_resampled_with_their_content(tmp_path):

@@ -67,7 +67,7 @@ def test_suspensions_of_a_train_share_what_others_do_not():
 def test_trips_begin_where_a_section_of_a_stream_does():
     for one in Trains(3).suspensions(0):
         assert one.aboard.first_start.timestamp() % SECTION_S == 0
-    assert writing.DAYS_BETWEEN.total_seconds() % SECTION_S == 0
+    assert writing.STEP.total_seconds() % SECTION_S == 0
 
 
 def test_another_train_or_car_changes_no_number_of_the_others():

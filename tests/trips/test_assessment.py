@@ -123,7 +123,8 @@ def ends_with(*last, n=N_TRIPS):
         (
             read(ends_with(1.5, 1.5, n=12)),
             "act",
-            "the last 2 trips are at 150 % of healthy, above the act limit of 125 %; "
+            "the last trip is at 150 % of healthy; "
+            "the last 2 trips are above the act limit of 125 %; "
             "too few trips so far to call it a lasting change",
         ),
         (
@@ -135,25 +136,39 @@ def ends_with(*last, n=N_TRIPS):
         (
             read(ends_with(1.5, 1.5)),
             "act",
-            "the last 2 trips are at 150 % of healthy, above the act limit of 125 %; "
+            "the last trip is at 150 % of healthy; "
+            "the last 2 trips are above the act limit of 125 %; "
             "the change began at about 280 000 km",
         ),
         (
             read([1.5]),
             "act",
-            "the last trip is at 150 % of healthy, above the act limit of 125 %; "
-            "too few trips (1 of 10) to find a change",
+            "the last trip is at 150 % of healthy, above the act limit of 125 %",
+        ),
+        (  # a fall that eight trips show beyond doubt is not one that they cannot show
+            read([1, 1, 1, 1, 0.88, 0.755, 0.63, 0.51], parameter="c_s"),
+            "act",
+            "the last trip is at 51 % of healthy; the last 2 trips are below the act limit of "
+            "70 %; the first 4 trips were at 100 % of healthy",
+        ),
+        (
+            read([1, 1, 1, 0.86, 0.85, 0.84, 0.83], parameter="c_s"),
+            "none",
+            "at 85 % of healthy, within its limits; the first 3 trips were at 100 % of healthy; "
+            "the last trip is at 83 %",
         ),
         (
             read(np.where(KM < 155_000, 1, 0.6), parameter="c_s"),
             "act",
-            "the last 5 trips are at 60 % of healthy, below the act limit of 70 %; "
+            "the last trip is at 60 % of healthy; "
+            "the last 5 trips are below the act limit of 70 %; "
             "falls to 60 % of healthy (median of the last 5 trips) at about 160 000 km",
         ),
         (
             read(0.6 * ONES),
             "act",
-            "the last 5 trips are at 60 % of healthy, below the act limit of 80 %; "
+            "the last trip is at 60 % of healthy; "
+            "the last 5 trips are below the act limit of 80 %; "
             "it has been so since the first trips",
         ),
         (
@@ -206,13 +221,15 @@ def ends_with(*last, n=N_TRIPS):
         (
             read(0.6 * ONES, flagged=range(N_TRIPS)),
             "act",
-            "the last 5 trips are at 60 % of healthy, below the act limit of 80 %; "
+            "the last trip is at 60 % of healthy; "
+            "the last 5 trips are below the act limit of 80 %; "
             f"it has been so since the first trips; {ALL_FLAGGED}{INSPECT}",
         ),
         (
             read(np.where(KM < 255_000, 1, 0.6), flagged=range(25, N_TRIPS)),
             "act",
-            "the last 5 trips are at 60 % of healthy, below the act limit of 80 %; "
+            "the last trip is at 60 % of healthy; "
+            "the last 5 trips are below the act limit of 80 %; "
             f"falls to 60 % of healthy (median of the last 5 trips) at about 260 000 km; "
             f"5 of the last 5 trips are flagged{INSPECT}",
         ),
@@ -264,7 +281,7 @@ def test_step_before_an_alarm_does_not_end_as_it_began():
 
 def test_level_is_told_from_the_limit_beyond_which_it_lies():
     found = read(ends_with(1.1004, 1.1004, 1.1004), half=1e-4)
-    assert "of healthy, above the notice limit of 110 %" in found.words
+    assert "are above the notice limit of 110 %" in found.words
     assert "at 110 %" not in found.words
 
 

@@ -652,7 +652,7 @@ def test_settings_are_checked(change, message):
 
 def test_cluster_needs_dask(monkeypatch):
     monkeypatch.setitem(sys.modules, "distributed", None)
-    with pytest.raises(ValueError, match=r'distributed is missing: .*"suspnet\[cluster\]"'):
+    with pytest.raises(ValueError, match=r'distributed is missing: .*"\.\[cluster\]"'):
         FleetSettings(TRIPS, cluster="local")
     assert FleetSettings(TRIPS).cluster is None
 

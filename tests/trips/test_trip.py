@@ -195,7 +195,7 @@ def test_trip_is_described_as_its_manifest_says(manifests, model, tmp_path):
     assert result.temperature_c == -12.5
     as_written = recalled_trip(manifests[2], [model], SETTINGS)
     assert np.isnan(as_written.temperature_c)
-    assert as_written.start == "2015-08-23T06:00:00+00:00"
+    assert as_written.start == "2015-08-04T20:00:00+00:00"
 
 
 def test_trip_of_another_axle_than_the_models_is_refused(manifests, model, tmp_path):

@@ -58,7 +58,7 @@ def test_metrics_without_their_package_say_what_to_install(watched, monkeypatch)
     monkeypatch.setitem(sys.modules, "prometheus_client", None)
     answer = watched[2].get("/metrics")
     assert answer.status_code == 501
-    assert 'pip install "suspnet[live]"' in answer.text
+    assert 'pip install ".[live]"' in answer.text
 
 
 def test_metrics_count_suspensions_alarms_and_unsent_messages(watched):
