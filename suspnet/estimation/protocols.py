@@ -20,7 +20,7 @@ from suspnet.ground.settings import (
     check_settings,
     setting,
 )
-from suspnet.ground.types import FloatArray
+from suspnet.ground.types import BoolArray, FloatArray
 from suspnet.spectra.components import FEATURE_SETS, CurveFeatures
 from suspnet.spectra.extraction import FeatureSet, PeakFeatures
 
@@ -143,6 +143,21 @@ class Task:
     def unknown_sets(self) -> list[tuple[str, ...]]:
         """Unknown parameters of each of the sets that vary together."""
         return [tuple(n for n in names if n in self.unknown) for names in self.varied_sets]
+
+    def rows_of_sets(self, ratios: FloatArray) -> list[tuple[tuple[str, ...], BoolArray]]:
+        """Return the unknown parameters of each set and the vehicles (n_vehicles, 5) it is of.
+
+        A vehicle is of the first set outside of which it is healthy, else of none: then all
+        parameters are unknown. Sets without a vehicle are left out.
+        """
+        left, found = np.ones(len(ratios), dtype=bool), []
+        for names, unknown in zip(self.varied_sets, self.unknown_sets, strict=True):
+            others = [j for j, name in enumerate(PARAMETERS) if name not in names]
+            rows = left & (ratios[:, others] == 1).all(axis=1)
+            found.append((unknown, rows))
+            left = left & ~rows
+        found.append((self.unknown, left))
+        return [(unknown, rows) for unknown, rows in found if rows.any()]
 
     @property
     def used_responses(self) -> list[int]:

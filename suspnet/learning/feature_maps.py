@@ -76,9 +76,8 @@ def random_fourier(
     X: Tensor, sigma: float, n_components: int, seed: int, kernel_tol: float = 0.0
 ) -> FourierFeatures:
     """Draw random Fourier features: w_j ~ N(0, 2 / sigma^2 I); `kernel_tol` is not used."""
-    # drawn in single precision as ever: from the same seed, double precision gives other numbers
     shape, source = (X.shape[1], _pairs(n_components)), generator(seed)
-    draws = torch.randn(shape, generator=source, dtype=torch.float32).double()
+    draws = torch.randn(shape, generator=source, dtype=torch.float64)
     return FourierFeatures((draws * math.sqrt(2) / sigma).to(X))
 
 

@@ -357,7 +357,7 @@ def test_best_possible_is_the_cramer_rao_bound_elsewhere(task, quarter_car, name
 def test_best_possible_is_the_bound_of_what_varies(quarter_car, outputs, varied, limited_by_scale):
     """G_s alone with the mass unknown: separable unless springs and dampers vary together."""
     groups = {"one": {"outputs": outputs, "responses": ["G_s"], "peaks": ["secondary"]}}
-    problem = shipped_protocol("paper", groups=groups).task("one")
+    problem = shipped_protocol("own_curve", groups=groups).task("one")
     found, ratios = best(quarter_car, problem, n=20)
     assert tuple(found) == problem.outputs
     of_scale = scale_ambiguity_bound(problem, ratios)
@@ -378,6 +378,32 @@ def test_best_possible_is_the_bound_of_what_varies(quarter_car, outputs, varied,
             assert mape < of_scale[name]["mape_percent"] / 50
         else:  # G_s does not depend on it
             assert found[name] == {"mape_percent": math.inf, "rmse": math.inf}
+
+
+def test_bounds_of_several_sets_are_those_of_the_vehicles_own(quarter_car, task):
+    problem = task("paper", "I")
+    observer = CurveSettings(snr_db=34.0).observer(quarter_car)
+    ratios = problem.sample(8, seed=0, stream=TEST)
+    bounds = output_bounds(problem, observer, ratios)
+    frequencies_hz = observer.frequencies_hz.numpy()
+    for row, bound in zip(ratios, bounds, strict=True):
+        springs = (row[[0, 2]] != 1).any()
+        columns = [0, 2, 4] if springs else [1, 3, 4]
+        information = reference.fisher_by_differences(
+            quarter_car.vehicle, row, frequencies_hz, 34.0, columns, [0, 1]
+        )
+        deviation = np.sqrt(np.linalg.inv(information)[0, 0])
+        expected = [deviation, 0] if springs else [0, deviation]
+        np.testing.assert_allclose(bound, expected, rtol=1e-4)
+    assert 0 < (bounds == 0).mean() < 1
+    anywhere = np.full((1, 5), 1.1)  # a vehicle of no set: everything is unknown
+    expected = cramer_rao(fisher_information(observer, anywhere))[:, :2]
+    np.testing.assert_allclose(output_bounds(problem, observer, anywhere), expected, rtol=1e-12)
+
+
+def test_a_known_healthy_part_has_no_error_at_best():
+    found = range_limited(np.zeros(2), np.array([1.0, 1.7]), 0.5, 2.0)
+    np.testing.assert_allclose(found, 0, atol=1e-9)
 
 
 def test_range_does_not_matter_far_from_its_edges():
