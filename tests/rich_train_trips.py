@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import asdict, replace
-from datetime import timedelta
 from fractions import Fraction
 
 import numpy as np
@@ -26,7 +25,7 @@ from suspnet.recordings.manifest_files import write_manifest
 from suspnet.recordings.manifest_sources import Channel, SpeedSource
 from suspnet.simulation.fleet import FIRST_DAY
 from suspnet.simulation.signals import LEAD_IN_S, MARGIN_M, Journey
-from suspnet.simulation.writing import ANTI_ALIAS
+from suspnet.simulation.writing import ANTI_ALIAS, time_between
 
 SIDES = ("left", "right")
 WRITTEN = ("pair", "mean", *SIDES)
@@ -206,7 +205,7 @@ def _write(folder, fleet, train, index, ratios, drive, signals, sides, rng):
             vehicle=AM96.name,
             suspension=fleet.suspension,
             mileage_km=float(fleet.mileage_km()[index]),
-            start=FIRST_DAY + timedelta(days=10 * index),
+            start=FIRST_DAY + time_between(fleet) * index,
             speed=SpeedSource(f"{name}/speed.parquet", "m/s", column="speed", rate_hz=1.0),
             channels=chosen or {name: found[0] for name, found in channels.items()},
             truth=true_ratios(train, ratios, sides),

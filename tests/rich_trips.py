@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from datetime import timedelta
 from fractions import Fraction
 
 import numpy as np
@@ -24,7 +23,7 @@ from suspnet.recordings.manifest_sources import Channel, SpeedSource
 from suspnet.simulation import Scenario
 from suspnet.simulation.fleet import FIRST_DAY
 from suspnet.simulation.signals import LEAD_IN_S, MARGIN_M, Journey, profile_length_m
-from suspnet.simulation.writing import ANTI_ALIAS
+from suspnet.simulation.writing import ANTI_ALIAS, time_between
 
 PARTS = ("bending", "dampers", "rubber", "contact")
 OFF = {  # of a vehicle that is not as its drawings say; signs as in README where it gives them
@@ -136,7 +135,7 @@ def _write(folder, fleet, index, ratios, journey, signals, rate_hz, noise):
             vehicle=AM96.name,
             suspension=fleet.suspension,
             mileage_km=float(fleet.mileage_km()[index]),
-            start=FIRST_DAY + timedelta(days=10 * index),
+            start=FIRST_DAY + time_between(fleet) * index,
             speed=SpeedSource(file, "m/s", column="value", rate_hz=1.0),
             channels=channels,
             truth=dict(zip(PARAMETERS, ratios.tolist(), strict=True)),

@@ -648,7 +648,7 @@ def test_identical_loggers_in_one_folder_are_ready(tmp_path):
     line = written(tmp_path, *said).splitlines()[-1]
     words = shlex.split(line.partition(": ")[2])
     done = typed(check, *words[2:], "--no-pictures", cwd=tmp_path)
-    assert "1 of 1 trips ready for an estimate" in done.stdout, done.stdout
+    assert "1 of 1 trip ready for an estimate" in done.stdout, done.stdout
 
 
 def test_trips_of_the_same_name_are_told_apart_by_check(tmp_path):

@@ -151,7 +151,7 @@ def test_page_says_what_was_found(commissioned, written):
     assert "The vehicle explains its healthy trips (3 trips): the misfit is" in text
     assert "as equal" not in text
     assert "2 of 2 starts of the search found this vehicle." in text
-    assert "Healthy now means what these trips showed: 100 % is k_p = 1." in text
+    assert "Healthy now means what these trips showed: 100 % is k p = 1." in text
     assert "12 345 to 37 035 km" in text
     assert "trip_9: no stretch at one speed" in text
     assert "The trips do not determine 1 of 6 numbers" in text
@@ -244,7 +244,7 @@ def test_what_healthy_means_is_german_with_its_laws(commissioned):
     drawn = dict.fromkeys(("responses", "numbers"), Figure(figsize=(1, 1)))
     with speaking("de"):
         text = text_of(figures._page(found, replace(outcome, laws=Laws(None, law)), drawn))
-    sentence = text[text.index("Gesund heißt jetzt, was diese Fahrten zeigten: 100 % sind k_p =") :]
+    sentence = text[text.index("Gesund heißt jetzt, was diese Fahrten zeigten: 100 % sind k p =") :]
     assert "(± eine Standardabweichung)." in sentence[:200]
     assert not re.search(r"\b(loses|compared|more|across)\b", sentence[:600])
 
@@ -374,7 +374,7 @@ def test_phases_of_drawing_and_commissioned_vehicle_lie_in_the_same_turn(commiss
 
 def test_plus_and_minus_in_the_verdict_say_what_they_are(written):
     text = text_of(written[1])
-    assert re.search(r"100 % is k_p = [\d.]+ ± [\d.]+ MN/m.*\(± one standard deviation\)\.", text)
+    assert re.search(r"100 % is k p = [\d.]+ ± [\d.]+ MN/m.*\(± one standard deviation\)\.", text)
 
 
 @pytest.mark.parametrize(

@@ -79,7 +79,7 @@ def test_its_vehicle_of_equal_sides_is_that_of_its_parts(tmp_path):
     page = (tmp_path / "commissioning.html").read_text()
     assert NO_CURVES in page
     assert 'id="equal"' not in page
-    assert "frame axle1 left" in page
+    assert "bogie frame of axle 1, left" in page
     assert not list(tmp_path.glob("commissioning_responses*"))
 
 
