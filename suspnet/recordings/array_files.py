@@ -394,8 +394,7 @@ def _opened(
             kind = arrays[name if name in arrays else re.sub(r"\[\d+\]$", "", name)].dtype
             if kind.kind not in "iuf":
                 raise TripError(f"{path}: column {name!r} holds {kind}, not real numbers")
-        chosen = [takes[name] for name in names]
-        return slices(path, names, [n for n, _ in chosen], [take for _, take in chosen])
+        return slices(path, names, takes)
 
     hint = f"; the matrix {'; '.join(matrices[:3])}" if matrices else ""
     yield OpenFile(tuple(columns), read, hint=hint)

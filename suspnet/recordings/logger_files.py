@@ -79,12 +79,8 @@ def open_tdms(path: Path, _: CsvDialect | None = None) -> Iterator[OpenFile]:
                 columns.append(Column(column.time, unit="s", is_part=True))
                 takes[column.time] = len(channel), _times_of_segments(starts, channel)
 
-        def read(names: Sequence[str]) -> Iterator[Block]:
-            chosen = [takes[name] for name in names]
-            return slices(path, names, [n for n, _ in chosen], [take for _, take in chosen])
-
         notes = tuple(f"{name}: {value}" for name, value in file.properties.items())
-        yield OpenFile(tuple(columns), read, notes=notes)
+        yield OpenFile(tuple(columns), lambda names: slices(path, names, takes), notes=notes)
 
 
 @contextmanager
@@ -208,7 +204,7 @@ def open_uff(path: Path, _: CsvDialect | None = None) -> Iterator[OpenFile]:
     columns, records = _uff_columns(file)
 
     def read(names: Sequence[str]) -> Iterator[Block]:
-        arrays = []
+        takes: dict[str, tuple[int, Take]] = {}
         for name in names:
             is_times = name not in records
             record = file.read_sets(records[name.removesuffix(": times")])
@@ -219,9 +215,8 @@ def open_uff(path: Path, _: CsvDialect | None = None) -> Iterator[OpenFile]:
                     f"{path}: column {name!r} declares {n_declared} points and holds {len(values)}"
                     ": it is cut off; copy or export it again"
                 )
-            arrays.append(values[:n_declared])  # what follows fills up a line
-        takes: list[Take] = [array.__getitem__ for array in arrays]
-        return slices(path, names, [len(array) for array in arrays], takes)
+            takes[name] = n_declared, values.__getitem__  # what follows fills up a line
+        return slices(path, names, takes)
 
     yield OpenFile(tuple(columns), read)
 
