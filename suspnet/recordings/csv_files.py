@@ -18,7 +18,17 @@ from numpy.typing import NDArray
 
 from suspnet.ground.types import FloatArray
 from suspnet.recordings.columns import Block, Column, OpenFile, as_block, check_samples
-from suspnet.recordings.csv_dialect import MISSING, NUMBER, SIGNS, Found, find_dialect, split
+from suspnet.recordings.csv_dialect import (
+    MISSING,
+    NUMBER,
+    SIGNS,
+    Found,
+    Kind,
+    find_dialect,
+    is_of_kind,
+    split,
+    unread,
+)
 from suspnet.recordings.dates import read_date
 from suspnet.recordings.errors import TripError
 from suspnet.recordings.manifest_keys import CsvDialect
@@ -30,6 +40,8 @@ LONGEST_LINE = 2**20
 """Largest number of bytes of a line."""
 PARQUET_ROWS, PARQUET_BUFFER_BYTES = 2**17, 2**20
 """Number of rows in a batch, and bytes in the read buffer, of a Parquet file."""
+READ_TYPES = (pa.types.is_integer, pa.types.is_floating, pa.types.is_timestamp)
+"""Types of Parquet columns that are read."""
 MENDED_BYTES = 2**12
 """Size of a piece that Arrow refuses above which it is halved."""
 FOOTER_LINES, MOST_LEFT_OUT = 20, 0.1
@@ -48,11 +60,7 @@ def open_parquet(path: Path, _: CsvDialect | None = None) -> Iterator[OpenFile]:
         def read(names: Sequence[str]) -> Iterator[Block]:
             for name in names:
                 kind = fields[name].type
-                if not (
-                    pa.types.is_integer(kind)
-                    or pa.types.is_floating(kind)
-                    or pa.types.is_timestamp(kind)
-                ):
+                if not any(is_it(kind) for is_it in READ_TYPES):
                     raise TripError(f"{path}: column {name!r} holds {kind}, not numbers")
             check_samples(path, file.metadata.num_rows)
             for batch in file.iter_batches(PARQUET_ROWS, columns=list(names), use_threads=False):
@@ -64,11 +72,10 @@ def open_parquet(path: Path, _: CsvDialect | None = None) -> Iterator[OpenFile]:
 def _parquet_column(field: Any) -> Column:
     said = field.metadata or {}
     is_time = pa.types.is_timestamp(field.type)
-    unit, rate = (said.get(key, b"").decode("utf-8", "replace") for key in (b"unit", b"rate_hz"))
-    try:
-        rate_hz = float(rate) if rate else None
-    except ValueError:
-        rate_hz = None
+    unit = said.get(b"unit", b"").decode("utf-8", "replace")
+    rate_hz: float | None = None
+    with suppress(ValueError):
+        rate_hz = float(said.get(b"rate_hz", b""))
     is_zoned = is_time and field.type.tz is not None
     return Column(field.name, unit or None, rate_hz, is_time=is_time, is_zoned=is_zoned)
 
@@ -91,11 +98,9 @@ def open_csv(path: Path, given: CsvDialect | None) -> Iterator[OpenFile]:
             is_time=isinstance(kind, Notation),
             is_zoned=isinstance(kind, Notation) and kind.is_zoned,
             date=found.date,
-            unread=found.unread(place),
+            unread=unread(kind),
         )
-        for place, (name, unit, kind) in enumerate(
-            zip(found.names, found.units, found.kinds, strict=True)
-        )
+        for name, unit, kind in zip(found.names, found.units, found.kinds, strict=True)
     )
     remarks: list[str] = []
 
@@ -128,7 +133,7 @@ class _Line:
     text: str
     cells: list[str]
     words: list[str]
-    is_row: bool = True
+    is_row: bool
 
 
 class _Rows:
@@ -246,8 +251,6 @@ class _Rows:
         except ValueError:
             known = pa.compute.utf8_trim_whitespace(known)
             stamps = read_stamps(*_letters(known), notation, self._day)
-        if not column.null_count:
-            return stamps.view("datetime64[ns]")
         found = np.full(len(column), np.datetime64("NaT", "ns"))
         found[column.is_valid().to_numpy(zero_copy_only=False)] = stamps.view("datetime64[ns]")
         return found
@@ -270,31 +273,25 @@ class _Rows:
         """Return the cells of a line that are read; "" for words, and all "" if it is no row."""
         cells = split(text, self.found.delimiter)
         cells = ["" if cell in MISSING else cell for cell in cells]
-        is_row = len(cells) == len(self.found.kinds)
-        words = []
+        kinds, decimal, words = self.found.kinds, self.found.decimal, []
+        is_row = len(cells) == len(kinds)
         if is_row:
-            wrong = [i for i, cell in enumerate(cells) if cell and not self._fits(i, cell)]
-            read = [i for i, kind in enumerate(self.found.kinds) if not isinstance(kind, str)]
-            is_row = any(cells[i] and i not in wrong for i in read)
-            for i in set(wrong) & set(self._places):
-                self._refuse_other_dialect(number, cells[i], i)
-                is_row &= self.found.kinds[i] is None  # without its time a row is none
+            pairs = enumerate(zip(cells, kinds, strict=True))
+            wrong = {i for i, (cell, kind) in pairs if cell and not is_of_kind(cell, kind, decimal)}
+            read = {i for i, kind in enumerate(kinds) if cells[i] and not isinstance(kind, str)}
+            is_row = bool(read - wrong)
+            for i in wrong & set(self._places):
+                self._refuse_other_dialect(number, cells[i], kinds[i])
+                is_row &= kinds[i] is None  # without its time a row is none
                 words.append(cells[i])
                 cells[i] = ""
         if not is_row:
             self._lines.add(number, text)
-            return _Line(number, text, [""] * len(self._places), [], is_row=False)
-        return _Line(number, text, [cells[i] for i in self._places], words)
+            return _Line(number, text, [""] * len(self._places), [], is_row)
+        return _Line(number, text, [cells[i] for i in self._places], words, is_row)
 
-    def _fits(self, place: int, cell: str) -> bool:
-        kind = self.found.kinds[place]
-        if isinstance(kind, Notation):
-            return kind.is_that_of(cell)
-        return kind is not None or NUMBER[self.found.decimal].fullmatch(cell) is not None
-
-    def _refuse_other_dialect(self, number: int, cell: str, place: int) -> None:
+    def _refuse_other_dialect(self, number: int, cell: str, kind: Kind) -> None:
         """Raise TripError if a cell is a number or a time that is written in another way."""
-        kind = self.found.kinds[place]
         if isinstance(kind, Notation):
             other = notation_of(cell)
             if other is not None and not other.is_like(kind):
