@@ -147,10 +147,8 @@ class _Candidate:
         places = sorted((*self.numeric, *self.stamped))
         if len(cells) != self.n_columns or all(cells[i] in _DASHES for i in places):
             return []
-        filled = [i for i in places if cells[i]]
-        return [
-            cells[i] in MISSING or is_of_kind(cells[i], self.kinds[i], self.decimal) for i in filled
-        ]
+        filled = [(cells[i], self.kinds[i]) for i in places if cells[i]]
+        return [cell in MISSING or is_of_kind(cell, kind, self.decimal) for cell, kind in filled]
 
     def is_row(self, line: str) -> bool:
         """Return whether each numeric or time column holds a fitting or missing value."""
