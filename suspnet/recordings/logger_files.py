@@ -7,7 +7,6 @@ import warnings
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import replace
 from importlib import import_module
 from itertools import pairwise
 from logging import CRITICAL, getLogger
@@ -115,18 +114,17 @@ def _tdms_column(name: str, channel: Any, stated: Stated) -> tuple[Column, list[
     has_rate = isinstance(step_s, float | int) and 1e-9 < step_s < 1e9
     starts_ns = _starts_ns(stated, len(channel))
     starts, overlap = _parts(starts_ns, step_s) if has_rate else ([], "")
+    is_read = kind.kind in "iufM"
     column = Column(
         name,
         unit=str(unit) if unit else None,
-        rate_hz=1 / step_s if has_rate and step_s is not None else None,
+        rate_hz=1 / step_s if has_rate else None,
         time=f"{name}: times" if len(starts) > 1 else None,
         start_ns=starts_ns[0][1] if starts_ns else None,
         is_time=kind.kind == "M",
         is_zoned=kind.kind == "M",  # LabVIEW writes time stamps in UTC
-        unread=_changed(stated) or overlap,
+        unread=_changed(stated) or overlap if is_read else f"holds {kind}, not numbers",
     )
-    if kind.kind not in "iufM":
-        column = replace(column, unread=f"holds {kind}, not numbers")
     return column, starts
 
 
