@@ -212,7 +212,7 @@ def _first_lines(path: Path, given: CsvDialect) -> tuple[str, bool, list[str]]:
     except (UnicodeError, LookupError) as error:
         raise _unreadable(path, f"it is not {encoding} text") from error
     text = text.removeprefix("\ufeff").replace("\r\n", "\n").replace("\r", "\n")
-    text = text.translate(str.maketrans(SIGNS))
+    text = text.translate({ord(sign): plain for sign, plain in SIGNS.items()})
     lines = text.split("\n")  # splitlines() would also split at form feeds
     return encoding, has_bom, _unwrapped(lines if is_whole else lines[:-1])
 
