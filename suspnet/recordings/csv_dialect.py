@@ -55,8 +55,6 @@ _OPEN_CELL = re.compile(r'(?:^|[,;\t|])\s*"[^"]*$')
 _COMMENT = re.compile(r"^\s*(#|%|//)")
 _BOMS = (
     (codecs.BOM_UTF8, "utf-8"),
-    (codecs.BOM_UTF32_LE, "utf-32"),
-    (codecs.BOM_UTF32_BE, "utf-32"),
     (codecs.BOM_UTF16_LE, "utf-16"),
     (codecs.BOM_UTF16_BE, "utf-16"),
 )

@@ -16,7 +16,6 @@ import pyarrow.csv
 import pyarrow.parquet
 from numpy.typing import NDArray
 
-from suspnet.ground.types import FloatArray
 from suspnet.recordings.columns import Block, Column, OpenFile, as_block, check_samples
 from suspnet.recordings.csv_dialect import (
     MISSING,
@@ -80,11 +79,11 @@ def _parquet_column(field: Any) -> Column:
     return Column(field.name, unit or None, rate_hz, is_time=is_time, is_zoned=is_zoned)
 
 
-def _from_arrow(column: Any) -> Any:
-    """Return an Arrow column as float64, or time stamps as datetime64[ns]."""
-    if pa.types.is_timestamp(column.type):
-        return as_block(column.cast(pa.timestamp("ns")).to_numpy(zero_copy_only=False))
-    return to_float(column)
+def _from_arrow(column: Any) -> NDArray[Any]:
+    """Return a column as float64, NaN where missing, or time stamps as datetime64[ns]."""
+    is_time = pa.types.is_timestamp(column.type)
+    numbers = column.cast(pa.timestamp("ns")) if is_time else column.cast(pa.float64(), safe=False)
+    return as_block(numbers.to_numpy(zero_copy_only=False))
 
 
 @contextmanager
@@ -202,23 +201,19 @@ class _Rows:
 
     def _read(self, piece: bytes) -> Block:
         """Return the columns of a piece; one that Arrow refuses is halved until it is short."""
+        block: Block = ()
         for sign in ("", *SIGNS):  # signs are replaced only where needed
-            if sign and sign.encode() not in piece:
-                continue
-            piece = piece.replace(sign.encode(), SIGNS[sign].encode()) if sign else piece
-            with suppress(pa.ArrowInvalid, ValueError):
-                return self._counted(piece, self._parsed(piece))
+            if not block and sign.encode() in piece:
+                piece = piece.replace(sign.encode(), SIGNS[sign].encode()) if sign else piece
+                with suppress(pa.ArrowInvalid, ValueError):
+                    block = self._parsed(piece)
         half = piece.find(b"\n", len(piece) // 2) + 1
-        if len(piece) > MENDED_BYTES and 0 < half < len(piece):
+        if not block and len(piece) > MENDED_BYTES and 0 < half < len(piece):
             parts = self._read(piece[:half]), self._read(piece[half:])
             return tuple(np.concatenate(pair) for pair in zip(*parts, strict=True))
-        return self._counted(piece, self._mended(piece.decode("utf-8", "replace")))
-
-    def _counted(self, piece: bytes, block: Block) -> Block:
-        """Return a block, and count the lines of its piece."""
-        end = ord("\n" if b"\n" in piece else "\r")
+        block = block or self._mended(piece.decode("utf-8", "replace"))
         letters = np.frombuffer(piece, np.uint8)  # counted faster than bytes
-        self._n_lines += int(np.count_nonzero(letters == end))
+        self._n_lines += int(np.count_nonzero(letters == ord("\n" if b"\n" in piece else "\r")))
         return block
 
     def _parsed(self, piece: bytes) -> Block:
@@ -235,11 +230,11 @@ class _Rows:
         columns = [
             self._stamps(column.combine_chunks(), kind)
             if isinstance(kind, Notation)
-            else to_float(column)
+            else _from_arrow(column)
             for column, kind in zip(read.columns, self._kinds, strict=True)
         ]
         if self._pending and len(columns[0]):
-            before, self._pending = self._columns(self._taken()), []
+            before = self._columns(self._taken())
             columns = [np.concatenate(pair) for pair in zip(before, columns, strict=True)]
         return tuple(columns)
 
@@ -266,7 +261,6 @@ class _Rows:
             self._pending.append(found)
             if (found.is_row and not found.words) or len(self._pending) > FOOTER_LINES:
                 rows += self._taken()
-                self._pending = []
         return self._columns(rows)
 
     def _judged(self, number: int, text: str) -> _Line:
@@ -309,7 +303,8 @@ class _Rows:
         for line in self._pending:
             for word in line.words:
                 self._words.add(line.number, word)
-        return [line.cells for line in self._pending]
+        taken, self._pending = self._pending, []
+        return [line.cells for line in taken]
 
     def _columns(self, rows: Sequence[Sequence[str]]) -> Block:
         """Return rows of cells that fit as columns."""
@@ -345,8 +340,3 @@ def _letters(texts: Any) -> tuple[NDArray[np.uint8], NDArray[np.int32]]:
     _, offsets, letters = texts.buffers()
     ends = np.frombuffer(offsets, np.int32)[texts.offset : texts.offset + len(texts) + 1]
     return np.frombuffer(letters or b"", np.uint8), ends
-
-
-def to_float(column: Any) -> FloatArray:
-    """Return an Arrow column as float64, NaN where a value is missing."""
-    return as_block(column.cast(pa.float64(), safe=False).to_numpy(zero_copy_only=False))
