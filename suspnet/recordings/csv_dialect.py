@@ -130,22 +130,20 @@ class _Candidate:
         return len(self.kinds)
 
     @property
-    def stamped(self) -> tuple[int, ...]:
-        return tuple(i for i, kind in enumerate(self.kinds) if isinstance(kind, Notation))
-
-    def splits(self, line: str) -> list[str]:
-        return split(line, self.delimiter)
+    def read(self) -> list[int]:
+        """Columns of numbers or times."""
+        kinds = enumerate(self.kinds)
+        return [i for i, kind in kinds if i in self.numeric or isinstance(kind, Notation)]
 
     def fits(self, line: str) -> list[bool]:
         """Return of each cell of numbers or times that is not empty whether it is one.
 
         The result is empty for lines of another number of cells, or without values.
         """
-        cells = self.splits(line)
-        places = sorted((*self.numeric, *self.stamped))
-        if len(cells) != self.n_columns or all(cells[i] in _DASHES for i in places):
+        cells, read = split(line, self.delimiter), self.read
+        if len(cells) != self.n_columns or all(cells[i] in _DASHES for i in read):
             return []
-        filled = [(cells[i], self.kinds[i]) for i in places if cells[i]]
+        filled = [(cells[i], self.kinds[i]) for i in read if cells[i]]
         return [cell in MISSING or is_of_kind(cell, kind, self.decimal) for cell, kind in filled]
 
     def is_row(self, line: str) -> bool:
@@ -228,8 +226,9 @@ def _unwrapped(lines: list[str]) -> list[str]:
 
 def _date_in_row(line: str, one: _Candidate) -> str | None:
     """Return the date and time of day in the text columns of a row; None if there are none."""
-    read = {*one.numeric, *(i for i in one.stamped if getattr(one.kinds[i], "is_dated", False))}
-    text = " ".join(cell for i, cell in enumerate(one.splits(line)) if cell and i not in read)
+    read = [i for i in one.read if getattr(one.kinds[i], "is_dated", True)]
+    cells = enumerate(split(line, one.delimiter))
+    text = " ".join(cell for i, cell in cells if cell and i not in read)
     return text if re.search(r"\d:\d\d", text) and read_date(text) is not None else None
 
 
@@ -349,7 +348,8 @@ def _table(lines: Sequence[str], one: _Candidate, given: CsvDialect) -> Found | 
     # Rows with a word in place of a number are rows, not names.
     while first > begin and one.is_damaged_row(lines[first - 1]):
         first -= 1
-    if one.splits(lines[first])[0].isdecimal() and one.splits(lines[first])[0] != "1":
+    number = split(lines[first], one.delimiter)[0]
+    if number.isdecimal() and number != "1":
         one = replace(one, is_counted=False)
     above = [i for i in range(begin, first) if re.search(r"\w", lines[i])]
     header, names, units = -1, [""] * one.n_columns, list[str]()
@@ -387,17 +387,16 @@ def _names(
             break
         if not one.has_numbers(cells):
             block.append((i, cells))
-    if not block and above and (cells := _padded(lines[above[-1]], one)):
+    if not block and (cells := _padded(lines[above[-1]], one)):
         block = [(above[-1], cells)]
     if not block:
         return -1, [], []
-    units = next((n for n, (_, cells) in enumerate(block) if _are_units(cells)), None)
+    units = next((n for n, (_, cells) in enumerate(block) if _are_units(cells)), -1)
     # the names are the next line above the units, unless a further one names a column of times
-    names = [n for n in range(len(block)) if n != units and (units is None or n > units)]
-    names = names or [0]
+    names = range(units + 1, len(block)) or range(1)
     times = (n for n in names if any(map(_TIME_NAME.search, block[n][1])))
     header = next(times, names[0])
-    return *block[header], (block[units][1] if units is not None and units != header else [])
+    return *block[header], (block[units][1] if units not in (-1, header) else [])
 
 
 def _kinds(lines: Sequence[str], one: _Candidate) -> tuple[Kind, ...]:
@@ -406,7 +405,8 @@ def _kinds(lines: Sequence[str], one: _Candidate) -> tuple[Kind, ...]:
     The tail of a short file may be damaged, and that of a long one empty in some column.
     """
     kinds = list(one.kinds)
-    rows = [cells for cells in map(one.splits, lines) if len(cells) == one.n_columns]
+    rows = [split(line, one.delimiter) for line in lines]
+    rows = [cells for cells in rows if len(cells) == one.n_columns]
     for i, cells in enumerate(zip(*rows, strict=True)):
         if isinstance(kinds[i], Notation) or i in one.numeric:
             continue
@@ -442,8 +442,8 @@ def _padded(line: str, one: _Candidate) -> list[str]:
     Empty columns at the end, as after a delimiter at the end of each row, need no name, nor does a
     first column that counts the rows. A word ahead of the names that marks their line is left out.
     """
-    cells = one.splits(_COMMENT.sub("", line))
-    filled = max((*one.numeric, *one.stamped)) + 1
+    cells = split(_COMMENT.sub("", line), one.delimiter)
+    filled = max(one.read) + 1
     if len(cells) > one.n_columns and not any(cells[one.n_columns :]):
         cells = cells[: one.n_columns]
     if len(cells) == one.n_columns + 1 and _TAG.match(cells[0]):
@@ -463,4 +463,4 @@ def _are_units(cells: Sequence[str]) -> bool:
 
 def _preference(found: Found, one: _Candidate) -> tuple[bool, int, bool]:
     """Return the sort key of a candidate: names, more columns, decimal point."""
-    return found.header_line > 0, len(one.numeric) + len(one.stamped), found.decimal == "."
+    return found.header_line > 0, len(one.read), found.decimal == "."

@@ -147,7 +147,7 @@ class _Rows:
         self.path, self.found, self.names = path, found, tuple(names)
         self._places = [found.names.index(name) for name in names]
         self._kinds = [found.kinds[place] for place in self._places]
-        date = None if found.date is None else read_date(found.date)
+        date = read_date(found.date or "")
         self._day = NO_DATE if date is None else np.datetime64(date.date(), "D")
         self._n_lines = self._n_rows = self._n_zeros = 0
         self._pending: list[_Line] = []
@@ -325,7 +325,6 @@ class _Rows:
             )
 
     def _remarks(self) -> Iterator[str]:
-        """Yield what was left out of the file."""
         name = self.path.name
         if n := self._lines.n:
             yield f"lines of {name} outside of its table are left out ({n}, {self._lines.first})"
