@@ -267,7 +267,8 @@ def open_mat(path: Path, _: CsvDialect | None = None) -> Iterator[OpenFile]:
             refused[name] = why
         else:
             arrays[name] = _Variable(path, name, shape)
-    content = _loaded(path, nested, struct_as_record=False, squeeze_me=True) if nested else {}
+    how = {"appendmat": False, "struct_as_record": False, "squeeze_me": True}
+    content = loadmat(path, variable_names=nested, **how) if nested else {}
     leaves = {
         place: leaf
         for name in nested
@@ -336,12 +337,6 @@ def _simulink_time(name: str, leaves: Mapping[str, Any]) -> dict[str, str]:
     return {"time": time} if is_signal and np.size(leaves.get(time, ())) > 1 else {}
 
 
-def _loaded(path: Path, names: Sequence[str], **how: bool) -> dict[str, Any]:
-    """Load variables of a MAT file before version 7.3, by name."""
-    found: dict[str, Any] = loadmat(path, variable_names=names, appendmat=False, **how)
-    return found
-
-
 @dataclass(frozen=True)
 class _Variable:
     path: Path
@@ -350,7 +345,7 @@ class _Variable:
 
     @cached_property
     def values(self) -> Any:
-        return _loaded(self.path, [self.name])[self.name]
+        return loadmat(self.path, variable_names=[self.name], appendmat=False)[self.name]
 
     @property
     def dtype(self) -> Any:

@@ -123,7 +123,7 @@ def _tdms_column(name: str, channel: Any, stated: Stated) -> tuple[Column, list[
         start_ns=starts_ns[0][1] if starts_ns else None,
         is_time=kind.kind == "M",
         is_zoned=kind.kind == "M",  # LabVIEW writes time stamps in UTC
-        unread=_changed(stated) or overlap if is_read else f"holds {kind}, not numbers",
+        unread=(_changed(stated) or overlap) if is_read else f"holds {kind}, not numbers",
     )
     return column, starts
 

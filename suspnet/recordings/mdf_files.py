@@ -112,8 +112,7 @@ def _start(file: Any) -> dict[str, Any]:
 def _unit(version: str, channel: Any) -> str | None:
     """Return the unit of a channel, or else, where it refers to none, that of its conversion."""
     is_open = version < "4" or channel.unit_addr == 0
-    conversion = channel.conversion if is_open else None
-    return channel.unit or (conversion.unit if conversion is not None else None) or None
+    return channel.unit or (getattr(channel.conversion, "unit", None) if is_open else None) or None
 
 
 def _major(version: str) -> str:
