@@ -31,7 +31,7 @@ from suspnet.recordings.dates import nanoseconds, read_date
 from suspnet.recordings.errors import TripError
 from suspnet.recordings.manifest_keys import CsvDialect
 
-RATE_NAMES = ("rate_hz", "fs", "samplerate", "samplingrate", "samplefrequency", "samplingfrequency")
+RATE_NAMES = ("ratehz", "fs", "samplerate", "samplingrate", "samplefrequency", "samplingfrequency")
 UNIT_NAMES = ("unit", "units")
 DATE_NAMES = ("start", "starttime", "startdate", "date", "datetime", "timestamp", "startzeit")
 """Names of fields and attributes that state rate [Hz], unit and start of the data next to them;
@@ -91,40 +91,30 @@ class _Content:
         if not isinstance(item, self.h5py.Dataset) or name.startswith("#"):
             return
         try:
-            self.unread |= {name: why} if (why := foreign(item)) else self._collected(name, item)
+            if why := foreign(item) or _no_data(item):
+                self.unread[name] = why
+            elif self.h5py.check_ref_dtype(item.dtype) is self.h5py.Reference:
+                self._collect_cells(name, item)
+            else:
+                self._collect_data(name, item)
         except Exception as error:  # types without an equivalent; HDF5 raises any error
             reason = " ".join(str(error).split())[:100]
             self.unread[name] = f"cannot be read ({reason}){PLAIN}"
 
-    def _collected(self, name: str, item: Any) -> dict[str, str]:
-        """Add a data set that needs nothing else; return why parts of it are not read."""
-        if item.shape is None:
-            return {name: "is without samples: its space is null"}
-        if "MATLAB_object_decode" in item.attrs:
-            kind = item.attrs.get("MATLAB_class", b"")
-            return {name: _matlab_object(bytes(kind))}
-        if self.h5py.check_ref_dtype(item.dtype) is self.h5py.Reference:
-            self._collect_cells(name, item)
-            return {}
+    def _collect_data(self, name: str, item: Any) -> None:
+        """Add a data set, or the fields of a table."""
         self.datasets[name] = item
-        own = (key for key in item.attrs if key.lower() in UNAPPLIED)
-        self.unapplied += [repr(f"{name}.{key}") for key in own]
+        self.unapplied += [repr(f"{name}.{key}") for key in item.attrs if key.lower() in UNAPPLIED]
         if "MATLAB_empty" in item.attrs or "MATLAB_int_decode" in item.attrs:
-            return {}
-        if item.dtype.names is None:
-            if not (why := _no_numbers(item)):
-                chosen = item.id.get_create_plist().fill_value_defined()
-                filled = chosen == self.h5py.h5d.FILL_VALUE_USER_DEFINED
-                self.arrays[name] = _packed(item, filled)
-            return {name: why} if why.strip() else {}
-        refused = {}
-        for field in item.dtype.names:
-            part, place = _field(item, field), f"{name}.{field}"
+            return
+        fields = item.dtype.names or ()
+        parts = {f"{name}.{one}": _field(item, one) for one in fields} or {name: item}
+        for place, part in parts.items():
             if not (why := _no_numbers(part)):
-                self.datasets[place], self.arrays[place] = item, part
+                self.datasets[place] = item
+                self.arrays[place] = part if fields else _packed(item, self.h5py)
             elif why.strip():
-                refused[place] = why
-        return refused
+                self.unread[place] = why
 
     def _collect_cells(self, name: str, item: Any) -> None:
         """Add the content of MATLAB's cells, to which references lead."""
@@ -157,6 +147,15 @@ class _Content:
             if times != name and times in self.arrays and size_of("time", unit):
                 return {"time": times}
         return {}
+
+
+def _no_data(dataset: Any) -> str:
+    """Return why a data set holds neither data nor references to it; empty if it does."""
+    if dataset.shape is None:
+        return "is without samples: its space is null"
+    if "MATLAB_object_decode" in dataset.attrs:
+        return _matlab_object(bytes(dataset.attrs.get("MATLAB_class", b"")))
+    return ""
 
 
 def _matlab_object(kind: bytes) -> str:
@@ -203,19 +202,14 @@ def _field(dataset: Any, name: str) -> _View:
     )
 
 
-def _packed(dataset: Any, filled: bool) -> Any:
-    """Return a data set with scale, offset and missing samples as its attributes mean them.
-
-    `filled`: its fill value was chosen. ValueError if an attribute is no number.
-    """
+def _packed(dataset: Any, h5py: Any) -> Any:
+    """Return a data set with scale, offset and missing samples as its attributes mean them."""
     said = _attributes(dataset)
-    numbers = {
-        name: np.atleast_1d(np.asarray(said[name], dtype=np.float64))
-        for name in PACKING
-        if name in said
-    }
+    numbers = {key: np.array(said[key], np.float64, ndmin=1) for key in PACKING if key in said}
     missing = [numbers[name] for name in MISSING_NAMES if name in numbers]
-    if filled and dataset.fillvalue != 0:  # 0 may be a sample as well
+    chosen = dataset.id.get_create_plist().fill_value_defined()
+    # 0 may be a sample as well
+    if chosen == h5py.h5d.FILL_VALUE_USER_DEFINED and dataset.fillvalue != 0:
         missing.append(np.array([dataset.fillvalue], dtype=np.float64))
     is_unsigned = dataset.dtype.kind == "i" and str(said.get("_Unsigned")).lower() == "true"
     if not numbers and not missing and not is_unsigned:
@@ -265,19 +259,22 @@ def open_mat(path: Path, _: CsvDialect | None = None) -> Iterator[OpenFile]:
     arrays: dict[str, Any] = {}
     nested = []
     for name, shape, kind in variables:
-        if kind in NUMERIC:
-            if why := _of_shape(shape):
-                refused[name] = why
-            else:
-                arrays[name] = _Variable(path, name, shape)
-        elif kind in ("struct", "cell", "object"):
+        if kind in ("struct", "cell", "object"):
             nested.append(name)
-        elif kind != "char":
-            refused[name] = f"holds {kind}, not numbers"
-    content = _loaded(path, nested, struct_as_record=False, squeeze_me=True) if nested else {}
-    leaves = dict(
-        leaf for name in nested if name in content for leaf in _leaves(name, content[name])
-    )
+        elif kind not in NUMERIC:
+            refused |= {name: f"holds {kind}, not numbers"} if kind != "char" else {}
+        elif why := _of_shape(shape):
+            refused[name] = why
+        else:
+            arrays[name] = _Variable(path, name, shape)
+    how = {"appendmat": False, "struct_as_record": False, "squeeze_me": True}
+    content = loadmat(path, variable_names=nested, **how) if nested else {}
+    leaves = {
+        place: leaf
+        for name in nested
+        if name in content
+        for place, leaf in _leaves(name, content[name])
+    }
     for name, leaf in leaves.items():
         array = np.atleast_1d(leaf)
         if isinstance(leaf, MatlabOpaque):
@@ -340,12 +337,6 @@ def _simulink_time(name: str, leaves: Mapping[str, Any]) -> dict[str, str]:
     return {"time": time} if is_signal and np.size(leaves.get(time, ())) > 1 else {}
 
 
-def _loaded(path: Path, names: Sequence[str], **how: bool) -> dict[str, Any]:
-    """Load variables of a MAT file before version 7.3, by name."""
-    found: dict[str, Any] = loadmat(path, variable_names=names, appendmat=False, **how)
-    return found
-
-
 @dataclass(frozen=True)
 class _Variable:
     path: Path
@@ -354,7 +345,7 @@ class _Variable:
 
     @cached_property
     def values(self) -> Any:
-        return _loaded(self.path, [self.name])[self.name]
+        return loadmat(self.path, variable_names=[self.name], appendmat=False)[self.name]
 
     @property
     def dtype(self) -> Any:
@@ -377,25 +368,25 @@ def _opened(
     matrices = []
     for name, array in arrays.items():
         shape = array.shape
-        if is_vector(shape):
-            columns.append(Column(name, **descriptions[name]))
-            takes[name] = (max(shape), _take(array, int(np.argmax(shape)), 0))
-        elif 0 < min(shape) <= MOST_PARTS:
-            axis = int(np.argmax(shape))  # time is the longer axis
+        if not is_vector(shape) and not 0 < min(shape) <= MOST_PARTS:
+            continue
+        axis = int(np.argmax(shape))  # time is the longest axis
+        parts = {name: 0}
+        if not is_vector(shape):
+            parts = {f"{name}[{i}]": i for i in range(min(shape))}
             matrices.append(f"{name!r} has columns '{name}[0]' to '{name}[{min(shape) - 1}]'")
-            for i in range(min(shape)):
-                columns.append(Column(f"{name}[{i}]", is_part=True, **descriptions[name]))
-                takes[f"{name}[{i}]"] = (max(shape), _take(array, axis, i))
+        for place, i in parts.items():
+            columns.append(Column(place, is_part=place != name, **descriptions[name]))
+            takes[place] = (max(shape), _take(array, axis, i))
 
     def read(names: Sequence[str]) -> Iterator[Block]:
         # check the size first: the type of a variable may be known only once it is loaded
         check_samples(path, max(takes[name][0] for name in names))
         for name in names:
-            kind = arrays[name if name in arrays else re.sub(r"\[\d+\]$", "", name)].dtype
+            kind = arrays[name if name in arrays else name.rpartition("[")[0]].dtype
             if kind.kind not in "iuf":
                 raise TripError(f"{path}: column {name!r} holds {kind}, not real numbers")
-        chosen = [takes[name] for name in names]
-        return slices(path, names, [n for n, _ in chosen], [take for _, take in chosen])
+        return slices(path, names, takes)
 
     hint = f"; the matrix {'; '.join(matrices[:3])}" if matrices else ""
     yield OpenFile(tuple(columns), read, hint=hint)
@@ -442,7 +433,7 @@ def _stated(values: Mapping[str, Any]) -> dict[str, Any]:
     for key, value in values.items():
         plain = re.sub(r"[\s_]", "", key).lower()
         array = np.asarray(value)
-        if plain in [name.replace("_", "") for name in RATE_NAMES]:
+        if plain in RATE_NAMES:
             if array.size == 1 and array.dtype.kind in "iuf" and 0 < array.item() < 1e9:
                 found["rate_hz"] = float(array.item())
         elif plain in (*UNIT_NAMES, *DATE_NAMES) and array.size == 1:

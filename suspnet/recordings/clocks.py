@@ -98,9 +98,7 @@ class Times:
     @property
     def words(self) -> list[str]:
         """What was repaired in the times so far."""
-        found = [
-            f"times jump by {reason} and continue ({n})" for reason, n in self._repairs.items()
-        ]
+        found = [f"times jump by {why} and continue ({n})" for why, n in self._repairs.items()]
         if self.n_untimed:
             found.append(f"rows without a time are left out ({self.n_untimed})")
         return found
@@ -155,11 +153,9 @@ class Times:
     def _periods(self, is_stamp: bool) -> list[tuple[str, float]]:
         """Return what times may jump by: as text, and in their unit."""
         if not is_stamp:
-            counters = [(f"2^{bits}", 2.0**bits) for bits in (16, 24, 31, 32)]
-            scaled = [
-                (f"2^32 {unit}", 2.0**32 * size / self._size) for unit, size in TIME_UNITS.items()
-            ]
-            return [*counters, *scaled, ("a day", 86400 / self._size)]
+            counters = {f"2^{bits}": 2.0**bits for bits in (16, 24, 31, 32)}
+            counters |= {f"2^32 {one}": 2.0**32 * s / self._size for one, s in TIME_UNITS.items()}
+            return [*counters.items(), ("a day", 86400 / self._size)]
         hour = 3600 * SECOND_NS
         if self.zero.is_midnight:  # stamps of minutes and seconds start again every hour
             return [("a day", 24 * hour), ("an hour", hour)]
@@ -168,13 +164,13 @@ class Times:
 
     def _begin_stamps(self, times: NDArray[np.generic]) -> None:
         """Set the zero of time stamps to the whole second of the first one."""
-        known = times[~np.isnat(times)]
+        known = times[~np.isnat(times)].astype("datetime64[s]")
         if not len(known):
             raise TripError(f"{self.where}: its times are empty")
-        first = int(known[0].astype("datetime64[ns]").astype(np.int64)) // SECOND_NS * SECOND_NS
+        first = int(known[0].astype(np.int64)) * SECOND_NS
         self._first = first
         zone = self.source.time_zone
-        if first // (86400 * SECOND_NS) == NO_DATE.astype(np.int64):
+        if known[0].astype("datetime64[D]") == NO_DATE:
             if zone is not None:
                 raise TripError(f"{self.where}: its times have no date: leave out `time_zone`")
             self._first = int(NO_DATE.astype("datetime64[ns]").astype(np.int64))
@@ -215,19 +211,15 @@ class Times:
         size = found if stated is None else TIME_UNITS[stated]
         sizes = TIME_UNITS.values() if size is None else [size]
         step = float(np.median(np.diff(known))) if len(known) > 1 else 0.0
-        dated = [
-            one
-            for one in sizes
-            if DATED_S[0] <= first * one <= DATED_S[1] and step * one < LONGEST_STEP_S
-        ]
+        low, high = DATED_S
+        dated = [s for s in sizes if low <= first * s <= high and step * s < LONGEST_STEP_S]
         self._size = dated[0] if dated else (size or 1.0)
         self._is_assumed = size is None and not dated
         if dated:
             whole_s = int(first * self._size)
-            is_small = self._size < 1  # then its inverse is exact
-            self._first = float(
-                whole_s * round(1 / self._size) if is_small else whole_s / self._size
-            )
+            self._first = whole_s / self._size
+            if self._size < 1:  # then its inverse is exact
+                self._first = float(whole_s * round(1 / self._size))
             self.zero = Zero(whole_s * SECOND_NS)
         if self.source.time_zone is not None:
             if self.zero.ns is None or self.zero.is_zoned:
@@ -261,15 +253,11 @@ def first_moment(zeros: Iterable[Zero]) -> tuple[datetime | None, str]:
     Exact times take precedence over header dates, and times with a zone over others. The start is
     None if no source is dated or the date is implausible.
     """
-    known = [zero for zero in zeros if zero.moment is not None]
-    exact = [zero for zero in known if zero.ns is not None]
-    zoned = [zero for zero in exact or known if zero.moment and zero.moment.tzinfo is not None]
-    moments = [zero.moment for zero in zoned or exact or known if zero.moment is not None]
-    if not moments:
+    dated = [(zero.ns is None, one.tzinfo is None, one) for zero in zeros if (one := zero.moment)]
+    if not dated:
         return None, ""
-    first = min(moments)
-    problem = date_problem(first)
-    if problem:
+    *_, first = min(dated)
+    if problem := date_problem(first):
         return None, f"the date by its files, {first.isoformat(' ')}, is left out: it {problem}"
     return first, ""
 
@@ -281,38 +269,35 @@ def offsets_s(manifest: TripManifest, zeros: Mapping[str, Zero]) -> dict[str, fl
     and the clock start at the manifest's `start`; or with the other files, if the headers of those
     state one common start. Raises TripError if `start` or a time zone is missing.
     """
-    dated = {name: zero for name, zero in zeros.items() if zero.ns is not None}
-    others = [name for name in zeros if name not in dated]
-    starts = [zero.ns for zero in dated.values() if zero.ns is not None]
-    if not dated:
+    starts = {name: zero.ns for name, zero in zeros.items() if zero.ns is not None}
+    others = [name for name in zeros if name not in starts]
+    if not starts:
         return dict.fromkeys(zeros, 0.0)
-    stated = all(zero.is_stated for zero in dated.values())
-    if others and stated and max(starts) - min(starts) <= SAME_NS:
+    earliest, latest = min(starts.values()), max(starts.values())
+    if others and latest - earliest <= SAME_NS and all(zeros[name].is_stated for name in starts):
         return dict.fromkeys(zeros, 0.0)
-    first, is_zoned = min(starts) // SECOND_NS * SECOND_NS, None
+    first, is_zoned, midnight_s = earliest // SECOND_NS * SECOND_NS, None, 0.0
     if others:
-        if manifest.start is None:
+        start = manifest.start
+        if start is None:
             raise TripError(
-                f"{manifest.path}: {', '.join(dated)} have absolute times, {', '.join(others)} "
+                f"{manifest.path}: {', '.join(starts)} have absolute times, {', '.join(others)} "
                 f"have not; give `start`, the time at which {', '.join(others)} begin"
             )
-        first, is_zoned = nanoseconds(manifest.start), manifest.start.tzinfo is not None
-    local = [name for name, zero in dated.items() if not zero.is_zoned]
-    if local and (len(local) < len(dated) or is_zoned):
+        first, is_zoned = nanoseconds(start), start.tzinfo is not None
+        # times of day count from the midnight before it
+        midnight = start.replace(hour=0, minute=0, second=0, microsecond=0)
+        midnight_s = (midnight - start).total_seconds()
+    local = [name for name in starts if not zeros[name].is_zoned]
+    if local and (len(local) < len(starts) or is_zoned):
         raise TripError(
             f"{manifest.path}: the times of {', '.join(local)} name no time zone, others do; give "
             'their `time_zone`, like "UTC", "+02:00" or "Europe/Berlin"'
         )
     if not local and is_zoned is False:
         raise TripError(
-            f"{manifest.path}: the times of {', '.join(dated)} are in UTC; write the time zone "
+            f"{manifest.path}: the times of {', '.join(starts)} are in UTC; write the time zone "
             "into `start` too, like 2015-08-03T08:00:00+02:00"
         )
-    midnight_s = 0.0
-    if others and manifest.start is not None:  # times of day count from the midnight before it
-        day = manifest.start.replace(hour=0, minute=0, second=0, microsecond=0)
-        midnight_s = (day - manifest.start).total_seconds()
     undated = {name: midnight_s if zeros[name].is_midnight else 0.0 for name in others}
-    return undated | {
-        name: (zero.ns - first) / SECOND_NS for name, zero in dated.items() if zero.ns is not None
-    }
+    return undated | {name: (ns - first) / SECOND_NS for name, ns in starts.items()}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -130,15 +130,19 @@ def listing(names: Sequence[str]) -> str:
 
 
 def slices(
-    path: Path, names: Sequence[str], lengths: Sequence[int], takes: Sequence[Take]
+    path: Path, names: Sequence[str], takes: Mapping[str, tuple[int, Take]]
 ) -> Iterator[Block]:
-    """Yield blocks of arrays; TripError if their lengths differ or are too large."""
+    """Yield blocks of arrays, of which `takes` gives the lengths and how to take a part of them.
+
+    TripError is raised if the lengths differ or are too large.
+    """
+    lengths = [takes[name][0] for name in names]
     check_samples(path, max(lengths, default=0))
     if len(set(lengths)) > 1:
-        raise TripError(f"{path}: columns {list(names)} have different lengths {list(lengths)}")
+        raise TripError(f"{path}: columns {list(names)} have different lengths {lengths}")
     for start in range(0, lengths[0], BLOCK):
         part = slice(start, min(start + BLOCK, lengths[0]))
-        block = tuple(as_block(take(part)) for take in takes)
+        block = tuple(as_block(takes[name][1](part)) for name in names)
         found = [start + len(values) for values in block]
         if set(found) != {part.stop}:
             raise TripError(

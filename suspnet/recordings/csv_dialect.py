@@ -55,8 +55,6 @@ _OPEN_CELL = re.compile(r'(?:^|[,;\t|])\s*"[^"]*$')
 _COMMENT = re.compile(r"^\s*(#|%|//)")
 _BOMS = (
     (codecs.BOM_UTF8, "utf-8"),
-    (codecs.BOM_UTF32_LE, "utf-32"),
-    (codecs.BOM_UTF32_BE, "utf-32"),
     (codecs.BOM_UTF16_LE, "utf-16"),
     (codecs.BOM_UTF16_BE, "utf-16"),
 )
@@ -76,7 +74,6 @@ class Found:
     columns of the first row; `above` are the lines above the names.
     """
 
-    encoding: str
     delimiter: str
     decimal: str
     header_line: int
@@ -84,7 +81,8 @@ class Found:
     names: tuple[str, ...]
     units: tuple[str, ...]
     kinds: tuple[Kind, ...]
-    has_bom: bool
+    encoding: str = ""
+    has_bom: bool = False
     date: str | None = None
     above: tuple[str, ...] = ()
 
@@ -95,16 +93,6 @@ class Found:
         return (
             f"delimiter {delimiter}, decimal sign {self.decimal!r}, {header}, rows from line "
             f"{self.first_line} on, {self.encoding}{bom}"
-        )
-
-    def unread(self, place: int) -> str:
-        """Return why a column cannot be read; empty if it can."""
-        kind = self.kinds[place]
-        if not isinstance(kind, str):
-            return ""
-        return (
-            f"holds text like {kind[:40]!r}, neither numbers nor times that can be read; write "
-            "times like 2015-08-03T08:00:00.5, or give `rate_hz` instead"
         )
 
     @property
@@ -142,30 +130,21 @@ class _Candidate:
         return len(self.kinds)
 
     @property
-    def stamped(self) -> tuple[int, ...]:
-        return tuple(i for i, kind in enumerate(self.kinds) if isinstance(kind, Notation))
-
-    def splits(self, line: str) -> list[str]:
-        return split(line, self.delimiter)
+    def read(self) -> list[int]:
+        """Columns of numbers or times."""
+        kinds = enumerate(self.kinds)
+        return [i for i, kind in kinds if i in self.numeric or isinstance(kind, Notation)]
 
     def fits(self, line: str) -> list[bool]:
         """Return of each cell of numbers or times that is not empty whether it is one.
 
         The result is empty for lines of another number of cells, or without values.
         """
-        cells = self.splits(line)
-        places = sorted((*self.numeric, *self.stamped))
-        if len(cells) != self.n_columns or all(cells[i] in _DASHES for i in places):
+        cells, read = split(line, self.delimiter), self.read
+        if len(cells) != self.n_columns or all(cells[i] in _DASHES for i in read):
             return []
-        return [self._holds(i, cells[i]) for i in places if cells[i]]
-
-    def _holds(self, place: int, cell: str) -> bool:
-        if cell in MISSING:
-            return True
-        kind = self.kinds[place]
-        if isinstance(kind, Notation):
-            return kind.is_that_of(cell)
-        return NUMBER[self.decimal].fullmatch(cell) is not None
+        filled = [(cells[i], self.kinds[i]) for i in read if cells[i]]
+        return [cell in MISSING or is_of_kind(cell, kind, self.decimal) for cell, kind in filled]
 
     def is_row(self, line: str) -> bool:
         """Return whether each numeric or time column holds a fitting or missing value."""
@@ -198,20 +177,15 @@ def find_dialect(path: Path, given: CsvDialect | None = None) -> Found:
     if not candidates:
         raise _unreadable(path, "no row of numbers was found: it is empty, cut off or no table")
     # Choose the preferred one of the candidates that have a table in the whole sample.
-    found = [_table(lines, one, given) for one in candidates]
-    whole = [pair for pair in zip(found, candidates, strict=True) if pair[0] is not None]
+    whole = [(found, one) for one in candidates if (found := _table(lines, one, given))]
     if not whole:
         raise _unreadable(path, "no row has as many values as there are names")
     best, candidate = max(whole, key=lambda pair: _preference(*pair))
-    assert best is not None
     # Refuse a file that can be read in two ways rather than guess.
     rivals = [
         other
-        for other, one in whole
-        if other is not None
-        and other.header_line == best.header_line == 0
-        and len(other.names) != len(best.names)
-        and one.n_broken == candidate.n_broken
+        for other, _ in whole
+        if other.header_line == best.header_line == 0 and len(other.names) != len(best.names)
     ]
     if rivals and given.header_line is None and given.delimiter is None:
         raise _unreadable(path, f"it has no names and may be read with {best} or {rivals[0]}")
@@ -234,12 +208,9 @@ def _first_lines(path: Path, given: CsvDialect) -> tuple[str, bool, list[str]]:
     except (UnicodeError, LookupError) as error:
         raise _unreadable(path, f"it is not {encoding} text") from error
     text = text.removeprefix("\ufeff").replace("\r\n", "\n").replace("\r", "\n")
-    for sign, plain in SIGNS.items():
-        text = text.replace(sign, plain)
+    text = text.translate({ord(sign): plain for sign, plain in SIGNS.items()})
     lines = text.split("\n")  # splitlines() would also split at form feeds
-    if not is_whole:
-        lines = lines[:-1]
-    return encoding, has_bom, _unwrapped(lines)
+    return encoding, has_bom, _unwrapped(lines if is_whole else lines[:-1])
 
 
 def _unwrapped(lines: list[str]) -> list[str]:
@@ -255,9 +226,9 @@ def _unwrapped(lines: list[str]) -> list[str]:
 
 def _date_in_row(line: str, one: _Candidate) -> str | None:
     """Return the date and time of day in the text columns of a row; None if there are none."""
-    dated = [i for i in one.stamped if getattr(one.kinds[i], "is_dated", False)]
-    read = {*one.numeric, *dated}
-    text = " ".join(cell for i, cell in enumerate(one.splits(line)) if cell and i not in read)
+    read = [i for i in one.read if getattr(one.kinds[i], "is_dated", True)]
+    cells = enumerate(split(line, one.delimiter))
+    text = " ".join(cell for i, cell in cells if cell and i not in read)
     return text if re.search(r"\d:\d\d", text) and read_date(text) is not None else None
 
 
@@ -283,6 +254,23 @@ def _encoding(sample: bytes) -> tuple[str, bool]:
     return "utf-8", False
 
 
+def unread(kind: Kind) -> str:
+    """Return why a column of a kind cannot be read; empty if it can."""
+    if not isinstance(kind, str):
+        return ""
+    return (
+        f"holds text like {kind[:40]!r}, neither numbers nor times that can be read; write "
+        "times like 2015-08-03T08:00:00.5, or give `rate_hz` instead"
+    )
+
+
+def is_of_kind(cell: str, kind: Kind, decimal: str) -> bool:
+    """Return whether a cell that is not empty is one of its column's kind."""
+    if isinstance(kind, Notation):
+        return kind.is_that_of(cell)
+    return kind is not None or NUMBER[decimal].fullmatch(cell) is not None
+
+
 def split(line: str, delimiter: str) -> list[str]:
     """Return the cells of a line."""
     if delimiter == " ":
@@ -300,20 +288,20 @@ def split(line: str, delimiter: str) -> list[str]:
 def _candidates(tail: Sequence[str], given: CsvDialect) -> list[_Candidate]:
     """Return the combinations of delimiter and decimal sign with the fewest misfits."""
     delimiters = (*DELIMITERS.values(), "") if given.delimiter is None else (given.delimiter,)
+    decimals = (".", ",") if given.decimal is None else (given.decimal,)
+    quoted = any('"' in line for line in tail)
     found = []
     for delimiter in delimiters:
         rows = [split(line, delimiter) for line in tail]
         n_columns, n_rows = Counter(map(len, rows)).most_common(1)[0] if rows else (0, 0)
-        if n_rows == 0 or n_columns == 0 or (n_columns == 1 and delimiter and not given.delimiter):
+        is_one = n_columns == 1 and delimiter and not given.delimiter
+        if n_columns == 0 or is_one or n_rows < 0.5 * len(tail):
             continue
         rows = [row for row in rows if len(row) == n_columns]
-        quoted = any('"' in line for line in tail)
-        for decimal in (".", ",") if given.decimal is None else (given.decimal,):
-            if delimiter == decimal == "," and not quoted:
-                continue
-            one = _read(delimiter, decimal, rows, len(tail) - len(rows))
-            if one.numeric and n_rows >= 0.5 * len(tail):
-                found.append(one)
+        for decimal in decimals:
+            if delimiter != decimal or quoted:
+                one = _read(delimiter, decimal, rows, len(tail) - len(rows))
+                found += [one] if one.numeric else []
     fewest = min((one.n_broken for one in found), default=0)
     return [one for one in found if one.n_broken == fewest]
 
@@ -326,12 +314,11 @@ def _read(delimiter: str, decimal: str, rows: Sequence[Sequence[str]], n_others:
         filled = [cell for cell in cells if cell]
         numbers = [cell for cell in filled if NUMBER[decimal].fullmatch(cell)]
         rest = [cell for cell in filled if cell not in MISSING and cell not in numbers]
-        notations = [(notation_of(cell), cell) for cell in rest]
-        stamps = [cell for notation, cell in notations if notation]
-        words = [cell for notation, cell in notations if not notation]
+        stamps = {cell: notation for cell in rest if (notation := notation_of(cell))}
+        words = [cell for cell in rest if cell not in stamps]
         kind: Kind = None
         if stamps:
-            kind = Counter(notation for notation, _ in notations if notation).most_common(1)[0][0]
+            kind = Counter(stamps[cell] for cell in rest if cell in stamps).most_common(1)[0][0]
         elif len(words) > len(numbers):
             kind = words[0]
         elif filled:
@@ -361,24 +348,21 @@ def _table(lines: Sequence[str], one: _Candidate, given: CsvDialect) -> Found | 
     # Rows with a word in place of a number are rows, not names.
     while first > begin and one.is_damaged_row(lines[first - 1]):
         first -= 1
-    if one.splits(lines[first])[0].isdecimal() and one.splits(lines[first])[0] != "1":
+    number = split(lines[first], one.delimiter)[0]
+    if number.isdecimal() and number != "1":
         one = replace(one, is_counted=False)
     above = [i for i in range(begin, first) if re.search(r"\w", lines[i])]
-    if given.header_line is None:
+    header, names, units = -1, [""] * one.n_columns, list[str]()
+    if given.header_line is None and above:
         header, names, units = _names(lines, above, one)
-        if above and not names:
-            return None  # the numbers of names and columns differ
-    else:
-        header = begin - 1
-        names = _padded(lines[header], one) if begin else []
-        units = _padded(lines[above[0]], one) if begin and len(above) == 1 else []
-        if begin and not names:
-            return None
-    names = [name or f"column_{i + 1}" for i, name in enumerate(names or [""] * one.n_columns)]
-    if not units:
-        units = [unit_in_name(name) for name in names]
+    elif begin:
+        header, names = begin - 1, _padded(lines[begin - 1], one)
+        units = _padded(lines[above[0]], one) if len(above) == 1 else []
+    if not names:
+        return None  # the numbers of names and columns differ
+    names = [name or f"column_{i + 1}" for i, name in enumerate(names)]
+    units = units or [unit_in_name(name) for name in names]
     return Found(
-        "",
         one.delimiter,
         one.decimal,
         header + 1,
@@ -386,7 +370,6 @@ def _table(lines: Sequence[str], one: _Candidate, given: CsvDialect) -> Found | 
         _distinct(names),
         tuple(unit.strip("[]() ") for unit in units),
         _kinds(lines[first : first + TAIL_LINES], one),
-        False,
     )
 
 
@@ -404,17 +387,16 @@ def _names(
             break
         if not one.has_numbers(cells):
             block.append((i, cells))
-    if not block and above and (cells := _padded(lines[above[-1]], one)):
+    if not block and (cells := _padded(lines[above[-1]], one)):
         block = [(above[-1], cells)]
     if not block:
         return -1, [], []
-    units = next((n for n, (_, cells) in enumerate(block) if _are_units(cells)), None)
+    units = next((n for n, (_, cells) in enumerate(block) if _are_units(cells)), -1)
     # the names are the next line above the units, unless a further one names a column of times
-    names = [n for n in range(len(block)) if n != units and (units is None or n > units)]
-    names = names or [0]
+    names = range(units + 1, len(block)) or range(1)
     times = (n for n in names if any(map(_TIME_NAME.search, block[n][1])))
     header = next(times, names[0])
-    return *block[header], (block[units][1] if units is not None and units != header else [])
+    return *block[header], (block[units][1] if units not in (-1, header) else [])
 
 
 def _kinds(lines: Sequence[str], one: _Candidate) -> tuple[Kind, ...]:
@@ -423,7 +405,8 @@ def _kinds(lines: Sequence[str], one: _Candidate) -> tuple[Kind, ...]:
     The tail of a short file may be damaged, and that of a long one empty in some column.
     """
     kinds = list(one.kinds)
-    rows = [cells for cells in map(one.splits, lines) if len(cells) == one.n_columns]
+    rows = [split(line, one.delimiter) for line in lines]
+    rows = [cells for cells in rows if len(cells) == one.n_columns]
     for i, cells in enumerate(zip(*rows, strict=True)):
         if isinstance(kinds[i], Notation) or i in one.numeric:
             continue
@@ -459,8 +442,8 @@ def _padded(line: str, one: _Candidate) -> list[str]:
     Empty columns at the end, as after a delimiter at the end of each row, need no name, nor does a
     first column that counts the rows. A word ahead of the names that marks their line is left out.
     """
-    cells = one.splits(_COMMENT.sub("", line))
-    filled = max((*one.numeric, *one.stamped)) + 1
+    cells = split(_COMMENT.sub("", line), one.delimiter)
+    filled = max(one.read) + 1
     if len(cells) > one.n_columns and not any(cells[one.n_columns :]):
         cells = cells[: one.n_columns]
     if len(cells) == one.n_columns + 1 and _TAG.match(cells[0]):
@@ -478,8 +461,6 @@ def _are_units(cells: Sequence[str]) -> bool:
     return any(is_unit(cell) for cell in filled) and all(len(cell) < 12 for cell in filled)
 
 
-def _preference(found: Found | None, one: _Candidate) -> tuple[bool, int, int, bool]:
-    """Return the sort key of a candidate: names, more columns, fewer misfits, decimal point."""
-    assert found is not None
-    n_read = len(one.numeric) + len(one.stamped)
-    return found.header_line > 0, n_read, -one.n_broken, found.decimal == "."
+def _preference(found: Found, one: _Candidate) -> tuple[bool, int, bool]:
+    """Return the sort key of a candidate: names, more columns, decimal point."""
+    return found.header_line > 0, len(one.read), found.decimal == "."

@@ -16,9 +16,18 @@ import pyarrow.csv
 import pyarrow.parquet
 from numpy.typing import NDArray
 
-from suspnet.ground.types import FloatArray
 from suspnet.recordings.columns import Block, Column, OpenFile, as_block, check_samples
-from suspnet.recordings.csv_dialect import MISSING, NUMBER, SIGNS, Found, find_dialect, split
+from suspnet.recordings.csv_dialect import (
+    MISSING,
+    NUMBER,
+    SIGNS,
+    Found,
+    Kind,
+    find_dialect,
+    is_of_kind,
+    split,
+    unread,
+)
 from suspnet.recordings.dates import read_date
 from suspnet.recordings.errors import TripError
 from suspnet.recordings.manifest_keys import CsvDialect
@@ -30,6 +39,8 @@ LONGEST_LINE = 2**20
 """Largest number of bytes of a line."""
 PARQUET_ROWS, PARQUET_BUFFER_BYTES = 2**17, 2**20
 """Number of rows in a batch, and bytes in the read buffer, of a Parquet file."""
+READ_TYPES = (pa.types.is_integer, pa.types.is_floating, pa.types.is_timestamp)
+"""Types of Parquet columns that are read."""
 MENDED_BYTES = 2**12
 """Size of a piece that Arrow refuses above which it is halved."""
 FOOTER_LINES, MOST_LEFT_OUT = 20, 0.1
@@ -48,11 +59,7 @@ def open_parquet(path: Path, _: CsvDialect | None = None) -> Iterator[OpenFile]:
         def read(names: Sequence[str]) -> Iterator[Block]:
             for name in names:
                 kind = fields[name].type
-                if not (
-                    pa.types.is_integer(kind)
-                    or pa.types.is_floating(kind)
-                    or pa.types.is_timestamp(kind)
-                ):
+                if not any(is_it(kind) for is_it in READ_TYPES):
                     raise TripError(f"{path}: column {name!r} holds {kind}, not numbers")
             check_samples(path, file.metadata.num_rows)
             for batch in file.iter_batches(PARQUET_ROWS, columns=list(names), use_threads=False):
@@ -64,20 +71,19 @@ def open_parquet(path: Path, _: CsvDialect | None = None) -> Iterator[OpenFile]:
 def _parquet_column(field: Any) -> Column:
     said = field.metadata or {}
     is_time = pa.types.is_timestamp(field.type)
-    unit, rate = (said.get(key, b"").decode("utf-8", "replace") for key in (b"unit", b"rate_hz"))
-    try:
-        rate_hz = float(rate) if rate else None
-    except ValueError:
-        rate_hz = None
+    unit = said.get(b"unit", b"").decode("utf-8", "replace")
+    rate_hz: float | None = None
+    with suppress(ValueError):
+        rate_hz = float(said.get(b"rate_hz", b""))
     is_zoned = is_time and field.type.tz is not None
     return Column(field.name, unit or None, rate_hz, is_time=is_time, is_zoned=is_zoned)
 
 
-def _from_arrow(column: Any) -> Any:
-    """Return an Arrow column as float64, or time stamps as datetime64[ns]."""
-    if pa.types.is_timestamp(column.type):
-        return as_block(column.cast(pa.timestamp("ns")).to_numpy(zero_copy_only=False))
-    return to_float(column)
+def _from_arrow(column: Any) -> NDArray[Any]:
+    """Return a column as float64, NaN where missing, or time stamps as datetime64[ns]."""
+    is_time = pa.types.is_timestamp(column.type)
+    numbers = column.cast(pa.timestamp("ns")) if is_time else column.cast(pa.float64(), safe=False)
+    return as_block(numbers.to_numpy(zero_copy_only=False))
 
 
 @contextmanager
@@ -91,11 +97,9 @@ def open_csv(path: Path, given: CsvDialect | None) -> Iterator[OpenFile]:
             is_time=isinstance(kind, Notation),
             is_zoned=isinstance(kind, Notation) and kind.is_zoned,
             date=found.date,
-            unread=found.unread(place),
+            unread=unread(kind),
         )
-        for place, (name, unit, kind) in enumerate(
-            zip(found.names, found.units, found.kinds, strict=True)
-        )
+        for name, unit, kind in zip(found.names, found.units, found.kinds, strict=True)
     )
     remarks: list[str] = []
 
@@ -128,7 +132,7 @@ class _Line:
     text: str
     cells: list[str]
     words: list[str]
-    is_row: bool = True
+    is_row: bool
 
 
 class _Rows:
@@ -143,7 +147,7 @@ class _Rows:
         self.path, self.found, self.names = path, found, tuple(names)
         self._places = [found.names.index(name) for name in names]
         self._kinds = [found.kinds[place] for place in self._places]
-        date = None if found.date is None else read_date(found.date)
+        date = read_date(found.date or "")
         self._day = NO_DATE if date is None else np.datetime64(date.date(), "D")
         self._n_lines = self._n_rows = self._n_zeros = 0
         self._pending: list[_Line] = []
@@ -197,23 +201,19 @@ class _Rows:
 
     def _read(self, piece: bytes) -> Block:
         """Return the columns of a piece; one that Arrow refuses is halved until it is short."""
+        block: Block = ()
         for sign in ("", *SIGNS):  # signs are replaced only where needed
-            if sign and sign.encode() not in piece:
-                continue
-            piece = piece.replace(sign.encode(), SIGNS[sign].encode()) if sign else piece
-            with suppress(pa.ArrowInvalid, ValueError):
-                return self._counted(piece, self._parsed(piece))
+            if not block and sign.encode() in piece:
+                piece = piece.replace(sign.encode(), SIGNS[sign].encode()) if sign else piece
+                with suppress(pa.ArrowInvalid, ValueError):
+                    block = self._parsed(piece)
         half = piece.find(b"\n", len(piece) // 2) + 1
-        if len(piece) > MENDED_BYTES and 0 < half < len(piece):
+        if not block and len(piece) > MENDED_BYTES and 0 < half < len(piece):
             parts = self._read(piece[:half]), self._read(piece[half:])
             return tuple(np.concatenate(pair) for pair in zip(*parts, strict=True))
-        return self._counted(piece, self._mended(piece.decode("utf-8", "replace")))
-
-    def _counted(self, piece: bytes, block: Block) -> Block:
-        """Return a block, and count the lines of its piece."""
-        end = ord("\n" if b"\n" in piece else "\r")
+        block = block or self._mended(piece.decode("utf-8", "replace"))
         letters = np.frombuffer(piece, np.uint8)  # counted faster than bytes
-        self._n_lines += int(np.count_nonzero(letters == end))
+        self._n_lines += int(np.count_nonzero(letters == ord("\n" if b"\n" in piece else "\r")))
         return block
 
     def _parsed(self, piece: bytes) -> Block:
@@ -230,11 +230,11 @@ class _Rows:
         columns = [
             self._stamps(column.combine_chunks(), kind)
             if isinstance(kind, Notation)
-            else to_float(column)
+            else _from_arrow(column)
             for column, kind in zip(read.columns, self._kinds, strict=True)
         ]
         if self._pending and len(columns[0]):
-            before, self._pending = self._columns(self._taken()), []
+            before = self._columns(self._taken())
             columns = [np.concatenate(pair) for pair in zip(before, columns, strict=True)]
         return tuple(columns)
 
@@ -246,8 +246,6 @@ class _Rows:
         except ValueError:
             known = pa.compute.utf8_trim_whitespace(known)
             stamps = read_stamps(*_letters(known), notation, self._day)
-        if not column.null_count:
-            return stamps.view("datetime64[ns]")
         found = np.full(len(column), np.datetime64("NaT", "ns"))
         found[column.is_valid().to_numpy(zero_copy_only=False)] = stamps.view("datetime64[ns]")
         return found
@@ -263,38 +261,31 @@ class _Rows:
             self._pending.append(found)
             if (found.is_row and not found.words) or len(self._pending) > FOOTER_LINES:
                 rows += self._taken()
-                self._pending = []
         return self._columns(rows)
 
     def _judged(self, number: int, text: str) -> _Line:
         """Return the cells of a line that are read; "" for words, and all "" if it is no row."""
         cells = split(text, self.found.delimiter)
         cells = ["" if cell in MISSING else cell for cell in cells]
-        is_row = len(cells) == len(self.found.kinds)
-        words = []
+        kinds, decimal, words = self.found.kinds, self.found.decimal, []
+        is_row = len(cells) == len(kinds)
         if is_row:
-            wrong = [i for i, cell in enumerate(cells) if cell and not self._fits(i, cell)]
-            read = [i for i, kind in enumerate(self.found.kinds) if not isinstance(kind, str)]
-            is_row = any(cells[i] and i not in wrong for i in read)
-            for i in set(wrong) & set(self._places):
-                self._refuse_other_dialect(number, cells[i], i)
-                is_row &= self.found.kinds[i] is None  # without its time a row is none
+            pairs = enumerate(zip(cells, kinds, strict=True))
+            wrong = {i for i, (cell, kind) in pairs if cell and not is_of_kind(cell, kind, decimal)}
+            read = {i for i, kind in enumerate(kinds) if cells[i] and not isinstance(kind, str)}
+            is_row = bool(read - wrong)
+            for i in wrong & set(self._places):
+                self._refuse_other_dialect(number, cells[i], kinds[i])
+                is_row &= kinds[i] is None  # without its time a row is none
                 words.append(cells[i])
                 cells[i] = ""
         if not is_row:
             self._lines.add(number, text)
-            return _Line(number, text, [""] * len(self._places), [], is_row=False)
-        return _Line(number, text, [cells[i] for i in self._places], words)
+            return _Line(number, text, [""] * len(self._places), [], is_row)
+        return _Line(number, text, [cells[i] for i in self._places], words, is_row)
 
-    def _fits(self, place: int, cell: str) -> bool:
-        kind = self.found.kinds[place]
-        if isinstance(kind, Notation):
-            return kind.is_that_of(cell)
-        return kind is not None or NUMBER[self.found.decimal].fullmatch(cell) is not None
-
-    def _refuse_other_dialect(self, number: int, cell: str, place: int) -> None:
+    def _refuse_other_dialect(self, number: int, cell: str, kind: Kind) -> None:
         """Raise TripError if a cell is a number or a time that is written in another way."""
-        kind = self.found.kinds[place]
         if isinstance(kind, Notation):
             other = notation_of(cell)
             if other is not None and not other.is_like(kind):
@@ -312,7 +303,8 @@ class _Rows:
         for line in self._pending:
             for word in line.words:
                 self._words.add(line.number, word)
-        return [line.cells for line in self._pending]
+        taken, self._pending = self._pending, []
+        return [line.cells for line in taken]
 
     def _columns(self, rows: Sequence[Sequence[str]]) -> Block:
         """Return rows of cells that fit as columns."""
@@ -333,7 +325,6 @@ class _Rows:
             )
 
     def _remarks(self) -> Iterator[str]:
-        """Yield what was left out of the file."""
         name = self.path.name
         if n := self._lines.n:
             yield f"lines of {name} outside of its table are left out ({n}, {self._lines.first})"
@@ -348,8 +339,3 @@ def _letters(texts: Any) -> tuple[NDArray[np.uint8], NDArray[np.int32]]:
     _, offsets, letters = texts.buffers()
     ends = np.frombuffer(offsets, np.int32)[texts.offset : texts.offset + len(texts) + 1]
     return np.frombuffer(letters or b"", np.uint8), ends
-
-
-def to_float(column: Any) -> FloatArray:
-    """Return an Arrow column as float64, NaN where a value is missing."""
-    return as_block(column.cast(pa.float64(), safe=False).to_numpy(zero_copy_only=False))

@@ -87,12 +87,11 @@ def read_date(text: str) -> datetime | None:
     if notation is None or not notation.is_dated:
         return None
     letters = np.frombuffer(stamp.encode(), np.uint8)
-    try:
+    with suppress(ValueError):
         (ns,) = read_stamps(letters, np.array([0, len(letters)]), notation)
-    except ValueError:
-        return None
-    found = EPOCH + timedelta(microseconds=int(ns) // 1000)
-    return found if notation.is_zoned else found.replace(tzinfo=None)
+        found = EPOCH + timedelta(microseconds=int(ns) // 1000)
+        return found if notation.is_zoned else found.replace(tzinfo=None)
+    return None
 
 
 def short_lines(lines: Iterable[str]) -> list[str]:

@@ -120,11 +120,6 @@ class Format:
     in_own_process: bool = True
     states: Mapping[str, str] = field(default_factory=dict)
 
-    @property
-    def reader(self) -> Reader:
-        """Function that opens a file, in a confined process if required."""
-        return in_own_process(self.open, self.library) if self.in_own_process else self.open
-
 
 CSV_SUFFIXES = (".csv", ".txt", ".tsv", ".asc")
 FORMATS = (
@@ -226,7 +221,11 @@ FORMATS = (
         },
     ),
 )
-READERS: dict[str, Reader] = {suffix: one.reader for one in FORMATS for suffix in one.suffixes}
+READERS: dict[str, Reader] = {
+    suffix: in_own_process(one.open, one.library) if one.in_own_process else one.open
+    for one in FORMATS
+    for suffix in one.suffixes
+}
 """Readers by suffix."""
 UNREAD: Mapping[str, str] = {
     ".lvm": "LabVIEW text",

@@ -7,7 +7,6 @@ import warnings
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import replace
 from importlib import import_module
 from itertools import pairwise
 from logging import CRITICAL, getLogger
@@ -79,12 +78,8 @@ def open_tdms(path: Path, _: CsvDialect | None = None) -> Iterator[OpenFile]:
                 columns.append(Column(column.time, unit="s", is_part=True))
                 takes[column.time] = len(channel), _times_of_segments(starts, channel)
 
-        def read(names: Sequence[str]) -> Iterator[Block]:
-            chosen = [takes[name] for name in names]
-            return slices(path, names, [n for n, _ in chosen], [take for _, take in chosen])
-
         notes = tuple(f"{name}: {value}" for name, value in file.properties.items())
-        yield OpenFile(tuple(columns), read, notes=notes)
+        yield OpenFile(tuple(columns), lambda names: slices(path, names, takes), notes=notes)
 
 
 @contextmanager
@@ -119,18 +114,17 @@ def _tdms_column(name: str, channel: Any, stated: Stated) -> tuple[Column, list[
     has_rate = isinstance(step_s, float | int) and 1e-9 < step_s < 1e9
     starts_ns = _starts_ns(stated, len(channel))
     starts, overlap = _parts(starts_ns, step_s) if has_rate else ([], "")
+    is_read = kind.kind in "iufM"
     column = Column(
         name,
         unit=str(unit) if unit else None,
-        rate_hz=1 / step_s if has_rate and step_s is not None else None,
+        rate_hz=1 / step_s if has_rate else None,
         time=f"{name}: times" if len(starts) > 1 else None,
         start_ns=starts_ns[0][1] if starts_ns else None,
         is_time=kind.kind == "M",
         is_zoned=kind.kind == "M",  # LabVIEW writes time stamps in UTC
-        unread=_changed(stated) or overlap,
+        unread=(_changed(stated) or overlap) if is_read else f"holds {kind}, not numbers",
     )
-    if kind.kind not in "iufM":
-        column = replace(column, unread=f"holds {kind}, not numbers")
     return column, starts
 
 
@@ -208,7 +202,7 @@ def open_uff(path: Path, _: CsvDialect | None = None) -> Iterator[OpenFile]:
     columns, records = _uff_columns(file)
 
     def read(names: Sequence[str]) -> Iterator[Block]:
-        arrays = []
+        takes: dict[str, tuple[int, Take]] = {}
         for name in names:
             is_times = name not in records
             record = file.read_sets(records[name.removesuffix(": times")])
@@ -219,9 +213,8 @@ def open_uff(path: Path, _: CsvDialect | None = None) -> Iterator[OpenFile]:
                     f"{path}: column {name!r} declares {n_declared} points and holds {len(values)}"
                     ": it is cut off; copy or export it again"
                 )
-            arrays.append(values[:n_declared])  # what follows fills up a line
-        takes: list[Take] = [array.__getitem__ for array in arrays]
-        return slices(path, names, [len(array) for array in arrays], takes)
+            takes[name] = n_declared, values.__getitem__  # what follows fills up a line
+        return slices(path, names, takes)
 
     yield OpenFile(tuple(columns), read)
 

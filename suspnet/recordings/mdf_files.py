@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections import Counter
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from datetime import datetime
 from importlib import import_module
@@ -11,7 +12,7 @@ from io import BytesIO
 from logging import CRITICAL, getLogger
 from pathlib import Path
 from traceback import walk_tb
-from typing import Any, BinaryIO, NoReturn, cast
+from typing import Any, BinaryIO, NoReturn
 
 import numpy as np
 
@@ -22,12 +23,11 @@ from suspnet.recordings.dates import nanoseconds
 from suspnet.recordings.errors import TripError
 from suspnet.recordings.manifest_keys import CsvDialect
 
-IDENTITY, LINEAR, RATIONAL, INTERPOLATED, TABLE, RANGES = range(6)
-KINDS = {
-    "4": {0: IDENTITY, 1: LINEAR, 2: RATIONAL, 4: INTERPOLATED, 5: TABLE, 6: RANGES},
-    "3": {65535: IDENTITY, 0: LINEAR, 1: INTERPOLATED, 2: TABLE, 9: RATIONAL},
-}
-"""Supported conversions by their numbers in MDF 4, and in MDF 2 and 3."""
+RATIONAL = {"4": 2, "3": 9}
+RANGES = {"4": 6}
+APPLIED = {"4": (0, 1, 2, 4, 5, 6), "3": (65535, 0, 1, 2, 9)}
+"""Numbers of the conversions that are applied, in MDF 4, and in MDF 2 and 3: none, linear,
+rational, a table with and without interpolation, and a table of ranges."""
 REFUSED = {
     "4": {
         **{3: "algebraic (a formula)", 7: "value-to-text", 8: "range-to-text"},
@@ -57,10 +57,10 @@ def open_mdf(path: Path, _: CsvDialect | None = None) -> Iterator[OpenFile]:
     with path.open("rb") as stream, _opened_mdf(asammdf, stream) as file:
         places: dict[str, tuple[int, int]] = {}
         columns: list[Column] = []
-        repeated = _repeated(file)  # such names are qualified by their group
+        n_of_name = Counter(one.name for group in file.groups for one in group.channels)
         for g, group in enumerate(file.groups):
             names = [
-                f"group_{g}/{one.name}" if one.name in repeated else one.name
+                f"group_{g}/{one.name}" if n_of_name[one.name] > 1 else one.name
                 for one in group.channels
             ]
             places |= {name: (g, c) for c, name in enumerate(names)}
@@ -71,8 +71,8 @@ def open_mdf(path: Path, _: CsvDialect | None = None) -> Iterator[OpenFile]:
             if len(groups) > 1:
                 raise TripError(f"{path}: columns {list(names)} are not of one channel group")
             n_samples = int(file.groups[groups.pop()].channel_group.cycles_nr)
-            takes = [_take(path, file, name, *places[name]) for name in names]
-            return slices(path, names, [n_samples] * len(names), takes)
+            takes = {name: (n_samples, _take(path, file, name, *places[name])) for name in names}
+            return slices(path, names, takes)
 
         yield OpenFile(tuple(columns), read, notes=_notes(file.header))
 
@@ -80,42 +80,39 @@ def open_mdf(path: Path, _: CsvDialect | None = None) -> Iterator[OpenFile]:
 def _columns(file: Any, g: int, names: Sequence[str]) -> Iterator[Column]:
     """Yield the channels of a group as the file describes them."""
     start = _start(file)
-    start_ns = 0 if start is None else nanoseconds(start)
-    about: dict[str, Any] = {}
-    if start is not None and start_ns > 0:
-        about = {"start_ns": start_ns, "is_local": start.tzinfo is None}
-    master = file.masters_db.get(g)
-    kind, by = TIME, ""
+    master, kind = file.masters_db.get(g), TIME
     if master is not None and file.version >= "4":
         kind = file.groups[g].channels[master].sync_type or TIME
-        by = NO_TIMES.get(kind, "")
     for c, (name, channel) in enumerate(zip(names, file.groups[g].channels, strict=True)):
         unit, refused = _unit(file.version, channel), _refused(file.version, channel)
         if c == master:
             known = unit or ("s" if kind == TIME else None)
-            yield Column(name, unit=known, unread=refused, is_local=about.get("is_local", False))
+            yield Column(name, unit=known, unread=refused, is_local=start.get("is_local", False))
             continue
-        if by and master is not None:
+        if by := NO_TIMES.get(kind):
             refused = f"is sampled along {by} ({names[master]!r}), not in time; export it over time"
         time = names[master] if master is not None and kind == TIME else None
-        yield Column(name, unit=unit, time=time, unread=refused, **about)
+        yield Column(name, unit=unit, time=time, unread=refused, **start)
 
 
-def _start(file: Any) -> datetime | None:
-    """Return the start of a file, without a zone if it is the logger's; None if it has none."""
+def _start(file: Any) -> dict[str, Any]:
+    """Return the start of a file, and whether it is local, as arguments of `Column`, if stated."""
+    start = None
     if file.version >= "4" or getattr(file.header, "abs_time", 0):
-        return cast(datetime, file.start_time)
-    with suppress(ValueError):  # asammdf takes the present, and this computer's zone
-        text = f"{file.header.date.decode('ascii')} {file.header.time.decode('ascii')}"
-        return datetime.strptime(text, "%d:%m:%Y %H:%M:%S")
-    return None
+        start = file.start_time
+    else:
+        with suppress(ValueError):  # asammdf takes the present, and this computer's zone
+            text = f"{file.header.date.decode('ascii')} {file.header.time.decode('ascii')}"
+            start = datetime.strptime(text, "%d:%m:%Y %H:%M:%S")
+    if start is None or (start_ns := nanoseconds(start)) <= 0:
+        return {}
+    return {"start_ns": start_ns, "is_local": start.tzinfo is None}
 
 
 def _unit(version: str, channel: Any) -> str | None:
     """Return the unit of a channel, or else, where it refers to none, that of its conversion."""
     is_open = version < "4" or channel.unit_addr == 0
-    conversion = channel.conversion if is_open else None
-    return channel.unit or (conversion.unit if conversion is not None else None) or None
+    return channel.unit or (getattr(channel.conversion, "unit", None) if is_open else None) or None
 
 
 def _major(version: str) -> str:
@@ -125,13 +122,10 @@ def _major(version: str) -> str:
 def _refused(version: str, channel: Any) -> str:
     """Return why the conversion of a channel is not applied; empty if it is."""
     if channel.conversion is None:  # asammdf also leaves out one that it cannot read
-        return (
-            "has a conversion that is damaged; export the file again"
-            if channel.conversion_addr
-            else ""
-        )
+        is_damaged = bool(channel.conversion_addr)
+        return "has a conversion that is damaged; export the file again" * is_damaged
     major, number = _major(version), int(channel.conversion.conversion_type)
-    if number in KINDS[major]:
+    if number in APPLIED[major]:
         return ""
     what = REFUSED[major].get(number, f"number {number}")
     return (
@@ -183,21 +177,14 @@ def _opened_mdf(asammdf: Any, stream: BinaryIO) -> Any:
         raise
 
 
-def _repeated(file: Any) -> set[str]:
-    names = [channel.name for group in file.groups for channel in group.channels]
-    seen: set[str] = set()
-    return {name for name in names if name in seen or seen.add(name)}  # type: ignore[func-returns-value]
-
-
 def _take(path: Path, file: Any, name: str, group: int, index: int) -> Take:
     channel = file.groups[group].channels[index]
-    convert = _conversion(file.version, channel.conversion)
+    is_newer = file.version >= "4"
 
     def take(part: slice) -> FloatArray:
         numbers = np.arange(part.start, part.stop, dtype=np.float64)
-        if file.version < "4" and index == file.masters_db.get(group) and channel.bit_count == 0:
+        if not is_newer and index == file.masters_db.get(group) and channel.bit_count == 0:
             return numbers * (channel.sampling_rate or 1)
-        at = {"record_offset": part.start, "record_count": part.stop - part.start}
         # raw values, and the mask of invalid ones, which would otherwise be left out
         values, invalid = file.get(
             group=group,
@@ -205,13 +192,14 @@ def _take(path: Path, file: Any, name: str, group: int, index: int) -> Take:
             samples_only=True,
             raw=True,
             ignore_invalidation_bits=True,
-            **at,
+            record_offset=part.start,
+            record_count=part.stop - part.start,
         )
         if values.dtype.kind not in "iufb" or values.ndim != 1:
             raise TripError(f"{path}: column {name!r} holds {values.dtype}, not numbers")
-        is_virtual = file.version >= "4" and channel.channel_type in VIRTUAL
-        values = convert(numbers if is_virtual else values)
-        if file.version >= "4" and channel.flags & ALL_INVALID:
+        is_virtual = is_newer and channel.channel_type in VIRTUAL
+        values = _converted(numbers if is_virtual else values, channel.conversion, file.version)
+        if is_newer and channel.flags & ALL_INVALID:
             values[:] = np.nan
         elif invalid is not None:
             values[np.asarray(invalid, dtype=np.bool_)] = np.nan
@@ -220,46 +208,32 @@ def _take(path: Path, file: Any, name: str, group: int, index: int) -> Take:
     return take
 
 
-def _conversion(version: str, conversion: Any) -> Callable[[Any], FloatArray]:
-    """Return the function from raw to physical values of a conversion that is not refused."""
-    kind = IDENTITY
-    if conversion is not None:
-        kind = KINDS[_major(version)][int(conversion.conversion_type)]
-    if kind == IDENTITY:
-        return lambda x: np.array(x, dtype=np.float64)
-    if kind == LINEAR:
-        return lambda x: np.asarray(x, dtype=np.float64) * conversion.a + conversion.b
-    if kind == RATIONAL:
+def _converted(values: Any, conversion: Any, version: str) -> FloatArray:
+    """Return the physical values of raw ones.
+
+    Those that asammdf evaluates as formulas, or wrongly for integers, are computed here.
+    """
+    numbers = np.array(values, dtype=np.float64)
+    if conversion is None:
+        return numbers
+    kind = int(conversion.conversion_type)
+    if kind == RATIONAL[_major(version)]:
         p = [float(getattr(conversion, f"P{i}")) for i in range(1, 7)]
-        return lambda x: _ratio(p, np.asarray(x, dtype=np.float64))
-    if kind == RANGES:
-        n = (int(conversion.val_param_nr) - 1) // 3
-        lower, upper, values = (_entries(conversion, key, n) for key in ("lower", "upper", "phys"))
-        return lambda x: _in_ranges(lower, upper, values, float(conversion.default), x)
-    is_newer = version >= "4"
-    n = int(conversion.val_param_nr) // 2 if is_newer else int(conversion.ref_param_nr)
-    keys, values = (_entries(conversion, key, n) for key in ("raw", "phys"))
-    if kind == INTERPOLATED:
-        return lambda x: np.interp(x, keys, values)
-    middles = (keys[:-1] + keys[1:]) / 2  # a value in the middle takes the lower entry
-    return lambda x: values[np.searchsorted(middles, x)]
+        with np.errstate(all="ignore"):  # NaN or infinite where the divisor is 0
+            above, below = (a * numbers**2 + b * numbers + c for a, b, c in (p[:3], p[3:]))
+            return np.asarray(above / below)
+    if kind == RANGES.get(_major(version)):
+        return _in_ranges(conversion, values)
+    return np.asarray(conversion.convert(numbers))
 
 
-def _entries(conversion: Any, key: str, n: int) -> FloatArray:
-    return np.array([float(conversion[f"{key}_{i}"]) for i in range(n)])
-
-
-def _ratio(p: Sequence[float], x: FloatArray) -> FloatArray:
-    """Return the ratio of two quadratic polynomials; NaN or infinite where the divisor is 0."""
-    with np.errstate(all="ignore"):
-        ratio: FloatArray = (p[0] * x**2 + p[1] * x + p[2]) / (p[3] * x**2 + p[4] * x + p[5])
-    return ratio
-
-
-def _in_ranges(
-    lower: FloatArray, upper: FloatArray, values: FloatArray, default: float, x: Any
-) -> FloatArray:
+def _in_ranges(conversion: Any, x: Any) -> FloatArray:
     """Return the value of the range that contains x; for integers, including its upper end."""
+    n = (int(conversion.val_param_nr) - 1) // 3
+    lower, upper, values = (
+        np.array([float(conversion[f"{key}_{i}"]) for i in range(n)])
+        for key in ("lower", "upper", "phys")
+    )
     i = np.searchsorted(lower, x, side="right") - 1
     inside = (i >= 0) & ((x <= upper[i]) if x.dtype.kind in "iub" else (x < upper[i]))
-    return np.where(inside, values[i], default)
+    return np.where(inside, values[i], float(conversion.default))

@@ -58,8 +58,8 @@ class Grid:
     """Interpolates a stream of samples at uneven times onto an even grid, block by block.
 
     The result does not depend on how the stream is cut into blocks. `first_s` is the first instant
-    of the grid; `steps_s` are steps from which its rate is computed. Where a sample is missing, the
-    result is NaN: within steps above `gap_s`. `words` states what was done.
+    of the grid; `steps_s` are steps whose mean without gaps gives `rate_hz`. Where a sample is
+    missing, the result is NaN: within steps above `gap_s`. `words` states what was done.
     """
 
     def __init__(self, where: str, first_s: float, steps_s: FloatArray, band_hz: float) -> None:
@@ -69,17 +69,13 @@ class Grid:
         self.gap_s = usual_s + max(DEVIATIONS * deviation_s, LEAST_GAP * usual_s)
         even = steps_s[steps_s <= self.gap_s]
         self.step_s = float(even.mean())
+        self.rate_hz = 1 / self.step_s
         low, high = 1e3 * np.quantile(even, [0.01, 0.99])
         self._uneven = f"its times are uneven, steps of {low:.3g} to {high:.3g} ms"
         self.words = f"{self._uneven}; its samples are interpolated at {self.rate_hz:.6g} Hz"
         self._first_s, self._n_done = first_s, 0
         self._times, self._values = np.empty(0), np.empty(0)
         self._n_summed, self._sum_of_squares = 0, 0.0
-
-    @property
-    def rate_hz(self) -> float:
-        """Rate of the grid, the mean of the samples without gaps."""
-        return 1 / self.step_s
 
     def push(self, times: FloatArray, values: FloatArray) -> FloatArray:
         """Return the values that the next samples complete."""

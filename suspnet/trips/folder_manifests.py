@@ -170,9 +170,8 @@ def folder_manifests(
     user's vehicles, for the commands in the manifests. TripError with all `problems` if files
     cannot be read; ValueError if the table names a trip that is not there.
     """
-    rows = {one.path: _row(table, one, folder) for one in found}
-    unknown = set(table) - {name for names, _ in rows.values() for name in names}
-    if unknown:
+    names = {one.path: {one.path.stem, *names_of(one.files, folder)} for one in found}
+    if unknown := set(table).difference(*names.values()):
         raise ValueError(
             f"the table names {', '.join(sorted(unknown)[:5])}, which {folder} does not hold"
         )
@@ -182,32 +181,32 @@ def folder_manifests(
     trips = []
     times = [_file_time(one).timestamp() for one in found]
     is_copy = len(found) > 1 and max(times) - min(times) < COPIED_S * (len(found) - 1)
+    said_of_all = {
+        key: Stated(_plain_value(key, value), BY_COMMAND_LINE)
+        for key, value in said.items()
+        if key in PLACE_LINES
+    }
     for one, several in zip(found, contents, strict=True):
         for path, signals, guessed in _by_bogie(one.path, _signals(several)):
-            known = _stated(one, several, signals, folder)
-            if not is_copy and "start" not in known and not _is_dated(signals):
-                known["start"] = Stated(_file_time(one).isoformat(), BY_FILE_TIME)
-            known = guessed | known
+            stated = _stated(one, several, signals, folder)
+            if not is_copy and "start" not in stated and not _is_dated(signals):
+                stated["start"] = Stated(_file_time(one).isoformat(), BY_FILE_TIME)
+            bogie, word = guessed_bogie(path.stem)
+            known = {"bogie": Stated(bogie, f"guess by files named {word}")} if bogie else {}
+            known |= guessed | stated
             if "bogie" in guessed:  # columns of both bogies count more than a line
                 known["bogie"] = guessed["bogie"]
-            word = guessed_bogie(path.stem)
-            if "bogie" not in known and word[0]:
-                known["bogie"] = Stated(word[0], f"guess by files named {word[1]}")
-            known |= {
-                key: Stated(_plain_value(key, value), BY_COMMAND_LINE)
-                for key, value in said.items()
-                if key in PLACE_LINES
-            }
-            known |= rows[one.path][1]
+            known |= said_of_all
+            for name in sorted(names[one.path] & set(table)):
+                known |= table[name]
             trips.append(_trip(path, one.files, several, signals, known, said, config_dir))
-    for key, names in said.items():
-        if key.startswith("channels.") and not any(
-            _columns(key, names, trip.signals) for trip in trips
-        ):
+    for key, value in said.items():
+        is_channel = key.startswith("channels.")
+        if is_channel and not any(_columns(key, value, trip.signals) for trip in trips):
             raise ValueError(
                 f"`{key}` must name one or two of the columns {_names_of_columns(trips)}, and "
                 f"likewise of those at the bogie's other axle, with {OTHER} at their end; "
-                f"FILE:COLUMN is that of one file; got {names!r}"
+                f"FILE:COLUMN is that of one file; got {value!r}"
             )
     if "mileage_km" in said and len(trips) > 1:
         raise ValueError(
@@ -225,40 +224,32 @@ def _signals(contents: Sequence[Contents]) -> list[Signal]:
     return [replace(one, names=(*one.names, one.file.parent.name)) for one in signals]
 
 
-def _row(
-    table: Mapping[str, Mapping[str, Stated]], one: TripFiles, folder: Path
-) -> tuple[set[str], dict[str, Stated]]:
-    """Return the names in a table that mean a trip, and what their rows state."""
-    named = {one.path.stem, *names_of(one.files, folder)} & set(table)
-    return named, {key: value for name in sorted(named) for key, value in table[name].items()}
-
-
 def _by_bogie(
     path: Path, signals: Sequence[Signal]
 ) -> list[tuple[Path, tuple[Signal, ...], dict[str, Stated]]]:
     """Return a trip of each bogie that the names of columns state, with guesses of its place."""
     axles = [guessed_axle(*one.names) for one in signals]
-    are_of_vehicle = max(axles, default=0) > len(ENDS)
     stated = [guessed_bogie(*one.names) for one in signals]
-    for i, axle in enumerate(axles):
-        if are_of_vehicle and axle and not stated[i][0]:
-            stated[i] = ENDS[axle > len(ENDS)], f"axle {axle}"
-    bogies: list[str] = [one for one in ENDS if any(bogie == one for bogie, _ in stated)]
+    if max(axles, default=0) > len(ENDS):  # axles are numbered along the vehicle
+        stated = [
+            one if one[0] or not axle else (ENDS[axle > len(ENDS)], f"axle {axle}")
+            for one, axle in zip(stated, axles, strict=True)
+        ]
+    bogies: list[str] = [end for end in ENDS if end in dict(stated)]
     parts = []
-    for one in bogies or [""]:
-        own = [s for s, (bogie, _) in zip(signals, stated, strict=True) if bogie in ("", one)]
-        word = next((word for bogie, word in stated if bogie == one and word), "")
-        known = {"bogie": Stated(one, f"guess by columns named {word}")} if one else {}
-        numbers = {
-            axle
-            for axle, s, (bogie, _) in zip(axles, signals, stated, strict=True)
-            if axle and s.side and bogie in ("", one)
-        }
+    for bogie in bogies or [""]:
+        own = [i for i, (end, _) in enumerate(stated) if end in ("", bogie)]
+        known: dict[str, Stated] = {}
+        if bogie:
+            word = next(word for end, word in stated if end == bogie)
+            known["bogie"] = Stated(bogie, f"guess by columns named {word}")
+        numbers = {axles[i] for i in own if axles[i] and signals[i].side}
         if len(numbers) == 1:
             (axle,) = numbers
             known["axle"] = Stated(ENDS[(axle - 1) % 2], f"guess by columns named axle {axle}")
-        end = f"_{one}" if len(bogies) > 1 else ""
-        parts.append((path.with_name(f"{path.stem}{end}.yaml"), tuple(own), known))
+        end = f"_{bogie}" if len(bogies) > 1 else ""
+        its_path = path.with_name(f"{path.stem}{end}.yaml")
+        parts.append((its_path, tuple(signals[i] for i in own), known))
     return parts
 
 
@@ -311,16 +302,14 @@ def _trip(
     said: Mapping[str, str],
     config_dir: Path | None,
 ) -> Trip:
-    known, chosen = dict(known), dict[str, dict[Address, int]]()
-    for name in CHANNELS:
-        if columns := _columns(name, said.get(f"channels.{name}", ""), signals):
-            chosen[name] = columns
-    if SPEED in said:
-        if columns := _columns(SPEED, said[SPEED], signals):
-            chosen[SPEED] = columns
-            known.pop(SPEED, None)
-        else:
-            known[SPEED] = Stated(_plain_value(SPEED, said[SPEED]), BY_COMMAND_LINE)
+    known, names = dict(known), {key: said.get(f"channels.{key}", "") for key in CHANNELS}
+    names[SPEED] = said.get(SPEED, "")
+    columns = {key: _columns(key, text, signals) for key, text in names.items()}
+    chosen = {key: addresses for key, addresses in columns.items() if addresses}
+    if SPEED in chosen:
+        known.pop(SPEED, None)
+    elif SPEED in said:
+        known[SPEED] = Stated(_plain_value(SPEED, said[SPEED]), BY_COMMAND_LINE)
     # columns about the trip are no sensors
     sensors = [one for one in signals if key_of(one.name) not in ("mileage_km", "direction")]
     own = tuple(_with_said(one, said, chosen) for one in sensors)
@@ -402,9 +391,8 @@ def _with_said(
             side = SIDES[list(columns).index(one.address) % 2] if len(columns) > 1 else ""
             one = replace(one, names=(side, *one.names), axle=columns[one.address])
     prefix = "speed_" if meaning == SPEED else ""
-    unit, rate = said.get(f"{prefix}unit"), said.get(f"{prefix}rate_hz")
-    if unit and not one.unit:
-        one = replace(one, unit=unit)
+    unit, rate = said.get(f"{prefix}unit", ""), said.get(f"{prefix}rate_hz")
+    one = replace(one, unit=one.unit or unit)
     if rate and not one.time and not np.isfinite(one.rate_hz):
         one = replace(one, rate_hz=float(_plain_value("rate_hz", rate)))
     if "range" in said and meaning != SPEED:
@@ -460,10 +448,8 @@ def origins(trips: Sequence[Trip]) -> list[str]:
     """Return a line for each key on where its values are from, with numbers of trips."""
     lines = []
     for key in (*PLACE_LINES, SPEED):
-        n_trips = Counter(trip.known[key].source for trip in trips if key in trip.known)
-        if n_trips:
+        if n_trips := Counter(trip.known[key].source for trip in trips if key in trip.known):
             lines.append(f"{key}: {', '.join(f'{where} ({n})' for where, n in n_trips.items())}")
-    guesses = dict.fromkeys(key for trip in trips for key in trip.manifest.guesses)
-    if guesses:
+    if guesses := dict.fromkeys(key for trip in trips for key in trip.manifest.guesses):
         lines.append(f"guessed by names of columns, to be checked: {', '.join(guesses)}")
     return lines
