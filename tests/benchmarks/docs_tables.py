@@ -107,7 +107,7 @@ def table6_short(rows: Sequence[Row]) -> str:
     lines = []
     for output in dict.fromkeys(r["output"] for r in chosen):
         by_model = {r["model"]: r for r in chosen if r["output"] == output}
-        published = [by_model[name]["published"] for name in models]
+        published = [by_model[name].get("published") for name in models]
         pairs = [
             f"{by_model[name]['measured']:#.3g}" + (f" ({paper:g})" if paper else "")
             for name, paper in zip(models, published, strict=True)

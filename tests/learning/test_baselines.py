@@ -72,7 +72,6 @@ def test_kernel_ridge_is_msvr_without_a_tube():
     np.testing.assert_allclose(exact.fit(X, Y).predict(X), found.predict(X), atol=1e-9, rtol=0)
 
 
-
 @pytest.mark.parametrize("make", [small, KernelRidge, LinearRegression])
 def test_restored_model_predicts_bit_for_bit(make):
     X, Y = smooth_data(5)
