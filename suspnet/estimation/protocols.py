@@ -250,7 +250,7 @@ class Task:
             points = sampler.random_base2(n_points)[: len(rows)]
             ranges = np.array([self.range(name) for name in names])
             scaled = ranges[:, 0] + (ranges[:, 1] - ranges[:, 0]) * points
-            ratios[np.ix_(rows, columns_of(names))] = scaled
+            ratios[rows[:, None], columns_of(names)] = scaled
         return ratios
 
 

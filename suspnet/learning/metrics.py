@@ -60,9 +60,10 @@ def score_where(
     for subset, chosen in SUBSETS.items():
         for j, output in enumerate(outputs):
             rows = chosen(actual[:, j])
-            parts = (values[rows][:, [j]] for values in (actual, predicted))
-            scores = score(*parts, [output]) if rows.any() else {}
-            found[subset][output] = scores.get(output, dict.fromkeys(METRICS))
+            found[subset][output] = dict.fromkeys(METRICS)
+            if rows.any():
+                scores = score(actual[rows][:, [j]], predicted[rows][:, [j]], [output])
+                found[subset][output].update(scores[output])
     return found
 
 
