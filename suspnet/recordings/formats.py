@@ -141,7 +141,11 @@ FORMATS = (
         states={
             "a line of units, or brackets behind a name": "used",
             "empty cells, `NaN`, `NA`, `null`, `-`": "missing samples",
+            "words and infinity in place of numbers": "missing samples, counted in `read_as`",
+            "names, units, descriptions and tags over several lines": "used",
+            "lines that are no rows: footers, cut lines, zero bytes": "left out, counted in `read_as`",
             "time stamps, with an offset or without": "times, in UTC or in the logger's zone",
+            "times of day alone, counters that start again": "times, continued over their end",
             "a start in the lines above the table": "date",
         },
     ),
