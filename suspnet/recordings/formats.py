@@ -143,7 +143,7 @@ FORMATS = (
             "empty cells, `NaN`, `NA`, `null`, `-`": "missing samples",
             "words and infinity in place of numbers": "missing samples, counted in `read_as`",
             "names, units, descriptions and tags over several lines": "used",
-            "lines that are no rows: footers, cut lines, zero bytes": "left out, counted in `read_as`",
+            "footers, cut lines, zero bytes": "left out, counted in `read_as`",
             "time stamps, with an offset or without": "times, in UTC or in the logger's zone",
             "times of day alone, counters that start again": "times, continued over their end",
             "a start in the lines above the table": "date",
