@@ -289,7 +289,7 @@ class Timeline:
         """
         is_gap = steps > GAP_STEPS * self._usual_s
         n_first = int(np.isnan(self._last_s))  # the very first sample follows no step
-        n_steps = self._n_steps + np.count_nonzero(~is_gap) - n_first
+        n_steps = self._n_steps + int(np.count_nonzero(~is_gap)) - n_first
         seconds = self._seconds + float(steps[~is_gap].sum())
         rate_hz = n_steps / seconds if n_steps else self.rate_hz
         # the number of each sample, by those missing before it
