@@ -242,7 +242,7 @@ class Timeline:
         self._n_given = 0  # values given so far, missing ones among them
         self._line = Line()
         self._grid: Grid | None = None
-        self._last = np.empty(0), np.empty(0)  # the last samples that were on the line
+        self._last = np.empty(0), np.empty(0)  # the last samples
 
     @property
     def words(self) -> str:
