@@ -395,7 +395,7 @@ def _with_said(
     one = replace(one, unit=one.unit or unit)
     if rate and not one.time and not np.isfinite(one.rate_hz):
         one = replace(one, rate_hz=float(_plain_value("rate_hz", rate)))
-    if "range" in said and meaning != SPEED:
+    if "range" in said and meaning != SPEED and one.column.full_scale is not None:
         one = replace(one, range=float(_plain_value("range", said["range"])))
     return one
 

@@ -353,14 +353,15 @@ def test_data_files_that_are_not_read_are_named(tmp_path):
     assert f"not searched: {tmp_path}/a/b/c: below 3 levels of folders" in said
 
 
-def test_range_of_integers_in_wav_files_is_said_once(tmp_path):
-    for name in CHANNELS:
+def test_range_of_integers_is_said_once_and_only_of_them(tmp_path):
+    for name in CHANNELS[:2]:
         wavfile.write(tmp_path / f"run_{name}.wav", 500, np.arange(-99, 99, dtype="i2"))
+    (tmp_path / "run_body.csv").write_text("t [s],body\n0,1\n0.002,2\n0.004,3\n")
     said = [one for one in SAID if not one.startswith("rate_hz")]
     assert asked(tmp_path, *said) == {"range", "mileage_km"}
     written(tmp_path, *said, "range=50", "mileage_km=1")
     manifest = read_manifest(tmp_path / "run.yaml")
-    assert {manifest.channels[name].range for name in CHANNELS} == {50.0}
+    assert [manifest.channels[name].range for name in CHANNELS] == [50.0, 50.0, None]
 
 
 NUMBERS = {
