@@ -124,7 +124,7 @@ class Signal:
     when its times start, as far as the file states it. `names` serve to guess its meaning: its own,
     with and without its group's, and that of a file with at most two columns or with columns that
     name no channel. `axle` is 1 or 2 of the bogie where this was said, else 0; `range` is the
-    sensor's where said, else NaN.
+    sensor's where said, else NaN. `said` are the keys, unit and rate_hz, that the user said.
     """
 
     file: Path
@@ -140,6 +140,7 @@ class Signal:
     first: float = np.nan
     axle: int = 0
     range: float = np.nan
+    said: tuple[str, ...] = ()
 
     @property
     def name(self) -> str:

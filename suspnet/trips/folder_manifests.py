@@ -392,9 +392,11 @@ def _with_said(
             one = replace(one, names=(side, *one.names), axle=columns[one.address])
     prefix = "speed_" if meaning == SPEED else ""
     unit, rate = said.get(f"{prefix}unit", ""), said.get(f"{prefix}rate_hz")
-    one = replace(one, unit=one.unit or unit)
+    if unit and not one.unit:
+        one = replace(one, unit=unit, said=("unit",))
     if rate and not one.time and not np.isfinite(one.rate_hz):
-        one = replace(one, rate_hz=float(_plain_value("rate_hz", rate)))
+        rate_hz = float(_plain_value("rate_hz", rate))
+        one = replace(one, rate_hz=rate_hz, said=(*one.said, "rate_hz"))
     if "range" in said and meaning != SPEED and one.column.full_scale is not None:
         one = replace(one, range=float(_plain_value("range", said["range"])))
     return one

@@ -181,7 +181,9 @@ def test_columns_of_unclear_names_are_said_once(tmp_path):
     assert asked(tmp_path, *SAID, "mileage_km=7") == {f"channels.{name}" for name in CHANNELS}
     said = ["channels.axle_box=ch0,ch3", "channels.bogie=ch1", "channels.body=ch2"]
     written(tmp_path, *SAID, "mileage_km=7", *said)
-    assert (tmp_path / "run.yaml").read_text().count("# by the command line") == 8
+    text = (tmp_path / "run.yaml").read_text()
+    assert text.count("# by the command line") == 8
+    assert text.count("# unit m/s2 by the command line; rate by the command line;") == 4
     found = read_manifest(tmp_path / "run.yaml")
     assert [one.column for one in found.channels["axle_box"]] == ["ch0", "ch3"]
     assert [found.channels[name].column for name in CHANNELS[1:]] == ["ch1", "ch2"]
