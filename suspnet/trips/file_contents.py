@@ -15,11 +15,13 @@ from suspnet.recordings.clocks import Times, Zero, header_date, likely_time_unit
 from suspnet.recordings.columns import Column, OpenFile, size_of, unit_in_name
 from suspnet.recordings.errors import TripError
 from suspnet.recordings.formats import open_file, read_columns
-from suspnet.recordings.logger_notes import WORDS, choice_of
+from suspnet.recordings.logger_notes import WORDS, choice_of, key_of
 from suspnet.recordings.manifest import CHANNELS
 from suspnet.recordings.manifest_sources import TIME_UNITS, Source
 
 ACCELERATION, SPEED = "acceleration", "speed"
+ABOUT_TRIP = ("mileage_km", "direction")
+"""Keys of a manifest that columns may state."""
 MOST_COLUMNS = 500
 """Largest number of columns of a file that are inspected."""
 MOSTLY_RISING = 0.99
@@ -251,9 +253,11 @@ def _times(file: Path, opened: OpenFile, name: str) -> FloatArray:
 def _signal(
     file: Path, opened: OpenFile, column: Column, times: dict[str, FloatArray]
 ) -> Signal | None:
-    """Return what is known about a column; None if it holds no numbers."""
+    """Return what is known about a column; None if it holds no numbers, or one that is no key."""
     blocks = _first(file, opened, [column.name])
     if not blocks or blocks[0].dtype.kind != "f":
+        return None
+    if len(blocks[0]) < 2 and key_of(column.name) not in ABOUT_TRIP:
         return None
     values = blocks[0][np.isfinite(blocks[0])]
     time, time_unit, rate_hz = "", "", column.rate_hz

@@ -27,6 +27,7 @@ from suspnet.recordings.logger_notes import NUMBERS, Stated, key_of, read_value,
 from suspnet.recordings.manifest import CHANNELS
 from suspnet.recordings.manifest_sources import MIDDLE
 from suspnet.trips.file_contents import (
+    ABOUT_TRIP,
     SPEED,
     Address,
     Contents,
@@ -311,7 +312,7 @@ def _trip(
     elif SPEED in said:
         known[SPEED] = Stated(_plain_value(SPEED, said[SPEED]), BY_COMMAND_LINE)
     # columns about the trip are no sensors
-    sensors = [one for one in signals if key_of(one.name) not in ("mileage_km", "direction")]
+    sensors = [one for one in signals if key_of(one.name) not in ABOUT_TRIP]
     own = tuple(_with_said(one, said, chosen) for one in sensors)
     speeds = [one for one in own if one.meaning == SPEED]
     if len(speeds) > 1 and SPEED not in said:  # a receiver's is that of the train
