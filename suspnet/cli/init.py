@@ -15,7 +15,7 @@ from suspnet.ground.storage import printable, write_atomically
 from suspnet.ground.wording import command, count
 from suspnet.recordings.errors import TripError, all_of
 from suspnet.trips import folder_manifests as folders
-from suspnet.trips.file_contents import look_into
+from suspnet.trips.file_contents import Signal, look_into
 from suspnet.trips.grouping import lone_trains
 from suspnet.trips.manifest_template import template
 from suspnet.trips.trip_files import find_tables, find_trip_files, unread_files
@@ -76,6 +76,8 @@ def _one_trip(files: Sequence[Path], arguments: Namespace) -> int:
     read_as = [how for _, how in seen if how]
     found = template(signals, path, read_as, config_dir=arguments.config_dir)
     write_atomically(path, found.text, force=arguments.force)
+    for line in _untimed(signals):
+        print(printable(line))
     print(
         f"-> {path}: {count(len(signals), 'column')} of {count(len(files), 'file')}\n"
         f"fill in: {', '.join(found.blanks) or 'nothing'}\n"
@@ -103,7 +105,8 @@ def _folder(folder: Path, said: Sequence[str], arguments: Namespace) -> int:
     for one in tables:
         if table is None or one.resolve() != table.resolve():
             print(printable(f"{one} is a table of trips, which --table {quote(str(one))} reads"))
-    for line in unread_files(folder):
+    signals = [signal for trip in new for signal in trip.signals]
+    for line in (*unread_files(folder), *_untimed(signals)):
         print(printable(line))
     wrong = _unknown_vehicles(vehicles, new)
     if missing or wrong:
@@ -137,6 +140,13 @@ def _folder(folder: Path, said: Sequence[str], arguments: Namespace) -> int:
         sep="\n",
     )
     return 0
+
+
+def _untimed(signals: Sequence[Signal]) -> list[str]:
+    """Return a line on the first file whose times are not used, with the number of others."""
+    files = {one.file: one.untimed for one in signals if one.untimed}
+    more = f" (likewise {count(len(files) - 1, 'other file')})" if len(files) > 1 else ""
+    return [words + more for words in files.values()][:1]
 
 
 def _known_vehicles(folder: Path | None, trips: Sequence[folders.Trip]) -> list[str]:

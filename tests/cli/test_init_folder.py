@@ -355,6 +355,26 @@ def test_data_files_that_are_not_read_are_named(tmp_path):
     assert f"not searched: {tmp_path}/a/b/c: below 3 levels of folders" in said
 
 
+@pytest.mark.parametrize("times", [[0.0, 0.002, 0.001, 0.003], [0.0, 0.01, 0.01, 0.01]])
+def test_times_that_fall_or_repeat_are_named(tmp_path, times):
+    stamps = np.arange(0, 0.4, 0.004)[:, None] + times
+    rows = [f"{t:.9g},1,2,{t}" for t in stamps.ravel()]
+    for name in ("a", "b"):
+        (tmp_path / f"{name}.csv").write_text("\n".join(["t [s],axle_box,bogie,body", *rows]))
+    why = (
+        f"a.csv: the times 't [s]' must rise, but {times[2]:g} follows {times[1]:g} (sample 3), so"
+    )
+    said = [one for one in SAID if not one.startswith("rate_hz")]
+    done = typed(init, tmp_path, *said, cwd=tmp_path)
+    assert why in done.stdout
+    assert "spaced (likewise 1 other file)" in done.stdout
+    assert "t [s]'," not in done.stdout
+    (tmp_path / "b.csv").unlink()
+    assert why in written(tmp_path, *SAID, "mileage_km=1")
+    assert why in (tmp_path / "a.yaml").read_text()
+    assert why in typed(init, "a.csv", "--output", "one.yaml", cwd=tmp_path).stdout
+
+
 def test_range_of_integers_is_said_once_and_only_of_them(tmp_path):
     for name in CHANNELS[:2]:
         wavfile.write(tmp_path / f"run_{name}.wav", 500, np.arange(-99, 99, dtype="i2"))
