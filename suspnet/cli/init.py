@@ -118,6 +118,8 @@ def _folder(folder: Path, said: Sequence[str], arguments: Namespace) -> int:
             without = [trip for trip in new if key in trip.missing]
             where = "" if len(without) == len(new) else f" (in {len(without)} of them)"
             print(printable(f"  {key}{where}: {folders.how_to_say(key, without)}"))
+        if any(key.startswith("channels.") for key in missing) and folders.hint_at_one_trip(new):
+            print(printable(folders.hint_at_one_trip(new)))
         if table and not table.exists() and "mileage_km" in missing:
             write_atomically(table, folders.table_of(new, folder))
             print(f"-> {table}: fill in its columns, then run the same command again")

@@ -650,6 +650,19 @@ def test_loggers_of_unclear_names_are_said_as_file_and_column(tmp_path):
     assert "FILE:COLUMN is that of one file; got 'S6:Acc_X'" in wrong.stderr
 
 
+def test_files_that_may_be_the_sensors_of_one_trip_have_a_hint(tmp_path):
+    for i in (1, 2, 3):
+        write_plain(tmp_path / f"S{i}.parquet", ["Acc_X", "Acc_Y", "Acc_Z"])
+    hint = typed(init, tmp_path, *SAID, cwd=tmp_path).stdout.split("sensors of one trip: ")[1]
+    said = hint.splitlines()[0].split()
+    assert said == [f"channels.{name}=S{i}:Acc_Z" for i, name in enumerate(CHANNELS, 1)]
+    wrong = typed(init, tmp_path, *SAID, *said[:2], "channels.body=S9:Acc_Z", cwd=tmp_path)
+    assert wrong.returncode
+    assert "got 'S9:Acc_Z': there is no file S9" in wrong.stderr
+    written(tmp_path, *SAID, "mileage_km=1", *said)
+    assert len(list(tmp_path.glob("*.yaml"))) == 1
+
+
 def test_a_column_of_several_loggers_is_that_of_the_file_named_by_the_channel(tmp_path):
     for name in ("axle_box_left", "axle_box_right", "bogie", "body"):
         write_plain(tmp_path / f"{name}.parquet", ["ch1", "ch2", "ch3"])
