@@ -307,8 +307,8 @@ def test_details_of_reports_are_german():
         "what 5 trips from 1000 to 5000 km showed, damping at 20 °C": "was 5 Fahrten von 1000 bis "
         "5000 km zeigten, Dämpfung bei 20 °C",
         "1.07 times the noise with each part read, 1.20 times the noise with both sides and axles "
-        "as equal": "das 1,07-Fache des Rauschens, wenn jedes Teil gelesen wird, das 1,20-Fache "
-        "des Rauschens mit beiden Seiten und Achsen als gleich",
+        "as equal": "das 1,07-Fache des Rauschens, wenn jedes Teil einzeln geschätzt wird, das "
+        "1,20-Fache des Rauschens mit beiden Seiten und Achsen als gleich",
         str(
             Limits((0.8, 1.2), (0.7, 1.25))
         ): "Warnung außerhalb von 80 bis 120 %, Eingriff außerhalb von 70 bis 125 %",
