@@ -33,7 +33,8 @@ LEFT_OPEN = {
 """What holds for keys that no trip needs, and how each is said."""
 FRAME_PLACE = (
     "  the frame's sensor is taken as above the measured axle; if it is at the frame's centre, "
-    "train with generator.frame_sensor=centre; check compares both"
+    "train with generator.frame_sensor=centre; check compares both where rigid bodies explain a "
+    "trip"
 )
 """What holds for the place that no manifest gives."""
 
