@@ -53,6 +53,8 @@ UNAPPLIED = ("gain", "scale", "offset", "sensitivity", "calibration", "calibrati
 """Attributes of no convention: the stored numbers may or may not have been multiplied by them."""
 _SINCE = re.compile(r"(\w+)\s+since\s+(.+?)(\s+UTC|\s+Z)?$")
 """Unit of times of netCDF: a unit and the date from which times are counted, in UTC."""
+_OTHER_KIND = re.compile(r"(.*[./])?(t|v|[^./]*(time|zeit|speed|geschw|veloc)[^./]*)")
+"""Names of times and speeds, in lower case."""
 FILTERS = (1, 2, 3, 4, 5, 6, 32000)
 """Filters of the HDF5 library and h5py: deflate, shuffle, fletcher32, szip, nbit, scaleoffset and
 LZF. Any other is a plug-in, that is, foreign code to load."""
@@ -135,7 +137,7 @@ class _Content:
             own.pop("unit", None)  # a table has columns of several units
         siblings = _siblings(name, "/", self.datasets)
         small = {key: _value(one) for key, one in siblings.items() if one.nbytes <= MOST_NOTE_BYTES}
-        return _stated(small) | self._times(name) | own
+        return _stated_nearby(name, small) | self._times(name) | own
 
     def _times(self, name: str) -> dict[str, str]:
         """Return the data set of times that netCDF attaches to the dimension of another one."""
@@ -268,10 +270,16 @@ def open_mat(path: Path, _: CsvDialect | None = None) -> Iterator[OpenFile]:
         else:
             arrays[name] = _Variable(path, name, shape)
     how = {"appendmat": False, "struct_as_record": False, "squeeze_me": True}
-    content = loadmat(path, variable_names=nested, **how) if nested else {}
+    short = [  # may state rate, unit or start of the others
+        name
+        for name, shape, kind in variables
+        if math.prod(shape) <= (MOST_NOTE_BYTES if kind == "char" else kind in NUMERIC)
+    ]
+    loaded = [*nested, *short]
+    content = loadmat(path, variable_names=loaded, **how) if loaded else {}
     leaves = {
         place: leaf
-        for name in nested
+        for name in loaded
         if name in content
         for place, leaf in _leaves(name, content[name])
     }
@@ -284,7 +292,7 @@ def open_mat(path: Path, _: CsvDialect | None = None) -> Iterator[OpenFile]:
         elif why.strip():
             refused[name] = why
     descriptions = {
-        name: _stated(_siblings(name, ".", leaves)) | _simulink_time(name, leaves)
+        name: _stated_nearby(name, _siblings(name, ".", leaves)) | _simulink_time(name, leaves)
         for name in arrays
     }
     with _opened(path, arrays, descriptions, refused) as found:
@@ -370,13 +378,14 @@ def _opened(
         shape = array.shape
         if not is_vector(shape) and not 0 < min(shape) <= MOST_PARTS:
             continue
+        is_rate = max(shape) == 1 and _plain(re.split("[./]", name)[-1]) in RATE_NAMES
         axis = int(np.argmax(shape))  # time is the longest axis
         parts = {name: 0}
         if not is_vector(shape):
             parts = {f"{name}[{i}]": i for i in range(min(shape))}
             matrices.append(f"{name!r} has columns '{name}[0]' to '{name}[{min(shape) - 1}]'")
         for place, i in parts.items():
-            columns.append(Column(place, is_part=place != name, **descriptions[name]))
+            columns.append(Column(place, is_part=is_rate or place != name, **descriptions[name]))
             takes[place] = (max(shape), _take(array, axis, i))
 
     def read(names: Sequence[str]) -> Iterator[Block]:
@@ -398,10 +407,8 @@ def _take(array: Any, axis: int, i: int) -> Take:
 
 
 def _siblings(name: str, separator: str, values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the values of the same struct or group by their names in it; none at the top level."""
+    """Return the values of the same struct, group or file by their names in it."""
     parent, _, _ = name.rpartition(separator)
-    if not parent:
-        return {}
     split = ((key.rpartition(separator), value) for key, value in values.items())
     return {last: value for (first, _, last), value in split if first == parent}
 
@@ -427,12 +434,23 @@ def _value(dataset: Any) -> Any:
     return "".join(chr(code) for code in np.asarray(content).ravel())
 
 
+def _plain(key: str) -> str:
+    return re.sub(r"[\s_]", "", key).lower()
+
+
+def _stated_nearby(name: str, siblings: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what siblings state of an array; times and speeds have no unit of acceleration."""
+    found = _stated(siblings)
+    if _OTHER_KIND.fullmatch(name.lower()) and size_of("acceleration", found.get("unit")):
+        found.pop("unit")
+    return found
+
+
 def _stated(values: Mapping[str, Any]) -> dict[str, Any]:
     """Return rate, unit and date among named values, as arguments of `Column`."""
     found: dict[str, Any] = {}
     for key, value in values.items():
-        plain = re.sub(r"[\s_]", "", key).lower()
-        array = np.asarray(value)
+        plain, array = _plain(key), np.asarray(value)
         if plain in RATE_NAMES:
             if array.size == 1 and array.dtype.kind in "iuf" and 0 < array.item() < 1e9:
                 found["rate_hz"] = float(array.item())

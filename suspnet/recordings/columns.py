@@ -44,7 +44,7 @@ class Column:
     is_time, is_zoned : bool
         It holds time stamps rather than numbers; they are in UTC rather than an unknown zone.
     is_part : bool
-        It is one column of a matrix and is read only by its name.
+        It is one column of a matrix, or a stated rate, and is read only by its name.
     is_whole_rate : bool
         The format stores the rate as a whole number.
     full_scale : float or None

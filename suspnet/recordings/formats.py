@@ -154,7 +154,7 @@ FORMATS = (
         open_mat,
         "h5py",
         states={
-            "`fs`, `unit` and `start` next to the data": "used",
+            "`rate_hz` or `fs`, `unit`, `start`: next to the data": "used",
             "structs, cells, old objects": "columns of their numbers, by their path",
             "Simulink's structure with time": "columns named by labels, with its times",
             "timeseries, tables, other objects": "refused by name; arrays next to them are read",

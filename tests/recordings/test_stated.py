@@ -187,6 +187,28 @@ def test_structs_cells_and_simulink_are_looked_into(tmp_path):
     }
 
 
+@pytest.mark.parametrize("suffix", [".mat", ".h5"])
+def test_scalars_at_the_top_of_matlab_files_state_rate_and_unit(tmp_path, suffix):
+    path = tmp_path / f"a{suffix}"
+    said = {"rate_hz": 500.0, "unit": "g", "start": "2024-05-06 08:00:00", "mass_kg": 3.0}
+    data = {"t": VALUES, "speed": VALUES, "axle_box": VALUES} | said
+    if suffix == ".mat":
+        savemat(path, data)
+    else:
+        h5py = pytest.importorskip("h5py")
+        with h5py.File(path, "w") as file:
+            for name, value in data.items():
+                file[name] = value if isinstance(value, str) else np.atleast_2d(value)
+    found = {one.name: one for one in contents_of(path).signals}
+    assert {name: one.unit for name, one in found.items()} == {"speed": "", "axle_box": "g"}
+    assert found["axle_box"].rate_hz == 500.0
+    assert found["axle_box"].zero.date is not None
+    with open_file(path) as file:
+        assert file.column("t").unit is None
+    savemat(tmp_path / "b.mat", {"axle_box": VALUES, "fs": 500.0})
+    np.testing.assert_array_equal(read(tmp_path / "b.mat", None)[0], VALUES)
+
+
 def test_objects_of_matlab_are_named_and_the_rest_is_read(tmp_path):
     path = tmp_path / "a.mat"
     savemat(path, {"a": VALUES})
