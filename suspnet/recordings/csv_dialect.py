@@ -51,7 +51,6 @@ _TIME_NAME = re.compile(
 )
 _TAG = re.compile(r"[;#%!*]|\w+:$|(?:header|name|column|channel|unit)s?$", re.IGNORECASE)
 """A word ahead of the names that marks their line."""
-_OPEN_CELL = re.compile(r'(?:^|[,;\t|])\s*"[^"]*$')
 _COMMENT = re.compile(r"^\s*(#|%|//)")
 _BOMS = (
     (codecs.BOM_UTF8, "utf-8"),
@@ -216,7 +215,10 @@ def _first_lines(path: Path, given: CsvDialect) -> tuple[str, bool, list[str]]:
 def _unwrapped(lines: list[str]) -> list[str]:
     """Return lines with quoted cells that go over two or three lines moved to the last of these."""
     for i, line in enumerate(lines):
-        for n in (2, 3) if _OPEN_CELL.search(line) else ():
+        before = line.rpartition('"')[0]
+        filled = before.rstrip()
+        is_first = not filled or filled[-1] in ",;|" or "\t" in before[len(filled) :]
+        for n in (2, 3) if is_first and line.count('"') % 2 else ():
             text = " ".join(part.strip() for part in lines[i : i + n])
             if text.count('"') % 2 == 0:
                 lines[i : i + n] = [*[""] * (len(lines[i : i + n]) - 1), text]

@@ -1,6 +1,7 @@
 """CSV files as loggers write them: the dialect is found out, or the error says what to give."""
 
 import re
+import time
 from pathlib import Path
 
 import numpy as np
@@ -222,6 +223,15 @@ def test_files_that_are_no_table_are_refused(tmp_path, text, given, message):
         read(path, "a", csv=given)
 
 
+@pytest.mark.parametrize("line", ["\t" * 80_000, ',"' * 60_000, ' "' * 59_999])
+def test_a_long_line_above_the_names_takes_no_long_time(tmp_path, line):
+    path = tmp_path / "data.csv"
+    path.write_text(f"{line}\nt;a\n" + "0;1\n" * 50)
+    begin = time.process_time()
+    assert len(read(path, "a")[0]) == 50
+    assert time.process_time() - begin < 2
+
+
 def test_later_rows_of_another_dialect_are_refused(tmp_path):
     path = tmp_path / "data.csv"
     path.write_text("t;a\n" + "0;1\n" * 200_000 + "0,5;1,5\n")
@@ -323,8 +333,8 @@ def test_good_rows_are_read_and_the_rest_is_reported(tmp_path, monkeypatch, case
     path = tmp_path / "data.csv"
     path.write_text(text, "utf-8")
     with open_file(path) as file:
-        time, values = [column.name for column in file.columns]
-        parts = list(read_columns(path, file, [time, values]))
+        names = [column.name for column in file.columns]
+        parts = list(read_columns(path, file, names))
         times, values = (np.concatenate(part) for part in zip(*parts, strict=True))
         assert re.search(remark, "; ".join([file.words, *file.remarks]))
     known = np.isfinite(values) & (times >= 0)
