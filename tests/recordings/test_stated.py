@@ -278,6 +278,25 @@ def test_pause_between_segments_of_tdms_is_a_gap(tmp_path, second, gap_s):
         np.testing.assert_array_equal(values, np.tile(VALUES, 3))
 
 
+@pytest.mark.parametrize("late_ms", [2, 4, 0.001, -0.001])
+def test_short_pauses_between_segments_of_tdms_add_up(tmp_path, late_ms):
+    starts_s = np.arange(30) * (N * 0.01 + late_ms / 1000)
+    segments = [(f"15:{30 + start_s:09.6f}", {}) for start_s in starts_s]
+    path = tdms(tmp_path / "a.tdms", *segments)
+    expected = (starts_s[:, None] + np.arange(N) * 0.01).ravel()
+    with open_file(path) as file:
+        assert (file.column("g/a").time is not None) == (late_ms > 1)
+    if late_ms > 1:
+        times = read(path, "g/a: times")[0]
+        np.testing.assert_allclose(times, expected, atol=0.005 + 1e-9)
+
+
+def test_short_overlaps_between_segments_of_tdms_add_up(tmp_path):
+    segments = [(f"15:{30 + i * (N * 0.01 - 0.002):09.6f}", {}) for i in range(9)]
+    with pytest.raises(TripError, match="segments that overlap: one lasts until 2024-05-06T08"):
+        read(tdms(tmp_path / "a.tdms", *segments), "g/a")
+
+
 @pytest.mark.parametrize(
     ("second", "properties", "message"),
     [
