@@ -49,8 +49,13 @@ PACKING = (
     *("scale_factor", "add_offset", "valid_min", "valid_max", "valid_range"),
 )
 """Attributes of netCDF on missing samples, scale, offset and valid limits of stored numbers."""
-UNAPPLIED = ("gain", "scale", "offset", "sensitivity", "calibration", "calibration_factor")
-"""Attributes of no convention: the stored numbers may or may not have been multiplied by them."""
+UNAPPLIED = (
+    *(re.sub("_", "", name).lower() for name in PACKING),
+    *("gain", "scale", "scaling", "scalingfactor", "multiplier", "slope", "lsb", "sensitivity"),
+    *("offset", "intercept", "calibration", "calibrationfactor"),
+)
+"""Attributes of no convention, compared as `RATE_NAMES`, but for those of `PACKING` as they stand:
+the stored numbers may or may not have been multiplied by them."""
 _SINCE = re.compile(r"(\w+)\s+since\s+(.+?)(\s+UTC|\s+Z)?$")
 """Unit of times of netCDF: a unit and the date from which times are counted, in UTC."""
 _OTHER_KIND = re.compile(r"(.*[./])?(t|v|[^./]*(time|zeit|speed|geschw|veloc)[^./]*)")
@@ -106,7 +111,9 @@ class _Content:
     def _collect_data(self, name: str, item: Any) -> None:
         """Add a data set, or the fields of a table."""
         self.datasets[name] = item
-        self.unapplied += [repr(f"{name}.{key}") for key in item.attrs if key.lower() in UNAPPLIED]
+        applied = () if item.dtype.names else PACKING
+        unapplied = (key for key in item.attrs if key not in applied and _plain(key) in UNAPPLIED)
+        self.unapplied += [repr(f"{name}.{key}") for key in unapplied]
         if "MATLAB_empty" in item.attrs or "MATLAB_int_decode" in item.attrs:
             return
         fields = item.dtype.names or ()
@@ -216,18 +223,37 @@ def _packed(dataset: Any, h5py: Any) -> Any:
     is_unsigned = dataset.dtype.kind == "i" and str(said.get("_Unsigned")).lower() == "true"
     if not numbers and not missing and not is_unsigned:
         return dataset
+
+    def as_stored(values: Any) -> Any:
+        """Return values that samples are compared with, rounded and with the sign of these."""
+        if is_unsigned:
+            return np.where(values < 0, values + 2.0 ** (8 * dataset.dtype.itemsize), values)
+        kind = dataset.dtype if dataset.dtype.kind == "f" else np.float64
+        with np.errstate(over="ignore"):
+            return values.astype(kind).astype(np.float64)
+
     limits = numbers.get("valid_range", np.array([-np.inf, np.inf]))
-    lower, upper = numbers.get("valid_min", limits)[0], numbers.get("valid_max", limits)[-1]
-    scale, offset = numbers.get("scale_factor", [1.0])[0], numbers.get("add_offset", [0.0])[0]
+    ends = numbers.get("valid_min", limits)[0], numbers.get("valid_max", limits)[-1]
+    # infinite limits have no sign to change
+    lower, upper = (as_stored(np.array([end]))[0] if np.isfinite(end) else end for end in ends)
+    left_out = np.concatenate([[np.nan], *map(as_stored, missing)])
+    factors = {"scale_factor": np.ones(1), "add_offset": np.zeros(1)} | numbers
+    scale, offset = factors["scale_factor"], factors["add_offset"]
+    across = 1 - int(np.argmax(dataset.shape))  # columns lie along the shorter axis
+    n_columns = 1 if is_vector(dataset.shape) else dataset.shape[across]
+    for name, values in (("scale_factor", scale), ("add_offset", offset)):
+        is_right = np.isfinite(values).all() and (values.all() or name == "add_offset")
+        if values.shape not in ((1,), (n_columns,)) or not is_right:
+            raise ValueError(f"its {name} is {values}")
 
     def take(part: Any) -> Any:
         stored = np.asarray(dataset[part])
         if is_unsigned:
             stored = stored.astype(f"u{stored.dtype.itemsize}")
         values = stored.astype(np.float64)
-        is_valid = (values >= lower) & (values <= upper)
-        is_valid &= ~np.isin(values, np.concatenate([[np.nan], *missing]))
-        return np.where(is_valid, values * scale + offset, np.nan)
+        is_valid = (values >= lower) & (values <= upper) & ~np.isin(values, left_out)
+        a, b = (one[part[across] if len(one) > 1 else 0] for one in (scale, offset))
+        return np.where(is_valid, values * a + b, np.nan)
 
     return _View(dataset.shape, dataset.dtype, take)
 

@@ -17,6 +17,9 @@ from suspnet.recordings.errors import TripError
 from suspnet.recordings.manifest_keys import CsvDialect
 from suspnet.recordings.manifest_sources import ACCELERATION_UNITS, SPEED_UNITS, UNITS
 
+MOST_DRIFT = 2e-4
+"""Largest relative error of a logger's rate: 200 ppm, several times that of quartz. Times may drift
+by this much from the stated rate without a gap."""
 BLOCK = 2**18
 """Largest number of samples of a column in one block."""
 LISTED = 20
