@@ -24,7 +24,7 @@ MODEL_TITLES = {
     "svr": "SVR",
     "mvgpr": "MV-GPR",
     "linear": "MV-LR",
-    "ridge": "kernel ridge",
+    "ridge": "ridge",
     "curve_fit": "curve fit",
 }
 MODEL_TITLES |= {f"{name}{REFINED}": f"{title} refined" for name, title in MODEL_TITLES.items()}

@@ -333,7 +333,7 @@ def test_curve_fit_ends_for_light_damping_and_narrow_bands(zeta, low_hz, high_hz
 
 def test_error_over_an_infinite_bound_is_no_number(tmp_path):
     """G_s alone leaves stiffness, damping and mass with a common factor: no Cramer-Rao bound."""
-    problem = problem_of("secondary", "paper", n_calibrate=None)
+    problem = problem_of("secondary", "own_curve", n_calibrate=None)
     model = fit(problem, LinearRegression(), None)
     found = scores.scores(problem, model, predict_stream(problem, model, TEST))
     written = read_json(write_json(tmp_path / "metrics.json", found))
