@@ -43,6 +43,7 @@ from suspnet.ground.parameters import COMPONENTS as COMPONENTS
 from suspnet.ground.parameters import PARAMETERS as PARAMETERS
 from suspnet.learning.baselines import SVR as SVR
 from suspnet.learning.baselines import CurveFit as CurveFit
+from suspnet.learning.baselines import KernelRidge as KernelRidge
 from suspnet.learning.baselines import LinearRegression as LinearRegression
 from suspnet.learning.msvr import MSVR as MSVR
 from suspnet.learning.mvgpr import MVGPR as MVGPR

@@ -31,7 +31,11 @@ def _configs() -> str:
 
 CONFIGS = _configs()
 """Absolute path of the folder that Hydra composes from."""
-TABLES = {"ablation": ("ablations.yaml", "_global_"), "scenario": ("scenarios.yaml", "scenario")}
+TABLES = {
+    "ablation": ("ablations.yaml", "_global_"),
+    "reading": ("readings.yaml", "_global_"),
+    "scenario": ("scenarios.yaml", "scenario"),
+}
 """File and package of each group whose options are the entries of one file."""
 
 
@@ -60,7 +64,7 @@ def as_written(config: Any, *, resolve: bool = False) -> dict[str, Any]:
 
 
 def store_tables() -> None:
-    """Make each entry of ablations.yaml and scenarios.yaml an option of its group.
+    """Make each entry of the files of ``TABLES`` an option of its group.
 
     The first entry holds the common settings, and the others change it. A file GROUP/NAME.yaml in a
     user's folder (`--config-dir`) is an option like any other.
@@ -189,7 +193,8 @@ def _keys(root: yaml.Node | None) -> Iterator[tuple[Keys, yaml.Node, yaml.Mark]]
 
 SWITCHES = frozenset(
     "by_part check_channels distributed estimate_mass figures fit_intercept log_ratios mass_known "
-    "once open_browser open_to_network pdf progress refine short_waves tls xlsx".split()
+    "once open_browser open_to_network pdf progress refine short_waves standardised tls "
+    "xlsx".split()
 )
 """Keys that are either on or off, in whichever group they are."""
 WORDS = {"yes": True, "on": True, "true": True, "no": False, "off": False, "false": False}

@@ -15,7 +15,7 @@ from suspnet.ground.storage import printable, write_atomically
 from suspnet.ground.wording import command, count
 from suspnet.recordings.errors import TripError, all_of
 from suspnet.trips import folder_manifests as folders
-from suspnet.trips.file_contents import look_into
+from suspnet.trips.file_contents import Signal, look_into
 from suspnet.trips.grouping import lone_trains
 from suspnet.trips.manifest_template import template
 from suspnet.trips.trip_files import find_tables, find_trip_files, unread_files
@@ -33,7 +33,8 @@ LEFT_OPEN = {
 """What holds for keys that no trip needs, and how each is said."""
 FRAME_PLACE = (
     "  the frame's sensor is taken as above the measured axle; if it is at the frame's centre, "
-    "train with generator.frame_sensor=centre; check compares both"
+    "train with generator.frame_sensor=centre; check compares both where rigid bodies explain a "
+    "trip"
 )
 """What holds for the place that no manifest gives."""
 
@@ -76,6 +77,8 @@ def _one_trip(files: Sequence[Path], arguments: Namespace) -> int:
     read_as = [how for _, how in seen if how]
     found = template(signals, path, read_as, config_dir=arguments.config_dir)
     write_atomically(path, found.text, force=arguments.force)
+    for line in _untimed(signals):
+        print(printable(line))
     print(
         f"-> {path}: {count(len(signals), 'column')} of {count(len(files), 'file')}\n"
         f"fill in: {', '.join(found.blanks) or 'nothing'}\n"
@@ -103,7 +106,8 @@ def _folder(folder: Path, said: Sequence[str], arguments: Namespace) -> int:
     for one in tables:
         if table is None or one.resolve() != table.resolve():
             print(printable(f"{one} is a table of trips, which --table {quote(str(one))} reads"))
-    for line in unread_files(folder):
+    signals = [signal for trip in new for signal in trip.signals]
+    for line in (*unread_files(folder), *_untimed(signals)):
         print(printable(line))
     wrong = _unknown_vehicles(vehicles, new)
     if missing or wrong:
@@ -115,6 +119,8 @@ def _folder(folder: Path, said: Sequence[str], arguments: Namespace) -> int:
             without = [trip for trip in new if key in trip.missing]
             where = "" if len(without) == len(new) else f" (in {len(without)} of them)"
             print(printable(f"  {key}{where}: {folders.how_to_say(key, without)}"))
+        if any(key.startswith("channels.") for key in missing) and folders.hint_at_one_trip(new):
+            print(printable(folders.hint_at_one_trip(new)))
         if table and not table.exists() and "mileage_km" in missing:
             write_atomically(table, folders.table_of(new, folder))
             print(f"-> {table}: fill in its columns, then run the same command again")
@@ -137,6 +143,13 @@ def _folder(folder: Path, said: Sequence[str], arguments: Namespace) -> int:
         sep="\n",
     )
     return 0
+
+
+def _untimed(signals: Sequence[Signal]) -> list[str]:
+    """Return a line on the first file whose times are not used, with the number of others."""
+    files = {one.file: one.untimed for one in signals if one.untimed}
+    more = f" (likewise {count(len(files) - 1, 'other file')})" if len(files) > 1 else ""
+    return [words + more for words in files.values()][:1]
 
 
 def _known_vehicles(folder: Path | None, trips: Sequence[folders.Trip]) -> list[str]:

@@ -40,6 +40,7 @@ KINDS: dict[str, dict[str, str | type]] = {
         "linear": "suspnet.learning.LinearRegression",
         "msvr": "suspnet.learning.MSVR",
         "mvgpr": "suspnet.learning.MVGPR",
+        "ridge": "suspnet.learning.KernelRidge",
         "svr": "suspnet.learning.SVR",
     },
     "sink": {

@@ -33,7 +33,8 @@ ALLOWED = frozenset(
     changes direction figures fleet generator group groups job limits live model plan protocol
     refine scenario search seed sensor_lateral_m sisters speed_m_per_s track tuned vehicle
     data.body_high_hz data.high_hz data.kind data.low_hz data.method data.minutes data.n_calibrate
-    data.n_test data.n_train data.overlap data.rates_hz data.segment_s data.short_waves data.snr_db
+    data.n_test data.n_train data.noise_on data.overlap data.rates_hz data.segment_s
+    data.short_waves data.snr_db
     data.speed_half_width data.speed_m_per_s data.step_hz data.track data.window
     monitor.changes monitor.limits monitor.n_reference monitor.reference monitor.trips
     source.broker.ca_file source.broker.port source.broker.tls source.broker.user
@@ -43,7 +44,7 @@ ALLOWED = frozenset(
 """Keys that a file of ``--config-dir`` may set, with all that is below them."""
 GROUPS = (
     *("ablation", "data", "experiment", "generator", "model"),
-    *("protocol", "scenario", "search", "vehicle"),
+    *("protocol", "reading", "scenario", "search", "vehicle"),
 )
 """Groups whose options the list of defaults in such a file may choose."""
 TEXTS = ("ca_file", "reason", "source", "why")

@@ -54,7 +54,7 @@ def main(config: DictConfig) -> None:
         raise ValueError(f"out={error}") from error
     learn = (
         *("experiment=trips", f"vehicle={HydraConfig.get().runtime.choices['vehicle']}"),
-        *(f"healthy={folder}", f"n_healthy={3 if trains else 5}"),
+        *(f"healthy={folder}", f"n_healthy={min(3 if trains else 5, fleet.n_trips)}"),
         f"data.minutes={config.fleet.minutes:g}",
     )
     log.info(

@@ -40,7 +40,9 @@ from suspnet.learning import METHODS, Scaling
 from suspnet.spectra.components import FEATURE_SETS
 from suspnet.spectra.estimates import OBSERVATIONS
 
-SCHEMA_VERSION = 8
+SCHEMA_VERSION = 9
+OLDEST_SCHEMA = 8
+"""Oldest version of model.json that is read: `_migrated` adds what later ones have."""
 FEATURES = "features."
 """Name prefix of the feature set's arrays."""
 CALIBRATED: dict[str, tuple[str, Any]] = {
@@ -207,7 +209,7 @@ def load_model(folder: Path | str, device: str = "cpu") -> TrainedModel:
         content = read_json(path)
         _check_description(path, content)
         arrays = read_arrays(folder / "model.safetensors", content["arrays_sha256"])
-        return _checked(content, arrays, device)
+        return _checked(_migrated(content), arrays, device)
     except ModelFileError:
         raise
     except DamagedFileError as error:
@@ -245,10 +247,10 @@ def parameters(estimator: Any) -> dict[str, Any]:
 def _check_description(path: Path, content: Any) -> None:
     if not isinstance(content, dict) or "schema_version" not in content:
         raise ModelFileError(f"{path} is not a suspnet model: it has no schema_version")
-    if content["schema_version"] != SCHEMA_VERSION:
+    if content["schema_version"] not in range(OLDEST_SCHEMA, SCHEMA_VERSION + 1):
         raise ModelFileError(
             f"{path} has schema version {content['schema_version']}, this suspnet reads "
-            f"{SCHEMA_VERSION}; train again"
+            f"{OLDEST_SCHEMA} to {SCHEMA_VERSION}; train again"
         )
     claimed = content.pop("description_sha256", None)
     if claimed != content_hash(content):
@@ -265,6 +267,23 @@ def _check_description(path: Path, content: Any) -> None:
         )
 
 
+def _migrated(content: dict[str, Any]) -> dict[str, Any]:
+    """Return the content of model.json of any version that is read as one of this version."""
+    if content["schema_version"] == SCHEMA_VERSION:
+        return content
+    task = dict(content["task"])
+    task |= {"varied_sets": [task.pop("varied")], "test_sampling": task["sampling"]}
+    task |= {"standardised": True}
+    settings = dict(content["settings"])
+    if settings["kind"] == "curves":
+        settings |= {"noise_on": "magnitude"}
+    parameters = dict(content["parameters"])
+    if content["model"] == "msvr":
+        parameters |= {"solver": "newton"}
+    changed = {"task": task, "settings": settings, "parameters": parameters}
+    return content | changed | {"schema_version": SCHEMA_VERSION}
+
+
 def _build(content: dict[str, Any], arrays: dict[str, FloatArray], device: str) -> TrainedModel:
     estimator_type = METHODS[content["model"]]
     arguments = dict(content["parameters"])
@@ -274,6 +293,7 @@ def _build(content: dict[str, Any], arrays: dict[str, FloatArray], device: str) 
     learnt = _taken(arrays, FEATURES)
     stored = {prefix: _taken(arrays, prefix) for prefix in CALIBRATED}
     task = _with_tuples(content["task"])
+    task["varied_sets"] = tuple(map(tuple, task["varied_sets"]))
     extractor = _with_tuples(task["extractor"])
     feature_set = FEATURE_SETS[extractor.pop("kind")](**extractor)
     try:

@@ -119,9 +119,10 @@ class Unexplained:
         """The reason as a sentence; empty if the physics is complete."""
         if not self.is_incomplete:
             return ""
+        cost_percent = float(f"{100 * self.costs.max():.2g}")
         return (
             f"the commissioned vehicle leaves {self.misfit:.3g} times the noise of its healthy "
-            f"trips unexplained, which can cost {100 * float(self.costs.max()):.2g} %"
+            f"trips unexplained, which can cost {cost_percent:g} %"
         )
 
     def flagged(self, flags: Flags) -> Flags:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import functools
 import math
+from collections.abc import Sequence
 
 import numpy as np
 import torch
@@ -11,7 +13,7 @@ from torch import Tensor
 from suspnet.dynamics import PARAMETERS
 from suspnet.estimation.estimate import Estimate, Flags
 from suspnet.estimation.fitted import FittedMethod
-from suspnet.estimation.protocols import Task
+from suspnet.estimation.protocols import Task, columns_of
 from suspnet.estimation.refine import Refined, complete_ratios, refine
 from suspnet.ground.parameters import BODY_MASS
 from suspnet.ground.tensors import as_tensor
@@ -174,31 +176,45 @@ def residual_scales(
 def _fit_curves(
     method: FittedMethod, observer: Observer, curves: Tensor, mass: FloatArray | None
 ) -> FloatArray:
-    """Return the outputs with the nearest magnitudes to those observed, (n_curves, n_outputs)."""
+    """Return the outputs with the nearest magnitudes to those observed, (n_curves, n_outputs).
+
+    Of several sets of parameters that vary together, the one whose fit is nearest counts.
+    """
     task = method.task
     if curves.is_complex():
         raise ValueError(
             f"model={method.name} fits magnitudes with white noise; it cannot be used with "
             "data=trips"
         )
-
-    def forward(unknown: Tensor, known: Tensor) -> Tensor:
-        columns = dict(zip(task.unknown, unknown.unbind(1), strict=True))
-        if task.mass_known:
-            columns[BODY_MASS] = known[:, 0]
-        healthy = torch.ones_like(unknown[:, 0])
-        ratios = torch.stack([columns.get(name, healthy) for name in PARAMETERS], dim=1)
-        magnitudes = observer.generator.magnitudes(ratios, observer.frequencies_hz)
-        return magnitudes[:, task.used_responses]
-
     known = torch.empty(len(curves), 0) if mass is None else as_tensor(mass)[:, None]
-    solution = method.estimator.fit_curves(
-        forward,
-        curves[:, task.used_responses],
-        known.to(curves),
-        task.lower,
-        task.upper,
-        len(task.unknown),
-    )
-    found = solution.parameters.cpu().numpy()
-    return np.asarray(found[:, [task.unknown.index(name) for name in task.outputs]])
+    nearest = np.full(len(curves), np.inf)
+    estimates = np.ones((len(curves), len(PARAMETERS)))
+    for unknown in task.unknown_sets:
+        forward = functools.partial(_magnitudes, observer, task, unknown)
+        solution = method.estimator.fit_curves(
+            forward,
+            curves[:, task.used_responses],
+            known.to(curves),
+            task.lower,
+            task.upper,
+            len(unknown),
+        )
+        better = solution.cost.cpu().numpy() < nearest
+        nearest = np.where(better, solution.cost.cpu().numpy(), nearest)
+        found = np.ones_like(estimates)
+        found[:, columns_of(unknown)] = solution.parameters.cpu().numpy()
+        estimates[better] = found[better]
+    return estimates[:, task.output_indices]
+
+
+def _magnitudes(
+    observer: Observer, task: Task, unknown: Sequence[str], values: Tensor, known: Tensor
+) -> Tensor:
+    """Return the responses that a task uses of vehicles with these values of unknown parameters."""
+    columns = dict(zip(unknown, values.unbind(1), strict=True))
+    if task.mass_known:
+        columns[BODY_MASS] = known[:, 0]
+    healthy = torch.ones_like(values[:, 0])
+    ratios = torch.stack([columns.get(name, healthy) for name in PARAMETERS], dim=1)
+    magnitudes = observer.generator.magnitudes(ratios, observer.frequencies_hz)
+    return magnitudes[:, task.used_responses]

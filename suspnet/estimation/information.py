@@ -26,8 +26,9 @@ from suspnet.spectra.observation import Directions, Misfit, Observer
 ROWS = 256
 NODES = 24
 """Number of nodes of the quadrature over the noise."""
-WIDEST = 1e4
-"""Largest bound used in a computation, relative to the range; larger ones lose digits."""
+WIDEST, NARROWEST = 1e4, 1e12
+"""Largest bound used in a computation, relative to the range, as larger ones lose digits; and the
+range relative to the smallest bound."""
 SCALED_TOGETHER = ("k_s", "c_s", BODY_MASS)
 """Parameters whose common factor leaves G_s of a quarter car unchanged."""
 
@@ -234,10 +235,18 @@ def scale_ambiguity_bound(task: Task, ratios: FloatArray) -> dict[str, dict[str,
 def output_bounds(task: Task, observer: Observer, ratios: FloatArray) -> FloatArray:
     """Return the Cramer-Rao bounds of a task's outputs, shape (n_vehicles, n_outputs), [-].
 
-    All parameters that vary and are not measured are estimated jointly. `ratios`: (n_vehicles, 5).
+    All parameters that vary together and are not measured are estimated jointly; of several sets
+    that of the vehicle is taken as known, so an output that stays healthy in it has the bound 0.
+    `ratios`: (n_vehicles, 5).
     """
-    information = fisher_information(observer, ratios, task.unknown, task.responses)
-    return cramer_rao(information)[:, [task.unknown.index(name) for name in task.outputs]]
+    bounds = np.zeros((len(ratios), len(task.outputs)))
+    for names, rows in task.rows_of_sets(ratios):
+        information = fisher_information(observer, ratios[rows], names, task.responses)
+        found = cramer_rao(information)
+        for j, output in enumerate(task.outputs):
+            if output in names:
+                bounds[rows, j] = found[:, names.index(output)]
+    return bounds
 
 
 def best_possible(
@@ -284,7 +293,7 @@ def range_limited(bounds: FloatArray, ratios: FloatArray, low: float, high: floa
     averaged over e, is the bound. s is `bounds` (n,), theta is `ratios` (n,).
     """
     e, weights = np.polynomial.hermite_e.hermegauss(NODES)
-    s = np.minimum(bounds, WIDEST * (high - low))[:, None]
+    s = np.clip(bounds, (high - low) / NARROWEST, WIDEST * (high - low))[:, None]
     theta = ratios[:, None]
     x = theta + s * e
     a, b = (low - x) / s, (high - x) / s

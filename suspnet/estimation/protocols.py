@@ -20,7 +20,7 @@ from suspnet.ground.settings import (
     check_settings,
     setting,
 )
-from suspnet.ground.types import FloatArray
+from suspnet.ground.types import BoolArray, FloatArray
 from suspnet.spectra.components import FEATURE_SETS, CurveFeatures
 from suspnet.spectra.extraction import FeatureSet, PeakFeatures
 
@@ -30,8 +30,13 @@ BODY_MASS_COLUMN = PARAMETERS.index(BODY_MASS)
 REACH = 2.0
 """Factor beyond the training range up to which the estimate of a regression means anything: of
 noisy features, the exponential of its output can be any number."""
-SHARED = ("sampling", "lower", "upper", "step", "mass_step", "mass_known", "log_ratios")
+SHARED = (
+    *("sampling", "test_sampling", "lower", "upper", "step", "mass_step"),
+    *("mass_known", "log_ratios", "standardised"),
+)
 """Settings of a protocol that its tasks share."""
+TEST_STREAM = 1
+"""Number of the stream of test curves."""
 
 
 def columns_of(parameters: Sequence[str]) -> list[int]:
@@ -46,14 +51,16 @@ class Task:
     Attributes
     ----------
     protocol, group : str
-    varied : tuple of str
-        Parameters that vary; the others stay healthy.
+    varied_sets : tuple of tuples of str
+        Sets of parameters that vary together while the others stay healthy, such as the groups of
+        Table IV. Curves are drawn from each of them.
     outputs : tuple of str
         Parameters that are estimated.
     responses : tuple of str
         From ``RESPONSES``: the curves that may be used.
     extractor : FeatureSet
-    sampling : {"grid", "sobol"}
+    sampling, test_sampling : {"grid", "sobol"}
+        How training and calibration vehicles are drawn, and test vehicles.
     lower, upper : float
         Range of the suspension's ratios, [-].
     mass_lower, mass_upper : float
@@ -64,6 +71,8 @@ class Task:
         Whether the measured car-body mass ratio is an additional input.
     log_ratios : bool
         Whether the model uses logarithms of the ratios to healthy instead of the ratios.
+    standardised : bool
+        Whether inputs and outputs have mean 0 and deviation 1, or are relative changes as they are.
 
     Raises
     ------
@@ -73,11 +82,12 @@ class Task:
 
     protocol: str
     group: str
-    varied: tuple[str, ...]
+    varied_sets: tuple[tuple[str, ...], ...]
     outputs: tuple[str, ...]
     responses: tuple[str, ...]
     extractor: FeatureSet
     sampling: Literal["grid", "sobol"]
+    test_sampling: Literal["grid", "sobol"]
     lower: float
     upper: float
     mass_lower: float
@@ -86,27 +96,37 @@ class Task:
     mass_step: float
     mass_known: bool
     log_ratios: bool
+    standardised: bool
 
     def __post_init__(self) -> None:
-        for name, allowed in (
-            ("varied", PARAMETERS),
-            ("outputs", PARAMETERS),
-            ("responses", RESPONSES),
-        ):
-            _known(getattr(self, name), allowed, name)
-        check_choice("sampling", self.sampling, ("grid", "sobol"))
+        for names in self.varied_sets:
+            _known(names, PARAMETERS, "varied")
+        _known(self.outputs, self.varied, "outputs")
+        _known(self.responses, RESPONSES, "responses")
+        for name in ("sampling", "test_sampling"):
+            check_choice(name, getattr(self, name), ("grid", "sobol"))
         for low, high in (("lower", "upper"), ("mass_lower", "mass_upper")):
             check_number(low, getattr(self, low), above=0, most=100)
             check_number(high, getattr(self, high), above=getattr(self, low), most=100)
         for name in ("step", "mass_step"):
             check_number(name, getattr(self, name), above=0, most=100)
-        for name in ("mass_known", "log_ratios"):
+        for name in ("mass_known", "log_ratios", "standardised"):
             check_flag(name, getattr(self, name))
+        if not self.standardised and not self.extractor.positive:
+            raise ValueError(
+                f"the feature set {self.extractor.kind!r} has no relative changes, which "
+                "`standardised=false` asks for; take feature_set=peaks"
+            )
 
     @property
     def inputs(self) -> tuple[str, ...]:
         """Name of each input of the model."""
         return self.extractor.names + ((BODY_MASS,) if self.mass_known else ())
+
+    @property
+    def varied(self) -> tuple[str, ...]:
+        """Parameters that vary in any of the sets, in the order of ``PARAMETERS``."""
+        return tuple(name for name in PARAMETERS if any(name in s for s in self.varied_sets))
 
     @property
     def output_indices(self) -> list[int]:
@@ -118,6 +138,26 @@ class Task:
         """Varied parameters that are not measured and have to be estimated."""
         known = (BODY_MASS,) if self.mass_known else ()
         return tuple(name for name in self.varied if name not in known)
+
+    @property
+    def unknown_sets(self) -> list[tuple[str, ...]]:
+        """Unknown parameters of each of the sets that vary together."""
+        return [tuple(n for n in names if n in self.unknown) for names in self.varied_sets]
+
+    def rows_of_sets(self, ratios: FloatArray) -> list[tuple[tuple[str, ...], BoolArray]]:
+        """Return the unknown parameters of each set and the vehicles (n_vehicles, 5) it is of.
+
+        A vehicle is of the first set outside of which it is healthy, else of none: then all
+        parameters are unknown. Sets without a vehicle are left out.
+        """
+        left, found = np.ones(len(ratios), dtype=bool), []
+        for names, unknown in zip(self.varied_sets, self.unknown_sets, strict=True):
+            others = [j for j, name in enumerate(PARAMETERS) if name not in names]
+            rows = left & (ratios[:, others] == 1).all(axis=1)
+            found.append((unknown, rows))
+            left = left & ~rows
+        found.append((self.unknown, left))
+        return [(unknown, rows) for unknown, rows in found if rows.any()]
 
     @property
     def used_responses(self) -> list[int]:
@@ -153,8 +193,12 @@ class Task:
 
     @property
     def grid_size(self) -> int:
-        """Number of curves of the full grid."""
-        return math.prod(len(self.levels(name)) for name in self.varied)
+        """Number of curves of the full grids of all sets."""
+        return sum(self._grid_sizes)
+
+    @property
+    def _grid_sizes(self) -> list[int]:
+        return [math.prod(len(self.levels(name)) for name in s) for s in self.varied_sets]
 
     def sample(self, n_curves: int | None, seed: int, stream: int) -> FloatArray:
         """Return ratios (n_curves, 5) of training (stream 0), test (1) or calibration (2) curves.
@@ -165,16 +209,12 @@ class Task:
         a separate seed for each stream. ValueError if the grid has fewer curves, or if None is
         given for a Sobol sequence.
         """
-        ratios = self._sobol(n_curves, seed, stream) if self.sampling == "sobol" else None
-        if ratios is None:
-            ratios = self._grid(n_curves, seed, stream)
-        full = np.ones((len(ratios), len(PARAMETERS)))
-        full[:, columns_of(self.varied)] = ratios
-        return full
+        sampling = self.test_sampling if stream == TEST_STREAM else self.sampling
+        draw = self._sobol if sampling == "sobol" else self._grid
+        return draw(n_curves, seed, stream)
 
     def _grid(self, n_curves: int | None, seed: int, stream: int) -> FloatArray:
-        """Return the grid rows of a stream, shape (n_curves, n_varied)."""
-        levels = [self.levels(name) for name in self.varied]
+        """Return the ratios of a stream's points of the grids, shape (n_curves, 5)."""
         total = self.grid_size
         if n_curves is None:
             chosen = np.arange(total)
@@ -186,17 +226,32 @@ class Task:
             shuffled = np.random.default_rng(seed).permutation(total)
             ordered = (shuffled, shuffled[::-1], np.roll(shuffled, -(total // 2)))[stream]
             chosen = ordered[:n_curves]
-        index = np.unravel_index(chosen, [len(level) for level in levels])
-        return np.stack([level[i] for level, i in zip(levels, index, strict=True)], axis=1)
+        ratios = np.ones((len(chosen), len(PARAMETERS)))
+        start = 0
+        for names, size in zip(self.varied_sets, self._grid_sizes, strict=True):
+            rows = np.flatnonzero((chosen >= start) & (chosen < start + size))
+            levels = [self.levels(name) for name in names]
+            index = np.unravel_index(chosen[rows] - start, [len(level) for level in levels])
+            for name, level, places in zip(names, levels, index, strict=True):
+                ratios[rows, PARAMETERS.index(name)] = level[places]
+            start += size
+        return ratios
 
     def _sobol(self, n_curves: int | None, seed: int, stream: int) -> FloatArray:
+        """Return scrambled Sobol points of each set in turn, shape (n_curves, 5)."""
         if n_curves is None:
             raise ValueError(f"protocol {self.protocol!r} has no finite grid; give a number")
-        rng = np.random.default_rng([seed, stream])
-        sampler = qmc.Sobol(len(self.varied), rng=rng)
-        points = sampler.random_base2(max(1, math.ceil(math.log2(n_curves))))[:n_curves]
-        ranges = np.array([self.range(name) for name in self.varied])
-        return np.asarray(ranges[:, 0] + (ranges[:, 1] - ranges[:, 0]) * points)
+        ratios = np.ones((n_curves, len(PARAMETERS)))
+        for k, names in enumerate(self.varied_sets):
+            rows = np.arange(k, n_curves, len(self.varied_sets))
+            rng = np.random.default_rng([seed, stream, k] if k else [seed, stream])
+            sampler = qmc.Sobol(len(names), rng=rng)
+            n_points = max(1, math.ceil(math.log2(max(1, len(rows)))))
+            points = sampler.random_base2(n_points)[: len(rows)]
+            ranges = np.array([self.range(name) for name in names])
+            scaled = ranges[:, 0] + (ranges[:, 1] - ranges[:, 0]) * points
+            ratios[rows[:, None], columns_of(names)] = scaled
+        return ratios
 
 
 @dataclass(frozen=True)
@@ -229,10 +284,21 @@ class Protocol:
         "How vehicles are drawn: from the grid of Table IV, or as Sobol points over the whole "
         "range",
     )
+    test_sampling: Literal["grid", "sobol"] | None = setting(
+        None, "How test vehicles are drawn; null is as `sampling` says"
+    )
+    varied: Annotated[
+        Sequence[Sequence[str]] | None,
+        Setting(
+            "Sets of parameters that vary together while all others stay healthy, of all groups; "
+            "curves are drawn from each set. null is the outputs of each group and the mass",
+            rule="lists of k_p, c_p, k_s, c_s, M_s",
+        ),
+    ] = None
     lower: float = setting(
         0.5, "Lower end of the range of stiffness and damping relative to healthy", above=0, below=1
     )
-    upper: float = setting(2.0, "Upper end of that range", above=1, most=100)
+    upper: float = setting(2.0, "Upper end of that range", low=1, most=100)
     step: float = setting(
         0.01, "Step of the grid in stiffness and damping relative to healthy", above=0, most=100
     )
@@ -260,6 +326,11 @@ class Protocol:
         True,
         "Whether inputs and outputs are logarithms of the ratios to healthy, or the ratios "
         "themselves",
+    )
+    standardised: bool = setting(
+        True,
+        "Whether inputs and outputs are scaled to mean 0 and deviation 1, or are relative changes "
+        "as they are",
     )
     by_part: bool = setting(
         False,
@@ -311,14 +382,20 @@ class Protocol:
         return Task(
             protocol=self.name,
             group=group,
-            varied=(*outputs, BODY_MASS),
+            varied_sets=self._varied_sets(outputs),
             outputs=(*outputs, BODY_MASS) if self.estimate_mass else outputs,
             responses=tuple(entry["responses"]),
             extractor=self._extractor(entry),
             mass_lower=self._mass_range()[0],
             mass_upper=self._mass_range()[1],
-            **{name: getattr(self, name) for name in SHARED},
+            **{name: getattr(self, name) for name in SHARED}
+            | {"test_sampling": self.test_sampling or self.sampling},
         )
+
+    def _varied_sets(self, outputs: Sequence[str]) -> tuple[tuple[str, ...], ...]:
+        if self.varied is None:
+            return ((*outputs, BODY_MASS),)
+        return tuple(tuple(names) for names in self.varied)
 
     def _extractor(self, entry: Mapping[str, Sequence[str]]) -> FeatureSet:
         if self.feature_set == "curve":

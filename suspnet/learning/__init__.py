@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from suspnet.learning.baselines import SVR, CurveFit, LinearRegression
+from suspnet.learning.baselines import SVR, CurveFit, KernelRidge, LinearRegression
 from suspnet.learning.msvr import MSVR
 from suspnet.learning.mvgpr import MVGPR
 from suspnet.learning.scaling import Scaling
@@ -11,6 +11,7 @@ METHODS: dict[str, Any] = {
     "msvr": MSVR,
     "svr": SVR,
     "mvgpr": MVGPR,
+    "ridge": KernelRidge,
     "linear": LinearRegression,
     "curve_fit": CurveFit,
 }
@@ -22,4 +23,13 @@ processes) and `gives_deviations` (``predict(X, return_std=True)`` also returns 
 deviations).
 """
 
-__all__ = ["METHODS", "MSVR", "MVGPR", "SVR", "CurveFit", "LinearRegression", "Scaling"]
+__all__ = [
+    "METHODS",
+    "MSVR",
+    "MVGPR",
+    "SVR",
+    "CurveFit",
+    "KernelRidge",
+    "LinearRegression",
+    "Scaling",
+]

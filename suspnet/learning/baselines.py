@@ -14,7 +14,7 @@ import numpy as np
 import torch
 from joblib import Parallel, delayed
 from numpy.typing import ArrayLike
-from sklearn import linear_model, svm
+from sklearn import kernel_ridge, linear_model, svm
 from sklearn.base import BaseEstimator, MultiOutputMixin, RegressorMixin
 from sklearn.metrics.pairwise import rbf_kernel
 from sklearn.utils.validation import check_is_fitted, validate_data
@@ -206,6 +206,94 @@ class SVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[misc
 
     def _kernel(self, X: FloatArray, vectors: FloatArray) -> FloatArray:
         return np.asarray(rbf_kernel(X, vectors, gamma=1 / self.sigma**2))
+
+
+class KernelRidge(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[misc]
+    """Kernel ridge regression (scikit-learn's), which MSVR is without a tube.
+
+    Minimises ``1/2 |W|^2 + C sum_i |y_i - W^T phi(x_i) - b|^2`` with b the mean of the outputs, so
+    with the letters of `MSVR`: alpha = 1 / (2 C), gamma = 1 / sigma^2.
+
+    Parameters
+    ----------
+    C : float, default=100.0
+        Penalty, > 0.
+    sigma : float, default=3.0
+        Kernel width, > 0.
+
+    Attributes
+    ----------
+    dual_coef_ : array of shape (n_samples, n_outputs)
+    X_fit_ : array of shape (n_samples, n_inputs)
+    intercept_ : array of shape (n_outputs,)
+
+    Raises
+    ------
+    TypeError, ValueError
+        From `fit`, if a parameter or the data is out of range.
+    """
+
+    settings: ClassVar[Mapping[str, Setting]] = {
+        "C": Setting("Penalty of residuals, as tuned for the group", above=0),
+        "sigma": Setting("Width of the kernel exp(-|x - z|²/sigma²)", "scaled inputs", above=0),
+    }
+    """What each argument means and which values it takes."""
+
+    works_on_curves: ClassVar[bool] = False
+    distributable: ClassVar[bool] = False
+    gives_deviations: ClassVar[bool] = False
+
+    def __init__(self, C: float = 100.0, sigma: float = 3.0) -> None:
+        self.C = C
+        self.sigma = sigma
+
+    def fit(self, X: ArrayLike, y: ArrayLike) -> Self:
+        """Fit to samples (n_samples, n_inputs) and outputs (n_samples,) or (.., n_outputs)."""
+        check_settings(self)
+        X, y = validate_data(self, X, y, multi_output=True, y_numeric=True, dtype=np.float64)
+        targets = np.asarray(y, dtype=np.float64)
+        self._single_output = targets.ndim == 1
+        targets = targets.reshape(len(targets), -1)
+        self.intercept_ = targets.mean(axis=0)
+        machine = kernel_ridge.KernelRidge(
+            alpha=1 / (2 * self.C), kernel="rbf", gamma=1 / self.sigma**2
+        )
+        machine.fit(X, targets - self.intercept_)
+        self.dual_coef_, self.X_fit_ = machine.dual_coef_, np.ascontiguousarray(X)
+        return self
+
+    def predict(self, X: ArrayLike) -> FloatArray:
+        """Return predictions, shape (n_samples,) or (n_samples, n_outputs) as `y` was."""
+        check_is_fitted(self)
+        samples = np.asarray(validate_data(self, X, reset=False, dtype=np.float64))
+        predicted = np.empty((len(samples), len(self.intercept_)))
+        for start in range(0, len(samples), PREDICT_ROWS):
+            rows = slice(start, start + PREDICT_ROWS)
+            kernel = rbf_kernel(samples[rows], self.X_fit_, gamma=1 / self.sigma**2)
+            predicted[rows] = kernel @ self.dual_coef_
+        predicted += self.intercept_
+        return predicted[:, 0] if self._single_output else predicted
+
+    def state(self) -> dict[str, FloatArray]:
+        """Return the arrays of the fitted model."""
+        check_is_fitted(self)
+        intercept = self.intercept_.reshape(() if self._single_output else -1)
+        return {"dual_coef": self.dual_coef_, "X_fit": self.X_fit_, "intercept": intercept}
+
+    def restore(self, state: Mapping[str, FloatArray]) -> Self:
+        """Load the arrays of `state`; ValueError if they are missing or inconsistent."""
+        try:
+            self.dual_coef_, self.X_fit_ = state["dual_coef"], state["X_fit"]
+            self.intercept_ = np.atleast_1d(state["intercept"])
+            self._single_output = state["intercept"].ndim == 0
+        except KeyError as error:
+            raise ValueError(f"the arrays are not those of a ridge model ({error})") from error
+        if self.dual_coef_.shape != (len(self.X_fit_), len(self.intercept_)):
+            raise ValueError(
+                f"dual_coef has shape {self.dual_coef_.shape}, X_fit {self.X_fit_.shape}"
+            )
+        self.n_features_in_ = self.X_fit_.shape[1]
+        return self
 
 
 class LinearRegression(linear_model.LinearRegression):  # type: ignore[misc]

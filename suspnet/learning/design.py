@@ -8,7 +8,7 @@ summed over ranks where the samples are spread over several processes. `DenseDes
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import accumulate
 from typing import Protocol
 
@@ -20,6 +20,10 @@ from suspnet.learning.ranks import AllReduce, identity
 
 CACHE_BYTES = 400_000_000
 """Largest size of a training set's features that stay in memory between passes [bytes]."""
+Penalty = Tensor | float
+"""C of all samples, or of each of them, (n_samples,)."""
+MOST_COUPLED = 4096
+"""Largest number of features times outputs for which Newton's equations are factored."""
 Columns = Callable[[slice, Tensor], Tensor]
 """Function that returns V[rows], (n_rows, n_columns), from `rows` and (Phi W + b)[rows]."""
 
@@ -37,17 +41,13 @@ class Gradient:
     """The gradient of F at a point, and the samples' weights a_i of Eq. (10) there.
 
     `coef`: (n_features, n_outputs), `intercept`: (n_outputs,), 0 if b is not fitted, `weights`:
-    (n_samples,) of this rank's samples.
+    (n_samples,) of this rank's samples, `residual`: (n_samples, n_outputs) of them.
     """
 
     coef: Tensor
     intercept: Tensor
     weights: Tensor
-
-    @property
-    def norm(self) -> float:
-        """Euclidean norm over W and b."""
-        return float(torch.cat([self.coef, self.intercept[None]]).norm())
+    residual: Tensor
 
 
 class NormalEquations(Protocol):
@@ -65,6 +65,14 @@ class Design(Protocol):
     all_reduce: AllReduce
     """Sums a tensor over ranks, in place."""
 
+    def inner(self, first: Tensor, second: Tensor) -> Tensor:
+        """Return the sum over outputs of the inner products of two vectors of features."""
+        ...
+
+    def coefficients(self, coef: Tensor) -> Tensor:
+        """Return the coefficients with which the feature map predicts."""
+        ...
+
     def rmatvec(self, columns: Tensor) -> Tensor:
         """Return Phi^T columns, shape (n_features, n_columns), summed over ranks."""
         ...
@@ -73,13 +81,29 @@ class Design(Protocol):
         """Return Phi W + b, and Phi^T V with V = columns(rows, (Phi W + b)[rows]), in one pass."""
         ...
 
-    def fixed(self, C: float, fit_intercept: bool) -> NormalEquations:
-        """Return the equations of all weights 2 C, computed once."""
+    def fixed(self, C: Penalty, fit_intercept: bool) -> NormalEquations:
+        """Return the equations of the samples' largest weights, 2 C, computed once."""
         ...
 
-    def reweighted(self, C: float, fit_intercept: bool) -> NormalEquations:
+    def reweighted(self, C: Penalty, fit_intercept: bool) -> NormalEquations:
         """Return the equations of Eq. (9), computed for the weights of every iteration."""
         ...
+
+    def newton(self, C: Penalty, fit_intercept: bool) -> NormalEquations:
+        """Return the equations of Newton's method, or those of Eq. (9) where they cost less."""
+        ...
+
+
+class PlainVectors:
+    """Inner products and coefficients of a design whose vectors hold the features themselves."""
+
+    def inner(self, first: Tensor, second: Tensor) -> Tensor:
+        """Return the sum over outputs of the inner products of two vectors of features."""
+        return (first * second).sum()
+
+    def coefficients(self, coef: Tensor) -> Tensor:
+        """Return W itself."""
+        return coef
 
 
 @dataclass(frozen=True)
@@ -110,7 +134,12 @@ class Gram:
         )
 
 
-class DenseDesign:
+def largest_weights(C: Penalty, like: Tensor) -> Tensor:
+    """Return 2 C of each sample, (n_samples,), which no weight of Eq. (10) exceeds."""
+    return torch.zeros_like(like) + 2 * C
+
+
+class DenseDesign(PlainVectors):
     """Phi in blocks of rows.
 
     If a map ends with a product with a fixed basis, Phi = K V, the blocks are those of K, and V
@@ -225,13 +254,24 @@ class DenseDesign:
         self.all_reduce(count)
         return Gram(products.triu() + products.triu(1).T, sums, float(count))
 
-    def fixed(self, C: float, fit_intercept: bool) -> FixedGram:
+    def fixed(self, C: Penalty, fit_intercept: bool) -> FixedGram:
         """Return the equations of all weights 2 C, computed once."""
+        if isinstance(C, Tensor):
+            return FixedGram(self.weighted_gram(C), 1.0, fit_intercept)
         return FixedGram(self.gram(), C, fit_intercept)
 
-    def reweighted(self, C: float, fit_intercept: bool) -> ReweightedGram:
+    def reweighted(self, C: Penalty, fit_intercept: bool) -> ReweightedGram:
         """Return the equations of Eq. (9), factored for the weights of every iteration."""
         return ReweightedGram(self, fit_intercept)
+
+    def newton(self, C: Penalty, fit_intercept: bool) -> NormalEquations:
+        """Return the equations of Newton's method, or those of Eq. (9) for float32 features.
+
+        The bound on the gap is that of Eq. (9), whose directions it needs where products round.
+        """
+        if self.X.dtype == torch.float32:
+            return self.reweighted(C, fit_intercept)
+        return NewtonGram(self, C, fit_intercept)
 
     def _projected(self, product: Tensor) -> Tensor:
         """Return V^T product where the blocks are those of K, else the product."""
@@ -275,6 +315,63 @@ class ReweightedGram:
         return without_intercept(
             gradient, sums, weight_sum, lambda right: cholesky_solve(right, factor)
         )
+
+
+class NewtonGram:
+    """Directions of Newton's method, with the second derivative of L(|r|) of each sample.
+
+    For a sample outside the tube it is, with its largest weight c = 2 C, its weight a of Eq. (10)
+    and its residual r::
+
+        H = a 1 + (c - a) r r^T / |r|^2
+
+    which couples the outputs; Eq. (9) has the first term alone. Near the minimum a few of these
+    steps do what takes hundreds of those of Eq. (9) where many samples lie within the tube. Above
+    ``MOST_COUPLED`` unknowns the directions are those of Eq. (9).
+    """
+
+    def __init__(self, design: DenseDesign, C: Penalty, fit_intercept: bool) -> None:
+        self._design, self._C, self._fit_intercept = design, C, fit_intercept
+        self._reweighted = ReweightedGram(design, fit_intercept)
+
+    def direction(self, gradient: Gradient, accuracy: float) -> Direction:
+        """Return the Newton direction, exactly."""
+        n_features, n_outputs = gradient.coef.shape
+        if n_outputs == 1 or n_features * n_outputs > MOST_COUPLED:
+            if n_outputs == 1:  # H = c along the only direction there is
+                largest = largest_weights(self._C, gradient.weights)
+                gradient = replace(gradient, weights=largest * (gradient.weights > 0))
+            return self._reweighted.direction(gradient, accuracy)
+        n = n_features + 1
+        matrix = gradient.coef.new_zeros(n_outputs, n, n_outputs, n)
+        for j, k, gram in self._grams(gradient):
+            block = torch.cat([gram.products, gram.sums[None]])
+            last = torch.cat([gram.sums, gram.sums.new_tensor([gram.weight_sum])])
+            matrix[j, :, k, :] = torch.cat([block, last[:, None]], dim=1)
+            matrix[k, :, j, :] = matrix[j, :, k, :]
+        right = -torch.cat([gradient.coef, gradient.intercept[None]])
+        # without a sample outside the tube, on any rank, b is not determined
+        n_free = n if self._fit_intercept and float(matrix[0, -1, 0, -1]) > 0 else n_features
+        matrix, right = matrix[:, :n_free, :, :n_free], right[:n_free]
+        for j in range(n_outputs):
+            matrix[j, :, j, :].diagonal()[:n_features] += 1
+        size = n_free * n_outputs
+        name, advice = "system of Newton's method", "lower C, or scale the outputs"
+        factor = cholesky(matrix.reshape(size, size), name, advice)
+        flat = cholesky_solve(right.T.reshape(size, 1), factor)
+        found = torch.zeros(n, n_outputs).to(right)
+        found[:n_free] = flat.reshape(n_outputs, n_free).T
+        return Direction(found[:n_features], found[-1])
+
+    def _grams(self, gradient: Gradient) -> Iterator[tuple[int, int, Gram]]:
+        """Yield the Gram matrix of each pair of outputs j <= k, weighted by H_jk."""
+        unit = torch.nn.functional.normalize(gradient.residual, dim=1)
+        across = gradient.weights
+        rest = (largest_weights(self._C, across) - across) * (across > 0)
+        for j in range(unit.shape[1]):
+            for k in range(j, unit.shape[1]):
+                weights = rest * unit[:, j] * unit[:, k] + (across if j == k else 0.0)
+                yield j, k, self._design.weighted_gram(weights)
 
 
 def _centred_factor(gram: Gram, scale: float, fit_intercept: bool) -> tuple[Tensor, float, Tensor]:

@@ -1,8 +1,8 @@
 """Finite feature maps phi with phi(x) . phi(z) close to the RBF kernel exp(-|x - z|^2 / sigma^2).
 
-This module holds the interface of a map, random Fourier features, and maps from landmarks: Nystroem
-and the exact kernel, with every sample as a landmark. The map on a regular grid of frequencies is
-in ``equispaced``; ``map_kinds.MAPS`` lists all maps.
+This module holds the interface of a map, random Fourier features, Nystroem landmarks and the exact
+kernel. The map on a regular grid of frequencies is in ``equispaced``; ``map_kinds.MAPS`` lists all
+maps.
 """
 
 from __future__ import annotations
@@ -76,9 +76,8 @@ def random_fourier(
     X: Tensor, sigma: float, n_components: int, seed: int, kernel_tol: float = 0.0
 ) -> FourierFeatures:
     """Draw random Fourier features: w_j ~ N(0, 2 / sigma^2 I); `kernel_tol` is not used."""
-    # drawn in single precision as ever: from the same seed, double precision gives other numbers
     shape, source = (X.shape[1], _pairs(n_components)), generator(seed)
-    draws = torch.randn(shape, generator=source, dtype=torch.float32).double()
+    draws = torch.randn(shape, generator=source, dtype=torch.float64)
     return FourierFeatures((draws * math.sqrt(2) / sigma).to(X))
 
 
@@ -144,6 +143,26 @@ class LandmarkFeatures(FeatureMap):
         return self.raw(X) @ (self.whitening @ coef)
 
 
+@dataclass(frozen=True)
+class KernelColumns(FeatureMap):
+    """The exact kernel: columns k(x, x_i) of the training samples, for dual coefficients.
+
+    `landmarks`: the samples (n_samples, n_inputs), `sigma`: ().
+    """
+
+    landmarks: Tensor
+    sigma: Tensor
+
+    @property
+    def n_inputs(self) -> int:
+        """Number of columns the map takes."""
+        return self.landmarks.shape[1]
+
+    def __call__(self, X: Tensor) -> Tensor:
+        """Return the kernel of samples and training samples, (n_samples, n_training)."""
+        return rbf_kernel(X, self.landmarks, float(self.sigma))
+
+
 def rbf_kernel(X: Tensor, Z: Tensor, sigma: float) -> Tensor:
     """Return exp(-|x_i - z_j|^2 / sigma^2), shape (n_samples, n_landmarks)."""
     return squared_distances(X, Z).mul_(-1 / sigma**2).exp_()
@@ -179,13 +198,9 @@ def nystroem(
 
 def exact(
     X: Tensor, sigma: float, n_components: int, seed: int, kernel_tol: float = 0.0
-) -> LandmarkFeatures:
-    """Use every sample as a landmark: the exact kernel on the training data, for small n.
-
-    Eigenvectors of the kernel matrix with eigenvalues below rounding are dropped. `n_components`,
-    `seed` and `kernel_tol` are not used.
-    """
-    return _landmarks(X, X, sigma)
+) -> KernelColumns:
+    """Return the exact kernel of the samples; the other arguments are not used."""
+    return KernelColumns(X, torch.tensor(float(sigma), dtype=X.dtype, device=X.device))
 
 
 def pivoted_cholesky(

@@ -2,25 +2,39 @@
 
 Minimises the functional of Eq. (7), sums not means, b unpenalised::
 
-    F(W, b) = 1/2 |W|^2 + C sum_i L(|y_i - W^T phi_i - b|)
+    F(W, b) = 1/2 |W|^2 + C sum_i s_i L(|y_i - W^T phi_i - b|)
 
-with the hyperspherical epsilon-insensitive loss L of Eq. (8). F is convex and continuously
-differentiable, so it has one value at the optimum. Each iteration takes a direction from the normal
-equations of Eq. (9) (Eq. 11) and backtracks along it. The solver alternates between the equations
-of a fixed Gram matrix and the reweighted ones whenever progress is slow; both have the same optimum
-and the same stopping rule.
+with the hyperspherical epsilon-insensitive loss L of Eq. (8) and sample weights s_i, 1 in the
+paper. F is convex and continuously differentiable, so it has one value at the optimum. Each
+iteration takes a direction from normal equations and backtracks along it.
+
+- "irwls" is the algorithm of the paper: from W = 0, b = 0 on, each direction is that of Eq. (11),
+  from the equations (9) with the weights (10).
+- "newton" alternates between the equations of a fixed Gram matrix, which need one factorisation,
+  and those of Newton's method whenever progress is slow.
+
+Both have the same optimum and the same stopping rule.
 """
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import StrEnum
+from typing import Literal
 
 import torch
 from torch import Tensor
 
-from suspnet.learning.design import Columns, Design, Direction, Gradient, NormalEquations
+from suspnet.learning.design import (
+    Columns,
+    Design,
+    Direction,
+    Gradient,
+    NormalEquations,
+    Penalty,
+)
 from suspnet.learning.loss import loss, weight
 from suspnet.learning.ranks import all_reduce, broadcast
 
@@ -29,8 +43,12 @@ SUFFICIENT_DECREASE = 1e-4
 SMALLEST_STEP = 1e-10
 """Smallest fraction of the direction that backtracking tries."""
 MAX_SLOW_STEPS = 20
-"""Number of slow steps in a row after which the solver leaves the reweighted equations, which can
-cycle where many samples lie on the border of the tube."""
+"""Number of slow steps in a row after which the solver leaves Newton's equations, which can cycle
+where many samples lie on the border of the tube."""
+
+
+KINDS = {"newton": ("fixed", "newton"), "irwls": ("reweighted",)}
+"""Kinds of equations of each solver, in turn."""
 
 
 class Status(StrEnum):
@@ -77,9 +95,9 @@ class Solution:
 class IRWLS:
     """The solver: minimises F over W and b, and bounds the distance from the optimum.
 
-    It stops when ``gap`` falls to `tol`. A step is slow if it leaves more than `slow_decrease` of
-    the previous Newton decrement. The solver leaves the fixed equations after one slow step, and
-    the reweighted ones after ``MAX_SLOW_STEPS`` in a row.
+    It stops when ``gap`` falls to `tol`. `solver` is "newton" or "irwls". A step is slow if it
+    leaves more than `slow_decrease` of the previous Newton decrement. The solver "newton" leaves
+    the fixed equations after one slow step, and Newton's after ``MAX_SLOW_STEPS`` in a row.
     """
 
     C: float
@@ -88,24 +106,31 @@ class IRWLS:
     max_iter: int = 200
     tol: float = 1e-8
     slow_decrease: float = 0.3
+    solver: Literal["newton", "irwls"] = "newton"
 
     def minimise(
-        self, design: Design, Y: Tensor, on_iteration: Callable[[Iteration], None] | None = None
+        self,
+        design: Design,
+        Y: Tensor,
+        on_iteration: Callable[[Iteration], None] | None = None,
+        sample_weight: Tensor | None = None,
     ) -> Solution:
         """Return the minimiser of F and a bound on its distance from the optimum.
 
-        `Y`: (n_samples, n_outputs). Raises ValueError if a system is singular to working precision.
+        `Y`: (n_samples, n_outputs), `sample_weight`: (n_samples,), None is 1. Raises ValueError if
+        a system is singular to working precision.
         """
-        functional = _Functional(design, self.C, self.epsilon, self.fit_intercept)
-        equations = _Equations(design, self)
+        C = self.C if sample_weight is None else self.C * sample_weight
+        functional = _Functional(design, C, self.epsilon, self.fit_intercept)
+        equations = _Equations(design, self, C)
         coef = torch.zeros(design.n_features, Y.shape[1], dtype=torch.float64, device=Y.device)
         intercept = torch.zeros_like(coef[0])
         residual = Y.double().clone()
         objective, lower = functional.value(coef, residual), 0.0
         gradient = functional.gradient(coef, residual)
         objectives, n_iter, has_stagnated = [objective], 0, False
-        # The loop ends: every pass increases n_iter, except that a step of 0 switches from the
-        # fixed to the reweighted equations, or stops if these are in use.
+        # The loop ends: every pass increases n_iter, except that a step of 0 takes the next kind of
+        # equations, and stops when each kind had one.
         while (gap := _gap(objective, lower)) > self.tol and n_iter < self.max_iter:
             direction = functional.synchronised(equations.direction(gradient, self.tol * objective))
             # One pass over the samples computes everything needed for the step, the next gradient
@@ -122,11 +147,11 @@ class IRWLS:
             step, objective = functional.backtrack(
                 coef, residual, direction, change, objective, decrement
             )
-            if step == 0 and not equations.is_fixed:
+            equations.follow(step, decrement)
+            if equations.have_failed:
                 gap = _gap(objective, lower)
                 has_stagnated = True
                 break
-            equations.follow(step, decrement)
             if step == 0:
                 continue
             coef += step * direction.coef
@@ -138,13 +163,14 @@ class IRWLS:
             n_iter += 1
             support = functional.support(gradient)  # a sum over ranks: all of them take part
             if on_iteration is not None:
-                on_iteration(Iteration(n_iter, objective, gradient.norm, step, support))
+                norm = functional.norm(gradient)
+                on_iteration(Iteration(n_iter, objective, norm, step, support))
         status = Status.STAGNATED if has_stagnated else Status.MAX_ITER
         return Solution(
-            coef,
+            design.coefficients(coef),
             intercept,
             objective,
-            gradient.norm,
+            functional.norm(gradient),
             gap,
             functional.support(gradient),
             n_iter,
@@ -154,26 +180,37 @@ class IRWLS:
 
 
 class _Equations:
-    """The current normal equations: fixed until a step is slow, then reweighted until many are."""
+    """The equations in use: the next kind after slow steps, without end if one kind is all."""
 
-    def __init__(self, design: Design, solver: IRWLS) -> None:
-        self.is_fixed, self._solver, self._design = True, solver, design
-        self._current: NormalEquations = design.fixed(solver.C, solver.fit_intercept)
-        self._other: NormalEquations | None = None
-        self._decrement, self._n_slow = float("inf"), 0
+    def __init__(self, design: Design, solver: IRWLS, C: Penalty) -> None:
+        self._slow_decrease = solver.slow_decrease
+        make = {"fixed": design.fixed, "newton": design.newton, "reweighted": design.reweighted}
+        self._kinds = KINDS[solver.solver]
+        self._make = [
+            functools.partial(make[name], C, solver.fit_intercept) for name in self._kinds
+        ]
+        self._made: dict[int, NormalEquations] = {}
+        self._place = self._n_slow = self._n_failed = 0
+        self._decrement = float("inf")
 
     def direction(self, gradient: Gradient, accuracy: float) -> Direction:
-        return self._current.direction(gradient, accuracy)
+        if self._place not in self._made:
+            self._made[self._place] = self._make[self._place]()
+        return self._made[self._place].direction(gradient, accuracy)
+
+    @property
+    def have_failed(self) -> bool:
+        """Whether every kind in turn gave a direction without a step."""
+        return self._n_failed == len(self._kinds)
 
     def follow(self, step: float, decrement: float) -> None:
-        """Switch equations after one slow step of the fixed ones, or many of the reweighted."""
-        solver = self._solver
-        is_slow = step == 0 or decrement > solver.slow_decrease * self._decrement
+        """Take the next kind after a step of 0, a slow one of the fixed, or many of another."""
+        is_slow = step == 0 or decrement > self._slow_decrease * self._decrement
         self._decrement, self._n_slow = decrement, self._n_slow + 1 if is_slow else 0
-        if self._n_slow >= (1 if self.is_fixed else MAX_SLOW_STEPS):
-            other = self._other or self._design.reweighted(solver.C, solver.fit_intercept)
-            self._current, self._other = other, self._current
-            self.is_fixed, self._n_slow = not self.is_fixed, 0
+        self._n_failed = self._n_failed + 1 if step == 0 else 0
+        patience = 1 if self._kinds[self._place] == "fixed" else MAX_SLOW_STEPS
+        if step == 0 or self._n_slow >= patience:
+            self._place, self._n_slow = (self._place + 1) % len(self._kinds), 0
 
 
 @dataclass(frozen=True)
@@ -181,14 +218,14 @@ class _Functional:
     """F on a design, its gradient, and a bound below it; sums run over all ranks."""
 
     design: Design
-    C: float
+    C: Penalty
     epsilon: float
     fit_intercept: bool
 
     def value(self, coef: Tensor, residual: Tensor) -> float:
-        losses = loss(residual.norm(dim=1), self.epsilon).sum()
+        losses = (self.C * loss(residual.norm(dim=1), self.epsilon)).sum()
         summed = self.design.all_reduce(losses)
-        return float(self._broadcast(0.5 * coef.square().sum() + self.C * summed))
+        return float(self._broadcast(0.5 * self.design.inner(coef, coef) + summed))
 
     def synchronised(self, direction: Direction) -> Direction:
         """Return the direction of rank zero, so that rounding cannot make ranks diverge."""
@@ -210,7 +247,12 @@ class _Functional:
         offset = torch.zeros_like(coef[0])
         if self.fit_intercept:
             offset = -self.design.all_reduce(weighted.sum(dim=0))
-        return Gradient(coef - product, offset, weights)
+        return Gradient(coef - product, offset, weights, residual)
+
+    def norm(self, gradient: Gradient) -> float:
+        """Return the Euclidean norm of a gradient over W and b."""
+        squared = self.design.inner(gradient.coef, gradient.coef).clamp(min=0)
+        return float((squared + gradient.intercept.square().sum()).sqrt())
 
     def columns(self, residual: Tensor, gradient: Gradient) -> Columns:
         """Return the columns that Phi^T multiplies for the next gradient and for the bound."""
@@ -243,13 +285,14 @@ class _Functional:
         summed = self.design.all_reduce(torch.cat([sums, gradient.weights.sum()[None]]))
         curvature, offset, weight_sum = summed[0], summed[1:-1], summed[-1]
         r = -(gradient.coef + direction.coef + products[:, n_outputs : 2 * n_outputs])
-        value = 0.5 * (direction.coef.square().sum() + curvature)
+        inner = self.design.inner
+        value = 0.5 * (inner(direction.coef, direction.coef) + curvature)
         value -= self.decrement(gradient, direction)
         if self.fit_intercept and weight_sum > 0:
             shift = -(gradient.intercept + offset) / weight_sum
             r -= torch.outer(products[:, -1], shift)
             value -= 0.5 * weight_sum * shift.square().sum()
-        return float(self._broadcast(objective + value - 0.5 * r.square().sum()))
+        return float(self._broadcast(objective + value - 0.5 * inner(r, r)))
 
     def backtrack(
         self,
@@ -271,7 +314,7 @@ class _Functional:
 
     def decrement(self, gradient: Gradient, direction: Direction) -> float:
         """Return -g . d, the rate at which F decreases along a direction."""
-        inner = (gradient.coef * direction.coef).sum()
+        inner = self.design.inner(gradient.coef, direction.coef)
         return float(self._broadcast(-inner - (gradient.intercept * direction.intercept).sum()))
 
     def support(self, gradient: Gradient) -> float:

@@ -13,12 +13,14 @@ from suspnet.learning.equispaced import EquispacedFeatures, equispaced_fourier
 from suspnet.learning.feature_maps import (
     FeatureMap,
     FourierFeatures,
+    KernelColumns,
     LandmarkFeatures,
     exact,
     nystroem,
     orthogonal_fourier,
     random_fourier,
 )
+from suspnet.learning.kernel_design import KernelDesign
 from suspnet.learning.ranks import AllReduce
 from suspnet.learning.toeplitz import EquispacedDesign
 
@@ -46,6 +48,6 @@ MAPS = {
     "orf": MapKind(orthogonal_fourier, FourierFeatures, of_data=False, float32=True),
     "nystroem": MapKind(nystroem, LandmarkFeatures),
     "equispaced": MapKind(equispaced_fourier, EquispacedFeatures, EquispacedDesign, on_gpu=False),
-    "exact": MapKind(exact, LandmarkFeatures),
+    "exact": MapKind(exact, KernelColumns, KernelDesign),
 }
 """Every feature map by name; a new one is added here."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -12,6 +12,11 @@ from sklearn.metrics import mean_absolute_percentage_error, root_mean_squared_er
 from suspnet.ground.types import BoolArray, FloatArray
 
 METRICS = ("mape_percent", "rmse")
+SUBSETS: Mapping[str, Callable[[FloatArray], BoolArray]] = {
+    "varied": lambda ratios: ratios != 1,
+    "degraded": lambda ratios: ratios < 1,
+}
+"""Name of each choice of test curves by the actual ratio of an output."""
 Ends = tuple[FloatArray, FloatArray]
 """Lower and upper ends of intervals."""
 
@@ -45,6 +50,21 @@ def score(
         name: {"mape_percent": float(mape[j]), "rmse": float(rmse[j])}
         for j, name in enumerate(outputs)
     }
+
+
+def score_where(
+    actual: FloatArray, predicted: FloatArray, outputs: Sequence[str]
+) -> dict[str, dict[str, dict[str, float | None]]]:
+    """Return `score` of each output on the curves of each of ``SUBSETS``; None without curves."""
+    found: dict[str, dict[str, dict[str, float | None]]] = {name: {} for name in SUBSETS}
+    for subset, chosen in SUBSETS.items():
+        for j, output in enumerate(outputs):
+            rows = chosen(actual[:, j])
+            found[subset][output] = dict.fromkeys(METRICS)
+            if rows.any():
+                scores = score(actual[rows][:, [j]], predicted[rows][:, [j]], [output])
+                found[subset][output].update(scores[output])
+    return found
 
 
 def interval_scores(

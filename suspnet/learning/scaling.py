@@ -52,6 +52,11 @@ class Scaling:
             raise ValueError(f"columns {constant.tolist()} are constant; nothing can be learnt")
         return cls(mean, scale, log)
 
+    @classmethod
+    def relative_changes(cls, n_columns: int, log: bool = False) -> Scaling:
+        """Return the scaling of ratios to healthy v to v - 1, or to log v."""
+        return cls(np.zeros(n_columns) if log else np.ones(n_columns), np.ones(n_columns), log)
+
     def apply(self, values: FloatArray) -> FloatArray:
         """Return scaled values, same shape."""
         moved = np.log(values) if self.log else values

@@ -69,6 +69,9 @@ class GridSearch:
     ]
     n_folds: int = setting(5, "Number of folds of the cross-validation", low=2)
     seed: int = setting(0, "Seed of the folds", low=0, high=4294967295)
+    n_curves: int | None = setting(
+        None, "Number of training curves that methods are tuned on; null is all", low=2
+    )
     widen: int = setting(
         0, "Largest number of times the grid is widened where the optimum is on its edge", low=0
     )

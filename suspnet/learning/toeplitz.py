@@ -9,7 +9,16 @@ import torch
 from scipy.fft import next_fast_len
 from torch import Tensor
 
-from suspnet.learning.design import Columns, Direction, Gradient, cholesky, without_intercept
+from suspnet.learning.design import (
+    Columns,
+    Direction,
+    Gradient,
+    Penalty,
+    PlainVectors,
+    cholesky,
+    largest_weights,
+    without_intercept,
+)
 from suspnet.learning.equispaced import EquispacedFeatures, EquispacedTransform, flat_index
 from suspnet.learning.ranks import AllReduce, identity
 
@@ -34,7 +43,7 @@ class ConjugateGradients:
     max_iter: int = 1000
 
 
-class EquispacedDesign(EquispacedTransform):
+class EquispacedDesign(EquispacedTransform, PlainVectors):
     """The design matrix Phi of equispaced modes; a `suspnet.learning.design.Design`."""
 
     def __init__(
@@ -52,13 +61,17 @@ class EquispacedDesign(EquispacedTransform):
         moved = self.matvec(change.coef) + change.intercept
         return moved, self.rmatvec(columns(slice(0, self.n_samples), moved))
 
-    def fixed(self, C: float, fit_intercept: bool) -> ToeplitzEquations:
+    def fixed(self, C: Penalty, fit_intercept: bool) -> ToeplitzEquations:
         """Return the equations of all weights 2 C."""
         return ToeplitzEquations(self, C, fit_intercept, False, self._solver)
 
-    def reweighted(self, C: float, fit_intercept: bool) -> ToeplitzEquations:
+    def reweighted(self, C: Penalty, fit_intercept: bool) -> ToeplitzEquations:
         """Return the equations of Eq. (9), computed for the weights of every iteration."""
         return ToeplitzEquations(self, C, fit_intercept, True, self._solver)
+
+    def newton(self, C: Penalty, fit_intercept: bool) -> ToeplitzEquations:
+        """Return the equations of Eq. (9): Newton's are not Toeplitz with several outputs."""
+        return self.reweighted(C, fit_intercept)
 
 
 class ToeplitzEquations:
@@ -70,7 +83,7 @@ class ToeplitzEquations:
     def __init__(
         self,
         design: EquispacedTransform,
-        C: float,
+        C: Penalty,
         fit_intercept: bool,
         reweighted: bool,
         solver: ConjugateGradients,
@@ -90,7 +103,8 @@ class ToeplitzEquations:
         wide = [4 * count + 1 for count in design.counts]
         self._steps, self._middle = flat_index(design.waves, wide), math.prod(wide) // 2
         # The first preconditioner is that of weights 2 C, also for reweighted equations.
-        self._use(design.toeplitz(torch.full((design.n_samples,), 2 * C, dtype=torch.float64)))
+        none = torch.zeros(design.n_samples, dtype=torch.float64)
+        self._use(design.toeplitz(largest_weights(C, none)))
         strengths = torch.cat([design.modes.strengths, design.modes.strengths[1:]])
         self._diagonal = 1 + strengths * self._centre
         self._largest = min(len(design.waves), solver.largest_block)

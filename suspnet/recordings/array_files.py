@@ -49,10 +49,17 @@ PACKING = (
     *("scale_factor", "add_offset", "valid_min", "valid_max", "valid_range"),
 )
 """Attributes of netCDF on missing samples, scale, offset and valid limits of stored numbers."""
-UNAPPLIED = ("gain", "scale", "offset", "sensitivity", "calibration", "calibration_factor")
-"""Attributes of no convention: the stored numbers may or may not have been multiplied by them."""
+UNAPPLIED = (
+    *(re.sub("_", "", name).lower() for name in PACKING),
+    *("gain", "scale", "scaling", "scalingfactor", "multiplier", "slope", "lsb", "sensitivity"),
+    *("offset", "intercept", "calibration", "calibrationfactor"),
+)
+"""Attributes of no convention, compared as `RATE_NAMES`, but for those of `PACKING` as they stand:
+the stored numbers may or may not have been multiplied by them."""
 _SINCE = re.compile(r"(\w+)\s+since\s+(.+?)(\s+UTC|\s+Z)?$")
 """Unit of times of netCDF: a unit and the date from which times are counted, in UTC."""
+_OTHER_KIND = re.compile(r"(.*[./])?(t|v|[^./]*(time|zeit|speed|geschw|veloc)[^./]*)")
+"""Names of times and speeds, in lower case."""
 FILTERS = (1, 2, 3, 4, 5, 6, 32000)
 """Filters of the HDF5 library and h5py: deflate, shuffle, fletcher32, szip, nbit, scaleoffset and
 LZF. Any other is a plug-in, that is, foreign code to load."""
@@ -104,7 +111,9 @@ class _Content:
     def _collect_data(self, name: str, item: Any) -> None:
         """Add a data set, or the fields of a table."""
         self.datasets[name] = item
-        self.unapplied += [repr(f"{name}.{key}") for key in item.attrs if key.lower() in UNAPPLIED]
+        applied = () if item.dtype.names else PACKING
+        unapplied = (key for key in item.attrs if key not in applied and _plain(key) in UNAPPLIED)
+        self.unapplied += [repr(f"{name}.{key}") for key in unapplied]
         if "MATLAB_empty" in item.attrs or "MATLAB_int_decode" in item.attrs:
             return
         fields = item.dtype.names or ()
@@ -135,7 +144,7 @@ class _Content:
             own.pop("unit", None)  # a table has columns of several units
         siblings = _siblings(name, "/", self.datasets)
         small = {key: _value(one) for key, one in siblings.items() if one.nbytes <= MOST_NOTE_BYTES}
-        return _stated(small) | self._times(name) | own
+        return _stated_nearby(name, small) | self._times(name) | own
 
     def _times(self, name: str) -> dict[str, str]:
         """Return the data set of times that netCDF attaches to the dimension of another one."""
@@ -214,18 +223,37 @@ def _packed(dataset: Any, h5py: Any) -> Any:
     is_unsigned = dataset.dtype.kind == "i" and str(said.get("_Unsigned")).lower() == "true"
     if not numbers and not missing and not is_unsigned:
         return dataset
+
+    def as_stored(values: Any) -> Any:
+        """Return values that samples are compared with, rounded and with the sign of these."""
+        if is_unsigned:
+            return np.where(values < 0, values + 2.0 ** (8 * dataset.dtype.itemsize), values)
+        kind = dataset.dtype if dataset.dtype.kind == "f" else np.float64
+        with np.errstate(over="ignore"):
+            return values.astype(kind).astype(np.float64)
+
     limits = numbers.get("valid_range", np.array([-np.inf, np.inf]))
-    lower, upper = numbers.get("valid_min", limits)[0], numbers.get("valid_max", limits)[-1]
-    scale, offset = numbers.get("scale_factor", [1.0])[0], numbers.get("add_offset", [0.0])[0]
+    ends = numbers.get("valid_min", limits)[0], numbers.get("valid_max", limits)[-1]
+    # infinite limits have no sign to change
+    lower, upper = (as_stored(np.array([end]))[0] if np.isfinite(end) else end for end in ends)
+    left_out = np.concatenate([[np.nan], *map(as_stored, missing)])
+    factors = {"scale_factor": np.ones(1), "add_offset": np.zeros(1)} | numbers
+    scale, offset = factors["scale_factor"], factors["add_offset"]
+    across = 1 - int(np.argmax(dataset.shape))  # columns lie along the shorter axis
+    n_columns = 1 if is_vector(dataset.shape) else dataset.shape[across]
+    for name, values in (("scale_factor", scale), ("add_offset", offset)):
+        is_right = np.isfinite(values).all() and (values.all() or name == "add_offset")
+        if values.shape not in ((1,), (n_columns,)) or not is_right:
+            raise ValueError(f"its {name} is {values}")
 
     def take(part: Any) -> Any:
         stored = np.asarray(dataset[part])
         if is_unsigned:
             stored = stored.astype(f"u{stored.dtype.itemsize}")
         values = stored.astype(np.float64)
-        is_valid = (values >= lower) & (values <= upper)
-        is_valid &= ~np.isin(values, np.concatenate([[np.nan], *missing]))
-        return np.where(is_valid, values * scale + offset, np.nan)
+        is_valid = (values >= lower) & (values <= upper) & ~np.isin(values, left_out)
+        a, b = (one[part[across] if len(one) > 1 else 0] for one in (scale, offset))
+        return np.where(is_valid, values * a + b, np.nan)
 
     return _View(dataset.shape, dataset.dtype, take)
 
@@ -268,10 +296,16 @@ def open_mat(path: Path, _: CsvDialect | None = None) -> Iterator[OpenFile]:
         else:
             arrays[name] = _Variable(path, name, shape)
     how = {"appendmat": False, "struct_as_record": False, "squeeze_me": True}
-    content = loadmat(path, variable_names=nested, **how) if nested else {}
+    short = [  # may state rate, unit or start of the others
+        name
+        for name, shape, kind in variables
+        if math.prod(shape) <= (MOST_NOTE_BYTES if kind == "char" else kind in NUMERIC)
+    ]
+    loaded = [*nested, *short]
+    content = loadmat(path, variable_names=loaded, **how) if loaded else {}
     leaves = {
         place: leaf
-        for name in nested
+        for name in loaded
         if name in content
         for place, leaf in _leaves(name, content[name])
     }
@@ -284,7 +318,7 @@ def open_mat(path: Path, _: CsvDialect | None = None) -> Iterator[OpenFile]:
         elif why.strip():
             refused[name] = why
     descriptions = {
-        name: _stated(_siblings(name, ".", leaves)) | _simulink_time(name, leaves)
+        name: _stated_nearby(name, _siblings(name, ".", leaves)) | _simulink_time(name, leaves)
         for name in arrays
     }
     with _opened(path, arrays, descriptions, refused) as found:
@@ -370,13 +404,14 @@ def _opened(
         shape = array.shape
         if not is_vector(shape) and not 0 < min(shape) <= MOST_PARTS:
             continue
+        is_rate = max(shape) == 1 and _plain(re.split("[./]", name)[-1]) in RATE_NAMES
         axis = int(np.argmax(shape))  # time is the longest axis
         parts = {name: 0}
         if not is_vector(shape):
             parts = {f"{name}[{i}]": i for i in range(min(shape))}
             matrices.append(f"{name!r} has columns '{name}[0]' to '{name}[{min(shape) - 1}]'")
         for place, i in parts.items():
-            columns.append(Column(place, is_part=place != name, **descriptions[name]))
+            columns.append(Column(place, is_part=is_rate or place != name, **descriptions[name]))
             takes[place] = (max(shape), _take(array, axis, i))
 
     def read(names: Sequence[str]) -> Iterator[Block]:
@@ -398,10 +433,8 @@ def _take(array: Any, axis: int, i: int) -> Take:
 
 
 def _siblings(name: str, separator: str, values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the values of the same struct or group by their names in it; none at the top level."""
+    """Return the values of the same struct, group or file by their names in it."""
     parent, _, _ = name.rpartition(separator)
-    if not parent:
-        return {}
     split = ((key.rpartition(separator), value) for key, value in values.items())
     return {last: value for (first, _, last), value in split if first == parent}
 
@@ -427,12 +460,23 @@ def _value(dataset: Any) -> Any:
     return "".join(chr(code) for code in np.asarray(content).ravel())
 
 
+def _plain(key: str) -> str:
+    return re.sub(r"[\s_]", "", key).lower()
+
+
+def _stated_nearby(name: str, siblings: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what siblings state of an array; times and speeds have no unit of acceleration."""
+    found = _stated(siblings)
+    if _OTHER_KIND.fullmatch(name.lower()) and size_of("acceleration", found.get("unit")):
+        found.pop("unit")
+    return found
+
+
 def _stated(values: Mapping[str, Any]) -> dict[str, Any]:
     """Return rate, unit and date among named values, as arguments of `Column`."""
     found: dict[str, Any] = {}
     for key, value in values.items():
-        plain = re.sub(r"[\s_]", "", key).lower()
-        array = np.asarray(value)
+        plain, array = _plain(key), np.asarray(value)
         if plain in RATE_NAMES:
             if array.size == 1 and array.dtype.kind in "iuf" and 0 < array.item() < 1e9:
                 found["rate_hz"] = float(array.item())

@@ -16,6 +16,7 @@ import numpy as np
 
 from suspnet.ground.settings import check_settings, setting
 from suspnet.ground.types import FloatArray
+from suspnet.recordings.columns import MOST_DRIFT
 from suspnet.recordings.dates import SECOND_NS
 from suspnet.recordings.frames import MOST_SAMPLES, Frame, FrameError, decode, encode
 from suspnet.recordings.sources import RATE_TOLERANCE
@@ -24,9 +25,6 @@ MOST_HELD = 2 * MOST_SAMPLES
 """Number of samples above which frames are released, whatever the window: 1 MiB."""
 MOST_LOSSES = 64
 """Number of recent sequence gaps that are stored: a frame of them is late, not a duplicate."""
-MOST_DRIFT = 2e-4
-"""Largest relative error of a logger's rate: 200 ppm, several times that of quartz. Times may drift
-by this much from the stated rate without a gap."""
 
 
 @dataclass(frozen=True)

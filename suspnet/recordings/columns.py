@@ -17,6 +17,9 @@ from suspnet.recordings.errors import TripError
 from suspnet.recordings.manifest_keys import CsvDialect
 from suspnet.recordings.manifest_sources import ACCELERATION_UNITS, SPEED_UNITS, UNITS
 
+MOST_DRIFT = 2e-4
+"""Largest relative error of a logger's rate: 200 ppm, several times that of quartz. Times may drift
+by this much from the stated rate without a gap."""
 BLOCK = 2**18
 """Largest number of samples of a column in one block."""
 LISTED = 20
@@ -44,7 +47,7 @@ class Column:
     is_time, is_zoned : bool
         It holds time stamps rather than numbers; they are in UTC rather than an unknown zone.
     is_part : bool
-        It is one column of a matrix and is read only by its name.
+        It is one column of a matrix, or a stated rate, and is read only by its name.
     is_whole_rate : bool
         The format stores the rate as a whole number.
     full_scale : float or None

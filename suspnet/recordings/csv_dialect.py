@@ -46,13 +46,16 @@ NUMBER = {
 }
 """Numbers, by the decimal sign."""
 _THOUSANDS = re.compile(r"[-+]?[1-9]\d{0,2}(,\d{3})+")
-_TIME_NAME = re.compile(
+_POINTED = re.compile(r"[-+]?(?:0|[1-9]\d{0,2}(?:\.\d{3})*)")
+GROUPED = re.compile(r"[-+]?\d{1,3}(?:[.,'\s\u2019]\d{3})+(?:[.,]\d*)?")
+"""Numbers whose digits may be grouped, which are read where they are numbers without that."""
+UNGROUP = "write numbers without separators of thousands"
+TIME_NAME = re.compile(
     r"(?<![^\W_])(?:t(?![^\W\d_])|time|date|clock|zeit|datum|uhrzeit|utc)", re.IGNORECASE
 )
 _TAG = re.compile(r"[;#%!*]|\w+:$|(?:header|name|column|channel|unit)s?$", re.IGNORECASE)
 """A word ahead of the names that marks their line."""
-_OPEN_CELL = re.compile(r'(?:^|[,;\t|])\s*"[^"]*$')
-_COMMENT = re.compile(r"^\s*(#|%|//)")
+COMMENT = re.compile(r"^\s*(#|%|//)")
 _BOMS = (
     (codecs.BOM_UTF8, "utf-8"),
     (codecs.BOM_UTF16_LE, "utf-16"),
@@ -101,7 +104,7 @@ class Found:
         found = []
         for name, kind in zip(self.names, self.kinds, strict=True):
             if isinstance(kind, str) and (
-                _TIME_NAME.search(name) or len(re.findall(r"\d+", kind)) > 2
+                TIME_NAME.search(name) or len(re.findall(r"\d+", kind)) > 2
             ):
                 found.append(f"the times of {name!r}, like {kind[:40]!r}, cannot be read")
             elif isinstance(kind, Notation) and kind.is_unclear:
@@ -191,9 +194,32 @@ def find_dialect(path: Path, given: CsvDialect | None = None) -> Found:
         raise _unreadable(path, f"it has no names and may be read with {best} or {rivals[0]}")
     if candidate.thousands and given.decimal is None:
         raise _unreadable(path, "a comma may be its decimal sign or separate thousands")
+    if given.decimal is None and _may_group(lines[best.first_line - 1 :], best):
+        raise _unreadable(path, "a point may be its decimal sign or separate thousands")
     above = lines[: (best.header_line or best.first_line) - 1]
     date = date_in_lines(above) or _date_in_row(lines[best.first_line - 1], candidate)
     return replace(best, encoding=encoding, has_bom=has_bom, date=date, above=tuple(above))
+
+
+def _may_group(lines: Sequence[str], found: Found) -> bool:
+    """Return whether all points may separate thousands, and a column has numbers without one."""
+    if found.decimal != "." or found.delimiter == ",":
+        return False
+    rows = [split(line, found.delimiter) for line in lines]
+    rows = [cells for cells in rows if len(cells) == len(found.kinds)]
+    columns = [
+        [cell for cell in cells if NUMBER["."].fullmatch(cell)]
+        for cells, kind in zip(zip(*rows, strict=True), found.kinds, strict=True)
+        if kind is None
+    ]
+    if not all(_POINTED.fullmatch(cell) for cells in columns for cell in cells if "." in cell):
+        return False
+    # a logger may write 0 and 12.345, but neither 345 nor 1036 next to 12.345
+    return any(
+        all(map(_POINTED.fullmatch, cells))
+        and {"." in cell for cell in cells if cell.strip("+-0")} == {False, True}
+        for cells in columns
+    )
 
 
 def _first_lines(path: Path, given: CsvDialect) -> tuple[str, bool, list[str]]:
@@ -216,7 +242,10 @@ def _first_lines(path: Path, given: CsvDialect) -> tuple[str, bool, list[str]]:
 def _unwrapped(lines: list[str]) -> list[str]:
     """Return lines with quoted cells that go over two or three lines moved to the last of these."""
     for i, line in enumerate(lines):
-        for n in (2, 3) if _OPEN_CELL.search(line) else ():
+        before = line.rpartition('"')[0]
+        filled = before.rstrip()
+        is_first = not filled or filled[-1] in ",;|" or "\t" in before[len(filled) :]
+        for n in (2, 3) if is_first and line.count('"') % 2 else ():
             text = " ".join(part.strip() for part in lines[i : i + n])
             if text.count('"') % 2 == 0:
                 lines[i : i + n] = [*[""] * (len(lines[i : i + n]) - 1), text]
@@ -258,6 +287,8 @@ def unread(kind: Kind) -> str:
     """Return why a column of a kind cannot be read; empty if it can."""
     if not isinstance(kind, str):
         return ""
+    if GROUPED.fullmatch(kind):
+        return f"holds numbers like {kind[:40]!r}; {UNGROUP}"
     return (
         f"holds text like {kind[:40]!r}, neither numbers nor times that can be read; write "
         "times like 2015-08-03T08:00:00.5, or give `rate_hz` instead"
@@ -394,7 +425,7 @@ def _names(
     units = next((n for n, (_, cells) in enumerate(block) if _are_units(cells)), -1)
     # the names are the next line above the units, unless a further one names a column of times
     names = range(units + 1, len(block)) or range(1)
-    times = (n for n in names if any(map(_TIME_NAME.search, block[n][1])))
+    times = (n for n in names if any(map(TIME_NAME.search, block[n][1])))
     header = next(times, names[0])
     return *block[header], (block[units][1] if units not in (-1, header) else [])
 
@@ -442,7 +473,7 @@ def _padded(line: str, one: _Candidate) -> list[str]:
     Empty columns at the end, as after a delimiter at the end of each row, need no name, nor does a
     first column that counts the rows. A word ahead of the names that marks their line is left out.
     """
-    cells = split(_COMMENT.sub("", line), one.delimiter)
+    cells = split(COMMENT.sub("", line), one.delimiter)
     filled = max(one.read) + 1
     if len(cells) > one.n_columns and not any(cells[one.n_columns :]):
         cells = cells[: one.n_columns]

@@ -18,9 +18,13 @@ from numpy.typing import NDArray
 
 from suspnet.recordings.columns import Block, Column, OpenFile, as_block, check_samples
 from suspnet.recordings.csv_dialect import (
+    COMMENT,
+    GROUPED,
     MISSING,
     NUMBER,
     SIGNS,
+    TIME_NAME,
+    UNGROUP,
     Found,
     Kind,
     find_dialect,
@@ -126,21 +130,26 @@ class _Remark:
 
 @dataclass
 class _Line:
-    """A line that may be part of a footer: the cells that are read, and the words among them."""
+    """A line that may be part of a footer: the cells that are read, and the words among them.
+
+    One that is no row may be a damaged row, which is a missing sample, or the names of a table.
+    """
 
     number: int
     text: str
     cells: list[str]
     words: list[str]
-    is_row: bool
+    is_row: bool = True
+    is_damaged: bool = False
+    is_other_table: bool = False
 
 
 class _Rows:
     """Reads some columns of a CSV file, in pieces of whole lines.
 
     Arrow parses each piece. A piece that it refuses is read line by line: a word in place of a
-    number is a missing value, and a line that is no row of the table is a row of missing values, so
-    that samples without times stay in place. Both are left out at the end of the file.
+    number is a missing value, and a damaged row is one of missing values, so that samples without
+    times stay in place. Lines that are no rows, and both of these at the end, are left out.
     """
 
     def __init__(self, path: Path, found: Found, names: Sequence[str]) -> None:
@@ -151,7 +160,7 @@ class _Rows:
         self._day = NO_DATE if date is None else np.datetime64(date.date(), "D")
         self._n_lines = self._n_rows = self._n_zeros = 0
         self._pending: list[_Line] = []
-        self._lines, self._words = _Remark(), _Remark()
+        self._lines, self._damaged, self._words = _Remark(), _Remark(), _Remark()
         types = [pa.string() if kind else pa.float64() for kind in self._kinds]
         self._convert = pa.csv.ConvertOptions(
             include_columns=list(names),
@@ -177,8 +186,7 @@ class _Rows:
                 if len(block[0]):
                     yield block
         for line in self._pending:
-            if line.is_row:
-                self._lines.add(line.number, line.text)
+            self._lines.add(line.number, line.text)
         self._check()
         remarks += self._remarks()
 
@@ -279,10 +287,22 @@ class _Rows:
                 is_row &= kinds[i] is None  # without its time a row is none
                 words.append(cells[i])
                 cells[i] = ""
-        if not is_row:
-            self._lines.add(number, text)
-            return _Line(number, text, [""] * len(self._places), [], is_row)
-        return _Line(number, text, [cells[i] for i in self._places], words, is_row)
+        if is_row:
+            return _Line(number, text, [cells[i] for i in self._places], words)
+        own = split(COMMENT.sub("", text), self.found.delimiter)
+        is_like_row = len(own) == len(kinds) or any(map(NUMBER[decimal].fullmatch, own))
+        is_header = is_like_row and self._is_header(own)
+        is_damaged = is_like_row and not is_header and not COMMENT.match(text)
+        is_other = is_header and tuple(own) != self.found.names and len({"", *own}) > len(own)
+        cells = [""] * len(self._places)
+        return _Line(number, text, cells, [], False, is_damaged, is_other)
+
+    def _is_header(self, cells: Sequence[str]) -> bool:
+        """Return whether cells are names: those of the columns, or others with one of these."""
+        first = re.split(r"[\W_]", cells[0])[0]
+        shared = set(cells) & set(self.found.names) or TIME_NAME.fullmatch(first)
+        is_text = not any(cell[:1].isdigit() for cell in cells)
+        return tuple(cells) == self.found.names or (is_text and bool(shared))
 
     def _refuse_other_dialect(self, number: int, cell: str, kind: Kind) -> None:
         """Raise TripError if a cell is a number or a time that is written in another way."""
@@ -292,19 +312,29 @@ class _Rows:
                 raise TripError(
                     f"{self.path}: a time stamp is not like the first (line {number}: {cell!r})"
                 )
-        elif any(one.fullmatch(cell) for one in NUMBER.values()):
+        elif GROUPED.fullmatch(cell) or any(one.fullmatch(cell) for one in NUMBER.values()):
+            what_to_do = f"; {UNGROUP}" if GROUPED.fullmatch(cell) else ""
             raise TripError(
                 f"{self.path}: text in a column of numbers, one of {list(self.names)} (line "
                 f"{number}: {cell!r}); the decimal sign is taken to be {self.found.decimal!r}"
+                + what_to_do
             )
 
     def _taken(self) -> list[list[str]]:
-        """Return the cells of the pending lines, whose words become missing values."""
+        """Return the cells of the rows among the pending lines, whose words are missing values."""
         for line in self._pending:
+            if line.is_other_table:
+                raise TripError(
+                    f"{self.path}: holds several tables (line {line.number}: "
+                    f"{line.text.strip()[:SHOWN]!r}); export each into a file of its own"
+                )
             for word in line.words:
                 self._words.add(line.number, word)
+            if not line.is_row:
+                remark = self._damaged if line.is_damaged else self._lines
+                remark.add(line.number, line.text)
         taken, self._pending = self._pending, []
-        return [line.cells for line in taken]
+        return [line.cells for line in taken if line.is_row or line.is_damaged]
 
     def _columns(self, rows: Sequence[Sequence[str]]) -> Block:
         """Return rows of cells that fit as columns."""
@@ -318,16 +348,19 @@ class _Rows:
 
     def _check(self) -> None:
         """Raise TripError if too many lines are no rows."""
-        if self._lines.n > MOST_LEFT_OUT * self._n_rows + FOOTER_LINES:
+        n, first = self._lines.n + self._damaged.n, self._lines.first or self._damaged.first
+        if n > MOST_LEFT_OUT * self._n_rows + FOOTER_LINES:
             raise TripError(
-                f"{self.path}: {self._lines.n} lines are no rows of its table "
-                f"({self._lines.first}); export it again, each table into a file of its own"
+                f"{self.path}: {n} lines are no rows of its table ({first}); export it "
+                "again, each table into a file of its own"
             )
 
     def _remarks(self) -> Iterator[str]:
         name = self.path.name
         if n := self._lines.n:
             yield f"lines of {name} outside of its table are left out ({n}, {self._lines.first})"
+        if n := self._damaged.n:
+            yield f"damaged rows of {name} are missing samples ({n}, {self._damaged.first})"
         if n := self._words.n:
             yield f"words in place of numbers in {name} are missing ({n}, {self._words.first})"
         if n := self._n_zeros:

@@ -141,7 +141,11 @@ FORMATS = (
         states={
             "a line of units, or brackets behind a name": "used",
             "empty cells, `NaN`, `NA`, `null`, `-`": "missing samples",
+            "words and infinity in place of numbers": "missing samples, counted in `read_as`",
+            "names, units, descriptions and tags over several lines": "used",
+            "footers, cut lines, zero bytes": "left out, counted in `read_as`",
             "time stamps, with an offset or without": "times, in UTC or in the logger's zone",
+            "times of day alone, counters that start again": "times, continued over their end",
             "a start in the lines above the table": "date",
         },
     ),
@@ -150,7 +154,7 @@ FORMATS = (
         open_mat,
         "h5py",
         states={
-            "`fs`, `unit` and `start` next to the data": "used",
+            "`rate_hz` or `fs`, `unit`, `start`: next to the data": "used",
             "structs, cells, old objects": "columns of their numbers, by their path",
             "Simulink's structure with time": "columns named by labels, with its times",
             "timeseries, tables, other objects": "refused by name; arrays next to them are read",

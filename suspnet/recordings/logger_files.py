@@ -21,6 +21,7 @@ from suspnet.ground.extras import import_extra
 from suspnet.ground.types import FloatArray
 from suspnet.recordings.columns import (
     BLOCK,
+    MOST_DRIFT,
     Block,
     Column,
     OpenFile,
@@ -44,8 +45,8 @@ ACCELERATION, TIME = 12, 17
 LENGTHS = {1: "m", 2: "ft", 3: "m", 4: "ft", 5: "mm", 6: "cm", 7: "in", 8: "mm", 10: "mm"}
 """Unit of lengths by the code of a data set 164, which holds where a data set 58 names no unit."""
 LEAST_GAP_S = 1e-3
-"""Least time between the end of a segment of a TDMS file and the start of the next, [s]: less is
-inexact time stamps."""
+"""Least sum of the times from the end of a segment of a TDMS file to the start of the next, [s]:
+less is inexact time stamps."""
 _FIXED = re.compile("wf_increment|unit_string|NI_(Scal|Unit|Number_Of_S)")
 """Properties of a TDMS channel that must be the same in all segments: rate, unit and scales."""
 Stated = list[tuple[int, dict[str, Any]]]
@@ -150,15 +151,18 @@ def _parts(
     for (n, ns), (n_next, next_ns) in pairwise(starts_ns):
         end_ns = ns + round(1e9 * (n_next - n) * step_s)
         gap_s = (next_ns - end_ns) / 1e9
-        if gap_s < -least_s:
+        n_last, last_s = parts[-1]
+        part_s = (n_next - n_last) * step_s
+        start_s = (next_ns - starts_ns[0][1]) / 1e9
+        late_s = start_s - last_s - part_s  # short pauses and overlaps add up
+        if min(gap_s, late_s + MOST_DRIFT * part_s) < -least_s:
             before, after = (np.datetime64(round(ns / 1000), "us") for ns in (end_ns, next_ns))
             return parts, (
                 f"has segments that overlap: one lasts until {before}, the next starts at {after}; "
                 "export them into files of their own"
             )
-        if gap_s > least_s:
-            n_last, last_s = parts[-1]
-            parts.append((n_next, last_s + (n_next - n_last) * step_s + gap_s))
+        if late_s > least_s:
+            parts.append((n_next, start_s))
     return parts, ""
 
 

@@ -10,14 +10,14 @@ from pathlib import Path
 
 import numpy as np
 
-from suspnet.ground.types import FloatArray, IntArray
+from suspnet.ground.types import FloatArray
 from suspnet.recordings.clocks import Times, Zero, header_date
 from suspnet.recordings.columns import BLOCK, Column, OpenFile, agreed_size, choose, size_of
 from suspnet.recordings.errors import TripError
 from suspnet.recordings.formats import open_file, read_columns
 from suspnet.recordings.manifest import TripManifest
 from suspnet.recordings.manifest_sources import Channel, Source
-from suspnet.recordings.uneven import Grid, are_uneven
+from suspnet.recordings.uneven import POINTS, Grid, Line
 
 RATE_TOLERANCE = 1e-4
 """Largest relative difference between a stated rate and that in the header of a file."""
@@ -239,7 +239,10 @@ class Timeline:
         self._usual_s = self._last_s = np.nan
         self._n_steps, self._seconds = 0, 0.0
         self._rest = 0.0  # accumulated rounding error of gaps, [samples]
+        self._n_given = 0  # values given so far, missing ones among them
+        self._line = Line()
         self._grid: Grid | None = None
+        self._last = np.empty(0), np.empty(0)  # the last samples
 
     @property
     def words(self) -> str:
@@ -261,49 +264,63 @@ class Timeline:
             steps = np.diff(times, prepend=times[0] if before is None else before)
             if np.isnan(self._usual_s) and len(times) > 1:
                 self._usual_s = float(np.median(steps[1:]))
-            if self._grid is None and are_uneven(steps[1:], self.band_hz):
-                first_s = self.first_s if before is None else before + 1 / self.rate_hz
-                self._grid = Grid(self.where, first_s, steps[1:], self.band_hz)
-                self.rate_hz = self._grid.rate_hz
-                check_rate(self.where, self.stated_rate_hz, self.rate_hz)
+            if self._grid is None:
+                filled = self._filled(times, steps, values)
+                if filled is None:
+                    self._start_grid(times)
+                    times = np.concatenate([self._last[0], times])
+                    values = np.concatenate([self._last[1], values])
             if self._grid is not None:
                 check_gaps(self.where, steps[steps > self._grid.gap_s])
-                yield self._grid.push(times, values)
-            else:
-                yield self._filled(steps, values)
+                filled = self._grid.push(times, values)
+            assert filled is not None  # of the line or the grid
+            yield filled
             self._last_s = float(times[-1])
+            self._last = times[-3 * POINTS :], values[-3 * POINTS :]
         if self._grid is not None:
             yield self._grid.finish()
 
-    def _filled(self, steps: FloatArray, values: FloatArray) -> FloatArray:
-        """Return values with NaN where samples are missing before them, by the steps to each."""
-        gaps = np.flatnonzero(steps > GAP_STEPS * self._usual_s)
-        self._count(steps, gaps)
-        if len(gaps) == 0:
-            return values
-        # shift each value by the number of samples missing before it
-        shift = np.zeros(len(steps), dtype=np.intp)
-        shift[gaps] = self._missing(steps[gaps])
-        shift = np.cumsum(shift)
-        filled = np.full(len(steps) + int(shift[-1]), np.nan)
-        filled[np.arange(len(steps)) + shift] = values
+    def _filled(
+        self, times: FloatArray, steps: FloatArray, values: FloatArray
+    ) -> FloatArray | None:
+        """Return values with NaN where samples are missing before them; None if times are uneven.
+
+        `steps` are those to each sample.
+        """
+        is_gap = steps > GAP_STEPS * self._usual_s
+        n_first = int(np.isnan(self._last_s))  # the very first sample follows no step
+        n_steps = self._n_steps + int(np.count_nonzero(~is_gap)) - n_first
+        seconds = self._seconds + float(steps[~is_gap].sum())
+        rate_hz = n_steps / seconds if n_steps else self.rate_hz
+        # the number of each sample, by those missing before it
+        numbers = self._n_given + np.arange(len(steps))
+        exact = np.cumsum(steps[is_gap] * rate_hz - 1) + self._rest
+        whole = np.maximum.accumulate(np.round(exact))
+        if len(whole):
+            numbers += np.append(0, whole).astype(np.intp)[np.cumsum(is_gap)]
+        without = steps[n_first:][~is_gap[n_first:]]
+        if not self._line.holds(numbers, times, without, self.band_hz):
+            return None
+        check_gaps(self.where, steps[is_gap])
+        check_rate(self.where, self.stated_rate_hz, rate_hz)
+        self.rate_hz, self._n_steps, self._seconds = rate_hz, n_steps, seconds
+        if len(whole):
+            self._rest = float(exact[-1] - whole[-1])
+        filled = np.full(int(numbers[-1]) + 1 - self._n_given, np.nan)
+        filled[numbers - self._n_given] = values
+        self._n_given += len(filled)
         return filled
 
-    def _count(self, steps: FloatArray, gaps: IntArray) -> None:
-        n_first = int(np.isnan(self._last_s))  # the very first sample follows no step
-        self._n_steps += len(steps) - n_first - len(gaps)
-        self._seconds += float(steps.sum() - steps[gaps].sum())
-        if self._n_steps:
-            self.rate_hz = self._n_steps / self._seconds
-            check_rate(self.where, self.stated_rate_hz, self.rate_hz)
-
-    def _missing(self, gaps_s: FloatArray) -> FloatArray:
-        """Return the number of samples missing in each gap; rounding errors do not accumulate."""
-        check_gaps(self.where, gaps_s)
-        exact = np.cumsum(gaps_s * self.rate_hz - 1) + self._rest
-        whole = np.maximum.accumulate(np.round(exact))
-        self._rest = float(exact[-1] - whole[-1])
-        return np.asarray(np.diff(whole, prepend=0.0))
+    def _start_grid(self, times: FloatArray) -> None:
+        """Interpolate from the next block on, on the line of the blocks before if there are any."""
+        steps = np.diff(times, prepend=self._last[0])
+        first_s, step_s = float(times[0]), None
+        if self._n_given:
+            first_s = self._line.at(self._n_given)
+            step_s = self._line.at(self._n_given + 1) - first_s
+        self._grid = Grid(self.where, first_s, steps, self.band_hz, step_s)
+        self.rate_hz = self._grid.rate_hz
+        check_rate(self.where, self.stated_rate_hz, self.rate_hz)
 
 
 def check_rising(where: str, times: FloatArray, before: float | None = None) -> None:

@@ -12,7 +12,7 @@ import math
 
 import numpy as np
 
-from suspnet.ground.types import FloatArray
+from suspnet.ground.types import FloatArray, IntArray
 from suspnet.recordings.errors import TripError
 from suspnet.recordings.faults import find_gaps
 
@@ -20,10 +20,12 @@ POINTS = 8
 """Number of samples from which a value is interpolated."""
 LEAST_STEPS = 4 * POINTS
 """Least number of steps by which times are judged."""
-NEGLIGIBLE = 0.003
-"""Spread of the steps up to which times count as even, in units of 1/w at the end of the band."""
 MOST_ERROR = 0.01
-"""Largest rms error of interpolation for a sine at the end of the band, relative to its rms."""
+"""Largest error of a sine at the end of the band by its times or by interpolation, relative."""
+ROUNDED = 1.25
+"""Resolutions by which rounded times may stray in all: one, and the error of a line's fit."""
+THIN, MOST_POINTS = 64, 2**16
+"""Of how many earlier samples a line keeps one, and the number from which it keeps every second."""
 DEVIATIONS, LEAST_GAP = 5.0, 0.5
 """A step is a gap if it exceeds the usual one by this many robust standard deviations of the steps,
 and by at least this fraction of the usual step."""
@@ -33,45 +35,88 @@ BLOCK_ROWS = 2**14
 """Number of values interpolated at once, which bounds the memory."""
 
 
-def are_uneven(steps_s: FloatArray, band_hz: float) -> bool:
-    """Return whether samples are at uneven times, which matters up to `band_hz`.
+class Line:
+    """Line through the times of a stream of samples against their numbers, block by block."""
 
-    Steps that are multiples of a resolution and differ by at most two of it are those of even times
-    that were rounded. Steps above 1.5 times the median are gaps.
-    """
-    if len(steps_s) < LEAST_STEPS:
-        return False
-    steps = steps_s[steps_s < (1 + LEAST_GAP) * np.median(steps_s)]
-    low, high = np.quantile(steps, [0.05, 0.95])
-    if 2 * math.pi * band_hz * (high - low) <= NEGLIGIBLE:
-        return False
-    usual = steps[(steps >= low) & (steps <= high)]
-    different = np.unique(np.round(usual / (high - low), 4)) * (high - low)
-    resolution = np.diff(different).min()
-    multiples = different / resolution
-    return bool(
-        high - low > 2.01 * resolution or np.abs(multiples - np.round(multiples)).max() > 0.05
-    )
+    def __init__(self) -> None:
+        self._n, self._resolution_s = 0, 0.0
+        self._numbers, self._times = np.empty(0), np.empty(0)
+        self._fit = np.polynomial.Polynomial([np.nan, np.nan])
+
+    def at(self, number: float) -> float:
+        """Return the time of a sample by the blocks on the line so far."""
+        return float(self._fit(number))
+
+    def holds(
+        self, numbers: IntArray, times: FloatArray, steps_s: FloatArray, band_hz: float
+    ) -> bool:
+        """Return whether the times of the next block and all before it lie on one line.
+
+        They may stray by their rounding and by what matters little up to `band_hz`. `steps_s` are
+        the steps of the block without gaps.
+        """
+        error_s = MOST_ERROR / (2 * math.pi * band_hz)
+        self._resolution_s = max(self._resolution_s, _resolution(steps_s, error_s / 10))
+        self._n += len(times)
+        all_numbers = np.concatenate([self._numbers, numbers])
+        all_times = np.concatenate([self._times, times])
+        if self._n > 1:
+            fit = np.polynomial.Polynomial.fit(all_numbers, all_times, 1)
+            strays_s = float(np.ptp(all_times - fit(all_numbers)))
+            most_s = ROUNDED * self._resolution_s + 2 * error_s
+            if self._n > LEAST_STEPS and strays_s > most_s:
+                return False
+            self._fit = fit
+        self._numbers = np.concatenate([self._numbers, numbers[::THIN]])
+        self._times = np.concatenate([self._times, times[::THIN]])
+        if len(self._times) > MOST_POINTS:
+            self._numbers, self._times = self._numbers[::2], self._times[::2]
+        return True
+
+
+def _resolution(steps_s: FloatArray, least_s: float) -> float:
+    """Return to what multiples times were rounded by their steps, 0 if below `least_s` or not."""
+    ordered = np.sort(steps_s)
+    apart = np.diff(ordered)
+    apart = apart[apart > least_s]
+    if len(apart) == 0:
+        return 0.0
+    multiples = (ordered - ordered[0]) / apart.min()
+    if np.abs(multiples - np.round(multiples)).max() > 0.05:
+        return 0.0
+    # numbers have so many decimals or bits; single precision has fewer at late times
+    for found in (float(ordered[-1] - ordered[0]), float(apart.min())):
+        if any(abs(power - round(power)) < 1e-3 for power in (math.log10(found), math.log2(found))):
+            return found
+    return 0.0
 
 
 class Grid:
     """Interpolates a stream of samples at uneven times onto an even grid, block by block.
 
     The result does not depend on how the stream is cut into blocks. `first_s` is the first instant
-    of the grid; `steps_s` are steps whose mean without gaps gives `rate_hz`. Where a sample is
-    missing, the result is NaN: within steps above `gap_s`. `words` states what was done.
+    of the grid; `steps_s` are steps whose mean without gaps gives `rate_hz` unless `step_s` does.
+    Where a sample is missing, the result is NaN: within steps above `gap_s`. `words` states what
+    was done.
     """
 
-    def __init__(self, where: str, first_s: float, steps_s: FloatArray, band_hz: float) -> None:
+    def __init__(
+        self,
+        where: str,
+        first_s: float,
+        steps_s: FloatArray,
+        band_hz: float,
+        step_s: float | None = None,
+    ) -> None:
         self.where, self.band_hz = where, band_hz
         usual_s = float(np.median(steps_s))
         deviation_s = 1.4826 * float(np.median(np.abs(steps_s - usual_s)))
         self.gap_s = usual_s + max(DEVIATIONS * deviation_s, LEAST_GAP * usual_s)
         even = steps_s[steps_s <= self.gap_s]
-        self.step_s = float(even.mean())
+        self.step_s = float(even.mean()) if step_s is None else step_s
         self.rate_hz = 1 / self.step_s
         low, high = 1e3 * np.quantile(even, [0.01, 0.99])
-        self._uneven = f"its times are uneven, steps of {low:.3g} to {high:.3g} ms"
+        self._uneven = f"its times are uneven, steps of {low:.5g} to {high:.5g} ms"
         self.words = f"{self._uneven}; its samples are interpolated at {self.rate_hz:.6g} Hz"
         self._first_s, self._n_done = first_s, 0
         self._times, self._values = np.empty(0), np.empty(0)

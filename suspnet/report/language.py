@@ -85,8 +85,14 @@ def day(text: str) -> str:
     >>> with speaking("de"):
     ...     day("2026-11-27")
     '27.11.2026'
+    >>> with speaking("de"):
+    ...     day("2026-11-27 02:27:19+00:00")
+    '27.11.2026, 02:27 UTC'
     """
-    return text if current() == ENGLISH else re.sub(r"(\d+)-(\d\d)-(\d\d)", r"\3.\2.\1", text)
+    if current() == ENGLISH:
+        return text
+    text = re.sub(r" (\d\d:\d\d):\d\d(?=[+-])", r", \1 ", text).replace("+00:00", "UTC")
+    return re.sub(r"(\d+)-(\d\d)-(\d\d)", r"\3.\2.\1", text)
 
 
 def install(environment: Environment) -> None:

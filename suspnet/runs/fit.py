@@ -50,6 +50,8 @@ def tune(problem: Problem, estimator: Any, search: GridSearch, run_log: RunLog) 
     name = method_name(estimator)
     data = problem.features(TRAIN).complete(problem.extractor)
     inputs, outputs = scalings(problem.task, data)
+    if search.n_curves is not None:
+        data = data.first(search.n_curves)
     n_settings = search.n_settings(name)
     title = f"search of settings for {name}"
     with progress_bar(title, n_settings, unit="setting", shown=problem.progress) as bar:
@@ -127,6 +129,10 @@ def fit(problem: Problem, estimator: Any, run_log: RunLog | None) -> TrainedMode
 
 def scalings(task: Task, data: FeatureData) -> tuple[Scaling, Scaling]:
     """Return the scaling of inputs and outputs that a task asks for, from complete curves."""
+    if not task.standardised:
+        widths = data.inputs.shape[1], data.outputs.shape[1]
+        inputs, outputs = (Scaling.relative_changes(n, task.log_ratios) for n in widths)
+        return inputs, outputs
     log_inputs = task.log_ratios and task.extractor.positive
     return (
         Scaling.of(data.inputs, log_inputs, ranks.all_reduce),

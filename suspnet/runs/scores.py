@@ -23,7 +23,7 @@ from suspnet.estimation.information import (
 from suspnet.estimation.problem import TEST, Problem
 from suspnet.estimation.protocols import Task
 from suspnet.ground.types import FloatArray
-from suspnet.learning.metrics import METRICS, interval_scores, score
+from suspnet.learning.metrics import METRICS, interval_scores, score, score_where
 from suspnet.learning.search import SearchResult
 from suspnet.report.tensorboard import RunLog
 from suspnet.runs import plots
@@ -78,6 +78,7 @@ def scores(problem: Problem, model: FittedMethod, outcome: Outcome) -> Metrics:
     spread = relative_percent(task, bounds, ratios)
     metrics: Metrics = {
         "scores": score(data.outputs, outcome.predicted, task.outputs),
+        "scores_where": score_where(data.outputs, outcome.predicted, task.outputs),
         "bound": best_possible(task, bounds, ratios),
         "cramer_rao_percent": dict(zip(task.outputs, spread.tolist(), strict=True)),
         "rms_ratio": _rms_ratio(task, outcome, bounds),

@@ -20,6 +20,7 @@ from suspnet.ground.storage import read_json, write_atomically, write_json
 from suspnet.recordings.core_yaml import read_yaml
 from suspnet.runs import plots
 from suspnet.runs.ablation import write_ablation
+from suspnet.runs.readings import write_readings
 from suspnet.runs.tables import (
     records_csv,
     sensitivity_markdown,
@@ -301,6 +302,14 @@ class Sensitivity(_Summary):
         figures = {"sensitivity": plots.sensitivity(runs)}
         write_study(folder, "sensitivity", f"{table}\n", records, records, figures)
         log.info("MAPE against sensor precision\n\n%s\n-> %s/sensitivity.*", table, folder)
+
+
+class Readings(_Summary):
+    """Readings of the paper by their distance to Table VI."""
+
+    def summarise(self, runs: Sequence[Run], folder: Path) -> None:
+        """Write readings.json, .csv, .md and .png and print the table."""
+        write_readings(runs, folder)
 
 
 class Ablation(Callback):

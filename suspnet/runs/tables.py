@@ -24,6 +24,7 @@ MODEL_TITLES = {
     "svr": "SVR",
     "mvgpr": "MV-GPR",
     "linear": "MV-LR",
+    "ridge": "ridge",
     "curve_fit": "curve fit",
 }
 MODEL_TITLES |= {f"{name}{REFINED}": f"{title} refined" for name, title in MODEL_TITLES.items()}
@@ -96,7 +97,7 @@ def table6_markdown(records: Sequence[Record]) -> str:
         row: list[str] = [*key[:2], "MAPE %" if key[2] == "mape_percent" else "RMSE"]
         for model in models:
             chosen = [r for r in same if r["model"] == model]
-            published = chosen[0]["published"] if chosen else None
+            published = chosen[0].get("published") if chosen else None
             row += [in_digits(published), in_digits(mean_known(r["measured"] for r in chosen))]
         rows.append([*row, in_digits(mean_known(r["bound"] for r in same))])
     return tabulate(rows, [*header, "bound"], tablefmt="github", disable_numparse=True)

@@ -10,7 +10,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import ClassVar
+from typing import ClassVar, Literal
 
 import torch
 from torch import Tensor
@@ -46,6 +46,11 @@ class CurveSettings(Counts):
         "dB",
         low=-20,
         high=200,
+    )
+    noise_on: Literal["magnitude", "decibel"] = setting(
+        "magnitude",
+        "What the noise is added to: the magnitudes, or their decibels, of which it is a share "
+        "then",
     )
     low_hz: float = setting(0.1, "First frequency bin, at least step_hz", "Hz", above=0, most=10000)
     high_hz: float = setting(20.0, "Upper end of the bins, above low_hz", "Hz", above=0, most=10000)
@@ -84,12 +89,17 @@ class CurveSettings(Counts):
         n_bins = math.floor((self.high_hz - self.low_hz) / self.step_hz + 1e-9) + 1
         return self.low_hz + self.step_hz * torch.arange(n_bins, dtype=torch.float64)
 
+    @property
+    def in_decibels(self) -> bool:
+        """Whether the noise is added to the decibels of the magnitudes."""
+        return self.noise_on == "decibel"
+
     def words(self) -> str:
         """Return a description of what is observed and of its noise."""
         return (
             f"Magnitudes of the responses, {self.low_hz:.3g} to {self.high_hz:.3g} Hz, with white "
             f"noise of {self.snr_db:g} dB, {100 * 10 ** (-self.snr_db / 20):.2g} % of each curve's "
-            "rms."
+            f"rms{' in decibels' if self.in_decibels else ''}."
         )
 
 
@@ -117,7 +127,10 @@ class CurveObserver:
     def observe(self, ratios: Tensor, seed: int) -> Tensor:
         """Return noisy magnitudes, with the generator's uncertain quantities drawn as well."""
         rows = self.generator.sample_unmeasured(ratios, seed)
-        return add_noise(self.noise_free(rows), self.settings.snr_db, seed)
+        clean, snr_db = self.noise_free(rows), self.settings.snr_db
+        if self.settings.in_decibels:
+            return from_decibels(add_noise(decibels(clean), snr_db, seed))
+        return add_noise(clean, snr_db, seed)
 
     def for_features(self, curves: Tensor) -> Tensor:
         """Return magnitudes unchanged."""
@@ -152,9 +165,21 @@ class CurveMisfit:
     def __call__(self, ratios: Tensor, rows: Tensor) -> Tensor:
         """Return residuals (n, n_points) of the vehicles `ratios` (n, 5) to the curves `rows`."""
         observed = self.observed[rows][:, list(self.used)]
-        rms = noise_rms(observed, self.observer.settings.snr_db)
         expected = self.observer.noise_free(ratios)[:, list(self.used)]
+        if self.observer.settings.in_decibels:
+            observed, expected = decibels(observed), decibels(expected)
+        rms = noise_rms(observed, self.observer.settings.snr_db)
         return ((observed - expected) / rms).flatten(1)
+
+
+def decibels(magnitudes: Tensor) -> Tensor:
+    """Return 20 log10 of magnitudes, [dB]."""
+    return 20 * magnitudes.log10()
+
+
+def from_decibels(levels: Tensor) -> Tensor:
+    """Return the magnitudes of levels [dB], 10^(level / 20)."""
+    return 10 ** (levels / 20)
 
 
 def add_noise(magnitudes: Tensor, snr_db: float, seed: int) -> Tensor:

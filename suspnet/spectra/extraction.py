@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import ClassVar, Literal, Protocol, Self
+from typing import ClassVar, Protocol, Self
 
 import torch
 from numpy.typing import ArrayLike
@@ -19,7 +19,15 @@ from torch import Tensor
 from suspnet.ground.settings import check_settings, setting
 from suspnet.ground.tensors import as_tensor, curves_as_tensor
 from suspnet.ground.types import FloatArray, IntArray
-from suspnet.spectra.peaks import PeakFit, PeakReason, Peaks, SmoothedCurves, check_grid, findpeaks
+from suspnet.spectra.peaks import (
+    PeakFit,
+    PeakReason,
+    Peaks,
+    PeakShape,
+    SmoothedCurves,
+    check_grid,
+    findpeaks,
+)
 
 PEAK_NAMES = ("secondary", "primary_lower", "primary_upper", "primary_largest")
 MEASURES = ("position", "height", "width")
@@ -127,8 +135,10 @@ class PeakFeatures(FeatureSet):
     """
 
     peaks: Sequence[str] = ("secondary", "primary_lower", "primary_upper")
-    shape: Literal["lorentzian", "gaussian"] = setting(
-        "lorentzian", "Shape fitted to the top of each peak, of feature_set=peaks"
+    shape: PeakShape = setting(
+        "lorentzian",
+        "Shape fitted to the top of each peak, of feature_set=peaks; half_prominence takes the "
+        "highest bin and the width at half prominence instead",
     )
     smoothing_hz: float = setting(
         0.2,

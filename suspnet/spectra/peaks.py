@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Literal
+from typing import Literal, get_args
 
 import torch
 from numpy.typing import ArrayLike
@@ -17,6 +17,8 @@ from torch import Tensor
 
 from suspnet.ground.settings import check_choice, check_number
 from suspnet.ground.tensors import as_tensor
+
+PeakShape = Literal["lorentzian", "gaussian", "half_prominence"]
 
 CLIP_FRACTION = 0.3
 """Raw points below this fraction of the smoothed curve are noise and are raised to it."""
@@ -48,9 +50,11 @@ class PeakFit:
 
     Parameters
     ----------
-    shape : {"lorentzian", "gaussian"}
+    shape : {"lorentzian", "gaussian", "half_prominence"}
         Lorentzian: a parabola through 1/abs(G)^2, exact for one lightly damped mode.
         Gaussian: a parabola through log abs(G).
+        Half prominence: no fit but the bin of the smoothed curve's maximum, its value, and the
+        width at half the prominence, as MATLAB's findpeaks measures them.
     smoothing_hz : float, [Hz]
         Length of the moving average, which locates the maximum and gives the weights of the points.
     window_below, window_above : float
@@ -72,7 +76,7 @@ class PeakFit:
         If a setting is out of range.
     """
 
-    shape: Literal["lorentzian", "gaussian"] = "lorentzian"
+    shape: PeakShape = "lorentzian"
     smoothing_hz: float = 0.2
     window_below: float = 0.4
     window_above: float = 0.4
@@ -81,7 +85,7 @@ class PeakFit:
     top: float = 0.7
 
     def __post_init__(self) -> None:
-        check_choice("shape", self.shape, ("lorentzian", "gaussian"))
+        check_choice("shape", self.shape, get_args(PeakShape))
         for name in ("smoothing_hz", "window_below", "window_above", "top"):
             check_number(name, getattr(self, name), above=0)
         check_number("n_fits", self.n_fits, low=1, whole=True)
@@ -91,7 +95,8 @@ class PeakFit:
 class Peaks:
     """One peak for each curve; NaN and a ``PeakReason`` where there is none, each (n_curves,).
 
-    The width is the full width at half power, 2 zeta f_0 for one lightly damped mode.
+    The width is the full width at half power, 2 zeta f_0 for one lightly damped mode; with
+    shape="half_prominence" that at half the prominence.
     """
 
     position_hz: Tensor
@@ -229,7 +234,10 @@ class SmoothedCurves:
     ) -> Peaks:
         """Return the largest peak of each curve within its band; see ``findpeaks``."""
         centre, interior = _largest(self.smoothed, self.frequencies_hz, low_hz, high_hz, fit.tilt)
-        top, near = _fit_top(self, centre, fit)
+        if fit.shape == "half_prominence":
+            top, near = _half_prominence(self, centre), torch.ones_like(interior)
+        else:
+            top, near = _fit_top(self, centre, fit)
         reason = torch.full_like(centre, PeakReason.FOUND, dtype=torch.int64)
         reason[~near] = PeakReason.OUTSIDE_WINDOW
         reason[~top.found] = PeakReason.WRONG_CURVATURE
@@ -275,6 +283,41 @@ def _fit_top(curves: SmoothedCurves, centre: Tensor, fit: PeakFit) -> tuple[_Top
         below, above = reach.clamp(max=fit.window_below), reach.clamp(max=fit.window_above)
     assert best is not None
     return best, (best.position > low) & (best.position < high)
+
+
+def _half_prominence(curves: SmoothedCurves, centre: Tensor) -> _Top:
+    """Return bin, value and width at half prominence of the smoothed curves' maxima.
+
+    The prominence is the height over the higher of the two bases; a base is the lowest point
+    between the maximum and the next higher one, or the end of the curve. The width is the distance
+    of the two points at which the curve, linear between bins, first falls to half the prominence.
+    """
+    bins, values = curves.frequencies_hz, curves.smoothed
+    n_freq = len(bins)
+    order = torch.arange(n_freq, device=values.device).expand_as(values)
+    peak = torch.searchsorted(bins, centre)[:, None]
+    height = values.gather(1, peak)
+    before, after = order < peak, order > peak
+    higher = values > height
+    left_end = torch.where(higher & before, order, -1).amax(dim=1, keepdim=True)
+    right_end = torch.where(higher & after, order, n_freq).amin(dim=1, keepdim=True)
+    bases = [
+        torch.where(side, values, math.inf).amin(dim=1, keepdim=True)
+        for side in (before & (order > left_end), after & (order < right_end))
+    ]
+    level = (height + torch.maximum(*bases)) / 2
+    below = values <= level
+    left = torch.where(below & before, order, -1).amax(dim=1, keepdim=True)
+    right = torch.where(below & after, order, n_freq).amin(dim=1, keepdim=True)
+    crossings = []
+    for outer, inwards in ((left.clamp(min=0), 1), (right.clamp(max=n_freq - 1), -1)):
+        inner = (outer + inwards).clamp(0, n_freq - 1)
+        low, high = values.gather(1, outer), values.gather(1, inner)
+        share = (level - low) / (high - low)
+        crossings.append(torch.lerp(bins[outer], bins[inner], share))
+    width = (crossings[1] - crossings[0])[:, 0]
+    found = ((left >= 0) & (right < n_freq))[:, 0]
+    return _Top(bins[peak[:, 0]], height[:, 0], width, found)
 
 
 @dataclass(frozen=True)

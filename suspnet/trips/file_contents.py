@@ -15,11 +15,13 @@ from suspnet.recordings.clocks import Times, Zero, header_date, likely_time_unit
 from suspnet.recordings.columns import Column, OpenFile, size_of, unit_in_name
 from suspnet.recordings.errors import TripError
 from suspnet.recordings.formats import open_file, read_columns
-from suspnet.recordings.logger_notes import WORDS, choice_of
+from suspnet.recordings.logger_notes import WORDS, choice_of, key_of
 from suspnet.recordings.manifest import CHANNELS
 from suspnet.recordings.manifest_sources import TIME_UNITS, Source
 
 ACCELERATION, SPEED = "acceleration", "speed"
+ABOUT_TRIP = ("mileage_km", "direction")
+"""Keys of a manifest that columns may state."""
 MOST_COLUMNS = 500
 """Largest number of columns of a file that are inspected."""
 MOSTLY_RISING = 0.99
@@ -124,7 +126,8 @@ class Signal:
     when its times start, as far as the file states it. `names` serve to guess its meaning: its own,
     with and without its group's, and that of a file with at most two columns or with columns that
     name no channel. `axle` is 1 or 2 of the bogie where this was said, else 0; `range` is the
-    sensor's where said, else NaN.
+    sensor's where said, else NaN. `said` are the keys, unit and rate_hz, that the user said,
+    `untimed` is why its column of times is not used.
     """
 
     file: Path
@@ -140,6 +143,8 @@ class Signal:
     first: float = np.nan
     axle: int = 0
     range: float = np.nan
+    said: tuple[str, ...] = ()
+    untimed: str = ""
 
     @property
     def name(self) -> str:
@@ -194,16 +199,17 @@ def contents_of(file: Path) -> Contents:
     """
     with open_file(file) as opened:
         columns = opened.columns[:MOST_COLUMNS]
-        times = {
+        named = {
             column.name: _times(file, opened, column.name)
             for column in columns
             if column.is_time or names_times(column.name)
         }
-        times = {name: values for name, values in times.items() if len(values) > 1}
+        times = {name: values for name, (values, _) in named.items() if len(values) > 1}
+        falls = {name: f"{file.name}: {why}" for name, (_, why) in named.items() if why}
         found = [
             _signal(file, opened, column, times)
             for column in columns
-            if not (column.name in times or column.is_time or column.unread)
+            if not ({column.name} & {*times, *falls} or column.is_time or column.unread)
         ]
         refused = "; ".join(f"{one.name!r} {one.unread}" for one in columns if one.unread)
     signals = [one for one in found if one is not None]
@@ -214,7 +220,13 @@ def contents_of(file: Path) -> Contents:
     names_place &= not {one.meaning for one in signals} & set(CHANNELS)
     if len(signals) <= len(SIDES) or names_place:
         signals = [_named_by_its_file(one) for one in signals]
+    if not times:
+        why = next(iter(falls.values()), "")
+        signals = [
+            one if np.isfinite(one.rate_hz) else replace(one, untimed=why) for one in signals
+        ]
     words = [opened.words, f"{file.name}: not read: {refused}" if refused else ""]
+    words += dict.fromkeys(one.untimed for one in signals)
     return Contents(file, tuple(signals), "; ".join(filter(None, words)), opened.notes)
 
 
@@ -233,26 +245,36 @@ def _first(file: Path, opened: OpenFile, names: Sequence[str]) -> tuple[FloatArr
         return ()
 
 
-def _times(file: Path, opened: OpenFile, name: str) -> FloatArray:
+def _times(file: Path, opened: OpenFile, name: str) -> tuple[FloatArray, str]:
     """Return the first times of a column, [s] or its own unit; empty if they do not increase.
 
-    Some may be missing, and a clock may start again.
+    Some may be missing, and a clock may start again. Why times do not increase is returned too.
     """
     (block,) = _first(file, opened, [name]) or (np.empty(0),)
     if block.dtype.kind == "M":
         block = block[~np.isnat(block)]
         block = np.asarray((block - block[0]) / np.timedelta64(1, "s") if len(block) else [])
     block = block[np.isfinite(block)]
-    rises = len(block) > 1 and (np.diff(block) > 0).mean() >= MOSTLY_RISING
-    return np.asarray(block, dtype=np.float64) if rises else np.empty(0)
+    steps = np.diff(block)
+    if len(steps) and (steps > 0).mean() >= MOSTLY_RISING:
+        return np.asarray(block, dtype=np.float64), ""
+    if not steps.any() or np.corrcoef(block, np.arange(len(block)))[0, 1] < MOSTLY_RISING:
+        return np.empty(0), ""  # they are no times, whatever their name says
+    i = np.flatnonzero(steps <= 0)[0]
+    return np.empty(0), (
+        f"the times {name!r} must rise, but {block[i + 1]:.9g} follows {block[i]:.9g} (sample "
+        f"{i + 2}), so they are not used; mend them, or rate_hz takes the samples as evenly spaced"
+    )
 
 
 def _signal(
     file: Path, opened: OpenFile, column: Column, times: dict[str, FloatArray]
 ) -> Signal | None:
-    """Return what is known about a column; None if it holds no numbers."""
+    """Return what is known about a column; None if it holds no numbers, or one that is no key."""
     blocks = _first(file, opened, [column.name])
     if not blocks or blocks[0].dtype.kind != "f":
+        return None
+    if len(blocks[0]) < 2 and key_of(column.name) not in ABOUT_TRIP:
         return None
     values = blocks[0][np.isfinite(blocks[0])]
     time, time_unit, rate_hz = "", "", column.rate_hz

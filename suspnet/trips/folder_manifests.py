@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 from datetime import datetime
 from functools import partial
 from pathlib import Path
+from shlex import quote
 
 import numpy as np
 
@@ -27,6 +28,7 @@ from suspnet.recordings.logger_notes import NUMBERS, Stated, key_of, read_value,
 from suspnet.recordings.manifest import CHANNELS
 from suspnet.recordings.manifest_sources import MIDDLE
 from suspnet.trips.file_contents import (
+    ABOUT_TRIP,
     SPEED,
     Address,
     Contents,
@@ -34,6 +36,7 @@ from suspnet.trips.file_contents import (
     contents_of,
     guessed_axle,
     guessed_bogie,
+    is_of_another_direction,
     words_of,
 )
 from suspnet.trips.manifest_template import BY_COMMAND_LINE, PLACE_LINES, Template, template
@@ -203,10 +206,14 @@ def folder_manifests(
     for key, value in said.items():
         is_channel = key.startswith("channels.")
         if is_channel and not any(_columns(key, value, trip.signals) for trip in trips):
+            files = [_file_and_column(word.strip())[0] for word in value.split(",") if ":" in word]
+            stems = [signal.file.stem for trip in trips for signal in trip.signals]
+            gone = [f for f in files if all(without_word(stem, f) == stem for stem in stems)]
             raise ValueError(
                 f"`{key}` must name one or two of the columns {_names_of_columns(trips)}, and "
                 f"likewise of those at the bogie's other axle, with {OTHER} at their end; "
                 f"FILE:COLUMN is that of one file; got {value!r}"
+                + (f": there is no file {gone[0]}" if gone else "")
             )
     if "mileage_km" in said and len(trips) > 1:
         raise ValueError(
@@ -311,7 +318,7 @@ def _trip(
     elif SPEED in said:
         known[SPEED] = Stated(_plain_value(SPEED, said[SPEED]), BY_COMMAND_LINE)
     # columns about the trip are no sensors
-    sensors = [one for one in signals if key_of(one.name) not in ("mileage_km", "direction")]
+    sensors = [one for one in signals if key_of(one.name) not in ABOUT_TRIP]
     own = tuple(_with_said(one, said, chosen) for one in sensors)
     speeds = [one for one in own if one.meaning == SPEED]
     if len(speeds) > 1 and SPEED not in said:  # a receiver's is that of the train
@@ -392,10 +399,12 @@ def _with_said(
             one = replace(one, names=(side, *one.names), axle=columns[one.address])
     prefix = "speed_" if meaning == SPEED else ""
     unit, rate = said.get(f"{prefix}unit", ""), said.get(f"{prefix}rate_hz")
-    one = replace(one, unit=one.unit or unit)
+    if unit and not one.unit:
+        one = replace(one, unit=unit, said=("unit",))
     if rate and not one.time and not np.isfinite(one.rate_hz):
-        one = replace(one, rate_hz=float(_plain_value("rate_hz", rate)))
-    if "range" in said and meaning != SPEED:
+        rate_hz = float(_plain_value("rate_hz", rate))
+        one = replace(one, rate_hz=rate_hz, said=(*one.said, "rate_hz"))
+    if "range" in said and meaning != SPEED and one.column.full_scale is not None:
         one = replace(one, range=float(_plain_value("range", said["range"])))
     return one
 
@@ -427,6 +436,25 @@ def how_to_say(key: str, trips: Sequence[Trip]) -> str:
     if not key.endswith(CHANNELS[2]):
         pair += f", or LEFT,RIGHT,LEFT{OTHER},RIGHT{OTHER} with those of the bogie's other axle"
     return f"{key}=COLUMN, or {pair}; columns: {_names_of_columns(trips)}"
+
+
+def hint_at_one_trip(trips: Sequence[Trip]) -> str:
+    """Return how channels of one trip are said; empty unless each file has too few for a trip."""
+    columns = [
+        [one.name for one in trip.signals if not is_of_another_direction(one.name)]
+        for trip in trips
+    ]
+    sizes = [
+        len(names) if len(trip.files) == 1 else 0
+        for trip, names in zip(trips, columns, strict=True)
+    ]
+    if len(trips) < 2 or not 0 < min(sizes) <= max(sizes) < len(CHANNELS):
+        return ""
+    said = [
+        quote(f"channels.{name}={trip.files[0].stem}:{names[0]}")
+        for name, trip, names in zip(CHANNELS, trips, columns, strict=False)
+    ]
+    return f"  if these files are the sensors of one trip: {' '.join(said)}"
 
 
 def _names_of_columns(trips: Sequence[Trip]) -> str:

@@ -227,7 +227,8 @@ class _Writer:
             by_file = one.column.unit is not None
             if names:
                 content["unit"] = names[0]
-            words.append(f"unit {one.unit} by the {'file' if by_file else 'name'}")
+            by_name = BY_COMMAND_LINE if "unit" in one.said else "by the name"
+            words.append(f"unit {one.unit} {'by the file' if by_file else by_name}")
             if not names and not by_file:
                 content["unit"] = BLANK
         if one.time:
@@ -237,7 +238,7 @@ class _Writer:
                 content["time_unit"] = one.time_unit
         elif math.isfinite(one.rate_hz):
             content["rate_hz"] = float(one.rate_hz)
-            words.append("rate by the file")
+            words.append(f"rate {BY_COMMAND_LINE if 'rate_hz' in one.said else 'by the file'}")
         else:
             content["rate_hz"] = BLANK
             words.append("rate in Hz?")

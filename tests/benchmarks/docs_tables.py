@@ -29,6 +29,7 @@ from suspnet.dynamics import PARAMETERS
 from suspnet.dynamics.quantities import PARTS, QUANTITIES
 from suspnet.ground.storage import write_atomically
 from suspnet.recordings.formats import FORMATS
+from suspnet.runs import readings
 from suspnet.runs.layouts import layouts_markdown
 from suspnet.runs.tables import MODEL_TITLES, table6_caption, table6_markdown
 
@@ -100,17 +101,37 @@ def table6_paper(rows: Sequence[Row]) -> str:
 
 
 def table6_short(rows: Sequence[Row]) -> str:
-    """Return what was measured of Table VI, the bound, and the paper's figures of MSVR."""
-    chosen = table6_rows(rows, "multi_location")
+    """Return the paper's Table VI next to what was measured, and the bound."""
+    chosen = table6_rows(rows, "paper")
     models = [name for name in MODEL_TITLES if any(r["model"] == name for r in chosen)]
     lines = []
     for output in dict.fromkeys(r["output"] for r in chosen):
         by_model = {r["model"]: r for r in chosen if r["output"] == output}
-        measured = [f"{by_model[name]['measured']:#.3g}" for name in models]
-        msvr = by_model["msvr"]
-        lines.append([output, *measured, f"{msvr['bound']:#.3g}", f"{msvr['published']:g}"])
+        published = [by_model[name].get("published") for name in models]
+        pairs = [
+            f"{by_model[name]['measured']:#.3g}" + (f" ({paper:g})" if paper else "")
+            for name, paper in zip(models, published, strict=True)
+        ]
+        lines.append([output, *pairs, f"{by_model['msvr']['bound']:#.3g}"])
     titles = [MODEL_TITLES[name] for name in models]
-    return markdown(lines, ["MAPE %", *titles, "bound", "MSVR in the paper"])
+    return markdown(lines, ["MAPE %, ours (the paper's)", *titles, "bound"])
+
+
+def readings_table(rows: Sequence[Row]) -> str:
+    """Return the readings of the paper by their distance to its Table VI, on all test curves."""
+    records = [
+        {
+            **row,
+            "rmse_over_mape": [row["rmse_over_mape_low"], row["rmse_over_mape_high"]],
+            "mape_percent": {
+                output: [row[f"{output}_{method}"] for method in readings.METHODS]
+                for output in readings.OUTPUTS
+            },
+        }
+        for row in rows
+        if row["test"] == "all"
+    ]
+    return readings.readings_markdown(records)
 
 
 def family(_: Sequence[Row]) -> str:
@@ -368,6 +389,7 @@ TABLES: dict[str, tuple[str | None, Callable[[Sequence[Row]], str]]] = {
     "table6": ("table6.csv", table6),
     "table6_short": ("table6.csv", table6_short),
     "table6_paper": ("table6.csv", table6_paper),
+    "readings": ("readings.csv", readings_table),
     "coverage": ("coverage.csv", coverage.table),
     "mismatch": ("mismatch.csv", mismatch),
     "mismatch_short": ("mismatch.csv", mismatch_short),

@@ -38,7 +38,8 @@ OPTIONS = [
     (group, name)
     for group, names in NAMES.items()
     for name in names
-    if group not in ("ablation", "experiment")  # they differ from the defaults on purpose
+    if group
+    not in ("ablation", "experiment", "reading")  # they differ from the defaults on purpose
 ]
 OF_THE_OPTION = {"GridSearch", "Protocol", "Scenario", "Vehicle"}
 """Classes whose options differ from each other on purpose."""
@@ -172,6 +173,19 @@ def test_every_ablation_composes(name):
     assert build(config, "protocol").task(config.group).outputs
     assert type(build(config, "model")) is METHODS["msvr"]
     assert build(config, "data").n_calibrate is None
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        *NAMES["reading"][:3],
+        *(pytest.param(name, marks=pytest.mark.slow) for name in NAMES["reading"][3:]),
+    ],
+)
+def test_every_reading_composes(name):
+    config = composed("experiment=readings", f"reading={name}", "group=II")
+    assert build(config, "protocol").task("II").outputs
+    assert build(config, "search").n_settings("linear") == 1
 
 
 def test_vehicles_are_read_from_their_files():

@@ -79,3 +79,4 @@ def test_workers_of_a_simulation_import_nothing_from_the_current_folder(tmp_path
     short = ("out=trips", "fleet.n_trips=2", "fleet.minutes=0.5", "workers=2", "progress=false")
     printed = ran([Path(sys.executable).with_name("suspnet"), "simulate", *short], cwd)
     assert "2 trips of scenario" in printed
+    assert "n_healthy=2 " in printed

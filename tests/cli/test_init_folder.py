@@ -181,7 +181,9 @@ def test_columns_of_unclear_names_are_said_once(tmp_path):
     assert asked(tmp_path, *SAID, "mileage_km=7") == {f"channels.{name}" for name in CHANNELS}
     said = ["channels.axle_box=ch0,ch3", "channels.bogie=ch1", "channels.body=ch2"]
     written(tmp_path, *SAID, "mileage_km=7", *said)
-    assert (tmp_path / "run.yaml").read_text().count("# by the command line") == 8
+    text = (tmp_path / "run.yaml").read_text()
+    assert text.count("# by the command line") == 8
+    assert text.count("# unit m/s2 by the command line; rate by the command line;") == 4
     found = read_manifest(tmp_path / "run.yaml")
     assert [one.column for one in found.channels["axle_box"]] == ["ch0", "ch3"]
     assert [found.channels[name].column for name in CHANNELS[1:]] == ["ch1", "ch2"]
@@ -353,14 +355,35 @@ def test_data_files_that_are_not_read_are_named(tmp_path):
     assert f"not searched: {tmp_path}/a/b/c: below 3 levels of folders" in said
 
 
-def test_range_of_integers_in_wav_files_is_said_once(tmp_path):
-    for name in CHANNELS:
+@pytest.mark.parametrize("times", [[0.0, 0.002, 0.001, 0.003], [0.0, 0.01, 0.01, 0.01]])
+def test_times_that_fall_or_repeat_are_named(tmp_path, times):
+    stamps = np.arange(0, 0.4, 0.004)[:, None] + times
+    rows = [f"{t:.9g},1,2,{t}" for t in stamps.ravel()]
+    for name in ("a", "b"):
+        (tmp_path / f"{name}.csv").write_text("\n".join(["t [s],axle_box,bogie,body", *rows]))
+    why = (
+        f"a.csv: the times 't [s]' must rise, but {times[2]:g} follows {times[1]:g} (sample 3), so"
+    )
+    said = [one for one in SAID if not one.startswith("rate_hz")]
+    done = typed(init, tmp_path, *said, cwd=tmp_path)
+    assert why in done.stdout
+    assert "spaced (likewise 1 other file)" in done.stdout
+    assert "t [s]'," not in done.stdout
+    (tmp_path / "b.csv").unlink()
+    assert why in written(tmp_path, *SAID, "mileage_km=1")
+    assert why in (tmp_path / "a.yaml").read_text()
+    assert why in typed(init, "a.csv", "--output", "one.yaml", cwd=tmp_path).stdout
+
+
+def test_range_of_integers_is_said_once_and_only_of_them(tmp_path):
+    for name in CHANNELS[:2]:
         wavfile.write(tmp_path / f"run_{name}.wav", 500, np.arange(-99, 99, dtype="i2"))
+    (tmp_path / "run_body.csv").write_text("t [s],body\n0,1\n0.002,2\n0.004,3\n")
     said = [one for one in SAID if not one.startswith("rate_hz")]
     assert asked(tmp_path, *said) == {"range", "mileage_km"}
     written(tmp_path, *said, "range=50", "mileage_km=1")
     manifest = read_manifest(tmp_path / "run.yaml")
-    assert {manifest.channels[name].range for name in CHANNELS} == {50.0}
+    assert [manifest.channels[name].range for name in CHANNELS] == [50.0, 50.0, None]
 
 
 NUMBERS = {
@@ -625,6 +648,19 @@ def test_loggers_of_unclear_names_are_said_as_file_and_column(tmp_path):
         assert found.channels["body"].column == "Acc_X"
     wrong = typed(init, tmp_path, *SAID, *said, "channels.body=S6:Acc_X", cwd=tmp_path)
     assert "FILE:COLUMN is that of one file; got 'S6:Acc_X'" in wrong.stderr
+
+
+def test_files_that_may_be_the_sensors_of_one_trip_have_a_hint(tmp_path):
+    for i in (1, 2, 3):
+        write_plain(tmp_path / f"S{i}.parquet", ["Acc_X", "Acc_Y", "Acc_Z"])
+    hint = typed(init, tmp_path, *SAID, cwd=tmp_path).stdout.split("sensors of one trip: ")[1]
+    said = hint.splitlines()[0].split()
+    assert said == [f"channels.{name}=S{i}:Acc_Z" for i, name in enumerate(CHANNELS, 1)]
+    wrong = typed(init, tmp_path, *SAID, *said[:2], "channels.body=S9:Acc_Z", cwd=tmp_path)
+    assert wrong.returncode
+    assert "got 'S9:Acc_Z': there is no file S9" in wrong.stderr
+    written(tmp_path, *SAID, "mileage_km=1", *said)
+    assert len(list(tmp_path.glob("*.yaml"))) == 1
 
 
 def test_a_column_of_several_loggers_is_that_of_the_file_named_by_the_channel(tmp_path):

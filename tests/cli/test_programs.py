@@ -320,10 +320,10 @@ def test_runs_of_a_multirun_are_named_by_what_differs(table6):
     folder, _ = table6
     assert folder.name.partition("_model_")[2] == "n_train_300_n_test_100_n_calibrate_null"
     assert sorted(path.name for path in folder.iterdir() if path.is_dir()) == [
-        "0_multi_location_primary_linear",
-        "1_multi_location_primary_msvr",
-        "2_multi_location_secondary_linear",
-        "3_multi_location_secondary_msvr",
+        "0_paper_I_linear",
+        "1_paper_I_msvr",
+        "2_paper_II_linear",
+        "3_paper_II_msvr",
     ]
 
 

@@ -91,7 +91,7 @@ def test_help_tells_every_group_and_option_of_the_program(name):
     assert {group.name for group in found} == {
         "train": {
             *("vehicle", "generator", "data", "protocol"),
-            *("model", "search", "experiment", "ablation"),
+            *("model", "search", "experiment", "ablation", "reading"),
         },
         "evaluate": {"protocol", "study"},
         "simulate": {"vehicle", "generator", "scenario"},

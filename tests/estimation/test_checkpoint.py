@@ -42,7 +42,7 @@ def trained(estimator):
     if not isinstance(estimator, CurveFit):
         estimator.fit(scalings[0].apply(inputs), scalings[1].apply(outputs))
     name = next(key for key, kind in METHODS.items() if type(estimator) is kind)
-    task = shipped_protocol("paper", log_ratios=True).task("primary")
+    task = shipped_protocol("own_curve", log_ratios=True).task("primary")
     generator, settings = QuarterCar(AM96), CurveSettings(n_train=60)
     return TrainedModel(
         name,
@@ -223,6 +223,22 @@ def test_altered_description_is_rejected(saved):
         load_model(saved)
 
 
+def test_models_of_the_schema_before_are_read(saved):
+    content = json.loads((saved / "model.json").read_text())
+    expected = load_model(saved)
+    task = content["task"]
+    task["varied"] = task.pop("varied_sets")[0]
+    for part, names in (("task", ("test_sampling", "standardised")), ("settings", ("noise_on",))):
+        for name in names:
+            del content[part][name]
+    content["parameters"].pop("solver", None)
+    content |= {"schema_version": 8}
+    del content["description_sha256"]
+    content["description_sha256"] = content_hash(content)
+    (saved / "model.json").write_text(json.dumps(content))
+    assert load_model(saved).task == expected.task
+
+
 @pytest.mark.parametrize(
     ("content", "message"),
     [
@@ -230,7 +246,7 @@ def test_altered_description_is_rejected(saved):
         ("[]", "not a suspnet model"),
         ('{"a": 1}', "not a suspnet model"),
         ('{"schema_version": 99}', "schema version 99"),
-        ('{"schema_version": 2}', "schema version 2, this suspnet reads 8; train again"),
+        ('{"schema_version": 2}', "schema version 2, this suspnet reads 8 to 9; train again"),
     ],
 )
 def test_foreign_description_is_rejected(saved, content, message):

@@ -212,7 +212,7 @@ def test_vehicles_without_a_feature_do_not_count(task, quarter_car, observer):
 
 
 def test_outputs_that_curves_do_not_tell_have_no_loss(task, observer):
-    problem = task("paper", "secondary")
+    problem = task("own_curve", "secondary")
     loss = feature_loss(problem, observer, problem.sample(6, seed=0, stream=1))
     assert list(loss) == ["k_s", "c_s"]
     assert all(math.isnan(value) for value in loss.values())

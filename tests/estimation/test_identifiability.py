@@ -135,7 +135,7 @@ def test_verdict_is_that_of_the_95th_percentile(p95, expected):
 
 
 def test_g_s_alone_leaves_k_s_c_s_and_the_mass_moving_together(task, quarter_car):
-    now = options(task("paper", "secondary"), CURVES.observer(quarter_car), RATIOS)[0]
+    now = options(task("own_curve", "secondary"), CURVES.observer(quarter_car), RATIOS)[0]
     assert now.unknown == ("k_s", "c_s", "M_s")
     first, *others = directions(now.information[0], now.unknown)
     assert math.isinf(first.deviation_percent)
@@ -237,7 +237,7 @@ def test_options_of_curves_are_their_parts(task, quarter_car):
 
 
 def test_more_is_what_needs_another_curve(task, quarter_car):
-    found = found_by_title(task("paper", "primary"), CURVES.observer(quarter_car))
+    found = found_by_title(task("own_curve", "primary"), CURVES.observer(quarter_car))
     kinds = {title: option.kind for title, option in found.items()}
     assert kinds["only G_p"] == "baseline"
     assert next(iter(kinds)) == "only G_p"
@@ -276,7 +276,7 @@ def test_further_sensors_add_the_magnitudes_from_the_axle_box(task):
 
 
 def test_measured_mass_becomes_the_baseline(task, quarter_car):
-    known = task("paper", "secondary", mass_known=True)
+    known = task("own_curve", "secondary", mass_known=True)
     first, *_, last = options(known, CURVES.observer(quarter_car), RATIOS)
     assert first.unknown == ("k_s", "c_s")
     assert np.isfinite(first.percent(RATIOS)).all()
@@ -400,12 +400,12 @@ def test_findings_give_absolute_bounds_of_the_healthy_vehicle(task, quarter_car)
     row = rf"\| 690,000 N/m +\| {round(least, -1):,.0f} N/m +\|"
     assert re.search(row, group_markdown(found))
     assert "k_p and c_p stay healthy" in group_markdown(
-        identify(quarter_car, task("paper", "secondary"), COARSE, 20, seed=0)
+        identify(quarter_car, task("own_curve", "secondary"), COARSE, 20, seed=0)
     )
 
 
 def test_best_guess_is_that_of_the_ambiguity(task, quarter_car):
-    secondary = task("paper", "secondary")
+    secondary = task("own_curve", "secondary")
     found = identify(quarter_car, secondary, COARSE, 50, seed=0)
     limit = scale_ambiguity_bound(secondary, secondary.sample(50, 0, TEST))
     assert found.guess_percent == limit["k_s"]["mape_percent"]
@@ -423,7 +423,7 @@ def test_trips_are_judged_by_their_estimate(task):
 
 def test_figure_shows_bounds_and_options_of_each_group(task, quarter_car):
     groups = [
-        identify(quarter_car, task("paper", g), COARSE, 20, 0) for g in ("primary", "secondary")
+        identify(quarter_car, task("own_curve", g), COARSE, 20, 0) for g in ("primary", "secondary")
     ]
     figure = identifiability_figure(groups)
     FigureCanvasAgg(figure).draw()
@@ -456,7 +456,14 @@ def run(folder, *overrides):
 
 
 def test_program_reports_every_group(tmp_path):
-    found = run(tmp_path, "vehicle=ice3", "protocol=paper", "data.snr_db=26")
+    own_curve = [
+        "protocol=multi_location",
+        "protocol.groups.primary.responses=[G_p]",
+        "protocol.groups.primary.peaks=[primary_largest]",
+        "protocol.groups.secondary.responses=[G_s]",
+        "protocol.groups.secondary.peaks=[secondary]",
+    ]
+    found = run(tmp_path, "vehicle=ice3", *own_curve, "data.snr_db=26")
     assert list(found["groups"]) == ["primary", "secondary"]
     assert (found["vehicle"], found["settings"]["snr_db"]) == ("ice3", 26)
     assert found["groups"]["primary"]["bounds"]["k_p"]["healthy"] == 2.4e6
@@ -490,7 +497,7 @@ def test_program_takes_trips_one_group_and_the_speed_of_the_vehicle(tmp_path):
         (["group=tertiary"], r"has no group 'tertiary'; choose from \['all'\]"),
         (["n_vehicles=0"], "`n_vehicles` must be a whole number >= 1, got 0"),
         (["seed=-1"], "`seed` must be a whole number >= 0, got -1"),
-        (["protocol=paper", "n_vehicles=1000000"], "the grid of group 'primary' holds"),
+        (["protocol=paper", "n_vehicles=1000000"], "the grid of group 'I' holds"),
     ],
 )
 def test_mistake_gets_one_line(overrides, message, tmp_path):

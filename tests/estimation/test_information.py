@@ -153,7 +153,7 @@ def test_bounds_of_the_groups_are_those_of_the_design_page(task, quarter_car, gr
 
 
 def test_scale_ambiguity_bound_is_that_of_the_design_page(task):
-    problem = task("paper", "secondary")
+    problem = task("own_curve", "secondary")
     limit = scale_ambiguity_bound(problem, continuous_population(problem, 200_000, seed=0))
     for name in ("k_s", "c_s"):
         assert limit[name]["mape_percent"] == pytest.approx(15.7, abs=0.15)
@@ -165,7 +165,7 @@ def test_scale_ambiguity_bound_equals_a_predictor_learnt_by_counting(task):
 
     The counts come from one population and the errors from another.
     """
-    problem, n_cells = task("paper", "secondary"), 60
+    problem, n_cells = task("own_curve", "secondary"), 60
     levels = problem.levels("M_s")
 
     def population(n, seed):
@@ -198,7 +198,7 @@ def test_scale_ambiguity_bound_equals_a_predictor_learnt_by_counting(task):
 @pytest.mark.parametrize(("stiffness", "damping"), [(1.1, 1.2), (0.7, 0.9), (1.55, 0.7)])
 def test_scale_ambiguity_bound_equals_a_brute_force_posterior(task, stiffness, damping):
     """A few possible masses; the best guess of k_s is searched on a fine grid."""
-    problem = task("paper", "secondary", mass_step=0.25)
+    problem = task("own_curve", "secondary", mass_step=0.25)
     levels = problem.levels("M_s")
     assert levels.tolist() == [0.5, 0.75, 1.0, 1.25, 1.5, 1.75, 2.0]
     # probability that uniform k_s, c_s fall in a small box about the given quotients
@@ -291,7 +291,7 @@ def test_information_of_many_vehicles_equals_one_by_one(task, quarter_car):
 
 
 def test_knowing_the_mass_never_hurts(task, quarter_car):
-    ratios = task("paper", "primary").sample(100, seed=0, stream=TEST)
+    ratios = task("own_curve", "primary").sample(100, seed=0, stream=TEST)
     free = bound(quarter_car, ratios, parameters=("k_p", "c_p", "M_s"), responses=("G_p",))
     known = bound(quarter_car, ratios, parameters=("k_p", "c_p"), responses=("G_p",))
     assert (known <= free[:, :2] * (1 + 1e-9)).all()
@@ -308,7 +308,7 @@ def best(quarter_car, problem, n=200):
 
 
 def test_best_possible_is_the_ambiguity_where_the_mass_cannot_be_told_apart(task, quarter_car):
-    problem = task("paper", "secondary")
+    problem = task("own_curve", "secondary")
     found, ratios = best(quarter_car, problem)
     limit = scale_ambiguity_bound(problem, ratios)
     assert found == {name: limit[name] for name in ("k_s", "c_s")}
@@ -318,8 +318,8 @@ def test_best_possible_is_the_ambiguity_where_the_mass_cannot_be_told_apart(task
 @pytest.mark.parametrize(
     ("name", "group", "changes"),
     [
-        ("paper", "primary", {}),
-        pytest.param("paper", "secondary", {"mass_known": True}, marks=pytest.mark.slow),
+        ("own_curve", "primary", {}),
+        pytest.param("own_curve", "secondary", {"mass_known": True}, marks=pytest.mark.slow),
         pytest.param("multi_location", "primary", {}, marks=pytest.mark.slow),
         pytest.param("multi_location", "secondary", {}, marks=pytest.mark.slow),
         ("multi_location", "secondary", {"mass_known": True}),
@@ -357,7 +357,7 @@ def test_best_possible_is_the_cramer_rao_bound_elsewhere(task, quarter_car, name
 def test_best_possible_is_the_bound_of_what_varies(quarter_car, outputs, varied, limited_by_scale):
     """G_s alone with the mass unknown: separable unless springs and dampers vary together."""
     groups = {"one": {"outputs": outputs, "responses": ["G_s"], "peaks": ["secondary"]}}
-    problem = shipped_protocol("paper", groups=groups).task("one")
+    problem = shipped_protocol("own_curve", groups=groups).task("one")
     found, ratios = best(quarter_car, problem, n=20)
     assert tuple(found) == problem.outputs
     of_scale = scale_ambiguity_bound(problem, ratios)
@@ -378,6 +378,32 @@ def test_best_possible_is_the_bound_of_what_varies(quarter_car, outputs, varied,
             assert mape < of_scale[name]["mape_percent"] / 50
         else:  # G_s does not depend on it
             assert found[name] == {"mape_percent": math.inf, "rmse": math.inf}
+
+
+def test_bounds_of_several_sets_are_those_of_the_vehicles_own(quarter_car, task):
+    problem = task("paper", "I")
+    observer = CurveSettings(snr_db=34.0).observer(quarter_car)
+    ratios = problem.sample(8, seed=0, stream=TEST)
+    bounds = output_bounds(problem, observer, ratios)
+    frequencies_hz = observer.frequencies_hz.numpy()
+    for row, bound in zip(ratios, bounds, strict=True):
+        springs = (row[[0, 2]] != 1).any()
+        columns = [0, 2, 4] if springs else [1, 3, 4]
+        information = reference.fisher_by_differences(
+            quarter_car.vehicle, row, frequencies_hz, 34.0, columns, [0, 1]
+        )
+        deviation = np.sqrt(np.linalg.inv(information)[0, 0])
+        expected = [deviation, 0] if springs else [0, deviation]
+        np.testing.assert_allclose(bound, expected, rtol=1e-4)
+    assert 0 < (bounds == 0).mean() < 1
+    anywhere = np.full((1, 5), 1.1)  # a vehicle of no set: everything is unknown
+    expected = cramer_rao(fisher_information(observer, anywhere))[:, :2]
+    np.testing.assert_allclose(output_bounds(problem, observer, anywhere), expected, rtol=1e-12)
+
+
+def test_a_known_healthy_part_has_no_error_at_best():
+    found = range_limited(np.zeros(2), np.array([1.0, 1.7]), 0.5, 2.0)
+    np.testing.assert_allclose(found, 0, atol=1e-9)
 
 
 def test_range_does_not_matter_far_from_its_edges():
@@ -418,7 +444,7 @@ def test_parameter_without_any_information_has_no_bound(quarter_car):
 
 
 def test_ambiguity_has_a_limit_for_the_mass_too(task, quarter_car):
-    problem = task("paper", "secondary", estimate_mass=True)
+    problem = task("own_curve", "secondary", estimate_mass=True)
     found, _ = best(quarter_car, problem)
     assert set(found) == {"k_s", "c_s", "M_s"}
     assert found["M_s"]["mape_percent"] == found["k_s"]["mape_percent"]
@@ -426,10 +452,10 @@ def test_ambiguity_has_a_limit_for_the_mass_too(task, quarter_car):
 
 def test_output_bounds_are_infinite_where_nothing_can_be_told(task, quarter_car):
     ratios = np.ones((1, 5))
-    secondary = task("paper", "secondary")
+    secondary = task("own_curve", "secondary")
     bounds = output_bounds(secondary, OBSERVED.observer(quarter_car), ratios)
     assert np.isinf(bounds).all()
-    known = task("paper", "secondary", mass_known=True)
+    known = task("own_curve", "secondary", mass_known=True)
     bounds = output_bounds(known, OBSERVED.observer(quarter_car), 2 * ratios)
     assert np.isfinite(bounds).all()
     np.testing.assert_allclose(relative_percent(known, bounds, 2 * ratios), 50 * bounds[0])

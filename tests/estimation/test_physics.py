@@ -177,6 +177,7 @@ def test_small_misfit_that_costs_much_is_incomplete_too():
         "which can cost 5.1 %"
     )
     assert not Unexplained(1.05, costs / 1.02).is_incomplete
+    assert Unexplained(1.05, 20 * costs).words.endswith("which can cost 100 %")
 
 
 def test_noise_alone_is_not_called_incomplete_physics():

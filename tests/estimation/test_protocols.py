@@ -28,9 +28,9 @@ def as_set(ratios):
 @pytest.mark.parametrize(
     ("name", "group"),
     [
-        ("paper", "primary"),
+        ("own_curve", "primary"),
         pytest.param("multi_location", "secondary", marks=pytest.mark.slow),
-        pytest.param("paper", "secondary", marks=pytest.mark.slow),
+        pytest.param("own_curve", "secondary", marks=pytest.mark.slow),
         pytest.param("multi_location", "primary", marks=pytest.mark.slow),
     ],
 )
@@ -55,6 +55,56 @@ def test_whole_grid_is_the_product_of_its_levels(task):
     expected = [[k, c, 1.0, 1.0, m] for k, c, m in itertools.product(*levels)]
     assert problem.sample(None, seed=3, stream=TRAIN).tolist() == expected
     assert len(expected) == problem.grid_size == 4 * 4 * 3
+
+
+UNION = {"varied": [["k_p", "k_s", "M_s"], ["c_p", "c_s", "M_s"]]}
+"""Table IV: springs and dampers never vary together."""
+
+
+def test_the_papers_protocol_is_table_iv_scored_as_table_vi(task):
+    for group, outputs in (("I", ("k_p", "c_p")), ("II", ("k_s", "c_s"))):
+        problem = task("paper", group)
+        assert problem.varied_sets == tuple(map(tuple, UNION["varied"]))
+        assert (problem.varied, problem.outputs) == (PARAMETERS, outputs)
+        assert problem.grid_size == 2 * 364_816
+
+
+def test_whole_grid_of_several_sets_is_the_grid_of_each(task):
+    problem = task(**UNION, step=0.5, mass_step=0.75)
+    levels = [problem.levels(name).tolist() for name in ("k_p", "k_s", "M_s")]
+    products = list(itertools.product(*levels))
+    expected = [[p, 1.0, s, 1.0, m] for p, s, m in products]
+    expected += [[1.0, p, 1.0, s, m] for p, s, m in products]
+    assert problem.sample(None, seed=3, stream=TRAIN).tolist() == expected
+
+
+@pytest.mark.parametrize("sampling", ["grid", "sobol"])
+def test_curves_are_drawn_from_each_set(task, sampling):
+    problem = task(**UNION, sampling=sampling)
+    ratios = problem.sample(1001, seed=0, stream=TRAIN)
+    springs, dampers = (ratios[:, [0, 2]] != 1).any(axis=1), (ratios[:, [1, 3]] != 1).any(axis=1)
+    assert not (springs & dampers).any()
+    assert springs.sum() == pytest.approx(500, abs=1 if sampling == "sobol" else 60)
+    assert dampers.sum() == pytest.approx(500, abs=1 if sampling == "sobol" else 60)
+    np.testing.assert_array_equal(ratios[:300], problem.sample(300, seed=0, stream=TRAIN)[:300])
+
+
+def test_test_vehicles_may_lie_between_the_steps_of_the_grid(task):
+    problem = task(test_sampling="sobol")
+    levels = problem.levels("k_p")
+    for stream, share in ((TRAIN, 1.0), (TEST, 0.0), (CALIBRATE, 1.0)):
+        ratios = problem.sample(200, seed=0, stream=stream)
+        assert np.isin(ratios[:, 0], levels).mean() == share
+
+
+def test_a_set_without_an_output_of_the_group_is_refused(protocol):
+    with pytest.raises(ValueError, match=r"`outputs` must be chosen from \('k_p', 'M_s'\)"):
+        protocol("paper", varied=[["k_p", "M_s"]])
+
+
+def test_relative_changes_need_positive_features(protocol):
+    with pytest.raises(ValueError, match="'curve' has no relative changes"):
+        protocol("trips", standardised=False)
 
 
 # property
@@ -106,7 +156,7 @@ def test_train_and_test_together_can_use_up_the_grid(task):
     assert len(train | test) == problem.grid_size
 
 
-@pytest.mark.parametrize(("name", "group"), [("paper", "secondary"), ("joint", "all")])
+@pytest.mark.parametrize(("name", "group"), [("own_curve", "secondary"), ("joint", "all")])
 @pytest.mark.parametrize("stream", [TRAIN, TEST, CALIBRATE])
 def test_same_seed_gives_the_same_sample_and_another_seed_another(task, name, group, stream):
     problem = task(name, group)
@@ -115,7 +165,7 @@ def test_same_seed_gives_the_same_sample_and_another_seed_another(task, name, gr
     assert len(as_set(first) & as_set(problem.sample(256, seed=2, stream=stream))) < 10
 
 
-@pytest.mark.parametrize(("name", "group"), [("paper", "primary"), ("joint", "all")])
+@pytest.mark.parametrize(("name", "group"), [("own_curve", "primary"), ("joint", "all")])
 @pytest.mark.parametrize("stream", [TRAIN, TEST, CALIBRATE])
 def test_smaller_sample_is_a_prefix_of_the_larger(task, name, group, stream):
     problem = task(name, group)
@@ -161,7 +211,7 @@ def test_range_follows_lower_and_upper(task):
     ],
 )
 def test_mass_switches_change_inputs_outputs_and_unknowns(task, changes, inputs, outputs, unknown):
-    problem = task("paper", "primary", **changes)
+    problem = task("own_curve", "primary", **changes)
     assert len(problem.inputs) == inputs
     assert problem.outputs == outputs
     assert problem.unknown == unknown
@@ -213,7 +263,7 @@ def test_unknown_names_are_rejected_when_the_protocol_is_made(key, names, messag
         ({"sampling": "random"}, "`sampling` must be one of .*'random'"),
         ({"lower": 0.0}, "`lower` must be a finite number > 0 and < 1, got 0.0"),
         ({"lower": 1.0}, "`lower` must be a finite number > 0 and < 1, got 1.0"),
-        ({"upper": 0.9}, "`upper` must be a finite number > 1, got 0.9"),
+        ({"upper": 0.9}, "`upper` must be a finite number >= 1, got 0.9"),
         ({"lower": math.nan}, "`lower` must be a finite number > 0 and < 1, got nan"),
         ({"step": 0.0}, "`step` must be a finite number > 0, got 0.0"),
         ({"mass_step": -0.1}, "`mass_step` must be a finite number > 0, got -0.1"),
@@ -243,8 +293,8 @@ def test_incomplete_group_is_named():
 
 
 def test_whole_curves_need_both_responses(protocol):
-    with pytest.raises(ValueError, match=r"uses both responses, protocol 'paper' only \['G_p'\]"):
-        protocol("paper", feature_set="curve")
+    with pytest.raises(ValueError, match=r"both responses, protocol 'own_curve' only \['G_p'\]"):
+        protocol("own_curve", feature_set="curve")
     assert protocol("joint", feature_set="curve").task("all").extractor.kind == "curve"
 
 

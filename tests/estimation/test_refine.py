@@ -100,7 +100,7 @@ def test_misfit_of_the_true_model_is_one(joint):
 
 @pytest.mark.parametrize(
     ("name", "group", "changes"),
-    [("joint", "all", WITH_MASS), ("multi_location", "primary", {}), ("paper", "primary", {})],
+    [("joint", "all", WITH_MASS), ("multi_location", "primary", {}), ("own_curve", "primary", {})],
 )
 def test_optimum_is_that_of_scipy(task, name, group, changes):
     problem = task(name, group, **changes)
@@ -190,7 +190,7 @@ def test_noise_free_curves_give_the_vehicle(task):
 
 def test_curves_that_do_not_tell_give_infinite_deviations(task):
     """abs(G_s) depends on k_s / M_s and c_s / M_s only."""
-    problem = task("paper", "secondary")
+    problem = task("own_curve", "secondary")
     ratios, misfit = observed(problem, 48)
     found = refine(problem, misfit, starts(problem, ratios))
     assert found.names == ("k_s", "c_s", "M_s")
@@ -300,7 +300,7 @@ def test_numbers_do_not_depend_on_rounding(joint, seed):
 
 
 def test_known_mass_stays_as_measured_and_makes_the_rest_better_known(task):
-    known, unknown = (task("paper", "primary", mass_known=flag) for flag in (True, False))
+    known, unknown = (task("own_curve", "primary", mass_known=flag) for flag in (True, False))
     ratios, misfit = observed(known, 128)
     found = refine(known, misfit, starts(known, ratios), ratios[:, 4])
     assert found.names == ("k_p", "c_p")

@@ -6,7 +6,7 @@ from learning_reference import naive_rbf, smooth_data
 from sklearn import svm
 from sklearn.exceptions import ConvergenceWarning, NotFittedError
 
-from suspnet.learning import SVR, LinearRegression, baselines
+from suspnet.learning import MSVR, SVR, KernelRidge, LinearRegression, baselines
 
 
 def small(**settings):
@@ -60,7 +60,19 @@ def test_linear_regression_is_least_squares():
     np.testing.assert_allclose(model.coef_, solution[:2].T, atol=1e-12, rtol=0)
 
 
-@pytest.mark.parametrize("make", [small, LinearRegression])
+def test_kernel_ridge_is_msvr_without_a_tube():
+    X, Y = smooth_data(0, 60)
+    Y = Y - Y.mean(axis=0)
+    found = KernelRidge(C=10.0, sigma=1.0).fit(X, Y)
+    kernel = np.exp(-np.square(X[:, None] - X).sum(axis=2))
+    np.testing.assert_allclose(
+        found.predict(X), kernel @ np.linalg.solve(kernel + np.eye(60) / 20, Y), atol=1e-10, rtol=0
+    )
+    exact = MSVR(C=10.0, sigma=1.0, epsilon=0.0, feature_map="exact", fit_intercept=False)
+    np.testing.assert_allclose(exact.fit(X, Y).predict(X), found.predict(X), atol=1e-9, rtol=0)
+
+
+@pytest.mark.parametrize("make", [small, KernelRidge, LinearRegression])
 def test_restored_model_predicts_bit_for_bit(make):
     X, Y = smooth_data(5)
     X_test, _ = smooth_data(6, n_samples=50)
@@ -132,7 +144,7 @@ def test_svr_refuses_wrong_settings(settings, error, message):
         model.fit(X, Y)
 
 
-@pytest.mark.parametrize("make", [small, LinearRegression])
+@pytest.mark.parametrize("make", [small, KernelRidge, LinearRegression])
 def test_missing_inputs_are_refused(make):
     X, Y = smooth_data(10, n_samples=20)
     X[1, 1] = np.nan
@@ -140,7 +152,7 @@ def test_missing_inputs_are_refused(make):
         make().fit(X, Y)
 
 
-@pytest.mark.parametrize("make", [small, LinearRegression])
+@pytest.mark.parametrize("make", [small, KernelRidge, LinearRegression])
 def test_unfitted_model_has_no_state(make):
     with pytest.raises(NotFittedError, match="not fitted yet"):
         make().state()
@@ -152,6 +164,8 @@ def test_unfitted_model_has_no_state(make):
         (small, "intercept"),
         (small, "support_vectors.1"),
         (small, "dual_coef.0"),
+        (KernelRidge, "dual_coef"),
+        (KernelRidge, "X_fit"),
         (LinearRegression, "coef"),
         (LinearRegression, "intercept"),
     ],

@@ -220,7 +220,7 @@ def equations_at(design, weights, fit_intercept):
     w = torch.tensor(WEIGHTS[weights])
     n_features = design.n_features
     offset = normal(2) * (fit_intercept and weights != "all zero")
-    gradient = Gradient(normal(n_features, 2), offset, w)
+    gradient = Gradient(normal(n_features, 2), offset, w, normal(len(w), 2))
     kind = "fixed" if weights == "fixed" else "reweighted"
     return getattr(design, kind)(3.0, fit_intercept), gradient
 
@@ -343,7 +343,7 @@ def test_design_without_samples_sums_to_nothing(n_inputs):
     )
     assert moved.shape == (0, 2)
     assert torch.equal(products, torch.zeros(modes.n_features, 4).double())
-    gradient = Gradient(change.coef, 0 * change.intercept, torch.zeros(0).double())
+    gradient = Gradient(change.coef, 0 * change.intercept, torch.zeros(0).double(), normal(0, 2))
     for fit_intercept in (False, True):
         found = design.fixed(1.0, fit_intercept).direction(gradient, 1e-12)
         np.testing.assert_allclose(found.coef, -change.coef, atol=1e-12, rtol=0)

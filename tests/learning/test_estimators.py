@@ -7,10 +7,16 @@ from learning_reference import smooth_data
 from sklearn.base import clone
 from sklearn.utils.estimator_checks import estimator_checks_generator, parametrize_with_checks
 
-from suspnet.learning import MSVR, MVGPR, SVR, LinearRegression
+from suspnet.learning import MSVR, MVGPR, SVR, KernelRidge, LinearRegression
 
 # The array API check is skipped, with this warning, unless array_api_compat is installed.
-ESTIMATORS = [MSVR(n_components=64), SVR(), LinearRegression(), MVGPR(n_restarts=0, n_optimize=100)]
+ESTIMATORS = [
+    MSVR(n_components=64),
+    SVR(),
+    KernelRidge(),
+    LinearRegression(),
+    MVGPR(n_restarts=0, n_optimize=100),
+]
 MAPPED = [MSVR(feature_map=name, n_components=64) for name in ("orf", "nystroem", "exact")]
 
 

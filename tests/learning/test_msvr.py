@@ -405,3 +405,58 @@ def test_constant_outputs_are_predicted_without_a_warning(feature_map, epsilon):
     Y = np.tile([1e6 / 3, -0.1], (len(X), 1))
     model = small(feature_map=feature_map, epsilon=epsilon).fit(X, Y)  # a warning is an error
     assert np.array_equal(model.predict(X), Y)
+
+
+@pytest.mark.parametrize("solver", ["newton", "irwls"])
+@pytest.mark.parametrize("epsilon", [0.0, 0.3])
+@pytest.mark.parametrize("feature_map", ["rff", "exact"])
+def test_a_sample_weight_is_that_number_of_samples(feature_map, epsilon, solver):
+    X, Y = smooth_data(0, 60)
+    counts = np.arange(60) % 3  # 0 leaves a sample out
+    setting = {"feature_map": feature_map, "epsilon": epsilon, "solver": solver, "tol": 1e-12}
+    weighted = small(**setting).fit(X, Y, sample_weight=counts)
+    repeated = small(**setting).fit(X.repeat(counts, axis=0), Y.repeat(counts, axis=0))
+    assert weighted.objective_ == pytest.approx(repeated.objective_, rel=1e-9)
+    np.testing.assert_allclose(weighted.predict(X), repeated.predict(X), atol=1e-5, rtol=0)
+    assert np.abs(small(**setting).fit(X, Y).predict(X) - weighted.predict(X)).max() > 1e-3
+
+
+def test_sample_weights_of_the_grid_are_those_of_the_exact_kernel():
+    pytest.importorskip("finufft")
+    X, Y = smooth_data(0, 60)
+    weights = np.random.default_rng(0).uniform(0.1, 3, 60)
+    found = [
+        small(feature_map=name, epsilon=0.1, kernel_tol=1e-10, sigma=1.0)
+        .fit(X[:, :2], Y, sample_weight=weights)
+        .predict(X[:, :2])
+        for name in ("equispaced", "exact")
+    ]
+    np.testing.assert_allclose(*found, atol=1e-4, rtol=0)
+
+
+@pytest.mark.parametrize(
+    ("weights", "message"),
+    [
+        (np.zeros(60), "at least one non-zero"),
+        (-np.ones(60), "[Nn]egative"),
+        (np.ones(59), "sample_weight"),
+    ],
+)
+def test_sample_weights_that_mean_nothing_are_refused(weights, message):
+    X, Y = smooth_data(0, 60)
+    with pytest.raises(ValueError, match=message):
+        small().fit(X, Y, sample_weight=weights)
+
+
+def test_exact_models_saved_with_a_whitening_are_read():
+    X, Y = smooth_data(0, 60)
+    model = small(feature_map="exact").fit(X, Y)
+    values, vectors = np.linalg.eigh(
+        np.exp(-np.square(X[:, None] - X).sum(axis=2) / model.sigma**2)
+    )
+    kept = values > 1e-12
+    whitening = vectors[:, kept] / np.sqrt(values[kept])
+    old = model.state() | {"map.whitening": whitening}
+    old["coef"] = np.sqrt(values[kept])[:, None] * (vectors[:, kept].T @ model.coef_)
+    restored = small(feature_map="exact").restore(old)
+    np.testing.assert_allclose(restored.predict(X), model.predict(X), atol=1e-6, rtol=0)

@@ -51,6 +51,7 @@ def test_shards_cover_everything_once_and_rank_zero_writes(spread):
         shards = [range(*found["shards"][row]) for found in spread]
         assert [i for shard in shards for i in shard] == list(range(n))
     assert [bool(found["is_rank_zero"]) for found in spread] == [True, False, False]
+    assert all("needs all samples in one process" in str(found["refused"]) for found in spread)
 
 
 def test_one_process_is_all_there_is():

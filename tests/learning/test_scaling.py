@@ -86,3 +86,11 @@ def test_column_whose_mean_rounds_is_still_constant():
 def test_values_that_are_not_finite_are_named():
     with pytest.raises(ValueError, match="must be finite"):
         Scaling.of(np.array([[1.0], [np.nan]]), log=False)
+
+
+def test_relative_changes_are_ratios_less_one_or_their_logarithms():
+    ratios = np.array([[1.0, 2.0], [0.5, 1.0]])
+    for log, expected in ((False, ratios - 1), (True, np.log(ratios))):
+        scaling = Scaling.relative_changes(2, log)
+        np.testing.assert_array_equal(scaling.apply(ratios), expected)
+        np.testing.assert_allclose(scaling.undo(expected), ratios, rtol=1e-15)

@@ -1,6 +1,7 @@
 """CSV files as loggers write them: the dialect is found out, or the error says what to give."""
 
 import re
+import time
 from pathlib import Path
 
 import numpy as np
@@ -187,6 +188,12 @@ def test_a_german_logger_with_columns_of_date_and_clock_says_start_and_decimal_s
             [1.234, 2.345],
         ),
         (
+            "n;a\n1;-345\n2;1.036\n3;-12.500\n",
+            "a point may be its decimal sign or separate thousands",
+            CsvDialect(decimal="."),
+            [1, 2, 3],
+        ),
+        (
             "Time (s) Accel (g)\n0 1.5\n1 2.5\n",
             "no row has as many values as there are names",
             CsvDialect(header_line=0),
@@ -220,6 +227,65 @@ def test_files_that_are_no_table_are_refused(tmp_path, text, given, message):
     path.write_text(text)
     with pytest.raises(TripError, match=rf"data\.csv: {message}"):
         read(path, "a", csv=given)
+
+
+@pytest.mark.parametrize("line", ["\t" * 80_000, ',"' * 60_000, ' "' * 59_999])
+def test_a_long_line_above_the_names_takes_no_long_time(tmp_path, line):
+    path = tmp_path / "data.csv"
+    path.write_text(f"{line}\nt;a\n" + "0;1\n" * 50)
+    begin = time.process_time()
+    assert len(read(path, "a")[0]) == 50
+    assert time.process_time() - begin < 2
+
+
+@pytest.mark.parametrize("cell", ["-1,193.18", "-1.193,18", "1'193", "1.193.180", "1\xa0193,18"])
+@pytest.mark.parametrize("is_most", [False, True])
+@pytest.mark.parametrize("decimal", [".", ","])
+def test_grouped_digits_are_refused(tmp_path, cell, is_most, decimal):
+    path = tmp_path / "data.csv"
+    others = [f"{i}{decimal}5" for i in range(30)]
+    rows = [[one, other] for other in others for one in ([cell] if is_most else [other] * 3)]
+    rows.insert(9, [cell, others[0]])
+    path.write_text("t;a\n" + "".join(f"{b};{a}\n" for a, b in rows), "utf-8")
+    otherwise = "|has no column 't' of numbers" if is_most else ""  # split at the comma
+    with pytest.raises(
+        TripError, match=f"write numbers without separators of thousands{otherwise}"
+    ):
+        read(path, "t", "a")
+
+
+@pytest.mark.parametrize("cells", ["0;12.345;13.346", "1.000;2.345", "345;1036;0.125", "7;0.125"])
+def test_a_point_of_three_decimals_is_a_decimal_sign(tmp_path, cells):
+    path = tmp_path / "data.csv"
+    path.write_text("n;a\n" + "".join(f"{i};{cell}\n" for i, cell in enumerate(cells.split(";"))))
+    np.testing.assert_array_equal(read(path, "a")[0], [float(cell) for cell in cells.split(";")])
+
+
+@pytest.mark.parametrize("delimiter", ",;\t")
+@pytest.mark.parametrize(
+    ("line", "n_samples"),
+    [
+        *(("# marker", 0), ("Pause", 0), ("a,b", 0), ("# a,b", 0)),
+        *(("ERR,off", 1), (",", 1), ("0.5", 1), ("0.5,1,2", 1)),
+    ],
+)
+def test_damaged_rows_are_samples_and_other_lines_are_not(tmp_path, line, n_samples, delimiter):
+    path = tmp_path / "data.csv"
+    rows = [f"{i}.25,{i}.5" for i in range(40)]
+    lines = ["a,b", *rows[:20], line, *rows[20:]]
+    path.write_text("\n".join(lines).replace(",", delimiter))
+    values = np.insert(np.arange(40) + 0.5, 20, [np.nan] * n_samples)
+    np.testing.assert_array_equal(read(path, "b")[0], values)
+
+
+@pytest.mark.parametrize("names", ["t,b,a", "# t,b,a", "Time [s],x,y", "t,speed,a"])
+def test_several_tables_are_refused(tmp_path, names):
+    path = tmp_path / "data.csv"
+    table = "".join(f"{i},1.5,2.5\n" for i in range(40))
+    path.write_text(f"t,a,b\n{table}{names}\n{table}")
+    message = rf"data\.csv: holds several tables .line 42: '{re.escape(names)}'.; export each"
+    with pytest.raises(TripError, match=message):
+        read(path, "t", "a")
 
 
 def test_later_rows_of_another_dialect_are_refused(tmp_path):
@@ -258,7 +324,7 @@ def test_a_row_without_its_time_is_none(tmp_path, wrong):
     path.write_text("\n".join(["t;a", *lines[:40], f"{wrong};1", *lines[40:]]), "utf-8")
     with open_file(path) as file:
         blocks = list(read_columns(path, file, ["t", "a"]))
-        assert re.search("are left out .1, first in line 42: '3", file.remarks[0])
+        assert re.search("are missing samples .1, first in line 42: '3", file.remarks[0])
     times, values = (np.concatenate(part) for part in zip(*blocks, strict=True))
     assert np.flatnonzero(np.isnat(times)) == np.flatnonzero(np.isnan(values)) == 40
     path.write_text("\n".join(["t;a", *lines, "31/08/2015 23:59:59;1"]))
@@ -286,7 +352,7 @@ STATED = {
     ),
     "words in all pieces": (
         "t,a\n" + TABLE.replace("9.5\n", "9.5\n,bad\n"),
-        "lines of data.csv outside of its table are left out .3, first in line 12: ',bad'",
+        "damaged rows of data.csv are missing samples .2, first in line 12: ',bad'",
     ),
     "a minus sign": ("t,a\n\N{MINUS SIGN}1,\N{MINUS SIGN}3\n" + TABLE, ""),
     "infinity": ("t,a\n-1,\N{INFINITY}\n" + TABLE, ""),
@@ -323,8 +389,8 @@ def test_good_rows_are_read_and_the_rest_is_reported(tmp_path, monkeypatch, case
     path = tmp_path / "data.csv"
     path.write_text(text, "utf-8")
     with open_file(path) as file:
-        time, values = [column.name for column in file.columns]
-        parts = list(read_columns(path, file, [time, values]))
+        names = [column.name for column in file.columns]
+        parts = list(read_columns(path, file, names))
         times, values = (np.concatenate(part) for part in zip(*parts, strict=True))
         assert re.search(remark, "; ".join([file.words, *file.remarks]))
     known = np.isfinite(values) & (times >= 0)

@@ -57,10 +57,49 @@ def test_scale_and_missing_samples_of_hdf5_are_applied(tmp_path, attributes, exp
     np.testing.assert_array_equal(read(tmp_path / "a.h5", "a")[0], expected)
 
 
-def test_attributes_of_hdf5_without_a_convention_are_named(tmp_path):
-    hdf5(tmp_path / "a.h5", Gain=10.0, unit="g").close()
-    words = "a.h5: attributes that are not applied: 'a.Gain'"
+@pytest.mark.parametrize(
+    "name", ["Gain", "Scale_Factor", "SCALE_FACTOR", "scaling", "slope", "Lsb", "FillValue"]
+)
+def test_attributes_of_hdf5_without_a_convention_are_named(tmp_path, name):
+    hdf5(tmp_path / "a.h5", **{name: 10.0, "unit": "g"}).close()
+    words = f"a.h5: attributes that are not applied: 'a.{name}'"
     assert contents_of(tmp_path / "a.h5").read_as == words
+
+
+@pytest.mark.parametrize(
+    ("stored", "attributes", "expected"),
+    [
+        (np.float32([1, -9999.9]), {"_FillValue": -9999.9}, [1, np.nan]),
+        (np.float32([0.1, 0.2]), {"valid_max": 0.1}, [np.float32(0.1), np.nan]),
+        (np.int8([1, -1]), {"_Unsigned": "true", "_FillValue": np.int8(-1)}, [1, np.nan]),
+        (np.int8([1, -2]), {"_Unsigned": "true", "valid_range": np.int8([0, -2])}, [1, 254]),
+        (np.uint8([1, 241]), {"_FillValue": -9999}, [1, 241]),
+    ],
+)
+def test_samples_are_compared_as_they_are_stored(tmp_path, stored, attributes, expected):
+    with hdf5(tmp_path / "a.h5") as file:
+        file["b"] = stored
+        file["b"].attrs.update(attributes)
+    np.testing.assert_array_equal(read(tmp_path / "a.h5", "b")[0], expected)
+
+
+@pytest.mark.parametrize("is_turned", [False, True])
+def test_each_column_of_a_matrix_has_its_scale(tmp_path, is_turned):
+    with hdf5(tmp_path / "a.h5") as file:
+        file["b"] = np.ones((3, N) if is_turned else (N, 3))
+        file["b"].attrs.update({"scale_factor": [1.0, 2.0, 3.0], "add_offset": 1.0})
+    columns = read(tmp_path / "a.h5", "b[0]", "b[1]", "b[2]")
+    np.testing.assert_array_equal(columns, [[i] * N for i in (2, 3, 4)])
+
+
+@pytest.mark.parametrize(
+    "said", [{"scale_factor": np.nan}, {"scale_factor": 0}, {"scale_factor": [1, 2]}]
+)
+def test_scales_that_cannot_be_are_refused_by_name(tmp_path, said):
+    with hdf5(tmp_path / "a.h5") as file:
+        file["b"] = np.ones((N, 3))
+        file["b"].attrs.update(said)
+    assert unread(tmp_path / "a.h5")["b"].startswith("cannot be read (its scale_factor is [")
 
 
 def test_fill_values_that_were_chosen_are_missing_and_signs_as_stated(tmp_path):
@@ -187,6 +226,28 @@ def test_structs_cells_and_simulink_are_looked_into(tmp_path):
     }
 
 
+@pytest.mark.parametrize("suffix", [".mat", ".h5"])
+def test_scalars_at_the_top_of_matlab_files_state_rate_and_unit(tmp_path, suffix):
+    path = tmp_path / f"a{suffix}"
+    said = {"rate_hz": 500.0, "unit": "g", "start": "2024-05-06 08:00:00", "mass_kg": 3.0}
+    data = {"t": VALUES, "speed": VALUES, "axle_box": VALUES} | said
+    if suffix == ".mat":
+        savemat(path, data)
+    else:
+        h5py = pytest.importorskip("h5py")
+        with h5py.File(path, "w") as file:
+            for name, value in data.items():
+                file[name] = value if isinstance(value, str) else np.atleast_2d(value)
+    found = {one.name: one for one in contents_of(path).signals}
+    assert {name: one.unit for name, one in found.items()} == {"speed": "", "axle_box": "g"}
+    assert found["axle_box"].rate_hz == 500.0
+    assert found["axle_box"].zero.date is not None
+    with open_file(path) as file:
+        assert file.column("t").unit is None
+    savemat(tmp_path / "b.mat", {"axle_box": VALUES, "fs": 500.0})
+    np.testing.assert_array_equal(read(tmp_path / "b.mat", None)[0], VALUES)
+
+
 def test_objects_of_matlab_are_named_and_the_rest_is_read(tmp_path):
     path = tmp_path / "a.mat"
     savemat(path, {"a": VALUES})
@@ -237,6 +298,25 @@ def test_pause_between_segments_of_tdms_is_a_gap(tmp_path, second, gap_s):
         expected = np.arange(3 * N) * 0.01 + gap_s * (np.arange(3 * N) >= N)
         np.testing.assert_allclose(times, expected, atol=1e-9)
         np.testing.assert_array_equal(values, np.tile(VALUES, 3))
+
+
+@pytest.mark.parametrize("late_ms", [2, 4, 0.001, -0.001])
+def test_short_pauses_between_segments_of_tdms_add_up(tmp_path, late_ms):
+    starts_s = np.arange(30) * (N * 0.01 + late_ms / 1000)
+    segments = [(f"15:{30 + start_s:09.6f}", {}) for start_s in starts_s]
+    path = tdms(tmp_path / "a.tdms", *segments)
+    expected = (starts_s[:, None] + np.arange(N) * 0.01).ravel()
+    with open_file(path) as file:
+        assert (file.column("g/a").time is not None) == (late_ms > 1)
+    if late_ms > 1:
+        times = read(path, "g/a: times")[0]
+        np.testing.assert_allclose(times, expected, atol=0.005 + 1e-9)
+
+
+def test_short_overlaps_between_segments_of_tdms_add_up(tmp_path):
+    segments = [(f"15:{30 + i * (N * 0.01 - 0.002):09.6f}", {}) for i in range(9)]
+    with pytest.raises(TripError, match="segments that overlap: one lasts until 2024-05-06T08"):
+        read(tdms(tmp_path / "a.tdms", *segments), "g/a")
 
 
 @pytest.mark.parametrize(

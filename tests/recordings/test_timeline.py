@@ -166,6 +166,63 @@ def test_even_times_that_were_rounded_stay_even(resolution_s):
     assert line.words == ""
 
 
+def steps_by_turns(one_ms, other_ms, is_other) -> np.ndarray:
+    return np.cumsum(np.where(is_other, other_ms, one_ms)) / 1e3
+
+
+TURNS = np.arange(60_000)
+LATE = TURNS >= 30_000
+OFF_A_LINE = {
+    "another rate": steps_by_turns(5, 1000 / 190, LATE),
+    "a little slower": steps_by_turns(5, 1000 / 199.9, LATE),
+    "20 ppm slower": steps_by_turns(5, 5.0001, LATE),
+    "alternating": steps_by_turns(4, 6, TURNS % 2),
+    "a long step now and then": steps_by_turns(5, 7.4, TURNS % 100 == 99),
+    "a gap of half a sample": steps_by_turns(5, 12.5, TURNS % 200 == 199),
+    "a twentieth longer": steps_by_turns(4.9, 6.9, TURNS % 20 == 19),
+    "rounded": np.round(np.cumsum(np.random.default_rng(0).normal(5, 0.4, 60_000))) / 1e3,
+}
+
+
+@pytest.mark.parametrize("n_block", [10_000, 25_000, timeline.BLOCK])
+@pytest.mark.parametrize("times", OFF_A_LINE.values(), ids=OFF_A_LINE)
+def test_times_off_a_line_are_uneven(times, n_block, monkeypatch):
+    monkeypatch.setattr(timeline, "BLOCK", n_block)
+    errors, line = missed(times, 10.0)
+    assert line.words.startswith("its times are uneven, steps of")
+    assert np.nanmax(np.abs(errors)) < 0.01
+    assert np.isnan(errors).mean() < 0.01
+
+
+def test_a_gap_between_even_and_uneven_times_stays_a_gap(monkeypatch):
+    monkeypatch.setattr(timeline, "BLOCK", 2000)
+    even_times = np.arange(2000) / RATE_HZ
+    errors, line = missed(np.append(even_times, 20.001 + uneven_times("even grid", 2000)), 10.0)
+    assert line.words
+    missing = np.flatnonzero(np.isnan(errors))
+    np.testing.assert_allclose([missing[0], missing[-1], len(missing)], [2000, 4000, 2000], atol=2)
+    assert np.nanmax(np.abs(errors)) < 0.01
+
+
+@pytest.mark.parametrize(
+    "times",
+    [
+        np.arange(60_000) / 333.3 + 5000,
+        np.arange(60_000, dtype=np.float32) / np.float32(50),
+        np.floor(np.arange(60_000) * 1000 / 512) / 1000,
+        np.round(np.arange(60_000) / 200.01, 3),
+        np.round(np.arange(60_000) / 300.07, 3),
+        np.round(TURNS / 200 + np.random.default_rng(0).uniform(4.5e-4, 5.5e-4, 60_000), 3),
+    ],
+    ids=["odd rate", "single precision", "cut off", "near a multiple", "odd, rounded", "jitter"],
+)
+def test_times_on_a_line_stay_even(times, monkeypatch):
+    monkeypatch.setattr(timeline, "BLOCK", 7000)
+    got, line = even(times)
+    np.testing.assert_array_equal(got, np.arange(60_000))
+    assert line.words == ""
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["even grid", "independent steps"])
 def test_a_healthy_damper_at_uneven_times_is_healthy(tmp_path, kind):

@@ -7,10 +7,20 @@ import tomllib
 from pathlib import Path
 
 import pytest
+import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
-from suspnet.ground.parameters import BOGIE_PARTS, KIND_NAMES, Cause, Limits, part_words
+from suspnet.ground.parameters import (
+    BOGIE_PARTS,
+    DEFAULT_LIMITS,
+    KIND_NAMES,
+    Cause,
+    Limits,
+    limits_words,
+    part_words,
+    read_limits,
+)
 from suspnet.ground.records import Place
 from suspnet.report.language import LANGUAGES, best_of, catalogue, check_language, speaking
 from suspnet.report.messages import subject, text
@@ -307,8 +317,8 @@ def test_details_of_reports_are_german():
         "what 5 trips from 1000 to 5000 km showed, damping at 20 °C": "was 5 Fahrten von 1000 bis "
         "5000 km zeigten, Dämpfung bei 20 °C",
         "1.07 times the noise with each part read, 1.20 times the noise with both sides and axles "
-        "as equal": "das 1,07-Fache des Rauschens, wenn jedes Teil gelesen wird, das 1,20-Fache "
-        "des Rauschens mit beiden Seiten und Achsen als gleich",
+        "as equal": "das 1,07-Fache des Rauschens, wenn jedes Teil einzeln geschätzt wird, das "
+        "1,20-Fache des Rauschens mit beiden Seiten und Achsen als gleich",
         str(
             Limits((0.8, 1.2), (0.7, 1.25))
         ): "Warnung außerhalb von 80 bis 120 %, Eingriff außerhalb von 70 bis 125 %",
@@ -320,3 +330,10 @@ def test_details_of_reports_are_german():
     }
     with speaking("de"):
         assert {one: spoken(one) for one in said} == said
+        limits = read_limits(
+            yaml.safe_load((ROOT / "configs/vehicle/am96.yaml").read_text())["limits"]
+        )
+        for one in (limits, DEFAULT_LIMITS, DEFAULT_LIMITS | limits):
+            words = spoken(limits_words(one))
+            assert words.count("Warnung außerhalb von 90 bis 110 %, Eingriff außerhalb von") >= 1
+            assert not re.search(r"\b(beyond|assumed|a|spring|than|its)\b", words), words

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import reference
 
-from suspnet.learning.metrics import METRICS, covers, interval_scores, score
+from suspnet.learning.metrics import METRICS, covers, interval_scores, score, score_where
 
 OUTPUTS = ("k_p", "c_p", "M_s")
 
@@ -113,3 +113,12 @@ def test_predictions_that_are_not_finite_are_rejected(tables):
     predicted[3, 1] = np.nan
     with pytest.raises(ValueError, match="contains NaN"):
         score(actual, predicted, OUTPUTS)
+
+
+def test_scores_where_a_part_is_varied_or_degraded_are_those_of_these_rows():
+    actual = np.array([[0.5, 1.0], [2.0, 1.0], [1.0, 1.0]])
+    predicted = np.array([[0.6, 1.1], [1.0, 1.0], [9.0, 1.0]])
+    found = score_where(actual, predicted, ("k_p", "c_p"))
+    assert found["varied"]["k_p"]["mape_percent"] == pytest.approx(35)
+    assert found["degraded"]["k_p"] == pytest.approx({"mape_percent": 20, "rmse": 0.1})
+    assert found["degraded"]["c_p"] == {"mape_percent": None, "rmse": None}

@@ -273,7 +273,7 @@ def test_trips_have_intervals_and_flags_too():
 
 
 def test_curves_that_do_not_tell_the_outputs_cannot_be_refined():
-    problem = problem_of("secondary", "paper", n_train=60, n_test=20, n_calibrate=100)
+    problem = problem_of("secondary", "own_curve", n_train=60, n_test=20, n_calibrate=100)
     model = replace(fit(problem, LinearRegression(), None), refined=True)
     with pytest.raises(ValueError, match="refine=true needs curves that identify k_s"):
         calibrated(problem, model)
@@ -333,7 +333,7 @@ def test_curve_fit_ends_for_light_damping_and_narrow_bands(zeta, low_hz, high_hz
 
 def test_error_over_an_infinite_bound_is_no_number(tmp_path):
     """G_s alone leaves stiffness, damping and mass with a common factor: no Cramer-Rao bound."""
-    problem = problem_of("secondary", "paper", n_calibrate=None)
+    problem = problem_of("secondary", "own_curve", n_calibrate=None)
     model = fit(problem, LinearRegression(), None)
     found = scores.scores(problem, model, predict_stream(problem, model, TEST))
     written = read_json(write_json(tmp_path / "metrics.json", found))

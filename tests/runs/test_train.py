@@ -21,7 +21,7 @@ CONFIGS = Path(__file__).parents[2] / "configs"
 MODELS = sorted(file.stem for file in (CONFIGS / "model").glob("*.yaml"))
 PROTOCOLS = {
     "multi_location": ("primary", "secondary"),
-    "paper": ("primary", "secondary"),
+    "paper": ("I", "II"),
     "joint": ("all",),
     "trips": ("all",),
 }
@@ -67,7 +67,7 @@ def cases():
             if model == "linear":  # test_predict.py has the others, calibrated
                 again = name != "trips"
             elif model == "msvr_table5":  # msvr, with other numbers
-                again = (name, group) != ("paper", "primary")
+                again = (name, group) != ("paper", "I")
             else:  # msvr reads trips in tests/trips
                 again = name != "joint"
             yield pytest.param(model, name, group, marks=[pytest.mark.slow] * again)

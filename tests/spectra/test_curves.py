@@ -50,6 +50,18 @@ def test_noise_rms_is_the_stated_fraction_of_the_curve(quarter_car, snr_db, frac
     assert found.tolist() == pytest.approx([fraction] * 2, rel=0.012)
 
 
+def test_noise_on_decibels_is_a_share_of_their_rms(quarter_car):
+    settings = CurveSettings(snr_db=34.0, noise_on="decibel")
+    observer, ratios = settings.observer(quarter_car), torch.ones(400, 5).double()
+    levels = 20 * torch.log10(observer.noise_free(ratios))
+    noise = 20 * torch.log10(observer.observe(ratios, 0)) - levels
+    assert float(noise.mean()) == pytest.approx(0, abs=0.01)
+    expected = 10 ** (-34 / 20) * levels.square().mean(dim=2).sqrt()[0]
+    torch.testing.assert_close(noise.square().mean(dim=(0, 2)).sqrt(), expected, rtol=0.01, atol=0)
+    misfit = observer.misfit(observer.observe(ratios, 1), ratios)(ratios, torch.arange(400))
+    assert float(misfit.square().mean()) == pytest.approx(1, rel=0.02)
+
+
 def test_noise_is_white_gaussian_and_independent_between_curves(quarter_car):
     curves = quarter_car.magnitudes(torch.ones(BLOCK, 5), SMALL.frequencies_hz())
     unit = (add_noise(curves, 34.0, seed=0) - curves) / noise_rms(curves, 34.0)
@@ -214,7 +226,7 @@ def test_first_curves_are_the_rows_at_the_front(source):
 
 
 def test_whole_grid_is_made_on_request(source, task):
-    problem = task("paper", "secondary", step=0.5, mass_step=0.75)
+    problem = task("own_curve", "secondary", step=0.5, mass_step=0.75)
     data = source(dataclasses.replace(SMALL, n_train="all"), problem).features(TRAIN)
     assert len(data.inputs) == problem.grid_size == 48
     np.testing.assert_array_equal(data.outputs, data.ratios[:, 2:4])
@@ -235,8 +247,8 @@ def test_progress_bar_stays_out_of_log_files(source, capsys):
 
 
 def test_used_responses_are_indices_into_the_curves(task):
-    assert task("paper", "primary").used_responses == [0]
-    assert task("paper", "secondary").used_responses == [1]
+    assert task("own_curve", "primary").used_responses == [0]
+    assert task("own_curve", "secondary").used_responses == [1]
     assert task().used_responses == [0, 1]
 
 

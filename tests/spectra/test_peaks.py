@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import reference
 import torch
+from scipy.signal import peak_widths
 
 from suspnet.spectra import peaks as parabola
 from suspnet.spectra.peaks import PeakFit, PeakReason, findpeaks, smooth
@@ -49,6 +50,26 @@ def test_lorentzian_is_recovered_exactly():
     expected = torch.tensor([[CENTRE_HZ], [HEIGHT], [2 * HALF_WIDTH_HZ]]).double()
     torch.testing.assert_close(measures(peak), expected.double(), rtol=1e-6, atol=0)
     assert peak.position_hz.item() == pytest.approx(CENTRE_HZ, rel=1e-10)
+
+
+def test_half_prominence_is_that_of_scipy():
+    rng = np.random.default_rng(0)
+    curves = np.stack([rng.normal(size=len(GRID)).cumsum() for _ in range(20)])
+    curves = np.concatenate([curves - curves.min() + 0.1, lorentzian()[None].numpy()])
+    for low_hz in (0.0, 8.0):  # with higher points beyond the band, which end a base
+        found = findpeaks(curves, GRID, low_hz=low_hz, fit=PeakFit("half_prominence"))
+        smoothed = smooth(torch.tensor(curves), GRID, PeakFit().smoothing_hz).numpy()
+        n_compared = 0
+        for row, curve in enumerate(smoothed):
+            if found.reason[row]:
+                continue
+            index = int(np.abs(GRID.numpy() - found.position_hz[row].item()).argmin())
+            inside = GRID.numpy() >= low_hz
+            assert curve[index] == found.height[row].item() == curve[inside].max()
+            (width,), *_ = peak_widths(curve, [index], rel_height=0.5)
+            assert found.width_hz[row].item() == pytest.approx(0.02 * width, rel=1e-9)
+            n_compared += 1
+        assert n_compared > 10
 
 
 def test_gaussian_is_recovered_exactly():
