@@ -400,7 +400,7 @@ def test_one_number_leads_and_is_said_in_words(fading, tmp_path, language):
         assert "Achslagergehäuse der Achse 2, rechts" in text
         assert "1 Federung dieses Ordners" in text
         assert "25.11.2025 bis 16.12.2025" in text
-        assert "27.02.2026 08:00:00+01:00" in text
+        assert "27.02.2026, 08:00 +01:00" in text
         assert not re.search(r"\d{4}-\d\d-\d\d|Chancen|\b1 \w+en dieses", text)
 
 
