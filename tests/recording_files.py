@@ -17,10 +17,10 @@ from suspnet.recordings.manifest_sources import Source
 from suspnet.recordings.sources import open_source
 
 
-def opened(path: Path, source: Source, where: str = "here"):
-    """Open a source next to a manifest that says nothing else."""
-    manifest = TripManifest(
-        path=path.parent / "trip.yaml",
+def bare_manifest(folder: Path) -> TripManifest:
+    """Return a manifest that says nothing."""
+    return TripManifest(
+        path=folder / "trip.yaml",
         name="trip",
         vehicle="",
         suspension="",
@@ -28,7 +28,11 @@ def opened(path: Path, source: Source, where: str = "here"):
         speed=1.0,
         channels={},
     )
-    return open_source(manifest, source, where)
+
+
+def opened(path: Path, source: Source, where: str = "here"):
+    """Open a source next to a manifest that says nothing else."""
+    return open_source(bare_manifest(path.parent), source, where)
 
 
 def contents(folder: Path) -> dict[str, bytes]:

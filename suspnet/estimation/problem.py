@@ -24,7 +24,7 @@ from torch import Tensor
 
 from suspnet._version import __version__
 from suspnet.dynamics import PARAMETERS, ResponseGenerator, Vehicle
-from suspnet.estimation.protocols import BODY_MASS_COLUMN, RESPONSES, Task
+from suspnet.estimation.protocols import BODY_MASS_COLUMN, RESPONSES, TEST_STREAM, Task
 from suspnet.ground.cache import Cache, code_hash
 from suspnet.ground.progress import bar as progress_bar
 from suspnet.ground.settings import check_number
@@ -40,7 +40,7 @@ BLOCK = 128
 BATCH = 2 * BLOCK
 """Number of curves whose features are extracted at once; larger arrays need Python's lock less
 often."""
-TRAIN, TEST, CALIBRATE = 0, 1, 2
+TRAIN, TEST, CALIBRATE = 0, TEST_STREAM, 2
 """Streams of independent curves: for training, for scores, for the calibration of intervals."""
 STREAM_NAMES = ("training", "test", "calibration")
 """Names of the streams."""

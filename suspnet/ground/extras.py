@@ -15,16 +15,16 @@ def import_extra(module: str, extra: str, user: str, error: type[Exception] = Va
     try:
         return importlib.import_module(module)
     except ImportError as missing:
-        raise error(f"{user} needs {module}; run: {command(extra)}") from missing
+        raise error(f"{user} needs {module}; run: {install_command(extra)}") from missing
 
 
 def check_extra(extra: str, *modules: str) -> None:
     """Raise ValueError unless modules of an extra are installed; none of them is imported."""
     missing = [name for name in modules if importlib.util.find_spec(name) is None]
     if missing:
-        raise ValueError(f"{', '.join(missing)} is missing: {command(extra)}")
+        raise ValueError(f"{', '.join(missing)} is missing: {install_command(extra)}")
 
 
-def command(extra: str) -> str:
+def install_command(extra: str) -> str:
     """Return the command that installs an extra, and where to run it."""
     return f'pip install ".[{extra}]" in the folder of suspnet'

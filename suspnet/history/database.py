@@ -16,7 +16,7 @@ from sqlalchemy.dialects import postgresql, sqlite
 from sqlalchemy.engine import URL, Connection, Engine, make_url
 from sqlalchemy.exc import ArgumentError, DBAPIError, NoSuchModuleError, SQLAlchemyError
 
-from suspnet.ground.extras import command
+from suspnet.ground.extras import install_command
 from suspnet.ground.ledger import ACTING, check_own
 from suspnet.history.schema import OLDEST, SCHEMA, metadata, versions
 
@@ -122,7 +122,7 @@ def _connect_server(url: URL, wait_s: float) -> Engine:
     try:
         engine = sql.create_engine(url, pool_size=1, connect_args={"connect_timeout": CONNECT_S})
     except (ImportError, NoSuchModuleError):
-        raise HistoryError(f"PostgreSQL needs its driver: {command('postgres')}") from None
+        raise HistoryError(f"PostgreSQL needs its driver: {install_command('postgres')}") from None
 
     @sql.event.listens_for(engine, "begin")
     def _begun(connection: Connection) -> None:

@@ -154,15 +154,12 @@ class SVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[misc
         """Return predictions, shape (n_samples,) or (n_samples, n_outputs)."""
         check_is_fitted(self)
         samples = np.asarray(validate_data(self, X, reset=False, dtype=np.float64))
-        predicted = np.empty((len(samples), len(self.intercept_)))
-        for start in range(0, len(samples), PREDICT_ROWS):
-            rows = slice(start, start + PREDICT_ROWS)
-            for j, (vectors, dual) in enumerate(
-                zip(self.support_vectors_, self.dual_coef_, strict=True)
-            ):
-                # a constant output has no support vector
-                part = self._kernel(samples[rows], vectors) @ dual if len(dual) else 0.0
-                predicted[rows, j] = part
+        predicted = np.zeros((len(samples), len(self.intercept_)))
+        for j, (vectors, dual) in enumerate(
+            zip(self.support_vectors_, self.dual_coef_, strict=True)
+        ):
+            if len(dual):  # a constant output has no support vector
+                predicted[:, j] = kernel_expansion(samples, vectors, dual, self.sigma)
         predicted += self.intercept_
         return predicted[:, 0] if self._single_output else predicted
 
@@ -204,8 +201,19 @@ class SVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[misc
         )
         return machine.fit(X, y)
 
-    def _kernel(self, X: FloatArray, vectors: FloatArray) -> FloatArray:
-        return np.asarray(rbf_kernel(X, vectors, gamma=1 / self.sigma**2))
+
+def kernel_expansion(
+    X: FloatArray, vectors: FloatArray, dual: FloatArray, sigma: float
+) -> FloatArray:
+    """Return sum_j k(x_i, v_j) dual_j, (n_samples,) or (n_samples, n_outputs) as `dual` is.
+
+    k is the kernel exp(-|x - v|^2 / sigma^2), of a block of rows at a time.
+    """
+    expansion = np.empty((len(X), *dual.shape[1:]))
+    for start in range(0, len(X), PREDICT_ROWS):
+        rows = slice(start, start + PREDICT_ROWS)
+        expansion[rows] = rbf_kernel(X[rows], vectors, gamma=1 / sigma**2) @ dual
+    return expansion
 
 
 class KernelRidge(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[misc]
@@ -266,11 +274,7 @@ class KernelRidge(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ign
         """Return predictions, shape (n_samples,) or (n_samples, n_outputs) as `y` was."""
         check_is_fitted(self)
         samples = np.asarray(validate_data(self, X, reset=False, dtype=np.float64))
-        predicted = np.empty((len(samples), len(self.intercept_)))
-        for start in range(0, len(samples), PREDICT_ROWS):
-            rows = slice(start, start + PREDICT_ROWS)
-            kernel = rbf_kernel(samples[rows], self.X_fit_, gamma=1 / self.sigma**2)
-            predicted[rows] = kernel @ self.dual_coef_
+        predicted = kernel_expansion(samples, self.X_fit_, self.dual_coef_, self.sigma)
         predicted += self.intercept_
         return predicted[:, 0] if self._single_output else predicted
 

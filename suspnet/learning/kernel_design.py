@@ -21,6 +21,9 @@ from suspnet.learning.design import (
 from suspnet.learning.feature_maps import KernelColumns
 from suspnet.learning.ranks import AllReduce, identity
 
+ADVICE = "lower C, or scale the outputs"
+"""What to do where a system is singular to working precision."""
+
 
 class KernelDesign:
     """Phi of the exact kernel on its own samples; a `suspnet.learning.design.Design`.
@@ -179,6 +182,3 @@ def _factor(kernel: Tensor, weights: Tensor) -> Tensor:
     matrix = kernel.clone()
     matrix.diagonal().add_(1 / weights)
     return cholesky(matrix, f"kernel matrix with weights up to {weights.max():.1e}", ADVICE)
-
-
-ADVICE = "lower C, or scale the outputs"

@@ -249,9 +249,8 @@ class _Descent:
         hessian = plain + is_curved[:, None, None] * curvature
         step, solved = _damped_step(gradient, hessian, damping)
         straight = theta = (before + step).clamp(*self.bounds)
-        if (
-            self.jacobian is not None
-        ):  # along the step that the bounds leave: beyond, values overflow
+        if self.jacobian is not None:
+            # along the step that the bounds leave: beyond them values overflow
             bend, is_slight = self._bend(rows, straight - before, hessian, damping)
             theta, solved = (straight + bend).clamp(*self.bounds), solved & is_slight
         values = self.residual(theta, rows)

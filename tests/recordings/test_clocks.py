@@ -9,12 +9,12 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 import yaml
-from recording_files import opened, write_mdf, write_tdms
+from recording_files import bare_manifest, opened, write_mdf, write_tdms
 
 from suspnet.recordings.clocks import Times, Zero, offsets_s
 from suspnet.recordings.columns import Column
 from suspnet.recordings.errors import TripError
-from suspnet.recordings.manifest import CHANNELS, TripManifest
+from suspnet.recordings.manifest import CHANNELS
 from suspnet.recordings.manifest_files import read_manifest
 from suspnet.recordings.manifest_sources import Channel, Source
 from suspnet.recordings.recording import Recording, load_recording
@@ -139,15 +139,7 @@ def test_headers_date_channels(tmp_path, write_one, suffix):
 
 
 def test_equal_headers_begin_with_the_trip():
-    manifest = TripManifest(
-        path=Path("trip.yaml"),
-        name="trip",
-        vehicle="",
-        suspension="",
-        mileage_km=0.0,
-        speed=1.0,
-        channels={},
-    )
+    manifest = bare_manifest(Path())
     stated = Zero(10**18 + 7, is_stated=True)
     assert offsets_s(manifest, {"a": stated, "b": stated, "c": Zero()}) == dict.fromkeys("abc", 0.0)
     assert offsets_s(manifest, {"a": Zero(), "b": Zero()}) == dict.fromkeys("ab", 0.0)
