@@ -187,23 +187,19 @@ def _fit_curves(
             "data=trips"
         )
     known = torch.empty(len(curves), 0) if mass is None else as_tensor(mass)[:, None]
-    nearest = np.full(len(curves), np.inf)
+    solutions = method.estimator.fit_curves(
+        [(functools.partial(_magnitudes, observer, task, s), len(s)) for s in task.unknown_sets],
+        curves[:, task.used_responses],
+        known.to(curves),
+        task.lower,
+        task.upper,
+    )
+    nearest = torch.stack([solution.cost for solution in solutions]).argmin(dim=0).cpu().numpy()
     estimates = np.ones((len(curves), len(PARAMETERS)))
-    for unknown in task.unknown_sets:
-        forward = functools.partial(_magnitudes, observer, task, unknown)
-        solution = method.estimator.fit_curves(
-            forward,
-            curves[:, task.used_responses],
-            known.to(curves),
-            task.lower,
-            task.upper,
-            len(unknown),
-        )
-        better = solution.cost.cpu().numpy() < nearest
-        nearest = np.where(better, solution.cost.cpu().numpy(), nearest)
-        found = np.ones_like(estimates)
-        found[:, columns_of(unknown)] = solution.parameters.cpu().numpy()
-        estimates[better] = found[better]
+    for k, (unknown, solution) in enumerate(zip(task.unknown_sets, solutions, strict=True)):
+        rows = np.flatnonzero(nearest == k)
+        parameters = solution.parameters.cpu().numpy()
+        estimates[rows[:, None], columns_of(unknown)] = parameters[rows]
     return estimates[:, task.output_indices]
 
 

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, ClassVar, Self
 
@@ -22,13 +22,21 @@ from torch import Tensor
 
 from suspnet.ground.settings import Setting, check_settings, check_values
 from suspnet.ground.types import FloatArray
-from suspnet.learning.least_squares import BEYOND, LeastSquaresSolution, LevenbergMarquardt
+from suspnet.learning.least_squares import (
+    BEYOND,
+    LeastSquaresSolution,
+    LevenbergMarquardt,
+    Residual,
+    RowStatus,
+)
 
 Forward = Callable[[Tensor, Tensor], Tensor]
 """``forward(parameters, known)`` returns curves (n_rows, n_curves, n_points)."""
-COMPRESSED, ROUGH_TOL = 0.05, 1e-3
+COMPRESSED, ROUGH_TOL, ROUGH_ITER = 0.05, 1e-3, 20
 """A curve, in units of its rms, above which it counts by its logarithm in the first search of
-`CurveFit`, and the tolerance of that search."""
+`CurveFit`, and the tolerance and number of iterations of that search."""
+RULED_OUT = 10.0
+"""A model whose cost after the first search exceeds the least one by this factor is ruled out."""
 PREDICT_ROWS = 1024
 """Rows predicted at once, so that their kernel fits into memory."""
 
@@ -373,34 +381,59 @@ class CurveFit(BaseEstimator):  # type: ignore[misc]
         return {}
 
     def fit_curves(
-        self, forward: Forward, observed: Tensor, known: Tensor, lower: float, upper: float, n: int
-    ) -> LeastSquaresSolution:
-        """Return the positive parameters whose curves are nearest to those observed.
+        self,
+        forwards: Sequence[tuple[Forward, int]],
+        observed: Tensor,
+        known: Tensor,
+        lower: float,
+        upper: float,
+    ) -> list[LeastSquaresSolution]:
+        """Return, for each of several models, the parameters whose curves are nearest to a row's.
 
-        The residual of each curve is divided by its rms, to which the noise is proportional.
-        ``forward(parameters, known)`` returns curves (n_rows, n_curves, n_points), the shape of
-        `observed`; `known` (n_rows, n_known) are known parameters of each row, `lower` and `upper`
-        the range of the starts, `n` is the number of parameters. They stay within ``BEYOND`` times
-        this range: one without effect on the curves would go to 0 or infinity.
+        The residual of each curve is divided by its rms, to which the noise is proportional. A
+        model is ``forward(parameters, known)``, which returns curves (n_rows, n_curves, n_points)
+        in the shape of `observed`, and its number of parameters; `known` (n_rows, n_known) are
+        known parameters of each row, `lower` and `upper` the range of the starts. Parameters stay
+        within ``BEYOND`` times this range: one without effect on the curves would go to 0 or
+        infinity. Models that a rough fit rules out for a row have an infinite cost there.
         """
         scale = observed.square().mean(dim=2, keepdim=True).sqrt()
-
-        def residual(log_parameters: Tensor, rows: Tensor) -> Tensor:
-            curves = forward(log_parameters.exp(), known[rows])
-            return ((observed[rows] - curves) / scale[rows]).flatten(1)
-
-        def compressed(log_parameters: Tensor, rows: Tensor) -> Tensor:
-            curves, floor = forward(log_parameters.exp(), known[rows]), COMPRESSED * scale[rows]
-            return (torch.asinh(observed[rows] / floor) - torch.asinh(curves / floor)).flatten(1)
-
-        start = self._nearest_start(forward, observed, known, scale, (lower, upper), n).log()
         limits = math.log(lower / BEYOND), math.log(upper * BEYOND)
-        bounds = start.new_tensor([limits[0]]), start.new_tensor([limits[1]])
-        # compressed curves first: narrow peaks overlap at their feet only
-        rough = LevenbergMarquardt(max_iter=self.max_iter, tol=ROUGH_TOL, bounds=bounds)
+        bounds = observed.new_tensor(limits[:1]), observed.new_tensor(limits[1:])
+
+        def residuals(forward: Forward) -> tuple[Residual, Residual]:
+            floor = COMPRESSED * scale
+
+            def plain(log_parameters: Tensor, rows: Tensor) -> Tensor:
+                curves = forward(log_parameters.exp(), known[rows])
+                return ((observed[rows] - curves) / scale[rows]).flatten(1)
+
+            def compressed(log_parameters: Tensor, rows: Tensor) -> Tensor:
+                curves = forward(log_parameters.exp(), known[rows])
+                ratios = torch.asinh(observed[rows] / floor[rows]), torch.asinh(curves / floor[rows])
+                return (ratios[0] - ratios[1]).flatten(1)
+
+            return plain, compressed
+
+        # Compressed curves first: narrow peaks overlap at their feet only.
+        rough = LevenbergMarquardt(
+            max_iter=min(self.max_iter, ROUGH_ITER), tol=ROUGH_TOL, bounds=bounds
+        )
+        pairs = [residuals(forward) for forward, _ in forwards]
+        every = torch.arange(len(observed), device=observed.device)
+        starts, costs = [], []
+        for (forward, n), (plain, compressed) in zip(forwards, pairs, strict=True):
+            start = self._nearest_start(forward, observed, known, scale, (lower, upper), n).log()
+            starts.append(rough.minimise(compressed, start).parameters)
+            costs.append(plain(starts[-1], every).square().sum(dim=1))
+        # Then the curves themselves, of the models that are not far behind the nearest one.
+        least = torch.stack(costs).amin(dim=0)
         solver = LevenbergMarquardt(max_iter=self.max_iter, tol=self.tol, bounds=bounds)
-        solution = solver.minimise(residual, rough.minimise(compressed, start).parameters)
-        return replace(solution, parameters=solution.parameters.exp())
+        solutions = []
+        for (plain, _), start, cost in zip(pairs, starts, costs, strict=True):
+            rows = (cost <= RULED_OUT * least).nonzero()[:, 0]
+            solutions.append(_fit_of_rows(solver, plain, start, rows))
+        return solutions
 
     def _nearest_start(
         self,
@@ -422,3 +455,19 @@ class CurveFit(BaseEstimator):  # type: ignore[misc]
         flat = observed.flatten(1)
         misfit = weights @ curves.square().T - 2 * (weights * flat) @ curves.T
         return starts[misfit.argmin(dim=1)]
+
+
+def _fit_of_rows(
+    solver: LevenbergMarquardt, residual: Residual, start: Tensor, rows: Tensor
+) -> LeastSquaresSolution:
+    """Return the fit of some rows in parameters, and an infinite cost of the others."""
+    part = solver.minimise(lambda theta, chosen: residual(theta, rows[chosen]), start[rows])
+    parameters = start.clone()
+    parameters[rows] = part.parameters
+    cost = start.new_full((len(start),), math.inf)
+    cost[rows] = part.cost
+    information = start.new_zeros(*start.shape, start.shape[1])
+    information[rows] = part.information
+    status = torch.full((len(start),), int(RowStatus.NO_DECREASE), device=start.device)
+    status[rows] = part.status
+    return LeastSquaresSolution(parameters.exp(), cost, information, status, part.n_iter)

@@ -118,7 +118,7 @@ def regress_stream(
     def fit(curves: Tensor, rows: slice, mass: FloatArray | None) -> FloatArray:
         return regress(model, problem.observer, data.inputs[rows], curves, mass)
 
-    return np.concatenate(_over_blocks(problem, data, stream, fit, threads=1))
+    return np.concatenate(_over_blocks(problem, data, stream, fit, threads=problem.threads))
 
 
 def refine_stream(

@@ -316,7 +316,7 @@ def test_curve_fit_recovers_noise_free_parameters():
     truth = torch.tensor(rng.uniform([0.5, 0.1], [2.0, 0.8], (8, 2)))
     known = torch.tensor(rng.uniform(0.8, 1.2, (8, 1)))
     observed = _oscillator(truth, known)
-    found = CurveFit(n_starts=64).fit_curves(_oscillator, observed, known, 0.05, 4.0, 2)
+    (found,) = CurveFit(64).fit_curves([(_oscillator, 2)], observed, known, 0.05, 4.0)
     assert bool(found.converged.all())
     # Zero residual: convergence is quadratic, rounding alone is left.
     np.testing.assert_allclose(found.parameters, truth, rtol=1e-9)
@@ -330,10 +330,12 @@ def test_curve_fit_weighs_each_curve_by_its_rms():
     observed = _oscillator(truth, known)
     observed = observed + 0.02 * torch.tensor(rng.standard_normal(observed.shape))
     factor = torch.tensor([1.0, 1e4], dtype=torch.float64)[None, :, None]
-    plain = CurveFit(64).fit_curves(_oscillator, observed, known, 0.05, 4.0, 2)
-    scaled = CurveFit(64).fit_curves(
-        lambda theta, mass: factor * _oscillator(theta, mass), factor * observed, known, 0.05, 4, 2
-    )
+    (plain,) = CurveFit(64).fit_curves([(_oscillator, 2)], observed, known, 0.05, 4.0)
+
+    def larger(theta, mass):
+        return factor * _oscillator(theta, mass)
+
+    (scaled,) = CurveFit(64).fit_curves([(larger, 2)], factor * observed, known, 0.05, 4)
     np.testing.assert_allclose(scaled.parameters, plain.parameters, rtol=1e-7)
     scale = observed.square().mean(dim=2, keepdim=True).sqrt()
     misfit = (observed - _oscillator(plain.parameters, known)) / scale
@@ -345,9 +347,25 @@ def test_curve_fit_is_the_same_each_time():
     known = torch.ones(1, 1, dtype=torch.float64)
     observed = _oscillator(truth, known) + 0.01
     first, again = (
-        CurveFit(64).fit_curves(_oscillator, observed, known, 0.05, 4.0, 2) for _ in range(2)
+        CurveFit(64).fit_curves([(_oscillator, 2)], observed, known, 0.05, 4.0)[0] for _ in range(2)
     )
     assert torch.equal(first.parameters, again.parameters)
+
+
+def test_curve_fit_rules_out_models_that_are_far_behind_the_nearest():
+    truth = torch.tensor([[1.4, 0.2], [0.7, 0.3]], dtype=torch.float64)
+    known = torch.ones(2, 1, dtype=torch.float64)
+
+    def damped(theta, mass):
+        return _oscillator(torch.cat([torch.full_like(theta, 1.4), theta], dim=1), mass)
+
+    observed = _oscillator(truth, known) + 1e-3
+    alone, both = CurveFit(64).fit_curves(
+        [(damped, 1), (_oscillator, 2)], observed, known, 0.05, 4.0
+    )
+    assert torch.isfinite(alone.cost).tolist() == [True, False]  # the first stiffness is 1.4
+    assert bool(torch.isfinite(both.cost).all())
+    np.testing.assert_allclose(both.parameters, truth, rtol=0.05)
 
 
 @pytest.mark.parametrize(
