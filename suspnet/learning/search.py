@@ -94,6 +94,11 @@ class GridSearch:
                         f"{dict(cap)}"
                     )
 
+    def single(self, name: str) -> dict[str, Any] | None:
+        """Return the only setting in a method's grid; None if there are several to compare."""
+        settings = ParameterGrid(dict(self._grid(name)))
+        return dict(settings[0]) if len(settings) == 1 else None
+
     def n_settings(self, name: str) -> int:
         """Return the number of settings in a method's grid."""
         return len(ParameterGrid(dict(self._grid(name))))

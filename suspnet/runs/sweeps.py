@@ -20,6 +20,7 @@ from suspnet.ground.storage import read_json, write_atomically, write_json
 from suspnet.recordings.core_yaml import read_yaml
 from suspnet.runs import plots
 from suspnet.runs.ablation import write_ablation
+from suspnet.runs.fair import write_fair
 from suspnet.runs.readings import write_readings
 from suspnet.runs.tables import (
     records_csv,
@@ -310,6 +311,14 @@ class Readings(_Summary):
     def summarise(self, runs: Sequence[Run], folder: Path) -> None:
         """Write readings.json, .csv, .md and .png and print the table."""
         write_readings(runs, folder)
+
+
+class Fair(_Summary):
+    """Methods tuned alike, over seeds."""
+
+    def summarise(self, runs: Sequence[Run], folder: Path) -> None:
+        """Write fair.json, .csv, .md and .png and print the tables."""
+        write_fair(runs, folder)
 
 
 class Ablation(Callback):

@@ -64,8 +64,8 @@ PACKAGES = ("suspnet", "torch", "numpy", "scipy", "scikit-learn", "hydra-core", 
 class RunContext:
     """What the calling program adds to the records and figures of a run.
 
-    `config` is the resolved configuration; its `ablation_name` and `reading_name` go into
-    metrics.json. `varied` is what a multirun varies, by configuration key: TensorBoard's first
+    `config` is the resolved configuration; its `ablation_name`, `reading_name` and `search_name` go
+    into metrics.json. `varied` is what a multirun varies, by configuration key: TensorBoard's first
     columns. `draw_vehicle`: once is enough in a multirun. `notes` are further entries of the
     model's `training`, such as the healthy trips as "commissioned"; `residual` is the unexplained
     part of a commissioned vehicle's healthy trips, `bogie` its bogie if each part is to be read.
@@ -149,7 +149,10 @@ def train(
     with RunLog(folder, is_new=True) as run_log:
         run_log.config(context.config)
         found, searched = None, {}
-        if search is not None:
+        single = None if search is None else search.single(method_name(estimator))
+        if single is not None:  # nothing to compare
+            estimator.set_params(**single)
+        elif search is not None:
             start = time.perf_counter()
             found = tune(problem, estimator, search, run_log)
             searched = {"search_seconds": time.perf_counter() - start}
@@ -226,6 +229,8 @@ def _metrics(
     for key in ("ablation", "reading"):
         if context.config.get(f"{key}_name"):
             metrics[key] = context.config[f"{key}_name"]
+    if context.config.get("search_name"):
+        metrics["search_name"] = context.config["search_name"]
     metrics["rms_percent"] = rms_percent(problem.task, outcome)
     if model.unexplained is not None:
         metrics["unexplained"] = {
