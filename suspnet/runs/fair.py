@@ -148,8 +148,9 @@ def _orders_markdown(runs: Sequence[Mapping[str, Any]]) -> str:
         whole = [found for found in seeds.values() if set(IN_ORDER) <= set(found)]
         ordered = sum([f[m] for m in IN_ORDER] == sorted(f[m] for m in IN_ORDER) for f in whole)
         last = sum(f["linear"] == max(f[m] for m in IN_ORDER) for f in whole)
-        n = len(whole)
-        rows.append([TITLES.get(name, name), output, f"{ordered} of {n}", f"{last} of {n}"])
+        if whole:
+            counts = [f"{count} of {len(whole)}" for count in (ordered, last)]
+            rows.append([TITLES.get(name, name), output, *counts])
     header = ["tuned in", "output", "the paper's order", "linear regression last"]
     return tabulate(rows, header, tablefmt="github", disable_numparse=True)
 
