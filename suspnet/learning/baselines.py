@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -410,7 +409,10 @@ class CurveFit(BaseEstimator):  # type: ignore[misc]
 
             def compressed(log_parameters: Tensor, rows: Tensor) -> Tensor:
                 curves = forward(log_parameters.exp(), known[rows])
-                ratios = torch.asinh(observed[rows] / floor[rows]), torch.asinh(curves / floor[rows])
+                ratios = (
+                    torch.asinh(observed[rows] / floor[rows]),
+                    torch.asinh(curves / floor[rows]),
+                )
                 return (ratios[0] - ratios[1]).flatten(1)
 
             return plain, compressed

@@ -64,7 +64,9 @@ class GridSearch:
     grids: Annotated[
         Mapping[str, Mapping[str, Sequence[Any]]],
         Setting(
-            "Values of each setting of each method that are tried first", rule="mapping to lists"
+            "Values of each setting of each method that are tried first; a method with one value of "
+            "each is not tuned",
+            rule="mapping to lists",
         ),
     ]
     n_folds: int = setting(5, "Number of folds of the cross-validation", low=2)

@@ -313,6 +313,28 @@ class Readings(_Summary):
         write_readings(runs, folder)
 
 
+class ByOutput(Callback):
+    """MAPE of every output, a row for each setting that a multirun varies but the group."""
+
+    def on_multirun_end(self, config: DictConfig, **kwargs: Any) -> None:
+        """Write by_output.csv and .md and print the table."""
+        folder = Path(config.hydra.sweep.dir)
+        jobs = [path.parent.name for path in sorted(folder.glob("*/metrics.json"))]
+        rows: dict[str, dict[str, Any]] = {}
+        for swept in with_swept(folder, [{"job": job} for job in jobs], "job"):
+            settings = {key: swept[key] for key in swept if key not in ("job", "group")}
+            row = rows.setdefault(json.dumps(settings), settings)
+            for output, values in read_json(folder / swept["job"] / "metrics.json")[
+                "scores"
+            ].items():
+                row[output] = values["mape_percent"]
+        if rows:
+            records = list(rows.values())
+            table = tabulate(records, "keys", "github", floatfmt=".3g", missingval="-")
+            write_study(folder, "by_output", f"MAPE in %\n\n{table}\n", records, records, {})
+            log.info("MAPE in %%\n\n%s\n-> %s/by_output.*", table, folder)
+
+
 class Fair(_Summary):
     """Methods tuned alike, over seeds."""
 

@@ -29,7 +29,7 @@ from suspnet.dynamics import PARAMETERS
 from suspnet.dynamics.quantities import PARTS, QUANTITIES
 from suspnet.ground.storage import write_atomically
 from suspnet.recordings.formats import FORMATS
-from suspnet.runs import readings
+from suspnet.runs import fair, readings
 from suspnet.runs.layouts import layouts_markdown
 from suspnet.runs.tables import MODEL_TITLES, table6_caption, table6_markdown
 
@@ -132,6 +132,26 @@ def readings_table(rows: Sequence[Row]) -> str:
         if row["test"] == "all"
     ]
     return readings.readings_markdown(records)
+
+
+def fair_rows(rows: Sequence[Row]) -> list[Row]:
+    """Return the records of methods tuned alike, with None where the file has nothing."""
+    keys = dict.fromkeys(key for row in rows for key in row)
+    return [{**dict.fromkeys(keys), **row} for row in rows]
+
+
+def whole_grid(rows: Sequence[Row]) -> str:
+    """Return the MAPE of MSVR for each number of training curves and choice of test vehicles."""
+    titles = {"sobol": "between the grid's points", "grid": "on the grid"}
+    lines = [
+        [
+            str(row["data.n_train"]),
+            titles[str(row["protocol.test_sampling"])],
+            *(f"{row[output]:#.3g}" for output in readings.OUTPUTS),
+        ]
+        for row in rows
+    ]
+    return markdown(lines, ["training curves", "test vehicles", *readings.OUTPUTS])
 
 
 def family(_: Sequence[Row]) -> str:
@@ -390,6 +410,9 @@ TABLES: dict[str, tuple[str | None, Callable[[Sequence[Row]], str]]] = {
     "table6_short": ("table6.csv", table6_short),
     "table6_paper": ("table6.csv", table6_paper),
     "readings": ("readings.csv", readings_table),
+    "fair": ("fair.csv", lambda rows: fair.errors_markdown(fair_rows(rows))),
+    "fair_differences": ("fair.csv", lambda rows: fair.differences_markdown(fair_rows(rows))),
+    "whole_grid": ("whole_grid.csv", whole_grid),
     "coverage": ("coverage.csv", coverage.table),
     "mismatch": ("mismatch.csv", mismatch),
     "mismatch_short": ("mismatch.csv", mismatch_short),

@@ -111,6 +111,13 @@ def test_listener_hears_of_each_setting_and_the_estimator_stays():
     assert search.n_settings("fussy") == 2
 
 
+def test_grid_of_one_setting_leaves_nothing_to_compare():
+    search = GridSearch({"fussy": {"level": [0.5]}, "linear": {}, "msvr": GRID})
+    assert search.single("fussy") == {"level": 0.5}
+    assert search.single("linear") == {}
+    assert search.single("msvr") is None
+
+
 def test_settings_that_fail_count_as_infinitely_bad():
     X, Y, _ = problem(log=False)
     found = GridSearch({"fussy": {"level": [-1.0, 0.0, 2.0]}}).run("fussy", Fussy(), X, Y, IDENTITY)

@@ -10,7 +10,7 @@ from omegaconf import OmegaConf
 from test_tables import run
 
 from suspnet.ground.storage import read_json, write_json
-from suspnet.runs.sweeps import Jobs, Table5, Table6, job_rows, seed_rows
+from suspnet.runs.sweeps import ByOutput, Jobs, Table5, Table6, job_rows, seed_rows
 
 FILES = ("jobs.csv", "seeds.csv")
 EDGE = "the best C, 100, is on the edge: slow"
@@ -80,6 +80,23 @@ def test_error_over_an_infinite_bound_is_a_dash_not_zero(tmp_path):
     shown = {row[0]: dict(zip(header, row, strict=True)) for row in rows}
     assert shown["1"]["k_s/bound"] == shown["0"]["k_s/bound"] == shown["1"]["k_p/bound"] == "-"
     assert shown["0"]["k_p/bound"] == "6"
+
+
+def test_outputs_of_all_groups_stand_in_the_row_of_their_settings(tmp_path):
+    for n, (group, output, n_train, mape) in enumerate(
+        [("I", "k_p", 5, 4.0), ("II", "k_s", 5, 3.0), ("I", "k_p", 9, 2.0), ("II", "k_s", 9, 1.0)]
+    ):
+        (tmp_path / f"{n}" / ".hydra").mkdir(parents=True)
+        overrides = [f"group={group}", f"data.n_train={n_train}", "seed=0"]
+        (tmp_path / f"{n}" / ".hydra" / "overrides.yaml").write_text(yaml.safe_dump(overrides))
+        metrics = {"scores": {output: {"mape_percent": mape}}}
+        (tmp_path / f"{n}" / "metrics.json").write_text(json.dumps(metrics))
+    ByOutput().on_multirun_end(OmegaConf.create({"hydra": {"sweep": {"dir": str(tmp_path)}}}))
+    with open(tmp_path / "by_output.csv", newline="") as file:
+        assert list(csv.DictReader(file)) == [
+            {"data.n_train": "5", "k_p": "4.0", "k_s": "3.0"},
+            {"data.n_train": "9", "k_p": "2.0", "k_s": "1.0"},
+        ]
 
 
 def test_seeds_are_averaged_where_nothing_else_differs(tmp_path):
