@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Self
 
@@ -105,8 +105,11 @@ class RunLog:
         values: Mapping[str, Any],
         metrics: Mapping[str, float],
         varied: Mapping[str, Any] | None = None,
+        *,
+        columns: Mapping[str, Any] = HYPERPARAMETERS,
+        metric_columns: Sequence[str] = METRIC_COLUMNS,
     ) -> None:
-        """Write hyperparameters and final metrics for the HPARAMS tab.
+        """Write hyperparameters and final metrics for the HPARAMS tab, in the given columns.
 
         `SummaryWriter.add_hparams` would create a folder of its own below the run's; these
         summaries go into the run's own file, so that a run is one row of the table and one line of
@@ -116,14 +119,14 @@ class RunLog:
         multirun varies, `varied`, in alphabetical order.
         """
         varied = {_column(key): _plain(value) for key, value in (varied or {}).items()}
-        finals = {f"final/{name}": 0.0 for name in METRIC_COLUMNS}
-        experiment, _, end = hparams(HYPERPARAMETERS | varied, finals)
+        finals = {f"final/{name}": 0.0 for name in metric_columns}
+        experiment, _, end = hparams({**columns, **varied}, finals)
         content = experiment.value[0].metadata.plugin_data
-        columns = HParamsPluginData.FromString(content.content)
-        for info in columns.experiment.hparam_infos:
+        declared = HParamsPluginData.FromString(content.content)
+        for info in declared.experiment.hparam_infos:
             info.differs = info.name in ("model", *varied)
-        content.content = columns.SerializeToString()
-        known = {k: v for k, v in values.items() if k in HYPERPARAMETERS and v is not None}
+        content.content = declared.SerializeToString()
+        known = {k: v for k, v in values.items() if k in columns and v is not None}
         _, start, _ = hparams(known | varied, finals)
         for summary in (experiment, start, end):
             self._writer._get_file_writer().add_summary(summary)

@@ -32,6 +32,7 @@ from suspnet.recordings.formats import FORMATS
 from suspnet.runs import readings
 from suspnet.runs.layouts import layouts_markdown
 from suspnet.runs.tables import MODEL_TITLES, table6_caption, table6_markdown
+from suspnet.runs.tube import tube_markdown
 
 ROOT = Path(__file__).parents[2]
 RESULTS = Path(__file__).parent / "results"
@@ -390,6 +391,7 @@ TABLES: dict[str, tuple[str | None, Callable[[Sequence[Row]], str]]] = {
     "table6_short": ("table6.csv", table6_short),
     "table6_paper": ("table6.csv", table6_paper),
     "readings": ("readings.csv", readings_table),
+    "tube": ("tube.csv", tube_markdown),
     "coverage": ("coverage.csv", coverage.table),
     "mismatch": ("mismatch.csv", mismatch),
     "mismatch_short": ("mismatch.csv", mismatch_short),
