@@ -108,6 +108,7 @@ class RunLog:
         *,
         columns: Mapping[str, Any] = HYPERPARAMETERS,
         metric_columns: Sequence[str] = METRIC_COLUMNS,
+        first: Sequence[str] = ("model",),
     ) -> None:
         """Write hyperparameters and final metrics for the HPARAMS tab, in the given columns.
 
@@ -115,8 +116,8 @@ class RunLog:
         summaries go into the run's own file, so that a run is one row of the table and one line of
         the parallel coordinates. TensorBoard takes the columns from whichever run it meets first,
         so every run of a multirun declares the same columns and fills in those it has. TensorBoard
-        shows the columns declared to differ first: here the model and the parameters that the
-        multirun varies, `varied`, in alphabetical order.
+        shows the columns declared to differ first, in alphabetical order: here those of `first` and
+        the parameters that the multirun varies, `varied`.
         """
         varied = {_column(key): _plain(value) for key, value in (varied or {}).items()}
         finals = {f"final/{name}": 0.0 for name in metric_columns}
@@ -124,7 +125,7 @@ class RunLog:
         content = experiment.value[0].metadata.plugin_data
         declared = HParamsPluginData.FromString(content.content)
         for info in declared.experiment.hparam_infos:
-            info.differs = info.name in ("model", *varied)
+            info.differs = info.name in {*first, *varied}
         content.content = declared.SerializeToString()
         known = {k: v for k, v in values.items() if k in columns and v is not None}
         _, start, _ = hparams(known | varied, finals)

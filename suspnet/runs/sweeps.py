@@ -315,6 +315,7 @@ def write_trials(runs: Sequence[Run], folder: Path) -> None:
                     metrics,
                     columns=columns,
                     metric_columns=tuple(metrics),
+                    first=("model", "group", "C", "sigma", "epsilon"),  # as many as are shown
                 )
                 for fold, value in enumerate(folds, start=1):
                     run_log.scalars("cv", {"rmse_of_fold": value}, fold)
