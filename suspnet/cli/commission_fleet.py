@@ -50,7 +50,8 @@ class HealthySettings:
     )
     workers: int = setting(
         2,
-        "Number of suspensions that are commissioned at the same time, where healthy holds several",
+        "Number of suspensions that are commissioned at the same time, where healthy holds "
+        "several, and of processes of experiment=tube",
         low=1,
         most=1024,
     )

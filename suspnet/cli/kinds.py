@@ -67,6 +67,7 @@ KINDS: dict[str, dict[str, str | type]] = {
     "search": {"": "suspnet.learning.search.GridSearch"},
     "sisters": {"": "suspnet.maintenance.sisters.SisterSettings"},
     "trips": {"": "suspnet.estimation.trip_settings.TripSettings"},
+    "tube": {"": "suspnet.runs.tube.TubeStudy"},
     "vehicle": {"": "suspnet.dynamics.Vehicle"},
 }
 """Kinds and the class of each, by the key below which the object is configured; a class itself

@@ -42,6 +42,7 @@ from suspnet.runs.dataset import write_dataset
 from suspnet.runs.fit import check_hyperparameters
 from suspnet.runs.scores import Metrics
 from suspnet.runs.train import RunContext, speed_ranges, train, train_ranges
+from suspnet.runs.tube import write_tube
 from suspnet.spectra.estimates import SPEED_HALF_WIDTH, WIDE_SPEED_HALF_WIDTH, EstimateSettings
 from suspnet.spectra.segments import SpeedRange, covering, setting_words
 
@@ -75,6 +76,9 @@ def main(config: DictConfig) -> None:
     warnings.simplefilter("always", ConvergenceWarning)
     check_language(config.language)
     program.n_threads(config.threads)  # healthy trips are fitted before the models are
+    if config.get("tube"):
+        _study_tube(config, program.run_folder())
+        return
     ranks.start(config.device)
     config.n_healthy = read_numbers(config.n_healthy)
     folder, groups = program.run_folder(), suspensions(config)
@@ -139,6 +143,22 @@ def _run(
         ranges = [replace(r, direction=d) for r in _ranges(config, speeds) for d in directions]
         program.save_config(config, folder)
         train_ranges(ranges, lambda one, where: train_one(_bound(config, one), where), folder)
+
+
+def _study_tube(config: DictConfig, folder: Path) -> None:
+    check_values(HealthySettings, workers=config.workers)
+    study = build(config, "tube")
+    program.save_config(config, folder)
+    write_tube(
+        study,
+        build(config, "generator"),
+        build(config, "protocol"),
+        build(config, "data"),
+        folder,
+        seed=config.seed,
+        workers=config.workers,
+        progress=config.progress,
+    )
 
 
 def _at_a_speed(config: DictConfig) -> DictConfig:

@@ -39,13 +39,14 @@ class SearchResult:
 
     It is averaged over outputs and folds, inf where a fit failed, for which `failures` has the
     reason. `edges` maps each hyperparameter in which the optimum is on the edge to a sentence that
-    says why.
+    says why; `fold_rmse` has the RMSE of each fold, for each setting.
     """
 
     settings: list[dict[str, Any]]
     rmse: list[float]
     failures: list[str] = field(default_factory=list)
     edges: dict[str, str] = field(default_factory=dict)
+    fold_rmse: list[list[float]] = field(default_factory=list)
 
     @property
     def best(self) -> dict[str, Any]:
@@ -187,7 +188,6 @@ class _Trials:
     output_scaling: Scaling
     on_setting: Callable[[dict[str, Any], float], None] | None
     result: SearchResult = field(default_factory=lambda: SearchResult([], []))
-    errors: list[FloatArray] = field(default_factory=list)
 
     def measure(self, settings: Sequence[dict[str, Any]]) -> None:
         """Add settings and their RMSE to the result; call the listener with each."""
@@ -195,7 +195,7 @@ class _Trials:
         result, first = self.result, len(self.result.settings)
         result.settings.extend(settings)
         result.rmse.extend([math.inf] * len(settings))
-        self.errors.extend([np.full(len(self.folds), math.inf)] * len(settings))
+        result.fold_rmse.extend([[math.inf] * len(self.folds)] * len(settings))
         actual = [self.output_scaling.undo(self.Y[rows]) for rows in self.folds]
         for group in _groups(self.estimator, settings):
             # The settings of a group share one predictor, and so its Gram matrices.
@@ -209,9 +209,9 @@ class _Trials:
                             self.estimator, setting, self.X, self.Y, self.folds
                         )
                         predicted = [self.output_scaling.undo(v) for v in predict(setting)]
-                    errors = np.array(list(map(root_mean_squared_error, actual, predicted)))
-                    self.errors[first + k] = errors
-                    result.rmse[first + k] = float(errors.mean())
+                    errors = list(map(root_mean_squared_error, actual, predicted))
+                    result.fold_rmse[first + k] = errors
+                    result.rmse[first + k] = float(np.mean(errors))
                 except ValueError as error:
                     result.failures.append(f"{setting}: {error}")
                 if self.on_setting is not None:
@@ -220,7 +220,8 @@ class _Trials:
     def is_flat(self, other: dict[str, Any]) -> bool:
         """Return whether the edge is flat from the best setting to `other`, the next inwards."""
         places = [self.result.settings.index(one) for one in (self.result.best, other)]
-        best, rise = self.errors[places[0]], self.errors[places[1]] - self.errors[places[0]]
+        best, inner = (np.array(self.result.fold_rmse[place]) for place in places)
+        rise = inner - best
         if not np.isfinite(rise).all():
             return False
         scatter = float(rise.std(ddof=1)) / math.sqrt(len(rise))

@@ -119,7 +119,8 @@ def fit(problem: Problem, estimator: Any, run_log: RunLog | None) -> TrainedMode
         model = replace(model, input_scaling=inputs, output_scaling=outputs)
         _announce(estimator, n_kept)
         start = time.perf_counter()
-        with _FitProgress(estimator, name, run_log, problem.progress), _distributed(estimator):
+        shown = _FitProgress(estimator, name, run_log, n_kept, problem.progress)
+        with shown, _distributed(estimator):
             estimator.fit(inputs.apply(kept.inputs), outputs.apply(kept.outputs))
         training["seconds"] = time.perf_counter() - start
         training |= {"n_train": n_made, "n_train_complete": n_kept}
@@ -173,10 +174,16 @@ def _summary(estimator: Any) -> dict[str, Any]:
 
 
 class _FitProgress:
-    """A progress bar and a log of the values that a fit passes to its callback."""
+    """A progress bar and a log of the values that a fit passes to its callback.
 
-    def __init__(self, estimator: Any, name: str, run_log: RunLog | None, progress: bool) -> None:
-        self._estimator, self._name, self._log = estimator, name, run_log
+    TensorBoard shows them by the name of the solver, if the method has several, else by its own.
+    """
+
+    def __init__(
+        self, estimator: Any, name: str, run_log: RunLog | None, n_samples: int, progress: bool
+    ) -> None:
+        self._estimator, self._log, self._n_samples = estimator, run_log, n_samples
+        self._prefix = str(getattr(estimator, "solver", name))
         self._active = run_log is not None and "callback" in estimator.get_params()
         self._bar = progress_bar(f"fit {name}", unit="step" if self._active else "", shown=progress)
 
@@ -194,6 +201,8 @@ class _FitProgress:
         if self._log is not None and is_dataclass(info) and not isinstance(info, type):
             values = asdict(info)
             step = values.pop(next(iter(values)))
-            self._log.scalars(self._name, values, step)
+            if "support_fraction" in values:  # the paper's iterations have a number of vectors
+                values["support"] = round(values.pop("support_fraction") * self._n_samples)
+            self._log.scalars(self._prefix, values, step)
             shown = {k: f"{v:.3g}" for k, v in list(values.items())[:2]}
             self._bar.set_postfix(shown, refresh=False)

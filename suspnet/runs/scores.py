@@ -209,14 +209,15 @@ def draw_run(
             frequencies_hz.numpy(), example[0].abs().cpu().numpy(), features
         )
     objectives = getattr(model.estimator, "objectives_", [])
-    if len(objectives) > 2:
+    if len(objectives) > 3:  # of two points a line says nothing
         figures["convergence"] = plots.convergence(objectives)
     if found is not None:
         numbers = [
             {k: v for k, v in setting.items() if isinstance(v, int | float)}
             for setting in found.settings
         ]
-        figures["search"] = plots.search_map(numbers, found.rmse)
+        if numbers[0]:  # a method without hyperparameters has one empty setting
+            figures["search"] = plots.search_map(numbers, found.rmse)
     _write_figures(figures, _title(problem, model.name), run_log, folder)
     draw_predictions(problem, model.name, outcome, run_log, folder)
 

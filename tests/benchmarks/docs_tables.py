@@ -32,6 +32,7 @@ from suspnet.recordings.formats import FORMATS
 from suspnet.runs import fair, readings
 from suspnet.runs.layouts import layouts_markdown
 from suspnet.runs.tables import MODEL_TITLES, table6_caption, table6_markdown
+from suspnet.runs.tube import tube_markdown
 
 ROOT = Path(__file__).parents[2]
 RESULTS = Path(__file__).parent / "results"
@@ -413,6 +414,7 @@ TABLES: dict[str, tuple[str | None, Callable[[Sequence[Row]], str]]] = {
     "fair": ("fair.csv", lambda rows: fair.errors_markdown(fair_rows(rows))),
     "fair_differences": ("fair.csv", lambda rows: fair.differences_markdown(fair_rows(rows))),
     "whole_grid": ("whole_grid.csv", whole_grid),
+    "tube": ("tube.csv", tube_markdown),
     "coverage": ("coverage.csv", coverage.table),
     "mismatch": ("mismatch.csv", mismatch),
     "mismatch_short": ("mismatch.csv", mismatch_short),

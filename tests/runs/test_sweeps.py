@@ -7,6 +7,8 @@ import math
 import pytest
 import yaml
 from omegaconf import OmegaConf
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+from tensorboard.plugins.hparams.plugin_data_pb2 import HParamsPluginData
 from test_tables import run
 
 from suspnet.ground.storage import read_json, write_json
@@ -27,7 +29,15 @@ def test_optimum_left_on_an_edge_is_told(tmp_path):
     searched = [
         run(name, ("k_p",))
         | {"group": "primary"}
-        | {"search": {"best": {"C": 100.0}, "rmse": [0.1], "edges": edges}}
+        | {
+            "search": {
+                "best": {"C": 100.0, "epsilon": 1e-3},
+                "settings": [{"C": C, "epsilon": 1e-3} for C in (10.0, 30.0, 100.0)],
+                "rmse": [0.4, math.inf, 0.1],
+                "fold_rmse": [[0.3, 0.5, 0.4], [math.inf] * 3, [0.1, 0.2, 0.0]],
+                "edges": edges,
+            }
+        }
         for name, edges in (("svr", {"C": EDGE}), ("msvr", {}))
     ]
     Table5().summarise(searched, tmp_path)
@@ -36,7 +46,19 @@ def test_optimum_left_on_an_edge_is_told(tmp_path):
     assert [record["edges"] for record in records] == [[EDGE], []]
     written = (tmp_path / "table5.md").read_text()
     assert written.startswith("2 of 0 searches finished\n")  # no folders of jobs here
-    assert "| primary | svr      | C 100         | 0.1 " in written
+    assert "| primary | svr      | C 100, epsilon 0.001 | C             | 0.1 " in written
+    # TensorBoard's HPARAMS tab has a row for each trial that could be fitted
+    trials = tmp_path / "trials"
+    names = sorted(str(path.relative_to(trials).parent) for path in trials.rglob("events*"))
+    both = ("C10 e1e-3", "C100 e1e-3 best")
+    assert names == [f"{model} primary/{name}" for model in ("msvr", "svr") for name in both]
+    events = EventAccumulator(str(trials / names[1])).Reload()
+    assert [event.value for event in events.Scalars("final/best")] == [1]
+    folds = [(event.step, event.value) for event in events.Scalars("cv/rmse_of_fold")]
+    assert folds == [(1, pytest.approx(0.1)), (2, pytest.approx(0.2)), (3, 0)]
+    start = events.summary_metadata["_hparams_/session_start_info"].plugin_data.content
+    shown = HParamsPluginData.FromString(start).session_start_info.hparams
+    assert {"C", "epsilon", "model", "group"} == set(shown)
 
 
 def finished(folder, name, seed, group, errors, **settings):

@@ -1,0 +1,368 @@
+"""The study of the tube: where epsilon, and one tube for all outputs, lower the error of MSVR.
+
+At epsilon = 0 MSVR is kernel ridge regression. A tube can help where the labels, the stiffness and
+damping that training curves are said to have, are wrong by bounded amounts. The study gives them
+errors of several kinds, tunes on these labels as a user would, and scores against the truth.
+"""
+
+from __future__ import annotations
+
+import functools
+import logging
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from statistics import fmean, stdev
+from typing import Annotated, Any
+
+import numpy as np
+from matplotlib.figure import Figure
+from sklearn.multioutput import MultiOutputRegressor
+from tabulate import tabulate
+
+from suspnet.dynamics import ResponseGenerator
+from suspnet.estimation.problem import TEST, TRAIN, Problem
+from suspnet.estimation.protocols import Protocol
+from suspnet.ground.parameters import PARAMETERS
+from suspnet.ground.progress import bar as progress_bar
+from suspnet.ground.settings import Setting, check_choice, check_number, check_settings, setting
+from suspnet.ground.types import FloatArray
+from suspnet.ground.workers import LostWorkerError, each
+from suspnet.learning import MSVR, Scaling
+from suspnet.learning.search import GridSearch
+from suspnet.runs.tables import Record, write_study
+from suspnet.spectra.observation import Observation
+
+log = logging.getLogger(__name__)
+LABELS = {
+    "exact": "none",
+    "uniform": "uniform within ±{:g} %",
+    "ball": "uniform in a ball",
+    "sphere": "of constant length",
+    "steps": "steps of {:g} %",
+    "normal": "normal",
+}
+"""Title of each kind of errors of the labels."""
+SINES = "sines"
+"""Name of the problem whose inputs have no noise."""
+RIDGE_GRID = {"C": [10.0, 100.0, 1e3, 1e4], "sigma": [1.0, 1.7, 3.0, 5.5, 10.0], "epsilon": [0.0]}
+EPSILONS = [0.1, 0.2, 0.4]
+"""Radii of the tube that are tried, in deviations of the outputs."""
+FACTORS = (1.0, 10.0)
+"""Factors on the best C of ridge regression: a tube leaves less loss, so its best C is larger."""
+PREFIXES = {"joint": "", "separate": "estimator__"}
+"""Prefix of the settings of MSVR in the estimator of each method."""
+N_TUNE = 400
+"""Number of curves that settings are tuned on; larger problems are studied with few outputs."""
+MOST_EXACT = 1000
+"""Largest number of curves with the exact kernel; 256 landmarks take its place above."""
+CAPTION = (
+    "Each cell: the error of MSVR with a joint tube over that of kernel ridge regression "
+    "(epsilon = 0), mean ± deviation over seeds; in brackets the same with the epsilon that is "
+    "best on the test curves; then the error over that of a separate tube for each output. C, "
+    f"sigma and epsilon are chosen by five-fold cross-validation on the labels of at most {N_TUNE} "
+    "curves. Errors are rms over test curves and outputs, against the truth, in deviations of the "
+    "output."
+)
+
+
+@dataclass(frozen=True)
+class TubeStudy:
+    """What the study compares: errors of the labels, numbers of curves and of outputs, seeds."""
+
+    labels: Annotated[
+        Sequence[str],
+        Setting(
+            "Errors of the labels: exact, or uniform, ball, sphere, steps or normal with _PERCENT; "
+            "in each output all have the rms error of uniform ones within that tolerance",
+            rule="list of names",
+        ),
+    ] = ("exact", "uniform_5", "uniform_10", "ball_10", "sphere_10", "steps_10", "normal_10")
+    n_train: Annotated[
+        Sequence[int], Setting("Numbers of training curves", rule="whole numbers")
+    ] = (60, 200, 1000, 5000)
+    n_outputs: Annotated[
+        Sequence[int],
+        Setting(
+            "Numbers of outputs, from k_p, c_p, k_s, c_s in this order; above 400 curves only the "
+            "first one",
+            rule="2, 3 or 4",
+        ),
+    ] = (2, 4)
+    sines: bool = setting(True, "Whether to study a smooth function of two exact inputs too")
+    n_seeds: int = setting(5, "Number of seeds, from `seed` on", low=2)
+
+    def __post_init__(self) -> None:
+        check_settings(self)
+        for label in self.labels:
+            kind, _, percent = label.partition("_")
+            check_choice("labels", kind, tuple(LABELS))
+            if kind != "exact":
+                check_number(f"labels: {label}", float(percent or 0), above=0, below=50)
+        for n_train in self.n_train:
+            check_number("n_train", n_train, low=10, whole=True)
+        for n_outputs in self.n_outputs:
+            check_number("n_outputs", n_outputs, low=2, most=4, whole=True)
+
+
+@dataclass(frozen=True)
+class _Cell:
+    """Inputs and true outputs of one problem, for training and test, and how to spoil the labels.
+
+    `at` are the place of the labels in the study and the seed.
+    """
+
+    problem: str
+    label: str
+    at: tuple[int, int]
+    arrays: Sequence[FloatArray]
+    n_train: Sequence[int]
+
+
+@dataclass
+class _Trial:
+    """The best values of C and sigma at one epsilon, with errors in cross-validation and test."""
+
+    method: str
+    epsilon: float
+    values: dict[str, Any]
+    rmse: float
+    percent: float = float("inf")
+
+
+def write_tube(
+    study: TubeStudy,
+    generator: ResponseGenerator,
+    protocol: Protocol,
+    settings: Observation,
+    folder: Path,
+    *,
+    seed: int,
+    workers: int,
+    progress: bool,
+) -> list[Record]:
+    """Write tube.csv, .json, .md and .png; print the table; return one record for each seed."""
+    settings = replace(settings, n_train=max(study.n_train))
+    task = protocol.task(next(iter(protocol.groups)))
+    task = replace(task, outputs=PARAMETERS[: max(study.n_outputs)])
+    cells = []
+    for one in range(seed, seed + study.n_seeds):
+        problem = Problem(generator, task, settings, one, progress=progress)
+        train, test = (problem.features(stream).complete() for stream in (TRAIN, TEST))
+        curves = train.inputs, train.outputs, test.inputs, test.outputs
+        cells += _cells(study, protocol.name, one, curves)
+        if study.sines:
+            sines = _sines(one, len(train.inputs), len(test.inputs))
+            cells += _cells(study, SINES, one, sines)
+    records = []
+    with progress_bar("tube", len(cells), unit="cell", shown=progress) as bar:
+        for _, compared in each(_compared, cells, workers):
+            if isinstance(compared, LostWorkerError):
+                raise compared
+            records += compared
+            bar.update()
+    order = functools.partial(_place, study)
+    records.sort(key=order)
+    text = f"{CAPTION}\n\n{tube_markdown(records)}\n"
+    write_study(folder, "tube", text, records, records, {"tube": tube_figure(records)})
+    log.info("Where the tube pays\n\n%s\n-> %s/tube.*", text, folder)
+    return records
+
+
+def _cells(study: TubeStudy, problem: str, seed: int, arrays: Sequence[FloatArray]) -> list[_Cell]:
+    X, Y, X_test, Y_test = arrays
+    cells = []
+    for n_outputs in study.n_outputs:
+        is_first = n_outputs == study.n_outputs[0]
+        sizes = [n for n in study.n_train if is_first or n <= N_TUNE]
+        own = X, Y[:, :n_outputs], X_test, Y_test[:, :n_outputs]
+        cells += [
+            _Cell(problem, label, (seed, place), own, sizes)
+            for place, label in enumerate(study.labels)
+        ]
+    return cells
+
+
+def _sines(seed: int, *n_samples: int) -> list[FloatArray]:
+    """Return functions of two inputs with about the mean and deviation of the parameters."""
+    rng = np.random.default_rng([seed, 0])
+    slopes = np.array([[3.0, -2.0, 1.0, 2.5], [1.0, 2.0, -3.0, 2.5]])
+    arrays: list[FloatArray] = []
+    for n in n_samples:
+        X = rng.uniform(-1, 1, (n, 2))
+        arrays += [X, 1 + 0.45 * np.sin(X @ slopes + np.array([0.0, 0.5, 1.0, 1.5]))]
+    return arrays
+
+
+def with_errors(label: str, values: FloatArray, rng: np.random.Generator) -> FloatArray:
+    """Return values (n, n_outputs) with the relative errors that a label such as uniform_5 names.
+
+    Each output's rms error is t / sqrt(3), with the tolerance t; steps are 2 t of healthy wide.
+    """
+    kind, _, percent = label.partition("_")
+    t, n_outputs = float(percent or 0) / 100, values.shape[1]
+    if kind == "steps":
+        return np.asarray(2 * t * np.round(values / (2 * t)))
+    normal = rng.normal(size=values.shape)
+    lengths = np.linalg.norm(normal, axis=1, keepdims=True)
+    radii = rng.uniform(size=lengths.shape) ** (1 / n_outputs)
+    errors = {
+        "exact": np.zeros_like(values),
+        "uniform": np.sqrt(3) * rng.uniform(-1, 1, values.shape),
+        "normal": normal,
+        "sphere": np.sqrt(n_outputs) * normal / lengths,
+        "ball": np.sqrt(n_outputs + 2) * radii * normal / lengths,
+    }
+    return np.asarray(values * (1 + t / np.sqrt(3) * errors[kind]))
+
+
+def _compared(cell: _Cell) -> list[Record]:
+    """Return a record for each number of training curves."""
+    X, truth, X_test, Y_test = cell.arrays
+    Y = with_errors(cell.label, truth, np.random.default_rng([*cell.at, 1]))
+    records, tuned = [], {}
+    for n_train in cell.n_train:
+        inputs, outputs = (Scaling.of(values[:n_train], log=False) for values in (X, Y))
+        scaled = inputs.apply(X[:n_train]), outputs.apply(Y[:n_train])
+        # larger problems share the settings of the first N_TUNE curves, which are found once
+        n_tune = min(n_train, N_TUNE)
+        if n_tune not in tuned:
+            tuned[n_tune] = _tuned(*(values[:n_tune] for values in scaled), seed=cell.at[0])
+        ridge, *trials = tuned[n_tune]
+        separate = min((t for t in (ridge, *trials) if t.method != "joint"), key=_rmse)
+        joint = [t for t in (ridge, *trials) if t.method != "separate"]
+        for trial in (*joint, separate):
+            model = _estimator(trial.method, n_train).set_params(**trial.values).fit(*scaled)
+            wrong = outputs.undo(model.predict(inputs.apply(X_test))) - Y_test
+            trial.percent = 100 * float(np.sqrt(np.mean((wrong / Y_test.std(axis=0)) ** 2)))
+        chosen, best = min(joint, key=_rmse), min(joint, key=lambda t: t.percent)
+        records.append(
+            {
+                "problem": cell.problem,
+                "n_outputs": Y.shape[1],
+                "labels": cell.label,
+                "n_train": n_train,
+                "seed": cell.at[0],
+                "ridge_percent": ridge.percent,
+                "joint_percent": chosen.percent,
+                "separate_percent": separate.percent,
+                "best_percent": best.percent,
+                "epsilon": chosen.epsilon,
+                "best_epsilon": best.epsilon,
+                "separate_epsilon": separate.epsilon,
+            }
+        )
+    return records
+
+
+def _tuned(X: FloatArray, Y: FloatArray, seed: int) -> list[_Trial]:
+    """Return the trial of least cross-validated RMSE of ridge regression, then of each tube."""
+    # equations without a tube are linear, so that the whole box of C and sigma is cheap
+    first = _trials("ridge", RIDGE_GRID, X, Y, seed)[0].values
+    near = {"C": [first["C"] * factor for factor in FACTORS], "sigma": [first["sigma"]]}
+    # ridge regression has the same values of C as the tubes
+    ridge = _trials("ridge", {**near, "epsilon": [0.0]}, X, Y, seed)
+    joint, separate = (
+        _trials(name, {**near, "epsilon": EPSILONS}, X, Y, seed) for name in ("joint", "separate")
+    )
+    return [*ridge, *joint, *separate]
+
+
+def _trials(
+    method: str, grid: Mapping[str, Sequence[float]], X: FloatArray, Y: FloatArray, seed: int
+) -> list[_Trial]:
+    """Return the best trial of each epsilon."""
+    prefix = PREFIXES.get(method, "")
+    grids = {method: {prefix + name: values for name, values in grid.items()}}
+    unscaled = Scaling(np.zeros(Y.shape[1]), np.ones(Y.shape[1]), log=False)
+    result = GridSearch(grids, seed=seed).run(method, _estimator(method, len(X)), X, Y, unscaled)
+    every = [
+        _Trial(method, values[f"{prefix}epsilon"], values, rmse)
+        for values, rmse in zip(result.settings, result.rmse, strict=True)
+    ]
+    return [min((t for t in every if t.epsilon == one), key=_rmse) for one in grid["epsilon"]]
+
+
+def _rmse(trial: _Trial) -> float:
+    return trial.rmse
+
+
+def _estimator(method: str, n_train: int) -> Any:
+    feature_map = "exact" if n_train <= MOST_EXACT else "nystroem"
+    model = MSVR(feature_map=feature_map, n_components=256, tol=1e-4)  # errors within 0.1 %
+    return MultiOutputRegressor(model) if method == "separate" else model
+
+
+def _place(study: TubeStudy, record: Record) -> tuple[Any, ...]:
+    label = list(study.labels).index(record["labels"])
+    return (
+        *(record["problem"] == SINES, record["n_outputs"], label),
+        *(record["n_train"], record["seed"]),
+    )
+
+
+def label_title(label: str) -> str:
+    """Return the errors of labels as text.
+
+    >>> label_title("steps_10")
+    'steps of 20 %'
+    """
+    kind, _, percent = label.partition("_")
+    return LABELS[kind].format(float(percent or 0) * (2 if kind == "steps" else 1))
+
+
+def _groups(records: Sequence[Record], *keys: str) -> dict[tuple[Any, ...], list[Record]]:
+    """Return the records by their values of some keys, in order."""
+    groups: dict[tuple[Any, ...], list[Record]] = {}
+    for record in records:
+        groups.setdefault(tuple(record[key] for key in keys), []).append(record)
+    return groups
+
+
+def _ratio(records: Sequence[Record], over: str, method: str = "joint") -> tuple[float, float]:
+    """Return mean and deviation over seeds of a method's error over another one's."""
+    ratios = [r[f"{method}_percent"] / r[f"{over}_percent"] for r in records]
+    return fmean(ratios), stdev(ratios) if len(ratios) > 1 else 0.0
+
+
+def tube_markdown(records: Sequence[Record]) -> str:
+    """Return a row for each problem and kind of labels, a column for each number of curves."""
+    sizes = sorted({r["n_train"] for r in records})
+    rows = []
+    for (problem, n_outputs, label), same in _groups(
+        records, "problem", "n_outputs", "labels"
+    ).items():
+        by_size = _groups(same, "n_train")
+        cells = [_cell_text(by_size[size,]) if (size,) in by_size else "-" for size in sizes]
+        rows.append([problem, str(n_outputs), label_title(label), *cells])
+    header = ["inputs", "outputs", "errors of labels", *(f"n = {size}" for size in sizes)]
+    return tabulate(rows, header, tablefmt="github", disable_numparse=True)
+
+
+def _cell_text(records: Sequence[Record]) -> str:
+    mean, deviation = _ratio(records, "ridge")
+    best, separate = _ratio(records, "ridge", "best")[0], _ratio(records, "separate")[0]
+    return f"{mean:.2f} ± {deviation:.2f} ({best:.2f}), {separate:.2f}"
+
+
+def tube_figure(records: Sequence[Record]) -> Figure:
+    """Draw the error of the joint tube over ridge regression's against the number of curves."""
+    panels = _groups(records, "problem", "n_outputs")
+    figure = Figure(figsize=(5.2 * len(panels), 5.6), layout="constrained")
+    axes = figure.subplots(1, len(panels), squeeze=False, sharey=True)[0]
+    for axis, ((problem, n_outputs), panel) in zip(axes, panels.items(), strict=True):
+        axis.axhline(1, color="black", lw=1)
+        for (label,), same in _groups(panel, "labels").items():
+            by_size = _groups(same, "n_train")
+            mean, deviation = np.array([_ratio(some, "ridge") for some in by_size.values()]).T
+            sizes = [size for (size,) in by_size]
+            axis.errorbar(sizes, mean, deviation, fmt="o-", capsize=3, label=label_title(label))
+        axis.set_title(f"{problem}, {n_outputs} outputs", fontsize=12)
+        axis.set_xlabel("training curves", fontsize=12)
+        axis.set_xscale("log")
+        axis.tick_params(labelsize=12)
+        axis.grid(visible=True, alpha=0.3)
+    axes[0].set_ylabel("error over ridge regression's", fontsize=12)
+    handles, names = axes[0].get_legend_handles_labels()
+    figure.legend(handles, names, loc="outside lower center", ncols=4, fontsize=12)
+    return figure
