@@ -24,6 +24,7 @@ from suspnet.learning import ranks
 from suspnet.learning.design import CACHE_BYTES, DenseDesign, Design, Direction
 from suspnet.learning.feature_maps import FeatureMap
 from suspnet.learning.irwls import IRWLS, Iteration, Solution, Status
+from suspnet.learning.kernel_design import KernelDesign
 from suspnet.learning.map_kinds import MAPS
 
 PREDICT_ROWS = 8192
@@ -404,7 +405,10 @@ class MSVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mis
             self.tol,
             solver=self.solver,
         )
-        return solver.minimise(design, targets, self.callback, sample_weight)
+        start = None
+        if isinstance(design, KernelDesign):
+            start = design.start(solver, targets, sample_weight)
+        return solver.minimise(design, targets, self.callback, sample_weight, start)
 
     def check_parameters(self) -> None:
         """Raise TypeError or ValueError unless every parameter is valid and they fit together."""
