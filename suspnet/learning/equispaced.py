@@ -25,6 +25,8 @@ from suspnet.learning.ranks import AllReduce, identity
 MAX_INPUTS = 3
 MAX_BOX = 800_000
 """Largest number of points of the grid of modes, for which all arrays fit into about 1 GB."""
+MANY_WAVES = 5000
+"""Number of waves up to which a fit takes seconds at most."""
 FFT_ACCURACY = 1e-2
 """Accuracy of the non-uniform FFTs, relative to the kernel's."""
 
@@ -70,6 +72,19 @@ class EquispacedFeatures(FeatureMap):
     def n_inputs(self) -> int:
         """Number of columns the map takes."""
         return self.wave_numbers.shape[1]
+
+    def cost(self, n_samples: int, n_outputs: int) -> str | None:
+        """Return what a fit will cost if that is much: with more than a wave for ten samples."""
+        n_waves, sizes = len(self.strengths), 2 * self.wave_numbers.abs().amax(dim=0) + 1
+        if n_waves <= max(MANY_WAVES, n_samples / 10):
+            return None
+        grid = float((2 * sizes).prod())
+        each = 2 * n_outputs * 5 * grid * math.log2(grid) / 2
+        return (
+            f"feature_map='equispaced' takes {2 * n_waves - 1:,} modes for {n_samples:,} samples: "
+            f"about {3 * 16e-9 * grid * n_outputs:.1g} GB, and {each:.0e} operations for each of "
+            f"hundreds of iterations; 'rff' or 'nystroem' may need far less"
+        )
 
     @property
     def n_features(self) -> int:

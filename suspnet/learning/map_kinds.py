@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+import importlib.util
+from collections.abc import Callable, Collection
+from dataclasses import dataclass, fields
 from typing import Any
 
 from torch import Tensor
@@ -23,6 +24,12 @@ from suspnet.learning.feature_maps import (
 from suspnet.learning.kernel_design import KernelDesign
 from suspnet.learning.ranks import AllReduce
 from suspnet.learning.toeplitz import EquispacedDesign
+
+MOST_EXACT = 5000
+"""Number of samples above which `exact` warns: its kernel takes 0.2 GB, a factor of it as much."""
+EASY_WAVES, SAMPLES_PER_WAVE = 1000, 100
+"""`equispaced` costs less than `rff` up to so many waves, which its preconditioner inverts, or with
+so many samples for each of its waves."""
 
 
 @dataclass(frozen=True)
@@ -51,3 +58,30 @@ MAPS = {
     "exact": MapKind(exact, KernelColumns, KernelDesign),
 }
 """Every feature map by name; a new one is added here."""
+
+
+def automatic(X: Tensor, sigma: float, n_components: int, kernel_tol: float, is_plain: bool) -> str:
+    """Return the name of the map for samples `X` under ``feature_map="auto"``.
+
+    `exact` up to twice `n_components` samples, where it takes no longer than `rff`. Beyond,
+    `equispaced` where finufft is installed and the modes are few, else `rff`. `is_plain`: all
+    samples are here, on the CPU, in float64, as `equispaced` needs them.
+    """
+    if is_plain and len(X) <= min(2 * n_components, MOST_EXACT):
+        return "exact"
+    if is_plain and importlib.util.find_spec("finufft") is not None:
+        try:
+            n_waves = len(equispaced_fourier(X, sigma, 0, 0, kernel_tol).strengths)
+        except ValueError:  # more inputs or modes than it takes
+            return "rff"
+        if n_waves <= max(EASY_WAVES, len(X) / SAMPLES_PER_WAVE):
+            return "equispaced"
+    return "rff"
+
+
+def name_of(tensors: Collection[str]) -> str:
+    """Return the name of the map that ``feature_map="auto"`` chose, from those of its tensors."""
+    for name in ("exact", "equispaced"):
+        if {field.name for field in fields(MAPS[name].holds)} == set(tensors):  # type: ignore[arg-type]
+            return name
+    return "rff"

@@ -22,14 +22,14 @@ from suspnet.ground.tensors import as_tensor, check_device
 from suspnet.ground.types import FloatArray, IntArray
 from suspnet.learning import ranks
 from suspnet.learning.design import CACHE_BYTES, DenseDesign, Design, Direction
+from suspnet.learning.equispaced import EquispacedFeatures
 from suspnet.learning.feature_maps import FeatureMap
 from suspnet.learning.irwls import IRWLS, Iteration, Solution, Status
-from suspnet.learning.map_kinds import MAPS
+from suspnet.learning.kernel_design import KernelDesign
+from suspnet.learning.map_kinds import MAPS, MOST_EXACT, automatic, name_of
 
 PREDICT_ROWS = 8192
 """Rows predicted at once, so that their features fit into memory."""
-MOST_EXACT = 5000
-"""Number of samples above which `exact` warns: its kernel takes 0.2 GB, a factor of it as much."""
 SAME_GRAM_PARAMETERS = ("C", "epsilon")
 """Hyperparameters that the Gram matrix does not depend on."""
 
@@ -56,11 +56,12 @@ class MSVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mis
     epsilon : float, default=1e-3
         Radius of the tube, >= 0, in units of the outputs. A tube that contains many samples needs
         tens to hundreds of iterations, a narrow one a few.
-    feature_map : {"rff", "orf", "nystroem", "equispaced", "exact"}, default="rff"
+    feature_map : {"rff", "orf", "nystroem", "equispaced", "exact", "auto"}, default="rff"
         Random Fourier features, orthogonal ones, Nystroem landmarks by randomly pivoted Cholesky,
         Fourier modes on a regular grid (up to three inputs), or the exact kernel, suited to at
         most about 5,000 samples (its memory grows with the square of their number, its time with
-        the cube).
+        the cube). "auto" takes `exact` up to twice `n_components` samples, else `equispaced` where
+        it pays and finufft is installed, else `rff`.
     n_components : int, default=1024
         Number of features, >= 1; `rff` and `orf` make cosine and sine pairs, so an odd number is
         rounded up; `nystroem` takes fewer when fewer suffice; not used by `equispaced` and `exact`.
@@ -94,6 +95,8 @@ class MSVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mis
 
     Attributes
     ----------
+    feature_map_ : str
+        The feature map in use, never "auto".
     coef_ : array of shape (n_features, n_outputs)
         W; for the exact kernel the dual coefficients, (n_samples, n_outputs).
     intercept_ : array of shape (n_outputs,)
@@ -139,8 +142,8 @@ class MSVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mis
         ),
         "feature_map": Setting(
             "Approximation of the kernel: random Fourier features, orthogonal ones, Nystroem "
-            "landmarks, Fourier modes on a grid (at most three inputs), or the kernel itself "
-            "(memory grows with the square of data.n_train)"
+            "landmarks, Fourier modes on a grid (at most three inputs), the kernel itself (memory "
+            "grows with the square of data.n_train), or what of these takes least time"
         ),
         "n_components": Setting(
             "Number of features of rff and orf (rounded up to an even number), and largest number "
@@ -187,7 +190,7 @@ class MSVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mis
         C: float = 100.0,
         sigma: float | Literal["scale"] = 3.0,
         epsilon: float = 1e-3,
-        feature_map: Literal["rff", "orf", "nystroem", "equispaced", "exact"] = "rff",
+        feature_map: Literal["rff", "orf", "nystroem", "equispaced", "exact", "auto"] = "rff",
         n_components: int = 1024,
         kernel_tol: float = 1e-6,
         fit_intercept: bool = True,
@@ -225,7 +228,8 @@ class MSVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mis
         self.check_parameters()
         check_device(self.device)
         samples, targets = self._validated(X, y)
-        kind = MAPS[self.feature_map]
+        self.feature_map_ = self._chosen(samples)
+        kind = MAPS[self.feature_map_]
         if self.feature_map == "exact" and len(samples) > MOST_EXACT:
             warnings.warn(
                 f"feature_map='exact' takes {2 * 8e-9 * len(samples) ** 2:.1f} GB and more for "
@@ -239,6 +243,10 @@ class MSVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mis
                 "feature_map='exact' needs all samples in one process: use 'nystroem' or 'rff'"
             )
         self._map = self._make_map(ranks.all_gather(samples) if everywhere else samples)
+        if isinstance(self._map, EquispacedFeatures):
+            cost = self._map.cost(len(samples), targets.shape[1])
+            if cost is not None:
+                warnings.warn(cost, UserWarning, stacklevel=2)
         all_reduce = ranks.all_reduce if self.distributed else ranks.identity
         # constant outputs are the intercept, without the rounding that a fit would leave
         constant = torch.zeros_like(targets[:1])
@@ -278,6 +286,7 @@ class MSVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mis
         """
         self.check_parameters()
         samples, targets = self._validated(X, y)
+        self.feature_map_ = self.feature_map
         feature_map = self._make_map(samples)
         parts = [
             DenseDesign(feature_map, samples[fold], cache_bytes=CACHE_BYTES // len(folds))
@@ -334,8 +343,9 @@ class MSVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mis
     def restore(self, state: Mapping[str, FloatArray]) -> Self:
         """Load the arrays of `state`; ValueError if they are missing or inconsistent."""
         self.check_parameters()
-        map_type = MAPS[self.feature_map].holds
         names = [name.removeprefix("map.") for name in state if name.startswith("map.")]
+        self.feature_map_ = name_of(names) if self.feature_map == "auto" else self.feature_map
+        map_type = MAPS[self.feature_map_].holds
         tensors = {
             name: torch.tensor(state[f"map.{name}"], dtype=self._torch_dtype, device=self.device)
             for name in names
@@ -371,9 +381,18 @@ class MSVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mis
         self._single_output = targets.ndim == 1
         return samples, targets[:, None] if targets.ndim == 1 else targets
 
+    def _chosen(self, samples: Tensor) -> str:
+        """Return the name of the feature map to use."""
+        if self.feature_map != "auto":
+            return self.feature_map
+        is_plain = samples.device.type == "cpu" and self.dtype == "float64"
+        is_plain &= not (self.distributed and ranks.is_distributed())
+        width = self._width(samples)
+        return automatic(samples, width, self.n_components, self.kernel_tol, is_plain)
+
     def _make_map(self, samples: Tensor) -> FeatureMap:
         seed = int(check_random_state(self.random_state).randint(2**31 - 1))
-        make = MAPS[self.feature_map].make
+        make = MAPS[self.feature_map_].make
         return make(samples, self._width(samples), self.n_components, seed, self.kernel_tol)
 
     def _width(self, samples: Tensor) -> float:
@@ -404,7 +423,10 @@ class MSVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mis
             self.tol,
             solver=self.solver,
         )
-        return solver.minimise(design, targets, self.callback, sample_weight)
+        start = None
+        if isinstance(design, KernelDesign):
+            start = design.start(solver, targets, sample_weight)
+        return solver.minimise(design, targets, self.callback, sample_weight, start)
 
     def check_parameters(self) -> None:
         """Raise TypeError or ValueError unless every parameter is valid and they fit together."""
@@ -413,6 +435,8 @@ class MSVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mis
             check_number("sigma", self.sigma, above=0)
         if not isinstance(self.fit_intercept, bool | np.bool_):
             raise TypeError(f"`fit_intercept` must be True or False, got {self.fit_intercept!r}")
+        if self.feature_map == "auto":  # takes one that suits the precision and the device
+            return
         kind = MAPS[self.feature_map]
         if self.dtype == "float32" and not kind.float32:
             raise ValueError(

@@ -421,6 +421,23 @@ def test_a_sample_weight_is_that_number_of_samples(feature_map, epsilon, solver)
     assert np.abs(small(**setting).fit(X, Y).predict(X) - weighted.predict(X)).max() > 1e-3
 
 
+@pytest.mark.parametrize(
+    ("C", "sigma", "n_outputs"), [(1.0, 2.0, 2), (10.0, 0.3, 2), (10.0, 2.0, 1), (1.0, 1.0, 4)]
+)
+def test_exact_kernel_in_a_tube_starts_near_the_minimum(C, sigma, n_outputs):
+    # a wide kernel has a low rank, a narrow one has not
+    rng = np.random.default_rng(0)
+    X, weights = rng.uniform(-2, 2, (600, 3)), rng.uniform(0.5, 2, 600)
+    Y = np.sin(X @ rng.normal(size=(3, n_outputs))) + 0.1 * rng.normal(size=(600, n_outputs))
+    setting = {"C": C, "sigma": sigma, "epsilon": 0.3, "feature_map": "exact", "tol": 1e-10}
+    quick = MSVR(**setting).fit(X, Y, sample_weight=weights)
+    printed = MSVR(**setting, solver="irwls").fit(X, Y, sample_weight=weights)  # no warning
+    assert quick.objective_ == pytest.approx(printed.objective_, rel=1e-9)
+    np.testing.assert_allclose(quick.predict(X), printed.predict(X), atol=1e-4, rtol=0)
+    assert quick.grad_norm_ < 1e-6
+    assert quick.n_iter_ <= min(10, printed.n_iter_ / 3)
+
+
 def test_sample_weights_of_the_grid_are_those_of_the_exact_kernel():
     pytest.importorskip("finufft")
     X, Y = smooth_data(0, 60)
@@ -460,3 +477,38 @@ def test_exact_models_saved_with_a_whitening_are_read():
     old["coef"] = np.sqrt(values[kept])[:, None] * (vectors[:, kept].T @ model.coef_)
     restored = small(feature_map="exact").restore(old)
     np.testing.assert_allclose(restored.predict(X), model.predict(X), atol=1e-6, rtol=0)
+
+
+@pytest.mark.parametrize(
+    ("n", "n_inputs", "changes", "chosen"),
+    [
+        (100, 2, {}, "exact"),
+        (101, 2, {}, "equispaced"),
+        (101, 4, {}, "rff"),
+        (101, 2, {"sigma": 0.01}, "rff"),  # a grid of many modes
+        (50, 2, {"dtype": "float32"}, "rff"),
+    ],
+)
+def test_auto_takes_what_is_quickest_and_is_restored(n, n_inputs, changes, chosen, monkeypatch):
+    X = np.random.default_rng(0).uniform(-1, 1, (n, n_inputs))
+    Y = np.column_stack([X.sum(axis=1), X[:, 0] ** 2])
+    setting = {"sigma": 1.0, "n_components": 50} | changes
+    if chosen == "equispaced":
+        pytest.importorskip("finufft")
+    model = MSVR(feature_map="auto", **setting).fit(X, Y)
+    assert model.feature_map_ == chosen
+    named = MSVR(feature_map=chosen, **setting).fit(X, Y)
+    assert np.array_equal(model.predict(X), named.predict(X))
+    restored = MSVR(feature_map="auto", **setting).restore(model.state())
+    assert np.array_equal(restored.predict(X), model.predict(X))
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    without = MSVR(feature_map="auto", **setting).fit(X, Y)
+    assert without.feature_map_ == ("rff" if chosen == "equispaced" else chosen)
+
+
+def test_equispaced_says_beforehand_what_it_will_cost(monkeypatch):
+    pytest.importorskip("finufft")
+    X, Y = smooth_data(0, 60)
+    monkeypatch.setattr("suspnet.learning.equispaced.MANY_WAVES", 5)
+    with pytest.warns(UserWarning, match=r"modes for 60 samples: about .* GB, and .* operations"):
+        small(feature_map="equispaced").fit(X[:, :2], Y)
