@@ -147,12 +147,14 @@ def whole_grid(rows: Sequence[Row]) -> str:
     lines = [
         [
             str(row["data.n_train"]),
+            f"{row['n_components']:,}",
+            f"{row['C']:,}",
             titles[str(row["protocol.test_sampling"])],
             *(f"{row[output]:#.3g}" for output in readings.OUTPUTS),
         ]
         for row in rows
     ]
-    return markdown(lines, ["training curves", "test vehicles", *readings.OUTPUTS])
+    return markdown(lines, ["training curves", "features", "C", "test vehicles", *readings.OUTPUTS])
 
 
 def family(_: Sequence[Row]) -> str:
