@@ -60,16 +60,24 @@ MAPS = {
 """Every feature map by name; a new one is added here."""
 
 
-def automatic(X: Tensor, sigma: float, n_components: int, kernel_tol: float, is_plain: bool) -> str:
+def automatic(
+    X: Tensor,
+    sigma: float,
+    n_components: int,
+    kernel_tol: float,
+    is_plain: bool,
+    is_narrow: bool,
+) -> str:
     """Return the name of the map for samples `X` under ``feature_map="auto"``.
 
     `exact` up to twice `n_components` samples, where it takes no longer than `rff`. Beyond,
     `equispaced` where finufft is installed and the modes are few, else `rff`. `is_plain`: all
-    samples are here, on the CPU, in float64, as `equispaced` needs them.
+    samples are here, on the CPU, in float64, as `equispaced` needs them; `is_narrow`: few samples
+    lie within the tube, for which its solver takes few iterations.
     """
     if is_plain and len(X) <= min(2 * n_components, MOST_EXACT):
         return "exact"
-    if is_plain and importlib.util.find_spec("finufft") is not None:
+    if is_plain and is_narrow and importlib.util.find_spec("finufft") is not None:
         try:
             n_waves = len(equispaced_fourier(X, sigma, 0, 0, kernel_tol).strengths)
         except ValueError:  # more inputs or modes than it takes

@@ -30,6 +30,8 @@ from suspnet.learning.map_kinds import MAPS, MOST_EXACT, automatic, name_of
 
 PREDICT_ROWS = 8192
 """Rows predicted at once, so that their features fit into memory."""
+NARROW = 0.01
+"""Largest epsilon, as a share of the outputs' deviation, at which "auto" takes `equispaced`."""
 SAME_GRAM_PARAMETERS = ("C", "epsilon")
 """Hyperparameters that the Gram matrix does not depend on."""
 
@@ -228,7 +230,7 @@ class MSVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mis
         self.check_parameters()
         check_device(self.device)
         samples, targets = self._validated(X, y)
-        self.feature_map_ = self._chosen(samples)
+        self.feature_map_ = self._chosen(samples, targets)
         kind = MAPS[self.feature_map_]
         if self.feature_map == "exact" and len(samples) > MOST_EXACT:
             warnings.warn(
@@ -381,14 +383,16 @@ class MSVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mis
         self._single_output = targets.ndim == 1
         return samples, targets[:, None] if targets.ndim == 1 else targets
 
-    def _chosen(self, samples: Tensor) -> str:
+    def _chosen(self, samples: Tensor, targets: Tensor) -> str:
         """Return the name of the feature map to use."""
         if self.feature_map != "auto":
             return self.feature_map
         is_plain = samples.device.type == "cpu" and self.dtype == "float64"
         is_plain &= not (self.distributed and ranks.is_distributed())
+        spread = float(targets.std(dim=0, correction=0).max()) if len(targets) else 0.0
+        is_narrow = self.epsilon <= NARROW * spread
         width = self._width(samples)
-        return automatic(samples, width, self.n_components, self.kernel_tol, is_plain)
+        return automatic(samples, width, self.n_components, self.kernel_tol, is_plain, is_narrow)
 
     def _make_map(self, samples: Tensor) -> FeatureMap:
         seed = int(check_random_state(self.random_state).randint(2**31 - 1))

@@ -2,32 +2,41 @@
 
 python tests/benchmarks/against_n.py
 
-Three inputs, uniform with variance 1, two smooth outputs, noise 0.05 on the training targets; the
-error is that against the truth on 5,000 points. C = 10, sigma = 1, epsilon = 1e-3. Writes
-against_n.csv and against_n.png, shown in docs/speed.md.
+Three inputs, uniform with variance 1, two smooth outputs, scaled, with noise 0.1 on the training
+targets; the error is that against the truth on 5,000 points. All have the same kernel and C; the
+tube is as narrow as in Table V of the paper, or 0.3. Writes against_n.csv and against_n.png, shown
+in docs/speed.md.
 """
 
 import csv
 import importlib.util
+import json
 import math
+import os
+import subprocess
 import sys
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from cells import PATIENCE, WARM_UP, Parser, Row, at_least, machine, measured, run_cell, serve
+from cells import WARM_UP, Parser, Row, at_least, machine, measured
 from picture import draw
-from tabulate import tabulate
 
-C, SIGMA, EPSILON, NOISE = 10.0, 1.0, 1e-3, 0.05
+C, SIGMA, EPSILON, TUBE, NOISE = 10.0, 1.0, 1e-3, 0.3, 0.1
 GAMMA, ALPHA = 1 / SIGMA**2, 1 / (2 * C)
-SIZES = [2000, 8000, 22_801, 91_204, 364_816]
-LARGE = 22_801
-"""Exponents are fitted from here on."""
+SIZES = [1000, 2000, 5000, 22_801, 91_204, 364_816]
+QUICK = 5000
+"""Largest n of a quick run."""
+MOST_DENSE = 22_801
+"""Largest n of methods that hold the kernel matrix of all samples, 4.2 GB each time."""
 RESULTS = Path(__file__).parent / "results"
-COLUMNS = ["method", "n", "seconds", "peak_mib", "fit_mib", "rmse", "warning", "failed"]
+NUMBERS = {"n": int, "threads": int} | dict.fromkeys(
+    ["epsilon", "seconds", "peak_mib", "fit_mib", "gpu_mib", "rmse"], float
+)
+COLUMNS = ["method", *NUMBERS, "warning", "failed"]
 
 
 def samples(n: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
@@ -36,7 +45,7 @@ def samples(n: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
     truth = np.column_stack(
         [np.sin(X[:, 0]) + 0.3 * X[:, 1] * X[:, 2], np.cos(X[:, 1]) * np.tanh(X[:, 2])]
     )
-    return X, truth
+    return X, truth / [0.77, 0.38]  # their deviations
 
 
 def training_set(n: int) -> tuple[np.ndarray, np.ndarray]:
@@ -46,121 +55,98 @@ def training_set(n: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 # Libraries are imported where they are used: a process holds only what its method needs.
-def msvr(feature_map: str = "rff", **options: Any) -> Any:
-    from suspnet.learning import MSVR
+def msvr(feature_map: str, **options: Any) -> Callable[[float], Any]:
+    def make(epsilon: float) -> Any:
+        from suspnet.learning import MSVR
 
-    return MSVR(C, SIGMA, EPSILON, feature_map, 1024, **options)
+        return MSVR(C, SIGMA, epsilon, feature_map, 1024, **options)
 
-
-# epsilon = 0.05 and C = 1. Test RMSE and seconds, n = 8,000: epsilon 1e-3 and C 10 (MSVR's):
-# 0.0135, 14 s; epsilon 0.05 and C 0.3, 1, 3, 10, 100: 0.0120, 0.0108, 0.0112, 0.0122, 0.0149 in
-# 0.7, 1.2, 1.1, 2.4, 41 s; epsilon 0.1 and C 3: 0.0172. At n = 2,000 the order is the same:
-# 0.0255 (epsilon 1e-3); 0.0241, 0.0197, 0.0204, 0.0233, 0.0309; 0.0297.
-SVR_SETTINGS = {"C": 1.0, "gamma": GAMMA, "epsilon": NOISE, "cache_size": 500}
+    return make
 
 
-def sklearn_svr() -> Any:
+def sklearn_svr(epsilon: float) -> Any:
     from sklearn.multioutput import MultiOutputRegressor
     from sklearn.svm import SVR
 
-    return MultiOutputRegressor(SVR(**SVR_SETTINGS), n_jobs=2)
+    return MultiOutputRegressor(SVR(C=C, gamma=GAMMA, epsilon=epsilon, cache_size=500))
 
 
-def intel_svr() -> Any:
-    from sklearn.multioutput import MultiOutputRegressor
-    from sklearnex.svm import SVR
-
-    return MultiOutputRegressor(SVR(**SVR_SETTINGS), n_jobs=2)
-
-
-def sampler_ridge() -> Any:
+def sampler_ridge(epsilon: float) -> Any:
     from sklearn.kernel_approximation import RBFSampler
     from sklearn.linear_model import Ridge
     from sklearn.pipeline import make_pipeline
 
-    # alpha 1e-6, 1e-4, 1e-3, 0.01, 0.05, 0.1, 1 at n = 8,000: RMSE 0.0115, 0.0098, 0.0090, 0.0085,
-    # 0.0088, 0.0095, 0.0176
-    return make_pipeline(
-        RBFSampler(gamma=GAMMA, n_components=1024, random_state=0), Ridge(0.01, copy_X=False)
-    )
+    sampler = RBFSampler(gamma=GAMMA, n_components=1024, random_state=0)
+    return make_pipeline(sampler, Ridge(ALPHA, copy_X=False))
 
 
-def nystroem_ridge() -> Any:
+def nystroem_ridge(epsilon: float) -> Any:
     from sklearn.kernel_approximation import Nystroem
     from sklearn.linear_model import Ridge
     from sklearn.pipeline import make_pipeline
 
-    # alpha 1e-6, 1e-4, 1e-3, 0.01, 0.05, 0.1, 1 at n = 8,000: RMSE 0.0133, 0.0131, 0.0122, 0.0107,
-    # 0.0101, 0.0102, 0.0157
-    return make_pipeline(
-        Nystroem(gamma=GAMMA, n_components=500, random_state=0), Ridge(ALPHA, copy_X=False)
-    )
+    landmarks = Nystroem(gamma=GAMMA, n_components=500, random_state=0)
+    return make_pipeline(landmarks, Ridge(ALPHA, copy_X=False))
 
 
-def kernel_ridge() -> Any:
+def kernel_ridge(epsilon: float) -> Any:
     from sklearn.kernel_ridge import KernelRidge
 
-    # alpha 0.01, 0.05, 0.1, 0.3 at n = 2,000: RMSE 0.0202, 0.0179, 0.0181, 0.0214
     return KernelRidge(alpha=ALPHA, kernel="rbf", gamma=GAMMA)
 
 
-def boosting() -> Any:
-    from sklearn.ensemble import HistGradientBoostingRegressor
-    from sklearn.multioutput import MultiOutputRegressor
+class PublicMSVR:
+    """The algorithm of the public MSVR codes: IRWLS in the dual, without an intercept.
 
-    # n = 8,000: RMSE 0.0262; without the l2 0.0280; learning rate 0.05 or 0.2: 0.0276, 0.0323;
-    # 15 or 63 leaves: 0.0267, 0.0293
-    return MultiOutputRegressor(
-        HistGradientBoostingRegressor(
-            max_iter=500, early_stopping=True, l2_regularization=5.0, random_state=0
-        )
-    )
-
-
-def mlp() -> Any:
-    from sklearn.compose import TransformedTargetRegressor
-    from sklearn.neural_network import MLPRegressor
-    from sklearn.preprocessing import StandardScaler
-
-    # n = 8,000 and 22,801: RMSE 0.0056 and 0.0039 in 2.5 and 9.9 s on one thread, 11.7 and 31 s on
-    # two. 300 iterations: 0.0095 and 0.0084; (64, 64), 300 iterations: 0.0091 and 0.0081. Adam with
-    # early stopping, (128, 128), relu: batches of 1,000 0.0121 and 0.0090, of 200 0.0139 and 0.0110
-    network = MLPRegressor(
-        hidden_layer_sizes=(32, 32),
-        activation="tanh",
-        solver="lbfgs",
-        alpha=0.01,
-        max_iter=1000,
-        random_state=0,
-    )
-    return TransformedTargetRegressor(network, transformer=StandardScaler())
-
-
-class GramProduct:
-    """phi^T phi of float32 features, added up over blocks: what no random-feature fit can skip.
-
-    Parameters
-    ----------
-    with_features : bool
-        Make each block from the samples; else it is the same block of random numbers again.
+    Each iteration solves (K + 1 / a) beta = Y on the samples outside the tube, with the weights a
+    of Eq. (10), and moves there by a step that is divided by ten until the functional falls.
     """
 
-    def __init__(self, with_features: bool) -> None:
-        self.with_features = with_features
+    def __init__(
+        self, C: float, sigma: float, epsilon: float, tol: float = 1e-8, max_iter: int = 1000
+    ) -> None:
+        self.C, self.sigma, self.epsilon = C, sigma, epsilon
+        self.tol, self.max_iter = tol, max_iter
 
-    def fit(self, X: np.ndarray, Y: np.ndarray) -> None:
-        import torch
+    def kernel(self, X: np.ndarray) -> np.ndarray:
+        from sklearn.metrics.pairwise import rbf_kernel
 
-        samples = torch.tensor(X, dtype=torch.float32)
-        frequencies = torch.randn(X.shape[1], 512) * math.sqrt(2) / SIGMA
-        phi, gram = torch.randn(8192, 1024), torch.zeros(1024, 1024)
-        for block in samples.split(len(phi)):
-            rows = phi[: len(block)]
-            if self.with_features:
-                angles = block @ frequencies
-                torch.cos(angles, out=rows[:, :512])
-                torch.sin(angles, out=rows[:, 512:])
-            gram.addmm_(rows.T, rows)
+        return rbf_kernel(X, self.X, gamma=1 / self.sigma**2)
+
+    def fit(self, X: np.ndarray, Y: np.ndarray) -> "PublicMSVR":
+        self.X, self.beta = X, np.zeros_like(Y)
+        K = self.kernel(X)
+        size, value = self._at(K, Y, self.beta)
+        for _ in range(self.max_iter):
+            outside = size > self.epsilon
+            if not outside.any():
+                break
+            weights = 2 * self.C * (1 - self.epsilon / size[outside])
+            system = K[np.ix_(outside, outside)] + np.diag(1 / weights)
+            target, step, before = np.zeros_like(Y), 1.0, value
+            target[outside] = np.linalg.solve(system, Y[outside])
+            while True:
+                beta = self.beta + step * (target - self.beta)
+                size, value = self._at(K, Y, beta)
+                if value <= before or step < 1e-16:
+                    break
+                step /= 10
+            if step < 1e-16:
+                break
+            self.beta = beta
+            if before - value <= self.tol * before:
+                break
+        return self
+
+    def _at(self, K: np.ndarray, Y: np.ndarray, beta: np.ndarray) -> tuple[np.ndarray, float]:
+        """Return the norm of each residual, and the functional of Eq. (7)."""
+        predicted = K @ beta
+        size = np.linalg.norm(Y - predicted, axis=1)
+        losses = np.square(np.maximum(size - self.epsilon, 0)).sum()
+        return size, 0.5 * (beta * predicted).sum() + self.C * losses
+
+    def predict(self, X: np.ndarray) -> np.ndarray:
+        return self.kernel(X) @ self.beta
 
 
 @dataclass(frozen=True)
@@ -171,227 +157,227 @@ class Method:
     ----------
     title : str
     make : callable
-        Returns the estimator.
+        Returns the estimator for an epsilon.
     colour, marker : str
     needs : str
         Module without which it is skipped.
-    threads : int, optional
-        Where fewer than all are faster.
-    largest : int, optional
-        Largest n it is tried at; beyond, its matrix of n x n takes too much memory.
-    kind : {"suspnet", "peer", "bound"}
+    largest : int
+        Largest n it is tried at.
+    has_tube : bool
+        Whether epsilon changes it.
+    is_for_wide : bool
+        Whether it is tried with a wide tube.
+    device : {"cpu", "cuda"}
+    kind : {"suspnet", "peer"}
     """
 
     title: str
-    make: Callable[[], Any]
+    make: Callable[[float], Any]
     colour: str
     marker: str = "o"
     needs: str = "sklearn"
-    threads: int | None = None
-    largest: int | None = None
+    largest: int = SIZES[-1]
+    has_tube: bool = True
+    is_for_wide: bool = True
+    device: str = "cpu"
     kind: str = "suspnet"
 
 
-def peer(title: str, make: Callable[[], Any], colour: str, marker: str, **options: Any) -> Method:
-    return Method(title, make, colour, marker, kind="peer", **options)
+def peer(
+    title: str, make: Callable[[float], Any], marker: str, has_tube: bool = False, **options: Any
+) -> Method:
+    return Method(title, make, "0.45", marker, has_tube=has_tube, kind="peer", **options)
+
+
+def on_gpu(**options: Any) -> Callable[[float], Any]:
+    return msvr("rff", device="cuda", **options)
 
 
 METHODS = {
-    "equispaced": Method("MSVR equispaced", lambda: msvr("equispaced"), "#d55e00", needs="finufft"),
-    "equispaced_1e-4": Method(
-        "MSVR equispaced, 1e-4",
-        lambda: msvr("equispaced", kernel_tol=1e-4),
-        "#e69f00",
-        needs="finufft",
+    "auto": Method("MSVR, auto", msvr("auto"), "#009e73", "D"),
+    "exact": Method("MSVR, exact", msvr("exact"), "black", largest=MOST_DENSE),
+    "equispaced": Method(
+        "MSVR, equispaced", msvr("equispaced"), "#d55e00", needs="finufft", is_for_wide=False
     ),
-    "rff_float32": Method("MSVR rff, float32", lambda: msvr(dtype="float32"), "#0072b2"),
-    "rff": Method("MSVR rff, float64", lambda: msvr(), "#56b4e9"),
-    "orf": Method("MSVR orf, float64", lambda: msvr("orf"), "#009e73"),
-    "nystroem": Method("MSVR nystroem", lambda: msvr("nystroem"), "#cc79a7"),
-    "exact": Method("MSVR exact", lambda: msvr("exact"), "black", largest=8000),
-    "svr": peer("SVR", sklearn_svr, "0.35", "s"),
-    "svr_intel": peer("SVR, intelex", intel_svr, "0.55", "D", needs="sklearnex"),
-    "sampler_ridge": peer("RBFSampler 1024 + Ridge", sampler_ridge, "0.45", "^"),
-    "nystroem_ridge": peer("Nystroem 500 + Ridge", nystroem_ridge, "0.45", "v"),
-    "kernel_ridge": peer("KernelRidge", kernel_ridge, "0.45", "P", largest=22_801),
-    "boosting": peer("gradient boosting", boosting, "0.6", "X"),
-    "mlp": peer("MLP 32, 32", mlp, "0.45", "*", threads=1),
-    "gram": Method(
-        "Gram product alone", lambda: GramProduct(False), "0.25", "", "torch", kind="bound"
+    "rff": Method("MSVR, rff", msvr("rff"), "#56b4e9"),
+    "rff_float32": Method("MSVR, rff, float32", msvr("rff", dtype="float32"), "#0072b2"),
+    "rff_cuda": Method("MSVR, rff, cuda", on_gpu(), "#cc79a7", "s", device="cuda"),
+    "rff_float32_cuda": Method(
+        "MSVR, rff, float32, cuda", on_gpu(dtype="float32"), "#aa3377", "s", device="cuda"
     ),
-    "features_gram": Method(
-        "features and Gram product", lambda: GramProduct(True), "0.25", "", "torch", kind="bound"
+    "svr": peer("SVR", sklearn_svr, "s", has_tube=True, largest=91_204),
+    "public_msvr": peer(
+        "public MSVR",
+        lambda epsilon: PublicMSVR(C, SIGMA, epsilon),
+        "X",
+        has_tube=True,
+        largest=MOST_DENSE,
     ),
+    "kernel_ridge": peer("KernelRidge", kernel_ridge, "P", largest=MOST_DENSE),
+    "sampler_ridge": peer("RBFSampler 1024 + Ridge", sampler_ridge, "^"),
+    "nystroem_ridge": peer("Nystroem 500 + Ridge", nystroem_ridge, "v"),
 }
 
 
-def measure(cell: Row) -> Row:
-    """Return the measurements of one method at one n."""
-    from joblib import parallel_config
+def serve(cell: Row) -> None:
+    """Print the measurements of one method at each n, as long as a fit stays within the limit."""
     from sklearn.metrics import root_mean_squared_error
 
-    X, Y = training_set(cell["n"])
-    model = METHODS[cell["method"]].make()
-    with parallel_config(backend="threading"):
-        found = measured(model, X, Y, cell["repeats"])
-    if METHODS[cell["method"]].kind != "bound":
-        X_test, truth = samples(5000, 1)
-        found["rmse"] = float(root_mean_squared_error(truth, model.predict(X_test)))
-    return found
+    method = METHODS[cell["method"]]
+    X_test, truth = samples(5000, 1)
+    before: Row = {}
+    for n in cell["sizes"]:
+        # libsvm's time grows with the square of n, that of dense systems with the cube
+        grown = (n / before["n"]) ** (3 if method.largest == MOST_DENSE else 2) if before else 0
+        if before and method.largest < SIZES[-1] and before["seconds"] * grown > cell["limit_s"]:
+            break
+        X, Y = training_set(n)
+        model = method.make(cell["epsilon"])
+        with warnings.catch_warnings(record=True) as told:
+            warnings.simplefilter("always")
+            row = {"n": n, **measured_anew(model, X, Y, cell["repeats"], method.device)}
+        notes = {str(w.message) for w in told if "Convergence" in w.category.__name__}
+        row["rmse"] = float(root_mean_squared_error(truth, model.predict(X_test)))
+        row["warning"] = "; ".join(sorted(notes))
+        print(json.dumps(row), flush=True)
+        if row["seconds"] > cell["limit_s"]:
+            break
+        before = row
 
 
-def run_all(
-    names: Sequence[str], sizes: Sequence[int], limit_s: float, repeats: int, output: Path
-) -> list[Row]:
-    """Measure every cell, by growing n; the CSV is complete up to the last cell at any time."""
-    rows: list[Row] = []
-    ended = set()
-    for name in names:
-        if importlib.util.find_spec(METHODS[name].needs) is None:
-            print(f"{METHODS[name].title}: skipped, {METHODS[name].needs} is not installed")
-            ended.add(name)
-    for n in sorted(sizes):
-        for name in names:
-            if name in ended or n > (METHODS[name].largest or n):
-                continue
-            cell = {"method": name, "n": n, "repeats": repeats}
-            found = run_cell(__file__, cell, PATIENCE * limit_s, METHODS[name].threads)
-            row = {"method": name, "n": n, **found}
-            if "failed" in row or row["seconds"] > limit_s:
-                ended.add(name)
-            rows.append(row)
-            write(rows, output)
-            print(f"n={n} {name}: {row.get('failed') or describe(row)}", file=sys.stderr)
+def measured_anew(model: Any, X: Any, Y: Any, repeats: int, device: str) -> Row:
+    """Return seconds and memory of a fit, the peak being that since this call."""
+    try:
+        Path("/proc/self/clear_refs").write_text("5")  # forget the peak so far
+    except OSError:
+        pass  # then the peak is that of all n up to this one
+    if device == "cpu":
+        return measured(model, X, Y, repeats)
+    import torch
+
+    torch.cuda.reset_peak_memory_stats()
+    row = measured(model, X, Y, repeats)
+    return {**row, "gpu_mib": torch.cuda.max_memory_allocated() / 2**20}
+
+
+def run_series(cell: Row, threads: int) -> list[Row]:
+    """Return what `serve` printed in a process of its own, one row for each n."""
+    names = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+    environment = {**os.environ, **dict.fromkeys(names, str(threads))}
+    patience = 5 * cell["limit_s"] + 60
+    command = [sys.executable, __file__, "cell", json.dumps(cell)]
+    process = subprocess.Popen(
+        command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    failed = ""
+    try:
+        out, errors = process.communicate(timeout=patience)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        out, _ = process.communicate()
+        failed = f"ended after {patience:.0f} s"
+    else:
+        if process.returncode:
+            last = errors.strip().splitlines()[-1:] or ["out of memory?"]
+            failed = f"exit code {process.returncode}: {last[0]}"
+    given = {"method": cell["method"], "epsilon": cell["epsilon"], "threads": threads}
+    rows = [{**given, **json.loads(line)} for line in out.splitlines() if line.startswith("{")]
+    if failed:
+        left = [n for n in cell["sizes"] if n > max((row["n"] for row in rows), default=0)]
+        rows.append({**given, "n": (left or cell["sizes"])[0], "failed": failed})
     return rows
 
 
-def describe(row: Row) -> str:
-    """Return the seconds, memory and error of a cell."""
-    rmse = f"{row['rmse']:.5f}" if row.get("rmse") else ""
-    return f"{row['seconds']:.3g} s  {row['peak_mib']:.0f} ({row['fit_mib']:.0f}) MiB  {rmse}"
+def run_all(options: Any) -> list[Row]:
+    """Measure every method; the CSV is complete up to the last one at any time."""
+    rows: list[Row] = []
+    for name in options.methods:
+        method = METHODS[name]
+        if importlib.util.find_spec(method.needs) is None:
+            print(f"{method.title}: skipped, {method.needs} is not installed")
+            continue
+        if method.device != "cpu" and method.device != options.device:
+            continue
+        sizes = [n for n in sorted(options.n) if n <= min(method.largest, options.max_n)]
+        for epsilon in options.epsilon if method.has_tube else options.epsilon[:1]:
+            if epsilon > EPSILON and not method.is_for_wide:
+                continue
+            for threads in options.threads:
+                cell = {"method": name, "epsilon": epsilon, "sizes": sizes}
+                cell |= {"repeats": options.repeats, "limit_s": options.limit_s}
+                rows += run_series(cell, threads)
+                write(rows, options.out)
+                print(f"{method.title}, epsilon {epsilon:g}, {threads} threads", file=sys.stderr)
+    return rows
 
 
-def write(rows: Sequence[Row], output: Path) -> None:
-    """Write the cells so far to against_n.csv."""
-    with (output / "against_n.csv").open("w", newline="") as file:
+def write(rows: Sequence[Row], out: Path) -> None:
+    """Write the rows so far to against_n.csv."""
+    with (out / "against_n.csv").open("w", newline="") as file:
         writer = csv.DictWriter(file, COLUMNS)
         writer.writeheader()
         writer.writerows(rows)
 
 
-def read(output: Path) -> list[Row]:
-    """Return the cells of against_n.csv."""
-    numbers = {"n": int} | dict.fromkeys(["seconds", "peak_mib", "fit_mib", "rmse"], float)
-    with (output / "against_n.csv").open(newline="") as file:
+def read(out: Path) -> list[Row]:
+    """Return the rows of against_n.csv."""
+    with (out / "against_n.csv").open(newline="") as file:
         return [
-            {key: numbers.get(key, str)(text) for key, text in row.items() if text}
+            {key: NUMBERS.get(key, str)(text) for key, text in row.items() if text}
             for row in csv.DictReader(file)
         ]
 
 
-def table(rows: Sequence[Row]) -> str:
-    """Return one line for each method, and three columns for each n."""
-    sizes = sorted({row["n"] for row in rows})
-    found = {(row["method"], row["n"]): row for row in rows}
-    names = [name for name in METHODS if any(row["method"] == name for row in rows)]
-    lines = []
-    for name in names:
-        line = [METHODS[name].title]
-        for n in sizes:
-            row = found.get((name, n), {})
-            line += [short(row, "seconds"), short(row, "peak_mib"), short(row, "rmse")]
-        lines.append(line)
-    headers = ["method"]
-    for n in sizes:
-        headers += [f"s, n={n}", "MiB", "RMSE"]
-    return tabulate(lines, headers, tablefmt="pipe", disable_numparse=True)
-
-
-def short(row: Row, key: str) -> str:
-    """Return an entry of the table; the memory with the fit's own part."""
-    if "failed" in row:
-        return "failed"
-    if key not in row:
-        return "-"
-    if key == "peak_mib":
-        return f"{row[key]:.0f} ({row['fit_mib']:.0f})"
-    return f"{row[key]:.5f}" if key == "rmse" else f"{row[key]:#.3g}".rstrip(".")
-
-
-def summary(rows: Sequence[Row]) -> list[str]:
-    """Return how time grows with n, and how far the peers are at the largest n."""
-    ok = [row for row in rows if "failed" not in row]
-    lines = []
+def lines(rows: Sequence[Row]) -> list[str]:
+    """Return a line of text for each row."""
+    found = []
     for row in rows:
-        method = METHODS[row["method"]]
-        told = row.get("failed") or (method.kind == "suspnet" and row.get("warning"))
-        if told:
-            lines.append(f"{method.title}, n = {row['n']:,}: {told}")
-    for name, method in METHODS.items():
-        points = [r for r in ok if r["method"] == name and r["n"] >= LARGE]
-        if method.kind == "suspnet" and len(points) > 1:
-            x, y = (np.log([r[key] for r in points]) for key in ("n", "seconds"))
-            slope = np.polyfit(x, y, 1)[0]
-            lines.append(f"{method.title}: time grows as n^{slope:.2f} from n = {LARGE:,}")
-    n = max((row["n"] for row in ok), default=0)
-    largest = {row["method"]: row for row in ok if row["n"] == n}
-    if "equispaced" in largest:
-        lines.append(f"n = {n:,}: " + against_peers(largest))
-    for bound in ("gram", "features_gram"):
-        if bound in largest and "rff_float32" in largest:
-            ratio = largest["rff_float32"]["seconds"] / largest[bound]["seconds"]
-            lines.append(f"n = {n:,}: MSVR rff, float32 / {METHODS[bound].title} = {ratio:.2f}")
-    return lines
-
-
-def against_peers(largest: dict[str, Row]) -> str:
-    """Compare equispaced with the fastest peer that is as accurate, or the most accurate one."""
-    ours = largest["equispaced"]
-    peers = [row for name, row in largest.items() if METHODS[name].kind == "peer"]
-    if not peers:
-        return "no peer was measured"
-    equal = [row for row in peers if row["rmse"] <= ours["rmse"]]
-    if equal:
-        other, words = min(equal, key=lambda row: row["seconds"]), "fastest peer of no larger RMSE"
-    else:
-        other, words = min(peers, key=lambda row: row["rmse"]), "no peer is as accurate; the best"
-    return (
-        f"{words}: {METHODS[other['method']].title}, RMSE {other['rmse']:.5f} (MSVR equispaced "
-        f"{ours['rmse']:.5f}), takes {other['seconds'] / ours['seconds']:.1f} times as long"
-    )
+        told = row.get("failed") or (
+            f"{row['seconds']:8.3f} s {row['peak_mib']:7.0f} MiB ({row['fit_mib']:.0f}) "
+            + (f"{row['gpu_mib']:.0f} MiB of the GPU " if row.get("gpu_mib") else "")
+            + f"rmse {row['rmse']:.5f} {row.get('warning', '')}"
+        )
+        start = f"{METHODS[row['method']].title:26} epsilon {row['epsilon']:<6g}"
+        found.append(f"{start} threads {row['threads']:2} n {row['n']:7,} {told}")
+    return found
 
 
 def main() -> None:
     parser = Parser(description=__doc__.splitlines()[0])
-    parser.add_argument(
-        "--n", nargs="+", type=at_least(WARM_UP), default=SIZES, help="numbers of samples"
-    )
+    parser.add_argument("--n", nargs="+", type=at_least(WARM_UP), default=SIZES, help="samples")
+    parser.add_argument("--max-n", type=at_least(WARM_UP), default=SIZES[-1], help="no n above")
+    parser.add_argument("--quick", action="store_true", help=f"n up to {QUICK:,}, one fit each")
     parser.add_argument("--methods", nargs="+", choices=METHODS, default=list(METHODS))
+    parser.add_argument("--epsilon", nargs="+", type=at_least(0, float), default=[EPSILON, TUBE])
     parser.add_argument(
-        "--limit-s",
-        type=at_least(1, float),
-        default=90.0,
-        help="no larger n for a method above this",
+        "--threads", nargs="+", type=at_least(1), default=[os.cpu_count() or 1], help="in turn"
+    )
+    parser.add_argument("--device", choices=("cpu", "cuda"), default="cpu", help="cuda: as well")
+    parser.add_argument(
+        "--limit-s", type=at_least(0.1, float), default=60.0, help="no larger n above this"
     )
     parser.add_argument("--repeats", type=at_least(1), default=3, help="fits, of which the median")
-    parser.add_argument("--output", type=Path, default=RESULTS, help="folder of CSV and figure")
+    parser.add_argument("--out", type=Path, default=RESULTS, help="folder of CSV and figure")
     parser.add_argument("--redraw", action="store_true", help="from the CSV, without measuring")
     options = parser.parse_args()
+    if options.quick:
+        options.max_n, options.repeats = min(options.max_n, QUICK), 1
     try:
         if options.redraw:
-            rows = read(options.output)
+            rows = read(options.out)
         else:
-            options.output.mkdir(parents=True, exist_ok=True)
-            print(machine())
-            rows = run_all(
-                options.methods, options.n, options.limit_s, options.repeats, options.output
-            )
+            options.out.mkdir(parents=True, exist_ok=True)
+            print(machine(), f"in use: {options.threads}", sep="; ")
+            rows = run_all(options)
     except OSError as error:
         parser.error(f"{error}")
-    print(table(rows))
-    print("MiB: of the whole process (of it, the fit). -: not tried.", *summary(rows), sep="\n- ")
-    draw(rows, METHODS, options.output / "against_n.png")
+    print(*lines(rows), sep="\n")
+    print("MiB: of the whole process (of it, the fit)")
+    draw(rows, METHODS, options.out / "against_n.png")
 
 
 if __name__ == "__main__":
-    serve(measure) or main()
+    if sys.argv[1:2] == ["cell"]:
+        serve(json.loads(sys.argv[2]))
+    else:
+        main()

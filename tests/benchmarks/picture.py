@@ -1,4 +1,4 @@
-"""The picture of ``against_n``: three panels against n, each line named at its end."""
+"""The picture of ``against_n``: three panels for each tube, each line named at its end."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -8,48 +8,63 @@ from typing import Any
 import numpy as np
 from cells import Row
 
+PANELS = (("seconds", "fit time [s]"), ("peak_mib", "peak memory [MiB]"), ("rmse", "test RMSE"))
+
 
 def draw(rows: Sequence[Row], methods: Mapping[str, Any], path: Path) -> None:
-    """Draw seconds, memory and error against n; each line is named at its end."""
+    """Draw seconds, memory and error against n, each tube in a row of panels.
+
+    Methods without a tube are drawn beside every one. Of several numbers of threads the largest is
+    drawn.
+    """
     from matplotlib.figure import Figure
+
+    threads = max(row["threads"] for row in rows)
+    rows = [row for row in rows if row["threads"] == threads]
+    tubes = sorted({row["epsilon"] for row in rows if methods[row["method"]].has_tube}) or [0.0]
+    figure = Figure(figsize=(17, 6 * len(tubes)), layout="constrained")
+    axes = figure.subplots(len(tubes), 3, squeeze=False)
+    for tube, line in zip(tubes, axes, strict=True):
+        drawn = [r for r in rows if r["epsilon"] == tube or not methods[r["method"]].has_tube]
+        for axis, (key, title) in zip(line, PANELS, strict=True):
+            panel(axis, drawn, methods, key)
+            axis.set_title(f"{title}, epsilon {tube:g}", loc="left", fontweight="bold")
+    figure.suptitle(
+        f"3 inputs, 2 outputs, C = 10, sigma = 1, {threads} threads; thick: suspnet, grey: others"
+    )
+    figure.savefig(path, dpi=80)
+
+
+def panel(axis: Any, rows: Sequence[Row], methods: Mapping[str, Any], key: str) -> None:
+    """Draw one number against n; each line is named at its end."""
     from matplotlib.ticker import LogLocator
 
-    figure = Figure(figsize=(17, 6.5), layout="constrained")
-    axes = figure.subplots(1, 3)
-    panels = (("seconds", "fit time [s]"), ("peak_mib", "peak memory [MiB]"), ("rmse", "test RMSE"))
-    for axis, (key, title) in zip(axes, panels, strict=True):
-        ends = []
-        for name, method in reversed(methods.items()):  # the first on top
-            points = sorted((r["n"], r[key]) for r in rows if r["method"] == name and key in r)
-            if not points or (method.kind == "bound" and key != "seconds"):
-                continue
-            ours = method.kind == "suspnet"
-            axis.loglog(
-                *zip(*points, strict=True),
-                color=method.colour,
-                marker=method.marker,
-                lw=2.8 if ours else 1.0,
-                ls=":" if method.kind == "bound" else "-",
-                ms=6 if ours else 4,
-                zorder=3 if ours else 2,
-            )
-            ends.append((*points[-1], method))
-        sizes = sorted({row["n"] for row in rows})
-        axis.set_title(title, loc="left", fontweight="bold")
-        axis.set_xlabel("training samples n")
-        axis.set_xticks(sizes, [f"{n:,}" for n in sizes], fontsize=8)
-        axis.xaxis.minorticks_off()
-        axis.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
-        axis.yaxis.set_major_formatter("{x:g}")
-        axis.yaxis.minorticks_off()
-        axis.grid(True, alpha=0.25)
-        axis.spines[["top", "right"]].set_visible(False)
-        if ends:
-            label(axis, ends)
-    figure.suptitle(
-        "3 inputs, 2 outputs, C = 10, sigma = 1, epsilon = 1e-3; thick: suspnet, grey: others"
-    )
-    figure.savefig(path, dpi=110)
+    ends = []
+    for name, method in reversed(methods.items()):  # the first on top
+        points = sorted((r["n"], r[key]) for r in rows if r["method"] == name and key in r)
+        if not points:
+            continue
+        ours = method.kind == "suspnet"
+        axis.loglog(
+            *zip(*points, strict=True),
+            color=method.colour,
+            marker=method.marker,
+            lw=2.4 if ours else 1.0,
+            ms=6 if ours else 4,
+            zorder=3 if ours else 2,
+        )
+        ends.append((*points[-1], method))
+    sizes = sorted({row["n"] for row in rows})
+    axis.set_xlabel("training samples n")
+    axis.set_xticks(sizes, [f"{n:,}" for n in sizes], fontsize=8)
+    axis.xaxis.minorticks_off()
+    axis.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+    axis.yaxis.set_major_formatter("{x:g}")
+    axis.yaxis.minorticks_off()
+    axis.grid(True, alpha=0.25)
+    axis.spines[["top", "right"]].set_visible(False)
+    if ends:
+        label(axis, ends)
 
 
 def label(axis: Any, ends: Sequence[tuple[float, float, Any]]) -> None:
