@@ -223,16 +223,16 @@ def _compared(cell: _Cell) -> list[Record]:
     records, tuned = [], {}
     for n_train in cell.n_train:
         inputs, outputs = (Scaling.of(values[:n_train], log=False) for values in (X, Y))
-        scaled = inputs.apply(X[:n_train]), outputs.apply(Y[:n_train])
+        A, B = inputs.apply(X[:n_train]), outputs.apply(Y[:n_train])
         # larger problems share the settings of the first N_TUNE curves, which are found once
         n_tune = min(n_train, N_TUNE)
         if n_tune not in tuned:
-            tuned[n_tune] = _tuned(*(values[:n_tune] for values in scaled), seed=cell.at[0])
+            tuned[n_tune] = _tuned(A[:n_tune], B[:n_tune], cell.at[0])
         ridge, *trials = tuned[n_tune]
         separate = min((t for t in (ridge, *trials) if t.method != "joint"), key=_rmse)
         joint = [t for t in (ridge, *trials) if t.method != "separate"]
         for trial in (*joint, separate):
-            model = _estimator(trial.method, n_train).set_params(**trial.values).fit(*scaled)
+            model = _estimator(trial.method, n_train).set_params(**trial.values).fit(A, B)
             wrong = outputs.undo(model.predict(inputs.apply(X_test))) - Y_test
             trial.percent = 100 * float(np.sqrt(np.mean((wrong / Y_test.std(axis=0)) ** 2)))
         chosen, best = min(joint, key=_rmse), min(joint, key=lambda t: t.percent)
@@ -288,8 +288,9 @@ def _rmse(trial: _Trial) -> float:
 
 
 def _estimator(method: str, n_train: int) -> Any:
-    feature_map = "exact" if n_train <= MOST_EXACT else "nystroem"
-    model = MSVR(feature_map=feature_map, n_components=256, tol=1e-4)  # errors within 0.1 %
+    model = MSVR(feature_map="exact", tol=1e-4)  # errors within 0.1 %
+    if n_train > MOST_EXACT:
+        model.set_params(feature_map="nystroem", n_components=256)
     return MultiOutputRegressor(model) if method == "separate" else model
 
 
