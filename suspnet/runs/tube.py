@@ -7,7 +7,6 @@ errors of several kinds, tunes on these labels as a user would, and scores again
 
 from __future__ import annotations
 
-import functools
 import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -161,8 +160,9 @@ def write_tube(
                 raise compared
             records += compared
             bar.update()
-    order = functools.partial(_place, study)
-    records.sort(key=order)
+    records.sort(key=lambda r: (r["n_train"], r["seed"]))  # the pool has no order
+    labels = list(study.labels)
+    records.sort(key=lambda r: (r["problem"] == SINES, r["n_outputs"], labels.index(r["labels"])))
     text = f"{CAPTION}\n\n{tube_markdown(records)}\n"
     write_study(folder, "tube", text, records, records, {"tube": tube_figure(records)})
     log.info("Where the tube pays\n\n%s\n-> %s/tube.*", text, folder)
@@ -294,14 +294,6 @@ def _estimator(method: str, n_train: int) -> Any:
     return MultiOutputRegressor(model) if method == "separate" else model
 
 
-def _place(study: TubeStudy, record: Record) -> tuple[Any, ...]:
-    label = list(study.labels).index(record["labels"])
-    return (
-        *(record["problem"] == SINES, record["n_outputs"], label),
-        *(record["n_train"], record["seed"]),
-    )
-
-
 def label_title(label: str) -> str:
     """Return the errors of labels as text.
 
@@ -353,14 +345,16 @@ def tube_figure(records: Sequence[Record]) -> Figure:
     axes = figure.subplots(1, len(panels), squeeze=False, sharey=True)[0]
     for axis, ((problem, n_outputs), panel) in zip(axes, panels.items(), strict=True):
         axis.axhline(1, color="black", lw=1)
+        sizes = sorted({r["n_train"] for r in panel})
         for (label,), same in _groups(panel, "labels").items():
             by_size = _groups(same, "n_train")
             mean, deviation = np.array([_ratio(some, "ridge") for some in by_size.values()]).T
-            sizes = [size for (size,) in by_size]
             axis.errorbar(sizes, mean, deviation, fmt="o-", capsize=3, label=label_title(label))
         axis.set_title(f"{problem}, {n_outputs} outputs", fontsize=12)
         axis.set_xlabel("training curves", fontsize=12)
         axis.set_xscale("log")
+        axis.set_xticks(sizes, [f"{size:g}" for size in sizes])
+        axis.minorticks_off()
         axis.tick_params(labelsize=12)
         axis.grid(visible=True, alpha=0.3)
     axes[0].set_ylabel("error over ridge regression's", fontsize=12)
