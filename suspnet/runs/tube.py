@@ -7,7 +7,6 @@ errors of several kinds, tunes on these labels as a user would, and scores again
 
 from __future__ import annotations
 
-import functools
 import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -161,8 +160,9 @@ def write_tube(
                 raise compared
             records += compared
             bar.update()
-    order = functools.partial(_place, study)
-    records.sort(key=order)
+    records.sort(key=lambda r: (r["n_train"], r["seed"]))  # the pool has no order
+    labels = list(study.labels)
+    records.sort(key=lambda r: (r["problem"] == SINES, r["n_outputs"], labels.index(r["labels"])))
     text = f"{CAPTION}\n\n{tube_markdown(records)}\n"
     write_study(folder, "tube", text, records, records, {"tube": tube_figure(records)})
     log.info("Where the tube pays\n\n%s\n-> %s/tube.*", text, folder)
@@ -223,16 +223,16 @@ def _compared(cell: _Cell) -> list[Record]:
     records, tuned = [], {}
     for n_train in cell.n_train:
         inputs, outputs = (Scaling.of(values[:n_train], log=False) for values in (X, Y))
-        scaled = inputs.apply(X[:n_train]), outputs.apply(Y[:n_train])
+        A, B = inputs.apply(X[:n_train]), outputs.apply(Y[:n_train])
         # larger problems share the settings of the first N_TUNE curves, which are found once
         n_tune = min(n_train, N_TUNE)
         if n_tune not in tuned:
-            tuned[n_tune] = _tuned(*(values[:n_tune] for values in scaled), seed=cell.at[0])
+            tuned[n_tune] = _tuned(A[:n_tune], B[:n_tune], cell.at[0])
         ridge, *trials = tuned[n_tune]
         separate = min((t for t in (ridge, *trials) if t.method != "joint"), key=_rmse)
         joint = [t for t in (ridge, *trials) if t.method != "separate"]
         for trial in (*joint, separate):
-            model = _estimator(trial.method, n_train).set_params(**trial.values).fit(*scaled)
+            model = _estimator(trial.method, n_train).set_params(**trial.values).fit(A, B)
             wrong = outputs.undo(model.predict(inputs.apply(X_test))) - Y_test
             trial.percent = 100 * float(np.sqrt(np.mean((wrong / Y_test.std(axis=0)) ** 2)))
         chosen, best = min(joint, key=_rmse), min(joint, key=lambda t: t.percent)
@@ -288,17 +288,10 @@ def _rmse(trial: _Trial) -> float:
 
 
 def _estimator(method: str, n_train: int) -> Any:
-    feature_map = "exact" if n_train <= MOST_EXACT else "nystroem"
-    model = MSVR(feature_map=feature_map, n_components=256, tol=1e-4)  # errors within 0.1 %
+    model = MSVR(feature_map="exact", tol=1e-4)  # errors within 0.1 %
+    if n_train > MOST_EXACT:
+        model.set_params(feature_map="nystroem", n_components=256)
     return MultiOutputRegressor(model) if method == "separate" else model
-
-
-def _place(study: TubeStudy, record: Record) -> tuple[Any, ...]:
-    label = list(study.labels).index(record["labels"])
-    return (
-        *(record["problem"] == SINES, record["n_outputs"], label),
-        *(record["n_train"], record["seed"]),
-    )
 
 
 def label_title(label: str) -> str:
@@ -352,17 +345,19 @@ def tube_figure(records: Sequence[Record]) -> Figure:
     axes = figure.subplots(1, len(panels), squeeze=False, sharey=True)[0]
     for axis, ((problem, n_outputs), panel) in zip(axes, panels.items(), strict=True):
         axis.axhline(1, color="black", lw=1)
+        sizes = sorted({r["n_train"] for r in panel})
         for (label,), same in _groups(panel, "labels").items():
             by_size = _groups(same, "n_train")
             mean, deviation = np.array([_ratio(some, "ridge") for some in by_size.values()]).T
-            sizes = [size for (size,) in by_size]
             axis.errorbar(sizes, mean, deviation, fmt="o-", capsize=3, label=label_title(label))
         axis.set_title(f"{problem}, {n_outputs} outputs", fontsize=12)
         axis.set_xlabel("training curves", fontsize=12)
         axis.set_xscale("log")
+        axis.set_xticks(sizes, [f"{size:g}" for size in sizes])
+        axis.minorticks_off()
         axis.tick_params(labelsize=12)
         axis.grid(visible=True, alpha=0.3)
     axes[0].set_ylabel("error over ridge regression's", fontsize=12)
     handles, names = axes[0].get_legend_handles_labels()
-    figure.legend(handles, names, loc="outside lower center", ncols=4, fontsize=12)
+    figure.legend(handles, names, loc="outside lower center", ncols=2 * len(panels), fontsize=12)
     return figure
