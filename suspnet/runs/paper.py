@@ -93,23 +93,31 @@ class Exhibit:
         return f"fig{int(number):02d}"
 
 
-def write_paper(runs: Sequence[Mapping[str, Any]], folder: Path) -> list[Exhibit]:
+def write_paper(
+    runs: Sequence[Mapping[str, Any]],
+    folder: Path,
+    *,
+    fleet: Fleet = FLEET,
+    of_trips: EstimateSettings = CURVES_OF_TRIPS,
+    snr_db: Sequence[float] = SNR_DB,
+) -> list[Exhibit]:
     """Make every exhibit from the jobs of a multirun of Table VI, list them, and return them.
 
     `runs` holds the metrics.json of the jobs in `folder`, which gets fig*.png, table*.md, paper.csv
-    and index.html.
+    and index.html. `fleet` are the simulated trips, `of_trips` the training curves of the model
+    that reads them, `snr_db` the noise of Fig. 11.
     """
     models = _models(folder)
     with mpl.rc_context({"font.size": FONT_POINTS}), RunLog(folder) as run_log:
-        noisy = _at_noise_levels(models)
+        noisy = _at_noise_levels(models, snr_db)
         for name, figure in _figures(models[0], noisy).items():
             run_log.figure(name, figure, folder)
-        errors = _read_trips(models, folder)
+        errors = _read_trips(models, fleet, of_trips, folder)
     findings = {
         **_vehicle_findings(models[0].generator),
         **_training_findings(models[0].task, runs),
         **_trip_findings(errors),
-        "Fig. 11": (_precision_words(noisy), ()),
+        "Fig. 11": (precision_words(noisy), ()),
     }
     exhibits = []
     for row in csv.DictReader((packaged("paper.csv") or "").splitlines()):
@@ -135,11 +143,13 @@ def _models(folder: Path) -> list[TrainedModel]:
     return [one for one in models if one.name == name]
 
 
-def _at_noise_levels(models: Sequence[TrainedModel]) -> list[Mapping[str, Any]]:
+def _at_noise_levels(
+    models: Sequence[TrainedModel], levels_db: Sequence[float]
+) -> list[Mapping[str, Any]]:
     """Return the metrics of each model's method, trained and tested at each level of noise."""
     found: list[Mapping[str, Any]] = []
     for model in models:
-        for snr_db in SNR_DB:
+        for snr_db in levels_db:
             settings = replace(model.settings, snr_db=snr_db)
             problem = Problem(model.generator, model.task, settings, model.training["seed"])
             found.append(train(problem, clone(model.estimator)))
@@ -162,7 +172,9 @@ def _figures(model: TrainedModel, noisy: Rows) -> dict[str, Figure]:
     }
 
 
-def _read_trips(models: Sequence[TrainedModel], folder: Path) -> dict[str, float]:
+def _read_trips(
+    models: Sequence[TrainedModel], fleet: Fleet, of_trips: EstimateSettings, folder: Path
+) -> dict[str, float]:
     """Simulate trips, read them as the paper does, and return the rms error of each output [%].
 
     Recordings become responses by H1 (`tfestimate`), these become peaks, and these become estimates
@@ -171,12 +183,12 @@ def _read_trips(models: Sequence[TrainedModel], folder: Path) -> dict[str, float
     first, seed = models[0], models[0].training["seed"]
     outputs = tuple(name for model in models for name in model.task.outputs)
     task = replace(first.task, group="all", outputs=outputs)
-    problem = Problem(first.generator, task, CURVES_OF_TRIPS, seed)
+    problem = Problem(first.generator, task, of_trips, seed)
     trained, report = folder / "trips" / "model", folder / "trips" / "report"
     train(problem, clone(first.estimator), trained, figures=False)
     with TemporaryDirectory() as work:
         trips = Path(work) / "trips"
-        write_fleet(trips, Simulation(FLEET, WORN_SPRING, first.generator, seed))
+        write_fleet(trips, Simulation(fleet, WORN_SPRING, first.generator, seed))
         settings = FleetSettings(TripSettings())
         evaluate_fleet(trips, [load_model(trained)], report, settings, progress=False)
     for name, drawn in (("fig04", "signals"), ("fig09", "responses"), ("fig10", "trend")):
@@ -206,7 +218,7 @@ def _vehicle_findings(generator: ResponseGenerator) -> Findings:
         "Fig. 7": (f"k_p halved: {moved}", impact),
         "Table II": ("Three of them at these rates, or pairs left and right", rates),
         "Table III": (f"{vehicle.name}; the printed G_p and G_s follow with N/m only", numbers),
-        "Fig. 9": (f"{FLEET.n_trips} simulated trips; G_p {lower} and {upper}, G_s {body}", ()),
+        "Fig. 9": (f"Simulated trips; G_p {lower} and {upper}, G_s {body}", ()),
     }
 
 
@@ -264,7 +276,7 @@ def _trip_findings(errors: Mapping[str, float]) -> Findings:
     return {"Fig. 10": (f"Simulated with that change; rms error {shown}: 1 % {seen}", ())}
 
 
-def _precision_words(noisy: Sequence[Mapping[str, Any]]) -> str:
+def precision_words(noisy: Sequence[Mapping[str, Any]]) -> str:
     """Return from which precision on the MAPE of each output is below 10 %."""
     words = []
     for output in dict.fromkeys(name for run in noisy for name in run["scores"]):
