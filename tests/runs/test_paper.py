@@ -49,10 +49,13 @@ def scored(snr_db, **mape):
     return {"snr_db": snr_db, "scores": {k: {"mape_percent": v} for k, v in mape.items()}}
 
 
-def test_precision_is_the_coarsest_below_which_all_errors_are_small():
+def test_precision_names_the_outputs_that_miss_the_claim():
     runs = [scored(26.0, k_p=12.0, c_p=9.0), scored(34.0, k_p=9.0, c_p=11.0)]
     runs += [scored(40.0, k_p=8.0, c_p=12.0)]
-    assert precision_words(runs).endswith(": k_p up to 2 %, c_p nowhere")
+    words = precision_words(runs)
+    assert words.startswith("From a precision of 5 % to 1 %: k_p 12.00 to 8.00 %, c_p 9.00 to 12")
+    assert words.endswith("; not below 10 % from 2 % on: c_p")
+    assert precision_words([scored(34.0, k_p=9.0)]).endswith("; as in the paper")
 
 
 @pytest.mark.slow
