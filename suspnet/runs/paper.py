@@ -211,10 +211,9 @@ def _vehicle_findings(generator: ResponseGenerator) -> Findings:
     bins, vehicle = CurveSettings().frequencies_hz(), generator.vehicle
     healthy = torch.ones(1, len(PARAMETERS), dtype=torch.float64)
     peaks = PeakFeatures().extract(generator.magnitudes(healthy, bins), bins).values[0]
-    body, lower, upper = (
-        f"{20 * math.log10(height):.1f} dB at {position:.2f} Hz"
-        for position, height, _ in peaks.reshape(3, 3).tolist()
-    )
+    positions, heights, _ = peaks.reshape(3, 3).T.tolist()
+    body, lower, upper = (f"{position:.2f}" for position in positions)
+    levels = ", ".join(f"{20 * math.log10(height):.1f}" for height in heights)
     impact = impact_rows(generator)
     moved = ", ".join(f"{name} {impact[0][f'G_p {name} %']} %" for name in MEASURES)
     values = {"M_p": vehicle.bogie_mass_kg}
@@ -222,12 +221,12 @@ def _vehicle_findings(generator: ResponseGenerator) -> Findings:
     numbers = [{"": name, "SI": f"{x:,.0f} {UNITS.get(name, 'kg')}"} for name, x in values.items()]
     rates = [{"sensor": name, "Hz": one.rate_hz} for name, one in Fleet().loggers().items()]
     return {
-        "Fig. 5": (f"G_p: {lower} and {upper}; G_s: {body}", ()),
-        "Fig. 6": (f"The same: G_p {lower} and {upper}, G_s {body}", ()),
+        "Fig. 5": (f"The same; peaks of {levels} dB (G_s, lower and upper one of G_p)", ()),
+        "Fig. 6": (f"Two, at {lower} and {upper} Hz, and one, at {body} Hz", ()),
         "Fig. 7": (f"k_p halved: {moved}", impact),
         "Table II": ("Three of them at these rates, or pairs left and right", rates),
         "Table III": (f"{vehicle.name}; the printed G_p and G_s follow with N/m only", numbers),
-        "Fig. 9": (f"Simulated trips; G_p {lower} and {upper}, G_s {body}", ()),
+        "Fig. 9": (f"Simulated trips: G_s has {body} Hz, G_p {lower} and {upper} Hz", ()),
     }
 
 
