@@ -129,7 +129,7 @@ def write_paper(
     }
     exhibits = []
     for row in csv.DictReader((packaged("paper.csv") or "").splitlines()):
-        one = Exhibit(**row)
+        one = Exhibit(row["item"], row["paper"], row["ours"], row["home"], row["command"])
         ours, rows = findings.get(one.item, (one.ours, ()))
         picture = f"{one.file}.png" if (folder / f"{one.file}.png").exists() else ""
         exhibits.append(replace(one, ours=ours, picture=picture, rows=rows))

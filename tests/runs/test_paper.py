@@ -7,11 +7,16 @@ from pathlib import Path
 
 import pytest
 import torch
+from hydra import compose, initialize_config_dir
+from hydra.utils import get_class
+from test_tables import run
 
+from suspnet.cli.config_files import CONFIGS
 from suspnet.cli.kinds import read_protocol
 from suspnet.estimation.problem import Problem
 from suspnet.learning import LinearRegression
 from suspnet.report.templates import packaged
+from suspnet.runs import sweeps
 from suspnet.runs.paper import CURVES_OF_TRIPS, FLEET, impact_rows, precision_words, write_paper
 from suspnet.runs.train import train
 from suspnet.spectra.curves import CurveSettings
@@ -56,6 +61,19 @@ def test_precision_names_the_outputs_that_miss_the_claim():
     assert words.startswith("From a precision of 5 % to 1 %: k_p 12.00 to 8.00 %, c_p 9.00 to 12")
     assert words.endswith("; not below 10 % from 2 % on: c_p")
     assert precision_words([scored(34.0, k_p=9.0)]).endswith("; as in the paper")
+
+
+def test_experiment_ends_with_the_page(tmp_path, monkeypatch):
+    with initialize_config_dir(version_base="1.3", config_dir=CONFIGS):
+        config = compose("train", ["experiment=paper"], return_hydra_config=True)
+    summary = config.hydra.callbacks.summary
+    assert (config.job, config.hydra.mode.name) == ("paper", "MULTIRUN")
+    made = []
+    monkeypatch.setattr(sweeps, "write_paper", lambda runs, folder: made.append((runs, folder)))
+    runs = [run("msvr", ("k_p", "c_p"))]
+    get_class(summary._target_)(summary.note).summarise(runs, tmp_path)
+    assert made == [(runs, tmp_path)]
+    assert (tmp_path / "table6.md").is_file()
 
 
 @pytest.mark.slow
