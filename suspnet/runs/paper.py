@@ -145,10 +145,11 @@ def write_paper(
 
 
 def _models(folder: Path) -> list[TrainedModel]:
-    """Return the MSVR of each group, or the first method's models if none was trained."""
-    models = [load_model(path.parent) for path in sorted(folder.glob("*/model.json"))]
-    name = "msvr" if any(one.name == "msvr" for one in models) else models[0].name
-    return [one for one in models if one.name == name]
+    """Return the MSVR of each group, of one seed, or another method's if none was trained."""
+    models = [load_model(path.parent) for path in sorted(folder.glob("*/model.json"), reverse=True)]
+    name = "msvr" if any(one.name == "msvr" for one in models) else models[-1].name
+    by_group = {one.task.group: one for one in models if one.name == name}
+    return [by_group[group] for group in sorted(by_group)]
 
 
 def _at_noise_levels(
@@ -225,7 +226,7 @@ def _vehicle_findings(generator: ResponseGenerator) -> Findings:
         "Fig. 6": (f"Two, at {lower} and {upper} Hz, and one, at {body} Hz", ()),
         "Fig. 7": (f"k_p halved: {moved}", impact),
         "Table II": ("Three of them at these rates, or pairs left and right", rates),
-        "Table III": (f"{vehicle.name}; the printed G_p and G_s follow with N/m only", numbers),
+        "Table III": (f"{vehicle.name}, in N/m and N s/m, with which G_p and G_s follow", numbers),
         "Fig. 9": (f"Simulated trips: G_s has {body} Hz, G_p {lower} and {upper} Hz", ()),
     }
 
@@ -284,7 +285,7 @@ def _training_findings(task: Task, runs: Sequence[Mapping[str, Any]]) -> Finding
 def _trip_findings(errors: Mapping[str, float]) -> Findings:
     """Return whether a change of 1 % could be seen."""
     shown = ", ".join(f"{name} {error:.2g} %" for name, error in errors.items())
-    seen = "could be seen" if errors["k_p"] < 1 else "is lost in it"
+    seen = "could be seen" if errors.get("k_p", math.inf) < 1 else "is lost in it"
     return {"Fig. 10": (f"Simulated with that change; rms error {shown}: 1 % {seen}", ())}
 
 
