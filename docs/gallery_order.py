@@ -1,9 +1,7 @@
 """The order of the examples in the gallery: from curves to trips."""
 
 ORDER = (
-    "plot_bode.py",
-    "plot_peaks.py",
-    "plot_table6.py",
+    "plot_paper.py",
     "plot_own_data.py",
     "plot_feature_maps.py",
     "plot_identifiability.py",

@@ -13,7 +13,7 @@ import pytest
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 SCRIPTS = sorted(EXAMPLES.glob("plot_*.py"))
-FAST = ("plot_peaks",)
+FAST = ("plot_paper",)
 WIDEST_INCHES = 5.0
 """A page on a phone, 390 px wide, shows text of 10 points in a wider figure too small."""
 
@@ -61,7 +61,7 @@ def test_example_runs_without_a_warning_and_draws_what_a_phone_can_show(script, 
 
 @pytest.mark.slow  # test_programs.py: same seed, same numbers
 def test_same_seed_gives_the_same_numbers(run):
-    script = EXAMPLES / "plot_peaks.py"
+    script = EXAMPLES / "plot_paper.py"
     assert run(script)[0] == run(script)[0]
 
 

@@ -194,10 +194,11 @@ class Task:
     @property
     def grid_size(self) -> int:
         """Number of curves of the full grids of all sets."""
-        return sum(self._grid_sizes)
+        return sum(self.grid_sizes)
 
     @property
-    def _grid_sizes(self) -> list[int]:
+    def grid_sizes(self) -> list[int]:
+        """Number of curves of the full grid of each set."""
         return [math.prod(len(self.levels(name)) for name in s) for s in self.varied_sets]
 
     def sample(self, n_curves: int | None, seed: int, stream: int) -> FloatArray:
@@ -228,7 +229,7 @@ class Task:
             chosen = ordered[:n_curves]
         ratios = np.ones((len(chosen), len(PARAMETERS)))
         start = 0
-        for names, size in zip(self.varied_sets, self._grid_sizes, strict=True):
+        for names, size in zip(self.varied_sets, self.grid_sizes, strict=True):
             rows = np.flatnonzero((chosen >= start) & (chosen < start + size))
             levels = [self.levels(name) for name in names]
             index = np.unravel_index(chosen[rows] - start, [len(level) for level in levels])

@@ -23,6 +23,7 @@ from suspnet.report.tensorboard import RunLog
 from suspnet.runs import plots
 from suspnet.runs.ablation import write_ablation
 from suspnet.runs.fair import write_fair
+from suspnet.runs.paper import write_paper
 from suspnet.runs.readings import write_readings
 from suspnet.runs.tables import (
     records_csv,
@@ -229,6 +230,15 @@ class Table6(_Summary):
     def summarise(self, runs: Sequence[Run], folder: Path) -> None:
         """Write table6.json, .csv, .md and .png and print the table."""
         write_table6(runs, folder, self._note)
+
+
+class Paper(Table6):
+    """Every figure and table of the paper."""
+
+    def summarise(self, runs: Sequence[Run], folder: Path) -> None:
+        """Write Table VI as `Table6` does, then all others, and index.html, which lists them."""
+        super().summarise(runs, folder)
+        write_paper(runs, folder)
 
 
 class Comparison(Table6):

@@ -25,12 +25,14 @@ from cells import Parser, Row
 from tabulate import tabulate
 
 from suspnet.cli.config_files import read_comments
-from suspnet.dynamics import PARAMETERS
+from suspnet.cli.kinds import read_vehicles
+from suspnet.dynamics import PARAMETERS, QuarterCar
 from suspnet.dynamics.quantities import PARTS, QUANTITIES
 from suspnet.ground.storage import write_atomically
 from suspnet.recordings.formats import FORMATS
 from suspnet.runs import fair, readings
 from suspnet.runs.layouts import layouts_markdown
+from suspnet.runs.paper import impact_rows
 from suspnet.runs.tables import MODEL_TITLES, table6_caption, table6_markdown
 from suspnet.runs.tube import tube_markdown
 
@@ -155,6 +157,22 @@ def whole_grid(rows: Sequence[Row]) -> str:
         for row in rows
     ]
     return markdown(lines, ["training curves", "features", "C", "test vehicles", *readings.OUTPUTS])
+
+
+def paper(rows: Sequence[Row]) -> str:
+    """Return each exhibit of the paper, next to what a run of experiment=paper made of it."""
+    lines = []
+    for row in rows:
+        home = f"[{Path(str(row['home'])).name}](../{row['home']})"
+        command = f"`{row['command']}`" if "command" in row else ""
+        lines.append([str(row[key]) for key in ("item", "paper", "ours")] + [home, command])
+    return markdown(lines, ["item", "the paper", "here", "implemented in", "made alone by"])
+
+
+def paper_impact(_: Sequence[Row]) -> str:
+    """Return the impact of each parameter on the largest peaks of the AM96 (Fig. 7)."""
+    rows = impact_rows(QuarterCar(read_vehicles()["am96"]))
+    return markdown([list(row.values()) for row in rows], list(rows[0]))
 
 
 def family(_: Sequence[Row]) -> str:
@@ -417,6 +435,8 @@ TABLES: dict[str, tuple[str | None, Callable[[Sequence[Row]], str]]] = {
     "fair_differences": ("fair.csv", lambda rows: fair.differences_markdown(fair_rows(rows))),
     "whole_grid": ("whole_grid.csv", whole_grid),
     "tube": ("tube.csv", tube_markdown),
+    "paper": ("paper.csv", paper),
+    "paper_impact": (None, paper_impact),
     "coverage": ("coverage.csv", coverage.table),
     "mismatch": ("mismatch.csv", mismatch),
     "mismatch_short": ("mismatch.csv", mismatch_short),

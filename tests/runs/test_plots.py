@@ -66,6 +66,14 @@ def test_bode_shows_decibels_and_degrees_of_both_responses(quarter_car):
     assert -360 < phase_p.min() < phase_p.max() < 0
 
 
+def test_model_shows_its_parameters_in_si_units(quarter_car):
+    figure = plots.quarter_car(quarter_car.vehicle)
+    assert_drawn(figure, 1)
+    texts = " ".join(text.get_text().replace("\n", " ") for text in figure.axes[0].texts)
+    for words in ("$k_p$ 1,300,000 N/m", "$c_s$ 22,600 N s/m", "bogie $M_p$ 1,725 kg"):
+        assert words in texts
+
+
 def test_degradation_shows_three_curves_of_each_parameter_and_response(quarter_car):
     figure = plots.degradation(quarter_car, FREQUENCIES)
     assert_drawn(figure, 10)
@@ -161,7 +169,7 @@ def test_a_bound_that_is_infinite_is_not_drawn():
     unknown = {"bound": {"k_s": dict.fromkeys(("mape_percent", "rmse"))}}
     runs = [run("msvr", ("k_s",), snr) | unknown for snr in (54.0, 34.0)]
     assert not any(map(len, line_data(plots.table6(table6_records(runs[:1])))))
-    (measured, bound) = plots.sensitivity(runs).axes[0].lines
+    measured, bound, *_ = plots.sensitivity(runs).axes[0].lines
     assert np.isnan(np.array(bound.get_ydata(), float)).all()
     assert np.isfinite(measured.get_ydata()).all()
 
@@ -170,8 +178,8 @@ def test_sensitivity_shows_each_model_against_the_precision():
     runs = [run(model, NAMES, snr) for model in ("msvr", "linear") for snr in (54.0, 34.0, 26.0)]
     figure = plots.sensitivity(runs)
     assert_drawn(figure, 2)
-    assert [len(axis.lines) for axis in figure.axes] == [3, 3]
-    first = figure.axes[0].lines[0]
+    first, _, second, *_ = figure.axes[0].lines
+    assert [first.get_label(), second.get_label()] == ["$k_p$", "$c_p$"]
     assert list(first.get_xdata()) == pytest.approx([5.01, 2.0, 0.2], rel=4e-3)
     assert list(first.get_ydata()) == pytest.approx([400 / s**2 for s in (26, 34, 54)])
 
