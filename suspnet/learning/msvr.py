@@ -144,8 +144,8 @@ class MSVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mis
         ),
         "feature_map": Setting(
             "Approximation of the kernel: random Fourier features, orthogonal ones, Nystroem "
-            "landmarks, Fourier modes on a grid (at most three inputs), the kernel itself (memory "
-            "grows with the square of data.n_train), or what of these takes least time"
+            "landmarks, modes on a grid (three inputs at most), the kernel itself (memory as "
+            "data.n_train squared), or the quickest for the data"
         ),
         "n_components": Setting(
             "Number of features of rff and orf (rounded up to an even number), and largest number "
