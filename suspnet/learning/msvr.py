@@ -25,13 +25,11 @@ from suspnet.learning.design import CACHE_BYTES, DenseDesign, Design, Direction
 from suspnet.learning.equispaced import EquispacedFeatures
 from suspnet.learning.feature_maps import FeatureMap
 from suspnet.learning.irwls import IRWLS, Iteration, Solution, Status
-from suspnet.learning.kernel_design import KernelDesign
+from suspnet.learning.kernel_design import NARROW, KernelDesign
 from suspnet.learning.map_kinds import MAPS, MOST_EXACT, automatic, name_of
 
 PREDICT_ROWS = 8192
 """Rows predicted at once, so that their features fit into memory."""
-NARROW = 0.01
-"""Largest epsilon, as a share of the outputs' deviation, at which "auto" takes `equispaced`."""
 SAME_GRAM_PARAMETERS = ("C", "epsilon")
 """Hyperparameters that the Gram matrix does not depend on."""
 
