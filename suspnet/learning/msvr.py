@@ -60,8 +60,8 @@ class MSVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mis
         Random Fourier features, orthogonal ones, Nystroem landmarks by randomly pivoted Cholesky,
         Fourier modes on a regular grid (up to three inputs), or the exact kernel, suited to at
         most about 5,000 samples (its memory grows with the square of their number, its time with
-        the cube). "auto" takes `exact` up to twice `n_components` samples, else `equispaced` where
-        it pays and finufft is installed, else `rff`.
+        the cube). "auto" takes `exact` up to twice `n_components` samples, 5,000 in a wide tube,
+        else `equispaced` where it pays and finufft is installed, else `rff`.
     n_components : int, default=1024
         Number of features, >= 1; `rff` and `orf` make cosine and sine pairs, so an odd number is
         rounded up; `nystroem` takes fewer when fewer suffice; not used by `equispaced` and `exact`.
