@@ -267,7 +267,8 @@ def against_n(rows: Sequence[Row]) -> str:
         line = [METHODS[name].title, f"{epsilon:g}" if METHODS[name].has_tube else "none"]
         for n in sizes:
             row = done.get((name, epsilon, n), {})
-            line += [f"{row[k]:.2g}" if k in row else "-" for k in ("seconds", "rmse", "peak_mib")]
+            for key, form in (("seconds", ".2g"), ("rmse", ".2g"), ("peak_mib", ".0f")):
+                line.append(format(row[key], form) if key in row else "-")
         lines.append(line)
     lines.sort(key=lambda line: line[1] == f"{TUBE:g}")
     headers = [f"{what}{n:,}" for n in sizes for what in ("s, n = ", "error, ", "MiB, ")]
