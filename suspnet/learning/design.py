@@ -391,7 +391,8 @@ def cholesky(matrix: Tensor, name: str, advice: str) -> Tensor:
     """Return the Cholesky factor of a matrix; ValueError with advice if it is singular."""
     factor: Tensor
     factor, info = torch.linalg.cholesky_ex(matrix)
-    if int(info) or not bool(torch.isfinite(factor).all()):
+    # each row of the factor enters its diagonal
+    if int(info) or not bool(torch.isfinite(factor.diagonal()).all()):
         raise ValueError(
             f"the {len(matrix)} x {len(matrix)} {name} is singular to working precision; {advice}"
         )

@@ -40,6 +40,9 @@ START_SHARE, FEWEST_START, START_TOL, MOST_OUTSIDE = 4, 100, 1e-2, 0.95
 """The minimum is sought first on one in `START_SHARE` of the samples if that is at least
 `FEWEST_START`, to `START_TOL`, and kept unless more than `MOST_OUTSIDE` of them leave the tube."""
 
+NARROW = 0.01
+"""Largest epsilon, as a share of the outputs' deviation, of a tube that holds few samples."""
+
 
 class KernelDesign:
     """Phi of the exact kernel on its own samples; a `suspnet.learning.design.Design`.
@@ -103,7 +106,8 @@ class KernelDesign:
         and needs the rows of the kernel matrix of these alone.
         """
         n_few = self.n_samples // START_SHARE
-        if solver.epsilon == 0 or solver.solver != "newton" or n_few < FEWEST_START:
+        is_narrow = solver.epsilon <= NARROW * float(Y.std(dim=0, correction=0).max())
+        if is_narrow or solver.solver != "newton" or n_few < FEWEST_START:
             return None
         few = torch.randperm(self.n_samples, generator=generator(0))[:n_few].to(Y.device)
         design = KernelDesign(replace(self.kernel, landmarks=self.X[few]), self.X[few])

@@ -70,12 +70,13 @@ def automatic(
 ) -> str:
     """Return the name of the map for samples `X` under ``feature_map="auto"``.
 
-    `exact` up to twice `n_components` samples, where it takes no longer than `rff`. Beyond,
-    `equispaced` where finufft is installed and the modes are few, else `rff`. `is_plain`: all
-    samples are here, on the CPU, in float64, as `equispaced` needs them; `is_narrow`: few samples
-    lie within the tube, for which its solver takes few iterations.
+    `exact` up to twice `n_components` samples, up to `MOST_EXACT` if the tube may hold samples:
+    there it takes no longer than `rff`. Beyond, `equispaced` where finufft is installed and the
+    modes are few, else `rff`. `is_plain`: all samples are here, on the CPU, in float64, as
+    `equispaced` needs them; `is_narrow`: few samples lie within the tube, for which its solver
+    takes few iterations.
     """
-    if is_plain and len(X) <= min(2 * n_components, MOST_EXACT):
+    if is_plain and len(X) <= (min(2 * n_components, MOST_EXACT) if is_narrow else MOST_EXACT):
         return "exact"
     if is_plain and is_narrow and importlib.util.find_spec("finufft") is not None:
         try:

@@ -25,13 +25,11 @@ from suspnet.learning.design import CACHE_BYTES, DenseDesign, Design, Direction
 from suspnet.learning.equispaced import EquispacedFeatures
 from suspnet.learning.feature_maps import FeatureMap
 from suspnet.learning.irwls import IRWLS, Iteration, Solution, Status
-from suspnet.learning.kernel_design import KernelDesign
+from suspnet.learning.kernel_design import NARROW, KernelDesign
 from suspnet.learning.map_kinds import MAPS, MOST_EXACT, automatic, name_of
 
 PREDICT_ROWS = 8192
 """Rows predicted at once, so that their features fit into memory."""
-NARROW = 0.01
-"""Largest epsilon, as a share of the outputs' deviation, at which "auto" takes `equispaced`."""
 SAME_GRAM_PARAMETERS = ("C", "epsilon")
 """Hyperparameters that the Gram matrix does not depend on."""
 
@@ -62,8 +60,8 @@ class MSVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mis
         Random Fourier features, orthogonal ones, Nystroem landmarks by randomly pivoted Cholesky,
         Fourier modes on a regular grid (up to three inputs), or the exact kernel, suited to at
         most about 5,000 samples (its memory grows with the square of their number, its time with
-        the cube). "auto" takes `exact` up to twice `n_components` samples, else `equispaced` where
-        it pays and finufft is installed, else `rff`.
+        the cube). "auto" takes `exact` up to twice `n_components` samples, 5,000 in a wide tube,
+        else `equispaced` where it pays and finufft is installed, else `rff`.
     n_components : int, default=1024
         Number of features, >= 1; `rff` and `orf` make cosine and sine pairs, so an odd number is
         rounded up; `nystroem` takes fewer when fewer suffice; not used by `equispaced` and `exact`.
@@ -144,8 +142,8 @@ class MSVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mis
         ),
         "feature_map": Setting(
             "Approximation of the kernel: random Fourier features, orthogonal ones, Nystroem "
-            "landmarks, Fourier modes on a grid (at most three inputs), the kernel itself (memory "
-            "grows with the square of data.n_train), or what of these takes least time"
+            "landmarks, modes on a grid (three inputs at most), the kernel itself (memory as "
+            "data.n_train squared), or the quickest for the data"
         ),
         "n_components": Setting(
             "Number of features of rff and orf (rounded up to an even number), and largest number "

@@ -30,8 +30,8 @@ GAMMA, ALPHA = 1 / SIGMA**2, 1 / (2 * C)
 SIZES = [1000, 2000, 5000, 22_801, 91_204, 364_816]
 QUICK = 5000
 """Largest n of a quick run."""
-MOST_DENSE = 22_801
-"""Largest n of methods that hold the kernel matrix of all samples, 4.2 GB each time."""
+DENSE: dict[str, Any] = {"largest": 22_801, "order": 3}
+"""Of methods that hold the kernel matrix of all samples, at most 4.2 GB each time."""
 RESULTS = Path(__file__).parent / "results"
 NUMBERS = {"n": int, "threads": int} | dict.fromkeys(
     ["epsilon", "seconds", "peak_mib", "fit_mib", "gpu_mib", "rmse"], float
@@ -163,6 +163,8 @@ class Method:
         Module without which it is skipped.
     largest : int
         Largest n it is tried at.
+    order : int
+        Power of n with which its time grows at most.
     has_tube : bool
         Whether epsilon changes it.
     is_for_wide : bool
@@ -177,6 +179,7 @@ class Method:
     marker: str = "o"
     needs: str = "sklearn"
     largest: int = SIZES[-1]
+    order: int = 1
     has_tube: bool = True
     is_for_wide: bool = True
     device: str = "cpu"
@@ -195,25 +198,32 @@ def on_gpu(**options: Any) -> Callable[[float], Any]:
 
 METHODS = {
     "auto": Method("MSVR, auto", msvr("auto"), "#009e73", "D"),
-    "exact": Method("MSVR, exact", msvr("exact"), "black", largest=MOST_DENSE),
+    "exact": Method("MSVR, exact", msvr("exact"), "black", **DENSE),
     "equispaced": Method(
         "MSVR, equispaced", msvr("equispaced"), "#d55e00", needs="finufft", is_for_wide=False
     ),
     "rff": Method("MSVR, rff", msvr("rff"), "#56b4e9"),
-    "rff_float32": Method("MSVR, rff, float32", msvr("rff", dtype="float32"), "#0072b2"),
+    "rff_float32": Method(
+        "MSVR, rff, float32", msvr("rff", dtype="float32"), "#0072b2", is_for_wide=False
+    ),
     "rff_cuda": Method("MSVR, rff, cuda", on_gpu(), "#cc79a7", "s", device="cuda"),
     "rff_float32_cuda": Method(
-        "MSVR, rff, float32, cuda", on_gpu(dtype="float32"), "#aa3377", "s", device="cuda"
+        "MSVR, rff, float32, cuda",
+        on_gpu(dtype="float32"),
+        "#aa3377",
+        "s",
+        is_for_wide=False,
+        device="cuda",
     ),
-    "svr": peer("SVR", sklearn_svr, "s", has_tube=True, largest=91_204),
+    "svr": peer("SVR", sklearn_svr, "s", has_tube=True, order=2),
     "public_msvr": peer(
         "public MSVR",
         lambda epsilon: PublicMSVR(C, SIGMA, epsilon),
         "X",
         has_tube=True,
-        largest=MOST_DENSE,
+        **DENSE,
     ),
-    "kernel_ridge": peer("KernelRidge", kernel_ridge, "P", largest=MOST_DENSE),
+    "kernel_ridge": peer("KernelRidge", kernel_ridge, "P", **DENSE),
     "sampler_ridge": peer("RBFSampler 1024 + Ridge", sampler_ridge, "^"),
     "nystroem_ridge": peer("Nystroem 500 + Ridge", nystroem_ridge, "v"),
 }
@@ -227,9 +237,7 @@ def serve(cell: Row) -> None:
     X_test, truth = samples(5000, 1)
     before: Row = {}
     for n in cell["sizes"]:
-        # libsvm's time grows with the square of n, that of dense systems with the cube
-        grown = (n / before["n"]) ** (3 if method.largest == MOST_DENSE else 2) if before else 0
-        if before and method.largest < SIZES[-1] and before["seconds"] * grown > cell["limit_s"]:
+        if before and before["seconds"] * (n / before["n"]) ** method.order > cell["limit_s"]:
             break
         X, Y = training_set(n)
         model = method.make(cell["epsilon"])
@@ -240,8 +248,6 @@ def serve(cell: Row) -> None:
         row["rmse"] = float(root_mean_squared_error(truth, model.predict(X_test)))
         row["warning"] = "; ".join(sorted(notes))
         print(json.dumps(row), flush=True)
-        if row["seconds"] > cell["limit_s"]:
-            break
         before = row
 
 
@@ -264,7 +270,7 @@ def run_series(cell: Row, threads: int) -> list[Row]:
     """Return what `serve` printed in a process of its own, one row for each n."""
     names = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
     environment = {**os.environ, **dict.fromkeys(names, str(threads))}
-    patience = 5 * cell["limit_s"] + 60
+    patience = 3 * cell["limit_s"] + 60
     command = [sys.executable, __file__, "cell", json.dumps(cell)]
     process = subprocess.Popen(
         command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True

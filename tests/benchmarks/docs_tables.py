@@ -21,6 +21,7 @@ import methods_table
 import named_parts
 import numpy as np
 import parts_methods
+from against_n import METHODS, TUBE
 from cells import Parser, Row
 from tabulate import tabulate
 
@@ -299,12 +300,20 @@ def healthy_km(rows: Sequence[Row]) -> str:
 
 
 def against_n(rows: Sequence[Row]) -> str:
-    """Return time, memory and error of each method at the largest number of samples."""
-    largest = max(r["n"] for r in rows)
-    done = [r for r in rows if r["n"] == largest and "rmse" in r]
-    done.sort(key=lambda r: r["seconds"])
-    lines = [[r["method"], *(f"{r[k]:.3g}" for k in ("seconds", "rmse", "fit_mib"))] for r in done]
-    return markdown(lines, [f"n = {largest:,}", "seconds", "rms error", "MiB of the fit"])
+    """Return time, memory and error of each method at a few numbers of samples, for each tube."""
+    sizes = [n for n in (2000, 22_801, 364_816) if any(r["n"] == n for r in rows)]
+    done = {(r["method"], r["epsilon"], r["n"]): r for r in rows if "rmse" in r}
+    lines = []
+    for name, epsilon in dict.fromkeys((r["method"], r["epsilon"]) for r in rows):
+        line = [METHODS[name].title, f"{epsilon:g}" if METHODS[name].has_tube else "none"]
+        for n in sizes:
+            row = done.get((name, epsilon, n), {})
+            for key, form in (("seconds", ".2g"), ("rmse", ".2g"), ("peak_mib", ".0f")):
+                line.append(format(row[key], form) if key in row else "-")
+        lines.append(line)
+    lines.sort(key=lambda line: line[1] == f"{TUBE:g}")
+    headers = [f"{what}{n:,}" for n in sizes for what in ("s, n = ", "error, ", "MiB, ")]
+    return markdown(lines, ["method", "tube", *headers])
 
 
 def plan(rows: Sequence[Row]) -> str:

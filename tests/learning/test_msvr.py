@@ -484,6 +484,7 @@ def test_exact_models_saved_with_a_whitening_are_read():
     [
         (100, 2, {}, "exact"),
         (101, 2, {}, "equispaced"),
+        (101, 2, {"epsilon": 0.3}, "exact"),
         (101, 4, {}, "rff"),
         (101, 2, {"sigma": 0.01}, "rff"),  # a grid of many modes
         (50, 2, {"dtype": "float32"}, "rff"),
