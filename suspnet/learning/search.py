@@ -65,8 +65,8 @@ class GridSearch:
     grids: Annotated[
         Mapping[str, Mapping[str, Sequence[Any]]],
         Setting(
-            "Values of each setting of each method that are tried first; a method with one value of "
-            "each is not tuned",
+            "Values of each setting of each method that are tried first; a method with one value "
+            "of each is not tuned",
             rule="mapping to lists",
         ),
     ]
