@@ -467,5 +467,6 @@ def test_table6_with_every_method(protocol, tmp_path):
     )
     assert ended.returncode == 0, ended.stderr
     records = json.loads((tmp_path / "sweep" / "table6.json").read_text())
-    assert {r["model"] for r in records} == {"msvr", "svr", "mvgpr", "linear"}
+    models = {"msvr", "svr", "mvgpr", "linear", "ridge", "curve_fit"}
+    assert {r["model"] for r in records} == models
     assert {r["output"] for r in records} == {"k_p", "c_p", "k_s", "c_s"}
