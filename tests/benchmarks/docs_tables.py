@@ -20,7 +20,6 @@ import coverage
 import methods_table
 import named_parts
 import numpy as np
-import parts_methods
 from cells import Parser, Row
 from tabulate import tabulate
 
@@ -417,7 +416,6 @@ TABLES: dict[str, tuple[str | None, Callable[[Sequence[Row]], str]]] = {
     "training_time": ("training_time.csv", training_time),
     "two_suspensions": ("two_suspensions.csv", two_suspensions),
     "named_parts_km": ("named_parts_km.csv", named_parts_km),
-    "parts_methods": ("parts_methods.csv", parts_methods.table),
     "methods": ("methods.csv", methods_table.table),
     "layouts": ("layouts.csv", layouts_markdown),
     "configuration": (None, lambda rows: configuration.page()),
