@@ -45,7 +45,7 @@ METRIC_COLUMNS = (
     "seconds",
 )
 SECTIONS = {
-    "comparison": ("table6", "sensitivity", "ablation"),
+    "comparison": ("table6", "sensitivity"),
     "estimates": ("parity", "residuals"),
     "training": ("features", "peaks", "convergence", "search"),
     "vehicle": ("bode", "degradation"),

@@ -19,7 +19,6 @@ from suspnet.ground.ledger import HYDRA
 from suspnet.ground.storage import read_json, write_atomically, write_json
 from suspnet.recordings.core_yaml import read_yaml
 from suspnet.runs import plots
-from suspnet.runs.ablation import write_ablation
 from suspnet.runs.readings import write_readings
 from suspnet.runs.tables import (
     records_csv,
@@ -310,14 +309,6 @@ class Readings(_Summary):
     def summarise(self, runs: Sequence[Run], folder: Path) -> None:
         """Write readings.json, .csv, .md and .png and print the table."""
         write_readings(runs, folder)
-
-
-class Ablation(Callback):
-    """Comparison of the changes to a baseline: see `write_ablation`."""
-
-    def on_multirun_end(self, config: DictConfig, **kwargs: Any) -> None:
-        """Compare the jobs of the multirun that has just ended."""
-        write_ablation(Path(config.hydra.sweep.dir))
 
 
 def write_table6(runs: Sequence[Run], folder: Path, note: str = "") -> None:

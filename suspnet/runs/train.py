@@ -64,11 +64,11 @@ PACKAGES = ("suspnet", "torch", "numpy", "scipy", "scikit-learn", "hydra-core", 
 class RunContext:
     """What the calling program adds to the records and figures of a run.
 
-    `config` is the resolved configuration; its `ablation_name` and `reading_name` go into
-    metrics.json. `varied` is what a multirun varies, by configuration key: TensorBoard's first
-    columns. `draw_vehicle`: once is enough in a multirun. `notes` are further entries of the
-    model's `training`, such as the healthy trips as "commissioned"; `residual` is the unexplained
-    part of a commissioned vehicle's healthy trips, `bogie` its bogie if each part is to be read.
+    `config` is the resolved configuration; its `reading_name` goes into metrics.json. `varied` is
+    what a multirun varies, by configuration key: TensorBoard's first columns. `draw_vehicle`: once
+    is enough in a multirun. `notes` are further entries of the model's `training`, such as the
+    healthy trips as "commissioned"; `residual` is the unexplained part of a commissioned vehicle's
+    healthy trips, `bogie` its bogie if each part is to be read.
     `start` may start work in a second process, see `suspnet.ground.workers.alongside`.
     """
 
@@ -223,9 +223,8 @@ def _metrics(
     }
     if found is not None:
         metrics["search"] = asdict(found) | {"best": found.best}
-    for key in ("ablation", "reading"):
-        if context.config.get(f"{key}_name"):
-            metrics[key] = context.config[f"{key}_name"]
+    if context.config.get("reading_name"):
+        metrics["reading"] = context.config["reading_name"]
     metrics["rms_percent"] = rms_percent(problem.task, outcome)
     if model.unexplained is not None:
         metrics["unexplained"] = {

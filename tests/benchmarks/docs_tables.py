@@ -21,6 +21,7 @@ import methods_table
 import named_parts
 import numpy as np
 from cells import Parser, Row
+from layouts import layouts_markdown
 from tabulate import tabulate
 
 from suspnet.cli.config_files import read_comments
@@ -29,7 +30,6 @@ from suspnet.dynamics.quantities import PARTS, QUANTITIES
 from suspnet.ground.storage import write_atomically
 from suspnet.recordings.formats import FORMATS
 from suspnet.runs import readings
-from suspnet.runs.layouts import layouts_markdown
 from suspnet.runs.tables import MODEL_TITLES, table6_caption, table6_markdown
 
 ROOT = Path(__file__).parents[2]

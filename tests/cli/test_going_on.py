@@ -233,7 +233,7 @@ def test_finished_run_is_not_run_again_and_another_one_is_refused(tmp_path):
 def test_folder_of_an_earlier_version_counts_as_finished(tmp_path):
     """Its config.yaml names a `_target_` where kinds stand now."""
     with initialize_config_dir(version_base="1.3", config_dir=CONFIGS):
-        config = compose("train", overrides=["model=linear", "ablation_name=null"])
+        config = compose("train", overrides=["model=linear", "reading_name=null"])
     (tmp_path / "metrics.json").write_text("{}")
     kinds = {
         "generator": "suspnet.dynamics.QuarterCar",

@@ -148,7 +148,7 @@ FILES = {
     "vehicle/a/b/evil.yaml": ("name: x", ("vehicle=a/b/evil",), NO_GROUP),
     "vehicle/evil.yaml": (GADGET, ("vehicle=evil",), NO_NAME),
     "model/evil.yaml": ("# @package hydra.launcher\nx: 1", ("model=evil",), "no `# @package` but"),
-    "ablation/evil.yaml": ("data: {n_train: 9}", ("ablation=evil",), NO_GROUP),
+    "reading/evil.yaml": ("data: {n_train: 9}", ("reading=evil",), NO_GROUP),
     "evil.yaml": ("defaults: [train, _self_]\nseed: 1", ("--config-name=evil",), "GROUP/NAME.yaml"),
     "scenario/evil.yaml": ("name: a/b", ("+scenario=evil",), NO_WORDS),
     "search/evil.yaml": ("defaults: [evil]", ("search=evil",), "refers to itself"),
@@ -158,9 +158,9 @@ FILES = {
         ("-m", "experiment=table6,evil"),
         NOT_SET,
     ),
-    "ablation/evil2.yaml": (
+    "reading/evil2.yaml": (
         GLOBAL + "resume: HOME",
-        ("experiment=ablation", "group=primary", "ablation=baseline,evil2"),
+        ("experiment=readings", "group=I", "reading=baseline,evil2"),
         NOT_SET,
     ),
 }
@@ -280,11 +280,6 @@ USES = {
     "experiment": ("experiment/mine", EXPERIMENT, train, ("experiment=mine",), "  n_train: 77"),
     "job": ("experiment/mine", EXPERIMENT, train, ("experiment=mine",), "job: mine"),
     "scenario": ("scenario/mine", SCENARIO, simulate, ("scenario=mine",), "      ratio: 0.5"),
-    "ablation": (
-        *("ablation/mine", f"{GLOBAL}defaults: [baseline]\ndata: {{n_train: 9}}\n", train),
-        ("ablation=mine",),
-        "  n_train: 9",
-    ),
     "model": ("model/mine", MODEL, train, ("model=mine",), "  C: 7"),
     "limits": ("fleet/mine", LIMITS, serve, ("+fleet=mine", "store=x"), "    failure: 7"),
     "monitor": ("fleet/mine", WATCHED, evaluate, ("+fleet=mine", "run=x"), "    level: 0.8"),

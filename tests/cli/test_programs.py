@@ -222,16 +222,20 @@ def test_mistake_gets_one_line(override, message, tmp_path):
         (train, ["hydra.run.dir={file}/x"], "Not a directory"),
         (evaluate, [], "which run?"),
         (evaluate, ["run=nowhere"], "run=nowhere does not exist"),
-        (evaluate, ["study=reliability"], "which run?"),
+        (evaluate, ["study=reliability"], "python tests/benchmarks/reliability.py --help"),
+        (evaluate, ["study=layouts"], "python tests/benchmarks/layouts.py --help"),
+        (train, ["ablation=baseline"], "python tests/benchmarks/ablation.py --help"),
+        (train, ["experiment=ablation"], "python tests/benchmarks/ablation.py --help"),
         (evaluate, ["experiment=table6"], "python train.py experiment=NAME"),
-        (train, ["study=reliability"], "python evaluate.py study=NAME"),
-        (train, ["experiment=identifiability"], "options in 'experiment': ablation"),
+        (train, ["study=maintenance"], "python evaluate.py study=NAME"),
+        (train, ["experiment=identifiability"], "options in 'experiment': readings"),
     ],
 )
 def test_mistake_on_the_command_line_gets_one_line(program, overrides, message, tmp_path):
     file = tmp_path / "file"
     file.touch()
-    is_one_line(typed(program, *(o.format(file=file) for o in overrides), cwd=tmp_path), message)
+    words = [one.replace("{file}", str(file)) for one in overrides]
+    is_one_line(typed(program, *words, cwd=tmp_path), message)
 
 
 @pytest.mark.slow  # as a refused payload in test_trusted.py, which ends by the same lines

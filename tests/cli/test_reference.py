@@ -32,8 +32,6 @@ CHOSEN = [
     ("train", "search=widened"),
     ("evaluate", "protocol=joint"),
     ("evaluate", "study=identifiability"),
-    ("evaluate", "study=layouts"),
-    ("evaluate", "study=reliability"),
     ("simulate", "scenario=random"),
     *(("replay", f"sink={file.stem}") for file in sorted((Path(CONFIGS) / "sink").glob("*"))),
 ]
@@ -91,7 +89,7 @@ def test_help_tells_every_group_and_option_of_the_program(name):
     assert {group.name for group in found} == {
         "train": {
             *("vehicle", "generator", "data", "protocol"),
-            *("model", "search", "experiment", "ablation", "reading"),
+            *("model", "search", "experiment", "reading"),
         },
         "evaluate": {"protocol", "study"},
         "simulate": {"vehicle", "generator", "scenario"},
