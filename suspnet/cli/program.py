@@ -65,6 +65,8 @@ MOVED = re.compile(
     r"Could not override '(ablation)"
 )
 """Messages of Hydra on studies that were options once."""
+PRICES = re.compile(r"plan\.(?:visit|costs|step_days|plan_again_risk)\b")
+"""Settings of a plan by costs, which earlier releases made."""
 _debugging = bool(os.environ.get(DEBUG, "") not in ("", "0"))
 
 store_tables()
@@ -392,6 +394,8 @@ def one_line(error: BaseException) -> str:
                 "experiments belong to train.py and studies to evaluate.py: "
                 f"python {owner} {group}=NAME"
             )
+    if prices := PRICES.search(given):
+        message = f"{prices[0]} is gone: plan.risk, bundle_days and reach_km set what is done when"
     if moved := MOVED.search(message):
         script = f"tests/benchmarks/{moved[1] or moved[2]}.py"
         message = f"{moved[1] or moved[2]} is a script of the sources now: python {script} --help"

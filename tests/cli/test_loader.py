@@ -264,7 +264,7 @@ model: {{random_state: '${{seed}}', sigma: scale}}
 MODEL = "defaults: [msvr]\nC: 7\n"
 BROKER = f"""{GLOBAL}GROUP: {{broker: {{port: 8883, tls: true, ca_file: /etc/ca.crt, user: us}}}}
 """
-LIMITS = f"{GLOBAL}limits: {{k_p: {{notice: [0.9, 1.1]}}}}\nplan: {{costs: {{failure: 7}}}}\n"
+LIMITS = f"{GLOBAL}limits: {{k_p: {{notice: [0.9, 1.1]}}}}\nplan: {{risk: 0.07}}\n"
 WATCHED = f"{GLOBAL}monitor: {{n_reference: 7, trips: {{level: 0.8}}}}\n"
 LIVE = f"{GLOBAL}live: {{section_s: 600}}\nmonitor: {{changes: {{seed: 3}}}}\n"
 SCENARIO = "defaults: [healthy]\nname: mine\nchanges: {k_p: {from_km: 1, to_km: 2, ratio: 0.5}}\n"
@@ -281,7 +281,7 @@ USES = {
     "job": ("experiment/mine", EXPERIMENT, train, ("experiment=mine",), "job: mine"),
     "scenario": ("scenario/mine", SCENARIO, simulate, ("scenario=mine",), "      ratio: 0.5"),
     "model": ("model/mine", MODEL, train, ("model=mine",), "  C: 7"),
-    "limits": ("fleet/mine", LIMITS, serve, ("+fleet=mine", "store=x"), "    failure: 7"),
+    "limits": ("fleet/mine", LIMITS, serve, ("+fleet=mine", "store=x"), "  risk: 0.07"),
     "monitor": ("fleet/mine", WATCHED, evaluate, ("+fleet=mine", "run=x"), "    level: 0.8"),
     "live": ("fleet/mine", LIVE, monitor, ("+fleet=mine", "run=x"), "  section_s: 600"),
     "broker": (

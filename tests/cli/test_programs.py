@@ -224,6 +224,11 @@ def test_mistake_gets_one_line(override, message, tmp_path):
         (evaluate, ["run=nowhere"], "run=nowhere does not exist"),
         (evaluate, ["study=reliability"], "python tests/benchmarks/reliability.py --help"),
         (evaluate, ["study=layouts"], "python tests/benchmarks/layouts.py --help"),
+        (
+            evaluate,
+            ["study=maintenance", "store=x", "plan.costs.failure=20"],
+            "plan.costs is gone: plan.risk, bundle_days and reach_km set what is done when",
+        ),
         (train, ["ablation=baseline"], "python tests/benchmarks/ablation.py --help"),
         (train, ["experiment=ablation"], "python tests/benchmarks/ablation.py --help"),
         (evaluate, ["experiment=table6"], "python train.py experiment=NAME"),
