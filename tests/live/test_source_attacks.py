@@ -3,52 +3,16 @@
 import os
 import socket
 import stat
-import threading
-from dataclasses import dataclass, field
 
 import numpy as np
 import pytest
-from cli_runner import typed
 from live_frames import encoded, frame
 from trip_fixtures import model_at, small_fleet
 
-from suspnet.cli import monitor, replay
 from suspnet.estimation.checkpoint import save_model
 from suspnet.live.drop_folder import DropFolder
 from suspnet.live.mqtt import Mqtt
 from suspnet.recordings.frames import encode
-
-
-@dataclass
-class Listener:
-    """Keeps what is sent to a port of this machine, and closes each connection."""
-
-    received: list[bytes] = field(default_factory=list)
-
-    def __enter__(self):
-        self._socket = socket.create_server(("127.0.0.1", 0))
-        self.port = self._socket.getsockname()[1]
-        self._thread = threading.Thread(target=self._listen, daemon=True)
-        self._thread.start()
-        return self
-
-    def _listen(self):
-        while True:  # ends when the socket is closed
-            try:
-                connection, _ = self._socket.accept()
-            except OSError:
-                return
-            with connection:
-                connection.settimeout(1.0)
-                try:
-                    self.received.append(connection.recv(1000))
-                except OSError:
-                    self.received.append(b"")
-
-    def __exit__(self, *_):
-        self._socket.shutdown(socket.SHUT_RDWR)
-        self._socket.close()
-        self._thread.join()
 
 
 @pytest.fixture(scope="module")
@@ -75,27 +39,6 @@ def _short(monkeypatch):
     monkeypatch.setattr("suspnet.live.sinks.ANSWER_S", 1.0)
     monkeypatch.setattr("suspnet.live.mqtt.CLOSING_S", 0.1)
     monkeypatch.setenv("SUSPNET_MQTT_PASSWORD", "right")
-
-
-@pytest.mark.slow  # test_source_mqtt.py: host, password
-@pytest.mark.parametrize("way", ["typed", "environment"])
-@pytest.mark.parametrize("group", ["source", "sink"])
-def test_the_broker_that_a_user_names_is_connected(group, way, tmp_path, run, fleet):
-    (file := tmp_path / "mine" / "extra" / "own.yaml").parent.mkdir(parents=True)
-    named = [f"{group}.broker.host=127.0.0.1"] if way == "typed" else []
-    variables = {} if way == "typed" else {"SUSPNET_MQTT_HOST": "127.0.0.1"}
-    module, given = {
-        "source": (monitor, [f"run={run}", f"suspensions={fleet}", "store=fleet.db"]),
-        "sink": (replay, [f"trips={fleet}"]),
-    }[group]
-    with Listener() as listener:
-        broker = f"{group}: {{broker: {{port: {listener.port}, user: monitor}}}}\n"
-        file.write_text(f"# @package _global_\n{broker}")
-        mine = ("--config-dir=mine", "+extra=own", f"{group}=mqtt")
-        typed(module, *mine, *named, *given, cwd=tmp_path, **variables)
-    assert listener.received
-    assert b"MQTT" in listener.received[0]
-    assert b"right" in listener.received[0]
 
 
 # what lies in a folder of frames
