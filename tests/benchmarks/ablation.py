@@ -108,10 +108,12 @@ def table(rows: list[Row]) -> str:
 
 def main() -> None:
     parser = Parser(description=__doc__.splitlines()[0])
-    parser.add_argument("names", nargs="*", choices=[*CHANGES, []], metavar="NAME")
+    parser.add_argument("names", nargs="*", metavar="NAME", help=", ".join(CHANGES))
     parser.add_argument("--with", nargs="+", default=[], dest="overrides", metavar="KEY=VALUE")
     parser.add_argument("--output", type=Path, default=ROOT / "outputs" / "ablation")
     options = parser.parse_args()
+    if unknown := set(options.names) - CHANGES.keys():
+        parser.error(f"NAME must be one of {', '.join(CHANGES)}; got {', '.join(unknown)}")
     folder = options.output.resolve()
     rows = [
         row
