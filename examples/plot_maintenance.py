@@ -88,9 +88,9 @@ for name, life in lives.items():
 # %%
 # What to do
 # ----------
-# Three trains with two such dampers each, at different points of their lives. A visit costs 1, a
-# new damper 2, a damper that passes its limit in service 20 (all in one currency). What is due at
-# about the same time is done at one visit.
+# Three trains with two such dampers each, at different points of their lives. A damper is due
+# before the probability that it has passed its limit exceeds 2 %; what is due within 90 days is
+# done at one visit.
 trains = [Train(f"train {i + 1}", 400_000.0, date(2026, 1, 5), 600.0) for i in range(3)]
 parts = [
     Part(

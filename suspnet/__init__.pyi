@@ -1,4 +1,4 @@
-"""The public names and their homes: the one table, which `__init__.py` and type checkers read."""
+"""The public names for type checkers; their table is in `__init__.py`."""
 
 from suspnet._version import __version__ as __version__
 from suspnet.cli.kinds import read_protocol as read_protocol
@@ -25,8 +25,6 @@ from suspnet.estimation.information import cramer_rao as cramer_rao
 from suspnet.estimation.information import fisher_information as fisher_information
 from suspnet.estimation.layouts import LayoutBounds as LayoutBounds
 from suspnet.estimation.layouts import layout_bounds as layout_bounds
-from suspnet.estimation.parts_regression import PartsRegression as PartsRegression
-from suspnet.estimation.parts_regression import train_parts as train_parts
 from suspnet.estimation.problem import CALIBRATE as CALIBRATE
 from suspnet.estimation.problem import TEST as TEST
 from suspnet.estimation.problem import TRAIN as TRAIN

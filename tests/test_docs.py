@@ -15,6 +15,7 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import HydraException
 from trip_fixtures import model_at, small_fleet
 
+import suspnet
 from suspnet.cli.config_files import CONFIGS, TABLES
 from suspnet.cli.options import PARSERS
 from suspnet.estimation.checkpoint import save_model
@@ -116,7 +117,8 @@ def imported(node):
     if isinstance(node, ast.Import):
         names = [alias.name for alias in node.names]
     elif isinstance(node, ast.ImportFrom) and node.module == "suspnet":
-        names = [f"suspnet.{alias.name}" for alias in node.names]
+        public = suspnet.__all__
+        names = [f"suspnet.{alias.name}" for alias in node.names if alias.name not in public]
     else:
         names = [node.module or ""] if isinstance(node, ast.ImportFrom) else []
     return [name for name in names if name.startswith("suspnet.") and not name.endswith("__")]

@@ -59,12 +59,6 @@ def test_example_runs_without_a_warning_and_draws_what_a_phone_can_show(script, 
                 assert axis.get_label_text() or not shown
 
 
-@pytest.mark.slow  # test_programs.py: same seed, same numbers
-def test_same_seed_gives_the_same_numbers(run):
-    script = EXAMPLES / "plot_paper.py"
-    assert run(script)[0] == run(script)[0]
-
-
 @pytest.mark.parametrize("script", SCRIPTS, ids=lambda script: script.stem)
 def test_examples_import_public_names_only(script):
     for node in ast.walk(ast.parse(script.read_text(encoding="utf-8"))):

@@ -52,7 +52,6 @@ BASES = {
         ["run={trips_run}", "trips={trips}", "progress=false", "monitor.workers=1"],
         ["study=identifiability", "n_vehicles=20", "threads=1"],
         ["study=identifiability", "data=trips", "protocol=trips", "generator=best", "n_vehicles=5"],
-        ["study=reliability", "run={run}", "n_test=32", "n_odd=8", "progress=false", "threads=1"],
     ],
     "simulate": [
         [*SHORT],

@@ -1,4 +1,4 @@
-"""The command ``suspnet``: one name for all programs, and completion of its words in a shell.
+"""The command ``suspnet``: one name for all programs.
 
 Nothing is imported here that takes time: a program is imported when it is started.
 """
@@ -8,7 +8,6 @@ from __future__ import annotations
 import os
 import sys
 from difflib import get_close_matches
-from importlib import import_module
 
 from suspnet._version import __version__
 from suspnet.cli.start import PROGRAMS, start
@@ -25,15 +24,12 @@ MEANINGS = {
     "simulate": "write an example fleet with known parameters",
 }
 """What each program does, in the order in which they are needed."""
-SHELLS = ("bash", "zsh")
-COMPLETION = "completion"
 HELP = f"""\
 Usage: suspnet PROGRAM ...
 
 Stiffness and damping of train suspensions from three vertical accelerometers.
 
 {chr(10).join(f"  {name:12}{meaning}" for name, meaning in MEANINGS.items())}
-  {COMPLETION:12}print the completion of a shell: suspnet {COMPLETION} {"|".join(SHELLS)}
 
   suspnet PROGRAM --help    options and settings of a program
   suspnet PROGRAM --plugin FILE ...    first run a Python file of yours, which registers methods
@@ -55,20 +51,18 @@ def main() -> None:
         _print(HELP)
     elif first in ("-V", "--version"):
         _print(f"suspnet {__version__}")
-    elif first == COMPLETION:
-        if len(rest) != 1 or rest[0] not in SHELLS:
-            sys.exit(f"error: say for which shell: suspnet {COMPLETION} {' or '.join(SHELLS)}")
-        _print(import_module("suspnet.cli.completion").script(rest[0]), end="")
+    elif first == "completion":
+        sys.exit("error: there is no completion any more: take its line out of ~/.bashrc")
     else:
-        near = get_close_matches(first, [*PROGRAMS, COMPLETION], n=1)
+        near = get_close_matches(first, PROGRAMS, n=1)
         meant = f"did you mean {near[0]}? " if near else ""
         sys.exit(f"error: there is no program {first!r}: {meant}suspnet --help lists them")
 
 
-def _print(text: str, end: str = "\n") -> None:
+def _print(text: str) -> None:
     """Print to standard output; a reader that ends early, such as head, is no mistake."""
     try:
-        print(text, end=end, flush=True)
+        print(text, flush=True)
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(141)

@@ -171,7 +171,7 @@ def _run(config: DictConfig, group: Group, folder: Path, n_healthy: int | None) 
     """Return the run of a suspension, with its own trips, bogie and axle."""
     one = of_group(config, group)
     one.n_healthy = n_healthy
-    one.ablation_name = config.ablation_name  # resolved here, as workers run without Hydra
+    one.reading_name = config.reading_name  # resolved here, as workers run without Hydra
     one.healthy = str(group.folder)
     one.progress = False
     return Run(group, as_written(one), folder / group.name)

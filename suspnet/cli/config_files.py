@@ -32,7 +32,6 @@ def _configs() -> str:
 CONFIGS = _configs()
 """Absolute path of the folder that Hydra composes from."""
 TABLES = {
-    "ablation": ("ablations.yaml", "_global_"),
     "reading": ("readings.yaml", "_global_"),
     "scenario": ("scenarios.yaml", "scenario"),
 }

@@ -15,7 +15,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from suspnet.cli import program
 from suspnet.cli.folders import ACT, EXIT_CODE, FINE, MISTAKE, NOTICE, SOME_WITHOUT_ESTIMATE, worst
-from suspnet.cli.kinds import board_settings, build, named_runs, read_vehicles
+from suspnet.cli.kinds import board_settings, build, named_runs
 from suspnet.estimation.checkpoint import load_model
 from suspnet.ground.parameters import Severity
 from suspnet.ground.settings import check_choice
@@ -28,13 +28,11 @@ from suspnet.report.output import check_documents, write_documents
 from suspnet.report.overview import Evaluated
 from suspnet.runs.evaluate import FreshCurves, evaluate, existing_history, write_maintenance
 from suspnet.runs.identifiability import write_identifiability
-from suspnet.runs.layouts import write_layouts
-from suspnet.runs.reliability import write_reliability
 from suspnet.runs.sweeps import write_table6
 from suspnet.trips.fleet import evaluate_fleet
 
 log = logging.getLogger(__name__)
-STUDIES = ("identifiability", "layouts", "maintenance", "reliability")
+STUDIES = ("identifiability", "maintenance")
 ALARMS = {Severity.UNKNOWN: SOME_WITHOUT_ESTIMATE, Severity.NOTICE: NOTICE, Severity.ACT: ACT}
 
 
@@ -134,7 +132,6 @@ def _evaluate(config: DictConfig, history: Callable[[], History]) -> int:
 def run_study(config: DictConfig, folder: Path, history: Callable[[], History]) -> int:
     """Run the chosen study, some of which need the history; return its exit code."""
     check_choice("study", config.study, STUDIES)
-    threads = program.n_threads(config.threads)
     program.save_config(config, folder)
     if config.study == "identifiability":
         write_identifiability(
@@ -145,25 +142,6 @@ def run_study(config: DictConfig, folder: Path, history: Callable[[], History]) 
             group=config.group,
             n_vehicles=config.n_vehicles,
             seed=config.seed,
-        )
-        return FINE
-    if config.study == "layouts":
-        write_layouts(
-            build(config, "vehicle"),
-            build(config, "data"),
-            folder,
-            n_healthy=config.n_healthy,
-            wheelset_share=config.wheelset_share,
-        )
-        return FINE
-    if config.study == "reliability":
-        write_reliability(
-            config.run,
-            read_vehicles(),
-            folder,
-            FreshCurves(config.seed, config.n_test, threads=threads, progress=config.progress),
-            config.n_odd,
-            config.device,
         )
         return FINE
     states = write_maintenance(history(), folder, board_settings(config, config.monitor))

@@ -56,12 +56,11 @@ KINDS: dict[str, dict[str, str | type]] = {
     # where there is one kind only, a configuration need not name it
     "broker": {"": "suspnet.live.broker.Broker"},
     "changes": {"": "suspnet.maintenance.change.ChangeSettings"},
-    "costs": {"": "suspnet.maintenance.visit_costs.Costs"},
     "fleet": {"": "suspnet.simulation.fleet.Fleet"},
     "live": {"": "suspnet.live.sections.LiveSettings"},
     "monitor": {"": "suspnet.trips.fleet.FleetSettings"},
     "order": {"": "suspnet.recordings.assembler.OrderSettings"},
-    "plan": {"": "suspnet.maintenance.visit_costs.PlanSettings"},
+    "plan": {"": "suspnet.maintenance.plan.PlanSettings"},
     "protocol": {"": "suspnet.estimation.protocols.Protocol"},
     "scenario": {"": "suspnet.simulation.fleet.Scenario"},
     "search": {"": "suspnet.learning.search.GridSearch"},
@@ -76,7 +75,6 @@ PARTS: Mapping[str, tuple[str, ...]] = {
     "generator": ("vehicle",),
     "live": ("order",),
     "monitor": ("changes", "trips"),
-    "plan": ("costs",),
     "sink": ("broker",),
     "source": ("broker",),
 }

@@ -43,8 +43,8 @@ ALLOWED = frozenset(
 )
 """Keys that a file of ``--config-dir`` may set, with all that is below them."""
 GROUPS = (
-    *("ablation", "data", "experiment", "generator", "model"),
-    *("protocol", "reading", "scenario", "search", "vehicle"),
+    *("data", "experiment", "generator", "model", "protocol"),
+    *("reading", "scenario", "search", "vehicle"),
 )
 """Groups whose options the list of defaults in such a file may choose."""
 TEXTS = ("ca_file", "reason", "source", "why")

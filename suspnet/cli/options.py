@@ -114,7 +114,7 @@ def check_parser() -> ArgumentParser:
         help="folder of a training whose models must read the trips, as of evaluate.py; may be "
         "given several times [path; none if not given]",
     )
-    found.add_argument(  # taken off before: it is here for --help and for completion
+    found.add_argument(  # taken off before: it is here for --help
         "--plugin",
         action="append",
         metavar="FILE",

@@ -60,6 +60,13 @@ NO_SLURM = 'Could not detect "srun"'
 SERVER = re.compile(r"\bpostgres(ql)?(\+\w+)?://")
 PASSWORD = re.compile(r"(?<=://)([^:/@]*):([^@]*)@|(?<=[?&])password=([^&'\"]*)&?")
 """Password in the URL of a server, after the user or as an option."""
+MOVED = re.compile(
+    r"Could not find '(?:experiment|study)/(ablation|layouts|reliability)'|"
+    r"Could not override '(ablation)"
+)
+"""Messages of Hydra on studies that were options once."""
+PRICES = re.compile(r"plan\.(?:visit|costs|step_days|plan_again_risk)\b")
+"""Settings of a plan by costs, which earlier releases made."""
 _debugging = bool(os.environ.get(DEBUG, "") not in ("", "0"))
 
 store_tables()
@@ -387,6 +394,11 @@ def one_line(error: BaseException) -> str:
                 "experiments belong to train.py and studies to evaluate.py: "
                 f"python {owner} {group}=NAME"
             )
+    if prices := PRICES.search(given):
+        message = f"{prices[0]} is gone: plan.risk, bundle_days and reach_km set what is done when"
+    if moved := MOVED.search(message):
+        script = f"tests/benchmarks/{moved[1] or moved[2]}.py"
+        message = f"{moved[1] or moved[2]} is a script of the sources now: python {script} --help"
     if isinstance(error, OSError) and error.filename is not None:
         message = why(error)
     return printable("error: " + " ".join(message.split()))

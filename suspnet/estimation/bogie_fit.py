@@ -76,10 +76,10 @@ class CommissionedBogie(ShortRepr):
     ) -> PartsEstimate:
         """Return the ratio to healthy of every part on a later trip.
 
-        `start` (13,) are ratios near it, such as those of `suspnet.train_parts`: the search
-        starts there, or from the healthy vehicle where that is nearer. If it does not explain the
-        trip, it starts from the healthy vehicle in bands that widen. ValueError if the trip has
-        another number of sensors.
+        `start` (13,) are ratios near it, such as those of an earlier trip: the search starts there,
+        or from the healthy vehicle where that is nearer. If it does not explain the trip, it starts
+        from the healthy vehicle in bands that widen. ValueError if the trip has another number of
+        sensors.
         """
         assert self.generator.sensors is not None
         noise = self.noise[trip.kept(self.generator.sensors)]

@@ -8,12 +8,11 @@ from suspnet.maintenance.change import Change, Changes, ChangeSettings, find_cha
 from suspnet.maintenance.cusum import cusum, residuals, threshold
 from suspnet.maintenance.fleet import learn_fleet
 from suspnet.maintenance.life import Life, predict_life
-from suspnet.maintenance.plan import make_plan
+from suspnet.maintenance.plan import PlanSettings, make_plan
 from suspnet.maintenance.schedule import Part, Plan, Train
 from suspnet.maintenance.series import Event, Series, make_series
 from suspnet.maintenance.sisters import Sister, SisterSettings, sister_alarms
 from suspnet.maintenance.state import State, remaining_lives
-from suspnet.maintenance.visit_costs import Costs, PlanSettings
 
 __all__ = [
     "DEFAULT_LIMITS",
@@ -23,7 +22,6 @@ __all__ = [
     "Change",
     "ChangeSettings",
     "Changes",
-    "Costs",
     "Event",
     "Life",
     "Limits",

@@ -1,22 +1,28 @@
-"""A plan for a fleet: parts to inspect or replace, and when, bundled into visits."""
+"""A plan for a fleet: which parts to inspect or replace, until when, bundled into visits.
+
+A part is due on the last day on which the probability that its limit is passed is at most the
+accepted risk; with an alarm "act" it is due on the first possible day, with a notice at the latest
+after `notice_days`. The first due part of a train sets the day of a visit, and all parts that are
+due within `bundle_days` after it are done at it. A part that is more likely than not to pass its
+limit within `reach_km` after the visit is replaced, any other one is inspected.
+"""
 
 from __future__ import annotations
 
-import operator
+import math
 from collections import defaultdict
 from collections.abc import Sequence
-from dataclasses import astuple, replace
+from dataclasses import astuple, dataclass, replace
 from datetime import date, timedelta
-from itertools import chain
 
 import numpy as np
 from numpy.typing import NDArray
 
 from suspnet.ground.parameters import ESTIMATED, Severity
+from suspnet.ground.settings import check_settings, setting
 from suspnet.ground.types import FloatArray
 from suspnet.ground.wording import thousands
 from suspnet.maintenance.schedule import (
-    SLACK,
     SOON_DAYS,
     UNKNOWN,
     URGENCIES,
@@ -27,43 +33,89 @@ from suspnet.maintenance.schedule import (
     Visit,
 )
 from suspnet.maintenance.state import State
-from suspnet.maintenance.visit_costs import (
-    REPLACE,
-    PartCosts,
-    PlanSettings,
-    choose_dates,
-    part_costs,
-)
 
-WORK = ("replace", "inspect")
-"""Texts for the rows of ``PartCosts.work``."""
+REPLACE, INSPECT = "replace", "inspect"
 WAIT = "plan again"
-"""Text for a part without a visit before the horizon."""
-N_COARSE = 24
-"""Number of dates between the horizon and the end of a usual life; a part served there waits."""
+"""What is done with a part that has no visit before the horizon."""
+MOST_DAYS = 36_525.0
+"""Longest horizon, a century, [days]."""
 WINDOW_DAYS = 180
 """Number of latest days whose trips determine the mileage per day of a train."""
 LEAST_DAYS = 14
 """Fewest days that the trips must span to determine the mileage per day of a train."""
 
 
+@dataclass(frozen=True)
+class PlanSettings:
+    """Days and risks of a plan; TypeError or ValueError if one is out of range."""
+
+    risk: float = setting(
+        0.02, "Probability of passing a limit that is accepted before a visit", above=0, below=1
+    )
+    bundle_days: float = setting(
+        90.0, "Days by which a job comes earlier to share the visit of another one", "days", low=0
+    )
+    reach_km: float = setting(
+        50_000.0,
+        "Mileage after a visit within which a part must be likely to pass its limit to be replaced "
+        "and not inspected",
+        "km",
+        low=0,
+    )
+    lead_days: float = setting(
+        14.0, "Days from today until the first possible visit", "days", low=0
+    )
+    horizon_days: float = setting(
+        730.0,
+        "Days from today until the last date that is planned",
+        above=0,
+        high=MOST_DAYS,
+        rule="days; above lead_days, at most 36525",
+    )
+    notice_days: float = setting(
+        90.0,
+        "Days within which a notice is inspected if no limit is predicted to be passed",
+        "days",
+        low=0,
+    )
+    km_per_day: float = setting(
+        500.0, "Daily mileage of trains whose trips do not determine it", "km", above=0
+    )
+    stale_days: float = setting(
+        180.0,
+        "Age of a train's newest trip beyond which its wear and mileage count as unknown; as long "
+        "as the trips that determine the daily mileage",
+        "days",
+        above=0,
+    )
+    level: float = setting(
+        0.8,
+        "Probability of the interval in which a part passes its limit, as it is shown",
+        above=0,
+        below=1,
+    )
+
+    def __post_init__(self) -> None:
+        check_settings(self)
+        if self.horizon_days <= self.lead_days:
+            raise ValueError(
+                f"`horizon_days` must be > `lead_days` ({self.lead_days:g}), "
+                f"got {self.horizon_days:g}"
+            )
+
+
 def make_plan(
     parts: Sequence[Part], trains: Sequence[Train], settings: PlanSettings, today: date
 ) -> Plan:
-    """Return the plan of visits with the least expected cost, for each train separately.
-
-    A part whose alarm is "act" is visited on the first possible date. A part with a notice, for
-    which no visit before the horizon would pay off, is visited within `notice_days`, together with
-    other parts if possible. All other parts are visited when it costs least, or not at all if
-    waiting costs least.
+    """Return the plan of a fleet's visits, for each train separately.
 
     `parts` and `trains` are those of the whole fleet, in any order. ValueError is raised if a part
-    occurs twice, its train is missing or given twice, or `costs` lacks a parameter.
+    occurs twice, or its train is missing or given twice.
     """
     named = {train.name: train for train in trains}
     if len(named) < len(trains):
-        raise ValueError(f"`trains` must have different names, got {[one.name for one in trains]}")
-    groups: dict[str, list[Part]] = defaultdict(list)
+        raise ValueError(f"`trains` must have different names, got {[t.name for t in trains]}")
+    parts_of_train: dict[str, list[Part]] = defaultdict(list)
     seen: set[tuple[str, ...]] = set()
     for part in parts:
         key = (*part.place, part.parameter)
@@ -72,166 +124,119 @@ def make_plan(
         if part.train not in named:
             raise ValueError(f"`trains` must hold the train of each part, not that of {part}")
         seen.add(key)
-        groups[part.train].append(part)
-    stale = tuple(one for one in trains if one.age_days(today) > settings.stale_days)
-    for train in stale:
-        if own := groups.get(train.name):
-            groups[train.name] = [_of_unknown_life(part, train, today) for part in own]
-    planned = [_Calendar(named[one], groups[one], settings, today) for one in sorted(groups)]
-    horizon = today + timedelta(days=settings.horizon_days)
-    assumed = tuple(one for one in trains if one.is_assumed and one not in stale)
-    empty = Plan(today, horizon, (), (), (), 0, 0.0, 0.0, settings.level, assumed, stale)
-    return join_plans([empty, *(one.plan(horizon) for one in planned)])
+        parts_of_train[part.train].append(part)
 
+    visits: list[Visit] = []
+    rest: list[Job] = []
+    for name, own in sorted(parts_of_train.items()):
+        calendar = _Calendar(named[name], settings, today)
+        visits += calendar.visits(own)
+        rest += calendar.without_visit(own)
 
-def join_plans(plans: Sequence[Plan]) -> Plan:
-    """Return one plan from plans of different trains, of the same days and level."""
-    if len({(plan.today, plan.horizon, plan.level) for plan in plans}) != 1:
-        raise ValueError("plans to be joined must be of the same days and level")
-    unknown, visits, waiting, assumed, stale = (
-        tuple(chain.from_iterable(getattr(plan, name) for plan in plans))
-        for name in ("unknown", "visits", "waiting", "assumed", "stale")
-    )
+    unknown = sorted((job for job in rest if job.part.unknown), key=lambda job: job.part.place)
+    known = [job for job in rest if not job.part.unknown]
+    waiting = sorted((job for job in known if job.probability), key=_likeliest_first)
+    visits.sort(key=lambda visit: (visit.urgency_of(visit.jobs[0]) != UNKNOWN, visit.day))
+    stale = tuple(train for train in trains if train.age_days(today) > settings.stale_days)
     return Plan(
-        plans[0].today,
-        plans[0].horizon,
-        tuple(sorted(unknown, key=lambda job: job.part.place)),
-        tuple(
-            sorted(
-                visits, key=lambda one: (one.urgency_of(one.jobs[0]) != UNKNOWN, one.day, one.train)
-            )
-        ),
-        tuple(sorted(waiting, key=lambda job: (job.plan_again_km, str(job.part)))),
-        sum(plan.n_quiet for plan in plans),
-        sum(plan.objective for plan in plans),
-        sum(plan.bound for plan in plans),
-        plans[0].level,
-        assumed,
+        today,
+        today + timedelta(days=settings.horizon_days),
+        tuple(unknown),
+        tuple(visits),
+        tuple(waiting),
+        len(known) - len(waiting),
+        settings.level,
+        tuple(train for train in trains if train.is_assumed and train not in stale),
         stale,
     )
 
 
-def _of_unknown_life(part: Part, train: Train, today: date) -> Part:
-    """Return a part of a train whose newest trip is too old: only its severity plans its visit."""
-    why = f"the newest trip is {thousands(train.age_days(today))} days old"
-    return replace(part, samples_km=np.array([np.inf]), unknown=why)
-
-
+@dataclass(frozen=True)
 class _Calendar:
-    """The parts of one train, and the possible days of its visits.
+    """The visits of one train; days count from today."""
 
-    `days`, (n_dates,), count from today, from the lead time to the end of a usual life at `end_km`;
-    those from index `n_near` on are coarse and beyond the horizon. `prices`, (n_dates,), are those
-    of a visit, V(t) of ``part_costs``.
-    """
+    train: Train
+    settings: PlanSettings
+    today: date
 
-    def __init__(
-        self, train: Train, parts: Sequence[Part], settings: PlanSettings, today: date
-    ) -> None:
-        self.train, self.parts, self.settings, self.today = train, parts, settings, today
-        self.end_km = max(settings.of(part.parameter).usual_life_km for part in parts)
-        end_days = self.end_km / train.km_per_day
-        near = np.arange(settings.lead_days, settings.horizon_days, settings.step_days)
-        near = np.unique(np.ceil(near))  # whole days, none before the lead time has passed
-        self.days = near = near[: max(1, int(np.searchsorted(near, end_days)))]
-        self.n_near = near.size
-        if end_days > settings.horizon_days:
-            far = np.geomspace(settings.horizon_days, end_days, N_COARSE + 1)[:-1]
-            self.days = np.append(near, far)
-        self.prices = settings.visit * np.clip(1 - self.days / end_days, 0, None)
+    @property
+    def is_stale(self) -> bool:
+        return self.train.age_days(self.today) > self.settings.stale_days
 
-    def plan(self, horizon: date) -> Plan:
-        """Return the plan for this train, with the horizon as a date."""
-        tables = [self._table(part) for part in self.parts]
-        costs = np.stack(list(map(self._allowed, tables, self.parts)))
-        dates, served, bound = choose_dates(costs, self.prices)
-        jobs = list(map(self._job, self.parts, tables, served))
+    @property
+    def first_day(self) -> int:
+        return math.ceil(self.settings.lead_days)
+
+    def visits(self, parts: Sequence[Part]) -> list[Visit]:
+        """Return the visits of all parts that are due before the horizon, by day."""
+        due = [(self.due_day(part), part) for part in map(self.as_known, parts)]
+        left = [pair for pair in due if pair[0] < self.settings.horizon_days]
         visits = []
-        for at in (one for one in dates if one < self.n_near):
-            chosen = [j for j, one in enumerate(served) if one == at]
-            visits.append(self._visit(at, [jobs[j] for j in chosen], costs[chosen]))
-        rest = [job for job, at in zip(jobs, served, strict=True) if at >= self.n_near]
-        unknown = tuple(job for job in rest if job.part.unknown)
-        waiting = tuple(
-            job
-            for job in rest
-            if not job.part.unknown and (job.probability or job.part.severity >= Severity.NOTICE)
-        )
-        n_quiet = len(rest) - len(unknown) - len(waiting)
-        objective = float(self.prices[dates].sum() + costs[np.arange(len(jobs)), served].sum())
-        shown = unknown, tuple(visits), waiting, n_quiet
-        return Plan(self.today, horizon, *shown, objective, bound, self.settings.level)
+        while left:  # ends: the part that is due first is taken off
+            day = min(days for days, _ in left)
+            last = day + self.settings.bundle_days
+            visits.append(self._visit(int(day), [part for days, part in left if days <= last]))
+            left = [pair for pair in left if pair[0] > last]
+        return visits
+
+    def without_visit(self, parts: Sequence[Part]) -> list[Job]:
+        """Return the other parts, with the probability that their limit is passed until then."""
+        horizon = self.settings.horizon_days
+        jobs = [(self.due_day(part), part) for part in map(self.as_known, parts)]
+        return [
+            self._job(part, UNKNOWN if part.unknown else WAIT, horizon)
+            for days, part in jobs
+            if days >= horizon
+        ]
+
+    def as_known(self, part: Part) -> Part:
+        """Return the part as far as it is known: not its life if the newest trip is too old."""
+        if not self.is_stale:
+            return part
+        why = f"the newest trip is {thousands(self.train.age_days(self.today))} days old"
+        return replace(part, samples_km=np.array([np.inf]), unknown=why)
+
+    def due_day(self, part: Part) -> float:
+        """Return the last day for a visit of a part, inf if it needs none."""
+        if part.severity == Severity.ACT:
+            return self.first_day
+        samples = np.sort(self._to_go(part))
+        last_km = samples[int(self.settings.risk * samples.size)]
+        # a day earlier than that on which the risk would be exceeded
+        days = np.ceil(last_km / self.train.km_per_day) - 1
+        if part.severity == Severity.NOTICE and days >= self.settings.horizon_days:
+            days = math.floor(self.settings.notice_days)
+        return float(max(days, self.first_day))
 
     def _to_go(self, part: Part) -> FloatArray:
         """Return the samples of a part as mileages from today, [km]."""
         run = self.train.mileage_at(self.today) - part.mileage_km
         return np.clip(part.samples_km - run, 0, None)
 
-    def _table(self, part: Part) -> PartCosts:
-        dates_km = self.train.km_per_day * self.days
-        costs = self.settings.of(part.parameter)
-        return part_costs(self._to_go(part), dates_km, self.settings.visit, self.end_km, costs)
-
-    def _allowed(self, table: PartCosts, part: Part) -> FloatArray:
-        """Return the costs at each date and of no visit, infinite where the severity forbids it."""
-        costs = table.least
-        if part.severity == Severity.ACT:
-            costs[1:] = np.inf
-        elif part.severity == Severity.NOTICE:
-            # within notice_days unless a visit for this part alone pays off before the horizon
-            alone = costs + np.append(self.prices, 0.0)
-            if alone[: self.n_near].min() >= alone[self.n_near :].min():
-                within = np.searchsorted(self.days, self.settings.notice_days, side="right")
-                costs[max(1, within) :] = np.inf
-        return costs
-
-    def _job(self, part: Part, table: PartCosts, at: int) -> Job:
-        """Return the job of a part at a date; it waits if the date is beyond the horizon."""
-        settings, samples = self.settings, self._to_go(part)
-        costs, pace = settings.of(part.parameter), self.train.km_per_day
-        nothing = np.nan, (np.nan, np.nan)
-        tail = (1 - settings.level) / 2
-        ends = np.quantile(samples, [tail, 1 - tail], method="inverted_cdf") / pace
-        passing = float(ends[0]), float(ends[1])
-        if at < self.n_near:
-            what = int(table.work[:, at].argmin())
-            price, unused = costs.inspection, np.nan
-            if what == REPLACE:
-                left = np.minimum(samples, costs.usual_life_km) - pace * self.days[at]
-                price, unused = costs.replacement, float(np.clip(left, 0, None).mean())
-            if part.unknown:
-                return Job(part, WORK[what], *nothing, price)
-            cost = price + float(table.failing[at])
-            # a limit passed before today counts, though the first visit is in time for its failure
-            probability = float((samples <= pace * self.days[at]).mean())
-            return Job(part, WORK[what], probability, passing, cost, unused)
+    def _job(self, part: Part, what: str, day: float) -> Job:
         if part.unknown:
-            return Job(part, UNKNOWN, *nothing, np.nan)
-        horizon_km = pace * settings.horizon_days
-        safe = np.quantile(samples, settings.plan_again_risk, method="lower")
-        again = float(np.clip(safe - pace * settings.lead_days, 0, horizon_km))
-        risk = float(table.failing[self.n_near - 1])
-        return Job(part, WAIT, float((samples <= horizon_km).mean()), passing, risk, np.nan, again)
+            return Job(part, what, np.nan, (np.nan, np.nan))
+        samples, tail = self._to_go(part), (1 - self.settings.level) / 2
+        ends = np.quantile(samples, [tail, 1 - tail], method="inverted_cdf") / self.train.km_per_day
+        probability = float((samples <= self.train.km_per_day * day).mean())
+        return Job(part, what, probability, (float(ends[0]), float(ends[1])))
 
-    def _visit(self, at: int, jobs: Sequence[Job], costs: FloatArray) -> Visit:
-        """Return the visit at a date; `costs` of its jobs are of shape (n_jobs, n_dates + 1)."""
-        totals = costs[:, : self.n_near].sum(axis=0) + self.prices[: self.n_near]
-        too_expensive = np.flatnonzero(totals[at:] > totals[at] + SLACK * self.settings.visit)
-        latest = at + int(too_expensive[0]) - 1 if too_expensive.size else self.n_near - 1
-        day, last = (self.today + timedelta(days=float(self.days[i])) for i in (at, latest))
-        decide_by = last - timedelta(days=self.settings.lead_days)
+    def _work(self, part: Part, days: int) -> str:
+        reach_km = self.train.km_per_day * days + self.settings.reach_km
+        return REPLACE if (self._to_go(part) <= reach_km).mean() > 0.5 else INSPECT
+
+    def _visit(self, days: int, parts: Sequence[Part]) -> Visit:
+        jobs = [self._job(part, self._work(part, days), days) for part in parts]
+        day = self.today + timedelta(days=days)
+        decide_by = day - timedelta(days=self.settings.lead_days)
         soon = (decide_by - self.today).days <= SOON_DAYS
-        is_known = self.train.age_days(self.today) <= self.settings.stale_days
         return Visit(
             self.train.name,
             day,
-            last,
-            self.train.mileage_at(day) if is_known else np.nan,
-            self.train.mileage_at(last) if is_known else np.nan,
+            np.nan if self.is_stale else self.train.mileage_at(day),
             decide_by,
-            URGENCIES[1 if at == 0 else 2 if soon else 3],
+            URGENCIES[1 if days <= self.first_day else 2 if soon else 3],
             tuple(sorted(jobs, key=_likeliest_first)),
-            self.settings.visit + sum(job.expected_cost for job in jobs),
         )
 
 
@@ -241,36 +246,11 @@ def _likeliest_first(job: Job) -> tuple[bool, float, str]:
     return not job.part.unknown, probability, str(job.part)
 
 
-class Planner:
-    """Plans the visits of a fleet, each train separately, and caches the plans of trains."""
-
-    def __init__(self, settings: PlanSettings) -> None:
-        self.settings = settings
-        self._made: dict[str, tuple[list[State], Plan]] = {}
-
-    def plan(self, states: Sequence[State], today: date) -> Plan:
-        """Return the plan of ``make_plan`` for a fleet.
-
-        A train is replanned if one of its states is another object than in the last call, or the
-        day is another one.
-        """
-        of_train: dict[str, list[State]] = {}
-        for state in states:
-            of_train.setdefault(train_of(state), []).append(state)
-        self._made = {name: self._of(name, own, today) for name, own in sorted(of_train.items())}
-        nothing = make_plan([], [], self.settings, today)
-        return join_plans([nothing, *(plan for _, plan in self._made.values())])
-
-    def _of(self, name: str, states: list[State], today: date) -> tuple[list[State], Plan]:
-        known = self._made.get(name)
-        if known is not None and known[1].today == today and _same_objects(states, known[0]):
-            return known
-        trains = trains_of(states, today, self.settings.km_per_day)
-        return states, make_plan(parts_of(states), trains, self.settings, today)
-
-
-def _same_objects(states: Sequence[State], others: Sequence[State]) -> bool:
-    return len(states) == len(others) and all(map(operator.is_, states, others))
+def plan_of(states: Sequence[State], settings: PlanSettings, today: date) -> Plan:
+    """Return the plan of a fleet from the states of its suspensions."""
+    return make_plan(
+        parts_of(states), trains_of(states, today, settings.km_per_day), settings, today
+    )
 
 
 def parts_of(states: Sequence[State]) -> list[Part]:

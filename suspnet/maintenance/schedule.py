@@ -23,25 +23,13 @@ UNKNOWN = URGENCIES[0]
 SOON_DAYS = 30
 MOST_NAMED = 3
 """Largest number of trains that a sentence names."""
-PROVEN = 1e-6
-"""Relative gap between objective and bound that is due to the solver's rounding."""
-SLACK = 0.1
-"""Largest extra cost at the latest date of a visit, as a share of the cost of a visit."""
 
 
 @dataclass(frozen=True)
 class Train:
-    """Mileage of a train now and per day.
+    """Mileage of a train on a day, [km], and per day.
 
-    Parameters
-    ----------
-    name : str
-    mileage_km : float, [km]
-    on : date
-        Day of that mileage.
-    km_per_day : float
-    is_assumed : bool
-        Whether `km_per_day` is that of the settings, as the trips do not determine it.
+    `is_assumed`: `km_per_day` is that of the settings, as the trips do not determine it.
     """
 
     name: str
@@ -79,8 +67,7 @@ class Part:
         Severity of its alarm.
     car : str
     unknown : str
-        Why its remaining life is unknown or unreliable; empty if it is known. The visits of an
-        unknown part then depend on its severity alone if `samples_km` is only inf.
+        Why its remaining life is unknown or unreliable; empty if it is known.
     """
 
     train: str
@@ -107,11 +94,6 @@ class Part:
         """Train, car and suspension."""
         return self.train, self.car, self.suspension
 
-    @property
-    def is_passed(self) -> bool:
-        """Whether the limit is passed already, with certainty."""
-        return bool((self.samples_km == 0).all())
-
     def __str__(self) -> str:
         """Return train, car, suspension and parameter or part as text."""
         car = f"car {self.car}" if self.car else ""
@@ -123,68 +105,37 @@ class Part:
 class Job:
     """Work on one part at a visit, or the decision that the part waits.
 
-    Attributes
-    ----------
-    part : Part
-    what : {"replace", "inspect", "plan again", "unknown"}
-        "unknown" is a part of unknown remaining life without a visit.
-    probability : float
-        Probability that the limit is passed before the visit, or before the horizon if the part
-        waits; NaN if the remaining life is unknown.
-    passing_days : (float, float)
-        Interval in which the limit is passed, in days from today; inf: never, NaN: unknown.
-    expected_cost : float
-        Price of the work and expected cost of failures before it, without the visit. If the part
-        waits, the cost of failures before the horizon; if its life is unknown, the price alone.
-    unused_km : float, [km]
-        Expected life, up to the usual one, that a replacement wastes; NaN for other work.
-    plan_again_km : float, [km]
-        Mileage from today until a part that waits is planned again; NaN for other parts.
+    `what` is replace, inspect, "plan again" for a part that waits, or "unknown" for one of unknown
+    remaining life without a visit. `probability` is that of passing the limit before the visit, or
+    before the horizon without one; `passing_days` is the interval in which it is passed, in days
+    from today, inf: never. Both are NaN if the remaining life is unknown.
     """
 
     part: Part
     what: str
     probability: float
     passing_days: tuple[float, float]
-    expected_cost: float
-    unused_km: float = np.nan
-    plan_again_km: float = np.nan
 
     @property
     def is_passed(self) -> bool:
         """Whether the limit has certainly been passed already."""
-        return self.part.is_passed or self.passing_days == (0.0, 0.0)
+        return bool((self.part.samples_km == 0).all()) or self.passing_days == (0.0, 0.0)
 
 
 @dataclass(frozen=True, eq=False)
 class Visit:
-    """One visit of a train.
+    """One visit of a train, and its jobs: parts of unknown life first, then the likeliest to fail.
 
-    Attributes
-    ----------
-    train : str
-    day, latest : date
-        Day of least cost, and last day on which the extra cost is small (``SLACK``).
-    mileage_km, latest_km : float, [km]
-        Mileage of the train on these days; NaN if its trips are too old to know.
-    decide_by : date
-        `latest` minus the lead time.
-    urgency : {"now", "soon", "later"}
-    jobs : tuple of Job
-        Parts of unknown remaining life first, then by falling probability of failure.
-    expected_cost : float
-        Cost of the visit and its jobs.
+    `day` is the last one on which no part exceeds the accepted risk, `mileage_km` that of the train
+    on it, NaN if its trips are too old to know; `decide_by` is `day` minus the lead time.
     """
 
     train: str
     day: date
-    latest: date
     mileage_km: float
-    latest_km: float
     decide_by: date
     urgency: str
     jobs: tuple[Job, ...]
-    expected_cost: float
 
     def words_of(self, job: Job) -> str:
         """Return the work of one of its jobs and its day: "replace at the visit of 2026-03-15"."""
@@ -207,20 +158,14 @@ class Plan:
     visits : tuple of Visit
         Visits for parts of unknown remaining life first, then by day.
     waiting : tuple of Job
-        Parts without a visit that have an alarm or may pass a limit before the horizon, in the
-        order in which they are planned again.
+        Parts without a visit that may pass a limit before the horizon, the likeliest first.
     n_quiet : int
         Number of other parts, which need nothing.
-    objective : float
-        Expected cost that the plan minimises, over all trains (``choose_dates``, ``part_costs``).
-    bound : float
-        Lower bound of the objective of any plan.
     level : float
         Probability of the interval ``Job.passing_days``.
-    assumed : tuple of Train
-        Trains whose mileage per day is assumed.
-    stale : tuple of Train
-        Trains whose newest trip is too old to plan by: the lives of their parts are unknown.
+    assumed, stale : tuple of Train
+        Trains whose mileage per day is assumed, and those whose newest trip is too old to plan by:
+        the lives of their parts are unknown.
     """
 
     today: date
@@ -229,8 +174,6 @@ class Plan:
     visits: tuple[Visit, ...]
     waiting: tuple[Job, ...]
     n_quiet: int
-    objective: float
-    bound: float
     level: float
     assumed: tuple[Train, ...] = ()
     stale: tuple[Train, ...] = ()
@@ -259,23 +202,14 @@ class Plan:
             f"today={newest + timedelta(days=1)} for the plan of that time. "
         )
 
-    @property
-    def gap(self) -> float:
-        """Relative gap between objective and bound; 0: the plan is proven optimal.
-
-        It is above 0 only if a search reached ``MAX_SOLVE_S``.
-        """
-        excess = self.objective - self.bound
-        return excess / self.objective if excess > PROVEN * self.objective else 0.0
-
     def rows(self) -> list[dict[str, Any]]:
         """Return one flat row for each job; dates in ISO 8601, empty if there is none.
 
         Unknown parts come first, then visits, then parts that wait.
         """
-        jobs = [self._row(job, visit) for visit in self.visits for job in visit.jobs]
-        rest = (self._row(job, None) for job in self.waiting)
-        return [*(self._row(job, None) for job in self.unknown), *jobs, *rest]
+        at_visits = [self._row(job, visit) for visit in self.visits for job in visit.jobs]
+        without = [[self._row(job, None) for job in jobs] for jobs in (self.unknown, self.waiting)]
+        return [*without[0], *at_visits, *without[1]]
 
     def _row(self, job: Job, visit: Visit | None) -> dict[str, Any]:
         part, ends = job.part, [self.day_after(days) for days in job.passing_days]
@@ -293,16 +227,11 @@ class Plan:
             "unknown": part.unknown,
             "passed": job.is_passed,
             "day": visit.day.isoformat() if visit else "",
-            "latest": visit.latest.isoformat() if visit else "",
             "decide_by": visit.decide_by.isoformat() if visit else "",
             "mileage_km": _whole(visit.mileage_km) if visit else np.nan,
-            "latest_km": _whole(visit.latest_km) if visit else np.nan,
             "probability": job.probability,
             "passing_from": ends[0].isoformat() if ends[0] else "",
             "passing_to": ends[1].isoformat() if ends[1] else "",
-            "expected_cost": job.expected_cost,
-            "unused_km": job.unused_km,
-            "plan_again_km": job.plan_again_km,
         }
 
     def day_after(self, days: float) -> date | None:
@@ -311,20 +240,14 @@ class Plan:
 
     @property
     def summary(self) -> str:
-        """Too old trips, numbers of visits and jobs, the optimum, and assumed mileages."""
+        """Too old trips, numbers of visits and jobs, and assumed mileages."""
         n_jobs = sum(len(visit.jobs) for visit in self.visits)
-        n_waiting = len(self.waiting)
         unknown = f"{count(len(self.unknown), 'part')} unknown, " if self.unknown else ""
-        best = "No plan costs less."
-        if self.gap:
-            best = (
-                f"The search was ended: the best plan may cost up to {100 * self.gap:.2g} % less."
-            )
         return (
             f"{self.stale_words}{unknown}{count(len(self.visits), 'visit')} with "
-            f"{count(n_jobs, 'job')} until {self.horizon}, {count(n_waiting, 'part')} may need "
-            f"work later, {self.n_quiet} need{'s' * (self.n_quiet == 1)} nothing. "
-            f"{best} {self.assumed_words}"
+            f"{count(n_jobs, 'job')} until {self.horizon}, {count(len(self.waiting), 'part')} may "
+            f"need work later, {self.n_quiet} need{'s' * (self.n_quiet == 1)} nothing. "
+            f"{self.assumed_words}"
         ).rstrip()
 
     def __str__(self) -> str:
@@ -334,18 +257,18 @@ class Plan:
             if row["what"] == "plan again":
                 break
             km = number(row["mileage_km"], 0) if row["day"] else ""
-            visit = [row["train"], row["urgency"], row["day"], row["latest"], km]
+            visit = [row["train"], row["urgency"], row["day"], km]
             failure = "passed" if row["passed"] else f"{100 * row['probability']:.1f} %"
             shown = visit if visit != before else [""] * len(visit)
             table.append([*shown, _words(row), UNKNOWN if row["unknown"] else failure])
             before = visit
         if table:
-            head = ("train", "urgency", "best day", "latest", "at km", "what", "failure before")
+            head = ("train", "urgency", "latest", "at km", "what", "failure before")
             lines.append(tabulate(table, head, tablefmt="github", disable_numparse=True))
         if self.waiting:
             first = self.waiting[0]
-            when = f"within {first.plan_again_km:.0f} km" if first.plan_again_km else "at each trip"
-            lines.append(f"First of those that may: {first.part}; plan again {when}.")
+            chance = f"{100 * first.probability:.1f} % until {self.horizon}"
+            lines.append(f"First of those that may: {first.part}; {chance}.")
         return "\n".join(lines)
 
 
@@ -364,13 +287,12 @@ def joined(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
 
     Each row gets a list of its parameters as "parameters".
     """
-    found: dict[tuple[Any, ...], dict[str, Any]] = {}
+    merged: dict[tuple[Any, ...], dict[str, Any]] = {}
     for i, row in enumerate(rows):
         where = row["train"], row["car"], row["suspension"]
-        alike = (*where, row["unknown"], row["severity"], row["day"]) if row["unknown"] else i
-        one = found.setdefault((alike,), {**row, "parameters": []})
-        one["parameters"].append(row["parameter"])
-    return list(found.values())
+        alike = (*where, row["unknown"], row["severity"], row["day"]) if row["unknown"] else (i,)
+        merged.setdefault(alike, {**row, "parameters": []})["parameters"].append(row["parameter"])
+    return list(merged.values())
 
 
 def _words(row: Mapping[str, Any]) -> str:

@@ -17,11 +17,10 @@ from suspnet.history import History, HistoryError
 from suspnet.maintenance.alarms import Alarm, Watched
 from suspnet.maintenance.change import ChangeSettings
 from suspnet.maintenance.fleet import Fleet
-from suspnet.maintenance.plan import Planner
+from suspnet.maintenance.plan import PlanSettings, plan_of
 from suspnet.maintenance.schedule import Plan
 from suspnet.maintenance.sisters import SisterSettings
 from suspnet.maintenance.state import State, by_urgency
-from suspnet.maintenance.visit_costs import PlanSettings
 from suspnet.report.overview import FleetView, fleet_view
 
 log = logging.getLogger(__name__)
@@ -93,7 +92,6 @@ class Board:
         self.settings = settings
         self._limits: dict[str, Mapping[str, Limits]] = {}
         self._fleet = Fleet(self._limits, settings.changes, settings.sisters, settings.seed)
-        self._planner = Planner(settings.plan)
         self._view = FleetView()
         self._revisions: dict[Key, int] = {}
         self._early: dict[Key, State] = {}
@@ -149,7 +147,7 @@ class Board:
             # lives of the whole fleet, as its rates of wear may have changed
             while not self._fleet.predict(SHOWN_S):
                 self._show(history, is_complete=False)
-            self._plan = self._planner.plan(self._fleet.states(), day)
+            self._plan = plan_of(self._fleet.states(), self.settings.plan, day)
             self._show(history, is_complete=True)
             self._day, self._is_due = day, False
             self._early.clear()

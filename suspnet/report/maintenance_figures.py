@@ -62,7 +62,7 @@ DUE = "passing"
 def plan_calendar(plan: Plan, figure: Figure | None = None) -> Figure:
     """Return the calendar: trains as rows, unknown and urgent ones on top, and their visits.
 
-    A mark is a visit with the number of its jobs; the line behind it extends to its latest day.
+    A mark is a visit with the number of its jobs, on its latest day.
     A thin bar is the interval in which one part passes its limit without a visit. A question mark
     is a train with a part of unknown remaining life; a visit for one has its colour. Trains without
     a visit and without a waiting part are left out, as are those after the first ``MOST_TRAINS``;
@@ -149,10 +149,7 @@ def _urgency(visits: Sequence[Visit], jobs: Sequence[Job], name: str) -> tuple[A
 
 def _draw_visit(axis: Axes, row: int, visit: Visit) -> None:
     urgency = visit.urgency_of(visit.jobs[0])
-    colour = COLOURS[urgency]
-    day, latest = (float(mdates.date2num(one)) for one in (visit.day, visit.latest))
-    axis.plot([day, latest], [row, row], color=colour, lw=2, alpha=0.6, solid_capstyle="butt")
-    _draw_mark(axis, day, row, urgency, f"{len(visit.jobs)}")
+    _draw_mark(axis, float(mdates.date2num(visit.day)), row, urgency, f"{len(visit.jobs)}")
 
 
 def _draw_mark(axis: Axes, day: float, row: int, urgency: str, text: str) -> None:

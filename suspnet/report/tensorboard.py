@@ -45,7 +45,7 @@ METRIC_COLUMNS = (
     "seconds",
 )
 SECTIONS = {
-    "comparison": ("table6", "sensitivity", "ablation", "tube"),
+    "comparison": ("table6", "sensitivity", "tube"),
     "estimates": ("parity", "residuals"),
     "training": ("features", "peaks", "convergence", "search"),
     "vehicle": ("bode", "degradation"),

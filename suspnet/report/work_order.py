@@ -53,8 +53,8 @@ class WorkOrder:
         Other parts that may be the worn one instead, as a sentence.
     doubt : str
         Why limits or remaining life are unknown.
-    visit, latest, decide_by : str
-        Day of the planned visit, the last day at little extra cost, and the last for the decision.
+    visit, decide_by : str
+        Latest day of the planned visit, and of the decision on it.
     is_passed : bool
         Whether the act limit is passed already.
     until_km : float, [km]
@@ -91,7 +91,6 @@ class WorkOrder:
     group: str = ""
     doubt: str = ""
     visit: str | None = None
-    latest: str | None = None
     decide_by: str | None = None
     is_passed: bool = False
     until_km: float | None = None
@@ -167,7 +166,6 @@ def _of_part(view: FleetView, index: int, name: str, job: dict[str, Any]) -> Wor
         group="; ".join(groups),
         doubt="; ".join(filter(None, (state.doubt, unknown and f"remaining life: {unknown}"))),
         visit=job.get("day") or None,
-        latest=job.get("latest") or None,
         decide_by=job.get("decide_by") or None,
         is_passed=life is not None and life.interval_km()[1] == 0,
         until_km=finite_or_none(state.last_km + life.quantile_km(0.1)) if life else None,

@@ -120,7 +120,7 @@ def _write_text(sheet: Any, at: tuple[int, int], text: str, plain: Any, *format:
         sheet.write_string(*at, text, *format)
 
 
-TIMES = ("start", "at", "day", "latest", "decide_by", "passing_from", "passing_to", "since")
+TIMES = ("start", "at", "day", "decide_by", "passing_from", "passing_to", "since")
 """Columns whose texts are days or times in ISO 8601."""
 
 

@@ -16,7 +16,7 @@ from suspnet.ground.storage import write_json
 from suspnet.history import History
 from suspnet.history.database import check_exists
 from suspnet.maintenance.fleet import fleet_state
-from suspnet.maintenance.plan import Planner
+from suspnet.maintenance.plan import plan_of
 from suspnet.maintenance.state import State
 from suspnet.report.board import BoardSettings
 from suspnet.report.maintenance_figures import plan_calendar
@@ -141,7 +141,7 @@ def write_maintenance(history: History, folder: Path, settings: BoardSettings) -
     states = fleet_state(fleet, own, settings.changes, settings.sisters, settings.seed)
     history.keep_all_alarms({state.key: state.watched.alarms for state in states})
     acknowledged = history.all_acknowledgements()
-    planned = Planner(settings.plan).plan(states, settings.day())
+    planned = plan_of(states, settings.plan, settings.day())
     view = fleet_view(states, own, acknowledged, planned)
     write_fleet(view, planned, plan_calendar(planned), folder)
     counts = Counter(str(state.severity) for state in states)
@@ -153,8 +153,6 @@ def write_maintenance(history: History, folder: Path, settings: BoardSettings) -
             "n_jobs": sum(len(visit.jobs) for visit in planned.visits),
             "n_waiting": len(planned.waiting),
             "n_unknown": len(planned.unknown),
-            "objective": planned.objective,
-            "gap": planned.gap,
         },
     )
     log.info("%s\n\n%s\n-> %s", overview_table(view.rows), planned, folder)

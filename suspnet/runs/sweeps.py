@@ -21,7 +21,6 @@ from suspnet.ground.storage import read_json, write_atomically, write_json
 from suspnet.recordings.core_yaml import read_yaml
 from suspnet.report.tensorboard import RunLog
 from suspnet.runs import plots
-from suspnet.runs.ablation import write_ablation
 from suspnet.runs.fair import write_fair
 from suspnet.runs.paper import write_paper
 from suspnet.runs.readings import write_readings
@@ -421,14 +420,6 @@ class Fair(_Summary):
     def summarise(self, runs: Sequence[Run], folder: Path) -> None:
         """Write fair.json, .csv, .md and .png and print the tables."""
         write_fair(runs, folder)
-
-
-class Ablation(Callback):
-    """Comparison of the changes to a baseline: see `write_ablation`."""
-
-    def on_multirun_end(self, config: DictConfig, **kwargs: Any) -> None:
-        """Compare the jobs of the multirun that has just ended."""
-        write_ablation(Path(config.hydra.sweep.dir))
 
 
 def write_table6(runs: Sequence[Run], folder: Path, note: str = "") -> None:

@@ -64,8 +64,8 @@ PACKAGES = ("suspnet", "torch", "numpy", "scipy", "scikit-learn", "hydra-core", 
 class RunContext:
     """What the calling program adds to the records and figures of a run.
 
-    `config` is the resolved configuration; its `ablation_name`, `reading_name` and `search_name` go
-    into metrics.json. `varied` is what a multirun varies, by configuration key: TensorBoard's first
+    `config` is the resolved configuration; its `reading_name` and `search_name` go into
+    metrics.json. `varied` is what a multirun varies, by configuration key: TensorBoard's first
     columns. `draw_vehicle`: once is enough in a multirun. `notes` are further entries of the
     model's `training`, such as the healthy trips as "commissioned"; `residual` is the unexplained
     part of a commissioned vehicle's healthy trips, `bogie` its bogie if each part is to be read.
@@ -226,11 +226,9 @@ def _metrics(
     }
     if found is not None:
         metrics["search"] = asdict(found) | {"best": found.best}
-    for key in ("ablation", "reading"):
-        if context.config.get(f"{key}_name"):
-            metrics[key] = context.config[f"{key}_name"]
-    if context.config.get("search_name"):
-        metrics["search_name"] = context.config["search_name"]
+    for key, name in (("reading", "reading_name"), ("search_name", "search_name")):
+        if context.config.get(name):
+            metrics[key] = context.config[name]
     metrics["rms_percent"] = rms_percent(problem.task, outcome)
     if model.unexplained is not None:
         metrics["unexplained"] = {

@@ -369,7 +369,7 @@ def _job(row: dict[str, Any]) -> dict[str, Any]:
     texts = ("train", "car", "suspension", "parameter", "part", "what", "urgency", "severity")
     return {
         **{name: row[name] for name in (*texts, "unknown")},
-        **{name: row[name] or None for name in ("day", "latest", "decide_by")},
+        **{name: row[name] or None for name in ("day", "decide_by")},
         "mileage_km": finite_or_none(row["mileage_km"]),
         "probability": finite_or_none(row["probability"]),
     }

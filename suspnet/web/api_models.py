@@ -226,9 +226,7 @@ class JobAnswer(Model):
     unknown: str
     """Why its remaining life is unknown; empty if it is known."""
     day: str | None
-    """Day of the visit; null without one."""
-    latest: str | None
-    """Last day on which the extra cost is small."""
+    """Latest day of the visit; null without one."""
     decide_by: str | None
     mileage_km: float | None
     """Mileage of the train at the visit [km]."""

@@ -24,7 +24,7 @@ PROGRAMS = {
 }
 WITH_PROTOCOL = ("group", "groups", "tuned")
 """Keys beside `protocol` that the options of that group set."""
-OF_OTHER_GROUPS = ("experiment", "ablation")
+OF_OTHER_GROUPS = ("experiment",)
 """Groups whose options set keys of other groups only."""
 NOT_COMPARED = ("name", "source", "limits")
 """Names of keys that differ between options anyhow, or are explained as a whole."""

@@ -20,13 +20,13 @@ from pathlib import Path
 import torch
 from cells import Parser, Row, at_least
 from hydra import compose, initialize_config_dir
+from reliability import IN_RANGE, Reliability, measure
 from tabulate import tabulate
 
 from suspnet.cli import program  # noqa: F401 - makes our resolvers known to Hydra
 from suspnet.cli.kinds import build
 from suspnet.estimation.checkpoint import load_model
 from suspnet.estimation.problem import Problem
-from suspnet.runs.reliability import IN_RANGE, Reliability, measure
 from suspnet.runs.train import train
 
 ROOT = Path(__file__).parents[2]

@@ -20,9 +20,9 @@ import coverage
 import methods_table
 import named_parts
 import numpy as np
-import parts_methods
 from against_n import METHODS, TUBE
 from cells import Parser, Row
+from layouts import layouts_markdown
 from tabulate import tabulate
 
 from suspnet.cli.config_files import read_comments
@@ -32,7 +32,6 @@ from suspnet.dynamics.quantities import PARTS, QUANTITIES
 from suspnet.ground.storage import write_atomically
 from suspnet.recordings.formats import FORMATS
 from suspnet.runs import fair, readings
-from suspnet.runs.layouts import layouts_markdown
 from suspnet.runs.paper import impact_rows
 from suspnet.runs.tables import MODEL_TITLES, table6_caption, table6_markdown
 from suspnet.runs.tube import tube_markdown
@@ -473,7 +472,6 @@ TABLES: dict[str, tuple[str | None, Callable[[Sequence[Row]], str]]] = {
     "training_time": ("training_time.csv", training_time),
     "two_suspensions": ("two_suspensions.csv", two_suspensions),
     "named_parts_km": ("named_parts_km.csv", named_parts_km),
-    "parts_methods": ("parts_methods.csv", parts_methods.table),
     "methods": ("methods.csv", methods_table.table),
     "layouts": ("layouts.csv", layouts_markdown),
     "configuration": (None, lambda rows: configuration.page()),

@@ -8,8 +8,8 @@ order takes its place. All policies see the same histories, and pay the same: V 
 train, which may serve several parts, R for each replacement, and F for each limit passed in
 service, after which that part alone is replaced at a visit of its own.
 
-- plan: re-made each ``STEP_KM`` from `predict_life` on what was measured until then, with a lead
-  time of ``STEP_KM``; a visit that it puts on the first possible day is carried out then.
+- plan: made again each ``STEP_KM`` from `predict_life` on what was measured until then, with a lead
+  time of ``STEP_KM``; a visit that is to be decided on before the next plan is carried out then.
 - known lives: the same, with the true lives.
 - fixed: replaced by age (and with it those of the train that are within a share of it), or the
   whole train at a time; "customary" at the mileage before which 10 % fail (L10, as of bearings),
@@ -34,9 +34,8 @@ from wear_histories import KINDS, PER_TRAIN, WearHistory, make_histories
 
 from suspnet.ground.types import FloatArray
 from suspnet.maintenance.life import MIN_TRIPS, predict_life
-from suspnet.maintenance.plan import make_plan
+from suspnet.maintenance.plan import PlanSettings, make_plan
 from suspnet.maintenance.schedule import Part, Train
-from suspnet.maintenance.visit_costs import Costs, PlanSettings
 
 STEP_KM = 20_000.0
 DURATION_KM = 3_000_000.0
@@ -171,7 +170,7 @@ def run_plan(lives: FloatArray, seed: int, settings: PlanSettings, predict: Pred
         plan = make_plan(items, running, settings, today)
         booked = []
         for visit in plan.visits:
-            if visit.urgency == "now":
+            if visit.decide_by < today + timedelta(days=STEP_KM / KM_PER_DAY):
                 chosen = np.array([int(job.part.suspension) for job in visit.jobs])
                 booked.append((chosen, fleet.history[chosen].copy()))
     return fleet
@@ -219,38 +218,22 @@ class Predicted:
         return self.known[history, age]
 
 
-def settings_of(replacement: float, failure: float, usual_life_km: float) -> PlanSettings:
-    """Return what the plan is told; an inspection would cost as much as a replacement."""
-    return PlanSettings(
-        visit=1.0,
-        costs=Costs(replacement, replacement, failure, usual_life_km=usual_life_km),
-        lead_days=STEP_KM / KM_PER_DAY,
-        step_days=STEP_KM / KM_PER_DAY,
-        horizon_days=1000.0,
-    )
-
-
-def compare(
-    histories: Sequence[WearHistory],
-    seed: int,
-    ratios: Sequence[tuple[float, float]],
-    factor: float,
-) -> list[dict[str, float]]:
+def compare(histories: Sequence[WearHistory], seed: int, risk: float) -> list[dict[str, float]]:
     """Return the costs of all policies for each pair of R and F."""
     lives = np.array([one.crossing_km for one in histories])
-    usual_km, customary_km = factor * round(lives.mean(), -4), float(np.quantile(lives, 0.1))
+    customary_km = float(np.quantile(lives, 0.1))
     intervals = [customary_km, *np.arange(4 * STEP_KM, np.quantile(lives, 0.99), STEP_KM)]
     fixed = {
         (km, share): run_fixed(lives, seed, km, share)
         for km in intervals
         for share in (None, *SHARES)
     }
-    to_limit, least, predict = run_to_limit(lives, seed), bound(lives, seed), Predicted(histories)
+    settings = PlanSettings(risk=risk, lead_days=STEP_KM / KM_PER_DAY)
+    plan = run_plan(lives, seed, settings, Predicted(histories))
+    known = run_plan(lives, seed, settings, lambda i, _: (lives[i : i + 1], 0.0))
+    to_limit, least = run_to_limit(lives, seed), bound(lives, seed)
     rows = []
-    for R, F in ratios:
-        settings = settings_of(R, F, usual_km)
-        plan = run_plan(lives, seed, settings, predict)
-        known = run_plan(lives, seed, settings, lambda i, _: (lives[i : i + 1], 0.0))
+    for R, F in RATIOS:
         costs = {key: fleet.cost(R, F) for key, fleet in fixed.items()}
         best = min(costs, key=lambda key: costs[key])
         rows.append(
@@ -269,9 +252,10 @@ def compare(
                 "visits": plan.n_visits,
             }
         )
-        rows[-1]["plan / customary"] = rows[-1]["plan"] / rows[-1]["customary"]
-        rows[-1]["plan / best fixed"] = rows[-1]["plan"] / rows[-1]["best fixed"]
-        rows[-1]["plan / to limit"] = rows[-1]["plan"] / rows[-1]["to limit"]
+        rows[-1] |= {
+            f"plan / {other}": rows[-1]["plan"] / rows[-1][other]
+            for other in ("customary", "best fixed", "to limit")
+        }
     return rows
 
 
@@ -280,20 +264,17 @@ def main() -> None:
     parser.add_argument("--n", type=at_least(1), default=300, help="number of wear histories")
     parser.add_argument("--seed", type=at_least(0), default=0)
     parser.add_argument("--kinds", nargs="+", default=list(KINDS), help="of wear histories")
-    help_text = "factor by which the plan is told a wrong usual life"
-    parser.add_argument("--usual", type=at_least(0.01, float), default=1.0, help=help_text)
-    parser.add_argument("--quick", action="store_true", help="only R = 2, F = 10")
+    parser.add_argument("--risk", type=at_least(0, float), default=PlanSettings.risk)
     parser.add_argument("--output", type=Path, default=RESULTS)
     options = parser.parse_args()
     histories = make_histories(options.n, options.seed, kinds=options.kinds)
-    ratios = ((2.0, 10.0),) if options.quick else RATIOS
-    rows = compare(histories, options.seed, ratios, options.usual)
+    rows = compare(histories, options.seed, options.risk)
     lives = np.array([one.crossing_km for one in histories])
     print(
         f"{options.n} histories ({', '.join(options.kinds)}), seed {options.seed}: lives "
         f"{lives.min():.0f} to {lives.max():.0f} km, mean {lives.mean():.0f}, "
         f"L10 {np.quantile(lives, 0.1):.0f}; {DURATION_KM:.0f} km, step and lead {STEP_KM:.0f} km; "
-        f"V = 1, costs for 1,000,000 km of a part; usual life told x {options.usual:g}"
+        f"V = 1, costs for 1,000,000 km of a part; risk {options.risk:g}"
     )
     print(tabulate(rows, "keys", tablefmt="github", floatfmt=".4g"))
     with (options.output / "plan.csv").open("w", newline="") as file:

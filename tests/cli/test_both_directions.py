@@ -46,20 +46,6 @@ def test_trips_of_both_directions_are_read(run, trips, tmp_path):
     assert (found["n_trips"], found["n_estimated"]) == (2, 2)
 
 
-@pytest.mark.slow  # that a reverse model reads its trips: test_direction.py
-@pytest.mark.parametrize(
-    "changes",
-    [
-        ["direction=reverse"],
-        ["generator.direction=reverse"],
-    ],
-)
-def test_one_direction_alone_is_one_model(tmp_path, changes):
-    assert run_program(train, tmp_path, *QUICK, *changes) == 0
-    assert '"direction": "reverse"' in (tmp_path / "model.json").read_text()
-    assert not (tmp_path / "speeds.json").exists()
-
-
 @pytest.mark.representatives(2)
 @pytest.mark.parametrize(
     ("changes", "message"),

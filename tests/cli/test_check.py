@@ -440,13 +440,6 @@ def test_output_that_cannot_be_written_is_one_line(manifests, tmp_path):
     assert "Traceback" not in done.stderr
 
 
-@pytest.mark.slow  # folders are reserved: test_going_on.py
-def test_two_checks_at_once_have_two_folders(manifests, tmp_path):
-    for _ in range(2):
-        assert typed(check, manifests[0], "--no-pictures", cwd=tmp_path).returncode == 0
-    assert len(list((tmp_path / "outputs/check").iterdir())) == 2
-
-
 def test_subfolders_are_searched_and_pictures_have_names_of_their_own(manifests, tmp_path):
     for part in ("left", "right"):
         (tmp_path / "trips" / part).mkdir(parents=True)

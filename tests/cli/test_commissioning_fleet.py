@@ -152,16 +152,6 @@ def test_suspensions_of_one_folder_are_told_apart_by_their_names(fitted, quick, 
     assert fitted == ["leading", "trailing"]
 
 
-@pytest.mark.slow  # of one suspension: test_commissioning_program.py, its default speeds
-def test_range_of_speeds_is_several_models_of_each_suspension(fleet, tmp_path):
-    assert trained(tmp_path / "run", fleet, "speed_m_per_s=[65,80]") == 0
-    models = [load_model(one) for one in find_runs(tmp_path / "run")]
-    assert len(models) == 4
-    assert len(models_of(models, PLACES["one"])) == 2
-    rows = json.loads((tmp_path / "run" / "fleet.json").read_text())
-    assert all(row["rms_percent"]["k_p"] > 0 for row in rows)
-
-
 def test_each_suspension_may_have_its_own_number_of_healthy_trips(quick, fleet, tmp_path):
     assert commission_fleet.first_trips(7, ["one", "two"]) == {"one": 7, "two": 7}
     assert trained(tmp_path / "run", fleet, "n_healthy={two:4,one:3}") == 0
@@ -186,18 +176,6 @@ def test_failing_suspension_is_told_and_stops_no_other(quick, fleet, tmp_path, c
     assert not (folder / "fleet.json").exists()
 
 
-@pytest.mark.slow  # test_failed_job_stops_no_other has one
-def test_fault_of_the_program_leaves_its_traceback(quick, fleet, tmp_path, monkeypatch, caplog):
-    def broken(*_, **__):
-        raise LookupError("a fault")
-
-    monkeypatch.setattr(run, "commission", broken)
-    said = trained(tmp_path / "run", fleet)
-    assert said.startswith("error: 2 of 2 suspensions are not trained (one, two)")
-    assert "LookupError: a fault; see" in caplog.text
-    assert "Traceback" in (tmp_path / "run" / "one" / folders.ERROR).read_text()
-
-
 def test_finished_suspensions_are_not_trained_again(fitted, quick, fleet, tmp_path, caplog):
     removed = next((fleet / "two").glob("*.yaml"))
     kept = removed.read_text()
@@ -220,31 +198,6 @@ def test_finished_suspensions_are_not_trained_again(fitted, quick, fleet, tmp_pa
     said = trained(folder, fleet, "seed=9")
     assert (folder / "config.yaml").read_text() == saved
     assert "run holds a finished run of other settings; give another folder" in said
-
-
-@pytest.mark.slow  # one that was not finished is, above
-def test_suspension_that_is_new_is_trained_alone(fitted, quick, fleet, manifests, tmp_path):
-    folder = tmp_path / "run"
-    assert trained(folder, fleet) == 0
-    (fleet / "new").mkdir()
-    for path in manifests:
-        changed(path, fleet / "new", path.stem, suspension="S2", bogie="leading")
-    assert trained(folder, fleet, f"resume={folder}") == 0
-    assert fitted == ["leading", "trailing", "leading"]
-    rows = json.loads((folder / "fleet.json").read_text())
-    assert [row["suspension"] for row in rows] == ["new", "one", "two"]
-
-
-@pytest.mark.slow  # of one run: test_commissioning_program.py
-def test_warnings_of_a_run_are_told_with_its_name(quick, fleet, tmp_path, monkeypatch, caplog):
-    outcome = replace(commissioned_example()[1], n_agree=1)
-    monkeypatch.setattr(run, "commission", lambda *_, **__: outcome)
-    assert trained(tmp_path / "run", fleet) == 0
-    for name in PLACES:
-        said = [r.getMessage() for r in caplog.records if r.getMessage().startswith(f"{name}: ")]
-        assert "no other one found this vehicle" in said[0]
-        log = (tmp_path / "run" / name / "train.log").read_text()
-        assert "no other one found this vehicle" in log
 
 
 @pytest.mark.parametrize(

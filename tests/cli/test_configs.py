@@ -38,8 +38,7 @@ OPTIONS = [
     (group, name)
     for group, names in NAMES.items()
     for name in names
-    if group
-    not in ("ablation", "experiment", "reading")  # they differ from the defaults on purpose
+    if group not in ("experiment", "reading")  # they differ from the defaults on purpose
 ]
 OF_THE_OPTION = {"GridSearch", "Protocol", "Scenario", "Vehicle"}
 """Classes whose options differ from each other on purpose."""
@@ -159,20 +158,6 @@ def test_protocol_file_shows_every_setting_of_peaks_and_its_default(name):
     settings = OmegaConf.to_container(composed(f"protocol={name}").protocol.features)
     parameters = inspect.signature(PeakFeatures).parameters
     assert settings == {key: p.default for key, p in parameters.items() if key != "peaks"}
-
-
-@pytest.mark.parametrize(
-    "name",
-    [
-        *NAMES["ablation"][:3],
-        *(pytest.param(name, marks=pytest.mark.slow) for name in NAMES["ablation"][3:]),
-    ],
-)
-def test_every_ablation_composes(name):
-    config = composed("experiment=ablation", f"ablation={name}")
-    assert build(config, "protocol").task(config.group).outputs
-    assert type(build(config, "model")) is METHODS["msvr"]
-    assert build(config, "data").n_calibrate is None
 
 
 @pytest.mark.parametrize(

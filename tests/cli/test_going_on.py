@@ -5,12 +5,10 @@ import json
 import os
 import re
 import signal
-from datetime import datetime
 
 import pytest
 from cli_runner import SMALL, typed
 from hydra import compose, initialize_config_dir
-from hydra.core import utils
 from hydra.core.hydra_config import HydraConfig
 from hydra.utils import get_object
 from omegaconf import OmegaConf, open_dict, read_write
@@ -20,7 +18,7 @@ from suspnet.cli import evaluate, folders, program, simulate, train
 from suspnet.cli.kinds import KINDS, class_of
 from suspnet.cli.program import CONFIGS
 from suspnet.ground import ledger
-from suspnet.ground.storage import read_json, write_json
+from suspnet.ground.storage import read_json
 from suspnet.runs.sweeps import job_rows
 
 pytestmark = pytest.mark.usefixtures("blank")
@@ -41,23 +39,6 @@ def jobs(sweep):
 def only(folder):
     (found,) = folder.iterdir()
     return found
-
-
-@pytest.fixture
-def untrained(monkeypatch):
-    """Train nothing: a run is known by the folder and the files that it has."""
-
-    def train_nothing(problem, model, folder, **_):
-        names = dict.fromkeys(("protocol", "group", "model", "seed"), "")
-        write_json(folder / "metrics.json", names | {"rms_percent": {"k_p": 1.0}})
-
-    monkeypatch.setattr(train, "train", train_nothing)
-
-
-class Noon(datetime):
-    @classmethod
-    def now(cls, tz=None):
-        return cls(2026, 1, 1, 12)
 
 
 # folders
@@ -82,22 +63,6 @@ def test_folder_is_reserved_unless_the_command_line_names_it(tmp_path, kind, mon
     assert found == ["outputs/it's noon", "outputs/it's noon_2", "named", "named"]
     ours = {path.name for path in tmp_path.rglob("*") if path.is_file()}
     assert ours == {ledger.LEDGER} | ({"multirun.yaml"} if kind == "sweep" else set())
-
-
-@pytest.mark.slow  # the folders are reserved one by one above
-@pytest.mark.usefixtures("untrained")
-def test_two_trainings_in_the_same_second_get_two_folders(tmp_path, monkeypatch):
-    monkeypatch.setattr(utils, "datetime", Noon)
-    for _ in range(2):
-        assert typed(train, *LINEAR, cwd=tmp_path).returncode == 0
-        assert typed(train, "-m", "seed=0,1", *LINEAR, cwd=tmp_path).returncode == 0
-    made = {path.name: path for path in (tmp_path / "outputs" / "train").iterdir()}
-    assert len(made) == 4
-    assert sorted(name.endswith("_2") for name in made) == [False, False, True, True]
-    several = [path for path in made.values() if (path / "multirun.yaml").exists()]
-    assert len(several) == 2
-    for path in made.values():
-        assert len(list(path.rglob("metrics.json"))) == (2 if path in several else 1)
 
 
 def test_a_refused_run_leaves_no_folder(tmp_path):
@@ -216,24 +181,10 @@ def test_multirun_goes_on_and_ends_as_if_uninterrupted(interrupted, tmp_path):
     assert again.returncode == 0
 
 
-@pytest.mark.slow  # the test before and the next one
-@pytest.mark.usefixtures("untrained")
-def test_finished_run_is_not_run_again_and_another_one_is_refused(tmp_path):
-    assert typed(train, *LINEAR, "hydra.run.dir=run", cwd=tmp_path).returncode == 0
-    before = (tmp_path / "run" / "metrics.json").stat().st_mtime_ns
-    ended = typed(train, *LINEAR, "resume=run", "progress=true", cwd=tmp_path)
-    assert ended.returncode == 0
-    assert "finished before: " in ended.stdout
-    ended = typed(train, *LINEAR, "resume=run", "seed=5", cwd=tmp_path)
-    assert ended.returncode == 1
-    assert "holds a finished run of other settings" in ended.stderr
-    assert (tmp_path / "run" / "metrics.json").stat().st_mtime_ns == before
-
-
 def test_folder_of_an_earlier_version_counts_as_finished(tmp_path):
     """Its config.yaml names a `_target_` where kinds stand now."""
     with initialize_config_dir(version_base="1.3", config_dir=CONFIGS):
-        config = compose("train", overrides=["model=linear", "ablation_name=null"])
+        config = compose("train", overrides=["model=linear", "reading_name=null"])
     (tmp_path / "metrics.json").write_text("{}")
     kinds = {
         "generator": "suspnet.dynamics.QuarterCar",

@@ -137,16 +137,6 @@ def test_same_seed_same_numbers_other_seed_other_numbers(run, tmp_path):
     assert other["scores"] != metrics["scores"]
 
 
-@pytest.mark.slow  # of trips: test_report_has_no_figure_if_none_is_asked_for
-def test_evaluate_draws_nothing_if_asked(run, tmp_path):
-    few = [f"run={run[0]}", "data.n_test=20", "progress=false"]
-    run_main(evaluate, tmp_path / "bare", *few, "figures=false")
-    assert (tmp_path / "bare" / "metrics.json").is_file()
-    assert not (tmp_path / "bare" / "figures").exists()
-    run_main(evaluate, tmp_path / "drawn", *few)
-    assert (tmp_path / "drawn" / "figures" / "parity.png").is_file()
-
-
 def test_evaluate_sees_more_noise(run, tmp_path):
     folder, metrics = run
     noise = ["data.snr_db=26", "data.n_test=150", *BARE]
@@ -155,43 +145,12 @@ def test_evaluate_sees_more_noise(run, tmp_path):
     assert noisy["bound"]["c_p"]["rmse"] > 2 * metrics["bound"]["c_p"]["rmse"]
 
 
-@pytest.mark.slow  # test_run_of_another_protocol_is_refused
-def test_evaluate_takes_a_protocol_that_fits_only(run, tmp_path):
-    folder, _ = run
-    small = ["data.n_test=20", *BARE, f"run={folder}"]
-    joint = run_main(evaluate, tmp_path / "joint", *small, "protocol=joint")
-    assert joint["protocol"] == "joint"
-    assert set(joint["scores"]) == {"k_p", "c_p"}
-    with pytest.raises(SystemExit, match="protocol 'paper' does not fit"):
-        run_main(evaluate, tmp_path / "paper", *small, "protocol=paper")
-
-
 def test_a_run_writes_its_data_set_where_it_is_asked_for(tmp_path):
     given = [*SMALL, "model=linear", "dataset=npz"]
     metrics = run_main(train, tmp_path / "run", *given)
     data = read_dataset(tmp_path / "run" / "dataset.npz")
     assert data.rows("test").sum() == metrics["n_test"]
     assert data.about["outputs"] == list(metrics["rms_ratio"])
-
-
-@pytest.mark.slow  # test_protocols.py; test_no_means_no knows no mass
-def test_mass_known_and_mass_estimated(tmp_path):
-    known = run_main(
-        train, tmp_path / "known", *UNCALIBRATED, "protocol.mass_known=true", "model=linear"
-    )
-    assert known["mass_known"] is True
-    mass = ["protocol=joint", "protocol.estimate_mass=true", "model=linear"]
-    asked = run_main(train, tmp_path / "asked", *UNCALIBRATED, *mass)
-    assert list(asked["scores"]) == ["k_p", "c_p", "k_s", "c_s", "M_s"]
-
-
-@pytest.mark.slow  # test_refined_run_reaches_the_bound does the same
-def test_curve_fit_comes_close_to_the_bound(tmp_path):
-    small = [*SMALL, "model=curve_fit", "data.n_test=128", "data.n_calibrate=null"]
-    metrics = run_main(train, tmp_path, *small)
-    for output in ("k_p", "c_p"):
-        ratio = metrics["scores"][output]["rmse"] / metrics["bound"][output]["rmse"]
-        assert 0.8 < ratio < 1.25  # efficient: 1 within the sampling error of 128 curves
 
 
 @pytest.mark.representatives(5)
@@ -236,21 +195,25 @@ def test_mistake_gets_one_line(override, message, tmp_path):
         (train, ["hydra.run.dir={file}/x"], "Not a directory"),
         (evaluate, [], "which run?"),
         (evaluate, ["run=nowhere"], "run=nowhere does not exist"),
-        (evaluate, ["study=reliability"], "which run?"),
+        (evaluate, ["study=reliability"], "python tests/benchmarks/reliability.py --help"),
+        (evaluate, ["study=layouts"], "python tests/benchmarks/layouts.py --help"),
+        (
+            evaluate,
+            ["study=maintenance", "store=x", "plan.costs.failure=20"],
+            "plan.costs is gone: plan.risk, bundle_days and reach_km set what is done when",
+        ),
+        (train, ["ablation=baseline"], "python tests/benchmarks/ablation.py --help"),
+        (train, ["experiment=ablation"], "python tests/benchmarks/ablation.py --help"),
         (evaluate, ["experiment=table6"], "python train.py experiment=NAME"),
-        (train, ["study=reliability"], "python evaluate.py study=NAME"),
-        (train, ["experiment=identifiability"], "options in 'experiment': ablation"),
+        (train, ["study=maintenance"], "python evaluate.py study=NAME"),
+        (train, ["experiment=identifiability"], "options in 'experiment': readings"),
     ],
 )
 def test_mistake_on_the_command_line_gets_one_line(program, overrides, message, tmp_path):
     file = tmp_path / "file"
     file.touch()
-    is_one_line(typed(program, *(o.format(file=file) for o in overrides), cwd=tmp_path), message)
-
-
-@pytest.mark.slow  # as a refused payload in test_trusted.py, which ends by the same lines
-def test_mistake_in_a_process_gets_one_line(tmp_path):
-    is_one_line(command("evaluate.py", "run=nowhere", cwd=tmp_path), "run=nowhere does not exist")
+    words = [one.replace("{file}", str(file)) for one in overrides]
+    is_one_line(typed(program, *words, cwd=tmp_path), message)
 
 
 def is_one_line(ended, message):
@@ -264,14 +227,6 @@ def test_traceback_on_request(tmp_path, monkeypatch):
     monkeypatch.setattr(program, "_debugging", True)
     with pytest.raises(ValueError, match="`seed` must be a whole number >= 0, got -1"):
         typed(train, "seed=-1", *SMALL, cwd=tmp_path)
-
-
-@pytest.mark.slow  # the one before, but for the reading of the variable
-def test_traceback_in_a_process(tmp_path):
-    environment = os.environ | {"HYDRA_FULL_ERROR": "1"}
-    ended = command("train.py", "seed=-1", *SMALL, cwd=tmp_path, env=environment)
-    assert ended.returncode == 1
-    assert "Traceback" in ended.stderr
 
 
 def test_interrupt_leaves_nothing_half_written_and_a_second_start_works(tmp_path, monkeypatch):
@@ -429,26 +384,6 @@ def test_table5_writes_an_override_file_that_works(tmp_path):
     assert ended.returncode == 0, ended.stderr
     metrics = json.loads((tmp_path / "tuned" / "metrics.json").read_text())
     assert metrics["training"]["parameters"]["C"] == 100.0
-
-
-@pytest.mark.slow  # test_evaluate_sees_more_noise has the bound
-def test_sensitivity_error_grows_with_the_noise(tmp_path):
-    ended = typed(
-        train,
-        "experiment=sensitivity",
-        "group=primary",
-        "data.snr_db=26,54",
-        "model=linear",
-        *UNCALIBRATED,
-        "data.n_train=100",
-        "hydra.sweep.dir=sweep",
-        cwd=tmp_path,
-    )
-    assert ended.returncode == 0, ended.stderr
-    records = json.loads((tmp_path / "sweep" / "sensitivity.json").read_text())
-    limits = {r["snr_db"]: r["bound"] for r in records if r["output"] == "k_p"}
-    assert limits[26] / limits[54] == pytest.approx(10 ** (28 / 20), rel=0.02)
-    assert (tmp_path / "sweep" / "sensitivity.png").exists()
 
 
 @pytest.mark.slow

@@ -16,13 +16,12 @@ from suspnet.cli import check, evaluate, init, options, simulate, train
 from suspnet.cli.config_files import CONFIGS, SWITCHES, phrase, read_comments
 from suspnet.cli.kinds import build
 from suspnet.cli.program import n_threads
-from suspnet.cli.reference import COLUMNS, Reference, _of_kinds
-from suspnet.ground.settings import settings_of
+from suspnet.cli.reference import COLUMNS, Reference
 from suspnet.simulation.true_vehicle import scattered
 
 sys.path.append(str(Path(__file__).parents[1] / "benchmarks"))
 import configuration
-from config_comments import OF_PROGRAMS, commented, declaring
+from config_comments import commented
 
 LONGEST = 260
 """Number of characters of a sentence beyond which nobody reads it."""
@@ -32,8 +31,6 @@ CHOSEN = [
     ("train", "search=widened"),
     ("evaluate", "protocol=joint"),
     ("evaluate", "study=identifiability"),
-    ("evaluate", "study=layouts"),
-    ("evaluate", "study=reliability"),
     ("simulate", "scenario=random"),
     *(("replay", f"sink={file.stem}") for file in sorted((Path(CONFIGS) / "sink").glob("*"))),
 ]
@@ -91,7 +88,7 @@ def test_help_tells_every_group_and_option_of_the_program(name):
     assert {group.name for group in found} == {
         "train": {
             *("vehicle", "generator", "data", "protocol"),
-            *("model", "search", "experiment", "ablation", "reading"),
+            *("model", "search", "experiment", "reading"),
         },
         "evaluate": {"protocol", "study"},
         "simulate": {"vehicle", "generator", "scenario"},
@@ -111,7 +108,6 @@ def test_programs_explain_their_keys(module):
     assert "device=cpu                        Device of torch" in done.stdout
     assert done.stdout.startswith("suspnet: ")
     assert "--plugin FILE runs a Python file of yours first" in done.stdout
-    assert "source <(suspnet completion bash)" in done.stdout
     assert max(map(len, done.stdout.splitlines())) <= COLUMNS
 
 
@@ -187,12 +183,6 @@ def test_switches_are_those_called_so():
             assert is_switch == (key.limits == "true or false"), key
 
 
-@pytest.mark.parametrize(("place", "kind", "path", "class_"), [*declaring()], ids=str)
-def test_comments_of_configurations_are_those_of_the_declaration(place, kind, path, class_):
-    for name, one in settings_of(class_).items():
-        assert _of_kinds()[place, kind, (*path, name)] == one.text, (place, kind, name)
-
-
 @pytest.mark.parametrize("file", sorted(Path(CONFIGS).rglob("*.yaml")), ids=lambda one: one.stem)
 def test_comments_are_as_the_script_writes_them(file):
     assert commented(file) == file.read_text(encoding="utf-8")
@@ -205,13 +195,6 @@ def test_script_writes_the_declared_sentence_over_another_comment(tmp_path):
     file.write_text(shipped.replace("Stopping tolerance of libsvm [above 0]", "Other\n# words [m]"))
     assert "# Other\n# words [m]\ntol:" in file.read_text(encoding="utf-8")
     assert commented(file) == shipped
-
-
-@pytest.mark.parametrize("program", OF_PROGRAMS)
-def test_comments_of_programs_are_those_of_the_declaration(program):
-    above = read_comments(Path(CONFIGS) / f"{program}.yaml").above
-    for one in OF_PROGRAMS[program]:
-        assert above[(one.name,)] == one.text
 
 
 def refused(pickled, section, key, value):

@@ -10,14 +10,12 @@ import time
 import urllib.request
 from pathlib import Path
 
-import forked
 import numpy as np
 import pytest
 import yaml
 from cli_runner import ROOT, typed
-from forked import run_apart, started
+from forked import started
 from served_fleet import fill
-from waitress.channel import HTTPChannel
 
 from suspnet.cli import evaluate, serve
 from suspnet.cli.config_files import CONFIGS
@@ -145,32 +143,6 @@ def test_pages_are_served_until_a_signal(path, tmp_path, number, code):
         assert len(store.places()) == 4
 
 
-def killed_while_reading(store, cwd):
-    """Serve a store; SIGTERM comes while the server reads the first request."""
-    read = HTTPChannel.handle_read
-
-    def handle_read(self):
-        HTTPChannel.handle_read = read
-        os.kill(os.getpid(), signal.SIGTERM)
-        read(self)
-
-    HTTPChannel.handle_read = handle_read
-    forked.as_typed("serve", [f"store={store}", "port=0"], cwd, {})
-
-
-@pytest.mark.slow  # signals between requests are in the test above
-def test_signal_in_the_middle_of_a_request_is_not_lost(path, tmp_path):
-    with run_apart(killed_while_reading, path, tmp_path) as (process, output, errors):
-        address = listening(process, output)
-        with pytest.raises(OSError), urllib.request.urlopen(address, timeout=0.3) as answer:  # noqa: PT011, PT012
-            answer.read()
-            raise ConnectionError
-        process.join(20)
-        assert process.exitcode == 143
-        assert errors.read_text() == "terminated: the pages are no longer served\n"
-        assert "Traceback" not in output.read_text()
-
-
 def is_caught(process, number):
     """Return whether a process has a handler of a signal, as Linux says."""
     status = Path(f"/proc/{process.pid}/status").read_text()
@@ -211,11 +183,6 @@ def check_end(number, code, printed, wrong):
     assert len(wrong.splitlines()) == (code > 0)
     if wrong:
         assert wrong.startswith(f"{WORDS[number]}: ")
-
-
-@pytest.mark.slow  # test_start.py: a signal while a program is imported
-def test_signal_at_the_start_ends_the_program(path, tmp_path):
-    check_end(signal.SIGTERM, *ended(path, tmp_path, signal.SIGTERM, 0.7))
 
 
 @pytest.mark.slow

@@ -480,15 +480,6 @@ def test_program_reports_every_group(tmp_path):
     assert re.search(r"\| k_s, c_s and M_s move together +\| any +\| any +\| any", text)
 
 
-@pytest.mark.slow  # default: test_program_reports_every_group
-def test_program_takes_trips_one_group_and_the_speed_of_the_vehicle(tmp_path):
-    trips = ["data=trips", "protocol=multi_location", "group=primary", "data.minutes=5"]
-    found = run(tmp_path, *trips, "vehicle=sedan", "generator=best")
-    assert list(found["groups"]) == ["primary"]
-    assert found["settings"]["speed_m_per_s"] == 25.0
-    assert found["generator"] == "QuarterCar"
-
-
 @pytest.mark.parametrize(
     ("overrides", "message"),
     [

@@ -1,18 +1,13 @@
-"""Bounds of sensor layouts: naive information, scatter of fits, what sensors buy; the program."""
+"""Bounds of sensor layouts: naive information, scatter of fits, what sensors buy."""
 
-import csv
-import json
-import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
-from cli_runner import run_program
 from test_bogie_fit import BINS, MASSES, UNCERTAIN, drawn, trip
 from vehicles import AM96
 
-from suspnet.cli import evaluate
 from suspnet.dynamics import SpatialVehicle
 from suspnet.dynamics.quantities import MASS_DEVIATION, MASS_MEAN
 from suspnet.estimation import layouts
@@ -240,36 +235,3 @@ def test_unknown_places_and_shares_are_refused():
         layout_bounds(GENERATOR, LAYOUTS, SETTINGS, wheelset_share=-0.1)
     with pytest.raises(ValueError, match="`n_healthy` must be a whole number"):
         layout_bounds(GENERATOR, LAYOUTS, SETTINGS, n_healthy=0)
-
-
-# the program
-
-
-def test_program_writes_a_table_of_layouts(tmp_path, monkeypatch):
-    few = {name: LAYOUTS[name] for name in (SEVEN, "three: one side")}
-    monkeypatch.setattr("suspnet.runs.layouts.LAYOUTS", few)
-    code = run_program(evaluate, tmp_path, "study=layouts", "data.minutes=10", "threads=1")
-    assert code == 0
-    names = {path.name for path in tmp_path.iterdir()}
-    assert {"config.yaml", *(f"layouts.{end}" for end in ("md", "csv", "json", "png"))} <= names
-    text = (tmp_path / "layouts.md").read_text()
-    assert "vehicle learnt, each wheelset excited alone at 1 %: k_p, c_p, k_s, c_s" in text
-    assert "| three: one side, inputs independent " in text
-    with (tmp_path / "layouts.csv").open() as stream:
-        assert len(list(csv.DictReader(stream))) == 2 * 4 * 13
-    content = json.loads((tmp_path / "layouts.json").read_text())
-    assert (content["vehicle"], content["settings"]["minutes"]) == ("am96", 10)
-
-
-@pytest.mark.parametrize(
-    ("overrides", "message"),
-    [
-        (["vehicle=sedan"], "vehicle 'sedan' lacks .*half_wheelbase_m.* give them in its file"),
-        (["data=curves"], "take data=trips"),
-        (["n_healthy=0"], "`n_healthy` must be a whole number"),
-    ],
-)
-def test_mistake_gets_one_line(overrides, message, tmp_path):
-    found = run_program(evaluate, tmp_path, "study=layouts", "threads=1", *overrides)
-    assert re.search(f"^error: .*{message}", found)
-    assert "\n" not in found

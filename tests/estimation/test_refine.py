@@ -218,16 +218,6 @@ def test_starts_that_mean_nothing_end_where_good_ones_do(joint, start):
     np.testing.assert_allclose(other.misfit, found.misfit[:n], rtol=1e-8)
 
 
-@pytest.mark.slow  # test_parameter_that_ran_against_its_bound_comes_back is tried again too
-def test_fits_that_end_elsewhere_are_tried_again(joint):
-    """From the corners of the range one fit in twenty ends in another minimum, or in none."""
-    problem, ratios, misfit, found = joint
-    corners = np.random.default_rng(0).choice([0.5, 2.0], ratios.shape)
-    other = refine(problem, misfit, corners)
-    assert other.converged.all()
-    np.testing.assert_allclose(other.misfit, found.misfit, rtol=1e-8)
-
-
 def test_parameter_that_ran_against_its_bound_comes_back(joint):
     """A clamp inside the residual would have no slope there: one fit in a hundred ended so."""
     problem, ratios, misfit, found = joint

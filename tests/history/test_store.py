@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 import sqlalchemy
 from empty_stores import empty_store
-from forked import forks
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from trip_records import fleet, trip
@@ -141,23 +140,6 @@ def test_trips_of_the_same_name_on_other_days_are_others(store):
     store.write([first, *others])
     store.write([first, *others])
     assert len(store.read(VEHICLE, PLACE)) == 3
-
-
-@pytest.mark.slow  # test_revisions.py has the same of trips and alarms
-def test_programs_that_write_at_once_lose_nothing(store, place):
-    workers = [forks().Process(target=write_many, args=(place, i, 10)) for i in range(2)]
-    for worker in workers:
-        worker.start()
-    for worker in workers:
-        worker.join(120)
-        assert worker.exitcode == 0
-    found = store.read(VEHICLE, PLACE)
-    expected = [trip(1000 * w + i, with_curves=False) for w in range(2) for i in range(10)]
-    assert {r.trip for r in found} == {r.trip for r in expected}
-    assert len(found) == 20
-    assert len(store.places()) == 3
-    assert len(store.alarms(VEHICLE, PLACE)) == len(ALARMS)
-    assert len(store.acknowledgements(VEHICLE, PLACE)) == 20
 
 
 def test_all_or_none_of_some_trips_are_kept(store):

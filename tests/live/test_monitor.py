@@ -20,7 +20,7 @@ from suspnet.history import History, HistoryError
 from suspnet.live.journal import Journal, JournalError
 from suspnet.live.monitor import Monitor
 from suspnet.live.results import Results
-from suspnet.live.sections import MOST_OPEN, LiveSettings
+from suspnet.live.sections import LiveSettings
 from suspnet.live.suspension import Job, LiveSuspension, read_suspensions
 from suspnet.recordings.assembler import OrderSettings
 from suspnet.recordings.errors import TripError
@@ -273,37 +273,6 @@ def test_an_estimate_on_the_way_is_of_what_had_come_when_it_was_begun(fleet):
     assert again.distance_km == made.distance_km == pytest.approx(14.0, rel=0.05)  # of 21 km
 
 
-@pytest.mark.slow  # a batch does so above
-def test_a_section_that_waits_for_its_estimate_holds_up_frames_only_when_the_journal_is_full(
-    tmp_path, fleet, monkeypatch
-):
-    monkeypatch.setattr("suspnet.live.monitor.MOST_JOURNAL", 10_000)
-    frames = two_sections(fleet, suspensions(fleet))
-    n_bytes, told = [], []
-
-    def monitored_with(most_waiting):
-        monkeypatch.setattr("suspnet.live.monitor.MOST_WAITING", most_waiting)
-        (one,), source = suspensions(fleet), ListSource(frames)
-        told.clear(), n_bytes.clear()
-        with Journal(tmp_path / f"journal {most_waiting}") as journal:
-            add = journal.add
-
-            def added(name, data):
-                add(name, data)
-                n_bytes.append((journal.n_bytes[name], len(told)))
-
-            journal.add = added
-            Monitor([one], source, journal, lambda *_: told.append(1)).run()
-        return len(told)
-
-    assert monitored_with(10**9) == 2
-    largest = max(n_bytes)[0]
-    assert largest > 500_000  # no frame ever paused, and the state is not saved without the section
-    assert monitored_with(200_000) == 2
-    assert 200_000 < max(n for n, n_told in n_bytes if not n_told) < 220_000
-    assert max(n for n, n_told in n_bytes if n_told) < 20_000
-
-
 @pytest.mark.slow  # test_killed_monitors_lose_and_double_nothing
 @pytest.mark.parametrize("every_s", [None, 100.0])
 def test_estimates_that_wait_are_made_after_kills(tmp_path, fleet, every_s):
@@ -465,59 +434,6 @@ def test_frames_that_cannot_be_used_stay_out_of_the_journal(tmp_path, fleet, cap
     assert len(words) == 2 + len(others)
     bytes_after(frames)
     assert n_bytes[0] == n_bytes[1] < 4e6
-
-
-@pytest.mark.slow  # test_frames_that_cannot_be_used_stay_out_of_the_journal
-def test_frames_that_cannot_be_used_do_not_keep_a_suspension_from_falling_silent(tmp_path, fleet):
-    frames, now_s = frames_of_trips(fleet[:1]), [0.0]
-    unknown = encode(replace(decode(frames[5]), sensor="cabin"))
-    source, told = ListSource([]), []
-    rounds = [frames, *([[unknown]] * 5), []]
-
-    def receive(timeout_s):
-        now_s[0] += 1000.0
-        return rounds.pop(0) if rounds else None
-
-    source.receive = receive
-    with Journal(tmp_path / "journal") as journal:
-        monitor = Monitor(
-            suspensions(fleet),
-            *(source, journal, lambda _, what: told.append(what), 1500.0, lambda: now_s[0]),
-            AtOnce(),
-        )
-        monitor.run()
-    assert len(told) == 2  # silent, and at the end
-
-
-@pytest.mark.slow  # clocks: test_sections.py
-def test_a_clock_that_is_set_back_is_counted_and_the_stream_goes_on(tmp_path, fleet):
-    frames = trip_frames(fleet[0])
-    for several in frames.values():
-        for k in range(40, 50):
-            several[k] = replace(several[k], time_ns=several[k].time_ns - 200 * 10**9)
-    every = sorted(
-        (k, one.sensor, one) for several in frames.values() for k, one in enumerate(several)
-    )
-    source = ListSource([encode(one) for *_, one in every])
-    (found,), _ = monitored(tmp_path, fleet, source)
-    told = source.published[-1][2]["frames"]
-    assert told["clock"] == 10 * len(frames)
-    assert found.quality.usable_percent < 90
-
-
-@pytest.mark.slow  # of wrong times: test_sections.py
-def test_frames_of_sections_that_are_given_up_are_told(tmp_path, fleet):
-    frames = trip_frames(fleet[0])
-    body = frames["body"][0]
-    for number in range(5):  # each opens a section of its own, of which only so many may be open
-        wrong = replace(body, time_ns=body.time_ns + (100 + number) * 300 * 10**9)
-        frames["body"].insert(10 * number, wrong)
-    several = [one for kind in ("axle_box", "bogie", "body", "speed") for one in frames[kind]]
-    source = ListSource([encode(one) for one in several])
-    monitored(tmp_path, fleet, source)
-    first, *wrong = [row["frames"] for kind, _, row in source.published if kind == "estimates"]
-    assert first["dropped"] == 5 + 2 - MOST_OPEN  # the last speed lies in the next section
-    assert not any("dropped" in counts for counts in wrong)
 
 
 def test_a_store_that_is_away_is_waited_for(tmp_path, fleet, monkeypatch):

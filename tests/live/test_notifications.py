@@ -575,35 +575,6 @@ def test_each_address_gets_its_mail_once_and_no_text_becomes_a_header(tmp_path):
     assert "act: AM96 217: bogie 1, left: k_p (limit), since 10 000 km" in mails[1][1].get_content()
 
 
-def test_a_program_killed_while_the_mail_server_takes_a_mail_sends_it_again_with_its_id(tmp_path):
-    from forked import run_apart
-
-    processes, path = [], str(fill(tmp_path / "a.db"))
-
-    def accept(n):
-        if n == 1:
-            os.kill(processes[0].pid, signal.SIGKILL)
-        return "250 OK"
-
-    with mail_server(accept) as (port, got):
-        mail = {"kind": "email", "host": "127.0.0.1", "port": port, "security": "none"}
-        people = {"kim": {"channels": ["m"], "to": ["kim@example.org"], "digest": None}}
-        rules = rules_file(
-            tmp_path / "n.json", {"m": mail | {"sender": "suspnet@example.org"}}, people
-        )
-        with run_apart(_notify_apart, path, rules, KEY, False) as (process, *_):
-            processes.append(process)
-            process.join(30)
-            assert process.exitcode == -signal.SIGKILL
-        with History(path) as store:
-            later = Clock()
-            later.now = datetime.now(UTC) + timedelta(seconds=LEASE_S)
-            assert Notifier(store, read_rules(rules), later).once() == (1, 0)
-            assert store.outbox().unsent() == []
-    assert len({message_from_bytes(body)["Message-ID"] for _, body in got}) == 1
-    assert len(got) == 2
-
-
 def test_a_mail_server_that_is_away_is_one_line(tmp_path):
     mail = {"kind": "email", "host": "127.0.0.1", "port": 1, "sender": "s@example.org"}
     people = {"kim": {"channels": ["m"], "to": ["kim@example.org"]}}
@@ -773,15 +744,3 @@ def test_a_program_killed_before_or_after_the_broker_accepts_loses_nothing(
         broker.end()
     (payload,) = {payload for _, payload in got}
     assert json.loads(payload)["id"] == row["id"]
-
-
-@pytest.mark.slow
-def test_killed_at_random_moments_every_event_arrives_by_mqtt(tmp_path):
-    broker, path = Mosquitto(tmp_path).start(), str(fill(tmp_path / "a.db"))
-    try:
-        with listening(broker, tmp_path) as (rules, got), History(path) as store:
-            check_random_kills(store, path, rules)
-            bodies = [body for _, body in got]
-    finally:
-        broker.end()
-    check_events(bodies)

@@ -23,7 +23,6 @@ from suspnet.live.sections import MOST_OPEN, LiveSettings, Sections
 from suspnet.recordings import cleaning
 from suspnet.recordings.assembler import OrderSettings
 from suspnet.recordings.frames import Frame, FrameError, encode
-from suspnet.recordings.recording import followed
 
 ORDER = OrderSettings(window=WINDOW)
 SECTION_S = 200
@@ -98,21 +97,6 @@ def test_sections_of_the_stream_are_those_of_the_batch(tmp_path, seed):
     for number, running in enumerate(found):
         assert running.rest is None
         assert_same(running.recording(), batch_of_section(tmp_path, columns, number))
-
-
-@pytest.mark.slow  # test_a_trip_is_one_wherever_it_begins in test_monitor.py
-@pytest.mark.parametrize("seed", SEEDS)
-def test_short_rest_of_a_trip_joins_the_section_before(tmp_path, seed):
-    columns, found, _ = streamed(tmp_path, seed, 480.0)
-    assert len(found) == 2
-    last = found[-1].recording()
-    whole, rest = (batch_of_section(tmp_path, columns, k) for k in (1, 2))
-    assert_same(last, followed(whole, rest, float(SECTION_S)))
-    assert last.duration_s == pytest.approx(279.0, abs=1.5)
-    n_unusable = np.count_nonzero(~last.usable) - sum(
-        np.count_nonzero(~one.usable) for one in (whole, rest)
-    )
-    assert 0 <= n_unusable < 60  # of 28,000: where the section was cut
 
 
 @pytest.mark.parametrize(

@@ -83,14 +83,6 @@ def retained(broker):
     return {topic: json.loads(payload) for topic, payload in found.items()}
 
 
-def abandon(source):
-    """Break a source's connection off without a word, as a kill does."""
-    client, source._client = source._client, None
-    client._thread_terminate = True
-    client._sock_close()
-    client.loop_stop()
-
-
 def test_confirmed_frames_never_come_again(broker, opened):
     first, sink = opened(Mqtt(at(broker))), opened(MqttSink(at(broker)))
     send(sink, 300)
@@ -104,51 +96,6 @@ def test_confirmed_frames_never_come_again(broker, opened):
     assert [number for *_, number in numbers(received(second, 10))] == list(range(300, 310))
     assert second.receive(0.1) == []
     assert second.counts == {}
-
-
-@pytest.mark.slow  # test_confirmed_frames_never_come_again
-def test_frames_are_confirmed_in_the_order_in_which_they_came(broker, opened):
-    source, sink = opened(Mqtt(at(broker))), opened(MqttSink(at(broker)))
-    send(sink, 30)
-    assert len(received(source, 30)) == 30
-    source.confirm(7)
-    source.confirm(5)
-    source.close()
-    time.sleep(0.5)  # a client of the same name ends the connection before, with what is unread
-    found = numbers(received(opened(Mqtt(at(broker))), 18))
-    assert [number for *_, number in found] == list(range(12, 30))
-
-
-@pytest.mark.slow  # those of a monitor that ended come again above
-def test_frames_come_again_to_a_monitor_that_was_killed_before_it_confirmed(broker, opened):
-    script = (
-        "import sys\n"
-        "from suspnet.live.broker import Broker\n"
-        "from suspnet.live.mqtt import Mqtt\n"
-        f"source, n = Mqtt(Broker(port={broker.port})), 0\n"
-        f"source.subscribe([{ONE!r}])\n"
-        "print('begun', flush=True)\n"
-        "while n < 20:\n"
-        "    n += len(source.receive(1.0))\n"
-        "    if n <= 10: source.confirm()\n"
-        "print(n, flush=True)\n"
-        "sys.stdin.read()\n"
-    )
-    monitor = subprocess.Popen(
-        [sys.executable, "-c", script], stdin=subprocess.PIPE, stdout=subprocess.PIPE
-    )
-    with monitor:
-        assert monitor.stdout.readline() == b"begun\n"
-        sink = opened(MqttSink(at(broker)))
-        time.sleep(0.3)
-        for k in range(20):
-            sink.send(frame(k))
-            time.sleep(0.005)
-        assert monitor.stdout.readline() == b"20\n"
-        monitor.kill()
-    found = [number for *_, number in numbers(received(opened(Mqtt(at(broker))), 10))]
-    assert set(range(10, 20)) <= set(found)
-    assert len(found) == len(set(found))
 
 
 def test_broker_restarted_while_frames_flow_loses_none(broker, opened):
@@ -171,19 +118,6 @@ def test_broker_restarted_while_frames_flow_loses_none(broker, opened):
     assert [number for *_, number in sorted(seen)] == list(range(300))
     assert source.counts["reconnect"] == 1
     assert sink.counts["disconnect"] == 1
-
-
-@pytest.mark.slow  # one that is restarted while frames flow is above
-def test_killed_broker_keeps_what_it_had_saved(broker, opened):
-    source, sink = opened(Mqtt(at(broker))), opened(MqttSink(at(broker)))
-    abandon(source)
-    send(sink, 50)
-    sink.close()
-    broker.save()
-    broker.end(signal.SIGKILL)
-    broker.start()
-    again = opened(Mqtt(at(broker)))
-    assert [number for *_, number in numbers(received(again, 50))] == list(range(50))
 
 
 def test_broker_that_is_not_there_yet_is_waited_for(tmp_path, opened, caplog):
@@ -215,28 +149,6 @@ def quoted(name):
     return name.replace(" ", "%20").replace(",", "%2C")
 
 
-@pytest.mark.slow  # the latest of one topic is above
-def test_results_are_retained_the_latest_of_each_topic(broker, opened):
-    source = opened(Mqtt(at(broker)), NAMES)
-    for k in range(20):
-        for name in NAMES:
-            source.publish("estimates", name, json.dumps({"k": k}).encode())
-            source.publish("alarms", name, b'{"alarm": NaN}')
-        assert len(source._results) <= 2 * len(NAMES)
-    broker.end()
-    assert until(lambda: not source._is_connected)
-    for k in range(20, 90):
-        for name in NAMES:
-            source.publish("estimates", name, json.dumps({"k": k}).encode())
-    assert len(source._results) <= 2 * len(NAMES)
-    broker.start()
-    assert until(lambda: source._is_connected)
-    source.close()
-    found = retained(broker)
-    expected = {f"suspnet/estimates/{quoted(name)}": {"k": 89} for name in NAMES}
-    assert found == expected | {f"suspnet/alarms/{quoted(name)}": {"alarm": None} for name in NAMES}
-
-
 def test_result_that_is_no_json_object_is_refused():
     source = Mqtt()
     for payload in (b"", b"{", b"[1]", b"\xff"):
@@ -260,18 +172,6 @@ def test_parts_share_the_suspensions(broker, opened):
     assert [list(dict.fromkeys(name for name, *_ in part)) for part in found] == expected
 
 
-@pytest.mark.slow  # the one that the broker tells of it ends, below
-def test_two_monitors_of_one_part_are_reported(broker, opened, caplog):
-    first = opened(Mqtt(at(broker), part="1/2"))
-    second = opened(Mqtt(at(broker), part="1/2"))
-    words = "does another monitor run with the same part, suspnet-monitor-1-of-2?"
-    assert until(lambda: words in caplog.text)
-    first.close()
-    send(opened(MqttSink(at(broker))), 1, suspension=ONE)
-    assert is_in_part(ONE, 1, 2)
-    assert len(received(second, 1)) == 1
-
-
 def test_monitor_whose_session_another_one_has_taken_ends(broker, opened):
     source = opened(Mqtt(at(broker)))
     source._client._sock.shutdown(socket.SHUT_RDWR)
@@ -289,22 +189,6 @@ def test_parts_of_names_are_disjoint_complete_and_of_like_size():
         assert sorted(name for part in parts for name in part) == sorted(names)
         assert min(map(len, parts)) > 0.8 * 1000 / n_parts
     assert read_part("12/12") == (12, 12)
-
-
-@pytest.mark.slow  # a busy monitor is sent ten at most
-def test_no_more_frames_are_on_the_way_than_asked_for(broker, opened):
-    source, sink = opened(Mqtt(at(broker), in_flight=7)), opened(MqttSink(at(broker)))
-    send(sink, 300)
-    sink.close()
-    time.sleep(0.2)
-    found = []
-    while len(found) < 300:  # ends: a test has a time limit
-        part = source.receive(1.0)
-        assert 0 < len(part) <= 7
-        found += part
-        source.confirm()
-    assert numbers(found) == numbers(encoded(300))
-    assert source.counts == {}
 
 
 def test_monitor_that_is_busy_is_disconnected_and_misses_nothing(broker, opened):
@@ -348,18 +232,6 @@ def test_frames_of_others_do_not_come_and_those_without_acknowledgement_do(broke
     assert source.counts == {}
     client.disconnect()
     client.loop_stop()
-
-
-@pytest.mark.slow  # that such messages cost no other is below
-def test_sender_of_messages_that_are_too_large_is_disconnected_alone(broker, opened):
-    source, sink = opened(Mqtt(at(broker))), opened(MqttSink(at(broker)))
-    client, ends = raw_client(broker), []
-    client.on_disconnect = lambda *_: ends.append(1)
-    client.publish(at(broker).topic("frames", ONE), bytes(2_000_000), qos=1)
-    assert until(lambda: ends)
-    client.loop_stop()
-    send(sink, 3)
-    assert len(received(source, 3)) == 3
 
 
 def test_messages_that_the_broker_lets_through_are_counted(tmp_path, opened):

@@ -7,22 +7,14 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from cli_runner import typed
-from monitor_frames import ListSource
-from trip_fixtures import OUTPUTS, RATES_HZ, model_at, recalled_trip, signal, small_fleet
+from trip_fixtures import RATES_HZ, model_at, signal, small_fleet
 
 from suspnet.cli import init
 from suspnet.estimation.trip_settings import TripSettings
-from suspnet.history import History
-from suspnet.live.journal import Journal
-from suspnet.live.monitor import Monitor
-from suspnet.live.replay import Replay
-from suspnet.live.results import Results
 from suspnet.live.sections import LiveSettings
 from suspnet.live.suspension import read_suspensions
 from suspnet.recordings.errors import TripError
-from suspnet.recordings.frames import encode
 from suspnet.recordings.manifest import CHANNELS
-from suspnet.recordings.manifest_files import read_manifest
 from suspnet.trips.fleet import FleetSettings
 from suspnet.trips.manifest_template import BLANK
 
@@ -64,30 +56,6 @@ def templated(folder, manifest, how):
     assert f": {BLANK}" not in text
     path.write_text(text, encoding="utf-8")
     return path
-
-
-@pytest.mark.slow  # test_init.py, test_replay.py
-@pytest.mark.parametrize("how", ["times", pytest.param("file", marks=pytest.mark.slow)])
-def test_template_of_init_gives_the_monitor_what_it_gives_for_files(tmp_path, fleet, how):
-    (folder := tmp_path / "trips").mkdir()
-    path = templated(folder, fleet[0], how)
-    manifest = read_manifest(path)
-    assert [one.rate_hz is None for one in manifest.channels.values()] == [how == "times"] * 3
-    assert manifest.channels["body"].unit is None  # mg is no unit of manifests, so the file says it
-    model = model_at()
-    (one,) = read_suspensions(folder, [model], SETTINGS, LiveSettings(every_s=None))
-    frames = list(Replay(folder, start="2026-03-01T06:17:30Z").frames())
-    source = ListSource([encode(frame) for frame in frames])
-    with History(tmp_path / "fleet.db") as store, Journal(tmp_path / "journal") as journal:
-        results = Results(store, SETTINGS, source.publish)
-        monitor = Monitor([one], source, journal, results.report)
-        monitor.run()
-        (found,) = store.read(manifest.vehicle, manifest.place)
-    assert monitor.counts == {"taken": len(frames)}
-    expected = recalled_trip(path, [model], SETTINGS.trips)
-    assert (found.status, found.trip) == ("ok", "2026-03-01 06:17")
-    for name in OUTPUTS:
-        np.testing.assert_allclose(found.estimates[name], expected.estimates[name], rtol=1e-6)
 
 
 def test_range_without_a_unit_is_the_only_thing_that_is_missing(tmp_path, fleet):

@@ -15,10 +15,9 @@ from suspnet.history import History
 from suspnet.maintenance.alarms import Acknowledgement
 from suspnet.maintenance.change import ChangeSettings
 from suspnet.maintenance.fleet import fleet_state
-from suspnet.maintenance.plan import join_plans, make_plan, parts_of, train_of, trains_of
+from suspnet.maintenance.plan import PlanSettings, make_plan, parts_of, train_of, trains_of
 from suspnet.maintenance.series import Event
 from suspnet.maintenance.sisters import SisterSettings
-from suspnet.maintenance.visit_costs import PlanSettings
 from suspnet.report.board import BoardSettings
 from suspnet.report.language import speaking
 from suspnet.report.overview import overview_rows, overview_table
@@ -110,7 +109,7 @@ def test_mileage_per_day_that_is_assumed_is_shown_as_such(states):
     plan = make_plan(parts_of(undated), [train], PlanSettings(), today)
     words = "12: 500 km a day are assumed, as the dates of the trips are unknown or too close."
     assert plan.assumed_words == words
-    assert words in str(join_plans([plan]))
+    assert words in str(plan)
     about = {
         "plan": plan,
         "jobs": [],

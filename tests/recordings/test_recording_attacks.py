@@ -15,12 +15,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import yaml
 from acting_files import ACTING, HARMLESS, SECRET, prepare
 from declaring_files import DECLARING, WITHIN_BOUNDS
 from read_all import read_all
-
-from suspnet.recordings.manifest import CHANNELS
 
 SECONDS, WALL_SECONDS = 10.0, 60.0
 """Longest processor time for one file, and longest time on a machine that is busy with ten others.
@@ -123,48 +120,6 @@ def test_all_files_do_nothing_in_bounded_memory(tmp_path, bait, payloads, harmle
     )
     assert answer["own"] < MOST_OWN_BYTES
     assert answer["readers"] < MOST_READER_BYTES
-
-
-def trip(folder: Path, path: Path) -> None:
-    """Write the manifest of a trip whose bogie's file is a payload."""
-    folder.mkdir()
-    rows = "t,a\n" + "".join(f"{i / 100},{i % 7}\n" for i in range(9000))
-    channels = {}
-    for name in CHANNELS:
-        (folder / f"{name}.csv").write_text(rows)
-        channels[name] = {"file": f"{name}.csv", "column": "a", "unit": "m/s2", "time": "t"}
-    (folder / path.name).symlink_to(path)
-    channels["bogie"] = {"file": path.name, "column": "a", "unit": "m/s2", "rate_hz": 100.0}
-    content = {"format": "suspnet-trip-1", "vehicle": "am96", "suspension": "x", "mileage_km": 1}
-    content |= {"start": "2015-08-03T08:00:00", "speed": 70, "channels": channels}
-    (folder / "trip.yaml").write_text(yaml.safe_dump(content))
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("payloads", "names", "harmless"),
-    [
-        (ACTING, ("mdf system", "mdf 3.30", "hdf5 external file", "mat 7.3 virtual"), HARMLESS),
-        (DECLARING, ("hdf5 of 1e+11", "mat 4 matrix", "wav of 16 bits, 1"), WITHIN_BOUNDS),
-    ],
-    ids=["acting", "declaring"],
-)
-def test_check_names_the_file_in_one_line(
-    tmp_path, tmp_path_factory, bait, payloads, names, harmless
-):
-    place = tmp_path_factory.mktemp("run")
-    for name, path in written(tmp_path / "files", payloads, names).items():
-        folder = tmp_path / f"trip {path.parent.name}"
-        trip(folder, path)
-        before = state(tmp_path)
-        command = [sys.executable, "-m", "suspnet.check", str(folder)]
-        done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=place)
-        said = done.stdout + done.stderr
-        assert "Traceback" not in said, (name, said)
-        assert done.returncode != 0, (name, said)
-        assert path.name in said or name in harmless, (name, said)
-        assert not (path.parent / "canary").exists(), name
-        assert state(tmp_path) == before, name
 
 
 def test_secret_is_read_where_it_is_asked_for(tmp_path):

@@ -10,7 +10,6 @@ import pyarrow.parquet as pq
 import pytest
 import yaml
 
-from suspnet.recordings import csv_files
 from suspnet.recordings.errors import TripError
 from suspnet.recordings.manifest import CHANNELS
 from suspnet.recordings.manifest_files import read_manifest
@@ -154,16 +153,6 @@ def test_range_is_in_the_unit_of_the_channel(trip):
     recording = load(trip(signals={"bogie": values}, bogie={"unit": "g", "range": 4.0}))
     assert {fault.kind for fault in recording.faults} == {"saturation"}
     assert 0.1 < recording.usable.mean() < 0.9
-
-
-@pytest.mark.slow  # test_formats.py reads in blocks
-def test_pieces_of_the_file_change_nothing(trip, monkeypatch):
-    path = trip(body={"time": "t"})
-    whole = load(path)
-    monkeypatch.setattr(csv_files, "PARQUET_ROWS", 9973)
-    parts = load(path)
-    np.testing.assert_array_equal(parts.signals, whole.signals)
-    np.testing.assert_array_equal(parts.usable, whole.usable)
 
 
 # --- faults ----------------------------------------------------------------------------------
@@ -430,15 +419,6 @@ def test_a_dead_sensor_of_the_other_axle_leaves_the_channels_as_they_are(trip):
 def test_bad_sensor_of_a_pair_is_named(trip, right, changes, message):
     with pytest.raises(TripError, match=message):
         load(paired(trip(), "body", right, **changes))
-
-
-@pytest.mark.slow  # test_formats.py has truncated files of all types
-def test_truncated_file_of_one_sensor_is_named(trip):
-    path = paired(trip(), "body", motion(np.arange(32_000) / 500))
-    file = path.parent / "single.parquet"
-    file.write_bytes(file.read_bytes()[:-200])
-    with pytest.raises(TripError, match=r"single\.parquet is damaged, cut off or not a \.parquet"):
-        load(path)
 
 
 # --- failure ---------------------------------------------------------------------------------

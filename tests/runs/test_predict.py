@@ -11,7 +11,6 @@ from vehicles import AM96
 
 from suspnet.dynamics import QuarterCar, VerticalVehicle
 from suspnet.estimation.checkpoint import load_model, save_model
-from suspnet.estimation.estimate import KINDS
 from suspnet.estimation.from_curves import estimate_curves
 from suspnet.estimation.information import output_bounds
 from suspnet.estimation.problem import BLOCK, CALIBRATE, TEST, TRAIN, Problem
@@ -85,22 +84,6 @@ def test_intervals_hold_the_truth_as_often_as_asked_for(name, refined):
     assert both.mean() == pytest.approx(LEVEL, abs=0.13)
     assert both.mean() >= within.all(axis=1).mean()
     assert (high / low).max() < 2
-
-
-@pytest.mark.slow  # the claim above, for many curves
-def test_coverage_on_fresh_curves_is_that_asked_for_output_by_output():
-    problem = problem_of("all", "joint", sampling="sobol", n_calibrate=1200, n_test=3000)
-    model = calibrated(problem, fit(problem, METHODS["msvr"](), None))
-    outcome = predict_stream(problem, model, TEST)
-    truth = outcome.data.outputs
-    low, high = model.intervals.ends(outcome.predicted, outcome.scales, LEVEL)
-    within = (low <= truth) & (truth <= high)
-    # 600 scores and 3000 curves: 1.2 % and 0.5 %, three and a half of their root sum
-    np.testing.assert_allclose(within.mean(axis=0), LEVEL, atol=0.046)
-    assert within.mean() == pytest.approx(LEVEL, abs=0.03)
-    low, high = model.intervals.ends(outcome.predicted, outcome.scales, LEVEL, joint=True)
-    every = ((low <= truth) & (truth <= high)).all(axis=1)
-    assert every.mean() == pytest.approx(LEVEL, abs=0.046)
 
 
 def test_scores_are_residuals_of_calibration_curves_over_their_residual_scale():
@@ -182,14 +165,6 @@ def test_same_seed_gives_the_same_numbers_whatever_the_threads(refined):
     assert_same(first, predict_stream(problem, model, TEST, flags=True))
 
 
-@pytest.mark.slow  # of programs: test_programs.py
-def test_another_seed_gives_other_numbers():
-    _, model, _ = outcome_of("linear")
-    _, other, _ = outcome_of("linear", seed=1)
-    assert not np.isin(other.intervals.conformal.scores, model.intervals.conformal.scores).any()
-    assert model.ood.distance_threshold != other.ood.distance_threshold
-
-
 def test_calibration_curves_are_no_training_or_test_curves():
     problem, *_ = outcome_of("linear")
     streams = [problem.ratios(stream) for stream in (TRAIN, TEST, CALIBRATE)]
@@ -245,28 +220,6 @@ def test_few_usual_curves_are_flagged_and_many_noisier_ones():
     observer = problem.observer
     curves = noisy.curves(noisy.ratios(TEST)[:24], TEST, 0)
     assert estimate_curves(model, observer, curves, LEVEL).flags.found[:, 3].mean() > 0.9
-
-
-@pytest.mark.slow  # intervals: test_train.py; refined: tests/estimation/test_refine.py
-def test_trips_have_intervals_and_flags_too():
-    settings = EstimateSettings(256, 48, 128, minutes=5.0, cache_dir=None)
-    task = shipped_protocol("trips").task("all")
-    problem = Problem(VerticalVehicle(AM96), task, settings, progress=False)
-    fitted = replace(fit(problem, LinearRegression(), None), refined=True)
-    model = calibrated(problem, fitted)
-    outcome = predict_stream(problem, model, TEST, flags=True)
-    low, high = model.intervals.ends(outcome.predicted, outcome.scales, LEVEL)
-    truth = outcome.data.outputs
-    # 48 trips of five outputs, 128 to calibrate: at least 4.3 % and 2.7 %; three of their root sum
-    assert ((low <= truth) & (truth <= high)).mean() == pytest.approx(LEVEL, abs=0.15)
-    assert outcome.flags.found.shape == (48, len(KINDS))
-    assert outcome.flags.flagged.mean() < 0.1
-    regression = fitted.predict(outcome.data.inputs)
-    for j in range(5):
-        errors = [
-            np.std(np.log(one[:, j] / truth[:, j])) for one in (outcome.predicted, regression)
-        ]
-        assert errors[0] < 0.5 * errors[1]
 
 
 # failure

@@ -124,12 +124,6 @@ def whole(results):
     )
 
 
-@pytest.mark.slow  # test_gaps_in_every_curve_can_be_drawn draws all
-def test_a_single_trip_can_be_drawn():
-    for figure in whole([trip()]):
-        assert draw(figure) == []
-
-
 def test_trips_without_any_estimate_say_so():
     drawn = [texts(f) for f in whole([trip(i, missing=True) for i in range(3)])]
     assert drawn[0] == ["no trip with an estimate and a mileage"] * 2

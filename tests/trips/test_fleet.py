@@ -14,17 +14,12 @@ import pyarrow.csv as pacsv
 import pyarrow.parquet as pq
 import pytest
 from cli_runner import blank_figures
-from dying_readers import open_dying
-from dying_trips import mortal
-from forked import forks
-from joblib.externals.loky import ProcessPoolExecutor
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 from trip_fixtures import OUTPUTS, changed, recalled_trip, signal, slow_model
 from trip_records import fleet as made_up
 
 from suspnet.estimation.fitted import ModelFileError
 from suspnet.estimation.trip_settings import TripSettings
-from suspnet.ground import workers
 from suspnet.ground.parameters import DEFAULT_LIMITS, Cause, Severity
 from suspnet.ground.records import NO_PART
 from suspnet.ground.storage import read_arrays, read_plain
@@ -35,8 +30,6 @@ from suspnet.maintenance.trend import LEAST_PERCENT
 from suspnet.recordings import manifest_files
 from suspnet.recordings.cleaning import Fault
 from suspnet.recordings.dead_sensors import NOTHING, dead_faults
-from suspnet.recordings.formats import READERS
-from suspnet.recordings.reader_process import LIMIT, in_own_process
 from suspnet.report import output
 from suspnet.report.output import (
     coverage_percent,
@@ -45,7 +38,6 @@ from suspnet.report.output import (
     summary,
     write_tables,
 )
-from suspnet.report.tensorboard import RunLog
 from suspnet.spectra.curves import CurveSettings
 from suspnet.trips import earlier as finished
 from suspnet.trips import fleet
@@ -120,21 +112,6 @@ def test_bad_trips_are_rows_and_the_others_as_if_alone(done, alone):
     assert "the model reads 64.4 to 75.6 m/s" in results[2].reason
     assert results[5].reason.startswith("channel 'body' is constant (0) throughout")
     assert results[6].reason.startswith("is not valid YAML")
-
-
-@pytest.mark.slow  # one of two workers that is killed costs its trip alone: see below
-def test_two_workers_change_nothing(manifests, model, alone, no_figures, tmp_path):
-    results = read(manifests[0].parent, [model], tmp_path, FleetSettings(TRIPS, workers=2))
-    assert list(estimates(results)) == list(estimates(alone))
-    are_as_if_alone(results, alone)
-
-
-def are_as_if_alone(results, alone):
-    """Compare the estimates of good trips with those that each gets by itself."""
-    found, expected = estimates(results), estimates(alone)
-    for mileage, values in expected.items():
-        # BLAS may sum in another order where it has other threads
-        assert found[mileage] == pytest.approx(values, rel=1e-9)
 
 
 def test_dask_changes_nothing(manifests, model, alone, no_figures, tmp_path):
@@ -447,20 +424,6 @@ def test_names_of_the_files_do_not_matter(done, broken, model, no_figures, recal
             assert before.estimates["k_p"] / after.estimates["k_p"] == pytest.approx(expected)
 
 
-@pytest.mark.slow  # test_trip.py reads trips with models of two speeds
-def test_models_of_two_speeds_read_one_folder(manifests, model, no_figures, tmp_path):
-    folder = tmp_path / "trips"
-    folder.mkdir()
-    changed(manifests[0], folder, "fast")
-    changed(manifests[1], folder, "middle", speed=60.0)
-    models = [slow_model(), model]
-    results = read(folder, models, tmp_path / "out")
-    assert [r.status for r in results] == ["ok", "no estimate"]
-    assert results[0].quality.speed_bins == "70.0 m/s: 27 averages"
-    details = json.loads((tmp_path / "out" / "metrics.json").read_text())["details"]
-    assert details["speeds"] == "46.0 to 54.0 m/s, 64.4 to 75.6 m/s"
-
-
 def test_dead_sensors_and_alarms_of_sensors_are_printed(
     three, model, no_figures, monkeypatch, caplog
 ):
@@ -514,62 +477,6 @@ def test_change_below_what_the_model_resolves_does_not_changed_ones(model, monke
 
 
 # failure
-
-
-@pytest.mark.slow  # test_workers.py kills a worker, test_bad_trips_are_rows has faults
-def test_bad_trip_costs_its_row_and_the_report_exists(
-    three, manifests, model, blank, alone, monkeypatch
-):
-    (three / "b.yaml").unlink()
-    (three / "c.yaml").unlink()
-    changed(manifests[0], three, "deadly")
-    changed(manifests[0], three, "far", mileage_km=1e19)
-    changed(manifests[0], three, "fast", channels={"body": {"rate_hz": 1e9}})
-    changed(manifests[0], three, os.fsdecode(b"n\xffme"))
-    changed(manifests[0], three, "untrue", truth=dict.fromkeys(OUTPUTS, 1e-299))
-    changed(manifests[0], three, "surrogate", suspension="a \ud800 b")
-    changed(manifests[0], three, os.fsdecode(b"b\xffd"), channels={"body": {"rate_hz": 50.0}})
-    monkeypatch.setattr(fleet, "evaluate_trip", mortal)
-    monkeypatch.setattr(workers, "guarded", lambda _: ProcessPoolExecutor(1, context=forks()))
-    monkeypatch.setattr(RunLog, "figure", lambda *_: None)
-    out = three.parent / "out"
-    found = evaluate_fleet(three, [model], out, FleetSettings(TRIPS, workers=2), progress=False)
-    results = {r.trip: r for one in found for r in one.results}
-    assert {name for name, r in results.items() if r.status == "ok"} >= {"a", "n\\udcffme"}
-    are_as_if_alone([results["a"]], alone[:1])
-    reasons = {
-        "deadly": "was killed (SIGKILL(-9)), and so was that of a second attempt",
-        "far": "`mileage_km` must be at most 20000000 km (is it in metres?), got 1e+19",
-        "fast": "channel 'body' has 1e+09 Hz; at most 1e+06 Hz can be read",
-        "b\\udcffd": "channel 'body' has 50 Hz; at least 100 Hz are needed",
-    }
-    for name, reason in reasons.items():
-        assert results[name].status == "error"
-        assert reason in results[name].reason
-    assert results.keys() == {"a", "n\\udcffme", "surrogate", "untrue", *reasons}
-    assert (out / "overview.html").is_file() == (len(found) > 1)
-    assert len(list(out.rglob("report.html"))) == len(found)
-
-
-@pytest.mark.slow  # test_reader_process.py has each of them by default
-def test_file_that_kills_or_hangs_its_reader_costs_its_row(
-    three, manifests, model, blank, monkeypatch
-):
-    monkeypatch.setitem(READERS, ".mat", in_own_process(open_dying))
-    monkeypatch.setenv(LIMIT, "2")
-    for what in ("exit", "crash:1", "hang"):
-        (three / f"{what}.mat").write_text(what)
-        channels = {"body": {"file": f"{what}.mat", "column": "a", "unit": "g"}}
-        changed(manifests[0], three, what, channels=channels)
-    monkeypatch.setattr(RunLog, "figure", lambda *_: None)
-    out = three.parent / "out"
-    found = evaluate_fleet(three, [model], out, SETTINGS, progress=False)
-    results = {r.trip: r for one in found for r in one.results}
-    assert {name for name, r in results.items() if r.status == "ok"} == {"a", "b", "c"}
-    assert results["exit"].reason.endswith("reader crashed (exit code 3), so the file is damaged")
-    assert results["crash:1"].reason.endswith("crashed (SIGSEGV), so the file is damaged")
-    assert "hang.mat: its reader took longer than 2 s for one step" in results["hang"].reason
-    assert len(list(out.rglob("report.html"))) == len(found) == 1
 
 
 @pytest.mark.every_value

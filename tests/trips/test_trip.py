@@ -22,9 +22,8 @@ from trip_fixtures import (
     write_trips,
 )
 
-from suspnet.dynamics import PARAMETERS, QuarterCar
+from suspnet.dynamics import PARAMETERS
 from suspnet.estimation import from_recording as recording
-from suspnet.estimation import from_spectra
 from suspnet.estimation.estimate import Flags
 from suspnet.estimation.from_spectra import estimate_with_noise
 from suspnet.estimation.trip_settings import TripSettings
@@ -250,21 +249,6 @@ def test_speed_bins_are_averaged_by_the_inverse_squares_of_their_half_widths(
     np.testing.assert_array_equal(swapped.curves.responses, alone[0].curves.responses)
 
 
-@pytest.mark.slow  # see test_nothing_to_estimate_from
-def test_speed_bin_with_too_few_averages_is_left_out(two_speeds, model):
-    path = two_speeds(100)
-    both = evaluate_trip(path, [slow_model(), model], SETTINGS)
-    alone = evaluate_trip(path, [model], SETTINGS)
-    assert both.estimates == alone.estimates
-    assert both.quality.speed_bins == alone.quality.speed_bins == "70.0 m/s: 27 averages"
-    many = evaluate_trip(path, [slow_model(), model], TripSettings(min_averages=30))
-    assert many.status == NO_ESTIMATE
-    assert many.reason.count("at least 30 are needed") == 2
-    assert "28 of 38 segments without faults are steady at 70.0 m/s" in many.reason
-    assert "8 of 38 segments without faults are steady at 50.0 m/s" in many.reason
-    assert "the models read 46.0 to 54.0 and 64.4 to 75.6 m/s" in many.reason
-
-
 def test_speed_must_stay_in_the_bin_throughout(manifests, model, tmp_path):
     speed = signal(manifests[0], "speed").copy()
     speed[150] = 71.5  # 2.1 % more than the model's, in two segments
@@ -273,31 +257,6 @@ def test_speed_must_stay_in_the_bin_throughout(manifests, model, tmp_path):
     assert evaluated(path, model).quality.segments_used == N_SEGMENTS - 4
     wide = evaluated(path, model, TripSettings(speed_tolerance=0.025))
     assert wide.quality.segments_used == N_SEGMENTS
-
-
-@pytest.mark.slow  # its range of speeds: test_checkpoint.py
-def test_model_without_speed_takes_every_speed_that_is_high_enough(
-    manifests, model, tmp_path, monkeypatch
-):
-    monkeypatch.setattr(from_spectra, "LARGEST_MISFIT", np.inf)  # a quarter car is no train
-    speed = np.where(np.arange(301) < 150, 9.9, 40.0)
-    path = changed(manifests[0], tmp_path, signals={"speed": speed})
-    anywhere = replace(model, generator=QuarterCar(model.vehicle))
-    assert evaluated(path, anywhere).quality.segments_used == 13  # from 150 s on
-    standing = evaluated(path, anywhere, TripSettings(min_speed_m_per_s=41.0, check_channels=False))
-    assert standing.status == NO_ESTIMATE
-    assert "0 of 28 segments without faults are at 41 m/s or faster throughout" in standing.reason
-
-
-@pytest.mark.slow  # they are refused by default
-def test_swapped_channels_give_no_estimate_where_they_are_not_refused(manifests, model, tmp_path):
-    """The bogie's and the body's files, with the check of the channels switched off."""
-    signals = {"bogie": signal(manifests[0], "body"), "body": signal(manifests[0], "bogie")}
-    path = changed(manifests[0], tmp_path, signals=signals)
-    result = evaluated(path, model, TripSettings(check_channels=False, max_deviation=10.0))
-    assert result.status == NO_ESTIMATE
-    assert "the model cannot explain the curve" in result.reason
-    assert re.search(r"Nearest is \w+ at [\d.e+]+ % of healthy: look there", result.reason)
 
 
 def test_delay_that_is_the_same_all_along_is_named(manifests, model, good, tmp_path):
@@ -413,14 +372,6 @@ def test_noise_in_all_segments_alike_leaves_none_out(manifests, model, tmp_path)
     assert result.quality.coherence_p < SETTINGS.min_coherence
     assert result.quality.segments_used == N_SEGMENTS
     assert result.quality.warnings.startswith("units and signs not checked")
-
-
-@pytest.mark.slow  # the limit of the test before
-def test_a_little_noise_in_a_part_leaves_none_out(manifests, model, good, tmp_path):
-    result = evaluated(noisy(manifests[0], tmp_path, "bogie", 0.2), model)
-    assert result.quality.segments_used == N_SEGMENTS
-    assert good.quality.coherence_p - 0.1 < result.quality.coherence_p < good.quality.coherence_p
-    assert close(result, good, 1.05)
 
 
 @pytest.mark.slow

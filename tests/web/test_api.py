@@ -230,7 +230,7 @@ def test_work_order_says_what_why_since_when_how_sure_and_until_when(filled, ask
     assert order.low_percent < order.value_percent < order.high_percent
     assert (order.n_alike, order.n_last) == (3, 5)
     assert order.visit is not None
-    assert order.decide_by <= order.latest
+    assert order.decide_by <= order.visit
     assert order.is_passed
     assert order.until_km == 60e3  # the newest trip
     assert work_orders(view, view.keys[name_of(view, HEALTHY)]) == []

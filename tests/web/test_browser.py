@@ -2,11 +2,10 @@
 
 import json
 import shutil
-import time
 from contextlib import contextmanager
 
 import pytest
-from served_fleet import EVIL, FAILED, NAMED_EVIL, WORN, bogie_trips, fill, name_of, served, trips
+from served_fleet import EVIL, NAMED_EVIL, WORN, bogie_trips, fill, name_of, served, trips
 
 from suspnet.ground.records import Place
 from suspnet.history import History
@@ -155,26 +154,6 @@ def tab_until(browser, is_there, most=80):
     raise AssertionError("the keyboard does not get there")
 
 
-@pytest.mark.slow  # the same by keys is below
-def test_alarm_is_acknowledged_by_clicks(browser, own):
-    address, _, path = own
-    browser.get(address)
-    selector = "a[href$='#alarm-k_s-limit']"
-    (link,) = wait(browser, lambda b: b.find_elements(By.CSS_SELECTOR, selector))
-    browser.execute_script("arguments[0].scrollIntoView({block: 'center'})", link)
-    link.click()
-    wait(browser, lambda b: b.find_elements(By.ID, "by-alarm-k_s-limit"))
-    browser.find_element(By.ID, "by-alarm-k_s-limit").send_keys("Kim Li")
-    browser.find_element(By.ID, "words-alarm-k_s-limit").send_keys("spring ordered")
-    browser.find_element(By.CSS_SELECTOR, "#alarm-k_s-limit button").click()
-    wait(browser, lambda b: "Acknowledged by Kim Li" in shown(b))
-    browser.execute_script("return replace()")
-    assert "Acknowledged by Kim Li" in shown(browser)  # an update leaves what was said
-    assert acknowledged(path, FAILED) == [("k_s", "Kim Li", "spring ordered")]
-    browser.get(address)
-    wait(browser, lambda b: "Kim Li" in shown(b))
-
-
 def test_alarm_is_acknowledged_by_keys_alone(browser, own):
     address, _, path = own
     browser.get(address)
@@ -241,20 +220,6 @@ def test_zoom_focus_and_forms_outlast_an_update_and_the_end_of_the_server_is_tol
     wait(browser, lambda b: "There is an update" in pulse.text)
     assert name.get_attribute("value") == "half a na"
     assert refresher.fault == ""
-    browser.execute_script("window.fetch = () => Promise.reject(new Error('gone'))")
-    lost = browser.find_element(By.ID, "lost")
-    wait(browser, lambda b: "No answer from the server since" in lost.text)
-
-
-@pytest.mark.slow  # a page of one suspension does so above
-def test_fleet_follows_the_store_and_tells_when_the_server_is_gone(browser, own):
-    address, _, path = own
-    browser.get(address)
-    browser.execute_script("window.same = true; window.scrollTo(0, 300)")
-    with History(path) as store:
-        store.write(trips(Place("", "leading", "left", "77", "1"), 8))
-    wait(browser, lambda b: "Train 77" in shown(b))
-    assert browser.execute_script("return [window.same, window.scrollY]") == [True, 300]
     browser.execute_script("window.fetch = () => Promise.reject(new Error('gone'))")
     lost = browser.find_element(By.ID, "lost")
     wait(browser, lambda b: "No answer from the server since" in lost.text)
@@ -338,33 +303,3 @@ def assert_all_parts_have_names(browser):
     twice = """const all = [...document.querySelectorAll('main [id]')].map(e => e.id);
         return all.filter((e, i) => all.indexOf(e) !== i && !e.includes('clip'))"""
     assert browser.execute_script(twice) == []
-
-
-@pytest.mark.slow  # a few are shown by test_pages.py
-@pytest.mark.parametrize("n_suspensions", [60, 1000])
-def test_many_suspensions_are_shown(browser, tmp_path, n_suspensions):
-    with History(tmp_path / "large.db") as store:
-        store.write(
-            [trip for i in range(n_suspensions) for trip in trips(large_place(i), i, n_trips=2)]
-        )
-    with looked_at(browser, tmp_path / "large.db", 120) as (address, _):
-        began = time.monotonic()
-        browser.get(address)
-        assert time.monotonic() - began < 10  # a second where nothing else runs
-        tiles = "return document.querySelectorAll('a.tile').length"
-        wait(browser, lambda b: b.execute_script(tiles) == n_suspensions)
-        more = browser.find_element(By.LINK_TEXT, f"All {n_suspensions} suspensions")
-        browser.get(more.get_attribute("href"))
-        rows = "return document.querySelectorAll('#suspensions + .scroll tbody tr').length"
-        wait(browser, lambda b: b.execute_script(rows) == n_suspensions)
-
-
-def large_place(i):
-    """Return one of many suspensions: 8 cars a train, 4 a car."""
-    corners = [
-        ("leading", "left"),
-        ("leading", "right"),
-        ("trailing", "left"),
-        ("trailing", "right"),
-    ]
-    return Place("", *corners[i % 4], str(400 + i // 32), str(1 + i // 4 % 8))

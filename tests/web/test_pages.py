@@ -1,13 +1,9 @@
 """The pages as Flask's test client reads them: content, escaping, protection, errors."""
 
-import os
 import re
-import subprocess
-import sys
 import time
 from contextlib import contextmanager
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 from served_fleet import EVIL, FAILED, HEALTHY, NAMED_EVIL, SETTINGS, WORN, fill, name_of, trips
@@ -304,36 +300,6 @@ def test_empty_store_and_first_look_are_told(tmp_path):
         "being read" in (page := client.get("/", **BASE).text)
         or "This history holds no trip" in page
     )
-
-
-SERVE = """
-import sys
-from pathlib import Path
-from served_fleet import FAILED, SETTINGS, name_of
-from suspnet.report.board import Board
-from suspnet.web.app import create_app
-from suspnet.report.board import Refresher
-
-board = Board(sys.argv[1], SETTINGS)
-board.refresh()
-client = create_app(Refresher(board, 1.0)).test_client()
-one = "/suspension/" + name_of(board.view, FAILED)
-for address in ("/", "/plan", one, one + "/trend.json", one + "/responses.json"):
-    assert client.get(address, base_url="http://127.0.0.1").status_code == 200, address
-print(*sorted({"torch", "matplotlib", "hydra", "sklearn"} & sys.modules.keys()))
-"""
-
-
-@pytest.mark.slow  # lint-imports holds that pages import no torch
-def test_pages_are_served_without_torch_and_matplotlib(tmp_path):
-    """Only the calendar's picture needs matplotlib, when it is first asked for (not here)."""
-    with History(tmp_path / "fleet.db") as store:
-        store.write(trips(FAILED, 1, {"k_s": lambda i: 1.5 if i > 6 else 1.0}, n_trips=10))
-    tests = str(Path(__file__).parent.parent)
-    command = [sys.executable, "-c", SERVE, str(tmp_path / "fleet.db")]
-    environment = {**os.environ, "PYTHONPATH": tests}
-    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
-    assert (done.returncode, done.stdout.strip()) == (0, ""), done.stderr
 
 
 class Broken:

@@ -1,26 +1,29 @@
-"""The reliability study: coverage of prediction intervals, and how much is flagged.
+"""Coverage of a calibrated model's intervals, and the share of curves that it flags.
 
-Everything is measured on fresh curves: intervals on curves like the training curves, over all and
-by slices of each parameter; flags on these and on curves that a model was not trained for.
+python tests/benchmarks/reliability.py outputs/train/RUN [--n-test 20000] [--n-odd 200]
+
+Intervals are measured on fresh curves like the training curves, over all and in each fifth of each
+parameter; flags on these and on curves that the model was not trained for: parameters out of range,
+swapped sensors and vehicles of another type. The model is trained with data.n_calibrate=30000.
 """
 
 from __future__ import annotations
 
-import logging
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
+from cells import Parser, at_least
 from scipy.stats import norm
 from tabulate import tabulate
 from torch import Tensor
 
+from suspnet.cli import program  # noqa: F401 - makes our resolvers known to Hydra
+from suspnet.cli.kinds import read_vehicles
 from suspnet.dynamics import PARAMETERS, Vehicle
 from suspnet.estimation.checkpoint import load_model
 from suspnet.estimation.estimate import KINDS
@@ -28,57 +31,17 @@ from suspnet.estimation.from_curves import estimate_curves
 from suspnet.estimation.problem import BLOCK, TEST, Problem
 from suspnet.estimation.protocols import BODY_MASS_COLUMN, Task
 from suspnet.estimation.trained import TrainedModel
-from suspnet.ground.progress import bar as progress_bar
-from suspnet.ground.settings import check_number
 from suspnet.ground.types import BoolArray, FloatArray
 from suspnet.learning.metrics import covers, interval_scores
-from suspnet.report.figures import SYMBOLS
 from suspnet.runs.evaluate import FreshCurves, find_runs
-from suspnet.runs.plots import BOUND_COLOUR, OUR_COLOUR
 from suspnet.runs.predict import Outcome, predict_stream
 from suspnet.runs.scores import LEVEL, label
-from suspnet.runs.tables import MODEL_TITLES, write_study
-from suspnet.spectra.observation import MOST_CURVES
+from suspnet.runs.tables import MODEL_TITLES
 
-log = logging.getLogger(__name__)
 N_SLICES = 5
 LOW, HIGH = 0.3, 2.5
 """Ratios to healthy outside the range of every protocol."""
 IN_RANGE = "in range"
-Record = dict[str, Any]
-NOMINAL, TOLERANCE = 90.0, 1.5
-"""Nominal coverage and the tolerance of a slice's coverage, both in %."""
-
-
-def write_reliability(
-    run: str,
-    others: Mapping[str, Vehicle],
-    folder: Path,
-    fresh: FreshCurves,
-    n_odd: int,
-    device: str,
-) -> list[Reliability]:
-    """Write reliability.md, .csv, .json and .png of every model at or below `run`; print tables.
-
-    `others`: vehicles of another type than the model's, by name; `fresh`: curves like the training
-    curves; `n_odd`: curves in each set unlike them.
-    """
-    check_number("n_odd", n_odd, low=1, most=MOST_CURVES, whole=True)
-    found = []
-    for path in find_runs(Path(run)):
-        model = load_model(path, device)
-        if model.intervals is None or model.ood is None:
-            raise ValueError(
-                f"the model of {path} was not calibrated: train it with data.n_calibrate=30000"
-            )
-        problem = fresh.problem(model, path)
-        found.append(measure(problem, model, others, n_odd))
-    text = "\n".join(markdown(one) for one in found)
-    content = {one.name: vars(one) for one in found}
-    figures = {"reliability": reliability_figure(found)}
-    write_study(folder, "reliability", text, content, list(records(found)), figures)
-    log.info("%s\n-> %s/reliability.*", text, folder)
-    return found
 
 
 def measure(
@@ -90,19 +53,14 @@ def measure(
     flags = {IN_RANGE: _shares(outcome.flags.found)}
     sets = dict(_odd_sets(problem, others, n_odd))
     observer = problem.observer
-    n_all = len(sets) * n_odd
-    with progress_bar("curves out of range", n_all, unit="curve", shown=problem.progress) as bar:
-        for name, (ratios, curves) in sets.items():
-            known = ratios[:, BODY_MASS_COLUMN] if problem.task.mass_known else None
-            found = []
-            for start in range(0, n_odd, BLOCK):
-                rows = slice(start, start + BLOCK)
-                mass = None if known is None else known[rows]
-                found.append(
-                    estimate_curves(model, observer, curves[rows], LEVEL, mass).flags.found
-                )
-                bar.update(len(found[-1]))
-            flags[name] = _shares(np.concatenate(found))
+    for name, (ratios, curves) in sets.items():
+        known = ratios[:, BODY_MASS_COLUMN] if problem.task.mass_known else None
+        found = []
+        for start in range(0, n_odd, BLOCK):
+            rows = slice(start, start + BLOCK)
+            mass = None if known is None else known[rows]
+            found.append(estimate_curves(model, observer, curves[rows], LEVEL, mass).flags.found)
+        flags[name] = _shares(np.concatenate(found))
     title = f"{MODEL_TITLES[label(model)]}, {model.task.protocol}/{model.task.group}"
     return Reliability(title, _intervals(problem, model, outcome), flags)
 
@@ -204,29 +162,6 @@ class Reliability:
     flags: dict[str, dict[str, float]]
 
 
-def records(found: list[Reliability]) -> Iterator[Record]:
-    """Yield one record for each measured number: model, what, of, value [%]."""
-    for one in found:
-        for kind, scores in one.intervals.items():
-            for output, values in scores["outputs"].items():
-                for what, value in values.items():
-                    yield _record(one, f"{kind} {what}", output, value)
-            joint = scores["joint_coverage_percent"]
-            yield _record(one, f"{kind} coverage_percent", "all at once", joint)
-            for name, by_output in scores["slices"].items():
-                for output, values in by_output.items():
-                    for k, value in enumerate(values):
-                        of = f"{output}, {name} in fifth {k + 1}"
-                        yield _record(one, f"{kind} coverage_percent", of, value)
-        for name, shares in one.flags.items():
-            for kind, value in shares.items():
-                yield _record(one, f"flagged_percent {kind}", name, value)
-
-
-def _record(one: Reliability, what: str, of: str, value: float) -> Record:
-    return {"model": one.name, "what": what, "of": of, "percent": value}
-
-
 def markdown(one: Reliability) -> str:
     """Return one model's coverage and flags as Markdown."""
     rows = []
@@ -246,39 +181,20 @@ def markdown(one: Reliability) -> str:
     return f"## {one.name}\n\n{first}\n\n{second}\n"
 
 
-def reliability_figure(found: Sequence[Reliability]) -> Figure:
-    """Draw the coverage of each parameter's slices and the share of flagged curves of each set."""
-    height = max(3.2, 0.9 + 0.2 * len(found[0].flags))
-    figure = Figure(figsize=(10.0, height * len(found)), layout="constrained")
-    axes = figure.subplots(len(found), 2, squeeze=False, width_ratios=(1.3, 1))
-    for one, (left, right) in zip(found, axes, strict=True):
-        _draw_slices(left, one)
-        left.set_title(one.name, fontsize="medium")
-        _draw_flags(right, one)
-    return figure
+def main() -> None:
+    parser = Parser(description=__doc__.splitlines()[0])
+    parser.add_argument("run", type=Path, help="folder of a run, or of several")
+    parser.add_argument("--n-test", type=at_least(1), default=20_000)
+    parser.add_argument("--n-odd", type=at_least(1), default=200)
+    parser.add_argument("--seed", type=at_least(0), default=1000)
+    options = parser.parse_args()
+    for path in find_runs(options.run):
+        model = load_model(path)
+        if model.intervals is None or model.ood is None:
+            parser.error(f"the model of {path} was not calibrated: train with data.n_calibrate")
+        problem = FreshCurves(options.seed, options.n_test).problem(model, path)
+        print(markdown(measure(problem, model, read_vehicles(), options.n_odd)))
 
 
-def _draw_slices(axis: Axes, one: Reliability) -> None:
-    axis.axhspan(NOMINAL - TOLERANCE, NOMINAL + TOLERANCE, color="0.9")
-    axis.axhline(NOMINAL, color=BOUND_COLOUR, lw=0.8)
-    for style, scores in zip(("o-", "s--"), one.intervals.values(), strict=False):
-        for place, by_output in enumerate(scores["slices"].values()):
-            for j, (output, values) in enumerate(by_output.items()):
-                x = [place + (k - 2) * 0.17 for k in range(len(values))]
-                named = SYMBOLS[output] if place == 0 and style == "o-" else None
-                axis.plot(x, values, style, color=f"C{j}", ms=3, lw=1, label=named)
-    names = list(next(iter(one.intervals.values()))["slices"])
-    axis.set_xticks(range(len(names)), [f"fifths of {SYMBOLS[name]}" for name in names])
-    axis.set_ylabel(f"coverage of {NOMINAL:g} % intervals [%]")
-    axis.margins(y=0.25)
-    axis.legend(ncols=4, fontsize="small", loc="lower center")
-
-
-def _draw_flags(axis: Axes, one: Reliability) -> None:
-    names = list(one.flags)[::-1]
-    values = [one.flags[name]["any"] for name in names]
-    axis.barh(names, values, color=[OUR_COLOUR if v > 1 else "0.6" for v in values])
-    for place, value in enumerate(values):
-        axis.text(min(value, 100) + 1, place, f"{value:.3g}", va="center", fontsize="x-small")
-    axis.tick_params(axis="y", labelsize="x-small")
-    axis.set(xlabel="flagged [%]", xlim=(0, 112))
+if __name__ == "__main__":
+    main()
