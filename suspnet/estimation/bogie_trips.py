@@ -20,7 +20,8 @@ from suspnet.estimation.intervals import LARGEST_MISFIT
 from suspnet.estimation.steady_parts import groups_to_read, minutes_words
 from suspnet.estimation.swapped_sensors import check_order
 from suspnet.estimation.trip_settings import TripSettings
-from suspnet.estimation.worn_parts import worn_parts, worn_words
+from suspnet.estimation.worn_parts import worn_parts
+from suspnet.ground.findings import joined
 from suspnet.ground.parameters import COMPONENTS, FORWARD, SIDES, Direction
 from suspnet.recordings.errors import TripError
 from suspnet.recordings.manifest import LEAST_SENSORS, TripManifest
@@ -231,7 +232,7 @@ def estimate_parts(
         )
     found = parts.as_estimate()
     flags = with_bogie_doubt(found.flags, has_converged=bogie.converged, misfit=bogie.misfit)
-    worn = worn_words(worn_parts(parts))
+    worn = joined(one.finding for one in worn_parts(parts))
     places = _places(recording.manifest, bogie.generator.frame_sensor)
     names = {place: name for name, place in places.items()}
     estimate = replace(

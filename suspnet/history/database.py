@@ -18,6 +18,7 @@ from sqlalchemy.exc import ArgumentError, DBAPIError, NoSuchModuleError, SQLAlch
 
 from suspnet.ground.extras import install_command
 from suspnet.ground.ledger import ACTING, check_own
+from suspnet.history.older import FINDINGS, store_findings
 from suspnet.history.schema import OLDEST, SCHEMA, metadata, versions
 
 log = logging.getLogger(__name__)
@@ -178,6 +179,9 @@ def prepare(connection: Connection, name: str) -> None:
         return
     if version is not None:
         _add_missing(connection)
+        if version < FINDINGS:
+            store_findings(connection)
+        connection.execute(versions.update().values(schema=SCHEMA))
         return
     if connection.dialect.name == "sqlite":
         connection.exec_driver_sql(f"PRAGMA application_id = {APPLICATION_ID}")
@@ -200,7 +204,6 @@ def _add_missing(connection: Connection) -> None:
                 default = " DEFAULT ''" if isinstance(column.type, sql.String) else ""
                 added = f"{quote(column.name)} {kind}{default}"
                 connection.exec_driver_sql(f"ALTER TABLE {quote(table.name)} ADD COLUMN {added}")
-    connection.execute(versions.update().values(schema=SCHEMA))
 
 
 def error_of(error: SQLAlchemyError | UnicodeDecodeError, name: str) -> HistoryError:

@@ -53,7 +53,7 @@ _LOGGED: set[str] = set()
 """Bad rows that this process has logged: a program that polls a store reads them often."""
 KINDS: dict[type, Any] = {sql.String: str, sql.Double: (int, float), sql.Integer: int}
 """Python types of values by column type; SQLite itself accepts any value in any column."""
-SCHEMA, OLDEST = 8, 3
+SCHEMA, OLDEST = 9, 3
 """Version of the tables, and the oldest that is brought to it; a store of any other is refused."""
 
 metadata = MetaData()

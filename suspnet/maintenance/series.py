@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from suspnet.ground.findings import stored
 from suspnet.ground.parameters import BODY_MASS, BOGIE_PARTS, ESTIMATED, PARAMETERS
 from suspnet.ground.records import EVENT_KINDS, SENSOR, Key, Place, TripResult, sensors_from_text
 from suspnet.ground.times import utc
@@ -352,7 +353,7 @@ def series_of(results: Sequence[TripResult], events: Iterable[Event] = ()) -> Se
         healthy_since_km=[one.healthy_since_km for one in results],
         speed_m_per_s=[one.quality.speed_m_per_s for one in results],
         sensors=[one.quality.sensors for one in results],
-        worn=[one.worn for one in results],
+        worn=[stored(one.worn) for one in results],
         temperature_c=[one.temperature_c for one in results],
         direction=[SIGNS.get(one.quality.direction, np.nan) for one in results],
     ).widened()

@@ -10,13 +10,13 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
+from suspnet.ground.findings import Finding, parts_of, restored
 from suspnet.ground.parameters import (
     BODY_MASS,
     BOGIE_PARTS,
     Limits,
     Severity,
     kind_of,
-    part_words,
 )
 from suspnet.ground.records import Key
 from suspnet.ground.types import FloatArray
@@ -187,7 +187,8 @@ class State:
         last = self._last[name]
         severity, judged = judge_last(last, self.limits.get(name))
         is_beyond = severity >= Severity.NOTICE and judged is not None and judged.run > 0
-        is_named = name in BOGIE_PARTS and part_words(name) in self.worn
+        worn = (one.values for one in parts_of(self.worn) if isinstance(one, Finding))
+        is_named = any(name in values.get("names", ()) for values in worn)
         return last.newest if is_beyond or is_named else last
 
     @cached_property
@@ -196,7 +197,7 @@ class State:
         recent = self.recent
         read = [np.isfinite(column) for n, column in recent.estimates.items() if n in BOGIE_PARTS]
         newest = np.flatnonzero(np.any(read, axis=0))[-1:]
-        return "" if recent.worn is None or not len(newest) else str(recent.worn[newest[0]])
+        return "" if recent.worn is None or not len(newest) else restored(recent.worn[newest[0]])
 
     def now(self, name: str) -> float:
         """Return the present value of a parameter, [-]: the median of its ``leading`` trips.

@@ -16,8 +16,9 @@ from matplotlib.figure import Figure
 from tabulate import tabulate
 
 from suspnet.ground.extras import check_extra
+from suspnet.ground.findings import NO_PART, Finding
 from suspnet.ground.parameters import BODY_MASS, BOGIE_PARTS, PARAMETERS, Cause, Severity
-from suspnet.ground.records import NO_PART, OK, TripResult, outputs_of
+from suspnet.ground.records import OK, TripResult, outputs_of
 from suspnet.ground.storage import write_atomically, write_json, write_table
 from suspnet.ground.wording import count, kilometres
 from suspnet.maintenance.alarms import Acknowledgement, Alarm, newest_of
@@ -130,7 +131,7 @@ def _reasons(results: Sequence[TripResult]) -> list[str]:
     for result in results:
         why = [
             result.reason or result.flags,
-            result.quality.no_part and f"{NO_PART}{result.quality.no_part}",
+            result.quality.no_part and Finding(NO_PART, words=result.quality.no_part),
         ]
         if result.status != OK or result.quality.no_part:
             why.append(result.quality.faults)

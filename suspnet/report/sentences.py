@@ -9,11 +9,13 @@ from __future__ import annotations
 
 import functools
 import re
+import string
 from collections.abc import Iterator
 from importlib import resources
 from typing import IO, Any
 
-from suspnet.report.language import ENGLISH, current, day, decimal, gettext
+from suspnet.ground.findings import LIST, OF, TEMPLATES, Finding
+from suspnet.report.language import ENGLISH, current, day, decimal, gettext, ngettext
 
 
 def extract(file: IO[bytes], *_: Any, **__: Any) -> Iterator[tuple[int, None, str, list[str]]]:
@@ -53,6 +55,8 @@ def spoken(text: str) -> str:
     ...     spoken("the last trip is at 62.1 % of healthy, below the act limit of 70 %")
     'die letzte Fahrt liegt bei 62,1 % des Referenzwerts, unter der Eingriffsgrenze von 70 %'
     """
+    if isinstance(text, Finding):
+        return _rendered(text)
     if current() == ENGLISH:
         return _SENSORS.sub(_sensor_words, text)
     if len(text) > LONGEST:  # a list may be long, as of faults
@@ -60,6 +64,31 @@ def spoken(text: str) -> str:
         return text if len(each) == 1 else "; ".join(map(spoken, each))
     said = _spoken(text, current())
     return _SENSORS.sub(lambda name: _spoken(_sensor_words(name), current()), said)
+
+
+class _Spoken(string.Formatter):
+    """Fills in a template: texts are spoken in turn, numbers have their language's decimal sign."""
+
+    def format_field(self, value: Any, format_spec: str) -> str:
+        """Return one value of a template in the current language."""
+        if isinstance(value, str):
+            return spoken(value)
+        return decimal(format(value, format_spec))
+
+
+_FILL = _Spoken()
+
+
+def _rendered(found: Finding) -> str:
+    """Return a finding in the current language."""
+    values = dict(found.values)
+    if found.kind == LIST:
+        return str(values["separator"]).join(map(spoken, values["parts"]))
+    if found.kind == OF and (sensor := _SENSOR.fullmatch(values["name"])):
+        values["name"] = _sensor_words(sensor)
+    one, *many = TEMPLATES[found.kind]
+    said = ngettext(one, *many, values["n"]) if many else gettext(one)
+    return _FILL.vformat(said, (), values)
 
 
 @functools.lru_cache(maxsize=10_000)

@@ -23,10 +23,10 @@ from suspnet.estimation.steady_parts import SeenBin, SpeedBin, combined, largest
 from suspnet.estimation.trained import TrainedModel
 from suspnet.estimation.trip_flags import with_sides
 from suspnet.estimation.trip_settings import TripSettings
+from suspnet.ground.findings import NO_PART, Finding, joined, parts_of, with_values
 from suspnet.ground.records import (
     ERROR,
     NO_ESTIMATE,
-    NO_PART,
     OK,
     Place,
     Quality,
@@ -109,7 +109,9 @@ def lost_trip(path: Path, reason: str) -> TripResult:
 def _in_lines(result: TripResult) -> TripResult:
     place = Place(*map(one_line, astuple(result.place)))
     values = {f.name: getattr(result, f.name) for f in fields(result)}
-    changes: dict[str, Any] = {k: one_line(v) for k, v in values.items() if isinstance(v, str)}
+    changes: dict[str, Any] = {
+        k: with_values(v, one_line) for k, v in values.items() if isinstance(v, str)
+    }
     return replace(result, place=place, **changes)
 
 
@@ -147,7 +149,7 @@ def _estimated(
     quality = Quality(
         duration_s=recording.duration_s,
         usable_percent=100 * float(recording.usable.mean()),
-        faults="; ".join(str(fault) for fault in recording.faults),
+        faults=joined(map(str, recording.faults)),
         read_as=recording.words,
     )
     if not result.start and recording.started is not None:
@@ -193,8 +195,8 @@ def _with_parts(
         return result
     if isinstance(parts, NoEstimateError):
         if isinstance(parts, UnexplainedError):
-            result = replace(result, flags="; ".join(filter(None, (result.flags, UNEXPLAINED))))
-        return _warned(result, f"{NO_PART}{parts}")
+            result = replace(result, flags=joined((result.flags, UNEXPLAINED)))
+        return _warned(result, Finding(NO_PART, words=str(parts)))
     result = replace(result, reason="", worn=parts.found)
     if parts.lost:
         result = _warned(result, f"parts are read without the sensors of {', '.join(parts.lost)}")
@@ -202,7 +204,7 @@ def _with_parts(
 
 
 def _warned(result: TripResult, words: str) -> TripResult:
-    warnings = "; ".join(filter(None, (result.quality.warnings, words)))
+    warnings = joined((*parts_of(result.quality.warnings), words))
     return replace(result, quality=replace(result.quality, warnings=warnings))
 
 
@@ -258,7 +260,7 @@ def _with_quality(result: TripResult, recording: Recording, bins: Sequence[SeenB
         ),
         direction=best.method.generator.direction or recording.manifest.direction or "",
         features_found=f"{len(names)} of {len(names)}",
-        warnings="; ".join(dict.fromkeys(b.doubts for b in bins if b.doubts)),
+        warnings=joined(dict.fromkeys(b.doubts for b in bins)),
     )
     return replace(result, quality=quality, curves=_curves(best, recording))
 
