@@ -26,7 +26,7 @@ import numpy as np
 
 from suspnet.estimation.bogie_fit import PartsEstimate
 from suspnet.estimation.bogie_search import WEAR
-from suspnet.ground.findings import WORN, WORN_ONE_OF, Finding, joined
+from suspnet.ground.findings import WORN, WORN_ONE_OF, Finding, together
 from suspnet.ground.parameters import BOGIE_PARTS, kind_of, part_words
 from suspnet.ground.types import FloatArray
 
@@ -70,7 +70,7 @@ class WornPart:
         return Finding(
             WORN_ONE_OF if unknown else WORN,
             names=self.names,
-            where=joined(map(part_words, self.names), " or "),
+            where=together(map(part_words, self.names), " or "),
             percent=100 * self.ratio,
             odds=Finding("odds-over" if above else "odds", odds=min(self.odds, MOST_ODDS)),
         )

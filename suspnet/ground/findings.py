@@ -9,15 +9,17 @@ everything else that prints a finding has its English text, as a ``Finding`` is 
 from __future__ import annotations
 
 import json
+import string
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from importlib import resources
 from types import MappingProxyType
 from typing import IO, Any, TypeGuard
 
 LIST, OF, NO_PART = "list", "of", "no-part-named"
-WORN, WORN_ONE_OF = "worn-part", "worn-one-of"
+WORN, WORN_ONE_OF, WITHOUT_SENSORS = "worn-part", "worn-one-of", "without-sensors"
 """Kinds that programs look for: several findings in a row, one with what it is of in front, why no
-part of a trip is named, and a worn part, or several of which one is."""
+part of a trip is named, a worn part, or several of which one is, and
+that parts are read without some sensors."""
 
 
 def _lines(text: str) -> Iterator[tuple[int, str, tuple[str, ...]]]:
@@ -47,6 +49,19 @@ TEMPLATES: Mapping[str, tuple[str, ...]] = MappingProxyType(
 """The template of each kind, or its singular and plural."""
 
 
+class Filling(string.Formatter):
+    """Fills in a template; the format `km` is that of a mileage."""
+
+    def format_field(self, value: Any, format_spec: str) -> str:
+        """Return one value as text."""
+        if format_spec == "km":
+            return f"{value:,.0f} km".replace(",", " ")
+        return str(super().format_field(value, format_spec))
+
+
+_ENGLISH = Filling()
+
+
 class Finding(str):
     """A kind with its values, immutable; as text it is its English sentence.
 
@@ -74,7 +89,7 @@ class Finding(str):
         if kind == LIST:
             text = known["separator"].join(known["parts"])
         else:
-            text = _form(known, *TEMPLATES[kind]).format(**known)
+            text = _ENGLISH.vformat(_form(known, *TEMPLATES[kind]), (), known)
         self = super().__new__(cls, text)
         self.__dict__.update(kind=kind, values=MappingProxyType(known))
         return self
@@ -90,7 +105,8 @@ class Finding(str):
 
     def plain(self) -> dict[str, Any]:
         """Return kind, values and English text as JSON-able values."""
-        return _as_plain(self) | {"text": str.__str__(self)}
+        plain: dict[str, Any] = _as_plain(self)
+        return plain | {"text": str.__str__(self)}
 
 
 def with_values(text: str, change: Callable[[str], str]) -> str:
@@ -119,7 +135,7 @@ def _again(kind: str, values: dict[str, Any]) -> Finding:
 def _simple(value: Any) -> Any:
     if value is None or isinstance(value, str | bool | int | float):
         return value
-    if isinstance(value, list | tuple):
+    if isinstance(value, tuple):
         return tuple(map(_simple, value))
     return value.item() if hasattr(value, "item") else str(value)
 
@@ -169,16 +185,22 @@ def restored(text: str) -> str:
         return text
 
 
-def joined(parts: Iterable[str], separator: str = "; ") -> str:
+def together(parts: Iterable[str], separator: str = "; ") -> str:
     """Return several findings in a row, the empty ones left out; empty if there are none."""
-    several = [one for one in parts if one]
+    several = [piece for one in parts if one for piece in _pieces(one, separator)]
     if len(several) < 2:
         return several[0] if several else ""
-    return Finding(LIST, parts=several, separator=separator)
+    return Finding(LIST, parts=tuple(several), separator=separator)
+
+
+def _pieces(text: str, separator: str) -> tuple[str, ...]:
+    if isinstance(text, Finding) and text.kind == LIST and text.values["separator"] == separator:
+        return tuple(text.values["parts"])
+    return (text,)
 
 
 def parts_of(text: str) -> tuple[str, ...]:
-    """Return the findings that a text was ``joined`` of; the text itself if it was not."""
+    """Return the findings that a text was made of; the text itself if it was not."""
     if isinstance(text, Finding) and text.kind == LIST:
         return tuple(text.values["parts"])
     return (text,) if text else ()
@@ -187,6 +209,30 @@ def parts_of(text: str) -> tuple[str, ...]:
 def kind_is(text: str, kind: str) -> TypeGuard[Finding]:
     """Return whether a text is a finding of a kind."""
     return isinstance(text, Finding) and text.kind == kind
+
+
+def without(name: object, text: str) -> str:
+    """Return a text without the file, trip or sensor that it says itself to be ``of``."""
+    if not isinstance(text, Finding):
+        return text.removeprefix(f"{name}: ")
+    if text.kind == OF and text.values["name"] == str(name):
+        return str(text.values["words"])
+    where = text.values.get("where")  # of a sensor of this file
+    values = {"where": without(name, where)} if where else {}
+    return Finding(text.kind, **{**text.values, **values})
+
+
+def percent(value: float, digits: int) -> Finding:
+    """Return a number of percent with its decimals, at most 3."""
+    return Finding(f"percent-{digits}", value=value)
+
+
+def as_plain(text: str) -> list[dict[str, Any]]:
+    """Return each finding of a text as ``Finding.plain`` does; one without a kind as its text."""
+    return [
+        one.plain() if isinstance(one, Finding) else {"kind": "", "values": {}, "text": one}
+        for one in parts_of(text)
+    ]
 
 
 def of(name: object, words: str) -> Finding:

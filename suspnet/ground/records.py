@@ -12,11 +12,12 @@ import numpy as np
 
 from suspnet.ground.findings import (
     NO_PART,
-    joined,
+    Finding,
     kind_is,
     parts_of,
     restored,
     stored,
+    together,
 )
 from suspnet.ground.parameters import (
     BODY_MASS,
@@ -27,7 +28,6 @@ from suspnet.ground.parameters import (
     SI_COLUMNS,
 )
 from suspnet.ground.types import ComplexArray, FloatArray
-from suspnet.ground.wording import kilometres
 
 HIGHEST_KM = 2e7
 """Mileage that no rail vehicle reaches, [km]: 40 years of 500 000 km, as fast trains run."""
@@ -49,9 +49,12 @@ class Place:
     car: str = ""
 
     def __str__(self) -> str:
-        vehicle = [self.train and f"train {self.train}", self.car and f"car {self.car}"]
+        vehicle = [
+            self.train and Finding("train", name=self.train),
+            self.car and Finding("car", name=self.car),
+        ]
         where = [self.bogie and f"{self.bogie} bogie", self.side]
-        return ", ".join(filter(None, (*vehicle, self.suspension, *where))) or "unknown"
+        return together((*vehicle, self.suspension, *where), ", ") or "unknown"
 
 
 MOST_NAME = 100
@@ -158,7 +161,7 @@ class Quality:
     @property
     def other_warnings(self) -> str:
         """The warnings without that of `no_part`."""
-        return joined(one for one in parts_of(self.warnings) if not kind_is(one, NO_PART))
+        return together(one for one in parts_of(self.warnings) if not kind_is(one, NO_PART))
 
 
 @dataclass(frozen=True, eq=False)
@@ -315,6 +318,8 @@ the text names."""
 NUMBERS = ("mileage_km", "healthy_since_km", "temperature_c", "seconds")
 TEXTS = ("trip", "start", "flags", "status", "reason", "sides", "worn", "manifest")
 """Columns of a trip's numbers and texts, named as in ``TripResult``."""
+FOUND = ("flags", "reason", "sides", "worn")
+"""Those texts that are findings."""
 VALUES = {
     "estimates": "{}",
     "half_widths": "{}_half_width",
@@ -348,7 +353,8 @@ def _flat(result: TripResult) -> dict[str, Any]:
 
 def from_row(row: Mapping[str, Any]) -> TripResult:
     """Return the trip of a row of ``to_row``; None in other numeric columns becomes NaN."""
-    given: dict[str, Any] = {name: restored(row[name]) for name in ("vehicle", *TEXTS)}
+    given: dict[str, Any] = {name: row[name] for name in ("vehicle", *TEXTS)}
+    given |= {name: restored(row[name]) for name in FOUND}
     given |= {name: or_nan(row[name]) for name in NUMBERS}
     for name, column in VALUES.items():
         values = {one: row[column.format(one)] for one in ESTIMATED}
@@ -401,12 +407,15 @@ class Commissioning:
     @property
     def words(self) -> str:
         """Text with the healthy values in % of those of the first commissioning."""
-        ratios = ", ".join(
-            f"{name} {100 * ratio:.3g} %"
-            for name, ratio in self.relative.items()
-            if name != BODY_MASS
+        ratios = together(
+            (
+                Finding("ratio", name=name, percent=100 * ratio)
+                for name, ratio in self.relative.items()
+                if name != BODY_MASS
+            ),
+            ", ",
         )
-        return f"from {kilometres(self.since_km)} on healthy is {ratios} of the first commissioning"
+        return Finding("from-km", km=self.since_km, ratios=ratios)
 
 
 def outputs_of(results: Iterable[TripResult]) -> tuple[str, ...]:

@@ -11,12 +11,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from suspnet.ground.findings import stored
+from suspnet.ground.findings import Finding, stored
 from suspnet.ground.parameters import BODY_MASS, BOGIE_PARTS, ESTIMATED, PARAMETERS
 from suspnet.ground.records import EVENT_KINDS, SENSOR, Key, Place, TripResult, sensors_from_text
 from suspnet.ground.times import utc
 from suspnet.ground.types import BoolArray, FloatArray, IntArray
-from suspnet.ground.wording import kilometres
 from suspnet.maintenance.directions import SIGNS, widened
 from suspnet.maintenance.sensors import LEAST, SensorTrend, sensor_trends
 
@@ -45,7 +44,7 @@ class Event:
             raise ValueError(f"an event is one of {', '.join(EVENT_KINDS)}, got {self.kind!r}")
 
     def __str__(self) -> str:
-        return f"{self.words or self.kind} at {kilometres(self.mileage_km)}"
+        return Finding("event", words=self.words or self.kind, km=self.mileage_km)
 
 
 @dataclass(frozen=True, eq=False)

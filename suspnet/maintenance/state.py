@@ -144,7 +144,7 @@ class State:
         if not flagged.all():
             return ""
         n = len(flagged)
-        return f"all of the last {n} trips are flagged" if n > 1 else ONE_FLAGGED
+        return Finding("all-last-flagged", n=n) if n > 1 else ONE_FLAGGED
 
     @cached_property
     def unknown(self) -> dict[str, str]:
@@ -306,9 +306,8 @@ def why_unknown(
     if not n_clear:
         return "all trips are flagged" if n_known > 1 else "the only trip is flagged"
     if n_clear < MIN_TRIPS:
-        return (
-            f"too few trips ({n_clear} of {MIN_TRIPS}{' without a flag' if doubtful.any() else ''})"
-        )
+        kind = "too-few-unflagged" if doubtful.any() else "too-few-of"
+        return Finding(kind, n=n_clear, n_needed=MIN_TRIPS)
     return "too few trips with a mileage and an estimate that is certain enough"
 
 

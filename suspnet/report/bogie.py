@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from suspnet.ground.findings import Finding, joined, parts_of
+from suspnet.ground.findings import Finding, parts_of, together
 from suspnet.ground.parameters import BOGIE_PARTS, SIDES, Severity, part_words
 from suspnet.ground.records import TripResult
 from suspnet.maintenance.judge import ABSURD
@@ -63,7 +63,7 @@ class DrawnPart:
     def worn(self) -> str:
         """Whether the part has worn, as text; empty without a verdict."""
         named = Finding("worn", odds=self.odds) if self.odds else ""
-        return joined((named, self.group and Finding("one-of-group", group=self.group)))
+        return together((named, self.group and Finding("one-of-group", group=self.group)))
 
     @property
     def level(self) -> str:
@@ -178,7 +178,7 @@ def worn_entries(worn: str) -> list[tuple[tuple[str, ...], str]]:
 def group_words(names: Sequence[str], odds: str) -> str:
     """Return a sentence on parts of which one has worn, with what they have in common."""
     common = _common([part.partition("_")[2].split("_")[1:] for part in names])
-    parts = joined(map(part_words, names), " or ")
+    parts = together(map(part_words, names), " or ")
     return Finding("one-of-several-worn", common=common, odds=odds, parts=parts)
 
 
@@ -186,7 +186,7 @@ def _common(places: Sequence[Sequence[str]]) -> str:
     """Return " on the left", " at axle 1" or both, if parts share that; empty if nothing."""
     shared = set(places[0]).intersection(*places[1:])
     axles = (Finding("at-axle", axle=one[-1]) for one in sorted(shared) if one.startswith("axle"))
-    return joined((*axles, *(f" on the {one}" for one in SIDES if one in shared)), "")
+    return together((*axles, *(f" on the {one}" for one in SIDES if one in shared)), "")
 
 
 def visits_of(plan: Plan | None, state: State) -> dict[str, str]:

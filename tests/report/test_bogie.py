@@ -11,7 +11,7 @@ import pytest
 from served_fleet import HEALTHY, WORN, bogie_trips, trips
 
 from suspnet.estimation.worn_parts import WornPart
-from suspnet.ground.findings import NO_PART, Finding, joined, stored
+from suspnet.ground.findings import NO_PART, Finding, stored, together
 from suspnet.ground.parameters import (
     BOGIE_PARTS,
     COMPONENTS,
@@ -56,7 +56,7 @@ PLACE = Place("", "leading", "", "7", "1")
 
 
 def worn_words(several):
-    return joined(one.finding for one in several)
+    return together(one.finding for one in several)
 
 
 GROUP = WornPart(("k_s_left", "k_s_right"), 30.0, 0.93)
@@ -430,13 +430,13 @@ def test_report_without_parts_has_one_sentence_more(tmp_path):
     assert page.count(NONE_NAMED) == 1
     assert "<svg" not in page
     assert '<details id="calm"' not in page
-    why = joined(
+    why = together(
         ("loose", Finding(NO_PART, words="no sensor at body_left; parts are read from others"))
     )
     several = [replace(one, quality=Quality(warnings=why)) for one in plain]
     given = replace(given, results=several)
     page = write_report(tmp_path / "why.html", "Why", given, {}).read_text(encoding="utf-8")
-    assert page.count("no sensor at car body, left; parts are read from others") == 1
+    assert page.count("no sensor at body_left; parts are read from others") == 1
     assert "(trip trip_029)" in page
     assert page.count(">loose<") == 2 * len(plain)  # in the table, and folded on a phone
 

@@ -21,7 +21,7 @@ from suspnet.maintenance.judge import LastTrips, last_trips
 from suspnet.maintenance.series import make_series
 from suspnet.maintenance.trend import Shape, Step, Trend, flagged_trend
 from suspnet.report.language import speaking
-from suspnet.report.sentences import spoken as spoken_in_language
+from suspnet.report.language import spoken as spoken_in_language
 
 LIMITS = DEFAULT_LIMITS["k_s"]
 N_TRIPS = 30
