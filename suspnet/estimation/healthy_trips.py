@@ -205,6 +205,10 @@ def _doubts(
     return found
 
 
+OTHER = {"bogie": "other-bogie", "axle": "other-axle"}
+"""Kinds of what is found where trips are of the other bogie or axle."""
+
+
 def _check_same(
     folder: Path, manifests: Sequence[TripManifest], generator: VerticalVehicle
 ) -> None:
@@ -227,7 +231,7 @@ def _check_same(
         )
     for key, ours in (("bogie", generator.bogie), ("axle", generator.axle)):
         for named in {getattr(one, key) for one in manifests} - {None, ours}:
-            raise TripError(of(folder, Finding(f"other-{key}", named=named, own=ours)))
+            raise TripError(of(folder, Finding(OTHER[key], named=named, own=ours)))
 
 
 def _with_all_sensors(

@@ -137,7 +137,8 @@ def _simple(value: Any) -> Any:
         return value
     if isinstance(value, tuple):
         return tuple(map(_simple, value))
-    return value.item() if hasattr(value, "item") else str(value)
+    number = value.item() if hasattr(value, "item") else None  # of NumPy, unless it is a time
+    return number if isinstance(number, bool | int | float) else str(value)
 
 
 def _as_plain(value: Any) -> Any:

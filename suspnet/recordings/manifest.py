@@ -98,8 +98,12 @@ def _pair(value: Value, places: Sequence[int], both: Sequence[Channel]) -> Pair:
     if second.side is None:
         second = replace(second, side=left if first.side == right else right)
     if first.side == second.side:
-        kind = "two-on-left" if first.side == left else "two-on-right"
-        raise TripError(of(value.path, Finding(kind, name=value.name)))
+        raise TripError(
+            of(
+                value.path,
+                Finding("two-on-left" if first.side == left else "two-on-right", name=value.name),
+            )
+        )
     return (first, second) if first.side == left else (second, first)
 
 

@@ -93,11 +93,6 @@ RECOMMISSIONED = N_(
 MAINTAINED = N_("Maintenance: {}. Severities, medians and changes are of the trips since the last.")
 NAMED = 3
 """Largest number of parameters that the first sentence of a report names."""
-UNSURE = (
-    "so their numbers may be further off than the intervals say; what is beyond a limit is to be "
-    "inspected before work is ordered, what is within the limits is not judged"
-)
-"""What it means that all trips are flagged. No verdict is silenced by that."""
 
 
 @dataclass(frozen=True, eq=False)
