@@ -64,14 +64,14 @@ def bogie_vehicle(manifests: Sequence[TripManifest], generator: VerticalVehicle)
     folder = manifests[0].path.parent
     several = {sensor_places(manifest, generator.frame_sensor) for manifest in manifests}
     if len(several) > 1:
-        raise TripError(of(folder, Finding("healthy-trips-differ")))
+        raise TripError(of(folder, Finding("sensors-differ-healthy")))
     sensors = several.pop()
     if not show_parts(sensors):
         raise TripError(
             of(
                 folder,
                 Finding(
-                    "each-part-read",
+                    "too-few-sensors-for-parts",
                     least_sensors=LEAST_SENSORS,
                     sensors=", ".join(sensors) or "none",
                 ),
@@ -177,7 +177,7 @@ def _lost_sensors(recording: Recording, generator: SpatialVehicle) -> tuple[str,
     if lost and not show_parts(kept):
         raise NoEstimateError(
             Finding(
-                "no-sensor-parts",
+                "sensors-lost-for-parts",
                 lost=together(lost, ", "),
                 sensors=together(generator.sensors, ", "),
                 least_sensors=LEAST_SENSORS,
@@ -188,9 +188,11 @@ def _lost_sensors(recording: Recording, generator: SpatialVehicle) -> tuple[str,
 
 def _too_short(n_segments: int, n_sensors: int) -> str:
     least = math.nextafter(n_sensors + 1, math.inf)  # more than one beyond the sensors
-    return (
-        f"for {n_sensors} sensors, stretches of {SEGMENT_S / 60:g} minutes or more at one speed "
-        f"without faults: {minutes_words(Welch(SEGMENT_S), n_segments, least)}"
+    return Finding(
+        "too-short-for-parts",
+        n_sensors=n_sensors,
+        minutes_each=SEGMENT_S / 60,
+        minutes=minutes_words(Welch(SEGMENT_S), n_segments, least),
     )
 
 
@@ -232,7 +234,7 @@ def estimate_parts(
         furthest = COMPONENTS[int(np.argmax(np.abs(np.log(parts.values[:-1]))))]
         raise UnexplainedError(
             Finding(
-                "no-bogie-whose",
+                "parts-explain-nothing",
                 misfit=parts.misfit,
                 most=most,
                 furthest=furthest,

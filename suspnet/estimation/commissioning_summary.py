@@ -139,7 +139,7 @@ def is_explained(outcome: Commissioned) -> bool:
     return outcome.misfit <= INCOMPLETE
 
 
-LOOK_FIRST = Finding("misfit-above-first", untrusted=UNTRUSTED)
+LOOK_FIRST = Finding("look-at-sensors-first", untrusted=UNTRUSTED)
 """Advice on a vehicle that is far from its trips."""
 
 
@@ -155,7 +155,7 @@ def doubts(outcome: Commissioned, *, by_part: bool = False) -> list[str]:
         return found  # the bogie has its own
     differ = by_part and not is_explained(outcome)
     if not is_explained(outcome) and not (by_part and outcome.misfit <= UNTRUSTED):
-        found.append(Finding("misfit-above-means", incomplete=INCOMPLETE, untrusted=UNTRUSTED))
+        found.append(Finding("vehicle-misfit", incomplete=INCOMPLETE, untrusted=UNTRUSTED))
     if outcome.misfit > UNTRUSTED:
         found.append(LOOK_FIRST)
     if not outcome.converged and not differ:
@@ -164,7 +164,7 @@ def doubts(outcome: Commissioned, *, by_part: bool = False) -> list[str]:
             "probable ones. Commission on more or longer trips."
         )
     if outcome.n_agree < LEAST_AGREEING and not by_part:
-        found.append(Finding("starts-search-no", n_starts=outcome.n_starts))
+        found.append(Finding("no-start-agrees", n_starts=outcome.n_starts))
     return found
 
 
@@ -172,7 +172,7 @@ def unplaced(found: HealthyTrips) -> str | None:
     """Return a sentence if single sensors are assumed in the middle because no side is given."""
     if not (names := found.manifests[0].unplaced):
         return None
-    return Finding("single-sensors-taken", names=together(names, ", "))
+    return Finding("sensors-unplaced", names=together(names, ", "))
 
 
 def other_minutes(found: HealthyTrips, settings: EstimateSettings) -> str | None:
@@ -217,7 +217,7 @@ def as_equal(outcome: Commissioned) -> str:
     """Return a sentence on the vertical vehicle where each part is read."""
     if not outcome.misfits:
         return NO_CURVES
-    return Finding("both-sides-axles", misfit=outcome.misfit)
+    return Finding("misfit-as-equal", misfit=outcome.misfit)
 
 
 NO_CURVES = (
@@ -233,7 +233,7 @@ def doubts_of_parts(bogie: CommissionedBogie) -> list[str]:
     """Return a sentence for each reason not to rely on a bogie of which each part is read."""
     found: list[str] = []
     if not bogie.misfit <= EXPLAINED:
-        found.append(Finding("misfit-parts-above", explained=EXPLAINED))
+        found.append(Finding("parts-misfit", explained=EXPLAINED))
     if bogie.misfit > UNTRUSTED:
         found.append(LOOK_FIRST)
     if not bogie.converged:
@@ -245,7 +245,7 @@ def doubts_of_parts(bogie: CommissionedBogie) -> list[str]:
 
 def calm_of_parts() -> str:
     """Return the sentence on a bogie without doubts."""
-    return Finding("explains-healthy-trips", explained=EXPLAINED)
+    return Finding("parts-explained", explained=EXPLAINED)
 
 
 NOT_CONVERGED = (
@@ -264,12 +264,12 @@ def mass_doubt(masses: FloatArray) -> str | None:
     logs = np.log(masses)
     if abs(logs.mean() - MASS_MEAN) <= ODD_MASS * MASS_DEVIATION:
         return None
-    return Finding("healthy-trips-show", exp=np.exp(logs.mean()))
+    return Finding("mass-differs", exp=np.exp(logs.mean()))
 
 
 def agreement(outcome: Commissioned) -> str:
     """Return a sentence on how many starts of the search found the same vehicle."""
-    return Finding("starts-search-found", n_agree=outcome.n_agree, n_starts=outcome.n_starts)
+    return Finding("starts-agree", n_agree=outcome.n_agree, n_starts=outcome.n_starts)
 
 
 def reference(outcome: Commissioned) -> list[str]:
@@ -293,13 +293,13 @@ def untold(found: Sequence[Number]) -> str:
     if not names:
         return ""
     return Finding(
-        "trips-do-not", n_names=len(names), n_found=len(found), names=together(names, "; ")
+        "numbers-untold", n_names=len(names), n_found=len(found), names=together(names, "; ")
     )
 
 
 def force_scale(bogie_mass_kg: float) -> str:
     """Return a sentence on the scale of all forces, which trips cannot determine."""
-    return Finding("accelerations-determine-ratios", bogie_mass_kg=bogie_mass_kg)
+    return Finding("force-scale", bogie_mass_kg=bogie_mass_kg)
 
 
 def spoken(one: Number) -> str:

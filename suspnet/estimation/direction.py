@@ -39,7 +39,7 @@ def of_direction(
     if not chosen:
         raise TripError(
             Finding(
-                "trip-was-run",
+                "direction-of-models",
                 direction_words=direction_words(direction),
                 direction_words2=direction_words(known.pop()),
             )
@@ -64,7 +64,7 @@ def direction_of(
         raise TripError(
             of(
                 recording.manifest.path,
-                Finding("without-sensor-on", absent=together(recording.absent, " and ")),
+                Finding("no-direction-without-sensor", absent=together(recording.absent, " and ")),
             )
         )
     speeds = segment_speeds(recording, segments)
@@ -78,7 +78,9 @@ def direction_of(
         raise TripError(
             of(
                 recording.manifest.path,
-                Finding("phases-do-not", direction_words=direction_words(direction), factor=factor),
+                Finding(
+                    "direction-unclear", direction_words=direction_words(direction), factor=factor
+                ),
             )
         )
     return direction

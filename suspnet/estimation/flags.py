@@ -121,7 +121,7 @@ class Unexplained:
         if not self.is_incomplete:
             return ""
         cost_percent = float(f"{100 * self.costs.max():.2g}")
-        return Finding("commissioned-vehicle-leaves", misfit=self.misfit, cost_percent=cost_percent)
+        return Finding("vehicle-incomplete", misfit=self.misfit, cost_percent=cost_percent)
 
     def flagged(self, flags: Flags) -> Flags:
         """Return the flags with that of incomplete physics set if intervals do not hold."""
@@ -169,7 +169,7 @@ def with_bogie_doubt(flags: Flags, *, has_converged: bool, misfit: float) -> Fla
     if misfit > UNTRUSTED:
         flags = flags.with_kind(
             "physics",
-            Finding("bogie-leaves-times", misfit=misfit),
+            Finding("bogie-incomplete", misfit=misfit),
         )
     return flags if has_converged else flags.with_kind("physics", BOGIE_NOT_CONVERGED)
 
@@ -257,7 +257,7 @@ class OODDetector:
                     (
                         "misfit",
                         Finding(
-                            "model-cannot-explain",
+                            "unexplained-curve",
                             misfit=misfit,
                             misfit_threshold=self.misfit_threshold,
                         ),
@@ -271,7 +271,7 @@ class OODDetector:
         beyond = np.maximum(low - inputs, inputs - high) / (high - low)
         worst = task.inputs[int(np.argmax(beyond))]
         return Finding(
-            "features-lie-times", distance_threshold=distance / self.distance_threshold, worst=worst
+            "far-from-training", distance_threshold=distance / self.distance_threshold, worst=worst
         )
 
     def state(self) -> dict[str, FloatArray]:
@@ -315,6 +315,4 @@ def _range(task: Task, name: str) -> tuple[float, float]:
 
 def _out_of_range(task: Task, name: str, ratio: float) -> str:
     low, high = task.range(name)
-    return Finding(
-        "about-lies-outside", name=name, ratio=100 * ratio, low=100 * low, high=100 * high
-    )
+    return Finding("outside-range", name=name, ratio=100 * ratio, low=100 * low, high=100 * high)

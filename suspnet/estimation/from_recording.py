@@ -240,7 +240,7 @@ def _seen(
     if not part.is_certain:
         raise NoEstimateError(
             Finding(
-                "responses-uncertain-coherence",
+                "responses-uncertain",
                 deviation=100 * part.deviation,
                 coherences=min(part.coherences),
                 n_averages=part.n_averages,
@@ -275,7 +275,7 @@ def _unexplained_words(estimate: Estimate) -> str:
     """Return why an estimate with an unexplained curve is none, and which part is suspected."""
     furthest = int(np.argmax(np.abs(np.log(estimate.values[0]))))
     return Finding(
-        "nearest-healthy-look",
+        "unexplained-nearest",
         reasons=estimate.flags.reasons[0],
         names=estimate.names[furthest],
         values=100 * estimate.values[0, furthest],
@@ -293,9 +293,9 @@ def _too_few(
     group = part.group
     if segments.welch.n_averages(len(group)) < settings.min_averages:
         return _too_short(recording, segments, settings)
-    where = Finding("steady-m-s", group_speed=group_speed(speeds, group))
+    where = Finding("steady-at", group_speed=group_speed(speeds, group))
     if reads_at_any_speed(models[0]):
-        where = Finding("m-s-faster", min_speed_m_per_s=settings.min_speed_m_per_s)
+        where = Finding("at-any-speed-above", min_speed_m_per_s=settings.min_speed_m_per_s)
     return Finding(
         "too-few-steady",
         n=int(group.sum()),
@@ -327,19 +327,19 @@ def _check_places(recording: Recording, generator: ResponseGenerator) -> None:
     wrong = [(name, lateral_m) for name, is_pair, lateral_m in places if is_pair and lateral_m]
     if wrong:
         listed = together((f"{name} ({lateral_m:g} m)" for name, lateral_m in wrong), ", ")
-        raise TripError(Finding("trip-sensors-left", listed=listed))
+        raise TripError(Finding("pairs-for-one-sided-model", listed=listed))
 
 
 def no_segment(recording: Recording, welch: Welch) -> str:
     """Return the message that no segment of a recording is free of faults."""
     return Finding(
-        "no-segment-s", segment_s=welch.segment_s, unrepaired_words=unrepaired_words(recording)
+        "no-segment", segment_s=welch.segment_s, unrepaired_words=unrepaired_words(recording)
     )
 
 
 def no_channel(recording: Recording) -> str:
     """Return why a recording without a sensor of some channel shows no mean of both sides."""
-    return Finding("no-sensor-axle", absent=together(recording.absent, " and "))
+    return Finding("no-sensor-at-axle-1", absent=together(recording.absent, " and "))
 
 
 def unrepaired_words(recording: Recording) -> str:

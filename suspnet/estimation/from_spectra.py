@@ -178,7 +178,9 @@ def unworn_deviations(
 def trip_settings(method: FittedMethod) -> EstimateSettings:
     """Return the estimate settings of a method trained on trips; ModelFileError otherwise."""
     if not isinstance(method.settings, EstimateSettings):
-        raise ModelFileError(Finding("model-protocol-was", protocol=repr(method.task.protocol)))
+        raise ModelFileError(
+            Finding("model-of-other-protocol", protocol=repr(method.task.protocol))
+        )
     return method.settings
 
 

@@ -145,7 +145,7 @@ def read_healthy(
         direction = direction_of(recording, segments, placed, trips)
         found = [replace(one, direction=direction) for one in found]
         if is_read and not found:
-            words = together((Finding("no-stretch-one"), unrepaired_words(recording)), ": ")
+            words = together((Finding("no-steady-stretch"), unrepaired_words(recording)), ": ")
             left_out.append(of(manifest.name, words))
             continue
         if vehicle is not None:
@@ -164,7 +164,7 @@ def read_healthy(
         given = {"n": len(kept), "least": LEAST_TRIPS, "reasons": together(left_out)}
         raise TripError(of(folder, Finding(kind, **given)))
     if len(paired) > 1:
-        raise TripError(of(folder, Finding("some-healthy-trips")))
+        raise TripError(of(folder, Finding("pairs-and-single-sensors")))
     stated = tuple(manifest.direction for manifest in later if manifest.direction is not None)
     return HealthyTrips(
         tuple(kept),
@@ -190,12 +190,14 @@ def _doubts(
     for change, n in changes.most_common(1):
         if 2 * n > len(others):  # one trip alone may be at fault
             first = next(one for one in others if one is not None and one.change == change)
-            found.append(Finding("on-healthy-trips", n=n, n_others=len(others), first=str(first)))
+            found.append(
+                Finding("on-some-healthy-trips", n=n, n_others=len(others), first=str(first))
+            )
     is_reverse = bool(groups) and all(one.direction == REVERSE for one in groups)
     if is_reverse and all(one.direction is None for one in manifests):
         found.append(
             Finding(
-                "all-healthy-trips",
+                "all-in-reverse",
                 n_others=len(others),
                 axle=generator.axle,
                 bogie=generator.bogie,
@@ -219,16 +221,12 @@ def _check_same(
             raise TripError(
                 of(
                     manifest.path,
-                    Finding(
-                        "trip-vehicle-vehicle", vehicle=repr(manifest.vehicle), vehicle2=vehicle
-                    ),
+                    Finding("of-another-vehicle", vehicle=repr(manifest.vehicle), vehicle2=vehicle),
                 )
             )
     places = sorted({str(manifest.place) for manifest in manifests})
     if len(places) > 1:
-        raise TripError(
-            of(folder, Finding("trips-several-suspensions", places=together(places, ", ")))
-        )
+        raise TripError(of(folder, Finding("several-suspensions", places=together(places, ", "))))
     for key, ours in (("bogie", generator.bogie), ("axle", generator.axle)):
         for named in {getattr(one, key) for one in manifests} - {None, ours}:
             raise TripError(of(folder, Finding(OTHER[key], named=named, own=ours)))
@@ -241,7 +239,7 @@ def _with_all_sensors(
     found = bogie_trip(recording, vehicle, trips, direction)
     if found.lost:
         raise NoEstimateError(
-            Finding("no-stretch-all", unrepaired_words=unrepaired_words(recording))
+            Finding("no-stretch-of-all-sensors", unrepaired_words=unrepaired_words(recording))
         )
     return found
 

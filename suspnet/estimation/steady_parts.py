@@ -127,13 +127,15 @@ def no_group_words(
     if not groups:
         rule = Finding("steady-within", tolerance=100 * tolerance)
         if any(map(reads_at_any_speed, models)):
-            rule = Finding("m-s-faster-throughout", least_m_per_s=least_m_per_s)
+            rule = Finding("at-any-speed-throughout", least_m_per_s=least_m_per_s)
         segments = Finding("segments", n=n_segments)
         return Finding("none-steady", segments=segments, rule=rule, half=half)
     each = (Finding("speed", m_per_s=group_speed(speeds, group)) for group in groups[:3])
     largest = dict.fromkeys(each)
     return Finding(
-        "trip-run-m", largest=together(largest, " and "), readable_words=readable_words(models)
+        "no-model-at-speed",
+        largest=together(largest, " and "),
+        readable_words=readable_words(models),
     )
 
 
@@ -317,7 +319,7 @@ def _flags(bins: Sequence[SpeedBin]) -> Flags:
         return Flags.none(1)
     worst = largest(found)
     at = Finding(
-        "speed-bins-m", n_found=len(found), n_bins=len(bins), speed_m_per_s=worst.speed_m_per_s
+        "in-speed-bins", n_found=len(found), n_bins=len(bins), speed_m_per_s=worst.speed_m_per_s
     )
     (kind, words), *others = worst.estimate.flags.given[0]
     return Flags((((kind, of(at, words)), *others),))

@@ -103,7 +103,7 @@ class Elsewhere:
             looks.append(Finding("frame-at-centre" if is_centre else "frame-above-axle"))
             say.append(Finding("say-frame-centre" if is_centre else "say-frame-axle"))
         if now.axle != was.axle:
-            looks.append(Finding("sensors-look-axle", axle=now.axle))
+            looks.append(Finding("sensors-at-other-axle", axle=now.axle))
             say.append(Finding("correct-axle"))
         if now.direction != was.direction:
             is_back = now.direction == REVERSE
@@ -112,7 +112,7 @@ class Elsewhere:
         return of(
             together(looks),
             Finding(
-                "misfit-times-noise",
+                "misfit-elsewhere",
                 misfit=self.found.misfit,
                 misfit2=self.given.misfit,
                 say=together(say, "; "),

@@ -59,7 +59,9 @@ class DampingByTemperature:
             Finding("loss-per-kelvin", name=name, percent=-100 * slope, deviation=100 * deviation)
             for name, slope, deviation in zip(DAMPINGS, self.slopes, self.deviations, strict=True)
         ]
-        return Finding("damping-compared-c", healthy_c=self.healthy_c, each=together(each, " and "))
+        return Finding(
+            "damping-by-temperature", healthy_c=self.healthy_c, each=together(each, " and ")
+        )
 
     @classmethod
     def noted(cls, training: Mapping[str, Any]) -> Self | None:

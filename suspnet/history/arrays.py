@@ -217,7 +217,7 @@ def _block(rows: Sequence[Any]) -> Block:
         most = HIGHEST_KM if name == "mileage_km" else np.inf
         wrong = column[(column < least) | (column >= most) | (column == -np.inf)]
         if len(wrong):
-            raise ValueError(Finding("must-not", name=name, wrong=wrong[0]))
+            raise ValueError(Finding("curves-must-not", name=name, wrong=wrong[0]))
     if not all(isinstance(text, str) for several in texts for text in several):
         raise TypeError("name, start, sensors and worn parts must be text")
     trip, sensors = np.array(texts[0], dtype=str), np.array(texts[2], dtype=str)
@@ -307,7 +307,7 @@ def read_responses(
     rows = connection.execute(chosen).all()
     for row in rows:
         if not all(isinstance(one, kind) for one, kind in zip(row, ROW, strict=True)):
-            raise HistoryError(of(name, Finding("row-curves-their")))
+            raise HistoryError(of(name, Finding("curves-damaged")))
     rows = sorted(rows, key=lambda row: order(or_nan(row[1]), row[2], row[0]))
     return [_responses(*row, name=name) for row in rows]
 

@@ -178,7 +178,7 @@ class BadRow:
 
     def __str__(self) -> str:
         of = "" if self.key is None else f" of {self.key[0]}: {self.key[1]}"
-        return Finding("row", table=self.table, row=self.row, of=of, why=self.why)
+        return Finding("bad-row", table=self.table, row=self.row, of=of, why=self.why)
 
 
 def bad_row(
@@ -207,7 +207,7 @@ def check_types(table: sql.Table, row: RowMapping) -> None:
             continue
         wanted = next((KINDS[one] for one in type(column.type).__mro__ if one in KINDS), object)
         if not isinstance(value, wanted):
-            raise ValueError(Finding("must-not-2", name=name, value=repr(str(value)[:40])))
+            raise ValueError(Finding("bad-value", name=name, value=repr(str(value)[:40])))
 
 
 def trip_key(result: TripResult) -> bytes:

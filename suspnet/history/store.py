@@ -95,7 +95,7 @@ class History:
                 version = version_of(connection, str(self))
             if version != SCHEMA:
                 if must_exist and version is None:
-                    raise HistoryError(of(self, Finding("store-empty-no")))
+                    raise HistoryError(of(self, Finding("store-empty")))
                 with self._writing() as connection:
                     prepare(connection, str(self))
         except BaseException:

@@ -264,7 +264,7 @@ def read_suspensions(
                 of(
                     manifest.path,
                     Finding(
-                        "trip-vehicle-model-was",
+                        "stream-of-other-vehicle",
                         vehicle=repr(manifest.vehicle),
                         vehicle2=repr(vehicle),
                     ),

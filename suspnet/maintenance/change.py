@@ -172,7 +172,7 @@ def find_changes(
     trips = np.flatnonzero(good)
     needed = settings.n_reference
     if len(trips) < needed:
-        why = Finding("trips-reference-so", n_trips=len(trips), needed=needed)
+        why = Finding("reference-incomplete", n_trips=len(trips), needed=needed)
         return Changes(n_reference=len(trips), n_needed=needed, why_not=why)
     used_names, z, known = _covariates(covariates, trips, needed)
     n_lacking = int((~known).sum())

@@ -178,7 +178,7 @@ def judge_last(last: LastTrips, limits: Limits | None) -> tuple[Severity, Judged
 def level_words(value: float, limit: float) -> str:
     """Return a level in %, with digits that distinguish it from a limit; see ``ABSURD``."""
     if value > ABSURD > limit:
-        return Finding("over", percent=100 * ABSURD)
+        return Finding("over-percent-of", percent=100 * ABSURD)
     digits = 0
     while digits < 3 and round(100 * value, digits) == round(100 * limit, digits):
         digits += 1

@@ -61,15 +61,15 @@ class SensorTrend:
         """Return what has changed on a trip, as text."""
         size = {name: float(change[trip]) for name, change in self.changes.items()}
         texts = {
-            "noise": Finding("noise-times-first", exp=math.exp(size["noise"])),
-            "gain": Finding("sensitivity-since-first", expm1=100 * math.expm1(size["gain"])),
-            "delay_s": Finding("ms-late-since", size=1000.0 * size["delay_s"]),
-            "faulty": Finding("drop-outs-trip", values=100 * float(self.values["faulty"][trip])),
+            "noise": Finding("sensor-noise", exp=math.exp(size["noise"])),
+            "gain": Finding("sensor-gain", expm1=100 * math.expm1(size["gain"])),
+            "delay_s": Finding("sensor-late", size=1000.0 * size["delay_s"]),
+            "faulty": Finding("sensor-drop-outs", values=100 * float(self.values["faulty"][trip])),
         }
         if self.fellow:  # of two that differ, each may have changed by all of it
             difference = 100 * math.expm1(2 * size["gain"])
             texts["gain"] = Finding(
-                "sensitivity-against-since", difference=difference, fellow=self.fellow
+                "sensor-gain-against", difference=difference, fellow=self.fellow
             )
         return together((texts[name] for name in texts if self.beyond[name][trip]), ", ")
 

@@ -164,17 +164,15 @@ class _Content:
 def _no_data(dataset: Any) -> str:
     """Return why a data set holds neither data nor references to it; empty if it does."""
     if dataset.shape is None:
-        return "is without samples: its space is null"
+        return Finding("null-space")
     if "MATLAB_object_decode" in dataset.attrs:
         return _matlab_object(bytes(dataset.attrs.get("MATLAB_class", b"")))
     return ""
 
 
 def _matlab_object(kind: bytes) -> str:
-    return (
-        f"is an object of MATLAB ({kind.decode('latin-1')}), whose content only MATLAB can read: "
-        "save its numbers as arrays, as t = x.Time; a = x.Data; save('trip.mat', 't', 'a')"
-    )
+    example = "t = x.Time; a = x.Data; save('trip.mat', 't', 'a')"
+    return Finding("matlab-object", kind=kind.decode("latin-1"), example=example)
 
 
 def _no_numbers(item: Any) -> str:
@@ -182,7 +180,7 @@ def _no_numbers(item: Any) -> str:
     if item.dtype.kind in "OSU" or len(item.shape) == 0:
         return " "
     if item.dtype.kind not in "iuf":
-        return f"holds {item.dtype}, not real numbers"
+        return Finding("not-real", kind=item.dtype)
     return _of_shape(item.shape)
 
 
@@ -193,7 +191,7 @@ def _as_numbers(words: Finding) -> Finding:
 def _of_shape(shape: tuple[int, ...]) -> str:
     if is_vector(shape) or (len(shape) <= 2 and min(shape) <= MOST_PARTS):
         return ""
-    return Finding("array-export-columns", shape=" x ".join(map(str, shape)))
+    return Finding("is-an-array", shape=" x ".join(map(str, shape)))
 
 
 @dataclass(frozen=True)
@@ -417,7 +415,8 @@ def _opened(
         parts = {name: 0}
         if not is_vector(shape):
             parts = {f"{name}[{i}]": i for i in range(min(shape))}
-            matrices.append(f"{name!r} has columns '{name}[0]' to '{name}[{min(shape) - 1}]'")
+            first, last = (repr(f"{name}[{i}]") for i in (0, min(shape) - 1))
+            matrices.append(Finding("matrix-columns", name=repr(name), first=first, last=last))
         for place, i in parts.items():
             columns.append(Column(place, is_part=is_rate or place != name, **descriptions[name]))
             takes[place] = (max(shape), _take(array, axis, i))
@@ -428,7 +427,7 @@ def _opened(
         for name in names:
             kind = arrays[name if name in arrays else name.rpartition("[")[0]].dtype
             if kind.kind not in "iuf":
-                raise TripError(of(path, Finding("column-holds-not", name=repr(name), value=kind)))
+                raise TripError(of(path, Finding("column-not-real", name=repr(name), value=kind)))
         return slices(path, names, takes)
 
     yield OpenFile(tuple(columns), read, hint=together(matrices[:3]))

@@ -99,9 +99,7 @@ class Times:
     @property
     def words(self) -> list[str]:
         """What was repaired in the times so far."""
-        found: list[str] = [
-            Finding("times-jump-continue", why=why, n=n) for why, n in self._repairs.items()
-        ]
+        found: list[str] = [Finding("times-jump", why=why, n=n) for why, n in self._repairs.items()]
         if self.n_untimed:
             found.append(Finding("rows-without-time", n_untimed=self.n_untimed))
         return found
@@ -175,13 +173,13 @@ class Times:
         zone = self.source.time_zone
         if known[0].astype("datetime64[D]") == NO_DATE:
             if zone is not None:
-                raise TripError(of(self.where, Finding("times-have-no")))
+                raise TripError(of(self.where, Finding("no-date-for-zone")))
             self._first = int(NO_DATE.astype("datetime64[ns]").astype(np.int64))
             self.zero = Zero(is_midnight=True)
         elif zone is None:
             self.zero = Zero(first, self.column.is_zoned)
         elif self.column.is_zoned:
-            raise TripError(of(self.where, Finding("time-stamps-name")))
+            raise TripError(of(self.where, Finding("zone-named-twice")))
         else:
             self.zero = Zero(first - self._offset_ns(first, zone))
 
@@ -190,7 +188,7 @@ class Times:
         early, late = (ahead_ns(first, time_zone(zone), fold) for fold in (0, 1))
         if early != late:
             naive = (EPOCH + timedelta(seconds=first // SECOND_NS)).replace(tzinfo=None)
-            raise TripError(of(self.where, Finding("not-one-instant", naive=naive, zone=zone)))
+            raise TripError(of(self.where, Finding("ambiguous-time", naive=naive, zone=zone)))
         return early
 
     def _begin_numbers(self, times: NDArray[np.generic]) -> None:
@@ -203,9 +201,7 @@ class Times:
             raise TripError(
                 of(
                     self.where,
-                    Finding(
-                        "time-unit-says-file", stated=repr(stated), unit=repr(self.column.unit)
-                    ),
+                    Finding("time-unit-differs", stated=repr(stated), unit=repr(self.column.unit)),
                 )
             )
         if stated is None and found is None and self.column.unit:
@@ -213,7 +209,9 @@ class Times:
                 of(
                     self.where,
                     Finding(
-                        "times-not-known", unit=repr(self.column.unit), time_units=list(TIME_UNITS)
+                        "time-unit-unknown",
+                        unit=repr(self.column.unit),
+                        time_units=list(TIME_UNITS),
                     ),
                 )
             )
@@ -232,7 +230,7 @@ class Times:
             self.zero = Zero(whole_s * SECOND_NS)
         if self.source.time_zone is not None:
             if self.zero.ns is None or self.zero.is_zoned:
-                raise TripError(of(self.where, Finding("time-zone-time-stamps")))
+                raise TripError(of(self.where, Finding("zone-for-numbers")))
             ahead = self._offset_ns(self.zero.ns, self.source.time_zone)
             self.zero = replace(self.zero, ns=self.zero.ns - ahead, is_zoned=True)
 
@@ -265,7 +263,7 @@ def first_moment(zeros: Iterable[Zero]) -> tuple[datetime | None, str]:
         return None, ""
     *_, first = min(dated)
     if problem := date_problem(first):
-        return None, f"the date by its files, {first.isoformat(' ')}, is left out: it {problem}"
+        return None, Finding("date-left-out", time=first.isoformat(" "), problem=problem)
     return first, ""
 
 
@@ -291,7 +289,7 @@ def offsets_s(manifest: TripManifest, zeros: Mapping[str, Zero]) -> dict[str, fl
                 of(
                     manifest.path,
                     Finding(
-                        "have-absolute-times",
+                        "start-missing",
                         starts=together(starts, ", "),
                         others=together(others, ", "),
                         others2=together(others, ", "),
@@ -304,10 +302,12 @@ def offsets_s(manifest: TripManifest, zeros: Mapping[str, Zero]) -> dict[str, fl
         midnight_s = (midnight - start).total_seconds()
     local = [name for name in starts if not zeros[name].is_zoned]
     if local and (len(local) < len(starts) or is_zoned):
-        raise TripError(of(manifest.path, Finding("times-name-no", local=together(local, ", "))))
+        raise TripError(
+            of(manifest.path, Finding("times-without-zone", local=together(local, ", ")))
+        )
     if not local and is_zoned is False:
         raise TripError(
-            of(manifest.path, Finding("times-utc-write", starts=together(starts, ", ")))
+            of(manifest.path, Finding("start-without-zone", starts=together(starts, ", ")))
         )
     undated = {name: midnight_s if zeros[name].is_midnight else 0.0 for name in others}
     return undated | {name: (ns - first) / SECOND_NS for name, ns in starts.items()}

@@ -131,7 +131,7 @@ def choose(path: Path, file: OpenFile, columns: Sequence[str | None]) -> list[st
         if present.count(name) > 1:
             raise TripError(
                 Finding(
-                    "columns-rename-them", path=path, count=present.count(name), name=repr(name)
+                    "columns-of-same-name", path=path, count=present.count(name), name=repr(name)
                 )
             )
     return names
@@ -153,15 +153,21 @@ def slices(
     lengths = [takes[name][0] for name in names]
     check_samples(path, max(lengths, default=0))
     if len(set(lengths)) > 1:
-        raise TripError(f"{path}: columns {list(names)} have different lengths {lengths}")
+        words = Finding("different-lengths", names=list(names), lengths=lengths)
+        raise TripError(of(path, words))
     for start in range(0, lengths[0], BLOCK):
         part = slice(start, min(start + BLOCK, lengths[0]))
         block = tuple(as_block(takes[name][1](part)) for name in names)
         found = [start + len(values) for values in block]
         if set(found) != {part.stop}:
             raise TripError(
-                f"{path} declares {lengths[0]} samples of columns {list(names)}, but holds "
-                f"{found} up to there: it is damaged or cut off, export it again"
+                Finding(
+                    "fewer-than-declared",
+                    path=path,
+                    n_samples=lengths[0],
+                    names=list(names),
+                    held=found,
+                )
             )
         yield block
 
@@ -204,7 +210,7 @@ def most_samples(path: Path) -> int:
 def check_samples(path: Path, n_samples: int) -> None:
     """Raise TripError if a file declares more samples than a recording of its size can have."""
     if n_samples > FREE_SAMPLES and n_samples > (most := most_samples(path)):
-        raise TripError(Finding("declares-samples-one", path=path, n_samples=n_samples, most=most))
+        raise TripError(Finding("too-many-samples", path=path, n_samples=n_samples, most=most))
 
 
 def memory_bytes(stored: int) -> int:
@@ -284,6 +290,6 @@ def agreed_size(where: str, kind: str, stated: str | None, written: str | None) 
         return found
     if found is not None and abs(found / known[stated] - 1) > 1e-9:
         raise TripError(
-            of(where, Finding("unit-says-file", stated=repr(stated), written=repr(written)))
+            of(where, Finding("unit-differs", stated=repr(stated), written=repr(written)))
         )
     return known[stated]

@@ -92,7 +92,9 @@ class Found:
 
     def __str__(self) -> str:
         header = (
-            Finding("names-line", header_line=self.header_line) if self.header_line else "no names"
+            Finding("names-in-line", header_line=self.header_line)
+            if self.header_line
+            else "no names"
         )
         bom = " with byte-order mark" if self.has_bom else ""
         delimiter = _WORDS.get(self.delimiter, repr(self.delimiter))
@@ -114,7 +116,7 @@ class Found:
             if isinstance(kind, str) and (
                 TIME_NAME.search(name) or len(re.findall(r"\d+", kind)) > 2
             ):
-                found.append(Finding("times-like-cannot", name=repr(name), value=repr(kind[:40])))
+                found.append(Finding("times-unreadable", name=repr(name), value=repr(kind[:40])))
             elif isinstance(kind, Notation) and kind.is_unclear:
                 found.append(Finding("dates-left-out", name=repr(name)))
         return tuple(found)
@@ -199,7 +201,7 @@ def find_dialect(path: Path, given: CsvDialect | None = None) -> Found:
         if other.header_line == best.header_line == 0 and len(other.names) != len(best.names)
     ]
     if rivals and given.header_line is None and given.delimiter is None:
-        raise _unreadable(path, f"it has no names and may be read with {best} or {rivals[0]}")
+        raise _unreadable(path, Finding("no-names-ambiguous", one=str(best), other=str(rivals[0])))
     if candidate.thousands and given.decimal is None:
         raise _unreadable(path, "a comma may be its decimal sign or separate thousands")
     if given.decimal is None and _may_group(lines[best.first_line - 1 :], best):
@@ -240,7 +242,7 @@ def _first_lines(path: Path, given: CsvDialect) -> tuple[str, bool, list[str]]:
     try:
         text = codecs.getincrementaldecoder(encoding)("strict").decode(sample)
     except (UnicodeError, LookupError) as error:
-        raise _unreadable(path, Finding("not-text", encoding=encoding)) from error
+        raise _unreadable(path, Finding("other-encoding", encoding=encoding)) from error
     text = text.removeprefix("\ufeff").replace("\r\n", "\n").replace("\r", "\n")
     text = text.translate({ord(sign): plain for sign, plain in SIGNS.items()})
     lines = text.split("\n")  # splitlines() would also split at form feeds
@@ -297,7 +299,7 @@ def unread(kind: Kind) -> str:
         return ""
     if GROUPED.fullmatch(kind):
         return Finding("grouped", value=repr(kind[:40]))
-    return Finding("holds-text-like", value=repr(kind[:40]))
+    return Finding("column-of-text", value=repr(kind[:40]))
 
 
 def is_of_kind(cell: str, kind: Kind, decimal: str) -> bool:

@@ -65,7 +65,7 @@ def open_parquet(path: Path, _: CsvDialect | None = None) -> Iterator[OpenFile]:
                 kind = fields[name].type
                 if not any(is_it(kind) for is_it in READ_TYPES):
                     raise TripError(
-                        of(path, Finding("column-holds-not-numbers", name=repr(name), value=kind))
+                        of(path, Finding("csv-column-not-numbers", name=repr(name), value=kind))
                     )
             check_samples(path, file.metadata.num_rows)
             for batch in file.iter_batches(PARQUET_ROWS, columns=list(names), use_threads=False):
@@ -127,7 +127,7 @@ class _Remark:
         self.n += 1
         if not self.first:
             shown = re.sub(r"\s*;\s*", ";", text.strip()[:SHOWN])  # "; " separates remarks
-            self.first = Finding("first-line", line_number=line_number, shown=repr(shown))
+            self.first = Finding("first-in-line", line_number=line_number, shown=repr(shown))
 
 
 @dataclass
@@ -202,7 +202,7 @@ class _Rows:
             text = rest + block
             end = text.rfind(b"\n") + 1 or text.rfind(b"\r", 0, max(len(text) - 1, 0)) + 1
             if not end and len(text) > LONGEST_LINE:
-                raise ValueError(Finding("line-more-than", longest_line=LONGEST_LINE))
+                raise ValueError(Finding("line-too-long", longest_line=LONGEST_LINE))
             rest = text[end:]
             if end:
                 yield text[:end]
@@ -312,7 +312,7 @@ class _Rows:
             other = notation_of(cell)
             if other is not None and not other.is_like(kind):
                 raise TripError(
-                    of(self.path, Finding("time-stamp-not", number=number, cell=repr(cell)))
+                    of(self.path, Finding("time-stamp-differs", number=number, cell=repr(cell)))
                 )
         elif GROUPED.fullmatch(cell) or any(one.fullmatch(cell) for one in NUMBER.values()):
             raise TripError(
@@ -336,7 +336,7 @@ class _Rows:
                     of(
                         self.path,
                         Finding(
-                            "holds-several-tables",
+                            "several-tables",
                             number=line.number,
                             strip=repr(line.text.strip()[:SHOWN]),
                         ),
@@ -364,18 +364,18 @@ class _Rows:
         """Raise TripError if too many lines are no rows."""
         n, first = self._lines.n + self._damaged.n, self._lines.first or self._damaged.first
         if n > MOST_LEFT_OUT * self._n_rows + FOOTER_LINES:
-            raise TripError(of(self.path, Finding("lines-no-rows", n=n, first=first)))
+            raise TripError(of(self.path, Finding("too-many-odd-lines", n=n, first=first)))
 
     def _remarks(self) -> Iterator[str]:
         name = self.path.name
         if n := self._lines.n:
-            yield Finding("lines-outside-table", name=name, n=n, first=self._lines.first)
+            yield Finding("lines-left-out", name=name, n=n, first=self._lines.first)
         if n := self._damaged.n:
-            yield Finding("damaged-rows-missing", name=name, n=n, first=self._damaged.first)
+            yield Finding("damaged-rows", name=name, n=n, first=self._damaged.first)
         if n := self._words.n:
-            yield Finding("words-place-numbers", name=name, n=n, first=self._words.first)
+            yield Finding("words-for-numbers", name=name, n=n, first=self._words.first)
         if n := self._n_zeros:
-            yield Finding("zero-bytes-left", name=name, n=n)
+            yield Finding("zero-bytes", name=name, n=n)
 
 
 def _letters(texts: Any) -> tuple[NDArray[np.uint8], NDArray[np.int32]]:

@@ -42,7 +42,7 @@ def open_file(path: Path, csv: CsvDialect | None = None) -> Iterator[OpenFile]:
             with open_plain(path) as stream:
                 is_empty = not stream.read(1)
         except FileNotFoundError as error:
-            raise TripError(of(path, Finding("there-no-such"))) from error
+            raise TripError(of(path, Finding("no-such-file"))) from error
     if is_empty:
         raise TripError(Finding("empty", path=path))
     with ExitStack() as stack:
@@ -78,7 +78,7 @@ def read_columns(path: Path, file: OpenFile, columns: Sequence[str | None]) -> I
             n_samples += len(block[0])
             check_samples(path, n_samples)
     if n_samples == 0:
-        raise TripError(Finding("empty-columns-hold", path=path))
+        raise TripError(Finding("empty-columns", path=path))
 
 
 @contextmanager
@@ -94,9 +94,7 @@ def _named(path: Path) -> Iterator[None]:
     except Exception as error:
         reason = " ".join(str(error).split())[:200]
         suffix = path.suffix.lower()
-        raise TripError(
-            Finding("damaged-cut-off", path=path, suffix=suffix, reason=reason)
-        ) from error
+        raise TripError(Finding("file-damaged", path=path, suffix=suffix, reason=reason)) from error
 
 
 @dataclass(frozen=True)

@@ -64,7 +64,7 @@ def open_tdms(path: Path, _: CsvDialect | None = None) -> Iterator[OpenFile]:
         with _properties_of_segments() as stated:
             file = stack.enter_context(nptdms.TdmsFile.open(stream))
         if file.file_status.incomplete_final_segment:
-            raise TripError(Finding("cut-off-last", path=path))
+            raise TripError(Finding("segment-cut-off", path=path))
         channels = [channel for group in file.groups() for channel in group.channels()]
         names = [f"{one.group_name}/{one.name}" for one in channels]
         n_of_name = Counter(names)
@@ -136,9 +136,7 @@ def _changed(stated: Stated) -> str:
     for _, properties in stated:
         for key, value in properties.items():
             if _FIXED.match(key) and first.setdefault(key, str(value)) != str(value):
-                return Finding(
-                    "another-later-segment", key=repr(key), value=value, first=first[key]
-                )
+                return Finding("segments-differ", key=repr(key), value=value, first=first[key])
     return ""
 
 
@@ -157,7 +155,7 @@ def _parts(
         late_s = start_s - last_s - part_s  # short pauses and overlaps add up
         if min(gap_s, late_s + MOST_DRIFT * part_s) < -least_s:
             before, after = (np.datetime64(round(ns / 1000), "us") for ns in (end_ns, next_ns))
-            return parts, Finding("segments-overlap-one", before=before, after=after)
+            return parts, Finding("segments-overlap", before=before, after=after)
         if late_s > least_s:
             parts.append((n_next, start_s))
     return parts, ""
@@ -214,7 +212,7 @@ def open_uff(path: Path, _: CsvDialect | None = None) -> Iterator[OpenFile]:
                     of(
                         path,
                         Finding(
-                            "column-declares-points",
+                            "column-cut-off",
                             name=repr(name),
                             n_declared=n_declared,
                             n_values=len(values),
@@ -252,7 +250,7 @@ def _uff_columns(file: Any) -> tuple[list[Column], dict[str, int]]:
         if what not in (None, 0, 1, TIME):  # 0 and 1 are unknown and general
             refused = Finding("not-of-time")
         elif header.get("ord_data_type") in (5, 6):
-            refused = f"holds {np.dtype(complex)}, not real numbers"
+            refused = Finding("not-real", kind=np.dtype(complex))
         about: dict[str, Any] = {
             "unit": unit or None,
             "date": _text(header, "id3") or None,

@@ -295,11 +295,11 @@ def _stretches(loose: BoolArray, alone: BoolArray, start_s: float) -> str:
         at = np.flatnonzero(alone[start:stop]) + start
         first, last = (start_s + at[[0, -1]] + [-1.0, 3.0]).tolist()
         if start <= EDGE_S:
-            stretches.append(Finding("up-about-s", last=last))
+            stretches.append(Finding("until", last=last))
         elif stop >= len(loose) - EDGE_S:
-            stretches.append(Finding("about-s-on", first=first))
+            stretches.append(Finding("from-on", first=first))
         else:
-            stretches.append(Finding("about-s", first=first, last=last))
+            stretches.append(Finding("from-until", first=first, last=last))
     n_more = len(stretches) - LISTED
     words = together(stretches[:LISTED], ", ")
     if n_more > 0:

@@ -74,10 +74,10 @@ def _sensors(value: Value) -> Channel | Several:
         return found[0]
     axles = [[i for i, one in enumerate(found) if (one.axle or 1) == axle] for axle in (1, 2)]
     if not found or max(map(len, axles)) > 2:
-        at = " at each axle" * (len(found) > 2 and bool(axles[1]))
+        both = len(found) > 2 and bool(axles[1])
+        given = {"name": value.name, "n": len(found)}
         raise TripError(
-            f"{value.path}: `{value.name}` must be a sensor, or a list of one on the left and one "
-            f"on the right{at}, got a list of {len(found)}"
+            of(value.path, Finding("one-or-two-an-axle" if both else "one-or-two", **given))
         )
     several: list[Channel] = []
     for places in axles:
@@ -120,12 +120,12 @@ def _channels(value: Value) -> dict[str, Channel | Several]:
 
 def _check_first_axle(value: Value, own: Several | None) -> None:
     if own is None:
-        raise TripError(of(value.path, Finding("missing-2", name=value.name)))
+        raise TripError(of(value.path, Finding("channel-missing", name=value.name)))
     if own[0].is_elsewhere:
         raise TripError(
             of(
                 value.path,
-                Finding("sensor-axle-only", name=value.name, least_sensors=LEAST_SENSORS),
+                Finding("axle-2-only", name=value.name, least_sensors=LEAST_SENSORS),
             )
         )
 
@@ -133,7 +133,7 @@ def _check_first_axle(value: Value, own: Several | None) -> None:
 def _mileage(value: Value) -> float:
     mileage = check.number("a number >= 0", 0.0)(value)
     if mileage > HIGHEST_KM:
-        raise value.refuse(Finding("most-km-metres", highest_km=HIGHEST_KM))
+        raise value.refuse(Finding("mileage-rule", highest_km=HIGHEST_KM))
     return mileage
 
 
@@ -200,7 +200,11 @@ class TripManifest:
     )
     temperature_c: float | None = optional(
         check.number(
-            Finding("number", temperatures_c=TEMPERATURES_C[0], temperatures_c2=TEMPERATURES_C[1]),
+            Finding(
+                "number-between",
+                temperatures_c=TEMPERATURES_C[0],
+                temperatures_c2=TEMPERATURES_C[1],
+            ),
             *TEMPERATURES_C,
         ),
         "number, -60 to 60",

@@ -46,7 +46,7 @@ class ManifestFile:
         except TripError:
             raise
         except ValueError as error:
-            raise TripError(of(self.path, Finding("not-valid-yaml", error=error))) from error
+            raise TripError(of(self.path, Finding("invalid-yaml", error=error))) from error
 
     def absolute(self) -> ManifestFile:
         """Return the same file by its absolute path, without reading it again."""
@@ -127,7 +127,7 @@ class ManifestFile:
         problems = [
             of(
                 self.path,
-                Finding("file-must-name", key=key, source=repr(source["file"]), folder=folder),
+                Finding("no-data-file", key=key, source=repr(source["file"]), folder=folder),
             )
             for key, source in self.sources.items()
             if not os.path.isfile(folder / source["file"])  # False also for too long a name
@@ -167,7 +167,7 @@ def _check_columns(manifest: TripManifest) -> None:
     for name, one in manifest.sensors().items():
         other = places.setdefault((manifest.file_of(one).resolve(), one.column), name)
         if other != name:
-            raise TripError(of(manifest.path, Finding("two-channels-have", other=other, name=name)))
+            raise TripError(of(manifest.path, Finding("same-column-twice", other=other, name=name)))
 
 
 def write_manifest(manifest: TripManifest) -> Path:
@@ -194,11 +194,11 @@ def _written(value: Any) -> Any:
 def find_manifests(folder: Path) -> list[Path]:
     """Return the ``*.yaml`` files directly in a folder, sorted; FileNotFoundError if none."""
     if not folder.is_dir():
-        raise FileNotFoundError(Finding("there-no-folder", folder=folder))
+        raise FileNotFoundError(Finding("no-trip-folder", folder=folder))
     manifests = sorted(path for path in folder.glob("*.yaml") if path.is_file())
     if not manifests:
         raise FileNotFoundError(
-            Finding("holds-no-yaml", folder=folder, value=command("init", folder))
+            Finding("no-manifests", folder=folder, value=command("init", folder))
         )
     return manifests
 
@@ -222,9 +222,9 @@ def _manifests(path: Path) -> list[Path]:
     """Return the manifests of one file or folder; OSError if there are none."""
     if not path.is_dir():
         if not os.path.lexists(path):
-            raise FileNotFoundError(Finding("there-no-file", path=path))
+            raise FileNotFoundError(Finding("no-file-or-folder", path=path))
         if path.suffix not in (".yaml", ".yml"):
-            raise OSError(Finding("no-manifest-yaml", path=path, value=command("init", path)))
+            raise OSError(Finding("no-manifest", path=path, value=command("init", path)))
         return [path]
     if not any(path.glob("*.yaml")):
         parts = sorted(part for part in path.iterdir() if part.is_dir() and part.name[0] != ".")
@@ -233,9 +233,7 @@ def _manifests(path: Path) -> list[Path]:
             return inside
         others = sorted(one.name for one in path.glob("*.yml"))
         if others:
-            raise OSError(
-                Finding("holds-no-yaml-file", path=path, others=together(others[:5], ", "))
-            )
+            raise OSError(Finding("only-yml-files", path=path, others=together(others[:5], ", ")))
     return find_manifests(path)
 
 

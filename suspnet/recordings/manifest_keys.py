@@ -66,14 +66,14 @@ class Value:
         problems = [
             of(
                 self.path,
-                Finding("not-known-allowed", name_of=self._name_of(name), allowed=str(allowed)),
+                Finding("key-unknown", name_of=self._name_of(name), allowed=str(allowed)),
             )
             for name in self.content
             if name not in allowed
         ]
         there = [name for name in keys if self.content.get(name) is not None]
         problems += [
-            of(self.path, Finding("missing-3", name_of=self._name_of(name)))
+            of(self.path, Finding("key-missing", name_of=self._name_of(name)))
             for name in required
             if name not in there
         ]
@@ -143,7 +143,7 @@ def name(value: Value) -> str:
     """Return a short text of one line that is not blank, without surrounding blanks."""
     found = text(value).strip()
     if "\n" in found or len(printable(found)) > MOST_NAME:
-        raise value.refuse(Finding("one-line-most", most_name=MOST_NAME))
+        raise value.refuse(Finding("name-rule", most_name=MOST_NAME))
     return found
 
 
@@ -205,7 +205,7 @@ def start(value: Value) -> datetime:
         raise TripError(
             of(
                 value.path,
-                Finding("start-correct-leave", isoformat=found.isoformat(), problem=problem),
+                Finding("start-implausible", isoformat=found.isoformat(), problem=problem),
             )
         )
     return found

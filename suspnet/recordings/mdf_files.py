@@ -70,7 +70,7 @@ def open_mdf(path: Path, _: CsvDialect | None = None) -> Iterator[OpenFile]:
         def read(names: Sequence[str]) -> Iterator[Block]:
             groups = {places[name][0] for name in names}
             if len(groups) > 1:
-                raise TripError(f"{path}: columns {list(names)} are not of one channel group")
+                raise TripError(of(path, Finding("several-groups", names=list(names))))
             n_samples = int(file.groups[groups.pop()].channel_group.cycles_nr)
             takes = {name: (n_samples, _take(path, file, name, *places[name])) for name in names}
             return slices(path, names, takes)
@@ -91,7 +91,7 @@ def _columns(file: Any, g: int, names: Sequence[str]) -> Iterator[Column]:
             yield Column(name, unit=known, unread=refused, is_local=start.get("is_local", False))
             continue
         if by := NO_TIMES.get(kind):
-            refused = Finding("sampled-along-not", by=by, names=repr(names[master]))
+            refused = Finding("not-along-time", by=by, names=repr(names[master]))
         time = names[master] if master is not None and kind == TIME else None
         yield Column(name, unit=unit, time=time, unread=refused, **start)
 
@@ -129,7 +129,7 @@ def _refused(version: str, channel: Any) -> str:
     if number in APPLIED[major]:
         return ""
     what = REFUSED[major].get(number, Finding("number-of-kind", n=number))
-    return Finding("conversion-kind-not", what=what)
+    return Finding("conversion-not-applied", what=what)
 
 
 def _notes(header: Any) -> tuple[str, ...]:
@@ -195,7 +195,7 @@ def _take(path: Path, file: Any, name: str, group: int, index: int) -> Take:
         )
         if values.dtype.kind not in "iufb" or values.ndim != 1:
             raise TripError(
-                of(path, Finding("column-holds-not-2", name=repr(name), dtype=values.dtype))
+                of(path, Finding("column-not-numbers", name=repr(name), dtype=values.dtype))
             )
         is_virtual = is_newer and channel.channel_type in VIRTUAL
         values = _converted(numbers if is_virtual else values, channel.conversion, file.version)

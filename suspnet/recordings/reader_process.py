@@ -106,7 +106,7 @@ def in_own_process(reader: Reader, library: str | None = None) -> Reader:
 
 @functools.cache
 def _warn_once(missing: str) -> None:
-    log.warning("%s", Finding("system-lacks-what", missing=missing))
+    log.warning("%s", Finding("readers-unconfined", missing=missing))
 
 
 class _Server:

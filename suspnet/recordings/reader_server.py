@@ -327,6 +327,6 @@ def _refuse_events(path: Path, folders: Sequence[str]) -> None:
             is_allowed = is_allowed and not (isinstance(flags, int) and flags & _WRITES)
         if not is_allowed:
             what = f"{event} {arguments[0]}" if arguments else event
-            raise PermissionError(Finding("file-makes-reader", what=what))
+            raise PermissionError(Finding("reader-misled", what=what))
 
     sys.addaudithook(hook)

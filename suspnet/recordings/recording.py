@@ -243,7 +243,8 @@ def joined(
             of(
                 manifest.path,
                 Finding(
-                    "no-time-all", faults=together(map(str, faults)) or "the speed is never known"
+                    "nowhere-usable",
+                    faults=together(map(str, faults)) or "the speed is never known",
                 ),
             )
         )
@@ -313,7 +314,7 @@ def _read_sensor(
             raise TripError(Finding(kind, where=where, **given))
         if rate_hz > HIGHEST_HZ:
             raise TripError(
-                Finding("hz-most-hz", where=where, rate_hz=rate_hz, highest_hz=HIGHEST_HZ)
+                Finding("rate-too-high", where=where, rate_hz=rate_hz, highest_hz=HIGHEST_HZ)
             )
         cleaner = Cleaner(name, rate_hz, source.full_scale)
         sensor = Sensor(where, cleaner, source.size, wanted_hz)
@@ -331,7 +332,9 @@ def _common(
     if common_s < SHORTEST_S - 1 / rate_hz:
         spans = together(
             (
-                Finding("s", name=stream.name, start_s=stream.start_s, end_s=stream.end_s)
+                Finding(
+                    "stream-between", name=stream.name, start_s=stream.start_s, end_s=stream.end_s
+                )
                 for stream in streams
             ),
             ", ",
@@ -340,7 +343,10 @@ def _common(
             of(
                 manifest.path,
                 Finding(
-                    "only-s-common", common_s=max(common_s, 0.0), shortest_s=SHORTEST_S, spans=spans
+                    "too-little-in-common",
+                    common_s=max(common_s, 0.0),
+                    shortest_s=SHORTEST_S,
+                    spans=spans,
                 ),
             )
         )

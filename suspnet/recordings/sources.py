@@ -118,7 +118,7 @@ class OpenSource:
             assert self.rate_hz is not None  # a source has times or a rate
             return self.rate_hz
         if math.isnan(self.timeline.rate_hz):
-            raise TripError(Finding("fewer-than-two", where=self.where))
+            raise TripError(Finding("too-few-samples", where=self.where))
         return self.timeline.rate_hz
 
     @property
@@ -140,7 +140,7 @@ def open_source(manifest: TripManifest, source: Source, where: str) -> Iterator[
         name = choose(path, file, columns)[-1]
         column = file.column(name)
         if column.is_time:
-            raise TripError(of(path, Finding("column-holds-time", name=repr(name))))
+            raise TripError(of(path, Finding("column-of-times", name=repr(name))))
         # rate and times by the manifest, the file, or else its only column of time stamps
         rate_hz = _agreed_rate(where, source.rate_hz, column)
         time = source.time or column.time
@@ -151,7 +151,7 @@ def open_source(manifest: TripManifest, source: Source, where: str) -> Iterator[
             for one in (one for one in file.columns if one.unread):
                 given = {"file": path.name, "name": repr(one.name), "unread": one.unread}
                 raise TripError(Finding("needs-rate-but", where=where, **given))
-            raise TripError(Finding("needs-rate-hz-time", where=where, name=path.name))
+            raise TripError(Finding("rate-missing", where=where, name=path.name))
         # factor to SI units, and the sensor's range in them
         size, words = _size(where, source, column)
         full_scale = getattr(source, "range", None)
@@ -162,7 +162,7 @@ def open_source(manifest: TripManifest, source: Source, where: str) -> Iterator[
             choose(path, file, [time])
             times = Times(where, source, file.column(time), column.start_ns)
         elif source.time_unit is not None or source.time_zone is not None:
-            raise TripError(of(where, Finding("time-unit-time-zone-column")))
+            raise TripError(of(where, Finding("time-keys-without-time")))
         yield OpenSource(
             path,
             file,
@@ -185,9 +185,7 @@ def _agreed_rate(where: str, stated_hz: float | None, column: Column) -> float |
         return stated_hz or found_hz
     most = max(RATE_TOLERANCE * found_hz, WHOLE_HZ if column.is_whole_rate else 0)
     if abs(stated_hz - found_hz) > most:
-        raise TripError(
-            of(where, Finding("rate-hz-says-hz", stated_hz=stated_hz, found_hz=found_hz))
-        )
+        raise TripError(of(where, Finding("rate-differs", stated_hz=stated_hz, found_hz=found_hz)))
     return stated_hz
 
 
@@ -197,11 +195,11 @@ def _size(where: str, source: Source, column: Column) -> tuple[float, str]:
     words = ""
     if column.unit and size_of(source.kind, column.unit) is None:
         words = Finding(
-            "taken-file-says", name=repr(column.name), unit=source.unit, unit2=repr(column.unit)
+            "unit-taken", name=repr(column.name), unit=source.unit, unit2=repr(column.unit)
         )
     if column.full_scale is not None:
         if not isinstance(source, Channel) or source.range is None:
-            raise TripError(of(where, Finding("holds-integers-fractions", name=repr(column.name))))
+            raise TripError(of(where, Finding("range-missing", name=repr(column.name))))
         size *= source.range
     return size * (source.sign if isinstance(source, Channel) else 1), words
 
@@ -324,7 +322,7 @@ class Timeline:
 def check_rising(where: str, times: FloatArray, before: float | None = None) -> None:
     """Raise TripError unless times are finite and increase, also from the one before them."""
     if not np.isfinite(times).all():
-        raise TripError(of(where, Finding("times-hold-empty")))
+        raise TripError(of(where, Finding("times-not-finite")))
     all_times = times if before is None else np.concatenate([[before], times])
     fall = np.flatnonzero(all_times[1:] <= all_times[:-1])
     if len(fall):
@@ -333,7 +331,7 @@ def check_rising(where: str, times: FloatArray, before: float | None = None) -> 
         if later < earlier:
             reason = Finding("clock-steps-back", later=earlier - later)
         raise TripError(
-            of(where, Finding("times-must-rise", later=later, earlier=earlier, reason=reason))
+            of(where, Finding("times-do-not-rise", later=later, earlier=earlier, reason=reason))
         )
 
 
@@ -341,7 +339,7 @@ def check_gaps(where: str, gaps_s: FloatArray) -> None:
     """Raise TripError if gaps are longer than ``LONGEST_GAP_S`` in all."""
     if gaps_s.sum() > LONGEST_GAP_S:
         raise TripError(
-            of(where, Finding("times-leave-out", sum=gaps_s.sum(), longest_gap_s=LONGEST_GAP_S))
+            of(where, Finding("gaps-too-long", sum=gaps_s.sum(), longest_gap_s=LONGEST_GAP_S))
         )
 
 
@@ -349,7 +347,7 @@ def check_rate(where: str, stated_hz: float | None, found_hz: float) -> None:
     """Raise TripError if a stated rate differs from that of the time stamps."""
     if stated_hz is not None and abs(found_hz - stated_hz) > TIMES_TOLERANCE * stated_hz:
         raise TripError(
-            of(where, Finding("rate-hz-says-hz-times", stated_hz=stated_hz, found_hz=found_hz))
+            of(where, Finding("rate-differs-from-times", stated_hz=stated_hz, found_hz=found_hz))
         )
 
 

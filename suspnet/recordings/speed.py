@@ -66,7 +66,9 @@ def read_speed(manifest: TripManifest) -> SpeedTrack | None:
     source = manifest.speed
     if not isinstance(source, SpeedSource):
         if source > LARGEST_SPEED_M_PER_S:
-            raise TripError(of(manifest.path, Finding("speed-m-s", source=source, source2=source)))
+            raise TripError(
+                of(manifest.path, Finding("speed-too-high", source=source, source2=source))
+            )
         return None
     where = manifest.where("speed")
     with open_source(manifest, source, where) as file:
@@ -113,7 +115,7 @@ def speed_at(
         raise TripError(
             of(
                 manifest.path,
-                Finding("speed-never-between", largest_speed_m_per_s=LARGEST_SPEED_M_PER_S),
+                Finding("speed-never-usable", largest_speed_m_per_s=LARGEST_SPEED_M_PER_S),
             )
         )
     inside = (known_s >= times_s[0]) & (known_s <= times_s[-1])

@@ -117,8 +117,8 @@ class Grid:
         self.step_s = float(even.mean()) if step_s is None else step_s
         self.rate_hz = 1 / self.step_s
         low, high = 1e3 * np.quantile(even, [0.01, 0.99])
-        self._uneven = Finding("times-uneven-steps", low=low, high=high)
-        self.words = Finding("samples-interpolated-hz", uneven=self._uneven, rate_hz=self.rate_hz)
+        self._uneven = Finding("times-uneven", low=low, high=high)
+        self.words = Finding("interpolated", uneven=self._uneven, rate_hz=self.rate_hz)
         self._first_s, self._n_done = first_s, 0
         self._times, self._values = np.empty(0), np.empty(0)
         self._n_summed, self._sum_of_squares = 0, 0.0
@@ -188,7 +188,7 @@ class Grid:
                 of(
                     self.where,
                     Finding(
-                        "hz-interpolation-would",
+                        "too-uneven",
                         uneven=self._uneven,
                         band_hz=self.band_hz,
                         error=100 * error,

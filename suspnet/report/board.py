@@ -282,8 +282,8 @@ class Refresher:
             return Finding(kind, error=self._error)
         view = self.board.view
         if self._error:
-            return Finding("state-fleet-could", error=self._error)
-        return Finding("store-cannot-read", trouble=view.trouble) if view.trouble else ""
+            return Finding("state-unknown", error=self._error)
+        return Finding("store-unreadable", trouble=view.trouble) if view.trouble else ""
 
     @property
     def read_at(self) -> datetime:

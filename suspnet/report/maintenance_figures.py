@@ -180,7 +180,7 @@ def _calendar_legend(figure: Figure, axis: Axes, level: float) -> None:
     handles, labels = axis.get_legend_handles_labels()
     marks = dict(zip(labels, handles, strict=True))
     order = [word for word in (*WORDS.values(), DUE) if word in marks]
-    words = [Finding("limit-passed-interval", level=100 * level) if w == DUE else w for w in order]
+    words = [Finding("passing-interval", level=100 * level) if w == DUE else w for w in order]
     if order:
         place: dict[str, Any] = {"loc": "outside lower center", "ncols": 2, "fontsize": "small"}
         figure.legend([marks[word] for word in order], words, **place)
@@ -251,9 +251,7 @@ def health_trend(trend: Trend, is_small: bool = False) -> Figure:
     else:
         _legend(figure, axes)
     if trend.n_unplaced:
-        axes[0].set_title(
-            Finding("without-mileage-not", n_unplaced=trend.n_unplaced), fontsize="small"
-        )
+        axes[0].set_title(Finding("unplaced-trips", n_unplaced=trend.n_unplaced), fontsize="small")
     return figure
 
 

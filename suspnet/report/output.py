@@ -109,7 +109,7 @@ def _part_table(results: Sequence[TripResult], parts: Sequence[str]) -> str:
         done = [r for r in results if name in r.estimates]
         low, high = (100 * end for end in done[-1].interval(name))
         ends = [100 * r.estimates[name] for r in (done[0], done[-1])]
-        interval = Finding("to-2", low=low, high=high)
+        interval = Finding("span-of-ratios", low=low, high=high)
         rows.append([name, *ends, interval, errors.get(name), held.get(name)])
     header = ["part", "first %", "newest %", "interval %", KNOWN_ERROR_PERCENT, COVERAGE_PERCENT]
     kept = [i for i in range(len(header)) if any(row[i] is not None for row in rows)]

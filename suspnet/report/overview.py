@@ -185,7 +185,7 @@ CALM = "within its limits"
 def _quiet(state: State) -> str:
     """Return the status of a suspension without a finding."""
     why = state.watched.changes.why_not
-    return Finding("alarms-changes-not", calm=CALM, why=why) if why else CALM
+    return Finding("calm-unarmed", calm=CALM, why=why) if why else CALM
 
 
 def same_columns(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
@@ -199,7 +199,7 @@ def overview_table(rows: Sequence[Mapping[str, Any]]) -> str:
     shown = (*PLACE_FROM_TRAIN, "severity", "parameter", "reason", "sensors")
     columns = [key for key in shown if any(row[key] for row in rows)]
     head = [[row[key] for key in columns] for row in rows[:N_SHOWN]]
-    more = Finding("more", n_shown=len(rows) - N_SHOWN) if len(rows) > N_SHOWN else ""
+    more = f"\n... and {len(rows) - N_SHOWN} more" if len(rows) > N_SHOWN else ""
     return f"{first_words(rows)}\n{tabulate(head, columns, tablefmt='github')}{more}"
 
 

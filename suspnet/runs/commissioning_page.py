@@ -26,7 +26,6 @@ from suspnet.estimation.temperature import NOTE
 from suspnet.ground.findings import Finding, together
 from suspnet.ground.storage import printable, write_atomically, write_json, write_table
 from suspnet.ground.types import ComplexArray, FloatArray
-from suspnet.ground.wording import kilometres
 from suspnet.recordings.manifest import CHANNELS
 from suspnet.report.figures import SUSPENSIONS, as_png, data_uri, say
 from suspnet.report.language import N_, gettext, spoken
@@ -281,10 +280,10 @@ def responses(found: HealthyTrips, outcome: Commissioned) -> Figure:
     frequencies_hz, left = outcome.frequencies_hz, residuals(outcome)
     figure = Figure(figsize=(9.0, 8.4), layout="constrained")
     axes = figure.subplots(3, 2, sharex=True, sharey="row", height_ratios=(3, 2, 2))
-    km = kilometres(found.manifests[shown.trip].mileage_km)
-    where = f"{km}, {3.6 * shown.speed_m_per_s:.0f} km/h"
+    km, km_per_h = found.manifests[shown.trip].mileage_km, 3.6 * shown.speed_m_per_s
+    where = Finding("measured-at", km=km, km_per_h=km_per_h)
     curves: tuple[tuple[ComplexArray, str, dict[str, Any]], ...] = (
-        (outcome.observed, f"measured at {where}", {"color": MEASURED, "lw": 2.8}),
+        (outcome.observed, where, {"color": MEASURED, "lw": 2.8}),
         (outcome.nominal, "vehicle of the drawing", {"color": NOMINAL, "lw": 1.2, "ls": "--"}),
         (outcome.fitted, "commissioned vehicle", {"color": FITTED, "lw": 1.0}),
     )

@@ -120,15 +120,13 @@ def check_channels(
     margin = DOUBTFUL_SPEED_MARGIN if doubtful else DIRECTION_MARGIN
     if factor > margin and direction != generator.direction:
         raise TripError(
-            Finding(
-                "direction-phases-fit", direction_words=direction_words(direction), factor=factor
-            )
+            Finding("direction-wrong", direction_words=direction_words(direction), factor=factor)
         )
     doubts = []
     if doubtful and speed > SPEED_MARGIN:
         doubts.append(speed_words)
     if order * (DOUBTFUL_ORDER_MARGIN if doubtful else 1.0) > 1:
-        doubts.append(Finding("order-channels-not", order_words=order_words))
+        doubts.append(Finding("order-unclear", order_words=order_words))
     doubts += [IF_SURE] if doubts else []
     # at low frequency the gains hardly depend on the suspension: check units and signs there
     low_hz, high_hz = (float(factor * modes[0]) for factor in SLOW)
@@ -146,10 +144,15 @@ def _unchecked_gains(coherence: Tensor, low_hz: float, high_hz: float) -> str:
     """Return why units and signs are not checked; `coherence` (2,) is NaN without a bin there."""
     least = float(coherence.min())
     if math.isnan(least):
-        return Finding("units-signs-not-checked", low_hz=low_hz, high_hz=high_hz)
+        return Finding("gains-out-of-reach", low_hz=low_hz, high_hz=high_hz)
     link = LINKS[int(coherence.argmin())]
     return Finding(
-        "units-signs-not", link=link, low_hz=low_hz, high_hz=high_hz, least=least, coherent=COHERENT
+        "gains-incoherent",
+        link=link,
+        low_hz=low_hz,
+        high_hz=high_hz,
+        least=least,
+        coherent=COHERENT,
     )
 
 
@@ -221,7 +224,7 @@ def check_pairs(
             continue
         name, size = CHANNELS[i], math.sqrt(power[0] / power[1])
         if shared < 0:
-            problems.append(of(name, Finding("left-right-sensor")))
+            problems.append(of(name, Finding("sides-opposed")))
         if not 1 / GAIN_TOLERANCE < size < GAIN_TOLERANCE:
             slip = _slip(size)
             kind = "left-sensor-slip" if slip else "left-sensor"
@@ -247,7 +250,7 @@ def _check_swapped(sides: Tensor, isolated: Tensor, paired: Sequence[bool]) -> N
         left = power[[one, other]][:, isolated, 0].sum(dim=1)
         side = "left" if left[0] < left[1] else "right"
         names = together((CHANNELS[channels[i]] for i in (one, other)), " and ")
-        raise TripError(of(names, Finding("their-sensors-look", side=side)))
+        raise TripError(of(names, Finding("sides-swapped", side=side)))
 
 
 def _other_order(spectra: CrossSpectra, expected: Tensor) -> tuple[float, str]:
@@ -256,7 +259,7 @@ def _other_order(spectra: CrossSpectra, expected: Tensor) -> tuple[float, str]:
     other = min(fits, key=fits.__getitem__)
     said = together(
         (
-            Finding("place", name=name, channels=CHANNELS[place])
+            Finding("in-place-of", name=name, channels=CHANNELS[place])
             for place, name in zip(other, CHANNELS, strict=True)
             if CHANNELS[place] != name
         ),
@@ -312,7 +315,7 @@ def _other_speed(
     if min(fits, key=fits.__getitem__) != IN_ORDER:
         return 0.0, ""
     return found[0][0] / distance, (
-        Finding("speed-responses-have", speed=speed, given=given, unit=unit)
+        Finding("speed-unit-wrong", speed=speed, given=given, unit=unit)
     )
 
 
@@ -340,7 +343,7 @@ def _check_gains(gains: list[complex]) -> None:
             )
         if abs(math.atan2(gain.imag, gain.real)) > math.pi / 2:
             raise TripError(
-                of(suspect, Finding("move-against-each", source=source, sink=sink, suspect=suspect))
+                of(suspect, Finding("sign-wrong", source=source, sink=sink, suspect=suspect))
             )
 
 

@@ -93,7 +93,7 @@ def in_band(segments: SegmentSpectra, frequencies_hz: Tensor) -> SegmentSpectra:
     if float(frequencies_hz[-1]) > float(segments.frequencies_hz[-1]) + 1e-9:
         raise NoEstimateError(
             Finding(
-                "model-s-band",
+                "band-beyond-recording",
                 frequencies_hz=float(frequencies_hz[-1]),
                 frequencies_hz2=float(segments.frequencies_hz[-1]),
             )

@@ -81,7 +81,7 @@ class WheelLine:
         return of(
             self.channel,
             Finding(
-                "order-mm-m",
+                "wheel-order",
                 order=self.order,
                 size_mm=self.size_mm,
                 m_per_s2=self.m_per_s2,
@@ -160,7 +160,7 @@ def wheel_words(recording: Recording, lines: Sequence[WheelLine]) -> str:
         first_hz, top_hz = slowest * per_m, REACH * recording.rate_hz
         if first_hz <= top_hz:
             return ""
-        return Finding("wheels-cannot-seen", first_hz=first_hz, top_hz=top_hz)
+        return Finding("wheels-not-seen", first_hz=first_hz, top_hz=top_hz)
     given = recording.manifest.wheel_diameter_m is not None
     listed, diameter_m = together(map(str, lines), ", "), lines[0].diameter_m
     kind = "wheel" if given else "wheel-found"

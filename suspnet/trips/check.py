@@ -165,7 +165,7 @@ def _inspected(
     assert estimate.high_hz is not None
     unknown = 100 * float(np.isnan(recording.speed_m_per_s).mean())
     if unknown:
-        remarks.append(Finding("speed-unknown-time", unknown=unknown))
+        remarks.append(Finding("speed-partly-unknown", unknown=unknown))
     if recording.manifest.unplaced:
         remarks.append(Finding("single-in-middle"))
     result = replace(
@@ -239,7 +239,7 @@ def _with_parts(
     n_segments = len(segments.values)
     looked_at = torch.ones(n_segments, dtype=torch.bool)
     if not n_segments:
-        nothing = Finding("no-stretch-s", segment_s=estimate.segment_s)
+        nothing = Finding("no-faultless-stretch", segment_s=estimate.segment_s)
         remarks = (*result.remarks, nothing)
         return replace(result, state=TOO_LITTLE, remarks=remarks), [looked_at]
     speeds = segment_speeds(recording, segments)
@@ -274,7 +274,7 @@ def _vehicle(
     vehicle = vehicles.get(manifest.vehicle)
     if vehicle is None:
         words = Finding(
-            "not-checked-vehicle",
+            "vehicle-unknown",
             need_a_vehicle=NEED_A_VEHICLE,
             vehicle=repr(manifest.vehicle),
             vehicles=sorted(vehicles),
@@ -315,7 +315,7 @@ def _too_little(found: Sequence[Steady], welch: Welch, settings: TripSettings) -
 
 def _too_uncertain(part: SteadyPart, settings: TripSettings) -> str:
     return Finding(
-        "m-s-responses",
+        "responses-uncertain-at",
         speed_m_per_s=part.speed_m_per_s,
         deviation_percent=part.deviation_percent,
         max_deviation=100 * settings.max_deviation,

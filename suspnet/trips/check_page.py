@@ -117,9 +117,7 @@ class TripCheck:
         """Amount and quality of usable data, on one line."""
         speeds = together(
             (
-                Finding(
-                    "averages-m-s", n_averages=part.n_averages, speed_m_per_s=part.speed_m_per_s
-                )
+                Finding("averages-at", n_averages=part.n_averages, speed_m_per_s=part.speed_m_per_s)
                 for part in self.parts
             ),
             ", ",
@@ -165,7 +163,7 @@ def with_shared_data(checks: Sequence[TripCheck]) -> list[TripCheck]:
     for check in checks:
         others = {owners[source].name: None for source in check.sources if source in owners}
         owners = {source: check for source in check.sources} | owners
-        remark = Finding("reads-same-data", others=together(list(others)[:LISTED], ", "))
+        remark = Finding("same-data", others=together(list(others)[:LISTED], ", "))
         found.append(replace(check, remarks=(*check.remarks, remark)) if others else check)
     return found
 
@@ -194,10 +192,10 @@ class Suspension:
                 read_by=ready[0].read_by or Finding("train-with", setting=setting),
             )
         if len(ready) < LEAST_TRIPS:
-            words.append(Finding("commissioning-needs-ready", least_trips=LEAST_TRIPS))
+            words.append(Finding("more-trips-needed", least_trips=LEAST_TRIPS))
         kinds = sorted({check.sensors for check in ready})
         if len(kinds) > 1:
-            words.append(Finding("trips-differ-their", kinds=together(kinds, "; ")))
+            words.append(Finding("sensors-differ", kinds=together(kinds, "; ")))
         return words
 
 
@@ -214,7 +212,7 @@ def suspensions(checks: Iterable[TripCheck]) -> list[Suspension]:
 def train_words(checks: Iterable[TripCheck]) -> list[str]:
     """Return a sentence on each vehicle with several suspensions whose manifests name no train."""
     return [
-        of(vehicle, Finding("each-suspensions-counts", n_several=len(several)))
+        of(vehicle, Finding("suspensions-without-train", n_several=len(several)))
         for vehicle, several in lone_trains((one.vehicle, one.place) for one in checks).items()
         if vehicle
     ]

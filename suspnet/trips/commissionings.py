@@ -155,14 +155,14 @@ def _check_together(models: Sequence[TrainedModel]) -> None:
     speeds = [(model.generator.speed_m_per_s, model.generator.direction) for model in models]
     if len(set(speeds)) < len(speeds):
         words = together(dict.fromkeys(map(speed_words, models)), ", ")
-        raise ModelFileError(Finding("two-models-same", words=words))
+        raise ModelFileError(Finding("same-speed-twice", words=words))
 
 
 def speed_words(model: TrainedModel) -> str:
     """Return the speeds that a model reads, as text."""
     found = speed_range(model)
     words = "any" if found is None else range_words([found])
-    return Finding("reverse-2", words=words) if model.generator.direction == REVERSE else words
+    return Finding("in-reverse", words=words) if model.generator.direction == REVERSE else words
 
 
 def place_of(model: TrainedModel) -> Place | None:
@@ -182,12 +182,12 @@ def models_of(models: Sequence[TrainedModel], place: Place) -> list[TrainedModel
     if len(known) > 1:
         models = [model for model in models if place_of(model) == place]
         if not models:
-            raise ModelFileError(
-                Finding("none-models-commissioned", place=place, named=_named(known))
-            )
+            raise ModelFileError(Finding("not-commissioned-on", place=place, named=_named(known)))
     fitting = [m for m in models if not place.bogie or m.generator.bogie in (None, place.bogie)]
     if not fitting:
-        raise ModelFileError(Finding("trips-bogie-models", bogie=place.bogie, bogie2=place.bogie))
+        raise ModelFileError(
+            Finding("models-of-other-bogie", bogie=place.bogie, bogie2=place.bogie)
+        )
     check_models(fitting)
     return fitting
 

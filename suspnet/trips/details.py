@@ -61,7 +61,7 @@ def report_details(
         ),
         N_("speeds"): together(dict.fromkeys(map(speed_words, models)), ", "),
         N_("transfer functions"): Finding(
-            "windows-s", method=trained.method, window=trained.window, segment_s=trained.segment_s
+            "windows", method=trained.method, window=trained.window, segment_s=trained.segment_s
         ),
         N_("healthy is"): reference,
         N_("misfit of the healthy trips"): together(
@@ -100,10 +100,10 @@ def healthy_words(model: TrainedModel) -> str:
 def misfit_words(model: TrainedModel) -> str:
     """Return the misfit of a model's healthy trips, as text."""
     misfit = model.training.get("commissioned", {}).get("misfit")
-    of_equal = "" if misfit is None else Finding("times-noise", misfit=misfit)
+    of_equal = "" if misfit is None else Finding("misfit-of-noise", misfit=misfit)
     if model.bogie is None:
         return of_equal or "none: the vehicle is that of the drawing, not commissioned"
-    of_parts = Finding("times-noise-each", misfit=model.bogie.misfit)
+    of_parts = Finding("misfit-of-parts", misfit=model.bogie.misfit)
     of_equal = of_equal and Finding("times-equal", words=of_equal)
     return together((of_parts, of_equal), ", ")
 
@@ -112,9 +112,7 @@ def _interval_words(model: TrainedModel, level: float) -> str:
     """Return the source of the intervals, as text."""
     if model.intervals is None:
         return "none: the model was trained with data.n_calibrate=null"
-    return Finding(
-        "calibrated-on-simulated", level=100 * level, n_scores=len(model.intervals.conformal.scores)
-    )
+    return Finding("calibrated", level=100 * level, n_scores=len(model.intervals.conformal.scores))
 
 
 def wear_words(n_learnt: int, is_history: bool) -> str:

@@ -176,7 +176,7 @@ def evaluate_fleet(
     if all(one.error for one in done):
         reasons = together(of(one.name, one.error) for one in done)
         raise ValueError(
-            of(folder, Finding("none-suspensions-can", n_done=len(done), reasons=reasons))
+            of(folder, Finding("no-suspension-read", n_done=len(done), reasons=reasons))
         )
     done.sort(key=lambda one: (-one.severity, one.name))
     log.info("%s\n-> %s", write_overview(done, models[0].task.outputs, output), output)

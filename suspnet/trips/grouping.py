@@ -65,7 +65,7 @@ def find_groups(folder: Path) -> list[Group]:
         else:
             found = _split(part, manifests)
             if all(group.place == Place() for group in found):
-                words = Finding("none-yaml-files", n_manifests=len(manifests))
+                words = Finding("no-suspension-named", n_manifests=len(manifests))
                 found = [Group(part, Place(part.name), error=words)]
         groups += found
     if not any(group.manifests for group in groups):

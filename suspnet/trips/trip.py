@@ -145,11 +145,11 @@ def _estimated(
     for name in sorted({model.vehicle.name for model in models}):
         if name != manifest.vehicle:
             raise TripError(
-                Finding("trip-vehicle-model", vehicle=repr(manifest.vehicle), name=repr(name))
+                Finding("model-of-other-vehicle", vehicle=repr(manifest.vehicle), name=repr(name))
             )
     axle = getattr(models[0].generator, "axle", None)  # those of users need not name one
     if axle and manifest.axle and manifest.axle != axle:
-        raise TripError(Finding("trip-axle-model", axle=manifest.axle, axle2=manifest.axle))
+        raise TripError(Finding("model-of-other-axle", axle=manifest.axle, axle2=manifest.axle))
     recording = read()
     quality = Quality(
         duration_s=recording.duration_s,

@@ -151,7 +151,7 @@ SAID = {
     "Sekundärdämpfer links bei 83,1 % des Referenzwerts (Quote 41 : 1; welches davon, ist "
     "unbekannt)",
     together(
-        ("within its limits", Finding("trips-reference-so", n_trips=2, needed=20))
+        ("within its limits", Finding("reference-incomplete", n_trips=2, needed=20))
     ): "innerhalb der Grenzen; bisher 2 von 20 Fahrten für die Referenz",
     str(Place("air spring 3", "leading", "left", "ICE 4", "7")): "Zug ICE 4, Wagen 7, "
     "air spring 3, vorderes Drehgestell, links",
@@ -298,7 +298,9 @@ def test_page_of_a_check_is_german_and_its_data_are_english(tmp_path):
         sensors="single sensors",
     )
     with speaking("de"):
-        page = write_checks([bad, good], [Finding("there-no-file", path="x")], tmp_path).read_text()
+        page = write_checks(
+            [bad, good], [Finding("no-file-or-folder", path="x")], tmp_path
+        ).read_text()
     for said in (
         "1 von 2 Fahrten bereit für eine Schätzung, 1 mit Problemen",
         "es gibt weder Datei noch Ordner x",

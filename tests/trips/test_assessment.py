@@ -378,10 +378,10 @@ ENGLISH = re.compile(
 def test_no_reason_keeps_an_english_word_in_german():
     """Of every reason, with alarms and doubts, and of the sentence on all parameters."""
     alarms = [
-        Alarm("k_s", Cause.LIMIT, Severity.ACT, 5e4, np.nan, "was at 62 % of healthy, below the "
-        "act limit of 70 %, at 12 000 km; the last trip is at 99.5 %"),
-        Alarm("k_s", Cause.CHANGE, Severity.NOTICE, 5e4, np.nan, "fell by 3.5 % at about "
-        "12 000 km, by 6 % on the last 5 trips"),
+        Alarm("k_s", Cause.LIMIT, Severity.ACT, 5e4, np.nan, Finding("was-beyond", km=12e3, level=
+        Finding("over-percent-of", percent=1e3), beyond=Finding("below-act-limit", limit=70.0))),
+        Alarm("k_s", Cause.CHANGE, Severity.NOTICE, 5e4, np.nan, Finding("change-goes-on",
+        change=Finding("fell", percent=3.5, km=12e3), percent=6.0, n_last=5)),
     ]  # fmt: skip
     reasons = set()
     for (shape, first, name, flags, half), n in zip(
