@@ -21,7 +21,7 @@ from suspnet.estimation.steady_parts import groups_to_read, minutes_words
 from suspnet.estimation.swapped_sensors import check_order
 from suspnet.estimation.trip_settings import TripSettings
 from suspnet.estimation.worn_parts import worn_parts
-from suspnet.ground.findings import Finding, of, together
+from suspnet.ground.findings import Finding, at, together
 from suspnet.ground.parameters import COMPONENTS, FORWARD, SIDES, Direction
 from suspnet.recordings.errors import TripError
 from suspnet.recordings.manifest import LEAST_SENSORS, TripManifest
@@ -64,17 +64,15 @@ def bogie_vehicle(manifests: Sequence[TripManifest], generator: VerticalVehicle)
     folder = manifests[0].path.parent
     several = {sensor_places(manifest, generator.frame_sensor) for manifest in manifests}
     if len(several) > 1:
-        raise TripError(of(folder, Finding("sensors-differ-healthy")))
+        raise TripError(at(folder, "sensors-differ-healthy"))
     sensors = several.pop()
     if not show_parts(sensors):
         raise TripError(
-            of(
+            at(
                 folder,
-                Finding(
-                    "too-few-sensors-for-parts",
-                    least_sensors=LEAST_SENSORS,
-                    sensors=", ".join(sensors) or "none",
-                ),
+                "too-few-sensors-for-parts",
+                least_sensors=LEAST_SENSORS,
+                sensors=", ".join(sensors) or "none",
             )
         )
     return SpatialVehicle(

@@ -9,7 +9,7 @@ from suspnet.dynamics import ResponseGenerator
 from suspnet.estimation.fitted import FittedMethod
 from suspnet.estimation.steady_parts import groups_to_read
 from suspnet.estimation.trip_settings import TripSettings
-from suspnet.ground.findings import Finding, of, together
+from suspnet.ground.findings import Finding, at, together
 from suspnet.ground.parameters import FORWARD, Direction, direction_words
 from suspnet.recordings.errors import TripError
 from suspnet.recordings.recording import Recording
@@ -62,9 +62,10 @@ def direction_of(
         return recording.manifest.direction or FORWARD
     if recording.absent:
         raise TripError(
-            of(
+            at(
                 recording.manifest.path,
-                Finding("no-direction-without-sensor", absent=together(recording.absent, " and ")),
+                "no-direction-without-sensor",
+                absent=together(recording.absent, " and "),
             )
         )
     speeds = segment_speeds(recording, segments)
@@ -76,11 +77,11 @@ def direction_of(
     direction, factor = shown_direction(spectra, segments.frequencies_hz, there)
     if factor < DIRECTION_MARGIN:
         raise TripError(
-            of(
+            at(
                 recording.manifest.path,
-                Finding(
-                    "direction-unclear", direction_words=direction_words(direction), factor=factor
-                ),
+                "direction-unclear",
+                direction_words=direction_words(direction),
+                factor=factor,
             )
         )
     return direction

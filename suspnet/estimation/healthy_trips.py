@@ -15,7 +15,7 @@ from suspnet.estimation.healthy_misfit import HealthySpectra
 from suspnet.estimation.steady_parts import groups_to_read, steady
 from suspnet.estimation.swapped_sensors import Elsewhere, elsewhere
 from suspnet.estimation.trip_settings import LEAST_TRIPS, TripSettings
-from suspnet.ground.findings import Finding, of, together
+from suspnet.ground.findings import Finding, at, of, together
 from suspnet.ground.parameters import DIRECTIONS, REVERSE, Direction
 from suspnet.ground.progress import bar
 from suspnet.ground.tensors import threads
@@ -162,9 +162,9 @@ def read_healthy(
     if len(kept) < LEAST_TRIPS:
         kind = "too-few-healthy-as" if left_out else "too-few-healthy"
         given = {"n": len(kept), "least": LEAST_TRIPS, "reasons": together(left_out)}
-        raise TripError(of(folder, Finding(kind, **given)))
+        raise TripError(at(folder, kind, **given))
     if len(paired) > 1:
-        raise TripError(of(folder, Finding("pairs-and-single-sensors")))
+        raise TripError(at(folder, "pairs-and-single-sensors"))
     stated = tuple(manifest.direction for manifest in later if manifest.direction is not None)
     return HealthyTrips(
         tuple(kept),
@@ -219,17 +219,19 @@ def _check_same(
     for manifest in manifests:
         if manifest.vehicle != vehicle:
             raise TripError(
-                of(
+                at(
                     manifest.path,
-                    Finding("of-another-vehicle", vehicle=repr(manifest.vehicle), vehicle2=vehicle),
+                    "of-another-vehicle",
+                    vehicle=repr(manifest.vehicle),
+                    vehicle2=vehicle,
                 )
             )
     places = sorted({str(manifest.place) for manifest in manifests})
     if len(places) > 1:
-        raise TripError(of(folder, Finding("several-suspensions", places=together(places, ", "))))
+        raise TripError(at(folder, "several-suspensions", places=together(places, ", ")))
     for key, ours in (("bogie", generator.bogie), ("axle", generator.axle)):
         for named in {getattr(one, key) for one in manifests} - {None, ours}:
-            raise TripError(of(folder, Finding(OTHER[key], named=named, own=ours)))
+            raise TripError(at(folder, OTHER[key], named=named, own=ours))
 
 
 def _with_all_sensors(

@@ -40,7 +40,7 @@ from suspnet.estimation.bogie_fit import healthy_search
 from suspnet.estimation.bogie_search import ROUGH, BogieSearch
 from suspnet.estimation.healthy_misfit import HealthySpectra, row_of
 from suspnet.estimation.vehicle_search import SPREADS, VehicleSearch
-from suspnet.ground.findings import Finding, of, together
+from suspnet.ground.findings import Finding, at, of, together
 from suspnet.ground.parameters import DIRECTIONS, REVERSE, Direction
 from suspnet.ground.types import FloatArray
 from suspnet.recordings.errors import TripError
@@ -109,14 +109,12 @@ class Elsewhere:
             is_back = now.direction == REVERSE
             looks.append(Finding("runs-in-reverse" if is_back else "runs-forward"))
             say.append(Finding("correct-direction"))
-        return of(
+        return at(
             together(looks),
-            Finding(
-                "misfit-elsewhere",
-                misfit=self.found.misfit,
-                misfit2=self.given.misfit,
-                say=together(say, "; "),
-            ),
+            "misfit-elsewhere",
+            misfit=self.found.misfit,
+            misfit2=self.given.misfit,
+            say=together(say, "; "),
         )
 
 

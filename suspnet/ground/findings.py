@@ -239,3 +239,8 @@ def as_plain(text: str) -> list[dict[str, Any]]:
 def of(name: object, words: str) -> Finding:
     """Return a finding with the file, trip or sensor it is of in front."""
     return Finding(OF, name=str(name), words=words)
+
+
+def at(name: object, kind: str, /, **values: Any) -> Finding:
+    """Return a finding of a kind with the file, trip or sensor it is of in front."""
+    return of(name, Finding(kind, **values))

@@ -13,7 +13,7 @@ import sqlalchemy as sql
 from numpy.typing import NDArray
 from sqlalchemy.engine import Connection
 
-from suspnet.ground.findings import Finding, of
+from suspnet.ground.findings import Finding, at
 from suspnet.ground.parameters import ESTIMATED
 from suspnet.ground.records import (
     HIGHEST_KM,
@@ -307,7 +307,7 @@ def read_responses(
     rows = connection.execute(chosen).all()
     for row in rows:
         if not all(isinstance(one, kind) for one, kind in zip(row, ROW, strict=True)):
-            raise HistoryError(of(name, Finding("curves-damaged")))
+            raise HistoryError(at(name, "curves-damaged"))
     rows = sorted(rows, key=lambda row: order(or_nan(row[1]), row[2], row[0]))
     return [_responses(*row, name=name) for row in rows]
 

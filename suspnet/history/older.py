@@ -13,7 +13,7 @@ from suspnet.ground.findings import (
     WORN,
     WORN_ONE_OF,
     Finding,
-    of,
+    at,
     stored,
     together,
 )
@@ -79,8 +79,6 @@ def fault_findings(faults: str) -> str:
     found, end = [], 0
     for match in _FAILING.finditer(faults):
         found.append(faults[end : match.start()].removeprefix("; "))
-        found.append(
-            of(match[1], Finding("dead-before" if match[3] else "loose-before", words=match[2]))
-        )
+        found.append(at(match[1], "dead-before" if match[3] else "loose-before", words=match[2]))
         end = match.end()
     return stored(together([*found, faults[end:].removeprefix("; ")]))

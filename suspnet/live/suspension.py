@@ -13,7 +13,7 @@ import numpy as np
 
 from suspnet.estimation.trained import TrainedModel
 from suspnet.estimation.trip_settings import TripSettings
-from suspnet.ground.findings import Finding, of
+from suspnet.ground.findings import at
 from suspnet.ground.records import TripResult
 from suspnet.live.journal import dump_state, load_state
 from suspnet.live.operating_conditions import SlowValues
@@ -261,13 +261,11 @@ def read_suspensions(
         settings.limits_of(fitting)
         if (vehicle := fitting[0].vehicle.name) != manifest.vehicle:
             raise TripError(
-                of(
+                at(
                     manifest.path,
-                    Finding(
-                        "stream-of-other-vehicle",
-                        vehicle=repr(manifest.vehicle),
-                        vehicle2=repr(vehicle),
-                    ),
+                    "stream-of-other-vehicle",
+                    vehicle=repr(manifest.vehicle),
+                    vehicle2=repr(vehicle),
                 )
             )
         # a train runs both ways: the direction of that trip is not that of the next

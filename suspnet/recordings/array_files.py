@@ -16,7 +16,7 @@ from scipy.io import loadmat, whosmat
 from scipy.io.matlab import MatlabFunction, MatlabOpaque, mat_struct, varmats_from_mat
 
 from suspnet.ground.extras import import_extra
-from suspnet.ground.findings import Finding, of, together
+from suspnet.ground.findings import Finding, at, together
 from suspnet.recordings.columns import (
     MOST_CHUNK_BYTES,
     Block,
@@ -79,9 +79,8 @@ def open_hdf5(path: Path, _: CsvDialect | None = None) -> Iterator[OpenFile]:
         whole = {key: one for key, one in _stated(_attributes(file)).items() if key == "date"}
         descriptions = {name: whole | found.described(name) for name in arrays}
         with _opened(path, arrays, descriptions, found.unread) as opened:
-            words = of(
-                path.name,
-                Finding("attributes-not-applied", unapplied=together(found.unapplied, ", ")),
+            words = at(
+                path.name, "attributes-not-applied", unapplied=together(found.unapplied, ", ")
             )
             yield replace(opened, words=words) if found.unapplied else opened
 
@@ -427,7 +426,7 @@ def _opened(
         for name in names:
             kind = arrays[name if name in arrays else name.rpartition("[")[0]].dtype
             if kind.kind not in "iuf":
-                raise TripError(of(path, Finding("column-not-real", name=repr(name), value=kind)))
+                raise TripError(at(path, "column-not-real", name=repr(name), value=kind))
         return slices(path, names, takes)
 
     yield OpenFile(tuple(columns), read, hint=together(matrices[:3]))

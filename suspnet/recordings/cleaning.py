@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from suspnet.ground.findings import Finding, of
+from suspnet.ground.findings import at, of
 from suspnet.ground.types import BoolArray, FloatArray
 from suspnet.recordings.faults import (
     fill,
@@ -77,10 +77,10 @@ class Fault:
         if (size := self.size_m_per_s2) is not None:
             is_odd = self.kind == "offset" and abs(size) > ODD_MEAN_M_PER_S2
             kind = "odd-offset" if is_odd else "harmless"
-            return of(self.channel, Finding(kind, kind=self.kind, m_per_s2=size))
+            return at(self.channel, kind, kind=self.kind, m_per_s2=size)
         given = {"kind": self.kind, "seconds": self.seconds, "first_s": self.first_s}
         fate = "repaired" if self.repaired else "not usable"
-        return of(self.channel, Finding("sample", n=self.n_samples, fate=fate, **given))
+        return at(self.channel, "sample", n=self.n_samples, fate=fate, **given)
 
 
 class Cleaner:

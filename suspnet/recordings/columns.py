@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from suspnet.ground.findings import Finding, of
+from suspnet.ground.findings import Finding, at, of
 from suspnet.ground.storage import open_plain, stored_bytes
 from suspnet.recordings.errors import TripError
 from suspnet.recordings.manifest_keys import CsvDialect
@@ -125,7 +125,7 @@ def choose(path: Path, file: OpenFile, columns: Sequence[str | None]) -> list[st
         c.name for c in file.columns if not (c.is_part or c.is_time or c.unread or c.name in times)
     ]
     if len(named) < len(columns) and len(others) != 1:
-        raise TripError(of(path, Finding("say-which-column", names=listing(others))))
+        raise TripError(at(path, "say-which-column", names=listing(others)))
     names = [others[0] if name is None else name for name in columns]
     for name in names:
         if present.count(name) > 1:
@@ -286,10 +286,8 @@ def agreed_size(where: str, kind: str, stated: str | None, written: str | None) 
     if stated is None:
         if found is None:
             kind = "unit-unknown" if written else "unit-not-said"
-            raise TripError(of(where, Finding(kind, written=repr(written), known=list(known))))
+            raise TripError(at(where, kind, written=repr(written), known=list(known)))
         return found
     if found is not None and abs(found / known[stated] - 1) > 1e-9:
-        raise TripError(
-            of(where, Finding("unit-differs", stated=repr(stated), written=repr(written)))
-        )
+        raise TripError(at(where, "unit-differs", stated=repr(stated), written=repr(written)))
     return known[stated]

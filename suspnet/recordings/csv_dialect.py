@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 
-from suspnet.ground.findings import Finding, of
+from suspnet.ground.findings import Finding, at
 from suspnet.recordings.columns import is_unit, unit_in_name
 from suspnet.recordings.dates import date_in_lines, read_date
 from suspnet.recordings.errors import TripError
@@ -275,7 +275,7 @@ EXAMPLE = 'csv: {delimiter: ";", decimal: ",", header_line: 12, encoding: utf-8}
 
 
 def _unreadable(path: Path, reason: str) -> TripError:
-    return TripError(of(path, Finding("say-how-written", reason=reason, example=EXAMPLE)))
+    return TripError(at(path, "say-how-written", reason=reason, example=EXAMPLE))
 
 
 def _encoding(sample: bytes) -> tuple[str, bool]:

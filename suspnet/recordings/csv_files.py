@@ -16,7 +16,7 @@ import pyarrow.csv
 import pyarrow.parquet
 from numpy.typing import NDArray
 
-from suspnet.ground.findings import Finding, of, together
+from suspnet.ground.findings import Finding, at, of, together
 from suspnet.recordings.columns import Block, Column, OpenFile, as_block, check_samples
 from suspnet.recordings.csv_dialect import (
     COMMENT,
@@ -64,9 +64,7 @@ def open_parquet(path: Path, _: CsvDialect | None = None) -> Iterator[OpenFile]:
             for name in names:
                 kind = fields[name].type
                 if not any(is_it(kind) for is_it in READ_TYPES):
-                    raise TripError(
-                        of(path, Finding("csv-column-not-numbers", name=repr(name), value=kind))
-                    )
+                    raise TripError(at(path, "csv-column-not-numbers", name=repr(name), value=kind))
             check_samples(path, file.metadata.num_rows)
             for batch in file.iter_batches(PARQUET_ROWS, columns=list(names), use_threads=False):
                 yield tuple(_from_arrow(batch.column(name)) for name in names)
@@ -311,20 +309,16 @@ class _Rows:
         if isinstance(kind, Notation):
             other = notation_of(cell)
             if other is not None and not other.is_like(kind):
-                raise TripError(
-                    of(self.path, Finding("time-stamp-differs", number=number, cell=repr(cell)))
-                )
+                raise TripError(at(self.path, "time-stamp-differs", number=number, cell=repr(cell)))
         elif GROUPED.fullmatch(cell) or any(one.fullmatch(cell) for one in NUMBER.values()):
             raise TripError(
-                of(
+                at(
                     self.path,
-                    Finding(
-                        "number-grouped" if GROUPED.fullmatch(cell) else "text-in-numbers",
-                        names=list(self.names),
-                        number=number,
-                        cell=repr(cell),
-                        decimal=repr(self.found.decimal),
-                    ),
+                    "number-grouped" if GROUPED.fullmatch(cell) else "text-in-numbers",
+                    names=list(self.names),
+                    number=number,
+                    cell=repr(cell),
+                    decimal=repr(self.found.decimal),
                 )
             )
 
@@ -333,13 +327,11 @@ class _Rows:
         for line in self._pending:
             if line.is_other_table:
                 raise TripError(
-                    of(
+                    at(
                         self.path,
-                        Finding(
-                            "several-tables",
-                            number=line.number,
-                            strip=repr(line.text.strip()[:SHOWN]),
-                        ),
+                        "several-tables",
+                        number=line.number,
+                        strip=repr(line.text.strip()[:SHOWN]),
                     )
                 )
             for word in line.words:
@@ -364,7 +356,7 @@ class _Rows:
         """Raise TripError if too many lines are no rows."""
         n, first = self._lines.n + self._damaged.n, self._lines.first or self._damaged.first
         if n > MOST_LEFT_OUT * self._n_rows + FOOTER_LINES:
-            raise TripError(of(self.path, Finding("too-many-odd-lines", n=n, first=first)))
+            raise TripError(at(self.path, "too-many-odd-lines", n=n, first=first))
 
     def _remarks(self) -> Iterator[str]:
         name = self.path.name

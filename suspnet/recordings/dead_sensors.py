@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 
 import numpy as np
 
-from suspnet.ground.findings import Finding, of, together
+from suspnet.ground.findings import Finding, at, together
 from suspnet.ground.types import BoolArray, FloatArray
 from suspnet.recordings.cleaning import Fault
 from suspnet.recordings.errors import DeadSensorError, TripError
@@ -127,6 +127,6 @@ def check_copies(values: Mapping[str, FloatArray], usable: BoolArray, where: obj
         if len(own) and np.median(1 - shared**2 / (own * its)) < SAME:
             gain = float(np.median(shared / own))
             kind = "hold-same-samples" if abs(gain - 1) < SAME else "hold-same-times"
-            problems.append(of(where, Finding(kind, one=one, other=other, gain=gain)))
+            problems.append(at(where, kind, one=one, other=other, gain=gain))
     if problems:
         raise TripError(*problems)

@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from suspnet.ground.findings import Finding, of
+from suspnet.ground.findings import Finding, at
 from suspnet.ground.storage import NotPlainError
 
 
@@ -47,7 +47,7 @@ def opening(path: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        raise TripError(of(path, Finding("cannot-read", strerror=error.strerror))) from error
+        raise TripError(at(path, "cannot-read", strerror=error.strerror)) from error
     except NotPlainError as error:
         raise TripError(str(error)) from error
 

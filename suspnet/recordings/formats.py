@@ -7,7 +7,7 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from suspnet.ground.findings import Finding, of
+from suspnet.ground.findings import Finding, at
 from suspnet.ground.storage import open_plain
 from suspnet.recordings.array_files import open_hdf5, open_mat
 from suspnet.recordings.columns import BLOCK, Block, OpenFile, Reader, check_samples, choose
@@ -36,13 +36,13 @@ def open_file(path: Path, csv: CsvDialect | None = None) -> Iterator[OpenFile]:
         given = {"format": UNREAD.get(suffix), "suffix": repr(suffix), "suffixes": known}
         raise TripError(Finding(kind, path=path, **given))
     if csv is not None and READERS[suffix] is not open_csv:
-        raise TripError(of(path, Finding("csv-for-files", suffixes=list(CSV_SUFFIXES))))
+        raise TripError(at(path, "csv-for-files", suffixes=list(CSV_SUFFIXES)))
     with opening(path):
         try:
             with open_plain(path) as stream:
                 is_empty = not stream.read(1)
         except FileNotFoundError as error:
-            raise TripError(of(path, Finding("no-such-file"))) from error
+            raise TripError(at(path, "no-such-file")) from error
     if is_empty:
         raise TripError(Finding("empty", path=path))
     with ExitStack() as stack:

@@ -18,7 +18,7 @@ import numpy as np
 from scipy.io import wavfile
 
 from suspnet.ground.extras import import_extra
-from suspnet.ground.findings import Finding, of
+from suspnet.ground.findings import Finding, at
 from suspnet.ground.types import FloatArray
 from suspnet.recordings.columns import (
     BLOCK,
@@ -209,14 +209,12 @@ def open_uff(path: Path, _: CsvDialect | None = None) -> Iterator[OpenFile]:
             n_declared = int(record["num_pts"])
             if len(values) < n_declared:
                 raise TripError(
-                    of(
+                    at(
                         path,
-                        Finding(
-                            "column-cut-off",
-                            name=repr(name),
-                            n_declared=n_declared,
-                            n_values=len(values),
-                        ),
+                        "column-cut-off",
+                        name=repr(name),
+                        n_declared=n_declared,
+                        n_values=len(values),
                     )
                 )
             takes[name] = n_declared, values.__getitem__  # what follows fills up a line

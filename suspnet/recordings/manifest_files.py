@@ -10,7 +10,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from suspnet.ground.findings import Finding, of, together
+from suspnet.ground.findings import Finding, at, together
 from suspnet.ground.parameters import ENDS, SIDES
 from suspnet.ground.records import MOST_NAME, Place
 from suspnet.ground.storage import one_line, read_json, read_plain, why, write_atomically
@@ -46,7 +46,7 @@ class ManifestFile:
         except TripError:
             raise
         except ValueError as error:
-            raise TripError(of(self.path, Finding("invalid-yaml", error=error))) from error
+            raise TripError(at(self.path, "invalid-yaml", error=error)) from error
 
     def absolute(self) -> ManifestFile:
         """Return the same file by its absolute path, without reading it again."""
@@ -125,10 +125,7 @@ class ManifestFile:
         """Raise TripError if a named data file is missing."""
         folder = self.path.parent
         problems = [
-            of(
-                self.path,
-                Finding("no-data-file", key=key, source=repr(source["file"]), folder=folder),
-            )
+            at(self.path, "no-data-file", key=key, source=repr(source["file"]), folder=folder)
             for key, source in self.sources.items()
             if not os.path.isfile(folder / source["file"])  # False also for too long a name
         ]
@@ -167,7 +164,7 @@ def _check_columns(manifest: TripManifest) -> None:
     for name, one in manifest.sensors().items():
         other = places.setdefault((manifest.file_of(one).resolve(), one.column), name)
         if other != name:
-            raise TripError(of(manifest.path, Finding("same-column-twice", other=other, name=name)))
+            raise TripError(at(manifest.path, "same-column-twice", other=other, name=name))
 
 
 def write_manifest(manifest: TripManifest) -> Path:

@@ -15,7 +15,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
-from suspnet.ground.findings import Finding, of
+from suspnet.ground.findings import Finding, at
 from suspnet.ground.records import MOST_NAME
 from suspnet.ground.storage import printable
 from suspnet.recordings.dates import date_problem, time_zone
@@ -51,7 +51,7 @@ class Value:
         """Return an error that names file, key, rule and value."""
         name = f"`{self.name}`" if self.name else "the manifest"
         got = " ".join(reprlib.repr(self.content).split())
-        return TripError(of(self.path, Finding("not-so", key=name, rule=rule, got=got)))
+        return TripError(at(self.path, "not-so", key=name, rule=rule, got=got))
 
     def read(self, keys: Mapping[str, Key]) -> dict[str, Any]:
         """Return the checked values of a mapping, without optional ones that are null.
@@ -64,16 +64,13 @@ class Value:
         required = [name for name, key in keys.items() if key.is_required]
         allowed = (*required, *(name for name in keys if name not in required))
         problems = [
-            of(
-                self.path,
-                Finding("key-unknown", name_of=self._name_of(name), allowed=str(allowed)),
-            )
+            at(self.path, "key-unknown", name_of=self._name_of(name), allowed=str(allowed))
             for name in self.content
             if name not in allowed
         ]
         there = [name for name in keys if self.content.get(name) is not None]
         problems += [
-            of(self.path, Finding("key-missing", name_of=self._name_of(name)))
+            at(self.path, "key-missing", name_of=self._name_of(name))
             for name in required
             if name not in there
         ]
@@ -203,10 +200,7 @@ def start(value: Value) -> datetime:
         raise value.refuse("a time like 2015-08-03T08:00:00") from error
     if problem := date_problem(found):
         raise TripError(
-            of(
-                value.path,
-                Finding("start-implausible", isoformat=found.isoformat(), problem=problem),
-            )
+            at(value.path, "start-implausible", isoformat=found.isoformat(), problem=problem)
         )
     return found
 

@@ -17,7 +17,7 @@ from typing import Any, BinaryIO, NoReturn
 import numpy as np
 
 from suspnet.ground.extras import import_extra
-from suspnet.ground.findings import Finding, of
+from suspnet.ground.findings import Finding, at
 from suspnet.ground.types import FloatArray
 from suspnet.recordings.columns import Block, Column, OpenFile, Take, slices
 from suspnet.recordings.dates import nanoseconds
@@ -70,7 +70,7 @@ def open_mdf(path: Path, _: CsvDialect | None = None) -> Iterator[OpenFile]:
         def read(names: Sequence[str]) -> Iterator[Block]:
             groups = {places[name][0] for name in names}
             if len(groups) > 1:
-                raise TripError(of(path, Finding("several-groups", names=list(names))))
+                raise TripError(at(path, "several-groups", names=list(names)))
             n_samples = int(file.groups[groups.pop()].channel_group.cycles_nr)
             takes = {name: (n_samples, _take(path, file, name, *places[name])) for name in names}
             return slices(path, names, takes)
@@ -194,9 +194,7 @@ def _take(path: Path, file: Any, name: str, group: int, index: int) -> Take:
             record_count=part.stop - part.start,
         )
         if values.dtype.kind not in "iufb" or values.ndim != 1:
-            raise TripError(
-                of(path, Finding("column-not-numbers", name=repr(name), dtype=values.dtype))
-            )
+            raise TripError(at(path, "column-not-numbers", name=repr(name), dtype=values.dtype))
         is_virtual = is_newer and channel.channel_type in VIRTUAL
         values = _converted(numbers if is_virtual else values, channel.conversion, file.version)
         if is_newer and channel.flags & ALL_INVALID:

@@ -31,7 +31,7 @@ from typing import Any
 
 import numpy as np
 
-from suspnet.ground.findings import Finding, of, restored, together
+from suspnet.ground.findings import Finding, at, of, restored, together
 from suspnet.ground.storage import open_plain, stored_bytes
 from suspnet.recordings.columns import (
     SHARED_BYTES,
@@ -258,7 +258,7 @@ class _Process:
             with suppress(ValueError):
                 how = signal.Signals(-code).name
         kind = "reader-killed" if code == -signal.SIGKILL else "reader-crashed"
-        return of(self.path, Finding(kind, how=how))
+        return at(self.path, kind, how=how)
 
     def end(self, grace_s: float = 0.0) -> int:
         """Wait up to `grace_s` for the process to exit, kill it otherwise; return its exit code."""

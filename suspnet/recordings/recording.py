@@ -17,7 +17,7 @@ from itertools import chain
 
 import numpy as np
 
-from suspnet.ground.findings import Finding, of, together
+from suspnet.ground.findings import Finding, at, together
 from suspnet.ground.parameters import SIDES
 from suspnet.ground.settings import check_number
 from suspnet.ground.types import BoolArray, FloatArray
@@ -240,12 +240,10 @@ def joined(
     faulty = {name: own | its for (name, own), its in zip(faulty.items(), loose, strict=True)}
     if not usable.any():
         raise TripError(
-            of(
+            at(
                 manifest.path,
-                Finding(
-                    "nowhere-usable",
-                    faults=together(map(str, faults)) or "the speed is never known",
-                ),
+                "nowhere-usable",
+                faults=together(map(str, faults)) or "the speed is never known",
             )
         )
     faults += clock_faults(manifest, values, usable & ~silent, speed, rate_hz)
@@ -340,14 +338,12 @@ def _common(
             ", ",
         )
         raise TripError(
-            of(
+            at(
                 manifest.path,
-                Finding(
-                    "too-little-in-common",
-                    common_s=max(common_s, 0.0),
-                    shortest_s=SHORTEST_S,
-                    spans=spans,
-                ),
+                "too-little-in-common",
+                common_s=max(common_s, 0.0),
+                shortest_s=SHORTEST_S,
+                spans=spans,
             )
         )
     first = max(stream.first for stream in streams)

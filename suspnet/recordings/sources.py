@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from suspnet.ground.findings import Finding, of, together
+from suspnet.ground.findings import Finding, at, together
 from suspnet.ground.types import FloatArray
 from suspnet.recordings.clocks import Times, Zero, header_date
 from suspnet.recordings.columns import BLOCK, Column, OpenFile, agreed_size, choose, size_of
@@ -97,7 +97,7 @@ class OpenSource:
             n_rows += len(values)
             yield seconds, values
         if self.times is not None and not n_rows:
-            raise TripError(of(self.where, Finding("times-empty")))
+            raise TripError(at(self.where, "times-empty"))
 
     def even(self, band_hz: float = BAND_HZ) -> Iterator[FloatArray]:
         """Yield evenly sampled values in the source's unit; NaN where times are missing.
@@ -140,7 +140,7 @@ def open_source(manifest: TripManifest, source: Source, where: str) -> Iterator[
         name = choose(path, file, columns)[-1]
         column = file.column(name)
         if column.is_time:
-            raise TripError(of(path, Finding("column-of-times", name=repr(name))))
+            raise TripError(at(path, "column-of-times", name=repr(name)))
         # rate and times by the manifest, the file, or else its only column of time stamps
         rate_hz = _agreed_rate(where, source.rate_hz, column)
         time = source.time or column.time
@@ -162,7 +162,7 @@ def open_source(manifest: TripManifest, source: Source, where: str) -> Iterator[
             choose(path, file, [time])
             times = Times(where, source, file.column(time), column.start_ns)
         elif source.time_unit is not None or source.time_zone is not None:
-            raise TripError(of(where, Finding("time-keys-without-time")))
+            raise TripError(at(where, "time-keys-without-time"))
         yield OpenSource(
             path,
             file,
@@ -185,7 +185,7 @@ def _agreed_rate(where: str, stated_hz: float | None, column: Column) -> float |
         return stated_hz or found_hz
     most = max(RATE_TOLERANCE * found_hz, WHOLE_HZ if column.is_whole_rate else 0)
     if abs(stated_hz - found_hz) > most:
-        raise TripError(of(where, Finding("rate-differs", stated_hz=stated_hz, found_hz=found_hz)))
+        raise TripError(at(where, "rate-differs", stated_hz=stated_hz, found_hz=found_hz))
     return stated_hz
 
 
@@ -199,7 +199,7 @@ def _size(where: str, source: Source, column: Column) -> tuple[float, str]:
         )
     if column.full_scale is not None:
         if not isinstance(source, Channel) or source.range is None:
-            raise TripError(of(where, Finding("range-missing", name=repr(column.name))))
+            raise TripError(at(where, "range-missing", name=repr(column.name)))
         size *= source.range
     return size * (source.sign if isinstance(source, Channel) else 1), words
 
@@ -322,7 +322,7 @@ class Timeline:
 def check_rising(where: str, times: FloatArray, before: float | None = None) -> None:
     """Raise TripError unless times are finite and increase, also from the one before them."""
     if not np.isfinite(times).all():
-        raise TripError(of(where, Finding("times-not-finite")))
+        raise TripError(at(where, "times-not-finite"))
     all_times = times if before is None else np.concatenate([[before], times])
     fall = np.flatnonzero(all_times[1:] <= all_times[:-1])
     if len(fall):
@@ -330,24 +330,20 @@ def check_rising(where: str, times: FloatArray, before: float | None = None) -> 
         reason = "are they rounded too coarsely, or stored in single precision?"
         if later < earlier:
             reason = Finding("clock-steps-back", later=earlier - later)
-        raise TripError(
-            of(where, Finding("times-do-not-rise", later=later, earlier=earlier, reason=reason))
-        )
+        raise TripError(at(where, "times-do-not-rise", later=later, earlier=earlier, reason=reason))
 
 
 def check_gaps(where: str, gaps_s: FloatArray) -> None:
     """Raise TripError if gaps are longer than ``LONGEST_GAP_S`` in all."""
     if gaps_s.sum() > LONGEST_GAP_S:
-        raise TripError(
-            of(where, Finding("gaps-too-long", sum=gaps_s.sum(), longest_gap_s=LONGEST_GAP_S))
-        )
+        raise TripError(at(where, "gaps-too-long", sum=gaps_s.sum(), longest_gap_s=LONGEST_GAP_S))
 
 
 def check_rate(where: str, stated_hz: float | None, found_hz: float) -> None:
     """Raise TripError if a stated rate differs from that of the time stamps."""
     if stated_hz is not None and abs(found_hz - stated_hz) > TIMES_TOLERANCE * stated_hz:
         raise TripError(
-            of(where, Finding("rate-differs-from-times", stated_hz=stated_hz, found_hz=found_hz))
+            at(where, "rate-differs-from-times", stated_hz=stated_hz, found_hz=found_hz)
         )
 
 

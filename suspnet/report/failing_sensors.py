@@ -4,7 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Sequence
 
-from suspnet.ground.findings import OF, WITHOUT_SENSORS, Finding, kind_is, of, parts_of, together
+from suspnet.ground.findings import (
+    OF,
+    WITHOUT_SENSORS,
+    Finding,
+    at,
+    kind_is,
+    parts_of,
+    together,
+)
 from suspnet.ground.parameters import Cause
 from suspnet.ground.records import TripResult, sensors_from_text
 from suspnet.maintenance.judge import N_LAST
@@ -39,7 +47,7 @@ def failing_sensors(results: Sequence[TripResult]) -> dict[str, list[str]]:
             if kind_is(one, WITHOUT_SENSORS)
             for name in one.values["names"]
         )
-        unused = {name: of(name, Finding("not-used-for-parts")) for name in left_out}
+        unused = {name: at(name, "not-used-for-parts") for name in left_out}
         for words in (own | {name: unused[name] for name in unused if name not in own}).values():
             trips.setdefault(words, []).append(result.trip)
     return trips

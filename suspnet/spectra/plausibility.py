@@ -18,7 +18,7 @@ import torch
 from torch import Tensor
 
 from suspnet.dynamics import PARAMETERS, QuarterCar, ResponseGenerator, Vehicle, VerticalVehicle
-from suspnet.ground.findings import Finding, of, together
+from suspnet.ground.findings import Finding, at, together
 from suspnet.ground.parameters import DIRECTIONS, FORWARD, Direction, direction_words
 from suspnet.recordings.errors import TripError
 from suspnet.recordings.manifest import CHANNELS
@@ -224,11 +224,11 @@ def check_pairs(
             continue
         name, size = CHANNELS[i], math.sqrt(power[0] / power[1])
         if shared < 0:
-            problems.append(of(name, Finding("sides-opposed")))
+            problems.append(at(name, "sides-opposed"))
         if not 1 / GAIN_TOLERANCE < size < GAIN_TOLERANCE:
             slip = _slip(size)
             kind = "left-sensor-slip" if slip else "left-sensor"
-            problems.append(of(name, Finding(kind, size=size, slip=slip)))
+            problems.append(at(name, kind, size=size, slip=slip))
     if problems:
         raise TripError(*problems)
 
@@ -250,7 +250,7 @@ def _check_swapped(sides: Tensor, isolated: Tensor, paired: Sequence[bool]) -> N
         left = power[[one, other]][:, isolated, 0].sum(dim=1)
         side = "left" if left[0] < left[1] else "right"
         names = together((CHANNELS[channels[i]] for i in (one, other)), " and ")
-        raise TripError(of(names, Finding("sides-swapped", side=side)))
+        raise TripError(at(names, "sides-swapped", side=side))
 
 
 def _other_order(spectra: CrossSpectra, expected: Tensor) -> tuple[float, str]:
@@ -329,22 +329,18 @@ def _check_gains(gains: list[complex]) -> None:
         if not 1 / GAIN_TOLERANCE < size < GAIN_TOLERANCE:
             slip = _slip(size)
             raise TripError(
-                of(
+                at(
                     suspect,
-                    Finding(
-                        "gain-slip" if slip else "gain",
-                        link=link,
-                        source=source,
-                        sink=sink,
-                        size=size,
-                        slip=slip,
-                    ),
+                    "gain-slip" if slip else "gain",
+                    link=link,
+                    source=source,
+                    sink=sink,
+                    size=size,
+                    slip=slip,
                 )
             )
         if abs(math.atan2(gain.imag, gain.real)) > math.pi / 2:
-            raise TripError(
-                of(suspect, Finding("sign-wrong", source=source, sink=sink, suspect=suspect))
-            )
+            raise TripError(at(suspect, "sign-wrong", source=source, sink=sink, suspect=suspect))
 
 
 def _suspect(gains: list[complex], sink: str, source: str) -> str:

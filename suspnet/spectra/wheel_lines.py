@@ -19,7 +19,7 @@ import torch
 from scipy.signal import get_window, resample_poly
 from torch import Tensor
 
-from suspnet.ground.findings import Finding, of, together
+from suspnet.ground.findings import Finding, at, together
 from suspnet.ground.types import BoolArray, FloatArray, IntArray
 from suspnet.recordings.manifest import CHANNELS
 from suspnet.recordings.manifest_sources import channel_of
@@ -78,15 +78,13 @@ class WheelLine:
     height: float
 
     def __str__(self) -> str:
-        return of(
+        return at(
             self.channel,
-            Finding(
-                "wheel-order",
-                order=self.order,
-                size_mm=self.size_mm,
-                m_per_s2=self.m_per_s2,
-                speed_m_per_s=self.speed_m_per_s,
-            ),
+            "wheel-order",
+            order=self.order,
+            size_mm=self.size_mm,
+            m_per_s2=self.m_per_s2,
+            speed_m_per_s=self.speed_m_per_s,
         )
 
 

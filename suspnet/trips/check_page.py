@@ -17,7 +17,7 @@ from torch import Tensor
 
 from suspnet._version import __version__
 from suspnet.estimation.trip_settings import LEAST_TRIPS
-from suspnet.ground.findings import Finding, of, together
+from suspnet.ground.findings import Finding, at, together
 from suspnet.ground.records import Place
 from suspnet.ground.storage import printable, write_atomically, write_json
 from suspnet.ground.wording import files_of, span
@@ -212,7 +212,7 @@ def suspensions(checks: Iterable[TripCheck]) -> list[Suspension]:
 def train_words(checks: Iterable[TripCheck]) -> list[str]:
     """Return a sentence on each vehicle with several suspensions whose manifests name no train."""
     return [
-        of(vehicle, Finding("suspensions-without-train", n_several=len(several)))
+        at(vehicle, "suspensions-without-train", n_several=len(several))
         for vehicle, several in lone_trains((one.vehicle, one.place) for one in checks).items()
         if vehicle
     ]

@@ -15,7 +15,7 @@ from suspnet.estimation.from_spectra import trip_settings
 from suspnet.estimation.trained import TrainedModel
 from suspnet.estimation.trip_settings import TripSettings
 from suspnet.ground.extras import check_extra
-from suspnet.ground.findings import Finding, of, together
+from suspnet.ground.findings import at, of, together
 from suspnet.ground.parameters import ESTIMATED, TIGHTEST, Limits, read_limits
 from suspnet.ground.progress import bar as progress_bar
 from suspnet.ground.progress import stage
@@ -175,9 +175,7 @@ def evaluate_fleet(
         return done
     if all(one.error for one in done):
         reasons = together(of(one.name, one.error) for one in done)
-        raise ValueError(
-            of(folder, Finding("no-suspension-read", n_done=len(done), reasons=reasons))
-        )
+        raise ValueError(at(folder, "no-suspension-read", n_done=len(done), reasons=reasons))
     done.sort(key=lambda one: (-one.severity, one.name))
     log.info("%s\n-> %s", write_overview(done, models[0].task.outputs, output), output)
     return done
