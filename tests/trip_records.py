@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from suspnet.ground.findings import Finding
 from suspnet.ground.records import NO_ESTIMATE, Place, Quality, TripCurves, TripResult
 from suspnet.maintenance.alarms import Watched
 from suspnet.maintenance.series import series_of
@@ -13,7 +14,7 @@ from suspnet.report.trend import trend_of_trips
 OUTPUTS = ("k_p", "c_p", "k_s", "c_s", "M_s")
 SPREAD = {"k_p": 0.002, "c_p": 0.02, "k_s": 0.006, "c_s": 0.008, "M_s": 0.03}
 HALF_WIDTHS = {"k_p": 0.0033, "c_p": 0.033, "k_s": 0.01, "c_s": 0.013, "M_s": 0.05}
-FLAG = "k_p at about 27 % lies outside the 50 to 160 % trained for"
+FLAG = Finding("outside-range", name="k_p", ratio=27.0, low=50.0, high=160.0)
 
 
 def curves(seed=0, n_freq=120, n_windows=200, stiffness=1.0):

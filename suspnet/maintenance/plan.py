@@ -18,6 +18,7 @@ from datetime import date, timedelta
 import numpy as np
 from numpy.typing import NDArray
 
+from suspnet.ground.findings import Finding
 from suspnet.ground.parameters import ESTIMATED, Severity
 from suspnet.ground.settings import check_settings, setting
 from suspnet.ground.types import FloatArray
@@ -193,7 +194,7 @@ class _Calendar:
         """Return the part as far as it is known: not its life if the newest trip is too old."""
         if not self.is_stale:
             return part
-        why = f"the newest trip is {thousands(self.train.age_days(self.today))} days old"
+        why = Finding("newest-trip-old", days=thousands(self.train.age_days(self.today)))
         return replace(part, samples_km=np.array([np.inf]), unknown=why)
 
     def due_day(self, part: Part) -> float:

@@ -11,10 +11,11 @@ from typing import Any
 import numpy as np
 from tabulate import tabulate
 
+from suspnet.ground.findings import Finding, together
 from suspnet.ground.parameters import Severity, condensed, part_words
 from suspnet.ground.settings import check_number
 from suspnet.ground.types import FloatArray
-from suspnet.ground.wording import count, number, thousands
+from suspnet.ground.wording import number, thousands
 
 URGENCIES = ("unknown", "now", "soon", "later")
 """Urgencies of jobs: remaining life unknown, visit on the first possible day, visit to be decided
@@ -96,9 +97,9 @@ class Part:
 
     def __str__(self) -> str:
         """Return train, car, suspension and parameter or part as text."""
-        car = f"car {self.car}" if self.car else ""
+        car = Finding("car", name=self.car) if self.car else ""
         part = part_words(self.parameter)
-        return ", ".join(filter(None, (self.train, car, self.suspension, part)))
+        return together((self.train, car, self.suspension, part), ", ")
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,7 +140,7 @@ class Visit:
 
     def words_of(self, job: Job) -> str:
         """Return the work of one of its jobs and its day: "replace at the visit of 2026-03-15"."""
-        return f"{job.what} at the visit of {self.day.isoformat()}"
+        return Finding("work-at-visit", what=job.what, day=self.day.isoformat())
 
     def urgency_of(self, job: Job) -> str:
         """Return the urgency of one of its jobs: "now" or "unknown" if its life is unknown."""
@@ -183,11 +184,8 @@ class Plan:
         """Text on trains with an assumed mileage per day; empty if there are none."""
         if not self.assumed:
             return ""
-        pace = f"{self.assumed[0].km_per_day:g} km a day"
-        return (
-            f"{_names(self.assumed)}: {pace} are assumed, as the dates of the trips are unknown or "
-            "too close."
-        )
+        pace = self.assumed[0].km_per_day
+        return Finding("plan-assumed", names=_names(self.assumed), km_per_day=pace)
 
     @property
     def stale_words(self) -> str:
@@ -195,11 +193,12 @@ class Plan:
         if not self.stale:
             return ""
         newest = max(self.stale, key=lambda train: train.on).on
-        return (
-            f"{_names(self.stale)}: the newest trip is {thousands((self.today - newest).days)} "
-            f"days old ({newest}). The wear since then is unknown, so that only parts with an "
-            "alarm have a visit, to inspect them. Evaluate newer trips, or give "
-            f"today={newest + timedelta(days=1)} for the plan of that time. "
+        return Finding(
+            "plan-stale",
+            names=_names(self.stale),
+            days=thousands((self.today - newest).days),
+            newest=newest,
+            today=str(newest + timedelta(days=1)),
         )
 
     def rows(self) -> list[dict[str, Any]]:
@@ -242,13 +241,18 @@ class Plan:
     def summary(self) -> str:
         """Too old trips, numbers of visits and jobs, and assumed mileages."""
         n_jobs = sum(len(visit.jobs) for visit in self.visits)
-        unknown = f"{count(len(self.unknown), 'part')} unknown, " if self.unknown else ""
-        return (
-            f"{self.stale_words}{unknown}{count(len(self.visits), 'visit')} with "
-            f"{count(n_jobs, 'job')} until {self.horizon}, {count(len(self.waiting), 'part')} may "
-            f"need work later, {self.n_quiet} need{'s' * (self.n_quiet == 1)} nothing. "
-            f"{self.assumed_words}"
-        ).rstrip()
+        n_waiting = len(self.waiting)
+        words = Finding(
+            "plan",
+            visits=Finding("visits", n=len(self.visits)),
+            jobs=Finding("jobs", n=n_jobs),
+            day=self.horizon,
+            waiting=Finding("maybe-later", n=n_waiting),
+            quiet=Finding("need-nothing", n=self.n_quiet),
+        )
+        if self.unknown:
+            words = Finding("plan-unknown", n=len(self.unknown), words=words)
+        return together((self.stale_words, words, self.assumed_words), " ")
 
     def __str__(self) -> str:
         """Return the plan as a text table, and a line on the first part that needs work later."""
@@ -278,8 +282,8 @@ def _whole(value: float) -> float:
 
 def _names(trains: Sequence[Train]) -> str:
     names = ", ".join(train.name for train in trains[:MOST_NAMED])
-    more = len(trains) - MOST_NAMED
-    return f"{names} and {more} more" if more > 0 else names
+    n_more = len(trains) - MOST_NAMED
+    return Finding("and-more", names=names, n=n_more) if n_more > 0 else names
 
 
 def joined(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:

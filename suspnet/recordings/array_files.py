@@ -16,6 +16,7 @@ from scipy.io import loadmat, whosmat
 from scipy.io.matlab import MatlabFunction, MatlabOpaque, mat_struct, varmats_from_mat
 
 from suspnet.ground.extras import import_extra
+from suspnet.ground.findings import Finding, at, together
 from suspnet.recordings.columns import (
     MOST_CHUNK_BYTES,
     Block,
@@ -42,7 +43,6 @@ MOST_PARTS = 1000
 """Largest number of columns of a matrix, and of cells of a variable of MATLAB."""
 MOST_CELLS = 4
 """Largest number of cells within cells."""
-PLAIN = "; export it as plain numbers into one file"
 MISSING_NAMES = ("_FillValue", "missing_value")
 PACKING = (
     *MISSING_NAMES,
@@ -79,7 +79,9 @@ def open_hdf5(path: Path, _: CsvDialect | None = None) -> Iterator[OpenFile]:
         whole = {key: one for key, one in _stated(_attributes(file)).items() if key == "date"}
         descriptions = {name: whole | found.described(name) for name in arrays}
         with _opened(path, arrays, descriptions, found.unread) as opened:
-            words = f"{path.name}: attributes that are not applied: {', '.join(found.unapplied)}"
+            words = at(
+                path.name, "attributes-not-applied", unapplied=together(found.unapplied, ", ")
+            )
             yield replace(opened, words=words) if found.unapplied else opened
 
 
@@ -106,7 +108,7 @@ class _Content:
                 self._collect_data(name, item)
         except Exception as error:  # types without an equivalent; HDF5 raises any error
             reason = " ".join(str(error).split())[:100]
-            self.unread[name] = f"cannot be read ({reason}){PLAIN}"
+            self.unread[name] = _as_numbers(Finding("unreadable-as", reason=reason))
 
     def _collect_data(self, name: str, item: Any) -> None:
         """Add a data set, or the fields of a table."""
@@ -161,17 +163,15 @@ class _Content:
 def _no_data(dataset: Any) -> str:
     """Return why a data set holds neither data nor references to it; empty if it does."""
     if dataset.shape is None:
-        return "is without samples: its space is null"
+        return Finding("null-space")
     if "MATLAB_object_decode" in dataset.attrs:
         return _matlab_object(bytes(dataset.attrs.get("MATLAB_class", b"")))
     return ""
 
 
 def _matlab_object(kind: bytes) -> str:
-    return (
-        f"is an object of MATLAB ({kind.decode('latin-1')}), whose content only MATLAB can read: "
-        "save its numbers as arrays, as t = x.Time; a = x.Data; save('trip.mat', 't', 'a')"
-    )
+    example = "t = x.Time; a = x.Data; save('trip.mat', 't', 'a')"
+    return Finding("matlab-object", kind=kind.decode("latin-1"), example=example)
 
 
 def _no_numbers(item: Any) -> str:
@@ -179,14 +179,18 @@ def _no_numbers(item: Any) -> str:
     if item.dtype.kind in "OSU" or len(item.shape) == 0:
         return " "
     if item.dtype.kind not in "iuf":
-        return f"holds {item.dtype}, not real numbers"
+        return Finding("not-real", kind=item.dtype)
     return _of_shape(item.shape)
+
+
+def _as_numbers(words: Finding) -> Finding:
+    return Finding("as-plain-numbers", words=words)
 
 
 def _of_shape(shape: tuple[int, ...]) -> str:
     if is_vector(shape) or (len(shape) <= 2 and min(shape) <= MOST_PARTS):
         return ""
-    return f"is an array of {' x '.join(map(str, shape))}; export it as columns"
+    return Finding("is-an-array", shape=" x ".join(map(str, shape)))
 
 
 @dataclass(frozen=True)
@@ -261,17 +265,18 @@ def _packed(dataset: Any, h5py: Any) -> Any:
 def foreign(dataset: Any) -> str:
     """Return which other files, plug-in or excess of memory a data set needs; "" if none."""
     if dataset.is_virtual:
-        return f"is virtual, which takes samples from other files{PLAIN}"
+        return _as_numbers(Finding("virtual"))
     plan = dataset.id.get_create_plist()
     if plan.get_external_count():
-        return f"is stored in other files{PLAIN}"
+        return _as_numbers(Finding("in-other-files"))
     filters = [plan.get_filter(i)[0] for i in range(plan.get_nfilters())]
     others = [number for number in filters if number not in FILTERS]
     if others:
-        return f"is packed by filter {others[0]}, which is a plug-in{PLAIN}"
+        return _as_numbers(Finding("packed-by-filter", number=others[0]))
     piece = math.prod(dataset.chunks or ()) * dataset.dtype.itemsize
     if filters and piece > MOST_CHUNK_BYTES:
-        return f"is packed in pieces of {piece} bytes, more than {MOST_CHUNK_BYTES}{PLAIN}"
+        sizes = {"n_bytes": piece, "most": MOST_CHUNK_BYTES}
+        return _as_numbers(Finding("packed-in-pieces", **sizes))
     return ""
 
 
@@ -409,7 +414,8 @@ def _opened(
         parts = {name: 0}
         if not is_vector(shape):
             parts = {f"{name}[{i}]": i for i in range(min(shape))}
-            matrices.append(f"{name!r} has columns '{name}[0]' to '{name}[{min(shape) - 1}]'")
+            first, last = (repr(f"{name}[{i}]") for i in (0, min(shape) - 1))
+            matrices.append(Finding("matrix-columns", name=repr(name), first=first, last=last))
         for place, i in parts.items():
             columns.append(Column(place, is_part=is_rate or place != name, **descriptions[name]))
             takes[place] = (max(shape), _take(array, axis, i))
@@ -420,11 +426,10 @@ def _opened(
         for name in names:
             kind = arrays[name if name in arrays else name.rpartition("[")[0]].dtype
             if kind.kind not in "iuf":
-                raise TripError(f"{path}: column {name!r} holds {kind}, not real numbers")
+                raise TripError(at(path, "column-not-real", name=repr(name), value=kind))
         return slices(path, names, takes)
 
-    hint = f"; the matrix {'; '.join(matrices[:3])}" if matrices else ""
-    yield OpenFile(tuple(columns), read, hint=hint)
+    yield OpenFile(tuple(columns), read, hint=together(matrices[:3]))
 
 
 def _take(array: Any, axis: int, i: int) -> Take:

@@ -10,6 +10,7 @@ from zoneinfo import ZoneInfo
 
 import numpy as np
 
+from suspnet.ground.findings import Finding
 from suspnet.recordings.stamps import CLOCK, DATES, notation_of, read_stamps
 
 EARLIEST_YEAR = 1990
@@ -55,9 +56,9 @@ def date_problem(moment: datetime) -> str:
     """Return why a date (UTC if it has no zone) is implausible; empty if it is plausible."""
     aware = moment if moment.tzinfo is not None else moment.replace(tzinfo=UTC)
     if aware.year < EARLIEST_YEAR:
-        return f"is before {EARLIEST_YEAR}: was the logger's clock set?"
+        return Finding("before-year", year=EARLIEST_YEAR)
     if aware > now() + AHEAD:
-        return f"is in the future of this computer's clock ({now():%Y-%m-%d})"
+        return Finding("in-future", day=f"{now():%Y-%m-%d}")
     return ""
 
 

@@ -13,6 +13,7 @@ from functools import partial
 from pathlib import Path
 from typing import Literal
 
+from suspnet.ground.findings import Finding, at, of
 from suspnet.ground.parameters import DIRECTIONS, ENDS, ESTIMATED, SIDES
 from suspnet.ground.records import HIGHEST_KM, MOST_NAME, Place
 from suspnet.recordings import manifest_keys as check
@@ -73,11 +74,9 @@ def _sensors(value: Value) -> Channel | Several:
         return found[0]
     axles = [[i for i, one in enumerate(found) if (one.axle or 1) == axle] for axle in (1, 2)]
     if not found or max(map(len, axles)) > 2:
-        at = " at each axle" * (len(found) > 2 and bool(axles[1]))
-        raise TripError(
-            f"{value.path}: `{value.name}` must be a sensor, or a list of one on the left and one "
-            f"on the right{at}, got a list of {len(found)}"
-        )
+        both = len(found) > 2 and bool(axles[1])
+        given = {"name": value.name, "n": len(found)}
+        raise TripError(at(value.path, "one-or-two-an-axle" if both else "one-or-two", **given))
     several: list[Channel] = []
     for places in axles:
         own = [found[i] for i in places]
@@ -98,8 +97,7 @@ def _pair(value: Value, places: Sequence[int], both: Sequence[Channel]) -> Pair:
         second = replace(second, side=left if first.side == right else right)
     if first.side == second.side:
         raise TripError(
-            f"{value.path}: `{value.name}` has two sensors on the {first.side}; a pair is one on "
-            "the left and one on the right"
+            at(value.path, "two-on-left" if first.side == left else "two-on-right", name=value.name)
         )
     return (first, second) if first.side == left else (second, first)
 
@@ -117,19 +115,15 @@ def _channels(value: Value) -> dict[str, Channel | Several]:
 
 def _check_first_axle(value: Value, own: Several | None) -> None:
     if own is None:
-        raise TripError(f"{value.path}: `{value.name}` is missing")
+        raise TripError(at(value.path, "channel-missing", name=value.name))
     if own[0].is_elsewhere:
-        raise TripError(
-            f"{value.path}: `{value.name}` has a sensor at axle 2 only: call its axle 1 if it is "
-            f"the only one measured, or give at least {LEAST_SENSORS} sensors, from which each "
-            "part is read"
-        )
+        raise TripError(at(value.path, "axle-2-only", name=value.name, least_sensors=LEAST_SENSORS))
 
 
 def _mileage(value: Value) -> float:
     mileage = check.number("a number >= 0", 0.0)(value)
     if mileage > HIGHEST_KM:
-        raise value.refuse(f"at most {HIGHEST_KM:.0f} km (is it in metres?)")
+        raise value.refuse(Finding("mileage-rule", highest_km=HIGHEST_KM))
     return mileage
 
 
@@ -196,7 +190,12 @@ class TripManifest:
     )
     temperature_c: float | None = optional(
         check.number(
-            f"a number from {TEMPERATURES_C[0]:g} to {TEMPERATURES_C[1]:g}", *TEMPERATURES_C
+            Finding(
+                "number-between",
+                temperatures_c=TEMPERATURES_C[0],
+                temperatures_c2=TEMPERATURES_C[1],
+            ),
+            *TEMPERATURES_C,
         ),
         "number, -60 to 60",
         "outside air temperature; damping is compared at that of the healthy trips",
@@ -280,7 +279,7 @@ class TripManifest:
 
     def where(self, name: str) -> str:
         """Return file and source, as errors name them."""
-        return f"{self.path}: " + ("`speed`" if name == "speed" else f"channel {name!r}")
+        return of(self.path, "`speed`" if name == "speed" else Finding("channel", name=repr(name)))
 
     def file_of(self, source: Source) -> Path:
         """Return the path of a channel's or the speed's data file."""

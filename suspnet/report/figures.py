@@ -18,12 +18,12 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
+from suspnet.ground.findings import Finding
 from suspnet.ground.parameters import BOGIE_PARTS, ESTIMATED, kind_of, place_words
 from suspnet.ground.records import OK, TripResult, by_mileage
 from suspnet.ground.types import FloatArray
-from suspnet.ground.wording import kilometres
 from suspnet.recordings.recording import Overview
-from suspnet.report.sentences import spoken
+from suspnet.report.language import spoken
 from suspnet.report.tables import response
 
 CHANNEL_TITLES = ("axle box", "bogie frame", "car body")
@@ -52,7 +52,7 @@ def trip_signals(result: TripResult) -> Figure:
     draw_signals(axes, Overview(curves.overview_s, *parts, curves.overview_speed))
     figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=2)
     if np.isfinite(result.mileage_km):
-        axes[0].set_title(f"trip at {kilometres(result.mileage_km)}", fontsize="medium")
+        axes[0].set_title(Finding("trip-at", km=result.mileage_km), fontsize="medium")
     figure.align_ylabels(axes)
     return figure
 

@@ -23,13 +23,12 @@ from suspnet.estimation.flags import INCOMPLETE
 from suspnet.estimation.healthy_trips import HealthyTrips
 from suspnet.estimation.relative_velocity import NOTE as VELOCITY
 from suspnet.estimation.temperature import NOTE
+from suspnet.ground.findings import Finding, together
 from suspnet.ground.storage import printable, write_atomically, write_json, write_table
 from suspnet.ground.types import ComplexArray, FloatArray
-from suspnet.ground.wording import kilometres
 from suspnet.recordings.manifest import CHANNELS
 from suspnet.report.figures import SUSPENSIONS, as_png, data_uri, say
-from suspnet.report.language import N_, gettext
-from suspnet.report.sentences import spoken
+from suspnet.report.language import N_, gettext, spoken
 from suspnet.report.tables import band
 from suspnet.report.templates import render
 
@@ -153,7 +152,7 @@ def _page(
     vehicle = outcome.generator.vehicle
     return render(
         "commissioning.html",
-        title=spoken(f"Commissioning of {vehicle.name}"),
+        title=spoken(Finding("commissioning", name=vehicle.name)),
         headline=_headline(found, vehicle.name),
         mileage_km=training_notes(found, outcome)["mileage_km"],
         of_parts=of_parts,
@@ -189,18 +188,18 @@ def _page(
 
 
 def _headline(found: HealthyTrips, vehicle: str) -> dict[str, str]:
-    pairs = [
-        f"{channel.replace('_', ' ')} {'left and right' if pair else 'one'}"
+    pairs: list[str] = [
+        Finding("left-and-right" if pair else "one-sensor", channel=channel.replace("_", " "))
         for channel, pair in zip(CHANNELS, found.paired, strict=True)
     ]
     if found.vehicle is not None and found.vehicle.sensors and not found.groups:
         pairs = [place.replace("_", " ") for place in found.vehicle.sensors]
-    left_out = f", {len(found.left_out)} left out" if found.left_out else ""
+    n, n_left = len(found.manifests), len(found.left_out)
     return {
         "Vehicle": vehicle,
         "Suspension": _place(found),
-        "Trips": f"{len(found.manifests)}{left_out}",
-        "Sensors": ", ".join(pairs),
+        "Trips": Finding("trips-and-left-out", n=n, n_left=n_left) if n_left else str(n),
+        "Sensors": together(pairs, ", "),
     }
 
 
@@ -281,10 +280,10 @@ def responses(found: HealthyTrips, outcome: Commissioned) -> Figure:
     frequencies_hz, left = outcome.frequencies_hz, residuals(outcome)
     figure = Figure(figsize=(9.0, 8.4), layout="constrained")
     axes = figure.subplots(3, 2, sharex=True, sharey="row", height_ratios=(3, 2, 2))
-    km = kilometres(found.manifests[shown.trip].mileage_km)
-    where = f"{km}, {3.6 * shown.speed_m_per_s:.0f} km/h"
+    km, km_per_h = found.manifests[shown.trip].mileage_km, 3.6 * shown.speed_m_per_s
+    where = Finding("measured-at", km=km, km_per_h=km_per_h)
     curves: tuple[tuple[ComplexArray, str, dict[str, Any]], ...] = (
-        (outcome.observed, f"measured at {where}", {"color": MEASURED, "lw": 2.8}),
+        (outcome.observed, where, {"color": MEASURED, "lw": 2.8}),
         (outcome.nominal, "vehicle of the drawing", {"color": NOMINAL, "lw": 1.2, "ls": "--"}),
         (outcome.fitted, "commissioned vehicle", {"color": FITTED, "lw": 1.0}),
     )

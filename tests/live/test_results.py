@@ -2,11 +2,12 @@
 
 from dataclasses import replace
 
+from suspnet.estimation.worn_parts import WornPart
 from suspnet.ground.records import OK, TripResult
 from suspnet.live.results import estimate_row, summary
 from suspnet.live.suspension import Estimate
 
-WORN = "damper of axle 2, left at 62.9 % of healthy (odds over 1000 : 1)"
+WORN = WornPart(("c_p_axle2_left",), 1e6, 0.629).finding
 
 
 def test_worn_parts_are_named_in_the_row_and_on_the_line():
@@ -15,6 +16,8 @@ def test_worn_parts_are_named_in_the_row_and_on_the_line():
     estimate = Estimate(result, True, {"taken": 8400}, 84.0)
     row = estimate_row("train 1", estimate, 0.9)
     assert (row["suspension"], row["worn"], row["final"]) == ("train 1", WORN, True)
+    assert row["findings"][0]["values"]["names"] == ["c_p_axle2_left"]
+    assert row["worn"] == "damper of axle 2, left at 62.9 % of healthy (odds over 1000 : 1)"
     assert row["estimates"]["c_p_axle2_left"]["value"] == 0.629
     assert summary(estimate).endswith(f"c_p_axle2_left 0.629; worn: {WORN}")
     without = replace(estimate, result=replace(result, worn=""))

@@ -7,11 +7,11 @@ from itertools import cycle, product
 import numpy as np
 import pytest
 
+from suspnet.ground.findings import Finding
 from suspnet.ground.parameters import DEFAULT_LIMITS, Cause, Severity
 from suspnet.maintenance.alarms import Alarm
 from suspnet.maintenance.assessment import (
     ALL_FLAGGED,
-    INSPECT,
     assess,
     overall,
     spoken,
@@ -21,7 +21,7 @@ from suspnet.maintenance.judge import LastTrips, last_trips
 from suspnet.maintenance.series import make_series
 from suspnet.maintenance.trend import Shape, Step, Trend, flagged_trend
 from suspnet.report.language import speaking
-from suspnet.report.sentences import spoken as spoken_in_language
+from suspnet.report.language import spoken as spoken_in_language
 
 LIMITS = DEFAULT_LIMITS["k_s"]
 N_TRIPS = 30
@@ -223,15 +223,15 @@ def ends_with(*last, n=N_TRIPS):
             "act",
             "the last trip is at 60 % of healthy; "
             "the last 5 trips are below the act limit of 80 %; "
-            f"it has been so since the first trips; {ALL_FLAGGED}{INSPECT}",
+            f"it has been so since the first trips; {ALL_FLAGGED}: inspect before work is ordered",
         ),
         (
             read(np.where(KM < 255_000, 1, 0.6), flagged=range(25, N_TRIPS)),
             "act",
             "the last trip is at 60 % of healthy; "
             "the last 5 trips are below the act limit of 80 %; "
-            f"falls to 60 % of healthy (median of the last 5 trips) at about 260 000 km; "
-            f"5 of the last 5 trips are flagged{INSPECT}",
+            "falls to 60 % of healthy (median of the last 5 trips) at about 260 000 km; "
+            "5 of the last 5 trips are flagged: inspect before work is ordered",
         ),
         (
             read(ONES, flagged=range(25, N_TRIPS)),
@@ -378,10 +378,10 @@ ENGLISH = re.compile(
 def test_no_reason_keeps_an_english_word_in_german():
     """Of every reason, with alarms and doubts, and of the sentence on all parameters."""
     alarms = [
-        Alarm("k_s", Cause.LIMIT, Severity.ACT, 5e4, np.nan, "was at 62 % of healthy, below the "
-        "act limit of 70 %, at 12 000 km; the last trip is at 99.5 %"),
-        Alarm("k_s", Cause.CHANGE, Severity.NOTICE, 5e4, np.nan, "fell by 3.5 % at about "
-        "12 000 km, by 6 % on the last 5 trips"),
+        Alarm("k_s", Cause.LIMIT, Severity.ACT, 5e4, np.nan, Finding("was-beyond", km=12e3, level=
+        Finding("over-percent-of", percent=1e3), beyond=Finding("below-act-limit", limit=70.0))),
+        Alarm("k_s", Cause.CHANGE, Severity.NOTICE, 5e4, np.nan, Finding("change-goes-on",
+        change=Finding("fell", percent=3.5, km=12e3), percent=6.0, n_last=5)),
     ]  # fmt: skip
     reasons = set()
     for (shape, first, name, flags, half), n in zip(
@@ -389,7 +389,7 @@ def test_no_reason_keeps_an_english_word_in_german():
     ):
         last = ending(name, flags, half)
         counts = {"flagged_last": len(FLAGS[flags]), "flagged_first": n, "without_flagged": n == 1}
-        doubt = "all of the last 5 trips are flagged" if n == 2 else ""
+        doubt = Finding("all-last-flagged", n=5) if n == 2 else ""
         found = made_up(shape, first, np.median(last.values), **counts)
         for limits in (LIMITS, None):
             one = assess(found, last, limits, alarms[:n] if n < 3 else alarms[1:], doubt)

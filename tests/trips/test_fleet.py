@@ -20,8 +20,8 @@ from trip_records import fleet as made_up
 
 from suspnet.estimation.fitted import ModelFileError
 from suspnet.estimation.trip_settings import TripSettings
+from suspnet.ground.findings import NO_PART, Finding, together
 from suspnet.ground.parameters import DEFAULT_LIMITS, Cause, Severity
-from suspnet.ground.records import NO_PART
 from suspnet.ground.storage import read_arrays, read_plain
 from suspnet.maintenance.alarms import Alarm
 from suspnet.maintenance.series import series_of
@@ -94,7 +94,7 @@ def rows(path):
 
 def same(a, b):
     """Whether two values, or a value and its text, are equal; NaN is NaN."""
-    b = type(a)(b)
+    b = type(a)(b) if not isinstance(a, str) else b
     return a == b or (a != a and b != b)
 
 
@@ -428,7 +428,7 @@ def test_dead_sensors_and_alarms_of_sensors_are_printed(
     three, model, no_figures, monkeypatch, caplog
 ):
     alone = "{} and left out, bogie is read by its left sensor alone: it {}"
-    constant = "is constant (0) throughout: is the sensor connected?"
+    constant = Finding("is-constant", value=0.0)
     dead = [
         Fault("bogie left", "gap", 9, 1.0, 0.0, True),
         *dead_faults({"bogie right": NOTHING, "body axle2 right": constant}, 300.0, 100.0),
@@ -439,7 +439,7 @@ def test_dead_sensors_and_alarms_of_sensors_are_printed(
         result = recalled_trip(*given)
         if result.trip == "a":
             return result
-        return replace(result, quality=replace(result.quality, faults="; ".join(map(str, dead))))
+        return replace(result, quality=replace(result.quality, faults=together(map(str, dead))))
 
     monkeypatch.setattr(fleet, "evaluate_trip", half_dead)
     with caplog.at_level("INFO", fleet.log.name):
@@ -593,8 +593,10 @@ def test_reasons_are_whole_in_the_summary_and_in_the_table(alone, tmp_path):
 
 
 def test_trip_without_its_parts_says_why_and_which_faults_it_has(alone):
-    why = f"{NO_PART}misfit 24 times that of noise"
-    quality = replace(alone[0].quality, warnings=f"a sensor is alone; {why}", faults="a is loose")
+    why = Finding(NO_PART, words="misfit 24 times that of noise")
+    quality = replace(
+        alone[0].quality, warnings=together(("a sensor is alone", why)), faults="a is loose"
+    )
     _, *reasons = summary([replace(alone[0], quality=quality), alone[1]], OUTPUTS).split("\n\n")
     assert reasons == [f"{alone[0].trip}: {why}; a is loose"]
     read = replace(alone[0], quality=replace(quality, warnings=""))

@@ -11,6 +11,7 @@ import pytest
 from matplotlib.figure import Figure
 from trip_records import FLAG, HALF_WIDTHS, OUTPUTS, flagged, fleet, trend_of, trip
 
+from suspnet.ground.findings import WITHOUT_SENSORS, Finding, of, together
 from suspnet.ground.parameters import DEFAULT_LIMITS
 from suspnet.ground.records import Place, Quality
 from suspnet.maintenance import Acknowledgement, Alarm, Cause, Life, Severity
@@ -22,7 +23,7 @@ from suspnet.report.failing_sensors import dead_words, failing_sensors, failing_
 from suspnet.report.language import speaking
 from suspnet.report.maintenance_figures import health_trend
 from suspnet.report.overview import Evaluated
-from suspnet.report.report import UNSURE, Report
+from suspnet.report.report import Report
 from suspnet.report.tables import files_read_as
 
 HOSTILE = "<script>alert('x')</script> & \"$x_\" {{ 7 * 7 }} \u5217\u8eca \udcff"
@@ -275,7 +276,10 @@ def test_a_level_that_no_suspension_has_is_no_number_in_the_table(tmp_path):
     ("n", "sentence"),
     [
         (1, "1 of 6 trips is flagged, see the table; "),
-        (6, f"All 6 trips are flagged, {UNSURE}: "),
+        (
+            6,
+            "All 6 trips are flagged, so their numbers may be further off than the intervals say; ",
+        ),
     ],
 )
 def test_sentence_on_flags_is_grammatical(tmp_path, n, sentence):
@@ -371,7 +375,9 @@ def test_first_sentence_names_three_findings_and_counts_the_others(tmp_path):
 
 
 def test_dead_sensor_is_named_at_the_top(tmp_path):
-    dead = "bogie right: dead and left out, bogie is read by its left sensor alone: it is constant"
+    reason = Finding("is-constant", value=0.0)
+    alone = Finding("dead-read-alone", place="bogie", side="left", reason=reason)
+    dead = of("bogie right", alone)
     results = [
         replace(r, quality=replace(r.quality, faults=dead if i > 9 else ""))
         for i, r in enumerate(measured())
@@ -390,14 +396,14 @@ def test_dead_sensor_is_named_at_the_top(tmp_path):
 
 
 def test_sensors_that_parts_are_read_without_are_named_once():
-    loose = "bogie right: loose from about 8 s on; body: spike of 1 sample (0 s), first at 1 s"
-    quality = Quality(
-        faults=loose, warnings="parts are read without the sensors of bogie right, body left"
-    )
+    loose = of("bogie right", Finding("loose", stretches=Finding("from-on", first=8.0)))
+    names = ("bogie right", "body left")
+    without = Finding(WITHOUT_SENSORS, names=names, listed=together(names, ", "))
+    quality = Quality(faults=together((loose, "body: spike")), warnings=without)
     results = [replace(r, quality=quality) for r in measured()[:2]]
     trips = [r.trip for r in results]
     assert failing_sensors(results) == {
-        "bogie right: loose from about 8 s on": trips,
+        loose: trips,
         "body left: not used for the parts": trips,
     }
     assert failing_words(results) == (
@@ -461,16 +467,19 @@ def test_one_sentence_for_all_parameters_is_written_once_above_and_once_in_the_t
 
 
 def test_how_files_were_read_is_a_detail_and_no_fault(tmp_path):
-    words = "axle_box.csv: delimiter ';', decimal comma"
+    def read(name, delimiter):
+        known = {"header": "no names", "first_line": 1, "encoding": "utf-8", "bom": ""}
+        return of(name, Finding("csv-dialect", delimiter=delimiter, decimal="','", **known))
+
+    words = read("axle_box.csv", "tab")
     results = [replace(r, quality=replace(r.quality, read_as=words, faults="")) for r in measured()]
     results[3] = replace(results[3], quality=replace(results[3].quality, read_as="other"))
-    several = f"{words}; b.csv: delimiter ',', no names; c.csv: delimiter ',', no names"
+    several = together((words, read("b.csv", "';'"), read("c.csv", "';'")))
     results[4] = replace(results[4], quality=replace(results[4].quality, read_as=several))
     details = files_read_as(results)
-    words = "delimiter ';', decimal comma"
-    assert details == {
-        "files read as": f"{words} (11 files) · other (1 trip) · delimiter ',', no names (2 files)"
-    }
+    words = words.values["words"]
+    other = words.replace("tab", "';'")
+    assert details == {"files read as": f"{words} (11 files) · other (1 trip) · {other} (2 files)"}
     assert files_read_as(results[3:4]) == {"files read as": "other"}
     assert files_read_as(measured()) == {}
     text, page = write(tmp_path / "r.html", results, details=details)
@@ -515,7 +524,8 @@ def test_report_is_german_where_that_is_chosen(tmp_path):
 def test_texts_of_figures_are_german_but_not_what_ticks_name():
     figure = Figure(layout="constrained")
     axis = figure.subplots()
-    axis.set(ylabel="$k_p$ [% of healthy]", xlabel="mileage [1000 km]", title="trip at 3 000 km")
+    label, title = Finding("of-healthy-axis", symbol="$k_p$"), Finding("trip-at", km=3000.0)
+    axis.set(ylabel=label, xlabel="mileage [1000 km]", title=title)
     axis.plot([0, 1], label="act limit")
     axis.set_yticks([0, 1], ["train left", "right"])
     figure.legend()

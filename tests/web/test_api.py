@@ -237,6 +237,20 @@ def test_work_order_says_what_why_since_when_how_sure_and_until_when(filled, ask
     assert order.number in [one["number"] for one in ask("work-orders?severity=act").json["items"]]
 
 
+def test_reasons_are_data_too(filled, ask):
+    (found,) = ask("alarms?severity=act&active=true&limit=1").json["items"][0]["findings"]
+    assert found["kind"] == "last-trip-beyond"
+    assert found["values"]["beyond"] == {"kind": "above-act-limit", "values": {"limit": 125.0}}
+    assert found["text"].endswith("of healthy, above the act limit of 125 %")
+    name = name_of(filled[1].view, FAILED)
+    for what in ("suspensions", f"suspensions/{name}/parts", f"suspensions/{name}/trips", "alarms"):
+        for one in ask(what).json["items"]:
+            texts = [one.get(key, "") for key in ("reason", "flags", "worn")]
+            assert "; ".join(entry["text"] for entry in one["findings"]) == "; ".join(
+                filter(None, texts)
+            )
+
+
 def test_numbers_of_work_orders_differ_and_are_json(filled, ask):
     items = ask("work-orders").json["items"]
     assert len({one["number"] for one in items}) == len(items) >= 3
