@@ -126,11 +126,11 @@ def test_sentences_are_german():
         "12: the newest trip is 3 922 days old (2026-02-26). The wear since then is unknown, so "
         "that only parts with an alarm have a visit, to inspect them. Evaluate newer trips, or "
         "give today=2026-02-27 for the plan of that time. 1 visit with 1 job until 2038-11-22, 0 "
-        "parts may need work later, 1 needs nothing. No plan costs less.": "12: Die neueste Fahrt "
+        "parts may need work later, 1 needs nothing..": "12: Die neueste Fahrt "
         "ist 3 922 Tage alt (26.02.2026). Der Verschleiß seither ist unbekannt; deshalb haben nur "
         "Teile mit einem Alarm einen Termin, zur Prüfung. Neuere Fahrten auswerten, oder "
         "today=2026-02-27 angeben für den Plan von damals. 1 Termin mit 1 Arbeit bis 22.11.2038, 0 "
-        "Teile brauchen vielleicht später Arbeit, 1 braucht nichts. Kein Plan kostet weniger.",
+        "Teile brauchen vielleicht später Arbeit, 1 braucht nichts..",
         "worn, odds over 1000 : 1": "verschlissen, Quote über 1000 : 1",
         "Worn parts on 3 of the last 5 trips; on trip_039: damper of axle 1, left at 62 % of "
         "healthy (odds over 1000 : 1); secondary spring, left or secondary damper, left at 83.1 % "
