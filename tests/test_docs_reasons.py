@@ -2,10 +2,13 @@
 
 import ast
 import re
+import string
 from pathlib import Path
 
 import pytest
 
+from suspnet.ground import findings
+from suspnet.ground.findings import TEMPLATES
 from suspnet.ground.records import TripResult
 from suspnet.recordings.cleaning import KINDS
 from suspnet.recordings.formats import READERS
@@ -107,6 +110,18 @@ NO_REASON = (
 """Beginnings of sentences that are none."""
 DESCRIBING = ("setting", "Setting", "optional", "Format")
 """Functions whose texts are of the tables of settings and keys."""
+OF_ONE_WORD = ("missing", "loose", "sample", "harmless", "late", "empty")
+"""Kinds of reasons that are one word, which may be another text too."""
+VARIANTS = (
+    "gain",
+    "hold-same-samples",
+    "left-sensor",
+    "needs-rate-but",
+    "right-weaker",
+    "runs-forward",
+    "two-on-right",
+)
+"""Kinds that say the same as another one of which an example is in the tables."""
 FEWEST_LETTERS = 6
 """A sentence of the code with fewer fixed letters fits too many reasons."""
 
@@ -119,6 +134,20 @@ def fixed_and_variable(node):
     if isinstance(node, ast.Constant):
         return [node.value]
     return [part.value if isinstance(part, ast.Constant) else None for part in node.values]
+
+
+def texts_of(node):
+    """Return what a text of the code, or the kind of a finding, says: see `fixed_and_variable`."""
+    kind = node.value if isinstance(node, ast.Constant) else getattr(node, "id", "")
+    kind = getattr(findings, kind, kind) if kind.isupper() else kind
+    if kind in VARIANTS:
+        return []
+    if kind not in TEMPLATES or not ("-" in kind or kind in OF_ONE_WORD):
+        return [fixed_and_variable(node)]
+    found = []
+    for text, name, *_ in string.Formatter().parse(TEMPLATES[kind][-1]):
+        found += [text] * bool(text) + [None] * (name is not None)
+    return [found]
 
 
 def sentences(file, least_blanks):
@@ -137,18 +166,19 @@ def sentences(file, least_blanks):
     found = []
     for node in nodes:
         is_text = isinstance(node, ast.Constant) and isinstance(node.value, str)
+        is_text |= isinstance(node, ast.Name) and node.id == "WITHOUT_SENSORS"
         if id(node) in inner or not (is_text or isinstance(node, ast.JoinedStr)):
             continue
-        parts = fixed_and_variable(node)
-        words = "".join(part or "" for part in parts)
-        if file in RAISING and id(node) not in told and not words.startswith(ALSO):
-            continue
-        if "".join(part or "x" for part in parts).count(" ") < least_blanks:
-            continue
-        if n_letters(parts) >= FEWEST_LETTERS and not words.removeprefix(": ").startswith(
-            NO_REASON
-        ):
-            found.append(parts)
+        for parts in texts_of(node):
+            words = "".join(part or "" for part in parts)
+            if file in RAISING and id(node) not in told and not words.startswith(ALSO):
+                continue
+            if "".join(part or "x" for part in parts).count(" ") < least_blanks:
+                continue
+            if n_letters(parts) >= FEWEST_LETTERS and not words.removeprefix(": ").startswith(
+                NO_REASON
+            ):
+                found.append(parts)
     return found
 
 

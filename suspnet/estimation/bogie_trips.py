@@ -20,7 +20,8 @@ from suspnet.estimation.intervals import LARGEST_MISFIT
 from suspnet.estimation.steady_parts import groups_to_read, minutes_words
 from suspnet.estimation.swapped_sensors import check_order
 from suspnet.estimation.trip_settings import TripSettings
-from suspnet.estimation.worn_parts import worn_parts, worn_words
+from suspnet.estimation.worn_parts import worn_parts
+from suspnet.ground.findings import Finding, of, together
 from suspnet.ground.parameters import COMPONENTS, FORWARD, SIDES, Direction
 from suspnet.recordings.errors import TripError
 from suspnet.recordings.manifest import LEAST_SENSORS, TripManifest
@@ -63,16 +64,18 @@ def bogie_vehicle(manifests: Sequence[TripManifest], generator: VerticalVehicle)
     folder = manifests[0].path.parent
     several = {sensor_places(manifest, generator.frame_sensor) for manifest in manifests}
     if len(several) > 1:
-        raise TripError(
-            f"{folder}: the healthy trips differ in their sensors; take those of one layout"
-        )
+        raise TripError(of(folder, Finding("healthy-trips-differ")))
     sensors = several.pop()
     if not show_parts(sensors):
         raise TripError(
-            f"{folder}: each part is read from at least {LEAST_SENSORS} sensors on both sides, "
-            f"best left and right at axle box, frame and body, the healthy trips have "
-            f"{', '.join(sensors) or 'none'}: give all sensors in the manifests with "
-            "`side` and `axle`, or take protocol=trips"
+            of(
+                folder,
+                Finding(
+                    "each-part-read",
+                    least_sensors=LEAST_SENSORS,
+                    sensors=", ".join(sensors) or "none",
+                ),
+            )
         )
     return SpatialVehicle(
         generator.vehicle,
@@ -173,8 +176,12 @@ def _lost_sensors(recording: Recording, generator: SpatialVehicle) -> tuple[str,
     lost = tuple(place for place in generator.sensors if place not in living)
     if lost and not show_parts(kept):
         raise NoEstimateError(
-            f"no sensor at {', '.join(lost)}; parts are read from the sensors of "
-            f"{', '.join(generator.sensors)}, at least {LEAST_SENSORS} of them on both sides"
+            Finding(
+                "no-sensor-parts",
+                lost=together(lost, ", "),
+                sensors=together(generator.sensors, ", "),
+                least_sensors=LEAST_SENSORS,
+            )
         )
     return lost
 
@@ -224,14 +231,17 @@ def estimate_parts(
     if not parts.misfit <= most:  # also NaN
         furthest = COMPONENTS[int(np.argmax(np.abs(np.log(parts.values[:-1]))))]
         raise UnexplainedError(
-            f"no bogie whose parts alone have changed explains the trip: misfit {parts.misfit:.2g} "
-            f"times that of noise, at most {most:.2g} is accepted. Nearest is {furthest} at "
-            f"{100 * parts.values[COMPONENTS.index(furthest)]:.3g} % of healthy: look there and at "
-            "the sensors"
+            Finding(
+                "no-bogie-whose",
+                misfit=parts.misfit,
+                most=most,
+                furthest=furthest,
+                values=100 * parts.values[COMPONENTS.index(furthest)],
+            )
         )
     found = parts.as_estimate()
     flags = with_bogie_doubt(found.flags, has_converged=bogie.converged, misfit=bogie.misfit)
-    worn = worn_words(worn_parts(parts))
+    worn = together(one.finding for one in worn_parts(parts))
     places = _places(recording.manifest, bogie.generator.frame_sensor)
     names = {place: name for name, place in places.items()}
     estimate = replace(

@@ -21,9 +21,9 @@ from suspnet.estimation.bogie_fit import EXPLAINED, CommissionedBogie
 from suspnet.estimation.commissioning import Commissioned
 from suspnet.estimation.flags import INCOMPLETE, UNTRUSTED
 from suspnet.estimation.healthy_trips import HealthyTrips
+from suspnet.ground.findings import Finding, together
 from suspnet.ground.parameters import BOGIE_PARTS, PARAMETERS, REVERSE, kind_of
 from suspnet.ground.types import FloatArray
-from suspnet.ground.wording import count
 from suspnet.spectra.estimates import EstimateSettings
 
 LEAST_AGREEING = 2
@@ -139,12 +139,7 @@ def is_explained(outcome: Commissioned) -> bool:
     return outcome.misfit <= INCOMPLETE
 
 
-LOOK_FIRST = (
-    f"With a misfit above {UNTRUSTED:g}, first make sure that the sensors are where they are "
-    "supposed to be: the frame's above the measured axle or at the centre "
-    "(generator.frame_sensor), the others as `bogie`, `axle`, `side` and `direction` of the "
-    "manifests say, and no two channels exchanged. suspnet check compares them."
-)
+LOOK_FIRST = Finding("misfit-above-first", untrusted=UNTRUSTED)
 """Advice on a vehicle that is far from its trips."""
 
 
@@ -160,12 +155,7 @@ def doubts(outcome: Commissioned, *, by_part: bool = False) -> list[str]:
         return found  # the bogie has its own
     differ = by_part and not is_explained(outcome)
     if not is_explained(outcome) and not (by_part and outcome.misfit <= UNTRUSTED):
-        found.append(
-            f"A misfit above {INCOMPLETE:g} means that the physics of the model is incomplete or a "
-            "sensor is wrong; the figure shows at which frequencies. Intervals of estimates with "
-            "this vehicle are wider by what this could cost; above "
-            f"{UNTRUSTED:g} every estimate is flagged as well."
-        )
+        found.append(Finding("misfit-above-means", incomplete=INCOMPLETE, untrusted=UNTRUSTED))
     if outcome.misfit > UNTRUSTED:
         found.append(LOOK_FIRST)
     if not outcome.converged and not differ:
@@ -174,10 +164,7 @@ def doubts(outcome: Commissioned, *, by_part: bool = False) -> list[str]:
             "probable ones. Commission on more or longer trips."
         )
     if outcome.n_agree < LEAST_AGREEING and not by_part:
-        found.append(
-            f"Of {outcome.n_starts} starts of the search no other one found this vehicle: a better "
-            "one may exist. Commission on more or longer trips."
-        )
+        found.append(Finding("starts-search-no", n_starts=outcome.n_starts))
     return found
 
 
@@ -185,10 +172,7 @@ def unplaced(found: HealthyTrips) -> str | None:
     """Return a sentence if single sensors are assumed in the middle because no side is given."""
     if not (names := found.manifests[0].unplaced):
         return None
-    return (
-        f"The single sensors ({', '.join(names)}) are taken as in the middle, where they feel no "
-        "roll: if they are on one side, say so in the manifests (side: left, or right)."
-    )
+    return Finding("single-sensors-taken", names=together(names, ", "))
 
 
 def other_minutes(found: HealthyTrips, settings: EstimateSettings) -> str | None:
@@ -207,41 +191,33 @@ def other_minutes(found: HealthyTrips, settings: EstimateSettings) -> str | None
 def verdict(found: HealthyTrips, outcome: Commissioned) -> str:
     """Return a sentence on whether the vehicle explains its healthy trips."""
     n_trips, n_groups = len(found.manifests), len(found.groups)
-    stretches = f", {n_groups} stretches at one speed" if n_groups > n_trips else ""
+    stretches = Finding("stretches", n=n_groups) if n_groups > n_trips else ""
     n_reverse = len({group.trip for group in found.groups if group.direction == REVERSE})
-    stretches += f", {n_reverse} in reverse" if n_reverse else ""
-    explains = "explains" if is_explained(outcome) else "does not explain"
-    return (
-        f"The vehicle {explains} its healthy trips ({count(n_trips, 'trip')}{stretches}): the "
-        f"misfit is {outcome.misfit:.2f} times the noise, 1 is noise alone."
-    )
+    in_reverse = Finding("number-in-reverse", n=n_reverse) if n_reverse else ""
+    trips = together((Finding("trips", n=n_trips), stretches, in_reverse), ", ")
+    kind = "explains" if is_explained(outcome) else "does-not-explain"
+    return Finding(kind, trips=trips, misfit=outcome.misfit)
 
 
 def of_parts(bogie: CommissionedBogie) -> str:
     """Return a sentence on a bogie of which each part is read."""
     healthy = dict(zip(bogie.healthy.names, bogie.healthy.values, strict=True))
-    spreads = []
+    spreads = {}
     for kind, name in (("k", "springs"), ("c", "dampers")):
         ratios = [
             healthy[one] / np.mean([healthy[o] for o in BOGIE_PARTS if kind_of(o) == kind_of(one)])
             for one in BOGIE_PARTS
             if one.startswith(kind)
         ]
-        spreads.append(f"{name} by up to {100 * max(abs(ratio - 1) for ratio in ratios):.1f} %")
-    return (
-        f"Each part of the bogie is read: its misfit is {bogie.misfit:.2f} times the noise; "
-        f"{' and '.join(spreads)} differ from the mean of their kind while healthy."
-    )
+        spreads[name] = 100 * max(abs(ratio - 1) for ratio in ratios)
+    return Finding("each-part-is-read", misfit=bogie.misfit, **spreads)
 
 
 def as_equal(outcome: Commissioned) -> str:
     """Return a sentence on the vertical vehicle where each part is read."""
     if not outcome.misfits:
         return NO_CURVES
-    return (
-        "With both sides and axles as equal, for trips that do not show their parts, the misfit is "
-        f"{outcome.misfit:.2f}: their intervals are wider by what parts that differ could cost."
-    )
+    return Finding("both-sides-axles", misfit=outcome.misfit)
 
 
 NO_CURVES = (
@@ -255,13 +231,9 @@ SHOWS_MASS = 2 * EXPLAINED
 
 def doubts_of_parts(bogie: CommissionedBogie) -> list[str]:
     """Return a sentence for each reason not to rely on a bogie of which each part is read."""
-    found = []
+    found: list[str] = []
     if not bogie.misfit <= EXPLAINED:
-        found.append(
-            f"A misfit of the parts above {EXPLAINED:g} means that the physics of the model is "
-            "incomplete or a sensor is wrong: the intervals of parts are wider by what this could "
-            "cost."
-        )
+        found.append(Finding("misfit-parts-above", explained=EXPLAINED))
     if bogie.misfit > UNTRUSTED:
         found.append(LOOK_FIRST)
     if not bogie.converged:
@@ -273,7 +245,7 @@ def doubts_of_parts(bogie: CommissionedBogie) -> list[str]:
 
 def calm_of_parts() -> str:
     """Return the sentence on a bogie without doubts."""
-    return f"That explains the healthy trips: up to {EXPLAINED:g} is noise and leakage."
+    return Finding("explains-healthy-trips", explained=EXPLAINED)
 
 
 NOT_CONVERGED = (
@@ -292,16 +264,12 @@ def mass_doubt(masses: FloatArray) -> str | None:
     logs = np.log(masses)
     if abs(logs.mean() - MASS_MEAN) <= ODD_MASS * MASS_DEVIATION:
         return None
-    return (
-        f"The healthy trips show a car body of {np.exp(logs.mean()):.2f} times the mass in the "
-        "vehicle file: check body_mass_kg there, and bogie_mass_kg, whose error it shares. M_s is "
-        "relative to that mass; springs and dampers are relative to the healthy trips."
-    )
+    return Finding("healthy-trips-show", exp=np.exp(logs.mean()))
 
 
 def agreement(outcome: Commissioned) -> str:
     """Return a sentence on how many starts of the search found the same vehicle."""
-    return f"{outcome.n_agree} of {outcome.n_starts} starts of the search found this vehicle."
+    return Finding("starts-search-found", n_agree=outcome.n_agree, n_starts=outcome.n_starts)
 
 
 def reference(outcome: Commissioned) -> list[str]:
@@ -312,11 +280,11 @@ def reference(outcome: Commissioned) -> list[str]:
         for name in PARAMETERS[:4]
         if f"healthy_{name}" in known
     ]
-    shown = f": 100 % is {', '.join(values)}" if values else ""
-    if "±" in shown:
-        shown += " (± one standard deviation)"
+    kind = "healthy-now-is" if values else "healthy-now"
+    if any("±" in value for value in values):
+        kind = "healthy-now-about"
     laws = [law for law in (outcome.laws.temperature, outcome.laws.velocity) if law is not None]
-    return [f"Healthy now means what these trips showed{shown}.", *map(str, laws)]
+    return [Finding(kind, values=together(values, ", ")), *map(str, laws)]
 
 
 def untold(found: Sequence[Number]) -> str:
@@ -324,19 +292,14 @@ def untold(found: Sequence[Number]) -> str:
     names = [one.quantity.meaning for one in found if not one.is_told]
     if not names:
         return ""
-    return (
-        f"The trips do not determine {len(names)} of {len(found)} numbers, which keep "
-        f"their prior values: {'; '.join(names)}."
+    return Finding(
+        "trips-do-not", n_names=len(names), n_found=len(found), names=together(names, "; ")
     )
 
 
 def force_scale(bogie_mass_kg: float) -> str:
     """Return a sentence on the scale of all forces, which trips cannot determine."""
-    return (
-        "Accelerations determine ratios of forces only: all stiffnesses, dampings and masses rest "
-        f"on the bogie mass of the drawing, {bogie_mass_kg:g} kg for a bogie's side, and have "
-        "the same relative error."
-    )
+    return Finding("accelerations-determine-ratios", bogie_mass_kg=bogie_mass_kg)
 
 
 def spoken(one: Number) -> str:

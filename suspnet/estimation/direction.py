@@ -9,6 +9,7 @@ from suspnet.dynamics import ResponseGenerator
 from suspnet.estimation.fitted import FittedMethod
 from suspnet.estimation.steady_parts import groups_to_read
 from suspnet.estimation.trip_settings import TripSettings
+from suspnet.ground.findings import Finding, of, together
 from suspnet.ground.parameters import FORWARD, Direction, direction_words
 from suspnet.recordings.errors import TripError
 from suspnet.recordings.recording import Recording
@@ -37,8 +38,11 @@ def of_direction(
     ]
     if not chosen:
         raise TripError(
-            f"the trip was run {direction_words(direction)}, the models are for trips "
-            f"{direction_words(known.pop())}: train with direction=both"
+            Finding(
+                "trip-was-run",
+                direction_words=direction_words(direction),
+                direction_words2=direction_words(known.pop()),
+            )
         )
     return chosen
 
@@ -58,9 +62,10 @@ def direction_of(
         return recording.manifest.direction or FORWARD
     if recording.absent:
         raise TripError(
-            f"{recording.manifest.path}: without a sensor on {' and '.join(recording.absent)} the "
-            "phases do not show the direction of travel: give `direction: forward` or `direction: "
-            "reverse`"
+            of(
+                recording.manifest.path,
+                Finding("without-sensor-on", absent=together(recording.absent, " and ")),
+            )
         )
     speeds = segment_speeds(recording, segments)
     groups = groups_to_read(speeds, settings.speed_tolerance, settings.min_speed_m_per_s)
@@ -71,8 +76,9 @@ def direction_of(
     direction, factor = shown_direction(spectra, segments.frequencies_hz, there)
     if factor < DIRECTION_MARGIN:
         raise TripError(
-            f"{recording.manifest.path}: the phases do not show whether the trip was run forward "
-            f"or in reverse ({direction_words(direction)} fits {factor:.2g} times better): give "
-            "`direction: forward` or `direction: reverse`"
+            of(
+                recording.manifest.path,
+                Finding("phases-do-not", direction_words=direction_words(direction), factor=factor),
+            )
         )
     return direction

@@ -13,6 +13,7 @@ from scipy import stats
 
 from suspnet.dynamics import PARAMETERS, ResponseGenerator, SpatialVehicle
 from suspnet.dynamics.quantities import LogNormal
+from suspnet.ground.findings import together
 from suspnet.ground.parameters import UNITS, kind_of
 from suspnet.ground.settings import check_number
 from suspnet.ground.types import BoolArray, FloatArray
@@ -242,7 +243,7 @@ class Flags:
     @cached_property
     def reasons(self) -> tuple[str, ...]:
         """The reasons of each curve as text, empty without any."""
-        return tuple("; ".join(words for _, words in given if words) for given in self.given)
+        return tuple(together(words for _, words in given if words) for given in self.given)
 
     @property
     def flagged(self) -> BoolArray:

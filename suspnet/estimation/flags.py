@@ -34,6 +34,7 @@ from sklearn.neighbors import NearestNeighbors
 from suspnet.estimation.estimate import Flags
 from suspnet.estimation.protocols import Task
 from suspnet.estimation.refine import Refined
+from suspnet.ground.findings import Finding
 from suspnet.ground.parameters import BODY_MASS
 from suspnet.ground.types import BoolArray, ComplexArray, FloatArray
 
@@ -120,10 +121,7 @@ class Unexplained:
         if not self.is_incomplete:
             return ""
         cost_percent = float(f"{100 * self.costs.max():.2g}")
-        return (
-            f"the commissioned vehicle leaves {self.misfit:.3g} times the noise of its healthy "
-            f"trips unexplained, which can cost {cost_percent:g} %"
-        )
+        return Finding("commissioned-vehicle-leaves", misfit=self.misfit, cost_percent=cost_percent)
 
     def flagged(self, flags: Flags) -> Flags:
         """Return the flags with that of incomplete physics set if intervals do not hold."""
@@ -171,8 +169,7 @@ def with_bogie_doubt(flags: Flags, *, has_converged: bool, misfit: float) -> Fla
     if misfit > UNTRUSTED:
         flags = flags.with_kind(
             "physics",
-            f"the bogie leaves {misfit:.3g} times the noise of its healthy trips unexplained, so "
-            "intervals of parts do not hold; look at its commissioning page",
+            Finding("bogie-leaves-times", misfit=misfit),
         )
     return flags if has_converged else flags.with_kind("physics", BOGIE_NOT_CONVERGED)
 
@@ -245,7 +242,9 @@ class OODDetector:
         for i, (words, distance, misfit) in enumerate(
             zip(missing, distances, refined.misfit, strict=True)
         ):
-            reasons = [("missing", f"missing: {words}")] if words else []
+            reasons: list[tuple[str, str]] = (
+                [("missing", Finding("missing", words=words))] if words else []
+            )
             if distance > self.distance_threshold:
                 reasons.append(("cloud", self._far(task, inputs[i], distance)))
             reasons += [
@@ -257,8 +256,11 @@ class OODDetector:
                 reasons.append(
                     (
                         "misfit",
-                        f"the model cannot explain the curve: its misfit is {misfit:.3g} "
-                        f"times the noise, at most {self.misfit_threshold:.3g} is usual",
+                        Finding(
+                            "model-cannot-explain",
+                            misfit=misfit,
+                            misfit_threshold=self.misfit_threshold,
+                        ),
                     )
                 )
             given.append(tuple(reasons))
@@ -268,9 +270,8 @@ class OODDetector:
         low, high = self.reference.min(axis=0), self.reference.max(axis=0)
         beyond = np.maximum(low - inputs, inputs - high) / (high - low)
         worst = task.inputs[int(np.argmax(beyond))]
-        return (
-            f"the features lie {distance / self.distance_threshold:.2g} times the threshold "
-            f"distance from the training curves, mainly because of {worst}"
+        return Finding(
+            "features-lie-times", distance_threshold=distance / self.distance_threshold, worst=worst
         )
 
     def state(self) -> dict[str, FloatArray]:
@@ -314,7 +315,6 @@ def _range(task: Task, name: str) -> tuple[float, float]:
 
 def _out_of_range(task: Task, name: str, ratio: float) -> str:
     low, high = task.range(name)
-    return (
-        f"{name} at about {100 * ratio:.3g} % lies outside the {100 * low:g} to {100 * high:g} % "
-        "trained for"
+    return Finding(
+        "about-lies-outside", name=name, ratio=100 * ratio, low=100 * low, high=100 * high
     )

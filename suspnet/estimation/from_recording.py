@@ -34,7 +34,7 @@ from suspnet.estimation.steady_parts import (
 from suspnet.estimation.temperature import DampingByTemperature
 from suspnet.estimation.trip_flags import delay_words, with_sides
 from suspnet.estimation.trip_settings import TripSettings
-from suspnet.ground.wording import count
+from suspnet.ground.findings import Finding, together
 from suspnet.recordings.errors import TripError
 from suspnet.recordings.manifest import CHANNELS
 from suspnet.recordings.recording import Recording
@@ -63,7 +63,11 @@ def estimate_recording(
     if isinstance(found.parts, Estimate):
         return found.parts
     if isinstance(found.bins, NoEstimateError):
-        raise found.bins if found.parts is None else NoEstimateError(f"{found.bins}; {found.parts}")
+        raise (
+            found.bins
+            if found.parts is None
+            else NoEstimateError(together((str(found.bins), str(found.parts))))
+        )
     estimate = with_sides(combined(found.equal), found.equal, recording)[0]
     if isinstance(found.parts, UnexplainedError):
         estimate = replace(estimate, flags=estimate.flags.with_kind("misfit", UNEXPLAINED))
@@ -178,7 +182,7 @@ def _or_reason(by_method: ByMethod[Bin]) -> list[Bin] | NoEstimateError:
     groups = [one for _, groups in by_method for one in groups]
     bins = [one for one in groups if not isinstance(one, NoEstimateError)]
     reasons = [str(groups[0]) for _, groups in by_method if groups]
-    return bins or NoEstimateError("; ".join(dict.fromkeys(reasons)))
+    return bins or NoEstimateError(together(dict.fromkeys(reasons)))
 
 
 def _seen_groups(
@@ -235,9 +239,13 @@ def _seen(
         raise NoEstimateError(_too_few(part, models, recording, speeds, segments, settings))
     if not part.is_certain:
         raise NoEstimateError(
-            f"the responses are uncertain by {100 * part.deviation:.2g} % (coherence "
-            f"{min(part.coherences):.2f}, {part.n_averages:.0f} averages), "
-            f"at most {100 * settings.max_deviation:.2g} % are accepted"
+            Finding(
+                "responses-uncertain-coherence",
+                deviation=100 * part.deviation,
+                coherences=min(part.coherences),
+                n_averages=part.n_averages,
+                max_deviation=100 * settings.max_deviation,
+            )
         )
     at = Speeds.of(*part.speed)
     return SeenBin(
@@ -251,13 +259,13 @@ def _read(seen: SeenBin, level: float) -> SpeedBin:
     try:
         estimate, noise_share = estimate_with_noise(*known, level, seen.speeds, seen.left_out)
     except MissingFeaturesError as error:
-        raise NoEstimateError(f"features are missing: {error}") from None
+        raise NoEstimateError(Finding("features-missing", error=error)) from None
     late = delay_words(*known, estimate, seen.speeds, seen.left_out)
     if estimate.flags.has("misfit").any() and not late:
         raise NoEstimateError(_unexplained_words(estimate))
     if late:
         estimate = replace(estimate, flags=estimate.flags.with_kind("misfit", late))
-    doubts = "; ".join(filter(None, (seen.doubts, estimate.found)))
+    doubts = together((seen.doubts, estimate.found))
     known_of_it = {one.name: getattr(seen, one.name) for one in fields(SeenBin)}
     known_of_it["doubts"] = doubts
     return SpeedBin(**known_of_it, estimate=estimate, noise_share=noise_share)
@@ -266,9 +274,11 @@ def _read(seen: SeenBin, level: float) -> SpeedBin:
 def _unexplained_words(estimate: Estimate) -> str:
     """Return why an estimate with an unexplained curve is none, and which part is suspected."""
     furthest = int(np.argmax(np.abs(np.log(estimate.values[0]))))
-    return (
-        f"{estimate.flags.reasons[0]}. Nearest is {estimate.names[furthest]} at "
-        f"{100 * estimate.values[0, furthest]:.3g} % of healthy: look there and at the sensors"
+    return Finding(
+        "nearest-healthy-look",
+        reasons=estimate.flags.reasons[0],
+        names=estimate.names[furthest],
+        values=100 * estimate.values[0, furthest],
     )
 
 
@@ -283,24 +293,28 @@ def _too_few(
     group = part.group
     if segments.welch.n_averages(len(group)) < settings.min_averages:
         return _too_short(recording, segments, settings)
-    where = f"steady at {group_speed(speeds, group):.1f} m/s"
+    where = Finding("steady-m-s", group_speed=group_speed(speeds, group))
     if reads_at_any_speed(models[0]):
-        where = f"at {settings.min_speed_m_per_s:g} m/s or faster throughout"
-    return (
-        f"{int(group.sum())} of {count(len(group), 'segment')} without faults are {where}, "
-        f"{part.n_incoherent} of them of low coherence: "
-        f"{minutes_words(segments.welch, int(part.chosen.sum()), settings.min_averages)} "
-        f"(half of the trip is run at {float(speeds.mean(dim=1).median()):.1f} m/s or less, "
-        f"{readable_words(models)})"
+        where = Finding("m-s-faster", min_speed_m_per_s=settings.min_speed_m_per_s)
+    return Finding(
+        "too-few-steady",
+        n=int(group.sum()),
+        segments=Finding("segments", n=len(group)),
+        where=where,
+        n_incoherent=part.n_incoherent,
+        minutes=minutes_words(segments.welch, int(part.chosen.sum()), settings.min_averages),
+        half=float(speeds.mean(dim=1).median()),
+        models=readable_words(models),
     )
 
 
 def _too_short(recording: Recording, segments: SegmentSpectra, settings: TripSettings) -> str:
     n_segments, faults = len(segments.values), unrepaired_words(recording)
-    return (
-        f"{count(n_segments, 'segment')} without faults: "
-        f"{minutes_words(segments.welch, n_segments, settings.min_averages)}: "
-        + (f"too little is free of faults: {faults}" if faults else "the recording is too short")
+    return Finding(
+        "too-short",
+        segments=Finding("segments", n=n_segments),
+        minutes=minutes_words(segments.welch, n_segments, settings.min_averages),
+        why=Finding("too-little-free", faults=faults) if faults else Finding("recording-too-short"),
     )
 
 
@@ -312,26 +326,20 @@ def _check_places(recording: Recording, generator: ResponseGenerator) -> None:
     places = zip(CHANNELS, recording.paired, generator.sensor_lateral_m, strict=True)
     wrong = [(name, lateral_m) for name, is_pair, lateral_m in places if is_pair and lateral_m]
     if wrong:
-        listed = ", ".join(f"{name} ({lateral_m:g} m)" for name, lateral_m in wrong)
-        raise TripError(
-            "the trip has sensors left and right, the model was trained for one sensor off the "
-            f"middle: {listed}; give one sensor in the manifest, or train with "
-            "generator.sensor_lateral_m=[0,0,0]"
-        )
+        listed = together((f"{name} ({lateral_m:g} m)" for name, lateral_m in wrong), ", ")
+        raise TripError(Finding("trip-sensors-left", listed=listed))
 
 
 def no_segment(recording: Recording, welch: Welch) -> str:
     """Return the message that no segment of a recording is free of faults."""
-    return f"no segment of {welch.segment_s:g} s is free of faults: {unrepaired_words(recording)}"
+    return Finding(
+        "no-segment-s", segment_s=welch.segment_s, unrepaired_words=unrepaired_words(recording)
+    )
 
 
 def no_channel(recording: Recording) -> str:
     """Return why a recording without a sensor of some channel shows no mean of both sides."""
-    return (
-        f"no sensor at axle 1 gives {' and '.join(recording.absent)}; the springs and dampers of "
-        "both sides as equal are read from axle_box, bogie and body: give a sensor of each without "
-        "`axle`, or read the parts alone"
-    )
+    return Finding("no-sensor-axle", absent=together(recording.absent, " and "))
 
 
 def unrepaired_words(recording: Recording) -> str:
@@ -339,4 +347,4 @@ def unrepaired_words(recording: Recording) -> str:
     faults = [str(fault) for fault in recording.faults if not fault.repaired]
     if not np.isfinite(recording.speed_m_per_s).all():
         faults.append("the speed is unknown in part")
-    return "; ".join(faults)
+    return together(faults)

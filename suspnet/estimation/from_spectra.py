@@ -42,6 +42,7 @@ from suspnet.estimation.information import output_bounds
 from suspnet.estimation.intervals import COMMON, LARGEST_MISFIT
 from suspnet.estimation.refine import Refined, complete_ratios, refine
 from suspnet.estimation.relative_velocity import DampingByVelocity, relative_velocities
+from suspnet.ground.findings import Finding
 from suspnet.ground.types import FloatArray
 from suspnet.spectra.cross_spectra import CrossSpectra
 from suspnet.spectra.estimate_observer import EstimateObserver
@@ -177,10 +178,7 @@ def unworn_deviations(
 def trip_settings(method: FittedMethod) -> EstimateSettings:
     """Return the estimate settings of a method trained on trips; ModelFileError otherwise."""
     if not isinstance(method.settings, EstimateSettings):
-        raise ModelFileError(
-            f"the model of protocol {method.task.protocol!r} was trained on curves of section "
-            "III-B; trips need one of: python train.py experiment=trips"
-        )
+        raise ModelFileError(Finding("model-protocol-was", protocol=repr(method.task.protocol)))
     return method.settings
 
 
@@ -243,7 +241,7 @@ def _refined(
             method.task, other.measured_misfit(spectra), predicted, directions=other.directions
         )
         if float(one.misfit[0]) < float(best.misfit[0]) / FAILED_GAIN:
-            best, found = one, f"the other bogie has failed: {words}"
+            best, found = one, Finding("other-bogie-failed", words=words)
     return best, found
 
 

@@ -15,6 +15,7 @@ from suspnet.estimation.healthy_misfit import HealthySpectra
 from suspnet.estimation.steady_parts import groups_to_read, steady
 from suspnet.estimation.swapped_sensors import Elsewhere, elsewhere
 from suspnet.estimation.trip_settings import LEAST_TRIPS, TripSettings
+from suspnet.ground.findings import Finding, of, together
 from suspnet.ground.parameters import DIRECTIONS, REVERSE, Direction
 from suspnet.ground.progress import bar
 from suspnet.ground.tensors import threads
@@ -129,10 +130,10 @@ def read_healthy(
         recording = load_recording(manifest, trips.rate_hz)
         if recording.dead:
             faults = [str(fault) for fault in recording.faults if fault.channel in recording.dead]
-            left_out.append(": ".join([manifest.name, *faults]))
+            left_out.append(of(manifest.name, together(faults, ": ")))
             continue
         if recording.absent and vehicle is None:
-            raise TripError(f"{manifest.path}: {no_channel(recording)}")
+            raise TripError(of(manifest.path, no_channel(recording)))
         has_curves &= not recording.absent
         segments = recording_segments(recording, settings.welch)
         is_read, other = not recording.absent, None
@@ -144,14 +145,14 @@ def read_healthy(
         direction = direction_of(recording, segments, placed, trips)
         found = [replace(one, direction=direction) for one in found]
         if is_read and not found:
-            words = f"{manifest.name}: no stretch at one speed is long enough and free of faults"
-            left_out.append(": ".join(filter(None, [words, unrepaired_words(recording)])))
+            words = together((Finding("no-stretch-one"), unrepaired_words(recording)), ": ")
+            left_out.append(of(manifest.name, words))
             continue
         if vehicle is not None:
             try:
                 of_parts.append(_with_all_sensors(recording, vehicle, trips, direction))
             except NoEstimateError as reason:
-                left_out.append(f"{manifest.name}: {reason}")
+                left_out.append(of(manifest.name, str(reason)))
                 continue
         kept.append(replace(manifest, start=manifest.start or recording.started))
         others.append(other)
@@ -159,16 +160,11 @@ def read_healthy(
         paired.add(recording.paired)
     # the remaining trips must be enough, and of the same sensors
     if len(kept) < LEAST_TRIPS:
-        reasons = f" ({'; '.join(left_out)})" if left_out else ""
-        raise TripError(
-            f"{folder}: {len(kept)} healthy trips can be used, at least {LEAST_TRIPS} are needed "
-            f"to commission a vehicle{reasons}"
-        )
+        kind = "too-few-healthy-as" if left_out else "too-few-healthy"
+        given = {"n": len(kept), "least": LEAST_TRIPS, "reasons": together(left_out)}
+        raise TripError(of(folder, Finding(kind, **given)))
     if len(paired) > 1:
-        raise TripError(
-            f"{folder}: some healthy trips have sensors left and right where others have one; "
-            "commission on trips with the same sensors"
-        )
+        raise TripError(of(folder, Finding("some-healthy-trips")))
     stated = tuple(manifest.direction for manifest in later if manifest.direction is not None)
     return HealthyTrips(
         tuple(kept),
@@ -189,21 +185,28 @@ def _doubts(
     generator: VerticalVehicle,
 ) -> list[str]:
     """Return sentences on trips that look measured elsewhere, and on trips all run in reverse."""
-    found = []
+    found: list[str] = []
     changes = Counter(other.change for other in others if other is not None)
     for change, n in changes.most_common(1):
         if 2 * n > len(others):  # one trip alone may be at fault
             first = next(one for one in others if one is not None and one.change == change)
-            found.append(f"On {n} of {len(others)} healthy trips {first}.")
+            found.append(Finding("on-healthy-trips", n=n, n_others=len(others), first=str(first)))
     is_reverse = bool(groups) and all(one.direction == REVERSE for one in groups)
     if is_reverse and all(one.direction is None for one in manifests):
         found.append(
-            f"All {len(others)} healthy trips look to run in reverse: if they do, say `direction: "
-            "reverse` in the manifests. Otherwise the sensors are not at the "
-            f"{generator.axle} axle of the {generator.bogie} bogie, or the frame's is not where "
-            f"generator.frame_sensor={generator.frame_sensor} has it."
+            Finding(
+                "all-healthy-trips",
+                n_others=len(others),
+                axle=generator.axle,
+                bogie=generator.bogie,
+                frame_sensor=generator.frame_sensor,
+            )
         )
     return found
+
+
+OTHER = {"bogie": "other-bogie", "axle": "other-axle"}
+"""Kinds of what is found where trips are of the other bogie or axle."""
 
 
 def _check_same(
@@ -214,21 +217,21 @@ def _check_same(
     for manifest in manifests:
         if manifest.vehicle != vehicle:
             raise TripError(
-                f"{manifest.path}: the trip is of vehicle {manifest.vehicle!r}, vehicle={vehicle} "
-                "is to be commissioned"
+                of(
+                    manifest.path,
+                    Finding(
+                        "trip-vehicle-vehicle", vehicle=repr(manifest.vehicle), vehicle2=vehicle
+                    ),
+                )
             )
     places = sorted({str(manifest.place) for manifest in manifests})
     if len(places) > 1:
         raise TripError(
-            f"{folder}: the trips are of several suspensions ({', '.join(places)}); each is "
-            "commissioned on trips of its own: give a folder of one"
+            of(folder, Finding("trips-several-suspensions", places=together(places, ", ")))
         )
     for key, ours in (("bogie", generator.bogie), ("axle", generator.axle)):
         for named in {getattr(one, key) for one in manifests} - {None, ours}:
-            raise TripError(
-                f"{folder}: the trips are of the {named} {key}, the model would be of the {ours} "
-                f"one: give generator.{key}={named}"
-            )
+            raise TripError(of(folder, Finding(OTHER[key], named=named, own=ours)))
 
 
 def _with_all_sensors(
@@ -238,8 +241,7 @@ def _with_all_sensors(
     found = bogie_trip(recording, vehicle, trips, direction)
     if found.lost:
         raise NoEstimateError(
-            "no stretch with all sensors at one speed is long enough to read each part: "
-            f"{unrepaired_words(recording)}"
+            Finding("no-stretch-all", unrepaired_words=unrepaired_words(recording))
         )
     return found
 

@@ -17,6 +17,7 @@ from suspnet.dynamics import ResponseGenerator, VerticalVehicle
 from suspnet.dynamics.quantities import LogNormal
 from suspnet.estimation.fitted import FittedMethod
 from suspnet.estimation.steady_parts import SpeedBin
+from suspnet.ground.findings import Finding, together
 from suspnet.ground.parameters import SIDES
 from suspnet.recordings.manifest import CHANNELS
 from suspnet.recordings.recording import Recording
@@ -80,15 +81,14 @@ def with_lone(speed_bin: SpeedBin, method: FittedMethod, recording: Recording) -
         return speed_bin
     factor = ROLL_AS_NOISE if speed_bin.method is method else ROLL_UNKNOWN
     estimate, noise_share = speed_bin.estimate.scaled(factor), speed_bin.noise_share / factor**2
-    listed = ", ".join(f"{name} {side}" for name, side in lone.items())
-    doubts = f"one sensor alone stands for both sides: {listed}"
+    listed = together((f"{name} {side}" for name, side in lone.items()), ", ")
     ratio = _unequal(speed_bin, recording)
-    if ratio is None:
-        doubts += "; whether the sides are equal is not checked"
-    elif ratio > UNEQUAL:
-        text = f"both sides are assumed to be equal, but left and right differ; {doubts}"
+    kind = "one-sensor-alone-unchecked" if ratio is None else "one-sensor-alone"
+    doubts: str = Finding(kind, names=listed)
+    if ratio is not None and ratio > UNEQUAL:
+        text = Finding("one-sensor-alone-differ", names=listed)
         estimate = replace(estimate, flags=estimate.flags.with_kind("sides", text))
-    doubts = "; ".join(filter(None, (speed_bin.doubts, doubts)))
+    doubts = together((speed_bin.doubts, doubts))
     return replace(speed_bin, estimate=estimate, noise_share=noise_share, doubts=doubts)
 
 

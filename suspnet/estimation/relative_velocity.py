@@ -38,6 +38,7 @@ from torch import Tensor
 
 from suspnet.dynamics import Vehicle
 from suspnet.estimation.estimate import Estimate
+from suspnet.ground.findings import Finding, together
 from suspnet.ground.settings import check_number
 from suspnet.ground.types import FloatArray
 from suspnet.spectra.cross_spectra import CrossSpectra
@@ -104,16 +105,19 @@ class DampingByVelocity:
         object.__setattr__(self, "covariance", rows)
 
     def __str__(self) -> str:
-        at = " and ".join(f"{1000 * one:.3g}" for one in self.healthy_m_per_s)
+        primary, secondary = (1000 * one for one in self.healthy_m_per_s)
         losses = []
         for name, i in CHANGING.items():
             healthy = self.healthy_m_per_s[i]
             left = torch.stack(linear(self.drawn(), name, FASTER * healthy, healthy)).sum(dim=0)
             low, high = np.quantile(100 * (1 - left.numpy()), [0.05, 0.95])
-            losses.append(f"{name} loses {max(low, 0.0):.2g} to {max(high, 0.0):.2g} %")
-        return (
-            f"Suspensions are compared at {at} mm/s (rms) across primary and secondary ones; at "
-            f"{100 * (FASTER - 1):.0f} % more {', '.join(losses)}."
+            losses.append(Finding("loss", name=name, low=max(low, 0.0), high=max(high, 0.0)))
+        return Finding(
+            "compared-at-velocities",
+            primary=primary,
+            secondary=secondary,
+            more=100 * (FASTER - 1),
+            losses=together(losses, ", "),
         )
 
     @classmethod

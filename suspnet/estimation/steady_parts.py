@@ -20,9 +20,9 @@ from suspnet.estimation.estimate import Estimate, Flags
 from suspnet.estimation.fitted import FittedMethod
 from suspnet.estimation.from_spectra import trip_settings
 from suspnet.estimation.trip_settings import TripSettings
+from suspnet.ground.findings import Finding, of, together
 from suspnet.ground.parameters import REVERSE
 from suspnet.ground.types import FloatArray
-from suspnet.ground.wording import count
 from suspnet.spectra.cross_spectra import CrossSpectra
 from suspnet.spectra.estimates import EstimateSettings
 from suspnet.spectra.segments import (
@@ -111,8 +111,8 @@ def groups_of(
 def readable_words(models: Sequence[FittedMethod]) -> str:
     """Return the speeds that some models read, as text: "the models read 61.0 to 78.0 m/s"."""
     ranges = [one for one in map(speed_range, models) if one is not None]
-    subject = "the model reads" if len(models) == 1 else "the models read"
-    return f"{subject} {range_words(ranges) if ranges else 'any speed'}"
+    kind = "model-reads" if len(models) == 1 else "models-read"
+    return Finding(kind, words=range_words(ranges) if ranges else "any speed")
 
 
 def no_group_words(
@@ -125,17 +125,15 @@ def no_group_words(
     """Return why no group of segments is readable: none is steady, or none at a model's speed."""
     n_segments, half = len(speeds), float(speeds.mean(dim=1).median())
     if not groups:
-        rule = f"steady within {100 * tolerance:g} %"
+        rule = Finding("steady-within", tolerance=100 * tolerance)
         if any(map(reads_at_any_speed, models)):
-            rule = f"at {least_m_per_s:g} m/s or faster throughout"
-        return (
-            f"0 of {count(n_segments, 'segment')} without faults are {rule} (half of the trip is "
-            f"run at {half:.1f} m/s or less)"
-        )
-    largest = dict.fromkeys(f"{group_speed(speeds, group):.1f}" for group in groups[:3])
-    return (
-        f"the trip is run at {' and '.join(largest)} m/s, {readable_words(models)}: is the speed "
-        "in m/s? If so, train a model for it, speed_m_per_s=..."
+            rule = Finding("m-s-faster-throughout", least_m_per_s=least_m_per_s)
+        segments = Finding("segments", n=n_segments)
+        return Finding("none-steady", segments=segments, rule=rule, half=half)
+    each = (Finding("speed", m_per_s=group_speed(speeds, group)) for group in groups[:3])
+    largest = dict.fromkeys(each)
+    return Finding(
+        "trip-run-m", largest=together(largest, " and "), readable_words=readable_words(models)
     )
 
 
@@ -146,7 +144,7 @@ def minutes_words(welch: Welch, n_segments: int, least_averages: float) -> str:
     """
     lengths = welch.minutes(n_segments), welch.minutes(welch.n_segments(least_averages))
     there, needed = (round(one, 1) for one in lengths)  # their difference is that of what is shown
-    return f"{there:.1f} minutes, at least {needed:.1f} are needed, {needed - there:.1f} more"
+    return Finding("minutes", n_there=there, needed=needed, more=needed - there)
 
 
 def speed_of(speeds: Tensor, segments: SegmentSpectra) -> tuple[float, float]:
@@ -318,6 +316,8 @@ def _flags(bins: Sequence[SpeedBin]) -> Flags:
     if not found:
         return Flags.none(1)
     worst = largest(found)
-    at = f"in {len(found)} of {len(bins)} speed bins, at {worst.speed_m_per_s:.1f} m/s"
+    at = Finding(
+        "speed-bins-m", n_found=len(found), n_bins=len(bins), speed_m_per_s=worst.speed_m_per_s
+    )
     (kind, words), *others = worst.estimate.flags.given[0]
-    return Flags((((kind, f"{at}: {words}"), *others),))
+    return Flags((((kind, of(at, words)), *others),))

@@ -40,7 +40,8 @@ from suspnet.estimation.bogie_fit import healthy_search
 from suspnet.estimation.bogie_search import ROUGH, BogieSearch
 from suspnet.estimation.healthy_misfit import HealthySpectra, row_of
 from suspnet.estimation.vehicle_search import SPREADS, VehicleSearch
-from suspnet.ground.parameters import DIRECTIONS, Direction, direction_words
+from suspnet.ground.findings import Finding, of, together
+from suspnet.ground.parameters import DIRECTIONS, REVERSE, Direction
 from suspnet.ground.types import FloatArray
 from suspnet.recordings.errors import TripError
 from suspnet.spectra.bogie_trip import BogieTrip, smallest_noise
@@ -98,18 +99,24 @@ class Elsewhere:
         was, now = self.given.vehicle, self.found.vehicle
         looks, say = [], []
         if now.frame_sensor != was.frame_sensor:
-            where = {"centre": "at the frame's centre", "axle": "above the measured axle"}
-            looks.append(f"the frame's sensor looks to be {where[now.frame_sensor]}")
-            say.append(f"say generator.frame_sensor={now.frame_sensor}")
+            is_centre = now.frame_sensor == "centre"
+            looks.append(Finding("frame-at-centre" if is_centre else "frame-above-axle"))
+            say.append(Finding("say-frame-centre" if is_centre else "say-frame-axle"))
         if now.axle != was.axle:
-            looks.append(f"the sensors look to be at the {now.axle} axle")
-            say.append("correct `axle` or `bogie` in the manifests")
+            looks.append(Finding("sensors-look-axle", axle=now.axle))
+            say.append(Finding("correct-axle"))
         if now.direction != was.direction:
-            looks.append(f"the train looks to run {direction_words(now.direction)}")
-            say.append("correct `direction`, or `bogie`, in the manifests")
-        return (
-            f"{'; '.join(looks)}: misfit {self.found.misfit:.2g} times the noise instead of "
-            f"{self.given.misfit:.2g}, with rigid bodies alone; {'; '.join(say)}"
+            is_back = now.direction == REVERSE
+            looks.append(Finding("runs-in-reverse" if is_back else "runs-forward"))
+            say.append(Finding("correct-direction"))
+        return of(
+            together(looks),
+            Finding(
+                "misfit-times-noise",
+                misfit=self.found.misfit,
+                misfit2=self.given.misfit,
+                say=together(say, "; "),
+            ),
         )
 
 
@@ -200,11 +207,8 @@ def check_order(
     if not (other < given / CLEARER and (best == likely[0] or other < EXPLAINS)):
         return
     names = [generator.sensors[there[i]] for i in own if best[i] != i]
-    raise TripError(
-        f"{where}{' and '.join(names)} look swapped: with them exchanged the misfit falls from "
-        f"{given:.2g} to {other:.2g} times that of noise; exchange the columns of their lines in "
-        "the manifest"
-    )
+    words = Finding("sensors-swapped", names=together(names, " and "), given=given, other=other)
+    raise TripError(of(where, words) if where else words)
 
 
 def check_bogie(
@@ -221,7 +225,7 @@ def check_bogie(
     fits = [healthy_search(one, trips).widened(ROUGH[0]).misfit for one in ends]
     other, end = min(zip(fits, ends, strict=True), key=itemgetter(0))
     if other < misfit / OTHER_BOGIE:
-        raise TripError(f"{where}the healthy trips fit {_other_end(generator, misfit, end, other)}")
+        raise TripError(_other_end("healthy-trips-fit", where, generator, misfit, end, other))
 
 
 def check_end(
@@ -242,7 +246,7 @@ def check_end(
     fits = [misfit_near(one, trip) for one in ends]
     other, end = min(zip(fits, ends, strict=True), key=itemgetter(0))
     if other < given / OTHER_BOGIE:
-        raise TripError(f"{where}the trip fits {_other_end(generator, given, end, other)}")
+        raise TripError(_other_end("trip-fits", where, generator, given, end, other))
 
 
 def _ends(generator: SpatialVehicle) -> list[SpatialVehicle]:
@@ -265,16 +269,22 @@ def _near(items: Sequence[Item], misfits: Sequence[float], nearly: float) -> lis
     return [one for misfit, one in by_misfit if misfit <= nearly * by_misfit[0][0]]
 
 
-def _other_end(given: SpatialVehicle, misfit: float, end: SpatialVehicle, least: float) -> str:
-    keys = [key for key in ("bogie", "axle") if getattr(given, key) != getattr(end, key)]
-    wrong = " and ".join(f"`{key}`" for key in keys)
-    if len(keys) > 1:  # it moves like the given one in the other direction
-        wrong += ", or `direction`,"
-    return (
-        f"the {end.axle} axle of the {end.bogie} bogie, with a misfit of {least:.2g} times the "
-        f"noise, and not the {given.axle} axle of the {given.bogie} bogie that is given, with "
-        f"{misfit:.2g}; correct {wrong} in the manifests"
+def _other_end(
+    kind: str, where: str, given: SpatialVehicle, misfit: float, end: SpatialVehicle, least: float
+) -> str:
+    keys = [f"`{key}`" for key in ("bogie", "axle") if getattr(given, key) != getattr(end, key)]
+    words = Finding(
+        kind,
+        axle=end.axle,
+        bogie=end.bogie,
+        least=least,
+        own_axle=given.axle,
+        own_bogie=given.bogie,
+        misfit=misfit,
+        # with both, it moves like the given one in the other direction
+        keys=Finding("bogie-or-direction") if len(keys) > 1 else keys[0],
     )
+    return of(where, words) if where else words
 
 
 def _misfit_at_start(generator: SpatialVehicle, trip: BogieTrip) -> float:

@@ -20,6 +20,7 @@ import numpy as np
 from scipy.stats import norm
 
 from suspnet.estimation.estimate import Estimate
+from suspnet.ground.findings import Finding, together
 from suspnet.ground.parameters import kind_of
 from suspnet.ground.settings import check_number
 
@@ -55,13 +56,10 @@ class DampingByTemperature:
 
     def __str__(self) -> str:
         each = [
-            f"{name} {-100 * slope:.2f} ± {100 * deviation:.2g} %"
+            Finding("loss-per-kelvin", name=name, percent=-100 * slope, deviation=100 * deviation)
             for name, slope, deviation in zip(DAMPINGS, self.slopes, self.deviations, strict=True)
         ]
-        return (
-            f"Damping is compared at {self.healthy_c:.0f} °C, their mean temperature; per kelvin "
-            f"{' and '.join(each)} are lost."
-        )
+        return Finding("damping-compared-c", healthy_c=self.healthy_c, each=together(each, " and "))
 
     @classmethod
     def noted(cls, training: Mapping[str, Any]) -> Self | None:

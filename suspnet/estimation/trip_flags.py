@@ -26,7 +26,7 @@ from suspnet.estimation.fitted import FittedMethod
 from suspnet.estimation.from_spectra import trip_observer
 from suspnet.estimation.refine import complete_ratios
 from suspnet.estimation.steady_parts import SpeedBin, largest
-from suspnet.ground.parameters import SIDES
+from suspnet.ground.findings import Finding, together
 from suspnet.ground.types import ComplexArray, FloatArray
 from suspnet.recordings.manifest import CHANNELS
 from suspnet.recordings.recording import Recording
@@ -105,12 +105,9 @@ def delay_words(
     late_channels = []
     for i, (delay_s, share) in enumerate(zip(delays_s.tolist(), shares.tolist(), strict=True)):
         if abs(delay_s) >= REPORTED_S and share >= EXPLAINED:
-            late = "late" if delay_s > 0 else "early"
-            late_channels.append(
-                f"{CHANNELS[i + 1]} looks {1e3 * abs(delay_s):.3g} ms {late} relative to "
-                f"{CHANNELS[i]} throughout: do they share one clock, is `start_s` right?"
-            )
-    return "; ".join(late_channels)
+            late, ms = "late" if delay_s > 0 else "early", 1e3 * abs(delay_s)
+            late_channels.append(Finding(late, name=CHANNELS[i + 1], ms=ms, partner=CHANNELS[i]))
+    return together(late_channels)
 
 
 def find_delays(
@@ -160,7 +157,7 @@ def with_sides(
     words = spoken_sides(found)
     if words != UNEXPLAINED:
         return estimate, words
-    text = f"both sides are assumed to be equal, but {words}"
+    text = Finding("both-sides-assumed-equal", words=words)
     return replace(estimate, flags=estimate.flags.with_kind("sides", text)), words
 
 
@@ -246,8 +243,11 @@ def spoken_sides(found: SideDifference | None) -> str:
         return UNEXPLAINED
     clear = np.abs(found.d) >= CERTAIN * found.deviations
     named = clear & (found.weaker_by >= LEAST)
-    return "; ".join(
-        f"{SPOKEN[i]}: the {SIDES[0] if found.d[i] < 0 else SIDES[1]} side is weaker "
-        f"(about {100 * found.weaker_by[i]:.0f} %)"
+    return together(
+        Finding(
+            "left-weaker" if found.d[i] < 0 else "right-weaker",
+            part=SPOKEN[i],
+            percent=100 * found.weaker_by[i],
+        )
         for i in np.flatnonzero(named)
     )

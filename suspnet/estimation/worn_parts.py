@@ -26,6 +26,7 @@ import numpy as np
 
 from suspnet.estimation.bogie_fit import PartsEstimate
 from suspnet.estimation.bogie_search import WEAR
+from suspnet.ground.findings import WORN, WORN_ONE_OF, Finding, together
 from suspnet.ground.parameters import BOGIE_PARTS, kind_of, part_words
 from suspnet.ground.types import FloatArray
 
@@ -62,17 +63,17 @@ class WornPart:
         """Whether one part alone is accused."""
         return len(self.names) == 1
 
-
-def worn_words(worn: Sequence[WornPart]) -> str:
-    """Return the worn parts as text: "damper of axle 1, left at 62 % (odds over 1000 : 1)"."""
-    return "; ".join(map(_words, worn))
-
-
-def _words(one: WornPart) -> str:
-    odds = f"over {MOST_ODDS:.0f}" if one.odds > MOST_ODDS else f"{one.odds:.0f}"
-    where = " or ".join(map(part_words, one.names))
-    unknown = "" if one.is_named else ", which of them is not known"
-    return f"{where} at {100 * one.ratio:.3g} % of healthy (odds {odds} : 1{unknown})"
+    @property
+    def finding(self) -> Finding:
+        """The part with its level and the odds."""
+        above, unknown = self.odds > MOST_ODDS, not self.is_named
+        return Finding(
+            WORN_ONE_OF if unknown else WORN,
+            names=self.names,
+            where=together(map(part_words, self.names), " or "),
+            percent=100 * self.ratio,
+            odds=Finding("odds-over" if above else "odds", odds=min(self.odds, MOST_ODDS)),
+        )
 
 
 def worn_parts(estimate: PartsEstimate) -> list[WornPart]:

@@ -9,13 +9,17 @@ import importlib
 import importlib.util
 from typing import Any
 
+from suspnet.ground.findings import Finding
+
 
 def import_extra(module: str, extra: str, user: str, error: type[Exception] = ValueError) -> Any:
     """Return a module of an extra that `user` needs; `error` if it is not installed."""
     try:
         return importlib.import_module(module)
     except ImportError as missing:
-        raise error(f"{user} needs {module}; run: {install_command(extra)}") from missing
+        raise error(
+            Finding("needs-module", user=user, module=module, command=install_command(extra))
+        ) from missing
 
 
 def check_extra(extra: str, *modules: str) -> None:

@@ -9,6 +9,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from suspnet.ground.findings import Finding, of, together
 from suspnet.ground.settings import check_number
 
 PARAMETERS = ("k_p", "c_p", "k_s", "c_s", "M_s")
@@ -163,10 +164,9 @@ class Limits:
 
     def __str__(self) -> str:
         """Return both pairs in % of healthy."""
-        notice, act = (
-            " to ".join(f"{100 * one:g}" for one in pair) for pair in (self.notice, self.act)
-        )
-        return f"notice beyond {notice} %, act beyond {act} %"
+        notice, act = ([100 * one for one in pair] for pair in (self.notice, self.act))
+        ends = {"notice_low": notice[0], "notice_high": notice[1]}
+        return Finding("limit", **ends, act_low=act[0], act_high=act[1])
 
     def to_dict(self) -> dict[str, Any]:
         """Return the limits as JSON-able values, with None for infinity."""
@@ -265,7 +265,10 @@ def limits_words(limits: Mapping[str, Limits]) -> str:
         if name == kind_of(name) or one != limits.get(kind_of(name)):
             alike.setdefault(one, []).append(name)
     parts = [
-        f"{', '.join(names)}: {one}{f' ({one.why})' * bool(one.why)}"
+        of(
+            ", ".join(names),
+            Finding("with-reason", words=str(one), reason=one.why) if one.why else str(one),
+        )
         for one, names in alike.items()
     ]
-    return "; ".join(parts) or "none"
+    return together(parts) or "none"

@@ -10,6 +10,15 @@ from typing import Any
 
 import numpy as np
 
+from suspnet.ground.findings import (
+    NO_PART,
+    Finding,
+    kind_is,
+    parts_of,
+    restored,
+    stored,
+    together,
+)
 from suspnet.ground.parameters import (
     BODY_MASS,
     BOGIE_PARTS,
@@ -19,7 +28,6 @@ from suspnet.ground.parameters import (
     SI_COLUMNS,
 )
 from suspnet.ground.types import ComplexArray, FloatArray
-from suspnet.ground.wording import kilometres
 
 HIGHEST_KM = 2e7
 """Mileage that no rail vehicle reaches, [km]: 40 years of 500 000 km, as fast trains run."""
@@ -41,9 +49,12 @@ class Place:
     car: str = ""
 
     def __str__(self) -> str:
-        vehicle = [self.train and f"train {self.train}", self.car and f"car {self.car}"]
+        vehicle = [
+            self.train and Finding("train", name=self.train),
+            self.car and Finding("car", name=self.car),
+        ]
         where = [self.bogie and f"{self.bogie} bogie", self.side]
-        return ", ".join(filter(None, (*vehicle, self.suspension, *where))) or "unknown"
+        return together((*vehicle, self.suspension, *where), ", ") or "unknown"
 
 
 MOST_NAME = 100
@@ -86,10 +97,6 @@ def sensors_from_text(text: str) -> dict[str, SensorHealth]:
         return {str(name): SensorHealth(*map(or_nan, row)) for name, row in rows.items()}
     except (ValueError, TypeError, AttributeError):
         return {}
-
-
-NO_PART = "no part is named: "
-"""Start of the last warning of a trip whose parts could not be read; the reason follows."""
 
 
 @dataclass(frozen=True)
@@ -148,12 +155,13 @@ class Quality:
     @property
     def no_part(self) -> str:
         """Why the parts of the bogie were not read; empty if they were, or were not asked for."""
-        return self.warnings.partition(NO_PART)[2]
+        found = (one for one in parts_of(self.warnings) if kind_is(one, NO_PART))
+        return next((str(one.values["words"]) for one in found), "")
 
     @property
     def other_warnings(self) -> str:
         """The warnings without that of `no_part`."""
-        return self.warnings.partition(NO_PART)[0].removesuffix("; ")
+        return together(one for one in parts_of(self.warnings) if not kind_is(one, NO_PART))
 
 
 @dataclass(frozen=True, eq=False)
@@ -219,7 +227,8 @@ class TripResult:
     sides : str
         Which side of which part is weaker; empty without pairs of sensors or without a difference.
     worn : str
-        Which parts have worn, with odds; empty unless each part was read, or if none has.
+        Which parts have worn, findings of the kind ``WORN``; empty unless each part was read, or if
+        none has.
     quality : Quality
     seconds : float, [s]
         Duration of the evaluation.
@@ -271,7 +280,7 @@ class TripResult:
 
     def row(self, outputs: tuple[str, ...]) -> dict[str, Any]:
         """Return the trip as a flat row of a table, with the same columns for every trip."""
-        flat = to_row(self)
+        flat = _flat(self)
         flat |= {name: math.nan for name, value in flat.items() if value is None}
         for name in outputs:
             column = SI_COLUMNS[name]
@@ -309,6 +318,8 @@ the text names."""
 NUMBERS = ("mileage_km", "healthy_since_km", "temperature_c", "seconds")
 TEXTS = ("trip", "start", "flags", "status", "reason", "sides", "worn", "manifest")
 """Columns of a trip's numbers and texts, named as in ``TripResult``."""
+FOUND = ("flags", "reason", "sides", "worn")
+"""Those texts that are findings."""
 VALUES = {
     "estimates": "{}",
     "half_widths": "{}_half_width",
@@ -323,10 +334,16 @@ QUALITY_TYPES = {one.name: str(one.type) for one in fields(Quality)}
 
 
 def to_row(result: TripResult) -> dict[str, Any]:
-    """Return a trip as a flat row for the store, the cache of finished trips and tables.
+    """Return a trip as a flat row for the store and the cache of finished trips.
 
-    Missing numbers of a parameter are None. The row does not include the curves.
+    Findings are ``stored`` as JSON, missing numbers of a parameter are None. The row does not
+    include the curves.
     """
+    flat = _flat(result)
+    return {name: stored(one) if isinstance(one, str) else one for name, one in flat.items()}
+
+
+def _flat(result: TripResult) -> dict[str, Any]:
     row: dict[str, Any] = {"vehicle": result.vehicle} | asdict(result.place)
     row |= {name: getattr(result, name) for name in (*TEXTS, *NUMBERS)}
     for name, column in VALUES.items():
@@ -337,16 +354,21 @@ def to_row(result: TripResult) -> dict[str, Any]:
 def from_row(row: Mapping[str, Any]) -> TripResult:
     """Return the trip of a row of ``to_row``; None in other numeric columns becomes NaN."""
     given: dict[str, Any] = {name: row[name] for name in ("vehicle", *TEXTS)}
+    given |= {name: restored(row[name]) for name in FOUND}
     given |= {name: or_nan(row[name]) for name in NUMBERS}
     for name, column in VALUES.items():
         values = {one: row[column.format(one)] for one in ESTIMATED}
         given[name] = {one: value for one, value in values.items() if value is not None}
     quality: dict[str, Any] = {
-        name: or_nan(row[name]) if kind == "float" else row[name]
+        name: or_nan(row[name]) if kind == "float" else _restored(row[name])
         for name, kind in QUALITY_TYPES.items()
     }
     place = Place(**{name: row[name] for name in PLACE})
     return TripResult(place=place, quality=Quality(**quality), **given)
+
+
+def _restored(value: str | int) -> str | int:
+    return restored(value) if isinstance(value, str) else value
 
 
 def or_nan(value: float | None) -> float:
@@ -385,12 +407,15 @@ class Commissioning:
     @property
     def words(self) -> str:
         """Text with the healthy values in % of those of the first commissioning."""
-        ratios = ", ".join(
-            f"{name} {100 * ratio:.3g} %"
-            for name, ratio in self.relative.items()
-            if name != BODY_MASS
+        ratios = together(
+            (
+                Finding("ratio", name=name, percent=100 * ratio)
+                for name, ratio in self.relative.items()
+                if name != BODY_MASS
+            ),
+            ", ",
         )
-        return f"from {kilometres(self.since_km)} on healthy is {ratios} of the first commissioning"
+        return Finding("from-km", km=self.since_km, ratios=ratios)
 
 
 def outputs_of(results: Iterable[TripResult]) -> tuple[str, ...]:

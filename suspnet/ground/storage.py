@@ -20,6 +20,7 @@ from safetensors import SafetensorError
 from safetensors.numpy import load, save
 
 from suspnet.ground import ledger
+from suspnet.ground.findings import Finding
 from suspnet.ground.ledger import HAS_LOCKS, lock
 
 if TYPE_CHECKING:
@@ -277,7 +278,7 @@ def read_plain(path: Path, most_bytes: int = MOST_TEXT_BYTES) -> bytes:
             most_bytes = min(most_bytes, FREE_BYTES + DENSITY * stored_bytes(stream))
         if size > most_bytes:
             raise NotPlainError(
-                f"{path} is of {size} bytes; at most {most_bytes} are read of such a file"
+                Finding("bytes-most-read", path=path, size=size, most_bytes=most_bytes)
             )
         return stream.read(size)
 

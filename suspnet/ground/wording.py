@@ -10,11 +10,10 @@ from pathlib import Path
 from shlex import join
 from typing import Any
 
+from suspnet.ground.findings import OF, Finding, kind_is, parts_of
 from suspnet.ground.storage import printable
 
 NO_NUMBER = "\N{EN DASH}"
-_FILE = re.compile(r"[^;:]+\.\w+: (?=delimiter )")
-"""Name of a CSV file before the words on how it is read."""
 
 
 def count(n: int, noun: str) -> str:
@@ -56,7 +55,8 @@ def kilometres(value: float) -> str:
 
 def span(*texts: str) -> str:
     """Return the ends of a range, or one text if both are equal."""
-    return " to ".join(dict.fromkeys(texts))
+    low, high = texts[0], texts[-1]
+    return low if low == high else Finding("span", low=low, high=high)
 
 
 def unbroken(words: str) -> str:
@@ -70,14 +70,12 @@ def natural(text: str) -> list[str | int]:
 
 
 def files_of(read_as: str) -> dict[str, int]:
-    """Return what is said of reading a trip, without names of files, with their number; 0: none.
-
-    >>> files_of("a.csv: delimiter tab, utf-8; b.csv: delimiter tab, utf-8")
-    {'delimiter tab, utf-8': 2}
-    """
+    """Return what is said of reading a trip, without names of files, with their number; 0: none."""
     found: dict[str, int] = {}
-    for part in filter(None, read_as.split("; ")):
-        words, n_files = _FILE.subn("", part)
+    for part in parts_of(read_as):
+        words, n_files = part, 0
+        if kind_is(part, OF) and kind_is(part.values["words"], "csv-dialect"):
+            words, n_files = part.values["words"], 1
         found[words] = found.get(words, 0) + n_files
     return found
 

@@ -29,6 +29,8 @@ from joblib.externals.loky import ProcessPoolExecutor
 from joblib.parallel import LokyBackend
 from tqdm import tqdm
 
+from suspnet.ground.findings import Finding
+
 WATCH_S = 1.0
 """Time between two checks that the parent process is alive, [s]."""
 ATTEMPTS = 2
@@ -195,11 +197,7 @@ def alongside(module: str, *, is_wanted: bool = True) -> Iterator[Start]:
 
 def _killed(error: BrokenProcessPool) -> str:
     codes = re.search(r"\{(.*)\}", str(error))
-    how = f" ({codes[1]})" if codes else ""
-    return (
-        f"the process that worked on it was killed{how}, and so was that of a second attempt; "
-        "is there too little memory? Fewer workers need less"
-    )
+    return Finding("killed-by", how=codes[1]) if codes else Finding("killed")
 
 
 def begin(is_forked: bool = False) -> None:

@@ -13,6 +13,7 @@ import sqlalchemy as sql
 from numpy.typing import NDArray
 from sqlalchemy.engine import Connection
 
+from suspnet.ground.findings import Finding, of
 from suspnet.ground.parameters import ESTIMATED
 from suspnet.ground.records import (
     HIGHEST_KM,
@@ -216,7 +217,7 @@ def _block(rows: Sequence[Any]) -> Block:
         most = HIGHEST_KM if name == "mileage_km" else np.inf
         wrong = column[(column < least) | (column >= most) | (column == -np.inf)]
         if len(wrong):
-            raise ValueError(f"`{name}` must not be {wrong[0]:g}")
+            raise ValueError(Finding("must-not", name=name, wrong=wrong[0]))
     if not all(isinstance(text, str) for several in texts for text in several):
         raise TypeError("name, start, sensors and worn parts must be text")
     trip, sensors = np.array(texts[0], dtype=str), np.array(texts[2], dtype=str)
@@ -306,7 +307,7 @@ def read_responses(
     rows = connection.execute(chosen).all()
     for row in rows:
         if not all(isinstance(one, kind) for one, kind in zip(row, ROW, strict=True)):
-            raise HistoryError(f"{name}: a row of the curves or of their trips is damaged")
+            raise HistoryError(of(name, Finding("row-curves-their")))
     rows = sorted(rows, key=lambda row: order(or_nan(row[1]), row[2], row[0]))
     return [_responses(*row, name=name) for row in rows]
 

@@ -10,6 +10,7 @@ import sqlite3
 from contextlib import closing, suppress
 from pathlib import Path
 
+from suspnet.ground.findings import Finding, of
 from suspnet.ground.ledger import check_own
 from suspnet.history.database import APPLICATION_ID, MARKER, WAIT_S, HistoryError
 from suspnet.history.store import History
@@ -90,7 +91,7 @@ def _copied(source: Path, target: Path, *, replace: bool = False) -> int:
         ):
             old.backup(new, pages=-1)  # in one step: writers wait, so that it never starts again
             if (found := new.execute("PRAGMA quick_check(1)").fetchone()[0]) != "ok":
-                raise HistoryError(f"{source}: the store is damaged ({found}); nothing was copied")
+                raise HistoryError(of(source, Finding("store-damaged-nothing", found=found)))
         with temporary.open("rb+") as stream:
             os.fsync(stream.fileno())
             size = os.fstat(stream.fileno()).st_size

@@ -17,7 +17,9 @@ from sqlalchemy.engine import URL, Connection, Engine, make_url
 from sqlalchemy.exc import ArgumentError, DBAPIError, NoSuchModuleError, SQLAlchemyError
 
 from suspnet.ground.extras import install_command
+from suspnet.ground.findings import Finding, of
 from suspnet.ground.ledger import ACTING, check_own
+from suspnet.history.older import FINDINGS, store_findings
 from suspnet.history.schema import OLDEST, SCHEMA, metadata, versions
 
 log = logging.getLogger(__name__)
@@ -46,9 +48,7 @@ class HistoryError(ValueError):
 def check_exists(place: str) -> None:
     """Raise HistoryError if a store that is a file does not exist."""
     if "://" not in place and not Path(place).is_file():
-        raise HistoryError(
-            f"{place}: there is no such store; evaluate.py trips=DIR store=FILE makes one"
-        )
+        raise HistoryError(of(place, Finding("there-no-such-store")))
 
 
 class BusyError(HistoryError):
@@ -89,9 +89,9 @@ def connect(url: URL, wait_s: float = WAIT_S, *, must_exist: bool = False) -> En
         raise HistoryError(f"{url.database}: give the path of the store without options")
     path = Path(url.database).absolute()
     if not path.parent.is_dir():
-        raise HistoryError(f"{url.database}: there is no folder {path.parent}")
+        raise HistoryError(of(url.database, Finding("there-no-folder-2", parent=path.parent)))
     if must_exist and not path.exists():
-        raise HistoryError(f"{url.database}: there is no such store")
+        raise HistoryError(of(url.database, Finding("there-no-such-2")))
     try:
         check_own(Path(url.database), APPLICATION_ID, MARKER, "store of suspnet")
     except ValueError as error:
@@ -149,19 +149,16 @@ def version_of(connection: Connection, name: str) -> int | None:
     """
     is_file = connection.dialect.name == "sqlite"
     if is_file and connection.exec_driver_sql(ACTING).first() is not None:
-        raise HistoryError(f"{name}: this is not a store of suspnet: it has a view or a trigger")
+        raise HistoryError(of(name, Finding("not-store-suspnet")))
     there = set(sql.inspect(connection).get_table_names())
     if versions.name not in there:
         if there & set(metadata.tables):
-            raise HistoryError(
-                f"{name}: this is not a store of suspnet, but has tables of the same names"
-            )
+            raise HistoryError(of(name, Finding("not-store-suspnet-but")))
         return None
     version = connection.execute(sql.select(versions.c.schema)).scalar()
     if not isinstance(version, int) or not OLDEST <= version <= SCHEMA:
         raise HistoryError(
-            f"{name}: a store of version {version}, this suspnet reads version {SCHEMA}; use "
-            "the suspnet that wrote it, or start a new store and evaluate the trips again"
+            of(name, Finding("store-version-suspnet", version=version, schema=SCHEMA))
         )
     return version
 
@@ -178,6 +175,9 @@ def prepare(connection: Connection, name: str) -> None:
         return
     if version is not None:
         _add_missing(connection)
+        if version < FINDINGS:
+            store_findings(connection)
+        connection.execute(versions.update().values(schema=SCHEMA))
         return
     if connection.dialect.name == "sqlite":
         connection.exec_driver_sql(f"PRAGMA application_id = {APPLICATION_ID}")
@@ -200,7 +200,6 @@ def _add_missing(connection: Connection) -> None:
                 default = " DEFAULT ''" if isinstance(column.type, sql.String) else ""
                 added = f"{quote(column.name)} {kind}{default}"
                 connection.exec_driver_sql(f"ALTER TABLE {quote(table.name)} ADD COLUMN {added}")
-    connection.execute(versions.update().values(schema=SCHEMA))
 
 
 def error_of(error: SQLAlchemyError | UnicodeDecodeError, name: str) -> HistoryError:
@@ -209,14 +208,11 @@ def error_of(error: SQLAlchemyError | UnicodeDecodeError, name: str) -> HistoryE
     cause = error.orig if isinstance(error, DBAPIError) else None
     code = getattr(cause, "sqlite_errorcode", 0) & 0xFF
     if code in (sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED) or "lock timeout" in words:
-        return BusyError(
-            f"{name}: another program holds the store locked ({words}); it can be used again once "
-            "that one has ended"
-        )
+        return BusyError(of(name, Finding("another-program-holds", words=words)))
     is_damaged = code in (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB)
     if is_damaged or isinstance(error, UnicodeDecodeError):
         return HistoryError(DAMAGED.format(name=name, words=words))
-    return HistoryError(f"{name}: the store cannot be used ({words})")
+    return HistoryError(of(name, Finding("store-cannot-used", words=words)))
 
 
 def check_file(connection: Connection, name: str) -> None:

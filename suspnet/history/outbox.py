@@ -21,6 +21,7 @@ from typing import Any
 import sqlalchemy as sql
 from sqlalchemy.engine import Connection
 
+from suspnet.ground.findings import as_plain
 from suspnet.ground.parameters import Severity
 from suspnet.ground.records import Key
 from suspnet.ground.storage import content_hash, json_bytes
@@ -260,6 +261,7 @@ class _Fleet:
             "begin_km": alarm.begin_km,
             "end_km": or_null(alarm.end_km),
             "reason": alarm.words,
+            "findings": as_plain(alarm.words),
             "acknowledged_by": by.by if by else "",
         }
 

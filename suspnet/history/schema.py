@@ -31,6 +31,7 @@ from sqlalchemy import (
 )
 from sqlalchemy.engine import RowMapping
 
+from suspnet.ground.findings import Finding
 from suspnet.ground.parameters import ESTIMATED
 from suspnet.ground.records import (
     NUMBERS,
@@ -53,7 +54,7 @@ _LOGGED: set[str] = set()
 """Bad rows that this process has logged: a program that polls a store reads them often."""
 KINDS: dict[type, Any] = {sql.String: str, sql.Double: (int, float), sql.Integer: int}
 """Python types of values by column type; SQLite itself accepts any value in any column."""
-SCHEMA, OLDEST = 8, 3
+SCHEMA, OLDEST = 9, 3
 """Version of the tables, and the oldest that is brought to it; a store of any other is refused."""
 
 metadata = MetaData()
@@ -177,7 +178,7 @@ class BadRow:
 
     def __str__(self) -> str:
         of = "" if self.key is None else f" of {self.key[0]}: {self.key[1]}"
-        return f"{self.table}, row {self.row}{of}: {self.why}"
+        return Finding("row", table=self.table, row=self.row, of=of, why=self.why)
 
 
 def bad_row(
@@ -206,7 +207,7 @@ def check_types(table: sql.Table, row: RowMapping) -> None:
             continue
         wanted = next((KINDS[one] for one in type(column.type).__mro__ if one in KINDS), object)
         if not isinstance(value, wanted):
-            raise ValueError(f"`{name}` must not be {str(value)[:40]!r}")
+            raise ValueError(Finding("must-not-2", name=name, value=repr(str(value)[:40])))
 
 
 def trip_key(result: TripResult) -> bytes:

@@ -11,6 +11,7 @@ import sqlalchemy as sql
 from sqlalchemy.engine import Connection, Engine
 from sqlalchemy.exc import SQLAlchemyError
 
+from suspnet.ground.findings import Finding, of
 from suspnet.ground.parameters import Cause
 from suspnet.ground.records import Key, Place, TripResult
 from suspnet.history.arrays import (
@@ -94,7 +95,7 @@ class History:
                 version = version_of(connection, str(self))
             if version != SCHEMA:
                 if must_exist and version is None:
-                    raise HistoryError(f"{self}: the store is empty, no trip was ever stored in it")
+                    raise HistoryError(of(self, Finding("store-empty-no")))
                 with self._writing() as connection:
                     prepare(connection, str(self))
         except BaseException:

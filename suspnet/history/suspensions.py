@@ -10,6 +10,7 @@ from typing import Any, TypeVar
 import sqlalchemy as sql
 from sqlalchemy.engine import Connection
 
+from suspnet.ground.findings import restored, stored
 from suspnet.ground.parameters import Cause
 from suspnet.ground.records import MOST_NAME, PLACE, Key, Place, TripResult
 from suspnet.history.database import HistoryError, upsert
@@ -168,6 +169,8 @@ def read_stored(
             values: dict[str, Any] = {
                 name: math.nan if row[name] is None else row[name] for name in names
             }
+            if kind is Alarm:
+                values["words"] = restored(values["words"])
             found.setdefault(key, []).append(kind(**values))
         except ValueError as error:
             bad.append(bad_row(table, row, error, key))
@@ -215,4 +218,4 @@ def _by_key(rows: Iterable[dict[str, Any]]) -> dict[tuple[Any, ...], dict[str, A
 
 def _row(suspension: int, kept: Event | Alarm | Acknowledgement) -> dict[str, Any]:
     values = {name: or_null(value) for name, value in asdict(kept).items()}
-    return values | {"suspension_id": suspension}
+    return values | {"suspension_id": suspension, "words": stored(kept.words)}

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from suspnet.estimation.trained import TrainedModel
+from suspnet.ground.findings import as_plain, together
 from suspnet.ground.parameters import Severity
 from suspnet.ground.records import ERROR, OK, TripResult, sensors_from_text
 from suspnet.ground.storage import json_bytes
@@ -124,6 +125,7 @@ def estimate_row(name: str, estimate: Estimate, level: float) -> dict[str, Any]:
         "reason": result.reason,
         "flags": result.flags,
         "worn": result.worn,
+        "findings": as_plain(together((result.reason, result.flags, result.worn))),
         "estimates": {
             key: {"value": value, "low": ends[key][0], "high": ends[key][1]}
             for key, value in result.estimates.items()
@@ -158,6 +160,7 @@ def alarms_row(name: str, result: TripResult, alarms: Sequence[Alarm]) -> dict[s
                 "severity": str(one.severity),
                 "begin_km": one.begin_km,
                 "words": one.words,
+                "findings": as_plain(one.words),
             }
             for one in active
         ],

@@ -13,6 +13,7 @@ import numpy as np
 
 from suspnet.estimation.trained import TrainedModel
 from suspnet.estimation.trip_settings import TripSettings
+from suspnet.ground.findings import Finding, of
 from suspnet.ground.records import TripResult
 from suspnet.live.journal import dump_state, load_state
 from suspnet.live.operating_conditions import SlowValues
@@ -260,8 +261,14 @@ def read_suspensions(
         settings.limits_of(fitting)
         if (vehicle := fitting[0].vehicle.name) != manifest.vehicle:
             raise TripError(
-                f"{manifest.path}: the trip is of vehicle {manifest.vehicle!r}, the model was "
-                f"trained for {vehicle!r}"
+                of(
+                    manifest.path,
+                    Finding(
+                        "trip-vehicle-model-was",
+                        vehicle=repr(manifest.vehicle),
+                        vehicle2=repr(vehicle),
+                    ),
+                )
             )
         # a train runs both ways: the direction of that trip is not that of the next
         manifest = replace(manifest, direction=None)

@@ -10,11 +10,12 @@ from datetime import datetime
 import numpy as np
 from tabulate import tabulate
 
+from suspnet.ground.findings import Finding, together
 from suspnet.ground.parameters import BODY_MASS, Cause, Limits, Severity
 from suspnet.ground.types import BoolArray, FloatArray
-from suspnet.ground.wording import count, kilometres
+from suspnet.ground.wording import kilometres
 from suspnet.maintenance.change import Change, Changes, ChangeSettings, find_changes
-from suspnet.maintenance.judge import N_LAST, judge, level_words
+from suspnet.maintenance.judge import N_LAST, beyond_words, judge, level_words
 from suspnet.maintenance.series import Series
 
 N_QUIET = 3
@@ -193,7 +194,7 @@ def _sensor_alarms(series: Series) -> list[Alarm]:
         for begin, end in spans(active, ~active & np.isfinite(km)):
             during = np.arange(begin, len(km) if end is None else end)
             last = next(trip for trip in during[::-1] if one.words(trip) or trip == begin)
-            words = f"sensor {one.name}: {one.words(last)}"
+            words = Finding("sensor", name=one.name, words=one.words(last))
             until = np.nan if end is None else float(km[end])
             found.append(
                 Alarm(one.name, Cause.SENSOR, Severity.NOTICE, float(km[begin]), until, words)
@@ -243,13 +244,13 @@ def alarm_table(alarms: list[Alarm]) -> str:
 def detector_words(changes: Changes, settings: ChangeSettings) -> str:
     """Return the state of the change detector as text."""
     if changes.why_not:
-        return f"not armed yet, {changes.why_not}"
-    used = f"; {', '.join(changes.covariates)} taken into account" if changes.covariates else ""
-    unlike = f"; {count(changes.n_unlike, 'trip')} too unlike the first to be judged"
-    return (
-        f"armed by {changes.n_needed} trips, at most one false alarm in "
-        f"{kilometres(settings.km_per_false_alarm)}{used}{unlike if changes.n_unlike else ''}"
-    )
+        return Finding("not-armed", why=changes.why_not)
+    parts = [Finding("armed", n_needed=changes.n_needed, km=settings.km_per_false_alarm)]
+    if changes.covariates:
+        parts.append(Finding("covariates", names=together(changes.covariates, ", ")))
+    if changes.n_unlike:
+        parts.append(Finding("unlike-first", n=changes.n_unlike))
+    return together(parts)
 
 
 def _beyond(name: str, one: Series, limits: Limits | None) -> list[Alarm]:
@@ -273,29 +274,27 @@ def _beyond(name: str, one: Series, limits: Limits | None) -> list[Alarm]:
         side, level = int(judged.side[at]), Severity(int(severity[at]))
         limit = (limits.act if level == Severity.ACT else limits.notice)[(side + 1) // 2]
         is_out = side * (centre - limit) > 0
-        beyond = f"{'above' if side > 0 else 'below'} the {level} limit of {100 * limit:g} %"
-        words = f"the last trip is {level_words(centre[newest], limit)} of healthy, {beyond}"
+        now, beyond = level_words(centre[newest], limit), beyond_words(side, level, limit)
+        parts = [Finding("last-trip-beyond", level=now, beyond=beyond)]
         if end is not None or not is_out[newest]:  # the parameter has come back
             out = np.flatnonzero(is_out[: (newest if end is None else at) + 1])[-1]
-            level_then = level_words(centre[out], limit)
-            words = f"was {level_then} of healthy, {beyond}, at {kilometres(km[out])}"
-            if end is None:
-                words += f"; the last trip is {level_words(centre[newest], limit)}"
+            then = level_words(centre[out], limit)
+            parts = [Finding("was-beyond", level=then, beyond=beyond, km=km[out])]
+            parts += [Finding("last-trip-level", level=now)] * (end is None)
         if worst > begin:  # it began as a notice
-            words += f"; to act on since {kilometres(km[worst])}"
+            parts.append(Finding("act-since", km=km[worst]))
         until = np.nan if end is None else float(km[end])
-        found.append(Alarm(name, Cause.LIMIT, level, float(km[begin]), until, words))
+        found.append(Alarm(name, Cause.LIMIT, level, float(km[begin]), until, together(parts)))
     return found
 
 
 def _changed(name: str, km: FloatArray, values: FloatArray, change: Change) -> Alarm:
     about = km[max(change.onset - 1, 0) : change.onset + 1].mean()
-    verb = "fell" if change.percent < 0 else "rose"
-    words = f"{verb} by {abs(change.percent):.2g} % at about {kilometres(about)}"
+    words = Finding("fell" if change.percent < 0 else "rose", percent=abs(change.percent), km=about)
     before = float(np.nanmedian(values[: max(change.onset, 1)]))
     now = 100 * (float(np.nanmedian(values[-N_LAST:])) / before - 1)
     if change.end is None and abs(now) > GOES_ON * abs(change.percent):
-        words += f", by {abs(now):.2g} % on the last {N_LAST} trips"
+        words = Finding("change-goes-on", change=words, percent=abs(now), n_last=N_LAST)
     end = np.nan if change.end is None else float(km[change.end])
     return Alarm(name, Cause.CHANGE, Severity.NOTICE, float(km[change.begin]), end, words)
 

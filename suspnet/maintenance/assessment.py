@@ -8,14 +8,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from suspnet.ground.findings import Finding, kind_is, percent, together
 from suspnet.ground.parameters import BODY_MASS, Cause, Limits, Severity
-from suspnet.ground.wording import kilometres
 from suspnet.maintenance.alarms import Alarm
 from suspnet.maintenance.judge import (
     N_CONFIRMING,
     N_LAST,
     Judged,
     LastTrips,
+    beyond_words,
     judge_last,
     level_words,
 )
@@ -28,12 +29,9 @@ LARGE_PERCENT = 10.0
 REPORTED_PERCENT = 2.0
 """Least deviation of the last trip from the median of the last trips, in % of healthy, for which
 the text gives its value."""
-FLAGGED = "flagged and may be wrong"
+FLAGGED = "flagged-trip", "flagged-trips"
+"""Kinds of the level of one trip, or of several, of which a flag is set."""
 ALL_FLAGGED = "all trips are flagged"
-INSPECT = ": inspect before work is ordered"
-"""End of the reason of a parameter beyond a limit where all of the last trips are flagged. Flags
-silence no verdict, as a badly worn part is flagged too, but the numbers may be off: they are a
-reason to look, no measurement."""
 
 
 @dataclass(frozen=True)
@@ -82,11 +80,11 @@ def assess(
     words = _words(trend, last, limits)
     worst = max(alarms, key=lambda one: (one.severity, -one.begin_km), default=None)
     if worst is not None and worst.severity > judge_last(last, limits)[0]:
-        since = f"alarm since {kilometres(worst.begin_km)}"
         is_named = worst.cause == Cause.CHANGE and trend.changed
-        words = f"{words} ({since})" if is_named else f"{worst.words} ({since}); {words}"
+        since = Finding("alarm-since", words=words if is_named else worst.words, km=worst.begin_km)
+        words = since if is_named else together((since, words))
     if doubt and limits is not None:
-        words = f"{doubt}; {words}"
+        words = together((doubt, words))
     return Assessment(trend, severity, words, limits is not None, tuple(alarms))
 
 
@@ -148,55 +146,50 @@ def overall(assessments: Sequence[Assessment]) -> tuple[Severity, str]:
     n_known = sum(a.trend.n_trips > 0 for a in judged)
     n_changed = sum(a.trend.changed for a in judged)
     n_tested = sum(a.trend.shape != Shape.TOO_FEW for a in judged)
-    of = f"of {len(judged)} parameters"
-    quiet = "No parameter is beyond its limits"
+    n_all, quiet = len(judged), "No parameter is beyond its limits"
     if not any(a.limited for a in judged):
         quiet = "No parameter has limits"
     if severity == Severity.ACT:
-        more = f", {n[Severity.NOTICE]} more to be looked at" if n[Severity.NOTICE] else ""
-        return severity, f"Act: {n[severity]} {of} {_is(n[severity])} beyond the act limit{more}:"
+        kind, n_notice = "act-and-notice" if n[Severity.NOTICE] else "act", n[Severity.NOTICE]
+        return severity, Finding(kind, n=n[severity], n_all=n_all, n_notice=n_notice)
     if severity == Severity.NOTICE:
-        return severity, f"Notice: {n[severity]} {of} {_is(n[severity])} to be looked at:"
+        return severity, Finding("notice", n=n[severity], n_all=n_all)
     if n_known == 0:
-        return severity, "No trip has an estimate, so that nothing is known."
+        return severity, Finding("nothing-known")
     if severity == Severity.UNKNOWN:
-        return severity, f"No alarm, but {n[severity]} {of} cannot be judged:"
+        return severity, Finding("not-all-judged", n=n[severity], n_all=n_all)
     if n_changed:
-        return severity, f"{quiet}; {n_changed} {of} changed:"
+        return severity, Finding("some-changed", quiet=quiet, n=n_changed, n_all=n_all)
     if n_tested < len(judged):
-        which = "there are" if n_tested == 0 else "some parameters have"
-        return severity, f"{quiet}; {which} too few trips to find a change."
-    return (
-        severity,
-        f"Nothing stands out. {quiet}, and none changed by more than its trips scatter.",
-    )
+        return severity, Finding("some-too-few" if n_tested else "all-too-few", quiet=quiet)
+    return severity, Finding("nothing-stands-out", quiet=quiet)
 
 
 def _level(judged: Judged, last: LastTrips, limits: Limits) -> str:
     """Return the level of the last trips as text, for a severity above none."""
     side, run, count = (int(part) for part in (judged.side, judged.run, judged.count))
     severity, n_last = Severity(int(judged.severity)), len(last.values)
-    name = "act" if severity == Severity.ACT else "notice"
-    limit = getattr(limits, name)[(side + 1) // 2]
-    beyond = f"{'above' if side > 0 else 'below'} the {name} limit of {100 * limit:g} %"
-    newest = f"the last trip is {level_words(last.values[-1], limit)}"
+    limit = (limits.act if severity == Severity.ACT else limits.notice)[(side + 1) // 2]
+    beyond = beyond_words(side, severity, limit)
+    newest = level_words(last.values[-1], limit)
+    of_healthy = Finding("last-trip-of-healthy", level=newest)
     if count >= N_CONFIRMING and run < count and severity != Severity.UNKNOWN:
-        trips = f"{count} of the last {n_last} trips are"
+        trips = {"count": count, "n_last": n_last, "beyond": beyond}
         if run:
-            return f"{newest} of healthy; {trips} {beyond}"
-        out = last.values[side * (last.values - limit) > 0]
-        return f"{trips} {level_words(np.median(out), limit)} of healthy, {beyond}; {newest}"
-    it, are, its = ("it", "is", "its interval reaches")
-    words = f"{newest} of healthy, {beyond}"
+            return together((of_healthy, Finding("trips-beyond", **trips)))
+        out = level_words(np.median(last.values[side * (last.values - limit) > 0]), limit)
+        several = Finding("trips-level-beyond", level=out, **trips)
+        return together((several, Finding("last-trip-level", level=newest)))
+    words: str = Finding("last-trip-beyond", level=newest, beyond=beyond)
     if run > 1:
-        it, are, its = ("they", "are", "their intervals reach")
-        words = f"{newest} of healthy; the last {run} trips are {beyond}"
+        words = together((of_healthy, Finding("last-trips-beyond", run=run, beyond=beyond)))
     if judged.weak and last.flagged[n_last - run :].any():
-        return words if last.all_flagged else f"{words}, but {it} {are} {FLAGGED}"
+        return words if last.all_flagged else Finding(FLAGGED[run > 1], words=words)
     if judged.weak:
-        return f"{words}, but without an interval that would make it sure"
+        return Finding("without-interval", words=words)
     if severity == Severity.UNKNOWN:
-        return f"{words}, but {its} back within it: too uncertain to judge"
+        kind = "intervals-reach-back" if run > 1 else "interval-reaches-back"
+        return Finding(kind, words=words)
     return words
 
 
@@ -204,94 +197,88 @@ def _development(trend: Trend, judged: Judged, limits: Limits) -> list[str]:
     """Return how the parameter reached its level, for a severity above none."""
     if trend.shape == Shape.RETURNED and trend.step is not None:
         if trend.n_trips - trend.step.n_before <= N_LAST:
-            return [f"the change began at about {_km(trend.step)}"]
+            return [Finding("change-began", km=_km(trend.step))]
         size = _percent(trend.step.size_percent)
-        return [f"earlier, it differed by {size} before and after about {_km(trend.step)}"]
+        return [Finding("earlier-difference", percent=size, km=_km(trend.step))]
     if trend.changed:
         return [_change(trend)]
     side, is_short = int(judged.side), trend.shape == Shape.TOO_FEW
     if side * (trend.first_median - limits.notice[(side + 1) // 2]) > 0:
-        return ["it has been so since the first trips"]
+        return [Finding("since-first-trips")]
     if is_short and trend.n_ends:
         return [_first_trips(trend)]
     if is_short or judged.severity == Severity.UNKNOWN:
         return []
     if judged.run and judged.count < N_CONFIRMING:
-        return ["too few trips so far to call it a lasting change"]
-    return [f"not clear against the spread of {_percent(trend.spread_percent)}"]
+        return [Finding("too-few-lasting")]
+    return [Finding("not-clear", percent=_percent(trend.spread_percent))]
 
 
 def _not_judged(trend: Trend, last: LastTrips) -> str:
     """Return why nothing is judged if all of the last trips are flagged and within the limits."""
-    why = (
-        ALL_FLAGGED if last.all_flagged else f"all of the last {len(last.values)} trips are flagged"
-    )
+    why = ALL_FLAGGED if last.all_flagged else Finding("all-last-flagged", n=len(last.values))
     if last.all_flagged and len(last.values) == 1:
         why = ONE_FLAGGED
-    return "; ".join([f"not judged, as {why}", *([_change(trend)] if trend.changed else [])])
+    return together([Finding("not-judged", why=why), *([_change(trend)] if trend.changed else [])])
 
 
 def _calm(trend: Trend, last: LastTrips, limits: Limits | None = None) -> list[str]:
     """Return how the parameter develops if no limit is crossed or there are no limits."""
     change, median = _change(trend), float(np.median(last.values))
     if trend.parameter == BODY_MASS:
-        return [f"{change} (payload: varies by nature, no fault)"]
+        return [Finding("payload", change=change)]
     scatter = 3 * float(np.nan_to_num(trend.spread_percent))
-    level = f"at {100 * median:.0f} % of healthy"
+    level = Finding("of-healthy", percent=100 * median)
     if trend.changed:
-        parts = [f"{change}, within its limits" if limits else change]
+        parts = [Finding("within-limits-words", words=change) if limits else change]
     elif abs(100 * (median - 1)) > max(LARGE_PERCENT, scatter):
-        parts = [f"{level}, within its limits" if limits else level, change]
+        parts = [Finding("within-limits-words", words=level) if limits else level, change]
     elif trend.shape == Shape.TOO_FEW and limits:
         parts = ["within its limits", change]
     else:
         parts = [change]
     if abs(100 * (last.values[-1] - median)) > max(REPORTED_PERCENT, scatter):
-        parts.append(f"the last trip is at {100 * last.values[-1]:.0f} %")
+        parts.append(Finding("last-trip-at", percent=100 * last.values[-1]))
     if limits:
         n = int(np.sum((last.values < limits.notice[0]) | (last.values > limits.notice[1])))
         if n:
-            lie = "lies" if n == 1 else "lie"
-            parts.append(
-                f"{n} of the last {len(last.values)} trips {lie} beyond a limit, the newest not"
-            )
+            parts.append(Finding("some-beyond", n=n, n_last=len(last.values)))
     return parts
 
 
 def _change(trend: Trend) -> str:
-    without = ", without the flagged trips" if trend.without_flagged else ""
-    return f"{_change_words(trend)}{without}"
+    words = _change_words(trend)
+    return Finding("without-flagged", words=words) if trend.without_flagged else words
 
 
 def _change_words(trend: Trend) -> str:
     if trend.shape == Shape.TOO_FEW:
         if abs(trend.change_percent) >= LARGE_PERCENT and trend.parameter != BODY_MASS:
             return _first_trips(trend)
-        return f"too few trips ({trend.n_trips} of {trend.n_needed}) to find a change"
+        return Finding("too-few-to-find", n_trips=trend.n_trips, n_needed=trend.n_needed)
     if trend.shape == Shape.NONE:
-        return f"no change beyond the spread of {_percent(trend.spread_percent)}"
+        return Finding("no-change", percent=_percent(trend.spread_percent))
     if trend.shape == Shape.RETURNED and trend.step is not None:
         size = _percent(trend.step.size_percent)
-        return f"differs by {size} before and after about {_km(trend.step)}, but ends as it began"
+        return Finding("returned", percent=size, km=_km(trend.step))
     change = trend.change_percent
-    verb, going_on = ("falls", "falling") if change < 0 else ("rises", "rising")
-    amount = f"{verb} by {_percent(change)}"
+    verb = "falls" if change < 0 else "rises"
+    amount = Finding(verb, percent=_percent(change))
     if abs(change) >= LARGE_PERCENT:
-        level = f"{100 * trend.last_median:.0f} % of healthy"
-        amount = f"{verb} to {level} (median of the last {trend.n_ends} trips)"
+        amount = Finding(f"{verb}-to", percent=100 * trend.last_median, n_ends=trend.n_ends)
     if trend.shape == Shape.STEADY:
-        return f"{amount}, steadily along the mileage"
+        return Finding("steadily", words=amount)
     if trend.step is None:
-        return f"{amount} from the first to the last trips"
+        return Finding("from-first-to-last", words=amount)
     if trend.shape == Shape.GRADUAL:
-        return f"{amount}, gradually around {_km(trend.step)}, and was still {going_on} at the end"
-    return f"{amount} at about {_km(trend.step)}"
+        going_on = "gradually-falling" if change < 0 else "gradually-rising"
+        return Finding(going_on, words=amount, km=_km(trend.step))
+    return Finding("about", words=amount, km=_km(trend.step))
 
 
 def _first_trips(trend: Trend) -> str:
     """Return where the first trips were, for a difference that too few trips can test."""
-    trips = "trip was" if trend.n_ends == 1 else f"{trend.n_ends} trips were"
-    return f"the first {trips} at {100 * trend.first_median:.0f} % of healthy"
+    return Finding("first-trips", n=trend.n_ends, percent=100 * trend.first_median)
 
 
 def _joined(
@@ -302,26 +289,25 @@ def _joined(
     if last.all_flagged:
         flags.append(ALL_FLAGGED)
     elif trend.flagged_first or trend.flagged_last:
-        ends = {"first": trend.flagged_first, "last": trend.flagged_last}
-        if any(FLAGGED in part for part in parts) and trend.flagged_last == 1:
-            ends["last"] = 0
-        words = [f"{n} of the {end} {trend.n_ends}" for end, n in ends.items() if n]
-        if words:
-            flags.append(f"{' and '.join(words)} trips {_is(sum(ends.values()))} flagged")
+        first, newest, n_ends = trend.flagged_first, trend.flagged_last, trend.n_ends
+        if any(kind_is(part, kind) for part in parts for kind in FLAGGED) and newest == 1:
+            newest = 0  # it has been said
+        if first and newest:
+            flags.append(Finding("flagged-both", n_first=first, n_last=newest, n_ends=n_ends))
+        elif first or newest:
+            kind = "flagged-first" if first else "flagged-last"
+            flags.append(Finding(kind, n=first or newest, n_ends=n_ends))
+    words = together([*parts, *flags])
+    # flags silence no verdict, as a badly worn part is flagged too, but its numbers may be off
     is_doubtful = severity >= Severity.NOTICE and bool(last.flagged.all())
-    return "; ".join([*parts, *flags]) + INSPECT * (is_doubtful and bool(flags))
+    return Finding("inspect-first", words=words) if is_doubtful and flags else words
 
 
-def _is(n: int) -> str:
-    return "is" if n == 1 else "are"
-
-
-def _percent(value: float) -> str:
+def _percent(value: float) -> Finding:
     size = abs(value)
-    digits = 0 if size >= LARGE_PERCENT else 1 if size >= 0.095 else 2
-    return f"{size:.{digits}f} %"
+    return percent(size, 0 if size >= LARGE_PERCENT else 1 if size >= 0.095 else 2)
 
 
-def _km(step: Step) -> str:
+def _km(step: Step) -> float:
     digits = math.floor(math.log10(max(step.gap_km, 1.0)))
-    return kilometres(round(step.mileage_km, -digits))
+    return round(step.mileage_km, -digits)

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import ArrayLike
 
+from suspnet.ground.findings import Finding
 from suspnet.ground.settings import LARGEST, check_settings, setting
 from suspnet.ground.types import BoolArray, FloatArray, IntArray
 from suspnet.maintenance.cusum import CLIP, MAX_CORRELATION, Residuals, cusum, residuals, threshold
@@ -171,7 +172,7 @@ def find_changes(
     trips = np.flatnonzero(good)
     needed = settings.n_reference
     if len(trips) < needed:
-        why = f"{len(trips)} of {needed} trips for the reference so far"
+        why = Finding("trips-reference-so", n_trips=len(trips), needed=needed)
         return Changes(n_reference=len(trips), n_needed=needed, why_not=why)
     used_names, z, known = _covariates(covariates, trips, needed)
     n_lacking = int((~known).sum())

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from suspnet.ground.findings import Finding, percent
 from suspnet.ground.parameters import Limits, Severity
 from suspnet.ground.types import BoolArray, FloatArray, IntArray
 from suspnet.maintenance.series import NEWEST, Series
@@ -177,8 +178,14 @@ def judge_last(last: LastTrips, limits: Limits | None) -> tuple[Severity, Judged
 def level_words(value: float, limit: float) -> str:
     """Return a level in %, with digits that distinguish it from a limit; see ``ABSURD``."""
     if value > ABSURD > limit:
-        return f"at over {100 * ABSURD:.0f} %"
+        return Finding("over", percent=100 * ABSURD)
     digits = 0
     while digits < 3 and round(100 * value, digits) == round(100 * limit, digits):
         digits += 1
-    return f"at {100 * value:.{digits}f} %"
+    return Finding("level", percent=percent(100 * value, digits))
+
+
+def beyond_words(side: int, severity: Severity, limit: float) -> Finding:
+    """Return which limit is passed; `side` is 1 above healthy, -1 below."""
+    kind = "act" if severity == Severity.ACT else "notice"
+    return Finding(f"{'above' if side > 0 else 'below'}-{kind}-limit", limit=100 * limit)

@@ -12,6 +12,7 @@ from itertools import chain
 import numpy as np
 from numpy.typing import NDArray
 
+from suspnet.ground.findings import Finding
 from suspnet.ground.parameters import ESTIMATED, Severity
 from suspnet.ground.types import FloatArray
 from suspnet.ground.wording import thousands
@@ -113,7 +114,7 @@ def join_plans(plans: Sequence[Plan]) -> Plan:
 
 def _of_unknown_life(part: Part, train: Train, today: date) -> Part:
     """Return a part of a train whose newest trip is too old: only its severity plans its visit."""
-    why = f"the newest trip is {thousands(train.age_days(today))} days old"
+    why = Finding("newest-trip-old", days=thousands(train.age_days(today)))
     return replace(part, samples_km=np.array([np.inf]), unknown=why)
 
 

@@ -11,10 +11,11 @@ from typing import Any
 import numpy as np
 from tabulate import tabulate
 
+from suspnet.ground.findings import Finding, together
 from suspnet.ground.parameters import Severity, condensed, part_words
 from suspnet.ground.settings import check_number
 from suspnet.ground.types import FloatArray
-from suspnet.ground.wording import count, number, thousands
+from suspnet.ground.wording import number, thousands
 
 URGENCIES = ("unknown", "now", "soon", "later")
 """Urgencies of jobs: remaining life unknown, visit on the first possible day, visit to be decided
@@ -114,9 +115,9 @@ class Part:
 
     def __str__(self) -> str:
         """Return train, car, suspension and parameter or part as text."""
-        car = f"car {self.car}" if self.car else ""
+        car = Finding("car", name=self.car) if self.car else ""
         part = part_words(self.parameter)
-        return ", ".join(filter(None, (self.train, car, self.suspension, part)))
+        return together((self.train, car, self.suspension, part), ", ")
 
 
 @dataclass(frozen=True, eq=False)
@@ -188,7 +189,7 @@ class Visit:
 
     def words_of(self, job: Job) -> str:
         """Return the work of one of its jobs and its day: "replace at the visit of 2026-03-15"."""
-        return f"{job.what} at the visit of {self.day.isoformat()}"
+        return Finding("work-at-visit", what=job.what, day=self.day.isoformat())
 
     def urgency_of(self, job: Job) -> str:
         """Return the urgency of one of its jobs: "now" or "unknown" if its life is unknown."""
@@ -240,11 +241,8 @@ class Plan:
         """Text on trains with an assumed mileage per day; empty if there are none."""
         if not self.assumed:
             return ""
-        pace = f"{self.assumed[0].km_per_day:g} km a day"
-        return (
-            f"{_names(self.assumed)}: {pace} are assumed, as the dates of the trips are unknown or "
-            "too close."
-        )
+        pace = self.assumed[0].km_per_day
+        return Finding("plan-assumed", names=_names(self.assumed), km_per_day=pace)
 
     @property
     def stale_words(self) -> str:
@@ -252,11 +250,12 @@ class Plan:
         if not self.stale:
             return ""
         newest = max(self.stale, key=lambda train: train.on).on
-        return (
-            f"{_names(self.stale)}: the newest trip is {thousands((self.today - newest).days)} "
-            f"days old ({newest}). The wear since then is unknown, so that only parts with an "
-            "alarm have a visit, to inspect them. Evaluate newer trips, or give "
-            f"today={newest + timedelta(days=1)} for the plan of that time. "
+        return Finding(
+            "plan-stale",
+            names=_names(self.stale),
+            days=thousands((self.today - newest).days),
+            newest=newest,
+            today=str(newest + timedelta(days=1)),
         )
 
     @property
@@ -314,18 +313,20 @@ class Plan:
         """Too old trips, numbers of visits and jobs, the optimum, and assumed mileages."""
         n_jobs = sum(len(visit.jobs) for visit in self.visits)
         n_waiting = len(self.waiting)
-        unknown = f"{count(len(self.unknown), 'part')} unknown, " if self.unknown else ""
-        best = "No plan costs less."
+        words = Finding(
+            "plan",
+            visits=Finding("visits", n=len(self.visits)),
+            jobs=Finding("jobs", n=n_jobs),
+            day=self.horizon,
+            waiting=Finding("maybe-later", n=n_waiting),
+            quiet=Finding("need-nothing", n=self.n_quiet),
+        )
+        if self.unknown:
+            words = Finding("plan-unknown", n=len(self.unknown), words=words)
+        best = Finding("plan-best")
         if self.gap:
-            best = (
-                f"The search was ended: the best plan may cost up to {100 * self.gap:.2g} % less."
-            )
-        return (
-            f"{self.stale_words}{unknown}{count(len(self.visits), 'visit')} with "
-            f"{count(n_jobs, 'job')} until {self.horizon}, {count(n_waiting, 'part')} may need "
-            f"work later, {self.n_quiet} need{'s' * (self.n_quiet == 1)} nothing. "
-            f"{best} {self.assumed_words}"
-        ).rstrip()
+            best = Finding("plan-ended", percent=100 * self.gap)
+        return together((self.stale_words, words, best, self.assumed_words), " ")
 
     def __str__(self) -> str:
         """Return the plan as a text table, and a line on the first part that needs work later."""
@@ -355,8 +356,8 @@ def _whole(value: float) -> float:
 
 def _names(trains: Sequence[Train]) -> str:
     names = ", ".join(train.name for train in trains[:MOST_NAMED])
-    more = len(trains) - MOST_NAMED
-    return f"{names} and {more} more" if more > 0 else names
+    n_more = len(trains) - MOST_NAMED
+    return Finding("and-more", names=names, n=n_more) if n_more > 0 else names
 
 
 def joined(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:

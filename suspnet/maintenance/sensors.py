@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from suspnet.ground.findings import Finding, together
 from suspnet.ground.records import SensorHealth, sensors_from_text
 from suspnet.ground.types import BoolArray, FloatArray, IntArray
 
@@ -60,18 +61,17 @@ class SensorTrend:
         """Return what has changed on a trip, as text."""
         size = {name: float(change[trip]) for name, change in self.changes.items()}
         texts = {
-            "noise": f"noise {math.exp(size['noise']):.2g} times as in its first trips",
-            "gain": f"sensitivity {100 * math.expm1(size['gain']):+.2g} % since its first trips",
-            "delay_s": f"{1e3 * size['delay_s']:+.2g} ms late since its first trips",
-            "faulty": f"drop-outs in {100 * float(self.values['faulty'][trip]):.2g} % of the trip",
+            "noise": Finding("noise-times-first", exp=math.exp(size["noise"])),
+            "gain": Finding("sensitivity-since-first", expm1=100 * math.expm1(size["gain"])),
+            "delay_s": Finding("ms-late-since", size=1000.0 * size["delay_s"]),
+            "faulty": Finding("drop-outs-trip", values=100 * float(self.values["faulty"][trip])),
         }
         if self.fellow:  # of two that differ, each may have changed by all of it
             difference = 100 * math.expm1(2 * size["gain"])
-            texts["gain"] = (
-                f"sensitivity {difference:+.2g} % against {self.fellow} since the first trips: "
-                "one of the two"
+            texts["gain"] = Finding(
+                "sensitivity-against-since", difference=difference, fellow=self.fellow
             )
-        return ", ".join(texts[name] for name in texts if self.beyond[name][trip])
+        return together((texts[name] for name in texts if self.beyond[name][trip]), ", ")
 
 
 def sensor_trends(

@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from suspnet.ground.findings import Finding, stored
 from suspnet.ground.parameters import BODY_MASS, BOGIE_PARTS, ESTIMATED, PARAMETERS
 from suspnet.ground.records import EVENT_KINDS, SENSOR, Key, Place, TripResult, sensors_from_text
 from suspnet.ground.times import utc
 from suspnet.ground.types import BoolArray, FloatArray, IntArray
-from suspnet.ground.wording import kilometres
 from suspnet.maintenance.directions import SIGNS, widened
 from suspnet.maintenance.sensors import LEAST, SensorTrend, sensor_trends
 
@@ -44,7 +44,7 @@ class Event:
             raise ValueError(f"an event is one of {', '.join(EVENT_KINDS)}, got {self.kind!r}")
 
     def __str__(self) -> str:
-        return f"{self.words or self.kind} at {kilometres(self.mileage_km)}"
+        return Finding("event", words=self.words or self.kind, km=self.mileage_km)
 
 
 @dataclass(frozen=True, eq=False)
@@ -352,7 +352,7 @@ def series_of(results: Sequence[TripResult], events: Iterable[Event] = ()) -> Se
         healthy_since_km=[one.healthy_since_km for one in results],
         speed_m_per_s=[one.quality.speed_m_per_s for one in results],
         sensors=[one.quality.sensors for one in results],
-        worn=[one.worn for one in results],
+        worn=[stored(one.worn) for one in results],
         temperature_c=[one.temperature_c for one in results],
         direction=[SIGNS.get(one.quality.direction, np.nan) for one in results],
     ).widened()

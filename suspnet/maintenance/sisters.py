@@ -22,6 +22,7 @@ from typing import Annotated
 import numpy as np
 from scipy import stats
 
+from suspnet.ground.findings import Finding
 from suspnet.ground.parameters import BOGIE_PARTS, Cause, Severity, kind_of, part_words
 from suspnet.ground.records import INTERVAL_LEVEL, Key
 from suspnet.ground.settings import Setting, check_number, check_settings, setting
@@ -290,13 +291,16 @@ def _words(parameter: str, found: _Compared, place: int) -> str:
     n, n_apart = int(found.n_sisters[place]), int(found.n_apart[place])
     level, median = math.exp(found.level[place]), math.exp(found.median[place])
     percent = 100 * (level / median - 1)
-    size = f"{part_words(parameter)} is {abs(percent):.1f} % {'below' if percent < 0 else 'above'}"
-    levels = f"{100 * level:.1f} and {100 * median:.1f} % of healthy"
-    if n == 1:
-        return f"{size} that of its one sister ({levels}): which of them changed is not known"
-    if 2 * n_apart == n + 1:
-        return f"{size} {n_apart} of its {n} sisters ({levels}): which of them changed is not known"
-    return f"{size} its sisters (median of {n})"
+    which = "-one" if n == 1 else "-some" if 2 * n_apart == n + 1 else ""
+    return Finding(
+        f"sister-{'below' if percent < 0 else 'above'}{which}",
+        part=part_words(parameter),
+        percent=abs(percent),
+        own=100 * level,
+        other=100 * median,
+        n_apart=n_apart,
+        n=n,
+    )
 
 
 def alarms_of_sisters(series: Sequence[Series], settings: SisterSettings) -> dict[Key, list[Alarm]]:

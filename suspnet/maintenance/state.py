@@ -10,13 +10,13 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
+from suspnet.ground.findings import Finding, parts_of, restored
 from suspnet.ground.parameters import (
     BODY_MASS,
     BOGIE_PARTS,
     Limits,
     Severity,
     kind_of,
-    part_words,
 )
 from suspnet.ground.records import Key
 from suspnet.ground.types import FloatArray
@@ -144,7 +144,7 @@ class State:
         if not flagged.all():
             return ""
         n = len(flagged)
-        return f"all of the last {n} trips are flagged" if n > 1 else ONE_FLAGGED
+        return Finding("all-last-flagged", n=n) if n > 1 else ONE_FLAGGED
 
     @cached_property
     def unknown(self) -> dict[str, str]:
@@ -187,7 +187,8 @@ class State:
         last = self._last[name]
         severity, judged = judge_last(last, self.limits.get(name))
         is_beyond = severity >= Severity.NOTICE and judged is not None and judged.run > 0
-        is_named = name in BOGIE_PARTS and part_words(name) in self.worn
+        worn = (one.values for one in parts_of(self.worn) if isinstance(one, Finding))
+        is_named = any(name in values.get("names", ()) for values in worn)
         return last.newest if is_beyond or is_named else last
 
     @cached_property
@@ -196,7 +197,7 @@ class State:
         recent = self.recent
         read = [np.isfinite(column) for n, column in recent.estimates.items() if n in BOGIE_PARTS]
         newest = np.flatnonzero(np.any(read, axis=0))[-1:]
-        return "" if recent.worn is None or not len(newest) else str(recent.worn[newest[0]])
+        return "" if recent.worn is None or not len(newest) else restored(recent.worn[newest[0]])
 
     def now(self, name: str) -> float:
         """Return the present value of a parameter, [-]: the median of its ``leading`` trips.
@@ -305,9 +306,8 @@ def why_unknown(
     if not n_clear:
         return "all trips are flagged" if n_known > 1 else "the only trip is flagged"
     if n_clear < MIN_TRIPS:
-        return (
-            f"too few trips ({n_clear} of {MIN_TRIPS}{' without a flag' if doubtful.any() else ''})"
-        )
+        kind = "too-few-unflagged" if doubtful.any() else "too-few-of"
+        return Finding(kind, n=n_clear, n_needed=MIN_TRIPS)
     return "too few trips with a mileage and an estimate that is certain enough"
 
 

@@ -16,6 +16,7 @@ from scipy.io import loadmat, whosmat
 from scipy.io.matlab import MatlabFunction, MatlabOpaque, mat_struct, varmats_from_mat
 
 from suspnet.ground.extras import import_extra
+from suspnet.ground.findings import Finding, of, together
 from suspnet.recordings.columns import (
     MOST_CHUNK_BYTES,
     Block,
@@ -42,7 +43,6 @@ MOST_PARTS = 1000
 """Largest number of columns of a matrix, and of cells of a variable of MATLAB."""
 MOST_CELLS = 4
 """Largest number of cells within cells."""
-PLAIN = "; export it as plain numbers into one file"
 MISSING_NAMES = ("_FillValue", "missing_value")
 PACKING = (
     *MISSING_NAMES,
@@ -79,7 +79,10 @@ def open_hdf5(path: Path, _: CsvDialect | None = None) -> Iterator[OpenFile]:
         whole = {key: one for key, one in _stated(_attributes(file)).items() if key == "date"}
         descriptions = {name: whole | found.described(name) for name in arrays}
         with _opened(path, arrays, descriptions, found.unread) as opened:
-            words = f"{path.name}: attributes that are not applied: {', '.join(found.unapplied)}"
+            words = of(
+                path.name,
+                Finding("attributes-not-applied", unapplied=together(found.unapplied, ", ")),
+            )
             yield replace(opened, words=words) if found.unapplied else opened
 
 
@@ -106,7 +109,7 @@ class _Content:
                 self._collect_data(name, item)
         except Exception as error:  # types without an equivalent; HDF5 raises any error
             reason = " ".join(str(error).split())[:100]
-            self.unread[name] = f"cannot be read ({reason}){PLAIN}"
+            self.unread[name] = _as_numbers(Finding("unreadable-as", reason=reason))
 
     def _collect_data(self, name: str, item: Any) -> None:
         """Add a data set, or the fields of a table."""
@@ -183,10 +186,14 @@ def _no_numbers(item: Any) -> str:
     return _of_shape(item.shape)
 
 
+def _as_numbers(words: Finding) -> Finding:
+    return Finding("as-plain-numbers", words=words)
+
+
 def _of_shape(shape: tuple[int, ...]) -> str:
     if is_vector(shape) or (len(shape) <= 2 and min(shape) <= MOST_PARTS):
         return ""
-    return f"is an array of {' x '.join(map(str, shape))}; export it as columns"
+    return Finding("array-export-columns", shape=" x ".join(map(str, shape)))
 
 
 @dataclass(frozen=True)
@@ -261,17 +268,18 @@ def _packed(dataset: Any, h5py: Any) -> Any:
 def foreign(dataset: Any) -> str:
     """Return which other files, plug-in or excess of memory a data set needs; "" if none."""
     if dataset.is_virtual:
-        return f"is virtual, which takes samples from other files{PLAIN}"
+        return _as_numbers(Finding("virtual"))
     plan = dataset.id.get_create_plist()
     if plan.get_external_count():
-        return f"is stored in other files{PLAIN}"
+        return _as_numbers(Finding("in-other-files"))
     filters = [plan.get_filter(i)[0] for i in range(plan.get_nfilters())]
     others = [number for number in filters if number not in FILTERS]
     if others:
-        return f"is packed by filter {others[0]}, which is a plug-in{PLAIN}"
+        return _as_numbers(Finding("packed-by-filter", number=others[0]))
     piece = math.prod(dataset.chunks or ()) * dataset.dtype.itemsize
     if filters and piece > MOST_CHUNK_BYTES:
-        return f"is packed in pieces of {piece} bytes, more than {MOST_CHUNK_BYTES}{PLAIN}"
+        sizes = {"n_bytes": piece, "most": MOST_CHUNK_BYTES}
+        return _as_numbers(Finding("packed-in-pieces", **sizes))
     return ""
 
 
@@ -420,11 +428,10 @@ def _opened(
         for name in names:
             kind = arrays[name if name in arrays else name.rpartition("[")[0]].dtype
             if kind.kind not in "iuf":
-                raise TripError(f"{path}: column {name!r} holds {kind}, not real numbers")
+                raise TripError(of(path, Finding("column-holds-not", name=repr(name), value=kind)))
         return slices(path, names, takes)
 
-    hint = f"; the matrix {'; '.join(matrices[:3])}" if matrices else ""
-    yield OpenFile(tuple(columns), read, hint=hint)
+    yield OpenFile(tuple(columns), read, hint=together(matrices[:3]))
 
 
 def _take(array: Any, axis: int, i: int) -> Take:

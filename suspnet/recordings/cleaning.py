@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from suspnet.ground.findings import Finding, of
 from suspnet.ground.types import BoolArray, FloatArray
-from suspnet.ground.wording import count
 from suspnet.recordings.faults import (
     fill,
     find_clipping,
@@ -73,17 +73,14 @@ class Fault:
 
     def __str__(self) -> str:
         if self.words:
-            return f"{self.channel}: {self.kind} {self.words}"
-        if self.size_m_per_s2 is not None:
-            size = f"{self.size_m_per_s2:.3g} m/s2"
-            if self.kind == "offset" and abs(self.size_m_per_s2) > ODD_MEAN_M_PER_S2:
-                return f"{self.channel}: offset of {size}, gravity is 9.81: check its unit"
-            return f"{self.channel}: {self.kind} of {size}, harmless"
+            return of(self.channel, self.words)
+        if (size := self.size_m_per_s2) is not None:
+            is_odd = self.kind == "offset" and abs(size) > ODD_MEAN_M_PER_S2
+            kind = "odd-offset" if is_odd else "harmless"
+            return of(self.channel, Finding(kind, kind=self.kind, m_per_s2=size))
+        given = {"kind": self.kind, "seconds": self.seconds, "first_s": self.first_s}
         fate = "repaired" if self.repaired else "not usable"
-        return (
-            f"{self.channel}: {self.kind} of {count(self.n_samples, 'sample')} "
-            f"({self.seconds:.3g} s), first at {self.first_s:.3f} s, {fate}"
-        )
+        return of(self.channel, Finding("sample", n=self.n_samples, fate=fate, **given))
 
 
 class Cleaner:

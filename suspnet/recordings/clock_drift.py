@@ -16,6 +16,7 @@ import numpy as np
 from scipy.fft import irfft, rfft, rfftfreq
 from scipy.signal import get_window
 
+from suspnet.ground.findings import Finding, of, together
 from suspnet.ground.types import BoolArray, ComplexArray, FloatArray, IntArray
 from suspnet.recordings.cleaning import Fault
 from suspnet.recordings.errors import TripError
@@ -88,8 +89,7 @@ def clock_faults(
         words, size_s = _words(manifest, first, second, drift)
         if size_s > REFUSED_S:
             raise TripError(
-                f"{manifest.path}: channel {second!r}: clock {words}; correct that or give a "
-                "column of `time`"
+                of(manifest.path, Finding("channel-clock", name=repr(second), words=words))
             )
         if size_s >= TOLD_S:
             faults.append(
@@ -115,26 +115,18 @@ def _words(manifest: TripManifest, first: str, second: str, drift: Drift) -> tup
     if abs(drift.size) < SIGNIFICANT * drift.deviation:
         return "", 0.0
     if math.isinf(drift.size):
-        words = (
-            f"seems to jump against that of {first}: only on one side of {drift.jump_at_s:.0f} s "
-            "after the start do they show the same motion; were samples lost?"
-        )
+        words = Finding("clock-seems-to-jump", first=first, jump_at_s=drift.jump_at_s)
         return words, TOLD_S
     if drift.is_jump:
-        words = (
-            f"jumps by {1e3 * drift.size:+.3g} ms against that of {first} about "
-            f"{drift.jump_at_s:.0f} s after the start: were samples lost or added?"
-        )
-        return words, abs(drift.size)
+        ms, jump_at_s = 1e3 * drift.size, drift.jump_at_s
+        return Finding("clock-jumps", ms=ms, first=first, jump_at_s=jump_at_s), abs(drift.size)
     size_s = abs(drift.size) * drift.seconds
-    words = (
-        f"runs {1e6 * drift.size:+.3g} ppm against that of {first}, {1e3 * size_s:.3g} ms along "
-        "the trip"
-    )
+    words = Finding("clock-runs", ppm=1e6 * drift.size, first=first, ms=1e3 * size_s)
     stated_hz = manifest.sensors()[second].rate_hz
-    if stated_hz is not None:
-        words += f"; with `rate_hz` {stated_hz * (1 + drift.size):.8g} they would agree"
-    return words, size_s
+    if stated_hz is None:
+        return words, size_s
+    agreed = Finding("rate-would-agree", rate_hz=stated_hz * (1 + drift.size))
+    return together((words, agreed)), size_s
 
 
 def find_drift(

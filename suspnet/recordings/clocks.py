@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from suspnet.ground.findings import Finding, of, together
 from suspnet.ground.types import BoolArray, FloatArray
 from suspnet.recordings.columns import Column, size_of
 from suspnet.recordings.dates import (
@@ -98,9 +99,11 @@ class Times:
     @property
     def words(self) -> list[str]:
         """What was repaired in the times so far."""
-        found = [f"times jump by {why} and continue ({n})" for why, n in self._repairs.items()]
+        found: list[str] = [
+            Finding("times-jump-continue", why=why, n=n) for why, n in self._repairs.items()
+        ]
         if self.n_untimed:
-            found.append(f"rows without a time are left out ({self.n_untimed})")
+            found.append(Finding("rows-without-time", n_untimed=self.n_untimed))
         return found
 
     def seconds(self, times: NDArray[np.generic]) -> FloatArray:
@@ -166,19 +169,19 @@ class Times:
         """Set the zero of time stamps to the whole second of the first one."""
         known = times[~np.isnat(times)].astype("datetime64[s]")
         if not len(known):
-            raise TripError(f"{self.where}: its times are empty")
+            raise TripError(of(self.where, Finding("times-empty")))
         first = int(known[0].astype(np.int64)) * SECOND_NS
         self._first = first
         zone = self.source.time_zone
         if known[0].astype("datetime64[D]") == NO_DATE:
             if zone is not None:
-                raise TripError(f"{self.where}: its times have no date: leave out `time_zone`")
+                raise TripError(of(self.where, Finding("times-have-no")))
             self._first = int(NO_DATE.astype("datetime64[ns]").astype(np.int64))
             self.zero = Zero(is_midnight=True)
         elif zone is None:
             self.zero = Zero(first, self.column.is_zoned)
         elif self.column.is_zoned:
-            raise TripError(f"{self.where}: its time stamps name a zone; leave out `time_zone`")
+            raise TripError(of(self.where, Finding("time-stamps-name")))
         else:
             self.zero = Zero(first - self._offset_ns(first, zone))
 
@@ -187,10 +190,7 @@ class Times:
         early, late = (ahead_ns(first, time_zone(zone), fold) for fold in (0, 1))
         if early != late:
             naive = (EPOCH + timedelta(seconds=first // SECOND_NS)).replace(tzinfo=None)
-            raise TripError(
-                f"{self.where}: {naive} is not one instant in {zone}, as clocks are changed there; "
-                "give `time_zone` as an offset like +02:00"
-            )
+            raise TripError(of(self.where, Finding("not-one-instant", naive=naive, zone=zone)))
         return early
 
     def _begin_numbers(self, times: NDArray[np.generic]) -> None:
@@ -201,12 +201,21 @@ class Times:
         stated, found = self.source.time_unit, size_of("time", self.column.unit)
         if stated is not None and found is not None and found != TIME_UNITS[stated]:
             raise TripError(
-                f"{self.where}: `time_unit` says {stated!r}, its file says {self.column.unit!r}"
+                of(
+                    self.where,
+                    Finding(
+                        "time-unit-says-file", stated=repr(stated), unit=repr(self.column.unit)
+                    ),
+                )
             )
         if stated is None and found is None and self.column.unit:
             raise TripError(
-                f"{self.where}: its times are in {self.column.unit!r}, which is not known; give "
-                f"`time_unit`, one of {list(TIME_UNITS)}"
+                of(
+                    self.where,
+                    Finding(
+                        "times-not-known", unit=repr(self.column.unit), time_units=list(TIME_UNITS)
+                    ),
+                )
             )
         size = found if stated is None else TIME_UNITS[stated]
         sizes = TIME_UNITS.values() if size is None else [size]
@@ -223,9 +232,7 @@ class Times:
             self.zero = Zero(whole_s * SECOND_NS)
         if self.source.time_zone is not None:
             if self.zero.ns is None or self.zero.is_zoned:
-                raise TripError(
-                    f"{self.where}: `time_zone` is for time stamps, its times are numbers"
-                )
+                raise TripError(of(self.where, Finding("time-zone-time-stamps")))
             ahead = self._offset_ns(self.zero.ns, self.source.time_zone)
             self.zero = replace(self.zero, ns=self.zero.ns - ahead, is_zoned=True)
 
@@ -281,8 +288,15 @@ def offsets_s(manifest: TripManifest, zeros: Mapping[str, Zero]) -> dict[str, fl
         start = manifest.start
         if start is None:
             raise TripError(
-                f"{manifest.path}: {', '.join(starts)} have absolute times, {', '.join(others)} "
-                f"have not; give `start`, the time at which {', '.join(others)} begin"
+                of(
+                    manifest.path,
+                    Finding(
+                        "have-absolute-times",
+                        starts=together(starts, ", "),
+                        others=together(others, ", "),
+                        others2=together(others, ", "),
+                    ),
+                )
             )
         first, is_zoned = nanoseconds(start), start.tzinfo is not None
         # times of day count from the midnight before it
@@ -290,14 +304,10 @@ def offsets_s(manifest: TripManifest, zeros: Mapping[str, Zero]) -> dict[str, fl
         midnight_s = (midnight - start).total_seconds()
     local = [name for name in starts if not zeros[name].is_zoned]
     if local and (len(local) < len(starts) or is_zoned):
-        raise TripError(
-            f"{manifest.path}: the times of {', '.join(local)} name no time zone, others do; give "
-            'their `time_zone`, like "UTC", "+02:00" or "Europe/Berlin"'
-        )
+        raise TripError(of(manifest.path, Finding("times-name-no", local=together(local, ", "))))
     if not local and is_zoned is False:
         raise TripError(
-            f"{manifest.path}: the times of {', '.join(starts)} are in UTC; write the time zone "
-            "into `start` too, like 2015-08-03T08:00:00+02:00"
+            of(manifest.path, Finding("times-utc-write", starts=together(starts, ", ")))
         )
     undated = {name: midnight_s if zeros[name].is_midnight else 0.0 for name in others}
     return undated | {name: (ns - first) / SECOND_NS for name, ns in starts.items()}

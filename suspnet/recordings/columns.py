@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from suspnet.ground.findings import Finding, of
 from suspnet.ground.storage import open_plain, stored_bytes
 from suspnet.recordings.errors import TripError
 from suspnet.recordings.manifest_keys import CsvDialect
@@ -109,27 +110,37 @@ def choose(path: Path, file: OpenFile, columns: Sequence[str | None]) -> list[st
     for name in named:
         if name not in present:
             raise TripError(
-                f"{path} has no column {name!r} of numbers; it has {listing(listed)}{file.hint}"
+                Finding(
+                    "no-column-but-matrix" if file.hint else "no-column",
+                    path=path,
+                    name=repr(name),
+                    names=listing(listed),
+                    matrix=file.hint,
+                )
             )
         if words := file.column(name).unread:
-            raise TripError(f"{path}: column {name!r} {words}")
+            raise TripError(Finding("column-unread", path=path, name=repr(name), unread=words))
     times = {column.time for column in file.columns} | set(named)
     others = [
         c.name for c in file.columns if not (c.is_part or c.is_time or c.unread or c.name in times)
     ]
     if len(named) < len(columns) and len(others) != 1:
-        raise TripError(f"{path}: say which `column` to read; there are {listing(others)}")
+        raise TripError(of(path, Finding("say-which-column", names=listing(others))))
     names = [others[0] if name is None else name for name in columns]
     for name in names:
         if present.count(name) > 1:
-            raise TripError(f"{path} has {present.count(name)} columns {name!r}; rename them")
+            raise TripError(
+                Finding(
+                    "columns-rename-them", path=path, count=present.count(name), name=repr(name)
+                )
+            )
     return names
 
 
 def listing(names: Sequence[str]) -> str:
     """Return at most ``LISTED`` names as text for a message."""
-    more = f" and {len(names) - LISTED} more" if len(names) > LISTED else ""
-    return f"{list(names[:LISTED])}{more}"
+    shown, n_more = list(names[:LISTED]), len(names) - LISTED
+    return Finding("names-and-more", names=shown, n=n_more) if n_more > 0 else str(shown)
 
 
 def slices(
@@ -193,10 +204,7 @@ def most_samples(path: Path) -> int:
 def check_samples(path: Path, n_samples: int) -> None:
     """Raise TripError if a file declares more samples than a recording of its size can have."""
     if n_samples > FREE_SAMPLES and n_samples > (most := most_samples(path)):
-        raise TripError(
-            f"{path} declares {n_samples} samples in one column; at most {most} are read of a file "
-            "that stores so little. Export the recording again, in parts if it is that long"
-        )
+        raise TripError(Finding("declares-samples-one", path=path, n_samples=n_samples, most=most))
 
 
 def memory_bytes(stored: int) -> int:
@@ -271,12 +279,11 @@ def agreed_size(where: str, kind: str, stated: str | None, written: str | None) 
     known = UNITS[kind]
     if stated is None:
         if found is None:
-            says = f"says {written!r}, which is not known" if written else "does not say it"
-            raise TripError(f"{where}: `unit` is missing, and the file {says}; give {list(known)}")
+            kind = "unit-unknown" if written else "unit-not-said"
+            raise TripError(of(where, Finding(kind, written=repr(written), known=list(known))))
         return found
     if found is not None and abs(found / known[stated] - 1) > 1e-9:
         raise TripError(
-            f"{where}: `unit` says {stated!r}, its file says {written!r}; correct one, or leave "
-            "`unit` out to take the file's"
+            of(where, Finding("unit-says-file", stated=repr(stated), written=repr(written)))
         )
     return known[stated]

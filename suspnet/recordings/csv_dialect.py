@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 
+from suspnet.ground.findings import Finding, of
 from suspnet.recordings.columns import is_unit, unit_in_name
 from suspnet.recordings.dates import date_in_lines, read_date
 from suspnet.recordings.errors import TripError
@@ -90,12 +91,19 @@ class Found:
     above: tuple[str, ...] = ()
 
     def __str__(self) -> str:
-        header = f"names in line {self.header_line}" if self.header_line else "no names"
+        header = (
+            Finding("names-line", header_line=self.header_line) if self.header_line else "no names"
+        )
         bom = " with byte-order mark" if self.has_bom else ""
         delimiter = _WORDS.get(self.delimiter, repr(self.delimiter))
-        return (
-            f"delimiter {delimiter}, decimal sign {self.decimal!r}, {header}, rows from line "
-            f"{self.first_line} on, {self.encoding}{bom}"
+        return Finding(
+            "csv-dialect",
+            delimiter=delimiter,
+            decimal=repr(self.decimal),
+            header=header,
+            first_line=self.first_line,
+            encoding=self.encoding,
+            bom=bom,
         )
 
     @property
@@ -106,9 +114,9 @@ class Found:
             if isinstance(kind, str) and (
                 TIME_NAME.search(name) or len(re.findall(r"\d+", kind)) > 2
             ):
-                found.append(f"the times of {name!r}, like {kind[:40]!r}, cannot be read")
+                found.append(Finding("times-like-cannot", name=repr(name), value=repr(kind[:40])))
             elif isinstance(kind, Notation) and kind.is_unclear:
-                found.append(f"the dates of {name!r} are left out, as day and month are unclear")
+                found.append(Finding("dates-left-out", name=repr(name)))
         return tuple(found)
 
 
@@ -232,7 +240,7 @@ def _first_lines(path: Path, given: CsvDialect) -> tuple[str, bool, list[str]]:
     try:
         text = codecs.getincrementaldecoder(encoding)("strict").decode(sample)
     except (UnicodeError, LookupError) as error:
-        raise _unreadable(path, f"it is not {encoding} text") from error
+        raise _unreadable(path, Finding("not-text", encoding=encoding)) from error
     text = text.removeprefix("\ufeff").replace("\r\n", "\n").replace("\r", "\n")
     text = text.translate({ord(sign): plain for sign, plain in SIGNS.items()})
     lines = text.split("\n")  # splitlines() would also split at form feeds
@@ -261,11 +269,11 @@ def _date_in_row(line: str, one: _Candidate) -> str | None:
     return text if re.search(r"\d:\d\d", text) and read_date(text) is not None else None
 
 
+EXAMPLE = 'csv: {delimiter: ";", decimal: ",", header_line: 12, encoding: utf-8}'
+
+
 def _unreadable(path: Path, reason: str) -> TripError:
-    return TripError(
-        f"{path}: {reason}; say how it is written in the manifest, next to its `file`, like "
-        '`csv: {delimiter: ";", decimal: ",", header_line: 12, encoding: utf-8}`'
-    )
+    return TripError(of(path, Finding("say-how-written", reason=reason, example=EXAMPLE)))
 
 
 def _encoding(sample: bytes) -> tuple[str, bool]:
@@ -288,11 +296,8 @@ def unread(kind: Kind) -> str:
     if not isinstance(kind, str):
         return ""
     if GROUPED.fullmatch(kind):
-        return f"holds numbers like {kind[:40]!r}; {UNGROUP}"
-    return (
-        f"holds text like {kind[:40]!r}, neither numbers nor times that can be read; write "
-        "times like 2015-08-03T08:00:00.5, or give `rate_hz` instead"
-    )
+        return Finding("grouped", value=repr(kind[:40]))
+    return Finding("holds-text-like", value=repr(kind[:40]))
 
 
 def is_of_kind(cell: str, kind: Kind, decimal: str) -> bool:

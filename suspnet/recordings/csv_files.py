@@ -16,6 +16,7 @@ import pyarrow.csv
 import pyarrow.parquet
 from numpy.typing import NDArray
 
+from suspnet.ground.findings import Finding, of, together
 from suspnet.recordings.columns import Block, Column, OpenFile, as_block, check_samples
 from suspnet.recordings.csv_dialect import (
     COMMENT,
@@ -24,7 +25,6 @@ from suspnet.recordings.csv_dialect import (
     NUMBER,
     SIGNS,
     TIME_NAME,
-    UNGROUP,
     Found,
     Kind,
     find_dialect,
@@ -64,7 +64,9 @@ def open_parquet(path: Path, _: CsvDialect | None = None) -> Iterator[OpenFile]:
             for name in names:
                 kind = fields[name].type
                 if not any(is_it(kind) for is_it in READ_TYPES):
-                    raise TripError(f"{path}: column {name!r} holds {kind}, not numbers")
+                    raise TripError(
+                        of(path, Finding("column-holds-not-numbers", name=repr(name), value=kind))
+                    )
             check_samples(path, file.metadata.num_rows)
             for batch in file.iter_batches(PARQUET_ROWS, columns=list(names), use_threads=False):
                 yield tuple(_from_arrow(batch.column(name)) for name in names)
@@ -110,7 +112,7 @@ def open_csv(path: Path, given: CsvDialect | None) -> Iterator[OpenFile]:
     def read(names: Sequence[str]) -> Iterator[Block]:
         return _Rows(path, found, names).blocks(remarks)
 
-    words = "; ".join((f"{path.name}: {found}", *found.unclear))
+    words = together((of(path.name, str(found)), *found.unclear))
     yield OpenFile(columns, read, words, notes=found.above, remarks=remarks)
 
 
@@ -125,7 +127,7 @@ class _Remark:
         self.n += 1
         if not self.first:
             shown = re.sub(r"\s*;\s*", ";", text.strip()[:SHOWN])  # "; " separates remarks
-            self.first = f"first in line {line_number}: {shown!r}"
+            self.first = Finding("first-line", line_number=line_number, shown=repr(shown))
 
 
 @dataclass
@@ -200,7 +202,7 @@ class _Rows:
             text = rest + block
             end = text.rfind(b"\n") + 1 or text.rfind(b"\r", 0, max(len(text) - 1, 0)) + 1
             if not end and len(text) > LONGEST_LINE:
-                raise ValueError(f"a line of more than {LONGEST_LINE} bytes")
+                raise ValueError(Finding("line-more-than", longest_line=LONGEST_LINE))
             rest = text[end:]
             if end:
                 yield text[:end]
@@ -310,14 +312,20 @@ class _Rows:
             other = notation_of(cell)
             if other is not None and not other.is_like(kind):
                 raise TripError(
-                    f"{self.path}: a time stamp is not like the first (line {number}: {cell!r})"
+                    of(self.path, Finding("time-stamp-not", number=number, cell=repr(cell)))
                 )
         elif GROUPED.fullmatch(cell) or any(one.fullmatch(cell) for one in NUMBER.values()):
-            what_to_do = f"; {UNGROUP}" if GROUPED.fullmatch(cell) else ""
             raise TripError(
-                f"{self.path}: text in a column of numbers, one of {list(self.names)} (line "
-                f"{number}: {cell!r}); the decimal sign is taken to be {self.found.decimal!r}"
-                + what_to_do
+                of(
+                    self.path,
+                    Finding(
+                        "number-grouped" if GROUPED.fullmatch(cell) else "text-in-numbers",
+                        names=list(self.names),
+                        number=number,
+                        cell=repr(cell),
+                        decimal=repr(self.found.decimal),
+                    ),
+                )
             )
 
     def _taken(self) -> list[list[str]]:
@@ -325,8 +333,14 @@ class _Rows:
         for line in self._pending:
             if line.is_other_table:
                 raise TripError(
-                    f"{self.path}: holds several tables (line {line.number}: "
-                    f"{line.text.strip()[:SHOWN]!r}); export each into a file of its own"
+                    of(
+                        self.path,
+                        Finding(
+                            "holds-several-tables",
+                            number=line.number,
+                            strip=repr(line.text.strip()[:SHOWN]),
+                        ),
+                    )
                 )
             for word in line.words:
                 self._words.add(line.number, word)
@@ -350,21 +364,18 @@ class _Rows:
         """Raise TripError if too many lines are no rows."""
         n, first = self._lines.n + self._damaged.n, self._lines.first or self._damaged.first
         if n > MOST_LEFT_OUT * self._n_rows + FOOTER_LINES:
-            raise TripError(
-                f"{self.path}: {n} lines are no rows of its table ({first}); export it "
-                "again, each table into a file of its own"
-            )
+            raise TripError(of(self.path, Finding("lines-no-rows", n=n, first=first)))
 
     def _remarks(self) -> Iterator[str]:
         name = self.path.name
         if n := self._lines.n:
-            yield f"lines of {name} outside of its table are left out ({n}, {self._lines.first})"
+            yield Finding("lines-outside-table", name=name, n=n, first=self._lines.first)
         if n := self._damaged.n:
-            yield f"damaged rows of {name} are missing samples ({n}, {self._damaged.first})"
+            yield Finding("damaged-rows-missing", name=name, n=n, first=self._damaged.first)
         if n := self._words.n:
-            yield f"words in place of numbers in {name} are missing ({n}, {self._words.first})"
+            yield Finding("words-place-numbers", name=name, n=n, first=self._words.first)
         if n := self._n_zeros:
-            yield f"zero bytes in {name} are left out ({n})"
+            yield Finding("zero-bytes-left", name=name, n=n)
 
 
 def _letters(texts: Any) -> tuple[NDArray[np.uint8], NDArray[np.int32]]:

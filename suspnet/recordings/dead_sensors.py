@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 
 import numpy as np
 
+from suspnet.ground.findings import Finding, of, together
 from suspnet.ground.types import BoolArray, FloatArray
 from suspnet.recordings.cleaning import Fault
 from suspnet.recordings.errors import DeadSensorError, TripError
@@ -25,7 +26,7 @@ FEW_S, FEW_SHARE = 240.0, 0.1
 is usable of the other one, whichever is longer. Five minutes of both sensors gave estimates as
 accurate as twenty minutes of one."""
 LEAST_S = 1.0
-NOTHING = "shows nothing of the motion that the others show; check its cable and connector"
+NOTHING = Finding("shows-nothing")
 """Less than this duration [s] is nothing, and how that is reported."""
 LARGEST_SHARE = 0.5
 """It is not left out if more than this share of what is usable of the other one is usable."""
@@ -62,8 +63,7 @@ def living(
     ]
     if every := dict.fromkeys([*problems, *faults]):
         raise TripError(*every)
-    where = manifest.where
-    return found, {name: str(one).removeprefix(f"{where(name)} ") for name, one in dead.items()}
+    return found, {name: one.reason for name, one in dead.items()}
 
 
 def nearly_dead(
@@ -85,12 +85,12 @@ def nearly_dead(
         if partner_of(name) not in usable_s and can_spare and own_s < LEAST_S:
             other_s = max(usable_s.values())
         if own_s < min(max(FEW_S, FEW_SHARE * other_s), LARGEST_SHARE * other_s):
-            listed = "; ".join(str(one) for one in faults[name] if not one.repaired)
+            listed = together(str(one) for one in faults[name] if not one.repaired)
             if own_s < LEAST_S:
                 found[name] = NOTHING
                 continue
-            words = f"is usable for {own_s:.0f} s only, the other one for {other_s:.0f} s"
-            found[name] = words + (f" ({listed})" if listed else "")
+            kind = "usable-too-short-for" if listed else "usable-too-short"
+            found[name] = Finding(kind, own_s=own_s, other_s=other_s, faults=listed)
     return found
 
 
@@ -100,8 +100,8 @@ def dead_faults(dead: Mapping[str, str], seconds: float, rate_hz: float) -> tupl
     for name, reason in dead.items():
         place, _, side = partner_of(name).rpartition(" ")
         is_alone = place and partner_of(name) not in dead
-        instead = f", {place} is read by its {side} sensor alone" if is_alone else ""
-        words = f"and left out{instead}: it {reason}"
+        kind = "dead-read-alone" if is_alone else "dead-left-out"
+        words = Finding(kind, place=place, side=side, reason=reason)
         n = round(seconds * rate_hz)
         found.append(Fault(name, DEAD, n, seconds, 0.0, True, None, words))
     return tuple(found)
@@ -126,10 +126,7 @@ def check_copies(values: Mapping[str, FloatArray], usable: BoolArray, where: obj
         own, its, shared = products[(products[:, :2] > 0).all(axis=1)].T
         if len(own) and np.median(1 - shared**2 / (own * its)) < SAME:
             gain = float(np.median(shared / own))
-            times = "" if abs(gain - 1) < SAME else f", times {gain:.4g}"
-            problems.append(
-                f"{where}: {one} and {other} hold the same samples{times}; was a file copied, or a "
-                "column named twice? Give each sensor its own recording"
-            )
+            kind = "hold-same-samples" if abs(gain - 1) < SAME else "hold-same-times"
+            problems.append(of(where, Finding(kind, one=one, other=other, gain=gain)))
     if problems:
         raise TripError(*problems)

@@ -7,6 +7,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from suspnet.ground.findings import Finding, of
 from suspnet.ground.storage import NotPlainError
 
 
@@ -31,6 +32,14 @@ class TripError(ValueError):
 class DeadSensorError(TripError):
     """A sensor shows nothing: it is constant, or has no usable sample."""
 
+    def __init__(self, where: str, reason: str) -> None:
+        super().__init__(Finding("sensor-reason", where=where, reason=reason))
+        self.reason = reason
+
+    def __reduce__(self) -> Any:
+        values = self.args[0].values
+        return type(self), (values["where"], values["reason"])
+
 
 @contextmanager
 def opening(path: Path) -> Iterator[None]:
@@ -38,7 +47,7 @@ def opening(path: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        raise TripError(f"{path}: cannot be read ({error.strerror})") from error
+        raise TripError(of(path, Finding("cannot-read", strerror=error.strerror))) from error
     except NotPlainError as error:
         raise TripError(str(error)) from error
 

@@ -7,6 +7,7 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from suspnet.ground.findings import Finding, of
 from suspnet.ground.storage import open_plain
 from suspnet.recordings.array_files import open_hdf5, open_mat
 from suspnet.recordings.columns import BLOCK, Block, OpenFile, Reader, check_samples, choose
@@ -28,20 +29,22 @@ def open_file(path: Path, csv: CsvDialect | None = None) -> Iterator[OpenFile]:
     """
     suffix = path.suffix.lower()
     if suffix not in READERS:
-        what = f" ({UNREAD[suffix]})" if suffix in UNREAD else ""
-        raise TripError(
-            f"{path}{what}: files of type {suffix!r} cannot be read; give {sorted(READERS)}"
+        kind, known = (
+            "files-of-known-type" if suffix in UNREAD else "files-of-type",
+            sorted(READERS),
         )
+        given = {"format": UNREAD.get(suffix), "suffix": repr(suffix), "suffixes": known}
+        raise TripError(Finding(kind, path=path, **given))
     if csv is not None and READERS[suffix] is not open_csv:
-        raise TripError(f"{path}: `csv` is for files of type {list(CSV_SUFFIXES)}")
+        raise TripError(of(path, Finding("csv-for-files", suffixes=list(CSV_SUFFIXES))))
     with opening(path):
         try:
             with open_plain(path) as stream:
                 is_empty = not stream.read(1)
         except FileNotFoundError as error:
-            raise TripError(f"{path}: there is no such file") from error
+            raise TripError(of(path, Finding("there-no-such"))) from error
     if is_empty:
-        raise TripError(f"{path} is empty")
+        raise TripError(Finding("empty", path=path))
     with ExitStack() as stack:
         with _named(path):
             file = stack.enter_context(READERS[suffix](path, csv))
@@ -75,7 +78,7 @@ def read_columns(path: Path, file: OpenFile, columns: Sequence[str | None]) -> I
             n_samples += len(block[0])
             check_samples(path, n_samples)
     if n_samples == 0:
-        raise TripError(f"{path} is empty: its columns hold no samples")
+        raise TripError(Finding("empty-columns-hold", path=path))
 
 
 @contextmanager
@@ -91,7 +94,9 @@ def _named(path: Path) -> Iterator[None]:
     except Exception as error:
         reason = " ".join(str(error).split())[:200]
         suffix = path.suffix.lower()
-        raise TripError(f"{path} is damaged, cut off or not a {suffix} file ({reason})") from error
+        raise TripError(
+            Finding("damaged-cut-off", path=path, suffix=suffix, reason=reason)
+        ) from error
 
 
 @dataclass(frozen=True)

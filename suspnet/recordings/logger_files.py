@@ -18,6 +18,7 @@ import numpy as np
 from scipy.io import wavfile
 
 from suspnet.ground.extras import import_extra
+from suspnet.ground.findings import Finding, of
 from suspnet.ground.types import FloatArray
 from suspnet.recordings.columns import (
     BLOCK,
@@ -63,7 +64,7 @@ def open_tdms(path: Path, _: CsvDialect | None = None) -> Iterator[OpenFile]:
         with _properties_of_segments() as stated:
             file = stack.enter_context(nptdms.TdmsFile.open(stream))
         if file.file_status.incomplete_final_segment:
-            raise TripError(f"{path} is cut off: its last segment is incomplete")
+            raise TripError(Finding("cut-off-last", path=path))
         channels = [channel for group in file.groups() for channel in group.channels()]
         names = [f"{one.group_name}/{one.name}" for one in channels]
         n_of_name = Counter(names)
@@ -135,9 +136,8 @@ def _changed(stated: Stated) -> str:
     for _, properties in stated:
         for key, value in properties.items():
             if _FIXED.match(key) and first.setdefault(key, str(value)) != str(value):
-                return (
-                    f"has another {key!r} in a later segment, {value} instead of {first[key]}; "
-                    "export its parts into files of their own"
+                return Finding(
+                    "another-later-segment", key=repr(key), value=value, first=first[key]
                 )
     return ""
 
@@ -157,10 +157,7 @@ def _parts(
         late_s = start_s - last_s - part_s  # short pauses and overlaps add up
         if min(gap_s, late_s + MOST_DRIFT * part_s) < -least_s:
             before, after = (np.datetime64(round(ns / 1000), "us") for ns in (end_ns, next_ns))
-            return parts, (
-                f"has segments that overlap: one lasts until {before}, the next starts at {after}; "
-                "export them into files of their own"
-            )
+            return parts, Finding("segments-overlap-one", before=before, after=after)
         if late_s > least_s:
             parts.append((n_next, start_s))
     return parts, ""
@@ -214,8 +211,15 @@ def open_uff(path: Path, _: CsvDialect | None = None) -> Iterator[OpenFile]:
             n_declared = int(record["num_pts"])
             if len(values) < n_declared:
                 raise TripError(
-                    f"{path}: column {name!r} declares {n_declared} points and holds {len(values)}"
-                    ": it is cut off; copy or export it again"
+                    of(
+                        path,
+                        Finding(
+                            "column-declares-points",
+                            name=repr(name),
+                            n_declared=n_declared,
+                            n_values=len(values),
+                        ),
+                    )
                 )
             takes[name] = n_declared, values.__getitem__  # what follows fills up a line
         return slices(path, names, takes)
@@ -246,7 +250,7 @@ def _uff_columns(file: Any) -> tuple[list[Column], dict[str, int]]:
         step_s = float(header.get("abscissa_inc") or 0.0) * (size_of("time", along or "s") or 0.0)
         what, refused = header.get("abscissa_spec_data_type"), ""
         if what not in (None, 0, 1, TIME):  # 0 and 1 are unknown and general
-            refused = "is a function of something else than time; export it over time"
+            refused = Finding("not-of-time")
         elif header.get("ord_data_type") in (5, 6):
             refused = f"holds {np.dtype(complex)}, not real numbers"
         about: dict[str, Any] = {

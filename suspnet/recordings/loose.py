@@ -21,6 +21,7 @@ from scipy.fft import irfft, next_fast_len, rfft
 from scipy.ndimage import binary_opening, binary_propagation, correlate1d, uniform_filter1d
 from scipy.signal import get_window
 
+from suspnet.ground.findings import Finding, together
 from suspnet.ground.types import BoolArray, ComplexArray, FloatArray
 from suspnet.recordings.cleaning import Fault
 from suspnet.recordings.faults import runs
@@ -65,8 +66,6 @@ SMOOTHED_HZ = 0.25
 """Width of the smoothing of spectra by which signals are whitened, [Hz]."""
 LISTED = 3
 """Largest number of stretches of one sensor that are listed."""
-WITHOUT_IT = "; to read all of the trip by the other sensors, delete its line in the manifest"
-"""What else can be done about a loose sensor of a pair."""
 
 
 @dataclass(frozen=True)
@@ -113,8 +112,8 @@ def find_loose(
     for name, its, its_alone, mask in zip(values, loose, alone & loose, masks, strict=True):
         if its.any():
             mask[:] = _painted(its, n, rate_hz)
-            words = _words(its, its_alone, start_s)
-            words += WITHOUT_IT * (partner_of(name) in values)
+            kind = "loose-of-pair" if partner_of(name) in values else "loose"
+            words = Finding(kind, stretches=_stretches(its, its_alone, start_s))
             n_loose, first_s = int(np.count_nonzero(mask)), start_s + mask.argmax() / rate_hz
             seconds = n_loose / rate_hz
             faults.append(Fault(name, "loose", n_loose, seconds, first_s, False, None, words))
@@ -290,20 +289,19 @@ def _painted(frames: BoolArray, n_samples: int, rate_hz: float) -> BoolArray:
     return np.asarray(np.cumsum(steps[:-1]) > 0)
 
 
-def _words(loose: BoolArray, alone: BoolArray, start_s: float) -> str:
+def _stretches(loose: BoolArray, alone: BoolArray, start_s: float) -> str:
     stretches = []
     for start, stop in zip(*runs(loose), strict=True):
         at = np.flatnonzero(alone[start:stop]) + start
         first, last = (start_s + at[[0, -1]] + [-1.0, 3.0]).tolist()
         if start <= EDGE_S:
-            stretches.append(f"up to about {last:.0f} s")
+            stretches.append(Finding("up-about-s", last=last))
         elif stop >= len(loose) - EDGE_S:
-            stretches.append(f"from about {first:.0f} s on")
+            stretches.append(Finding("about-s-on", first=first))
         else:
-            stretches.append(f"from about {first:.0f} to {last:.0f} s")
+            stretches.append(Finding("about-s", first=first, last=last))
     n_more = len(stretches) - LISTED
-    more = (" and once more" if n_more == 1 else f" and {n_more} more times") * (n_more > 0)
-    return (
-        f"{', '.join(stretches[:LISTED])}{more}: it shows nothing there of the motion that the "
-        "others show, and that part is left out; check its cable and connector"
-    )
+    words = together(stretches[:LISTED], ", ")
+    if n_more > 0:
+        words = Finding("once-more" if n_more == 1 else "more-times", words=words, n=n_more)
+    return words

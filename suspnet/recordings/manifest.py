@@ -13,6 +13,7 @@ from functools import partial
 from pathlib import Path
 from typing import Literal
 
+from suspnet.ground.findings import Finding, of
 from suspnet.ground.parameters import DIRECTIONS, ENDS, ESTIMATED, SIDES
 from suspnet.ground.records import HIGHEST_KM, MOST_NAME, Place
 from suspnet.recordings import manifest_keys as check
@@ -98,8 +99,10 @@ def _pair(value: Value, places: Sequence[int], both: Sequence[Channel]) -> Pair:
         second = replace(second, side=left if first.side == right else right)
     if first.side == second.side:
         raise TripError(
-            f"{value.path}: `{value.name}` has two sensors on the {first.side}; a pair is one on "
-            "the left and one on the right"
+            of(
+                value.path,
+                Finding("two-on-left" if first.side == left else "two-on-right", name=value.name),
+            )
         )
     return (first, second) if first.side == left else (second, first)
 
@@ -117,19 +120,20 @@ def _channels(value: Value) -> dict[str, Channel | Several]:
 
 def _check_first_axle(value: Value, own: Several | None) -> None:
     if own is None:
-        raise TripError(f"{value.path}: `{value.name}` is missing")
+        raise TripError(of(value.path, Finding("missing-2", name=value.name)))
     if own[0].is_elsewhere:
         raise TripError(
-            f"{value.path}: `{value.name}` has a sensor at axle 2 only: call its axle 1 if it is "
-            f"the only one measured, or give at least {LEAST_SENSORS} sensors, from which each "
-            "part is read"
+            of(
+                value.path,
+                Finding("sensor-axle-only", name=value.name, least_sensors=LEAST_SENSORS),
+            )
         )
 
 
 def _mileage(value: Value) -> float:
     mileage = check.number("a number >= 0", 0.0)(value)
     if mileage > HIGHEST_KM:
-        raise value.refuse(f"at most {HIGHEST_KM:.0f} km (is it in metres?)")
+        raise value.refuse(Finding("most-km-metres", highest_km=HIGHEST_KM))
     return mileage
 
 
@@ -196,7 +200,8 @@ class TripManifest:
     )
     temperature_c: float | None = optional(
         check.number(
-            f"a number from {TEMPERATURES_C[0]:g} to {TEMPERATURES_C[1]:g}", *TEMPERATURES_C
+            Finding("number", temperatures_c=TEMPERATURES_C[0], temperatures_c2=TEMPERATURES_C[1]),
+            *TEMPERATURES_C,
         ),
         "number, -60 to 60",
         "outside air temperature; damping is compared at that of the healthy trips",
@@ -280,7 +285,7 @@ class TripManifest:
 
     def where(self, name: str) -> str:
         """Return file and source, as errors name them."""
-        return f"{self.path}: " + ("`speed`" if name == "speed" else f"channel {name!r}")
+        return of(self.path, "`speed`" if name == "speed" else Finding("channel", name=repr(name)))
 
     def file_of(self, source: Source) -> Path:
         """Return the path of a channel's or the speed's data file."""

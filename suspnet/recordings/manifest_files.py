@@ -10,6 +10,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+from suspnet.ground.findings import Finding, of, together
 from suspnet.ground.parameters import ENDS, SIDES
 from suspnet.ground.records import MOST_NAME, Place
 from suspnet.ground.storage import one_line, read_json, read_plain, why, write_atomically
@@ -45,7 +46,7 @@ class ManifestFile:
         except TripError:
             raise
         except ValueError as error:
-            raise TripError(f"{self.path}: is not valid YAML ({error})") from error
+            raise TripError(of(self.path, Finding("not-valid-yaml", error=error))) from error
 
     def absolute(self) -> ManifestFile:
         """Return the same file by its absolute path, without reading it again."""
@@ -124,8 +125,10 @@ class ManifestFile:
         """Raise TripError if a named data file is missing."""
         folder = self.path.parent
         problems = [
-            f"{self.path}: `{key}.file` must name an existing plain file, got {source['file']!r} "
-            f"(looked in {folder})"
+            of(
+                self.path,
+                Finding("file-must-name", key=key, source=repr(source["file"]), folder=folder),
+            )
             for key, source in self.sources.items()
             if not os.path.isfile(folder / source["file"])  # False also for too long a name
         ]
@@ -164,10 +167,7 @@ def _check_columns(manifest: TripManifest) -> None:
     for name, one in manifest.sensors().items():
         other = places.setdefault((manifest.file_of(one).resolve(), one.column), name)
         if other != name:
-            raise TripError(
-                f"{manifest.path}: two `channels` have the same file and column, {other} and "
-                f"{name}; each is one sensor"
-            )
+            raise TripError(of(manifest.path, Finding("two-channels-have", other=other, name=name)))
 
 
 def write_manifest(manifest: TripManifest) -> Path:
@@ -194,12 +194,11 @@ def _written(value: Any) -> Any:
 def find_manifests(folder: Path) -> list[Path]:
     """Return the ``*.yaml`` files directly in a folder, sorted; FileNotFoundError if none."""
     if not folder.is_dir():
-        raise FileNotFoundError(f"there is no folder {folder}; give the one that holds the trips")
+        raise FileNotFoundError(Finding("there-no-folder", folder=folder))
     manifests = sorted(path for path in folder.glob("*.yaml") if path.is_file())
     if not manifests:
         raise FileNotFoundError(
-            f"{folder} holds no *.yaml file; each trip needs one. "
-            f"Of data files all are written by: {command('init', folder)}"
+            Finding("holds-no-yaml", folder=folder, value=command("init", folder))
         )
     return manifests
 
@@ -223,9 +222,9 @@ def _manifests(path: Path) -> list[Path]:
     """Return the manifests of one file or folder; OSError if there are none."""
     if not path.is_dir():
         if not os.path.lexists(path):
-            raise FileNotFoundError(f"there is no file or folder {path}")
+            raise FileNotFoundError(Finding("there-no-file", path=path))
         if path.suffix not in (".yaml", ".yml"):
-            raise OSError(f"{path} is no manifest (*.yaml); to write one: {command('init', path)}")
+            raise OSError(Finding("no-manifest-yaml", path=path, value=command("init", path)))
         return [path]
     if not any(path.glob("*.yaml")):
         parts = sorted(part for part in path.iterdir() if part.is_dir() and part.name[0] != ".")
@@ -234,7 +233,9 @@ def _manifests(path: Path) -> list[Path]:
             return inside
         others = sorted(one.name for one in path.glob("*.yml"))
         if others:
-            raise OSError(f"{path} holds no *.yaml file; rename {', '.join(others[:5])}")
+            raise OSError(
+                Finding("holds-no-yaml-file", path=path, others=together(others[:5], ", "))
+            )
     return find_manifests(path)
 
 

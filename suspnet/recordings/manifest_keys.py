@@ -15,6 +15,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
+from suspnet.ground.findings import Finding, of
 from suspnet.ground.records import MOST_NAME
 from suspnet.ground.storage import printable
 from suspnet.recordings.dates import date_problem, time_zone
@@ -50,7 +51,7 @@ class Value:
         """Return an error that names file, key, rule and value."""
         name = f"`{self.name}`" if self.name else "the manifest"
         got = " ".join(reprlib.repr(self.content).split())
-        return TripError(f"{self.path}: {name} must be {rule}, got {got}")
+        return TripError(of(self.path, Finding("not-so", key=name, rule=rule, got=got)))
 
     def read(self, keys: Mapping[str, Key]) -> dict[str, Any]:
         """Return the checked values of a mapping, without optional ones that are null.
@@ -63,13 +64,16 @@ class Value:
         required = [name for name, key in keys.items() if key.is_required]
         allowed = (*required, *(name for name in keys if name not in required))
         problems = [
-            f"{self.path}: `{self._name_of(name)}` is not known; allowed are {allowed}"
+            of(
+                self.path,
+                Finding("not-known-allowed", name_of=self._name_of(name), allowed=str(allowed)),
+            )
             for name in self.content
             if name not in allowed
         ]
         there = [name for name in keys if self.content.get(name) is not None]
         problems += [
-            f"{self.path}: `{self._name_of(name)}` is missing"
+            of(self.path, Finding("missing-3", name_of=self._name_of(name)))
             for name in required
             if name not in there
         ]
@@ -139,7 +143,7 @@ def name(value: Value) -> str:
     """Return a short text of one line that is not blank, without surrounding blanks."""
     found = text(value).strip()
     if "\n" in found or len(printable(found)) > MOST_NAME:
-        raise value.refuse(f"one line of at most {MOST_NAME} characters")
+        raise value.refuse(Finding("one-line-most", most_name=MOST_NAME))
     return found
 
 
@@ -148,7 +152,7 @@ def one_of(allowed: Sequence[Any]) -> Callable[[Value], Any]:
 
     def check(value: Value) -> Any:
         if value.content not in list(allowed):
-            raise value.refuse(f"one of {list(allowed)}")
+            raise value.refuse(Finding("one-of", allowed=list(allowed)))
         return value.content
 
     return check
@@ -161,7 +165,7 @@ def number(
 
     def check(value: Value) -> float:
         if isinstance(value.content, bool) or not isinstance(value.content, int | float):
-            raise value.refuse(f"{rule} (written like 5000.0)")
+            raise value.refuse(Finding("written-like", rule=rule))
         if not low <= value.content <= high:  # neither is NaN
             raise value.refuse(rule)
         return float(value.content)
@@ -179,7 +183,7 @@ def mapping_of(kind: type[Kind]) -> Callable[[Value], Kind]:
 
 def either(first: int, second: int) -> Callable[[Value], int]:
     """Return a check for one of two whole numbers."""
-    rule = f"{first} or {second}"
+    rule = Finding("either", first=first, second=second)
 
     def check(value: Value) -> int:
         found = number(rule)(value)
@@ -199,8 +203,10 @@ def start(value: Value) -> datetime:
         raise value.refuse("a time like 2015-08-03T08:00:00") from error
     if problem := date_problem(found):
         raise TripError(
-            f"{value.path}: `start` {found.isoformat()} {problem}; correct it, or leave it out if "
-            "it is not known"
+            of(
+                value.path,
+                Finding("start-correct-leave", isoformat=found.isoformat(), problem=problem),
+            )
         )
     return found
 

@@ -17,6 +17,7 @@ from typing import Any, BinaryIO, NoReturn
 import numpy as np
 
 from suspnet.ground.extras import import_extra
+from suspnet.ground.findings import Finding, of
 from suspnet.ground.types import FloatArray
 from suspnet.recordings.columns import Block, Column, OpenFile, Take, slices
 from suspnet.recordings.dates import nanoseconds
@@ -90,7 +91,7 @@ def _columns(file: Any, g: int, names: Sequence[str]) -> Iterator[Column]:
             yield Column(name, unit=known, unread=refused, is_local=start.get("is_local", False))
             continue
         if by := NO_TIMES.get(kind):
-            refused = f"is sampled along {by} ({names[master]!r}), not in time; export it over time"
+            refused = Finding("sampled-along-not", by=by, names=repr(names[master]))
         time = names[master] if master is not None and kind == TIME else None
         yield Column(name, unit=unit, time=time, unread=refused, **start)
 
@@ -123,15 +124,12 @@ def _refused(version: str, channel: Any) -> str:
     """Return why the conversion of a channel is not applied; empty if it is."""
     if channel.conversion is None:  # asammdf also leaves out one that it cannot read
         is_damaged = bool(channel.conversion_addr)
-        return "has a conversion that is damaged; export the file again" * is_damaged
+        return Finding("damaged-conversion") if is_damaged else ""
     major, number = _major(version), int(channel.conversion.conversion_type)
     if number in APPLIED[major]:
         return ""
-    what = REFUSED[major].get(number, f"number {number}")
-    return (
-        f"has a conversion of a kind that is not applied, {what}; export this channel as raw or "
-        "linearly scaled numbers"
-    )
+    what = REFUSED[major].get(number, Finding("number-of-kind", n=number))
+    return Finding("conversion-kind-not", what=what)
 
 
 def _notes(header: Any) -> tuple[str, ...]:
@@ -196,7 +194,9 @@ def _take(path: Path, file: Any, name: str, group: int, index: int) -> Take:
             record_count=part.stop - part.start,
         )
         if values.dtype.kind not in "iufb" or values.ndim != 1:
-            raise TripError(f"{path}: column {name!r} holds {values.dtype}, not numbers")
+            raise TripError(
+                of(path, Finding("column-holds-not-2", name=repr(name), dtype=values.dtype))
+            )
         is_virtual = is_newer and channel.channel_type in VIRTUAL
         values = _converted(numbers if is_virtual else values, channel.conversion, file.version)
         if is_newer and channel.flags & ALL_INVALID:

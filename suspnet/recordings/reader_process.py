@@ -31,6 +31,7 @@ from typing import Any
 
 import numpy as np
 
+from suspnet.ground.findings import Finding, of, restored, together
 from suspnet.ground.storage import open_plain, stored_bytes
 from suspnet.recordings.columns import (
     SHARED_BYTES,
@@ -80,8 +81,12 @@ def in_own_process(reader: Reader, library: str | None = None) -> Reader:
         try:
             found, _arrays = process.ask({"open": True})
             if found["missing"]:
-                _warn_once("; ".join(found["missing"]))
-            columns = tuple(Column(**column) for column in found["columns"])
+                _warn_once(together(found["missing"]))
+            columns = tuple(
+                Column(**column | {"unread": restored(column["unread"])})
+                for column in found["columns"]
+            )
+            words, hint = restored(found["words"]), restored(found["hint"])
             numbers = itertools.count()
 
             def read(names: Sequence[str]) -> Iterator[Block]:
@@ -92,7 +97,7 @@ def in_own_process(reader: Reader, library: str | None = None) -> Reader:
                         return
                     yield block
 
-            yield OpenFile(columns, read, found["words"], found["hint"], tuple(found["notes"]))
+            yield OpenFile(columns, read, words, hint, tuple(found["notes"]))
         finally:
             process.end()
 
@@ -101,10 +106,7 @@ def in_own_process(reader: Reader, library: str | None = None) -> Reader:
 
 @functools.cache
 def _warn_once(missing: str) -> None:
-    log.warning(
-        "this system lacks what confines the readers of data files, so a file of somebody else "
-        f"could make them do what stands in brackets: {missing}"
-    )
+    log.warning("%s", Finding("system-lacks-what", missing=missing))
 
 
 class _Server:
@@ -219,7 +221,7 @@ class _Process:
         finally:
             timer.cancel()
         if "problems" in answer:
-            raise TripError(*answer["problems"])
+            raise TripError(*map(restored, answer["problems"]))
         if "error" in answer:
             raise ValueError(answer["error"])
         return answer, arrays
@@ -246,19 +248,17 @@ class _Process:
         """Return a message on why the process ended; a file that took too long is remembered."""
         code = self.end(CRASH_S)
         if self._is_late or code == -signal.SIGALRM:
-            words = (
-                f"{self.path}: its reader took longer than {self._limit_s:g} s for one step, so "
-                f"the file is damaged, or very slow to read (the variable {LIMIT} gives more time)"
-            )
+            late = Finding("reader-late", limit_s=self._limit_s, variable=LIMIT)
+            words = of(self.path, late)
             with suppress(OSError):
                 _late[_state(self.path)] = words
             return words
-        how = f"exit code {code}"
+        how: str = Finding("exit-code", code=code)
         if code < 0:
             with suppress(ValueError):
                 how = signal.Signals(-code).name
-        short = ", or there was too little memory" if code == -signal.SIGKILL else ""
-        return f"{self.path}: its reader crashed ({how}), so the file is damaged{short}"
+        kind = "reader-killed" if code == -signal.SIGKILL else "reader-crashed"
+        return of(self.path, Finding(kind, how=how))
 
     def end(self, grace_s: float = 0.0) -> int:
         """Wait up to `grace_s` for the process to exit, kill it otherwise; return its exit code."""
@@ -290,4 +290,4 @@ def _limit_s(stored: int) -> float:
     with suppress(ValueError):
         if 0 < float(text) <= threading.TIMEOUT_MAX:
             return float(text)
-    raise TripError(f"the environment variable {LIMIT} must be a time in seconds, got {text!r}")
+    raise TripError(Finding("reader-variable", variable=LIMIT, got=repr(text)))

@@ -28,16 +28,14 @@ from typing import IO, Any
 
 import numpy as np
 
+from suspnet.ground.findings import Finding, of, stored
 from suspnet.recordings.columns import SHARED_BYTES, Block, OpenFile, Reader
 from suspnet.recordings.dates import short_lines
 from suspnet.recordings.errors import TripError
 
 MOST_NOTES = 1000
 """Largest number of lines in which a logger describes a recording; the rest is ignored."""
-MEMORY_WORDS = (
-    "reading it takes more memory than a recording of its size does, so the file is damaged or "
-    "declares more than it holds; export the recording again"
-)
+MEMORY_WORDS = Finding("takes-too-much-memory")
 
 
 def serve() -> None:
@@ -131,8 +129,9 @@ def _answers(
             try:
                 if "open" in request:
                     file = stack.enter_context(reader(path, None))
-                    columns = [asdict(column) for column in file.columns]
-                    answer = {"columns": columns, "words": file.words, "hint": file.hint}
+                    columns = [asdict(one) | {"unread": stored(one.unread)} for one in file.columns]
+                    answer = {"columns": columns, "hint": stored(file.hint)}
+                    answer["words"] = stored(file.words)
                     answer["notes"] = short_lines(file.notes)[:MOST_NOTES]
                 else:
                     number = request["block"]
@@ -140,9 +139,9 @@ def _answers(
                         blocks[number] = _pieces(file.read(request["names"]))
                     arrays = next(blocks[number], ())
             except TripError as error:
-                answer = {"problems": error.problems}
+                answer = {"problems": [*map(stored, error.problems)]}
             except MemoryError:
-                answer = {"problems": [f"{path}: {MEMORY_WORDS}"]}
+                answer = {"problems": [stored(of(path, MEMORY_WORDS))]}
             except Exception as error:  # whatever a library raises on a damaged file
                 answer = {"error": str(error) or type(error).__name__}
             yield answer, arrays
@@ -328,6 +327,6 @@ def _refuse_events(path: Path, folders: Sequence[str]) -> None:
             is_allowed = is_allowed and not (isinstance(flags, int) and flags & _WRITES)
         if not is_allowed:
             what = f"{event} {arguments[0]}" if arguments else event
-            raise PermissionError(f"the file makes its reader do what readers must not: {what}")
+            raise PermissionError(Finding("file-makes-reader", what=what))
 
     sys.addaudithook(hook)

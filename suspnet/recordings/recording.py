@@ -17,6 +17,7 @@ from itertools import chain
 
 import numpy as np
 
+from suspnet.ground.findings import Finding, of, together
 from suspnet.ground.parameters import SIDES
 from suspnet.ground.settings import check_number
 from suspnet.ground.types import BoolArray, FloatArray
@@ -194,7 +195,7 @@ def load_recording(manifest: TripManifest, rate_hz: float = 100.0) -> Recording:
     del read
     found = joined(manifest, streams, track, offsets.get("speed", 0.0), rate_hz, dead)
     # the date is not known to `joined`, which also serves streams
-    return replace(found, started=started, words="; ".join(filter(None, (found.words, doubt))))
+    return replace(found, started=started, words=together((found.words, doubt)))
 
 
 def joined(
@@ -239,8 +240,12 @@ def joined(
     faulty = {name: own | its for (name, own), its in zip(faulty.items(), loose, strict=True)}
     if not usable.any():
         raise TripError(
-            f"{manifest.path}: at no time are all channels and the speed usable: "
-            f"{'; '.join(map(str, faults)) or 'the speed is never known'}"
+            of(
+                manifest.path,
+                Finding(
+                    "no-time-all", faults=together(map(str, faults)) or "the speed is never known"
+                ),
+            )
         )
     faults += clock_faults(manifest, values, usable & ~silent, speed, rate_hz)
     read_as = [track.words if track else "", *(stream.words for stream in streams)]
@@ -258,7 +263,7 @@ def joined(
         paired,
         differences,
         {name: signal for name, signal in values.items() if not channel_of(name)},
-        "; ".join(dict.fromkeys(words for words in read_as if words)),
+        together(dict.fromkeys(words for words in read_as if words)),
         faulty={name: where for name, where in faulty.items() if where.any()},
     )
 
@@ -301,17 +306,15 @@ def _read_sensor(
         rate_hz = source.known_rate_hz
         if rate_hz < 0.99 * wanted_hz:
             unit = "" if source.times is None else source.times.likely_unit(rate_hz)
-            more = ""
+            kind, hz = "rate-too-low", None
             if unit:
-                more = (
-                    f"; its times look like {unit}, {rate_hz / TIME_UNITS[unit]:.6g} Hz: give "
-                    f"`time_unit: {unit}`"
-                )
-            raise TripError(
-                f"{where} has {rate_hz:g} Hz; at least {wanted_hz:g} Hz are needed{more}"
-            )
+                kind, hz = "rate-too-low-unit", rate_hz / TIME_UNITS[unit]
+            given = {"rate_hz": rate_hz, "wanted_hz": wanted_hz, "unit": unit, "hz": hz}
+            raise TripError(Finding(kind, where=where, **given))
         if rate_hz > HIGHEST_HZ:
-            raise TripError(f"{where} has {rate_hz:g} Hz; at most {HIGHEST_HZ:g} Hz can be read")
+            raise TripError(
+                Finding("hz-most-hz", where=where, rate_hz=rate_hz, highest_hz=HIGHEST_HZ)
+            )
         cleaner = Cleaner(name, rate_hz, source.full_scale)
         sensor = Sensor(where, cleaner, source.size, wanted_hz)
         for block in chain([first_block], blocks):
@@ -326,12 +329,20 @@ def _common(
     """Return the first and last common instant of all sensors, in steps of the common clock."""
     common_s = min(s.end_s for s in streams) - max(s.start_s for s in streams)
     if common_s < SHORTEST_S - 1 / rate_hz:
-        spans = ", ".join(
-            f"{stream.name} from {stream.start_s:.1f} to {stream.end_s:.1f} s" for stream in streams
+        spans = together(
+            (
+                Finding("s", name=stream.name, start_s=stream.start_s, end_s=stream.end_s)
+                for stream in streams
+            ),
+            ", ",
         )
         raise TripError(
-            f"{manifest.path}: only {max(common_s, 0.0):.1f} s are common to all channels; "
-            f"at least {SHORTEST_S:g} s are needed ({spans})"
+            of(
+                manifest.path,
+                Finding(
+                    "only-s-common", common_s=max(common_s, 0.0), shortest_s=SHORTEST_S, spans=spans
+                ),
+            )
         )
     first = max(stream.first for stream in streams)
     return first, min(stream.first + len(stream.values) for stream in streams) - 1
@@ -369,7 +380,7 @@ def followed(one: Recording, other: Recording, offset_s: float) -> Recording:
             name: np.concatenate([own, np.zeros(n_gap), other.elsewhere[name][n_skip:]])
             for name, own in one.elsewhere.items()
         },
-        words="; ".join(words),
+        words=together(words),
         faulty={
             name: np.concatenate(
                 [

@@ -21,6 +21,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 from scipy.signal import firwin, kaiser_beta, kaiserord, upfirdn
 
+from suspnet.ground.findings import Finding, together
 from suspnet.ground.types import BoolArray, FloatArray, IntArray
 from suspnet.recordings.cleaning import LARGEST_MEAN_M_PER_S2, Cleaner, Fault
 from suspnet.recordings.errors import DeadSensorError, TripError
@@ -151,17 +152,14 @@ class Sensor:
 def _check_alive(where: str, cleaner: Cleaner, faults: tuple[Fault, ...]) -> None:
     """Raise DeadSensorError if a sensor has no usable sample, TripError if its unit is wrong."""
     if abs(cleaner.mean) > LARGEST_MEAN_M_PER_S2:
-        raise TripError(
-            f"{where} has a mean of {cleaner.mean:.3g} m/s2, gravity is 9.81: is its unit mg, not "
-            "g? Correct `unit` in the manifest, and convert what is in neither g nor m/s2"
-        )
+        raise TripError(Finding("odd-mean", where=where, mean=cleaner.mean))
     if cleaner.n_bad < cleaner.n_samples:
         return
     n_constant = sum(fault.n_samples for fault in faults if fault.kind == "constant")
     if n_constant == cleaner.n_samples and cleaner.lowest == cleaner.highest:
-        value = f"{cleaner.lowest:g}"
-        raise DeadSensorError(f"{where} is constant ({value}) throughout: is the sensor connected?")
-    raise DeadSensorError(f"{where} has no usable sample: {'; '.join(map(str, faults))}")
+        raise DeadSensorError(where, Finding("is-constant", value=cleaner.lowest))
+    listed = together(map(str, faults))
+    raise DeadSensorError(where, Finding("no-usable-sample", faults=listed))
 
 
 PASS, STOP = 0.25, 0.75

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from suspnet.ground.findings import Finding, of, together
 from suspnet.ground.types import FloatArray
 from suspnet.recordings.clocks import Times, Zero, header_date
 from suspnet.recordings.columns import BLOCK, Column, OpenFile, agreed_size, choose, size_of
@@ -70,7 +71,7 @@ class OpenSource:
         repaired = [] if self.times is None else self.times.words
         uneven = "" if self.timeline is None else self.timeline.words
         parts = (self.stated_words, *self.file.remarks, *repaired, uneven)
-        return "; ".join(part for part in parts if part)
+        return together(part for part in parts if part)
 
     @property
     def zero(self) -> Zero:
@@ -96,7 +97,7 @@ class OpenSource:
             n_rows += len(values)
             yield seconds, values
         if self.times is not None and not n_rows:
-            raise TripError(f"{self.where}: its times are empty")
+            raise TripError(of(self.where, Finding("times-empty")))
 
     def even(self, band_hz: float = BAND_HZ) -> Iterator[FloatArray]:
         """Yield evenly sampled values in the source's unit; NaN where times are missing.
@@ -117,7 +118,7 @@ class OpenSource:
             assert self.rate_hz is not None  # a source has times or a rate
             return self.rate_hz
         if math.isnan(self.timeline.rate_hz):
-            raise TripError(f"{self.where} has fewer than two samples; its rate is unknown")
+            raise TripError(Finding("fewer-than-two", where=self.where))
         return self.timeline.rate_hz
 
     @property
@@ -139,7 +140,7 @@ def open_source(manifest: TripManifest, source: Source, where: str) -> Iterator[
         name = choose(path, file, columns)[-1]
         column = file.column(name)
         if column.is_time:
-            raise TripError(f"{path}: column {name!r} holds time stamps, not numbers")
+            raise TripError(of(path, Finding("column-holds-time", name=repr(name))))
         # rate and times by the manifest, the file, or else its only column of time stamps
         rate_hz = _agreed_rate(where, source.rate_hz, column)
         time = source.time or column.time
@@ -147,11 +148,10 @@ def open_source(manifest: TripManifest, source: Source, where: str) -> Iterator[
             stamps = [one.name for one in file.columns if one.is_time]
             time = stamps[0] if len(stamps) == 1 else None
         if time is None and rate_hz is None:
-            unread = [f"; {one.name!r} {one.unread}" for one in file.columns if one.unread]
-            raise TripError(
-                f"{where} needs `rate_hz` or `time` (a column): {path.name} does not say the rate"
-                + "".join(unread[:1])
-            )
+            for one in (one for one in file.columns if one.unread):
+                given = {"file": path.name, "name": repr(one.name), "unread": one.unread}
+                raise TripError(Finding("needs-rate-but", where=where, **given))
+            raise TripError(Finding("needs-rate-hz-time", where=where, name=path.name))
         # factor to SI units, and the sensor's range in them
         size, words = _size(where, source, column)
         full_scale = getattr(source, "range", None)
@@ -162,7 +162,7 @@ def open_source(manifest: TripManifest, source: Source, where: str) -> Iterator[
             choose(path, file, [time])
             times = Times(where, source, file.column(time), column.start_ns)
         elif source.time_unit is not None or source.time_zone is not None:
-            raise TripError(f"{where}: `time_unit` and `time_zone` are for a column of `time`")
+            raise TripError(of(where, Finding("time-unit-time-zone-column")))
         yield OpenSource(
             path,
             file,
@@ -172,7 +172,7 @@ def open_source(manifest: TripManifest, source: Source, where: str) -> Iterator[
             times,
             Zero(column.start_ns, not column.is_local, is_stated=True, date=header_date(column)),
             full_scale,
-            "; ".join(part for part in (file.words, words) if part),
+            together(part for part in (file.words, words) if part),
             where,
             None if times is None else Timeline(where, rate_hz),
         )
@@ -186,8 +186,7 @@ def _agreed_rate(where: str, stated_hz: float | None, column: Column) -> float |
     most = max(RATE_TOLERANCE * found_hz, WHOLE_HZ if column.is_whole_rate else 0)
     if abs(stated_hz - found_hz) > most:
         raise TripError(
-            f"{where}: `rate_hz` says {stated_hz:.9g} Hz, its file says {found_hz:.9g} Hz; correct "
-            "it, or leave `rate_hz` out to take the file's"
+            of(where, Finding("rate-hz-says-hz", stated_hz=stated_hz, found_hz=found_hz))
         )
     return stated_hz
 
@@ -197,13 +196,12 @@ def _size(where: str, source: Source, column: Column) -> tuple[float, str]:
     size = agreed_size(where, source.kind, source.unit, column.unit)
     words = ""
     if column.unit and size_of(source.kind, column.unit) is None:
-        words = f"{column.name!r} is taken in {source.unit}, its file says {column.unit!r}"
+        words = Finding(
+            "taken-file-says", name=repr(column.name), unit=source.unit, unit2=repr(column.unit)
+        )
     if column.full_scale is not None:
         if not isinstance(source, Channel) or source.range is None:
-            raise TripError(
-                f"{where}: {column.name!r} holds integers, which are fractions of full scale; give "
-                "`range`, what full scale is in its `unit`, or write the file as floats"
-            )
+            raise TripError(of(where, Finding("holds-integers-fractions", name=repr(column.name))))
         size *= source.range
     return size * (source.sign if isinstance(source, Channel) else 1), words
 
@@ -326,19 +324,16 @@ class Timeline:
 def check_rising(where: str, times: FloatArray, before: float | None = None) -> None:
     """Raise TripError unless times are finite and increase, also from the one before them."""
     if not np.isfinite(times).all():
-        raise TripError(f"{where}: its times hold an empty or infinite value")
+        raise TripError(of(where, Finding("times-hold-empty")))
     all_times = times if before is None else np.concatenate([[before], times])
     fall = np.flatnonzero(all_times[1:] <= all_times[:-1])
     if len(fall):
         earlier, later = all_times[fall[0] : fall[0] + 2]
         reason = "are they rounded too coarsely, or stored in single precision?"
         if later < earlier:
-            reason = (
-                f"the clock steps back by {earlier - later:.6g} s; divide the trip there, or give "
-                "`rate_hz` instead of `time`"
-            )
+            reason = Finding("clock-steps-back", later=earlier - later)
         raise TripError(
-            f"{where}: times must rise, but {later:.9g} s follows {earlier:.9g} s; {reason}"
+            of(where, Finding("times-must-rise", later=later, earlier=earlier, reason=reason))
         )
 
 
@@ -346,8 +341,7 @@ def check_gaps(where: str, gaps_s: FloatArray) -> None:
     """Raise TripError if gaps are longer than ``LONGEST_GAP_S`` in all."""
     if gaps_s.sum() > LONGEST_GAP_S:
         raise TripError(
-            f"{where}: its times leave out {gaps_s.sum():.6g} s at once; the most is "
-            f"{LONGEST_GAP_S:g} s, so divide the trip in two or correct the times"
+            of(where, Finding("times-leave-out", sum=gaps_s.sum(), longest_gap_s=LONGEST_GAP_S))
         )
 
 
@@ -355,8 +349,7 @@ def check_rate(where: str, stated_hz: float | None, found_hz: float) -> None:
     """Raise TripError if a stated rate differs from that of the time stamps."""
     if stated_hz is not None and abs(found_hz - stated_hz) > TIMES_TOLERANCE * stated_hz:
         raise TripError(
-            f"{where}: `rate_hz` says {stated_hz:g} Hz, its times say {found_hz:.6g} Hz; they must "
-            "agree within 1 %, so correct one or leave it out"
+            of(where, Finding("rate-hz-says-hz-times", stated_hz=stated_hz, found_hz=found_hz))
         )
 
 

@@ -8,6 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from suspnet.ground.findings import Finding, of
 from suspnet.ground.types import BoolArray, FloatArray
 from suspnet.recordings.cleaning import Fault
 from suspnet.recordings.clocks import Zero
@@ -65,10 +66,7 @@ def read_speed(manifest: TripManifest) -> SpeedTrack | None:
     source = manifest.speed
     if not isinstance(source, SpeedSource):
         if source > LARGEST_SPEED_M_PER_S:
-            raise TripError(
-                f"{manifest.path}: `speed` is {source:g} m/s, faster than any train; is it in "
-                f"km/h? Then write: speed: {source:g} km/h"
-            )
+            raise TripError(of(manifest.path, Finding("speed-m-s", source=source, source2=source)))
         return None
     where = manifest.where("speed")
     with open_source(manifest, source, where) as file:
@@ -113,8 +111,10 @@ def speed_at(
         found[np.diff(known_s)[after - 1] > LONGEST_SPEED_GAP_S] = np.nan
     if np.isnan(found).all():
         raise TripError(
-            f"{manifest.path}: `speed` is never between 0 and {LARGEST_SPEED_M_PER_S:g} m/s while "
-            "the channels record; are its unit, time and start_s right?"
+            of(
+                manifest.path,
+                Finding("speed-never-between", largest_speed_m_per_s=LARGEST_SPEED_M_PER_S),
+            )
         )
     inside = (known_s >= times_s[0]) & (known_s <= times_s[-1])
     faults = [

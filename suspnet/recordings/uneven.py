@@ -12,6 +12,7 @@ import math
 
 import numpy as np
 
+from suspnet.ground.findings import Finding, of
 from suspnet.ground.types import FloatArray, IntArray
 from suspnet.recordings.errors import TripError
 from suspnet.recordings.faults import find_gaps
@@ -116,8 +117,8 @@ class Grid:
         self.step_s = float(even.mean()) if step_s is None else step_s
         self.rate_hz = 1 / self.step_s
         low, high = 1e3 * np.quantile(even, [0.01, 0.99])
-        self._uneven = f"its times are uneven, steps of {low:.5g} to {high:.5g} ms"
-        self.words = f"{self._uneven}; its samples are interpolated at {self.rate_hz:.6g} Hz"
+        self._uneven = Finding("times-uneven-steps", low=low, high=high)
+        self.words = Finding("samples-interpolated-hz", uneven=self._uneven, rate_hz=self.rate_hz)
         self._first_s, self._n_done = first_s, 0
         self._times, self._values = np.empty(0), np.empty(0)
         self._n_summed, self._sum_of_squares = 0, 0.0
@@ -184,9 +185,16 @@ class Grid:
         error = math.sqrt(self._sum_of_squares / max(self._n_summed, 1))
         if error > MOST_ERROR:
             raise TripError(
-                f"{self.where}: {self._uneven}; at {self.band_hz:g} Hz interpolation would err by "
-                f"{100 * error:.2g} %, the most is {100 * MOST_ERROR:g} %; record faster, or give "
-                "`rate_hz` instead of `time` if only the times are uneven, not the samples"
+                of(
+                    self.where,
+                    Finding(
+                        "hz-interpolation-would",
+                        uneven=self._uneven,
+                        band_hz=self.band_hz,
+                        error=100 * error,
+                        most_error=100 * MOST_ERROR,
+                    ),
+                )
             )
 
 

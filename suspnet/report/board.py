@@ -11,6 +11,7 @@ from datetime import UTC, date, datetime
 from pathlib import Path
 from typing import Any
 
+from suspnet.ground.findings import Finding
 from suspnet.ground.parameters import DEFAULT_LIMITS, Cause, Limits, read_limits
 from suspnet.ground.records import Key
 from suspnet.history import History, HistoryError
@@ -277,12 +278,12 @@ class Refresher:
     def fault(self) -> str:
         """Why the pages may be out of date; empty if they are not."""
         if not self._thread.is_alive():
-            why = f" ({self._error})" if self._error else ""
-            return f"The history is no longer read{why}: start suspnet-serve again."
+            kind = "no-longer-read-as" if self._error else "no-longer-read"
+            return Finding(kind, error=self._error)
         view = self.board.view
         if self._error:
-            return f"The state of the fleet could not be computed: {self._error}."
-        return f"The store cannot be read: {view.trouble}." if view.trouble else ""
+            return Finding("state-fleet-could", error=self._error)
+        return Finding("store-cannot-read", trouble=view.trouble) if view.trouble else ""
 
     @property
     def read_at(self) -> datetime:
@@ -293,9 +294,12 @@ class Refresher:
     def words(self) -> str:
         """When the store was last read, as text."""
         if self._started_at:
-            since = f", since {clock(self._started_at)}"
-            return f"reading changes{since}"
-        return f"last read at {clock(self._looked)}" if self._looked else "not read yet"
+            return Finding("reading", time=clock(self._started_at))
+        return (
+            Finding("last-read", clock=clock(self._looked))
+            if self._looked
+            else Finding("not-read-yet")
+        )
 
     def _run(self) -> None:
         """Refresh until stopped; after an error, try again."""

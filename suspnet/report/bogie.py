@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from suspnet.ground.parameters import BOGIE_PARTS, Severity, part_words
+from suspnet.ground.findings import Finding, parts_of, together
+from suspnet.ground.parameters import BOGIE_PARTS, SIDES, Severity, part_words
 from suspnet.ground.records import TripResult
-from suspnet.ground.wording import count
 from suspnet.maintenance.judge import ABSURD
 from suspnet.maintenance.plan import place_of
 from suspnet.maintenance.schedule import Plan
@@ -26,7 +25,7 @@ EQUAL_SIDES = (
     "left and right reads each part"
 )
 """Why estimates without parts name none."""
-NONE_NAMED = f"No single spring or damper is named: {EQUAL_SIDES}."
+NONE_NAMED = Finding("no-part-at-all", reason=EQUAL_SIDES)
 MOST_DIGITS = 1
 """Largest number of decimals in the drawing, whose labels are narrow."""
 LEAST_HALF = 0.1
@@ -63,8 +62,8 @@ class DrawnPart:
     @property
     def worn(self) -> str:
         """Whether the part has worn, as text; empty without a verdict."""
-        named = f"worn, odds {self.odds}" if self.odds else ""
-        return "; ".join(filter(None, (named, self.group and f"one of group {self.group}")))
+        named = Finding("worn", odds=self.odds) if self.odds else ""
+        return together((named, self.group and Finding("one-of-group", group=self.group)))
 
     @property
     def level(self) -> str:
@@ -168,33 +167,26 @@ def small_figures(state: State, images: Mapping[str, str]) -> dict[bool, list[di
 
 
 def worn_entries(worn: str) -> list[tuple[tuple[str, ...], str]]:
-    """Return parts and odds of each entry of ``TripResult.worn``; several parts are a group.
-
-    Examples
-    --------
-    >>> worn_entries("damper of axle 1, left or secondary spring, right at 62 % (odds 9 : 1)")
-    [(('c_p_axle1_left', 'k_s_right'), '9 : 1')]
-    """
-    names = {part_words(name): name for name in BOGIE_PARTS}
-    found = []
-    for parts, odds in re.findall(r"(?:^|; )([^;]+?) at [^;(]*\(odds ([^:]+ : 1)", worn):
-        known = tuple(names[one] for one in parts.split(" or ") if one in names)
-        found += [(known, odds)] if known else []
-    return found
+    """Return parts and odds of each entry of ``TripResult.worn``; several parts are a group."""
+    return [
+        (one.values["names"], one.values["odds"])
+        for one in parts_of(worn)
+        if isinstance(one, Finding) and "names" in one.values
+    ]
 
 
 def group_words(names: Sequence[str], odds: str) -> str:
     """Return a sentence on parts of which one has worn, with what they have in common."""
     common = _common([part.partition("_")[2].split("_")[1:] for part in names])
-    parts = " or ".join(part_words(name) for name in names)
-    return f"one of several has worn{common} (odds {odds}), which is not known: {parts}"
+    parts = together(map(part_words, names), " or ")
+    return Finding("one-of-several-worn", common=common, odds=odds, parts=parts)
 
 
 def _common(places: Sequence[Sequence[str]]) -> str:
     """Return " on the left", " at axle 1" or both, if parts share that; empty if nothing."""
     shared = set(places[0]).intersection(*places[1:])
-    axle = "".join(f" at axle {one[-1]}" for one in sorted(shared) if one.startswith("axle"))
-    return axle + "".join(f" on the {one}" for one in sorted(shared) if one in ("left", "right"))
+    axles = (Finding("at-axle", axle=one[-1]) for one in sorted(shared) if one.startswith("axle"))
+    return together((*axles, *(f" on the {one}" for one in SIDES if one in shared)), "")
 
 
 def visits_of(plan: Plan | None, state: State) -> dict[str, str]:
@@ -219,6 +211,8 @@ def why_no_part(trips: Iterable[TripResult], outputs: Iterable[str]) -> str:
     if not reasons:
         return "" if has_parts else NONE_NAMED
     trip, reason = reasons[-1]
-    of = f" on {count(len(reasons), 'trip')}" if has_parts else ""
-    newest = f" (trip {trip})" if len(reasons) > 1 else ""
-    return f"No single spring or damper is named{of}: {reason}{newest}."
+    if len(reasons) > 1:
+        reason = Finding("of-newest-trip", words=reason, trip=trip)
+    if has_parts:
+        return Finding("no-part-on-trips", n=len(reasons), reason=reason)
+    return Finding("no-part-at-all", reason=reason)

@@ -2,49 +2,46 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Sequence
+from collections.abc import Collection, Iterable, Sequence
 
+from suspnet.ground.findings import OF, WITHOUT_SENSORS, Finding, kind_is, of, parts_of, together
 from suspnet.ground.parameters import Cause
 from suspnet.ground.records import TripResult, sensors_from_text
-from suspnet.ground.wording import count
 from suspnet.maintenance.judge import N_LAST
 from suspnet.maintenance.state import State
 
 LISTED = 5
 """Largest number of trips that are listed for a failing sensor."""
-FAILING = re.compile(
-    r"(?:^|; )([\w ]+: (?:dead and left out|loose from).*?)(?=; [a-z_]+(?: [\w ]+)?: |$)"
-)
-"""A dead or loose sensor with what is known of it, among the faults of a trip."""
-DEAD = ": dead and left out"
-LOST = re.compile(r"parts are read without the sensors of ([^;]+)")
-"""The sensors without which the parts of a trip are read, among its warnings."""
+DEAD = "dead-left-out", "dead-read-alone", "dead-before"
+"""Kinds of the faults of a sensor that shows nothing."""
+FAILING = *DEAD, "loose", "loose-of-pair", "loose-before"
+
+
+def _failing(result: TripResult, kinds: Collection[str] = FAILING) -> dict[str, Finding]:
+    """Return the faults of some kinds of a trip, by the name of the sensor."""
+    several = parts_of(result.quality.faults)
+    faults = ((one.values["name"], one) for one in several if kind_is(one, OF))
+    return {name: one for name, one in faults if getattr(one.values["words"], "kind", "") in kinds}
 
 
 def failing_sensors(results: Sequence[TripResult]) -> dict[str, list[str]]:
     """Return what is known of each sensor that is dead, loose or left out of a trip's parts.
 
     With it are the names of its trips.
-
-    Examples
-    --------
-    >>> from suspnet.ground.records import Quality
-    >>> quality = Quality(faults="body right: dead and left out (constant); speed: 2 spikes")
-    >>> failing_sensors([TripResult("trip_1", "trip_1.yaml", quality=quality)])
-    {'body right: dead and left out (constant)': ['trip_1']}
     """
     trips: dict[str, list[str]] = {}
     for result in results:
-        own = FAILING.findall(result.quality.faults)
-        for words in own:
-            whole = words if words.count("(") == words.count(")") else words.rpartition(" (")[0]
-            trips.setdefault(whole, []).append(result.trip)
+        own = _failing(result)
         # a sensor whose faults would break a trip up is left out of its parts alone
-        for words in LOST.findall(result.quality.warnings):
-            for name in words.split(", "):
-                if not any(one.startswith(f"{name}: ") for one in own):
-                    trips.setdefault(f"{name}: not used for the parts", []).append(result.trip)
+        left_out = (
+            name
+            for one in parts_of(result.quality.warnings)
+            if kind_is(one, WITHOUT_SENSORS)
+            for name in one.values["names"]
+        )
+        unused = {name: of(name, Finding("not-used-for-parts")) for name in left_out}
+        for words in (own | {name: unused[name] for name in unused if name not in own}).values():
+            trips.setdefault(words, []).append(result.trip)
     return trips
 
 
@@ -54,8 +51,8 @@ def dead_words(results: Sequence[TripResult]) -> str:
     `results` are in the order of the mileage. A sensor that was replaced since is not named.
     """
     newest = [one for one in results if one.quality.faults or one.estimates][-1:]
-    names = [words.partition(":")[0] for words in failing_sensors(newest) if DEAD in words]
-    return _left_out(names, sum(DEAD in r.quality.faults for r in results), len(results))
+    names = [name for one in newest for name in _failing(one, DEAD)]
+    return _left_out(names, sum(bool(_failing(one, DEAD)) for one in results), len(results))
 
 
 def failing_words(results: Sequence[TripResult]) -> str:
@@ -63,10 +60,11 @@ def failing_words(results: Sequence[TripResult]) -> str:
     if words := dead_words(results):
         return words
     last = results[-N_LAST:]
-    names = dict.fromkeys(words.partition(":")[0] for words in failing_sensors(last))
+    found = [one for one in failing_sensors(last) if isinstance(one, Finding)]
+    names = dict.fromkeys(one.values["name"] for one in found)
     n = sum(bool(failing_sensors([one])) for one in last)
-    of = f" (on {n} of the last {len(last)} trips)" if len(last) > 1 else ""
-    return f"dead, loose or not used: {', '.join(names)}{of}" if n else ""
+    kind = "dead-or-loose-on" if len(last) > 1 else "dead-or-loose"
+    return Finding(kind, names=_listed(names), n=n, n_last=len(last)) if n else ""
 
 
 def sensor_words(state: State) -> str:
@@ -80,7 +78,7 @@ def sensor_words(state: State) -> str:
     alarms = [
         one.words for one in state.alarms if one.cause == Cause.SENSOR and one.parameter not in dead
     ]
-    return "; ".join(filter(None, [_left_out(dead, n_dead, len(texts)), *alarms]))
+    return together([_left_out(dead, n_dead, len(texts)), *alarms])
 
 
 def _dead_in(text: str) -> list[str]:
@@ -90,5 +88,11 @@ def _dead_in(text: str) -> list[str]:
 
 def _left_out(names: Sequence[str], n_dead: int, n_trips: int) -> str:
     """Return the names of dead sensors as text, with the number of trips that have any."""
-    of = f"{n_dead} of {count(n_trips, 'trip')}"
-    return f"dead and left out: {', '.join(names)} (on {of})" if names else ""
+    if not names:
+        return ""
+    trips = Finding("trips", n=n_trips)
+    return Finding("dead-on-trips", names=_listed(names), n=n_dead, trips=trips)
+
+
+def _listed(names: Iterable[str]) -> str:
+    return together((Finding("sensor-name", name=name) for name in names), ", ")

@@ -23,7 +23,7 @@ from suspnet.ground.records import OK, TripResult, by_mileage
 from suspnet.ground.types import FloatArray
 from suspnet.ground.wording import kilometres
 from suspnet.recordings.recording import Overview
-from suspnet.report.sentences import spoken
+from suspnet.report.language import spoken
 from suspnet.report.tables import response
 
 CHANNEL_TITLES = ("axle box", "bogie frame", "car body")

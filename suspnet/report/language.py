@@ -9,8 +9,11 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from importlib import resources
+from typing import Any
 
 from jinja2 import Environment
+
+from suspnet.ground.findings import LIST, OF, TEMPLATES, Filling, Finding, together
 
 ENGLISH = "en"
 LANGUAGES = (ENGLISH, "de")
@@ -93,6 +96,68 @@ def day(text: str) -> str:
         return text
     text = re.sub(r" (\d\d:\d\d):\d\d(?=[+-])", r", \1 ", text).replace("+00:00", "UTC")
     return re.sub(r"(\d+)-(\d\d)-(\d\d)", r"\3.\2.\1", text)
+
+
+def spoken(text: str) -> str:
+    """Return a finding in the current language, or a name, a day or a number that stands alone.
+
+    Any other text stays as it is.
+
+    >>> with speaking("de"):
+    ...     spoken(Finding("act-since", km=56_000.0))
+    'Eingriff nötig seit 56 000 km'
+    """
+    if isinstance(text, Finding):
+        return _of_finding(text)
+    if (sensor := _SENSOR.fullmatch(text)) and text not in ("bogie", "frame", "body"):
+        return spoken(_of_sensor(sensor))
+    if current() == ENGLISH:
+        return text
+    if _DAY.fullmatch(text):
+        return day(text)
+    return decimal(text) if _NUMBER.fullmatch(text) else gettext(text)
+
+
+_DAY = re.compile(r"\d{4}-\d\d-\d\d(?: \d\d:\d\d:\d\d(?:[+-]\d\d:\d\d)?)?")
+_NUMBER = re.compile(r"[-+\N{MINUS SIGN}]?[\d \N{NO-BREAK SPACE}]*\.?\d+(?:e[-+]?\d+)?%?")
+_SENSOR = re.compile(
+    r"(axle_box|bogie|frame|body)(?:[ _](axle\d|centre))?(?:[ _](left|right|middle))?"
+)
+"""A sensor by its name in manifests or in layouts: "axle_box axle2 left", "frame_centre_left"."""
+_NAMING = (OF, "sensor", "order-for-sensor", "sensor-name")
+"""Kinds whose `name` is that of a sensor also where it is one plain word, as "body"."""
+
+
+def _of_sensor(found: re.Match[str]) -> str:
+    """Return a sensor's place: "axle box of axle 2, left" of "axle_box axle2 left"."""
+    place, where, side = found.groups(default="")
+    words = {"axle_box": "axle box", "body": "car body"}.get(place, "bogie frame")
+    if where.startswith("axle"):
+        kind = "axle-box-of-axle" if place == "axle_box" else "frame-of-axle"
+        return together((Finding(kind, n=where[4:]), side), ", ")
+    return together((words, where, side), ", ")
+
+
+class _Spoken(Filling):
+    """Fills in a template: texts are spoken in turn, numbers have their language's decimal sign."""
+
+    def format_field(self, value: Any, format_spec: str) -> str:
+        """Return one value of a template in the current language."""
+        if isinstance(value, str):
+            return spoken(value)
+        text = super().format_field(value, format_spec)
+        return text if format_spec == "km" else decimal(text)
+
+
+def _of_finding(found: Finding) -> str:
+    values = dict(found.values)
+    if found.kind == LIST:
+        return gettext(values["separator"]).join(map(spoken, values["parts"]))
+    if found.kind in _NAMING and (sensor := _SENSOR.fullmatch(values["name"])):
+        values["name"] = _of_sensor(sensor)
+    forms = TEMPLATES[found.kind]
+    template = ngettext(*forms, values["n"]) if len(forms) == 2 else gettext(forms[0])
+    return _Spoken().vformat(template, (), values)
 
 
 def install(environment: Environment) -> None:

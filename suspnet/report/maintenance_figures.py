@@ -14,8 +14,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullLocator
 
+from suspnet.ground.findings import Finding
 from suspnet.ground.parameters import BODY_MASS, BOGIE_PARTS, Severity
-from suspnet.ground.wording import count
 from suspnet.maintenance.schedule import UNKNOWN, URGENCIES, Job, Plan, Visit
 from suspnet.report.figures import MILEAGE_LABEL, SYMBOLS, say
 from suspnet.report.language import ENGLISH, current
@@ -130,14 +130,18 @@ def _label(axis: Axes, plan: Plan, shown: Sequence[str], n_trains: int) -> None:
     axis.tick_params(axis="x", labelsize="small")
     axis.tick_params(axis="y", length=0, pad=9)  # a mark of today extends beyond the axis
     n_jobs = sum(len(visit.jobs) for visit in plan.visits)
-    title = (
-        f"Plan of {plan.today}: {count(len(plan.visits), 'visit')}, {count(n_jobs, 'job')} "
-        f"until {plan.horizon}"
+    title = Finding(
+        "plan-title",
+        today=plan.today,
+        visits=Finding("visits", n=len(plan.visits)),
+        jobs=Finding("jobs", n=n_jobs),
+        day=plan.horizon,
     )
     if plan.unknown:
-        title += f", {count(len(plan.unknown), 'part')} unknown"
+        parts = Finding("parts", n=len(plan.unknown))
+        title = Finding("plan-title-unknown", title=title, parts=parts)
     if n_trains > len(shown):
-        title += f"\n{len(shown)} trains of {n_trains}, the most urgent"
+        title = Finding("trains-shown", title=title, n=len(shown), n_all=n_trains)
     axis.set_title(title, fontsize="medium")
 
 
@@ -176,7 +180,7 @@ def _calendar_legend(figure: Figure, axis: Axes, level: float) -> None:
     handles, labels = axis.get_legend_handles_labels()
     marks = dict(zip(labels, handles, strict=True))
     order = [word for word in (*WORDS.values(), DUE) if word in marks]
-    words = [f"limit passed: {100 * level:g} % interval" if w == DUE else w for w in order]
+    words = [Finding("limit-passed-interval", level=100 * level) if w == DUE else w for w in order]
     if order:
         place: dict[str, Any] = {"loc": "outside lower center", "ncols": 2, "fontsize": "small"}
         figure.legend([marks[word] for word in order], words, **place)
@@ -225,8 +229,8 @@ def health_trend(trend: Trend, is_small: bool = False) -> Figure:
     if is_small:  # the same for all, and in half the time
         figure.subplots_adjust(**SMALL_MARGINS)
     for axis, panel in zip(axes, trend.panels, strict=True):
-        what = "nominal" if panel.name == BODY_MASS else "healthy"
-        axis.set_ylabel(f"{SYMBOLS[panel.name]} [% of {what}]")
+        kind = "of-nominal-axis" if panel.name == BODY_MASS else "of-healthy-axis"
+        axis.set_ylabel(Finding(kind, symbol=SYMBOLS[panel.name]))
         if len(panel.points.km):
             _draw_trips(axis, panel.points, trend.level)
             _draw_levels(axis, panel)
@@ -247,7 +251,9 @@ def health_trend(trend: Trend, is_small: bool = False) -> Figure:
     else:
         _legend(figure, axes)
     if trend.n_unplaced:
-        axes[0].set_title(f"without a mileage, not shown: {trend.n_unplaced}", fontsize="small")
+        axes[0].set_title(
+            Finding("without-mileage-not", n_unplaced=trend.n_unplaced), fontsize="small"
+        )
     return figure
 
 
@@ -258,7 +264,7 @@ def _draw_trips(axis: Axes, points: Points, level: float) -> None:
         axis.plot(thousands_km[clear], points.values[clear], ".", ms=6, label=TRIP, **style)
     known = np.isfinite(points.intervals[:, 0])
     if known.any():
-        label = f"its {100 * level:g} % interval"
+        label = Finding("interval", level=100 * level)
         ends = points.intervals[known].T
         axis.vlines(thousands_km[known], *ends, label=label, alpha=0.5, lw=0.9, **style)
     if not clear.all():

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from suspnet.ground.findings import from_plain, together
 from suspnet.ground.parameters import part_words
 from suspnet.ground.storage import printable
 from suspnet.ground.wording import kilometres
-from suspnet.report.language import N_, day, gettext, ngettext
-from suspnet.report.sentences import spoken
+from suspnet.report.language import N_, day, gettext, ngettext, spoken
 
 TITLES = {
     "new": N_("New"),
@@ -71,6 +71,7 @@ def _line(alarm: Mapping[str, Any]) -> str:
     by = f"; {seen}" if alarm["acknowledged_by"] else ""
     place, cause = spoken(alarm["place"]), spoken(alarm["cause"])
     where = f"{alarm['vehicle']}: {place}: {_part(alarm)} ({cause})"
-    reason = spoken(" ".join(alarm["reason"].split()))
+    found = [from_plain(one) for one in alarm.get("findings", ())]
+    reason = spoken(together(found) or " ".join(alarm["reason"].split()))
     line = f"- {spoken(alarm['severity'])}: {where}, {since}: {reason}{by}"
     return " ".join(line.split())  # names and reasons are others' texts: none starts a line

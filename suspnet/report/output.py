@@ -16,8 +16,9 @@ from matplotlib.figure import Figure
 from tabulate import tabulate
 
 from suspnet.ground.extras import check_extra
+from suspnet.ground.findings import NO_PART, Finding, together
 from suspnet.ground.parameters import BODY_MASS, BOGIE_PARTS, PARAMETERS, Cause, Severity
-from suspnet.ground.records import NO_PART, OK, TripResult, outputs_of
+from suspnet.ground.records import OK, TripResult, outputs_of
 from suspnet.ground.storage import write_atomically, write_json, write_table
 from suspnet.ground.wording import count, kilometres
 from suspnet.maintenance.alarms import Acknowledgement, Alarm, newest_of
@@ -108,7 +109,7 @@ def _part_table(results: Sequence[TripResult], parts: Sequence[str]) -> str:
         done = [r for r in results if name in r.estimates]
         low, high = (100 * end for end in done[-1].interval(name))
         ends = [100 * r.estimates[name] for r in (done[0], done[-1])]
-        interval = f"{low:.2f} to {high:.2f}"
+        interval = Finding("to-2", low=low, high=high)
         rows.append([name, *ends, interval, errors.get(name), held.get(name)])
     header = ["part", "first %", "newest %", "interval %", KNOWN_ERROR_PERCENT, COVERAGE_PERCENT]
     kept = [i for i in range(len(header)) if any(row[i] is not None for row in rows)]
@@ -130,11 +131,11 @@ def _reasons(results: Sequence[TripResult]) -> list[str]:
     for result in results:
         why = [
             result.reason or result.flags,
-            result.quality.no_part and f"{NO_PART}{result.quality.no_part}",
+            result.quality.no_part and Finding(NO_PART, words=result.quality.no_part),
         ]
         if result.status != OK or result.quality.no_part:
             why.append(result.quality.faults)
-        if words := "; ".join(filter(None, why)):
+        if words := together(why):
             trips.setdefault(words, []).append(result.trip)
     return [f"\n{', '.join(names)}: {words}" for words, names in trips.items()]
 

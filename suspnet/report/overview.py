@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 from tabulate import tabulate
 
+from suspnet.ground.findings import Finding, together
 from suspnet.ground.parameters import Limits, Severity, part_words
 from suspnet.ground.records import OK, PLACE_FROM_TRAIN, Key, Place, TripResult
 from suspnet.ground.storage import content_hash
-from suspnet.ground.wording import count
 from suspnet.history.schema import BadRow
 from suspnet.maintenance.alarms import Acknowledgement, newest_of
 from suspnet.maintenance.schedule import Plan
@@ -54,7 +54,7 @@ class Evaluated:
 
     def row(self, outputs: Sequence[str]) -> dict[str, Any]:
         """Return the suspension as one flat row of the overview."""
-        state, reason = self.state, f"not read: {self.error}"
+        state, reason = self.state, Finding("not-read", error=self.error)
         return {
             "suspension": self.place.suspension or self.name,
             "bogie": self.place.bogie,
@@ -168,8 +168,8 @@ def _row(state: State, acknowledged: Mapping[Key, Sequence[Acknowledgement]]) ->
         "life_low_km": low,
         "life_median_km": median,
         "life_high_km": high,
-        "life_unknown": ", ".join(state.unknown),
-        "life_unknown_why": "; ".join(dict.fromkeys(state.unknown.values())),
+        "life_unknown": together(state.unknown, ", "),
+        "life_unknown_why": together(dict.fromkeys(state.unknown.values())),
         **{f"{name}_last": state.furthest(name) for name in series.estimates},
         "last_mileage_km": state.last_km,
         "n_trips": len(series.trip),
@@ -185,7 +185,7 @@ CALM = "within its limits"
 def _quiet(state: State) -> str:
     """Return the status of a suspension without a finding."""
     why = state.watched.changes.why_not
-    return f"{CALM}; alarms of changes not armed yet: {why}" if why else CALM
+    return Finding("alarms-changes-not", calm=CALM, why=why) if why else CALM
 
 
 def same_columns(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
@@ -199,26 +199,28 @@ def overview_table(rows: Sequence[Mapping[str, Any]]) -> str:
     shown = (*PLACE_FROM_TRAIN, "severity", "parameter", "reason", "sensors")
     columns = [key for key in shown if any(row[key] for row in rows)]
     head = [[row[key] for key in columns] for row in rows[:N_SHOWN]]
-    more = f"\n... and {len(rows) - N_SHOWN} more" if len(rows) > N_SHOWN else ""
+    more = Finding("more", n_shown=len(rows) - N_SHOWN) if len(rows) > N_SHOWN else ""
     return f"{first_words(rows)}\n{tabulate(head, columns, tablefmt='github')}{more}"
 
 
 def first_words(rows: Sequence[Mapping[str, Any]]) -> str:
     """Return what a text on a fleet begins with: `finding` and `most_severe`."""
-    return " ".join(filter(None, [finding(rows), most_severe(rows)]))
+    return together((finding(rows), most_severe(rows)), " ")
 
 
 def finding(rows: Sequence[Mapping[str, Any]]) -> str:
     """Return how many suspensions are of each severity."""
     counts = {level: sum(row["severity"] == str(level) for row in rows) for level in Severity}
     words = {
-        Severity.ACT: "to act on",
-        Severity.NOTICE: "to be looked at",
-        Severity.UNKNOWN: "not judged",
-        Severity.NONE: "without alarm",
+        Severity.ACT: "count-act",
+        Severity.NOTICE: "count-notice",
+        Severity.UNKNOWN: "count-unknown",
+        Severity.NONE: "count-none",
     }
-    found = ", ".join(f"{counts[level]} {text}" for level, text in words.items() if counts[level])
-    return f"{count(len(rows), 'suspension')}: {found}."
+    found = together(
+        (Finding(kind, n=counts[one]) for one, kind in words.items() if counts[one]), ", "
+    )
+    return Finding("suspensions", n=len(rows), words=found)
 
 
 def most_severe(rows: Sequence[Mapping[str, Any]]) -> str:
@@ -232,4 +234,4 @@ def most_severe(rows: Sequence[Mapping[str, Any]]) -> str:
         return ""
     first = part_words(worst["parameter"].partition(", ")[0])
     place = Place(**{name: worst[name] for name in PLACE_FROM_TRAIN})
-    return f"The most severe: {first} ({place})."
+    return Finding("most-severe", part=first, place=str(place))

@@ -12,10 +12,11 @@ from typing import Any
 
 from matplotlib.figure import Figure
 
+from suspnet.ground.findings import Finding
 from suspnet.ground.parameters import BODY_MASS, KIND_NAMES, Severity, part_words
 from suspnet.ground.records import INTERVAL_LEVEL, OK, Commissioning, TripResult, by_mileage
 from suspnet.ground.storage import write_atomically
-from suspnet.ground.wording import count, span, thousands, unbroken
+from suspnet.ground.wording import span, thousands, unbroken
 from suspnet.maintenance.alarms import Acknowledgement, newest_of
 from suspnet.maintenance.assessment import Assessment, joined, overall, worst_first
 from suspnet.maintenance.judge import N_LAST
@@ -24,8 +25,7 @@ from suspnet.maintenance.state import State
 from suspnet.report.bogie import bogie_of, small_figures, why_no_part
 from suspnet.report.failing_sensors import failing_words
 from suspnet.report.figures import data_uri
-from suspnet.report.language import N_, decimal, gettext
-from suspnet.report.sentences import spoken
+from suspnet.report.language import N_, decimal, gettext, spoken
 from suspnet.report.tables import sensor_rows, trip_table
 from suspnet.report.templates import KILO, SEVERITIES, render, with_unit
 
@@ -93,11 +93,6 @@ RECOMMISSIONED = N_(
 MAINTAINED = N_("Maintenance: {}. Severities, medians and changes are of the trips since the last.")
 NAMED = 3
 """Largest number of parameters that the first sentence of a report names."""
-UNSURE = (
-    "so their numbers may be further off than the intervals say; what is beyond a limit is to be "
-    "inspected before work is ordered, what is within the limits is not judged"
-)
-"""What it means that all trips are flagged. No verdict is silenced by that."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -214,11 +209,7 @@ def sides_finding(trips: Sequence[TripResult]) -> str:
     `trips` are in the order of the mileage.
     """
     on, words = _on_last(trips, "sides")
-    return words and (
-        f"Left and right differ on {on}: {words}. An estimate is the mean of both sides. "
-        "Sensors of a pair that differ in place or sensitivity, and a track with one rail worse "
-        "than the other, can look alike: compare several trips."
-    )
+    return words and Finding("sides-differ", trips=on, words=words)
 
 
 def worn_finding(trips: Sequence[TripResult]) -> str:
@@ -227,7 +218,7 @@ def worn_finding(trips: Sequence[TripResult]) -> str:
     `trips` are in the order of the mileage.
     """
     on, words = _on_last(trips, "worn")
-    return words and f"Worn parts on {on}: {words}."
+    return words and Finding("worn-on", trips=on, words=words)
 
 
 def _on_last(trips: Sequence[TripResult], name: str) -> tuple[str, str]:
@@ -236,8 +227,10 @@ def _on_last(trips: Sequence[TripResult], name: str) -> tuple[str, str]:
     found = [r for r in last if getattr(r, name)]
     if not found:
         return "", ""
-    on = f"{len(found)} of the last {len(last)} trips" if len(last) > 1 else "the last trip"
-    return f"{on}; on {found[-1].trip}", getattr(found[-1], name)
+    on = Finding("last-trip")
+    if len(last) > 1:
+        on = Finding("last-trips", n=len(found), n_last=len(last))
+    return Finding("on-newest", trips=on, trip=found[-1].trip), getattr(found[-1], name)
 
 
 def wheels_finding(trips: Sequence[TripResult]) -> str:
@@ -246,15 +239,18 @@ def wheels_finding(trips: Sequence[TripResult]) -> str:
     found = [r for r in last if r.quality.wheels]
     if not found:
         return ""
-    of = f" ({len(found)} of the last {len(last)} trips)" if len(last) > 1 else ""
-    return f"Wheels on {found[-1].trip}{of}: {found[-1].quality.wheels}"
+    kind = "wheels-on-trips" if len(last) > 1 else "wheels-on-trip"
+    newest = {"trip": found[-1].trip, "words": found[-1].quality.wheels}
+    return Finding(kind, **newest, n=len(found), n_last=len(last))
 
 
 def _since_when(states: Sequence[Commissioning], events: Sequence[Event]) -> str:
     """Return since when the assessments count, as text; empty if since the first trip."""
     sentences = []
     if states:
-        sentences.append(gettext(RECOMMISSIONED).format("; ".join(one.words for one in states[1:])))
+        sentences.append(
+            gettext(RECOMMISSIONED).format("; ".join(spoken(one.words) for one in states[1:]))
+        )
     if events:
         sentences.append(gettext(MAINTAINED).format("; ".join(spoken(str(one)) for one in events)))
     return " ".join(sentences)
@@ -299,9 +295,8 @@ def _doubts(trips: Sequence[TripResult]) -> str:
         return ""
     why = _commonest(r.flags for r in trips if r.flags)
     if flagged == done > 1:
-        return f"All {done} trips are flagged, {UNSURE}: {why}."
-    are = "is" if flagged == 1 else "are"
-    return f"{flagged} of {count(done, 'trip')} {are} flagged, see the table; {why}."
+        return Finding("all-flagged", n=done, why=why)
+    return Finding("some-flagged", n=flagged, trips=Finding("trips", n=done), why=why)
 
 
 def _unread(trips: Sequence[TripResult]) -> str:
@@ -309,15 +304,14 @@ def _unread(trips: Sequence[TripResult]) -> str:
     reasons = [r.reason for r in trips if r.status != OK]
     if len(reasons) in (0, len(trips)):
         return ""
-    have = "has" if len(reasons) == 1 else "have"
-    of = f"{len(reasons)} of {count(len(trips), 'trip')}"
-    return f"{of} {have} no estimate, see the table; {_commonest(reasons)}."
+    of_all, why = Finding("trips", n=len(trips)), _commonest(reasons)
+    return Finding("no-estimate-of", n=len(reasons), trips=of_all, why=why)
 
 
 def _commonest(reasons: Iterable[str]) -> str:
     """Return the reason that most trips have."""
     (most, n), *others = Counter(reasons).most_common()
-    return f"{n} of them: {most}" if others else most
+    return Finding("n-of-them", n=n, words=most) if others else most
 
 
 def _ordered(figures: Mapping[str, Figure]) -> list[str]:

@@ -11,10 +11,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from suspnet.ground.findings import Finding, together
 from suspnet.ground.parameters import BODY_MASS, BOGIE_PARTS
 from suspnet.ground.records import OK, TripCurves, TripResult
 from suspnet.ground.types import FloatArray
-from suspnet.ground.wording import count, files_of, kilometres
+from suspnet.ground.wording import files_of, kilometres
 from suspnet.maintenance.series import Series
 from suspnet.report.language import N_
 
@@ -133,9 +134,12 @@ def files_read_as(results: Sequence[TripResult]) -> dict[str, str]:
         n_files.update(found)
     remarks = []
     for words, n in n_trips.most_common():
-        of = count(n_files[words], "file") if n_files[words] else count(n, "trip")
-        remarks.append(words if n == len(results) and not n_files[words] else f"{words} ({of})")
-    return {N_("files read as"): " · ".join(remarks)} if remarks else {}
+        if n_files[words]:
+            words = Finding("read-alike", words=words, n=n_files[words])
+        elif n < len(results):
+            words = Finding("on-trips", words=words, n=n)
+        remarks.append(words)
+    return {N_("files read as"): together(remarks, " · ")} if remarks else {}
 
 
 PARTS = ("primary suspension: axle box to bogie frame", "secondary suspension: frame to car body")

@@ -25,8 +25,7 @@ from suspnet.ground.parameters import (
 from suspnet.ground.wording import NO_NUMBER, number, thousands, unbroken
 from suspnet.maintenance.judge import ABSURD
 from suspnet.maintenance.life import Life
-from suspnet.report.language import N_, current, decimal, gettext, install
-from suspnet.report.sentences import spoken
+from suspnet.report.language import N_, current, decimal, gettext, install, spoken
 
 SEVERITIES = {
     Severity.ACT: ("act", N_("Act")),

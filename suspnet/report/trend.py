@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from suspnet.ground.findings import Finding
 from suspnet.ground.parameters import BODY_MASS, Severity
 from suspnet.ground.records import INTERVAL_LEVEL, Commissioning, TripResult, by_mileage
 from suspnet.ground.types import BoolArray, FloatArray
@@ -66,7 +67,7 @@ class Passing:
             thousands(km) if np.isfinite(km) else "no end"
             for km in (self.low_km, self.median_km, self.high_km)
         )
-        return f"passes the act limit at about {median} km (80 %: {low} to {high})"
+        return Finding("passes", median=median, low=low, high=high)
 
 
 @dataclass(frozen=True, eq=False)
@@ -196,12 +197,16 @@ def running_median(values: FloatArray, window: int = 5) -> FloatArray:
 
 def percent_words(value: float, form: str = ".0f") -> str:
     """Return a value in %, without the number if it is above any real suspension's."""
-    return f"{value:{form}} %" if value <= 100 * ABSURD else f"over {100 * ABSURD:.0f} %"
+    return (
+        f"{value:{form}} %"
+        if value <= 100 * ABSURD
+        else Finding("over-percent", percent=100 * ABSURD)
+    )
 
 
 def alarm_label(alarm: Alarm) -> str:
     """Return the label of a mark at the start of an alarm."""
-    return f"{alarm.severity}: start of an alarm"
+    return Finding("start-of-alarm", severity=str(alarm.severity))
 
 
 def _panel(name: str, points: Points, state: State, healthy: float = 1.0) -> Panel:

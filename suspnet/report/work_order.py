@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from suspnet.ground.findings import Finding, together
 from suspnet.ground.parameters import BODY_MASS, KIND_NAMES, Cause, Severity, part_words
 from suspnet.ground.storage import content_hash, finite_or_none
 from suspnet.maintenance.alarms import Alarm, newest_of
@@ -164,8 +165,8 @@ def _of_part(view: FleetView, index: int, name: str, job: dict[str, Any]) -> Wor
         why=assessment.words,
         **_level(state, name),
         odds=drawn.odds if drawn else "",
-        group="; ".join(groups),
-        doubt="; ".join(filter(None, (state.doubt, unknown and f"remaining life: {unknown}"))),
+        group=together(groups),
+        doubt=together((state.doubt, unknown and Finding("remaining-life", unknown=unknown))),
         visit=job.get("day") or None,
         latest=job.get("latest") or None,
         decide_by=job.get("decide_by") or None,
@@ -179,7 +180,7 @@ def _of_part(view: FleetView, index: int, name: str, job: dict[str, Any]) -> Wor
 def _of_sensor(view: FleetView, index: int, alarm: Alarm) -> WorkOrder:
     return WorkOrder(
         **_shared(view, index, alarm.parameter, [alarm]),
-        part=f"sensor {alarm.parameter}",
+        part=Finding("order-for-sensor", name=alarm.parameter),
         work=INSPECT,
         severity=str(alarm.severity),
         why=alarm.words,

@@ -112,7 +112,7 @@ def commission_parts(found: HealthyTrips, trips: TripSettings) -> CommissionedBo
     bogie = commission_bogie(vehicle, found.of_parts)
     if trips.check_channels and bogie.misfit > EXPLAINED:
         check_orders(NEARLY)
-        check_bogie(vehicle, found.of_parts, bogie.misfit, f"{folder}: ")
+        check_bogie(vehicle, found.of_parts, bogie.misfit, str(folder))
     log.info("%s", words.of_parts(bogie))
     for doubt in words.doubts_of_parts(bogie):
         log.warning("%s", doubt)

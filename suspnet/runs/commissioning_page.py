@@ -23,13 +23,13 @@ from suspnet.estimation.flags import INCOMPLETE
 from suspnet.estimation.healthy_trips import HealthyTrips
 from suspnet.estimation.relative_velocity import NOTE as VELOCITY
 from suspnet.estimation.temperature import NOTE
+from suspnet.ground.findings import Finding, together
 from suspnet.ground.storage import printable, write_atomically, write_json, write_table
 from suspnet.ground.types import ComplexArray, FloatArray
 from suspnet.ground.wording import kilometres
 from suspnet.recordings.manifest import CHANNELS
 from suspnet.report.figures import SUSPENSIONS, as_png, data_uri, say
-from suspnet.report.language import N_, gettext
-from suspnet.report.sentences import spoken
+from suspnet.report.language import N_, gettext, spoken
 from suspnet.report.tables import band
 from suspnet.report.templates import render
 
@@ -153,7 +153,7 @@ def _page(
     vehicle = outcome.generator.vehicle
     return render(
         "commissioning.html",
-        title=spoken(f"Commissioning of {vehicle.name}"),
+        title=spoken(Finding("commissioning", name=vehicle.name)),
         headline=_headline(found, vehicle.name),
         mileage_km=training_notes(found, outcome)["mileage_km"],
         of_parts=of_parts,
@@ -189,18 +189,18 @@ def _page(
 
 
 def _headline(found: HealthyTrips, vehicle: str) -> dict[str, str]:
-    pairs = [
-        f"{channel.replace('_', ' ')} {'left and right' if pair else 'one'}"
+    pairs: list[str] = [
+        Finding("left-and-right" if pair else "one-sensor", channel=channel.replace("_", " "))
         for channel, pair in zip(CHANNELS, found.paired, strict=True)
     ]
     if found.vehicle is not None and found.vehicle.sensors and not found.groups:
         pairs = [place.replace("_", " ") for place in found.vehicle.sensors]
-    left_out = f", {len(found.left_out)} left out" if found.left_out else ""
+    n, n_left = len(found.manifests), len(found.left_out)
     return {
         "Vehicle": vehicle,
         "Suspension": _place(found),
-        "Trips": f"{len(found.manifests)}{left_out}",
-        "Sensors": ", ".join(pairs),
+        "Trips": Finding("trips-and-left-out", n=n, n_left=n_left) if n_left else str(n),
+        "Sensors": together(pairs, ", "),
     }
 
 

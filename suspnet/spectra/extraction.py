@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 from scipy.signal import find_peaks
 from torch import Tensor
 
+from suspnet.ground.findings import Finding, together
 from suspnet.ground.settings import check_settings, setting
 from suspnet.ground.tensors import as_tensor, curves_as_tensor
 from suspnet.ground.types import FloatArray, IntArray
@@ -190,11 +191,12 @@ class PeakFeatures(FeatureSet):
 
     def missing(self, reasons: IntArray) -> str:
         """Return which peaks are missing and why, from one row of the reasons."""
-        return ", ".join(
-            f"{peak} ({PeakReason(int(reason)).name.lower().replace('_', ' ')})"
+        found = (
+            Finding("peak-missing", peak=peak, reason=PeakReason(int(reason)).words)
             for peak, reason in zip(self.peaks, reasons, strict=True)
             if reason
         )
+        return together(found, ", ")
 
     def where_searched(self, curves: Tensor, frequencies_hz: Tensor) -> str:
         """Return where noise-free curves (2, n_freq) have maxima, and where peaks are searched."""

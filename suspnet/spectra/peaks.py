@@ -43,6 +43,11 @@ class PeakReason(IntEnum):
     OUTSIDE_WINDOW = 4
     PLACE_UNKNOWN = 5
 
+    @property
+    def words(self) -> str:
+        """The reason as text."""
+        return self.name.lower().replace("_", " ")
+
 
 @dataclass(frozen=True)
 class PeakFit:

@@ -18,6 +18,7 @@ import torch
 from torch import Tensor
 
 from suspnet.dynamics import PARAMETERS, QuarterCar, ResponseGenerator, Vehicle, VerticalVehicle
+from suspnet.ground.findings import Finding, of, together
 from suspnet.ground.parameters import DIRECTIONS, FORWARD, Direction, direction_words
 from suspnet.recordings.errors import TripError
 from suspnet.recordings.manifest import CHANNELS
@@ -114,24 +115,20 @@ def check_channels(
     if speed > (DOUBTFUL_SPEED_MARGIN if doubtful else SPEED_MARGIN):
         raise TripError(speed_words)
     if order > (DOUBTFUL_ORDER_MARGIN if doubtful else ORDER_MARGIN):
-        raise TripError(
-            f"channels look swapped: the responses have the shape expected if {order_words}; check "
-            "files and columns in the manifest"
-        )
+        raise TripError(Finding("channels-look-swapped", order_words=order_words))
     direction, factor = shown_direction(spectra, frequencies_hz, generator)
     margin = DOUBTFUL_SPEED_MARGIN if doubtful else DIRECTION_MARGIN
     if factor > margin and direction != generator.direction:
         raise TripError(
-            f"direction: the phases fit a train that runs {direction_words(direction)} "
-            f"{factor:.2g} times better; check `direction`, `bogie` and `axle` in the manifest"
+            Finding(
+                "direction-phases-fit", direction_words=direction_words(direction), factor=factor
+            )
         )
     doubts = []
     if doubtful and speed > SPEED_MARGIN:
         doubts.append(speed_words)
     if order * (DOUBTFUL_ORDER_MARGIN if doubtful else 1.0) > 1:
-        doubts.append(
-            f"the order of the channels is not clear: it looks as much as if {order_words}"
-        )
+        doubts.append(Finding("order-channels-not", order_words=order_words))
     doubts += [IF_SURE] if doubts else []
     # at low frequency the gains hardly depend on the suspension: check units and signs there
     low_hz, high_hz = (float(factor * modes[0]) for factor in SLOW)
@@ -142,22 +139,17 @@ def check_channels(
         _check_gains([complex(gain) for gain in gains])
     else:
         doubts.append(_unchecked_gains(coherence, low_hz, high_hz))
-    return "; ".join(doubts)
+    return together(doubts)
 
 
 def _unchecked_gains(coherence: Tensor, low_hz: float, high_hz: float) -> str:
     """Return why units and signs are not checked; `coherence` (2,) is NaN without a bin there."""
     least = float(coherence.min())
     if math.isnan(least):
-        return (
-            f"units and signs not checked: they show from {low_hz:.2g} to {high_hz:.2g} Hz only, "
-            "which these spectra do not reach"
-        )
+        return Finding("units-signs-not-checked", low_hz=low_hz, high_hz=high_hz)
     link = LINKS[int(coherence.argmin())]
-    return (
-        f"units and signs not checked: the coherence of {link} from {low_hz:.2g} to "
-        f"{high_hz:.2g} Hz, where they show, is {least:.2f}, at least {COHERENT:g} is needed (the "
-        "coherence of tables is that of the vehicle's band, at higher frequencies)"
+    return Finding(
+        "units-signs-not", link=link, low_hz=low_hz, high_hz=high_hz, least=least, coherent=COHERENT
     )
 
 
@@ -229,15 +221,11 @@ def check_pairs(
             continue
         name, size = CHANNELS[i], math.sqrt(power[0] / power[1])
         if shared < 0:
-            problems.append(
-                f"{name}: its left and its right sensor move against each other at low frequency; "
-                "turn the sign of one in the manifest"
-            )
+            problems.append(of(name, Finding("left-right-sensor")))
         if not 1 / GAIN_TOLERANCE < size < GAIN_TOLERANCE:
-            problems.append(
-                f"{name}: its left sensor shows {size:.3g} times what the right one does at low "
-                f"frequency{_slip(size)}; check unit and sensitivity of both in the manifest"
-            )
+            slip = _slip(size)
+            kind = "left-sensor-slip" if slip else "left-sensor"
+            problems.append(of(name, Finding(kind, size=size, slip=slip)))
     if problems:
         raise TripError(*problems)
 
@@ -258,21 +246,21 @@ def _check_swapped(sides: Tensor, isolated: Tensor, paired: Sequence[bool]) -> N
             continue
         left = power[[one, other]][:, isolated, 0].sum(dim=1)
         side = "left" if left[0] < left[1] else "right"
-        names = " and ".join(CHANNELS[channels[i]] for i in (one, other))
-        raise TripError(
-            f"{names}: their {side} sensors look swapped: with them exchanged left and right of "
-            "both agree; exchange the columns of their lines in the manifest"
-        )
+        names = together((CHANNELS[channels[i]] for i in (one, other)), " and ")
+        raise TripError(of(names, Finding("their-sensors-look", side=side)))
 
 
 def _other_order(spectra: CrossSpectra, expected: Tensor) -> tuple[float, str]:
     fits = _fits(spectra, expected)
     given = fits.pop(IN_ORDER)
     other = min(fits, key=fits.__getitem__)
-    said = ", ".join(
-        f"{name} is in the place of {CHANNELS[place]}"
-        for place, name in zip(other, CHANNELS, strict=True)
-        if CHANNELS[place] != name
+    said = together(
+        (
+            Finding("place", name=name, channels=CHANNELS[place])
+            for place, name in zip(other, CHANNELS, strict=True)
+            if CHANNELS[place] != name
+        ),
+        ", ",
     )
     return given / fits[other], said
 
@@ -324,8 +312,7 @@ def _other_speed(
     if min(fits, key=fits.__getitem__) != IN_ORDER:
         return 0.0, ""
     return found[0][0] / distance, (
-        f"speed: the responses have the shape expected at {speed:.3g} m/s rather than at "
-        f"{given:.3g} m/s; is it in {unit}? Check its unit in the manifest"
+        Finding("speed-responses-have", speed=speed, given=given, unit=unit)
     )
 
 
@@ -339,13 +326,21 @@ def _check_gains(gains: list[complex]) -> None:
         if not 1 / GAIN_TOLERANCE < size < GAIN_TOLERANCE:
             slip = _slip(size)
             raise TripError(
-                f"{suspect}: the gain {link} from {source} to {sink} at low frequency is "
-                f"{size:.3g} times that expected{slip}; check unit and sensitivity in the manifest"
+                of(
+                    suspect,
+                    Finding(
+                        "gain-slip" if slip else "gain",
+                        link=link,
+                        source=source,
+                        sink=sink,
+                        size=size,
+                        slip=slip,
+                    ),
+                )
             )
         if abs(math.atan2(gain.imag, gain.real)) > math.pi / 2:
             raise TripError(
-                f"{suspect}: {source} and {sink} move against each other at low frequency; turn "
-                f"the sign of {suspect} in the manifest"
+                of(suspect, Finding("move-against-each", source=source, sink=sink, suspect=suspect))
             )
 
 
@@ -356,12 +351,12 @@ def _suspect(gains: list[complex], sink: str, source: str) -> str:
 
 
 def _slip(size: float) -> str:
-    """Return the unit error that explains a gain, in brackets; empty if none does."""
+    """Return the unit error that explains a gain; empty if none does."""
     for factor, words in (
         (ACCELERATION_UNITS["g"], "m/s2 and g are mixed up"),
         (1000.0, "mm/s2 or mg?"),
     ):
         for candidate in (factor, 1 / factor):
             if 0.5 < size / candidate < 2:
-                return f" ({words})"
+                return words
     return ""

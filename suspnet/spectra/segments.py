@@ -10,6 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from suspnet.ground.findings import Finding, together
 from suspnet.ground.parameters import FORWARD, REVERSE, Direction
 from suspnet.ground.tensors import as_tensor
 from suspnet.ground.types import FloatArray
@@ -91,8 +92,11 @@ def in_band(segments: SegmentSpectra, frequencies_hz: Tensor) -> SegmentSpectra:
     """
     if float(frequencies_hz[-1]) > float(segments.frequencies_hz[-1]) + 1e-9:
         raise NoEstimateError(
-            f"the model's band reaches {float(frequencies_hz[-1]):g} Hz, the recording is read up "
-            f"to {float(segments.frequencies_hz[-1]):g} Hz: raise trips.rate_hz"
+            Finding(
+                "model-s-band",
+                frequencies_hz=float(frequencies_hz[-1]),
+                frequencies_hz2=float(segments.frequencies_hz[-1]),
+            )
         )
     inside = (segments.frequencies_hz >= frequencies_hz[0] - 1e-6) & (
         segments.frequencies_hz <= frequencies_hz[-1] + 1e-6
@@ -211,9 +215,8 @@ def range_words(ranges: Iterable[SpeedRange]) -> str:
             joined[-1] = SpeedRange(joined[-1].low_m_per_s, high)
         else:
             joined.append(one)
-    return (
-        " and ".join(f"{one.low_m_per_s:.1f} to {one.high_m_per_s:.1f}" for one in joined) + " m/s"
-    )
+    words = (Finding("range", low=one.low_m_per_s, high=one.high_m_per_s) for one in joined)
+    return Finding("metres-per-second", words=together(words, " and "))
 
 
 def covering(speeds: Sequence[float], half_width: float) -> float | list[float]:

@@ -19,6 +19,7 @@ import torch
 from scipy.signal import get_window, resample_poly
 from torch import Tensor
 
+from suspnet.ground.findings import Finding, of, together
 from suspnet.ground.types import BoolArray, FloatArray, IntArray
 from suspnet.recordings.manifest import CHANNELS
 from suspnet.recordings.manifest_sources import channel_of
@@ -77,9 +78,15 @@ class WheelLine:
     height: float
 
     def __str__(self) -> str:
-        return (
-            f"{self.channel}: order {self.order} of {self.size_mm:.3g} mm "
-            f"({self.m_per_s2:.3g} m/s² at {self.speed_m_per_s:.1f} m/s)"
+        return of(
+            self.channel,
+            Finding(
+                "order-mm-m",
+                order=self.order,
+                size_mm=self.size_mm,
+                m_per_s2=self.m_per_s2,
+                speed_m_per_s=self.speed_m_per_s,
+            ),
         )
 
 
@@ -153,14 +160,11 @@ def wheel_words(recording: Recording, lines: Sequence[WheelLine]) -> str:
         first_hz, top_hz = slowest * per_m, REACH * recording.rate_hz
         if first_hz <= top_hz:
             return ""
-        return (
-            f"wheels cannot be seen: order 1 and the track next to it need {first_hz:.0f} Hz, the "
-            f"recording is read up to {top_hz:.0f} Hz: raise trips.rate_hz"
-        )
+        return Finding("wheels-cannot-seen", first_hz=first_hz, top_hz=top_hz)
     given = recording.manifest.wheel_diameter_m is not None
-    within = "" if given else f", found within {low:.2f} to {high:.2f} m"
-    wheel = f"out-of-round wheel of {lines[0].diameter_m:.3f} m{within}"
-    return f"{wheel}: {', '.join(map(str, lines))}"
+    listed, diameter_m = together(map(str, lines), ", "), lines[0].diameter_m
+    kind = "wheel" if given else "wheel-found"
+    return Finding(kind, diameter_m=diameter_m, low=low, high=high, lines=listed)
 
 
 def line_bins(

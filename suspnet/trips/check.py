@@ -24,6 +24,7 @@ from suspnet.estimation.steady_parts import (
 )
 from suspnet.estimation.trained import TrainedModel
 from suspnet.estimation.trip_settings import TripSettings
+from suspnet.ground.findings import Finding, together, with_values, without
 from suspnet.ground.records import ERROR, OK
 from suspnet.recordings.errors import TripError, all_of
 from suspnet.recordings.formats import open_columns
@@ -124,23 +125,24 @@ def _opening(file: Path, columns: Sequence[str | None]) -> tuple[str, ...]:
     return ()
 
 
+def _printable(words: str) -> str:
+    return "".join(letter if letter.isprintable() else "?" for letter in words)
+
+
 def _with_problems(result: TripCheck, problems: Iterable[str]) -> TripCheck:
     shown = tuple(
-        "".join(letter if letter.isprintable() else "?" for letter in problem).removeprefix(
-            f"{result.manifest}: "
-        )
-        for problem in problems
+        without(result.manifest, with_values(problem, _printable)) for problem in problems
     )
     return replace(result, state=PROBLEM, problems=result.problems + shown)
 
 
 def _described(result: TripCheck, manifest: TripManifest) -> TripCheck:
     pairs = [name for name in CHANNELS if manifest.is_pair(name)]
-    sensors = "single sensors" if not pairs else f"pairs: {', '.join(pairs)}"
+    sensors = "single sensors" if not pairs else Finding("pairs", pairs=together(pairs, ", "))
     if len(pairs) == len(CHANNELS):
         sensors = "pairs"
     if more := [name for name in manifest.sensors() if not channel_of(name)]:
-        sensors += f"; {', '.join(more)}"
+        sensors = together((sensors, together(more, ", ")))
     return replace(
         result,
         vehicle=manifest.vehicle,
@@ -163,11 +165,9 @@ def _inspected(
     assert estimate.high_hz is not None
     unknown = 100 * float(np.isnan(recording.speed_m_per_s).mean())
     if unknown:
-        remarks.append(f"the speed is unknown for {unknown:.2g} % of the time")
+        remarks.append(Finding("speed-unknown-time", unknown=unknown))
     if recording.manifest.unplaced:
-        remarks.append(
-            "single sensors are taken as in the middle; if they are on one side, say `side`"
-        )
+        remarks.append(Finding("single-in-middle"))
     result = replace(
         result,
         remarks=(*filter(None, [recording.words]), *map(str, recording.faults), *remarks),
@@ -239,8 +239,9 @@ def _with_parts(
     n_segments = len(segments.values)
     looked_at = torch.ones(n_segments, dtype=torch.bool)
     if not n_segments:
-        words = f"no stretch of {estimate.segment_s:g} s is free of faults and of known speed"
-        return replace(result, state=TOO_LITTLE, remarks=(*result.remarks, words)), [looked_at]
+        nothing = Finding("no-stretch-s", segment_s=estimate.segment_s)
+        remarks = (*result.remarks, nothing)
+        return replace(result, state=TOO_LITTLE, remarks=remarks), [looked_at]
     speeds = segment_speeds(recording, segments)
     tolerance, least = settings.speed_tolerance, settings.min_speed_m_per_s
     groups = groups_to_read(speeds, tolerance, least, at_any_speed=any_speed)
@@ -252,8 +253,9 @@ def _with_parts(
     kept = [(one, part) for one, part in found if one.has_enough]
     certain = [(one, part) for one, part in kept if one.is_certain]
     uncertain = [part for one, part in kept if not one.is_certain]
-    words = _too_little([one for one, _ in found], segments.welch, settings) if not kept else ""
-    words += "; ".join(_too_uncertain(part, settings) for part in uncertain)
+    words = together([_too_uncertain(part, settings) for part in uncertain])
+    if not kept:
+        words = _too_little([one for one, _ in found], segments.welch, settings)
     result = replace(
         result,
         state=READY if certain else TOO_LITTLE,
@@ -271,15 +273,21 @@ def _vehicle(
     unknown = replace(plain, low_hz=UNKNOWN_BAND_HZ[0], high_hz=UNKNOWN_BAND_HZ[1])
     vehicle = vehicles.get(manifest.vehicle)
     if vehicle is None:
-        words = (
-            f"{NEED_A_VEHICLE} are not checked: vehicle {manifest.vehicle!r} is none of "
-            f"{sorted(vehicles)}; --config-dir gives others"
+        words = Finding(
+            "not-checked-vehicle",
+            need_a_vehicle=NEED_A_VEHICLE,
+            vehicle=repr(manifest.vehicle),
+            vehicles=sorted(vehicles),
         )
         return None, unknown, [words]
     try:
         return vehicle, plain.bound(vehicle), []
     except ValueError as error:
-        return None, unknown, [f"vehicle {manifest.vehicle!r}: {error}"]
+        return (
+            None,
+            unknown,
+            [Finding("vehicle-reason", name=repr(manifest.vehicle), words=str(error))],
+        )
 
 
 def _part(one: Steady) -> SteadyPart:
@@ -296,18 +304,21 @@ def _part(one: Steady) -> SteadyPart:
 def _too_little(found: Sequence[Steady], welch: Welch, settings: TripSettings) -> str:
     most = max(found, key=lambda one: one.n_averages, default=None)
     there = minutes_words(welch, int(most.chosen.sum()) if most else 0, settings.min_averages)
-    where = f"{most.speed[0]:.1f} m/s" if most else "a steady speed"
-    return (
-        f"too little at {where}: {there} (within {100 * settings.speed_tolerance:g} % of one "
-        f"speed, at {settings.min_speed_m_per_s:g} m/s or faster)"
+    return Finding(
+        "too-little-at" if most else "too-little-steady",
+        m_per_s=most.speed[0] if most else None,
+        minutes=there,
+        tolerance=100 * settings.speed_tolerance,
+        least=settings.min_speed_m_per_s,
     )
 
 
 def _too_uncertain(part: SteadyPart, settings: TripSettings) -> str:
-    return (
-        f"at {part.speed_m_per_s:.1f} m/s the responses are uncertain by "
-        f"{part.deviation_percent:.0f} %, at most {100 * settings.max_deviation:g} % are accepted: "
-        "the sensors hardly show the same motion"
+    return Finding(
+        "m-s-responses",
+        speed_m_per_s=part.speed_m_per_s,
+        deviation_percent=part.deviation_percent,
+        max_deviation=100 * settings.max_deviation,
     )
 
 

@@ -17,12 +17,13 @@ from torch import Tensor
 
 from suspnet._version import __version__
 from suspnet.estimation.trip_settings import LEAST_TRIPS
+from suspnet.ground.findings import Finding, of, together
 from suspnet.ground.records import Place
 from suspnet.ground.storage import printable, write_atomically, write_json
-from suspnet.ground.wording import count, files_of, span
+from suspnet.ground.wording import files_of, span
 from suspnet.recordings.recording import Recording, overview
 from suspnet.report.figures import CHANNEL_TITLES, as_png, draw_signals, say
-from suspnet.report.sentences import spoken
+from suspnet.report.language import spoken
 from suspnet.report.templates import render
 from suspnet.spectra.cross_spectra import CrossSpectra
 from suspnet.spectra.estimates import SPEED_HALF_WIDTH
@@ -114,10 +115,21 @@ class TripCheck:
     @property
     def words(self) -> str:
         """Amount and quality of usable data, on one line."""
-        speeds = ", ".join(
-            f"{part.n_averages:.0f} averages at {part.speed_m_per_s:.1f} m/s" for part in self.parts
+        speeds = together(
+            (
+                Finding(
+                    "averages-m-s", n_averages=part.n_averages, speed_m_per_s=part.speed_m_per_s
+                )
+                for part in self.parts
+            ),
+            ", ",
         )
-        return f"{self.usable_percent:.3g} % usable, {speeds or 'no steady part'}, {self.sensors}"
+        return Finding(
+            "usable",
+            usable_percent=self.usable_percent,
+            speeds=speeds or "no steady part",
+            sensors=self.sensors,
+        )
 
     def row(self) -> dict[str, Any]:
         """Return the check as JSON-able values."""
@@ -153,7 +165,7 @@ def with_shared_data(checks: Sequence[TripCheck]) -> list[TripCheck]:
     for check in checks:
         others = {owners[source].name: None for source in check.sources if source in owners}
         owners = {source: check for source in check.sources} | owners
-        remark = f"reads the same data as {', '.join(list(others)[:LISTED])}"
+        remark = Finding("reads-same-data", others=together(list(others)[:LISTED], ", "))
         found.append(replace(check, remarks=(*check.remarks, remark)) if others else check)
     return found
 
@@ -168,24 +180,24 @@ class Suspension:
     def sentences(self) -> list[str]:
         """Return how much data commissioning and reading would have."""
         ready = [check for check in self.checks if check.state == READY]
-        words = [f"{len(ready)} of {count(len(self.checks), 'trip')} ready"]
+        trips = Finding("trips", n=len(self.checks))
+        words: list[str] = [Finding("some-ready", n_ready=len(ready), trips=trips)]
         speeds = [part.speed_m_per_s for check in ready for part in check.parts]
         if speeds:
             setting = setting_words(covering(speeds, SPEED_HALF_WIDTH))
             kilometres = [check.mileage_km for check in ready]
-            words[0] += (
-                f", {_ends(kilometres, 0)} km, at "
-                f"{_ends(speeds, 1)} m/s: "
-                f"{ready[0].read_by or f'train with {setting}'}"
+            words[0] = Finding(
+                "read-by",
+                ready=words[0],
+                km=_ends(kilometres, 0),
+                speeds=_ends(speeds, 1),
+                read_by=ready[0].read_by or Finding("train-with", setting=setting),
             )
         if len(ready) < LEAST_TRIPS:
-            words.append(f"commissioning needs {LEAST_TRIPS} ready healthy trips")
+            words.append(Finding("commissioning-needs-ready", least_trips=LEAST_TRIPS))
         kinds = sorted({check.sensors for check in ready})
         if len(kinds) > 1:
-            words.append(
-                f"the trips differ in their sensors ({'; '.join(kinds)}): commission on trips with "
-                "the same"
-            )
+            words.append(Finding("trips-differ-their", kinds=together(kinds, "; ")))
         return words
 
 
@@ -194,16 +206,15 @@ def suspensions(checks: Iterable[TripCheck]) -> list[Suspension]:
     by_title: dict[str, list[TripCheck]] = {}
     for check in checks:
         if check.vehicle:
-            by_title.setdefault(f"{check.vehicle}, {check.place}", []).append(check)
+            title = together((check.vehicle, str(check.place)), ", ")
+            by_title.setdefault(title, []).append(check)
     return [Suspension(title, by_title[title]) for title in sorted(by_title)]
 
 
 def train_words(checks: Iterable[TripCheck]) -> list[str]:
     """Return a sentence on each vehicle with several suspensions whose manifests name no train."""
     return [
-        f"{vehicle}: each of its {len(several)} suspensions counts as a train of its own, which "
-        "the plan calls in by itself: if they are of one train, say so by one `train` in all "
-        "manifests, before training, and by one `car` if of one car"
+        of(vehicle, Finding("each-suspensions-counts", n_several=len(several)))
         for vehicle, several in lone_trains((one.vehicle, one.place) for one in checks).items()
         if vehicle
     ]
@@ -224,16 +235,16 @@ def verdict(checks: Sequence[TripCheck], elsewhere: Sequence[str]) -> str:
     """Return how many trips are in which state, on one line."""
     counts = {state: sum(check.shown == state for check in checks) for state in TONES}
     n_ready = counts[READY] + counts[PARTLY]
-    parts = [f"{n_ready} of {count(len(checks), 'trip')} ready for an estimate"]
+    parts = [Finding("ready-for-estimate", n_ready=n_ready, n=len(checks))]
     if counts[PARTLY]:
-        parts.append(f"{counts[PARTLY]} of them only partly checked as their vehicle is not known")
+        parts.append(Finding("only-partly", n=counts[PARTLY]))
     if counts[TOO_LITTLE]:
-        parts.append(f"{counts[TOO_LITTLE]} can be read but hold too little")
+        parts.append(Finding("read-but-little", n=counts[TOO_LITTLE]))
     if counts[PROBLEM]:
-        parts.append(f"{counts[PROBLEM]} with problems")
+        parts.append(Finding("with-problems", n=counts[PROBLEM]))
     if elsewhere:
-        parts.append(f"{len(elsewhere)} of the arguments lead to no trip")
-    return ", ".join(parts)
+        parts.append(Finding("lead-to-no-trip", n=len(elsewhere)))
+    return together(parts, ", ")
 
 
 def summary(checks: Sequence[TripCheck], elsewhere: Sequence[str] = ()) -> str:
@@ -298,8 +309,11 @@ def _by_words(remarks: Iterable[tuple[str, Sequence[str]]]) -> list[tuple[str, s
                 n_files[words] += n
                 names.setdefault(words, []).append(name)
     return [
-        (f"{words} ({count(n_files[words], 'file')})" if n_files[words] else words, _listing(of))
-        for words, of in names.items()
+        (
+            Finding("read-alike", words=words, n=n_files[words]) if n_files[words] else words,
+            _listing(trips),
+        )
+        for words, trips in names.items()
     ]
 
 

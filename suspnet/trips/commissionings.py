@@ -18,6 +18,7 @@ from suspnet.estimation.fitted import ModelFileError
 from suspnet.estimation.from_spectra import trip_settings
 from suspnet.estimation.steady_parts import speed_range
 from suspnet.estimation.trained import TrainedModel
+from suspnet.ground.findings import Finding, together
 from suspnet.ground.parameters import BODY_MASS, REVERSE
 from suspnet.ground.records import Commissioning, Place, TripResult
 from suspnet.maintenance.relative import divided, medians
@@ -150,24 +151,18 @@ def _read_by(model: TrainedModel) -> tuple[Vehicle, tuple[str, ...], bool]:
 
 def _check_together(models: Sequence[TrainedModel]) -> None:
     if len({model.generator.bogie for model in models} - {None}) > 1:
-        raise ModelFileError(
-            "the models are for both bogies: name `bogie: leading` or `bogie: trailing` in the "
-            "manifests, or give the folder of one run"
-        )
+        raise ModelFileError(Finding("both-bogies"))
     speeds = [(model.generator.speed_m_per_s, model.generator.direction) for model in models]
     if len(set(speeds)) < len(speeds):
-        words = ", ".join(dict.fromkeys(map(speed_words, models)))
-        raise ModelFileError(
-            f"two models are for the same speed ({words}); give the folder of one run, or of a "
-            "multirun over speed_m_per_s alone"
-        )
+        words = together(dict.fromkeys(map(speed_words, models)), ", ")
+        raise ModelFileError(Finding("two-models-same", words=words))
 
 
 def speed_words(model: TrainedModel) -> str:
     """Return the speeds that a model reads, as text."""
     found = speed_range(model)
     words = "any" if found is None else range_words([found])
-    return f"{words} in reverse" if model.generator.direction == REVERSE else words
+    return Finding("reverse-2", words=words) if model.generator.direction == REVERSE else words
 
 
 def place_of(model: TrainedModel) -> Place | None:
@@ -188,19 +183,16 @@ def models_of(models: Sequence[TrainedModel], place: Place) -> list[TrainedModel
         models = [model for model in models if place_of(model) == place]
         if not models:
             raise ModelFileError(
-                f"none of the models is commissioned on {place}, but on {_named(known)}: "
-                "commission it too, with healthy=DIR of its own trips"
+                Finding("none-models-commissioned", place=place, named=_named(known))
             )
     fitting = [m for m in models if not place.bogie or m.generator.bogie in (None, place.bogie)]
     if not fitting:
-        raise ModelFileError(
-            f"the trips are of the {place.bogie} bogie, the models of the other one: train one "
-            f"with generator.bogie={place.bogie}"
-        )
+        raise ModelFileError(Finding("trips-bogie-models", bogie=place.bogie, bogie2=place.bogie))
     check_models(fitting)
     return fitting
 
 
 def _named(places: Sequence[Place]) -> str:
-    words = "; ".join(map(str, places[:NAMED]))
-    return words if len(places) <= NAMED else f"{words} and {len(places) - NAMED} others"
+    words = together(map(str, places[:NAMED]))
+    n_more = len(places) - NAMED
+    return Finding("and-others", words=words, n=n_more) if n_more > 0 else words

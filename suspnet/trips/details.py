@@ -10,10 +10,11 @@ from suspnet._version import __version__
 from suspnet.estimation.from_spectra import trip_settings
 from suspnet.estimation.temperature import DampingByTemperature
 from suspnet.estimation.trained import TrainedModel
+from suspnet.ground.findings import Finding, together
 from suspnet.ground.parameters import Limits, limits_words
 from suspnet.ground.records import TripResult
 from suspnet.ground.storage import printable
-from suspnet.ground.wording import count, kilometres
+from suspnet.ground.wording import kilometres, thousands
 from suspnet.maintenance.relative import first_trips
 from suspnet.maintenance.state import UNKNOWN_HEALTHY
 from suspnet.report.language import N_
@@ -21,7 +22,7 @@ from suspnet.report.tables import files_read_as
 from suspnet.trips.commissionings import eras, speed_words
 
 ALONE = "by this suspension alone, as no other of its vehicle shows how fast such parts wear"
-NO_STORE = "; with those of a history (store=) the plan of a fleet may give others"
+NO_STORE = "with those of a history (store=) the plan of a fleet may give others"
 
 
 def report_details(
@@ -39,29 +40,32 @@ def report_details(
     """
     first = models[0]
     trained = trip_settings(first)
-    reference = "; then ".join(healthy_words(era[0]) for era in eras(models))
+    reference = together((healthy_words(era[0]) for era in eras(models)), "; then ")
     if n_reference is not None:
         first_ones = first_trips(results, n_reference)
-        reference = f"the median of the first {count(len(first_ones), 'trip')} (k and c)"
-        flagged = sum(bool(r.flags) for r in first_ones)
-        if flagged:
-            reference += f", {flagged} of them flagged"
-        missing = missing_reference(results, n_reference)
-        if missing:
-            reference = f"{reference}; {missing}" if first_ones else missing
+        reference = Finding("first-trips-median", n=len(first_ones))
+        if flagged := sum(bool(r.flags) for r in first_ones):
+            reference = together((reference, Finding("of-them-flagged", n=flagged)), ", ")
+        if missing := missing_reference(results, n_reference):
+            reference = together((reference, missing)) if first_ones else missing
     return {
         N_("trips"): printable(str(folder)),
-        N_("bogie"): ", ".join(dict.fromkeys(m.generator.bogie or "any" for m in models)),
+        N_("bogie"): together(dict.fromkeys(m.generator.bogie or "any" for m in models), ", "),
         "suspnet": __version__,
         N_("date"): datetime.now().astimezone().isoformat(" ", "seconds"),
-        N_("model"): f"{first.name}, trained on {first.training.get('n_train', 0)} curves of "
-        f"{type(first.generator).__name__}",
-        N_("speeds"): ", ".join(dict.fromkeys(map(speed_words, models))),
-        N_("transfer functions"): f"{trained.method}, {trained.window} windows of "
-        f"{trained.segment_s:g} s",
+        N_("model"): Finding(
+            "trained",
+            name=first.name,
+            n=first.training.get("n_train", 0),
+            kind=type(first.generator).__name__,
+        ),
+        N_("speeds"): together(dict.fromkeys(map(speed_words, models)), ", "),
+        N_("transfer functions"): Finding(
+            "windows-s", method=trained.method, window=trained.window, segment_s=trained.segment_s
+        ),
         N_("healthy is"): reference,
-        N_("misfit of the healthy trips"): "; then ".join(
-            misfit_words(era[0]) for era in eras(models)
+        N_("misfit of the healthy trips"): together(
+            (misfit_words(era[0]) for era in eras(models)), "; then "
         ),
         N_("intervals"): _interval_words(first, level),
         N_("limits"): limits_words(limits),
@@ -75,12 +79,7 @@ def missing_reference(results: list[TripResult], n_reference: int | None) -> str
     n_found = len(first_trips(results, n_reference))
     if n_found == n_reference:
         return ""
-    have = "has" if n_found == 1 else "have"
-    return (
-        f"{UNKNOWN_HEALTHY}: {count(n_found, 'trip')} {have} an estimate, the first "
-        f"{n_reference} are needed (lower monitor.n_reference, or take "
-        "monitor.reference=vehicle)"
-    )
+    return Finding("reference-lacks", why=UNKNOWN_HEALTHY, n=n_found, n_needed=n_reference)
 
 
 def healthy_words(model: TrainedModel) -> str:
@@ -88,37 +87,40 @@ def healthy_words(model: TrainedModel) -> str:
     found = model.training.get("commissioned")
     if not found:
         return "the vehicle file's drawing"
-    first, last = map(kilometres, found["mileage_km"])
-    span = f"at {first}" if first == last else f"from {first.removesuffix(' km')} to {last}"
+    trips, (first, last) = Finding("trips", n=found["n_trips"]), found["mileage_km"]
+    showed = Finding("showed-at", trips=trips, km=first)
+    if kilometres(first) != kilometres(last):
+        ends = {"low": thousands(first), "high": kilometres(last)}
+        showed = Finding("showed-between", trips=trips, **ends)
     law = DampingByTemperature.noted(model.training)
-    at = f", damping at {law.healthy_c:.0f} °C" if law else ""
-    return f"what {count(found['n_trips'], 'trip')} {span} showed{at}"
+    at = Finding("damping-at", celsius=law.healthy_c) if law else ""
+    return together((showed, at), ", ")
 
 
 def misfit_words(model: TrainedModel) -> str:
     """Return the misfit of a model's healthy trips, as text."""
     misfit = model.training.get("commissioned", {}).get("misfit")
-    of_equal = "" if misfit is None else f"{misfit:.2f} times the noise"
+    of_equal = "" if misfit is None else Finding("times-noise", misfit=misfit)
     if model.bogie is None:
         return of_equal or "none: the vehicle is that of the drawing, not commissioned"
-    of_parts = f"{model.bogie.misfit:.2f} times the noise with each part read"
-    return f"{of_parts}, {of_equal} with both sides and axles as equal" if of_equal else of_parts
+    of_parts = Finding("times-noise-each", misfit=model.bogie.misfit)
+    of_equal = of_equal and Finding("times-equal", words=of_equal)
+    return together((of_parts, of_equal), ", ")
 
 
 def _interval_words(model: TrainedModel, level: float) -> str:
     """Return the source of the intervals, as text."""
     if model.intervals is None:
         return "none: the model was trained with data.n_calibrate=null"
-    return (
-        f"{100 * level:g} %, calibrated on {len(model.intervals.conformal.scores)} simulated "
-        "curves that the model was not trained on, then adapted to the noise of each trip"
+    return Finding(
+        "calibrated-on-simulated", level=100 * level, n_scores=len(model.intervals.conformal.scores)
     )
 
 
 def wear_words(n_learnt: int, is_history: bool) -> str:
     """Return whose rates of wear predict the lives; with 0 suspensions only its own."""
-    words = ALONE
+    words: str = ALONE
     if n_learnt:
         where = "the history" if is_history else "this folder"
-        words = f"with the rates of wear of {count(n_learnt, 'suspension')} of {where}"
-    return words if is_history else words + NO_STORE
+        words = Finding("wear-of-suspensions", n=n_learnt, where=where)
+    return words if is_history else together((words, NO_STORE))

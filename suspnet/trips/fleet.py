@@ -15,6 +15,7 @@ from suspnet.estimation.from_spectra import trip_settings
 from suspnet.estimation.trained import TrainedModel
 from suspnet.estimation.trip_settings import TripSettings
 from suspnet.ground.extras import check_extra
+from suspnet.ground.findings import Finding, of, together
 from suspnet.ground.parameters import ESTIMATED, TIGHTEST, Limits, read_limits
 from suspnet.ground.progress import bar as progress_bar
 from suspnet.ground.progress import stage
@@ -173,8 +174,10 @@ def evaluate_fleet(
     if is_alone:
         return done
     if all(one.error for one in done):
-        reasons = "; ".join(f"{one.name}: {one.error}" for one in done)
-        raise ValueError(f"{folder}: none of its {len(done)} suspensions can be read ({reasons})")
+        reasons = together(of(one.name, one.error) for one in done)
+        raise ValueError(
+            of(folder, Finding("none-suspensions-can", n_done=len(done), reasons=reasons))
+        )
     done.sort(key=lambda one: (-one.severity, one.name))
     log.info("%s\n-> %s", write_overview(done, models[0].task.outputs, output), output)
     return done
@@ -285,7 +288,7 @@ def _report(
     )
     if partial := partial_words(group.folder):
         log.warning("%s is %s; the same simulation again writes the others", group.folder, partial)
-        details["trips"] += f" ({partial})"
+        details["trips"] = f"{details['trips']} ({partial})"
     if store is not None:
         details[N_("history")] = printable(str(store))
     report = Report(results, outputs, state, details, level, read.commissionings, seen)

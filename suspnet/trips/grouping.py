@@ -9,6 +9,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from suspnet.ground.findings import Finding
 from suspnet.ground.ledger import LEDGER
 from suspnet.ground.records import Key, Place
 from suspnet.ground.storage import distinct, why
@@ -64,7 +65,7 @@ def find_groups(folder: Path) -> list[Group]:
         else:
             found = _split(part, manifests)
             if all(group.place == Place() for group in found):
-                words = f"none of its *.yaml files ({len(manifests)}) names a suspension"
+                words = Finding("none-yaml-files", n_manifests=len(manifests))
                 found = [Group(part, Place(part.name), error=words)]
         groups += found
     if not any(group.manifests for group in groups):

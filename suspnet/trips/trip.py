@@ -23,10 +23,18 @@ from suspnet.estimation.steady_parts import SeenBin, SpeedBin, combined, largest
 from suspnet.estimation.trained import TrainedModel
 from suspnet.estimation.trip_flags import with_sides
 from suspnet.estimation.trip_settings import TripSettings
+from suspnet.ground.findings import (
+    NO_PART,
+    WITHOUT_SENSORS,
+    Finding,
+    parts_of,
+    together,
+    with_values,
+    without,
+)
 from suspnet.ground.records import (
     ERROR,
     NO_ESTIMATE,
-    NO_PART,
     OK,
     Place,
     Quality,
@@ -94,7 +102,7 @@ def evaluate_recording(
 
 
 def _failed(result: TripResult, error: Exception) -> TripResult:
-    words = str(error).removeprefix(f"{result.manifest}: ")
+    words = without(result.manifest, str(error))
     if not isinstance(error, TripError):
         log.debug("trip %s failed", result.manifest, exc_info=error)
         words = f"{type(error).__name__}: {error}"
@@ -109,7 +117,9 @@ def lost_trip(path: Path, reason: str) -> TripResult:
 def _in_lines(result: TripResult) -> TripResult:
     place = Place(*map(one_line, astuple(result.place)))
     values = {f.name: getattr(result, f.name) for f in fields(result)}
-    changes: dict[str, Any] = {k: one_line(v) for k, v in values.items() if isinstance(v, str)}
+    changes: dict[str, Any] = {
+        k: with_values(v, one_line) for k, v in values.items() if isinstance(v, str)
+    }
     return replace(result, place=place, **changes)
 
 
@@ -135,19 +145,16 @@ def _estimated(
     for name in sorted({model.vehicle.name for model in models}):
         if name != manifest.vehicle:
             raise TripError(
-                f"the trip is of vehicle {manifest.vehicle!r}, the model was trained for {name!r}"
+                Finding("trip-vehicle-model", vehicle=repr(manifest.vehicle), name=repr(name))
             )
     axle = getattr(models[0].generator, "axle", None)  # those of users need not name one
     if axle and manifest.axle and manifest.axle != axle:
-        raise TripError(
-            f"the trip is of the {manifest.axle} axle, the model of the other one: train one with "
-            f"generator.axle={manifest.axle}"
-        )
+        raise TripError(Finding("trip-axle-model", axle=manifest.axle, axle2=manifest.axle))
     recording = read()
     quality = Quality(
         duration_s=recording.duration_s,
         usable_percent=100 * float(recording.usable.mean()),
-        faults="; ".join(str(fault) for fault in recording.faults),
+        faults=together(map(str, recording.faults)),
         read_as=recording.words,
     )
     if not result.start and recording.started is not None:
@@ -193,16 +200,18 @@ def _with_parts(
         return result
     if isinstance(parts, NoEstimateError):
         if isinstance(parts, UnexplainedError):
-            result = replace(result, flags="; ".join(filter(None, (result.flags, UNEXPLAINED))))
-        return _warned(result, f"{NO_PART}{parts}")
+            result = replace(result, flags=together((result.flags, UNEXPLAINED)))
+        return _warned(result, Finding(NO_PART, words=str(parts)))
     result = replace(result, reason="", worn=parts.found)
     if parts.lost:
-        result = _warned(result, f"parts are read without the sensors of {', '.join(parts.lost)}")
+        result = _warned(
+            result, Finding(WITHOUT_SENSORS, names=parts.lost, listed=together(parts.lost, ", "))
+        )
     return _with_values(result, parts, bogie.healthy)
 
 
 def _warned(result: TripResult, words: str) -> TripResult:
-    warnings = "; ".join(filter(None, (result.quality.warnings, words)))
+    warnings = together((*parts_of(result.quality.warnings), words))
     return replace(result, quality=replace(result.quality, warnings=warnings))
 
 
@@ -251,14 +260,14 @@ def _with_quality(result: TripResult, recording: Recording, bins: Sequence[SeenB
         n_averages=sum(welch.n_averages(count) for welch, count in used.items()),
         segments_used=sum(used.values()),
         speed_m_per_s=float(weights @ [b.speed_m_per_s for b in bins]),
-        speed_bins="; ".join(
+        speed_bins=together(
             f"{b.speed_m_per_s:.1f} m/s{' in reverse' * b.is_reverse}: "
             f"{b.spectra.n_averages:.0f} averages"
             for b in bins
         ),
         direction=best.method.generator.direction or recording.manifest.direction or "",
         features_found=f"{len(names)} of {len(names)}",
-        warnings="; ".join(dict.fromkeys(b.doubts for b in bins if b.doubts)),
+        warnings=together(dict.fromkeys(b.doubts for b in bins)),
     )
     return replace(result, quality=quality, curves=_curves(best, recording))
 

@@ -13,6 +13,7 @@ from flask import Blueprint, Response, abort, request
 from pydantic import BaseModel, ValidationError
 from werkzeug.exceptions import HTTPException, UnsupportedMediaType
 
+from suspnet.ground.findings import as_plain, together
 from suspnet.ground.parameters import BODY_MASS, BOGIE_PARTS, NAMES, Severity, part_words
 from suspnet.ground.storage import finite_or_none
 from suspnet.maintenance.alarms import newest_of
@@ -304,6 +305,7 @@ def _suspension(view: FleetView, index: int) -> dict[str, Any]:
     return {
         **_place(view, index),
         **{name: row[name] for name in (*texts, *counts)},
+        "findings": as_plain(row["reason"]),
         **{name: finite_or_none(row[name]) for name in numbers},
         "parameters": [one for one in row["parameter"].split(", ") if one],
     }
@@ -322,6 +324,7 @@ def _part(state: State, assessment: Any) -> dict[str, Any]:
         "part": part_words(name) if name in BOGIE_PARTS else NAMES[name],
         "severity": str(assessment.severity),
         "reason": assessment.words,
+        "findings": as_plain(assessment.words),
         "value_percent": finite_or_none(100 * state.now(name)),
         "notice_percent": percent(limits.notice) if limits else None,
         "act_percent": percent(limits.act) if limits else None,
@@ -343,6 +346,7 @@ def _alarm(view: FleetView, index: int, alarm: Any) -> dict[str, Any]:
         "begin_km": alarm.begin_km,
         "end_km": finite_or_none(alarm.end_km),
         "reason": alarm.words,
+        "findings": as_plain(alarm.words),
         "acknowledged_by": seen.by if seen else "",
         "acknowledged_at": seen.at if seen else None,
         "action": seen.words if seen else "",
@@ -359,6 +363,7 @@ def _trip(one: Any) -> dict[str, Any]:
     }
     return {
         **{name: getattr(one, name) for name in texts},
+        "findings": as_plain(together((one.reason, one.flags, one.worn))),
         **{name: finite_or_none(value) for name, value in numbers.items()},
         "estimates": {k: v for k, v in one.estimates.items() if np.isfinite(v)},
         "half_widths": {k: v for k, v in one.half_widths.items() if np.isfinite(v)},

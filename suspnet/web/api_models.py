@@ -106,6 +106,16 @@ class Nothing(Model):
     """A request without a query."""
 
 
+class FoundAnswer(Model):
+    """One thing that was found, as data and as a sentence."""
+
+    kind: str
+    """Which sentence it is; empty for one that an earlier version stored as text."""
+    values: dict[str, Any]
+    """What the sentence is about: numbers, names, and things found in turn."""
+    text: str
+
+
 class PlaceAnswer(Model):
     """Where a suspension is; texts are as in the manifests, empty if not given there."""
 
@@ -125,6 +135,8 @@ class SuspensionAnswer(PlaceAnswer):
     severity: SeverityName
     parameters: list[str]
     """Parameters of the worst severity."""
+    findings: list[FoundAnswer]
+    """What `reason` says."""
     reason: str
     sensors: str
     """Sensors that are dead on the newest trip, and those with an alarm; empty if none."""
@@ -152,6 +164,8 @@ class PartAnswer(Model):
     part: str
     """The part as a depot calls it."""
     severity: SeverityName
+    findings: list[FoundAnswer]
+    """What `reason` says."""
     reason: str
     value_percent: float | None
     """Median of the last trips; null without an estimate."""
@@ -180,6 +194,8 @@ class AlarmAnswer(PlaceAnswer):
     """Mileage of the trip that raised it [km]."""
     end_km: float | None
     """Mileage of the trip that cleared it [km]; null while it is active."""
+    findings: list[FoundAnswer]
+    """What `reason` says."""
     reason: str
     acknowledged_by: str
     """Empty if it is not acknowledged as it is now."""
@@ -197,6 +213,8 @@ class TripAnswer(Model):
     mileage_km: float | None
     status: str
     """ok, no estimate, or error."""
+    findings: list[FoundAnswer]
+    """What `reason`, `flags` and `worn` say."""
     reason: str
     """Why there is no estimate."""
     flags: str

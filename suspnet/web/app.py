@@ -27,8 +27,7 @@ from werkzeug.exceptions import HTTPException, SecurityError
 from suspnet import __version__
 from suspnet.history import HistoryError
 from suspnet.report.board import Refresher, clock
-from suspnet.report.language import N_, best_of, check_language, choose, gettext, install
-from suspnet.report.sentences import spoken
+from suspnet.report.language import N_, best_of, check_language, choose, gettext, install, spoken
 from suspnet.report.templates import FILTERS, GLOBALS, packaged
 from suspnet.web.access import ACCESS, Access, is_admitted
 from suspnet.web.api import ROOT, api, http_problem, problem

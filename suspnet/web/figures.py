@@ -12,8 +12,7 @@ from numpy.typing import ArrayLike
 from suspnet.ground.parameters import NAMES
 from suspnet.ground.wording import unbroken
 from suspnet.report import trend as shown
-from suspnet.report.language import decimal, gettext
-from suspnet.report.sentences import spoken
+from suspnet.report.language import decimal, gettext, spoken
 from suspnet.report.tables import PARTS, Response
 from suspnet.report.templates import symbol
 from suspnet.report.trend import LIMIT_COLOURS, Panel, Points, Trend

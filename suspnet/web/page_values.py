@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from suspnet.ground.findings import of
 from suspnet.ground.parameters import BODY_MASS, BOGIE_PARTS, NAMES, PARAMETERS, Severity
 from suspnet.ground.records import INTERVAL_LEVEL, TripResult, outputs_of
 from suspnet.ground.wording import natural
@@ -17,8 +18,8 @@ from suspnet.maintenance.plan import place_of
 from suspnet.maintenance.schedule import joined
 from suspnet.maintenance.state import State
 from suspnet.report.bogie import bogie_of, bogies_shown, small_figures, why_no_part
+from suspnet.report.language import spoken
 from suspnet.report.overview import FleetView, finding
-from suspnet.report.sentences import spoken
 from suspnet.report.tables import files_read_as, response, response_table, sensor_rows, trip_table
 from suspnet.report.trend import ranges, trend_of_state
 
@@ -146,7 +147,7 @@ def _tile(name: str, state: State, row: dict[str, Any], with_suspension: bool) -
     parts = [place.suspension] if with_suspension or not (place.bogie or place.side) else []
     where = " ".join(SHORT.get(p, p) for p in (place.bogie, place.side) if p)
     words = " ".join(filter(None, (*parts, spoken(where))))
-    why = f"{row['parameter']}: {row['reason']}".removeprefix(": ")
+    why = of(row["parameter"], row["reason"]) if row["parameter"] else row["reason"]
     return Tile(name, str(state.severity), words or state.series.vehicle, why)
 
 

@@ -36,10 +36,9 @@ from suspnet.maintenance.schedule import Plan
 from suspnet.maintenance.state import State
 from suspnet.report.board import Refresher
 from suspnet.report.bogie import visits_of
-from suspnet.report.language import N_, current, day, gettext
+from suspnet.report.language import N_, current, day, gettext, spoken
 from suspnet.report.overview import FleetView
 from suspnet.report.pdf import as_pdf
-from suspnet.report.sentences import spoken
 from suspnet.report.tables import response
 from suspnet.report.templates import MARKS, render
 from suspnet.report.trend import trend_of_state

@@ -16,9 +16,10 @@ from trip_records import fleet, trip
 from suspnet.ground.parameters import BOGIE_PARTS, Cause, Severity
 from suspnet.ground.records import VALUES, Place, Quality, TripResult
 from suspnet.history import History, HistoryError
-from suspnet.history.schema import SCHEMA, suspensions
+from suspnet.history.schema import SCHEMA, suspensions, trips
 from suspnet.maintenance.alarms import OWN_CAUSES, Acknowledgement, Alarm
 from suspnet.maintenance.series import Event
+from suspnet.report.bogie import worn_entries
 
 PLACE = Place("bogie 1, left")
 VEHICLE = "AM96 217"
@@ -33,6 +34,7 @@ NEW_COLUMNS = {
     5: ["direction"],
     6: ["worn", *(values.format(part) for values in VALUES.values() for part in BOGIE_PARTS)],
     7: [],
+    8: [],
 }
 """Columns of trips that a store of this version lacks and the next one has."""
 SEEN = Acknowledgement("k_p", Cause.CHANGE, Severity.NOTICE, 4e4, "Kim", "2026-11-22T13:00:00Z")
@@ -306,10 +308,26 @@ def test_a_store_of_an_older_version_is_brought_to_this_one(version, place):
             for column in lacking:
                 connection.exec_driver_sql(f"ALTER TABLE trips DROP COLUMN {column}")
             connection.exec_driver_sql(f"UPDATE suspnet_version SET schema = {version}")
+            was = {"warnings": "loose; no part is named: too short; as it is"}
+            if version > 6:
+                was["worn"] = (
+                    "damper of axle 2, left at 62 % of healthy (odds over 1000 : 1); secondary "
+                    "spring, left or secondary spring, right at 93.1 % of healthy (odds 30 : 1, "
+                    "which of them is not known)"
+                )
+            connection.execute(trips.update().values(was))
     for _ in range(2):
         with History(place, must_exist=True) as store:
             (found,) = store.read(before.vehicle, before.place)
-            assert same(found, before)
+            assert found.quality.warnings == was["warnings"]
+            assert found.quality.no_part == "too short; as it is"
+            assert found.worn == was.get("worn", "")
+            assert worn_entries(found.worn) == [
+                (("c_p_axle2_left",), "over 1000 : 1"),
+                (("k_s_left", "k_s_right"), "30 : 1"),
+            ] * (version > 6)
+            quality = replace(found.quality, warnings=before.quality.warnings)
+            assert same(replace(found, worn="", quality=quality), before)
     estimates = before.estimates | dict.fromkeys(BOGIE_PARTS, 0.9)
     quality = Quality(wheels="order 2", sensors="{}", direction="forward")
     after = replace(before, estimates=estimates, worn="k_s left", quality=quality)

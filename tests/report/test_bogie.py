@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 from served_fleet import HEALTHY, WORN, bogie_trips, trips
 
-from suspnet.estimation.worn_parts import WornPart, worn_words
+from suspnet.estimation.worn_parts import WornPart
+from suspnet.ground.findings import NO_PART, Finding, stored, together
 from suspnet.ground.parameters import (
     BOGIE_PARTS,
     COMPONENTS,
@@ -20,7 +21,6 @@ from suspnet.ground.parameters import (
 )
 from suspnet.ground.records import (
     NO_ESTIMATE,
-    NO_PART,
     Place,
     Quality,
     SensorHealth,
@@ -53,6 +53,12 @@ from suspnet.runs.evaluate import write_maintenance
 from suspnet.trips.details import wear_words
 
 PLACE = Place("", "leading", "", "7", "1")
+
+
+def worn_words(several):
+    return together(one.finding for one in several)
+
+
 GROUP = WornPart(("k_s_left", "k_s_right"), 30.0, 0.93)
 WEAR = {
     "c_p_axle2_left": lambda i: 1 - 0.4 * max(i - 8, 0) / 25,
@@ -424,11 +430,13 @@ def test_report_without_parts_has_one_sentence_more(tmp_path):
     assert page.count(NONE_NAMED) == 1
     assert "<svg" not in page
     assert '<details id="calm"' not in page
-    why = f"loose; {NO_PART}no sensor at body_left; parts are read from others"
+    why = together(
+        ("loose", Finding(NO_PART, words="no sensor at body_left; parts are read from others"))
+    )
     several = [replace(one, quality=Quality(warnings=why)) for one in plain]
     given = replace(given, results=several)
     page = write_report(tmp_path / "why.html", "Why", given, {}).read_text(encoding="utf-8")
-    assert page.count("no sensor at car body, left; parts are read from others") == 1
+    assert page.count("no sensor at body_left; parts are read from others") == 1
     assert "(trip trip_029)" in page
     assert page.count(">loose<") == 2 * len(plain)  # in the table, and folded on a phone
 
@@ -436,7 +444,7 @@ def test_report_without_parts_has_one_sentence_more(tmp_path):
 def test_reason_is_that_of_the_trips_whose_parts_were_not_read(results):
     assert why_no_part(results, COMPONENTS) == ""
     assert why_no_part([], ("k_p",)) == NONE_NAMED
-    odd = replace(results[3], quality=Quality(warnings=f"{NO_PART}too short"))
+    odd = replace(results[3], quality=Quality(warnings=Finding(NO_PART, words="too short")))
     assert why_no_part([*results, odd], COMPONENTS) == (
         "No single spring or damper is named on 1 trip: too short."
     )
@@ -494,7 +502,7 @@ def test_study_names_parts_in_plan_tables_and_overview(store, tmp_path, caplog):
 def test_verdict_comes_back_from_the_store(store, few):
     with History(store) as history:
         series = next(one for one in history.series() if one.place == PLACE)
-    assert series.worn.tolist() == [one.worn for one in few]
+    assert series.worn.tolist() == [stored(one.worn) for one in few]
     assert series.equals(series_of(few))
     assert not series.equals(series_of([replace(one, worn="") for one in few]))
     assert series.outputs == COMPONENTS
@@ -509,7 +517,7 @@ def test_rows_of_a_mixed_fleet_have_the_columns_of_all():
 def test_trip_without_its_parts_shows_both_sides_as_equal_in_their_place(few, tmp_path):
     other = trips(PLACE, 4, n_trips=1)[0]
     values = {"k_p": 0.987, "c_p": 0.912, "k_s": 1.034, "c_s": 0.877, "M_s": 1.0}
-    quality = Quality(warnings=f"{NO_PART}too short")
+    quality = Quality(warnings=Finding(NO_PART, words="too short"))
     odd = replace(other, trip="odd", mileage_km=1.0, estimates=values, quality=quality)
     mixed = [odd, *few]
     outputs = outputs_of(mixed)

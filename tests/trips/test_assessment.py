@@ -7,11 +7,11 @@ from itertools import cycle, product
 import numpy as np
 import pytest
 
+from suspnet.ground.findings import Finding
 from suspnet.ground.parameters import DEFAULT_LIMITS, Cause, Severity
 from suspnet.maintenance.alarms import Alarm
 from suspnet.maintenance.assessment import (
     ALL_FLAGGED,
-    INSPECT,
     assess,
     overall,
     spoken,
@@ -21,7 +21,7 @@ from suspnet.maintenance.judge import LastTrips, last_trips
 from suspnet.maintenance.series import make_series
 from suspnet.maintenance.trend import Shape, Step, Trend, flagged_trend
 from suspnet.report.language import speaking
-from suspnet.report.sentences import spoken as spoken_in_language
+from suspnet.report.language import spoken as spoken_in_language
 
 LIMITS = DEFAULT_LIMITS["k_s"]
 N_TRIPS = 30
@@ -223,15 +223,15 @@ def ends_with(*last, n=N_TRIPS):
             "act",
             "the last trip is at 60 % of healthy; "
             "the last 5 trips are below the act limit of 80 %; "
-            f"it has been so since the first trips; {ALL_FLAGGED}{INSPECT}",
+            f"it has been so since the first trips; {ALL_FLAGGED}: inspect before work is ordered",
         ),
         (
             read(np.where(KM < 255_000, 1, 0.6), flagged=range(25, N_TRIPS)),
             "act",
             "the last trip is at 60 % of healthy; "
             "the last 5 trips are below the act limit of 80 %; "
-            f"falls to 60 % of healthy (median of the last 5 trips) at about 260 000 km; "
-            f"5 of the last 5 trips are flagged{INSPECT}",
+            "falls to 60 % of healthy (median of the last 5 trips) at about 260 000 km; "
+            "5 of the last 5 trips are flagged: inspect before work is ordered",
         ),
         (
             read(ONES, flagged=range(25, N_TRIPS)),
@@ -389,7 +389,7 @@ def test_no_reason_keeps_an_english_word_in_german():
     ):
         last = ending(name, flags, half)
         counts = {"flagged_last": len(FLAGS[flags]), "flagged_first": n, "without_flagged": n == 1}
-        doubt = "all of the last 5 trips are flagged" if n == 2 else ""
+        doubt = Finding("all-last-flagged", n=5) if n == 2 else ""
         found = made_up(shape, first, np.median(last.values), **counts)
         for limits in (LIMITS, None):
             one = assess(found, last, limits, alarms[:n] if n < 3 else alarms[1:], doubt)

@@ -25,8 +25,8 @@ from trip_records import fleet as made_up
 from suspnet.estimation.fitted import ModelFileError
 from suspnet.estimation.trip_settings import TripSettings
 from suspnet.ground import workers
+from suspnet.ground.findings import NO_PART, Finding
 from suspnet.ground.parameters import DEFAULT_LIMITS, Cause, Severity
-from suspnet.ground.records import NO_PART
 from suspnet.ground.storage import read_arrays, read_plain
 from suspnet.maintenance.alarms import Alarm
 from suspnet.maintenance.series import series_of
@@ -686,7 +686,7 @@ def test_reasons_are_whole_in_the_summary_and_in_the_table(alone, tmp_path):
 
 
 def test_trip_without_its_parts_says_why_and_which_faults_it_has(alone):
-    why = f"{NO_PART}misfit 24 times that of noise"
+    why = Finding(NO_PART, words="misfit 24 times that of noise")
     quality = replace(alone[0].quality, warnings=f"a sensor is alone; {why}", faults="a is loose")
     _, *reasons = summary([replace(alone[0], quality=quality), alone[1]], OUTPUTS).split("\n\n")
     assert reasons == [f"{alone[0].trip}: {why}; a is loose"]

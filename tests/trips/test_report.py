@@ -22,7 +22,7 @@ from suspnet.report.failing_sensors import dead_words, failing_sensors, failing_
 from suspnet.report.language import speaking
 from suspnet.report.maintenance_figures import health_trend
 from suspnet.report.overview import Evaluated
-from suspnet.report.report import UNSURE, Report
+from suspnet.report.report import Report
 from suspnet.report.tables import files_read_as
 
 HOSTILE = "<script>alert('x')</script> & \"$x_\" {{ 7 * 7 }} \u5217\u8eca \udcff"
@@ -275,7 +275,10 @@ def test_a_level_that_no_suspension_has_is_no_number_in_the_table(tmp_path):
     ("n", "sentence"),
     [
         (1, "1 of 6 trips is flagged, see the table; "),
-        (6, f"All 6 trips are flagged, {UNSURE}: "),
+        (
+            6,
+            "All 6 trips are flagged, so their numbers may be further off than the intervals say; ",
+        ),
     ],
 )
 def test_sentence_on_flags_is_grammatical(tmp_path, n, sentence):

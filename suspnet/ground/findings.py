@@ -1,0 +1,241 @@
+"""What is found of a trip, a suspension, a part or a sensor: a kind and its values.
+
+Programs pass a ``Finding`` on, store it and give it to others as data. Its text stands in
+findings.txt, one kind a line: ``kind: template``, or ``kind: singular | plural`` of the value `n`.
+Pages, mails and reports fill in the template in their language (``report.language.spoken``);
+everything else that prints a finding has its English text, as a ``Finding`` is that text too.
+"""
+
+from __future__ import annotations
+
+import json
+import string
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from importlib import resources
+from types import MappingProxyType
+from typing import IO, Any, TypeGuard
+
+LIST, OF, NO_PART = "list", "of", "no-part-named"
+WORN, WORN_ONE_OF, WITHOUT_SENSORS = "worn-part", "worn-one-of", "without-sensors"
+"""Kinds that programs look for: several findings in a row, one with what it is of in front, why no
+part of a trip is named, a worn part, or several of which one is, and
+that parts are read without some sensors."""
+
+
+def _lines(text: str) -> Iterator[tuple[int, str, tuple[str, ...]]]:
+    """Yield number, kind and forms of each template; that of a plain name is empty."""
+    for number, line in enumerate(text.splitlines(), 1):
+        if line and not line.startswith("#"):
+            kind, _, template = line.partition(": " if line[0] != "=" else " ")
+            yield number, kind.strip("="), tuple(template.replace(r"\n", "\n").split(" | "))
+
+
+def extract(
+    file: IO[bytes], *_: Any, **__: Any
+) -> Iterator[tuple[int, str | None, Any, list[str]]]:
+    """Yield line and text of each template, for ``pybabel extract``."""
+    for number, _kind, forms in _lines(file.read().decode()):
+        yield number, "ngettext" if forms[1:] else None, forms if forms[1:] else forms[0], []
+
+
+TEMPLATES: Mapping[str, tuple[str, ...]] = MappingProxyType(
+    {
+        kind: forms
+        for _, kind, forms in _lines(
+            resources.files("suspnet.ground").joinpath("findings.txt").read_text("utf-8")
+        )
+    }
+)
+"""The template of each kind, or its singular and plural."""
+
+
+class Filling(string.Formatter):
+    """Fills in a template; the format `km` is that of a mileage."""
+
+    def format_field(self, value: Any, format_spec: str) -> str:
+        """Return one value as text."""
+        if format_spec == "km":
+            return f"{value:,.0f} km".replace(",", " ")
+        return str(super().format_field(value, format_spec))
+
+
+_ENGLISH = Filling()
+
+
+class Finding(str):
+    """A kind with its values, immutable; as text it is its English sentence.
+
+    Parameters
+    ----------
+    kind : str
+        One of ``TEMPLATES``.
+    **values : str, int, float, bool, None, Finding or a list of them
+        What the template names; numbers of NumPy and anything else are made such.
+
+    Examples
+    --------
+    >>> found = Finding("missing", words="peaks of the body")
+    >>> print(found)
+    missing: peaks of the body
+    >>> found.kind, dict(found.values)
+    ('missing', {'words': 'peaks of the body'})
+    """
+
+    kind: str
+    values: Mapping[str, Any]
+
+    def __new__(cls, kind: str, /, **values: Any) -> Finding:  # noqa: D102 - as the class says
+        known = {name: _simple(value) for name, value in values.items()}
+        if kind == LIST:
+            text = known["separator"].join(known["parts"])
+        else:
+            text = _ENGLISH.vformat(_form(known, *TEMPLATES[kind]), (), known)
+        self = super().__new__(cls, text)
+        self.__dict__.update(kind=kind, values=MappingProxyType(known))
+        return self
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        raise AttributeError(f"a finding does not change: {name}")
+
+    def __str__(self) -> str:
+        return self  # so that an exception with a finding gives it back
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _again, (self.kind, dict(self.values))
+
+    def plain(self) -> dict[str, Any]:
+        """Return kind, values and English text as JSON-able values."""
+        plain: dict[str, Any] = _as_plain(self)
+        return plain | {"text": str.__str__(self)}
+
+
+def with_values(text: str, change: Callable[[str], str]) -> str:
+    """Return a text, or a finding with its texts changed, such as to one line each."""
+    if not isinstance(text, Finding):
+        return change(text)
+
+    def changed(value: Any) -> Any:
+        if isinstance(value, tuple):
+            return tuple(map(changed, value))
+        return with_values(value, change) if isinstance(value, str) else value
+
+    separator = {"separator": text.values["separator"]} if text.kind == LIST else {}
+    values = {name: changed(one) for name, one in text.values.items()} | separator
+    return Finding(text.kind, **values)
+
+
+def _form(values: Mapping[str, Any], one: str, many: str = "") -> str:
+    return many if many and values["n"] != 1 else one
+
+
+def _again(kind: str, values: dict[str, Any]) -> Finding:
+    return Finding(kind, **values)
+
+
+def _simple(value: Any) -> Any:
+    if value is None or isinstance(value, str | bool | int | float):
+        return value
+    if isinstance(value, tuple):
+        return tuple(map(_simple, value))
+    number = value.item() if hasattr(value, "item") else None  # of NumPy, unless it is a time
+    return number if isinstance(number, bool | int | float) else str(value)
+
+
+def _as_plain(value: Any) -> Any:
+    if isinstance(value, tuple):
+        return [_as_plain(one) for one in value]
+    if not isinstance(value, Finding):
+        return value
+    values = {name: _as_plain(one) for name, one in value.values.items()}
+    return {"kind": value.kind, "values": values}
+
+
+def from_plain(value: Mapping[str, Any]) -> str:
+    """Return what ``Finding.plain`` wrote; only the text of a kind that is not known any more."""
+    try:
+        found = _found(value)
+    except (KeyError, ValueError, TypeError, AttributeError, IndexError, RecursionError):
+        found = value.get("text", "")
+    return found if isinstance(found, str) else ""
+
+
+def _found(value: Any) -> Any:
+    if isinstance(value, list):
+        return tuple(map(_found, value))
+    if not isinstance(value, dict):
+        return value
+    return Finding(value["kind"], **{name: _found(one) for name, one in value["values"].items()})
+
+
+def stored(text: str) -> str:
+    """Return a text for one column of a table: a finding as JSON, any other text as it is."""
+    return json.dumps(text.plain()) if isinstance(text, Finding) else text
+
+
+def restored(text: str) -> str:
+    """Return what ``stored`` wrote; a text of older versions stays as it is.
+
+    >>> restored(stored(Finding("missing", words="peaks"))).kind, restored("missing: peaks")
+    ('missing', 'missing: peaks')
+    """
+    if not text.startswith('{"kind": '):
+        return text
+    try:
+        return from_plain(json.loads(text))
+    except (ValueError, AttributeError, RecursionError):
+        return text
+
+
+def together(parts: Iterable[str], separator: str = "; ") -> str:
+    """Return several findings in a row, the empty ones left out; empty if there are none."""
+    several = [piece for one in parts if one for piece in _pieces(one, separator)]
+    if len(several) < 2:
+        return several[0] if several else ""
+    return Finding(LIST, parts=tuple(several), separator=separator)
+
+
+def _pieces(text: str, separator: str) -> tuple[str, ...]:
+    if isinstance(text, Finding) and text.kind == LIST and text.values["separator"] == separator:
+        return tuple(text.values["parts"])
+    return (text,)
+
+
+def parts_of(text: str) -> tuple[str, ...]:
+    """Return the findings that a text was made of; the text itself if it was not."""
+    if isinstance(text, Finding) and text.kind == LIST:
+        return tuple(text.values["parts"])
+    return (text,) if text else ()
+
+
+def kind_is(text: str, kind: str) -> TypeGuard[Finding]:
+    """Return whether a text is a finding of a kind."""
+    return isinstance(text, Finding) and text.kind == kind
+
+
+def without(name: object, text: str) -> str:
+    """Return a text without the file, trip or sensor that it says itself to be ``of``."""
+    if not isinstance(text, Finding):
+        return text.removeprefix(f"{name}: ")
+    if text.kind == OF and text.values["name"] == str(name):
+        return str(text.values["words"])
+    where = text.values.get("where")  # of a sensor of this file
+    values = {"where": without(name, where)} if where else {}
+    return Finding(text.kind, **{**text.values, **values})
+
+
+def percent(value: float, digits: int) -> Finding:
+    """Return a number of percent with its decimals, at most 3."""
+    return Finding(f"percent-{digits}", value=value)
+
+
+def as_plain(text: str) -> list[dict[str, Any]]:
+    """Return each finding of a text as ``Finding.plain`` does; one without a kind as its text."""
+    return [
+        one.plain() if isinstance(one, Finding) else {"kind": "", "values": {}, "text": one}
+        for one in parts_of(text)
+    ]
+
+
+def of(name: object, words: str) -> Finding:
+    """Return a finding with the file, trip or sensor it is of in front."""
+    return Finding(OF, name=str(name), words=words)

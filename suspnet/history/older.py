@@ -1,0 +1,86 @@
+"""Stores of older versions: what programs look for in their sentences becomes findings, once."""
+
+from __future__ import annotations
+
+import re
+
+import sqlalchemy as sql
+from sqlalchemy.engine import Connection
+
+from suspnet.ground.findings import (
+    NO_PART,
+    WITHOUT_SENSORS,
+    WORN,
+    WORN_ONE_OF,
+    Finding,
+    of,
+    stored,
+    together,
+)
+from suspnet.ground.parameters import BOGIE_PARTS, part_words
+from suspnet.history.schema import trips
+
+FINDINGS = 9
+"""Version from which findings are stored as kind and values; before, as sentences."""
+_WORN = re.compile(r"([^;]+?) at ([\d.e+]+) % of healthy \(odds (over )?([\d.]+) : 1(, [^;)]*)?\)")
+_NO_PART = "no part is named: "
+_FAILING = re.compile(
+    r"(?:^|; )([\w ]+): ((?:(dead) and left out|loose from) .*?)(?=; [a-z_]+(?: [\w ]+)?: |$)"
+)
+_WITHOUT = "parts are read without the sensors of "
+_PARTS = {part_words(name): name for name in BOGIE_PARTS}
+
+
+def store_findings(connection: Connection) -> None:
+    """Turn the sentences on worn parts, why none is named, and failing sensors into findings.
+
+    All other sentences stay as they are: nothing looks into them, and pages show them in English.
+    """
+    columns = {"worn": worn_findings, "warnings": warning_findings, "faults": fault_findings}
+    chosen = sql.or_(*(trips.c[name] != "" for name in columns))
+    query = sql.select(trips.c.id, *(trips.c[name] for name in columns)).where(chosen)
+    changed = [
+        {"row": row.id} | {name: change(getattr(row, name)) for name, change in columns.items()}
+        for row in connection.execute(query).all()
+        if all(isinstance(getattr(row, name), str) for name in columns)
+    ]
+    if changed:
+        update = trips.update().where(trips.c.id == sql.bindparam("row"))
+        connection.execute(update, changed)
+
+
+def worn_findings(worn: str) -> str:
+    """Return the column of worn parts; a text of another form stays as it is."""
+    found = []
+    for one in worn.split("; "):
+        match = _WORN.fullmatch(one)
+        names = tuple(map(_PARTS.get, match[1].split(" or "))) if match else (None,)
+        if match is None or None in names:
+            return worn
+        odds = Finding("odds-over" if match[3] else "odds", odds=float(match[4]))
+        where, kind = together(match[1].split(" or "), " or "), WORN_ONE_OF if match[5] else WORN
+        found.append(Finding(kind, names=names, where=where, percent=float(match[2]), odds=odds))
+    return stored(together(found))
+
+
+def warning_findings(warnings: str) -> str:
+    """Return the column of warnings, of which some say which parts or sensors are not read."""
+    others, mark, why = warnings.partition(_NO_PART)
+    found: list[str] = []
+    for one in filter(None, others.removesuffix("; ").split("; ")):
+        names = one.removeprefix(_WITHOUT)
+        values = {"names": tuple(names.split(", ")), "listed": names}
+        found.append(one if names == one else Finding(WITHOUT_SENSORS, **values))
+    return stored(together([*found, Finding(NO_PART, words=why)] if mark else found))
+
+
+def fault_findings(faults: str) -> str:
+    """Return the column of faults, of which some are of a dead or a loose sensor."""
+    found, end = [], 0
+    for match in _FAILING.finditer(faults):
+        found.append(faults[end : match.start()].removeprefix("; "))
+        found.append(
+            of(match[1], Finding("dead-before" if match[3] else "loose-before", words=match[2]))
+        )
+        end = match.end()
+    return stored(together([*found, faults[end:].removeprefix("; ")]))
