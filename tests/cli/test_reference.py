@@ -22,8 +22,8 @@ from suspnet.simulation.true_vehicle import scattered
 
 ROOT = Path(__file__).parents[2]
 sys.path += [str(ROOT / "tests" / "benchmarks"), str(ROOT / "docs")]
-import configuration_page
-from config_comments import OF_PROGRAMS, commented, declaring
+import configuration_page  # noqa: E402
+from config_comments import OF_PROGRAMS, commented, declaring  # noqa: E402
 
 LONGEST = 260
 """Number of characters of a sentence beyond which nobody reads it."""
