@@ -21,6 +21,8 @@ LOADED_FROM_OUTSIDE = re.compile(
 """What a browser would load from the internet when it shows a page; links are no such thing."""
 
 sys.path[:0] = [str(ROOT), str(ROOT / "docs")]
+import configuration_page  # noqa: E402
+
 import suspnet  # noqa: E402
 
 project = "suspnet"
@@ -88,6 +90,15 @@ html_theme_options = {
 }
 
 
+def write_configuration(app: Sphinx) -> None:
+    """Write the page of all settings, unless it is there already, so that it is not built again."""
+    path = Path(app.srcdir) / "generated" / "configuration.md"
+    page = configuration_page.page()
+    if not path.exists() or path.read_text(encoding="utf-8") != page:
+        path.parent.mkdir(exist_ok=True)
+        path.write_text(page, encoding="utf-8")
+
+
 def link_downloads(app: Sphinx, page: str, source: list[str]) -> None:
     """Make links to files outside this folder downloads; Sphinx takes those to .md for pages."""
     source[0] = re.sub(r"(?<!!)(\[[^\]]*\])\((\.\./[^)#]+)[^)]*\)", r"\1(path:\2)", source[0])
@@ -104,5 +115,6 @@ def check_offline(app: Sphinx, failure: Exception | None) -> None:
 
 def setup(app: Sphinx) -> None:
     """Register what is done to pages before and after."""
+    app.connect("builder-inited", write_configuration)
     app.connect("source-read", link_downloads)
     app.connect("build-finished", check_offline)

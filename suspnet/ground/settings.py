@@ -1,6 +1,6 @@
 """Settings: type, range, unit and description, declared with the class that uses them; checks.
 
-The comments in configs/, `--help`, docs/configuration.md and error messages are made from these.
+The comments in configs/, `--help`, the page of all settings and error messages are made from these.
 """
 
 from __future__ import annotations

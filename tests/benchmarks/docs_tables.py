@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import Any
 
 import config_comments
-import configuration
 import coverage
 import methods_table
 import named_parts
@@ -459,7 +458,6 @@ TABLES: dict[str, tuple[str | None, Callable[[Sequence[Row]], str]]] = {
     "named_parts_km": ("named_parts_km.csv", named_parts_km),
     "methods": ("methods.csv", methods_table.table),
     "layouts": ("layouts.csv", layouts_markdown),
-    "configuration": (None, lambda rows: configuration.page()),
 }
 """Results, None where the package itself says it, and what makes a table of them, by name."""
 
@@ -500,7 +498,6 @@ def filled(page: str) -> tuple[str, list[str]]:
 
 def main() -> None:
     Parser(description=__doc__.splitlines()[0]).parse_args()
-    # the pages list the comments
     for path in sorted((ROOT / "configs").rglob("*.yaml")):
         write(path, config_comments.commented(path))
     read_comments.cache_clear()

@@ -13,15 +13,16 @@ from hydra import compose, initialize_config_dir
 from omegaconf import OmegaConf
 
 from suspnet.cli import check, evaluate, init, options, simulate, train
-from suspnet.cli.config_files import CONFIGS, SWITCHES, phrase, read_comments
+from suspnet.cli.config_files import CONFIGS, SWITCHES, TABLES, phrase, read_comments
 from suspnet.cli.kinds import build
 from suspnet.cli.program import n_threads
 from suspnet.cli.reference import COLUMNS, Reference
 from suspnet.simulation.true_vehicle import scattered
 
-sys.path.append(str(Path(__file__).parents[1] / "benchmarks"))
-import configuration
-from config_comments import commented
+ROOT = Path(__file__).parents[2]
+sys.path += [str(ROOT / "tests" / "benchmarks"), str(ROOT / "docs")]
+import configuration_page  # noqa: E402
+from config_comments import commented  # noqa: E402
 
 LONGEST = 260
 """Number of characters of a sentence beyond which nobody reads it."""
@@ -134,7 +135,13 @@ def test_key_without_comment_is_named():
     missing = [key for key in rows if not key.sentence]
     assert [key.name for key in missing] == ["data.extra", "more.x.y"]
     with pytest.raises(LookupError, match=r"no comment in configs/ says what `data\.extra` is"):
-        configuration.key_table(missing)
+        configuration_page.key_table(missing)
+
+
+def test_page_of_settings_has_a_section_for_every_group():
+    groups = {path.name for path in Path(CONFIGS).iterdir() if path.is_dir()} | {*TABLES}
+    headings = set(re.findall(r"^## Group `(\w+)`: ", configuration_page.page(), re.MULTILINE))
+    assert headings == groups - {"base", "hydra"}
 
 
 def test_comments_are_read_where_they_stand(tmp_path):

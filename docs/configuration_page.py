@@ -1,4 +1,4 @@
-"""What docs/configuration.md lists: every group, option and key, from the comments in configs/."""
+"""The page of every group, option and key of the configuration, from the comments in configs/."""
 
 import functools
 from collections.abc import Iterator, Mapping, Sequence
@@ -28,12 +28,25 @@ OF_OTHER_GROUPS = ("experiment",)
 """Groups whose options set keys of other groups only."""
 NOT_COMPARED = ("name", "source", "limits")
 """Names of keys that differ between options anyhow, or are explained as a whole."""
+HEAD = """# Configuration
+
+This page lists every key of the programs that take `KEY=VALUE`, with its default, unit, range and
+meaning. `--help` prints the same for what is chosen on the command line, and `--cfg job` prints the
+values alone:
+
+    python train.py model=svr data=trips --help
+    python evaluate.py study=identifiability --help
+
+Choose a group as `GROUP=OPTION`, and set a single value as `KEY=VALUE`; see {doc}`usage </usage>`.
+A unit comes first, a range after it. A number without a unit is dimensionless. No number may be
+infinite or beyond 1e20. A default that follows from another key (`${...}` in the file) is the value
+that follows from the defaults."""
 LAUNCHER = CONFIGS / "hydra" / "launcher" / "slurm.yaml"
 
 
 @functools.cache
 def page() -> str:
-    """Return the tables of all programs and groups as Markdown.
+    """Return the page with the tables of all programs and groups as Markdown.
 
     Raises
     ------
@@ -54,7 +67,7 @@ def page() -> str:
             for name, title in PROGRAMS.items()
         ]
         parts += [of_group(*one) for one in found.values()]
-    return "\n\n".join([*parts, of_launcher()])
+    return "\n\n".join([HEAD, *parts, of_launcher()]) + "\n"
 
 
 def composed(name: str, *overrides: str) -> Reference:
