@@ -26,6 +26,7 @@ from trip_fixtures import changed, signal, small_fleet
 from suspnet.cli import check, options
 from suspnet.cli.config_files import CONFIGS
 from suspnet.cli.kinds import read_vehicles
+from suspnet.ground.findings import Finding, of, together
 from suspnet.ground.ledger import LEDGER
 from suspnet.ground.records import Place
 from suspnet.recordings.formats import READERS
@@ -565,14 +566,18 @@ def test_ten_thousand_broken_manifests_take_less_than_20_s(manifests, tmp_path):
 
 
 def test_how_files_are_read_is_said_once_for_all(tmp_path):
-    how = "delimiter ';', decimal sign ',', names in line 1, rows from line 2 on, latin-1"
+    known = {"delimiter": "';'", "decimal": "','", "first_line": 2, "bom": ""}
+    known["header"] = Finding("names-in-line", header_line=1)
+    how = Finding("csv-dialect", encoding="latin-1", **known)
     checks = [
         TripCheck(
-            Path(f"trip_{i}.yaml"), remarks=(f"a_{i}.csv: {how}; gps_{i}.csv: {how}", "loose")
+            Path(f"trip_{i}.yaml"),
+            remarks=(together(of(f"{name}_{i}.csv", how) for name in ("a", "gps")), "loose"),
         )
         for i in range(3)
     ]
-    other = f"b.csv: {how.replace('latin-1', 'utf-8')}; 'a' is taken in g, its file says 'V'"
+    of_b = of("b.csv", Finding("csv-dialect", encoding="utf-8", **known))
+    other = together((of_b, "'a' is taken in g, its file says 'V'"))
     checks.append(TripCheck(Path("odd.yaml"), remarks=(other,)))
     lines = summary(checks, []).partition("Remarks:\n")[2].splitlines()
     assert lines == [
