@@ -185,9 +185,12 @@ def family(_: Sequence[Row]) -> str:
     for one in sorted(QUANTITIES, key=lambda one: ("", *PARTS).index(one.part)):
         if one.deviation:
             nominal = "given" if one.nominal is None else f"{one.nominal:g} {one.unit}".strip()
-            part = one.part or "every vehicle"
+            part = one.part or "all"
             deviation = f"{one.deviation:g}" + " of 1 + ratio" * one.may_be_absent
             lines.append([part, f"`{one.name}`", one.meaning, nominal, deviation])
+    for line, above in reversed(list(itertools.pairwise(lines))):
+        if line[0] == above[0]:
+            above[0] = ""
     return markdown(lines, ["part", "name", "meaning", "nominal", "deviation"])
 
 
@@ -314,7 +317,7 @@ def plan(rows: Sequence[Row]) -> str:
 
 def life(rows: Sequence[Row]) -> str:
     """Return how often the 80 % intervals of the remaining life hold, and how wide they are."""
-    header = ["wear", "n", "share of life", "80 % intervals hold", "width", "alpha-lambda", "CRA"]
+    header = ["wear", "n", "share of life", "80 % intervals hold", "width"]
     lines = [
         [
             r["histories"] + (f": {r['kind']}" if r["kind"] != "all" else ""),
@@ -322,8 +325,6 @@ def life(rows: Sequence[Row]) -> str:
             f"{r['share_of_life']:g}",
             f"{r['coverage_percent']:.0f} % ({r['least_percent']:.0f} to {r['most_percent']:.0f})",
             f"{r['median_width']:.2g}",
-            f"{r['alpha_lambda_percent']:.0f} %",
-            f"{r['cra_mean']:.3f}",
         ]
         for r in rows
         if r["kind"] in ("all", "bent")
