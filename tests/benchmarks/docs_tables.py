@@ -12,7 +12,6 @@ import itertools
 import re
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import config_comments
 import coverage
@@ -185,9 +184,12 @@ def family(_: Sequence[Row]) -> str:
     for one in sorted(QUANTITIES, key=lambda one: ("", *PARTS).index(one.part)):
         if one.deviation:
             nominal = "given" if one.nominal is None else f"{one.nominal:g} {one.unit}".strip()
-            part = one.part or "every vehicle"
+            part = one.part or "all"
             deviation = f"{one.deviation:g}" + " of 1 + ratio" * one.may_be_absent
             lines.append([part, f"`{one.name}`", one.meaning, nominal, deviation])
+    for line, above in reversed(list(itertools.pairwise(lines))):
+        if line[0] == above[0]:
+            above[0] = ""
     return markdown(lines, ["part", "name", "meaning", "nominal", "deviation"])
 
 
@@ -304,19 +306,17 @@ def plan(rows: Sequence[Row]) -> str:
     """Return what a plan costs beside other policies, for each price of a part and a failure."""
     header = ["R", "F", "plan", "fixed, L10", "fixed, best", "to the limit", "lives known", "bound"]
     keys = ["plan", "customary", "best fixed", "to limit", "known lives", "bound"]
-    ratios = [f"plan / {key}" for key in ("customary", "best fixed", "to limit")]
     lines = [
-        [f"{r['R']:g}", f"{r['F']:g}"]
-        + [f"{r[key]:.3g}" for key in keys]
-        + [f"{100 * r[key]:.0f} %" for key in ratios]
+        [f"{r['R']:g}", f"{r['F']:g}", *(f"{r[key]:.3g}" for key in keys)]
         for r in rows
+        if r["R"] != 2 or r["F"] in (0, 1, 10, 100)
     ]
-    return markdown(lines, [*header, "of L10", "of best", "of to the limit"])
+    return markdown(lines, header)
 
 
 def life(rows: Sequence[Row]) -> str:
     """Return how often the 80 % intervals of the remaining life hold, and how wide they are."""
-    header = ["wear", "n", "share of life", "80 % intervals hold", "width", "alpha-lambda", "CRA"]
+    header = ["wear", "n", "share of life", "80 % intervals hold", "width"]
     lines = [
         [
             r["histories"] + (f": {r['kind']}" if r["kind"] != "all" else ""),
@@ -324,10 +324,9 @@ def life(rows: Sequence[Row]) -> str:
             f"{r['share_of_life']:g}",
             f"{r['coverage_percent']:.0f} % ({r['least_percent']:.0f} to {r['most_percent']:.0f})",
             f"{r['median_width']:.2g}",
-            f"{r['alpha_lambda_percent']:.0f} %",
-            f"{r['cra_mean']:.3f}",
         ]
         for r in rows
+        if r["kind"] in ("all", "bent")
     ]
     return markdown(lines, header)
 
@@ -338,17 +337,26 @@ def alarms(rows: Sequence[Row]) -> str:
     return markdown(lines, ["healthy histories", "n", "alarms", "in 1,000,000 km", "95 %"])
 
 
-def alarms_methods(rows: Sequence[Row]) -> str:
-    """Return false alarms of each method."""
-    lines = [list(map(str, row.values())) for row in rows]
-    return markdown(lines, list(rows[0]))
-
-
 def alarms_delays(rows: Sequence[Row]) -> str:
-    """Return delays of each method, of k_p and c_p alone."""
-    some = [row for row in rows if row["of"] in ("k_p", "c_p")]
-    lines = [list(map(str, row.values())) for row in some]
-    return markdown(lines, list(rows[0]))
+    """Return the delays of each change of k_p and c_p."""
+    lines = [
+        [r["change"], r["of"], *r["suspnet"].split(" / ")]
+        for r in rows
+        if r["of"] in ("k_p", "c_p")
+    ]
+    header = ["change", "of", "median, trips", "90 % quantile, trips", "within 50 trips"]
+    return markdown(lines, header)
+
+
+SHOWN_VIEWS = (
+    "until something is shown",
+    "first view of all",
+    "page of the fleet",
+    "page of a suspension",
+    "view after one new trip",
+    "view after a new trip of each",
+)
+"""Rows of tests/benchmarks/page.py that the docs show, those of pages as the server sends them."""
 
 
 def page(rows: Sequence[Row]) -> str:
@@ -362,38 +370,16 @@ def page(rows: Sequence[Row]) -> str:
             f"{r['peak_mib']:.0f}",
         ]
         for r in rows
+        if r["what"] in SHOWN_VIEWS and r.get("by") != "client"
     ]
     header = ["", "median, s", "worst, or once, s", "processor, s", "largest memory so far, MiB"]
     return markdown(cells, header)
 
 
-def parts(rows: Sequence[Row]) -> str:
-    """Return each train and kind of wear: three numbers of each kind of part."""
-    lines: dict[tuple[Any, ...], list[str]] = {}
-    for row in rows:
-        key = row["seed"], row["wear"]
-        line = lines.setdefault(key, [*map(str, key), str(row["n_trips"]), digits(row["misfit"])])
-        unworn = row.get("largest_unworn_percent")
-        shown = [digits(row["rms_percent"]), "-" if unworn is None else digits(unworn)]
-        line.append(" / ".join([*shown, f"{row['coverage_percent']:.0f}"]))
-    outputs = list(dict.fromkeys(row["output"] for row in rows))
-    return markdown(list(lines.values()), ["train", "worn", "trips", "misfit", *outputs])
-
-
-BLIND = ("plain", "all at once")
-"""Cases of tests/benchmarks/named_parts.py that the docs show."""
+BLIND = ("all at once",)
+"""The hardest case of tests/benchmarks/named_parts.py, which the docs show."""
 LAYOUT_CASES = tuple(f"all at once, {name}" for name in named_parts.LAYOUTS)
 """Those with other layouts of sensors."""
-
-
-def named_parts_km(rows: Sequence[Row]) -> str:
-    """Return the accused trips and the alarms of healthy histories of each case and train."""
-    names = ("case", "seed", "n_trips", "accused_trips", "largest_error_percent", "km", "alarms")
-    lines = [
-        [f"{row[name]:,.0f}" if name == "km" else str(row[name]) for name in names] for row in rows
-    ]
-    heads = ["case", "train", "trips read", "trips accused", "largest error, %", "km", "alarms"]
-    return markdown(lines, heads)
 
 
 def two_suspensions(rows: Sequence[Row]) -> str:
@@ -439,11 +425,9 @@ TABLES: dict[str, tuple[str | None, Callable[[Sequence[Row]], str]]] = {
     "against_n": ("against_n.csv", against_n),
     "plan": ("plan.csv", plan),
     "alarms": ("alarms.csv", alarms),
-    "alarms_methods": ("alarms_methods.csv", alarms_methods),
     "alarms_delays": ("alarms_delays.csv", alarms_delays),
     "life": ("remaining_life.csv", life),
     "page": ("page.csv", page),
-    "parts": ("parts.csv", parts),
     "named_parts": (None, lambda rows: named_parts.named_table(named_parts.stored(BLIND))),
     "named_parts_errors": (
         None,
@@ -455,9 +439,11 @@ TABLES: dict[str, tuple[str | None, Callable[[Sequence[Row]], str]]] = {
     ),
     "training_time": ("training_time.csv", training_time),
     "two_suspensions": ("two_suspensions.csv", two_suspensions),
-    "named_parts_km": ("named_parts_km.csv", named_parts_km),
     "methods": ("methods.csv", methods_table.table),
-    "layouts": ("layouts.csv", layouts_markdown),
+    "layouts": (
+        "layouts.csv",
+        lambda rows: layouts_markdown([r for r in rows if r["case"] != "vehicle known"]),
+    ),
 }
 """Results, None where the package itself says it, and what makes a table of them, by name."""
 

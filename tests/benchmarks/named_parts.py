@@ -273,7 +273,7 @@ def by_trip(rows):
 def accuracy_table(rows, pooled=False):
     """Return rms error, largest error of an unworn part and coverage of each kind of part.
 
-    With a line for each train, or for all of them where they are `pooled`.
+    With a line for each train, or for all trains of one case where they are `pooled`.
     """
 
     def key(row):
@@ -284,7 +284,8 @@ def accuracy_table(rows, pooled=False):
         of = [r for r in rows if key(r) == (case, seed, wear)]
         n = len(by_trip(of))
         misfits = [float(trip[0]["misfit"]) for trip in by_trip(of)]
-        line = [case, seed, wear, n, f"{np.median([float(r['healthy_misfit']) for r in of]):.2f}"]
+        line = [wear, n] if pooled else [case, seed, wear, n]
+        line.append(f"{np.median([float(r['healthy_misfit']) for r in of]):.2f}")
         line.append(f"{np.median(misfits):.2f}")
         for kind in KINDS:
             # "M_s" is no beginning of "M_s change"
@@ -297,7 +298,8 @@ def accuracy_table(rows, pooled=False):
             worst = f"{100 * unworn.max():.2g}" if unworn.size else "-"
             line.append(f"{100 * np.sqrt(np.mean(errors**2)):.2g} / {worst} / {held:.0f}")
         lines.append(line)
-    headers = ["case", "seed", "worn", "trips", "misfit", "trips' misfit", *KINDS]
+    headers = ["worn", "trips", "misfit", "trips' misfit", *KINDS]
+    headers = headers if pooled else ["case", "seed", *headers]
     return tabulate(lines, headers, tablefmt="pipe", disable_numparse=True)
 
 
@@ -334,7 +336,7 @@ def layouts_table(rows):
         if not of:
             continue
         misfit = np.median([float(trip[0]["misfit"]) for trip in by_trip(of)])
-        line = [name, len({r["seed"] for r in of}), len(by_trip(of)), f"{misfit:.2f}"]
+        line = [name, f"{misfit:.2f}"]
         for kind in KINDS[:4]:
             kept = [r for r in of if r["part"].startswith(f"{kind}_")]
             errors = np.log([float(r["estimate"]) / float(r["truth"]) for r in kept])
@@ -344,7 +346,7 @@ def layouts_table(rows):
         for wear in ("one part", "two parts", "healthy"):
             line.append(counts(by_trip([r for r in of if r["wear"] == wear])))
         lines.append(line)
-    headers = ["sensors", "trains", "trips", "misfit", *KINDS[:4], "one part at 62 %", "two parts"]
+    headers = ["sensors", "misfit", *KINDS[:4], "one part at 62 %", "two parts"]
     return tabulate(lines, [*headers, "healthy"], tablefmt="pipe", disable_numparse=True)
 
 
