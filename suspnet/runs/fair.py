@@ -56,9 +56,9 @@ def write_fair(runs: Sequence[Mapping[str, Any]], folder: Path) -> list[Record]:
 def fair_records(runs: Sequence[Mapping[str, Any]]) -> list[Record]:
     """Return mean MAPE over seeds, and the paired difference to MSVR's, for each method.
 
-    `difference` is the mean over the seeds of both, `error` its standard error and `n_better` the
-    number of seeds on which the method's MAPE is smaller; None where MSVR or a second seed is
-    missing.
+    `difference` is the mean over the `n_pairs` seeds of both, `error` its standard error and
+    `n_better` the number of these on which the method's MAPE is smaller; None where MSVR or a
+    second seed is missing.
     """
     by_seed: dict[tuple[str, str, str], dict[int, float]] = {}
     bounds: dict[tuple[str, str], list[float | None]] = {}
@@ -83,6 +83,7 @@ def fair_records(runs: Sequence[Mapping[str, Any]]) -> list[Record]:
                 "deviation": stdev(errors.values()) if len(errors) > 1 else None,
                 "difference": fmean(pairs) if pairs else None,
                 "error": stdev(pairs) / math.sqrt(len(pairs)) if len(pairs) > 1 else None,
+                "n_pairs": len(pairs),
                 "n_better": sum(pair < 0 for pair in pairs),
                 "bound": fmean(known) if known else None,
             }
@@ -115,8 +116,8 @@ def differences_markdown(records: Sequence[Record]) -> str:
         for model in models:
             record = cells.get(model)
             words = _with_deviation(record, "difference", "error")
-            count = f" ({record['n_better']} of {record['n_seeds']})" if record else ""
-            row.append(words + count)
+            paired = record is not None and record["n_pairs"]
+            row.append(f"{words} ({record['n_better']} of {record['n_pairs']})" if paired else "-")
         rows.append(row)
     header = ["tuned in", "output", *(MODEL_TITLES[m] for m in models)]
     return tabulate(rows, header, tablefmt="github", disable_numparse=True)

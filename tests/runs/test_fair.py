@@ -31,7 +31,7 @@ def test_differences_are_paired_by_seed():
     assert svr["mape_percent"] == pytest.approx(17 / 3)
     assert svr["difference"] == pytest.approx((-1 - 0.5 + 0.5) / 3)
     assert svr["error"] == pytest.approx(math.sqrt(0.58333333) / math.sqrt(3))
-    assert (svr["n_better"], svr["n_seeds"], svr["bound"]) == (2, 3, 0.03)
+    assert (svr["n_better"], svr["n_pairs"], svr["bound"]) == (2, 3, 0.03)
 
 
 def test_tables_name_the_best_method_the_order_and_the_edges(tmp_path):
