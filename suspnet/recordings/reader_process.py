@@ -242,7 +242,8 @@ class _Process:
 
     def _end_late(self) -> None:
         self._is_late = True
-        os.kill(self._pid, signal.SIGKILL)
+        with suppress(ProcessLookupError):  # it has just ended by itself
+            os.kill(self._pid, signal.SIGKILL)
 
     def _ending(self) -> str:
         """Return a message on why the process ended; a file that took too long is remembered."""

@@ -103,7 +103,7 @@ def commission_parts(found: HealthyTrips, trips: TripSettings) -> CommissionedBo
 
     def check_orders(nearly: float) -> None:
         all_of(
-            partial(check_order, vehicle, trip, f"{manifest.path}: ", nearly=nearly)
+            partial(check_order, vehicle, trip, str(manifest.path), nearly=nearly)
             for trip, manifest in zip(found.of_parts, found.manifests, strict=True)
         )
 

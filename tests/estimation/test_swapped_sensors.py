@@ -54,7 +54,7 @@ def test_two_sensors_that_are_swapped_are_named(i, j, lost):
     one = without(exchanged(one, i, j), lost) if lost else exchanged(one, i, j)
     names = f"trip_7.yaml: {VEHICLE.sensors[i]} and {VEHICLE.sensors[j]} look swapped: with them"
     with pytest.raises(TripError, match=names) as error:
-        check_order(VEHICLE, one, "trip_7.yaml: ")
+        check_order(VEHICLE, one, "trip_7.yaml")
     assert "exchange the columns of their lines in the manifest" in str(error.value)
 
 
@@ -89,7 +89,7 @@ def test_healthy_trips_of_the_other_bogie_are_refused(end, misfit):
         return
     words = "car7: the healthy trips fit the leading axle of the leading bogie"
     with pytest.raises(TripError, match=words) as error:
-        check_bogie(given, trips, misfit, "car7: ")
+        check_bogie(given, trips, misfit, "car7")
     assert "and not the leading axle of the trailing bogie that is given, with 9;" in str(
         error.value
     )
@@ -105,7 +105,7 @@ def test_one_trip_of_another_bogie_or_axle_is_refused(bogie, axle):
         check_end(given, one)
         return
     with pytest.raises(TripError, match=r"a\.yaml: the trip fits the leading axle") as error:
-        check_end(given, one, "a.yaml: ")
+        check_end(given, one, "a.yaml")
     asked = wrong.get((bogie, axle), "`bogie` and `axle`, or `direction`,")
     assert str(error.value).endswith(f"; correct {asked} in the manifests")
 
