@@ -187,8 +187,8 @@ def check_order(
     """Raise TripError if two sensors of a trip look swapped.
 
     `generator` is the vehicle as its drawing or its healthy trips show it, with a distribution; the
-    message is of `where`, a file or folder. `nearly` is as for `likely_orders`, each of which takes a second.
-    `fit` returns `misfit_near` of the two, where `check_end` may need it as well.
+    message is of `where`, a file or folder. `nearly` is as for `likely_orders`, each of which takes
+    a second. `fit` returns `misfit_near` of the two, where `check_end` may need it as well.
     """
     assert generator.sensors is not None
     there = _search(generator, trip).sensors_of(trip)

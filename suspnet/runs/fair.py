@@ -116,8 +116,10 @@ def differences_markdown(records: Sequence[Record]) -> str:
         for model in models:
             record = cells.get(model)
             words = _with_deviation(record, "difference", "error")
-            paired = record is not None and record["n_pairs"]
-            row.append(f"{words} ({record['n_better']} of {record['n_pairs']})" if paired else "-")
+            n_pairs = record["n_pairs"] if record else 0
+            row.append(
+                f"{words} ({record['n_better']} of {n_pairs})" if record and n_pairs else "-"
+            )
         rows.append(row)
     header = ["tuned in", "output", *(MODEL_TITLES[m] for m in models)]
     return tabulate(rows, header, tablefmt="github", disable_numparse=True)
