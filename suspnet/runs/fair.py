@@ -24,7 +24,7 @@ IN_ORDER = ("msvr", "svr", "mvgpr", "linear")
 TITLES = {
     "stored": "settings of experiment=table6",
     "fair": "Table V's ranges",
-    "fair_widened": "wider ranges",
+    "fair_widened": "beyond Table V",
 }
 """Title of each option of the group `search`."""
 Record = dict[str, Any]
