@@ -400,20 +400,17 @@ class CurveFit(BaseEstimator):  # type: ignore[misc]
         limits = math.log(lower / BEYOND), math.log(upper * BEYOND)
         bounds = observed.new_tensor(limits[:1]), observed.new_tensor(limits[1:])
 
-        def residuals(forward: Forward) -> tuple[Residual, Residual]:
-            floor = COMPRESSED * scale
+        floor = COMPRESSED * scale
 
+        def residuals(forward: Forward) -> tuple[Residual, Residual]:
             def plain(log_parameters: Tensor, rows: Tensor) -> Tensor:
                 curves = forward(log_parameters.exp(), known[rows])
                 return ((observed[rows] - curves) / scale[rows]).flatten(1)
 
             def compressed(log_parameters: Tensor, rows: Tensor) -> Tensor:
                 curves = forward(log_parameters.exp(), known[rows])
-                ratios = (
-                    torch.asinh(observed[rows] / floor[rows]),
-                    torch.asinh(curves / floor[rows]),
-                )
-                return (ratios[0] - ratios[1]).flatten(1)
+                levels = torch.asinh(observed[rows] / floor[rows])
+                return (levels - torch.asinh(curves / floor[rows])).flatten(1)
 
             return plain, compressed
 

@@ -39,7 +39,6 @@ FEW_UNKNOWNS = 600
 START_SHARE, FEWEST_START, START_TOL, MOST_OUTSIDE = 4, 100, 1e-2, 0.95
 """The minimum is sought first on one in `START_SHARE` of the samples if that is at least
 `FEWEST_START`, to `START_TOL`, and kept unless more than `MOST_OUTSIDE` of them leave the tube."""
-
 NARROW = 0.01
 """Largest epsilon, as a share of the outputs' deviation, of a tube that holds few samples."""
 

@@ -131,8 +131,9 @@ def make_plan(
     rest: list[Job] = []
     for name, own in sorted(parts_of_train.items()):
         calendar = _Calendar(named[name], settings, today)
-        visits += calendar.visits(own)
-        rest += calendar.without_visit(own)
+        due = [(calendar.due_day(part), part) for part in map(calendar.as_known, own)]
+        visits += calendar.visits(due)
+        rest += calendar.without_visit(due)
 
     unknown = sorted((job for job in rest if job.part.unknown), key=lambda job: job.part.place)
     known = [job for job in rest if not job.part.unknown]
@@ -168,9 +169,8 @@ class _Calendar:
     def first_day(self) -> int:
         return math.ceil(self.settings.lead_days)
 
-    def visits(self, parts: Sequence[Part]) -> list[Visit]:
+    def visits(self, due: Sequence[tuple[float, Part]]) -> list[Visit]:
         """Return the visits of all parts that are due before the horizon, by day."""
-        due = [(self.due_day(part), part) for part in map(self.as_known, parts)]
         left = [pair for pair in due if pair[0] < self.settings.horizon_days]
         visits = []
         while left:  # ends: the part that is due first is taken off
@@ -180,13 +180,12 @@ class _Calendar:
             left = [pair for pair in left if pair[0] > last]
         return visits
 
-    def without_visit(self, parts: Sequence[Part]) -> list[Job]:
+    def without_visit(self, due: Sequence[tuple[float, Part]]) -> list[Job]:
         """Return the other parts, with the probability that their limit is passed until then."""
         horizon = self.settings.horizon_days
-        jobs = [(self.due_day(part), part) for part in map(self.as_known, parts)]
         return [
             self._job(part, UNKNOWN if part.unknown else WAIT, horizon)
-            for days, part in jobs
+            for days, part in due
             if days >= horizon
         ]
 

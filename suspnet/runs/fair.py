@@ -14,13 +14,12 @@ from matplotlib.figure import Figure
 from tabulate import tabulate
 
 from suspnet.report.figures import SYMBOLS
+from suspnet.runs.readings import METHODS
 from suspnet.runs.tables import MODEL_TITLES, PUBLISHED, in_digits, write_study
 
 log = logging.getLogger(__name__)
 REFERENCE = "msvr"
 """Method that the others are compared with."""
-IN_ORDER = ("msvr", "svr", "mvgpr", "linear")
-"""Methods of Table VI, in the order of their errors there."""
 TITLES = {
     "stored": "settings of experiment=table6",
     "fair": "Table V's ranges",
@@ -148,9 +147,9 @@ def _orders_markdown(runs: Sequence[Mapping[str, Any]]) -> str:
             seeds.setdefault(run["seed"], {})[run["model"]] = values["mape_percent"]
     rows = []
     for (name, output), seeds in errors.items():
-        whole = [found for found in seeds.values() if set(IN_ORDER) <= set(found)]
-        ordered = sum([f[m] for m in IN_ORDER] == sorted(f[m] for m in IN_ORDER) for f in whole)
-        last = sum(f["linear"] == max(f[m] for m in IN_ORDER) for f in whole)
+        whole = [found for found in seeds.values() if set(METHODS) <= set(found)]
+        ordered = sum([f[m] for m in METHODS] == sorted(f[m] for m in METHODS) for f in whole)
+        last = sum(f["linear"] == max(f[m] for m in METHODS) for f in whole)
         if whole:
             counts = [f"{count} of {len(whole)}" for count in (ordered, last)]
             rows.append([TITLES.get(name, name), output, *counts])

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import logging
-import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from shlex import quote
@@ -19,7 +18,6 @@ from tabulate import tabulate
 from suspnet.ground.ledger import HYDRA
 from suspnet.ground.storage import read_json, write_atomically, write_json
 from suspnet.recordings.core_yaml import read_yaml
-from suspnet.report.tensorboard import RunLog
 from suspnet.runs import plots
 from suspnet.runs.fair import write_fair
 from suspnet.runs.paper import write_paper
@@ -33,6 +31,7 @@ from suspnet.runs.tables import (
     table6_records,
     write_study,
 )
+from suspnet.runs.trials import TRIALS, write_trials
 
 log = logging.getLogger(__name__)
 Run = Mapping[str, Any]
@@ -287,70 +286,6 @@ class Table5(_Summary):
         )
 
 
-TRIALS = "trials"
-"""Folder of a multirun with a run of TensorBoard for each trial of its searches."""
-LETTERS = {
-    **{"C": "C", "sigma": "s", "epsilon": "e"},
-    **{"length_scale": "l", "signal_variance": "v", "noise_variance": "n"},
-}
-"""Letter of each hyperparameter in the names of trials."""
-
-
-def write_trials(runs: Sequence[Run], folder: Path) -> None:
-    """Write each trial of the searches of runs as a run of its own for TensorBoard.
-
-    It is a row of the HPARAMS tab, ``msvr primary/C100 s3 e1e-3``, where `best` is 1 for the best
-    trial of its search, and has the RMSE of each fold as a curve.
-    """
-    titles = [f"{run['model']} {run['group']}" for run in runs]
-    columns = {"model": "", "group": "", **dict.fromkeys(LETTERS, 0.0)}
-    for k, (run, title) in enumerate(zip(runs, titles, strict=True)):
-        if "search" not in run:
-            continue
-        if titles.count(title) > 1:
-            title = f"{title} {k}"
-        search = run["search"]
-        least = min(search["rmse"])
-        for setting, rmse, folds in zip(
-            search["settings"], search["rmse"], search["fold_rmse"], strict=True
-        ):
-            if not isinstance(rmse, float) or not math.isfinite(rmse):
-                continue
-            is_best = setting == search["best"]
-            name = trial_name(setting) + (" best" if is_best else "")
-            metrics = {"cv_rmse": rmse, "over_best": rmse / least, "best": float(is_best)}
-            with RunLog(folder / title / name, is_new=True) as run_log:
-                run_log.hyperparameters(
-                    {"model": run["model"], "group": run["group"], **setting},
-                    metrics,
-                    columns=columns,
-                    metric_columns=tuple(metrics),
-                    first=("model", "group", "C", "sigma", "epsilon"),  # as many as are shown
-                )
-                for fold, value in enumerate(folds, start=1):
-                    run_log.scalars("cv", {"rmse_of_fold": value}, fold)
-
-
-def trial_name(setting: Mapping[str, Any]) -> str:
-    """Return the name of a trial.
-
-    >>> trial_name({"C": 100.0, "epsilon": 1e-6, "sigma": 3.0, "optimizer": None})
-    'C100 s3 e1e-6'
-    """
-    ordered = sorted(setting, key=lambda key: [*LETTERS, key].index(key))
-    numbers = {key: setting[key] for key in ordered if isinstance(setting[key], int | float)}
-    texts = [f"{LETTERS.get(key, f'{key} ')}{_short(value)}" for key, value in numbers.items()]
-    return " ".join(texts) or "default"
-
-
-def _short(value: float) -> str:
-    """Return a number as text, small ones as 1e-3."""
-    if value == 0 or abs(value) >= 0.01:
-        return f"{value:g}"
-    mantissa, _, exponent = f"{value:e}".partition("e")
-    return f"{float(mantissa):g}e{int(exponent)}"
-
-
 def table5_markdown(runs: Sequence[Run], n_jobs: int) -> str:
     """Return best values, their error and the time of each search, after how many have ended."""
     searched = [run for run in runs if "search" in run]
@@ -398,15 +333,13 @@ class ByOutput(Callback):
     def on_multirun_end(self, config: DictConfig, **kwargs: Any) -> None:
         """Write by_output.csv and .md and print the table."""
         folder = Path(config.hydra.sweep.dir)
-        jobs = [path.parent.name for path in sorted(folder.glob("*/metrics.json"))]
+        runs = {p.parent.name: read_json(p) for p in sorted(folder.glob("*/metrics.json"))}
         rows: dict[str, dict[str, Any]] = {}
-        for swept in with_swept(folder, [{"job": job} for job in jobs], "job"):
+        for swept in with_swept(folder, [{"job": job} for job in runs], "job"):
             settings = {key: swept[key] for key in swept if key not in ("job", "group")}
             row = rows.setdefault(json.dumps(settings), settings)
-            for output, values in read_json(folder / swept["job"] / "metrics.json")[
-                "scores"
-            ].items():
-                row[output] = values["mape_percent"]
+            scores = runs[swept["job"]]["scores"]
+            row |= {output: values["mape_percent"] for output, values in scores.items()}
         if rows:
             records = list(rows.values())
             table = tabulate(records, "keys", "github", floatfmt=".3g", missingval="-")
