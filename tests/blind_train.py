@@ -1,6 +1,6 @@
 """A whole rail vehicle on a 3-D track, written without a look at the package's equations.
 
-It serves tests/benchmarks/named_parts.py: recordings whose every spring and damper is known. The
+It serves benchmarks/named_parts.py: recordings whose every spring and damper is known. The
 car body, two bogie frames and four wheelsets are rigid bodies that sway, bounce, roll, pitch and
 yaw; the body bends; the wheelsets stand on elastic contacts and creep (Kalker, linear). It is
 linear, so that its response to a track of random phases is exact in each bin of a Fourier transform

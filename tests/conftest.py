@@ -114,7 +114,7 @@ def _built_in_one_folder(tmp_path_factory):
         yield
 
 
-READ_APART = ("cli", "benchmarks", "tests")
+READ_APART = ("cli", "tests")
 """Folders whose tests read every file as users do, in a process of its own."""
 APART = ("attacks", "bounds", "confinement", "formats", "fuzz", "memory", "process")
 """Ends of names of modules of recordings that do so too."""

@@ -28,7 +28,7 @@ from suspnet.runs.predict import calibrated
 from suspnet.spectra.curves import CurveSettings
 
 ROOT = Path(__file__).parents[1]
-sys.path.append(str(ROOT / "tests" / "benchmarks"))
+sys.path.append(str(ROOT / "benchmarks"))
 import docs_tables  # noqa: E402
 
 README = ROOT / "README.md"
@@ -223,7 +223,7 @@ def test_every_command_of_other_programs_is_understood():
 
 
 def test_scripts_of_the_benchmarks_import_what_there_is():
-    for file in (ROOT / "tests" / "benchmarks").glob("*.py"):
+    for file in (ROOT / "benchmarks").glob("*.py"):
         for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
             for module in imported(node):
                 found = importlib.import_module(module)
@@ -241,7 +241,7 @@ def test_readme_is_short_and_has_the_two_commands_on_lines_of_their_own():
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_tables_are_those_of_the_results(page):
     text = page.read_text(encoding="utf-8")
-    assert docs_tables.filled(text)[0] == text, "run python tests/benchmarks/docs_tables.py"
+    assert docs_tables.filled(text)[0] == text, "run python benchmarks/docs_tables.py"
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)

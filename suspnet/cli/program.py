@@ -397,7 +397,7 @@ def one_line(error: BaseException) -> str:
     if prices := PRICES.search(given):
         message = f"{prices[0]} is gone: plan.risk, bundle_days and reach_km set what is done when"
     if moved := MOVED.search(message):
-        script = f"tests/benchmarks/{moved[1] or moved[2]}.py"
+        script = f"benchmarks/{moved[1] or moved[2]}.py"
         message = f"{moved[1] or moved[2]} is a script of the sources now: python {script} --help"
     if isinstance(error, OSError) and error.filename is not None:
         message = why(error)

@@ -51,7 +51,7 @@ COSTLY = 0.05
 
 Trains within the model family cost 0.1 % with sensor pairs and 3 % with sensors on one side;
 dampers that blow off leave a misfit of only 1.1 and cost more than this
-(tests/benchmarks/mismatch.py).
+(benchmarks/mismatch.py).
 """
 ALL_NOISE = 1.0
 """Misfit up to which the residual is noise alone, whatever the cost.

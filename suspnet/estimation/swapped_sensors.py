@@ -19,7 +19,7 @@ those places. Of 36 trips of three trains with everything at once, up to twelve 
 ways, the fits of the right place had 1.05 to 1.2 times the misfit of noise, those of the three
 others at least 4.4, but on four trips another place had smaller residuals. Of 204 trips of six
 trains, three of them plain, none was called wrong, and all 216 with another place given were found,
-14 of which the smallest residuals alone missed (tests/benchmarks/swapped_sensors.py). Healthy trips
+14 of which the smallest residuals alone missed (benchmarks/swapped_sensors.py). Healthy trips
 that the vehicle does not explain are looked at in the same way.
 """
 

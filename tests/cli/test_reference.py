@@ -20,7 +20,7 @@ from suspnet.cli.reference import COLUMNS, Reference
 from suspnet.simulation.true_vehicle import scattered
 
 ROOT = Path(__file__).parents[2]
-sys.path += [str(ROOT / "tests" / "benchmarks"), str(ROOT / "docs")]
+sys.path += [str(ROOT / "benchmarks"), str(ROOT / "docs")]
 import configuration_page  # noqa: E402
 from config_comments import commented  # noqa: E402
 

@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
-from benchmarks.prognostics import alpha_lambda, cumulative_relative_accuracy
-from benchmarks.wear_histories import make_histories
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
+from benchmarks.prognostics import alpha_lambda, cumulative_relative_accuracy
+from benchmarks.wear_histories import make_histories
 from suspnet.maintenance.degradation import MODELS
 from suspnet.maintenance.first_passage import HORIZON_KM
 from suspnet.maintenance.fleet import learn_fleet

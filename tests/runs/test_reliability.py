@@ -1,4 +1,4 @@
-"""Curves out of range are flagged, and intervals hold the truth: as tests/benchmarks measures."""
+"""Curves out of range are flagged, and intervals hold the truth: as benchmarks measures."""
 
 import sys
 from pathlib import Path
@@ -15,8 +15,8 @@ from suspnet.runs.predict import calibrated, predict_stream
 from suspnet.spectra.curves import CurveSettings
 from tests.vehicles import AM96
 
-sys.path.append(str(Path(__file__).parents[1] / "benchmarks"))
-reliability = pytest.importorskip("reliability", reason="needs tests/benchmarks")
+sys.path.append(str(Path(__file__).parents[2] / "benchmarks"))
+reliability = pytest.importorskip("reliability", reason="needs benchmarks")
 
 SETTINGS = CurveSettings(n_train=500, n_test=200, n_calibrate=600, step_hz=0.08, cache_dir=None)
 ICE3 = Vehicle("ice3", 1750.0, 10000.0, 1.2e6, 10e3, 0.35e6, 20e3)

@@ -38,7 +38,7 @@ NEVER = {"blow_off_m_per_s": 1e6}
 FULL = RichVehicle(**dict.fromkeys(PARTS, True))
 LINEAR = replace(FULL, friction_share=1e-12, **NEVER)
 BENT = RichVehicle(bending=True)
-SCRIPT = Path(__file__).parents[1] / "benchmarks" / "mismatch.py"
+SCRIPT = Path(__file__).parents[2] / "benchmarks" / "mismatch.py"
 
 
 def waves(frequencies_hz, velocity=0.01):

@@ -6,7 +6,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from benchmarks.foreign_trains import CASES
 from reference import phasors
 from rich_modes import Modes, simulate_modes
 from rich_motion import simulate
@@ -27,6 +26,7 @@ from scipy.signal import csd
 from trips_reference import pitching_matrices, pitching_numbers
 from vehicles import AM96
 
+from benchmarks.foreign_trains import CASES
 from suspnet.dynamics import PARAMETERS, VerticalVehicle
 from suspnet.dynamics.quantities import UNMEASURED
 from suspnet.spectra.estimates import EstimateSettings

@@ -1,0 +1,383 @@
+"""What it costs to read trips of a vehicle that is not the one that a model was trained for.
+
+python benchmarks/mismatch.py [--time] [--cases none bending ...] [--readings nominal ...]
+    [--seeds 0 1 2]
+
+Each case is a train of tests/rich_train.py, for each seed with numbers of its own: first healthy
+trips, then trips of worn vehicles, one each. Trips are drawn as spectra, exact in distribution, or
+with --time stepped in time, written to files and read as recordings are. "Commissioned" fits the
+vehicle to the healthy trips and trains on what they leave open; "nominal" trains on the vehicle
+file alone.
+Adds bias, rms error and coverage of the 90 % intervals to mismatch.csv, case by case, in place of
+what it held of the same ones, and writes mismatch.md.
+"""
+
+import csv
+import itertools
+import sys
+import tempfile
+import time
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import torch
+from cells import Parser, Row, at_least
+from foreign_trains import CASES, TESTS, Case
+from hydra import compose, initialize_config_dir
+from rich_spectra import drawn_estimates
+from rich_train import RichTrain
+from rich_train_trips import true_ratios, write_train_trips
+from rich_trips import SENSORS, drawn_ratios
+from tabulate import tabulate
+
+from suspnet.cli import program  # noqa: F401 - makes our resolvers known to Hydra
+from suspnet.cli.kinds import build
+from suspnet.dynamics.quantities import LogNormal
+from suspnet.estimation.commissioning import Commissioned, commission
+from suspnet.estimation.estimate import Estimate
+from suspnet.estimation.from_spectra import estimate_with_noise
+from suspnet.estimation.healthy_misfit import HealthySpectra
+from suspnet.estimation.problem import TRAIN, Problem
+from suspnet.estimation.relative_velocity import NOTE
+from suspnet.estimation.trained import TrainedModel
+from suspnet.estimation.trip_settings import TripSettings
+from suspnet.ground.parameters import FORWARD, Direction
+from suspnet.recordings.manifest_files import find_manifests
+from suspnet.runs.commissioning import FAMILY as FAMILY_PARTS
+from suspnet.runs.commissioning import commission_folder
+from suspnet.runs.fit import fit
+from suspnet.runs.predict import calibrated, with_unexplained
+from suspnet.simulation import Fleet
+from suspnet.spectra.cross_spectra import CrossSpectra
+from suspnet.spectra.estimates import EstimateSettings
+from suspnet.spectra.segments import NoEstimateError, Speeds
+
+RESULTS = TESTS.parent / "benchmarks" / "results"
+NOMINAL, COMMISSIONED = READINGS = ("nominal", "commissioned")
+KEYS = ("case", "trips", "reading", "seed")
+"""Columns that tell the rows of one run."""
+LEVEL = 0.9
+IN_TABLE = ("bias_percent", "rms_percent", "coverage_percent")
+"""What the table shows of each output, parted by a slash."""
+
+
+@dataclass(frozen=True)
+class Trips:
+    """Trips of one train, healthy ones first.
+
+    Attributes
+    ----------
+    case : Case
+    given : sequence of CrossSpectra or Path
+        Spectra or manifests.
+    truth : array of shape (n_trips, 5), [-]
+    n_healthy : int
+    speeds, directions : sequence of Speeds, of Direction
+        Of each trip that is given as spectra; no direction is forward.
+    """
+
+    case: Case
+    given: Sequence[CrossSpectra | Path]
+    truth: np.ndarray
+    n_healthy: int
+    speeds: Sequence[Speeds] = ()
+    directions: Sequence[Direction] = ()
+
+
+def configuration(options, case, *overrides):
+    """Return the configuration of experiment=trips."""
+    rates = [sensor["rate_hz"] for sensor in SENSORS.values()]
+    given = [f"data.rates_hz={rates}", f"data.minutes={options.minutes}", *options.train]
+    given += [f"generator.sensor_lateral_m={case.lateral_m}", f"data.cache_dir={options.cache}"]
+    if "friction" in case.effects:  # its file says so, that of the others says that there is none
+        given += ["vehicle.primary_friction_share=0.15"]
+    if "blow_off" in case.effects:
+        given += [f"vehicle.{which}_blow_off_m_per_s=0.06" for which in ("primary", "secondary")]
+    if case.speeds is not None:
+        given += [f"speed_m_per_s={sum(case.speeds) / 2}"]
+    with initialize_config_dir(str(TESTS.parent / "configs"), version_base="1.3"):
+        return compose("train", overrides=["experiment=trips", *given, *overrides])
+
+
+def settings_of(options, case: Case) -> EstimateSettings:
+    """Return the bins, leakage, averages and noise of the trips of a case."""
+    config = configuration(options, case)
+    return build(config, "data").bound(build(config, "generator").vehicle)
+
+
+def drawn_spectra(
+    case: Case, train: RichTrain, ratios: np.ndarray, settings: EstimateSettings, seed: int
+) -> list[CrossSpectra]:
+    """Return the spectra of a trip of each row of ratios."""
+    drawn = drawn_estimates(train, ratios, settings, seed, case.sides)
+    parts = zip(drawn.auto, drawn.cross, strict=True)
+    return [CrossSpectra(*p, drawn.n_averages) for p in parts]
+
+
+def drawn_at(
+    options, case: Case, ratios: np.ndarray, alike: Sequence[tuple[float, bool]], first: int = 0
+) -> list[CrossSpectra]:
+    """Return the spectra of trips in order of `alike`: the speed [m/s] of each, and if at fault.
+
+    `first` is the number of the first trip, from which its noise follows.
+    """
+    settings, spectra = settings_of(options, case), []
+    for speed, with_faults in dict.fromkeys(alike):
+        rows = [i for i, one in enumerate(alike) if one == (speed, with_faults)]
+        there = case.train(options.seed, with_faults).at(speed)
+        seed = options.seed + 1000 * (first + rows[0])
+        spectra += drawn_spectra(case, there, ratios[rows], settings, seed)
+    return spectra
+
+
+def made(options, case: Case, folder: Path) -> Trips:
+    """Return the trips of a case."""
+    n_trips = options.healthy + options.trips
+    fleet = Fleet(n_trips=n_trips, minutes=options.minutes, sensors=SENSORS)
+    ratios = drawn_ratios(options.healthy, fleet, options.seed)
+    train = case.train(options.seed)
+    truth = np.array([list(true_ratios(train, row, case.sides).values()) for row in ratios])
+    if options.time:
+        sides = "pair" if case.sides == "mean" else case.sides
+        each = options.healthy, options.trips, options.seed
+        ways = {"speeds_m_per_s": case.speeds_of(*each), "roughness": case.roughness_of(*each)}
+        write_train_trips(folder, train, ratios, fleet, options.seed, sides, **ways)
+        return Trips(case, find_manifests(folder), truth, options.healthy)
+    speeds = case.speeds_of(options.healthy, options.trips, options.seed)
+    at_fault = [bool(case.faults) and i >= options.healthy for i in range(n_trips)]
+    spectra = drawn_at(options, case, ratios, list(zip(speeds, at_fault, strict=True)))
+    at = [Speeds((speed,), (1.0,)) for speed in speeds]
+    return Trips(case, spectra, truth, options.healthy, at)
+
+
+def commissioned(config, trips: Trips, folder: Path) -> Commissioned:
+    """Return the vehicle that the healthy trips show."""
+    generator, settings = build(config, "generator"), build(config, "data")
+    if isinstance(trips.given[0], Path):
+        n_first = trips.n_healthy
+        return commission_folder(folder, generator, settings, TripSettings(), n_first=n_first)[1]
+    seen = any(trips.case.lateral_m)
+    given = generator.parts or FAMILY_PARTS
+    parts = tuple(part for part in given if seen or part != "roll")
+    prior = replace(generator, parts=parts, distribution=LogNormal.prior(parts))
+    n = trips.n_healthy
+    healthy = zip(trips.speeds[:n], trips.given[:n], trips.directions or [FORWARD] * n, strict=True)
+    groups = [HealthySpectra(i, f"trip {i}", *one) for i, one in enumerate(healthy)]
+    return commission(prior, settings.bound(generator.vehicle), groups)
+
+
+def trained(config, generator, vehicle: Commissioned | None = None) -> tuple[TrainedModel, float]:
+    """Return the calibrated model of a generator's vehicles, and the seconds of its training.
+
+    A commissioned vehicle's model knows what its healthy trips leave unexplained.
+    """
+    task, settings = build(config, "protocol").task(config.group), build(config, "data")
+    problem = Problem(generator, task, settings, seed=config.seed)
+    start = time.process_time()
+    problem.features(TRAIN)
+    model = calibrated(problem, fit(problem, build(config, "model"), None))
+    if vehicle is not None:
+        model = with_unexplained(problem, model, vehicle.residual)
+        if vehicle.laws.velocity is not None:
+            noted = {NOTE: asdict(vehicle.laws.velocity)}
+            model = replace(model, training=model.training | {"commissioned": noted})
+            print(vehicle.laws.velocity, file=sys.stderr)
+    return model, time.process_time() - start
+
+
+def read(model: TrainedModel, trips: Trips) -> list[Estimate | None]:
+    """Return the estimate of each trip, None where there is none."""
+    found: list[Estimate | None] = []
+    for i, one in enumerate(trips.given):
+        try:
+            if isinstance(one, Path):
+                found.append(model.estimate(one, level=LEVEL))
+            else:
+                found.append(estimate_with_noise(model, one, LEVEL, trips.speeds[i])[0])
+        except NoEstimateError as reason:
+            print(reason, file=sys.stderr)
+            found.append(None)
+    return found
+
+
+def measured(trips: Trips, estimates: Sequence[Estimate | None], relative: bool) -> list[Row]:
+    """Return a row for each output: errors and coverage over the trips that are not healthy.
+
+    With `relative` springs and dampers are relative to the median of the healthy trips.
+    """
+    healthy = [e for e in estimates[: trips.n_healthy] if e is not None]
+    worn = [i for i in range(trips.n_healthy, len(estimates)) if estimates[i] is not None]
+    done = [estimates[i] for i in worn]
+    head = {"n_trips": len(estimates) - trips.n_healthy, "n_read": len(done)}
+    flagged = np.array([bool(e.flags.flagged[0]) for e in done], dtype=bool)
+    head["n_flagged"] = int(flagged.sum())
+    rows = []
+    for j, name in enumerate(done[0].names if done else ()):
+        reference = 1.0
+        if relative and name != "M_s":
+            reference = float(np.median([e.values[0, j] for e in healthy]))
+        values, low, high = (
+            np.array([getattr(e, part)[0, j] for e in done]) / reference
+            for part in ("values", "low", "high")
+        )
+        truth = trips.truth[worn, j]
+        errors, held = 100 * (values / truth - 1), (low <= truth) & (truth <= high)
+        row = head | {
+            "output": name,
+            "bias_percent": float(errors.mean()),
+            "rms_percent": float(np.sqrt(np.mean(errors**2))),
+            "coverage_percent": 100 * float(held.mean()),
+            "half_width_percent": 50 * float(np.median(np.log(high / low))),
+        }
+        if not flagged.all():
+            row["unflagged_coverage_percent"] = 100 * float(held[~flagged].mean())
+        rows.append(row)
+    return rows
+
+
+def case_rows(options, name: str, folder: Path) -> list[Row]:
+    """Return the rows of one case."""
+    case, trips = CASES[name], made(options, CASES[name], folder)
+    head = {"case": name, "trips": "time" if options.time else "spectra", "seed": options.seed}
+    rows = []
+
+    def add(reading, model, seconds, more, references=("vehicle",)):
+        start = time.process_time()
+        estimates = read(model, trips)
+        each = (time.process_time() - start) / len(estimates)
+        told = {"reading": reading, "train_s": seconds, "trip_s": each, **more}
+        for reference in references:
+            found = measured(trips, estimates, reference == "first_trips")
+            rows.extend(head | told | {"reference": reference} | row for row in found)
+
+    if NOMINAL in options.readings:
+        add(NOMINAL, *nominal(options, case), {}, ("vehicle", "first_trips"))
+    if COMMISSIONED in options.readings:
+        config = configuration(options, case)
+        start = time.process_time()
+        vehicle = commissioned(config, trips, folder)
+        more = {"misfit": vehicle.misfit, "commission_s": time.process_time() - start}
+        add(COMMISSIONED, *trained(config, vehicle.generator, vehicle), more)
+    return rows
+
+
+def nominal(options, case: Case) -> tuple[TrainedModel, float]:
+    """Return the model of the vehicle file's numbers, the same one for cases of the same sides."""
+    if case.sides not in _NOMINAL:
+        config = configuration(options, Case(), "generator.parts=[]")
+        _NOMINAL[case.sides] = trained(config, build(config, "generator"))
+    return _NOMINAL[case.sides]
+
+
+_NOMINAL: dict[str, tuple[TrainedModel, float]] = {}
+
+
+def merged(old: Sequence[Row], new: Sequence[Row]) -> list[Row]:
+    """Return old and new rows in the order of `CASES`, without old ones of the same runs."""
+    runs = {tuple(str(row[key]) for key in KEYS) for row in new}
+    kept = [r for r in old if tuple(str(r[key]) for key in KEYS) not in runs]
+    order = list(CASES)
+
+    def place(row: Row) -> tuple[int, str, str, int]:
+        reading = READINGS.index(row["reading"])
+        return order.index(row["case"]), row["trips"], reading, int(row["seed"])
+
+    return sorted([*kept, *new], key=place)
+
+
+def read_table(path: Path) -> list[Row]:
+    """Return the rows that a former run left, as texts; none if it is not there."""
+    if not path.exists():
+        return []
+    with path.open(newline="") as file:
+        rows = csv.DictReader(file)
+        return [r for r in rows if r.get("case") in CASES and r.get("reading") in READINGS]
+
+
+def write(rows: Sequence[Row], path: Path) -> None:
+    """Write rows as CSV."""
+    with path.open("w", newline="") as file:
+        writer = csv.DictWriter(file, dict.fromkeys(key for row in rows for key in row))
+        writer.writeheader()
+        for row in rows:
+            writer.writerow({k: f"{v:.4g}" if isinstance(v, float) else v for k, v in row.items()})
+
+
+def table(rows: Sequence[Row]) -> str:
+    """Return one line for each case, reading, reference and seed."""
+    lines: dict[tuple[str, ...], list[str]] = {}
+    for row in rows:
+        key = tuple(row[name] for name in ("case", "trips", "reading", "reference", "seed"))
+        counts = [f"{row['n_read']} of {row['n_trips']}", str(row["n_flagged"])]
+        counts += [short(row.get(name)) for name in ("misfit", "train_s")]
+        line = lines.setdefault(key, [*key, *counts])
+        line.append(" / ".join(short(row.get(name)) for name in IN_TABLE))
+    outputs = list(dict.fromkeys(row["output"] for row in rows))
+    headers = ["train has", "trips", "reading", "healthy is", "seed", "read", "flagged", "misfit"]
+    headers += ["training, s", *outputs]
+    return tabulate(list(lines.values()), headers, tablefmt="pipe", disable_numparse=True)
+
+
+def short(number) -> str:
+    """Return two digits, all of those before the point."""
+    if number in (None, ""):
+        return "-"
+    number = float(number)
+    return f"{number:.0f}" if abs(number) >= 9.95 else f"{number:.2g}"
+
+
+def run_all(options, folder: Path) -> None:
+    """Make and read each case; the results are complete up to the last at any time."""
+    for seed, name in itertools.product(options.seeds, options.cases):
+        options.seed, start = seed, time.perf_counter()
+        with tempfile.TemporaryDirectory(dir=folder) as trips:
+            new = case_rows(options, name, Path(trips) / "trips")
+        rows = merged(read_table(options.output / "mismatch.csv"), new)
+        write(rows, options.output / "mismatch.csv")
+        words = (
+            f"Worn vehicles after {options.healthy} healthy trips, {options.minutes:g} minutes "
+            f"each; bias / rms error / coverage of {100 * LEVEL:.0f} % "
+            "intervals in %; seconds are of one processor."
+        )
+        if options.train:
+            words += f" Settings: {', '.join(options.train)}."
+        (options.output / "mismatch.md").write_text(f"{table(rows)}\n\n{words}\n")
+        print(
+            f"{name}, seed {options.seed}: {time.perf_counter() - start:.0f} s\n{table(new)}",
+            flush=True,
+        )
+
+
+def main() -> None:
+    parser = Parser(description=__doc__.splitlines()[0])
+    parser.add_argument("--time", action="store_true", help="step trips in time, read from files")
+    parser.add_argument("--cases", nargs="+", choices=CASES, help="default: all that can be")
+    parser.add_argument("--readings", nargs="+", choices=READINGS, default=list(READINGS))
+    parser.add_argument("--trips", type=at_least(1), default=30, help="worn vehicles, a trip each")
+    parser.add_argument("--healthy", type=at_least(3), default=5, help="trips to commission on")
+    parser.add_argument("--minutes", type=at_least(1, float), default=20.0, help="of a trip")
+    parser.add_argument("--seeds", nargs="+", type=int, default=[0, 1, 2], help="a train each")
+    parser.add_argument("--train", nargs="+", default=[], help="more settings, as for train.py")
+    parser.add_argument("--output", type=Path, default=RESULTS, help="folder of the tables")
+    options = parser.parse_args()
+    lacking = "in_spectra_only" if options.time else "in_time_only"
+    if options.cases is None:
+        options.cases = [name for name, case in CASES.items() if not getattr(case, lacking)]
+    wrong = [name for name in options.cases if getattr(CASES[name], lacking)]
+    if wrong:
+        give = "leave out --time" if options.time else "give --time"
+        parser.error(f"{give} for {', '.join(wrong)}")
+    torch.set_num_threads(1)
+    try:
+        options.output.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory() as temporary:
+            options.cache = Path(temporary) / "cache"
+            run_all(options, Path(temporary))
+    except (OSError, ValueError) as error:
+        parser.error(f"{error}")
+
+
+if __name__ == "__main__":
+    main()
