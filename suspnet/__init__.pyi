@@ -9,12 +9,13 @@ from suspnet.dynamics.quarter_car import QuarterCar as QuarterCar
 from suspnet.dynamics.spatial_vehicle import SpatialVehicle as SpatialVehicle
 from suspnet.dynamics.vehicle import Vehicle as Vehicle
 from suspnet.dynamics.vertical_vehicle import VerticalVehicle as VerticalVehicle
-from suspnet.estimation.bogie_fit import CommissionedBogie as CommissionedBogie
 from suspnet.estimation.bogie_fit import PartsEstimate as PartsEstimate
 from suspnet.estimation.bogie_fit import commission_bogie as commission_bogie
+from suspnet.estimation.bogie_fit import fit_parts as fit_parts
 from suspnet.estimation.bogie_trips import bogie_trip as bogie_trip
 from suspnet.estimation.checkpoint import load_model as load_model
 from suspnet.estimation.checkpoint import save_model as save_model
+from suspnet.estimation.commissioned_bogie import CommissionedBogie as CommissionedBogie
 from suspnet.estimation.commissioning import Commissioned as Commissioned
 from suspnet.estimation.commissioning import commission as commission
 from suspnet.estimation.estimate import Estimate as Estimate

@@ -24,7 +24,7 @@ from suspnet.cli.commission_fleet import (
 )
 from suspnet.cli.kinds import build
 from suspnet.dynamics import ResponseGenerator, VerticalVehicle
-from suspnet.estimation.bogie_fit import CommissionedBogie
+from suspnet.estimation.commissioned_bogie import CommissionedBogie
 from suspnet.estimation.flags import Residual
 from suspnet.estimation.healthy_trips import read_healthy
 from suspnet.estimation.problem import Problem

@@ -25,17 +25,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 import torch
 from scipy.stats import norm
-from torch import Tensor
 
 from suspnet.dynamics import SpatialVehicle
 from suspnet.dynamics.quantities import LogNormal
 from suspnet.estimation.bogie_search import N_OWN, NEARLY_EXPLAINED, BogieSearch
-from suspnet.estimation.estimate import Estimate, Flags, HealthyValues
+from suspnet.estimation.commissioned_bogie import CommissionedBogie
+from suspnet.estimation.estimate import Estimate, Flags
 from suspnet.estimation.intervals import COMMON
 from suspnet.estimation.trip_settings import LEAST_TRIPS
 from suspnet.ground.parameters import COMPONENTS
@@ -49,53 +48,6 @@ ALIGNED = 0.15
 """Fraction of unexplained residuals that acts like a change of a part. Found on two trains of
 tests/blind_train.py (seeds 0 and 1, misfits of 1.7 to 6.9, 128 trips with one worn part of twelve
 each at most): intervals without it held 45 to 57 % at a misfit of 2, and 15 to 40 % at 6."""
-
-
-@dataclass(frozen=True, repr=False)
-class CommissionedBogie(ShortRepr):
-    """A bogie as its healthy trips show it.
-
-    `generator` has the posterior of its numbers as its distribution, `noise` (n_sensors,)
-    [(m/s^2)^2/Hz] is that of its sensors, `misfit` the rms of the residuals over that of the noise,
-    `masses` [-] the car-body mass of each trip over nominal.
-    """
-
-    generator: SpatialVehicle
-    noise: Tensor
-    masses: FloatArray
-    misfit: float
-    converged: bool
-
-    @cached_property
-    def healthy(self) -> HealthyValues:
-        """Healthy values of ``COMPONENTS`` in SI units, which estimates are relative to."""
-        return HealthyValues.of(self.generator, COMPONENTS)
-
-    def estimate(
-        self, trip: BogieTrip, level: float = 0.9, start: FloatArray | None = None
-    ) -> PartsEstimate:
-        """Return the ratio to healthy of every part on a later trip.
-
-        `start` (13,) are ratios near it, such as those of an earlier trip: the search starts there,
-        or from the healthy vehicle where that is nearer. If it does not explain the trip, it starts
-        from the healthy vehicle in bands that widen. ValueError if the trip has another number of
-        sensors.
-        """
-        assert self.generator.sensors is not None
-        noise = self.noise[trip.kept(self.generator.sensors)]
-        # far from the healthy trips' mass, as by a wrong one on the drawing, valleys differ
-        mass = float(np.exp(np.log(self.masses).mean()))
-        fit = BogieSearch(self.generator, [noise], [trip], are_healthy=False, mass=mass)
-        explained = EXPLAINED * max(1.0, self.misfit)
-        near, first = (fit.start(), 0) if start is None else (fit.nearer(start), 2)
-        found = fit.narrowed(near, first).finished(NEARLY_EXPLAINED * explained)
-        if not found.explains(explained):
-            found = min(found, fit.found(explained), key=lambda one: one.misfit)
-        fit, x, misfit = found.fit, found.x, found.misfit
-        unexplained = max(0.0, max(misfit, self.misfit) ** 2 - EXPLAINED**2)
-        excess = max(1.0, misfit) ** 2 + ALIGNED**2 * fit.n_residuals * unexplained
-        covariance = COMMON**2 * fit.covariance(x, excess)[-N_OWN:, -N_OWN:]
-        return PartsEstimate(np.exp(x[-N_OWN:]), covariance, misfit, found.converged, level)
 
 
 @dataclass(frozen=True, repr=False)
@@ -122,6 +74,36 @@ class PartsEstimate(ShortRepr):
         rows = self.values[None], (self.values * np.exp(-half))[None]
         high = (self.values * np.exp(half))[None]
         return Estimate(COMPONENTS, *rows, high, self.level, Flags.none(1))
+
+
+def fit_parts(
+    bogie: CommissionedBogie,
+    trip: BogieTrip,
+    level: float = 0.9,
+    start: FloatArray | None = None,
+) -> PartsEstimate:
+    """Return the ratio to healthy of every part on a later trip.
+
+    `start` (13,) are ratios near it, such as those of an earlier trip: the search starts there,
+    or from the healthy vehicle where that is nearer. If it does not explain the trip, it starts
+    from the healthy vehicle in bands that widen. ValueError if the trip has another number of
+    sensors.
+    """
+    assert bogie.generator.sensors is not None
+    noise = bogie.noise[trip.kept(bogie.generator.sensors)]
+    # far from the healthy trips' mass, as by a wrong one on the drawing, valleys differ
+    mass = float(np.exp(np.log(bogie.masses).mean()))
+    fit = BogieSearch(bogie.generator, [noise], [trip], are_healthy=False, mass=mass)
+    explained = EXPLAINED * max(1.0, bogie.misfit)
+    near, first = (fit.start(), 0) if start is None else (fit.nearer(start), 2)
+    found = fit.narrowed(near, first).finished(NEARLY_EXPLAINED * explained)
+    if not found.explains(explained):
+        found = min(found, fit.found(explained), key=lambda one: one.misfit)
+    fit, x, misfit = found.fit, found.x, found.misfit
+    unexplained = max(0.0, max(misfit, bogie.misfit) ** 2 - EXPLAINED**2)
+    excess = max(1.0, misfit) ** 2 + ALIGNED**2 * fit.n_residuals * unexplained
+    covariance = COMMON**2 * fit.covariance(x, excess)[-N_OWN:, -N_OWN:]
+    return PartsEstimate(np.exp(x[-N_OWN:]), covariance, misfit, found.converged, level)
 
 
 def healthy_search(generator: SpatialVehicle, trips: Sequence[BogieTrip]) -> BogieSearch:

@@ -13,7 +13,8 @@ from torch import Tensor
 
 from suspnet.dynamics import SpatialVehicle, VerticalVehicle
 from suspnet.dynamics.spatial_numbers import PLACES
-from suspnet.estimation.bogie_fit import CommissionedBogie
+from suspnet.estimation.bogie_fit import fit_parts
+from suspnet.estimation.commissioned_bogie import CommissionedBogie
 from suspnet.estimation.estimate import Estimate
 from suspnet.estimation.flags import with_bogie_doubt
 from suspnet.estimation.intervals import LARGEST_MISFIT
@@ -226,7 +227,7 @@ def estimate_parts(
     trip = bogie_trip(recording, bogie.generator, settings, direction)
     if settings.check_channels:
         check_order(bogie.generator, trip)
-    parts = bogie.estimate(trip, settings.level)
+    parts = fit_parts(bogie, trip, settings.level)
     most = LARGEST_MISFIT * max(1.0, bogie.misfit)
     if not parts.misfit <= most:  # also NaN
         furthest = COMPONENTS[int(np.argmax(np.abs(np.log(parts.values[:-1]))))]

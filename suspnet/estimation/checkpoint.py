@@ -15,7 +15,7 @@ import torch
 
 from suspnet._version import __version__
 from suspnet.dynamics import GENERATORS, SpatialVehicle, Vehicle
-from suspnet.estimation.bogie_fit import CommissionedBogie
+from suspnet.estimation.commissioned_bogie import CommissionedBogie
 from suspnet.estimation.fitted import ModelFileError
 from suspnet.estimation.flags import OODDetector, Unexplained
 from suspnet.estimation.intervals import Intervals

@@ -22,7 +22,7 @@ import torch
 
 from suspnet.dynamics import VerticalVehicle
 from suspnet.dynamics.quantities import OF_THE_TRIP, QUANTITIES, LogNormal
-from suspnet.estimation.bogie_fit import CommissionedBogie
+from suspnet.estimation.commissioned_bogie import CommissionedBogie
 from suspnet.estimation.damping_laws import Laws
 from suspnet.estimation.flags import Residual
 from suspnet.estimation.healthy_misfit import HealthyMisfit, HealthySpectra

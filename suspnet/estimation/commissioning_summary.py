@@ -17,7 +17,8 @@ from suspnet.dynamics.quantities import (
     UNMEASURED,
     Quantity,
 )
-from suspnet.estimation.bogie_fit import EXPLAINED, CommissionedBogie
+from suspnet.estimation.bogie_fit import EXPLAINED
+from suspnet.estimation.commissioned_bogie import CommissionedBogie
 from suspnet.estimation.commissioning import Commissioned
 from suspnet.estimation.flags import INCOMPLETE, UNTRUSTED
 from suspnet.estimation.healthy_trips import HealthyTrips

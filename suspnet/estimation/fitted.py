@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from torch import Tensor
 
 from suspnet.dynamics import ResponseGenerator, Vehicle
-from suspnet.estimation.bogie_fit import CommissionedBogie
+from suspnet.estimation.commissioned_bogie import CommissionedBogie
 from suspnet.estimation.estimate import Flags, HealthyValues
 from suspnet.estimation.flags import OODDetector, Unexplained
 from suspnet.estimation.intervals import Intervals

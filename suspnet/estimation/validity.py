@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from suspnet.estimation.bogie_fit import CommissionedBogie
+from suspnet.estimation.commissioned_bogie import CommissionedBogie
 from suspnet.estimation.problem import Problem
 from suspnet.estimation.relative_velocity import DampingByVelocity
 from suspnet.estimation.temperature import DampingByTemperature

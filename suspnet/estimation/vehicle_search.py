@@ -32,7 +32,7 @@ import torch
 from torch import Tensor
 
 from suspnet.dynamics.quantities import MASS_MEAN, LogNormal
-from suspnet.estimation.bogie_fit import CommissionedBogie
+from suspnet.estimation.commissioned_bogie import CommissionedBogie
 from suspnet.estimation.healthy_misfit import HealthyMisfit, row_of
 from suspnet.ground.types import FloatArray
 from suspnet.learning.least_squares import LevenbergMarquardt

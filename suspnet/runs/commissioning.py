@@ -11,7 +11,8 @@ from pathlib import Path
 from suspnet.dynamics import ResponseGenerator, VerticalVehicle
 from suspnet.dynamics.quantities import PARTS, LogNormal
 from suspnet.estimation import commissioning_summary as words
-from suspnet.estimation.bogie_fit import EXPLAINED, CommissionedBogie, commission_bogie
+from suspnet.estimation.bogie_fit import EXPLAINED, commission_bogie
+from suspnet.estimation.commissioned_bogie import CommissionedBogie
 from suspnet.estimation.commissioning import Commissioned, as_bogie, commission
 from suspnet.estimation.healthy_trips import HealthyTrips, read_healthy
 from suspnet.estimation.lone_sensors import SIDE_M

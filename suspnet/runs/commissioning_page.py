@@ -17,7 +17,8 @@ from matplotlib.ticker import NullFormatter
 
 from suspnet._version import __version__
 from suspnet.estimation import commissioning_summary as words
-from suspnet.estimation.bogie_fit import EXPLAINED, CommissionedBogie
+from suspnet.estimation.bogie_fit import EXPLAINED
+from suspnet.estimation.commissioned_bogie import CommissionedBogie
 from suspnet.estimation.commissioning import Commissioned
 from suspnet.estimation.flags import INCOMPLETE
 from suspnet.estimation.healthy_trips import HealthyTrips

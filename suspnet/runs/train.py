@@ -23,8 +23,8 @@ from typing import Any
 import torch
 from tabulate import tabulate
 
-from suspnet.estimation.bogie_fit import CommissionedBogie
 from suspnet.estimation.checkpoint import check_restores, check_saveable, write_model
+from suspnet.estimation.commissioned_bogie import CommissionedBogie
 from suspnet.estimation.flags import Residual, Unexplained
 from suspnet.estimation.problem import TEST, Problem
 from suspnet.estimation.trained import TrainedModel

@@ -14,8 +14,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from suspnet.estimation.bogie_fit import CommissionedBogie
 from suspnet.estimation.bogie_trips import UNEXPLAINED, UnexplainedError
+from suspnet.estimation.commissioned_bogie import CommissionedBogie
 from suspnet.estimation.estimate import Estimate, HealthyValues
 from suspnet.estimation.from_recording import at_healthy_temperature, both_ways
 from suspnet.estimation.from_spectra import trip_settings

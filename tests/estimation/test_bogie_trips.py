@@ -14,7 +14,7 @@ from vehicles import AM96
 
 from suspnet.dynamics import SpatialVehicle, VerticalVehicle
 from suspnet.estimation import bogie_trips
-from suspnet.estimation.bogie_fit import CommissionedBogie, PartsEstimate, commission_bogie
+from suspnet.estimation.bogie_fit import PartsEstimate, commission_bogie, fit_parts
 from suspnet.estimation.bogie_trips import (
     SPACING_HZ,
     bogie_trip,
@@ -23,6 +23,7 @@ from suspnet.estimation.bogie_trips import (
     sensor_places,
     show_parts,
 )
+from suspnet.estimation.commissioned_bogie import CommissionedBogie
 from suspnet.estimation.direction import direction_of
 from suspnet.estimation.flags import BOGIE_NOT_CONVERGED
 from suspnet.estimation.from_recording import both_ways
@@ -141,13 +142,8 @@ def test_parts_read_with_a_doubtful_bogie_are_flagged(
     trip = SimpleNamespace(lost=("frame_axle1_left", "axle_box_axle2_left"))
     monkeypatch.setattr(bogie_trips, "bogie_trip", lambda *_: trip)
     parts = PartsEstimate(np.ones(13), 1e-4 * np.eye(13), 1.0, True, 0.9)
-    bogie = SimpleNamespace(
-        generator=VEHICLE,
-        misfit=misfit,
-        converged=converged,
-        healthy=None,
-        estimate=lambda *_: parts,
-    )
+    monkeypatch.setattr(bogie_trips, "fit_parts", lambda *_: parts)
+    bogie = CommissionedBogie(VEHICLE, torch.ones(6), np.ones(3), misfit, converged)
     estimate = estimate_parts(bogie, short, TripSettings(check_channels=False))
     (found,) = estimate.flags.reasons
     assert found.startswith(reason)
@@ -287,7 +283,7 @@ def test_the_worn_part_of_an_unknown_train_is_found_from_recordings(tmp_path):
     trips = [bogie_trip(one, VEHICLE) for one in recordings(tmp_path, ratios, 20.0)]
     commissioned = commission_bogie(VEHICLE, trips[:5])
     assert commissioned.misfit < 1.2
-    found = commissioned.estimate(trips[5])
+    found = fit_parts(commissioned, trips[5])
     errors = found.values / ratios[5] - 1
     springs = np.array([name.startswith("k") for name in COMPONENTS])
     assert np.abs(errors[springs]).max() < 0.01

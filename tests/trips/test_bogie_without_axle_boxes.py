@@ -9,7 +9,7 @@ import yaml
 from vehicles import AM96
 
 from suspnet.dynamics import VerticalVehicle
-from suspnet.estimation.bogie_fit import CommissionedBogie
+from suspnet.estimation.commissioned_bogie import CommissionedBogie
 from suspnet.estimation.commissioning_summary import NO_CURVES
 from suspnet.estimation.healthy_trips import read_healthy
 from suspnet.estimation.trip_settings import TripSettings
