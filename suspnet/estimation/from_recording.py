@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
+from pathlib import Path
 from typing import TypeAlias
 
 import numpy as np
@@ -37,7 +38,8 @@ from suspnet.estimation.trip_settings import TripSettings
 from suspnet.ground.findings import Finding, together
 from suspnet.recordings.errors import TripError
 from suspnet.recordings.manifest import CHANNELS
-from suspnet.recordings.recording import Recording
+from suspnet.recordings.manifest_files import read_manifest
+from suspnet.recordings.recording import Recording, load_recording
 from suspnet.spectra.plausibility import check_channels, check_pairs
 from suspnet.spectra.segments import (
     NoEstimateError,
@@ -50,14 +52,17 @@ from suspnet.spectra.welch import SegmentSpectra, Welch
 from suspnet.spectra.wheel_lines import wheel_lines
 
 
-def estimate_recording(
-    method: FittedMethod, recording: Recording, settings: TripSettings
+def estimate_trip(
+    method: FittedMethod, trip: Recording | Path | str, settings: TripSettings
 ) -> Estimate:
-    """Return a method's estimate from a recording, one row.
+    """Return a method's estimate from a trip, its recording or its manifest's path, as one row.
 
     It is that of each part if the method has a bogie and the recording shows its parts. Raises
     NoEstimateError if there is neither, TripError as `both_ways` does.
     """
+    recording = trip
+    if not isinstance(recording, Recording):
+        recording = load_recording(read_manifest(Path(recording)), settings.rate_hz)
     segments = recording_segments(recording, trip_settings(method).welch)
     found = both_ways([(method, segments)], recording, settings)
     if isinstance(found.parts, Estimate):

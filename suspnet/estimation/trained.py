@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from importlib import import_module
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
@@ -13,16 +15,18 @@ from torch import Tensor
 from suspnet.estimation.estimate import Estimate
 from suspnet.estimation.fitted import FittedMethod
 from suspnet.estimation.from_curves import estimate_curves
-from suspnet.estimation.from_recording import estimate_recording
 from suspnet.estimation.from_spectra import estimate_with_noise
 from suspnet.estimation.trip_settings import TripSettings
 from suspnet.ground.records import INTERVAL_LEVEL
 from suspnet.ground.settings import check_number
 from suspnet.ground.tensors import as_tensor, curves_as_tensor
-from suspnet.recordings.manifest_files import read_manifest
-from suspnet.recordings.recording import Recording, load_recording
 from suspnet.spectra.cross_spectra import CrossSpectra
 
+if TYPE_CHECKING:
+    from suspnet.recordings.recording import Recording
+
+READS_TRIPS = "suspnet.estimation.from_recording"
+"""Module with `estimate_trip`. It is imported for a trip only: a model of curves needs no trips."""
 SAME_BIN_HZ = 1e-6
 """Difference [Hz] below which two frequency bins are the same."""
 
@@ -85,11 +89,10 @@ class TrainedModel(FittedMethod):
         check_number("level", level, above=0, below=1)
         if isinstance(data, CrossSpectra):
             return estimate_with_noise(self, data, level)[0]
-        if isinstance(data, str | Path | Recording):
+        if isinstance(data, str | Path) or hasattr(data, "manifest"):
             chosen = replace(settings or TripSettings(), level=level)
-            if not isinstance(data, Recording):
-                data = load_recording(read_manifest(Path(data)), chosen.rate_hz)
-            return estimate_recording(self, data, chosen)
+            estimate: Estimate = import_module(READS_TRIPS).estimate_trip(self, data, chosen)
+            return estimate
         observer = self.settings.observer(self.generator)
         curves = _checked_curves(data, frequencies_hz, observer.frequencies_hz)
         known = self._checked_mass(mass, curves)
