@@ -6,7 +6,6 @@ import functools
 import logging
 import os
 import sys
-import traceback
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
@@ -184,13 +183,11 @@ def _trained(run: Run, train_one: TrainOne) -> tuple[list[str], str]:
         try:
             train_one(OmegaConf.create(run.config), run.folder, run.group.manifests)
         except Exception as error:
-            file, message = run.folder / folders.ERROR, program.own_error(error)
-            if isinstance(error, program.MISTAKES) and not message:
+            if isinstance(error, program.MISTAKES):
                 message = program.one_line(error).removeprefix("error: ")
-                write_atomically(file, f"{message}\n")
+                write_atomically(run.folder / folders.ERROR, f"{message}\n")
             else:
-                write_atomically(file, traceback.format_exc())
-                message = message or f"{program.bug_words(error)}; see {file}"
+                message = program.note_bug(error, run.folder)
         else:
             message = ""
         return [record.getMessage() for record in warnings.buffer], message

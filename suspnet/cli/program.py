@@ -60,13 +60,21 @@ NO_SLURM = 'Could not detect "srun"'
 SERVER = re.compile(r"\bpostgres(ql)?(\+\w+)?://")
 PASSWORD = re.compile(r"(?<=://)([^:/@]*):([^@]*)@|(?<=[?&])password=([^&'\"]*)&?")
 """Password in the URL of a server, after the user or as an option."""
-MOVED = re.compile(
-    r"Could not find '(?:experiment|study)/(ablation|layouts|reliability)'|"
-    r"Could not override '(ablation)"
-)
-"""Messages of Hydra on studies that were options once."""
-PRICES = re.compile(r"plan\.(?:visit|costs|step_days|plan_again_risk)\b")
-"""Settings of a plan by costs, which earlier releases made."""
+REMOVED = {
+    re.compile(r"'(?:\w+/)?(ablation|layouts|reliability)"): (
+        "is a script of the sources now: python tests/benchmarks/{0}.py --help"
+    ),
+    re.compile(r"(plan\.(?:visit|costs|step_days|plan_again_risk))\b"): (
+        "is gone: plan.risk, bundle_days and reach_km set what is done when"
+    ),
+    re.compile(r"override '(experiment)'"): (
+        "is of train.py, studies are of evaluate.py: python train.py experiment=NAME"
+    ),
+    re.compile(r"override '(study)'"): (
+        "is of evaluate.py, experiments are of train.py: python evaluate.py study=NAME"
+    ),
+}
+"""What Hydra does not find because it was removed or belongs to another program, and a hint."""
 _debugging = bool(os.environ.get(DEBUG, "") not in ("", "0"))
 
 store_tables()
@@ -106,16 +114,16 @@ def _without_password(argument: str) -> str:
     Hydra writes all arguments to files that others may read; libpq looks in the environment.
     """
 
-    def take(found: re.Match[str]) -> str:
-        os.environ["PGPASSWORD"] = unquote(found[2] if found[2] is not None else found[3])
-        return f"{found[1]}@" if found[2] is not None else ""
+    def take(part: re.Match[str]) -> str:
+        os.environ["PGPASSWORD"] = unquote(part[2] if part[2] is not None else part[3])
+        return f"{part[1]}@" if part[2] is not None else ""
 
     return PASSWORD.sub(take, argument) if SERVER.search(argument) else argument
 
 
 def _load_plugins(arguments: list[str]) -> list[str]:
     """Load what ``--plugin`` names and take it off the command line; return the files."""
-    if not any(one.startswith("--plugin") for one in arguments):
+    if not any(argument.startswith("--plugin") for argument in arguments):
         return []  # their module imports torch, which takes seconds
     from suspnet.cli import plugins
 
@@ -273,8 +281,7 @@ def _leave_ranks() -> None:
 def task(function: Callable[[DictConfig], Any]) -> Callable[[DictConfig], Any]:
     """Wrap a Hydra task function: check its configuration, end with one line on a mistake.
 
-    In a job of a multirun every error is one line; the traceback of a bug goes to error.txt. An
-    error of a user's own method or feature set is always one line, see `own_error`.
+    In a job of a multirun every error is one line; the traceback of a bug goes to error.txt.
     """
 
     @functools.wraps(function)
@@ -288,18 +295,12 @@ def task(function: Callable[[DictConfig], Any]) -> Callable[[DictConfig], Any]:
         except BrokenPipeError:
             raise SystemExit(_output_ended()) from None
         except Exception as error:
-            if _debugging:
+            if _debugging or not (isinstance(error, MISTAKES) or folders.is_job()):
                 raise
-            own = own_error(error)
-            if isinstance(error, MISTAKES) and not own:
+            if isinstance(error, MISTAKES):
                 folders.remove_unused(run_folder())
                 raise SystemExit(one_line(error)) from None
-            if not own and not folders.is_job():
-                raise
-            file = run_folder() / folders.ERROR
-            if folders.is_job():
-                write_atomically(file, traceback.format_exc())
-            raise SystemExit(f"error: {own or f'{bug_words(error)}; see {file}'}") from None
+            raise SystemExit(f"error: {note_bug(error, run_folder())}") from None
 
     return wrapped
 
@@ -342,32 +343,10 @@ def one_of_many(function: Callable[[DictConfig], None]) -> Callable[[DictConfig]
     return wrapped
 
 
-def own_error(error: Exception) -> str:
-    """Return a line on an error within a user's method or feature set; empty for another error.
-
-    It names the line of the user's file. The logs in files get the traceback of the error, which is
-    being handled; the terminal does not.
-    """
-    plugins = sys.modules.get("suspnet.cli.plugins")
-    place = plugins.own_line(error) if plugins is not None else ""
-    if not place:
-        return ""
-    record = logging.makeLogRecord({"msg": f"error at {place}", "exc_info": sys.exc_info()})
-    logs = [
-        handler
-        for name in ("", "suspnet")
-        for handler in logging.getLogger(name).handlers
-        if isinstance(handler, logging.FileHandler)
-    ]
-    for handler in logs:
-        handler.handle(record)
-    seen = f"the traceback is in {logs[0].baseFilename}; " if logs else ""
-    return printable(f"{place}: {bug_words(error)}; {seen}{DEBUG}=1 shows it")
-
-
-def bug_words(error: Exception) -> str:
-    """Return the type and the text of an error on one line."""
-    return f"{type(error).__name__}: {' '.join(str(error).split())}"
+def note_bug(error: Exception, folder: Path) -> str:
+    """Write the traceback of the error that is handled to error.txt; return a line that says so."""
+    file = write_atomically(folder / folders.ERROR, traceback.format_exc())
+    return f"{type(error).__name__}: {' '.join(str(error).split())}; see {file}"
 
 
 def one_line(error: BaseException) -> str:
@@ -388,17 +367,10 @@ def one_line(error: BaseException) -> str:
         start = message.strip().rstrip(".")
         missing = _missing_key(error, is_mapping="={" in given)
         message = f"{start}. There is no {missing}; --help lists them"
-    for group, owner in (("experiment", "train.py"), ("study", "evaluate.py")):
-        if message.startswith(f"Could not override '{group}'"):
-            message = (
-                "experiments belong to train.py and studies to evaluate.py: "
-                f"python {owner} {group}=NAME"
-            )
-    if prices := PRICES.search(given):
-        message = f"{prices[0]} is gone: plan.risk, bundle_days and reach_km set what is done when"
-    if moved := MOVED.search(message):
-        script = f"tests/benchmarks/{moved[1] or moved[2]}.py"
-        message = f"{moved[1] or moved[2]} is a script of the sources now: python {script} --help"
+    for pattern, hint in REMOVED.items():
+        name = pattern.search(given)
+        if name and given.startswith("Could not"):
+            message = f"{name[1]} {hint.format(name[1])}"
     if isinstance(error, OSError) and error.filename is not None:
         message = why(error)
     return printable("error: " + " ".join(message.split()))

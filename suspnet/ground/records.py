@@ -6,6 +6,7 @@ import json
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, astuple, dataclass, field, fields
+from datetime import UTC, datetime
 from typing import Any
 
 import numpy as np
@@ -103,35 +104,12 @@ def sensors_from_text(text: str) -> dict[str, SensorHealth]:
 class Quality:
     """Quality of a trip's signals and transfer functions.
 
-    Attributes
-    ----------
-    coherence_p, coherence_s : float, [-]
-        Mean over the band, axle box - bogie and bogie - body.
-    misfit : float, [-]
-        Rms of what the estimates leave unexplained, over that of the noise; NaN without a fit.
-    n_averages : float
-        Number of independent averages.
-    segments_used, segments_total : int
-    duration_s : float, [s]
-        Duration common to all channels.
-    usable_percent : float, [%]
-        Share of the duration without a fault.
-    speed_m_per_s : float, [m/s]
-        Mean over the segments used.
-    speed_bins : str
-        Each bin with its number of averages.
-    direction : {"forward", "reverse", ""}
-        Direction of travel; empty if unknown.
-    features_found : str
-    faults : str
-        Faults that cleaning found in each channel, the speed and the clocks.
-    read_as : str
-        How files were read if their format had to be detected, as for CSV files.
-    warnings : str
-    wheels : str
-        Out-of-round wheels, or why none can be seen.
-    sensors : str
-        The health of each sensor as JSON, as ``sensors_text`` writes it.
+    Coherences (axle box - bogie, bogie - body) are means over the band; `misfit` is the rms of the
+    residuals over that of the noise, NaN without a fit. `duration_s` is common to all channels,
+    `speed_m_per_s` the mean over the segments used, `speed_bins` each bin with its number of
+    averages. `direction` is "forward", "reverse" or empty. `faults` are those that cleaning found
+    in channels, speed and clocks; `read_as` is how files of a detected format were read; `wheels`
+    are out-of-round wheels, or why none can be seen; `sensors` is what ``sensors_text`` writes.
     """
 
     coherence_p: float = np.nan
@@ -155,31 +133,23 @@ class Quality:
     @property
     def no_part(self) -> str:
         """Why the parts of the bogie were not read; empty if they were, or were not asked for."""
-        found = (one for one in parts_of(self.warnings) if kind_is(one, NO_PART))
-        return next((str(one.values["words"]) for one in found), "")
+        reasons = (w.values["words"] for w in parts_of(self.warnings) if kind_is(w, NO_PART))
+        return next(map(str, reasons), "")
 
     @property
     def other_warnings(self) -> str:
         """The warnings without that of `no_part`."""
-        return together(one for one in parts_of(self.warnings) if not kind_is(one, NO_PART))
+        return together(w for w in parts_of(self.warnings) if not kind_is(w, NO_PART))
 
 
 @dataclass(frozen=True, eq=False)
 class TripCurves:
-    """Curves behind one trip's estimate, and an overview of its signals.
+    """Curves behind one trip's estimate, and an overview of its signals in windows.
 
-    Attributes
-    ----------
-    frequencies_hz : array of shape (n_freq,), [Hz]
-    responses : complex array of shape (2, n_freq), [-]
-        G_p and G_s.
-    coherences, deviations : arrays of shape (2, n_freq), [-]
-        Deviation: standard deviation of the log-magnitude.
-    overview_s : array of shape (n_windows,), [s]
-        Start of each window.
-    overview_low, overview_high, overview_mean : arrays of shape (3, n_windows), [m/s^2]
-        Minimum, maximum and mean of axle box, bogie and body in each window.
-    overview_speed : array of shape (n_windows,), [m/s]
+    The shapes are (n_freq,) of `frequencies_hz`; (2, n_freq) of `responses`, G_p and G_s,
+    `coherences` and `deviations`, those of log-magnitudes; (n_windows,) of `overview_s`, the start
+    of each window, and `overview_speed` [m/s]; (3, n_windows) of minimum, maximum and mean of axle
+    box, bogie and body [m/s^2].
     """
 
     frequencies_hz: FloatArray
@@ -199,42 +169,26 @@ class TripResult:
 
     Attributes
     ----------
-    trip, manifest, vehicle : str
-    place : Place
-    mileage_km : float, [km]
-    start : str
-        ISO 8601, or empty.
+    trip, manifest, vehicle, place, mileage_km, start, temperature_c
+        As in the manifest; `start` is ISO 8601.
     status : {"ok", "no estimate", "error"}
     reason : str
         Empty if there is an estimate.
-    estimates : dict of float, [-]
-        Parameters relative to healthy; 1 is healthy.
+    estimates, truth : dict of float, [-]
+        Parameters relative to healthy, and those of simulated trips.
     raw : dict of float, [-]
         Parameters relative to the vehicle's nominal ones.
-    truth : dict of float, [-]
-        True values of simulated trips, relative to the same as `estimates`.
-    half_widths : dict of float, [-]
-        The interval of an estimate is estimate * exp(-half width) to estimate * exp(half width);
-        NaN if the model has no intervals.
+    half_widths, healthy_half_widths : dict of float, [-]
+        Intervals in logarithms, from estimate * exp(-half width) to estimate * exp(half width), and
+        those of the healthy values; NaN if the model has no intervals.
     healthy_since_km : float, [km]
         Mileage of the first healthy trip of the commissioning; NaN for a nominal vehicle.
     healthy_si : dict of float, [N/m, N s/m, kg]
         Value of each parameter at a ratio of 1 in `raw`.
-    healthy_half_widths : dict of float, [-]
-        Half-widths of the healthy values' intervals, in logarithms.
-    flags : str
-        Flags of the estimate as text; empty if there are none.
-    sides : str
-        Which side of which part is weaker; empty without pairs of sensors or without a difference.
-    worn : str
-        Which parts have worn, findings of the kind ``WORN``; empty unless each part was read, or if
-        none has.
-    quality : Quality
+    flags, sides, worn : str
+        Findings: flags of the estimate, the weaker side of each pair, and worn parts (``WORN``).
     seconds : float, [s]
         Duration of the evaluation.
-    temperature_c : float, [°C]
-        Temperature of the outside air; NaN if the manifest does not give it.
-    curves : TripCurves, optional
     """
 
     trip: str
@@ -374,6 +328,17 @@ def _restored(value: str | int) -> str | int:
 def or_nan(value: float | None) -> float:
     """Return a number of the store, with NaN for NULL."""
     return math.nan if value is None else float(value)
+
+
+def utc(text: str) -> datetime | None:
+    """Return a start without a zone, converted to UTC if it has one; None if it is empty."""
+    if not text:
+        return None
+    try:
+        time = datetime.fromisoformat(text)
+        return time.astimezone(UTC).replace(tzinfo=None) if time.tzinfo else time
+    except (ValueError, OverflowError):
+        raise ValueError(f"`start` must be a time in ISO 8601, not {text[:40]!r}") from None
 
 
 def to_arrays(curves: TripCurves) -> dict[str, FloatArray]:

@@ -17,7 +17,13 @@ from suspnet.dynamics import ResponseGenerator, Vehicle
 from suspnet.ground.parameters import PARAMETERS, UNITS
 from suspnet.ground.types import FloatArray
 from suspnet.report.figures import SUSPENSIONS, SYMBOLS
-from suspnet.runs.tables import MODEL_TITLES, table6_caption
+from suspnet.runs.tables import (
+    MODEL_TITLES,
+    grouped,
+    models_of,
+    precision_percent,
+    table6_caption,
+)
 
 PRECISION_TICKS = (0.2, 0.5, 1, 2, 5)
 PAPER_COLOUR, OUR_COLOUR, BOUND_COLOUR = "0.75", "tab:blue", "black"
@@ -25,7 +31,7 @@ PAPER_COLOUR, OUR_COLOUR, BOUND_COLOUR = "0.75", "tab:blue", "black"
 
 def quarter_car(vehicle: Vehicle) -> Figure:
     """Draw the model of a vehicle, with its parameters: masses, springs and dampers (Fig. 3)."""
-    figure, ((axis,),) = _grid(1, 1, size=(5.6, 5.6))
+    figure, ((axis,),) = grid(1, 1, size=(5.6, 5.6))
     values = dict(zip(PARAMETERS, vehicle.healthy_values(), strict=True))
     values["M_p"] = vehicle.bogie_mass_kg
     shown = {
@@ -73,7 +79,7 @@ def _damper(axis: Axes, x: float, low: float, high: float) -> None:
 def bode(generator: ResponseGenerator, frequencies_hz: torch.Tensor) -> Figure:
     """Draw magnitude and phase of both responses of the healthy vehicle (Fig. 5)."""
     responses = generator.responses(torch.ones(1, len(PARAMETERS)), frequencies_hz)
-    figure, axes = _grid(2, 2, sharex=True)
+    figure, axes = grid(2, 2, sharex=True)
     frequencies = frequencies_hz.cpu().numpy()
     for column, (title, response) in enumerate(zip(SUSPENSIONS, responses, strict=True)):
         values = response[0].cpu().numpy()
@@ -90,7 +96,7 @@ def bode(generator: ResponseGenerator, frequencies_hz: torch.Tensor) -> Figure:
 def degradation(generator: ResponseGenerator, frequencies_hz: torch.Tensor) -> Figure:
     """Draw the magnitudes when each parameter halves or doubles, the others healthy (Fig. 7)."""
     frequencies = frequencies_hz.cpu().numpy()
-    figure, axes = _grid(2, len(PARAMETERS), size=(3.0, 2.7), sharex=True)
+    figure, axes = grid(2, len(PARAMETERS), size=(3.0, 2.7), sharex=True)
     for column, name in enumerate(PARAMETERS):
         for ratio, colour in ((0.5, "tab:blue"), (1.0, "0.3"), (2.0, "tab:red")):
             ratios = torch.ones(1, len(PARAMETERS), dtype=torch.float64)
@@ -116,7 +122,7 @@ def peak_fits(
 
     `frequencies_hz`: (n_freq,); `curves`: (2, n_freq); `features`: values by name, peak_measure.
     """
-    figure, axes = _grid(1, 2)
+    figure, axes = grid(1, 2)
     for axis, title, curve in zip(axes[0], SUSPENSIONS, curves, strict=True):
         axis.plot(frequencies_hz, curve, color="0.6", lw=0.8)
         axis.set(title=title, xlabel="frequency [Hz]", ylabel="magnitude", xlim=(0, 15))
@@ -138,7 +144,7 @@ def feature_spread(
 ) -> Figure:
     """Draw every feature against every output, on at most 2,000 curves."""
     rows = slice(0, 2000)
-    figure, axes = _grid(len(output_names), len(names), size=(2.2, 2.0), sharex=True, sharey="col")
+    figure, axes = grid(len(output_names), len(names), size=(2.2, 2.0), sharex=True, sharey="col")
     for i, output in enumerate(output_names):
         for j, name in enumerate(names):
             axes[i][j].plot(outputs[rows, i], inputs[rows, j], ".", ms=2, alpha=0.4)
@@ -150,7 +156,7 @@ def feature_spread(
 
 def parity(actual: FloatArray, predicted: FloatArray, names: Sequence[str]) -> Figure:
     """Draw predicted against actual ratios to healthy."""
-    figure, axes = _grid(1, len(names))
+    figure, axes = grid(1, len(names))
     for j, (axis, name) in enumerate(zip(axes[0], names, strict=True)):
         axis.plot(actual[:, j], predicted[:, j], ".", ms=4, alpha=0.4)
         span = [actual[:, j].min(), actual[:, j].max()]
@@ -162,7 +168,7 @@ def parity(actual: FloatArray, predicted: FloatArray, names: Sequence[str]) -> F
 
 def residuals(actual: FloatArray, predicted: FloatArray, names: Sequence[str]) -> Figure:
     """Draw relative errors against actual ratios, and their distribution."""
-    figure, axes = _grid(2, len(names))
+    figure, axes = grid(2, len(names))
     for j, name in enumerate(names):
         error = 100 * (predicted[:, j] / actual[:, j] - 1)
         axes[0][j].plot(actual[:, j], error, ".", ms=4, alpha=0.4)
@@ -175,7 +181,7 @@ def residuals(actual: FloatArray, predicted: FloatArray, names: Sequence[str]) -
 
 def convergence(objectives: Sequence[float]) -> Figure:
     """Draw the objective above its last value, for each iteration."""
-    figure, axes = _grid(1, 1)
+    figure, axes = grid(1, 1)
     excess = np.maximum(np.array(objectives[:-1]) - objectives[-1], 1e-300)
     axes[0][0].semilogy(excess, "o-")
     axes[0][0].xaxis.set_major_locator(MaxNLocator(integer=True))
@@ -187,11 +193,10 @@ def convergence(objectives: Sequence[float]) -> Figure:
 def table6(records: Sequence[Mapping[str, Any]]) -> Figure:
     """Draw published and measured MAPE of each model and output, with the Cramer-Rao bound."""
     shown = [r for r in records if r["metric"] == "mape_percent"]
-    outputs = list(dict.fromkeys(r["output"] for r in shown))
-    models = [name for name in MODEL_TITLES if any(r["model"] == name for r in shown)]
-    figure, axes = _grid(1, len(outputs), size=(3.2, 3.4), sharey=True)
-    for axis, output in zip(axes[0], outputs, strict=True):
-        by_model = {r["model"]: r for r in shown if r["output"] == output}
+    by_output, models = grouped(shown, "output"), models_of(shown)
+    figure, axes = grid(1, len(by_output), size=(3.2, 3.4), sharey=True)
+    for axis, ((output,), same) in zip(axes[0], by_output.items(), strict=True):
+        by_model = {r["model"]: r for r in same}
         for x, model in enumerate(models):
             record = by_model.get(model)
             if record is None:
@@ -227,12 +232,12 @@ def sensitivity(runs: Sequence[Mapping[str, Any]]) -> Figure:
     Thin lines are the paper's claim: less than 10 % where the precision is better than 2 %.
     """
     models = list(dict.fromkeys(run["model"] for run in runs))
-    figure, axes = _grid(1, len(models), size=(6.4, 4.4), sharey=True)
+    figure, axes = grid(1, len(models), size=(6.4, 4.4), sharey=True)
     for axis, model in zip(axes[0], models, strict=True):
         own = sorted((r for r in runs if r["model"] == model), key=lambda run: run["snr_db"])
         for output in dict.fromkeys(name for run in own for name in run["scores"]):
             chosen = [r for r in own if output in r["scores"]]
-            precision = [100 * 10 ** (-run["snr_db"] / 20) for run in chosen]
+            precision = [precision_percent(run["snr_db"]) for run in chosen]
             mape, bound = (
                 [run[key][output]["mape_percent"] for run in chosen] for key in ("scores", "bound")
             )
@@ -269,13 +274,13 @@ def search_map(settings: Sequence[Mapping[str, float]], rmse: Sequence[float]) -
     ]
     columns = sorted({setting[x_name] for setting, _ in shown})
     if y_name is None:
-        figure, ((axis,),) = _grid(1, 1, size=(7.0, 5.0))
+        figure, ((axis,),) = grid(1, 1, size=(7.0, 5.0))
         axis.loglog(columns, [min(v for s, v in shown if s[x_name] == x) for x in columns], "o-")
         axis.set_ylabel("cross-validated RMSE", fontsize=12)
     else:
         rows = sorted({setting[y_name] for setting, _ in shown})
         size = (2.6 + 0.85 * len(columns), 2.0 + 0.55 * len(rows))
-        figure, ((axis,),) = _grid(1, 1, size=size)
+        figure, ((axis,),) = grid(1, 1, size=size)
         _heat_map(axis, shown, (x_name, columns), (y_name, rows))
         axis.set_ylabel(y_name.replace("_", " "), fontsize=12)
     at = ", ".join(f"{name.replace('_', ' ')} {value:g}" for name, value in fixed.items())
@@ -311,10 +316,16 @@ def _heat_map(
     axis.set_yticks(range(len(rows)), [f"{value:g}" for value in rows])
 
 
-def _grid(
+def grid(
     n_rows: int, n_columns: int, size: tuple[float, float] = (4.2, 3.2), **options: Any
 ) -> tuple[Figure, list[list[Axes]]]:
-    """Return a figure with a grid of axes."""
+    """Return a figure with a grid of axes, each of a size [inch]."""
     figure = Figure(figsize=(size[0] * n_columns, size[1] * n_rows), layout="constrained")
     axes = figure.subplots(n_rows, n_columns, squeeze=False, **options)
     return figure, [list(row) for row in axes]
+
+
+def legend_above(figure: Figure) -> None:
+    """Add the legend of the first axes above all of them."""
+    handles, labels = figure.axes[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside upper center", ncols=len(labels))

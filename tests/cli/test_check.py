@@ -5,7 +5,6 @@ import json
 import random
 import re
 import shlex
-import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -52,8 +51,6 @@ from suspnet.trips.grouping import find_groups
 
 N_GOOD = 2
 """Number of trips that are checked; the first is drawn, which takes a second, others are blank."""
-BROKEN = 10_000
-"""Number of broken manifests of the slow test."""
 
 
 def errors(done):
@@ -158,23 +155,14 @@ def test_each_steady_speed_is_a_part(manifests, tmp_path):
     assert "at 64.0 to 76.0 m/s: train with speed_m_per_s=[62,78]" in done.stdout
 
 
-@pytest.mark.representatives(1)
-@pytest.mark.parametrize("speed", [5.0, 9.0])
-def test_slow_trip_holds_too_little_but_is_no_mistake(manifests, tmp_path, speed):
-    path = changed(manifests[0], tmp_path, speed=speed)
+def test_slow_trip_holds_too_little_but_is_no_mistake(manifests, tmp_path):
+    path = changed(manifests[0], tmp_path, speed=9.0)
     done = typed(check, path, "--no-pictures", "-o", tmp_path / "o", cwd=tmp_path)
     assert done.returncode == 0
     (trip,) = found_in(tmp_path / "o")["trips"]
     assert trip["state"] == TOO_LITTLE
     words = "too little at a steady speed: 0.0 minutes, at least 2.0 are needed, 2.0 more"
     assert words in done.stdout
-
-
-def test_speed_of_no_train_is_told_as_km_per_h(manifests, tmp_path):
-    path = changed(manifests[0], tmp_path, speed=252)
-    done = typed(check, path, "-o", tmp_path / "o", cwd=tmp_path)
-    assert done.returncode == 1
-    assert "`speed` is 252 m/s, faster than any train; is it in km/h? Then write: " in done.stdout
 
 
 def test_side_of_single_sensors_is_asked_for(manifests, tmp_path):
@@ -433,12 +421,19 @@ def test_folder_of_vehicles_is_checked_and_runs_nothing(manifests, tmp_path):
     assert not (tmp_path / "outputs").exists()
 
 
-def test_output_that_cannot_be_written_is_one_line(manifests, tmp_path):
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["-o", "file"], "file"),
+        (["--workers", "0"], "`--workers` must be a whole number >= 1, got 0"),
+    ],
+)
+def test_mistakes_are_one_line(manifests, tmp_path, options, words):
     (tmp_path / "file").touch()
-    done = typed(check, manifests[0], "-o", tmp_path / "file", cwd=tmp_path)
+    done = typed(check, manifests[0], *options, cwd=tmp_path)
     assert done.returncode == 1
     assert done.stderr.count("\n") == 1
-    assert "Traceback" not in done.stderr
+    assert words in done.stderr
 
 
 def test_subfolders_are_searched_and_pictures_have_names_of_their_own(manifests, tmp_path):
@@ -463,12 +458,6 @@ def test_manifest_of_an_odd_name_is_told(tmp_path):
     assert done.stdout.encode("utf-8").count(b"`vehicle` is missing") == 1
 
 
-def test_program_explains_itself():
-    done = typed(check, "--help", cwd=".")
-    assert done.returncode == 0
-    assert "exit code: 0 if every trip could be read" in done.stdout
-
-
 def test_commands_of_the_docs_are_understood():
     parsers = {"suspnet check": options.check_parser(), "suspnet init": options.init_parser()}
     found = []
@@ -484,22 +473,10 @@ def test_commands_of_the_docs_are_understood():
 def test_two_workers_find_what_one_finds(manifests, fleet, tmp_path):
     output, words = fleet
     options = ["--workers", "2", "-o", tmp_path / "o"]
-    done = python("-m", "suspnet.check", *manifests[:N_GOOD], *options, cwd=tmp_path)
+    done = python("-m", "suspnet", "check", *manifests[:N_GOOD], *options, cwd=tmp_path)
     assert (done.returncode, errors(done)) == (0, "")
     assert done.stdout.partition("->")[0] == words.partition("->")[0]
     assert found_in(tmp_path / "o") == found_in(output)
-
-
-def test_number_of_workers_is_checked(manifests, tmp_path):
-    done = typed(check, manifests[0], "--workers", "0", cwd=tmp_path)
-    assert done.returncode == 1
-    assert "`--workers` must be a whole number >= 1, got 0" in done.stderr
-
-
-@pytest.mark.slow
-def test_module_runs_as_a_program(manifests, tmp_path):
-    done = python("-m", "suspnet.check", manifests[0], "-o", tmp_path / "o", cwd=tmp_path)
-    assert (done.returncode, errors(done)) == (0, "")
 
 
 # many broken manifests
@@ -536,33 +513,17 @@ def write_broken(folder, manifest, n):
         (folder / f"t{number:05d}.yaml").write_text(text)
 
 
-def assert_told(output, n):
-    trips = found_in(output)["trips"]
-    assert len(trips) == n
-    for trip in trips:
-        assert (trip["state"] == PROBLEM) == bool(trip["problems"])
-        assert not any("Error: " in problem for problem in trip["problems"]), trip
-
-
 def test_broken_manifests_are_told(manifests, tmp_path):
-    write_broken(tmp_path, manifests[0], 60)
+    write_broken(tmp_path, manifests[0], 40)
     done = typed(check, tmp_path, "--no-pictures", "-o", tmp_path / "o", cwd=tmp_path)
     assert done.returncode == 1
     assert errors(done) == ""
-    assert done.stderr.startswith("trips: 0 of 60\n")
-    assert_told(tmp_path / "o", 60)
-
-
-@pytest.mark.slow
-def test_ten_thousand_broken_manifests_take_less_than_20_s(manifests, tmp_path):
-    write_broken(tmp_path, manifests[0], BROKEN)
-    for path in tmp_path.glob("*.yaml"):  # those that are right take as long as their recordings
-        path.write_text(path.read_text() + "\nbroken: true\n")
-    start = time.process_time()  # other programs do not slow it down
-    done = typed(check, tmp_path, "-o", tmp_path / "o", cwd=tmp_path)
-    assert time.process_time() - start < 20
-    assert done.returncode == 1
-    assert_told(tmp_path / "o", BROKEN)
+    assert done.stderr.startswith("trips: 0 of 40\n")
+    trips = found_in(tmp_path / "o")["trips"]
+    assert len(trips) == 40
+    for trip in trips:
+        assert (trip["state"] == PROBLEM) == bool(trip["problems"])
+        assert not any("Error: " in problem for problem in trip["problems"]), trip
 
 
 def test_how_files_are_read_is_said_once_for_all(tmp_path):
@@ -606,6 +567,7 @@ def test_suspensions_without_a_train_are_said_to_be_of_several(tmp_path):
         assert "train of its own" not in summary(found)
 
 
+@pytest.mark.slow
 def test_bogie_and_axle_of_the_manifest_are_checked_if_the_direction_is_stated(settings, tmp_path):
     run, track = Run(minutes=12.0), Track()
     signals = record(Train.scattered(0), track, run, 0)

@@ -141,19 +141,16 @@ FORGED = {
     "other_hashes": (HEAD, *EVERY),
     "absolute": (HEAD, *(entry(f"HOME/{name}", text) for name, text in USERS.items())),
     "dots": (HEAD, *(entry(f"../home/{name}", text) for name, text in USERS.items())),
-    "dot": (HEAD, *(entry(f"./{name}", text) for name, text in USERS.items())),
-    "links": (HEAD, *(entry(f"here/{name}", text) for name, text in USERS.items())),
     "patterns": (HEAD, entry("*"), entry("**/*"), entry(".*.????????")),
     "temporary": (HEAD, entry("config.yaml"), entry("env", token="template"), *EVERY),
     "nothing": (HEAD, "[]", "{}", "null", "[1, 2, 3]", '["a", {}, "b"]', "[" * 50_000, "\0"),
-    "null_hash": (HEAD, *(json.dumps([None, name, "x"]) for name in USERS)),
 }
 NAMED = [
     *[
         Attack(f"{key}_{i}_{place}", (*(("-m", "seed=1,2") if "sweep" in key else ()),
                f"{key}={place}"), words="suspnet did not write it here", small=place == "HOME")
         for key in ("hydra.run.dir", "hydra.sweep.dir", "resume")
-        for i, place in enumerate(("HOME", "../home", "LINK", "here", "HOME/deep/..", "../link/."))
+        for i, place in enumerate(("HOME", "LINK", "HOME/deep/.."))
     ],
     *[
         Attack(f"forged_{name}_{i}", given, ledger=lines)
@@ -165,17 +162,17 @@ NAMED = [
     Attack("in_home_sweep", ("-m", "seed=1,2", "hydra.sweep.dir=.")),
     *[
         Attack(f"subdir_{i}", ("-m", "seed=1,2", f"hydra.sweep.subdir={place}"))
-        for i, place in enumerate(("HOME", "../../../../home", ".", "..", "a/../../x", "LINK"))
+        for i, place in enumerate(("HOME", "..", "a/../../x"))
     ],
-    *[Attack(f"job_{i}", (f"job={p}",)) for i, p in enumerate(("../../home", "../../new", ".."))],
+    Attack("job", ("job=../../home",)),
     *[
         Attack(f"evaluate_{i}", given, program="evaluate")
-        for i, given in enumerate((("hydra.run.dir=HOME",), ("resume=HOME",), ("resume=LINK",)))
+        for i, given in enumerate((("hydra.run.dir=HOME",), ("resume=LINK",)))
     ],
     *[
         Attack(f"out_{i}", (f"out={place}",), program="simulate", ledger=lines, small=i == 0)
         for i, (place, lines) in enumerate(
-            (("HOME", None), ("LINK", None), ("HOME", FORGED["absolute"]), ("HOME", FORGED["dots"]))
+            (("HOME", None), ("HOME", FORGED["absolute"]))
         )
     ],
 ]  # fmt: skip

@@ -155,7 +155,7 @@ def ended(path, cwd, number, seconds):
     Ctrl-C in the tenth of a second in which Python itself starts is answered by Python.
     """
     process = subprocess.Popen(
-        [sys.executable, "-m", "suspnet.serve", f"store={path}", "port=0"],
+        [sys.executable, "-m", "suspnet", "serve", f"store={path}", "port=0"],
         cwd=cwd,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
