@@ -46,7 +46,8 @@ def test_demonstration_of_readme_prints_what_stands_there(tmp_path):
         start, *words = shlex.split(line)
         words = [str(ROOT / w) if w.endswith(".py") else w for w in words]
         module = ["-m", "suspnet"] if start == "suspnet" else []
-        done = python(*module, *words, cwd=tmp_path, timeout=600)  # several times as long on busy cores
+        # several times as long on busy cores
+        done = python(*module, *words, cwd=tmp_path, timeout=600)
         printed += done.stdout
     assert done.returncode == 4, done.stderr  # "act"
     shown = [line for line in expected.splitlines() if line.strip() not in ("", "...")]

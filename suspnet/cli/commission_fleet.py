@@ -96,7 +96,7 @@ def train_fleet(
     # finished runs stay; a resumed run trains only the missing ones
     failed = {group.name: group.error for group in groups if group.error}
     numbers = first_trips(config.n_healthy, [group.name for group in groups])
-    runs = [_run(config, one, folder, numbers[one.name]) for one in groups if not one.error]
+    runs = [_run(config, group, folder, numbers[group.name]) for group in groups if not group.error]
     missing = [r for r in runs if not folders.is_finished(OmegaConf.create(r.config), r.folder)]
     # no fleet.json of an earlier attempt may remain if this one fails
     folders.start_again(folder)
@@ -132,18 +132,18 @@ def train_fleet(
     write_json(folder / folders.FLEET, rows)
 
 
-def read_numbers(given: Any) -> Any:
+def read_numbers(numbers: Any) -> Any:
     """Return `n_healthy` with {NAME: number} of the command line, which is text, as a mapping."""
-    return of_each_name(given) if isinstance(given, str) else given
+    return of_each_name(numbers) if isinstance(numbers, str) else numbers
 
 
-def first_trips(given: Any, names: Sequence[str]) -> dict[str, int | None]:
+def first_trips(wanted: Any, names: Sequence[str]) -> dict[str, int | None]:
     """Return the number of healthy trips of each suspension, from one of all or one of each.
 
     TypeError or ValueError if a number is not at least three, or of another suspension or missing.
     """
-    of_each = isinstance(given, DictConfig)
-    numbers: dict[Any, int | None] = dict(given) if of_each else dict.fromkeys(names, given)
+    of_each = isinstance(wanted, DictConfig)
+    numbers: dict[Any, int | None] = dict(wanted) if of_each else dict.fromkeys(names, wanted)
     if numbers.keys() != set(names):
         raise ValueError(
             f"n_healthy must be a number, or name each suspension of the folder ({', '.join(names)}"
@@ -159,21 +159,21 @@ def of_group(config: DictConfig, group: Group) -> DictConfig:
 
     These stand unless another one than the default is asked for.
     """
-    one = config.copy()
-    for key, named in (("bogie", group.place.bogie), ("axle", group.axle)):
-        if named and one.generator.get(key) == "leading":
-            one.generator[key] = named
-    return one
+    own = config.copy()
+    for key, stated in (("bogie", group.place.bogie), ("axle", group.axle)):
+        if stated and own.generator.get(key) == "leading":
+            own.generator[key] = stated
+    return own
 
 
 def _run(config: DictConfig, group: Group, folder: Path, n_healthy: int | None) -> Run:
     """Return the run of a suspension, with its own trips, bogie and axle."""
-    one = of_group(config, group)
-    one.n_healthy = n_healthy
-    one.reading_name = config.reading_name  # resolved here, as workers run without Hydra
-    one.healthy = str(group.folder)
-    one.progress = False
-    return Run(group, as_written(one), folder / group.name)
+    own = of_group(config, group)
+    own.n_healthy = n_healthy
+    own.reading_name = config.reading_name  # resolved here, as workers run without Hydra
+    own.healthy = str(group.folder)
+    own.progress = False
+    return Run(group, as_written(own), folder / group.name)
 
 
 def _trained(run: Run, train_one: TrainOne) -> tuple[list[str], str]:
@@ -236,11 +236,11 @@ def _table(rows: Sequence[Mapping[str, Any]]) -> str:
     by_part = any("misfit_of_parts" in row for row in rows)
     # with parts read, they are what counts; the others serve trips that do not show their parts
     misfits = {"misfit_of_parts": "misfit of parts", "misfit": "sides as equal"}
-    shown = misfits if by_part else {"misfit": "misfit"}
-    head = ["suspension", "trips", *shown.values(), *rows[0]["rms_percent"]]
+    columns = misfits if by_part else {"misfit": "misfit"}
+    head = ["suspension", "trips", *columns.values(), *rows[0]["rms_percent"]]
     body = [
-        [row["suspension"], row["n_trips"], *map(row.get, shown), *row["rms_percent"].values()]
+        [row["suspension"], row["n_trips"], *map(row.get, columns), *row["rms_percent"].values()]
         for row in rows
     ]
-    formats = ("", "", *[".2f"] * len(shown), *[".2g"] * len(rows[0]["rms_percent"]))
+    formats = ("", "", *[".2f"] * len(columns), *[".2g"] * len(rows[0]["rms_percent"]))
     return tabulate(body, head, tablefmt="github", floatfmt=formats)

@@ -38,8 +38,10 @@ ALARMS = {Severity.UNKNOWN: SOME_WITHOUT_ESTIMATE, Severity.NOTICE: NOTICE, Seve
 
 def exit_code(done: Sequence[Evaluated]) -> int:
     """Return the exit code for the worst of some suspensions."""
-    codes = [ALARMS.get(one.severity, FINE) for one in done]
-    return worst([*codes, *(SOME_WITHOUT_ESTIMATE for one in done if not one.is_complete)])
+    codes = [ALARMS.get(suspension.severity, FINE) for suspension in done]
+    return worst(
+        [*codes, *(SOME_WITHOUT_ESTIMATE for suspension in done if not suspension.is_complete)]
+    )
 
 
 def ends_with_its_code(function: Callable[[DictConfig], int]) -> Callable[[DictConfig], None]:
@@ -145,4 +147,4 @@ def run_study(config: DictConfig, folder: Path, history: Callable[[], History]) 
         )
         return FINE
     states = write_maintenance(history(), folder, board_settings(config, config.monitor))
-    return worst(ALARMS.get(one.severity, FINE) for one in states)
+    return worst(ALARMS.get(state.severity, FINE) for state in states)

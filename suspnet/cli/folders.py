@@ -106,8 +106,8 @@ class WorstExitCode(Callback):
 
 def worst(codes: Iterable[int]) -> int:
     """Return the most urgent exit code; an unknown one counts as a mistake."""
-    known = (code if code in BY_URGENCY else MISTAKE for code in codes)
-    return max(known, key=BY_URGENCY.index, default=FINE)
+    codes_in_use = (code if code in BY_URGENCY else MISTAKE for code in codes)
+    return max(codes_in_use, key=BY_URGENCY.index, default=FINE)
 
 
 def how_to_resume() -> str:

@@ -164,13 +164,13 @@ def take_plugins(arguments: list[str]) -> list[str]:
     (['mine.py', 'too.py'], ['train.py', 'model=mine'])
     """
     files, others = [], []
-    given = iter(arguments)
-    for argument in given:
+    words = iter(arguments)
+    for argument in words:
         option, _, file = argument.partition("=")
         if option != OPTION:
             others.append(argument)
             continue
-        file = file or next(given, "")
+        file = file or next(words, "")
         if not file:
             raise ValueError(f"{OPTION} needs a file: {OPTION} my_methods.py")
         files.append(file)

@@ -356,7 +356,7 @@ def one_line(error: BaseException) -> str:
         isinstance(error, InstantiationException) or not str(error)
     ):
         error = error.__cause__
-    message = given = str(error)
+    message = text = str(error)
     if isinstance(error, RecursionError):
         message = "the configuration is nested too deeply, or refers to itself"
     if isinstance(error, MemoryError):
@@ -365,11 +365,11 @@ def one_line(error: BaseException) -> str:
         message = message.split(noise)[0]
     if message.startswith("Could not override"):
         start = message.strip().rstrip(".")
-        missing = _missing_key(error, is_mapping="={" in given)
+        missing = _missing_key(error, is_mapping="={" in text)
         message = f"{start}. There is no {missing}; --help lists them"
     for pattern, hint in REMOVED.items():
-        name = pattern.search(given)
-        if name and given.startswith("Could not"):
+        name = pattern.search(text)
+        if name and text.startswith("Could not"):
             message = f"{name[1]} {hint.format(name[1])}"
     if isinstance(error, OSError) and error.filename is not None:
         message = why(error)

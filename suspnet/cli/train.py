@@ -90,9 +90,9 @@ def main(config: DictConfig) -> None:
         log.info("finished before: %s", finished)
         return
     if are_several(config, groups):
-        one = _at_a_speed(config)
-        _check_healthy(one)
-        check_generator(build(one, "generator"))
+        at_a_speed = _at_a_speed(config)
+        _check_healthy(at_a_speed)
+        check_generator(build(at_a_speed, "generator"))
         train_fleet(config, folder, groups, _run)
     else:
         folders.start_again(folder)
@@ -134,11 +134,11 @@ def _run(
         directions = _directions(config, healthy)
         train_one = partial(_train, healthy=healthy, varied=varied, draw=draw, start=start)
         if not isinstance(speeds, ListConfig | list) and len(directions) == 1:
-            found = config.copy()
-            found.speed_m_per_s = speeds
-            if "speed_half_width" in found.data:
-                found.data.speed_half_width = _half_width(config)
-            train_one(_running(found, directions[0]), folder, given=config)
+            own = config.copy()
+            own.speed_m_per_s = speeds
+            if "speed_half_width" in own.data:
+                own.data.speed_half_width = _half_width(config)
+            train_one(_running(own, directions[0]), folder, given=config)
             return
         ranges = [replace(r, direction=d) for r in _ranges(config, speeds) for d in directions]
         program.save_config(config, folder)
@@ -167,9 +167,9 @@ def _at_a_speed(config: DictConfig) -> DictConfig:
         return _bound(config, _ranges(config, config.speed_m_per_s)[0])
     if config.speed_m_per_s is not None:
         return config
-    found = config.copy()
-    found.speed_m_per_s = FIRST_M_PER_S
-    return found
+    own = config.copy()
+    own.speed_m_per_s = FIRST_M_PER_S
+    return own
 
 
 def _directions(config: DictConfig, healthy: _Healthy | None) -> Sequence[Direction]:
@@ -185,10 +185,10 @@ def _directions(config: DictConfig, healthy: _Healthy | None) -> Sequence[Direct
 
 
 def _running(config: DictConfig, direction: Direction) -> DictConfig:
-    found = config.copy()
-    if "direction" in found.generator:
-        found.generator.direction = found.direction = direction
-    return found
+    own = config.copy()
+    if "direction" in own.generator:
+        own.generator.direction = own.direction = direction
+    return own
 
 
 def _ranges(config: DictConfig, speeds: float | Sequence[float]) -> list[SpeedRange]:
@@ -210,11 +210,11 @@ def _half_width(config: DictConfig) -> float:
     return usual if wanted is None else wanted
 
 
-def _bound(config: DictConfig, one: SpeedRange) -> DictConfig:
-    found = _running(config, one.direction)
-    found.speed_m_per_s = one.trained_m_per_s
-    found.data.speed_half_width = one.half_width
-    return found
+def _bound(config: DictConfig, speeds: SpeedRange) -> DictConfig:
+    own = _running(config, speeds.direction)
+    own.speed_m_per_s = speeds.trained_m_per_s
+    own.data.speed_half_width = speeds.half_width
+    return own
 
 
 @dataclass(frozen=True)
@@ -248,7 +248,7 @@ def _commissioned(
     settings, trips = _check_healthy(config), TripSettings()
     check_values(HealthySettings, n_healthy=config.n_healthy)
     generator = check_generator(build(config, "generator"))
-    found = read_healthy(
+    trips_read = read_healthy(
         Path(config.healthy),
         generator,
         settings.bound(generator.vehicle),
@@ -258,13 +258,20 @@ def _commissioned(
         by_part=by_part,
         progress=config.progress,
     )
-    bogie = commission_parts(found, trips) if by_part else None
-    outcome = commission_trips(found, generator, settings, bogie=bogie, progress=config.progress)
+    bogie = commission_parts(trips_read, trips) if by_part else None
+    outcome = commission_trips(
+        trips_read, generator, settings, bogie=bogie, progress=config.progress
+    )
     with speaking(config.language):
-        write_outcome(folder, found, outcome, bogie)
-    notes = training_notes(found, outcome)
+        write_outcome(folder, trips_read, outcome, bogie)
+    notes = training_notes(trips_read, outcome)
     return _Healthy(
-        outcome.generator, notes, outcome.residual, found.speeds_m_per_s, found.directions, bogie
+        outcome.generator,
+        notes,
+        outcome.residual,
+        trips_read.speeds_m_per_s,
+        trips_read.directions,
+        bogie,
     )
 
 
@@ -273,8 +280,10 @@ def _generator(config: DictConfig, healthy: _Healthy | None) -> ResponseGenerato
     plain: ResponseGenerator = build(config, "generator")
     if healthy is None or plain.speed_m_per_s is None:
         return plain
-    there = replace(healthy.generator, speed_m_per_s=plain.speed_m_per_s, device=plain.device)
-    return there.running(plain.direction or FORWARD)
+    commissioned = replace(
+        healthy.generator, speed_m_per_s=plain.speed_m_per_s, device=plain.device
+    )
+    return commissioned.running(plain.direction or FORWARD)
 
 
 def _train(

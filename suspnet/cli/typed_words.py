@@ -113,4 +113,4 @@ def _value(text: str, key: str) -> str:
 
 def _items(text: str) -> list[str]:
     """Return what stands between commas that are in no quotes or brackets."""
-    return [found[1] for found in ITEM.finditer(text) if found[1]]
+    return [item[1] for item in ITEM.finditer(text) if item[1]]

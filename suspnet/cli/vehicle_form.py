@@ -76,9 +76,9 @@ class Entry:
 
 def entries() -> list[Entry]:
     """Return the numbers of a vehicle, in the order of its file."""
-    deviations = {one.name: one.deviation for one in QUANTITIES}
-    found = []
-    for name, one in settings_of(Vehicle).items():
+    deviations = {setting.name: setting.deviation for setting in QUANTITIES}
+    form = []
+    for name, setting in settings_of(Vehicle).items():
         if name in FROM:
             exact = LITTLE.get(name, "")
             if name in PRIORS:
@@ -86,11 +86,11 @@ def entries() -> list[Entry]:
                 exact = f"within some {share:.0%}: healthy trips correct it (commissioning)"
             elif name == "body_mass_kg":
                 exact = "as exact as known: M_s is relative to it"
-            found.append(Entry(one, exact))
-    return found
+            form.append(Entry(setting, exact))
+    return form
 
 
-def write_vehicle(name: str, paths: Sequence[Path], said: Sequence[str], force: bool) -> int:
+def write_vehicle(name: str, paths: Sequence[Path], words: Sequence[str], force: bool) -> int:
     """Write DIR/vehicle/NAME.yaml from KEY=VALUE and return 0; 1 if numbers are missing.
 
     ValueError if the name, a key or a value is wrong, or the file exists and is not replaced.
@@ -103,16 +103,18 @@ def write_vehicle(name: str, paths: Sequence[Path], said: Sequence[str], force: 
     if os.path.lexists(path) and not force:
         raise ValueError(f"{path} exists; --force replaces it")
     form = entries()
-    values = _read(said, form)
-    missing = [one for one in form if one.is_required and one.setting.name not in values]
+    values = _read(words, form)
+    missing = [entry for entry in form if entry.is_required and entry.setting.name not in values]
     if missing:
         print(f"{path} is not written yet; give these of one bogie side, in SI units, KEY=VALUE:")
-        for one in missing:
-            print(f"  {one.setting.name} [{one.setting.setting.unit}]: {FROM[one.setting.name]}")
-            print(f"      {one.exactness}")
-        names = [one.setting.name for one in form if not one.is_required]
-        rest = [name for name in names if name not in values]
-        print(f"may be left out: {', '.join(rest)}")
+        for entry in missing:
+            print(
+                f"  {entry.setting.name} [{entry.setting.setting.unit}]: {FROM[entry.setting.name]}"
+            )
+            print(f"      {entry.exactness}")
+        names = [entry.setting.name for entry in form if not entry.is_required]
+        optional = [name for name in names if name not in values]
+        print(f"may be left out: {', '.join(optional)}")
         return 1
     guessed = {
         key: round(share * float(values[of]), 3)
@@ -148,14 +150,14 @@ def _as_built(vehicle: Vehicle) -> list[str]:
     ]
 
 
-def _read(said: Sequence[str], form: Sequence[Entry]) -> dict[str, Any]:
+def _read(words: Sequence[str], form: Sequence[Entry]) -> dict[str, Any]:
     """Return the values of KEY=VALUE; ValueError if a key is unknown or a value no number."""
-    known = [one.setting.name for one in form]
+    names = [entry.setting.name for entry in form]
     values: dict[str, Any] = {}
-    for word in said:
+    for word in words:
         key, _, text = word.partition("=")
-        if key not in known:
-            raise ValueError(f"`{key}` is not known; allowed are {', '.join(known)}")
+        if key not in names:
+            raise ValueError(f"`{key}` is not known; allowed are {', '.join(names)}")
         if key == "source":
             values[key] = text
             continue
@@ -170,12 +172,12 @@ def _text(
     name: str, form: Sequence[Entry], values: Mapping[str, Any], guessed: dict[str, float]
 ) -> str:
     lines = [f"# {name}: all numbers are SI and of one bogie side", f"name: {_scalar(name)}"]
-    for one in form:
-        key = one.setting.name
+    for entry in form:
+        key = entry.setting.name
         if key in values or key in guessed:
-            sentence = re.sub(r"; .*", "", one.setting.setting.sentence)
-            lines.append(f"# {sentence} [{one.setting.rule}]")
-            lines.append(f"# {FROM[key]}" + f"; {one.exactness}" * bool(one.exactness))
+            sentence = re.sub(r"; .*", "", entry.setting.setting.sentence)
+            lines.append(f"# {sentence} [{entry.setting.rule}]")
+            lines.append(f"# {FROM[key]}" + f"; {entry.exactness}" * bool(entry.exactness))
             how = f"  # assumed, as a share of {GUESSED[key][0]}" if key in guessed else ""
             lines.append(f"{key}: {_scalar(guessed.get(key, values.get(key)))}{how}")
     return "\n".join(lines) + "\n"

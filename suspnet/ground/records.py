@@ -85,8 +85,8 @@ class SensorHealth:
 def sensors_text(sensors: Mapping[str, SensorHealth]) -> str:
     """Return the health of a trip's sensors as JSON: {name: [noise, gain, tilt, delay, faulty]}."""
     rows = {
-        name: [float(f"{x:.4g}") if math.isfinite(x) else None for x in astuple(one)]
-        for name, one in sensors.items()
+        name: [float(f"{x:.4g}") if math.isfinite(x) else None for x in astuple(health)]
+        for name, health in sensors.items()
     }
     return json.dumps(rows, separators=(",", ":")) if rows else ""
 
@@ -294,31 +294,38 @@ def to_row(result: TripResult) -> dict[str, Any]:
     include the curves.
     """
     flat = _flat(result)
-    return {name: stored(one) if isinstance(one, str) else one for name, one in flat.items()}
+    return {
+        name: stored(value) if isinstance(value, str) else value for name, value in flat.items()
+    }
 
 
 def _flat(result: TripResult) -> dict[str, Any]:
     row: dict[str, Any] = {"vehicle": result.vehicle} | asdict(result.place)
     row |= {name: getattr(result, name) for name in (*TEXTS, *NUMBERS)}
     for name, column in VALUES.items():
-        row |= {column.format(one): getattr(result, name).get(one) for one in ESTIMATED}
+        row |= {
+            column.format(parameter): getattr(result, name).get(parameter)
+            for parameter in ESTIMATED
+        }
     return row | asdict(result.quality)
 
 
 def from_row(row: Mapping[str, Any]) -> TripResult:
     """Return the trip of a row of ``to_row``; None in other numeric columns becomes NaN."""
-    given: dict[str, Any] = {name: row[name] for name in ("vehicle", *TEXTS)}
-    given |= {name: restored(row[name]) for name in FOUND}
-    given |= {name: or_nan(row[name]) for name in NUMBERS}
+    entries: dict[str, Any] = {name: row[name] for name in ("vehicle", *TEXTS)}
+    entries |= {name: restored(row[name]) for name in FOUND}
+    entries |= {name: or_nan(row[name]) for name in NUMBERS}
     for name, column in VALUES.items():
-        values = {one: row[column.format(one)] for one in ESTIMATED}
-        given[name] = {one: value for one, value in values.items() if value is not None}
+        values = {parameter: row[column.format(parameter)] for parameter in ESTIMATED}
+        entries[name] = {
+            parameter: value for parameter, value in values.items() if value is not None
+        }
     quality: dict[str, Any] = {
         name: or_nan(row[name]) if kind == "float" else _restored(row[name])
         for name, kind in QUALITY_TYPES.items()
     }
     place = Place(**{name: row[name] for name in PLACE})
-    return TripResult(place=place, quality=Quality(**quality), **given)
+    return TripResult(place=place, quality=Quality(**quality), **entries)
 
 
 def _restored(value: str | int) -> str | int:
@@ -343,10 +350,10 @@ def utc(text: str) -> datetime | None:
 
 def to_arrays(curves: TripCurves) -> dict[str, FloatArray]:
     """Return curves as real arrays for the store and the cache of finished trips."""
-    arrays = {one.name: getattr(curves, one.name) for one in fields(curves)}
+    arrays = {entry.name: getattr(curves, entry.name) for entry in fields(curves)}
     responses = arrays.pop("responses")
     arrays |= {"real": np.real(responses), "imaginary": np.imag(responses)}
-    return {name: np.asarray(one, dtype=float) for name, one in arrays.items()}
+    return {name: np.asarray(entry, dtype=float) for name, entry in arrays.items()}
 
 
 def to_responses(real: FloatArray, imaginary: FloatArray) -> ComplexArray:
@@ -385,10 +392,10 @@ class Commissioning:
 
 def outputs_of(results: Iterable[TripResult]) -> tuple[str, ...]:
     """Return what any trip has an estimate of, in the order of tables; the parameters if none."""
-    known = {name for one in results for name in one.estimates}
-    if not known & set(BOGIE_PARTS):
-        return tuple(name for name in PARAMETERS if name in known) or PARAMETERS
-    return tuple(name for name in (*PARAMETERS[:-1], *COMPONENTS) if name in known)
+    names = {parameter for result in results for parameter in result.estimates}
+    if not names & set(BOGIE_PARTS):
+        return tuple(parameter for parameter in PARAMETERS if parameter in names) or PARAMETERS
+    return tuple(parameter for parameter in (*PARAMETERS[:-1], *COMPONENTS) if parameter in names)
 
 
 def by_mileage(results: Iterable[TripResult]) -> list[TripResult]:

@@ -187,7 +187,7 @@ def content_hash(description: Any) -> str:
 
 def distinct(names: Iterable[str], taken: Iterable[str] = ()) -> list[str]:
     """Return file names that differ in more than case, also from those taken: a, a_2, a_3."""
-    seen, found = set(taken), []
+    seen, unique = set(taken), []
     last: dict[str, int] = {}
     for base in names:
         name, number = base, last.get(base, 1)
@@ -196,8 +196,8 @@ def distinct(names: Iterable[str], taken: Iterable[str] = ()) -> list[str]:
             name = f"{base}_{number}"
         last[base] = number
         seen.add(name.lower())
-        found.append(name)
-    return found
+        unique.append(name)
+    return unique
 
 
 def why(error: OSError) -> str:

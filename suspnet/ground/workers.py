@@ -181,10 +181,10 @@ def alongside(module: str, *, is_wanted: bool = True) -> Iterator[Start]:
 
         def result() -> Result:
             try:
-                found: Result = future.result()
+                outcome: Result = future.result()
             except BrokenProcessPool:
                 return work()
-            return found
+            return outcome
 
         return result
 

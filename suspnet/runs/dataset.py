@@ -102,7 +102,7 @@ class DataSet(ShortRepr):
 
 def make_dataset(problem: Problem) -> DataSet:
     """Return the training, test and calibration curves of a problem."""
-    arrays: dict[str, list[Any]] = {one.name: [] for one in fields(DataSet)[:7]}
+    arrays: dict[str, list[Any]] = {column.name: [] for column in fields(DataSet)[:7]}
     for name, stream in SPLITS.items():
         if stream == CALIBRATE and not problem.settings.n_calibrate:
             continue
@@ -175,7 +175,7 @@ def read_dataset(path: Path | str) -> DataSet:
 
 
 def _arrays(data: DataSet) -> dict[str, NDArray[Any]]:
-    return {one.name: getattr(data, one.name) for one in fields(DataSet)[:-1]}
+    return {column.name: getattr(data, column.name) for column in fields(DataSet)[:-1]}
 
 
 def _npz(data: DataSet) -> bytes:
@@ -187,10 +187,10 @@ def _npz(data: DataSet) -> bytes:
 
 def _read_npz(path: Path) -> dict[str, Any]:
     with ZipFile(path) as packed:  # what is stored as it is takes no more memory than the file
-        if any(one.compress_type != ZIP_STORED for one in packed.infolist()):
+        if any(part.compress_type != ZIP_STORED for part in packed.infolist()):
             raise ValueError("it is compressed; save the arrays by numpy.savez")
     with np.load(path, allow_pickle=False) as file:
-        return {name: file[name] for name in (one.name for one in fields(DataSet))}
+        return {name: file[name] for name in (column.name for column in fields(DataSet))}
 
 
 def _hdf5(data: DataSet) -> bytes:
@@ -210,7 +210,7 @@ def _read_hdf5(path: Path) -> dict[str, Any]:
     h5py = import_extra("h5py", "hdf5", "a file NAME.h5")
     arrays: dict[str, Any] = {}
     with h5py.File(path, "r") as file:
-        for name in (one.name for one in fields(DataSet)[:-1]):
+        for name in (column.name for column in fields(DataSet)[:-1]):
             # links and data sets may lead to any other file of the reader's
             if name in file and not isinstance(file.get(name, getlink=True), h5py.HardLink):
                 raise ValueError(f"{name} is a link")

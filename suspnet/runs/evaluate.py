@@ -134,10 +134,10 @@ def write_maintenance(history: History, folder: Path, settings: BoardSettings) -
     Returns the states, the worst first. HistoryError if the store cannot be used; ValueError if it
     is empty.
     """
-    fleet = [one.relative_to_first(settings.n_first) for one in history.series()]
+    fleet = [series.relative_to_first(settings.n_first) for series in history.series()]
     if not fleet:
         raise ValueError(f"{history}: no trip is stored here yet")
-    own = {one.vehicle: settings.limits_of(one.vehicle) for one in fleet}
+    own = {series.vehicle: settings.limits_of(series.vehicle) for series in fleet}
     states = fleet_state(fleet, own, settings.changes, settings.sisters, settings.seed)
     history.keep_all_alarms({state.key: state.watched.alarms for state in states})
     acknowledged = history.all_acknowledgements()

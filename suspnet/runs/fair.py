@@ -168,7 +168,7 @@ def _orders_markdown(scores: Sequence[Record]) -> str:
             {score["model"]: score["mape_percent"] for score in of_seed}
             for of_seed in grouped(same, "seed").values()
         ]
-        errors = [[one[m] for m in METHODS] for one in by_seed if set(METHODS) <= set(one)]
+        errors = [[mape[m] for m in METHODS] for mape in by_seed if set(METHODS) <= set(mape)]
         if errors:
             n_ordered = sum(row == sorted(row) for row in errors)
             n_linear_last = sum(row[METHODS.index("linear")] == max(row) for row in errors)

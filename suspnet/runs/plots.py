@@ -264,8 +264,8 @@ def search_map(settings: Sequence[Mapping[str, float]], rmse: Sequence[float]) -
     """
     best = settings[int(np.argmin(rmse))]
     names = sorted(best, key=lambda name: -len({setting[name] for setting in settings}))
-    x_name, *rest = names
-    y_name = rest[0] if rest and len({setting[rest[0]] for setting in settings}) > 1 else None
+    x_name, *others = names
+    y_name = others[0] if others and len({setting[others[0]] for setting in settings}) > 1 else None
     fixed = {name: best[name] for name in best if name not in (x_name, y_name)}
     shown = [
         (setting, value)

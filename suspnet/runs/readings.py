@@ -65,16 +65,16 @@ def reading_records(runs: Sequence[Mapping[str, Any]]) -> list[Record]:
 
 def _cells(runs: Sequence[Mapping[str, Any]], test: str) -> Cells | None:
     """Return the mean over seeds of each cell of Table VI; None if one is missing."""
-    found: dict[tuple[str, str, str], list[float]] = {}
+    values_of: dict[tuple[str, str, str], list[float]] = {}
     for run in runs:
         scores = run["scores"] if test == "all" else run["scores_where"][test]
         for output, values in scores.items():
             for metric, value in values.items():
-                found.setdefault((output, metric, run["model"]), []).append(value)
+                values_of.setdefault((output, metric, run["model"]), []).append(value)
     wanted = [(*key, model) for key, models in PUBLISHED.items() for model in models]
-    if any(None in found.get(key, [None]) for key in wanted):
+    if any(None in values_of.get(key, [None]) for key in wanted):
         return None
-    return {key: fmean(found[key]) for key in wanted}
+    return {key: fmean(values_of[key]) for key in wanted}
 
 
 def compare(cells: Cells) -> Record:

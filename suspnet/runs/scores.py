@@ -188,7 +188,7 @@ def draw_run(
     outcome: Outcome,
     run_log: RunLog,
     folder: Path,
-    found: SearchResult | None,
+    searched: SearchResult | None,
     draw_vehicle: bool,
 ) -> None:
     """Draw features, search and predictions of a run, and on request its vehicle."""
@@ -211,13 +211,13 @@ def draw_run(
     objectives = getattr(model.estimator, "objectives_", [])
     if len(objectives) > 3:  # of two points a line says nothing
         figures["convergence"] = plots.convergence(objectives)
-    if found is not None:
+    if searched is not None:
         numbers = [
             {k: v for k, v in setting.items() if isinstance(v, int | float)}
-            for setting in found.settings
+            for setting in searched.settings
         ]
         if numbers[0]:  # a method without hyperparameters has one empty setting
-            figures["search"] = plots.search_map(numbers, found.rmse)
+            figures["search"] = plots.search_map(numbers, searched.rmse)
     _write_figures(figures, _title(problem, model.name), run_log, folder)
     draw_predictions(problem, model.name, outcome, run_log, folder)
 

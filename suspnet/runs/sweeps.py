@@ -32,7 +32,7 @@ from suspnet.runs.tables import (
     table6_records,
     write_study,
 )
-from suspnet.runs.trials import TRIALS, write_trials
+from suspnet.runs.trials import TRIALS, least_rmse, write_trials
 
 log = logging.getLogger(__name__)
 Run = Mapping[str, Any]
@@ -123,18 +123,21 @@ def with_swept(
 
     `job` is the column with the job's name; overrides of settings called one of `but` are left out.
     """
-    given: dict[str, dict[str, str]] = {}
+    settings: dict[str, dict[str, str]] = {}
     for path in sorted(folder.glob(f"*/{HYDRA}/overrides.yaml")):
         overrides = read_yaml(path)
         pairs = (str(override).lstrip("+").partition("=") for override in overrides)
-        given[path.parents[1].name] = {key: value for key, _, value in pairs}
-    keys = dict.fromkeys(key for own in given.values() for key in own)
+        settings[path.parents[1].name] = {key: value for key, _, value in pairs}
+    keys = dict.fromkeys(key for own in settings.values() for key in own)
     swept = [
         key
         for key in keys
-        if len({own.get(key) for own in given.values()}) > 1 and key.rpartition(".")[2] not in but
+        if len({own.get(key) for own in settings.values()}) > 1
+        and key.rpartition(".")[2] not in but
     ]
-    return [{**row, **{key: given.get(row[job], {}).get(key, "") for key in swept}} for row in rows]
+    return [
+        {**row, **{key: settings.get(row[job], {}).get(key, "") for key in swept}} for row in rows
+    ]
 
 
 def seed_rows(folder: Path, rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
@@ -310,7 +313,7 @@ def _search_record(run: Run) -> dict[str, Any]:
     keys = ("protocol", "group", "model", "n_train", "snr_db", "seed")
     return {key: run[key] for key in keys} | {
         "best": search["best"],
-        "cv_rmse": min(search["rmse"]),
+        "cv_rmse": least_rmse(search),
         "n_settings": len(search["rmse"]),
         "search_seconds": run.get("training", {}).get("search_seconds"),
         "edges": list(search["edges"].values()),

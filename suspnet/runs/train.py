@@ -148,26 +148,26 @@ def train(
         ledger.begin(folder)
     with RunLog(folder, is_new=True) as run_log:
         run_log.config(context.config)
-        found, searched = None, {}
+        search_result, search_notes = None, {}
         single = None if search is None else search.single(method_name(estimator))
         if single is not None:  # nothing to compare
             estimator.set_params(**single)
         elif search is not None:
             start = time.perf_counter()
-            found = tune(problem, estimator, search, run_log)
-            searched = {"search_seconds": time.perf_counter() - start}
-            estimator.set_params(**found.best)
+            search_result = tune(problem, estimator, search, run_log)
+            search_notes = {"search_seconds": time.perf_counter() - start}
+            estimator.set_params(**search_result.best)
         cost = None
         if context.residual is not None:  # it needs no model
             cost = context.start(partial(cost_without_model, problem, context.residual))
         model = replace(fit(problem, estimator, run_log), refined=refine)
         check_restores(model)  # before the calibration, which may take longer than the fit
-        model.training.update(searched)
+        model.training.update(search_notes)
         model = _trusted(problem, model, context, cost)
         stage("test")
         model = replace(model, training=model.training | dict(context.notes), bogie=context.bogie)
         outcome = predict_stream(problem, model, TEST)
-        metrics = _metrics(problem, model, outcome, found, context)
+        metrics = _metrics(problem, model, outcome, search_result, context)
         # the accuracy goes into the model's file for those who have no run folder
         accuracy = {"test_rms_percent": metrics["rms_percent"]}
         stage("figures and tables of the run")
@@ -175,7 +175,7 @@ def train(
         log_hyperparameters(run_log, metrics, model.training["parameters"], context.varied)
         if figures:
             figures_of = folder / "figures"
-            draw_run(problem, model, outcome, run_log, figures_of, found, context.draw_vehicle)
+            draw_run(problem, model, outcome, run_log, figures_of, search_result, context.draw_vehicle)
     write_json(folder / "environment.json", environment())
     write_json(folder / "metrics.json", metrics)  # last: it marks the run as finished
     report(metrics, folder)
@@ -214,7 +214,7 @@ def _metrics(
     problem: Problem,
     model: TrainedModel,
     outcome: Outcome,
-    found: SearchResult | None,
+    search: SearchResult | None,
     context: RunContext,
 ) -> Metrics:
     """Return the content of metrics.json."""
@@ -224,8 +224,8 @@ def _metrics(
         "seconds": model.training["seconds"] + outcome.seconds,
         "training": model.training,
     }
-    if found is not None:
-        metrics["search"] = asdict(found) | {"best": found.best}
+    if search is not None:
+        metrics["search"] = asdict(search) | {"best": search.best}
     for key, name in (("reading", "reading_name"), ("search_name", "search_name")):
         if context.config.get(name):
             metrics[key] = context.config[name]
@@ -291,23 +291,23 @@ def train_ranges(
     `train_one` returns the content of metrics.json, or {} in a process that does not write or test.
     """
     rows: list[dict[str, Any]] = []
-    for one in ranges:
-        metrics = train_one(one, folder / one.name)
+    for speeds in ranges:
+        metrics = train_one(speeds, folder / speeds.name)
         if metrics:
-            rows.append(_row(one, metrics))
+            rows.append(_row(speeds, metrics))
     if rows:
         write_json(folder / "speeds.json", rows)
         log.info("rms error in %% by speed\n\n%s\n-> %s", _table(rows), folder)
 
 
-def _row(one: SpeedRange, metrics: Mapping[str, Any]) -> dict[str, Any]:
+def _row(speeds: SpeedRange, metrics: Mapping[str, Any]) -> dict[str, Any]:
     keys = ("scores", "rms_percent", "intervals", "seconds")
     return {
-        "folder": one.name,
-        "low_m_per_s": one.low_m_per_s,
-        "high_m_per_s": one.high_m_per_s,
-        "trained_m_per_s": one.trained_m_per_s,
-        "direction": one.direction,
+        "folder": speeds.name,
+        "low_m_per_s": speeds.low_m_per_s,
+        "high_m_per_s": speeds.high_m_per_s,
+        "trained_m_per_s": speeds.trained_m_per_s,
+        "direction": speeds.direction,
     } | {key: metrics[key] for key in keys if key in metrics}
 
 

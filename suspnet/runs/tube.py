@@ -143,14 +143,14 @@ def write_tube(
     task = protocol.task(next(iter(protocol.groups)))
     task = replace(task, outputs=PARAMETERS[: max(study.n_outputs)])
     cells = []
-    for one in range(seed, seed + study.n_seeds):
-        problem = Problem(generator, task, settings, one, progress=progress)
+    for own_seed in range(seed, seed + study.n_seeds):
+        problem = Problem(generator, task, settings, own_seed, progress=progress)
         train, test = (problem.features(stream).complete() for stream in (TRAIN, TEST))
         curves = train.inputs, train.outputs, test.inputs, test.outputs
-        cells += _cells(study, protocol.name, one, curves)
+        cells += _cells(study, protocol.name, own_seed, curves)
         if study.sines:
-            sines = _sines(one, len(train.inputs), len(test.inputs))
-            cells += _cells(study, SINES, one, sines)
+            sines = _sines(own_seed, len(train.inputs), len(test.inputs))
+            cells += _cells(study, SINES, own_seed, sines)
     records = []
     with progress_bar("tube", len(cells), unit="cell", shown=progress) as bar:
         for _, compared in each(_compared, cells, workers):
@@ -278,7 +278,9 @@ def _trials(
         _Trial(method, values[f"{prefix}epsilon"], values, rmse)
         for values, rmse in zip(result.settings, result.rmse, strict=True)
     ]
-    return [min((t for t in every if t.epsilon == one), key=_rmse) for one in grid["epsilon"]]
+    return [
+        min((t for t in every if t.epsilon == epsilon), key=_rmse) for epsilon in grid["epsilon"]
+    ]
 
 
 def _rmse(trial: _Trial) -> float:
