@@ -98,7 +98,7 @@ def _workers_forked():
 
     forks()
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(workers, "_start_method", "forkserver")
+        patch.setattr(workers, "start_method", "forkserver")
         patch.setattr(program, "fork_from_server", lambda *_: None)  # the server imports more
         yield
 

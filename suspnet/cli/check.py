@@ -35,12 +35,9 @@ from suspnet.trips.check_page import (
     with_shared_data,
     write_checks,
 )
-from suspnet.trips.grouping import group_names
 
 N_HEALTHY = 5
 """Number of first trips that the next command takes as healthy, which the user may change."""
-MOST_NAMES = 8
-"""Largest number of suspensions that the next command names."""
 
 
 def check(arguments: Namespace) -> int:
@@ -142,17 +139,8 @@ def next_steps(
     return [
         f"{when}: {command('train', *train)}",
         f"  n_healthy={n_healthy}: the first {n_healthy} trips of each suspension by mileage are "
-        "taken as healthy; give as many as were run before any wear",
-        *_of_each(checks, folder, n_healthy),
+        "taken as healthy; give as many as were run before any wear, {NAME:number} of each",
     ]
-
-
-def _of_each(checks: Sequence[TripCheck], folder: Path, n_healthy: int) -> list[str]:
-    """Return a line on the numbers of healthy trips of several suspensions; none for one."""
-    names = group_names(sorted({(c.manifest.parent, c.place) for c in checks if c.vehicle}), folder)
-    numbers = ",".join(f"{name}:{n_healthy}" for name in names[:MOST_NAMES])
-    more = ",..." * (len(names) > MOST_NAMES)
-    return [f"  a number of each: 'n_healthy={{{numbers}{more}}}'"] * (len(names) > 1)
 
 
 def _speeds_beyond_healthy(ready_of: Sequence[Sequence[TripCheck]], n_healthy: int) -> list[str]:

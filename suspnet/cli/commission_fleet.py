@@ -122,7 +122,9 @@ def train_fleet(
             bar.update()
     rows = [_row(run) for run in runs if run.group.name not in failed]
     if rows:
-        log.info("misfit, and rms error in %% on test curves\n\n%s\n-> %s", _table(rows), folder)
+        log.info(
+            "misfit, and rms error in %% on test curves\n\n%s\n-> %s", fleet_table(rows), folder
+        )
     if failed:
         names = ", ".join(sorted(failed))
         raise ValueError(
@@ -179,7 +181,7 @@ def _run(config: DictConfig, group: Group, folder: Path, n_healthy: int | None) 
 def _trained(run: Run, train_one: TrainOne) -> tuple[list[str], str]:
     """Train the model of one suspension with its own log; return its warnings and its error."""
     folders.start_again(run.folder)
-    with _own_log(run.folder / LOG) as warnings:
+    with own_log(run.folder / LOG) as warnings:
         try:
             train_one(OmegaConf.create(run.config), run.folder, run.group.manifests)
         except Exception as error:
@@ -194,7 +196,7 @@ def _trained(run: Run, train_one: TrainOne) -> tuple[list[str], str]:
 
 
 @contextmanager
-def _own_log(file: Path) -> Iterator[BufferingHandler]:
+def own_log(file: Path) -> Iterator[BufferingHandler]:
     """Send this package's log to a file only, and yield the handler that collects its warnings."""
     file.parent.mkdir(parents=True, exist_ok=True)
     file = ledger.free_name(file)  # the log of an earlier attempt stays
@@ -232,7 +234,7 @@ def _row(run: Run) -> dict[str, Any]:
     }
 
 
-def _table(rows: Sequence[Mapping[str, Any]]) -> str:
+def fleet_table(rows: Sequence[Mapping[str, Any]]) -> str:
     by_part = any("misfit_of_parts" in row for row in rows)
     # with parts read, they are what counts; the others serve trips that do not show their parts
     misfits = {"misfit_of_parts": "misfit of parts", "misfit": "sides as equal"}

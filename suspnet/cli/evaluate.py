@@ -106,13 +106,14 @@ def _evaluate(config: DictConfig, history: Callable[[], History]) -> int:
         )
         write_documents(done, output, pdf=config.pdf, xlsx=config.xlsx)
         return exit_code(done)
+    if config.get("protocol"):
+        raise ValueError("protocol= is for study=identifiability: a model is tested on its own")
     if not isinstance(config.data, DictConfig):
         raise ValueError(f"`data` holds data.n_test and data.snr_db, got {config.data!r}")
     fresh = FreshCurves(
         seed=config.seed,
         n_test=config.data.n_test,
         snr_db=config.data.snr_db,
-        protocol=build(config, "protocol") if config.get("protocol") else None,
         threads=program.n_threads(config.threads),
         progress=config.progress,
     )

@@ -75,7 +75,7 @@ REMOVED = {
     ),
 }
 """What Hydra does not find because it was removed or belongs to another program, and a hint."""
-_debugging = bool(os.environ.get(DEBUG, "") not in ("", "0"))
+is_debugging = bool(os.environ.get(DEBUG, "") not in ("", "0"))
 
 store_tables()
 folders.register()
@@ -196,13 +196,13 @@ def run(main: Callable[[], Any], *, unwinds: bool = True) -> None:
     except BrokenPipeError:
         sys.exit(_output_ended())
     except MISTAKES as error:
-        if _debugging:
+        if is_debugging:
             raise
         sys.exit(one_line(error))
     except (LostWorkerError, BrokenProcessPool) as error:
         sys.exit(f"{one_line(error)}; {folders.how_to_resume()}")
     except RuntimeError as error:
-        if _debugging or NO_SLURM not in str(error):
+        if is_debugging or NO_SLURM not in str(error):
             raise
         sys.exit(one_line(error))
 
@@ -295,7 +295,7 @@ def task(function: Callable[[DictConfig], Any]) -> Callable[[DictConfig], Any]:
         except BrokenPipeError:
             raise SystemExit(_output_ended()) from None
         except Exception as error:
-            if _debugging or not (isinstance(error, MISTAKES) or folders.is_job()):
+            if is_debugging or not (isinstance(error, MISTAKES) or folders.is_job()):
                 raise
             if isinstance(error, MISTAKES):
                 folders.remove_unused(run_folder())
@@ -365,8 +365,7 @@ def one_line(error: BaseException) -> str:
         message = message.split(noise)[0]
     if message.startswith("Could not override"):
         start = message.strip().rstrip(".")
-        missing = _missing_key(error, is_mapping="={" in text)
-        message = f"{start}. There is no {missing}; --help lists them"
+        message = f"{start}. There is no such key{_nearest_key(error)}; --help lists them"
     for pattern, hint in REMOVED.items():
         name = pattern.search(text)
         if name and text.startswith("Could not"):
@@ -376,21 +375,16 @@ def one_line(error: BaseException) -> str:
     return printable("error: " + " ".join(message.split()))
 
 
-def _missing_key(error: BaseException, is_mapping: bool) -> str:
-    """Return which key cannot be overridden, by a mapping or not, and the nearest one there."""
-    cause, unnamed = error.__cause__, "such key"
+def _nearest_key(error: BaseException) -> str:
+    """Return the key nearest to one that cannot be overridden, as a question; empty for none."""
+    cause: Any = error.__cause__
     place = getattr(cause, "parent_node", None)
-    if not isinstance(cause, OmegaConfBaseException) or not isinstance(place, DictConfig):
-        return unnamed
+    if not isinstance(place, DictConfig):
+        return ""
     if not place:  # a mapping to be filled
-        return f"{unnamed}: a + before it adds it"
+        return ": a + before it adds it"
     near = get_close_matches(str(cause.key), [str(key) for key in place], n=1)
-    hint = f": did you mean {near[0]}?" if near else ""
-    entries: Any = OmegaConf.to_container(place, resolve=False)
-    if is_mapping and all(isinstance(entry, dict) for entry in entries.values()):
-        # one more of several mappings: it has a name that a user may choose
-        return f"{cause.full_key} yet{hint or ':'} +{cause.full_key}=... adds it"
-    return unnamed + hint
+    return f": did you mean {near[0]}?" if near else ""
 
 
 def run_folder() -> Path:

@@ -155,7 +155,7 @@ def _access(config: DictConfig) -> Access:
     return Access(
         str(config.user_header or ""),
         [str(address) for address in config.trusted_proxies],
-        [str(address) for address in config.engineers],
+        [str(name) for name in config.engineers],
         _token(config.token_file),
     )
 

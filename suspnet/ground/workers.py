@@ -42,7 +42,7 @@ USUAL_WORKERS, ITEMS_A_WORKER = 2, 10
 takes 2 s to start, about as long as 10 trips of 5 minutes."""
 Item = TypeVar("Item")
 Result = TypeVar("Result")
-_start_method = "loky"
+start_method = "loky"
 """How processes start: each on its own, or "forkserver" for programs (`fork_from_server`)."""
 
 
@@ -64,7 +64,7 @@ def fork_from_server(module: str, n_workers: int) -> None:
     process does next. Only for programs: workers import the main module again, which must start
     nothing then. Workers start on their own where processes cannot be forked, and in a worker.
     """
-    global _start_method
+    global start_method
     is_worker = multiprocessing.parent_process() is not None
     if is_worker or n_workers < 2 or "forkserver" not in multiprocessing.get_all_start_methods():
         return
@@ -78,7 +78,7 @@ def fork_from_server(module: str, n_workers: int) -> None:
             before = signal.signal(signal.SIGINT, signal.SIG_IGN)
             stack.callback(signal.signal, signal.SIGINT, before)
         forkserver.ensure_running()
-    _start_method = "forkserver"
+    start_method = "forkserver"
 
 
 def _put_back(name: str, value: str | None) -> None:
@@ -96,7 +96,7 @@ def _environment(n_workers: int) -> dict[str, str]:
 
 def guarded(n_workers: int) -> ProcessPoolExecutor:
     """Return an executor with one process that ends with this one; `n_workers` share the cores."""
-    is_forked = _start_method == "forkserver"
+    is_forked = start_method == "forkserver"
     context = multiprocessing.get_context("forkserver") if is_forked else None
     env = _environment(n_workers)
     return ProcessPoolExecutor(

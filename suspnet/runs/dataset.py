@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import io
 import json
-from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
@@ -20,7 +19,6 @@ from numpy.typing import ArrayLike, NDArray
 from suspnet._version import __version__
 from suspnet.estimation.information import output_bounds, over_bound
 from suspnet.estimation.problem import BLOCK, CALIBRATE, TEST, TRAIN, Problem
-from suspnet.ground.extras import import_extra
 from suspnet.ground.parameters import PARAMETERS
 from suspnet.ground.settings import check_choice
 from suspnet.ground.storage import write_atomically
@@ -30,8 +28,7 @@ from suspnet.learning.metrics import check_estimates
 
 SPLITS = {"train": TRAIN, "test": TEST, "calibrate": CALIBRATE}
 """Name of each split and its stream of curves."""
-ABOUT = "about"
-"""Name of the JSON text that describes a file's columns."""
+SUFFIX = ".npz"
 UNREADABLE = (KeyError, MemoryError, OSError, TypeError, ValueError, BadZipFile)
 """Errors of the libraries on a file that is no data set."""
 
@@ -100,9 +97,13 @@ class DataSet(ShortRepr):
         }
 
 
+ARRAYS = tuple(column.name for column in fields(DataSet)[:-1])
+"""Names of the arrays of a data set."""
+
+
 def make_dataset(problem: Problem) -> DataSet:
     """Return the training, test and calibration curves of a problem."""
-    arrays: dict[str, list[Any]] = {column.name: [] for column in fields(DataSet)[:7]}
+    arrays: dict[str, list[Any]] = {name: [] for name in ARRAYS[:-1]}
     for name, stream in SPLITS.items():
         if stream == CALIBRATE and not problem.settings.n_calibrate:
             continue
@@ -139,21 +140,19 @@ def make_dataset(problem: Problem) -> DataSet:
 
 
 def write_dataset(data: DataSet | Problem, path: Path | str) -> Path:
-    """Write a data set, or that of a problem, to NAME.npz or NAME.h5; return the path.
+    """Write a data set, or that of a problem, to NAME.npz; return the path.
 
-    Raises
-    ------
-    ValueError
-        If the suffix is another one, or h5py is needed and not installed.
-    FileExistsError
-        If the file exists: nothing is replaced.
+    ValueError if the suffix is another one, FileExistsError if the file exists.
     """
     path = Path(path)
-    check_choice("suffix", path.suffix, tuple(WRITERS))
+    check_choice("suffix", path.suffix, (SUFFIX,))
     if path.exists():
         raise FileExistsError(f"{path} exists; name a new file")
     data = make_dataset(data) if isinstance(data, Problem) else data
-    return write_atomically(path, WRITERS[path.suffix](data))
+    arrays: dict[str, Any] = {name: getattr(data, name) for name in ARRAYS}
+    stream = io.BytesIO()
+    np.savez(stream, **arrays, about=np.array(json.dumps(data.about)))
+    return write_atomically(path, stream.getvalue())
 
 
 def read_dataset(path: Path | str) -> DataSet:
@@ -162,65 +161,15 @@ def read_dataset(path: Path | str) -> DataSet:
     Nothing in the file is run: it holds numbers and text.
     """
     path = Path(path)
-    check_choice("suffix", path.suffix, tuple(READERS))
+    check_choice("suffix", path.suffix, (SUFFIX,))
     try:
-        arrays = READERS[path.suffix](path)
-        about = json.loads(str(arrays.pop(ABOUT)))
-        arrays["split"] = np.asarray(arrays["split"]).astype(str)
-        return DataSet(**arrays, about=about)
+        with ZipFile(path) as packed:  # what is stored as it is takes no more memory than the file
+            if any(part.compress_type != ZIP_STORED for part in packed.infolist()):
+                raise ValueError("it is compressed; save the arrays by numpy.savez")
+        with np.load(path, allow_pickle=False) as file:
+            arrays = {name: file[name] for name in ARRAYS}
+            return DataSet(**arrays, about=json.loads(str(file["about"])))
     except FileNotFoundError:
         raise
     except UNREADABLE as error:
         raise ValueError(f"{path} is no data set of suspnet: {error}") from error
-
-
-def _arrays(data: DataSet) -> dict[str, NDArray[Any]]:
-    return {column.name: getattr(data, column.name) for column in fields(DataSet)[:-1]}
-
-
-def _npz(data: DataSet) -> bytes:
-    stream = io.BytesIO()
-    arrays: dict[str, Any] = _arrays(data) | {ABOUT: np.array(json.dumps(data.about))}
-    np.savez(stream, **arrays)
-    return stream.getvalue()
-
-
-def _read_npz(path: Path) -> dict[str, Any]:
-    with ZipFile(path) as packed:  # what is stored as it is takes no more memory than the file
-        if any(part.compress_type != ZIP_STORED for part in packed.infolist()):
-            raise ValueError("it is compressed; save the arrays by numpy.savez")
-    with np.load(path, allow_pickle=False) as file:
-        return {name: file[name] for name in (column.name for column in fields(DataSet))}
-
-
-def _hdf5(data: DataSet) -> bytes:
-    h5py = import_extra("h5py", "hdf5", "a file NAME.h5")
-    stream = io.BytesIO()
-    with h5py.File(stream, "w") as file:
-        for name, array in _arrays(data).items():
-            text = array.dtype.kind == "U"
-            file[name] = array.astype("S") if text else array
-        file.attrs[ABOUT] = json.dumps(data.about)
-    return stream.getvalue()
-
-
-def _read_hdf5(path: Path) -> dict[str, Any]:
-    from suspnet.recordings.array_files import foreign
-
-    h5py = import_extra("h5py", "hdf5", "a file NAME.h5")
-    arrays: dict[str, Any] = {}
-    with h5py.File(path, "r") as file:
-        for name in (column.name for column in fields(DataSet)[:-1]):
-            # links and data sets may lead to any other file of the reader's
-            if name in file and not isinstance(file.get(name, getlink=True), h5py.HardLink):
-                raise ValueError(f"{name} is a link")
-            if words := foreign(file[name]):
-                raise ValueError(f"{name} {words}")
-            if file[name].nbytes > file[name].id.get_storage_size():
-                raise ValueError(f"{name} is compressed or declares more than it holds")
-            arrays[name] = file[name][()]
-        return arrays | {ABOUT: file.attrs[ABOUT]}
-
-
-WRITERS: Mapping[str, Callable[[DataSet], bytes]] = {".npz": _npz, ".h5": _hdf5}
-READERS: Mapping[str, Callable[[Path], dict[str, Any]]] = {".npz": _read_npz, ".h5": _read_hdf5}

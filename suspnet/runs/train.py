@@ -94,8 +94,7 @@ def train(
     """Train one method on one problem, test it, and fill a run folder.
 
     Writes metrics.json, model.json, model.safetensors, environment.json, figures and TensorBoard
-    events. What cannot be saved is refused before the folder exists, the arrays of a registered
-    method right after its fit.
+    events.
 
     Parameters
     ----------
@@ -109,10 +108,6 @@ def train(
         Tunes the method first.
     refine : bool
         Refine the estimates by Gauss-Newton steps on the curves.
-    figures : bool
-        Whether to draw figures of the run.
-    context : RunContext, optional
-        Additions of a program that starts the run.
 
     Returns
     -------
@@ -121,11 +116,9 @@ def train(
 
     Raises
     ------
-    TypeError
-        If the method or one of its settings cannot be saved to `folder`.
-    ValueError
-        If a search is asked for without a folder, if the method's predictions are not finite or of
-        another shape, or if a registered method does not predict the same once it is restored.
+    TypeError, ValueError
+        If the method cannot be saved to `folder`, a search has no folder, or the method does not
+        predict finite numbers of the right shape, and the same ones once it is restored.
     FileExistsError
         If the folder holds files that are not suspnet's.
     """
@@ -175,7 +168,9 @@ def train(
         log_hyperparameters(run_log, metrics, model.training["parameters"], context.varied)
         if figures:
             figures_of = folder / "figures"
-            draw_run(problem, model, outcome, run_log, figures_of, search_result, context.draw_vehicle)
+            draw_run(
+                problem, model, outcome, run_log, figures_of, search_result, context.draw_vehicle
+            )
     write_json(folder / "environment.json", environment())
     write_json(folder / "metrics.json", metrics)  # last: it marks the run as finished
     report(metrics, folder)

@@ -47,7 +47,6 @@ from suspnet.trips.check_page import (
     trip_figure,
     write_checks,
 )
-from suspnet.trips.grouping import find_groups
 
 N_GOOD = 2
 """Number of trips that are checked; the first is drawn, which takes a second, others are blank."""
@@ -373,29 +372,6 @@ def test_next_training_reads_later_trips_at_other_speeds_and_names_parts_despite
         assert [w for w in shlex.split(command) if "speed" in w] == words
     few = [replace(one, shows_parts=one.mileage_km < 4) for one in trips]
     assert "protocol=components" not in steps_after(arguments, few)[0]
-
-
-@pytest.mark.parametrize(
-    ("folders", "names"),
-    [
-        (("", ""), "4711_leading_bogie:3,4711_trailing_bogie:3"),
-        (("car 7", "car 8"), "car_7:3,car_8:3"),
-        (("car 7", "car 7"), "car_7_4711_leading_bogie:3,car_7_4711_trailing_bogie:3"),
-    ],
-)
-def test_next_training_names_the_suspensions_whose_healthy_trips_may_differ(
-    tmp_path, folders, names
-):
-    trips = []
-    for folder, bogie in zip(folders, ("leading", "trailing"), strict=True):
-        path = tmp_path / folder / f"{bogie}.yaml"
-        path.parent.mkdir(exist_ok=True)
-        path.write_text(yaml.safe_dump({"suspension": "4711", "bogie": bogie}))
-        trips += [replace(READY_TRIP, manifest=path, place=Place("4711", bogie))] * 3
-    arguments = options.check_parser().parse_args([str(tmp_path)])
-    *_, last = steps_after(arguments, trips)
-    assert last == f"  a number of each: 'n_healthy={{{names}}}'"
-    assert names == ",".join(f"{group.name}:3" for group in find_groups(tmp_path))
 
 
 @pytest.mark.parametrize(

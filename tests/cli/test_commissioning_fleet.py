@@ -233,7 +233,7 @@ def test_processes_of_torchrun_are_refused(fleet, tmp_path, monkeypatch):
 def test_log_of_a_run_leaves_the_logger_as_it_was(tmp_path):
     logger = logging.getLogger("suspnet")
     before = logger.level, logger.propagate, list(logger.handlers)
-    with commission_fleet._own_log(tmp_path / "new" / "train.log") as warnings:
+    with commission_fleet.own_log(tmp_path / "new" / "train.log") as warnings:
         logging.getLogger("suspnet.x").warning("doubt %d", 1)
         logging.getLogger("suspnet.x").info("news")
         assert [record.getMessage() for record in warnings.buffer] == ["doubt 1"]
@@ -260,10 +260,10 @@ def test_models_of_each_suspension_are_for_the_speeds_of_its_own_trips(
 
 def test_table_shows_the_misfit_of_the_parts_first():
     row = {"suspension": "car", "n_trips": 5, "misfit": 6.623, "rms_percent": {"k_p": 1.0}}
-    plain = commission_fleet._table([row])
+    plain = commission_fleet.fleet_table([row])
     assert "misfit |" in plain
     assert "6.62 |" in plain
-    by_part = commission_fleet._table([row, row | {"misfit_of_parts": 1.084}])
+    by_part = commission_fleet.fleet_table([row, row | {"misfit_of_parts": 1.084}])
     columns = [one.strip() for one in by_part.splitlines()[0].strip("|").split("|")]
     assert columns == ["suspension", "trips", "misfit of parts", "sides as equal", "k_p"]
     assert [one.strip() for one in by_part.splitlines()[-1].strip("|").split("|")][2] == "1.08"

@@ -10,12 +10,10 @@ import pytest
 from cli_runner import SMALL, typed
 from hydra import compose, initialize_config_dir
 from hydra.core.hydra_config import HydraConfig
-from hydra.utils import get_object
-from omegaconf import OmegaConf, open_dict, read_write
+from omegaconf import open_dict, read_write
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from suspnet.cli import evaluate, folders, program, simulate, train
-from suspnet.cli.kinds import KINDS, class_of
 from suspnet.cli.program import CONFIGS
 from suspnet.ground import ledger
 from suspnet.ground.storage import read_json
@@ -79,7 +77,7 @@ def test_a_refused_run_leaves_no_folder(tmp_path):
 
 def test_a_folder_with_anything_else_in_it_is_kept(tmp_path, monkeypatch):
     run = tmp_path / "run"
-    monkeypatch.setattr(folders, "_made", [run])
+    monkeypatch.setattr(folders, "made_folders", [run])
     (run / ".hydra" / "mine").mkdir(parents=True)
     (run / ".hydra" / "config.yaml").touch()
     (run / "train.log").touch()
@@ -181,31 +179,6 @@ def test_multirun_goes_on_and_ends_as_if_uninterrupted(interrupted, tmp_path):
     assert again.returncode == 0
 
 
-def test_folder_of_an_earlier_version_counts_as_finished(tmp_path):
-    """Its config.yaml names a `_target_` where kinds stand now."""
-    with initialize_config_dir(version_base="1.3", config_dir=CONFIGS):
-        config = compose("train", overrides=["model=linear", "reading_name=null"])
-    (tmp_path / "metrics.json").write_text("{}")
-    kinds = {
-        "generator": "suspnet.dynamics.QuarterCar",
-        "data": "suspnet.spectra.curves.CurveSettings",
-        "model": "suspnet.learning.LinearRegression",
-    }
-    old = OmegaConf.to_container(config, resolve=True)
-    for place, target in kinds.items():
-        assert class_of(place, old[place].pop("kind")) is get_object(target)
-        old[place] = {"_target_": target, "_convert_": "all", **old[place]}
-    for place in ("vehicle", "protocol"):
-        old[place] = {"_target_": KINDS[place][""], **old[place]}
-    old["generator"]["vehicle"] = dict(old["vehicle"])
-    (tmp_path / "config.yaml").write_text(OmegaConf.to_yaml(old))
-    assert folders.is_finished(config, tmp_path)
-    old["model"]["_target_"] = "suspnet.learning.MSVR"
-    (tmp_path / "config.yaml").write_text(OmegaConf.to_yaml(old))
-    with pytest.raises(ValueError, match="holds a finished run of other settings"):
-        folders.is_finished(config, tmp_path)
-
-
 def test_table_of_jobs_knows_several_speeds_and_unfinished_ones(tmp_path):
     for name in "abcd":
         (tmp_path / name).mkdir()
@@ -263,6 +236,6 @@ def test_process_that_dies_in_a_multirun_is_one_line(tmp_path, monkeypatch, caps
     def broken():
         raise program.BrokenProcessPool("a worker was killed")
 
-    monkeypatch.setattr(folders, "_to_resume", ["outputs/train/x"])
+    monkeypatch.setattr(folders, "to_resume", ["outputs/train/x"])
     with pytest.raises(SystemExit, match=r"^error: a worker was killed; go on with .*resume=outp"):
         program.run(broken)

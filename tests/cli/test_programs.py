@@ -187,11 +187,6 @@ def test_mistake_gets_one_line(override, message, tmp_path):
             "There is no such key: did you mean n_train?; --help lists them",
         ),
         (train, ["protocol.feature_settings.n=4"], "no such key: a + before it adds it; --help"),
-        (
-            train,
-            ["protocol.groups={mine:{outputs:[k_p],responses:[G_p],peaks:[primary_largest]}}"],
-            "There is no protocol.groups.mine yet: +protocol.groups.mine=... adds it; --help",
-        ),
         (train, ["hydra.run.dir={file}/x"], "Not a directory"),
         (evaluate, [], "which run?"),
         (evaluate, ["run=nowhere"], "run=nowhere does not exist"),
@@ -224,7 +219,7 @@ def is_one_line(ended, message):
 
 
 def test_traceback_on_request(tmp_path, monkeypatch):
-    monkeypatch.setattr(program, "_debugging", True)
+    monkeypatch.setattr(program, "is_debugging", True)
     with pytest.raises(ValueError, match="`seed` must be a whole number >= 0, got -1"):
         typed(train, "seed=-1", *SMALL, cwd=tmp_path)
 

@@ -94,17 +94,6 @@ def test_temporary_file_of_a_killed_program_may_be_there(tmp_path):
         begin(tmp_path)
 
 
-def test_cut_off_line_costs_the_file_of_that_line_only(tmp_path):
-    begin(tmp_path)
-    write_atomically(tmp_path / "a", "1")
-    with (tmp_path / LEDGER).open("a") as stream:
-        stream.write('\n["0123')
-    write_atomically(tmp_path / "b", "1")
-    assert begin(tmp_path)
-    for name in "ab":
-        write_atomically(tmp_path / name, "2")
-
-
 def test_threads_and_names_of_any_kind_are_all_listed(tmp_path):
     begin(tmp_path)
     kinds = ["\N{GREEK SMALL LETTER OMEGA}", os.fsdecode(b"\xff"), "a\nb", "'\"\\", "..."]

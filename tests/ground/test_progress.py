@@ -21,12 +21,12 @@ from suspnet.ground import progress
 def lines(caplog, monkeypatch):
     """Let lines come 20 times a second, and return those so far."""
     monkeypatch.setattr(progress, "INTERVAL_S", 0.05)
-    monkeypatch.setattr(progress._Lines, "monitor_interval", 0.01)
-    monkeypatch.setattr(progress._Lines, "monitor", None)
+    monkeypatch.setattr(progress.Lines, "monitor_interval", 0.01)
+    monkeypatch.setattr(progress.Lines, "monitor", None)
     caplog.set_level(logging.INFO, progress.log.name)
     yield lambda: caplog.messages
-    if progress._Lines.monitor is not None:
-        progress._Lines.monitor.exit()
+    if progress.Lines.monitor is not None:
+        progress.Lines.monitor.exit()
 
 
 def wait_for(lines, n):

@@ -122,7 +122,7 @@ def test_work_alongside_without_a_second_core_is_done_here(monkeypatch, n_cores,
 @pytest.fixture(autouse=True)
 def _workers_start_on_their_own(monkeypatch):
     """Start workers as without a program, which forks them."""
-    monkeypatch.setattr(workers, "_start_method", "loky")
+    monkeypatch.setattr(workers, "start_method", "loky")
 
 
 FORKED = """
@@ -130,7 +130,7 @@ from test_workers import *
 from suspnet.ground.workers import fork_from_server
 before = signal.getsignal(signal.SIGINT), dict(os.environ)
 fork_from_server("json", 1)
-found = {"alone": workers._start_method}
+found = {"alone": workers.start_method}
 fork_from_server("json", 2)
 found["unchanged"] = before == (signal.getsignal(signal.SIGINT), dict(os.environ))
 found["pids"] = [one for _, one in each(parent_of, [*range(4)], 2)]
