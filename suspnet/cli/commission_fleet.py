@@ -235,6 +235,7 @@ def _row(run: Run) -> dict[str, Any]:
 
 
 def fleet_table(rows: Sequence[Mapping[str, Any]]) -> str:
+    """Return misfit and rms errors of each suspension as Markdown."""
     by_part = any("misfit_of_parts" in row for row in rows)
     # with parts read, they are what counts; the others serve trips that do not show their parts
     misfits = {"misfit_of_parts": "misfit of parts", "misfit": "sides as equal"}

@@ -6,7 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from cli_runner import QUIET, SMALL, run_composed, run_program
+from cli_runner import QUIET, run_composed, run_program
 from commissioned_example import commissioned_example
 from omegaconf import OmegaConf
 from trip_fixtures import changed, small_fleet
@@ -16,7 +16,7 @@ from suspnet.estimation import healthy_trips
 from suspnet.estimation.checkpoint import load_model
 from suspnet.ground import ledger
 from suspnet.ground.records import Place
-from suspnet.ground.storage import read_json, write_json
+from suspnet.ground.storage import write_json
 from suspnet.runs import commissioning as run
 from suspnet.runs.commissioning_page import as_json
 from suspnet.runs.evaluate import find_runs
@@ -140,18 +140,6 @@ def test_each_suspension_has_a_run_of_its_own_as_its_folder_alone_gives(
         assert alone.replace(b"workers: 2", b"workers: 1") == of_all
 
 
-def test_suspensions_of_one_folder_are_told_apart_by_their_names(fitted, quick, fleet, tmp_path):
-    mixed = tmp_path / "mixed"
-    mixed.mkdir()
-    for name in PLACES:
-        for path in (fleet / name).glob("*.yaml"):
-            path.rename(mixed / f"{name}_{path.name}")
-    assert trained(tmp_path / "run", mixed) == 0
-    notes = [read_json(one / "model.json") for one in find_runs(tmp_path / "run")]
-    assert [Place(**one["commissioned"]["place"]) for one in notes] == list(PLACES.values())
-    assert fitted == ["leading", "trailing"]
-
-
 def test_each_suspension_may_have_its_own_number_of_healthy_trips(quick, fleet, tmp_path):
     assert commission_fleet.first_trips(7, ["one", "two"]) == {"one": 7, "two": 7}
     assert trained(tmp_path / "run", fleet, "n_healthy={two:4,one:3}") == 0
@@ -214,12 +202,6 @@ def test_mistakes_of_all_are_one_line_and_leave_nothing(overrides, words, fleet,
     said = trained(tmp_path / "run", fleet, *overrides)
     assert said.startswith("error: ")
     assert words in said
-    assert list((tmp_path / "run").iterdir()) == []
-
-
-def test_models_of_curves_have_no_healthy_trips(fleet, tmp_path):
-    said = run_program(train, tmp_path / "run", *SMALL, f"healthy={fleet}")
-    assert said == "error: healthy= is for models that read trips: experiment=trips"
     assert list((tmp_path / "run").iterdir()) == []
 
 

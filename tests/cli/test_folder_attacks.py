@@ -251,17 +251,6 @@ def test_what_the_user_put_into_a_run_since_stays(trained, tmp_path, change, res
     assert ended.stderr.count("\n") == 1
 
 
-def test_run_whose_configuration_grows_by_aliases_is_another_one(trained, tmp_path):
-    run = tmp_path / "run"
-    shutil.copytree(trained, run)
-    laughs = ["a0: &a0 [x]", *(f"a{i}: &a{i} [{f'*a{i - 1}, ' * 9}]" for i in range(1, 15))]
-    put(run / "config.yaml", "\n".join(laughs))
-    with (run / ledger.LEDGER).open("a") as stream:
-        stream.write("\n" + entry("config.yaml", "\n".join(laughs)))
-    ended = typed(train, *TRAIN, "resume=run", cwd=tmp_path)
-    assert "run holds a finished run of other settings" in ended.stderr
-
-
 def test_same_command_again_replaces_what_it_wrote(trained, tmp_path):
     run = tmp_path / "run"
     shutil.copytree(trained, run)

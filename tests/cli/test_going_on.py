@@ -1,7 +1,6 @@
 """Runs get folders of their own; a multirun goes on where it stopped; one failed job is one row."""
 
 import csv
-import json
 import os
 import re
 import signal
@@ -13,11 +12,10 @@ from hydra.core.hydra_config import HydraConfig
 from omegaconf import open_dict, read_write
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
-from suspnet.cli import evaluate, folders, program, simulate, train
+from suspnet.cli import evaluate, folders, simulate, train
 from suspnet.cli.program import CONFIGS
 from suspnet.ground import ledger
 from suspnet.ground.storage import read_json
-from suspnet.runs.sweeps import job_rows
 
 pytestmark = pytest.mark.usefixtures("blank")
 EVENTS = "events.out.tfevents.*"
@@ -179,23 +177,6 @@ def test_multirun_goes_on_and_ends_as_if_uninterrupted(interrupted, tmp_path):
     assert again.returncode == 0
 
 
-def test_table_of_jobs_knows_several_speeds_and_unfinished_ones(tmp_path):
-    for name in "abcd":
-        (tmp_path / name).mkdir()
-        (tmp_path / name / "config.yaml").touch()
-    for name, error in ("a", 2.0), ("d", 1.9):
-        (tmp_path / name / "metrics.json").write_text(json.dumps({"rms_percent": {"k_p": error}}))
-    two = [{"rms_percent": {"k_p": 1.0, "c_p": 4.0}}, {"rms_percent": {"k_p": 2.0, "c_p": 0.0}}]
-    (tmp_path / "c" / "speeds.json").write_text(json.dumps(two))
-    assert job_rows(tmp_path) == [
-        {"job": "d", "mean": 1.9, "k_p": 1.9, "c_p": None, "state": "finished"},
-        {"job": "a", "mean": 2.0, "k_p": 2.0, "c_p": None, "state": "finished"},
-        {"job": "c", "mean": 1.75, "k_p": 1.5, "c_p": 2.0, "state": "finished"},
-        {"job": "b", "mean": None, "k_p": None, "c_p": None, "state": "unfinished"},
-    ]
-    assert job_rows(tmp_path / "a") == []
-
-
 # signals
 
 GO_ON = "go on with the same command and resume=outputs/"
@@ -230,12 +211,3 @@ def test_sigterm_ends_a_program_with_one_line(tmp_path, monkeypatch, module, ste
     assert ended.stderr.startswith(f"terminated: nothing was half-written; {hint}")
     assert ended.stderr.count("\n") == 1
     assert signal.getsignal(signal.SIGTERM) is before
-
-
-def test_process_that_dies_in_a_multirun_is_one_line(tmp_path, monkeypatch, capsys):
-    def broken():
-        raise program.BrokenProcessPool("a worker was killed")
-
-    monkeypatch.setattr(folders, "to_resume", ["outputs/train/x"])
-    with pytest.raises(SystemExit, match=r"^error: a worker was killed; go on with .*resume=outp"):
-        program.run(broken)

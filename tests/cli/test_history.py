@@ -82,11 +82,6 @@ def test_alarms_are_listed_worst_first_with_who_has_seen_them(alarmed, capsys):
     assert "| 10 000 to 20 000 | below" in capsys.readouterr().out.splitlines()[-1]
 
 
-def test_no_alarm_is_said(path, capsys):
-    run(path, "alarms")
-    assert capsys.readouterr().out == "no open alarm\n"
-
-
 @pytest.mark.parametrize(
     ("chosen", "message"),
     [

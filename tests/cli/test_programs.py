@@ -4,12 +4,9 @@ import csv
 import json
 import os
 import signal
-import time
 
-import numpy as np
 import pytest
-from cli_runner import FEW, SMALL, blank_figures, command, run_main, typed
-from forked import started
+from cli_runner import SMALL, blank_figures, command, run_main, typed
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 from tensorboard.plugins.hparams.plugin_data_pb2 import HParamsPluginData
 
@@ -137,14 +134,6 @@ def test_same_seed_same_numbers_other_seed_other_numbers(run, tmp_path):
     assert other["scores"] != metrics["scores"]
 
 
-def test_evaluate_sees_more_noise(run, tmp_path):
-    folder, metrics = run
-    noise = ["data.snr_db=26", "data.n_test=150", *BARE]
-    noisy = run_main(evaluate, tmp_path, f"run={folder}", *noise)
-    assert noisy["scores"]["c_p"]["rmse"] > 1.5 * metrics["scores"]["c_p"]["rmse"]
-    assert noisy["bound"]["c_p"]["rmse"] > 2 * metrics["bound"]["c_p"]["rmse"]
-
-
 def test_a_run_writes_its_data_set_where_it_is_asked_for(tmp_path):
     given = [*SMALL, "model=linear", "dataset=npz"]
     metrics = run_main(train, tmp_path / "run", *given)
@@ -158,15 +147,12 @@ def test_a_run_writes_its_data_set_where_it_is_asked_for(tmp_path):
     ("override", "message"),
     [
         ("vehicle.primary_stiffness_n_per_m=1.3e9", "print kN/m where N/m is meant"),
-        ("vehicle.primary_stiffness_n_per_m=1300", "is the stiffness in kN/m"),
         ("vehicle.body_mass_kg=-1", "`body_mass_kg` must be a finite number > 0"),
         ("data.snr_db=abc", r"`data.snr_db` must be a finite number .*, got 'abc'"),
         ("group=tertiary", "has no group 'tertiary'; choose from"),
-        ("model.C=-1", r"`C` must be a finite number > 0, got -1"),
         ("model.C=abc", "`C` must be a finite number > 0, got 'abc'"),
         ("device=cuda:99", "`device`='cuda:99' cannot be used here"),
         ("seed=-1", "`seed` must be a whole number"),
-        ("threads=0", "`threads` must be a whole number >= 1"),
         ("+model._target_=os.system", "._target_` is no setting of "),
     ],
 )
@@ -250,24 +236,6 @@ def is_interrupted(code, words, folder):
     assert not [name for name in left if name.endswith(".safetensors") or "metrics" in name]
 
 
-@pytest.mark.slow
-def test_interrupt_of_a_process_leaves_nothing_half_written_and_a_second_start_works(tmp_path):
-    overrides = ["data.n_train=all", "data.n_test=100", "hydra.run.dir=run", "threads=1"]
-    with started(train, *overrides, cwd=tmp_path) as (process, _, words):
-        deadline = time.monotonic() + 120
-        while "training curves" not in words.read_text():  # of 364,816, which takes long
-            assert time.monotonic() < deadline, "the program does not start"
-            time.sleep(0.05)
-        time.sleep(0.3)  # well inside their generation
-        os.kill(process.pid, signal.SIGINT)
-        process.join(60)
-        errors = words.read_text()
-    is_interrupted(process.exitcode, errors, tmp_path)
-    again = [*FEW, "hydra.run.dir=run", "progress=false", "figures=false"]
-    assert typed(train, *again, cwd=tmp_path).returncode == 0
-    assert (tmp_path / "run" / "model.json").exists()
-
-
 @pytest.fixture(scope="module")
 def table6(tmp_path_factory):
     folder = tmp_path_factory.mktemp("table6")
@@ -325,21 +293,14 @@ def test_table6_has_a_record_for_each_output_metric_and_model(table6):
     assert len(keys) == len(records) == 4 * 2 * 2
     assert {r["group"] for r in records} == {"primary", "secondary"}
     first = next(r for r in records if r["output"] == "k_s" and r["model"] == "msvr")
+    with (folder / "table6.csv").open() as stream:
+        rows = list(csv.DictReader(stream))
+    assert [float(row["measured"]) for row in rows] == [r["measured"] for r in records]
+    assert (folder / "table6.md").read_text().startswith("| group ")
+    assert (folder / "table6.png").read_bytes().startswith(b"\x89PNG")
     assert first["published"] == 4.37
     assert first["n_train"] == 300
     assert "| secondary | c_s " in printed
-
-
-def test_table6_files_agree(table6):
-    folder, _ = table6
-    records = json.loads((folder / "table6.json").read_text())
-    with (folder / "table6.csv").open() as stream:
-        rows = list(csv.DictReader(stream))
-    np.testing.assert_allclose(
-        [float(row["measured"]) for row in rows], [r["measured"] for r in records]
-    )
-    assert (folder / "table6.md").read_text().startswith("| group ")
-    assert (folder / "table6.png").read_bytes().startswith(b"\x89PNG")
 
 
 def test_evaluate_takes_a_whole_multirun(table6, tmp_path):

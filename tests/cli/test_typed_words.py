@@ -131,8 +131,7 @@ def test_what_is_no_path_and_what_hydra_reads_as_typed_stays():
 
 
 def test_numbers_of_suspensions_with_any_name_are_read():
-    line = "  a number of each: 'n_healthy={417_003:4,Züge_links:3}'"
-    (word,) = shlex.split(line.partition(": ")[2])
+    word = "n_healthy={417_003:4,Züge_links:3}"
     numbers = OmegaConf.create({"n": read_numbers(read([word]).n_healthy)}).n
     assert isinstance(numbers, DictConfig)
     assert first_trips(numbers, ["417_003", "Züge_links"]) == {"417_003": 4, "Züge_links": 3}

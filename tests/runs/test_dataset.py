@@ -21,12 +21,6 @@ def data(problem):
     return make_dataset(problem)
 
 
-def test_printed_form_has_shapes_and_no_numbers(data):
-    shown = repr(data)
-    assert shown.startswith(f"DataSet(X=array{data.X.shape}, Y=array{data.Y.shape}, curves=array(")
-    assert len(shown) < 600
-
-
 def test_rows_are_those_of_the_problem(problem, data):
     for name, stream in (("train", TRAIN), ("test", TEST)):
         made = problem.features(stream)

@@ -12,7 +12,7 @@ from suspnet.runs import plots
 from suspnet.runs.tables import table6_records
 from suspnet.spectra.extraction import PeakFeatures
 
-FREQUENCIES = 0.1 + 0.02 * torch.arange(996, dtype=torch.float64)
+FREQUENCIES = 0.1 + 0.05 * torch.arange(398, dtype=torch.float64)
 NAMES = ("k_p", "c_p")
 
 
@@ -50,6 +50,7 @@ def assert_drawn(figure, n_axes):
     shown = [data for data in line_data(figure) if len(data)]
     assert shown
     assert all(np.isfinite(data).all() for data in shown)
+    figure.set_layout_engine("none")  # which takes most of the time
     figure.set_dpi(20)
     FigureCanvasAgg(figure).draw()
 
@@ -115,14 +116,6 @@ def test_feature_spread_has_a_row_an_output_and_a_column_a_feature(predictions):
     np.testing.assert_array_equal(figure.axes[5].lines[0].get_ydata(), inputs[:, 2])
 
 
-def test_feature_spread_shows_at_most_2000_curves():
-    rng = np.random.default_rng(0)
-    table = rng.uniform(0.5, 2.0, (2500, 2))
-    figure = plots.feature_spread(table, ["secondary_height", "secondary_width"], table, NAMES)
-    assert_drawn(figure, 4)
-    assert {len(data) for data in line_data(figure)} == {2000}
-
-
 def test_parity_shows_predictions_against_actual_values(predictions):
     actual, predicted = predictions
     figure = plots.parity(actual, predicted, NAMES)
@@ -158,11 +151,6 @@ def test_table6_has_an_axis_an_output_and_bars_for_each_model():
     assert heights == pytest.approx([8.97, 400 / 34**2, 21.71, 400 / 34**2])
     limits = [axis.lines[0].get_ydata()[0] for axis in figure.axes]
     assert limits == pytest.approx([100 / 34**2] * 4)
-
-
-def test_table6_draws_a_model_the_paper_lacks():
-    figure = plots.table6(table6_records([run("curve_fit", ("M_s",))]))
-    assert_drawn(figure, 1)
 
 
 def test_a_bound_that_is_infinite_is_not_drawn():
