@@ -97,15 +97,33 @@ def _evaluate(config: DictConfig, history: Callable[[], History]) -> int:
     runs, output = named_runs(config.run), program.run_folder()
     program.save_config(config, output)
     if config.trips is not None:
-        check_documents(pdf=config.pdf, xlsx=config.xlsx)  # before hours of reading
-        models = [load_model(folder, config.device) for folder in runs]
-        settings = build(config, "monitor")
-        store, trips = history() if config.store else None, Path(config.trips)
-        done = evaluate_fleet(
-            trips, models, output, settings, config.progress, store, config.seed, config.figures
-        )
-        write_documents(done, output, pdf=config.pdf, xlsx=config.xlsx)
-        return exit_code(done)
+        return _read_trips(config, runs, output, history() if config.store else None)
+    _score(config, runs, output)
+    return FINE
+
+
+def _read_trips(
+    config: DictConfig, runs: Sequence[Path], output: Path, store: History | None
+) -> int:
+    """Read a folder of trips with the models of some runs; return the exit code."""
+    check_documents(pdf=config.pdf, xlsx=config.xlsx)  # before hours of reading
+    models = [load_model(folder, config.device) for folder in runs]
+    done = evaluate_fleet(
+        Path(config.trips),
+        models,
+        output,
+        build(config, "monitor"),
+        config.progress,
+        store,
+        config.seed,
+        config.figures,
+    )
+    write_documents(done, output, pdf=config.pdf, xlsx=config.xlsx)
+    return exit_code(done)
+
+
+def _score(config: DictConfig, runs: Sequence[Path], output: Path) -> None:
+    """Score the models of some runs on fresh curves, and compare several in Table VI."""
     if config.get("protocol"):
         raise ValueError("protocol= is for study=identifiability: a model is tested on its own")
     if not isinstance(config.data, DictConfig):
@@ -129,7 +147,6 @@ def _evaluate(config: DictConfig, history: Callable[[], History]) -> int:
     ]
     if len(results) > 1:
         write_table6(results, output)
-    return FINE
 
 
 def run_study(config: DictConfig, folder: Path, history: Callable[[], History]) -> int:

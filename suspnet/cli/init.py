@@ -94,6 +94,7 @@ def _folder(folder: Path, settings: Sequence[str], arguments: Namespace) -> int:
     """Write the manifests of all trips of a folder, or print what is missing for them."""
     if arguments.output:
         raise ValueError("--output is for the manifest of one trip; a folder's lie in it")
+    # what is known of the trips: their files, the command line, and a table
     table, tables = arguments.table, find_tables(folder)
     keys = folders.read_said(settings)
     besides = [*tables, *([table] if table else [])]
@@ -105,6 +106,7 @@ def _folder(folder: Path, settings: Sequence[str], arguments: Namespace) -> int:
     missing = list(dict.fromkeys(key for trip in new for key in trip.missing))
     of_vehicles = _known_vehicles(vehicles, new)
     options = [*(["--table", str(table)] if table else []), *of_vehicles]
+    # remarks come first, so that the list of what is missing, or the next command, ends the output
     for path in tables:
         if table is None or path.resolve() != table.resolve():
             print(printable(f"{path} is a table of trips, which --table {quote(str(path))} reads"))
@@ -113,23 +115,14 @@ def _folder(folder: Path, settings: Sequence[str], arguments: Namespace) -> int:
         print(printable(line))
     wrong = _unknown_vehicles(vehicles, new)
     if missing or wrong:
-        what = "missing or wrong" if wrong else "missing"
-        print(f"{count(len(new), 'trip')} in {folder}; nothing is written yet; these are {what}:")
-        for line in wrong:
-            print(line)
-        for key in missing:
-            without = [trip for trip in new if key in trip.missing]
-            where = "" if len(without) == len(new) else f" (in {len(without)} of them)"
-            print(printable(f"  {key}{where}: {folders.how_to_say(key, without)}"))
-        if any(key.startswith("channels.") for key in missing) and folders.hint_at_one_trip(new):
-            print(printable(folders.hint_at_one_trip(new)))
+        print(f"{count(len(new), 'trip')} in {folder}; nothing is written yet; ", end="")
+        print(f"these are {'missing or wrong' if wrong else 'missing'}:", *wrong, sep="\n")
+        _print_missing(missing, new)
         if table and not table.exists() and "mileage_km" in missing:
             write_atomically(table, folders.table_of(new, folder))
             print(f"-> {table}: fill in its columns, then run the same command again")
         right = [word for word in settings if not (wrong and word.startswith("vehicle="))]
-        again = " ".join(
-            [command("init", folder, *right), "KEY=VALUE ...", printable(join(options))]
-        )
+        again = f"{command('init', folder, *right)} KEY=VALUE ... {printable(join(options))}"
         print(*_left_open(new), f"say each once for all trips: {again.rstrip()}", sep="\n")
         return 1
     for trip in new:
@@ -145,6 +138,16 @@ def _folder(folder: Path, settings: Sequence[str], arguments: Namespace) -> int:
         sep="\n",
     )
     return 0
+
+
+def _print_missing(missing: Sequence[str], trips: Sequence[folders.Trip]) -> None:
+    """Print each missing key, in how many trips it is missing, and how to state it."""
+    for key in missing:
+        without = [trip for trip in trips if key in trip.missing]
+        where = "" if len(without) == len(trips) else f" (in {len(without)} of them)"
+        print(printable(f"  {key}{where}: {folders.how_to_say(key, without)}"))
+    if any(key.startswith("channels.") for key in missing) and folders.hint_at_one_trip(trips):
+        print(printable(folders.hint_at_one_trip(trips)))
 
 
 def _untimed(signals: Sequence[Signal]) -> list[str]:

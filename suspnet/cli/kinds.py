@@ -135,6 +135,7 @@ def _built(values: Mapping[str, Any], name: str, vehicle: str | None = None) -> 
         if key != "kind"
     }
     file = f"vehicle/{vehicle}.yaml: " if vehicle and place == "vehicle" else ""
+    # name what is unknown or missing here: the class would name itself, and no key
     parameters = inspect.signature(class_).parameters
     unknown = [key for key in arguments if key not in parameters]
     if unknown and not any(p.kind == p.VAR_KEYWORD for p in parameters.values()):

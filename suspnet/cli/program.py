@@ -183,7 +183,7 @@ def run(main: Callable[[], Any], *, unwinds: bool = True) -> None:
             _checked_loader(),
         ):
             main()
-    except SystemExit as ended:
+    except SystemExit as ended:  # its message may hold names of files
         if isinstance(ended.code, str):
             ended.code = printable(ended.code)
         raise

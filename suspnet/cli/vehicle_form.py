@@ -67,11 +67,15 @@ class Entry:
     exactness: str
 
     @property
+    def name(self) -> str:
+        """Key of the number."""
+        return self.setting.name
+
+    @property
     def is_required(self) -> bool:
         """Whether a vehicle needs it."""
-        return self.setting.name.endswith(("_kg", "n_per_m", "ns_per_m")) or (
-            self.setting.name in ("half_wheelbase_m", "half_pivot_distance_m")
-        )
+        lengths = ("half_wheelbase_m", "half_pivot_distance_m")
+        return self.name in lengths or self.name.endswith(("_kg", "n_per_m", "ns_per_m"))
 
 
 def entries() -> list[Entry]:
@@ -104,16 +108,14 @@ def write_vehicle(name: str, paths: Sequence[Path], words: Sequence[str], force:
         raise ValueError(f"{path} exists; --force replaces it")
     form = entries()
     values = _read(words, form)
-    missing = [entry for entry in form if entry.is_required and entry.setting.name not in values]
-    if missing:
+    lacking = [entry for entry in form if entry.name not in values]
+    if any(entry.is_required for entry in lacking):
         print(f"{path} is not written yet; give these of one bogie side, in SI units, KEY=VALUE:")
-        for entry in missing:
-            print(
-                f"  {entry.setting.name} [{entry.setting.setting.unit}]: {FROM[entry.setting.name]}"
-            )
-            print(f"      {entry.exactness}")
-        names = [entry.setting.name for entry in form if not entry.is_required]
-        optional = [name for name in names if name not in values]
+        for entry in lacking:
+            if entry.is_required:
+                print(f"  {entry.name} [{entry.setting.setting.unit}]: {FROM[entry.name]}")
+                print(f"      {entry.exactness}")
+        optional = [entry.name for entry in lacking if not entry.is_required]
         print(f"may be left out: {', '.join(optional)}")
         return 1
     guessed = {
@@ -152,7 +154,7 @@ def _as_built(vehicle: Vehicle) -> list[str]:
 
 def _read(words: Sequence[str], form: Sequence[Entry]) -> dict[str, Any]:
     """Return the values of KEY=VALUE; ValueError if a key is unknown or a value no number."""
-    names = [entry.setting.name for entry in form]
+    names = [entry.name for entry in form]
     values: dict[str, Any] = {}
     for word in words:
         key, _, text = word.partition("=")
@@ -173,7 +175,7 @@ def _text(
 ) -> str:
     lines = [f"# {name}: all numbers are SI and of one bogie side", f"name: {_scalar(name)}"]
     for entry in form:
-        key = entry.setting.name
+        key = entry.name
         if key in values or key in guessed:
             sentence = re.sub(r"; .*", "", entry.setting.setting.sentence)
             lines.append(f"# {sentence} [{entry.setting.rule}]")

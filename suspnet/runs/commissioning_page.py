@@ -134,7 +134,7 @@ def _page(
 ) -> str:
     by_part = bogie is not None
     doubts = [*healthy.doubts, *words.doubts(outcome, by_part=by_part)]
-    numbers = words.numbers(outcome)
+    # where each part is read, the parts come first and the vehicle of equal sides after them
     of_parts = None
     if bogie is not None:
         parts_doubts = words.doubts_of_parts(bogie)
@@ -144,6 +144,8 @@ def _page(
             "sentences": parts_doubts or [words.calm_of_parts()],
             "threshold": EXPLAINED,
         }
+    # the numbers below a heading for each part of the vehicle that they describe
+    numbers = words.numbers(outcome)
     groups: dict[str, list[dict[str, Any]]] = {}
     for number in numbers:
         meaning = spoken(number.quantity.meaning)
@@ -208,26 +210,13 @@ def _place(healthy: HealthyTrips) -> str:
 
 
 def _trips(healthy: HealthyTrips, outcome: Commissioned) -> list[dict[str, Any]]:
+    """Return what page and JSON show of each trip."""
     rows = []
     for i, manifest in enumerate(healthy.manifests):
-        groups: list[dict[str, float | None]] = [
-            {
-                "speed_m_per_s": group.speed_m_per_s,
-                "n_averages": group.spectra.n_averages,
-                "misfit": misfit,
-            }
-            for group, misfit in zip(healthy.groups, outcome.misfits, strict=True)
-            if group.trip == i
-        ]
-        if not healthy.groups:
-            trip = healthy.of_parts[i]
-            groups = [
-                {
-                    "speed_m_per_s": trip.speed_m_per_s,
-                    "n_averages": trip.spectra.n_averages,
-                    "misfit": None,
-                }
-            ]
+        pairs = zip(healthy.groups, outcome.misfits, strict=True)
+        groups = [_group(group, misfit) for group, misfit in pairs if group.trip == i]
+        if not healthy.groups:  # these trips show their parts only
+            groups = [_group(healthy.of_parts[i], None)]
         ratio = float(outcome.masses[i])
         rows.append(
             {
@@ -240,6 +229,11 @@ def _trips(healthy: HealthyTrips, outcome: Commissioned) -> list[dict[str, Any]]
             }
         )
     return rows
+
+
+def _group(trip: Any, misfit: float | None) -> dict[str, float | None]:
+    averages = trip.spectra.n_averages
+    return {"speed_m_per_s": trip.speed_m_per_s, "n_averages": averages, "misfit": misfit}
 
 
 def _curves(healthy: HealthyTrips, outcome: Commissioned) -> list[pa.Table]:

@@ -108,6 +108,7 @@ def make_dataset(problem: Problem) -> DataSet:
         if stream == CALIBRATE and not problem.settings.n_calibrate:
             continue
         data = problem.features(stream)
+        # block by block, as curves with noise are made that way
         for block in range(problem.n_blocks(len(data.ratios))):
             curves = problem.observer.for_features(problem.curves(data.ratios, stream, block))
             clean = problem.noise_free(data.ratios[block * BLOCK : (block + 1) * BLOCK])

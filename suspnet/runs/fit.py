@@ -98,6 +98,7 @@ def fit(problem: Problem, estimator: Any, run_log: RunLog | None) -> TrainedMode
         problem.healthy_features(),
     )
     training: dict[str, Any] = {"seed": problem.seed, "seconds": 0.0}
+    # methods that work on curves learn nothing: they fit the model's own curve to each
     if not flag(estimator, "works_on_curves"):
         # each rank makes its own shard of the curves; counts and scalings are global
         part = None
@@ -115,6 +116,7 @@ def fit(problem: Problem, estimator: Any, run_log: RunLog | None) -> TrainedMode
                 "figures/peaks.png and protocol.features (smoothing_hz, low_hz, high_hz)",
                 100 * (1 - n_kept / n_made),
             )
+        # scale, then fit: iterations and seconds are those of the fit alone
         inputs, outputs = scalings(problem.task, kept)
         model = replace(model, input_scaling=inputs, output_scaling=outputs)
         _announce(estimator, n_kept)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import math
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -36,8 +35,6 @@ from suspnet.runs.tables import write_study
 from suspnet.spectra.curves import CurveSettings
 from suspnet.spectra.observation import Observation
 
-log = logging.getLogger(__name__)
-
 
 def write_identifiability(
     generator: ResponseGenerator,
@@ -60,7 +57,7 @@ def write_identifiability(
     findings = [identify(generator, task, bound, n_vehicles, seed) for task in tasks]
     title = f"What can be identified: {generator.vehicle.name}, protocol {protocol.name}"
     setting = _setting(generator, bound, tasks[0], n_vehicles, seed)
-    text = "\n".join([f"# {title}\n\n{setting}\n", *(group_markdown(part) for part in findings)])
+    tables = "\n".join(group_markdown(part) for part in findings)
     report = {
         "vehicle": generator.vehicle.name,
         "generator": type(generator).__name__,
@@ -74,8 +71,8 @@ def write_identifiability(
     rows = [record for part in findings for record in records(part)]
     figure = identifiability_figure(findings)
     figure.suptitle(title, fontsize="medium")
-    write_study(folder, "identifiability", text, report, rows, {"identifiability": figure})
-    log.info("%s\n-> %s/identifiability.*", text, folder)
+    figures = {"identifiability": figure}
+    write_study(folder, "identifiability", title, f"{setting}\n\n{tables}", report, rows, figures)
     return report
 
 

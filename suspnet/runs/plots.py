@@ -201,6 +201,7 @@ def table6(records: Sequence[Mapping[str, Any]]) -> Figure:
             record = by_model.get(model)
             if record is None:
                 continue
+            # the paper's figure and ours side by side
             for shift, key, colour in (
                 (-0.2, "published", PAPER_COLOUR),
                 (0.2, "measured", OUR_COLOUR),
@@ -215,6 +216,7 @@ def table6(records: Sequence[Mapping[str, Any]]) -> Figure:
         axis.margins(y=0.15)
         axis.set_xticks(range(len(models)), [MODEL_TITLES[m] for m in models], rotation=30)
     axes[0][0].set_ylabel("MAPE [%]")
+    # bars of height 0 stand for the two kinds in the legend
     handles: list[Any] = [
         axes[0][0].bar(0, 0, color=PAPER_COLOUR),
         axes[0][0].bar(0, 0, color=OUR_COLOUR),

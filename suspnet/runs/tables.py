@@ -9,7 +9,7 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from statistics import fmean
-from typing import Any
+from typing import Any, TypeVar
 
 from matplotlib.figure import Figure
 from tabulate import tabulate
@@ -44,6 +44,7 @@ PUBLISHED = {
 """The figures of the paper's Table VI, for comparison only."""
 
 Record = dict[str, Any]
+Row = TypeVar("Row", bound=Mapping[str, Any])
 
 
 def table6_records(runs: Sequence[Mapping[str, Any]]) -> list[Record]:
@@ -141,9 +142,9 @@ def sensitivity_markdown(records: Sequence[Record]) -> str:
     return markdown(rows, header)
 
 
-def grouped(records: Iterable[Record], *keys: str) -> dict[tuple[Any, ...], list[Record]]:
+def grouped(records: Iterable[Row], *keys: str) -> dict[tuple[Any, ...], list[Row]]:
     """Return records by their values of some keys, in the order in which these come."""
-    groups: dict[tuple[Any, ...], list[Record]] = {}
+    groups: dict[tuple[Any, ...], list[Row]] = {}
     for record in records:
         groups.setdefault(tuple(record[key] for key in keys), []).append(record)
     return groups
@@ -159,7 +160,7 @@ def in_order(records: Sequence[Record], *keys: str) -> list[Record]:
     return sorted(records, key=place)
 
 
-def models_of(records: Sequence[Record]) -> list[str]:
+def models_of(records: Sequence[Mapping[str, Any]]) -> list[str]:
     """Return the methods of records, in the order of ``MODEL_TITLES``."""
     return [name for name in MODEL_TITLES if any(r["model"] == name for r in records)]
 

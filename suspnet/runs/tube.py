@@ -227,8 +227,10 @@ def _compared(cell: _Cell) -> list[Record]:
         if n_tune not in tuned:
             tuned[n_tune] = _tuned(A[:n_tune], B[:n_tune], cell.at[0])
         ridge, *trials = tuned[n_tune]
+        # a radius of 0 is among the choices of both, joint and separate tubes
         separate = min((t for t in (ridge, *trials) if t.method != "joint"), key=_rmse)
         joint = [t for t in (ridge, *trials) if t.method != "separate"]
+        # each is fitted again on all curves, and scored against the truth
         for trial in (*joint, separate):
             model = _estimator(trial.method, n_train).set_params(**trial.values).fit(A, B)
             wrong = outputs.undo(model.predict(inputs.apply(X_test))) - Y_test

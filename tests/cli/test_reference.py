@@ -138,6 +138,7 @@ def test_key_without_comment_is_named():
         configuration_page.key_table(missing)
 
 
+@pytest.mark.slow
 def test_page_of_settings_has_a_section_for_every_group():
     groups = {path.name for path in Path(CONFIGS).iterdir() if path.is_dir()} | {*TABLES}
     headings = set(re.findall(r"^## Group `(\w+)`: ", configuration_page.page(), re.MULTILINE))
