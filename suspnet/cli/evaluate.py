@@ -9,12 +9,18 @@ from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 
-from hydra.core.hydra_config import HydraConfig
-from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 
 from suspnet.cli import program
-from suspnet.cli.folders import ACT, EXIT_CODE, FINE, MISTAKE, NOTICE, SOME_WITHOUT_ESTIMATE, worst
+from suspnet.cli.folders import (
+    ACT,
+    EXIT_CODE,
+    FINE,
+    NOTICE,
+    SOME_WITHOUT_ESTIMATE,
+    is_job,
+    worst,
+)
 from suspnet.cli.kinds import board_settings, build, named_runs
 from suspnet.estimation.checkpoint import load_model
 from suspnet.ground.parameters import Severity
@@ -45,22 +51,12 @@ def exit_code(done: Sequence[Evaluated]) -> int:
 
 
 def ends_with_its_code(function: Callable[[DictConfig], int]) -> Callable[[DictConfig], None]:
-    """Wrap a task that returns its exit code: exit with it, or store it for the end of a multirun.
-
-    In a multirun a mistake is printed, and the other jobs run.
-    """
+    """Wrap a task that returns its exit code: exit with it, or store it in a multirun."""
 
     @functools.wraps(function)
     def wrapped(config: DictConfig) -> None:
-        several = HydraConfig.get().mode == RunMode.MULTIRUN
-        try:
-            code = function(config)
-        except SystemExit as ended:
-            if not several:
-                raise
-            print(ended.code, file=sys.stderr)
-            code = MISTAKE
-        if several:
+        code = function(config)
+        if is_job():
             write_atomically(program.run_folder() / EXIT_CODE, f"{code}\n")
         elif code:
             sys.exit(code)

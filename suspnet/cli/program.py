@@ -191,7 +191,7 @@ def run(main: Callable[[], Any], *, unwinds: bool = True) -> None:
         number = signal.SIGTERM if isinstance(ended, signals.Terminated) else signal.SIGINT
         verb, code = signals.VERBS[number], 128 + number
         how = printable(folders.how_to_resume())
-        signals.announce(f"{verb}: nothing was half-written; {how}")
+        print(f"{verb}: nothing was half-written; {how}", file=sys.stderr)
         sys.exit(code)
     except BrokenPipeError:
         sys.exit(_output_ended())
@@ -281,7 +281,8 @@ def _leave_ranks() -> None:
 def task(function: Callable[[DictConfig], Any]) -> Callable[[DictConfig], Any]:
     """Wrap a Hydra task function: check its configuration, end with one line on a mistake.
 
-    In a job of a multirun every error is one line; the traceback of a bug goes to error.txt.
+    In a job of a multirun every error is one line, the traceback of a bug goes to error.txt, and
+    the other jobs run; the job returns the exit code of a mistake.
     """
 
     @functools.wraps(function)
@@ -299,10 +300,23 @@ def task(function: Callable[[DictConfig], Any]) -> Callable[[DictConfig], Any]:
                 raise
             if isinstance(error, MISTAKES):
                 folders.remove_unused(run_folder())
-                raise SystemExit(one_line(error)) from None
-            raise SystemExit(f"error: {note_bug(error, run_folder())}") from None
+                line = one_line(error)
+            else:
+                line = f"error: {note_bug(error, run_folder())}"
+            if not folders.is_job():
+                raise SystemExit(line) from None
+            return _end_job(line)
 
     return wrapped
+
+
+def _end_job(line: str) -> int:
+    """Print why a job of a multirun failed, write error.txt, and return its exit code."""
+    print(line, file=sys.stderr)
+    file = run_folder() / folders.ERROR
+    if not file.exists():
+        write_atomically(file, f"{line}\n")
+    return folders.MISTAKE
 
 
 @contextmanager
@@ -323,24 +337,6 @@ def _check_limits(config: DictConfig) -> None:
     except (TypeError, ValueError) as error:
         chosen = HydraConfig.get().runtime.choices.get("vehicle")
         raise type(error)(f"vehicle/{chosen}.yaml: {error}") from None
-
-
-def one_of_many(function: Callable[[DictConfig], None]) -> Callable[[DictConfig], None]:
-    """Wrap a task so that a failed job of a multirun does not stop the others."""
-
-    @functools.wraps(function)
-    def wrapped(config: DictConfig) -> None:
-        try:
-            function(config)
-        except SystemExit as ended:
-            if not folders.is_job():
-                raise
-            print(ended.code, file=sys.stderr)
-            file = run_folder() / folders.ERROR
-            if not file.exists():
-                write_atomically(file, f"{ended.code}\n")
-
-    return wrapped
 
 
 def note_bug(error: Exception, folder: Path) -> str:

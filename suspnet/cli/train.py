@@ -65,7 +65,6 @@ FIRST_M_PER_S = 70.0
 """Assumed speed until the healthy trips have shown theirs, [m/s]; only leakage depends on it."""
 
 
-@program.one_of_many
 @program.task
 def main(config: DictConfig) -> None:
     """Build what the configuration names, train it and fill the run folder.

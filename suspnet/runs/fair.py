@@ -201,7 +201,6 @@ def _figure(records: Sequence[Record]) -> Figure:
         axis.plot(places, values, "k_", markersize=18, label="the paper")
         axis.set_xticks(range(len(models)), [MODEL_TITLES[m] for m in models], rotation=60)
         axis.set_title(SYMBOLS[output])
-        axis.grid(True, axis="y", alpha=0.3)
     axes[0].set_yscale("log")
     axes[0].set_ylabel("MAPE, %")
     legend_above(figure)

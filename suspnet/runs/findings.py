@@ -7,12 +7,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from tabulate import tabulate
-
 from suspnet.dynamics import PARAMETERS, Vehicle
 from suspnet.estimation.identifiability import UNIDENTIFIED, Bound, Direction, Option, listed
 from suspnet.estimation.protocols import Task
 from suspnet.ground.parameters import UNITS
+from suspnet.runs.tables import markdown
 
 WORTH_HAVING = 0.9
 """Largest ratio of bounds, after over before, for which an addition counts as helpful."""
@@ -147,7 +146,7 @@ def _bounds_table(findings: Findings) -> str:
             ]
         )
     header = ["", "healthy", "bound at healthy", "%", "median %", "19 of 20 below %", "identified"]
-    return _markdown(rows, header)
+    return markdown(rows, header)
 
 
 def _directions_table(findings: Sequence[Direction]) -> str:
@@ -159,7 +158,7 @@ def _directions_table(findings: Sequence[Direction]) -> str:
             moving = direction.taking_part
             changes = ["any" if name in moving else "0" for name in direction.parameters]
         rows.append([direction.words(), *changes])
-    return _markdown(rows, ["", *findings[0].parameters])
+    return markdown(rows, ["", *findings[0].parameters])
 
 
 def _options_table(findings: Findings) -> str:
@@ -172,7 +171,7 @@ def _options_table(findings: Findings) -> str:
             cells[bound.parameter] += "" if ratio is None else f" ({ratio:.2g})"
         title = f"{option.title}, as now" if option.kind == "baseline" else option.title
         rows.append([title, *cells.values()])
-    return _markdown(rows, ["", *findings.task.varied])
+    return markdown(rows, ["", *findings.task.varied])
 
 
 def _ratio(findings: Findings, bound: Bound) -> float | None:
@@ -190,10 +189,6 @@ def _percent(value: float) -> str:
     if math.isinf(value):
         return UNIDENTIFIED
     return f"{value:.0f}" if value >= 100 else f"{value:.3g}"
-
-
-def _markdown(rows: Sequence[Sequence[str]], header: Sequence[str]) -> str:
-    return tabulate(rows, header, tablefmt="github", disable_numparse=True)
 
 
 def best_addition_sentence(table: Sequence[tuple[Option, Sequence[Bound]]]) -> str:

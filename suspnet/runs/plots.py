@@ -11,7 +11,7 @@ import torch
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
-from matplotlib.ticker import MaxNLocator, NullFormatter
+from matplotlib.ticker import NullFormatter
 
 from suspnet.dynamics import ResponseGenerator, Vehicle
 from suspnet.ground.parameters import PARAMETERS, UNITS
@@ -88,8 +88,6 @@ def bode(generator: ResponseGenerator, frequencies_hz: torch.Tensor) -> Figure:
         upper.set(title=title, ylabel="magnitude [dB]")
         lower.semilogx(frequencies, np.degrees(np.unwrap(np.angle(values))))
         lower.set(xlabel="frequency [Hz]", ylabel="phase [degrees]")
-        for axis in (upper, lower):
-            axis.grid(True, which="both", alpha=0.3)
     return figure
 
 
@@ -108,9 +106,8 @@ def degradation(generator: ResponseGenerator, frequencies_hz: torch.Tensor) -> F
         axes[1][column].set_xlabel("frequency [Hz]")
     for row, title in enumerate(SUSPENSIONS):
         axes[row][0].set_ylabel(f"magnitude\n{title}")
-    for axis in (axis for row in axes for axis in row):
-        axis.set_xlim(0, 10)
-        axis.grid(True, alpha=0.3)
+        for axis in axes[row]:
+            axis.set_xlim(0, 10)
     axes[0][0].legend()
     return figure
 
@@ -126,7 +123,6 @@ def peak_fits(
     for axis, title, curve in zip(axes[0], SUSPENSIONS, curves, strict=True):
         axis.plot(frequencies_hz, curve, color="0.6", lw=0.8)
         axis.set(title=title, xlabel="frequency [Hz]", ylabel="magnitude", xlim=(0, 15))
-        axis.grid(True, alpha=0.3)
     peaks = sorted({name.rsplit("_", 1)[0] for name in features})
     for peak in peaks:
         axis = axes[0][1] if peak == "secondary" else axes[0][0]
@@ -162,7 +158,6 @@ def parity(actual: FloatArray, predicted: FloatArray, names: Sequence[str]) -> F
         span = [actual[:, j].min(), actual[:, j].max()]
         axis.plot(span, span, color="black", lw=0.8)
         axis.set(title=SYMBOLS[name], xlabel="actual / healthy", ylabel="estimated / healthy")
-        axis.grid(True, alpha=0.3)
     return figure
 
 
@@ -175,18 +170,6 @@ def residuals(actual: FloatArray, predicted: FloatArray, names: Sequence[str]) -
         axes[0][j].set(title=SYMBOLS[name], xlabel="actual / healthy", ylabel="error [%]")
         axes[1][j].hist(error, bins=80)
         axes[1][j].set(xlabel="error [%]", ylabel="curves")
-        axes[0][j].grid(True, alpha=0.3)
-    return figure
-
-
-def convergence(objectives: Sequence[float]) -> Figure:
-    """Draw the objective above its last value, for each iteration."""
-    figure, axes = grid(1, 1)
-    excess = np.maximum(np.array(objectives[:-1]) - objectives[-1], 1e-300)
-    axes[0][0].semilogy(excess, "o-")
-    axes[0][0].xaxis.set_major_locator(MaxNLocator(integer=True))
-    axes[0][0].set(xlabel="iteration", ylabel="objective above its last value")
-    axes[0][0].grid(True, which="both", alpha=0.3)
     return figure
 
 
@@ -252,7 +235,6 @@ def sensitivity(runs: Sequence[Mapping[str, Any]]) -> Figure:
         axis.set_xticks(PRECISION_TICKS, [f"{tick:g}" for tick in PRECISION_TICKS])
         axis.xaxis.set_minor_formatter(NullFormatter())
         axis.yaxis.set_major_formatter("{x:g}")
-        axis.grid(True, which="both", alpha=0.3)
     axes[0][0].set_ylabel("MAPE [%]")
     figure.legend(*axes[0][0].get_legend_handles_labels(), loc="outside lower center", ncols=5)
     return figure
@@ -307,6 +289,7 @@ def _heat_map(
     least = np.nanmin(cells)
     excess = np.log2(cells / least)
     axis.imshow(excess, cmap="viridis_r", vmin=0, vmax=3, aspect="auto", origin="lower")
+    axis.grid(False)
     for (i, j), value in np.ndenumerate(cells):
         if math.isfinite(value):
             colour = "white" if excess[i, j] > 1.2 else "black"
@@ -321,9 +304,12 @@ def _heat_map(
 def grid(
     n_rows: int, n_columns: int, size: tuple[float, float] = (4.2, 3.2), **options: Any
 ) -> tuple[Figure, list[list[Axes]]]:
-    """Return a figure with a grid of axes, each of a size [inch]."""
+    """Return a figure with axes in rows and columns, each of a size [inch] and with grid lines."""
     figure = Figure(figsize=(size[0] * n_columns, size[1] * n_rows), layout="constrained")
     axes = figure.subplots(n_rows, n_columns, squeeze=False, **options)
+    for axis in axes.flat:
+        axis.grid(True, which="both", alpha=0.3)
+        axis.set_axisbelow(True)
     return figure, [list(row) for row in axes]
 
 

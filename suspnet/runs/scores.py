@@ -208,9 +208,6 @@ def draw_run(
         figures["peaks"] = plots.peak_fits(
             frequencies_hz.numpy(), example[0].abs().cpu().numpy(), features
         )
-    objectives = getattr(model.estimator, "objectives_", [])
-    if len(objectives) > 3:  # of two points a line says nothing
-        figures["convergence"] = plots.convergence(objectives)
     if searched is not None:
         numbers = [
             {k: v for k, v in setting.items() if isinstance(v, int | float)}

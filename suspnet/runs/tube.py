@@ -348,7 +348,6 @@ def tube_figure(records: Sequence[Record]) -> Figure:
         axis.set_xticks(sizes, [f"{size:g}" for size in sizes])
         axis.minorticks_off()
         axis.tick_params(labelsize=12)
-        axis.grid(visible=True, alpha=0.3)
     axes[0].set_ylabel("error over ridge regression's", fontsize=12)
     handles, names = axes[0].get_legend_handles_labels()
     figure.legend(handles, names, loc="outside lower center", ncols=2 * len(panels), fontsize=12)

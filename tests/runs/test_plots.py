@@ -135,12 +135,6 @@ def test_residuals_show_relative_errors_and_count_every_curve(predictions):
     assert sum(bar.get_height() for bar in figure.axes[2].patches) == 200
 
 
-def test_convergence_shows_the_objective_above_its_last_value():
-    figure = plots.convergence([5.0, 2.0, 1.5, 1.0])
-    assert_drawn(figure, 1)
-    assert figure.axes[0].lines[0].get_ydata().tolist() == [4.0, 1.0, 0.5]
-
-
 def test_table6_has_an_axis_an_output_and_bars_for_each_model():
     records = table6_records(
         [run(model, outputs) for model in ("msvr", "linear") for outputs in (NAMES, ("k_s", "c_s"))]
