@@ -201,7 +201,7 @@ def test_figure_has_a_bounded_number_of_points(manifests, settings):
 # what is wrong
 
 
-@pytest.mark.usefixtures("blank", "read_apart")
+@pytest.mark.usefixtures("blank")
 def test_problems_of_all_trips_and_arguments_are_told_at_once(manifests, tmp_path):
     good = manifests[0]
     (tmp_path / "trips").mkdir()
