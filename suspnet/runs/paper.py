@@ -117,7 +117,7 @@ def write_paper(
     """
     models = _models(folder)
     with mpl.rc_context({"font.size": FONT_POINTS}), RunLog(folder) as run_log:
-        noisy = _at_noise_levels(models, snr_db)
+        noisy = _at_noise_levels(models, snr_db, runs)
         for name, figure in _figures(models[0], noisy).items():
             run_log.figure(name, figure, folder)
         errors = _read_trips(models, fleet, of_trips, folder)
@@ -155,15 +155,23 @@ def _models(folder: Path) -> list[TrainedModel]:
 
 
 def _at_noise_levels(
-    models: Sequence[TrainedModel], levels_db: Sequence[float]
+    models: Sequence[TrainedModel], levels_db: Sequence[float], runs: Rows
 ) -> list[Mapping[str, Any]]:
-    """Return the metrics of each model's method, trained and tested at each level of noise."""
+    """Return the metrics of each model's method, trained and tested at each level of noise.
+
+    Those of `runs` are taken as they are.
+    """
+    at_hand = {(run["group"], run["model"], run["seed"], run["snr_db"]): run for run in runs}
     metrics: list[Mapping[str, Any]] = []
     for model in models:
+        seed = model.training["seed"]
         for snr_db in levels_db:
-            settings = replace(model.settings, snr_db=snr_db)
-            problem = Problem(model.generator, model.task, settings, model.training["seed"])
-            metrics.append(train(problem, clone(model.estimator)))
+            run = at_hand.get((model.task.group, model.name, seed, snr_db))
+            if run is None:
+                settings = replace(model.settings, snr_db=snr_db)
+                problem = Problem(model.generator, model.task, settings, seed)
+                run = train(problem, clone(model.estimator))
+            metrics.append(run)
     return metrics
 
 

@@ -289,7 +289,7 @@ def test_wrong_limits_of_a_vehicle_name_file_and_key(tmp_path):
     ("names", "codes", "worst"),
     [
         pytest.param(
-            *(("115", "nowhere", "100"), ["3", "1", "0"], evaluate.MISTAKE),
+            *(("115", "nowhere", "100"), ["3", "1", "0"], folders.MISTAKE),
             marks=pytest.mark.slow,  # the order of codes is that of `evaluate.worst`, below
         ),
         (("nowhere", "150"), ["1", "4"], evaluate.ACT),
