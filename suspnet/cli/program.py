@@ -55,8 +55,6 @@ MISTAKES = (
     *(ValueError, TypeError, OSError, MemoryError, RecursionError),
     *(yaml.YAMLError, HydraException, OmegaConfBaseException),
 )
-NO_SLURM = 'Could not detect "srun"'
-"""Start of submitit's message where there is no Slurm cluster."""
 SERVER = re.compile(r"\bpostgres(ql)?(\+\w+)?://")
 PASSWORD = re.compile(r"(?<=://)([^:/@]*):([^@]*)@|(?<=[?&])password=([^&'\"]*)&?")
 """Password in the URL of a server, after the user or as an option."""
@@ -201,10 +199,6 @@ def run(main: Callable[[], Any], *, unwinds: bool = True) -> None:
         sys.exit(one_line(error))
     except (LostWorkerError, BrokenProcessPool) as error:
         sys.exit(f"{one_line(error)}; {folders.how_to_resume()}")
-    except RuntimeError as error:
-        if is_debugging or NO_SLURM not in str(error):
-            raise
-        sys.exit(one_line(error))
 
 
 def _output_ended() -> int:

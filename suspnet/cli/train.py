@@ -32,7 +32,6 @@ from suspnet.estimation.trip_settings import TripSettings
 from suspnet.ground.parameters import DIRECTIONS, FORWARD, Direction
 from suspnet.ground.settings import check_choice, check_values
 from suspnet.ground.wording import command, span
-from suspnet.ground.workers import Start, alongside
 from suspnet.learning import ranks
 from suspnet.recordings.manifest_files import ManifestFile
 from suspnet.report.language import check_language, speaking
@@ -117,31 +116,27 @@ def _run(
     protocol = build(config, "protocol")
     protocol.task(config.group)
     check_hyperparameters(build(config, "model"))
-    by_part = protocol.by_part
-    # where each part is read, what the residual costs takes about as long as the fit of the method
-    is_wanted = by_part and config.healthy is not None and config.threads != 1
-    is_wanted &= not ranks.is_distributed()
-    with alongside("suspnet.runs.commissioning", is_wanted=is_wanted) as start:
-        healthy = _commissioned(_at_a_speed(config), folder, paths, by_part)
-        speeds = config.speed_m_per_s
-        if speeds is None:
-            if healthy is None:
-                raise ValueError(NO_HEALTHY)
-            speeds = covering(healthy.speeds_m_per_s, _half_width(config))
-            ends = (f"{of(healthy.speeds_m_per_s):.1f}" for of in (min, max))
-            log.info("healthy trips at %s m/s: %s", span(*ends), setting_words(speeds))
-        directions = _directions(config, healthy)
-        train_one = partial(_train, healthy=healthy, varied=varied, draw=draw, start=start)
-        if not isinstance(speeds, ListConfig | list) and len(directions) == 1:
-            own = config.copy()
-            own.speed_m_per_s = speeds
-            if "speed_half_width" in own.data:
-                own.data.speed_half_width = _half_width(config)
-            train_one(_running(own, directions[0]), folder, given=config)
-            return
-        ranges = [replace(r, direction=d) for r in _ranges(config, speeds) for d in directions]
-        program.save_config(config, folder)
-        train_ranges(ranges, lambda one, where: train_one(_bound(config, one), where), folder)
+    healthy = _commissioned(_at_a_speed(config), folder, paths, protocol.by_part)
+    # speeds and directions are those asked for, else those of the healthy trips
+    speeds = config.speed_m_per_s
+    if speeds is None:
+        if healthy is None:
+            raise ValueError(NO_HEALTHY)
+        speeds = covering(healthy.speeds_m_per_s, _half_width(config))
+        ends = (f"{of(healthy.speeds_m_per_s):.1f}" for of in (min, max))
+        log.info("healthy trips at %s m/s: %s", span(*ends), setting_words(speeds))
+    directions = _directions(config, healthy)
+    train_one = partial(_train, healthy=healthy, varied=varied, draw=draw)
+    if not isinstance(speeds, ListConfig | list) and len(directions) == 1:
+        own = config.copy()
+        own.speed_m_per_s = speeds
+        if "speed_half_width" in own.data:
+            own.data.speed_half_width = _half_width(config)
+        train_one(_running(own, directions[0]), folder, given=config)
+        return
+    ranges = [replace(r, direction=d) for r in _ranges(config, speeds) for d in directions]
+    program.save_config(config, folder)
+    train_ranges(ranges, lambda one, where: train_one(_bound(config, one), where), folder)
 
 
 def _study_tube(config: DictConfig, folder: Path) -> None:
@@ -291,7 +286,6 @@ def _train(
     healthy: _Healthy | None,
     varied: Mapping[str, Any] | None,
     draw: bool,
-    start: Start,
     given: DictConfig | None = None,
 ) -> Metrics:
     """Train one model and fill a folder; config.yaml holds `given`, or else `config`."""
@@ -322,6 +316,5 @@ def _train(
             notes={"commissioned": healthy.notes} if healthy else {},
             residual=healthy.residual if healthy else None,
             bogie=healthy.bogie if healthy else None,
-            start=start,
         ),
     )

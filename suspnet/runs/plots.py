@@ -240,67 +240,6 @@ def sensitivity(runs: Sequence[Mapping[str, Any]]) -> Figure:
     return figure
 
 
-def search_map(settings: Sequence[Mapping[str, float]], rmse: Sequence[float]) -> Figure:
-    """Draw cross-validated RMSE over the two hyperparameters with the most values.
-
-    The others have their best values; the cell of the least RMSE has a frame. A single
-    hyperparameter gives a line.
-    """
-    best = settings[int(np.argmin(rmse))]
-    names = sorted(best, key=lambda name: -len({setting[name] for setting in settings}))
-    x_name, *others = names
-    y_name = others[0] if others and len({setting[others[0]] for setting in settings}) > 1 else None
-    fixed = {name: best[name] for name in best if name not in (x_name, y_name)}
-    shown = [
-        (setting, value)
-        for setting, value in zip(settings, rmse, strict=True)
-        if all(setting[name] == value for name, value in fixed.items())
-    ]
-    columns = sorted({setting[x_name] for setting, _ in shown})
-    if y_name is None:
-        figure, ((axis,),) = grid(1, 1, size=(7.0, 5.0))
-        axis.loglog(columns, [min(v for s, v in shown if s[x_name] == x) for x in columns], "o-")
-        axis.set_ylabel("cross-validated RMSE", fontsize=12)
-    else:
-        rows = sorted({setting[y_name] for setting, _ in shown})
-        size = (2.6 + 0.85 * len(columns), 2.0 + 0.55 * len(rows))
-        figure, ((axis,),) = grid(1, 1, size=size)
-        _heat_map(axis, shown, (x_name, columns), (y_name, rows))
-        axis.set_ylabel(y_name.replace("_", " "), fontsize=12)
-    at = ", ".join(f"{name.replace('_', ' ')} {value:g}" for name, value in fixed.items())
-    axis.set_title("cross-validated RMSE" + (f" at {at}" if at else ""), fontsize=12)
-    axis.set_xlabel(x_name.replace("_", " "), fontsize=12)
-    axis.tick_params(labelsize=12)
-    return figure
-
-
-def _heat_map(
-    axis: Axes,
-    shown: Sequence[tuple[Mapping[str, float], float]],
-    across: tuple[str, Sequence[float]],
-    up: tuple[str, Sequence[float]],
-) -> None:
-    """Draw a cell for each pair of values, with its RMSE; white where none was tried."""
-    (x_name, columns), (y_name, rows) = across, up
-    cells = np.full((len(rows), len(columns)), np.nan)
-    for setting, value in shown:
-        place = rows.index(setting[y_name]), columns.index(setting[x_name])
-        cells[place] = value if math.isfinite(value) else np.nan
-    least = np.nanmin(cells)
-    excess = np.log2(cells / least)
-    axis.imshow(excess, cmap="viridis_r", vmin=0, vmax=3, aspect="auto", origin="lower")
-    axis.grid(False)
-    for (i, j), value in np.ndenumerate(cells):
-        if math.isfinite(value):
-            colour = "white" if excess[i, j] > 1.2 else "black"
-            axis.text(j, i, f"{value:.3g}", ha="center", va="center", color=colour, fontsize=12)
-        if value == least:
-            frame = Rectangle((j - 0.5, i - 0.5), 1, 1, fill=False, color="tab:red", lw=3)
-            axis.add_patch(frame)
-    axis.set_xticks(range(len(columns)), [f"{value:g}" for value in columns])
-    axis.set_yticks(range(len(rows)), [f"{value:g}" for value in rows])
-
-
 def grid(
     n_rows: int, n_columns: int, size: tuple[float, float] = (4.2, 3.2), **options: Any
 ) -> tuple[Figure, list[list[Axes]]]:

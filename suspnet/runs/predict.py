@@ -194,34 +194,22 @@ def calibrated(problem: Problem, model: Model) -> Model:
     return replace(model, intervals=intervals, ood=ood)
 
 
-def cost_without_model(problem: Problem, residual: Residual) -> Unexplained | None:
-    """Return the cost of the residual that healthy trips leave unexplained, if no model tells it.
+def with_unexplained(problem: Problem, model: Model, residual: Residual) -> Model:
+    """Return a model with the cost of the residual that its healthy trips leave unexplained.
 
-    Fits of the curve with uncertain numbers read trips whatever the method: see
-    `suspnet.estimation.information.shifts`. None: the method reads them.
+    See `suspnet.estimation.flags`. ValueError if no curve that is changed by it has an estimate.
     """
     task = problem.task
     if not residual.logs.any():
-        return Unexplained(residual.misfit, np.zeros(len(task.outputs)))
-    if not problem.observer.directions.n:
-        return None
-    ratios = task.sample(N_COST, problem.seed, CALIBRATE)
-    changes = shifts(problem.observer, ratios, task.unknown, residual.logs)
-    columns = [task.unknown.index(name) for name in task.outputs]
-    return Unexplained(residual.misfit, WORN * np.sqrt(np.mean(changes[:, columns] ** 2, axis=0)))
-
-
-def with_unexplained(
-    problem: Problem, model: Model, residual: Residual, cost: Unexplained | None = None
-) -> Model:
-    """Return a model with the cost of the residual that its healthy trips leave unexplained.
-
-    See `suspnet.estimation.flags`; `cost` is that of `cost_without_model`. ValueError if no curve
-    that is changed by it has an estimate.
-    """
-    cost = cost or cost_without_model(problem, residual)
-    if cost is not None:
-        return replace(model, unexplained=cost)
+        costs = np.zeros(len(task.outputs))
+        return replace(model, unexplained=Unexplained(residual.misfit, costs))
+    if problem.observer.directions.n:
+        # fits of the curve with uncertain numbers read trips whatever the method
+        ratios = task.sample(N_COST, problem.seed, CALIBRATE)
+        changes = shifts(problem.observer, ratios, task.unknown, residual.logs)
+        changes = changes[:, [task.unknown.index(name) for name in task.outputs]]
+        costs = WORN * np.sqrt(np.mean(changes**2, axis=0))
+        return replace(model, unexplained=Unexplained(residual.misfit, costs))
     ratios = problem.task.sample(N_COST, problem.seed, CALIBRATE)
     curves = problem.noise_free(ratios)
     bare = replace(model, intervals=None, ood=None, unexplained=None)

@@ -24,7 +24,6 @@ from suspnet.estimation.problem import TEST, Problem
 from suspnet.estimation.protocols import Task
 from suspnet.ground.types import FloatArray
 from suspnet.learning.metrics import METRICS, interval_scores, score, score_where
-from suspnet.learning.search import SearchResult
 from suspnet.report.tensorboard import RunLog
 from suspnet.runs import plots
 from suspnet.runs.predict import Outcome
@@ -188,10 +187,9 @@ def draw_run(
     outcome: Outcome,
     run_log: RunLog,
     folder: Path,
-    searched: SearchResult | None,
     draw_vehicle: bool,
 ) -> None:
-    """Draw features, search and predictions of a run, and on request its vehicle."""
+    """Draw features and predictions of a run, and on request its vehicle."""
     task = model.task
     frequencies_hz = problem.observer.frequencies_hz
     example = problem.curves(outcome.data.ratios[:1], TEST, 0)
@@ -208,13 +206,6 @@ def draw_run(
         figures["peaks"] = plots.peak_fits(
             frequencies_hz.numpy(), example[0].abs().cpu().numpy(), features
         )
-    if searched is not None:
-        numbers = [
-            {k: v for k, v in setting.items() if isinstance(v, int | float)}
-            for setting in searched.settings
-        ]
-        if numbers[0]:  # a method without hyperparameters has one empty setting
-            figures["search"] = plots.search_map(numbers, searched.rmse)
     _write_figures(figures, _title(problem, model.name), run_log, folder)
     draw_predictions(problem, model.name, outcome, run_log, folder)
 

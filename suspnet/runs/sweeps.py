@@ -7,7 +7,7 @@ import logging
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from shlex import quote
-from statistics import fmean, stdev
+from statistics import fmean
 from typing import Any
 
 import yaml
@@ -36,8 +36,6 @@ from suspnet.runs.trials import TRIALS, least_rmse, write_trials
 
 log = logging.getLogger(__name__)
 Run = Mapping[str, Any]
-SEEDS = ("seed", "random_state")
-"""Names of settings that are seeds."""
 
 
 class Summary(Callback):
@@ -58,18 +56,13 @@ class Jobs(Callback):
     """A table of all jobs of a multirun, least error first, failed ones last."""
 
     def on_multirun_end(self, config: DictConfig, **kwargs: Any) -> None:
-        """Write jobs.csv, jobs.md and seeds.csv, and print the table."""
+        """Write jobs.csv and jobs.md, and print the table."""
         folder = Path(config.hydra.sweep.dir)
         rows = job_rows(folder)
         if not rows:
             return
-        write_atomically(folder / "jobs.csv", records_csv(with_swept(folder, rows, "job")))
+        write_atomically(folder / "jobs.csv", records_csv(with_swept(folder, rows)))
         table = tabulate(rows, "keys", "github", floatfmt=".4g", missingval="-")
-        over_seeds = seed_rows(folder, rows)
-        if over_seeds:
-            swept = with_swept(folder, over_seeds, "jobs", but=SEEDS)
-            write_atomically(folder / "seeds.csv", records_csv(swept))
-            table += f"\n\nmean and standard deviation over seeds\n\n{_seed_table(over_seeds)}"
         write_atomically(folder / "jobs.md", f"{table}\n")
         log.info(
             "rms error in %%, least mean first among jobs with the same outputs; /bound: over the "
@@ -116,93 +109,20 @@ def job_rows(folder: Path) -> list[dict[str, Any]]:
     )
 
 
-def with_swept(
-    folder: Path, rows: Sequence[Mapping[str, Any]], job: str, but: Sequence[str] = ()
-) -> list[dict[str, Any]]:
+def with_swept(folder: Path, rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
     """Return rows with a column for each override in which the jobs of a multirun differ.
 
-    `job` is the column with the job's name; overrides of settings called one of `but` are left out.
+    `job` is the column with the job's name.
     """
     settings: dict[str, dict[str, str]] = {}
     for path in sorted(folder.glob(f"*/{HYDRA}/overrides.yaml")):
-        overrides = read_yaml(path)
-        pairs = (str(override).lstrip("+").partition("=") for override in overrides)
+        pairs = (str(override).lstrip("+").partition("=") for override in read_yaml(path))
         settings[path.parents[1].name] = {key: value for key, _, value in pairs}
     keys = dict.fromkeys(key for own in settings.values() for key in own)
-    swept = [
-        key
-        for key in keys
-        if len({own.get(key) for own in settings.values()}) > 1
-        and key.rpartition(".")[2] not in but
-    ]
+    swept = [key for key in keys if len({own.get(key) for own in settings.values()}) > 1]
     return [
-        {**row, **{key: settings.get(row[job], {}).get(key, "") for key in swept}} for row in rows
+        {**row, **{key: settings.get(row["job"], {}).get(key, "") for key in swept}} for row in rows
     ]
-
-
-def seed_rows(folder: Path, rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """Return mean and standard deviation over seeds, for finished jobs that differ in seed only.
-
-    [] if no two jobs do. `jobs` names the first job of each row, `n` counts its seeds.
-    """
-    alike: dict[str, list[Mapping[str, Any]]] = {}
-    for key, some in _same_but_seeds(folder, rows).items():
-        # the seed of a part follows the job's, or is a setting
-        fixed = sorted({at for _, own in some for at in own if own[at] != own.get("/seed")})
-        for row, own in some:
-            alike.setdefault(str([key, *map(own.get, fixed)]), []).append(row)
-    if all(len(same) < 2 for same in alike.values()):
-        return []
-    means = []
-    for same in alike.values():
-        mean: dict[str, Any] = {"jobs": min(row["job"] for row in same), "n": len(same)}
-        for key in same[0]:
-            if key not in ("job", "state"):
-                values = [row[key] for row in same if row[key] is not None]
-                mean[key] = fmean(values) if values else None
-                mean[f"{key} sd"] = stdev(values) if len(values) > 1 else None
-        means.append(mean)
-    return means
-
-
-def _same_but_seeds(
-    folder: Path, rows: Sequence[Mapping[str, Any]]
-) -> dict[str, list[tuple[Mapping[str, Any], dict[str, Any]]]]:
-    """Return finished jobs, each with its seeds by place, by the rest of their configurations."""
-    alike: dict[str, list[tuple[Mapping[str, Any], dict[str, Any]]]] = {}
-    for row in rows:
-        if row["state"] == "finished":
-            config = read_yaml(folder / row["job"] / "config.yaml")
-            seeds: dict[str, Any] = {}
-            others = json.dumps(_without_seeds(config, seeds), sort_keys=True, default=str)
-            alike.setdefault(others, []).append((row, seeds))
-    return alike
-
-
-def _without_seeds(config: Any, seeds: dict[str, Any], place: str = "") -> Any:
-    """Return a configuration without seeds, which are added to `seeds` by their places."""
-    if not isinstance(config, dict):
-        return config
-    seeds |= {f"{place}/{key}": config[key] for key in SEEDS if key in config}
-    return {
-        key: _without_seeds(value, seeds, f"{place}/{key}")
-        for key, value in config.items()
-        if f"{place}/{key}" not in seeds
-    }
-
-
-def _seed_table(rows: Sequence[Mapping[str, Any]]) -> str:
-    """Return the rows of `seed_rows` as Markdown, with mean +- standard deviation."""
-    shown = []
-    for row in rows:
-        line = {key: row[key] for key in ("jobs", "n")}
-        for key in row:
-            if key not in line and not key.endswith(" sd"):
-                sd = row[f"{key} sd"]
-                scatter = "" if sd is None else f" +- {sd:.2g}"
-                line[key] = "-" if row[key] is None else f"{row[key]:.4g}{scatter}"
-        shown.append(line)
-    return tabulate(shown, headers="keys", tablefmt="github", disable_numparse=True)
 
 
 def run_errors(job: Path, entry: str = "rms_percent") -> dict[str, float | None]:
@@ -334,7 +254,7 @@ def _write_by_output(runs: Sequence[Run], folder: Path, note: str) -> None:
     files = sorted(folder.glob("*/metrics.json"))
     scores = {path.parent.name: read_json(path)["scores"] for path in files}
     rows: dict[str, dict[str, Any]] = {}
-    for swept in with_swept(folder, [{"job": job} for job in scores], "job"):
+    for swept in with_swept(folder, [{"job": job} for job in scores]):
         settings = {key: swept[key] for key in swept if key not in ("job", "group")}
         row = rows.setdefault(json.dumps(settings), settings)
         row |= {output: values["mape_percent"] for output, values in scores[swept["job"]].items()}

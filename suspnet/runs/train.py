@@ -14,7 +14,6 @@ import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
-from functools import partial
 from importlib.metadata import version
 from itertools import pairwise
 from pathlib import Path
@@ -25,7 +24,7 @@ from tabulate import tabulate
 
 from suspnet.estimation.bogie_fit import CommissionedBogie
 from suspnet.estimation.checkpoint import check_restores, check_saveable, write_model
-from suspnet.estimation.flags import Residual, Unexplained
+from suspnet.estimation.flags import Residual
 from suspnet.estimation.problem import TEST, Problem
 from suspnet.estimation.trained import TrainedModel
 from suspnet.ground import ledger
@@ -33,7 +32,6 @@ from suspnet.ground.parameters import REVERSE
 from suspnet.ground.progress import stage
 from suspnet.ground.settings import check_number
 from suspnet.ground.storage import write_json
-from suspnet.ground.workers import Start, here
 from suspnet.learning import ranks
 from suspnet.learning.search import GridSearch, SearchResult
 from suspnet.report.tensorboard import RunLog
@@ -41,7 +39,6 @@ from suspnet.runs.fit import check_hyperparameters, fit, method_name, tune
 from suspnet.runs.predict import (
     Outcome,
     calibrated,
-    cost_without_model,
     predict_stream,
     with_unexplained,
 )
@@ -69,7 +66,6 @@ class RunContext:
     columns. `draw_vehicle`: once is enough in a multirun. `notes` are further entries of the
     model's `training`, such as the healthy trips as "commissioned"; `residual` is the unexplained
     part of a commissioned vehicle's healthy trips, `bogie` its bogie if each part is to be read.
-    `start` may start work in a second process, see `suspnet.ground.workers.alongside`.
     """
 
     config: Mapping[str, Any] = field(default_factory=dict)
@@ -78,7 +74,6 @@ class RunContext:
     notes: Mapping[str, Any] = field(default_factory=dict)
     residual: Residual | None = None
     bogie: CommissionedBogie | None = None
-    start: Start = here
 
 
 def train(
@@ -150,13 +145,10 @@ def train(
             search_result = tune(problem, estimator, search, run_log)
             search_notes = {"search_seconds": time.perf_counter() - start}
             estimator.set_params(**search_result.best)
-        cost = None
-        if context.residual is not None:  # it needs no model
-            cost = context.start(partial(cost_without_model, problem, context.residual))
         model = replace(fit(problem, estimator, run_log), refined=refine)
         check_restores(model)  # before the calibration, which may take longer than the fit
         model.training.update(search_notes)
-        model = _trusted(problem, model, context, cost)
+        model = _trusted(problem, model, context)
         stage("test")
         model = replace(model, training=model.training | dict(context.notes), bogie=context.bogie)
         outcome = predict_stream(problem, model, TEST)
@@ -167,32 +159,22 @@ def train(
         write_model(folder, replace(model, training=model.training | accuracy))
         log_hyperparameters(run_log, metrics, model.training["parameters"], context.varied)
         if figures:
-            figures_of = folder / "figures"
-            draw_run(
-                problem, model, outcome, run_log, figures_of, search_result, context.draw_vehicle
-            )
+            parts = folder / "figures", context.draw_vehicle
+            draw_run(problem, model, outcome, run_log, *parts)
     write_json(folder / "environment.json", environment())
     write_json(folder / "metrics.json", metrics)  # last: it marks the run as finished
     report(metrics, folder)
     return metrics
 
 
-def _trusted(
-    problem: Problem,
-    model: TrainedModel,
-    context: RunContext,
-    cost: Callable[[], Unexplained | None] | None,
-) -> TrainedModel:
-    """Return a model with intervals, flags and the cost of the unexplained residual.
-
-    `cost` returns this cost where it needs no model.
-    """
+def _trusted(problem: Problem, model: TrainedModel, context: RunContext) -> TrainedModel:
+    """Return a model with intervals, flags and the cost of the unexplained residual."""
     if problem.settings.n_calibrate is not None:
         stage("calibration of intervals and flags")
     model = calibrated(problem, model)
-    if context.residual is None or cost is None:
+    if context.residual is None:
         return model
-    model = with_unexplained(problem, model, context.residual, cost())
+    model = with_unexplained(problem, model, context.residual)
     assert model.unexplained is not None
     if model.unexplained.is_incomplete and context.bogie is None:  # trips are read by their parts
         costs = ", ".join(f"{name} {value:.2g} %" for name, value in _cost_percent(model).items())

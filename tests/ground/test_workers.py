@@ -7,14 +7,13 @@ import subprocess
 import sys
 import time
 from contextlib import suppress
-from functools import partial
 from pathlib import Path
 
 import pytest
 from joblib import Parallel, delayed
 
 from suspnet.ground import workers
-from suspnet.ground.workers import LostWorkerError, alongside, each, guard_joblib
+from suspnet.ground.workers import LostWorkerError, each, guard_joblib
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="signals are those of POSIX")
 ORPHANS_S = 10.0
@@ -93,30 +92,6 @@ def test_workers_are_gone_when_nobody_asks_for_more():
     assert set(children(os.getpid())) > before
     found.close()
     assert set(children(os.getpid())) <= before
-
-
-def test_work_alongside_is_done_by_another_process_that_ends(monkeypatch):
-    monkeypatch.setattr(workers, "cpu_count", lambda: 2)
-    before = set(children(os.getpid()))
-    with alongside("json") as start:
-        done, failed = start(partial(work, "a")), start(partial(work, "fail"))
-        assert done() in set(children(os.getpid())) - before
-        with pytest.raises(KeyError, match="a fault of the function"):
-            failed()
-    assert set(children(os.getpid())) <= before
-
-
-def test_work_of_a_killed_process_alongside_is_done_here(monkeypatch, tmp_path):
-    monkeypatch.setattr(workers, "cpu_count", lambda: 2)
-    with alongside("json") as start:
-        assert start(partial(work, tmp_path / "once"))() == os.getpid()
-
-
-@pytest.mark.parametrize(("n_cores", "is_wanted"), [(1, True), (2, False)])
-def test_work_alongside_without_a_second_core_is_done_here(monkeypatch, n_cores, is_wanted):
-    monkeypatch.setattr(workers, "cpu_count", lambda: n_cores)
-    with alongside("json", is_wanted=is_wanted) as start:
-        assert start(partial(work, "a"))() == os.getpid()
 
 
 @pytest.fixture(autouse=True)

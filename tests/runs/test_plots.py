@@ -164,28 +164,3 @@ def test_sensitivity_shows_each_model_against_the_precision():
     assert [first.get_label(), second.get_label()] == ["$k_p$", "$c_p$"]
     assert list(first.get_xdata()) == pytest.approx([5.01, 2.0, 0.2], rel=4e-3)
     assert list(first.get_ydata()) == pytest.approx([400 / s**2 for s in (26, 34, 54)])
-
-
-def test_search_map_has_a_cell_for_each_pair_at_the_best_of_the_rest():
-    settings = [
-        {"C": c, "sigma": s, "epsilon": e}
-        for c in (1.0, 10.0)
-        for s in (0.5, 1.0, 2.0)
-        for e in (0.1, 0.0)
-    ]
-    rmse = [0.5, 0.2, 0.4, 0.3, 0.6, 0.1, 0.5, math.inf, 0.4, 0.3, 0.6, 0.2]
-    figure = plots.search_map(settings, rmse)
-    FigureCanvasAgg(figure).draw()
-    (axis,) = figure.axes
-    assert axis.get_title() == "cross-validated RMSE at epsilon 0"
-    np.testing.assert_allclose(
-        axis.images[0].get_array().filled(np.nan),
-        np.log2(np.array([[0.2, 0.3, 0.1], [np.nan, 0.3, 0.2]]) / 0.1),
-    )
-    assert axis.patches[-1].get_xy() == (1.5, -0.5)  # sigma = 2, C = 1
-
-
-def test_search_map_of_a_single_hyperparameter_is_a_line():
-    figure = plots.search_map([{"C": 1.0}, {"C": 10.0}, {"C": 5.0}], [0.3, 0.1, 0.2])
-    assert_drawn(figure, 1)
-    assert figure.axes[0].lines[0].get_xydata().tolist() == [[1, 0.3], [5, 0.2], [10, 0.1]]

@@ -12,9 +12,8 @@ from tensorboard.plugins.hparams.plugin_data_pb2 import HParamsPluginData
 from test_tables import run
 
 from suspnet.ground.storage import read_json, write_json
-from suspnet.runs.sweeps import Jobs, Summary, job_rows, seed_rows, write_table6
+from suspnet.runs.sweeps import Jobs, Summary, job_rows, write_table6
 
-FILES = ("jobs.csv", "seeds.csv")
 EDGE = "the best C, 100, is on the edge: slow"
 
 
@@ -126,32 +125,7 @@ def test_outputs_of_all_groups_stand_in_the_row_of_their_settings(tmp_path):
         ]
 
 
-def test_seeds_are_averaged_where_nothing_else_differs(tmp_path):
-    sweep(tmp_path)
-    assert seed_rows(tmp_path, [row for row in job_rows(tmp_path) if row["job"] in "03"]) == []
-    first, *others = sorted(
-        seed_rows(tmp_path, job_rows(tmp_path)), key=lambda row: row["n"], reverse=True
-    )
-    assert (first["jobs"], first["n"], first["k_p"]) == ("0", 2, 2.0)
-    assert first["k_p sd"] == pytest.approx(2**0.5)
-    assert first["c_p/bound"] == 8.0
-    assert {(row["jobs"], row["n"], row["mean sd"]) for row in others} == {
-        ("2", 1, None),
-        ("3", 1, None),
-    }
-
-
-def test_a_seed_of_a_model_that_is_fixed_is_one_setting(tmp_path):
-    for seed in (0, 1):
-        finished(
-            tmp_path, f"{seed}", seed, "primary", {"k_p": 2.0 + seed}, part={"random_state": 0}
-        )
-    finished(tmp_path, "2", 1, "primary", {"k_p": 9.0}, part={"random_state": 7})
-    found = {row["jobs"]: (row["n"], row["k_p"]) for row in seed_rows(tmp_path, job_rows(tmp_path))}
-    assert found == {"0": (2, 2.5), "2": (1, 9.0)}
-
-
-def test_tables_of_a_sweep_show_the_seeds(tmp_path):
+def test_table_of_jobs_has_a_column_for_each_swept_setting(tmp_path):
     sweep(tmp_path)
     for name, c, seed in (("0", 1, 0), ("1", 1, 1), ("3", 2, 0), ("4", 2, 1)):
         hydra = tmp_path / name / ".hydra"
@@ -159,15 +133,8 @@ def test_tables_of_a_sweep_show_the_seeds(tmp_path):
         words = [f"model.C={c}", f"+seed={seed}", "data.n_train=9"]
         (hydra / "overrides.yaml").write_text(yaml.safe_dump(words))
     ended(Jobs(), tmp_path)
-    assert "2 +- 1.4" in (tmp_path / "jobs.md").read_text()
-    assert (tmp_path / "seeds.csv").read_text().startswith("jobs,n,mean,mean sd,")
-    # a column for each swept setting, to be plotted by
-    jobs, seeds = (
-        list(csv.DictReader((tmp_path / name).read_text().splitlines())) for name in FILES
-    )
+    jobs = list(csv.DictReader((tmp_path / "jobs.csv").read_text().splitlines()))
     assert [(row["job"], row["model.C"], row["seed"]) for row in jobs] == [
         *(("3", "2", "0"), ("1", "1", "1"), ("0", "1", "0"), ("2", "", ""), ("4", "2", "1")),
     ]
     assert "data.n_train" not in jobs[0]
-    assert {(row["jobs"], row["model.C"]) for row in seeds} == {("0", "1"), ("2", ""), ("3", "2")}
-    assert "seed" not in seeds[0]
