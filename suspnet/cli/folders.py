@@ -241,8 +241,6 @@ UNNAMED = {
     *("workers", "data.cache_dir", "resume", "pdf", "xlsx", "language", "dataset"),
 }
 """Keys left out of folder names: the path shows them already, or they change no number."""
-OF_THE_VEHICLE = ("vehicle", "generator", "speed_m_per_s")
-"""Keys that change the vehicle's frequency responses."""
 MAX_BYTES = 100
 """Length at which a name is cut; file systems allow 255 for the whole folder name."""
 
@@ -278,13 +276,6 @@ def varied(config: DictConfig) -> dict[str, Any]:
     return {
         key: choices[key] if key in choices else OmegaConf.select(config, key) for key in swept()
     }
-
-
-def is_first_of_its_vehicle() -> bool:
-    """Return whether no earlier job of a multirun has the same vehicle."""
-    keys = swept()
-    vehicles = any(key.partition(".")[0] in OF_THE_VEHICLE for key in keys)
-    return not keys or vehicles or HydraConfig.get().job.num == 0
 
 
 def _changed(*known: str) -> str:

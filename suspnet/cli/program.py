@@ -358,7 +358,7 @@ def one_line(error: BaseException) -> str:
         message = f"{start}. There is no such key{_nearest_key(error)}; --help lists them"
     for pattern, hint in REMOVED.items():
         name = pattern.search(text)
-        if name and text.startswith("Could not"):
+        if name and "Could not" in text:
             message = f"{name[1]} {hint.format(name[1])}"
     if isinstance(error, OSError) and error.filename is not None:
         message = why(error)

@@ -10,6 +10,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, ListConfig
 from sklearn.exceptions import ConvergenceWarning
 
@@ -94,7 +95,8 @@ def main(config: DictConfig) -> None:
         train_fleet(config, folder, groups, _run)
     else:
         folders.start_again(folder)
-        _run(config, folder, varied=folders.varied(config), draw=folders.is_first_of_its_vehicle())
+        is_first = not folders.is_job() or HydraConfig.get().job.num == 0
+        _run(config, folder, varied=folders.varied(config), draw=is_first)
     if groups:
         read = command("evaluate", f"trips={config.healthy}", f"run={folder}")
         log.info("then run: %s", read)

@@ -31,7 +31,7 @@ from suspnet.ground.records import Place
 from suspnet.recordings.formats import READERS
 from suspnet.recordings.manifest_files import find_trips, read_manifest
 from suspnet.recordings.reader_process import in_own_process
-from suspnet.recordings.recording import WINDOWS, load_recording
+from suspnet.recordings.recording import load_recording
 from suspnet.report.language import speaking
 from suspnet.spectra.welch import Welch
 from suspnet.trips.check import CheckSettings, check_trip
@@ -44,7 +44,6 @@ from suspnet.trips.check_page import (
     SteadyPart,
     TripCheck,
     summary,
-    trip_figure,
     write_checks,
 )
 
@@ -188,14 +187,6 @@ def test_pairs_are_named_and_mixed_sensors_told(manifests, tmp_path):
     assert "differ in their sensors (pairs: axle_box, bogie; single sensors)" in done.stdout
     assert "commissioning needs 3 ready healthy trips" in done.stdout
     assert not list((tmp_path / "o").glob("*.png"))
-
-
-def test_figure_has_a_bounded_number_of_points(manifests, settings):
-    recording = load_recording(read_manifest(manifests[0]))
-    figure = trip_figure(recording, np.empty(0), None, (0.6, 21.0))
-    lines = [line for axis in figure.get_axes() for line in axis.lines]
-    assert len(lines) == 4
-    assert all(len(line.get_xdata()) <= WINDOWS for line in lines)
 
 
 # what is wrong
@@ -423,15 +414,6 @@ def test_subfolders_are_searched_and_pictures_have_names_of_their_own(manifests,
     (tmp_path / "yml").mkdir()
     (tmp_path / "yml/trip.yml").touch()
     assert "rename trip.yml" in find_trips([tmp_path / "yml"])[1][0]
-
-
-def test_manifest_of_an_odd_name_is_told(tmp_path):
-    (tmp_path / "trips").mkdir()
-    with open(bytes(tmp_path / "trips") + b"/\xff.yaml", "wb") as file:
-        file.write(b"format: x\n")
-    done = typed(check, tmp_path / "trips", "-o", "o", cwd=tmp_path)
-    assert done.returncode == 1
-    assert done.stdout.encode("utf-8").count(b"`vehicle` is missing") == 1
 
 
 def test_commands_of_the_docs_are_understood():

@@ -223,23 +223,6 @@ def test_log_of_a_run_leaves_the_logger_as_it_was(tmp_path):
     assert (logger.level, logger.propagate, list(logger.handlers)) == before
 
 
-def test_models_of_each_suspension_are_for_the_speeds_of_its_own_trips(
-    quick, fleet, tmp_path, monkeypatch
-):
-    speeds, train_nothing = [], train.train
-
-    def noted(problem, *others, **options):
-        speeds.append(problem.generator.speed_m_per_s)
-        return train_nothing(problem, *others, **options)
-
-    monkeypatch.setattr(train, "train", noted)
-    for path in (fleet / "two").glob("*.yaml"):
-        changed(path, fleet / "two", path.stem, speed=50.0)
-    assert trained(tmp_path / "run", fleet) == 0
-    assert speeds == [70.0, 50.0]
-    assert OmegaConf.load(tmp_path / "run" / "config.yaml").speed_m_per_s is None
-
-
 def test_table_shows_the_misfit_of_the_parts_first():
     row = {"suspension": "car", "n_trips": 5, "misfit": 6.623, "rms_percent": {"k_p": 1.0}}
     plain = commission_fleet.fleet_table([row])

@@ -41,14 +41,10 @@ USERS = {
     "train.log": "mine",
     "error.txt": "mine",
     "fleet.json": "[]",
-    "exit_code": "9",
     "report.html": "<html>",
-    "check.html": "<html>",
     "check.json": "{}",
     "trips.csv": "a,b",
-    "truth.json": "{}",
     "unfinished.json": '{"made_from": "x"}',
-    "trip_001.yaml.bak": "mine",
     "sub/error.txt": "mine",
     "sub/config.yaml": "mine",
     "experiment/best.yaml": "mine",
@@ -222,13 +218,10 @@ def states(folder):
 CHANGES = {
     "a note": lambda run: put(run / "notes.txt"),
     "another configuration": lambda run: put(run / "config.yaml"),
-    "a model": lambda run: put(run / "model.json"),
-    "a longer one": lambda run: put(run / "metrics.json", (run / "metrics.json").read_text() + " "),
     "a link": lambda run: linked(run / "config.yaml"),
     "a folder elsewhere": lambda run: (run / "figures").symlink_to(run.parent),
     "a pipe": lambda run: os.mkfifo(run / "speeds.json"),
     "a second ledger": lambda run: put(run / "sub" / ledger.LEDGER, HEAD),
-    "a link to the log": lambda run: linked(run / "train.log"),
     "a folder in the place of a log": lambda run: (run / "evaluate.log").mkdir(),
 }
 
@@ -265,18 +258,6 @@ def test_same_command_again_replaces_what_it_wrote(trained, tmp_path):
     assert other.stderr == (
         f"error: {run} holds a finished run of other settings; give another folder\n"
     )
-
-
-def test_file_put_into_a_running_run_is_left(tmp_path, monkeypatch):
-    def interfering(*_, **__):
-        put(tmp_path / "run" / "environment.json")
-        return {"a": 1}
-
-    monkeypatch.setattr("suspnet.runs.train.environment", interfering)
-    ended = typed(train, *TRAIN, "hydra.run.dir=run", cwd=tmp_path)
-    assert ended.returncode == 1
-    assert "environment.json: suspnet did not write it here" in ended.stderr
-    assert (tmp_path / "run" / "environment.json").read_text() == "mine"
 
 
 def test_output_of_check_and_export_goes_to_folders_of_their_own(tmp_path):

@@ -89,14 +89,6 @@ def test_a_folder_with_anything_else_in_it_is_kept(tmp_path, monkeypatch):
     assert not run.exists()
 
 
-def test_resumed_folder_must_exist(tmp_path):
-    for arguments in (["resume=nowhere"], ["-m", "seed=0,1", "resume=nowhere"]):
-        ended = typed(train, *arguments, *LINEAR, cwd=tmp_path)
-        assert ended.returncode == 1
-        assert ended.stderr == "error: resume=nowhere is no folder; give that of the earlier run\n"
-    assert list(tmp_path.iterdir()) == []
-
-
 # multiruns
 
 

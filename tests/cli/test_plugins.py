@@ -16,7 +16,7 @@ from sklearn.base import BaseEstimator, RegressorMixin
 from sklearn.ensemble import RandomForestRegressor
 from sklearn.linear_model import Ridge
 
-from suspnet import MSVR, TEST, LinearRegression, Problem, load_model, save_model, train
+from suspnet import TEST, LinearRegression, Problem, load_model, save_model, train
 from suspnet.cli import kinds, plugins
 from suspnet.cli import train as program
 from suspnet.estimation.fitted import ModelFileError
@@ -126,29 +126,6 @@ def test_predictions_of_another_shape_are_refused(form, quarter_car, task, monke
     monkeypatch.setattr(Mean, "predict", lambda self, X: change(predict(self, X)))
     with pytest.raises(ValueError, match=rf"predict of the method 'Mean' must.*finite.*{words}"):
         train(Problem(quarter_car, task(), SETTINGS), Mean())
-
-
-@pytest.mark.filterwarnings("ignore:A column-vector y")
-def test_flat_predictions_of_a_single_output_are_as_good(quarter_car, task):
-    problem = Problem(quarter_car, replace(task(), outputs=("k_p",)), SETTINGS)
-    assert train(problem, RandomForestRegressor(5, random_state=0))["rms_ratio"]["k_p"] > 0
-
-
-@pytest.mark.parametrize(
-    ("estimator", "words"),
-    [
-        (RandomForestRegressor(), "RandomForestRegressor, which cannot be saved: leave out"),
-        (MSVR(random_state=np.random.RandomState(0)), "`random_state`=RandomState"),
-        (MSVR(sigma=float("nan")), "`sigma` must be a finite number > 0, got nan"),
-    ],
-)
-def test_what_cannot_be_saved_is_refused_before_there_is_a_folder(
-    estimator, words, quarter_car, task, tmp_path
-):
-    problem = Problem(quarter_car, task(), SETTINGS)
-    with pytest.raises((TypeError, ValueError), match=words):
-        train(problem, estimator, tmp_path / "run")
-    assert not (tmp_path / "run").exists()
 
 
 def test_trees_of_the_page_are_fitted_again_when_they_are_loaded(quarter_car, task, tmp_path):
@@ -270,14 +247,6 @@ def test_table_of_another_width_than_its_names_is_refused(part, quarter_car, tas
     width = {"names": 2, "parts": 1}[part]
     with pytest.raises(
         ValueError, match=rf"'middle' .* its `{part}`, \(1, 3\), got \(1, {width}\)"
-    ):
-        train(problem, LinearRegression())
-
-
-def test_own_words_say_what_all_curves_lack(quarter_car, task):
-    problem = Problem(quarter_car, replace(task(), extractor=Middle(1e-9)), SETTINGS)
-    with pytest.raises(
-        ValueError, match=r"none of the 200 curves has every feature: the middle \(too high\)$"
     ):
         train(problem, LinearRegression())
 

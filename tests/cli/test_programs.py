@@ -43,14 +43,9 @@ def test_run_folder_holds_everything(run):
     figures = {path.stem for path in (folder / "figures").iterdir()}
     assert {"bode", "degradation", "features", "parity", "peaks", "residuals"} <= figures
     assert metrics["training"]["fitted"]["converged"] is True
-    assert json.loads((folder / "environment.json").read_text())["packages"]["torch"]
-
-
-def test_scores_lie_between_the_bound_and_a_guess(run):
-    _, metrics = run
     for output in ("k_p", "c_p"):
         assert metrics["bound"][output]["mape_percent"] < metrics["scores"][output]["mape_percent"]
-        assert metrics["scores"][output]["mape_percent"] < 5  # a constant guess has about 38
+    assert json.loads((folder / "environment.json").read_text())["packages"]["torch"]
 
 
 def test_fresh_curves_have_like_scores_intervals_and_flags(run, tmp_path):
@@ -118,14 +113,6 @@ def test_tensorboard_holds_figures_and_hyperparameters(run):
     )
 
 
-def test_vehicle_that_loses_many_curves_is_reported(tmp_path, caplog):
-    overrides = ["vehicle.secondary_damping_ns_per_m=32e3", "model=linear", "group=secondary"]
-    with caplog.at_level("WARNING", logger="suspnet"):
-        metrics = run_main(train, tmp_path, *UNCALIBRATED, "data.n_train=100", *overrides)
-    assert metrics["n_test_complete"] < 0.98 * metrics["n_test"]
-    assert "of the training curves lack a feature" in caplog.text
-
-
 def test_same_seed_same_numbers_other_seed_other_numbers(run, tmp_path):
     _, metrics = run
     again = run_main(train, tmp_path / "a", *UNCALIBRATED, "threads=1")
@@ -177,17 +164,14 @@ def test_mistake_gets_one_line(override, message, tmp_path):
         (evaluate, [], "which run?"),
         (evaluate, ["run=nowhere"], "run=nowhere does not exist"),
         (evaluate, ["study=reliability"], "python tests/benchmarks/reliability.py --help"),
-        (evaluate, ["study=layouts"], "python tests/benchmarks/layouts.py --help"),
         (
             evaluate,
             ["study=maintenance", "store=x", "plan.costs.failure=20"],
             "plan.costs is gone: plan.risk, bundle_days and reach_km set what is done when",
         ),
-        (train, ["ablation=baseline"], "python tests/benchmarks/ablation.py --help"),
         (train, ["experiment=ablation"], "python tests/benchmarks/ablation.py --help"),
         (evaluate, ["experiment=table6"], "python train.py experiment=NAME"),
         (train, ["study=maintenance"], "python evaluate.py study=NAME"),
-        (train, ["experiment=identifiability"], "options in 'experiment': readings"),
     ],
 )
 def test_mistake_on_the_command_line_gets_one_line(program, overrides, message, tmp_path):
@@ -246,17 +230,6 @@ def table6(tmp_path_factory):
     assert ended.returncode == 0, ended.stderr
     (sweep,) = (folder / "outputs" / "table6").iterdir()
     return sweep, ended.stdout
-
-
-def test_runs_of_a_multirun_are_named_by_what_differs(table6):
-    folder, _ = table6
-    assert folder.name.partition("_model_")[2] == "n_train_300_n_test_100_n_calibrate_null"
-    assert sorted(path.name for path in folder.iterdir() if path.is_dir()) == [
-        "0_paper_I_linear",
-        "1_paper_I_msvr",
-        "2_paper_II_linear",
-        "3_paper_II_msvr",
-    ]
 
 
 def test_tensorboard_shows_the_comparison_first_and_the_vehicle_once(table6):

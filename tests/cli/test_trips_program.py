@@ -17,13 +17,12 @@ from cli_runner import (
     typed,
 )
 from hydra import compose, initialize_config_dir
-from omegaconf import OmegaConf
 from trip_fixtures import RATES_HZ, changed, model_at, signal
 from trip_records import HALF_WIDTHS
 from trip_records import trip as record
 
 from suspnet.cli import evaluate, folders, simulate, train
-from suspnet.cli.kinds import build, named_runs
+from suspnet.cli.kinds import build
 from suspnet.cli.program import CONFIGS
 from suspnet.estimation.checkpoint import save_model
 from suspnet.ground.parameters import Severity
@@ -114,15 +113,6 @@ def test_simulated_trips_are_read(run, trips, evaluated):
     config = (evaluated / "config.yaml").read_text()
     assert "min_averages: 10.0" in config
     assert f"trips: {trips}" in config
-
-
-def test_trips_are_those_of_the_scenario(trips):
-    manifests = sorted(trips.glob("*.yaml"))
-    assert [path.stem for path in manifests] == ["trip_001", "trip_002", "trip_003"]
-    assert len(signal(manifests[0], "axle_box")) == 5 * 60 * RATES_HZ[0]
-    assert "mileage_km: 308000.0" in manifests[2].read_text()
-    assert "k_p: 0.99" in manifests[2].read_text()  # configs/scenarios.yaml
-    assert "k_p: 1.0" in manifests[1].read_text()
 
 
 @pytest.mark.slow  # am96 is that of every other test; test_configs.py builds each of them
@@ -419,14 +409,9 @@ def test_bad_recording_is_a_row_with_its_reason(bad, name, status, reason):
             ["trips={trips}", "monitor.workers=0"],
             "`workers` must be a whole number >= 1 or null, got 0",
         ),
-        (["trips={trips}", "monitor.n_reference=two"], "`n_reference` must be a whole number >= 1"),
         (
             ["trips={trips}", "monitor.trips.rate_hz=5"],
             r"`trips\.rate_hz` must be a finite number >= 20 and <= ",
-        ),
-        (
-            ["trips={trips}", "monitor.trips.min_averages=x"],
-            r"`trips\.min_averages` must be a finite num",
         ),
         (["trips={trips}", "+monitor._target_=os.system"], "._target_` is no setting of "),
     ],
@@ -442,37 +427,20 @@ def test_mistake_with_trips_gets_one_line(run, trips, tmp_path, overrides, messa
     assert not (tmp_path / "out" / "trips.csv").exists()
 
 
-def test_run_of_another_protocol_is_refused(trips, no_figures, tmp_path):
-    small = ["data.n_train=100", "data.n_test=16", "data.n_calibrate=null"]
-    small += ["data.cache_dir=null", "progress=false", "figures=false"]
-    assert run_program(train, tmp_path / "run", *small, "model=linear", "threads=1") == 0
-    given = [f"run={tmp_path / 'run'}", f"trips={trips}", *EVALUATE]
-    words = run_program(evaluate, tmp_path / "out", *given)
-    assert words == (
-        "error: the model of protocol 'multi_location' was trained on curves of section III-B; "
-        "trips need one of: python train.py experiment=trips"
-    )
-
-
 @pytest.mark.representatives(6)
 @pytest.mark.parametrize(
     ("overrides", "message"),
     [
         (["out={trips}"], "out=.*worn already holds trips; give another folder"),
         (["fleet.n_trips=0"], "`n_trips` must be a whole number >= 1, got 0"),
-        (["fleet.minutes=-1"], "`minutes` must be a finite number > 0, got -1"),
         (["track=moon"], "track.* must be one of|moon"),
         (["fleet.sensors.body.rate_hz=0"], "`sensor.rate_hz` must be a finite number > 0, got 0"),
         (["scenario.spread=2"], r"`scenario.spread` must be a finite number >= 0 and < 1, got 2"),
         (["scatter=-1"], "`scatter` must be a finite number >= 0 and <= 5, got -1"),
-        (["scatter=nan"], "`scatter` must be a finite number, got nan"),
-        (["fleet.sides=up"], r"`sides` must be one of \('both', 'left', None\), got 'up'"),
         (["fleet.sides=both"], "`sides`=both needs a vehicle with roll"),
         (["vehicle=sedan", "generator=vertical_vehicle"], "vehicle 'sedan' lacks"),
         (["+fleet._target_=os.system"], "._target_` is no setting of "),
         (["cars=2"], "cars=2 is of a fleet of trains: give trains= too"),
-        (["n_wearing=0"], "n_wearing=0 is of a fleet of trains: give trains= too"),
-        (["trains=0"], "`trains` must be a whole number >= 1"),
         (["trains=2", "n_wearing=5"], "`n_wearing` must be at most 4 in magnitude, got 5"),
         (["trains=1", "out={trips}"], "out=.*worn already holds trips; give another folder"),
     ],
@@ -500,15 +468,3 @@ def test_trains_are_simulated_and_those_that_wear_are_told(tmp_path, caplog):
     words = f"4 suspensions (trains=1, cars=2) of 2 trips each in {tmp_path / 'f'}"
     assert f"{words}\n1 wear, scenario worn_spring: {wearing}" in caplog.text
     assert "learn the vehicle of each suspension from its first trips:" in caplog.text
-
-
-def test_several_runs_are_named_in_a_list(tmp_path):
-    for name in ("first", "second/a", "second/b"):
-        (tmp_path / name).mkdir(parents=True)
-        (tmp_path / name / "model.json").touch()
-    named = [str(tmp_path / name) for name in ("first", "second", "first")]
-    found = named_runs(OmegaConf.create(named))
-    assert [run.name for run in found] == ["first", "a", "b"]
-    assert named_runs(named[0]) == [tmp_path / "first"]
-    with pytest.raises(FileNotFoundError, match="third does not exist"):
-        named_runs(OmegaConf.create([named[0], str(tmp_path / "third")]))

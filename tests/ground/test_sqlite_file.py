@@ -10,7 +10,7 @@ from cli_runner import typed
 
 from suspnet.cli import history, serve
 from suspnet.history import History, HistoryError
-from suspnet.live.journal import FORMAT, Journal, JournalError
+from suspnet.live.journal import Journal, JournalError
 
 OPENED = {"store": (History, HistoryError), "journal": (Journal, JournalError)}
 LIVE = """
@@ -164,26 +164,6 @@ def test_files_from_before_they_were_numbered_are_read(kind, tmp_path):
     link = tmp_path / "link"
     link.symlink_to("old")
     opened(link).close()
-
-
-def test_journal_of_a_killed_monitor_is_read(tmp_path):
-    code = (
-        "import os, sys, pathlib; from suspnet.live.journal import Journal\n"
-        "one = Journal(pathlib.Path(sys.argv[1])); one.add('A', b'1')\n"
-        "one.write(one.batch()); os._exit(0)"
-    )
-    path = tmp_path / "journal"
-    subprocess.run([sys.executable, "-c", code, str(path)], check=True)
-    with Journal(path) as journal:
-        assert list(journal.frames("A")) == [b"1"]
-
-
-def test_journal_of_another_version_is_refused_unchanged(tmp_path):
-    path = tmp_path / "journal"
-    Journal(path).close()
-    database(path, f"UPDATE format SET name = '{FORMAT}0'")
-    with pytest.raises(JournalError, match="another version"):
-        Journal(path)
 
 
 ENDLESS = "WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n)"

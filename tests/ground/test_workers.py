@@ -58,17 +58,6 @@ def test_death_of_a_worker_costs_what_it_worked_on_alone(tmp_path):
     assert not any(isinstance(one, LostWorkerError) for one in found.values())
 
 
-@pytest.mark.slow
-def test_bar_in_a_worker_leaves_no_semaphore_behind():
-    """Workers are killed at the end, and the system then warned of what they had left."""
-    code = (
-        "from tqdm import tqdm; from suspnet.ground.workers import each; "
-        "print(len(list(each(lambda item: len(list(tqdm(item, disable=True))), ['a', 'b'], 2))))"
-    )
-    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert (ended.stdout, ended.stderr) == ("2\n", "")
-
-
 def test_one_worker_is_this_process():
     assert list(each(work, ["a", "b"], 1)) == [("a", os.getpid()), ("b", os.getpid())]
 
@@ -78,19 +67,6 @@ def test_fault_of_the_function_is_raised_and_no_worker_is_left(n_workers):
     before = set(children(os.getpid()))  # those of other tests
     with pytest.raises(KeyError, match="a fault"):
         list(each(work, ["a", "fail"], n_workers))
-    assert set(children(os.getpid())) <= before
-
-
-def test_nothing_to_do_starts_nothing():
-    assert list(each(work, [], 2)) == []
-
-
-def test_workers_are_gone_when_nobody_asks_for_more():
-    before = set(children(os.getpid()))
-    found = each(work, ["a", "b", "c"], 2)
-    next(found)
-    assert set(children(os.getpid())) > before
-    found.close()
     assert set(children(os.getpid())) <= before
 
 

@@ -119,12 +119,6 @@ def test_records_hold_the_figures_of_their_run(records):
     }
 
 
-def test_what_the_paper_lacks_has_no_published_figure():
-    records = table6_records([run("curve_fit", ("k_s", "M_s"))])
-    assert [r["published"] for r in records] == [None] * 4
-    assert [r["group"] for r in records] == ["secondary", "secondary", "mass", "mass"]
-
-
 # round trips
 
 
