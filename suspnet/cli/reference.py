@@ -24,7 +24,7 @@ from suspnet.cli.config_files import (
     read_comments,
 )
 from suspnet.cli.kinds import KINDS, class_of
-from suspnet.ground.settings import Declared, settings_of
+from suspnet.ground.settings import settings_of
 
 COLUMNS, OPTION_COLUMNS, KEY_COLUMNS = 100, 22, 36
 """Width of the help, and of its first column for options and for keys, in characters."""
@@ -167,18 +167,17 @@ class Reference:
             n = len(package)
             if path[:n] == package and path[n:] in comments.above:
                 return comments.above[path[n:]]
-        for n in range(len(path) - 1, 0, -1):
-            if path[n - 1] in KINDS:
-                setting = self._settings(path[:n]).get(".".join(path[n:]))
-                return "" if setting is None else setting.text
-        return ""
-
-    def _settings(self, path: Keys) -> Mapping[str, Declared]:
-        """Return the settings that the class of an object declares; {} of an unknown kind."""
-        node = OmegaConf.select(self.config, ".".join(path))
-        kind, kinds = node.get("kind") or "", KINDS[path[-1]]
-        class_ = class_of(path[-1], kind) if kind in kinds else None
-        return settings_of(class_) if isinstance(class_, type) else {}
+        if path[0] in TABLES:  # its options are entries of one file, with their names in front
+            table = read_comments(Path(CONFIGS) / TABLES[path[0]][0]).above
+            return next((table[keys] for keys in table if keys[1:] == path[1:]), "")
+        if len(path) < 2 or path[-2] not in KINDS:
+            return ""
+        # the class of an object takes a second to import, so that it comes last
+        node = OmegaConf.select(self.config, ".".join(path[:-1]))
+        kind = node.get("kind") or ""
+        class_ = class_of(path[-2], kind) if kind in KINDS[path[-2]] else None
+        setting = settings_of(class_).get(path[-1]) if isinstance(class_, type) else None
+        return "" if setting is None else setting.text
 
     def _purpose(self, group: str) -> str:
         """Return the purpose of a group: the comment behind it in a list of defaults."""
