@@ -74,7 +74,7 @@ def suspensions(config: DictConfig) -> list[Group]:
 
 
 def are_several(config: DictConfig, groups: Sequence[Group]) -> bool:
-    """Return whether ``healthy=`` is of several suspensions, or of a folder of their folders."""
+    """Return whether ``healthy=`` holds several suspensions, or subfolders of trips."""
     return len(groups) > 1 or (bool(groups) and groups[0].folder != Path(config.healthy))
 
 
@@ -157,9 +157,9 @@ def first_trips(wanted: Any, names: Sequence[str]) -> dict[str, int | None]:
 
 
 def of_group(config: DictConfig, group: Group) -> DictConfig:
-    """Return a configuration with bogie and axle of a suspension's manifests.
+    """Return a configuration with the bogie and axle that a suspension's manifests state.
 
-    These stand unless another one than the default is asked for.
+    A value that differs from the default stays.
     """
     own = config.copy()
     for key, stated in (("bogie", group.place.bogie), ("axle", group.axle)):

@@ -30,7 +30,7 @@ LEFT_OPEN = {
     "train": "is taken as another one for each suspension, which the plan calls in by itself: "
     "train=12 if they are of one train, and car=7 if of one car",
 }
-"""What holds for keys that no trip needs, and how each is said."""
+"""Default of each key that no trip needs, and how to state the key."""
 FRAME_PLACE = (
     "  the frame's sensor is taken as above the measured axle; if it is at the frame's centre, "
     "train with generator.frame_sensor=centre; check compares both where rigid bodies explain a "
@@ -97,8 +97,8 @@ def _folder(folder: Path, settings: Sequence[str], arguments: Namespace) -> int:
     # what is known of the trips: their files, the command line, and a table
     table, tables = arguments.table, find_tables(folder)
     keys = folders.read_said(settings)
-    besides = [*tables, *([table] if table else [])]
-    trip_files = find_trip_files(folder, besides, folders.loggers_of(keys))
+    tables_of_trips = [*tables, *([table] if table else [])]
+    trip_files = find_trip_files(folder, tables_of_trips, folders.loggers_of(keys))
     rows = folders.read_table(table) if table and table.exists() else {}
     vehicles = arguments.config_dir or own_vehicles(keys.get("vehicle", ""))
     trips = folders.folder_manifests(trip_files, folder, keys, rows, vehicles)
@@ -160,7 +160,7 @@ def _untimed(signals: Sequence[Signal]) -> list[str]:
 def _known_vehicles(folder: Path | None, trips: Sequence[folders.Trip]) -> list[str]:
     """Return the option that names the user's own vehicles, for the next command.
 
-    Where it is not given and the vehicle is none of suspnet's, a line says what its DIR stands for.
+    Without it, a line explains the option for a vehicle that suspnet does not have.
     """
     if folder is not None:
         return ["--config-dir", str(folder)]
@@ -179,7 +179,7 @@ def _known_vehicles(folder: Path | None, trips: Sequence[folders.Trip]) -> list[
 
 
 def _unknown_vehicles(folder: Path | None, trips: Sequence[folders.Trip]) -> list[str]:
-    """Return a line on each vehicle of the trips that is neither one of the folder's nor ours."""
+    """Return a line on each vehicle of the trips that neither the folder nor suspnet has."""
     if folder is None:
         return []
     from suspnet.cli.kinds import vehicles_with  # with Hydra
@@ -206,7 +206,7 @@ def _left_open(trips: Sequence[folders.Trip], settings: Sequence[str] | None = N
     """Return a line on each of ``LEFT_OPEN`` that is not stated.
 
     Where trips of several folders lack the bogie, the command of each folder follows, with the
-    words that were `said`; None: not yet.
+    words of the command line in `settings`; None: before the manifests are written.
     """
     lines = []
     for key, words in LEFT_OPEN.items():

@@ -93,7 +93,7 @@ def main(name: str) -> None:
     if name in WITH_OPTIONS:
         options = import_module("suspnet.cli.options")
         parser = options.PARSERS[name]()
-        # files and KEY=VALUE may stand between options; argparse cannot do so with subcommands
+        # files and KEY=VALUE may come between options, which argparse allows without subcommands
         is_mixed = name != "history"
         arguments = parser.parse_intermixed_args() if is_mixed else parser.parse_args()
         run(lambda: sys.exit(getattr(_imported(name), name)(arguments)))

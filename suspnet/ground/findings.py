@@ -17,9 +17,9 @@ from typing import IO, Any, TypeGuard
 
 LIST, OF, NO_PART = "list", "of", "no-part-named"
 WORN, WORN_ONE_OF, WITHOUT_SENSORS = "worn-part", "worn-one-of", "without-sensors"
-"""Kinds that programs look for: several findings in a row, one with what it is of in front, why no
-part of a trip is named, a worn part, or several of which one is, and
-that parts are read without some sensors."""
+"""Kinds that programs look for: several findings in a row, a finding with its subject in front, the
+reason why no part of a trip is named, a worn part, several parts of which one is worn, and parts
+that were read without some sensors."""
 
 
 def _lines(text: str) -> Iterator[tuple[int, str, tuple[str, ...]]]:
@@ -242,10 +242,10 @@ def as_plain(text: str) -> list[dict[str, Any]]:
 
 
 def of(name: object, words: str) -> Finding:
-    """Return a finding with the file, trip or sensor it is of in front."""
+    """Return a finding with its file, trip or sensor in front."""
     return Finding(OF, name=str(name), words=words)
 
 
 def at(name: object, kind: str, /, **values: Any) -> Finding:
-    """Return a finding of a kind with the file, trip or sensor it is of in front."""
+    """Return a finding of a kind with its file, trip or sensor in front."""
     return of(name, Finding(kind, **values))

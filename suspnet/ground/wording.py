@@ -70,7 +70,7 @@ def natural(text: str) -> list[str | int]:
 
 
 def files_of(read_as: str) -> dict[str, int]:
-    """Return what is said of reading a trip, without names of files, with their number; 0: none."""
+    """Return the remarks on reading a trip without file names, with the number of files of each."""
     numbers: dict[str, int] = {}
     for part in parts_of(read_as):
         words, n_files = part, 0

@@ -93,7 +93,7 @@ def commission_folder(
 def commission_parts(healthy: HealthyTrips, trips: TripSettings) -> CommissionedBogie:
     """Return the bogie that healthy trips show, part by part.
 
-    `found` has been read for its parts. TripError if sensors look swapped, or the trips are of the
+    `healthy` has been read for its parts. TripError if sensors look swapped, or the trips show the
     other bogie.
     """
     vehicle = healthy.vehicle

@@ -28,7 +28,7 @@ Cells = Mapping[tuple[str, str, str], float]
 
 
 def write_readings(runs: Sequence[Mapping[str, Any]], folder: Path) -> list[Record]:
-    """Compare the readings that runs (metrics.json) are of with Table VI; write and print a table.
+    """Compare the readings behind some runs (metrics.json) with Table VI; write and print a table.
 
     Returns one record for each reading and choice of test curves, nearest first; readings without a
     run of each method and output are left out.

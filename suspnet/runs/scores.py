@@ -34,8 +34,8 @@ Metrics = dict[str, Any]
 LEVEL = 0.9
 """Level of the prediction intervals in tables."""
 N_BOUND = 200
-"""Largest number of curves whose bounds are worked out where numbers are uncertain: those of 1,000
-took 45 % of a training."""
+"""Largest number of curves whose bounds are computed where numbers are uncertain, as bounds are
+expensive there."""
 TOO_GOOD = 4.0
 """An rms error this many standard deviations below its bound raises a warning."""
 
@@ -70,7 +70,7 @@ def headline(problem: Problem, model: FittedMethod) -> Metrics:
 def scores(problem: Problem, model: FittedMethod, outcome: Outcome) -> Metrics:
     """Return the scores of estimates on one stream of curves, in the form of metrics.json."""
     task, data = problem.task, outcome.data
-    # uncertain numbers make bounds dear: the mean of some curves, drawn alike, says as much
+    # bounds with uncertain numbers are expensive: the mean over some curves is as informative
     n_bound = N_BOUND if problem.is_uncertain else len(data.ratios)
     ratios = data.ratios[:n_bound]
     bounds = output_bounds(task, problem.observer, ratios)

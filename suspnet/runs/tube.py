@@ -1,7 +1,7 @@
 """The study of the tube: where epsilon, and one tube for all outputs, lower the error of MSVR.
 
 At epsilon = 0 MSVR is kernel ridge regression. A tube can help where the labels, the stiffness and
-damping that training curves are said to have, are wrong by bounded amounts. The study gives them
+damping of the training curves, are wrong by bounded amounts. The study gives them
 errors of several kinds, tunes on these labels as a user would, and scores against the truth.
 """
 
