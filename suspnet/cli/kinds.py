@@ -169,10 +169,8 @@ def read_vehicles(folder: str | Path = CONFIGS) -> dict[str, Vehicle]:
 
     Raises
     ------
-    FileNotFoundError
-        If the folder has no ``vehicle/NAME.yaml``.
-    TypeError, ValueError
-        If a file is no vehicle's, or one of its numbers is missing or wrong.
+    FileNotFoundError, TypeError, ValueError
+        If the folder has no ``vehicle/NAME.yaml``, or a number of one is missing or wrong.
     """
     vehicles = _vehicles_of(folder)
     if not vehicles:

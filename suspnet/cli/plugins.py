@@ -28,11 +28,11 @@ from suspnet.spectra.extraction import FeatureSet
 
 OPTION = "--plugin"
 NAME = re.compile(r"[a-z][a-z0-9_]*", re.ASCII)
-METHOD_PARTS = ("fit", "predict", "get_params", "set_params", "state", "restore")
+METHOD_NAMES = ("fit", "predict", "get_params", "set_params", "state", "restore")
 """Attributes that a registered method must have."""
 FLAGS = ("works_on_curves", "distributable", "gives_deviations")
 """Class attributes of ``METHODS``; a registered method that lacks one gets False."""
-FEATURE_PARTS = ("kind", "positive", "parts", "names", "extract", "missing", "relative")
+FEATURE_NAMES = ("kind", "positive", "parts", "names", "extract", "missing", "relative")
 """Attributes that a registered feature set must define itself."""
 WITH_DEFAULTS = ("is_fitted", "fitted", "blank", "state", "restored")
 """Attributes of a registered feature set that those of ``FeatureSet`` will do for."""
@@ -57,13 +57,11 @@ def register_method(name: str, cls: type, title: str | None = None) -> None:
 
     Raises
     ------
-    TypeError
-        If `cls` lacks a part, so that it could not be saved.
-    ValueError
-        If the name or the title is taken or not plain, or a default is no plain value.
+    TypeError, ValueError
+        If `cls` could not be saved, or the name, the title or a default is taken or not plain.
     """
     _check_name("name", name, SHIPPED[0])
-    lacking = [part for part in METHOD_PARTS if not hasattr(cls, part)]
+    lacking = [attribute for attribute in METHOD_NAMES if not hasattr(cls, attribute)]
     if not isinstance(cls, type) or lacking:
         raise TypeError(
             f"`cls` of the method {name!r} lacks {', '.join(lacking) or 'a class'}, without which "
@@ -93,19 +91,17 @@ def register_features(cls: type) -> None:
 
     Raises
     ------
-    TypeError
-        If `cls` is no dataclass or lacks a part.
-    ValueError
-        If its kind is taken or no plain name.
+    TypeError, ValueError
+        If `cls` is no dataclass or lacks an attribute, or its kind is taken or not plain.
     """
     if not isinstance(cls, type) or not is_dataclass(cls):
         raise TypeError(f"`cls` must be a dataclass, got {cls!r}")
     lacking = [
-        part
-        for part in FEATURE_PARTS  # those of `FeatureSet` itself are declarations
-        if inspect.getattr_static(cls, part, None) is vars(FeatureSet).get(part)
+        attribute
+        for attribute in FEATURE_NAMES  # those of `FeatureSet` itself are declarations
+        if inspect.getattr_static(cls, attribute, None) is vars(FeatureSet).get(attribute)
     ]
-    lacking += [part for part in WITH_DEFAULTS if not hasattr(cls, part)]
+    lacking += [attribute for attribute in WITH_DEFAULTS if not hasattr(cls, attribute)]
     if lacking:
         raise TypeError(
             f"the feature set {cls.__name__} lacks {', '.join(lacking)}; suspnet.FeatureSet, from "
