@@ -138,7 +138,7 @@ class Reference:
         return comments
 
     def _keys(self, path: Keys, value: Any) -> list[Key]:
-        own = self._sentence(path)
+        sentence = self._comment(path)
         if isinstance(value, dict) and value:
             below = [
                 key
@@ -146,9 +146,10 @@ class Reference:
                 if name != "kind"
                 for key in self._keys((*path, str(name)), entry)
             ]
-            if not own or any(key.sentence for key in below):
+            sentence = sentence or ("" if any(k.sentence for k in below) else self._declared(path))
+            if not sentence or any(key.sentence for key in below):
                 return below
-        return [Key(".".join(path), self._text(path, value), own)]
+        return [Key(".".join(path), self._text(path, value), sentence or self._declared(path))]
 
     def _text(self, path: Keys, value: Any) -> str:
         """Return a value as text, an interpolation resolved unless it gives a mapping."""
@@ -161,8 +162,8 @@ class Reference:
                 value = OmegaConf.to_object(resolved) if OmegaConf.is_list(resolved) else resolved
         return value if isinstance(value, str) else text(value)
 
-    def _sentence(self, path: Keys) -> str:
-        """Return the sentence on a key; "" if there is none."""
+    def _comment(self, path: Keys) -> str:
+        """Return the sentence on a key in the composed files; "" if there is none."""
         for package, comments in self._files:
             n = len(package)
             if path[:n] == package and path[n:] in comments.above:
@@ -170,11 +171,13 @@ class Reference:
         if path[0] in TABLES:  # its options are entries of one file, with their names in front
             table = read_comments(Path(CONFIGS) / TABLES[path[0]][0]).above
             return next((table[keys] for keys in table if keys[1:] == path[1:]), "")
+        return ""
+
+    def _declared(self, path: Keys) -> str:
+        """Return the sentence of an object's class on a key, which takes a second to import."""
         if len(path) < 2 or path[-2] not in KINDS:
             return ""
-        # the class of an object takes a second to import, so that it comes last
-        node = OmegaConf.select(self.config, ".".join(path[:-1]))
-        kind = node.get("kind") or ""
+        kind = OmegaConf.select(self.config, ".".join(path[:-1])).get("kind") or ""
         class_ = class_of(path[-2], kind) if kind in KINDS[path[-2]] else None
         setting = settings_of(class_).get(path[-1]) if isinstance(class_, type) else None
         return "" if setting is None else setting.text
