@@ -5,10 +5,10 @@ from pathlib import Path
 from typing import Any
 
 from suspnet.cli.commission_fleet import HealthySettings
-from suspnet.cli.config_files import CONFIGS, Keys, read_comments
+from suspnet.cli.config_files import CONFIGS, TABLES, Keys, read_comments
 from suspnet.cli.kinds import KINDS, class_of
 from suspnet.cli.program import THREADS
-from suspnet.cli.reference import filled, objects_of
+from suspnet.cli.reference import filled
 from suspnet.cli.serve import ServeSettings
 from suspnet.cli.simulate import WORKERS
 from suspnet.ground.settings import Declared, settings_of
@@ -67,6 +67,20 @@ def commented(file: Path) -> str:
                 start -= 1
             lines[start:end] = [f"{line}\n" for line in wrapped(sentence, " " * column + "# ")]
     return "".join(lines)
+
+
+def objects_of(file: Path, keys: Keys) -> Iterator[tuple[str, Any, Keys]]:
+    """Yield each object that a key of a file belongs to: its place, its kind, the key below it."""
+    comments, tables = read_comments(file), {name: group for group, (name, _) in TABLES.items()}
+    folder = file.parent.name
+    group = file.stem if folder == "base" else tables.get(file.name, folder)
+    # an entry of a table has a name, after which come the keys
+    before = () if comments.is_global else (group,)
+    path = (*before, *keys[file.name in tables :])
+    for n, place in enumerate(path[:-1]):
+        if place in KINDS:
+            kind = comments.kinds.get(path[len(before) : n + 1], "")
+            yield place, kind, path[n + 1 :]
 
 
 def wrapped(sentence: str, indent: str) -> list[str]:

@@ -1,6 +1,6 @@
 """How many suspensions one core monitors in real time, latency and memory, for docs/live.md.
 
-    python -m suspnet.simulate scenario=healthy generator=best out=trips/bench fleet.n_trips=3
+    suspnet simulate scenario=healthy generator=best out=trips/bench fleet.n_trips=3
     python train.py experiment=trips healthy=trips/bench hydra.run.dir=outputs/bench \
         data.minutes=20 data.n_train=2000 data.n_test=200 data.n_calibrate=500 figures=false
     LIVE="taskset -c 0 python benchmarks/live.py outputs/bench trips/bench/trip_001.yaml"

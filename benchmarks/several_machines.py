@@ -1,6 +1,6 @@
 """What a suspension, a broker and a store cost when several monitors share them: docs/operation.md.
 
-    python -m suspnet.simulate scenario=healthy generator=best out=trips/bench fleet.n_trips=1
+    suspnet simulate scenario=healthy generator=best out=trips/bench fleet.n_trips=1
     python train.py experiment=trips hydra.run.dir=outputs/bench data.minutes=20 \
         data.n_train=2000 data.n_test=200 data.n_calibrate=500 figures=false
     python benchmarks/several_machines.py outputs/bench trips/bench monitors

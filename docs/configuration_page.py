@@ -17,10 +17,10 @@ CONFIGS = Path(program.CONFIGS)
 PROGRAMS = {
     "train": "`python train.py`, `suspnet-train`",
     "evaluate": "`python evaluate.py`, `suspnet-evaluate`",
-    "simulate": "`python -m suspnet.simulate`, `suspnet-simulate`",
-    "monitor": "`python -m suspnet.monitor`, `suspnet-monitor`",
-    "replay": "`python -m suspnet.replay`, `suspnet-replay`",
-    "serve": "`python -m suspnet.serve`, `suspnet-serve`",
+    "simulate": "`suspnet simulate`, `suspnet-simulate`",
+    "monitor": "`suspnet monitor`, `suspnet-monitor`",
+    "replay": "`suspnet replay`, `suspnet-replay`",
+    "serve": "`suspnet serve`, `suspnet-serve`",
 }
 WITH_PROTOCOL = ("group", "groups", "tuned")
 """Keys beside `protocol` that the options of that group set."""

@@ -98,7 +98,7 @@ def _workers_forked():
 
     forks()
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(workers, "_start_method", "forkserver")
+        patch.setattr(workers, "start_method", "forkserver")
         patch.setattr(program, "fork_from_server", lambda *_: None)  # the server imports more
         yield
 
@@ -114,15 +114,10 @@ def _built_in_one_folder(tmp_path_factory):
         yield
 
 
-READ_APART = ("cli", "tests")
+READ_APART = ("tests",)
 """Folders whose tests read every file as users do, in a process of its own."""
 APART = ("attacks", "bounds", "confinement", "formats", "fuzz", "memory", "process")
 """Ends of names of modules of recordings that do so too."""
-READ_HERE = (
-    *("test_check", "test_check_agrees", "test_commissioning_fleet", "test_commissioning_program"),
-    *("test_init", "test_monitor_program", "test_trips_program"),
-)
-"""Files of tests that read many simulated trips; some of their tests use `read_apart`."""
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -135,17 +130,9 @@ def _parquet_read_in_this_process(request):
     apart |= folder == "recordings" and name.endswith(APART)
     as_users_do = formats.READERS[".parquet"]
     with pytest.MonkeyPatch.context() as patch:
-        if name in READ_HERE or not apart:
+        if not apart:
             patch.setitem(formats.READERS, ".parquet", formats.open_parquet)
         yield as_users_do
-
-
-@pytest.fixture
-def read_apart(monkeypatch, _parquet_read_in_this_process):
-    """Read every file in a process of its own, as users do."""
-    from suspnet.recordings import formats
-
-    monkeypatch.setitem(formats.READERS, ".parquet", _parquet_read_in_this_process)
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -36,9 +36,6 @@ PAGES = [README, ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))
 PROGRAMS = {
     "python train.py": "train",
     "python evaluate.py": "evaluate",
-    "python -m suspnet.simulate": "simulate",
-    "python -m suspnet.serve": "serve",
-    "python -m suspnet.replay": "replay",
     **{
         f"suspnet{sign}{name}": name
         for name in ("train", "evaluate", "simulate", "replay", "monitor", "serve")

@@ -35,12 +35,9 @@ from suspnet.trips.check_page import (
     with_shared_data,
     write_checks,
 )
-from suspnet.trips.grouping import group_names
 
 N_HEALTHY = 5
 """Number of first trips that the next command takes as healthy, which the user may change."""
-MOST_NAMES = 8
-"""Largest number of suspensions that the next command names."""
 
 
 def check(arguments: Namespace) -> int:
@@ -48,11 +45,11 @@ def check(arguments: Namespace) -> int:
     if arguments.workers is not None:
         check_number("--workers", arguments.workers, low=1, whole=True)
     options = vehicles_with(arguments.config_dir)
-    known = {vehicle.name: vehicle for vehicle in options.values()}
+    vehicles = {vehicle.name: vehicle for vehicle in options.values()}
     models = [load_model(run) for run in named_runs(arguments.run or [])]
     output = _folder(arguments.output)
     pictures = None if arguments.no_pictures else output
-    settings = CheckSettings(known, pictures=pictures, models=models)
+    settings = CheckSettings(vehicles, pictures=pictures, models=models)
     paths, elsewhere = find_trips(arguments.trips)
     with progress.on_stderr():
         n_workers = workers_for(len(paths), arguments.workers)
@@ -73,14 +70,14 @@ def _checked(
 ) -> list[TripCheck]:
     opened = Opened() if n_workers == 1 else None  # processes share nothing
     names = picture_names(paths)
-    one = partial(_check_one, settings=settings, opened=opened, language=language)
-    done = each(one, names.items(), n_workers)
-    found = {}
+    check_item = partial(_check_one, settings=settings, opened=opened, language=language)
+    done = each(check_item, names.items(), n_workers)
+    checks = {}
     for (path, _), result in progress.bar("trips", len(paths), items=done, unit="trip"):
         if isinstance(result, LostWorkerError):
             result = TripCheck(path, problems=(str(result),))
-        found[path] = result
-    return [found[path] for path in paths]
+        checks[path] = result
+    return [checks[path] for path in paths]
 
 
 def _check_one(
@@ -105,7 +102,7 @@ def next_steps(
     with `run` the evaluation. There is none for single manifests, trips of several vehicles, and a
     suspension that has too few ready trips.
     """
-    if unknown := sorted({one.vehicle for one in checks if one.unchecked} - set(option_of)):
+    if unknown := sorted({check.vehicle for check in checks if check.unchecked} - set(option_of)):
         folder = own_vehicles(unknown[0])
         again = command("check", *arguments.trips, "--config-dir", folder or "DIR")
         where = f", where DIR is the folder with vehicle/{unknown[0]}.yaml"
@@ -117,7 +114,7 @@ def next_steps(
     ready_of = [[c for c in each.checks if c.state == READY] for each in suspensions(checks)]
     n_ready = [len(ready) for ready in ready_of]
     folder, *others = arguments.trips
-    if any(one.unchecked for one in checks) or min(n_ready, default=0) < LEAST_TRIPS:
+    if any(check.unchecked for check in checks) or min(n_ready, default=0) < LEAST_TRIPS:
         return []
     if others or not folder.is_dir() or len(vehicles) != 1:
         return []
@@ -142,17 +139,8 @@ def next_steps(
     return [
         f"{when}: {command('train', *train)}",
         f"  n_healthy={n_healthy}: the first {n_healthy} trips of each suspension by mileage are "
-        "taken as healthy; give as many as were run before any wear",
-        *_of_each(checks, folder, n_healthy),
+        "taken as healthy; give as many as were run before any wear, {NAME:number} of each",
     ]
-
-
-def _of_each(checks: Sequence[TripCheck], folder: Path, n_healthy: int) -> list[str]:
-    """Return a line on the numbers of healthy trips of several suspensions; none for one."""
-    names = group_names(sorted({(c.manifest.parent, c.place) for c in checks if c.vehicle}), folder)
-    numbers = ",".join(f"{name}:{n_healthy}" for name in names[:MOST_NAMES])
-    more = ",..." * (len(names) > MOST_NAMES)
-    return [f"  a number of each: 'n_healthy={{{numbers}{more}}}'"] * (len(names) > 1)
 
 
 def _speeds_beyond_healthy(ready_of: Sequence[Sequence[TripCheck]], n_healthy: int) -> list[str]:
@@ -168,7 +156,7 @@ def _speeds_beyond_healthy(ready_of: Sequence[Sequence[TripCheck]], n_healthy: i
         first = speeds(sorted(ready, key=lambda check: check.mileage_km)[:n_healthy])
         healthy = SpeedRange.read_by(covering(first, WIDE_SPEED_HALF_WIDTH), WIDE_SPEED_HALF_WIDTH)
         if not all(map(healthy.holds, speeds(ready))):
-            every = [one for several in ready_of for one in speeds(several)]
+            every = [speed for several in ready_of for speed in speeds(several)]
             return [setting_words(covering(every, WIDE_SPEED_HALF_WIDTH))]
     return []
 

@@ -43,9 +43,9 @@ Stiffness and damping of train suspensions from three vertical accelerometers.
 
 def main() -> None:
     """Run the program that the command line names."""
-    first, *rest = sys.argv[1:] or ["--help"]
+    first, *arguments = sys.argv[1:] or ["--help"]
     if first in MEANINGS:
-        sys.argv = [f"{sys.argv[0]}-{first}", *rest]
+        sys.argv = [f"{sys.argv[0]}-{first}", *arguments]
         start(first)
     elif first in ("-h", "--help", "help"):
         _print(HELP)

@@ -6,7 +6,6 @@ import functools
 import logging
 import os
 import sys
-import traceback
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
@@ -75,7 +74,7 @@ def suspensions(config: DictConfig) -> list[Group]:
 
 
 def are_several(config: DictConfig, groups: Sequence[Group]) -> bool:
-    """Return whether ``healthy=`` is of several suspensions, or of a folder of their folders."""
+    """Return whether ``healthy=`` holds several suspensions, or subfolders of trips."""
     return len(groups) > 1 or (bool(groups) and groups[0].folder != Path(config.healthy))
 
 
@@ -97,7 +96,7 @@ def train_fleet(
     # finished runs stay; a resumed run trains only the missing ones
     failed = {group.name: group.error for group in groups if group.error}
     numbers = first_trips(config.n_healthy, [group.name for group in groups])
-    runs = [_run(config, one, folder, numbers[one.name]) for one in groups if not one.error]
+    runs = [_run(config, group, folder, numbers[group.name]) for group in groups if not group.error]
     missing = [r for r in runs if not folders.is_finished(OmegaConf.create(r.config), r.folder)]
     # no fleet.json of an earlier attempt may remain if this one fails
     folders.start_again(folder)
@@ -123,7 +122,9 @@ def train_fleet(
             bar.update()
     rows = [_row(run) for run in runs if run.group.name not in failed]
     if rows:
-        log.info("misfit, and rms error in %% on test curves\n\n%s\n-> %s", _table(rows), folder)
+        log.info(
+            "misfit, and rms error in %% on test curves\n\n%s\n-> %s", fleet_table(rows), folder
+        )
     if failed:
         names = ", ".join(sorted(failed))
         raise ValueError(
@@ -133,18 +134,18 @@ def train_fleet(
     write_json(folder / folders.FLEET, rows)
 
 
-def read_numbers(given: Any) -> Any:
+def read_numbers(numbers: Any) -> Any:
     """Return `n_healthy` with {NAME: number} of the command line, which is text, as a mapping."""
-    return of_each_name(given) if isinstance(given, str) else given
+    return of_each_name(numbers) if isinstance(numbers, str) else numbers
 
 
-def first_trips(given: Any, names: Sequence[str]) -> dict[str, int | None]:
+def first_trips(wanted: Any, names: Sequence[str]) -> dict[str, int | None]:
     """Return the number of healthy trips of each suspension, from one of all or one of each.
 
     TypeError or ValueError if a number is not at least three, or of another suspension or missing.
     """
-    of_each = isinstance(given, DictConfig)
-    numbers: dict[Any, int | None] = dict(given) if of_each else dict.fromkeys(names, given)
+    of_each = isinstance(wanted, DictConfig)
+    numbers: dict[Any, int | None] = dict(wanted) if of_each else dict.fromkeys(names, wanted)
     if numbers.keys() != set(names):
         raise ValueError(
             f"n_healthy must be a number, or name each suspension of the folder ({', '.join(names)}"
@@ -156,48 +157,46 @@ def first_trips(given: Any, names: Sequence[str]) -> dict[str, int | None]:
 
 
 def of_group(config: DictConfig, group: Group) -> DictConfig:
-    """Return a configuration with bogie and axle of a suspension's manifests.
+    """Return a configuration with the bogie and axle that a suspension's manifests state.
 
-    These stand unless another one than the default is asked for.
+    A value that differs from the default stays.
     """
-    one = config.copy()
-    for key, named in (("bogie", group.place.bogie), ("axle", group.axle)):
-        if named and one.generator.get(key) == "leading":
-            one.generator[key] = named
-    return one
+    own = config.copy()
+    for key, stated in (("bogie", group.place.bogie), ("axle", group.axle)):
+        if stated and own.generator.get(key) == "leading":
+            own.generator[key] = stated
+    return own
 
 
 def _run(config: DictConfig, group: Group, folder: Path, n_healthy: int | None) -> Run:
     """Return the run of a suspension, with its own trips, bogie and axle."""
-    one = of_group(config, group)
-    one.n_healthy = n_healthy
-    one.reading_name = config.reading_name  # resolved here, as workers run without Hydra
-    one.healthy = str(group.folder)
-    one.progress = False
-    return Run(group, as_written(one), folder / group.name)
+    own = of_group(config, group)
+    own.n_healthy = n_healthy
+    own.reading_name = config.reading_name  # resolved here, as workers run without Hydra
+    own.healthy = str(group.folder)
+    own.progress = False
+    return Run(group, as_written(own), folder / group.name)
 
 
 def _trained(run: Run, train_one: TrainOne) -> tuple[list[str], str]:
     """Train the model of one suspension with its own log; return its warnings and its error."""
     folders.start_again(run.folder)
-    with _own_log(run.folder / LOG) as warnings:
+    with own_log(run.folder / LOG) as warnings:
         try:
             train_one(OmegaConf.create(run.config), run.folder, run.group.manifests)
         except Exception as error:
-            file, message = run.folder / folders.ERROR, program.own_error(error)
-            if isinstance(error, program.MISTAKES) and not message:
+            if isinstance(error, program.MISTAKES):
                 message = program.one_line(error).removeprefix("error: ")
-                write_atomically(file, f"{message}\n")
+                write_atomically(run.folder / folders.ERROR, f"{message}\n")
             else:
-                write_atomically(file, traceback.format_exc())
-                message = message or f"{program.bug_words(error)}; see {file}"
+                message = program.note_bug(error, run.folder)
         else:
             message = ""
         return [record.getMessage() for record in warnings.buffer], message
 
 
 @contextmanager
-def _own_log(file: Path) -> Iterator[BufferingHandler]:
+def own_log(file: Path) -> Iterator[BufferingHandler]:
     """Send this package's log to a file only, and yield the handler that collects its warnings."""
     file.parent.mkdir(parents=True, exist_ok=True)
     file = ledger.free_name(file)  # the log of an earlier attempt stays
@@ -235,15 +234,16 @@ def _row(run: Run) -> dict[str, Any]:
     }
 
 
-def _table(rows: Sequence[Mapping[str, Any]]) -> str:
+def fleet_table(rows: Sequence[Mapping[str, Any]]) -> str:
+    """Return misfit and rms errors of each suspension as Markdown."""
     by_part = any("misfit_of_parts" in row for row in rows)
     # with parts read, they are what counts; the others serve trips that do not show their parts
     misfits = {"misfit_of_parts": "misfit of parts", "misfit": "sides as equal"}
-    shown = misfits if by_part else {"misfit": "misfit"}
-    head = ["suspension", "trips", *shown.values(), *rows[0]["rms_percent"]]
+    columns = misfits if by_part else {"misfit": "misfit"}
+    head = ["suspension", "trips", *columns.values(), *rows[0]["rms_percent"]]
     body = [
-        [row["suspension"], row["n_trips"], *map(row.get, shown), *row["rms_percent"].values()]
+        [row["suspension"], row["n_trips"], *map(row.get, columns), *row["rms_percent"].values()]
         for row in rows
     ]
-    formats = ("", "", *[".2f"] * len(shown), *[".2g"] * len(rows[0]["rms_percent"]))
+    formats = ("", "", *[".2f"] * len(columns), *[".2g"] * len(rows[0]["rms_percent"]))
     return tabulate(body, head, tablefmt="github", floatfmt=formats)

@@ -51,8 +51,8 @@ def own_vehicles(vehicle: str) -> Path | None:
     if not vehicle or is_shipped(vehicle) or Path(vehicle).name != vehicle:
         return None
     file = Path("vehicle") / f"{vehicle}.yaml"
-    found = [one for one in (Path(), *Path().iterdir()) if (one / file).is_file()]
-    return found[0] if len(found) == 1 else None
+    folders = [folder for folder in (Path(), *Path().iterdir()) if (folder / file).is_file()]
+    return folders[0] if len(folders) == 1 else None
 
 
 def as_written(config: Any, *, resolve: bool = False) -> dict[str, Any]:
@@ -133,18 +133,18 @@ def read_comments(file: Path) -> Comments:
     """
     text = file.read_text(encoding="utf-8", errors="replace")
     lines = text.splitlines()
-    found = Comments({}, {}, {}, [], {}, text.startswith("# @package _global_\n"))
+    comments = Comments({}, {}, {}, [], {}, text.startswith("# @package _global_\n"))
     for keys, value, mark in _keys(yaml.compose(text, Loader=LOADER)):
-        found.lines[keys] = (mark.line, mark.column)
+        comments.lines[keys] = (mark.line, mark.column)
         if above := _above(lines, mark.line, mark.column):
-            found.above[keys] = above
+            comments.above[keys] = above
         if behind := BEHIND.search(lines[mark.line]):
-            found.behind[keys] = behind[1]
+            comments.behind[keys] = behind[1]
         if keys[-1] == "kind":
-            found.kinds[keys[:-1]] = str(value.value)
+            comments.kinds[keys[:-1]] = str(value.value)
         if len(keys) == 1:
-            found.names.append(keys[0])
-    return found
+            comments.names.append(keys[0])
+    return comments
 
 
 def phrase(file: Path) -> str:
@@ -158,12 +158,12 @@ def phrase(file: Path) -> str:
     return ""
 
 
-def _above(lines: Sequence[str], line: int, column: int) -> str:
+def _above(lines: Sequence[str], number: int, column: int) -> str:
     """Return the comment right above a key on one line; "" if that is the file's first comment."""
-    first = line
+    first = number
     while first > 0 and lines[first - 1].startswith(" " * column + "#"):  # ends at the first line
         first -= 1
-    return "" if first == 0 else " ".join(one.strip(" #") for one in lines[first:line])
+    return "" if first == 0 else " ".join(text.strip(" #") for text in lines[first:number])
 
 
 def _keys(root: yaml.Node | None) -> Iterator[tuple[Keys, yaml.Node, yaml.Mark]]:
@@ -225,7 +225,7 @@ def read_values(config: DictConfig) -> None:
 def _switch(name: str, value: Any) -> bool:
     if isinstance(value, bool):
         return value
-    known = WORDS.get(value.lower()) if isinstance(value, str) else None
-    if known is None:
+    is_on = WORDS.get(value.lower()) if isinstance(value, str) else None
+    if is_on is None:
         raise ValueError(f"`{name}` must be one of {', '.join(WORDS)}; got {value!r}")
-    return known
+    return is_on

@@ -9,12 +9,18 @@ from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 
-from hydra.core.hydra_config import HydraConfig
-from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 
 from suspnet.cli import program
-from suspnet.cli.folders import ACT, EXIT_CODE, FINE, MISTAKE, NOTICE, SOME_WITHOUT_ESTIMATE, worst
+from suspnet.cli.folders import (
+    ACT,
+    EXIT_CODE,
+    FINE,
+    NOTICE,
+    SOME_WITHOUT_ESTIMATE,
+    is_job,
+    worst,
+)
 from suspnet.cli.kinds import board_settings, build, named_runs
 from suspnet.estimation.checkpoint import load_model
 from suspnet.ground.parameters import Severity
@@ -38,27 +44,19 @@ ALARMS = {Severity.UNKNOWN: SOME_WITHOUT_ESTIMATE, Severity.NOTICE: NOTICE, Seve
 
 def exit_code(done: Sequence[Evaluated]) -> int:
     """Return the exit code for the worst of some suspensions."""
-    codes = [ALARMS.get(one.severity, FINE) for one in done]
-    return worst([*codes, *(SOME_WITHOUT_ESTIMATE for one in done if not one.is_complete)])
+    codes = [ALARMS.get(suspension.severity, FINE) for suspension in done]
+    return worst(
+        [*codes, *(SOME_WITHOUT_ESTIMATE for suspension in done if not suspension.is_complete)]
+    )
 
 
 def ends_with_its_code(function: Callable[[DictConfig], int]) -> Callable[[DictConfig], None]:
-    """Wrap a task that returns its exit code: exit with it, or store it for the end of a multirun.
-
-    In a multirun a mistake is printed, and the other jobs run.
-    """
+    """Wrap a task that returns its exit code: exit with it, or store it in a multirun."""
 
     @functools.wraps(function)
     def wrapped(config: DictConfig) -> None:
-        several = HydraConfig.get().mode == RunMode.MULTIRUN
-        try:
-            code = function(config)
-        except SystemExit as ended:
-            if not several:
-                raise
-            print(ended.code, file=sys.stderr)
-            code = MISTAKE
-        if several:
+        code = function(config)
+        if is_job():
             write_atomically(program.run_folder() / EXIT_CODE, f"{code}\n")
         elif code:
             sys.exit(code)
@@ -95,22 +93,41 @@ def _evaluate(config: DictConfig, history: Callable[[], History]) -> int:
     runs, output = named_runs(config.run), program.run_folder()
     program.save_config(config, output)
     if config.trips is not None:
-        check_documents(pdf=config.pdf, xlsx=config.xlsx)  # before hours of reading
-        models = [load_model(folder, config.device) for folder in runs]
-        settings = build(config, "monitor")
-        store, trips = history() if config.store else None, Path(config.trips)
-        done = evaluate_fleet(
-            trips, models, output, settings, config.progress, store, config.seed, config.figures
-        )
-        write_documents(done, output, pdf=config.pdf, xlsx=config.xlsx)
-        return exit_code(done)
+        return _read_trips(config, runs, output, history() if config.store else None)
+    _score(config, runs, output)
+    return FINE
+
+
+def _read_trips(
+    config: DictConfig, runs: Sequence[Path], output: Path, store: History | None
+) -> int:
+    """Read a folder of trips with the models of some runs; return the exit code."""
+    check_documents(pdf=config.pdf, xlsx=config.xlsx)  # before hours of reading
+    models = [load_model(folder, config.device) for folder in runs]
+    done = evaluate_fleet(
+        Path(config.trips),
+        models,
+        output,
+        build(config, "monitor"),
+        config.progress,
+        store,
+        config.seed,
+        config.figures,
+    )
+    write_documents(done, output, pdf=config.pdf, xlsx=config.xlsx)
+    return exit_code(done)
+
+
+def _score(config: DictConfig, runs: Sequence[Path], output: Path) -> None:
+    """Score the models of some runs on fresh curves, and compare several in Table VI."""
+    if config.get("protocol"):
+        raise ValueError("protocol= is for study=identifiability: a model is tested on its own")
     if not isinstance(config.data, DictConfig):
         raise ValueError(f"`data` holds data.n_test and data.snr_db, got {config.data!r}")
     fresh = FreshCurves(
         seed=config.seed,
         n_test=config.data.n_test,
         snr_db=config.data.snr_db,
-        protocol=build(config, "protocol") if config.get("protocol") else None,
         threads=program.n_threads(config.threads),
         progress=config.progress,
     )
@@ -126,7 +143,6 @@ def _evaluate(config: DictConfig, history: Callable[[], History]) -> int:
     ]
     if len(results) > 1:
         write_table6(results, output)
-    return FINE
 
 
 def run_study(config: DictConfig, folder: Path, history: Callable[[], History]) -> int:
@@ -145,4 +161,4 @@ def run_study(config: DictConfig, folder: Path, history: Callable[[], History]) 
         )
         return FINE
     states = write_maintenance(history(), folder, board_settings(config, config.monitor))
-    return worst(ALARMS.get(one.severity, FINE) for one in states)
+    return worst(ALARMS.get(state.severity, FINE) for state in states)

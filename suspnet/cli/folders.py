@@ -18,7 +18,6 @@ from hydra.experimental.callback import Callback
 from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf, open_dict, read_write
 
-from suspnet.cli.kinds import KINDS
 from suspnet.cli.typed_words import quoted
 from suspnet.ground import ledger
 from suspnet.ground.storage import new_folder, write_atomically
@@ -41,8 +40,8 @@ BY_URGENCY = (FINE, SOME_WITHOUT_ESTIMATE, NOTICE, MISTAKE, ACT)
 notice."""
 EXIT_CODE = "exit_code"
 """File with the exit code in the folder of each job of a multirun."""
-_to_resume: list[str] = []
-_made: list[Path] = []
+to_resume: list[str] = []
+made_folders: list[Path] = []
 """The folder that this run has made under a name of its own; none of a multirun."""
 
 
@@ -63,7 +62,7 @@ class OwnFolder(Callback):
         finally:
             HydraConfig.instance().cfg = before
         if OmegaConf.select(config, "trips") is not None:
-            _to_resume[:] = [config.hydra.run.dir]
+            to_resume[:] = [config.hydra.run.dir]
 
     def on_multirun_start(self, config: DictConfig, **kwargs: Any) -> None:
         """Choose the folder before Hydra makes it, and pass it to the jobs."""
@@ -74,7 +73,7 @@ class OwnFolder(Callback):
             )
         _choose(config, "sweep")
         folder = Path(config.hydra.sweep.dir)
-        _to_resume[:] = [str(folder)]
+        to_resume[:] = [str(folder)]
         for old in folder.glob(f"*/{ERROR}"):
             ledger.remove(old)
         # record the file in the ledger: Hydra writes the same bytes again
@@ -106,21 +105,21 @@ class WorstExitCode(Callback):
 
 def worst(codes: Iterable[int]) -> int:
     """Return the most urgent exit code; an unknown one counts as a mistake."""
-    known = (code if code in BY_URGENCY else MISTAKE for code in codes)
-    return max(known, key=BY_URGENCY.index, default=FINE)
+    codes_in_use = (code if code in BY_URGENCY else MISTAKE for code in codes)
+    return max(codes_in_use, key=BY_URGENCY.index, default=FINE)
 
 
 def how_to_resume() -> str:
     """Return the advice on how to resume the run that was interrupted."""
-    if _to_resume:
-        return f"go on with the same command and {quote(f'resume={_to_resume[0]}')}"
+    if to_resume:
+        return f"go on with the same command and {quote(f'resume={to_resume[0]}')}"
     return "start again at any time"
 
 
 def _choose(config: DictConfig, kind: str) -> None:
     """Choose the folder of a run or "sweep", pass it to the sweep's jobs, and start its ledger."""
-    _to_resume.clear()
-    _made.clear()
+    to_resume.clear()
+    made_folders.clear()
     named = OmegaConf.select(config, "resume")
     try:
         if named is not None:
@@ -133,7 +132,7 @@ def _choose(config: DictConfig, kind: str) -> None:
             folder = Path(config.hydra[kind].dir)
         else:
             folder = new_folder(_below_outputs(Path(config.hydra[kind].dir)))
-            _made[:] = [folder.absolute()] * (kind == "run")
+            made_folders[:] = [folder.absolute()] * (kind == "run")
         goes_on = ledger.begin(folder)
     except OSError as error:
         raise SystemExit(f"error: {error.filename}: {error.strerror}") from error
@@ -150,7 +149,7 @@ def _choose(config: DictConfig, kind: str) -> None:
 
 def remove_unused(folder: Path) -> None:
     """Remove the folder that this run has made if it holds no more than Hydra's files and a log."""
-    if folder not in _made:
+    if folder not in made_folders:
         return
     every = sorted(folder.rglob("*"), reverse=True)  # what is in a folder before the folder
     unused = (folder / ledger.LEDGER, folder / ledger.HYDRA, *folder.glob("*.log"))
@@ -228,7 +227,7 @@ def _wanted(config: DictConfig) -> Any:
 
 
 def _compared(content: Any) -> Any:
-    config = OmegaConf.create(_with_kinds(content, ""))
+    config = OmegaConf.create(content)
     for key in NOT_COMPARED:
         section, _, last = key.rpartition(".")
         node = OmegaConf.select(config, section) if section else config
@@ -237,23 +236,11 @@ def _compared(content: Any) -> Any:
     return OmegaConf.to_container(config)
 
 
-def _with_kinds(content: Any, place: str) -> Any:
-    """Return a configuration of an earlier version in its present form: kinds, not targets."""
-    if not isinstance(content, dict):
-        return content
-    found = {key: _with_kinds(one, str(key)) for key, one in content.items() if key[:1] != "_"}
-    kinds = KINDS.get(place, {})
-    kind = next((kind for kind, home in kinds.items() if home == content.get("_target_")), "")
-    return {"kind": kind, **found} if kind else found
-
-
 UNNAMED = {
     *("experiment", "study", "job", "run", "out", "progress", "figures", "threads", "device"),
     *("workers", "data.cache_dir", "resume", "pdf", "xlsx", "language", "dataset"),
 }
 """Keys left out of folder names: the path shows them already, or they change no number."""
-OF_THE_VEHICLE = ("vehicle", "generator", "speed_m_per_s")
-"""Keys that change the vehicle's frequency responses."""
 MAX_BYTES = 100
 """Length at which a name is cut; file systems allow 255 for the whole folder name."""
 
@@ -291,13 +278,6 @@ def varied(config: DictConfig) -> dict[str, Any]:
     }
 
 
-def is_first_of_its_vehicle() -> bool:
-    """Return whether no earlier job of a multirun has the same vehicle."""
-    keys = swept()
-    vehicles = any(key.partition(".")[0] in OF_THE_VEHICLE for key in keys)
-    return not keys or vehicles or HydraConfig.get().job.num == 0
-
-
 def _changed(*known: str) -> str:
     """Return the name of a run: what a multirun varies, or else what the command line sets.
 
@@ -306,7 +286,7 @@ def _changed(*known: str) -> str:
     config = HydraConfig.get()
     varied = swept()
     settings = dict(_split(override) for override in config.overrides.task)
-    return _joined(
+    return joined_name(
         _word(key, value, key in config.runtime.choices)
         for key, value in settings.items()
         if key not in known and (key in varied if config.mode == RunMode.MULTIRUN else True)
@@ -328,7 +308,7 @@ def _swept_by(_root_: DictConfig) -> str:
             key, value = _split(override.input_line or "")
             varies = override.is_sweep_override()
             words.append(_word(key, "" if varies else value, key in config.runtime.choices))
-        cache["name"] = _joined(words)
+        cache["name"] = joined_name(words)
     return str(cache["name"])
 
 
@@ -351,7 +331,7 @@ def _word(key: str, value: str, is_choice: bool) -> str:
     return last if is_choice and last else f"{key.rpartition('.')[2]}_{last}"
 
 
-def _joined(words: Iterable[str]) -> str:
+def joined_name(words: Iterable[str]) -> str:
     """Return words joined as the end of a folder name that needs no quotes in a shell."""
     bare = (re.sub(r"[\[\](){}'\"]", "", word) for word in words)
     plain = (re.sub(r"[^\w.+-]+", "-", word).strip("-_") for word in bare)

@@ -52,11 +52,15 @@ def history(arguments: Namespace) -> None:
 
 def _listed(store: History, _: Namespace) -> str:
     rows = []
-    for one in store.series():
-        known = one.mileage_km[np.isfinite(one.mileage_km)]
-        span = f"{thousands(known[0])} to {thousands(known[-1])}" if len(known) else ""
-        done = "; ".join(map(str, one.events))
-        rows.append([one.vehicle, one.place, len(one.trip), int(one.done.sum()), span, done])
+    for series in store.series():
+        mileage_km = series.mileage_km[np.isfinite(series.mileage_km)]
+        span = (
+            f"{thousands(mileage_km[0])} to {thousands(mileage_km[-1])}" if len(mileage_km) else ""
+        )
+        done = "; ".join(map(str, series.events))
+        rows.append(
+            [series.vehicle, series.place, len(series.trip), int(series.done.sum()), span, done]
+        )
     header = ["vehicle", "suspension", "trips", "with estimate", "km", "maintenance"]
     return tabulate(rows, header, tablefmt="github", disable_numparse=True)
 
@@ -115,7 +119,7 @@ def _acknowledge(store: History, arguments: Namespace) -> str:
     newest = max(r.mileage_km for r in store.read(vehicle, place) if isfinite(r.mileage_km))
     by = arguments.by, arguments.words
     seen = acknowledge_alarms(store, vehicle, place, chosen, newest, *by)
-    names = ", ".join(f"{one.parameter} ({one.cause}, {one.severity!s})" for one in seen)
+    names = ", ".join(f"{alarm.parameter} ({alarm.cause}, {alarm.severity!s})" for alarm in seen)
     return f"{place}: {names} acknowledged by {arguments.by} at {thousands(newest)} km"
 
 
@@ -132,9 +136,9 @@ def _export(store: History, arguments: Namespace) -> str:
         where = {"vehicle": vehicle, **asdict(place)}
         for name in list(tables)[1:]:
             entries = getattr(store, name)(vehicle, place)
-            tables[name] += [where | _plain(one) for one in entries]
-    outputs = outputs_of(one for results in several for one in results)
-    tables["trips"] = [one.row(outputs) for results in several for one in results]
+            tables[name] += [where | _plain(entry) for entry in entries]
+    outputs = outputs_of(result for results in several for result in results)
+    tables["trips"] = [result.row(outputs) for results in several for result in results]
     ledger.begin(arguments.folder)
     for name, rows in tables.items():
         if rows:

@@ -105,12 +105,12 @@ def plain(node: Any) -> Any:
 
 def class_of(place: str, kind: Any = None) -> Callable[..., Any]:
     """Return what builds an object: the class of a kind, or the only one of its place."""
-    named = KINDS[place][kind or ""]
-    if not isinstance(named, str):
-        return named
-    home, _, name = named.rpartition(".")
-    found: Callable[..., Any] = getattr(import_module(home), name)
-    return found
+    path = KINDS[place][kind or ""]
+    if not isinstance(path, str):
+        return path
+    home, _, name = path.rpartition(".")
+    class_: Callable[..., Any] = getattr(import_module(home), name)
+    return class_
 
 
 def check_kind(name: str, values: Mapping[str, Any]) -> None:
@@ -128,25 +128,27 @@ def _built(values: Mapping[str, Any], name: str, vehicle: str | None = None) -> 
     place = name.rpartition(".")[2]
     class_ = class_of(place, values.get("kind"))
     arguments = {
-        key: _built(one, f"{name}.{key}", vehicle)
-        if key in PARTS.get(place, ()) and isinstance(one, dict)
-        else one
-        for key, one in values.items()
+        key: _built(value, f"{name}.{key}", vehicle)
+        if key in PARTS.get(place, ()) and isinstance(value, dict)
+        else value
+        for key, value in values.items()
         if key != "kind"
     }
     file = f"vehicle/{vehicle}.yaml: " if vehicle and place == "vehicle" else ""
-    known = inspect.signature(class_).parameters
-    unknown = [key for key in arguments if key not in known]
-    if unknown and not any(one.kind == one.VAR_KEYWORD for one in known.values()):
-        near = difflib.get_close_matches(unknown[0], known.keys() - arguments.keys(), 1)
+    # name what is unknown or missing here: the class would name itself, and no key
+    parameters = inspect.signature(class_).parameters
+    unknown = [key for key in arguments if key not in parameters]
+    if unknown and not any(p.kind == p.VAR_KEYWORD for p in parameters.values()):
+        near = difflib.get_close_matches(unknown[0], parameters.keys() - arguments.keys(), 1)
         meant = f"; did you mean {near[0]}?" if near else ""
         raise ValueError(
             f"{file}`{name}.{unknown[0]}` is no setting of {place}: --help lists them{meant}"
         )
     required = [
         key
-        for key, one in known.items()
-        if one.default is one.empty and one.kind not in (one.VAR_POSITIONAL, one.VAR_KEYWORD)
+        for key, parameter in parameters.items()
+        if parameter.default is parameter.empty
+        and parameter.kind not in (parameter.VAR_POSITIONAL, parameter.VAR_KEYWORD)
     ]
     if missing := [key for key in required if key not in arguments]:
         raise ValueError(f"{file}`{name}.{missing[0]}` is missing")
@@ -167,17 +169,15 @@ def read_vehicles(folder: str | Path = CONFIGS) -> dict[str, Vehicle]:
 
     Raises
     ------
-    FileNotFoundError
-        If the folder has no ``vehicle/NAME.yaml``.
-    TypeError, ValueError
-        If a file is no vehicle's, or one of its numbers is missing or wrong.
+    FileNotFoundError, TypeError, ValueError
+        If the folder has no ``vehicle/NAME.yaml``, or a number of one is missing or wrong.
     """
-    found = _vehicles_of(folder)
-    if not found:
+    vehicles = _vehicles_of(folder)
+    if not vehicles:
         raise FileNotFoundError(
             f"{folder} holds no vehicles: each is a file vehicle/NAME.yaml in it"
         )
-    return found
+    return vehicles
 
 
 def vehicles_with(folder: Path | None) -> dict[str, Vehicle]:
@@ -209,8 +209,8 @@ def _vehicles_of(folder: str | Path) -> dict[str, Vehicle]:
 def read_all_vehicles() -> dict[str, Vehicle]:
     """Return the vehicles of ``read_vehicles`` and those in the folder that --config-dir names."""
     sources = HydraConfig.get().runtime.config_sources
-    folders = [one.path for one in sources if one.schema == "file"]
-    return {name: one for folder in folders for name, one in _vehicles_of(folder).items()}
+    folders = [source.path for source in sources if source.schema == "file"]
+    return {name: vehicle for folder in folders for name, vehicle in _vehicles_of(folder).items()}
 
 
 def board_settings(config: DictConfig, alarms: DictConfig) -> BoardSettings:
@@ -220,7 +220,7 @@ def board_settings(config: DictConfig, alarms: DictConfig) -> BoardSettings:
     check_choice("reference", alarms.reference, ("vehicle", "first_trips"))
     check_number("n_reference", alarms.n_reference, low=1, most=1024, whole=True)
     return BoardSettings(
-        vehicles={one.name: one.known_limits for one in read_all_vehicles().values()},
+        vehicles={vehicle.name: vehicle.known_limits for vehicle in read_all_vehicles().values()},
         limits=plain(alarms.limits),
         changes=build(alarms, "changes"),
         sisters=build(config, "sisters"),
@@ -255,4 +255,4 @@ def named_runs(named: Any) -> list[Path]:
     from suspnet.runs.evaluate import find_runs  # with torch, which takes seconds
 
     several = named if isinstance(named, ListConfig | list) else [named]
-    return list(dict.fromkeys(run for one in several for run in find_runs(Path(one))))
+    return list(dict.fromkeys(run for path in several for run in find_runs(Path(path))))

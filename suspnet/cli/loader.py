@@ -66,7 +66,7 @@ def check_settings(settings: dict[Any, Any]) -> None:
     while stack:  # ends: each value of the file is taken off once
         key, value, is_allowed = stack.pop()
         is_allowed |= key in ALLOWED
-        leads_on = isinstance(value, dict) and any(one.startswith(f"{key}.") for one in ALLOWED)
+        leads_on = isinstance(value, dict) and any(entry.startswith(f"{key}.") for entry in ALLOWED)
         if key and not is_allowed and not leads_on:
             below = ".KEY" if isinstance(value, dict) else ""
             raise ValueError(
@@ -74,13 +74,13 @@ def check_settings(settings: dict[Any, Any]) -> None:
                 f"else: give it on the command line, {key}{below}=VALUE"
             )
         if isinstance(value, dict):
-            for name, one in value.items():
+            for name, entry in value.items():
                 below = f"{key}.{name}".lstrip(".")
                 if not isinstance(name, str) or not NAME.fullmatch(name):
                     raise ValueError(f"`{below}` is no setting: names are letters, digits and _")
-                stack.append((below, one, is_allowed))
+                stack.append((below, entry, is_allowed))
         elif isinstance(value, list):
-            stack += [(key, one, is_allowed) for one in value]
+            stack += [(key, entry, is_allowed) for entry in value]
         elif isinstance(value, str):
             _check_text(key, value)
 
@@ -137,7 +137,7 @@ class _TheirFolder(FileConfigSource):
             group = config_path.rpartition("/")[0].replace("/", ".")
             _check_package(header["package"], group)
             _check_defaults(content.get("defaults", []))
-            settings = {key: one for key, one in content.items() if key != "defaults"}
+            settings = {key: value for key, value in content.items() if key != "defaults"}
             if header["package"] is None:
                 settings = {group: settings}
             check_settings(settings)
@@ -158,10 +158,10 @@ class _CheckedRepository(ConfigRepository):
         """Let a checked folder take the place of each that is not suspnet's own."""
         super().initialize_sources(config_search_path)
         self.sources = [
-            _TheirFolder(one.provider, one.path)
-            if one.scheme() == "file" and not os.path.samefile(one.path, CONFIGS)
-            else one
-            for one in self.sources
+            _TheirFolder(source.provider, source.path)
+            if source.scheme() == "file" and not os.path.samefile(source.path, CONFIGS)
+            else source
+            for source in self.sources
         ]
 
     def load_config(self, config_path: str) -> ConfigResult | None:
@@ -171,8 +171,8 @@ class _CheckedRepository(ConfigRepository):
                 f"{config_path!r} leads out of the folder of configurations; name an option of a "
                 "group"
             )
-        found: ConfigResult | None = super().load_config(config_path)
-        return found
+        result: ConfigResult | None = super().load_config(config_path)
+        return result
 
 
 class CheckedLoader(ConfigLoaderImpl):
@@ -191,14 +191,15 @@ class CheckedLoader(ConfigLoaderImpl):
         validate_sweep_overrides: bool = True,
     ) -> DictConfig:
         """Compose a configuration, and of a multirun each job; ValueError for what is refused."""
-        typed = {one.key_or_group for one in OverridesParser.create().parse_overrides(overrides)}
+        parsed = OverridesParser.create().parse_overrides(overrides)
+        typed = {override.key_or_group for override in parsed}
         if "hydra.searchpath" in typed:  # a package on it would be imported, and so run
             raise ValueError(
                 "`hydra.searchpath` cannot be set; name your folder with --config-dir FOLDER"
             )
-        theirs = [one for one in self.get_sources() if isinstance(one, _TheirFolder)]
-        for one in theirs:
-            one.brokers = {
+        theirs = [source for source in self.get_sources() if isinstance(source, _TheirFolder)]
+        for source in theirs:
+            source.brokers = {
                 group
                 for group in ("sink", "source")
                 if f"{group}.broker.host" in typed or os.environ.get(HOST_VARIABLE)
@@ -208,7 +209,7 @@ class CheckedLoader(ConfigLoaderImpl):
         )
         if run_mode == RunMode.MULTIRUN and validate_sweep_overrides and theirs:
             # the sweeper would write a file before it composes the jobs
-            swept = [f"{key}={one}" for key, one in (config.hydra.sweeper.params or {}).items()]
+            swept = [f"{key}={value}" for key, value in (config.hydra.sweeper.params or {}).items()]
             parser = OverridesParser.create(config_loader=self)
             all_of_them = parser.parse_overrides([*swept, *config.hydra.overrides.task])
             for job in BasicSweeper.split_arguments(all_of_them, None)[0]:

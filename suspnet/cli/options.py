@@ -66,8 +66,8 @@ def _parser(name: str, description: str, epilog: str) -> ArgumentParser:
 
 def check_parser() -> ArgumentParser:
     """Return the options of suspnet check."""
-    found = _parser("suspnet check", CHECK_DESCRIPTION, CHECK_EPILOG)
-    found.add_argument(
+    parser = _parser("suspnet check", CHECK_DESCRIPTION, CHECK_EPILOG)
+    parser.add_argument(
         "trips",
         nargs="+",
         type=Path,
@@ -75,7 +75,7 @@ def check_parser() -> ArgumentParser:
         help="folder with a manifest (*.yaml) for each trip, or with subfolders that hold them; or "
         "a manifest [one or more paths]",
     )
-    found.add_argument(
+    parser.add_argument(
         "-o",
         "--output",
         type=Path,
@@ -83,30 +83,30 @@ def check_parser() -> ArgumentParser:
         help="folder of page, JSON and pictures: a new one, or that of an earlier check [path; "
         "outputs/check/TIME if not given]",
     )
-    found.add_argument(
+    parser.add_argument(
         "--language",
         default="en",
         choices=("en", "de"),
         help="language of page and pictures; check.json and the terminal are English [en]",
     )
-    found.add_argument(
+    parser.add_argument(
         "--no-pictures", action="store_true", help="draw nothing, which is faster [switch]"
     )
-    found.add_argument(
+    parser.add_argument(
         "--workers",
         type=int,
         metavar="N",
         help="number of trips that are read at the same time, each in a process [whole number; at "
         "least 1; 2 for more than 10 trips and 1 for fewer if not given]",
     )
-    found.add_argument(
+    parser.add_argument(
         "--config-dir",
         type=Path,
         metavar="DIR",
         help="folder with your own vehicles, vehicle/NAME.yaml, as for train.py [path; none if not "
         "given]",
     )
-    found.add_argument(
+    parser.add_argument(
         "--run",
         type=Path,
         action="append",
@@ -114,21 +114,21 @@ def check_parser() -> ArgumentParser:
         help="folder of a training whose models must read the trips, as of evaluate.py; may be "
         "given several times [path; none if not given]",
     )
-    found.add_argument(  # taken off before: it is here for --help
+    parser.add_argument(  # taken off before: it is here for --help
         "--plugin",
         action="append",
         metavar="FILE",
         help="Python file of yours that is run first and registers the methods of --run [path]",
     )
-    return found
+    return parser
 
 
 def init_parser() -> ArgumentParser:
     """Return the options of suspnet init."""
     from suspnet.recordings.formats import READERS  # with pyarrow
 
-    found = _parser("suspnet init", INIT_DESCRIPTION, INIT_EPILOG)
-    found.add_argument(
+    parser = _parser("suspnet init", INIT_DESCRIPTION, INIT_EPILOG)
+    parser.add_argument(
         "files",
         nargs="*",
         metavar="DIR | FILE | KEY=VALUE",
@@ -136,14 +136,14 @@ def init_parser() -> ArgumentParser:
         "them; or data files of one trip; of --vehicle the folder of vehicles and its numbers "
         f"[paths with {', '.join(sorted(READERS))}]",
     )
-    found.add_argument(
+    parser.add_argument(
         "--config-dir",
         type=Path,
         metavar="DIR",
         help="folder with your own vehicles, vehicle/NAME.yaml: the trips' vehicle must be one of "
         "them or of suspnet's [path; none if not given]",
     )
-    found.add_argument(
+    parser.add_argument(
         "--table",
         type=Path,
         metavar="FILE",
@@ -151,13 +151,13 @@ def init_parser() -> ArgumentParser:
         "other keys of a manifest, names in English or German; if there is no such file and "
         "mileages are missing, it is written to be filled in [path of a CSV file]",
     )
-    found.add_argument(
+    parser.add_argument(
         "--vehicle",
         metavar="NAME",
         help="write the file of a vehicle, DIR/vehicle/NAME.yaml, from its numbers KEY=VALUE; "
         "without them, list what each is, and which matter little [name; DIR is vehicles]",
     )
-    found.add_argument(
+    parser.add_argument(
         "-o",
         "--output",
         type=Path,
@@ -165,17 +165,17 @@ def init_parser() -> ArgumentParser:
         help="the manifest to write [path that ends with .yaml; FIRST.yaml next to the first data "
         "file if not given]",
     )
-    found.add_argument(
+    parser.add_argument(
         "--force", action="store_true", help="replace the manifest if there is one [switch]"
     )
-    return found
+    return parser
 
 
 def history_parser() -> ArgumentParser:
     """Return the options of suspnet history."""
-    found = _parser("suspnet history", HISTORY_DESCRIPTION, HISTORY_EPILOG)
-    found.add_argument("store", metavar="STORE", help="the store [path or URL]")
-    does = found.add_subparsers(
+    parser = _parser("suspnet history", HISTORY_DESCRIPTION, HISTORY_EPILOG)
+    parser.add_argument("store", metavar="STORE", help="the store [path or URL]")
+    does = parser.add_subparsers(
         dest="does",
         required=True,
         metavar="list | event | alarms | acknowledge | export | notify | backup | restore",
@@ -218,7 +218,7 @@ def history_parser() -> ArgumentParser:
         "--xlsx", action="store_true", help="also as one file for spreadsheets [switch]"
     )
     _add_operation(does)
-    return found
+    return parser
 
 
 def _add_operation(does: Any) -> None:

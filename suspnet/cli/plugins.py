@@ -28,19 +28,15 @@ from suspnet.spectra.extraction import FeatureSet
 
 OPTION = "--plugin"
 NAME = re.compile(r"[a-z][a-z0-9_]*", re.ASCII)
-METHOD_PARTS = ("fit", "predict", "get_params", "set_params", "state", "restore")
+METHOD_NAMES = ("fit", "predict", "get_params", "set_params", "state", "restore")
 """Attributes that a registered method must have."""
 FLAGS = ("works_on_curves", "distributable", "gives_deviations")
 """Class attributes of ``METHODS``; a registered method that lacks one gets False."""
-FEATURE_PARTS = ("kind", "positive", "parts", "names", "extract", "missing", "relative")
+FEATURE_NAMES = ("kind", "positive", "parts", "names", "extract", "missing", "relative")
 """Attributes that a registered feature set must define itself."""
 WITH_DEFAULTS = ("is_fitted", "fitted", "blank", "state", "restored")
 """Attributes of a registered feature set that those of ``FeatureSet`` will do for."""
-FRAME = re.compile(r'^ *File "(.+)", line (\d+)', re.MULTILINE)
-"""File and line of a frame in the text of a traceback, or of a syntax error."""
 SHIPPED = frozenset(METHODS), frozenset(FEATURE_SETS)
-_own_files: set[str] = set()
-"""Files of a user: modules named by ``--plugin``, and those of what they register."""
 
 
 def register_method(name: str, cls: type, title: str | None = None) -> None:
@@ -61,13 +57,11 @@ def register_method(name: str, cls: type, title: str | None = None) -> None:
 
     Raises
     ------
-    TypeError
-        If `cls` lacks a part, so that it could not be saved.
-    ValueError
-        If the name or the title is taken or not plain, or a default is no plain value.
+    TypeError, ValueError
+        If `cls` could not be saved, or the name, the title or a default is taken or not plain.
     """
     _check_name("name", name, SHIPPED[0])
-    lacking = [part for part in METHOD_PARTS if not hasattr(cls, part)]
+    lacking = [attribute for attribute in METHOD_NAMES if not hasattr(cls, attribute)]
     if not isinstance(cls, type) or lacking:
         raise TypeError(
             f"`cls` of the method {name!r} lacks {', '.join(lacking) or 'a class'}, without which "
@@ -77,7 +71,6 @@ def register_method(name: str, cls: type, title: str | None = None) -> None:
     if any(title == other for key, other in MODEL_TITLES.items() if key != name):
         raise ValueError(f"`title` {title!r} is that of another method")
     settings = _defaults(name, cls)
-    _note_file(cls)
     for flag in FLAGS:
         if not hasattr(cls, flag):
             setattr(cls, flag, False)
@@ -98,19 +91,17 @@ def register_features(cls: type) -> None:
 
     Raises
     ------
-    TypeError
-        If `cls` is no dataclass or lacks a part.
-    ValueError
-        If its kind is taken or no plain name.
+    TypeError, ValueError
+        If `cls` is no dataclass or lacks an attribute, or its kind is taken or not plain.
     """
     if not isinstance(cls, type) or not is_dataclass(cls):
         raise TypeError(f"`cls` must be a dataclass, got {cls!r}")
     lacking = [
-        part
-        for part in FEATURE_PARTS  # those of `FeatureSet` itself are declarations
-        if inspect.getattr_static(cls, part, None) is vars(FeatureSet).get(part)
+        attribute
+        for attribute in FEATURE_NAMES  # those of `FeatureSet` itself are declarations
+        if inspect.getattr_static(cls, attribute, None) is vars(FeatureSet).get(attribute)
     ]
-    lacking += [part for part in WITH_DEFAULTS if not hasattr(cls, part)]
+    lacking += [attribute for attribute in WITH_DEFAULTS if not hasattr(cls, attribute)]
     if lacking:
         raise TypeError(
             f"the feature set {cls.__name__} lacks {', '.join(lacking)}; suspnet.FeatureSet, from "
@@ -118,7 +109,6 @@ def register_features(cls: type) -> None:
         )
     kind = cls.kind  # type: ignore[attr-defined]
     _check_name("kind", kind, SHIPPED[1])
-    _note_file(cls)
     FEATURE_SETS[kind] = cls
 
 
@@ -132,12 +122,11 @@ def load_plugins(files: Sequence[str]) -> None:
         if path.suffix != ".py" or not path.is_file():
             raise ValueError(f"{OPTION} {file}: there is no such Python file (NAME.py)")
         name = f"suspnet_plugin_{path.stem}"
-        known = sys.modules.get(name)
-        if known is not None:
-            if known.__file__ != str(path.resolve()):
-                raise ValueError(f"{OPTION} {file}: another file of this name is loaded already")
-            continue
-        _run(name, path.resolve())
+        loaded = sys.modules.get(name)
+        if loaded is None:
+            _run(name, path.resolve())
+        elif loaded.__file__ != str(path.resolve()):
+            raise ValueError(f"{OPTION} {file}: another file of this name is loaded already")
 
 
 def _run(name: str, path: Path) -> None:
@@ -149,16 +138,14 @@ def _run(name: str, path: Path) -> None:
         spec.loader.exec_module(module)
     except Exception as error:
         del sys.modules[name]
-        said = why(error) if isinstance(error, OSError) else f"{type(error).__name__}: {error}"
-        place = _last_line(error, {str(path)}) or path
-        raise ValueError(f"{OPTION} {place}: {said}") from error
-    _own_files.add(str(path))
+        frames = traceback.extract_tb(error.__traceback__)
+        lines = [frame.lineno for frame in frames if frame.filename == str(path)]
+        if isinstance(error, SyntaxError):
+            lines = [error.lineno]
+        place = f"{path}:{lines[-1]}" if lines else path
+        reason = why(error) if isinstance(error, OSError) else f"{type(error).__name__}: {error}"
+        raise ValueError(f"{OPTION} {place}: {reason}") from error
     cloudpickle.register_pickle_by_value(module)  # worker processes cannot import it by its name
-
-
-def own_line(error: BaseException) -> str:
-    """Return FILE:LINE of the last frame of an error in a user's file; empty if there is none."""
-    return _last_line(error, _own_files)
 
 
 def take_plugins(arguments: list[str]) -> list[str]:
@@ -172,35 +159,19 @@ def take_plugins(arguments: list[str]) -> list[str]:
     >>> take_plugins(line), line
     (['mine.py', 'too.py'], ['train.py', 'model=mine'])
     """
-    files, rest = [], []
-    given = iter(arguments)
-    for one in given:
-        if one == OPTION:
-            file = next(given, "")
-        elif one.startswith(f"{OPTION}="):
-            file = one.removeprefix(f"{OPTION}=")
-        else:
-            rest.append(one)
+    files, others = [], []
+    words = iter(arguments)
+    for argument in words:
+        option, _, file = argument.partition("=")
+        if option != OPTION:
+            others.append(argument)
             continue
+        file = file or next(words, "")
         if not file:
             raise ValueError(f"{OPTION} needs a file: {OPTION} my_methods.py")
         files.append(file)
-    arguments[:] = rest
+    arguments[:] = others
     return files
-
-
-def _note_file(cls: type) -> None:
-    file = getattr(sys.modules.get(cls.__module__), "__file__", None)
-    if file is not None:  # a notebook has none
-        _own_files.add(file)
-
-
-def _last_line(error: BaseException, files: set[str]) -> str:
-    """Return FILE:LINE of the last frame in one of some files; empty if there is none."""
-    # as text, since a traceback in a worker process reaches this one as text only
-    text = "".join(traceback.format_exception(error))
-    found = [f"{file}:{line}" for file, line in FRAME.findall(text) if file in files]
-    return found[-1] if found else ""
 
 
 def _check_name(what: str, name: Any, shipped: frozenset[str]) -> None:
@@ -214,18 +185,18 @@ def _check_name(what: str, name: Any, shipped: frozenset[str]) -> None:
 
 def _defaults(name: str, cls: type) -> Mapping[str, Any]:
     """Return the defaults of a constructor; "???" where an argument has none."""
-    found: dict[str, Any] = {}
-    for key, one in inspect.signature(cls).parameters.items():
-        if one.kind in (one.VAR_KEYWORD, one.VAR_POSITIONAL):
+    defaults: dict[str, Any] = {}
+    for key, argument in inspect.signature(cls).parameters.items():
+        if argument.kind in (argument.VAR_KEYWORD, argument.VAR_POSITIONAL):
             continue
-        value = "???" if one.default is one.empty else one.default
+        value = "???" if argument.default is argument.empty else argument.default
         if not _is_plain(value):
             raise ValueError(
                 f"the default of `{key}` of the method {name!r} must be a number, a text, a list "
                 f"of these or None, got {value!r}: nothing else can be saved"
             )
-        found[key] = list(value) if isinstance(value, tuple) else value
-    return found
+        defaults[key] = list(value) if isinstance(value, tuple) else value
+    return defaults
 
 
 def _is_plain(value: Any) -> bool:

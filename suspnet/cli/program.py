@@ -55,19 +55,25 @@ MISTAKES = (
     *(ValueError, TypeError, OSError, MemoryError, RecursionError),
     *(yaml.YAMLError, HydraException, OmegaConfBaseException),
 )
-NO_SLURM = 'Could not detect "srun"'
-"""Start of submitit's message where there is no Slurm cluster."""
 SERVER = re.compile(r"\bpostgres(ql)?(\+\w+)?://")
 PASSWORD = re.compile(r"(?<=://)([^:/@]*):([^@]*)@|(?<=[?&])password=([^&'\"]*)&?")
 """Password in the URL of a server, after the user or as an option."""
-MOVED = re.compile(
-    r"Could not find '(?:experiment|study)/(ablation|layouts|reliability)'|"
-    r"Could not override '(ablation)"
-)
-"""Messages of Hydra on studies that were options once."""
-PRICES = re.compile(r"plan\.(?:visit|costs|step_days|plan_again_risk)\b")
-"""Settings of a plan by costs, which earlier releases made."""
-_debugging = bool(os.environ.get(DEBUG, "") not in ("", "0"))
+REMOVED = {
+    re.compile(r"'(?:\w+/)?(ablation|layouts|reliability)"): (
+        "is a script of the sources now: python benchmarks/{0}.py --help"
+    ),
+    re.compile(r"(plan\.(?:visit|costs|step_days|plan_again_risk))\b"): (
+        "is gone: plan.risk, bundle_days and reach_km set what is done when"
+    ),
+    re.compile(r"override '(experiment)'"): (
+        "is of train.py, studies are of evaluate.py: python train.py experiment=NAME"
+    ),
+    re.compile(r"override '(study)'"): (
+        "is of evaluate.py, experiments are of train.py: python evaluate.py study=NAME"
+    ),
+}
+"""What Hydra does not find because it was removed or belongs to another program, and a hint."""
+is_debugging = bool(os.environ.get(DEBUG, "") not in ("", "0"))
 
 store_tables()
 folders.register()
@@ -87,7 +93,7 @@ def main(name: str) -> None:
     if name in WITH_OPTIONS:
         options = import_module("suspnet.cli.options")
         parser = options.PARSERS[name]()
-        # files and KEY=VALUE may stand between options; argparse cannot do so with subcommands
+        # files and KEY=VALUE may come between options, which argparse allows without subcommands
         is_mixed = name != "history"
         arguments = parser.parse_intermixed_args() if is_mixed else parser.parse_args()
         run(lambda: sys.exit(getattr(_imported(name), name)(arguments)))
@@ -106,16 +112,16 @@ def _without_password(argument: str) -> str:
     Hydra writes all arguments to files that others may read; libpq looks in the environment.
     """
 
-    def take(found: re.Match[str]) -> str:
-        os.environ["PGPASSWORD"] = unquote(found[2] if found[2] is not None else found[3])
-        return f"{found[1]}@" if found[2] is not None else ""
+    def take(part: re.Match[str]) -> str:
+        os.environ["PGPASSWORD"] = unquote(part[2] if part[2] is not None else part[3])
+        return f"{part[1]}@" if part[2] is not None else ""
 
     return PASSWORD.sub(take, argument) if SERVER.search(argument) else argument
 
 
 def _load_plugins(arguments: list[str]) -> list[str]:
     """Load what ``--plugin`` names and take it off the command line; return the files."""
-    if not any(one.startswith("--plugin") for one in arguments):
+    if not any(argument.startswith("--plugin") for argument in arguments):
         return []  # their module imports torch, which takes seconds
     from suspnet.cli import plugins
 
@@ -175,7 +181,7 @@ def run(main: Callable[[], Any], *, unwinds: bool = True) -> None:
             _checked_loader(),
         ):
             main()
-    except SystemExit as ended:
+    except SystemExit as ended:  # its message may hold names of files
         if isinstance(ended.code, str):
             ended.code = printable(ended.code)
         raise
@@ -183,20 +189,16 @@ def run(main: Callable[[], Any], *, unwinds: bool = True) -> None:
         number = signal.SIGTERM if isinstance(ended, signals.Terminated) else signal.SIGINT
         verb, code = signals.VERBS[number], 128 + number
         how = printable(folders.how_to_resume())
-        signals.announce(f"{verb}: nothing was half-written; {how}")
+        print(f"{verb}: nothing was half-written; {how}", file=sys.stderr)
         sys.exit(code)
     except BrokenPipeError:
         sys.exit(_output_ended())
     except MISTAKES as error:
-        if _debugging:
+        if is_debugging:
             raise
         sys.exit(one_line(error))
     except (LostWorkerError, BrokenProcessPool) as error:
         sys.exit(f"{one_line(error)}; {folders.how_to_resume()}")
-    except RuntimeError as error:
-        if _debugging or NO_SLURM not in str(error):
-            raise
-        sys.exit(one_line(error))
 
 
 def _output_ended() -> int:
@@ -273,8 +275,8 @@ def _leave_ranks() -> None:
 def task(function: Callable[[DictConfig], Any]) -> Callable[[DictConfig], Any]:
     """Wrap a Hydra task function: check its configuration, end with one line on a mistake.
 
-    In a job of a multirun every error is one line; the traceback of a bug goes to error.txt. An
-    error of a user's own method or feature set is always one line, see `own_error`.
+    In a job of a multirun every error is one line, the traceback of a bug goes to error.txt, and
+    the other jobs run; the job returns the exit code of a mistake.
     """
 
     @functools.wraps(function)
@@ -288,20 +290,27 @@ def task(function: Callable[[DictConfig], Any]) -> Callable[[DictConfig], Any]:
         except BrokenPipeError:
             raise SystemExit(_output_ended()) from None
         except Exception as error:
-            if _debugging:
+            if is_debugging or not (isinstance(error, MISTAKES) or folders.is_job()):
                 raise
-            own = own_error(error)
-            if isinstance(error, MISTAKES) and not own:
+            if isinstance(error, MISTAKES):
                 folders.remove_unused(run_folder())
-                raise SystemExit(one_line(error)) from None
-            if not own and not folders.is_job():
-                raise
-            file = run_folder() / folders.ERROR
-            if folders.is_job():
-                write_atomically(file, traceback.format_exc())
-            raise SystemExit(f"error: {own or f'{bug_words(error)}; see {file}'}") from None
+                line = one_line(error)
+            else:
+                line = f"error: {note_bug(error, run_folder())}"
+            if not folders.is_job():
+                raise SystemExit(line) from None
+            return _end_job(line)
 
     return wrapped
+
+
+def _end_job(line: str) -> int:
+    """Print why a job of a multirun failed, write error.txt, and return its exit code."""
+    print(line, file=sys.stderr)
+    file = run_folder() / folders.ERROR
+    if not file.exists():
+        write_atomically(file, f"{line}\n")
+    return folders.MISTAKE
 
 
 @contextmanager
@@ -324,50 +333,10 @@ def _check_limits(config: DictConfig) -> None:
         raise type(error)(f"vehicle/{chosen}.yaml: {error}") from None
 
 
-def one_of_many(function: Callable[[DictConfig], None]) -> Callable[[DictConfig], None]:
-    """Wrap a task so that a failed job of a multirun does not stop the others."""
-
-    @functools.wraps(function)
-    def wrapped(config: DictConfig) -> None:
-        try:
-            function(config)
-        except SystemExit as ended:
-            if not folders.is_job():
-                raise
-            print(ended.code, file=sys.stderr)
-            file = run_folder() / folders.ERROR
-            if not file.exists():
-                write_atomically(file, f"{ended.code}\n")
-
-    return wrapped
-
-
-def own_error(error: Exception) -> str:
-    """Return a line on an error within a user's method or feature set; empty for another error.
-
-    It names the line of the user's file. The logs in files get the traceback of the error, which is
-    being handled; the terminal does not.
-    """
-    plugins = sys.modules.get("suspnet.cli.plugins")
-    place = plugins.own_line(error) if plugins is not None else ""
-    if not place:
-        return ""
-    record = logging.makeLogRecord({"msg": f"error at {place}", "exc_info": sys.exc_info()})
-    logs = [
-        handler
-        for name in ("", "suspnet")
-        for handler in logging.getLogger(name).handlers
-        if isinstance(handler, logging.FileHandler)
-    ]
-    for handler in logs:
-        handler.handle(record)
-    seen = f"the traceback is in {logs[0].baseFilename}; " if logs else ""
-    return printable(f"{place}: {bug_words(error)}; {seen}{DEBUG}=1 shows it")
-
-
-def bug_words(error: Exception) -> str:
-    """Return the type and the text of an error on one line."""
-    return f"{type(error).__name__}: {' '.join(str(error).split())}"
+def note_bug(error: Exception, folder: Path) -> str:
+    """Write the traceback of the error that is handled to error.txt; return a line that says so."""
+    file = write_atomically(folder / folders.ERROR, traceback.format_exc())
+    return f"{type(error).__name__}: {' '.join(str(error).split())}; see {file}"
 
 
 def one_line(error: BaseException) -> str:
@@ -377,7 +346,7 @@ def one_line(error: BaseException) -> str:
         isinstance(error, InstantiationException) or not str(error)
     ):
         error = error.__cause__
-    message = given = str(error)
+    message = text = str(error)
     if isinstance(error, RecursionError):
         message = "the configuration is nested too deeply, or refers to itself"
     if isinstance(error, MemoryError):
@@ -386,39 +355,26 @@ def one_line(error: BaseException) -> str:
         message = message.split(noise)[0]
     if message.startswith("Could not override"):
         start = message.strip().rstrip(".")
-        missing = _missing_key(error, is_mapping="={" in given)
-        message = f"{start}. There is no {missing}; --help lists them"
-    for group, owner in (("experiment", "train.py"), ("study", "evaluate.py")):
-        if message.startswith(f"Could not override '{group}'"):
-            message = (
-                "experiments belong to train.py and studies to evaluate.py: "
-                f"python {owner} {group}=NAME"
-            )
-    if prices := PRICES.search(given):
-        message = f"{prices[0]} is gone: plan.risk, bundle_days and reach_km set what is done when"
-    if moved := MOVED.search(message):
-        script = f"benchmarks/{moved[1] or moved[2]}.py"
-        message = f"{moved[1] or moved[2]} is a script of the sources now: python {script} --help"
+        message = f"{start}. There is no such key{_nearest_key(error)}; --help lists them"
+    for pattern, hint in REMOVED.items():
+        name = pattern.search(text)
+        if name and "Could not" in text:
+            message = f"{name[1]} {hint.format(name[1])}"
     if isinstance(error, OSError) and error.filename is not None:
         message = why(error)
     return printable("error: " + " ".join(message.split()))
 
 
-def _missing_key(error: BaseException, is_mapping: bool) -> str:
-    """Return which key cannot be overridden, by a mapping or not, and the nearest one there."""
-    cause, unnamed = error.__cause__, "such key"
+def _nearest_key(error: BaseException) -> str:
+    """Return the key nearest to one that cannot be overridden, as a question; empty for none."""
+    cause: Any = error.__cause__
     place = getattr(cause, "parent_node", None)
-    if not isinstance(cause, OmegaConfBaseException) or not isinstance(place, DictConfig):
-        return unnamed
+    if not isinstance(place, DictConfig):
+        return ""
     if not place:  # a mapping to be filled
-        return f"{unnamed}: a + before it adds it"
+        return ": a + before it adds it"
     near = get_close_matches(str(cause.key), [str(key) for key in place], n=1)
-    hint = f": did you mean {near[0]}?" if near else ""
-    entries: Any = OmegaConf.to_container(place, resolve=False)
-    if is_mapping and all(isinstance(entry, dict) for entry in entries.values()):
-        # one more of several mappings: it has a name that a user may choose
-        return f"{cause.full_key} yet{hint or ':'} +{cause.full_key}=... adds it"
-    return unnamed + hint
+    return f": did you mean {near[0]}?" if near else ""
 
 
 def run_folder() -> Path:

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import functools
 import textwrap
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -24,7 +23,8 @@ from suspnet.cli.config_files import (
     phrase,
     read_comments,
 )
-from suspnet.cli.kinds import KINDS
+from suspnet.cli.kinds import KINDS, class_of
+from suspnet.ground.settings import settings_of
 
 COLUMNS, OPTION_COLUMNS, KEY_COLUMNS = 100, 22, 36
 """Width of the help, and of its first column for options and for keys, in characters."""
@@ -75,9 +75,8 @@ def register() -> None:
 class Reference:
     """Keys, groups and help of a configuration that was composed with Hydra's own block.
 
-    Sentences come from the composed files, the last one first, then from the files that describe
-    the class of the object that a key belongs to. Use it before Hydra composes another
-    configuration.
+    Sentences come from the composed files, the last one first, then from the class of the object
+    that a key belongs to. Use it before Hydra composes another configuration.
     """
 
     def __init__(self, config: DictConfig) -> None:
@@ -129,69 +128,73 @@ class Reference:
             .config_loader()
             .compute_defaults_list(hydra.job.config_name, list(hydra.overrides.task), RunMode.RUN)
         )
-        found = []
-        for one in reversed(composed.defaults):
-            package = tuple(one.package.split(".")) if one.package else ()
-            files = [folder / f"{one.config_path}.yaml" for folder in self._folders]
+        comments = []
+        for part in reversed(composed.defaults):
+            package = tuple(part.package.split(".")) if part.package else ()
+            files = [folder / f"{part.config_path}.yaml" for folder in self._folders]
             file = next((file for file in files if file.is_file()), None)
             if file is not None and package[:1] != ("hydra",):
-                found.append((package, read_comments(file)))
-        return found
+                comments.append((package, read_comments(file)))
+        return comments
 
     def _keys(self, path: Keys, value: Any) -> list[Key]:
-        own = self._sentence(path)
+        sentence = self._comment(path)
         if isinstance(value, dict) and value:
             below = [
                 key
-                for name, one in value.items()
+                for name, entry in value.items()
                 if name != "kind"
-                for key in self._keys((*path, str(name)), one)
+                for key in self._keys((*path, str(name)), entry)
             ]
-            if not own or any(key.sentence for key in below):
+            sentence = sentence or ("" if any(k.sentence for k in below) else self._declared(path))
+            if not sentence or any(key.sentence for key in below):
                 return below
-        return [Key(".".join(path), self._text(path, value), own)]
+        return [Key(".".join(path), self._text(path, value), sentence or self._declared(path))]
 
     def _text(self, path: Keys, value: Any) -> str:
         """Return a value as text, an interpolation resolved unless it gives a mapping."""
         if isinstance(value, str) and "${" in value:
             try:
-                found = OmegaConf.select(self.config, ".".join(path))
+                resolved = OmegaConf.select(self.config, ".".join(path))
             except OmegaConfBaseException:  # refers to what is missing here
                 return value
-            if found is not None and not OmegaConf.is_dict(found):
-                value = OmegaConf.to_object(found) if OmegaConf.is_list(found) else found
+            if resolved is not None and not OmegaConf.is_dict(resolved):
+                value = OmegaConf.to_object(resolved) if OmegaConf.is_list(resolved) else resolved
         return value if isinstance(value, str) else text(value)
 
-    def _sentence(self, path: Keys) -> str:
-        """Return the sentence on a key; "" if there is none."""
+    def _comment(self, path: Keys) -> str:
+        """Return the sentence on a key in the composed files; "" if there is none."""
         for package, comments in self._files:
             n = len(package)
             if path[:n] == package and path[n:] in comments.above:
                 return comments.above[path[n:]]
-        for n in range(len(path) - 1, 0, -1):
-            if path[n - 1] in KINDS:
-                return _of_kinds().get((path[n - 1], self._kind(path[:n]), path[n:]), "")
+        if path[0] in TABLES:  # its options are entries of one file, with their names in front
+            table = read_comments(Path(CONFIGS) / TABLES[path[0]][0]).above
+            return next((table[keys] for keys in table if keys[1:] == path[1:]), "")
         return ""
 
-    def _kind(self, path: Keys) -> Any:
-        node: Any = self._plain
-        for name in path:
-            node = node.get(name) if isinstance(node, dict) else None
-        return node.get("kind", "") if isinstance(node, dict) else ""
+    def _declared(self, path: Keys) -> str:
+        """Return the sentence of an object's class on a key, which takes a second to import."""
+        if len(path) < 2 or path[-2] not in KINDS:
+            return ""
+        kind = OmegaConf.select(self.config, ".".join(path[:-1])).get("kind") or ""
+        class_ = class_of(path[-2], kind) if kind in KINDS[path[-2]] else None
+        setting = settings_of(class_).get(path[-1]) if isinstance(class_, type) else None
+        return "" if setting is None else setting.text
 
     def _purpose(self, group: str) -> str:
         """Return the purpose of a group: the comment behind it in a list of defaults."""
         names = [before + group for before in ("", "/", "override /", "override ")]
-        said = (file.behind.get(("defaults", name)) for _, file in self._files for name in names)
-        return next(filter(None, said), "")
+        phrases = (file.behind.get(("defaults", name)) for _, file in self._files for name in names)
+        return next(filter(None, phrases), "")
 
     def _options(self, group: str) -> dict[str, str]:
         files = {f.stem: f for folder in self._folders for f in (folder / group).glob("*.yaml")}
-        found = {name: phrase(file) for name, file in sorted(files.items())}
+        phrases = {name: phrase(file) for name, file in sorted(files.items())}
         if group in TABLES:
             table = read_comments(Path(CONFIGS) / TABLES[group][0])
-            found |= {name: table.behind.get((name,), "") for name in table.names}
-        return found
+            phrases |= {name: table.behind.get((name,), "") for name in table.names}
+        return phrases
 
 
 def text(value: Any) -> str:
@@ -200,32 +203,7 @@ def text(value: Any) -> str:
     words = [str(flow).removesuffix("...\n").strip()]
     if isinstance(value, dict):
         words += ["{" + ", ".join(f"{key}: ..." for key in value) + "}", "{...}"]
-    return next((one for one in words if len(one) <= LONGEST_MAPPING), words[-1])
-
-
-@functools.cache
-def _of_kinds() -> dict[tuple[str, Any, Keys], str]:
-    """Return the sentence on each setting of all objects, by place, kind and key."""
-    found: dict[tuple[str, Any, Keys], str] = {}
-    for file in sorted(Path(CONFIGS).rglob("*.yaml")):
-        for keys, sentence in read_comments(file).above.items():
-            for one in objects_of(file, keys):
-                found.setdefault(one, sentence)
-    return found
-
-
-def objects_of(file: Path, keys: Keys) -> Iterator[tuple[str, Any, Keys]]:
-    """Yield each object that a key of a file belongs to: its place, its kind, the key below it."""
-    comments, tables = read_comments(file), {name: group for group, (name, _) in TABLES.items()}
-    folder = file.parent.name
-    group = file.stem if folder == "base" else tables.get(file.name, folder)
-    # an entry of a table has a name, after which come the keys
-    before = () if comments.is_global else (group,)
-    path = (*before, *keys[file.name in tables :])
-    for n, place in enumerate(path[:-1]):
-        if place in KINDS:
-            kind = comments.kinds.get(path[len(before) : n + 1], "")
-            yield place, kind, path[n + 1 :]
+    return next((line for line in words if len(line) <= LONGEST_MAPPING), words[-1])
 
 
 def _two_columns(left: str, right: str, width: int) -> list[str]:

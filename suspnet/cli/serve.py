@@ -154,19 +154,23 @@ def _access(config: DictConfig) -> Access:
             raise ValueError(f"`{name}` is a list, as {name}=[NAME, ...], got {config[name]!r}")
     return Access(
         str(config.user_header or ""),
-        [str(one) for one in config.trusted_proxies],
-        [str(one) for one in config.engineers],
+        [str(address) for address in config.trusted_proxies],
+        [str(name) for name in config.engineers],
         _token(config.token_file),
     )
 
 
 def _token(file: str | None) -> str:
     """Return the token of programs from a file or the environment; empty if there is none."""
-    given = [one for one in (TOKEN_VARIABLE, f"{TOKEN_VARIABLE}_FILE") if os.environ.get(one)]
+    variables = [
+        variable
+        for variable in (TOKEN_VARIABLE, f"{TOKEN_VARIABLE}_FILE")
+        if os.environ.get(variable)
+    ]
     if file is None:
-        return secret(TOKEN_VARIABLE, "the API") if given else ""
-    if given:
-        raise ValueError(f"the token is given twice, by token_file= and by {given[0]}")
+        return secret(TOKEN_VARIABLE, "the API") if variables else ""
+    if variables:
+        raise ValueError(f"the token is given twice, by token_file= and by {variables[0]}")
     try:
         content = read_plain(Path(file), MOST_TOKEN_BYTES)
         if os.stat(file).st_mode & 0o077:
@@ -179,13 +183,13 @@ def _token(file: str | None) -> str:
     return token
 
 
-def _prefix(given: str | None) -> str:
+def _prefix(path: str | None) -> str:
     """Return the path of the pages without a / at its end; ValueError if it is not a path."""
-    prefix = str(given or "").rstrip("/")
+    prefix = str(path or "").rstrip("/")
     if not re.fullmatch(r"(/[A-Za-z0-9_~-][A-Za-z0-9._~-]*)*", prefix, re.ASCII):
         raise ValueError(
             f"`url_prefix` must be the path at which a reverse proxy shows the pages, as /fleet/, "
-            f"got {given!r}"
+            f"got {path!r}"
         )
     return prefix
 

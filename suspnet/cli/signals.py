@@ -1,10 +1,8 @@
-"""Signals that end a program at once, in one line, as long as nothing has begun."""
+"""Signals that end a program: at once as long as nothing has begun, later in one line."""
 
 from __future__ import annotations
 
-import os
 import signal
-import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -12,8 +10,6 @@ from contextlib import contextmanager
 VERBS = {signal.SIGINT: "interrupted", signal.SIGTERM: "terminated"}
 """Verb of the line that a program prints when a signal ends it."""
 SIGNALS = tuple(VERBS)
-_has_ended = threading.Event()
-"""Whether the program has said that a signal ends it; a further signal then says nothing."""
 
 
 @contextmanager
@@ -32,24 +28,9 @@ def until_it_listens() -> Iterator[None]:
 
 
 def end_at_once() -> None:
-    """Make a signal end the process at once: nothing can be half done yet."""
-    _has_ended.clear()
+    """Make a signal end the process at once and without a word: nothing can be half done yet."""
     for number in SIGNALS:
-        signal.signal(number, _end)
-
-
-def announce(words: str) -> None:
-    """Print the line that says why a signal ends the program, once."""
-    _has_ended.set()
-    print(words, file=sys.stderr)
-
-
-def _end(number: int, frame: object) -> None:
-    if not _has_ended.is_set():
-        os.write(
-            sys.stderr.fileno(), f"{VERBS[signal.Signals(number)]}: nothing had begun\n".encode()
-        )
-    os._exit(128 + number)
+        signal.signal(number, signal.SIG_DFL)
 
 
 class Terminated(BaseException):

@@ -77,7 +77,9 @@ def _trains(config: DictConfig) -> Trains | None:
 
 def _log_trains(config: DictConfig, trains: Trains, folder: Path) -> None:
     """Log how many suspensions of trains were simulated, and which of them wear."""
-    wearing = [one.name for one in trains.suspensions(config.seed) if one.wears]
+    wearing = [
+        suspension.name for suspension in trains.suspensions(config.seed) if suspension.wears
+    ]
     log.info(
         "%d suspensions (trains=%d, cars=%d) of %d trips each in %s\n%d wear, scenario %s: %s",
         trains.n_all,

@@ -1,4 +1,4 @@
-"""Start of the programs; a signal during their import ends them with one line."""
+"""Start of the programs; a signal during their import ends them at once."""
 
 from __future__ import annotations
 

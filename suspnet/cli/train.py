@@ -10,6 +10,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, ListConfig
 from sklearn.exceptions import ConvergenceWarning
 
@@ -32,7 +33,6 @@ from suspnet.estimation.trip_settings import TripSettings
 from suspnet.ground.parameters import DIRECTIONS, FORWARD, Direction
 from suspnet.ground.settings import check_choice, check_values
 from suspnet.ground.wording import command, span
-from suspnet.ground.workers import Start, alongside
 from suspnet.learning import ranks
 from suspnet.recordings.manifest_files import ManifestFile
 from suspnet.report.language import check_language, speaking
@@ -65,7 +65,6 @@ FIRST_M_PER_S = 70.0
 """Assumed speed until the healthy trips have shown theirs, [m/s]; only leakage depends on it."""
 
 
-@program.one_of_many
 @program.task
 def main(config: DictConfig) -> None:
     """Build what the configuration names, train it and fill the run folder.
@@ -90,13 +89,14 @@ def main(config: DictConfig) -> None:
         log.info("finished before: %s", finished)
         return
     if are_several(config, groups):
-        one = _at_a_speed(config)
-        _check_healthy(one)
-        check_generator(build(one, "generator"))
+        at_a_speed = _at_a_speed(config)
+        _check_healthy(at_a_speed)
+        check_generator(build(at_a_speed, "generator"))
         train_fleet(config, folder, groups, _run)
     else:
         folders.start_again(folder)
-        _run(config, folder, varied=folders.varied(config), draw=folders.is_first_of_its_vehicle())
+        is_first = not folders.is_job() or HydraConfig.get().job.num == 0
+        _run(config, folder, varied=folders.varied(config), draw=is_first)
     if groups:
         read = command("evaluate", f"trips={config.healthy}", f"run={folder}")
         log.info("then run: %s", read)
@@ -118,31 +118,27 @@ def _run(
     protocol = build(config, "protocol")
     protocol.task(config.group)
     check_hyperparameters(build(config, "model"))
-    by_part = protocol.by_part
-    # where each part is read, what the residual costs takes about as long as the fit of the method
-    is_wanted = by_part and config.healthy is not None and config.threads != 1
-    is_wanted &= not ranks.is_distributed()
-    with alongside("suspnet.runs.commissioning", is_wanted=is_wanted) as start:
-        healthy = _commissioned(_at_a_speed(config), folder, paths, by_part)
-        speeds = config.speed_m_per_s
-        if speeds is None:
-            if healthy is None:
-                raise ValueError(NO_HEALTHY)
-            speeds = covering(healthy.speeds_m_per_s, _half_width(config))
-            ends = (f"{of(healthy.speeds_m_per_s):.1f}" for of in (min, max))
-            log.info("healthy trips at %s m/s: %s", span(*ends), setting_words(speeds))
-        directions = _directions(config, healthy)
-        train_one = partial(_train, healthy=healthy, varied=varied, draw=draw, start=start)
-        if not isinstance(speeds, ListConfig | list) and len(directions) == 1:
-            found = config.copy()
-            found.speed_m_per_s = speeds
-            if "speed_half_width" in found.data:
-                found.data.speed_half_width = _half_width(config)
-            train_one(_running(found, directions[0]), folder, given=config)
-            return
-        ranges = [replace(r, direction=d) for r in _ranges(config, speeds) for d in directions]
-        program.save_config(config, folder)
-        train_ranges(ranges, lambda one, where: train_one(_bound(config, one), where), folder)
+    healthy = _commissioned(_at_a_speed(config), folder, paths, protocol.by_part)
+    # speeds and directions are those asked for, else those of the healthy trips
+    speeds = config.speed_m_per_s
+    if speeds is None:
+        if healthy is None:
+            raise ValueError(NO_HEALTHY)
+        speeds = covering(healthy.speeds_m_per_s, _half_width(config))
+        ends = (f"{of(healthy.speeds_m_per_s):.1f}" for of in (min, max))
+        log.info("healthy trips at %s m/s: %s", span(*ends), setting_words(speeds))
+    directions = _directions(config, healthy)
+    train_one = partial(_train, healthy=healthy, varied=varied, draw=draw)
+    if not isinstance(speeds, ListConfig | list) and len(directions) == 1:
+        own = config.copy()
+        own.speed_m_per_s = speeds
+        if "speed_half_width" in own.data:
+            own.data.speed_half_width = _half_width(config)
+        train_one(_running(own, directions[0]), folder, given=config)
+        return
+    ranges = [replace(r, direction=d) for r in _ranges(config, speeds) for d in directions]
+    program.save_config(config, folder)
+    train_ranges(ranges, lambda one, where: train_one(_bound(config, one), where), folder)
 
 
 def _study_tube(config: DictConfig, folder: Path) -> None:
@@ -167,9 +163,9 @@ def _at_a_speed(config: DictConfig) -> DictConfig:
         return _bound(config, _ranges(config, config.speed_m_per_s)[0])
     if config.speed_m_per_s is not None:
         return config
-    found = config.copy()
-    found.speed_m_per_s = FIRST_M_PER_S
-    return found
+    own = config.copy()
+    own.speed_m_per_s = FIRST_M_PER_S
+    return own
 
 
 def _directions(config: DictConfig, healthy: _Healthy | None) -> Sequence[Direction]:
@@ -185,10 +181,10 @@ def _directions(config: DictConfig, healthy: _Healthy | None) -> Sequence[Direct
 
 
 def _running(config: DictConfig, direction: Direction) -> DictConfig:
-    found = config.copy()
-    if "direction" in found.generator:
-        found.generator.direction = found.direction = direction
-    return found
+    own = config.copy()
+    if "direction" in own.generator:
+        own.generator.direction = own.direction = direction
+    return own
 
 
 def _ranges(config: DictConfig, speeds: float | Sequence[float]) -> list[SpeedRange]:
@@ -210,11 +206,11 @@ def _half_width(config: DictConfig) -> float:
     return usual if wanted is None else wanted
 
 
-def _bound(config: DictConfig, one: SpeedRange) -> DictConfig:
-    found = _running(config, one.direction)
-    found.speed_m_per_s = one.trained_m_per_s
-    found.data.speed_half_width = one.half_width
-    return found
+def _bound(config: DictConfig, speeds: SpeedRange) -> DictConfig:
+    own = _running(config, speeds.direction)
+    own.speed_m_per_s = speeds.trained_m_per_s
+    own.data.speed_half_width = speeds.half_width
+    return own
 
 
 @dataclass(frozen=True)
@@ -248,7 +244,7 @@ def _commissioned(
     settings, trips = _check_healthy(config), TripSettings()
     check_values(HealthySettings, n_healthy=config.n_healthy)
     generator = check_generator(build(config, "generator"))
-    found = read_healthy(
+    trips_read = read_healthy(
         Path(config.healthy),
         generator,
         settings.bound(generator.vehicle),
@@ -258,13 +254,20 @@ def _commissioned(
         by_part=by_part,
         progress=config.progress,
     )
-    bogie = commission_parts(found, trips) if by_part else None
-    outcome = commission_trips(found, generator, settings, bogie=bogie, progress=config.progress)
+    bogie = commission_parts(trips_read, trips) if by_part else None
+    outcome = commission_trips(
+        trips_read, generator, settings, bogie=bogie, progress=config.progress
+    )
     with speaking(config.language):
-        write_outcome(folder, found, outcome, bogie)
-    notes = training_notes(found, outcome)
+        write_outcome(folder, trips_read, outcome, bogie)
+    notes = training_notes(trips_read, outcome)
     return _Healthy(
-        outcome.generator, notes, outcome.residual, found.speeds_m_per_s, found.directions, bogie
+        outcome.generator,
+        notes,
+        outcome.residual,
+        trips_read.speeds_m_per_s,
+        trips_read.directions,
+        bogie,
     )
 
 
@@ -273,8 +276,10 @@ def _generator(config: DictConfig, healthy: _Healthy | None) -> ResponseGenerato
     plain: ResponseGenerator = build(config, "generator")
     if healthy is None or plain.speed_m_per_s is None:
         return plain
-    there = replace(healthy.generator, speed_m_per_s=plain.speed_m_per_s, device=plain.device)
-    return there.running(plain.direction or FORWARD)
+    commissioned = replace(
+        healthy.generator, speed_m_per_s=plain.speed_m_per_s, device=plain.device
+    )
+    return commissioned.running(plain.direction or FORWARD)
 
 
 def _train(
@@ -283,7 +288,6 @@ def _train(
     healthy: _Healthy | None,
     varied: Mapping[str, Any] | None,
     draw: bool,
-    start: Start,
     given: DictConfig | None = None,
 ) -> Metrics:
     """Train one model and fill a folder; config.yaml holds `given`, or else `config`."""
@@ -314,6 +318,5 @@ def _train(
             notes={"commissioned": healthy.notes} if healthy else {},
             residual=healthy.residual if healthy else None,
             bogie=healthy.bogie if healthy else None,
-            start=start,
         ),
     )

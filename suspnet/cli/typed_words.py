@@ -112,5 +112,5 @@ def _value(text: str, key: str) -> str:
 
 
 def _items(text: str) -> list[str]:
-    """Return what stands between commas that are in no quotes or brackets."""
-    return [found[1] for found in ITEM.finditer(text) if found[1]]
+    """Return the items between commas, except commas in quotes or brackets."""
+    return [item[1] for item in ITEM.finditer(text) if item[1]]

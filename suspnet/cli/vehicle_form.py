@@ -67,18 +67,22 @@ class Entry:
     exactness: str
 
     @property
+    def name(self) -> str:
+        """Key of the number."""
+        return self.setting.name
+
+    @property
     def is_required(self) -> bool:
         """Whether a vehicle needs it."""
-        return self.setting.name.endswith(("_kg", "n_per_m", "ns_per_m")) or (
-            self.setting.name in ("half_wheelbase_m", "half_pivot_distance_m")
-        )
+        lengths = ("half_wheelbase_m", "half_pivot_distance_m")
+        return self.name in lengths or self.name.endswith(("_kg", "n_per_m", "ns_per_m"))
 
 
 def entries() -> list[Entry]:
     """Return the numbers of a vehicle, in the order of its file."""
-    deviations = {one.name: one.deviation for one in QUANTITIES}
-    found = []
-    for name, one in settings_of(Vehicle).items():
+    deviations = {setting.name: setting.deviation for setting in QUANTITIES}
+    form = []
+    for name, setting in settings_of(Vehicle).items():
         if name in FROM:
             exact = LITTLE.get(name, "")
             if name in PRIORS:
@@ -86,11 +90,11 @@ def entries() -> list[Entry]:
                 exact = f"within some {share:.0%}: healthy trips correct it (commissioning)"
             elif name == "body_mass_kg":
                 exact = "as exact as known: M_s is relative to it"
-            found.append(Entry(one, exact))
-    return found
+            form.append(Entry(setting, exact))
+    return form
 
 
-def write_vehicle(name: str, paths: Sequence[Path], said: Sequence[str], force: bool) -> int:
+def write_vehicle(name: str, paths: Sequence[Path], words: Sequence[str], force: bool) -> int:
     """Write DIR/vehicle/NAME.yaml from KEY=VALUE and return 0; 1 if numbers are missing.
 
     ValueError if the name, a key or a value is wrong, or the file exists and is not replaced.
@@ -103,16 +107,16 @@ def write_vehicle(name: str, paths: Sequence[Path], said: Sequence[str], force: 
     if os.path.lexists(path) and not force:
         raise ValueError(f"{path} exists; --force replaces it")
     form = entries()
-    values = _read(said, form)
-    missing = [one for one in form if one.is_required and one.setting.name not in values]
-    if missing:
+    values = _read(words, form)
+    lacking = [entry for entry in form if entry.name not in values]
+    if any(entry.is_required for entry in lacking):
         print(f"{path} is not written yet; give these of one bogie side, in SI units, KEY=VALUE:")
-        for one in missing:
-            print(f"  {one.setting.name} [{one.setting.setting.unit}]: {FROM[one.setting.name]}")
-            print(f"      {one.exactness}")
-        names = [one.setting.name for one in form if not one.is_required]
-        rest = [name for name in names if name not in values]
-        print(f"may be left out: {', '.join(rest)}")
+        for entry in lacking:
+            if entry.is_required:
+                print(f"  {entry.name} [{entry.setting.setting.unit}]: {FROM[entry.name]}")
+                print(f"      {entry.exactness}")
+        optional = [entry.name for entry in lacking if not entry.is_required]
+        print(f"may be left out: {', '.join(optional)}")
         return 1
     guessed = {
         key: round(share * float(values[of]), 3)
@@ -148,14 +152,14 @@ def _as_built(vehicle: Vehicle) -> list[str]:
     ]
 
 
-def _read(said: Sequence[str], form: Sequence[Entry]) -> dict[str, Any]:
+def _read(words: Sequence[str], form: Sequence[Entry]) -> dict[str, Any]:
     """Return the values of KEY=VALUE; ValueError if a key is unknown or a value no number."""
-    known = [one.setting.name for one in form]
+    names = [entry.name for entry in form]
     values: dict[str, Any] = {}
-    for word in said:
+    for word in words:
         key, _, text = word.partition("=")
-        if key not in known:
-            raise ValueError(f"`{key}` is not known; allowed are {', '.join(known)}")
+        if key not in names:
+            raise ValueError(f"`{key}` is not known; allowed are {', '.join(names)}")
         if key == "source":
             values[key] = text
             continue
@@ -170,12 +174,12 @@ def _text(
     name: str, form: Sequence[Entry], values: Mapping[str, Any], guessed: dict[str, float]
 ) -> str:
     lines = [f"# {name}: all numbers are SI and of one bogie side", f"name: {_scalar(name)}"]
-    for one in form:
-        key = one.setting.name
+    for entry in form:
+        key = entry.name
         if key in values or key in guessed:
-            sentence = re.sub(r"; .*", "", one.setting.setting.sentence)
-            lines.append(f"# {sentence} [{one.setting.rule}]")
-            lines.append(f"# {FROM[key]}" + f"; {one.exactness}" * bool(one.exactness))
+            sentence = re.sub(r"; .*", "", entry.setting.setting.sentence)
+            lines.append(f"# {sentence} [{entry.setting.rule}]")
+            lines.append(f"# {FROM[key]}" + f"; {entry.exactness}" * bool(entry.exactness))
             how = f"  # assumed, as a share of {GUESSED[key][0]}" if key in guessed else ""
             lines.append(f"{key}: {_scalar(guessed.get(key, values.get(key)))}{how}")
     return "\n".join(lines) + "\n"

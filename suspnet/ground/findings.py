@@ -17,9 +17,9 @@ from typing import IO, Any, TypeGuard
 
 LIST, OF, NO_PART = "list", "of", "no-part-named"
 WORN, WORN_ONE_OF, WITHOUT_SENSORS = "worn-part", "worn-one-of", "without-sensors"
-"""Kinds that programs look for: several findings in a row, one with what it is of in front, why no
-part of a trip is named, a worn part, or several of which one is, and
-that parts are read without some sensors."""
+"""Kinds that programs look for: several findings in a row, a finding with its subject in front, the
+reason why no part of a trip is named, a worn part, several parts of which one is worn, and parts
+that were read without some sensors."""
 
 
 def _lines(text: str) -> Iterator[tuple[int, str, tuple[str, ...]]]:
@@ -85,15 +85,15 @@ class Finding(str):
     values: Mapping[str, Any]
 
     def __new__(cls, kind: str, /, **values: Any) -> Finding:  # noqa: D102 - as the class says
-        known = {name: _simple(value) for name, value in values.items()}
+        plain = {name: _simple(value) for name, value in values.items()}
         if kind == LIST:
-            text = known["separator"].join(known["parts"])
+            text = plain["separator"].join(plain["parts"])
         else:
-            form = _form(known, *TEMPLATES[kind])
+            form = _form(plain, *TEMPLATES[kind])
             # the class in Python takes ten times as long
-            text = _ENGLISH.vformat(form, (), known) if ":km}" in form else form.format(**known)
+            text = _ENGLISH.vformat(form, (), plain) if ":km}" in form else form.format(**plain)
         self = super().__new__(cls, text)
-        self.__dict__.update(kind=kind, values=MappingProxyType(known))
+        self.__dict__.update(kind=kind, values=MappingProxyType(plain))
         return self
 
     def __setattr__(self, name: str, value: Any) -> None:
@@ -122,12 +122,12 @@ def with_values(text: str, change: Callable[[str], str]) -> str:
         return with_values(value, change) if isinstance(value, str) else value
 
     separator = {"separator": text.values["separator"]} if text.kind == LIST else {}
-    values = {name: changed(one) for name, one in text.values.items()} | separator
+    values = {name: changed(value) for name, value in text.values.items()} | separator
     return Finding(text.kind, **values)
 
 
-def _form(values: Mapping[str, Any], one: str, many: str = "") -> str:
-    return many if many and values["n"] != 1 else one
+def _form(values: Mapping[str, Any], singular: str, plural: str = "") -> str:
+    return plural if plural and values["n"] != 1 else singular
 
 
 def _again(kind: str, values: dict[str, Any]) -> Finding:
@@ -148,20 +148,20 @@ def _simple(value: Any) -> Any:
 
 def _as_plain(value: Any) -> Any:
     if isinstance(value, tuple):
-        return [_as_plain(one) for one in value]
+        return [_as_plain(item) for item in value]
     if not isinstance(value, Finding):
         return value
-    values = {name: _as_plain(one) for name, one in value.values.items()}
+    values = {name: _as_plain(item) for name, item in value.values.items()}
     return {"kind": value.kind, "values": values}
 
 
 def from_plain(value: Mapping[str, Any]) -> str:
     """Return what ``Finding.plain`` wrote; only the text of a kind that is not known any more."""
     try:
-        found = _found(value)
+        finding = _found(value)
     except (KeyError, ValueError, TypeError, AttributeError, IndexError, RecursionError):
-        found = value.get("text", "")
-    return found if isinstance(found, str) else ""
+        finding = value.get("text", "")
+    return finding if isinstance(finding, str) else ""
 
 
 def _found(value: Any) -> Any:
@@ -169,7 +169,7 @@ def _found(value: Any) -> Any:
         return tuple(map(_found, value))
     if not isinstance(value, dict):
         return value
-    return Finding(value["kind"], **{name: _found(one) for name, one in value["values"].items()})
+    return Finding(value["kind"], **{name: _found(item) for name, item in value["values"].items()})
 
 
 def stored(text: str) -> str:
@@ -193,7 +193,7 @@ def restored(text: str) -> str:
 
 def together(parts: Iterable[str], separator: str = "; ") -> str:
     """Return several findings in a row, the empty ones left out; empty if there are none."""
-    several = [piece for one in parts if one for piece in _pieces(one, separator)]
+    several = [piece for part in parts if part for piece in _pieces(part, separator)]
     if len(several) < 2:
         return several[0] if several else ""
     return Finding(LIST, parts=tuple(several), separator=separator)
@@ -236,16 +236,16 @@ def percent(value: float, digits: int) -> Finding:
 def as_plain(text: str) -> list[dict[str, Any]]:
     """Return each finding of a text as ``Finding.plain`` does; one without a kind as its text."""
     return [
-        one.plain() if isinstance(one, Finding) else {"kind": "", "values": {}, "text": one}
-        for one in parts_of(text)
+        part.plain() if isinstance(part, Finding) else {"kind": "", "values": {}, "text": part}
+        for part in parts_of(text)
     ]
 
 
 def of(name: object, words: str) -> Finding:
-    """Return a finding with the file, trip or sensor it is of in front."""
+    """Return a finding with its file, trip or sensor in front."""
     return Finding(OF, name=str(name), words=words)
 
 
 def at(name: object, kind: str, /, **values: Any) -> Finding:
-    """Return a finding of a kind with the file, trip or sensor it is of in front."""
+    """Return a finding of a kind with its file, trip or sensor in front."""
     return of(name, Finding(kind, **values))

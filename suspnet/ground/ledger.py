@@ -130,11 +130,11 @@ def discard(folder: Path) -> None:
 
 def free_name(path: Path) -> Path:
     """Return `path`, or `path` with _2, _3, ... before its suffix if there is such a file."""
-    number, found = 1, path
-    while os.path.lexists(found):  # ends: there are fewer files than numbers
+    number, free = 1, path
+    while os.path.lexists(free):  # ends: there are fewer files than numbers
         number += 1
-        found = path.with_stem(f"{path.stem}_{number}")
-    return found
+        free = path.with_stem(f"{path.stem}_{number}")
+    return free
 
 
 def lock(handle: int, wait: bool = True) -> bool:
@@ -154,19 +154,19 @@ def lock(handle: int, wait: bool = True) -> bool:
 def _root(folder: Path) -> Path | None:
     """Return this folder or the nearest one above that has a writable ledger."""
     start = _absolute(folder)
-    for one in (start, *start.parents):
-        file = one / LEDGER
+    for parent in (start, *start.parents):
+        file = parent / LEDGER
         with suppress(OSError):
             if stat.S_ISREG(file.lstat().st_mode) and os.access(file, os.W_OK):
                 with file.open("rb") as stream:
                     if stream.read(len(HEADER)) == HEADER:
-                        return one
+                        return parent
     return None
 
 
 def _read(root: Path) -> Listed:
     """Return the hashes that a ledger lists; truncated or malformed lines are skipped."""
-    found: Listed = {}
+    listed: Listed = {}
     with (root / LEDGER).open("rb") as stream:
         lines = stream.read(MAX_BYTES).splitlines()
     for line in lines[1:]:
@@ -176,9 +176,9 @@ def _read(root: Path) -> Listed:
             temporary = f"{where}{'/' * bool(where)}{temporary_name(last, token)}"
         except (ValueError, TypeError, AttributeError, RecursionError):
             continue
-        found.setdefault(name, set()).add(str(sha256))
-        found.setdefault(temporary, set())
-    return found
+        listed.setdefault(name, set()).add(str(sha256))
+        listed.setdefault(temporary, set())
+    return listed
 
 
 def _files(folder: Path) -> Iterator[Path]:

@@ -148,10 +148,10 @@ class Limits:
 
     def __post_init__(self) -> None:
         for name in ("notice", "act"):
-            given = getattr(self, name)
-            pair = () if isinstance(given, str | float | int) else tuple(given)
+            value = getattr(self, name)
+            pair = () if isinstance(value, str | float | int) else tuple(value)
             if len(pair) != 2:
-                raise TypeError(f"`{name}` must be two numbers, lower and upper, got {given}")
+                raise TypeError(f"`{name}` must be two numbers, lower and upper, got {value}")
             pair = (pair[0], np.inf if pair[1] is None else pair[1])
             check_number(f"{name}[0]", pair[0], low=0, below=1)
             if pair[1] != np.inf:
@@ -164,7 +164,7 @@ class Limits:
 
     def __str__(self) -> str:
         """Return both pairs in % of healthy."""
-        notice, act = ([100 * one for one in pair] for pair in (self.notice, self.act))
+        notice, act = ([100 * end for end in pair] for pair in (self.notice, self.act))
         ends = {"notice_low": notice[0], "notice_high": notice[1]}
         return Finding("limit", **ends, act_low=act[0], act_high=act[1])
 
@@ -197,7 +197,7 @@ TIGHTEST = Limits((np.nextafter(1.0, 0.0), np.nextafter(1.0, 2.0)), (0.0, np.inf
 
 
 def read_limits(
-    given: Mapping[str, Any], default: Mapping[str, Limits] | None = None, why: str = ""
+    wanted: Mapping[str, Any], default: Mapping[str, Limits] | None = None, why: str = ""
 ) -> dict[str, Limits]:
     """Return the limits of each parameter of a configuration, and of each part.
 
@@ -207,17 +207,17 @@ def read_limits(
     car-body mass varies with the payload and has no limits.
     TypeError or ValueError, which names the parameter, is raised for an invalid entry.
     """
-    if not isinstance(given, Mapping):
-        raise TypeError(f"`limits` must map parameters to their limits, got {given!r}")
+    if not isinstance(wanted, Mapping):
+        raise TypeError(f"`limits` must map parameters to their limits, got {wanted!r}")
     limits = dict(default or {})
-    for name in given:
+    for name in wanted:
         if name not in ESTIMATED:
             raise ValueError(f"`limits` must be named as in {ESTIMATED}, got {name!r}")
-    for name in sorted(given, key=ESTIMATED.index):  # parameters come before their parts
-        _set_limits(name, given[name], limits, why)
-        if _is_empty(given[name]):
+    for name in sorted(wanted, key=ESTIMATED.index):  # parameters come before their parts
+        _set_limits(name, wanted[name], limits, why)
+        if _is_empty(wanted[name]):
             continue
-        for part in (one for one in BOGIE_PARTS if kind_of(one) == name):
+        for part in (part for part in BOGIE_PARTS if kind_of(part) == name):
             limits.pop(part, None)
             limits |= {part: limits[name]} if name in limits else {}
     return limits
@@ -239,14 +239,14 @@ def _set_limits(name: str, entry: Any, limits: dict[str, Limits], why: str) -> N
     before = limits.get(name)
     if not isinstance(entry, Mapping) or not set(entry) <= {"notice", "act", "why"}:
         raise ValueError(f"`limits.{name}` must have `notice` and `act`, or be null: {entry}")
-    known = {key: value for key, value in entry.items() if value is not None}
-    if not known:
+    values = {key: value for key, value in entry.items() if value is not None}
+    if not values:
         return
-    if before is None and not {"notice", "act"} <= set(known):
+    if before is None and not {"notice", "act"} <= set(values):
         raise ValueError(f"`limits.{name}` must have `notice` and `act`, or be null: {entry}")
     try:
         base = {} if before is None else {"notice": before.notice, "act": before.act}
-        limits[name] = Limits(**base | {"why": why} | known)
+        limits[name] = Limits(**base | {"why": why} | values)
     except (TypeError, ValueError) as error:
         raise type(error)(f"`limits.{name}`: {error}") from None
 
@@ -261,14 +261,14 @@ def limits_words(limits: Mapping[str, Limits]) -> str:
     A part is named only if its limits are not those of its parameter.
     """
     alike: dict[Limits, list[str]] = {}
-    for name, one in limits.items():
-        if name == kind_of(name) or one != limits.get(kind_of(name)):
-            alike.setdefault(one, []).append(name)
+    for name, own in limits.items():
+        if name == kind_of(name) or own != limits.get(kind_of(name)):
+            alike.setdefault(own, []).append(name)
     parts = [
         of(
             ", ".join(names),
-            Finding("with-reason", words=str(one), reason=one.why) if one.why else str(one),
+            Finding("with-reason", words=str(own), reason=own.why) if own.why else str(own),
         )
-        for one, names in alike.items()
+        for own, names in alike.items()
     ]
     return together(parts) or "none"

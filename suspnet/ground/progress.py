@@ -41,7 +41,7 @@ def bar(
         return tqdm(items, title, total, unit=unit, bar_format=form)
     interval_s = INTERVAL_S if shown else math.inf
     # gui: tqdm draws nothing itself
-    lines = _Lines(items, title, total, unit=unit, gui=True, maxinterval=interval_s)
+    lines = Lines(items, title, total, unit=unit, gui=True, maxinterval=interval_s)
     if lines.total != 0:
         lines.refresh()
     return lines
@@ -52,7 +52,7 @@ def stage(text: str) -> None:
     log.info("%s", text)
 
 
-class _Lines(tqdm):  # type: ignore[type-arg]
+class Lines(tqdm):  # type: ignore[type-arg]
     """A bar of tqdm as lines of the log, written by tqdm's monitoring thread."""
 
     monitor = None
@@ -138,7 +138,7 @@ def _is_result(record: logging.LogRecord) -> bool:
     return record.name != log.name
 
 
-class _Visible:
+class Visible:
     """A text stream that writes control characters as escapes, such as x1b.
 
     A carriage return at the start of a text stays as it is: progress bars replace their line with
@@ -164,6 +164,6 @@ class _Visible:
 @contextmanager
 def visible() -> Iterator[None]:
     """Escape control characters in everything that is printed and logged."""
-    out, err = (cast(TextIO, _Visible(stream)) for stream in (sys.stdout, sys.stderr))
+    out, err = (cast(TextIO, Visible(stream)) for stream in (sys.stdout, sys.stderr))
     with redirect_stdout(out), redirect_stderr(err):
         yield

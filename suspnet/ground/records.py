@@ -6,6 +6,7 @@ import json
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, astuple, dataclass, field, fields
+from datetime import UTC, datetime
 from typing import Any
 
 import numpy as np
@@ -84,8 +85,8 @@ class SensorHealth:
 def sensors_text(sensors: Mapping[str, SensorHealth]) -> str:
     """Return the health of a trip's sensors as JSON: {name: [noise, gain, tilt, delay, faulty]}."""
     rows = {
-        name: [float(f"{x:.4g}") if math.isfinite(x) else None for x in astuple(one)]
-        for name, one in sensors.items()
+        name: [float(f"{x:.4g}") if math.isfinite(x) else None for x in astuple(health)]
+        for name, health in sensors.items()
     }
     return json.dumps(rows, separators=(",", ":")) if rows else ""
 
@@ -103,35 +104,12 @@ def sensors_from_text(text: str) -> dict[str, SensorHealth]:
 class Quality:
     """Quality of a trip's signals and transfer functions.
 
-    Attributes
-    ----------
-    coherence_p, coherence_s : float, [-]
-        Mean over the band, axle box - bogie and bogie - body.
-    misfit : float, [-]
-        Rms of what the estimates leave unexplained, over that of the noise; NaN without a fit.
-    n_averages : float
-        Number of independent averages.
-    segments_used, segments_total : int
-    duration_s : float, [s]
-        Duration common to all channels.
-    usable_percent : float, [%]
-        Share of the duration without a fault.
-    speed_m_per_s : float, [m/s]
-        Mean over the segments used.
-    speed_bins : str
-        Each bin with its number of averages.
-    direction : {"forward", "reverse", ""}
-        Direction of travel; empty if unknown.
-    features_found : str
-    faults : str
-        Faults that cleaning found in each channel, the speed and the clocks.
-    read_as : str
-        How files were read if their format had to be detected, as for CSV files.
-    warnings : str
-    wheels : str
-        Out-of-round wheels, or why none can be seen.
-    sensors : str
-        The health of each sensor as JSON, as ``sensors_text`` writes it.
+    Coherences (axle box - bogie, bogie - body) are means over the band; `misfit` is the rms of the
+    residuals over that of the noise, NaN without a fit. `duration_s` is common to all channels,
+    `speed_m_per_s` the mean over the segments used, `speed_bins` each bin with its number of
+    averages. `direction` is "forward", "reverse" or empty. `faults` are those that cleaning found
+    in channels, speed and clocks; `read_as` is how files of a detected format were read; `wheels`
+    are out-of-round wheels, or why none can be seen; `sensors` is what ``sensors_text`` writes.
     """
 
     coherence_p: float = np.nan
@@ -155,31 +133,23 @@ class Quality:
     @property
     def no_part(self) -> str:
         """Why the parts of the bogie were not read; empty if they were, or were not asked for."""
-        found = (one for one in parts_of(self.warnings) if kind_is(one, NO_PART))
-        return next((str(one.values["words"]) for one in found), "")
+        reasons = (w.values["words"] for w in parts_of(self.warnings) if kind_is(w, NO_PART))
+        return next(map(str, reasons), "")
 
     @property
     def other_warnings(self) -> str:
         """The warnings without that of `no_part`."""
-        return together(one for one in parts_of(self.warnings) if not kind_is(one, NO_PART))
+        return together(w for w in parts_of(self.warnings) if not kind_is(w, NO_PART))
 
 
 @dataclass(frozen=True, eq=False)
 class TripCurves:
-    """Curves behind one trip's estimate, and an overview of its signals.
+    """Curves behind one trip's estimate, and an overview of its signals in windows.
 
-    Attributes
-    ----------
-    frequencies_hz : array of shape (n_freq,), [Hz]
-    responses : complex array of shape (2, n_freq), [-]
-        G_p and G_s.
-    coherences, deviations : arrays of shape (2, n_freq), [-]
-        Deviation: standard deviation of the log-magnitude.
-    overview_s : array of shape (n_windows,), [s]
-        Start of each window.
-    overview_low, overview_high, overview_mean : arrays of shape (3, n_windows), [m/s^2]
-        Minimum, maximum and mean of axle box, bogie and body in each window.
-    overview_speed : array of shape (n_windows,), [m/s]
+    The shapes are (n_freq,) of `frequencies_hz`; (2, n_freq) of `responses`, G_p and G_s,
+    `coherences` and `deviations`, those of log-magnitudes; (n_windows,) of `overview_s`, the start
+    of each window, and `overview_speed` [m/s]; (3, n_windows) of minimum, maximum and mean of axle
+    box, bogie and body [m/s^2].
     """
 
     frequencies_hz: FloatArray
@@ -199,42 +169,26 @@ class TripResult:
 
     Attributes
     ----------
-    trip, manifest, vehicle : str
-    place : Place
-    mileage_km : float, [km]
-    start : str
-        ISO 8601, or empty.
+    trip, manifest, vehicle, place, mileage_km, start, temperature_c
+        As in the manifest; `start` is ISO 8601.
     status : {"ok", "no estimate", "error"}
     reason : str
         Empty if there is an estimate.
-    estimates : dict of float, [-]
-        Parameters relative to healthy; 1 is healthy.
+    estimates, truth : dict of float, [-]
+        Parameters relative to healthy, and those of simulated trips.
     raw : dict of float, [-]
         Parameters relative to the vehicle's nominal ones.
-    truth : dict of float, [-]
-        True values of simulated trips, relative to the same as `estimates`.
-    half_widths : dict of float, [-]
-        The interval of an estimate is estimate * exp(-half width) to estimate * exp(half width);
-        NaN if the model has no intervals.
+    half_widths, healthy_half_widths : dict of float, [-]
+        Intervals in logarithms, from estimate * exp(-half width) to estimate * exp(half width), and
+        those of the healthy values; NaN if the model has no intervals.
     healthy_since_km : float, [km]
         Mileage of the first healthy trip of the commissioning; NaN for a nominal vehicle.
     healthy_si : dict of float, [N/m, N s/m, kg]
         Value of each parameter at a ratio of 1 in `raw`.
-    healthy_half_widths : dict of float, [-]
-        Half-widths of the healthy values' intervals, in logarithms.
-    flags : str
-        Flags of the estimate as text; empty if there are none.
-    sides : str
-        Which side of which part is weaker; empty without pairs of sensors or without a difference.
-    worn : str
-        Which parts have worn, findings of the kind ``WORN``; empty unless each part was read, or if
-        none has.
-    quality : Quality
+    flags, sides, worn : str
+        Findings: flags of the estimate, the weaker side of each pair, and worn parts (``WORN``).
     seconds : float, [s]
         Duration of the evaluation.
-    temperature_c : float, [°C]
-        Temperature of the outside air; NaN if the manifest does not give it.
-    curves : TripCurves, optional
     """
 
     trip: str
@@ -340,31 +294,38 @@ def to_row(result: TripResult) -> dict[str, Any]:
     include the curves.
     """
     flat = _flat(result)
-    return {name: stored(one) if isinstance(one, str) else one for name, one in flat.items()}
+    return {
+        name: stored(value) if isinstance(value, str) else value for name, value in flat.items()
+    }
 
 
 def _flat(result: TripResult) -> dict[str, Any]:
     row: dict[str, Any] = {"vehicle": result.vehicle} | asdict(result.place)
     row |= {name: getattr(result, name) for name in (*TEXTS, *NUMBERS)}
     for name, column in VALUES.items():
-        row |= {column.format(one): getattr(result, name).get(one) for one in ESTIMATED}
+        row |= {
+            column.format(parameter): getattr(result, name).get(parameter)
+            for parameter in ESTIMATED
+        }
     return row | asdict(result.quality)
 
 
 def from_row(row: Mapping[str, Any]) -> TripResult:
     """Return the trip of a row of ``to_row``; None in other numeric columns becomes NaN."""
-    given: dict[str, Any] = {name: row[name] for name in ("vehicle", *TEXTS)}
-    given |= {name: restored(row[name]) for name in FOUND}
-    given |= {name: or_nan(row[name]) for name in NUMBERS}
+    entries: dict[str, Any] = {name: row[name] for name in ("vehicle", *TEXTS)}
+    entries |= {name: restored(row[name]) for name in FOUND}
+    entries |= {name: or_nan(row[name]) for name in NUMBERS}
     for name, column in VALUES.items():
-        values = {one: row[column.format(one)] for one in ESTIMATED}
-        given[name] = {one: value for one, value in values.items() if value is not None}
+        values = {parameter: row[column.format(parameter)] for parameter in ESTIMATED}
+        entries[name] = {
+            parameter: value for parameter, value in values.items() if value is not None
+        }
     quality: dict[str, Any] = {
         name: or_nan(row[name]) if kind == "float" else _restored(row[name])
         for name, kind in QUALITY_TYPES.items()
     }
     place = Place(**{name: row[name] for name in PLACE})
-    return TripResult(place=place, quality=Quality(**quality), **given)
+    return TripResult(place=place, quality=Quality(**quality), **entries)
 
 
 def _restored(value: str | int) -> str | int:
@@ -376,12 +337,23 @@ def or_nan(value: float | None) -> float:
     return math.nan if value is None else float(value)
 
 
+def utc(text: str) -> datetime | None:
+    """Return a start without a zone, converted to UTC if it has one; None if it is empty."""
+    if not text:
+        return None
+    try:
+        time = datetime.fromisoformat(text)
+        return time.astimezone(UTC).replace(tzinfo=None) if time.tzinfo else time
+    except (ValueError, OverflowError):
+        raise ValueError(f"`start` must be a time in ISO 8601, not {text[:40]!r}") from None
+
+
 def to_arrays(curves: TripCurves) -> dict[str, FloatArray]:
     """Return curves as real arrays for the store and the cache of finished trips."""
-    arrays = {one.name: getattr(curves, one.name) for one in fields(curves)}
+    arrays = {entry.name: getattr(curves, entry.name) for entry in fields(curves)}
     responses = arrays.pop("responses")
     arrays |= {"real": np.real(responses), "imaginary": np.imag(responses)}
-    return {name: np.asarray(one, dtype=float) for name, one in arrays.items()}
+    return {name: np.asarray(entry, dtype=float) for name, entry in arrays.items()}
 
 
 def to_responses(real: FloatArray, imaginary: FloatArray) -> ComplexArray:
@@ -420,10 +392,10 @@ class Commissioning:
 
 def outputs_of(results: Iterable[TripResult]) -> tuple[str, ...]:
     """Return what any trip has an estimate of, in the order of tables; the parameters if none."""
-    known = {name for one in results for name in one.estimates}
-    if not known & set(BOGIE_PARTS):
-        return tuple(name for name in PARAMETERS if name in known) or PARAMETERS
-    return tuple(name for name in (*PARAMETERS[:-1], *COMPONENTS) if name in known)
+    names = {parameter for result in results for parameter in result.estimates}
+    if not names & set(BOGIE_PARTS):
+        return tuple(parameter for parameter in PARAMETERS if parameter in names) or PARAMETERS
+    return tuple(parameter for parameter in (*PARAMETERS[:-1], *COMPONENTS) if parameter in names)
 
 
 def by_mileage(results: Iterable[TripResult]) -> list[TripResult]:

@@ -96,7 +96,7 @@ class Declared:
 
     def check(self, name: str, value: Any) -> None:
         """Raise TypeError or ValueError, whose message has `name`, unless a value is valid."""
-        one = self.setting
+        setting = self.setting
         if value is None and self.is_optional:
             return
         if self.choices:
@@ -107,7 +107,7 @@ class Declared:
         elif self.type in (int, float) or (
             get_origin(self.type) is tuple and get_args(self.type)[0] in (int, float)
         ):
-            bounds = {key: getattr(one, key) for key in ("low", "above", "high", "below")}
+            bounds = {key: getattr(setting, key) for key in ("low", "above", "high", "below")}
             several = get_origin(self.type) is tuple
             if several and len(value) != len(get_args(self.type)):
                 return  # the class itself reports a wrong length
@@ -116,28 +116,33 @@ class Declared:
                     f"{name}[{i}]" if several else name,
                     number,
                     **bounds,
-                    most=LARGEST if one.most is None else one.most,
+                    most=LARGEST if setting.most is None else setting.most,
                     whole=self.type is int,
                     optional=self.is_optional,
                 )
 
     def _bounds(self) -> str:
-        one = self.setting
-        high = one.most if one.high is None else one.high
-        if one.low is not None and high is not None:
-            return f"{_short(one.low)} to {_short(high)}"
-        bounds = {"above": one.above, "at least": one.low, "below": one.below, "at most": high}
+        setting = self.setting
+        high = setting.most if setting.high is None else setting.high
+        if setting.low is not None and high is not None:
+            return f"{_short(setting.low)} to {_short(high)}"
+        bounds = {
+            "above": setting.above,
+            "at least": setting.low,
+            "below": setting.below,
+            "at most": high,
+        }
         return " and ".join(f"{k} {_short(v)}" for k, v in bounds.items() if v is not None)
 
 
-def check_settings(given: Any, prefix: str = "") -> None:
+def check_settings(values: Any, prefix: str = "") -> None:
     """Raise TypeError or ValueError unless each setting of an object is valid.
 
     Messages name a setting, preceded by `prefix` and a dot if that is given.
     """
-    class_: Any = type(given)
-    for name, one in settings_of(class_).items():
-        one.check(f"{prefix}.{name}" if prefix else name, getattr(given, name))
+    class_: Any = type(values)
+    for name, declared in settings_of(class_).items():
+        declared.check(f"{prefix}.{name}" if prefix else name, getattr(values, name))
 
 
 def check_values(class_: Any, **values: Any) -> None:
@@ -150,24 +155,24 @@ def check_values(class_: Any, **values: Any) -> None:
 def settings_of(class_: Any) -> Mapping[str, Declared]:
     """Return the settings that a class declares, by name."""
     if is_dataclass(class_):
-        declared = {one.name: one.metadata.get("setting") for one in fields(class_)}
+        declared = {f.name: f.metadata.get("setting") for f in fields(class_)}
         hints = get_type_hints(class_, include_extras=True)
     else:
         declared = getattr(class_, "settings", {})
         hints = get_type_hints(class_.__init__)
-    found = {}
+    settings = {}
     for name, hint in hints.items():
         type_, note = get_args(hint)[:2] if get_origin(hint) is Annotated else (hint, None)
         given = declared.get(name) or note
         if isinstance(given, Setting):
-            found[name] = _declared(name, type_, given)
-    return found
+            settings[name] = _declared(name, type_, given)
+    return settings
 
 
 def _declared(name: str, type_: Any, setting: Setting) -> Declared:
     parts = get_args(type_) if get_origin(type_) in (Union, UnionType) else (type_,)
-    known = [part for part in parts if part is not NoneType]
-    return Declared(name, known[0] if len(known) == 1 else type_, NoneType in parts, setting)
+    types = [part for part in parts if part is not NoneType]
+    return Declared(name, types[0] if len(types) == 1 else type_, NoneType in parts, setting)
 
 
 def _short(number: float) -> str:

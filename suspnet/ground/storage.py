@@ -128,15 +128,7 @@ def json_bytes(content: Any) -> bytes:
 
 
 def read_json(path: Path) -> Any:
-    """Return the content of a JSON file.
-
-    Raises
-    ------
-    FileNotFoundError
-        If there is no such file.
-    DamagedFileError
-        If it is not a plain file, too large or not valid JSON.
-    """
+    """Return the content of a JSON file; DamagedFileError if it is too large or no JSON."""
     content = read_plain(path)
     try:
         return json.loads(content.decode())
@@ -154,12 +146,7 @@ def dump_arrays(arrays: Mapping[str, NDArray[Any]]) -> bytes:
 def read_arrays(path: Path, sha256: str | None = None) -> dict[str, NDArray[Any]]:
     """Return the arrays of a safetensors file, whose hash must be `sha256` if that is given.
 
-    Raises
-    ------
-    FileNotFoundError
-        If there is no such file.
-    DamagedFileError
-        If it is not a plain file, truncated, altered or of another format.
+    DamagedFileError is raised if it is not a plain file, truncated, altered or of another format.
     """
     return load_arrays(read_plain(path, MOST_BYTES), str(path), sha256)
 
@@ -187,7 +174,7 @@ def content_hash(description: Any) -> str:
 
 def distinct(names: Iterable[str], taken: Iterable[str] = ()) -> list[str]:
     """Return file names that differ in more than case, also from those taken: a, a_2, a_3."""
-    seen, found = set(taken), []
+    seen, unique = set(taken), []
     last: dict[str, int] = {}
     for base in names:
         name, number = base, last.get(base, 1)
@@ -196,8 +183,8 @@ def distinct(names: Iterable[str], taken: Iterable[str] = ()) -> list[str]:
             name = f"{base}_{number}"
         last[base] = number
         seen.add(name.lower())
-        found.append(name)
-    return found
+        unique.append(name)
+    return unique
 
 
 def why(error: OSError) -> str:

@@ -68,8 +68,7 @@ def threads(number: int) -> Iterator[None]:
     """Let torch and the BLAS of NumPy and SciPy use a number of threads within the block.
 
     One thread is quicker for many operations on small arrays: the others would wait for work in a
-    loop, and on a busy machine take the processor from those that have some (measured: a
-    commissioning of 50 s took 182 s).
+    loop, and on a busy machine take the processor from those that have some.
     """
     before = torch.get_num_threads()
     with threadpool_limits(number):

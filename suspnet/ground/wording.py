@@ -70,14 +70,14 @@ def natural(text: str) -> list[str | int]:
 
 
 def files_of(read_as: str) -> dict[str, int]:
-    """Return what is said of reading a trip, without names of files, with their number; 0: none."""
-    found: dict[str, int] = {}
+    """Return the remarks on reading a trip without file names, with the number of files of each."""
+    numbers: dict[str, int] = {}
     for part in parts_of(read_as):
         words, n_files = part, 0
         if kind_is(part, OF) and kind_is(part.values["words"], "csv-dialect"):
             words, n_files = part.values["words"], 1
-        found[words] = found.get(words, 0) + n_files
-    return found
+        numbers[words] = numbers.get(words, 0) + n_files
+    return numbers
 
 
 class _Short(reprlib.Repr):

@@ -7,7 +7,6 @@ waiting and running items; here each worker is a pool of one process.
 from __future__ import annotations
 
 import functools
-import importlib
 import math
 import multiprocessing
 import os
@@ -19,10 +18,10 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack
 from multiprocessing import forkserver
 from multiprocessing.process import BaseProcess
-from typing import Any, Protocol, TypeVar
+from typing import Any, TypeVar
 
 from joblib import cpu_count, register_parallel_backend
 from joblib.externals.loky import ProcessPoolExecutor
@@ -42,7 +41,7 @@ USUAL_WORKERS, ITEMS_A_WORKER = 2, 10
 takes 2 s to start, about as long as 10 trips of 5 minutes."""
 Item = TypeVar("Item")
 Result = TypeVar("Result")
-_start_method = "loky"
+start_method = "loky"
 """How processes start: each on its own, or "forkserver" for programs (`fork_from_server`)."""
 
 
@@ -64,7 +63,7 @@ def fork_from_server(module: str, n_workers: int) -> None:
     process does next. Only for programs: workers import the main module again, which must start
     nothing then. Workers start on their own where processes cannot be forked, and in a worker.
     """
-    global _start_method
+    global start_method
     is_worker = multiprocessing.parent_process() is not None
     if is_worker or n_workers < 2 or "forkserver" not in multiprocessing.get_all_start_methods():
         return
@@ -78,7 +77,7 @@ def fork_from_server(module: str, n_workers: int) -> None:
             before = signal.signal(signal.SIGINT, signal.SIG_IGN)
             stack.callback(signal.signal, signal.SIGINT, before)
         forkserver.ensure_running()
-    _start_method = "forkserver"
+    start_method = "forkserver"
 
 
 def _put_back(name: str, value: str | None) -> None:
@@ -96,7 +95,7 @@ def _environment(n_workers: int) -> dict[str, str]:
 
 def guarded(n_workers: int) -> ProcessPoolExecutor:
     """Return an executor with one process that ends with this one; `n_workers` share the cores."""
-    is_forked = _start_method == "forkserver"
+    is_forked = start_method == "forkserver"
     context = multiprocessing.get_context("forkserver") if is_forked else None
     env = _environment(n_workers)
     return ProcessPoolExecutor(
@@ -148,51 +147,6 @@ def each(
     finally:
         for executor in alive:
             executor.shutdown(kill_workers=True)
-
-
-class Start(Protocol):
-    """Starts some work, which may run in a second process, and returns what waits for it."""
-
-    def __call__(self, work: Callable[[], Result]) -> Callable[[], Result]:
-        """Start work, and return the function that returns its result."""
-
-
-def here(work: Callable[[], Result]) -> Callable[[], Result]:
-    """Start nothing: the work is done where its result is asked for."""
-    return work
-
-
-@contextmanager
-def alongside(module: str, *, is_wanted: bool = True) -> Iterator[Start]:
-    """Yield a function that starts work in a second process, and returns what waits for its result.
-
-    The process starts at once and imports `module`, which may take seconds. The work, its result
-    and its exceptions must be picklable. If its process is killed, this one does the work, as it
-    does where a second process is not wanted, would have no core, or this one is a worker itself.
-    """
-    is_worker = multiprocessing.parent_process() is not None
-    if not is_wanted or is_worker or cpu_count() < USUAL_WORKERS:
-        yield here
-        return
-    executor = guarded(USUAL_WORKERS)
-
-    def start(work: Callable[[], Result]) -> Callable[[], Result]:
-        future = executor.submit(work)
-
-        def result() -> Result:
-            try:
-                found: Result = future.result()
-            except BrokenProcessPool:
-                return work()
-            return found
-
-        return result
-
-    try:
-        executor.submit(importlib.import_module, module)
-        yield start
-    finally:
-        executor.shutdown(kill_workers=True)
 
 
 def _killed(error: BrokenProcessPool) -> str:

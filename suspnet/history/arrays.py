@@ -25,9 +25,9 @@ from suspnet.ground.records import (
     or_nan,
     to_arrays,
     to_responses,
+    utc,
 )
 from suspnet.ground.storage import DamagedFileError, dump_arrays, load_arrays
-from suspnet.ground.times import utc
 from suspnet.ground.types import ComplexArray, FloatArray
 from suspnet.history.database import HistoryError, upsert
 from suspnet.history.schema import (

@@ -13,8 +13,15 @@ from numpy.typing import ArrayLike, NDArray
 
 from suspnet.ground.findings import Finding, stored
 from suspnet.ground.parameters import BODY_MASS, BOGIE_PARTS, ESTIMATED, PARAMETERS
-from suspnet.ground.records import EVENT_KINDS, SENSOR, Key, Place, TripResult, sensors_from_text
-from suspnet.ground.times import utc
+from suspnet.ground.records import (
+    EVENT_KINDS,
+    SENSOR,
+    Key,
+    Place,
+    TripResult,
+    sensors_from_text,
+    utc,
+)
 from suspnet.ground.types import BoolArray, FloatArray, IntArray
 from suspnet.maintenance.directions import SIGNS, widened
 from suspnet.maintenance.sensors import LEAST, SensorTrend, sensor_trends

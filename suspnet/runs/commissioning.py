@@ -29,7 +29,7 @@ FAMILY = tuple(part for part in PARTS if part != "air_spring")
 
 
 def commission_trips(
-    found: HealthyTrips,
+    healthy: HealthyTrips,
     generator: ResponseGenerator,
     settings: EstimateSettings,
     *,
@@ -45,27 +45,27 @@ def commission_trips(
     """
     generator = check_generator(generator)
     settings = settings.bound(generator.vehicle)
-    for reason in found.left_out:
+    for reason in healthy.left_out:
         log.warning("left out of the healthy trips: %s", reason)
     if bogie is None:
-        _log_doubts(found)
+        _log_doubts(healthy)
     near = bogie if bogie is not None and bogie.misfit <= EXPLAINED else None
-    prior = _prior(generator, found)
-    if bogie is not None and not found.groups:
+    prior = _prior(generator, healthy)
+    if bogie is not None and not healthy.groups:
         outcome = as_bogie(prior, settings, bogie)
     else:
-        outcome = commission(prior, settings, found.groups, near=near, progress=progress)
+        outcome = commission(prior, settings, healthy.groups, near=near, progress=progress)
     if bogie is not None:
         log.info("%s", words.as_equal(outcome))
         return outcome
-    log.info("%s %s", words.verdict(found, outcome), words.agreement(outcome))
+    log.info("%s %s", words.verdict(healthy, outcome), words.agreement(outcome))
     for doubt in [*words.doubts(outcome), words.mass_doubt(outcome.masses)]:
         if doubt:
             log.warning("%s", doubt)
     if not words.is_explained(outcome) and not any(generator.sensor_lateral_m):
-        if hint := words.unplaced(found):
+        if hint := words.unplaced(healthy):
             log.warning("%s", hint)
-    if hint := words.other_minutes(found, settings):
+    if hint := words.other_minutes(healthy, settings):
         log.info("%s", hint)
     return outcome
 
@@ -85,44 +85,44 @@ def commission_folder(
     """
     own = check_generator(generator)
     bound = settings.bound(own.vehicle)
-    found = read_healthy(folder, own, bound, trips, n_first=n_first, progress=progress)
-    return found, commission_trips(found, generator, settings, progress=progress)
+    healthy = read_healthy(folder, own, bound, trips, n_first=n_first, progress=progress)
+    return healthy, commission_trips(healthy, generator, settings, progress=progress)
 
 
 # one thread: systems of 30 equations are too small for two, and results are the same anywhere
 @threads(1)
-def commission_parts(found: HealthyTrips, trips: TripSettings) -> CommissionedBogie:
+def commission_parts(healthy: HealthyTrips, trips: TripSettings) -> CommissionedBogie:
     """Return the bogie that healthy trips show, part by part.
 
-    `found` has been read for its parts. TripError if sensors look swapped, or the trips are of the
+    `healthy` has been read for its parts. TripError if sensors look swapped, or the trips show the
     other bogie.
     """
-    vehicle = found.vehicle
+    vehicle = healthy.vehicle
     assert vehicle is not None
-    folder = found.manifests[0].path.parent
-    _log_doubts(found)
+    folder = healthy.manifests[0].path.parent
+    _log_doubts(healthy)
 
     def check_orders(nearly: float) -> None:
         all_of(
             partial(check_order, vehicle, trip, str(manifest.path), nearly=nearly)
-            for trip, manifest in zip(found.of_parts, found.manifests, strict=True)
+            for trip, manifest in zip(healthy.of_parts, healthy.manifests, strict=True)
         )
 
     if trips.check_channels:
         check_orders(1.0)
-    bogie = commission_bogie(vehicle, found.of_parts)
+    bogie = commission_bogie(vehicle, healthy.of_parts)
     if trips.check_channels and bogie.misfit > EXPLAINED:
         check_orders(NEARLY)
-        check_bogie(vehicle, found.of_parts, bogie.misfit, str(folder))
+        check_bogie(vehicle, healthy.of_parts, bogie.misfit, str(folder))
     log.info("%s", words.of_parts(bogie))
     for doubt in words.doubts_of_parts(bogie):
         log.warning("%s", doubt)
     return bogie
 
 
-def _log_doubts(found: HealthyTrips) -> None:
+def _log_doubts(healthy: HealthyTrips) -> None:
     """Log doubts about the sensors before the search, which takes minutes."""
-    for doubt in found.doubts:
+    for doubt in healthy.doubts:
         log.warning("%s", doubt)
 
 
@@ -136,9 +136,9 @@ def check_generator(generator: ResponseGenerator) -> VerticalVehicle:
     return generator
 
 
-def _prior(generator: VerticalVehicle, found: HealthyTrips) -> VerticalVehicle:
+def _prior(generator: VerticalVehicle, healthy: HealthyTrips) -> VerticalVehicle:
     """Return the generator with parts, sensor positions and a prior to start from."""
-    lateral_m = _lateral_m(generator.sensor_lateral_m, found)
+    lateral_m = _lateral_m(generator.sensor_lateral_m, healthy)
     parts = generator.parts or FAMILY
     if not any(lateral_m):  # sensors in the middle do not see roll
         parts = tuple(part for part in parts if part != "roll")
@@ -148,13 +148,13 @@ def _prior(generator: VerticalVehicle, found: HealthyTrips) -> VerticalVehicle:
     return placed
 
 
-def _lateral_m(given: Sequence[float], found: HealthyTrips) -> tuple[float, float, float]:
+def _lateral_m(stated_m: Sequence[float], healthy: HealthyTrips) -> tuple[float, float, float]:
     """Return each channel's lateral position: 0 for a pair, else as given, else by its side."""
-    manifest = found.manifests[0]
+    manifest = healthy.manifests[0]
     sensors = manifest.sensors()
-    sides = {name: manifest.side_of(one) for name, one in sensors.items()}
+    sides = {name: manifest.side_of(sensor) for name, sensor in sensors.items()}
     box, frame, body = (
         0.0 if is_pair else lateral_m or SIDE_M.get(sides.get(name) or "", 0.0)
-        for lateral_m, is_pair, name in zip(given, found.paired, CHANNELS, strict=True)
+        for lateral_m, is_pair, name in zip(stated_m, healthy.paired, CHANNELS, strict=True)
     )
     return box, frame, body

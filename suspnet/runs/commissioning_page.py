@@ -61,7 +61,7 @@ LEAST_RATIO = 0.05
 
 def write_outcome(
     folder: Path,
-    found: HealthyTrips,
+    healthy: HealthyTrips,
     outcome: Commissioned,
     bogie: CommissionedBogie | None = None,
 ) -> None:
@@ -70,72 +70,72 @@ def write_outcome(
     If each part is read, `bogie` shows them, and the vehicle is for trips that do not.
     """
     drawn = {"numbers": number_ranges(words.numbers(outcome))}
-    if found.groups:
-        drawn["responses"] = responses(found, outcome)
-        write_table(pa.concat_tables(_curves(found, outcome)), folder / f"{NAME}_responses")
+    if healthy.groups:
+        drawn["responses"] = responses(healthy, outcome)
+        write_table(pa.concat_tables(_curves(healthy, outcome)), folder / f"{NAME}_responses")
     for name, figure in drawn.items():
         write_atomically(folder / "figures" / f"{NAME}_{name}.png", as_png(figure))
-    write_json(folder / f"{NAME}.json", as_json(found, outcome, bogie))
-    page = _page(found, outcome, drawn, bogie)
+    write_json(folder / f"{NAME}.json", as_json(healthy, outcome, bogie))
+    page = _page(healthy, outcome, drawn, bogie)
     path = write_atomically(folder / f"{NAME}.html", page.encode("utf-8", errors="replace"))
     log.info("-> %s", path)
 
 
-def training_notes(found: HealthyTrips, outcome: Commissioned) -> dict[str, Any]:
+def training_notes(healthy: HealthyTrips, outcome: Commissioned) -> dict[str, Any]:
     """Return the healthy trips and their suspension, for a model's file."""
-    place = asdict(found.manifests[0].place)
-    mileage_km = [manifest.mileage_km for manifest in found.manifests]
+    place = asdict(healthy.manifests[0].place)
+    mileage_km = [manifest.mileage_km for manifest in healthy.manifests]
     laws = {
         note: asdict(law)
         for note, law in ((NOTE, outcome.laws.temperature), (VELOCITY, outcome.laws.velocity))
         if law is not None
     }
     return laws | {
-        "n_trips": len(found.manifests),
+        "n_trips": len(healthy.manifests),
         "misfit": outcome.misfit,
         "explained": words.is_explained(outcome),
         "converged": outcome.converged,
         "mileage_km": [min(mileage_km), max(mileage_km)],
-        "trips": [manifest.name for manifest in found.manifests],
+        "trips": [manifest.name for manifest in healthy.manifests],
         "place": {key: printable(text) for key, text in place.items()},
     }
 
 
 def as_json(
-    found: HealthyTrips, outcome: Commissioned, bogie: CommissionedBogie | None = None
+    healthy: HealthyTrips, outcome: Commissioned, bogie: CommissionedBogie | None = None
 ) -> dict[str, Any]:
     """Return all numbers of a commissioned vehicle in SI units, for a file."""
     generator = outcome.generator
-    by_part, of_parts, equal = bogie is not None, [], words.verdict(found, outcome)
+    by_part, of_parts, equal = bogie is not None, [], words.verdict(healthy, outcome)
     if bogie is not None:
         of_parts = [words.of_parts(bogie), *words.doubts_of_parts(bogie)]
         equal = words.as_equal(outcome)
     return {
         "suspnet_version": __version__,
         "vehicle": generator.vehicle.name,
-        "suspension": _place(found),
+        "suspension": _place(healthy),
         "parts": list(generator.parts),
-        "verdict": [*of_parts, equal, *found.doubts, *words.doubts(outcome, by_part=by_part)],
+        "verdict": [*of_parts, equal, *healthy.doubts, *words.doubts(outcome, by_part=by_part)],
         "threshold": INCOMPLETE,
         "n_starts": outcome.n_starts,
         "n_agree": outcome.n_agree,
-        **training_notes(found, outcome),
-        "trips": _trips(found, outcome),
-        "left_out": list(found.left_out),
+        **training_notes(healthy, outcome),
+        "trips": _trips(healthy, outcome),
+        "left_out": list(healthy.left_out),
         "bogie_mass_kg": generator.vehicle.bogie_mass_kg,
-        "numbers": [one.as_json() for one in words.numbers(outcome)],
+        "numbers": [number.as_json() for number in words.numbers(outcome)],
     }
 
 
 def _page(
-    found: HealthyTrips,
+    healthy: HealthyTrips,
     outcome: Commissioned,
     drawn: Mapping[str, Figure],
     bogie: CommissionedBogie | None = None,
 ) -> str:
     by_part = bogie is not None
-    doubts = [*found.doubts, *words.doubts(outcome, by_part=by_part)]
-    numbers = words.numbers(outcome)
+    doubts = [*healthy.doubts, *words.doubts(outcome, by_part=by_part)]
+    # where each part is read, the parts come first and the vehicle of equal sides after them
     of_parts = None
     if bogie is not None:
         parts_doubts = words.doubts_of_parts(bogie)
@@ -145,21 +145,23 @@ def _page(
             "sentences": parts_doubts or [words.calm_of_parts()],
             "threshold": EXPLAINED,
         }
+    # the numbers below a heading for each part of the vehicle that they describe
+    numbers = words.numbers(outcome)
     groups: dict[str, list[dict[str, Any]]] = {}
-    for one in numbers:
-        meaning = spoken(one.quantity.meaning)
-        row = words.cells(one) | {"meaning": meaning[0].upper() + meaning[1:]}
-        groups.setdefault(words.PART_TITLES[one.quantity.part], []).append(row)
+    for number in numbers:
+        meaning = spoken(number.quantity.meaning)
+        row = words.cells(number) | {"meaning": meaning[0].upper() + meaning[1:]}
+        groups.setdefault(words.PART_TITLES[number.quantity.part], []).append(row)
     vehicle = outcome.generator.vehicle
     return render(
         "commissioning.html",
         title=spoken(Finding("commissioning", name=vehicle.name)),
-        headline=_headline(found, vehicle.name),
-        mileage_km=training_notes(found, outcome)["mileage_km"],
+        headline=_headline(healthy, vehicle.name),
+        mileage_km=training_notes(healthy, outcome)["mileage_km"],
         of_parts=of_parts,
-        reads_equal=bool(found.groups),
+        reads_equal=bool(healthy.groups),
         tone="notice" if doubts else "plain" if by_part else "good",
-        verdict=words.as_equal(outcome) if by_part else words.verdict(found, outcome),
+        verdict=words.as_equal(outcome) if by_part else words.verdict(healthy, outcome),
         doubts=doubts,
         agreement="" if doubts or by_part else words.agreement(outcome),
         reference=words.reference(outcome),
@@ -175,11 +177,11 @@ def _page(
         groups=groups,
         untold=words.untold(numbers),
         scale=words.force_scale(vehicle.bogie_mass_kg),
-        trips=_trips(found, outcome),
-        left_out=found.left_out,
+        trips=_trips(healthy, outcome),
+        left_out=healthy.left_out,
         threshold=INCOMPLETE,
         details={
-            "trips": str(found.manifests[0].path.parent),
+            "trips": str(healthy.manifests[0].path.parent),
             N_("parts"): ", ".join(outcome.generator.parts).replace("_", " ")
             or "rigid bodies only",
             "suspnet": __version__,
@@ -188,47 +190,34 @@ def _page(
     )
 
 
-def _headline(found: HealthyTrips, vehicle: str) -> dict[str, str]:
+def _headline(healthy: HealthyTrips, vehicle: str) -> dict[str, str]:
     pairs: list[str] = [
         Finding("left-and-right" if pair else "one-sensor", channel=channel.replace("_", " "))
-        for channel, pair in zip(CHANNELS, found.paired, strict=True)
+        for channel, pair in zip(CHANNELS, healthy.paired, strict=True)
     ]
-    if found.vehicle is not None and found.vehicle.sensors and not found.groups:
-        pairs = [place.replace("_", " ") for place in found.vehicle.sensors]
-    n, n_left = len(found.manifests), len(found.left_out)
+    if healthy.vehicle is not None and healthy.vehicle.sensors and not healthy.groups:
+        pairs = [place.replace("_", " ") for place in healthy.vehicle.sensors]
+    n, n_left = len(healthy.manifests), len(healthy.left_out)
     return {
         "Vehicle": vehicle,
-        "Suspension": _place(found),
+        "Suspension": _place(healthy),
         "Trips": Finding("trips-and-left-out", n=n, n_left=n_left) if n_left else str(n),
         "Sensors": together(pairs, ", "),
     }
 
 
-def _place(found: HealthyTrips) -> str:
-    return str(found.manifests[0].place)
+def _place(healthy: HealthyTrips) -> str:
+    return str(healthy.manifests[0].place)
 
 
-def _trips(found: HealthyTrips, outcome: Commissioned) -> list[dict[str, Any]]:
+def _trips(healthy: HealthyTrips, outcome: Commissioned) -> list[dict[str, Any]]:
+    """Return what page and JSON show of each trip."""
     rows = []
-    for i, manifest in enumerate(found.manifests):
-        groups: list[dict[str, float | None]] = [
-            {
-                "speed_m_per_s": group.speed_m_per_s,
-                "n_averages": group.spectra.n_averages,
-                "misfit": misfit,
-            }
-            for group, misfit in zip(found.groups, outcome.misfits, strict=True)
-            if group.trip == i
-        ]
-        if not found.groups:
-            trip = found.of_parts[i]
-            groups = [
-                {
-                    "speed_m_per_s": trip.speed_m_per_s,
-                    "n_averages": trip.spectra.n_averages,
-                    "misfit": None,
-                }
-            ]
+    for i, manifest in enumerate(healthy.manifests):
+        pairs = zip(healthy.groups, outcome.misfits, strict=True)
+        groups = [_group(group, misfit) for group, misfit in pairs if group.trip == i]
+        if not healthy.groups:  # these trips show their parts only
+            groups = [_group(healthy.of_parts[i], None)]
         ratio = float(outcome.masses[i])
         rows.append(
             {
@@ -243,10 +232,15 @@ def _trips(found: HealthyTrips, outcome: Commissioned) -> list[dict[str, Any]]:
     return rows
 
 
-def _curves(found: HealthyTrips, outcome: Commissioned) -> list[pa.Table]:
+def _group(trip: Any, misfit: float | None) -> dict[str, float | None]:
+    averages = trip.spectra.n_averages
+    return {"speed_m_per_s": trip.speed_m_per_s, "n_averages": averages, "misfit": misfit}
+
+
+def _curves(healthy: HealthyTrips, outcome: Commissioned) -> list[pa.Table]:
     left = residuals(outcome)
     tables = []
-    for i, group in enumerate(found.groups):
+    for i, group in enumerate(healthy.groups):
         n_bins = len(outcome.frequencies_hz)
         name = group.name.encode("utf-8", errors="replace").decode()  # as a file's may be
         columns: dict[str, Any] = {
@@ -256,9 +250,9 @@ def _curves(found: HealthyTrips, outcome: Commissioned) -> list[pa.Table]:
         }
         for link, suffix in enumerate(("p", "s")):
             for what in ("observed", "nominal", "fitted"):
-                one = getattr(outcome, what)[i, link]
-                columns[f"{what}_magnitude_{suffix}"] = np.abs(one)
-                columns[f"{what}_phase_rad_{suffix}"] = np.angle(one)
+                response = getattr(outcome, what)[i, link]
+                columns[f"{what}_magnitude_{suffix}"] = np.abs(response)
+                columns[f"{what}_phase_rad_{suffix}"] = np.angle(response)
             columns[f"deviation_{suffix}"] = outcome.deviations[i, link]
             columns[f"residual_over_noise_{suffix}"] = left[i, link]
         tables.append(pa.table(columns))
@@ -274,14 +268,14 @@ def residuals(outcome: Commissioned) -> FloatArray:
     return np.where(np.isfinite(outcome.deviations), left, np.nan)
 
 
-def responses(found: HealthyTrips, outcome: Commissioned) -> Figure:
+def responses(healthy: HealthyTrips, outcome: Commissioned) -> Figure:
     """Draw measured, nominal and commissioned responses of a trip, and all residuals."""
     group = int(np.argmin(np.median(outcome.deviations, axis=(1, 2))))  # with the least noise
-    shown = found.groups[group]
+    measured = healthy.groups[group]
     frequencies_hz, left = outcome.frequencies_hz, residuals(outcome)
     figure = Figure(figsize=(9.0, 8.4), layout="constrained")
     axes = figure.subplots(3, 2, sharex=True, sharey="row", height_ratios=(3, 2, 2))
-    km, km_per_h = found.manifests[shown.trip].mileage_km, 3.6 * shown.speed_m_per_s
+    km, km_per_h = healthy.manifests[measured.trip].mileage_km, 3.6 * measured.speed_m_per_s
     where = Finding("measured-at", km=km, km_per_h=km_per_h)
     curves: tuple[tuple[ComplexArray, str, dict[str, Any]], ...] = (
         (outcome.observed, where, {"color": MEASURED, "lw": 2.8}),
@@ -295,11 +289,11 @@ def responses(found: HealthyTrips, outcome: Commissioned) -> Figure:
         style = {"color": MEASURED, "alpha": 0.4, "lw": 0, "label": "95 % band"}
         magnitude.fill_between(frequencies_hz, *ends, **style)
         for values, label, style in curves:
-            one = values[group, link]
-            magnitude.semilogy(frequencies_hz, np.abs(one), label=label, **style)
+            response = values[group, link]
+            magnitude.semilogy(frequencies_hz, np.abs(response), label=label, **style)
             is_smooth = values is not outcome.observed
             like = outcome.fitted[group, link]
-            phase.plot(frequencies_hz, _phase(one, like, is_smooth), **style)
+            phase.plot(frequencies_hz, _phase(response, like, is_smooth), **style)
         _residuals(below, frequencies_hz, left[:, link])
     for axis in axes.flat:
         axis.margins(x=0)
@@ -313,27 +307,29 @@ def responses(found: HealthyTrips, outcome: Commissioned) -> Figure:
     return figure
 
 
-def number_ranges(found: Sequence[words.Number]) -> Figure:
+def number_ranges(numbers: Sequence[words.Number]) -> Figure:
     """Draw the median and one standard deviation of each number, before and after, over nominal.
 
     Numbers that are usually 0 have no nominal value to be drawn over; the table holds them.
     """
-    found = [one for one in found if one.quantity.median]
-    height = 1.2 + ROW_INCH * len(found)
+    numbers = [number for number in numbers if number.quantity.median]
+    height = 1.2 + ROW_INCH * len(numbers)
     figure = Figure(figsize=(9.0, height), layout="constrained")
     axis = figure.subplots()
-    places = -np.arange(len(found), dtype=float)
+    places = -np.arange(len(numbers), dtype=float)
     styles: tuple[tuple[str, str, dict[str, Any]], ...] = (
         ("prior", "before", {"color": "0.65", "lw": 5, "solid_capstyle": "butt"}),
         ("posterior", "after the trips", {"color": FITTED, "lw": 2, "marker": "o", "ms": 3}),
     )
     for which, label, style in styles:
-        for place, one in zip(places, found, strict=True):
-            ends = np.array(getattr(one, which)) / (one.nominal or 1.0)
+        for place, number in zip(places, numbers, strict=True):
+            ends = np.array(getattr(number, which)) / (number.nominal or 1.0)
             axis.plot(np.maximum(ends, LEAST_RATIO), [place] * 3, markevery=[1], **style)
         axis.plot([], [], label=label, **style)
     axis.set(xscale="log", xlabel="over the value of the drawing", ylim=(places[-1] - 1, 1))
-    axis.set_yticks(places, [spoken(one.quantity.meaning) for one in found], fontsize="x-small")
+    axis.set_yticks(
+        places, [spoken(number.quantity.meaning) for number in numbers], fontsize="x-small"
+    )
     ticks = (0.2, 0.5, 1, 2, 5)
     axis.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
     axis.xaxis.set_minor_formatter(NullFormatter())
@@ -354,14 +350,14 @@ def _phase(response: ComplexArray, like: ComplexArray, is_smooth: bool) -> Float
 
 def _residuals(axis: Axes, frequencies_hz: FloatArray, left: FloatArray) -> None:
     """Draw the residual of each group as a thin line, and the rms of all groups."""
-    known = np.isfinite(left)
-    if not known.any():
+    is_used = np.isfinite(left)
+    if not is_used.any():
         say(axis, "no bin can be used", keep_x=True)
         return
-    for one in left:
-        axis.plot(frequencies_hz, one, color="0.75", lw=0.5)
-    count = known.sum(axis=0)
-    total = np.where(known, left, 0.0) ** 2
+    for residual in left:
+        axis.plot(frequencies_hz, residual, color="0.75", lw=0.5)
+    count = is_used.sum(axis=0)
+    total = np.where(is_used, left, 0.0) ** 2
     rms = np.sqrt(total.sum(axis=0) / np.where(count, count, np.nan))
     axis.plot(frequencies_hz, rms, color=FITTED, lw=1.2, label="rms of all")
     axis.axhline(1, color="black", lw=0.8, ls=":")

@@ -8,21 +8,17 @@ from __future__ import annotations
 
 import io
 import json
-from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 from zipfile import ZIP_STORED, BadZipFile, ZipFile
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
 from numpy.typing import ArrayLike, NDArray
 
 from suspnet._version import __version__
 from suspnet.estimation.information import output_bounds, over_bound
 from suspnet.estimation.problem import BLOCK, CALIBRATE, TEST, TRAIN, Problem
-from suspnet.ground.extras import import_extra
 from suspnet.ground.parameters import PARAMETERS
 from suspnet.ground.settings import check_choice
 from suspnet.ground.storage import write_atomically
@@ -32,9 +28,8 @@ from suspnet.learning.metrics import check_estimates
 
 SPLITS = {"train": TRAIN, "test": TEST, "calibrate": CALIBRATE}
 """Name of each split and its stream of curves."""
-ABOUT = "about"
-"""Name of the JSON text that describes a file's columns."""
-UNREADABLE = (KeyError, MemoryError, OSError, TypeError, ValueError, BadZipFile, pa.ArrowException)
+SUFFIX = ".npz"
+UNREADABLE = (KeyError, MemoryError, OSError, TypeError, ValueError, BadZipFile)
 """Errors of the libraries on a file that is no data set."""
 
 
@@ -102,30 +97,33 @@ class DataSet(ShortRepr):
         }
 
 
+ARRAYS = tuple(column.name for column in fields(DataSet)[:-1])
+"""Names of the arrays of a data set."""
+
+
 def make_dataset(problem: Problem) -> DataSet:
     """Return the training, test and calibration curves of a problem."""
-    parts: dict[str, list[Any]] = {one.name: [] for one in fields(DataSet)[:7]}
+    arrays: dict[str, list[Any]] = {name: [] for name in ARRAYS[:-1]}
     for name, stream in SPLITS.items():
         if stream == CALIBRATE and not problem.settings.n_calibrate:
             continue
         data = problem.features(stream)
-        seen: list[NDArray[Any]] = []
-        noise: list[NDArray[Any]] = []
+        # block by block, as curves with noise are made that way
         for block in range(problem.n_blocks(len(data.ratios))):
-            one = problem.observer.for_features(problem.curves(data.ratios, stream, block))
-            rows = slice(block * BLOCK, (block + 1) * BLOCK)
-            clean = problem.noise_free(data.ratios[rows])
-            seen.append(one.cpu().numpy())
-            noise.append((one - clean).cpu().numpy())
+            curves = problem.observer.for_features(problem.curves(data.ratios, stream, block))
+            clean = problem.noise_free(data.ratios[block * BLOCK : (block + 1) * BLOCK])
+            arrays["curves"].append(curves.cpu().numpy())
+            arrays["noise"].append((curves - clean).cpu().numpy())
         bound = np.full_like(data.outputs, np.nan)
         if stream == TEST:
             bound = output_bounds(problem.task, problem.observer, data.ratios)
-        arrays = (data.inputs, data.outputs, np.concatenate(seen), np.concatenate(noise))
-        rest = (data.ratios, bound, np.full(len(bound), name))
-        for held, array in zip(parts.values(), (*arrays, *rest), strict=True):
-            held.append(array)
+        arrays["X"].append(data.inputs)
+        arrays["Y"].append(data.outputs)
+        arrays["ratios"].append(data.ratios)
+        arrays["bound"].append(bound)
+        arrays["split"].append(np.full(len(bound), name))
     return DataSet(
-        **{name: np.concatenate(held) for name, held in parts.items()},
+        **{name: np.concatenate(several) for name, several in arrays.items()},
         frequencies_hz=problem.observer.frequencies_hz.cpu().numpy(),
         about={
             "suspnet_version": __version__,
@@ -143,21 +141,19 @@ def make_dataset(problem: Problem) -> DataSet:
 
 
 def write_dataset(data: DataSet | Problem, path: Path | str) -> Path:
-    """Write a data set, or that of a problem, to NAME.npz, .h5 or .parquet; return the path.
+    """Write a data set, or that of a problem, to NAME.npz; return the path.
 
-    Raises
-    ------
-    ValueError
-        If the suffix is another one, or h5py is needed and not installed.
-    FileExistsError
-        If the file exists: nothing is replaced.
+    ValueError if the suffix is another one, FileExistsError if the file exists.
     """
     path = Path(path)
-    check_choice("suffix", path.suffix, tuple(WRITERS))
+    check_choice("suffix", path.suffix, (SUFFIX,))
     if path.exists():
         raise FileExistsError(f"{path} exists; name a new file")
     data = make_dataset(data) if isinstance(data, Problem) else data
-    return write_atomically(path, WRITERS[path.suffix](data))
+    arrays: dict[str, Any] = {name: getattr(data, name) for name in ARRAYS}
+    stream = io.BytesIO()
+    np.savez(stream, **arrays, about=np.array(json.dumps(data.about)))
+    return write_atomically(path, stream.getvalue())
 
 
 def read_dataset(path: Path | str) -> DataSet:
@@ -166,131 +162,15 @@ def read_dataset(path: Path | str) -> DataSet:
     Nothing in the file is run: it holds numbers and text.
     """
     path = Path(path)
-    check_choice("suffix", path.suffix, tuple(READERS))
+    check_choice("suffix", path.suffix, (SUFFIX,))
     try:
-        found = READERS[path.suffix](path)
-        about = json.loads(str(found.pop(ABOUT)))
-        found["split"] = np.asarray(found["split"]).astype(str)
-        return DataSet(**found, about=about)
+        with ZipFile(path) as packed:  # what is stored as it is takes no more memory than the file
+            if any(part.compress_type != ZIP_STORED for part in packed.infolist()):
+                raise ValueError("it is compressed; save the arrays by numpy.savez")
+        with np.load(path, allow_pickle=False) as file:
+            arrays = {name: file[name] for name in ARRAYS}
+            return DataSet(**arrays, about=json.loads(str(file["about"])))
     except FileNotFoundError:
         raise
     except UNREADABLE as error:
         raise ValueError(f"{path} is no data set of suspnet: {error}") from error
-
-
-def _arrays(data: DataSet) -> dict[str, NDArray[Any]]:
-    return {one.name: getattr(data, one.name) for one in fields(DataSet)[:-1]}
-
-
-def _npz(data: DataSet) -> bytes:
-    stream = io.BytesIO()
-    arrays: dict[str, Any] = _arrays(data) | {ABOUT: np.array(json.dumps(data.about))}
-    np.savez(stream, **arrays)
-    return stream.getvalue()
-
-
-def _read_npz(path: Path) -> dict[str, Any]:
-    with ZipFile(path) as packed:  # what is stored as it is takes no more memory than the file
-        if any(one.compress_type != ZIP_STORED for one in packed.infolist()):
-            raise ValueError("it is compressed; save the arrays by numpy.savez")
-    with np.load(path, allow_pickle=False) as file:
-        return {name: file[name] for name in (one.name for one in fields(DataSet))}
-
-
-def _hdf5(data: DataSet) -> bytes:
-    h5py = import_extra("h5py", "hdf5", "a file NAME.h5")
-    stream = io.BytesIO()
-    with h5py.File(stream, "w") as file:
-        for name, array in _arrays(data).items():
-            text = array.dtype.kind == "U"
-            file[name] = array.astype("S") if text else array
-        file.attrs[ABOUT] = json.dumps(data.about)
-    return stream.getvalue()
-
-
-def _read_hdf5(path: Path) -> dict[str, Any]:
-    from suspnet.recordings.array_files import foreign
-
-    h5py = import_extra("h5py", "hdf5", "a file NAME.h5")
-    found: dict[str, Any] = {}
-    with h5py.File(path, "r") as file:
-        for name in (one.name for one in fields(DataSet)[:-1]):
-            # links and data sets may lead to any other file of the reader's
-            if name in file and not isinstance(file.get(name, getlink=True), h5py.HardLink):
-                raise ValueError(f"{name} is a link")
-            if words := foreign(file[name]):
-                raise ValueError(f"{name} {words}")
-            if file[name].nbytes > file[name].id.get_storage_size():
-                raise ValueError(f"{name} is compressed or declares more than it holds")
-            found[name] = file[name][()]
-        return found | {ABOUT: file.attrs[ABOUT]}
-
-
-def _parquet(data: DataSet) -> bytes:
-    """Return a table with a column for each feature, output and parameter, and lists for curves."""
-    columns: dict[str, Any] = {"split": data.split}
-    for prefix, names, array in _tables(data.about, data.X, data.Y, data.ratios, data.bound):
-        columns |= {f"{prefix}.{name}": array[:, j] for j, name in enumerate(names)}
-    for name in ("curves", "noise"):
-        for j, response in enumerate(("G_p", "G_s")):
-            part = getattr(data, name)[:, j]
-            for suffix, values in _real_parts(part).items():
-                columns[f"{name}.{response}{suffix}"] = pa.FixedSizeListArray.from_arrays(
-                    np.ascontiguousarray(values).reshape(-1), values.shape[1]
-                )
-    table = pa.table(columns).replace_schema_metadata(
-        {ABOUT: json.dumps(data.about | {"frequencies_hz": data.frequencies_hz.tolist()})}
-    )
-    stream = io.BytesIO()
-    pq.write_table(table, stream, compression="zstd")
-    return stream.getvalue()
-
-
-def _read_parquet(path: Path) -> dict[str, Any]:
-    table = pq.read_table(path)
-    about = json.loads(table.schema.metadata[ABOUT.encode()])
-    found: dict[str, Any] = {"split": table["split"].to_numpy()}
-    found["frequencies_hz"] = np.array(about.pop("frequencies_hz"))
-    for key, (prefix, names, _) in zip(
-        ("X", "Y", "ratios", "bound"), _tables(about, *[None] * 4), strict=True
-    ):
-        found[key] = np.column_stack([table[f"{prefix}.{name}"].to_numpy() for name in names])
-    for name in ("curves", "noise"):
-        found[name] = np.stack(
-            [_joined(table, f"{name}.{response}") for response in ("G_p", "G_s")], axis=1
-        )
-    return found | {ABOUT: json.dumps(about)}
-
-
-def _tables(about: Mapping[str, Any], *arrays: Any) -> list[tuple[str, list[str], Any]]:
-    """Return prefix, names and array of the tables that become columns: X, Y, ratios, bound."""
-    names = (about["inputs"], about["outputs"], about["parameters"], about["outputs"])
-    return list(zip(("X", "Y", "ratio", "bound"), names, arrays, strict=True))
-
-
-def _real_parts(values: NDArray[Any]) -> dict[str, NDArray[Any]]:
-    if np.iscomplexobj(values):
-        return {".real": values.real, ".imag": values.imag}
-    return {"": values}
-
-
-def _joined(table: pa.Table, name: str) -> NDArray[Any]:
-    def rows(column: str) -> NDArray[Any]:
-        flat = table[column].combine_chunks().flatten().to_numpy()
-        return np.asarray(flat.reshape(len(table), -1))
-
-    if name in table.column_names:
-        return rows(name)
-    return rows(f"{name}.real") + 1j * rows(f"{name}.imag")
-
-
-WRITERS: Mapping[str, Callable[[DataSet], bytes]] = {
-    ".npz": _npz,
-    ".h5": _hdf5,
-    ".parquet": _parquet,
-}
-READERS: Mapping[str, Callable[[Path], dict[str, Any]]] = {
-    ".npz": _read_npz,
-    ".h5": _read_hdf5,
-    ".parquet": _read_parquet,
-}

@@ -8,9 +8,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from suspnet.estimation.checkpoint import load_model
-from suspnet.estimation.fitted import FittedMethod, ModelFileError
+from suspnet.estimation.fitted import FittedMethod
 from suspnet.estimation.problem import TEST, Problem
-from suspnet.estimation.protocols import Protocol, Task
 from suspnet.ground.progress import stage
 from suspnet.ground.storage import write_json
 from suspnet.history import History
@@ -40,33 +39,32 @@ log = logging.getLogger(__name__)
 class FreshCurves:
     """Curves for tests, on which no model was trained.
 
-    `seed` must differ from those of the runs; `n_test` is a number or "all". `snr_db` and
-    `protocol` are the run's own if None; another protocol must have the same features and vary the
-    model's outputs.
+    `seed` must differ from those of the runs; `n_test` is a number or "all". `snr_db` is the run's
+    own if None.
     """
 
     seed: int
     n_test: int | str
     snr_db: float | None = None
-    protocol: Protocol | None = None
     threads: int = 1
     progress: bool = True
 
     def problem(self, model: FittedMethod, folder: Path) -> Problem:
         """Return the problem with these test curves, for the model of a run's folder.
 
-        ValueError if the protocol does not fit the model, or the seed is the run's own.
+        ValueError if the seed is the run's own.
         """
         if self.seed == model.training["seed"]:
             raise ValueError(
                 f"seed={self.seed} made the training curves of {folder}; fresh curves need another "
                 "seed"
             )
-        task = model.task if self.protocol is None else fitting_task(model.task, self.protocol)
         settings = replace(model.settings, n_test=self.n_test)
         if self.snr_db is not None:
             settings = replace(settings, snr_db=self.snr_db)
-        return Problem(model.generator, task, settings, self.seed, self.threads, self.progress)
+        return Problem(
+            model.generator, model.task, settings, self.seed, self.threads, self.progress
+        )
 
 
 def evaluate(
@@ -105,21 +103,6 @@ def find_runs(path: Path) -> list[Path]:
     return runs
 
 
-def fitting_task(trained: Task, protocol: Protocol) -> Task:
-    """Return the task of another protocol that a model can be tested on.
-
-    ModelFileError if no group of the protocol has the model's features and varies its outputs.
-    """
-    tasks = [protocol.task(group) for group in protocol.groups]
-    for task in sorted(tasks, key=lambda t: t.group != trained.group):
-        if task.inputs == trained.inputs and set(trained.outputs) <= set(task.varied):
-            return replace(task, outputs=trained.outputs)
-    raise ModelFileError(
-        f"a model of protocol {trained.protocol!r}, group {trained.group!r} needs the features "
-        f"{trained.inputs} and estimates {trained.outputs}; protocol {protocol.name!r} does not fit"
-    )
-
-
 def existing_history(store: str | None) -> History:
     """Return a history, to be closed; ValueError without a name, HistoryError if it is missing."""
     if not store:
@@ -134,10 +117,10 @@ def write_maintenance(history: History, folder: Path, settings: BoardSettings) -
     Returns the states, the worst first. HistoryError if the store cannot be used; ValueError if it
     is empty.
     """
-    fleet = [one.relative_to_first(settings.n_first) for one in history.series()]
+    fleet = [series.relative_to_first(settings.n_first) for series in history.series()]
     if not fleet:
         raise ValueError(f"{history}: no trip is stored here yet")
-    own = {one.vehicle: settings.limits_of(one.vehicle) for one in fleet}
+    own = {series.vehicle: settings.limits_of(series.vehicle) for series in fleet}
     states = fleet_state(fleet, own, settings.changes, settings.sisters, settings.seed)
     history.keep_all_alarms({state.key: state.watched.alarms for state in states})
     acknowledged = history.all_acknowledgements()

@@ -18,15 +18,13 @@ from suspnet.estimation.trained import TrainedModel
 from suspnet.ground.progress import bar as progress_bar
 from suspnet.ground.settings import check_settings
 from suspnet.ground.tensors import check_device
-from suspnet.learning import METHODS, SVR, Scaling, ranks
+from suspnet.learning import METHODS, Scaling, ranks
 from suspnet.learning.search import GridSearch, SearchResult
 from suspnet.report.tensorboard import RunLog
 
 log = logging.getLogger(__name__)
 TOO_MANY_LOST = 0.02
 """Fraction of curves without one of their peaks above which a warning is logged."""
-SLOW_SVR = 500
-"""Number of curves from which the time of SVR is announced."""
 
 
 def method_name(estimator: Any) -> str:
@@ -98,6 +96,7 @@ def fit(problem: Problem, estimator: Any, run_log: RunLog | None) -> TrainedMode
         problem.healthy_features(),
     )
     training: dict[str, Any] = {"seed": problem.seed, "seconds": 0.0}
+    # methods that work on curves learn nothing: they fit the model's own curve to each
     if not flag(estimator, "works_on_curves"):
         # each rank makes its own shard of the curves; counts and scalings are global
         part = None
@@ -115,9 +114,9 @@ def fit(problem: Problem, estimator: Any, run_log: RunLog | None) -> TrainedMode
                 "figures/peaks.png and protocol.features (smoothing_hz, low_hz, high_hz)",
                 100 * (1 - n_kept / n_made),
             )
+        # scale, then fit: iterations and seconds are those of the fit alone
         inputs, outputs = scalings(problem.task, kept)
         model = replace(model, input_scaling=inputs, output_scaling=outputs)
-        _announce(estimator, n_kept)
         start = time.perf_counter()
         shown = _FitProgress(estimator, name, run_log, n_kept, problem.progress)
         with shown, _distributed(estimator):
@@ -139,16 +138,6 @@ def scalings(task: Task, data: FeatureData) -> tuple[Scaling, Scaling]:
         Scaling.of(data.inputs, log_inputs, ranks.all_reduce),
         Scaling.of(data.outputs, task.log_ratios, ranks.all_reduce),
     )
-
-
-def _announce(estimator: Any, n_samples: int) -> None:
-    """Log how long a fit may take if that is minutes."""
-    if isinstance(estimator, SVR) and n_samples >= SLOW_SVR:
-        log.info(
-            "SVR on %d curves may take minutes: with the C of the tables 1,000 curves took 26 to "
-            "150 s, and the time grows with the square of their number and with C",
-            n_samples,
-        )
 
 
 @contextmanager

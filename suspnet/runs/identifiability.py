@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import math
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -36,8 +35,6 @@ from suspnet.runs.tables import write_study
 from suspnet.spectra.curves import CurveSettings
 from suspnet.spectra.observation import Observation
 
-log = logging.getLogger(__name__)
-
 
 def write_identifiability(
     generator: ResponseGenerator,
@@ -57,10 +54,10 @@ def write_identifiability(
     check_number("seed", seed, low=0, whole=True)
     bound = settings.bound(generator.vehicle)
     tasks = [protocol.task(name) for name in (protocol.groups if group is None else [group])]
-    found = [identify(generator, task, bound, n_vehicles, seed) for task in tasks]
+    findings = [identify(generator, task, bound, n_vehicles, seed) for task in tasks]
     title = f"What can be identified: {generator.vehicle.name}, protocol {protocol.name}"
     setting = _setting(generator, bound, tasks[0], n_vehicles, seed)
-    text = "\n".join([f"# {title}\n\n{setting}\n", *(group_markdown(part) for part in found)])
+    tables = "\n".join(group_markdown(part) for part in findings)
     report = {
         "vehicle": generator.vehicle.name,
         "generator": type(generator).__name__,
@@ -69,13 +66,13 @@ def write_identifiability(
         "n_vehicles": n_vehicles,
         "seed": seed,
         "verdict_thresholds_percent": {word: threshold for threshold, word in VERDICTS},
-        "groups": {part.task.group: plain(part) for part in found},
+        "groups": {part.task.group: plain(part) for part in findings},
     }
-    rows = [record for part in found for record in records(part)]
-    figure = identifiability_figure(found)
+    rows = [record for part in findings for record in records(part)]
+    figure = identifiability_figure(findings)
     figure.suptitle(title, fontsize="medium")
-    write_study(folder, "identifiability", text, report, rows, {"identifiability": figure})
-    log.info("%s\n-> %s/identifiability.*", text, folder)
+    figures = {"identifiability": figure}
+    write_study(folder, "identifiability", title, f"{setting}\n\n{tables}", report, rows, figures)
     return report
 
 
@@ -122,14 +119,16 @@ def _range(task: Task) -> str:
 
 def identifiability_figure(groups: Sequence[Findings]) -> Figure:
     """Draw how well each parameter is identified, now and with less or more sensors."""
-    height = 1.6 + 0.36 * max(len(found.table) for found in groups)
+    height = 1.6 + 0.36 * max(len(findings.table) for findings in groups)
     figure = Figure(figsize=(11.2, height * len(groups)), layout="constrained")
     axes = figure.subplots(len(groups), 2, squeeze=False, width_ratios=(1, 1.25))
-    for (left, right), found in zip(axes, groups, strict=True):
-        _draw_bounds(left, found.bounds_now)
-        measured = _symbolic(found.now.title)
-        left.set_title(f"group {found.task.group}, {measured}:\n5th to 95th percentile, quartiles")
-        _draw_options(right, found.table)
+    for (left, right), findings in zip(axes, groups, strict=True):
+        _draw_bounds(left, findings.bounds_now)
+        measured = _symbolic(findings.now.title)
+        left.set_title(
+            f"group {findings.task.group}, {measured}:\n5th to 95th percentile, quartiles"
+        )
+        _draw_options(right, findings.table)
         right.set_title("median bound over the range [%],\nblue: less than in the first row")
     return figure
 
@@ -159,7 +158,7 @@ def _draw_bounds(axis: Axes, bounds: Sequence[Bound]) -> None:
 
 
 def _draw_options(axis: Axes, table: Sequence[tuple[Option, Sequence[Bound]]]) -> None:
-    rows = [{bound.parameter: bound.median_percent for bound in found} for _, found in table]
+    rows = [{bound.parameter: bound.median_percent for bound in bounds} for _, bounds in table]
     names = [name for name in PARAMETERS if any(name in row for row in rows)]
     medians = np.array([[row.get(name, np.nan) for name in names] for row in rows])
     finite = np.where(np.isinf(medians), 1e9, medians)  # far beyond the scale of colours

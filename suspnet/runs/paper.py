@@ -97,8 +97,8 @@ class Exhibit:
     @property
     def lines(self) -> dict[str, str]:
         """What the page says of it, by label."""
-        found = {"The paper": self.paper, "Here": self.ours, "Implemented in": self.home}
-        return found | ({"Made alone by": self.command} if self.command else {})
+        texts = {"The paper": self.paper, "Here": self.ours, "Implemented in": self.home}
+        return texts | ({"Made alone by": self.command} if self.command else {})
 
 
 def write_paper(
@@ -117,7 +117,7 @@ def write_paper(
     """
     models = _models(folder)
     with mpl.rc_context({"font.size": FONT_POINTS}), RunLog(folder) as run_log:
-        noisy = _at_noise_levels(models, snr_db)
+        noisy = _at_noise_levels(models, snr_db, runs)
         for name, figure in _figures(models[0], noisy).items():
             run_log.figure(name, figure, folder)
         errors = _read_trips(models, fleet, of_trips, folder)
@@ -129,17 +129,19 @@ def write_paper(
     }
     exhibits = []
     for row in csv.DictReader((packaged("paper.csv") or "").splitlines()):
-        one = Exhibit(row["item"], row["paper"], row["ours"], row["home"], row["command"])
-        ours, rows = findings.get(one.item, (one.ours, ()))
-        picture = f"{one.file}.png" if (folder / f"{one.file}.png").exists() else ""
-        exhibits.append(replace(one, ours=ours, picture=picture, rows=rows))
+        exhibit = Exhibit(row["item"], row["paper"], row["ours"], row["home"], row["command"])
+        ours, rows = findings.get(exhibit.item, (exhibit.ours, ()))
+        picture = f"{exhibit.file}.png" if (folder / f"{exhibit.file}.png").exists() else ""
+        exhibits.append(replace(exhibit, ours=ours, picture=picture, rows=rows))
         if rows:
-            write_atomically(folder / f"{one.file}.md", f"{tabulate(rows, 'keys', 'github')}\n")
-    plain = [{k: v for k, v in vars(one).items() if k != "rows"} for one in exhibits]
+            write_atomically(folder / f"{exhibit.file}.md", f"{tabulate(rows, 'keys', 'github')}\n")
+    plain = [{k: v for k, v in vars(exhibit).items() if k != "rows"} for exhibit in exhibits]
     write_atomically(folder / "paper.csv", records_csv(plain))
     page = render("paper.html", title="The paper, item by item", exhibits=exhibits)
     write_atomically(folder / "index.html", page)
-    text = "\n".join(f"{one.item}: {one.paper}\n    here: {one.ours}" for one in exhibits)
+    text = "\n".join(
+        f"{exhibit.item}: {exhibit.paper}\n    here: {exhibit.ours}" for exhibit in exhibits
+    )
     log.info("The paper, item by item\n\n%s\n-> %s/index.html", text, folder)
     return exhibits
 
@@ -147,22 +149,30 @@ def write_paper(
 def _models(folder: Path) -> list[TrainedModel]:
     """Return the MSVR of each group, of one seed, or another method's if none was trained."""
     models = [load_model(path.parent) for path in sorted(folder.glob("*/model.json"), reverse=True)]
-    name = "msvr" if any(one.name == "msvr" for one in models) else models[-1].name
-    by_group = {one.task.group: one for one in models if one.name == name}
+    name = "msvr" if any(model.name == "msvr" for model in models) else models[-1].name
+    by_group = {model.task.group: model for model in models if model.name == name}
     return [by_group[group] for group in sorted(by_group)]
 
 
 def _at_noise_levels(
-    models: Sequence[TrainedModel], levels_db: Sequence[float]
+    models: Sequence[TrainedModel], levels_db: Sequence[float], runs: Rows
 ) -> list[Mapping[str, Any]]:
-    """Return the metrics of each model's method, trained and tested at each level of noise."""
-    found: list[Mapping[str, Any]] = []
+    """Return the metrics of each model's method, trained and tested at each level of noise.
+
+    Those of `runs` are taken as they are.
+    """
+    at_hand = {(run["group"], run["model"], run["seed"], run["snr_db"]): run for run in runs}
+    metrics: list[Mapping[str, Any]] = []
     for model in models:
+        seed = model.training["seed"]
         for snr_db in levels_db:
-            settings = replace(model.settings, snr_db=snr_db)
-            problem = Problem(model.generator, model.task, settings, model.training["seed"])
-            found.append(train(problem, clone(model.estimator)))
-    return found
+            run = at_hand.get((model.task.group, model.name, seed, snr_db))
+            if run is None:
+                settings = replace(model.settings, snr_db=snr_db)
+                problem = Problem(model.generator, model.task, settings, seed)
+                run = train(problem, clone(model.estimator))
+            metrics.append(run)
+    return metrics
 
 
 def _figures(model: TrainedModel, noisy: Rows) -> dict[str, Figure]:
@@ -220,7 +230,7 @@ def _vehicle_findings(generator: ResponseGenerator) -> Findings:
     values = {"M_p": vehicle.bogie_mass_kg}
     values |= dict(zip(PARAMETERS, vehicle.healthy_values(), strict=True))
     numbers = [{"": name, "SI": f"{x:,.0f} {UNITS.get(name, 'kg')}"} for name, x in values.items()]
-    rates = [{"sensor": name, "Hz": one.rate_hz} for name, one in Fleet().loggers().items()]
+    rates = [{"sensor": name, "Hz": sensor.rate_hz} for name, sensor in Fleet().loggers().items()]
     return {
         "Fig. 5": (f"The same; peaks of {levels} dB (G_s, lower and upper one of G_p)", ()),
         "Fig. 6": (f"Two, at {lower} and {upper} Hz, and one, at {body} Hz", ()),
@@ -269,24 +279,24 @@ def _training_findings(task: Task, runs: Sequence[Mapping[str, Any]]) -> Finding
         {"MAPE %": output} | {name: in_digits(value) for name, value in row.items()}
         for output, row in scores.items()
     ]
-    shown = ", ".join(in_digits(row.get("MSVR")) for row in scores.values())
+    errors = ", ".join(in_digits(row.get("MSVR")) for row in scores.values())
     of_paper = [MODEL_TITLES[name] for name in METHODS]
     best = ", ".join(
-        f"{min((row[one], one) for one in of_paper if one in row)[1]} for {output}"
+        f"{min((row[method], method) for method in of_paper if method in row)[1]} for {output}"
         for output, row in scores.items()
     )
     return {
         "Table IV": (f"{' and '.join(f'{n:,}' for n in task.grid_sizes)} curves", groups),
         "Table V": ("The settings of Table VI, chosen within the same ranges", used),
-        "Table VI": (f"MSVR {shown} %; best of four: {best}", table),
+        "Table VI": (f"MSVR {errors} %; best of four: {best}", table),
     }
 
 
 def _trip_findings(errors: Mapping[str, float]) -> Findings:
     """Return whether a change of 1 % could be seen."""
-    shown = ", ".join(f"{name} {error:.2g} %" for name, error in errors.items())
+    texts = ", ".join(f"{name} {error:.2g} %" for name, error in errors.items())
     seen = "could be seen" if errors.get("k_p", math.inf) < 1 else "is lost in it"
-    return {"Fig. 10": (f"Simulated with that change; rms error {shown}: 1 % {seen}", ())}
+    return {"Fig. 10": (f"Simulated with that change; rms error {texts}: 1 % {seen}", ())}
 
 
 def precision_words(noisy: Sequence[Mapping[str, Any]]) -> str:

@@ -11,13 +11,19 @@ import torch
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
-from matplotlib.ticker import MaxNLocator, NullFormatter
+from matplotlib.ticker import NullFormatter
 
 from suspnet.dynamics import ResponseGenerator, Vehicle
 from suspnet.ground.parameters import PARAMETERS, UNITS
 from suspnet.ground.types import FloatArray
 from suspnet.report.figures import SUSPENSIONS, SYMBOLS
-from suspnet.runs.tables import MODEL_TITLES, table6_caption
+from suspnet.runs.tables import (
+    MODEL_TITLES,
+    grouped,
+    models_of,
+    precision_percent,
+    table6_caption,
+)
 
 PRECISION_TICKS = (0.2, 0.5, 1, 2, 5)
 PAPER_COLOUR, OUR_COLOUR, BOUND_COLOUR = "0.75", "tab:blue", "black"
@@ -25,7 +31,7 @@ PAPER_COLOUR, OUR_COLOUR, BOUND_COLOUR = "0.75", "tab:blue", "black"
 
 def quarter_car(vehicle: Vehicle) -> Figure:
     """Draw the model of a vehicle, with its parameters: masses, springs and dampers (Fig. 3)."""
-    figure, ((axis,),) = _grid(1, 1, size=(5.6, 5.6))
+    figure, ((axis,),) = grid(1, 1, size=(5.6, 5.6))
     values = dict(zip(PARAMETERS, vehicle.healthy_values(), strict=True))
     values["M_p"] = vehicle.bogie_mass_kg
     shown = {
@@ -73,7 +79,7 @@ def _damper(axis: Axes, x: float, low: float, high: float) -> None:
 def bode(generator: ResponseGenerator, frequencies_hz: torch.Tensor) -> Figure:
     """Draw magnitude and phase of both responses of the healthy vehicle (Fig. 5)."""
     responses = generator.responses(torch.ones(1, len(PARAMETERS)), frequencies_hz)
-    figure, axes = _grid(2, 2, sharex=True)
+    figure, axes = grid(2, 2, sharex=True)
     frequencies = frequencies_hz.cpu().numpy()
     for column, (title, response) in enumerate(zip(SUSPENSIONS, responses, strict=True)):
         values = response[0].cpu().numpy()
@@ -82,15 +88,13 @@ def bode(generator: ResponseGenerator, frequencies_hz: torch.Tensor) -> Figure:
         upper.set(title=title, ylabel="magnitude [dB]")
         lower.semilogx(frequencies, np.degrees(np.unwrap(np.angle(values))))
         lower.set(xlabel="frequency [Hz]", ylabel="phase [degrees]")
-        for axis in (upper, lower):
-            axis.grid(True, which="both", alpha=0.3)
     return figure
 
 
 def degradation(generator: ResponseGenerator, frequencies_hz: torch.Tensor) -> Figure:
     """Draw the magnitudes when each parameter halves or doubles, the others healthy (Fig. 7)."""
     frequencies = frequencies_hz.cpu().numpy()
-    figure, axes = _grid(2, len(PARAMETERS), size=(3.0, 2.7), sharex=True)
+    figure, axes = grid(2, len(PARAMETERS), size=(3.0, 2.7), sharex=True)
     for column, name in enumerate(PARAMETERS):
         for ratio, colour in ((0.5, "tab:blue"), (1.0, "0.3"), (2.0, "tab:red")):
             ratios = torch.ones(1, len(PARAMETERS), dtype=torch.float64)
@@ -102,9 +106,8 @@ def degradation(generator: ResponseGenerator, frequencies_hz: torch.Tensor) -> F
         axes[1][column].set_xlabel("frequency [Hz]")
     for row, title in enumerate(SUSPENSIONS):
         axes[row][0].set_ylabel(f"magnitude\n{title}")
-    for axis in (axis for row in axes for axis in row):
-        axis.set_xlim(0, 10)
-        axis.grid(True, alpha=0.3)
+        for axis in axes[row]:
+            axis.set_xlim(0, 10)
     axes[0][0].legend()
     return figure
 
@@ -116,11 +119,10 @@ def peak_fits(
 
     `frequencies_hz`: (n_freq,); `curves`: (2, n_freq); `features`: values by name, peak_measure.
     """
-    figure, axes = _grid(1, 2)
+    figure, axes = grid(1, 2)
     for axis, title, curve in zip(axes[0], SUSPENSIONS, curves, strict=True):
         axis.plot(frequencies_hz, curve, color="0.6", lw=0.8)
         axis.set(title=title, xlabel="frequency [Hz]", ylabel="magnitude", xlim=(0, 15))
-        axis.grid(True, alpha=0.3)
     peaks = sorted({name.rsplit("_", 1)[0] for name in features})
     for peak in peaks:
         axis = axes[0][1] if peak == "secondary" else axes[0][0]
@@ -138,7 +140,7 @@ def feature_spread(
 ) -> Figure:
     """Draw every feature against every output, on at most 2,000 curves."""
     rows = slice(0, 2000)
-    figure, axes = _grid(len(output_names), len(names), size=(2.2, 2.0), sharex=True, sharey="col")
+    figure, axes = grid(len(output_names), len(names), size=(2.2, 2.0), sharex=True, sharey="col")
     for i, output in enumerate(output_names):
         for j, name in enumerate(names):
             axes[i][j].plot(outputs[rows, i], inputs[rows, j], ".", ms=2, alpha=0.4)
@@ -150,52 +152,39 @@ def feature_spread(
 
 def parity(actual: FloatArray, predicted: FloatArray, names: Sequence[str]) -> Figure:
     """Draw predicted against actual ratios to healthy."""
-    figure, axes = _grid(1, len(names))
+    figure, axes = grid(1, len(names))
     for j, (axis, name) in enumerate(zip(axes[0], names, strict=True)):
         axis.plot(actual[:, j], predicted[:, j], ".", ms=4, alpha=0.4)
         span = [actual[:, j].min(), actual[:, j].max()]
         axis.plot(span, span, color="black", lw=0.8)
         axis.set(title=SYMBOLS[name], xlabel="actual / healthy", ylabel="estimated / healthy")
-        axis.grid(True, alpha=0.3)
     return figure
 
 
 def residuals(actual: FloatArray, predicted: FloatArray, names: Sequence[str]) -> Figure:
     """Draw relative errors against actual ratios, and their distribution."""
-    figure, axes = _grid(2, len(names))
+    figure, axes = grid(2, len(names))
     for j, name in enumerate(names):
         error = 100 * (predicted[:, j] / actual[:, j] - 1)
         axes[0][j].plot(actual[:, j], error, ".", ms=4, alpha=0.4)
         axes[0][j].set(title=SYMBOLS[name], xlabel="actual / healthy", ylabel="error [%]")
         axes[1][j].hist(error, bins=80)
         axes[1][j].set(xlabel="error [%]", ylabel="curves")
-        axes[0][j].grid(True, alpha=0.3)
-    return figure
-
-
-def convergence(objectives: Sequence[float]) -> Figure:
-    """Draw the objective above its last value, for each iteration."""
-    figure, axes = _grid(1, 1)
-    excess = np.maximum(np.array(objectives[:-1]) - objectives[-1], 1e-300)
-    axes[0][0].semilogy(excess, "o-")
-    axes[0][0].xaxis.set_major_locator(MaxNLocator(integer=True))
-    axes[0][0].set(xlabel="iteration", ylabel="objective above its last value")
-    axes[0][0].grid(True, which="both", alpha=0.3)
     return figure
 
 
 def table6(records: Sequence[Mapping[str, Any]]) -> Figure:
     """Draw published and measured MAPE of each model and output, with the Cramer-Rao bound."""
     shown = [r for r in records if r["metric"] == "mape_percent"]
-    outputs = list(dict.fromkeys(r["output"] for r in shown))
-    models = [name for name in MODEL_TITLES if any(r["model"] == name for r in shown)]
-    figure, axes = _grid(1, len(outputs), size=(3.2, 3.4), sharey=True)
-    for axis, output in zip(axes[0], outputs, strict=True):
-        by_model = {r["model"]: r for r in shown if r["output"] == output}
+    by_output, models = grouped(shown, "output"), models_of(shown)
+    figure, axes = grid(1, len(by_output), size=(3.2, 3.4), sharey=True)
+    for axis, ((output,), same) in zip(axes[0], by_output.items(), strict=True):
+        by_model = {r["model"]: r for r in same}
         for x, model in enumerate(models):
             record = by_model.get(model)
             if record is None:
                 continue
+            # the paper's figure and ours side by side
             for shift, key, colour in (
                 (-0.2, "published", PAPER_COLOUR),
                 (0.2, "measured", OUR_COLOUR),
@@ -210,6 +199,7 @@ def table6(records: Sequence[Mapping[str, Any]]) -> Figure:
         axis.margins(y=0.15)
         axis.set_xticks(range(len(models)), [MODEL_TITLES[m] for m in models], rotation=30)
     axes[0][0].set_ylabel("MAPE [%]")
+    # bars of height 0 stand for the two kinds in the legend
     handles: list[Any] = [
         axes[0][0].bar(0, 0, color=PAPER_COLOUR),
         axes[0][0].bar(0, 0, color=OUR_COLOUR),
@@ -227,12 +217,12 @@ def sensitivity(runs: Sequence[Mapping[str, Any]]) -> Figure:
     Thin lines are the paper's claim: less than 10 % where the precision is better than 2 %.
     """
     models = list(dict.fromkeys(run["model"] for run in runs))
-    figure, axes = _grid(1, len(models), size=(6.4, 4.4), sharey=True)
+    figure, axes = grid(1, len(models), size=(6.4, 4.4), sharey=True)
     for axis, model in zip(axes[0], models, strict=True):
         own = sorted((r for r in runs if r["model"] == model), key=lambda run: run["snr_db"])
         for output in dict.fromkeys(name for run in own for name in run["scores"]):
             chosen = [r for r in own if output in r["scores"]]
-            precision = [100 * 10 ** (-run["snr_db"] / 20) for run in chosen]
+            precision = [precision_percent(run["snr_db"]) for run in chosen]
             mape, bound = (
                 [run[key][output]["mape_percent"] for run in chosen] for key in ("scores", "bound")
             )
@@ -245,76 +235,24 @@ def sensitivity(runs: Sequence[Mapping[str, Any]]) -> Figure:
         axis.set_xticks(PRECISION_TICKS, [f"{tick:g}" for tick in PRECISION_TICKS])
         axis.xaxis.set_minor_formatter(NullFormatter())
         axis.yaxis.set_major_formatter("{x:g}")
-        axis.grid(True, which="both", alpha=0.3)
     axes[0][0].set_ylabel("MAPE [%]")
     figure.legend(*axes[0][0].get_legend_handles_labels(), loc="outside lower center", ncols=5)
     return figure
 
 
-def search_map(settings: Sequence[Mapping[str, float]], rmse: Sequence[float]) -> Figure:
-    """Draw cross-validated RMSE over the two hyperparameters with the most values.
-
-    The others have their best values; the cell of the least RMSE has a frame. A single
-    hyperparameter gives a line.
-    """
-    best = settings[int(np.argmin(rmse))]
-    names = sorted(best, key=lambda name: -len({setting[name] for setting in settings}))
-    x_name, *rest = names
-    y_name = rest[0] if rest and len({setting[rest[0]] for setting in settings}) > 1 else None
-    fixed = {name: best[name] for name in best if name not in (x_name, y_name)}
-    shown = [
-        (setting, value)
-        for setting, value in zip(settings, rmse, strict=True)
-        if all(setting[name] == value for name, value in fixed.items())
-    ]
-    columns = sorted({setting[x_name] for setting, _ in shown})
-    if y_name is None:
-        figure, ((axis,),) = _grid(1, 1, size=(7.0, 5.0))
-        axis.loglog(columns, [min(v for s, v in shown if s[x_name] == x) for x in columns], "o-")
-        axis.set_ylabel("cross-validated RMSE", fontsize=12)
-    else:
-        rows = sorted({setting[y_name] for setting, _ in shown})
-        size = (2.6 + 0.85 * len(columns), 2.0 + 0.55 * len(rows))
-        figure, ((axis,),) = _grid(1, 1, size=size)
-        _heat_map(axis, shown, (x_name, columns), (y_name, rows))
-        axis.set_ylabel(y_name.replace("_", " "), fontsize=12)
-    at = ", ".join(f"{name.replace('_', ' ')} {value:g}" for name, value in fixed.items())
-    axis.set_title("cross-validated RMSE" + (f" at {at}" if at else ""), fontsize=12)
-    axis.set_xlabel(x_name.replace("_", " "), fontsize=12)
-    axis.tick_params(labelsize=12)
-    return figure
-
-
-def _heat_map(
-    axis: Axes,
-    shown: Sequence[tuple[Mapping[str, float], float]],
-    across: tuple[str, Sequence[float]],
-    up: tuple[str, Sequence[float]],
-) -> None:
-    """Draw a cell for each pair of values, with its RMSE; white where none was tried."""
-    (x_name, columns), (y_name, rows) = across, up
-    cells = np.full((len(rows), len(columns)), np.nan)
-    for setting, value in shown:
-        place = rows.index(setting[y_name]), columns.index(setting[x_name])
-        cells[place] = value if math.isfinite(value) else np.nan
-    least = np.nanmin(cells)
-    excess = np.log2(cells / least)
-    axis.imshow(excess, cmap="viridis_r", vmin=0, vmax=3, aspect="auto", origin="lower")
-    for (i, j), value in np.ndenumerate(cells):
-        if math.isfinite(value):
-            colour = "white" if excess[i, j] > 1.2 else "black"
-            axis.text(j, i, f"{value:.3g}", ha="center", va="center", color=colour, fontsize=12)
-        if value == least:
-            frame = Rectangle((j - 0.5, i - 0.5), 1, 1, fill=False, color="tab:red", lw=3)
-            axis.add_patch(frame)
-    axis.set_xticks(range(len(columns)), [f"{value:g}" for value in columns])
-    axis.set_yticks(range(len(rows)), [f"{value:g}" for value in rows])
-
-
-def _grid(
+def grid(
     n_rows: int, n_columns: int, size: tuple[float, float] = (4.2, 3.2), **options: Any
 ) -> tuple[Figure, list[list[Axes]]]:
-    """Return a figure with a grid of axes."""
+    """Return a figure with axes in rows and columns, each of a size [inch] and with grid lines."""
     figure = Figure(figsize=(size[0] * n_columns, size[1] * n_rows), layout="constrained")
     axes = figure.subplots(n_rows, n_columns, squeeze=False, **options)
+    for axis in axes.flat:
+        axis.grid(True, which="both", alpha=0.3)
+        axis.set_axisbelow(True)
     return figure, [list(row) for row in axes]
+
+
+def legend_above(figure: Figure) -> None:
+    """Add the legend of the first axes above all of them."""
+    handles, labels = figure.axes[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside upper center", ncols=len(labels))

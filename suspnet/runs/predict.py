@@ -95,10 +95,10 @@ def predict_stream(
     scales = None
     if model.intervals is not None:
         scales = residual_scales(model, data.inputs, predicted, refined)[data.valid]
-    found = None
+    flagged = None
     if flags and model.ood is not None and refined is not None:
-        found = model.flags(data.inputs, data.reasons, refined)
-    return Outcome(kept, predicted[data.valid], seconds, len(data.inputs), scales, found)
+        flagged = model.flags(data.inputs, data.reasons, refined)
+    return Outcome(kept, predicted[data.valid], seconds, len(data.inputs), scales, flagged)
 
 
 def regress_stream(
@@ -148,9 +148,9 @@ def _over_blocks(
         def one(block: int) -> Part:
             rows = slice(block * BLOCK, (block + 1) * BLOCK)
             curves = problem.curves(data.ratios, stream, block)
-            found = fit(curves, rows, None if mass is None else mass[rows])
+            fitted = fit(curves, rows, None if mass is None else mass[rows])
             bar.update(len(curves))
-            return found
+            return fitted
 
         with pool_of(threads) as pool:
             return list(pool.map(one, range(problem.n_blocks(n_curves))))
@@ -185,8 +185,8 @@ def calibrated(problem: Problem, model: Model) -> Model:
         intervals = Intervals(Conformal.of(wrong, deviations[kept]), True, None)
     else:
         wrong = residuals(predicted[kept], data.outputs[kept], model.log)
-        known = model.with_estimates(data.inputs[kept], predicted[kept])
-        intervals = Intervals.learnt(known, wrong, model.log)
+        knowledge = model.with_estimates(data.inputs[kept], predicted[kept])
+        intervals = Intervals.learnt(knowledge, wrong, model.log)
     training = inputs[:0]  # a method that works on curves has no cloud of features
     if model.input_scaling is not None:
         training = model.scaled(problem.features(TRAIN).complete(model.task.extractor).inputs)
@@ -194,34 +194,22 @@ def calibrated(problem: Problem, model: Model) -> Model:
     return replace(model, intervals=intervals, ood=ood)
 
 
-def cost_without_model(problem: Problem, residual: Residual) -> Unexplained | None:
-    """Return the cost of the residual that healthy trips leave unexplained, if no model tells it.
+def with_unexplained(problem: Problem, model: Model, residual: Residual) -> Model:
+    """Return a model with the cost of the residual that its healthy trips leave unexplained.
 
-    Fits of the curve with uncertain numbers read trips whatever the method: see
-    `suspnet.estimation.information.shifts`. None: the method reads them.
+    See `suspnet.estimation.flags`. ValueError if no curve that is changed by it has an estimate.
     """
     task = problem.task
     if not residual.logs.any():
-        return Unexplained(residual.misfit, np.zeros(len(task.outputs)))
-    if not problem.observer.directions.n:
-        return None
-    ratios = task.sample(N_COST, problem.seed, CALIBRATE)
-    changes = shifts(problem.observer, ratios, task.unknown, residual.logs)
-    columns = [task.unknown.index(name) for name in task.outputs]
-    return Unexplained(residual.misfit, WORN * np.sqrt(np.mean(changes[:, columns] ** 2, axis=0)))
-
-
-def with_unexplained(
-    problem: Problem, model: Model, residual: Residual, cost: Unexplained | None = None
-) -> Model:
-    """Return a model with the cost of the residual that its healthy trips leave unexplained.
-
-    See `suspnet.estimation.flags`; `cost` is that of `cost_without_model`. ValueError if no curve
-    that is changed by it has an estimate.
-    """
-    cost = cost or cost_without_model(problem, residual)
-    if cost is not None:
-        return replace(model, unexplained=cost)
+        costs = np.zeros(len(task.outputs))
+        return replace(model, unexplained=Unexplained(residual.misfit, costs))
+    if problem.observer.directions.n:
+        # fits of the curve with uncertain numbers read trips whatever the method
+        ratios = task.sample(N_COST, problem.seed, CALIBRATE)
+        changes = shifts(problem.observer, ratios, task.unknown, residual.logs)
+        changes = changes[:, [task.unknown.index(name) for name in task.outputs]]
+        costs = WORN * np.sqrt(np.mean(changes**2, axis=0))
+        return replace(model, unexplained=Unexplained(residual.misfit, costs))
     ratios = problem.task.sample(N_COST, problem.seed, CALIBRATE)
     curves = problem.noise_free(ratios)
     bare = replace(model, intervals=None, ood=None, unexplained=None)
@@ -232,13 +220,13 @@ def with_unexplained(
         for shifted in (curves, curves * factor, curves / factor)
     ]
     changes = np.stack(logs[1:]) - logs[0]  # (2, n_curves, n_outputs)
-    known = changes[np.isfinite(changes).all(axis=2)]
-    if not len(known):
+    finite = changes[np.isfinite(changes).all(axis=2)]
+    if not len(finite):
         raise ValueError(
             "no curve keeps its features when changed by the unexplained residual of the healthy "
             "trips: the vehicle file, the sensors' places or the band are wrong"
         )
-    costs = WORN * np.sqrt(np.mean(known**2, axis=0))
+    costs = WORN * np.sqrt(np.mean(finite**2, axis=0))
     return replace(model, unexplained=Unexplained(residual.misfit, costs))
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -10,12 +9,11 @@ from statistics import fmean
 from typing import Any
 
 from matplotlib.figure import Figure
-from tabulate import tabulate
 
 from suspnet.report.figures import SYMBOLS
-from suspnet.runs.tables import MODEL_TITLES, PUBLISHED, in_digits, write_study
+from suspnet.runs.plots import legend_above
+from suspnet.runs.tables import MODEL_TITLES, PUBLISHED, Record, in_digits, markdown, write_study
 
-log = logging.getLogger(__name__)
 METHODS = ("msvr", "svr", "mvgpr", "linear")
 """Methods of Table VI, in its order, which is that of their errors."""
 OUTPUTS = ("k_p", "c_p", "k_s", "c_s")
@@ -25,13 +23,12 @@ TEST_SETS = {
     "degraded": "curves on which the part is below healthy",
 }
 """Title of each choice of the test curves."""
-Record = dict[str, Any]
 Cells = Mapping[tuple[str, str, str], float]
 """Value of each output, metric and method."""
 
 
 def write_readings(runs: Sequence[Mapping[str, Any]], folder: Path) -> list[Record]:
-    """Compare the readings that runs (metrics.json) are of with Table VI; write and print a table.
+    """Compare the readings behind some runs (metrics.json) with Table VI; write and print a table.
 
     Returns one record for each reading and choice of test curves, nearest first; readings without a
     run of each method and output are left out.
@@ -50,8 +47,8 @@ def write_readings(runs: Sequence[Mapping[str, Any]], folder: Path) -> list[Reco
     )
     text = "\n\n".join([*parts, caption]) + "\n"
     figures = {"readings": figure(records)} if records else {}
-    write_study(folder, "readings", text, records, [_flat(r) for r in records], figures)
-    log.info("Readings of the paper against its Table VI\n\n%s\n-> %s/readings.*", text, folder)
+    title = "Readings of the paper against its Table VI"
+    write_study(folder, "readings", title, text, records, [_flat(r) for r in records], figures)
     return records
 
 
@@ -68,16 +65,16 @@ def reading_records(runs: Sequence[Mapping[str, Any]]) -> list[Record]:
 
 def _cells(runs: Sequence[Mapping[str, Any]], test: str) -> Cells | None:
     """Return the mean over seeds of each cell of Table VI; None if one is missing."""
-    found: dict[tuple[str, str, str], list[float]] = {}
+    values_of: dict[tuple[str, str, str], list[float]] = {}
     for run in runs:
         scores = run["scores"] if test == "all" else run["scores_where"][test]
         for output, values in scores.items():
             for metric, value in values.items():
-                found.setdefault((output, metric, run["model"]), []).append(value)
+                values_of.setdefault((output, metric, run["model"]), []).append(value)
     wanted = [(*key, model) for key, models in PUBLISHED.items() for model in models]
-    if any(None in found.get(key, [None]) for key in wanted):
+    if any(None in values_of.get(key, [None]) for key in wanted):
         return None
-    return {key: fmean(found[key]) for key in wanted}
+    return {key: fmean(values_of[key]) for key in wanted}
 
 
 def compare(cells: Cells) -> Record:
@@ -109,19 +106,14 @@ def compare(cells: Cells) -> Record:
     }
 
 
-def published_cells() -> Cells:
-    """Return the cells of the paper's Table VI."""
-    return {
-        (*key, model): value for key, models in PUBLISHED.items() for model, value in models.items()
-    }
-
-
 def readings_markdown(records: Sequence[Record]) -> str:
     """Return a table of readings below the paper's own row."""
-    rows = [_row({"reading": "the paper", **compare(published_cells())})]
-    rows += [_row(record) for record in records]
+    published = {
+        (*key, model): value for key, models in PUBLISHED.items() for model, value in models.items()
+    }
+    rows = [_row({"reading": "the paper", **compare(published)}), *map(_row, records)]
     header = ["reading", "distance", "in order", "linear last", "RMSE / MAPE", *OUTPUTS]
-    return tabulate(rows, header, tablefmt="github", disable_numparse=True)
+    return markdown(rows, header)
 
 
 def _row(record: Record) -> list[str]:
@@ -167,7 +159,6 @@ def figure(records: Sequence[Record]) -> Figure:
         axis.grid(True, axis="both", alpha=0.3)
     axes[0].set_yticks(range(len(shown)), [r["reading"].replace("_", " ") for r in shown])
     axes[0].set_ylim(len(shown) - 0.4, -0.6)
-    handles, labels = axes[0].get_legend_handles_labels()
-    drawn.legend(handles, labels, loc="outside upper center", ncols=len(labels))
+    legend_above(drawn)
     drawn.supxlabel("MAPE, %; dashed: the paper's Table VI")
     return drawn

@@ -24,7 +24,6 @@ from suspnet.estimation.problem import TEST, Problem
 from suspnet.estimation.protocols import Task
 from suspnet.ground.types import FloatArray
 from suspnet.learning.metrics import METRICS, interval_scores, score, score_where
-from suspnet.learning.search import SearchResult
 from suspnet.report.tensorboard import RunLog
 from suspnet.runs import plots
 from suspnet.runs.predict import Outcome
@@ -35,8 +34,8 @@ Metrics = dict[str, Any]
 LEVEL = 0.9
 """Level of the prediction intervals in tables."""
 N_BOUND = 200
-"""Largest number of curves whose bounds are worked out where numbers are uncertain: those of 1,000
-took 45 % of a training."""
+"""Largest number of curves whose bounds are computed where numbers are uncertain, as bounds are
+expensive there."""
 TOO_GOOD = 4.0
 """An rms error this many standard deviations below its bound raises a warning."""
 
@@ -71,7 +70,7 @@ def headline(problem: Problem, model: FittedMethod) -> Metrics:
 def scores(problem: Problem, model: FittedMethod, outcome: Outcome) -> Metrics:
     """Return the scores of estimates on one stream of curves, in the form of metrics.json."""
     task, data = problem.task, outcome.data
-    # uncertain numbers make bounds dear: the mean of some curves, drawn alike, says as much
+    # bounds with uncertain numbers are expensive: the mean over some curves is as informative
     n_bound = N_BOUND if problem.is_uncertain else len(data.ratios)
     ratios = data.ratios[:n_bound]
     bounds = output_bounds(task, problem.observer, ratios)
@@ -188,10 +187,9 @@ def draw_run(
     outcome: Outcome,
     run_log: RunLog,
     folder: Path,
-    found: SearchResult | None,
     draw_vehicle: bool,
 ) -> None:
-    """Draw features, search and predictions of a run, and on request its vehicle."""
+    """Draw features and predictions of a run, and on request its vehicle."""
     task = model.task
     frequencies_hz = problem.observer.frequencies_hz
     example = problem.curves(outcome.data.ratios[:1], TEST, 0)
@@ -208,16 +206,6 @@ def draw_run(
         figures["peaks"] = plots.peak_fits(
             frequencies_hz.numpy(), example[0].abs().cpu().numpy(), features
         )
-    objectives = getattr(model.estimator, "objectives_", [])
-    if len(objectives) > 3:  # of two points a line says nothing
-        figures["convergence"] = plots.convergence(objectives)
-    if found is not None:
-        numbers = [
-            {k: v for k, v in setting.items() if isinstance(v, int | float)}
-            for setting in found.settings
-        ]
-        if numbers[0]:  # a method without hyperparameters has one empty setting
-            figures["search"] = plots.search_map(numbers, found.rmse)
     _write_figures(figures, _title(problem, model.name), run_log, folder)
     draw_predictions(problem, model.name, outcome, run_log, folder)
 

@@ -1,13 +1,13 @@
-"""Callbacks at the end of a multirun: tables, figures, override files."""
+"""What is written at the end of a multirun: tables, figures, override files."""
 
 from __future__ import annotations
 
 import json
 import logging
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from shlex import quote
-from statistics import fmean, stdev
+from statistics import fmean
 from typing import Any
 
 import yaml
@@ -23,6 +23,7 @@ from suspnet.runs.fair import write_fair
 from suspnet.runs.paper import write_paper
 from suspnet.runs.readings import write_readings
 from suspnet.runs.tables import (
+    markdown,
     records_csv,
     sensitivity_markdown,
     sensitivity_records,
@@ -31,45 +32,37 @@ from suspnet.runs.tables import (
     table6_records,
     write_study,
 )
-from suspnet.runs.trials import TRIALS, write_trials
+from suspnet.runs.trials import TRIALS, least_rmse, write_trials
 
 log = logging.getLogger(__name__)
 Run = Mapping[str, Any]
-SEEDS = ("seed", "random_state")
-"""Names of settings that are seeds."""
 
 
-class _Summary(Callback):
-    """Reads the metrics.json of every job and passes them to `summarise`."""
+class Summary(Callback):
+    """Passes metrics.json of all jobs of a multirun to one of ``SUMMARIES``, and a note to it."""
+
+    def __init__(self, of: str, note: str = "") -> None:
+        self._write, self._note = SUMMARIES[of], note
 
     def on_multirun_end(self, config: DictConfig, **kwargs: Any) -> None:
         """Summarise the jobs of the multirun that has just ended."""
         folder = Path(config.hydra.sweep.dir)
         runs = [read_json(path) for path in sorted(folder.glob("*/metrics.json"))]
         if runs:
-            self.summarise(runs, folder)
-
-    def summarise(self, runs: Sequence[Run], folder: Path) -> None:
-        """Write the summary of all runs into `folder`."""
+            self._write(runs, folder, self._note)
 
 
 class Jobs(Callback):
     """A table of all jobs of a multirun, least error first, failed ones last."""
 
     def on_multirun_end(self, config: DictConfig, **kwargs: Any) -> None:
-        """Write jobs.csv and jobs.md and print the table."""
+        """Write jobs.csv and jobs.md, and print the table."""
         folder = Path(config.hydra.sweep.dir)
         rows = job_rows(folder)
         if not rows:
             return
-        write_atomically(folder / "jobs.csv", records_csv(with_swept(folder, rows, "job")))
+        write_atomically(folder / "jobs.csv", records_csv(with_swept(folder, rows)))
         table = tabulate(rows, "keys", "github", floatfmt=".4g", missingval="-")
-        over_seeds = seed_rows(folder, rows)
-        if over_seeds:
-            swept = with_swept(folder, over_seeds, "jobs", but=SEEDS)
-            write_atomically(folder / "seeds.csv", records_csv(swept))
-            table += "\n\nmean and standard deviation over seeds\n\n"
-            table += _seed_table(over_seeds)
         write_atomically(folder / "jobs.md", f"{table}\n")
         log.info(
             "rms error in %%, least mean first among jobs with the same outputs; /bound: over the "
@@ -86,25 +79,27 @@ def job_rows(folder: Path) -> list[dict[str, Any]]:
     several speeds or suspensions an error is their mean. ``NAME/bound`` is the rms error over the
     bound, None where it is infinite.
     """
-    jobs = sorted({path.parent for path in folder.glob("*/config.yaml")})
-    jobs += sorted({path.parent for path in folder.glob("*/error.txt")} - set(jobs))
+    files = [path for name in ("config.yaml", "error.txt") for path in folder.glob(f"*/{name}")]
+    jobs = sorted({path.parent for path in files})
     errors = {
         job: {name: error for name, error in run_errors(job).items() if error is not None}
         for job in jobs
     }
-    outputs = list(dict.fromkeys(name for found in errors.values() for name in found))
-    sets = list(dict.fromkeys(tuple(found) for found in errors.values()))
-    over = {job: run_errors(job, "rms_ratio") for job in jobs}
-    with_bound = [f"{name}/bound" for name in outputs if any(name in one for one in over.values())]
-    rows, place = [], {}
-    for job, found in errors.items():
-        row: dict[str, Any] = {"job": job.name, "mean": None} | dict.fromkeys(outputs) | found
-        row["mean"] = sum(found.values()) / len(found) if found else None
-        ratios = {f"{name}/bound": value for name, value in over[job].items()}
-        row |= dict.fromkeys(with_bound) | ratios
-        place[job.name] = sets.index(tuple(found))
+    ratios = {
+        job: {f"{name}/bound": ratio for name, ratio in run_errors(job, "rms_ratio").items()}
+        for job in jobs
+    }
+    # every row has the columns of all jobs, whose groups have different outputs
+    columns = dict.fromkeys(key for of in (errors, ratios) for row in of.values() for key in row)
+    sets = list(dict.fromkeys(map(tuple, errors.values())))
+    rows = []
+    for job in jobs:
+        of_job = errors[job]
+        mean = fmean(of_job.values()) if of_job else None
         failed = "failed" if (job / "error.txt").exists() else "unfinished"
-        rows.append(row | {"state": "finished" if found else failed})
+        state = {"state": "finished" if of_job else failed}
+        rows.append({"job": job.name, "mean": mean} | columns | of_job | ratios[job] | state)
+    place = {job.name: sets.index(tuple(errors[job])) for job in jobs}
     return sorted(
         rows,
         key=lambda row: (
@@ -114,90 +109,20 @@ def job_rows(folder: Path) -> list[dict[str, Any]]:
     )
 
 
-def with_swept(
-    folder: Path, rows: Sequence[Mapping[str, Any]], job: str, but: Sequence[str] = ()
-) -> list[dict[str, Any]]:
+def with_swept(folder: Path, rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
     """Return rows with a column for each override in which the jobs of a multirun differ.
 
-    `job` is the column with the job's name; overrides of settings called one of `but` are left out.
+    `job` is the column with the job's name.
     """
-    given: dict[str, dict[str, str]] = {}
+    settings: dict[str, dict[str, str]] = {}
     for path in sorted(folder.glob(f"*/{HYDRA}/overrides.yaml")):
-        overrides = read_yaml(path)
-        pairs = (str(one).lstrip("+").partition("=") for one in overrides)
-        given[path.parents[1].name] = {key: value for key, _, value in pairs}
-    keys = dict.fromkeys(key for own in given.values() for key in own)
-    swept = [
-        key
-        for key in keys
-        if len({own.get(key) for own in given.values()}) > 1 and key.rpartition(".")[2] not in but
+        pairs = (str(override).lstrip("+").partition("=") for override in read_yaml(path))
+        settings[path.parents[1].name] = {key: value for key, _, value in pairs}
+    keys = dict.fromkeys(key for own in settings.values() for key in own)
+    swept = [key for key in keys if len({own.get(key) for own in settings.values()}) > 1]
+    return [
+        {**row, **{key: settings.get(row["job"], {}).get(key, "") for key in swept}} for row in rows
     ]
-    return [{**row, **{key: given.get(row[job], {}).get(key, "") for key in swept}} for row in rows]
-
-
-def seed_rows(folder: Path, rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """Return mean and standard deviation over seeds, for finished jobs that differ in seed only.
-
-    [] if no two jobs do. `jobs` names the first job of each row, `n` counts its seeds.
-    """
-    alike: dict[str, list[Mapping[str, Any]]] = {}
-    for key, some in _same_but_seeds(folder, rows).items():
-        # the seed of a part follows the job's, or is a setting
-        fixed = sorted({at for _, own in some for at in own if own[at] != own.get("/seed")})
-        for row, own in some:
-            alike.setdefault(str([key, *map(own.get, fixed)]), []).append(row)
-    if all(len(same) < 2 for same in alike.values()):
-        return []
-    found = []
-    for same in alike.values():
-        one: dict[str, Any] = {"jobs": min(row["job"] for row in same), "n": len(same)}
-        for key in same[0]:
-            if key not in ("job", "state"):
-                values = [row[key] for row in same if row[key] is not None]
-                one[key] = fmean(values) if values else None
-                one[f"{key} sd"] = stdev(values) if len(values) > 1 else None
-        found.append(one)
-    return found
-
-
-def _same_but_seeds(
-    folder: Path, rows: Sequence[Mapping[str, Any]]
-) -> dict[str, list[tuple[Mapping[str, Any], dict[str, Any]]]]:
-    """Return finished jobs, each with its seeds by place, by the rest of their configurations."""
-    found: dict[str, list[tuple[Mapping[str, Any], dict[str, Any]]]] = {}
-    for row in rows:
-        if row["state"] == "finished":
-            config = read_yaml(folder / row["job"] / "config.yaml")
-            seeds: dict[str, Any] = {}
-            rest = json.dumps(_without_seeds(config, seeds), sort_keys=True, default=str)
-            found.setdefault(rest, []).append((row, seeds))
-    return found
-
-
-def _without_seeds(config: Any, seeds: dict[str, Any], place: str = "") -> Any:
-    """Return a configuration without seeds, which are added to `seeds` by their places."""
-    if not isinstance(config, dict):
-        return config
-    seeds |= {f"{place}/{key}": config[key] for key in SEEDS if key in config}
-    return {
-        key: _without_seeds(value, seeds, f"{place}/{key}")
-        for key, value in config.items()
-        if f"{place}/{key}" not in seeds
-    }
-
-
-def _seed_table(rows: Sequence[Mapping[str, Any]]) -> str:
-    """Return the rows of `seed_rows` as Markdown, with mean +- standard deviation."""
-    shown = []
-    for row in rows:
-        line = {key: row[key] for key in ("jobs", "n")}
-        for key in row:
-            if key not in line and not key.endswith(" sd"):
-                sd = row[f"{key} sd"]
-                scatter = "" if sd is None else f" +- {sd:.2g}"
-                line[key] = "-" if row[key] is None else f"{row[key]:.4g}{scatter}"
-        shown.append(line)
-    return tabulate(shown, headers="keys", tablefmt="github", disable_numparse=True)
 
 
 def run_errors(job: Path, entry: str = "rms_percent") -> dict[str, float | None]:
@@ -207,152 +132,13 @@ def run_errors(job: Path, entry: str = "rms_percent") -> dict[str, float | None]
     """
     for name in ("metrics.json", "speeds.json", "fleet.json"):
         if (job / name).is_file():
-            found = read_json(job / name)
-            several = found if isinstance(found, list) else [found]
-            parts = [part.get(entry) or {} for part in several]
+            content = read_json(job / name)
+            several = content if isinstance(content, list) else [content]
+            entries = [part.get(entry) or {} for part in several]
             numbers: dict[str, list[Any]]
-            numbers = {key: [part.get(key) for part in parts] for key in parts[0]}
+            numbers = {key: [part.get(key) for part in entries] for key in entries[0]}
             return {key: None if None in some else fmean(some) for key, some in numbers.items()}
     return {}
-
-
-class Table6(_Summary):
-    """Table VI: published and measured figures, as JSON, CSV, Markdown and a figure.
-
-    `note` says how the methods' conditions differ; it is printed below the table.
-    """
-
-    def __init__(self, note: str = "") -> None:
-        self._note = note
-
-    def summarise(self, runs: Sequence[Run], folder: Path) -> None:
-        """Write table6.json, .csv, .md and .png and print the table."""
-        write_table6(runs, folder, self._note)
-
-
-class Paper(Table6):
-    """Every figure and table of the paper."""
-
-    def summarise(self, runs: Sequence[Run], folder: Path) -> None:
-        """Write Table VI as `Table6` does, then all others, and index.html, which lists them."""
-        super().summarise(runs, folder)
-        write_paper(runs, folder)
-
-
-class Comparison(Table6):
-    """Table VI for runs that differ in protocol, group, model or seed."""
-
-    def summarise(self, runs: Sequence[Run], folder: Path) -> None:
-        """Write the same files as `Table6`, unless two runs share a place in the table."""
-        places = {(r["protocol"], r["group"], r["model"], r["seed"]) for r in runs}
-        if 1 < len(places) == len(runs):
-            super().summarise(runs, folder)
-
-
-class Table5(_Summary):
-    """Table V: the best hyperparameters of each method and group, as an override file."""
-
-    def summarise(self, runs: Sequence[Run], folder: Path) -> None:
-        """Write experiment/best.yaml and table5.json and print the best settings."""
-        tuned: dict[str, dict[str, Any]] = {}
-        edges = []
-        for run in runs:
-            if "search" in run:
-                warnings = run["search"]["edges"].values()
-                edges += [f"{run['group']}, {run['model']}: {words}" for words in warnings]
-                best = run["search"]["best"].items()
-                numbers = {key: value for key, value in best if isinstance(value, int | float)}
-                tuned.setdefault(run["group"], {})[run["model"]] = numbers
-        content = yaml.safe_dump({"tuned": tuned}, sort_keys=True)
-        content += "".join(f"# {words}\n" for words in edges)
-        use = f"python train.py --config-dir {quote(str(folder))} experiment=best"
-        path = write_atomically(
-            folder / "experiment" / "best.yaml",
-            f"# @package _global_\n# {use}\n"
-            f"# or copy `tuned` into configs/protocol/{runs[0]['protocol']}.yaml\n{content}",
-        )
-        write_json(folder / "table5.json", [_search_record(run) for run in runs if "search" in run])
-        table = table5_markdown(runs, n_jobs=len(list(folder.glob("*/config.yaml"))))
-        write_atomically(folder / "table5.md", f"{table}\n")
-        write_trials(runs, folder / TRIALS)
-        log.info(
-            "best hyperparameters (least cross-validated RMSE):\n\n%s\n\n%s-> %s\n"
-            "use them with: %s\nsee every trial with: tensorboard --logdir %s",
-            table,
-            content,
-            path,
-            use,
-            quote(str(folder / TRIALS)),
-        )
-
-
-def table5_markdown(runs: Sequence[Run], n_jobs: int) -> str:
-    """Return best values, their error and the time of each search, after how many have ended."""
-    searched = [run for run in runs if "search" in run]
-    rows = []
-    for run in searched:
-        search = run["search"]
-        best = ", ".join(
-            f"{key} {value:g}" if isinstance(value, int | float) else f"{key} {value}"
-            for key, value in search["best"].items()
-        )
-        seconds = run.get("training", {}).get("search_seconds")
-        time = "-" if seconds is None else f"{seconds:.1f}"
-        error, tried = f"{min(search['rmse']):.4g}", len(search["rmse"])
-        edges = ", ".join(search["edges"]) or "-"
-        rows.append([run["group"], run["model"], best, edges, error, tried, time])
-    header = ["group", "method", "best values", "on the edge", "cross-validated RMSE", "settings"]
-    header.append("search s")
-    table = tabulate(rows, header, tablefmt="github", disable_numparse=True)
-    return f"{len(searched)} of {n_jobs} searches finished\n\n{table}"
-
-
-class Sensitivity(_Summary):
-    """MAPE against sensor precision (Fig. 11)."""
-
-    def summarise(self, runs: Sequence[Run], folder: Path) -> None:
-        """Write sensitivity.json, .csv, .md and .png and print the table."""
-        records = sensitivity_records(runs)
-        table = sensitivity_markdown(records)
-        figures = {"sensitivity": plots.sensitivity(runs)}
-        write_study(folder, "sensitivity", f"{table}\n", records, records, figures)
-        log.info("MAPE against sensor precision\n\n%s\n-> %s/sensitivity.*", table, folder)
-
-
-class Readings(_Summary):
-    """Readings of the paper by their distance to Table VI."""
-
-    def summarise(self, runs: Sequence[Run], folder: Path) -> None:
-        """Write readings.json, .csv, .md and .png and print the table."""
-        write_readings(runs, folder)
-
-
-class ByOutput(Callback):
-    """MAPE of every output, a row for each setting that a multirun varies but the group."""
-
-    def on_multirun_end(self, config: DictConfig, **kwargs: Any) -> None:
-        """Write by_output.csv and .md and print the table."""
-        folder = Path(config.hydra.sweep.dir)
-        runs = {p.parent.name: read_json(p) for p in sorted(folder.glob("*/metrics.json"))}
-        rows: dict[str, dict[str, Any]] = {}
-        for swept in with_swept(folder, [{"job": job} for job in runs], "job"):
-            settings = {key: swept[key] for key in swept if key not in ("job", "group")}
-            row = rows.setdefault(json.dumps(settings), settings)
-            scores = runs[swept["job"]]["scores"]
-            row |= {output: values["mape_percent"] for output, values in scores.items()}
-        if rows:
-            records = list(rows.values())
-            table = tabulate(records, "keys", "github", floatfmt=".3g", missingval="-")
-            write_study(folder, "by_output", f"MAPE in %\n\n{table}\n", records, records, {})
-            log.info("MAPE in %%\n\n%s\n-> %s/by_output.*", table, folder)
-
-
-class Fair(_Summary):
-    """Methods tuned alike, over seeds."""
-
-    def summarise(self, runs: Sequence[Run], folder: Path) -> None:
-        """Write fair.json, .csv, .md and .png and print the tables."""
-        write_fair(runs, folder)
 
 
 def write_table6(runs: Sequence[Run], folder: Path, note: str = "") -> None:
@@ -371,8 +157,75 @@ def write_table6(runs: Sequence[Run], folder: Path, note: str = "") -> None:
         f"table6_{name}" if several else "table6": plots.table6(part)
         for name, part in by_protocol.items()
     }
-    write_study(folder, "table6", text, records, records, figures)
-    log.info("Table VI, published and measured\n\n%s\n-> %s/table6.*", text, folder)
+    title = "Table VI, published and measured"
+    write_study(folder, "table6", title, text, records, records, figures)
+
+
+def _write_comparison(runs: Sequence[Run], folder: Path, note: str) -> None:
+    """Write Table VI of any multirun, unless two of its runs share a place in the table."""
+    places = {(r["protocol"], r["group"], r["model"], r["seed"]) for r in runs}
+    if 1 < len(places) == len(runs):
+        write_table6(runs, folder, note)
+
+
+def _write_all_of_paper(runs: Sequence[Run], folder: Path, note: str) -> None:
+    """Write Table VI, then every other figure and table of the paper and the page that has them."""
+    write_table6(runs, folder, note)
+    write_paper(runs, folder)
+
+
+def _write_table5(runs: Sequence[Run], folder: Path, note: str) -> None:
+    """Write Table V: the best hyperparameters of each method and group, as an override file."""
+    tuned: dict[str, dict[str, Any]] = {}
+    edges = []
+    searched = [run for run in runs if "search" in run]
+    for run in searched:
+        edge_texts = run["search"]["edges"].values()
+        edges += [f"{run['group']}, {run['model']}: {text}" for text in edge_texts]
+        best = run["search"]["best"].items()
+        numbers = {key: value for key, value in best if isinstance(value, int | float)}
+        tuned.setdefault(run["group"], {})[run["model"]] = numbers
+    content = yaml.safe_dump({"tuned": tuned}, sort_keys=True)
+    content += "".join(f"# {text}\n" for text in edges)
+    use = f"python train.py --config-dir {quote(str(folder))} experiment=best"
+    path = write_atomically(
+        folder / "experiment" / "best.yaml",
+        f"# @package _global_\n# {use}\n"
+        f"# or copy `tuned` into configs/protocol/{runs[0]['protocol']}.yaml\n{content}",
+    )
+    write_json(folder / "table5.json", [_search_record(run) for run in searched])
+    table = _table5_markdown(searched, n_jobs=len(list(folder.glob("*/config.yaml"))))
+    write_atomically(folder / "table5.md", f"{table}\n")
+    write_trials(runs, folder / TRIALS)
+    log.info(
+        "best hyperparameters (least cross-validated RMSE):\n\n%s\n\n%s-> %s\n"
+        "use them with: %s\nsee every trial with: tensorboard --logdir %s",
+        table,
+        content,
+        path,
+        use,
+        quote(str(folder / TRIALS)),
+    )
+
+
+def _table5_markdown(searched: Sequence[Run], n_jobs: int) -> str:
+    """Return best values, their error and the time of each search, after how many have ended."""
+    rows = []
+    for run in searched:
+        record = _search_record(run)
+        best = ", ".join(
+            f"{key} {value:g}" if isinstance(value, int | float) else f"{key} {value}"
+            for key, value in record["best"].items()
+        )
+        seconds = record["search_seconds"]
+        time = "-" if seconds is None else f"{seconds:.1f}"
+        edges = ", ".join(run["search"]["edges"]) or "-"
+        error = f"{record['cv_rmse']:.4g}"
+        row = [run["group"], run["model"], best, edges, error, record["n_settings"], time]
+        rows.append(row)
+    header = ["group", "method", "best values", "on the edge", "cross-validated RMSE", "settings"]
+    table = markdown(rows, [*header, "search s"])
+    return f"{len(searched)} of {n_jobs} searches finished\n\n{table}"
 
 
 def _search_record(run: Run) -> dict[str, Any]:
@@ -380,8 +233,44 @@ def _search_record(run: Run) -> dict[str, Any]:
     keys = ("protocol", "group", "model", "n_train", "snr_db", "seed")
     return {key: run[key] for key in keys} | {
         "best": search["best"],
-        "cv_rmse": min(search["rmse"]),
+        "cv_rmse": least_rmse(search),
         "n_settings": len(search["rmse"]),
         "search_seconds": run.get("training", {}).get("search_seconds"),
         "edges": list(search["edges"].values()),
     }
+
+
+def _write_sensitivity(runs: Sequence[Run], folder: Path, note: str) -> None:
+    """Write MAPE against sensor precision (Fig. 11)."""
+    records = sensitivity_records(runs)
+    table = sensitivity_markdown(records)
+    figures = {"sensitivity": plots.sensitivity(runs)}
+    title = "MAPE against sensor precision"
+    write_study(folder, "sensitivity", title, f"{table}\n", records, records, figures)
+
+
+def _write_by_output(runs: Sequence[Run], folder: Path, note: str) -> None:
+    """Write the MAPE of every output, a row for each setting that varies but the group."""
+    files = sorted(folder.glob("*/metrics.json"))
+    scores = {path.parent.name: read_json(path)["scores"] for path in files}
+    rows: dict[str, dict[str, Any]] = {}
+    for swept in with_swept(folder, [{"job": job} for job in scores]):
+        settings = {key: swept[key] for key in swept if key not in ("job", "group")}
+        row = rows.setdefault(json.dumps(settings), settings)
+        row |= {output: values["mape_percent"] for output, values in scores[swept["job"]].items()}
+    records = list(rows.values())
+    table = tabulate(records, "keys", "github", floatfmt=".3g", missingval="-")
+    write_study(folder, "by_output", "MAPE in %", f"{table}\n", records, records)
+
+
+SUMMARIES: Mapping[str, Callable[[Sequence[Run], Path, str], Any]] = {
+    "comparison": _write_comparison,
+    "table6": write_table6,
+    "paper": _write_all_of_paper,
+    "table5": _write_table5,
+    "sensitivity": _write_sensitivity,
+    "by_output": _write_by_output,
+    "readings": lambda runs, folder, _: write_readings(runs, folder),
+    "fair": lambda runs, folder, _: write_fair(runs, folder),
+}
+"""What a multirun may be summarised by, from metrics.json of its runs, its folder and a note."""

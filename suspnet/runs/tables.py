@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import csv
 import io
+import logging
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from statistics import fmean
-from typing import Any
+from typing import Any, TypeVar
 
 from matplotlib.figure import Figure
 from tabulate import tabulate
@@ -17,6 +18,7 @@ from suspnet.ground.storage import write_atomically, write_json
 from suspnet.learning.metrics import METRICS
 from suspnet.report.tensorboard import RunLog
 
+log = logging.getLogger(__name__)
 REFINED = "+refine"
 """Suffix of a method's name if its estimates were refined on the curve."""
 MODEL_TITLES = {
@@ -28,13 +30,7 @@ MODEL_TITLES = {
     "curve_fit": "curve fit",
 }
 MODEL_TITLES |= {f"{name}{REFINED}": f"{title} refined" for name, title in MODEL_TITLES.items()}
-GROUP_OF_OUTPUT = {
-    "k_p": "primary",
-    "c_p": "primary",
-    "k_s": "secondary",
-    "c_s": "secondary",
-    "M_s": "mass",
-}
+GROUP_OF_OUTPUT = dict(k_p="primary", c_p="primary", k_s="secondary", c_s="secondary", M_s="mass")
 PUBLISHED = {
     ("k_p", "mape_percent"): {"msvr": 5.89, "svr": 7.34, "mvgpr": 14.76, "linear": 19.69},
     ("k_p", "rmse"): {"msvr": 0.0579, "svr": 0.0721, "mvgpr": 0.1438, "linear": 0.1953},
@@ -48,6 +44,7 @@ PUBLISHED = {
 """The figures of the paper's Table VI, for comparison only."""
 
 Record = dict[str, Any]
+Row = TypeVar("Row", bound=Mapping[str, Any])
 
 
 def table6_records(runs: Sequence[Mapping[str, Any]]) -> list[Record]:
@@ -62,25 +59,13 @@ def table6_records(runs: Sequence[Mapping[str, Any]]) -> list[Record]:
             "published": PUBLISHED.get((output, metric), {}).get(run["model"]),
             "measured": scores[metric],
             "bound": run["bound"][output][metric],
-            "n_train": run["n_train"],
-            "snr_db": run["snr_db"],
-            "seed": run["seed"],
-            "seconds": run["seconds"],
+            **{key: run[key] for key in ("n_train", "snr_db", "seed", "seconds")},
         }
         for run in runs
         for output, scores in run["scores"].items()
         for metric in METRICS
     ]
-    outputs, models = list(GROUP_OF_OUTPUT), list(MODEL_TITLES)
-    return sorted(
-        records,
-        key=lambda r: (
-            r["protocol"],
-            outputs.index(r["output"]),
-            METRICS.index(r["metric"]),
-            models.index(r["model"]),
-        ),
-    )
+    return in_order(records, "protocol", "output", "metric", "model")
 
 
 def table6_markdown(records: Sequence[Record]) -> str:
@@ -88,19 +73,19 @@ def table6_markdown(records: Sequence[Record]) -> str:
 
     Records that differ in their seed only are averaged.
     """
-    models = [name for name in MODEL_TITLES if any(r["model"] == name for r in records)]
+    models = models_of(records)
     header = ["group", "output", "metric"]
     header += [f"{MODEL_TITLES[m]} {what}" for m in models for what in ("paper", "ours")]
     rows = []
-    for key in dict.fromkeys((r["group"], r["output"], r["metric"]) for r in records):
-        same = [r for r in records if (r["group"], r["output"], r["metric"]) == key]
-        row: list[str] = [*key[:2], "MAPE %" if key[2] == "mape_percent" else "RMSE"]
+    for (group, output, metric), same in grouped(records, "group", "output", "metric").items():
+        row: list[str] = [group, output, "MAPE %" if metric == "mape_percent" else "RMSE"]
+        by_model = grouped(same, "model")
         for model in models:
-            chosen = [r for r in same if r["model"] == model]
+            chosen = by_model.get((model,), [])
             published = chosen[0].get("published") if chosen else None
-            row += [in_digits(published), in_digits(mean_known(r["measured"] for r in chosen))]
-        rows.append([*row, in_digits(mean_known(r["bound"] for r in same))])
-    return tabulate(rows, [*header, "bound"], tablefmt="github", disable_numparse=True)
+            row += [in_digits(published), mean_in_digits(chosen, "measured")]
+        rows.append([*row, mean_in_digits(same, "bound")])
+    return markdown(rows, [*header, "bound"])
 
 
 def table6_caption(records: Sequence[Mapping[str, Any]]) -> str:
@@ -108,8 +93,8 @@ def table6_caption(records: Sequence[Mapping[str, Any]]) -> str:
     first = records[0]
     seeds = ", ".join(str(seed) for seed in sorted({r["seed"] for r in records}))
     seconds: dict[str, float] = {}
-    for run in {(r["model"], r["seconds"]) for r in records}:
-        seconds[run[0]] = seconds.get(run[0], 0.0) + run[1]
+    for model, of_run in {(r["model"], r["seconds"]) for r in records}:
+        seconds[model] = seconds.get(model, 0.0) + of_run
     times = ", ".join(f"{MODEL_TITLES[m]} {seconds[m]:.1f} s" for m in MODEL_TITLES if m in seconds)
     return (
         f"protocol {first['protocol']}, {first['n_train']} training curves, "
@@ -118,44 +103,70 @@ def table6_caption(records: Sequence[Mapping[str, Any]]) -> str:
 
 
 def sensitivity_records(runs: Sequence[Mapping[str, Any]]) -> list[Record]:
-    """Return one record for each output of each run: MAPE, and its bound, against the noise.
-
-    The sensor precision is the noise's rms relative to the signal's, 100 * 10^(-SNR/20) percent.
-    """
+    """Return one record for each output of each run: MAPE, and its bound, against the noise."""
     records = [
         {
             "protocol": run["protocol"],
             "model": run["model"],
             "output": output,
             "snr_db": run["snr_db"],
-            "precision_percent": 100 * 10 ** (-run["snr_db"] / 20),
+            "precision_percent": precision_percent(run["snr_db"]),
             "mape_percent": scores["mape_percent"],
             "bound": run["bound"][output]["mape_percent"],
-            "n_train": run["n_train"],
-            "seed": run["seed"],
+            **{key: run[key] for key in ("n_train", "seed")},
         }
         for run in runs
         for output, scores in run["scores"].items()
     ]
-    outputs = list(GROUP_OF_OUTPUT)
-    return sorted(records, key=lambda r: (r["model"], outputs.index(r["output"]), r["snr_db"]))
+    return in_order(records, "model", "output", "snr_db")
+
+
+def precision_percent(snr_db: float) -> float:
+    """Return the precision of a sensor, the noise's rms relative to the signal's, [%]."""
+    return 100 * float(10 ** (-snr_db / 20))
 
 
 def sensitivity_markdown(records: Sequence[Record]) -> str:
     """Return MAPE [%] and its bound for each model, noise and output, as Markdown."""
     outputs = list(dict.fromkeys(r["output"] for r in records))
     rows = []
-    for model, snr_db in dict.fromkeys((r["model"], r["snr_db"]) for r in records):
-        same = [r for r in records if (r["model"], r["snr_db"]) == (model, snr_db)]
+    for (model, snr_db), same in grouped(records, "model", "snr_db").items():
         row = [MODEL_TITLES[model], f"{snr_db:g}", f"{same[0]['precision_percent']:.2g}"]
+        by_output = grouped(same, "output")
         for output in outputs:
-            chosen = [r for r in same if r["output"] == output]
-            row += [
-                in_digits(mean_known(r[key] for r in chosen)) for key in ("mape_percent", "bound")
-            ]
+            chosen = by_output.get((output,), [])
+            row += [mean_in_digits(chosen, key) for key in ("mape_percent", "bound")]
         rows.append(row)
     header = ["model", "SNR dB", "precision %"]
     header += [title for output in outputs for title in (f"{output} MAPE %", "bound")]
+    return markdown(rows, header)
+
+
+def grouped(records: Iterable[Row], *keys: str) -> dict[tuple[Any, ...], list[Row]]:
+    """Return records by their values of some keys, in the order in which these come."""
+    groups: dict[tuple[Any, ...], list[Row]] = {}
+    for record in records:
+        groups.setdefault(tuple(record[key] for key in keys), []).append(record)
+    return groups
+
+
+def in_order(records: Sequence[Record], *keys: str) -> list[Record]:
+    """Return records sorted by some keys: outputs, metrics and models as in Table VI."""
+    orders = {"output": list(GROUP_OF_OUTPUT), "metric": METRICS, "model": list(MODEL_TITLES)}
+
+    def place(record: Record) -> list[Any]:
+        return [orders[key].index(record[key]) if key in orders else record[key] for key in keys]
+
+    return sorted(records, key=place)
+
+
+def models_of(records: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Return the methods of records, in the order of ``MODEL_TITLES``."""
+    return [name for name in MODEL_TITLES if any(r["model"] == name for r in records)]
+
+
+def markdown(rows: Sequence[Sequence[Any]], header: Sequence[str]) -> str:
+    """Return rows of text as a Markdown table."""
     return tabulate(rows, header, tablefmt="github", disable_numparse=True)
 
 
@@ -183,13 +194,20 @@ def scores_table(metrics: Mapping[str, Any]) -> str:
     if "intervals" in metrics:
         level = 100 * metrics["intervals"]["level"]
         header += [f"{level:g} % interval +- %", "covers %"]
-    return tabulate(rows, header, tablefmt="github", disable_numparse=True)
+    return markdown(rows, header)
 
 
-def mean_known(values: Iterable[float | None]) -> float | None:
-    """Return the mean of the values that are not None; None if there are none."""
-    known = [value for value in values if value is not None]
-    return fmean(known) if known else None
+def mean_in_digits(records: Iterable[Record], key: str) -> str:
+    """Return the mean of the values of a key that are not None, as ``in_digits`` does."""
+    values = [record[key] for record in records if record[key] is not None]
+    return in_digits(fmean(values) if values else None)
+
+
+def with_deviation(mean: float | None, deviation: float | None) -> str:
+    """Return a mean and its standard deviation as text; a dash for no mean."""
+    if mean is None:
+        return "-"
+    return f"{mean:.3g}" if deviation is None else f"{mean:.3g} ± {deviation:.2g}"
 
 
 def in_digits(value: float | None) -> str:
@@ -204,16 +222,21 @@ def in_digits(value: float | None) -> str:
 def write_study(
     folder: Path,
     name: str,
+    title: str,
     text: str,
     content: Any,
     records: Sequence[Mapping[str, Any]],
-    figures: Mapping[str, Figure],
+    figures: Mapping[str, Figure] | None = None,
 ) -> None:
-    """Write content as JSON, records as CSV, text as Markdown, and figures; show these two."""
+    """Write content as JSON, records as CSV, text as Markdown, and figures; show text and figures.
+
+    `title` is the first line of what is logged.
+    """
     write_json(folder / f"{name}.json", content)
     write_atomically(folder / f"{name}.csv", records_csv(records))
     write_atomically(folder / f"{name}.md", text)
     with RunLog(folder) as run_log:
         run_log.text(name, text)
-        for key, figure in figures.items():
+        for key, figure in (figures or {}).items():
             run_log.figure(key, figure, folder)
+    log.info("%s\n\n%s\n-> %s/%s.*", title, text.rstrip("\n"), folder, name)

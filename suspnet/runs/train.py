@@ -14,7 +14,6 @@ import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
-from functools import partial
 from importlib.metadata import version
 from itertools import pairwise
 from pathlib import Path
@@ -25,7 +24,7 @@ from tabulate import tabulate
 
 from suspnet.estimation.checkpoint import check_restores, check_saveable, write_model
 from suspnet.estimation.commissioned_bogie import CommissionedBogie
-from suspnet.estimation.flags import Residual, Unexplained
+from suspnet.estimation.flags import Residual
 from suspnet.estimation.problem import TEST, Problem
 from suspnet.estimation.trained import TrainedModel
 from suspnet.ground import ledger
@@ -33,7 +32,6 @@ from suspnet.ground.parameters import REVERSE
 from suspnet.ground.progress import stage
 from suspnet.ground.settings import check_number
 from suspnet.ground.storage import write_json
-from suspnet.ground.workers import Start, here
 from suspnet.learning import ranks
 from suspnet.learning.search import GridSearch, SearchResult
 from suspnet.report.tensorboard import RunLog
@@ -41,7 +39,6 @@ from suspnet.runs.fit import check_hyperparameters, fit, method_name, tune
 from suspnet.runs.predict import (
     Outcome,
     calibrated,
-    cost_without_model,
     predict_stream,
     with_unexplained,
 )
@@ -69,7 +66,6 @@ class RunContext:
     columns. `draw_vehicle`: once is enough in a multirun. `notes` are further entries of the
     model's `training`, such as the healthy trips as "commissioned"; `residual` is the unexplained
     part of a commissioned vehicle's healthy trips, `bogie` its bogie if each part is to be read.
-    `start` may start work in a second process, see `suspnet.ground.workers.alongside`.
     """
 
     config: Mapping[str, Any] = field(default_factory=dict)
@@ -78,7 +74,6 @@ class RunContext:
     notes: Mapping[str, Any] = field(default_factory=dict)
     residual: Residual | None = None
     bogie: CommissionedBogie | None = None
-    start: Start = here
 
 
 def train(
@@ -94,8 +89,7 @@ def train(
     """Train one method on one problem, test it, and fill a run folder.
 
     Writes metrics.json, model.json, model.safetensors, environment.json, figures and TensorBoard
-    events. What cannot be saved is refused before the folder exists, the arrays of a registered
-    method right after its fit.
+    events.
 
     Parameters
     ----------
@@ -109,10 +103,6 @@ def train(
         Tunes the method first.
     refine : bool
         Refine the estimates by Gauss-Newton steps on the curves.
-    figures : bool
-        Whether to draw figures of the run.
-    context : RunContext, optional
-        Additions of a program that starts the run.
 
     Returns
     -------
@@ -121,11 +111,9 @@ def train(
 
     Raises
     ------
-    TypeError
-        If the method or one of its settings cannot be saved to `folder`.
-    ValueError
-        If a search is asked for without a folder, if the method's predictions are not finite or of
-        another shape, or if a registered method does not predict the same once it is restored.
+    TypeError, ValueError
+        If the method cannot be saved to `folder`, a search has no folder, or the method does not
+        predict finite numbers of the right shape, and the same ones once it is restored.
     FileExistsError
         If the folder holds files that are not suspnet's.
     """
@@ -148,56 +136,45 @@ def train(
         ledger.begin(folder)
     with RunLog(folder, is_new=True) as run_log:
         run_log.config(context.config)
-        found, searched = None, {}
+        search_result, search_notes = None, {}
         single = None if search is None else search.single(method_name(estimator))
         if single is not None:  # nothing to compare
             estimator.set_params(**single)
         elif search is not None:
             start = time.perf_counter()
-            found = tune(problem, estimator, search, run_log)
-            searched = {"search_seconds": time.perf_counter() - start}
-            estimator.set_params(**found.best)
-        cost = None
-        if context.residual is not None:  # it needs no model
-            cost = context.start(partial(cost_without_model, problem, context.residual))
+            search_result = tune(problem, estimator, search, run_log)
+            search_notes = {"search_seconds": time.perf_counter() - start}
+            estimator.set_params(**search_result.best)
         model = replace(fit(problem, estimator, run_log), refined=refine)
         check_restores(model)  # before the calibration, which may take longer than the fit
-        model.training.update(searched)
-        model = _trusted(problem, model, context, cost)
+        model.training.update(search_notes)
+        model = _trusted(problem, model, context)
         stage("test")
         model = replace(model, training=model.training | dict(context.notes), bogie=context.bogie)
         outcome = predict_stream(problem, model, TEST)
-        metrics = _metrics(problem, model, outcome, found, context)
+        metrics = _metrics(problem, model, outcome, search_result, context)
         # the accuracy goes into the model's file for those who have no run folder
         accuracy = {"test_rms_percent": metrics["rms_percent"]}
         stage("figures and tables of the run")
         write_model(folder, replace(model, training=model.training | accuracy))
         log_hyperparameters(run_log, metrics, model.training["parameters"], context.varied)
         if figures:
-            figures_of = folder / "figures"
-            draw_run(problem, model, outcome, run_log, figures_of, found, context.draw_vehicle)
+            parts = folder / "figures", context.draw_vehicle
+            draw_run(problem, model, outcome, run_log, *parts)
     write_json(folder / "environment.json", environment())
     write_json(folder / "metrics.json", metrics)  # last: it marks the run as finished
     report(metrics, folder)
     return metrics
 
 
-def _trusted(
-    problem: Problem,
-    model: TrainedModel,
-    context: RunContext,
-    cost: Callable[[], Unexplained | None] | None,
-) -> TrainedModel:
-    """Return a model with intervals, flags and the cost of the unexplained residual.
-
-    `cost` returns this cost where it needs no model.
-    """
+def _trusted(problem: Problem, model: TrainedModel, context: RunContext) -> TrainedModel:
+    """Return a model with intervals, flags and the cost of the unexplained residual."""
     if problem.settings.n_calibrate is not None:
         stage("calibration of intervals and flags")
     model = calibrated(problem, model)
-    if context.residual is None or cost is None:
+    if context.residual is None:
         return model
-    model = with_unexplained(problem, model, context.residual, cost())
+    model = with_unexplained(problem, model, context.residual)
     assert model.unexplained is not None
     if model.unexplained.is_incomplete and context.bogie is None:  # trips are read by their parts
         costs = ", ".join(f"{name} {value:.2g} %" for name, value in _cost_percent(model).items())
@@ -214,7 +191,7 @@ def _metrics(
     problem: Problem,
     model: TrainedModel,
     outcome: Outcome,
-    found: SearchResult | None,
+    search: SearchResult | None,
     context: RunContext,
 ) -> Metrics:
     """Return the content of metrics.json."""
@@ -224,8 +201,8 @@ def _metrics(
         "seconds": model.training["seconds"] + outcome.seconds,
         "training": model.training,
     }
-    if found is not None:
-        metrics["search"] = asdict(found) | {"best": found.best}
+    if search is not None:
+        metrics["search"] = asdict(search) | {"best": search.best}
     for key, name in (("reading", "reading_name"), ("search_name", "search_name")):
         if context.config.get(name):
             metrics[key] = context.config[name]
@@ -291,23 +268,23 @@ def train_ranges(
     `train_one` returns the content of metrics.json, or {} in a process that does not write or test.
     """
     rows: list[dict[str, Any]] = []
-    for one in ranges:
-        metrics = train_one(one, folder / one.name)
+    for speeds in ranges:
+        metrics = train_one(speeds, folder / speeds.name)
         if metrics:
-            rows.append(_row(one, metrics))
+            rows.append(_row(speeds, metrics))
     if rows:
         write_json(folder / "speeds.json", rows)
         log.info("rms error in %% by speed\n\n%s\n-> %s", _table(rows), folder)
 
 
-def _row(one: SpeedRange, metrics: Mapping[str, Any]) -> dict[str, Any]:
+def _row(speeds: SpeedRange, metrics: Mapping[str, Any]) -> dict[str, Any]:
     keys = ("scores", "rms_percent", "intervals", "seconds")
     return {
-        "folder": one.name,
-        "low_m_per_s": one.low_m_per_s,
-        "high_m_per_s": one.high_m_per_s,
-        "trained_m_per_s": one.trained_m_per_s,
-        "direction": one.direction,
+        "folder": speeds.name,
+        "low_m_per_s": speeds.low_m_per_s,
+        "high_m_per_s": speeds.high_m_per_s,
+        "trained_m_per_s": speeds.trained_m_per_s,
+        "direction": speeds.direction,
     } | {key: metrics[key] for key in keys if key in metrics}
 
 

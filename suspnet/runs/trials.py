@@ -32,7 +32,7 @@ def write_trials(runs: Sequence[Mapping[str, Any]], folder: Path) -> None:
         if titles.count(title) > 1:
             title = f"{title} {k}"
         search = run["search"]
-        least = min(search["rmse"])
+        least = least_rmse(search)
         for setting, rmse, folds in zip(
             search["settings"], search["rmse"], search["fold_rmse"], strict=True
         ):
@@ -51,6 +51,11 @@ def write_trials(runs: Sequence[Mapping[str, Any]], folder: Path) -> None:
                 )
                 for fold, value in enumerate(folds, start=1):
                     run_log.scalars("cv", {"rmse_of_fold": value}, fold)
+
+
+def least_rmse(search: Mapping[str, Any]) -> float:
+    """Return the least RMSE of a search; None, in a file, stands for a trial that failed."""
+    return float(min(rmse for rmse in search["rmse"] if rmse is not None))
 
 
 def trial_name(setting: Mapping[str, Any]) -> str:

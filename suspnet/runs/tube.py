@@ -1,13 +1,12 @@
 """The study of the tube: where epsilon, and one tube for all outputs, lower the error of MSVR.
 
 At epsilon = 0 MSVR is kernel ridge regression. A tube can help where the labels, the stiffness and
-damping that training curves are said to have, are wrong by bounded amounts. The study gives them
+damping of the training curves, are wrong by bounded amounts. The study gives them
 errors of several kinds, tunes on these labels as a user would, and scores against the truth.
 """
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -17,7 +16,6 @@ from typing import Annotated, Any
 import numpy as np
 from matplotlib.figure import Figure
 from sklearn.multioutput import MultiOutputRegressor
-from tabulate import tabulate
 
 from suspnet.dynamics import ResponseGenerator
 from suspnet.estimation.problem import TEST, TRAIN, Problem
@@ -29,10 +27,10 @@ from suspnet.ground.types import FloatArray
 from suspnet.ground.workers import LostWorkerError, each
 from suspnet.learning import MSVR, Scaling
 from suspnet.learning.search import GridSearch
-from suspnet.runs.tables import Record, write_study
+from suspnet.runs.plots import grid
+from suspnet.runs.tables import Record, grouped, markdown, write_study
 from suspnet.spectra.observation import Observation
 
-log = logging.getLogger(__name__)
 LABELS = {
     "exact": "none",
     "uniform": "uniform within ±{:g} %",
@@ -145,14 +143,14 @@ def write_tube(
     task = protocol.task(next(iter(protocol.groups)))
     task = replace(task, outputs=PARAMETERS[: max(study.n_outputs)])
     cells = []
-    for one in range(seed, seed + study.n_seeds):
-        problem = Problem(generator, task, settings, one, progress=progress)
+    for own_seed in range(seed, seed + study.n_seeds):
+        problem = Problem(generator, task, settings, own_seed, progress=progress)
         train, test = (problem.features(stream).complete() for stream in (TRAIN, TEST))
         curves = train.inputs, train.outputs, test.inputs, test.outputs
-        cells += _cells(study, protocol.name, one, curves)
+        cells += _cells(study, protocol.name, own_seed, curves)
         if study.sines:
-            sines = _sines(one, len(train.inputs), len(test.inputs))
-            cells += _cells(study, SINES, one, sines)
+            sines = _sines(own_seed, len(train.inputs), len(test.inputs))
+            cells += _cells(study, SINES, own_seed, sines)
     records = []
     with progress_bar("tube", len(cells), unit="cell", shown=progress) as bar:
         for _, compared in each(_compared, cells, workers):
@@ -164,8 +162,8 @@ def write_tube(
     labels = list(study.labels)
     records.sort(key=lambda r: (r["problem"] == SINES, r["n_outputs"], labels.index(r["labels"])))
     text = f"{CAPTION}\n\n{tube_markdown(records)}\n"
-    write_study(folder, "tube", text, records, records, {"tube": tube_figure(records)})
-    log.info("Where the tube pays\n\n%s\n-> %s/tube.*", text, folder)
+    figures = {"tube": tube_figure(records)}
+    write_study(folder, "tube", "Where the tube pays", text, records, records, figures)
     return records
 
 
@@ -229,8 +227,10 @@ def _compared(cell: _Cell) -> list[Record]:
         if n_tune not in tuned:
             tuned[n_tune] = _tuned(A[:n_tune], B[:n_tune], cell.at[0])
         ridge, *trials = tuned[n_tune]
+        # a radius of 0 is among the choices of both, joint and separate tubes
         separate = min((t for t in (ridge, *trials) if t.method != "joint"), key=_rmse)
         joint = [t for t in (ridge, *trials) if t.method != "separate"]
+        # each is fitted again on all curves, and scored against the truth
         for trial in (*joint, separate):
             model = _estimator(trial.method, n_train).set_params(**trial.values).fit(A, B)
             wrong = outputs.undo(model.predict(inputs.apply(X_test))) - Y_test
@@ -280,7 +280,9 @@ def _trials(
         _Trial(method, values[f"{prefix}epsilon"], values, rmse)
         for values, rmse in zip(result.settings, result.rmse, strict=True)
     ]
-    return [min((t for t in every if t.epsilon == one), key=_rmse) for one in grid["epsilon"]]
+    return [
+        min((t for t in every if t.epsilon == epsilon), key=_rmse) for epsilon in grid["epsilon"]
+    ]
 
 
 def _rmse(trial: _Trial) -> float:
@@ -304,14 +306,6 @@ def label_title(label: str) -> str:
     return LABELS[kind].format(float(percent or 0) * (2 if kind == "steps" else 1))
 
 
-def _groups(records: Sequence[Record], *keys: str) -> dict[tuple[Any, ...], list[Record]]:
-    """Return the records by their values of some keys, in order."""
-    groups: dict[tuple[Any, ...], list[Record]] = {}
-    for record in records:
-        groups.setdefault(tuple(record[key] for key in keys), []).append(record)
-    return groups
-
-
 def _ratio(records: Sequence[Record], over: str, method: str = "joint") -> tuple[float, float]:
     """Return mean and deviation over seeds of a method's error over another one's."""
     ratios = [r[f"{method}_percent"] / r[f"{over}_percent"] for r in records]
@@ -322,14 +316,13 @@ def tube_markdown(records: Sequence[Record]) -> str:
     """Return a row for each problem and kind of labels, a column for each number of curves."""
     sizes = sorted({r["n_train"] for r in records})
     rows = []
-    for (problem, n_outputs, label), same in _groups(
-        records, "problem", "n_outputs", "labels"
-    ).items():
-        by_size = _groups(same, "n_train")
+    groups = grouped(records, "problem", "n_outputs", "labels")
+    for (problem, n_outputs, label), same in groups.items():
+        by_size = grouped(same, "n_train")
         cells = [_cell_text(by_size[size,]) if (size,) in by_size else "-" for size in sizes]
         rows.append([problem, str(n_outputs), label_title(label), *cells])
     header = ["inputs", "outputs", "errors of labels", *(f"n = {size}" for size in sizes)]
-    return tabulate(rows, header, tablefmt="github", disable_numparse=True)
+    return markdown(rows, header)
 
 
 def _cell_text(records: Sequence[Record]) -> str:
@@ -340,14 +333,13 @@ def _cell_text(records: Sequence[Record]) -> str:
 
 def tube_figure(records: Sequence[Record]) -> Figure:
     """Draw the error of the joint tube over ridge regression's against the number of curves."""
-    panels = _groups(records, "problem", "n_outputs")
-    figure = Figure(figsize=(5.2 * len(panels), 5.6), layout="constrained")
-    axes = figure.subplots(1, len(panels), squeeze=False, sharey=True)[0]
+    panels = grouped(records, "problem", "n_outputs")
+    figure, (axes,) = grid(1, len(panels), size=(5.2, 5.6), sharey=True)
     for axis, ((problem, n_outputs), panel) in zip(axes, panels.items(), strict=True):
         axis.axhline(1, color="black", lw=1)
         sizes = sorted({r["n_train"] for r in panel})
-        for (label,), same in _groups(panel, "labels").items():
-            by_size = _groups(same, "n_train")
+        for (label,), same in grouped(panel, "labels").items():
+            by_size = grouped(same, "n_train")
             mean, deviation = np.array([_ratio(some, "ridge") for some in by_size.values()]).T
             axis.errorbar(sizes, mean, deviation, fmt="o-", capsize=3, label=label_title(label))
         axis.set_title(f"{problem}, {n_outputs} outputs", fontsize=12)
@@ -356,7 +348,6 @@ def tube_figure(records: Sequence[Record]) -> Figure:
         axis.set_xticks(sizes, [f"{size:g}" for size in sizes])
         axis.minorticks_off()
         axis.tick_params(labelsize=12)
-        axis.grid(visible=True, alpha=0.3)
     axes[0].set_ylabel("error over ridge regression's", fontsize=12)
     handles, names = axes[0].get_legend_handles_labels()
     figure.legend(handles, names, loc="outside lower center", ncols=2 * len(panels), fontsize=12)

@@ -1,1 +1,1 @@
-"""Web pages that show a fleet while trips come in: ``python -m suspnet.serve``."""
+"""Web pages that show a fleet while trips come in: ``suspnet serve``."""

@@ -5,7 +5,6 @@ import json
 import random
 import re
 import shlex
-import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -32,7 +31,7 @@ from suspnet.ground.records import Place
 from suspnet.recordings.formats import READERS
 from suspnet.recordings.manifest_files import find_trips, read_manifest
 from suspnet.recordings.reader_process import in_own_process
-from suspnet.recordings.recording import WINDOWS, load_recording
+from suspnet.recordings.recording import load_recording
 from suspnet.report.language import speaking
 from suspnet.spectra.welch import Welch
 from suspnet.trips.check import CheckSettings, check_trip
@@ -45,15 +44,11 @@ from suspnet.trips.check_page import (
     SteadyPart,
     TripCheck,
     summary,
-    trip_figure,
     write_checks,
 )
-from suspnet.trips.grouping import find_groups
 
 N_GOOD = 2
 """Number of trips that are checked; the first is drawn, which takes a second, others are blank."""
-BROKEN = 10_000
-"""Number of broken manifests of the slow test."""
 
 
 def errors(done):
@@ -158,23 +153,14 @@ def test_each_steady_speed_is_a_part(manifests, tmp_path):
     assert "at 64.0 to 76.0 m/s: train with speed_m_per_s=[62,78]" in done.stdout
 
 
-@pytest.mark.representatives(1)
-@pytest.mark.parametrize("speed", [5.0, 9.0])
-def test_slow_trip_holds_too_little_but_is_no_mistake(manifests, tmp_path, speed):
-    path = changed(manifests[0], tmp_path, speed=speed)
+def test_slow_trip_holds_too_little_but_is_no_mistake(manifests, tmp_path):
+    path = changed(manifests[0], tmp_path, speed=9.0)
     done = typed(check, path, "--no-pictures", "-o", tmp_path / "o", cwd=tmp_path)
     assert done.returncode == 0
     (trip,) = found_in(tmp_path / "o")["trips"]
     assert trip["state"] == TOO_LITTLE
     words = "too little at a steady speed: 0.0 minutes, at least 2.0 are needed, 2.0 more"
     assert words in done.stdout
-
-
-def test_speed_of_no_train_is_told_as_km_per_h(manifests, tmp_path):
-    path = changed(manifests[0], tmp_path, speed=252)
-    done = typed(check, path, "-o", tmp_path / "o", cwd=tmp_path)
-    assert done.returncode == 1
-    assert "`speed` is 252 m/s, faster than any train; is it in km/h? Then write: " in done.stdout
 
 
 def test_side_of_single_sensors_is_asked_for(manifests, tmp_path):
@@ -203,18 +189,10 @@ def test_pairs_are_named_and_mixed_sensors_told(manifests, tmp_path):
     assert not list((tmp_path / "o").glob("*.png"))
 
 
-def test_figure_has_a_bounded_number_of_points(manifests, settings):
-    recording = load_recording(read_manifest(manifests[0]))
-    figure = trip_figure(recording, np.empty(0), None, (0.6, 21.0))
-    lines = [line for axis in figure.get_axes() for line in axis.lines]
-    assert len(lines) == 4
-    assert all(len(line.get_xdata()) <= WINDOWS for line in lines)
-
-
 # what is wrong
 
 
-@pytest.mark.usefixtures("blank", "read_apart")
+@pytest.mark.usefixtures("blank")
 def test_problems_of_all_trips_and_arguments_are_told_at_once(manifests, tmp_path):
     good = manifests[0]
     (tmp_path / "trips").mkdir()
@@ -388,29 +366,6 @@ def test_next_training_reads_later_trips_at_other_speeds_and_names_parts_despite
 
 
 @pytest.mark.parametrize(
-    ("folders", "names"),
-    [
-        (("", ""), "4711_leading_bogie:3,4711_trailing_bogie:3"),
-        (("car 7", "car 8"), "car_7:3,car_8:3"),
-        (("car 7", "car 7"), "car_7_4711_leading_bogie:3,car_7_4711_trailing_bogie:3"),
-    ],
-)
-def test_next_training_names_the_suspensions_whose_healthy_trips_may_differ(
-    tmp_path, folders, names
-):
-    trips = []
-    for folder, bogie in zip(folders, ("leading", "trailing"), strict=True):
-        path = tmp_path / folder / f"{bogie}.yaml"
-        path.parent.mkdir(exist_ok=True)
-        path.write_text(yaml.safe_dump({"suspension": "4711", "bogie": bogie}))
-        trips += [replace(READY_TRIP, manifest=path, place=Place("4711", bogie))] * 3
-    arguments = options.check_parser().parse_args([str(tmp_path)])
-    *_, last = steps_after(arguments, trips)
-    assert last == f"  a number of each: 'n_healthy={{{names}}}'"
-    assert names == ",".join(f"{group.name}:3" for group in find_groups(tmp_path))
-
-
-@pytest.mark.parametrize(
     ("code", "n", "changes"),
     [(0, 2, {}), (0, 6, {"state": TOO_LITTLE}), (0, 6, {"unchecked": True})],
 )
@@ -433,12 +388,19 @@ def test_folder_of_vehicles_is_checked_and_runs_nothing(manifests, tmp_path):
     assert not (tmp_path / "outputs").exists()
 
 
-def test_output_that_cannot_be_written_is_one_line(manifests, tmp_path):
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["-o", "file"], "file"),
+        (["--workers", "0"], "`--workers` must be a whole number >= 1, got 0"),
+    ],
+)
+def test_mistakes_are_one_line(manifests, tmp_path, options, words):
     (tmp_path / "file").touch()
-    done = typed(check, manifests[0], "-o", tmp_path / "file", cwd=tmp_path)
+    done = typed(check, manifests[0], *options, cwd=tmp_path)
     assert done.returncode == 1
     assert done.stderr.count("\n") == 1
-    assert "Traceback" not in done.stderr
+    assert words in done.stderr
 
 
 def test_subfolders_are_searched_and_pictures_have_names_of_their_own(manifests, tmp_path):
@@ -452,21 +414,6 @@ def test_subfolders_are_searched_and_pictures_have_names_of_their_own(manifests,
     (tmp_path / "yml").mkdir()
     (tmp_path / "yml/trip.yml").touch()
     assert "rename trip.yml" in find_trips([tmp_path / "yml"])[1][0]
-
-
-def test_manifest_of_an_odd_name_is_told(tmp_path):
-    (tmp_path / "trips").mkdir()
-    with open(bytes(tmp_path / "trips") + b"/\xff.yaml", "wb") as file:
-        file.write(b"format: x\n")
-    done = typed(check, tmp_path / "trips", "-o", "o", cwd=tmp_path)
-    assert done.returncode == 1
-    assert done.stdout.encode("utf-8").count(b"`vehicle` is missing") == 1
-
-
-def test_program_explains_itself():
-    done = typed(check, "--help", cwd=".")
-    assert done.returncode == 0
-    assert "exit code: 0 if every trip could be read" in done.stdout
 
 
 def test_commands_of_the_docs_are_understood():
@@ -484,22 +431,10 @@ def test_commands_of_the_docs_are_understood():
 def test_two_workers_find_what_one_finds(manifests, fleet, tmp_path):
     output, words = fleet
     options = ["--workers", "2", "-o", tmp_path / "o"]
-    done = python("-m", "suspnet.check", *manifests[:N_GOOD], *options, cwd=tmp_path)
+    done = python("-m", "suspnet", "check", *manifests[:N_GOOD], *options, cwd=tmp_path)
     assert (done.returncode, errors(done)) == (0, "")
     assert done.stdout.partition("->")[0] == words.partition("->")[0]
     assert found_in(tmp_path / "o") == found_in(output)
-
-
-def test_number_of_workers_is_checked(manifests, tmp_path):
-    done = typed(check, manifests[0], "--workers", "0", cwd=tmp_path)
-    assert done.returncode == 1
-    assert "`--workers` must be a whole number >= 1, got 0" in done.stderr
-
-
-@pytest.mark.slow
-def test_module_runs_as_a_program(manifests, tmp_path):
-    done = python("-m", "suspnet.check", manifests[0], "-o", tmp_path / "o", cwd=tmp_path)
-    assert (done.returncode, errors(done)) == (0, "")
 
 
 # many broken manifests
@@ -536,33 +471,17 @@ def write_broken(folder, manifest, n):
         (folder / f"t{number:05d}.yaml").write_text(text)
 
 
-def assert_told(output, n):
-    trips = found_in(output)["trips"]
-    assert len(trips) == n
-    for trip in trips:
-        assert (trip["state"] == PROBLEM) == bool(trip["problems"])
-        assert not any("Error: " in problem for problem in trip["problems"]), trip
-
-
 def test_broken_manifests_are_told(manifests, tmp_path):
-    write_broken(tmp_path, manifests[0], 60)
+    write_broken(tmp_path, manifests[0], 40)
     done = typed(check, tmp_path, "--no-pictures", "-o", tmp_path / "o", cwd=tmp_path)
     assert done.returncode == 1
     assert errors(done) == ""
-    assert done.stderr.startswith("trips: 0 of 60\n")
-    assert_told(tmp_path / "o", 60)
-
-
-@pytest.mark.slow
-def test_ten_thousand_broken_manifests_take_less_than_20_s(manifests, tmp_path):
-    write_broken(tmp_path, manifests[0], BROKEN)
-    for path in tmp_path.glob("*.yaml"):  # those that are right take as long as their recordings
-        path.write_text(path.read_text() + "\nbroken: true\n")
-    start = time.process_time()  # other programs do not slow it down
-    done = typed(check, tmp_path, "-o", tmp_path / "o", cwd=tmp_path)
-    assert time.process_time() - start < 20
-    assert done.returncode == 1
-    assert_told(tmp_path / "o", BROKEN)
+    assert done.stderr.startswith("trips: 0 of 40\n")
+    trips = found_in(tmp_path / "o")["trips"]
+    assert len(trips) == 40
+    for trip in trips:
+        assert (trip["state"] == PROBLEM) == bool(trip["problems"])
+        assert not any("Error: " in problem for problem in trip["problems"]), trip
 
 
 def test_how_files_are_read_is_said_once_for_all(tmp_path):
@@ -606,6 +525,7 @@ def test_suspensions_without_a_train_are_said_to_be_of_several(tmp_path):
         assert "train of its own" not in summary(found)
 
 
+@pytest.mark.slow
 def test_bogie_and_axle_of_the_manifest_are_checked_if_the_direction_is_stated(settings, tmp_path):
     run, track = Run(minutes=12.0), Track()
     signals = record(Train.scattered(0), track, run, 0)

@@ -6,7 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from cli_runner import QUIET, SMALL, run_composed, run_program
+from cli_runner import QUIET, run_composed, run_program
 from commissioned_example import commissioned_example
 from omegaconf import OmegaConf
 from trip_fixtures import changed, small_fleet
@@ -16,7 +16,7 @@ from suspnet.estimation import healthy_trips
 from suspnet.estimation.checkpoint import load_model
 from suspnet.ground import ledger
 from suspnet.ground.records import Place
-from suspnet.ground.storage import read_json, write_json
+from suspnet.ground.storage import write_json
 from suspnet.runs import commissioning as run
 from suspnet.runs.commissioning_page import as_json
 from suspnet.runs.evaluate import find_runs
@@ -140,18 +140,6 @@ def test_each_suspension_has_a_run_of_its_own_as_its_folder_alone_gives(
         assert alone.replace(b"workers: 2", b"workers: 1") == of_all
 
 
-def test_suspensions_of_one_folder_are_told_apart_by_their_names(fitted, quick, fleet, tmp_path):
-    mixed = tmp_path / "mixed"
-    mixed.mkdir()
-    for name in PLACES:
-        for path in (fleet / name).glob("*.yaml"):
-            path.rename(mixed / f"{name}_{path.name}")
-    assert trained(tmp_path / "run", mixed) == 0
-    notes = [read_json(one / "model.json") for one in find_runs(tmp_path / "run")]
-    assert [Place(**one["commissioned"]["place"]) for one in notes] == list(PLACES.values())
-    assert fitted == ["leading", "trailing"]
-
-
 def test_each_suspension_may_have_its_own_number_of_healthy_trips(quick, fleet, tmp_path):
     assert commission_fleet.first_trips(7, ["one", "two"]) == {"one": 7, "two": 7}
     assert trained(tmp_path / "run", fleet, "n_healthy={two:4,one:3}") == 0
@@ -217,12 +205,6 @@ def test_mistakes_of_all_are_one_line_and_leave_nothing(overrides, words, fleet,
     assert list((tmp_path / "run").iterdir()) == []
 
 
-def test_models_of_curves_have_no_healthy_trips(fleet, tmp_path):
-    said = run_program(train, tmp_path / "run", *SMALL, f"healthy={fleet}")
-    assert said == "error: healthy= is for models that read trips: experiment=trips"
-    assert list((tmp_path / "run").iterdir()) == []
-
-
 def test_processes_of_torchrun_are_refused(fleet, tmp_path, monkeypatch):
     monkeypatch.setattr(train.ranks, "start", lambda _: None)
     monkeypatch.setenv("WORLD_SIZE", "2")
@@ -233,7 +215,7 @@ def test_processes_of_torchrun_are_refused(fleet, tmp_path, monkeypatch):
 def test_log_of_a_run_leaves_the_logger_as_it_was(tmp_path):
     logger = logging.getLogger("suspnet")
     before = logger.level, logger.propagate, list(logger.handlers)
-    with commission_fleet._own_log(tmp_path / "new" / "train.log") as warnings:
+    with commission_fleet.own_log(tmp_path / "new" / "train.log") as warnings:
         logging.getLogger("suspnet.x").warning("doubt %d", 1)
         logging.getLogger("suspnet.x").info("news")
         assert [record.getMessage() for record in warnings.buffer] == ["doubt 1"]
@@ -241,29 +223,12 @@ def test_log_of_a_run_leaves_the_logger_as_it_was(tmp_path):
     assert (logger.level, logger.propagate, list(logger.handlers)) == before
 
 
-def test_models_of_each_suspension_are_for_the_speeds_of_its_own_trips(
-    quick, fleet, tmp_path, monkeypatch
-):
-    speeds, train_nothing = [], train.train
-
-    def noted(problem, *others, **options):
-        speeds.append(problem.generator.speed_m_per_s)
-        return train_nothing(problem, *others, **options)
-
-    monkeypatch.setattr(train, "train", noted)
-    for path in (fleet / "two").glob("*.yaml"):
-        changed(path, fleet / "two", path.stem, speed=50.0)
-    assert trained(tmp_path / "run", fleet) == 0
-    assert speeds == [70.0, 50.0]
-    assert OmegaConf.load(tmp_path / "run" / "config.yaml").speed_m_per_s is None
-
-
 def test_table_shows_the_misfit_of_the_parts_first():
     row = {"suspension": "car", "n_trips": 5, "misfit": 6.623, "rms_percent": {"k_p": 1.0}}
-    plain = commission_fleet._table([row])
+    plain = commission_fleet.fleet_table([row])
     assert "misfit |" in plain
     assert "6.62 |" in plain
-    by_part = commission_fleet._table([row, row | {"misfit_of_parts": 1.084}])
+    by_part = commission_fleet.fleet_table([row, row | {"misfit_of_parts": 1.084}])
     columns = [one.strip() for one in by_part.splitlines()[0].strip("|").split("|")]
     assert columns == ["suspension", "trips", "misfit of parts", "sides as equal", "k_p"]
     assert [one.strip() for one in by_part.splitlines()[-1].strip("|").split("|")][2] == "1.08"

@@ -41,14 +41,10 @@ USERS = {
     "train.log": "mine",
     "error.txt": "mine",
     "fleet.json": "[]",
-    "exit_code": "9",
     "report.html": "<html>",
-    "check.html": "<html>",
     "check.json": "{}",
     "trips.csv": "a,b",
-    "truth.json": "{}",
     "unfinished.json": '{"made_from": "x"}',
-    "trip_001.yaml.bak": "mine",
     "sub/error.txt": "mine",
     "sub/config.yaml": "mine",
     "experiment/best.yaml": "mine",
@@ -141,19 +137,16 @@ FORGED = {
     "other_hashes": (HEAD, *EVERY),
     "absolute": (HEAD, *(entry(f"HOME/{name}", text) for name, text in USERS.items())),
     "dots": (HEAD, *(entry(f"../home/{name}", text) for name, text in USERS.items())),
-    "dot": (HEAD, *(entry(f"./{name}", text) for name, text in USERS.items())),
-    "links": (HEAD, *(entry(f"here/{name}", text) for name, text in USERS.items())),
     "patterns": (HEAD, entry("*"), entry("**/*"), entry(".*.????????")),
     "temporary": (HEAD, entry("config.yaml"), entry("env", token="template"), *EVERY),
     "nothing": (HEAD, "[]", "{}", "null", "[1, 2, 3]", '["a", {}, "b"]', "[" * 50_000, "\0"),
-    "null_hash": (HEAD, *(json.dumps([None, name, "x"]) for name in USERS)),
 }
 NAMED = [
     *[
         Attack(f"{key}_{i}_{place}", (*(("-m", "seed=1,2") if "sweep" in key else ()),
                f"{key}={place}"), words="suspnet did not write it here", small=place == "HOME")
         for key in ("hydra.run.dir", "hydra.sweep.dir", "resume")
-        for i, place in enumerate(("HOME", "../home", "LINK", "here", "HOME/deep/..", "../link/."))
+        for i, place in enumerate(("HOME", "LINK", "HOME/deep/.."))
     ],
     *[
         Attack(f"forged_{name}_{i}", given, ledger=lines)
@@ -165,17 +158,17 @@ NAMED = [
     Attack("in_home_sweep", ("-m", "seed=1,2", "hydra.sweep.dir=.")),
     *[
         Attack(f"subdir_{i}", ("-m", "seed=1,2", f"hydra.sweep.subdir={place}"))
-        for i, place in enumerate(("HOME", "../../../../home", ".", "..", "a/../../x", "LINK"))
+        for i, place in enumerate(("HOME", "..", "a/../../x"))
     ],
-    *[Attack(f"job_{i}", (f"job={p}",)) for i, p in enumerate(("../../home", "../../new", ".."))],
+    Attack("job", ("job=../../home",)),
     *[
         Attack(f"evaluate_{i}", given, program="evaluate")
-        for i, given in enumerate((("hydra.run.dir=HOME",), ("resume=HOME",), ("resume=LINK",)))
+        for i, given in enumerate((("hydra.run.dir=HOME",), ("resume=LINK",)))
     ],
     *[
         Attack(f"out_{i}", (f"out={place}",), program="simulate", ledger=lines, small=i == 0)
         for i, (place, lines) in enumerate(
-            (("HOME", None), ("LINK", None), ("HOME", FORGED["absolute"]), ("HOME", FORGED["dots"]))
+            (("HOME", None), ("HOME", FORGED["absolute"]))
         )
     ],
 ]  # fmt: skip
@@ -225,13 +218,10 @@ def states(folder):
 CHANGES = {
     "a note": lambda run: put(run / "notes.txt"),
     "another configuration": lambda run: put(run / "config.yaml"),
-    "a model": lambda run: put(run / "model.json"),
-    "a longer one": lambda run: put(run / "metrics.json", (run / "metrics.json").read_text() + " "),
     "a link": lambda run: linked(run / "config.yaml"),
     "a folder elsewhere": lambda run: (run / "figures").symlink_to(run.parent),
     "a pipe": lambda run: os.mkfifo(run / "speeds.json"),
     "a second ledger": lambda run: put(run / "sub" / ledger.LEDGER, HEAD),
-    "a link to the log": lambda run: linked(run / "train.log"),
     "a folder in the place of a log": lambda run: (run / "evaluate.log").mkdir(),
 }
 
@@ -254,17 +244,6 @@ def test_what_the_user_put_into_a_run_since_stays(trained, tmp_path, change, res
     assert ended.stderr.count("\n") == 1
 
 
-def test_run_whose_configuration_grows_by_aliases_is_another_one(trained, tmp_path):
-    run = tmp_path / "run"
-    shutil.copytree(trained, run)
-    laughs = ["a0: &a0 [x]", *(f"a{i}: &a{i} [{f'*a{i - 1}, ' * 9}]" for i in range(1, 15))]
-    put(run / "config.yaml", "\n".join(laughs))
-    with (run / ledger.LEDGER).open("a") as stream:
-        stream.write("\n" + entry("config.yaml", "\n".join(laughs)))
-    ended = typed(train, *TRAIN, "resume=run", cwd=tmp_path)
-    assert "run holds a finished run of other settings" in ended.stderr
-
-
 def test_same_command_again_replaces_what_it_wrote(trained, tmp_path):
     run = tmp_path / "run"
     shutil.copytree(trained, run)
@@ -279,18 +258,6 @@ def test_same_command_again_replaces_what_it_wrote(trained, tmp_path):
     assert other.stderr == (
         f"error: {run} holds a finished run of other settings; give another folder\n"
     )
-
-
-def test_file_put_into_a_running_run_is_left(tmp_path, monkeypatch):
-    def interfering(*_, **__):
-        put(tmp_path / "run" / "environment.json")
-        return {"a": 1}
-
-    monkeypatch.setattr("suspnet.runs.train.environment", interfering)
-    ended = typed(train, *TRAIN, "hydra.run.dir=run", cwd=tmp_path)
-    assert ended.returncode == 1
-    assert "environment.json: suspnet did not write it here" in ended.stderr
-    assert (tmp_path / "run" / "environment.json").read_text() == "mine"
 
 
 def test_output_of_check_and_export_goes_to_folders_of_their_own(tmp_path):

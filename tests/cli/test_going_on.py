@@ -1,7 +1,6 @@
 """Runs get folders of their own; a multirun goes on where it stopped; one failed job is one row."""
 
 import csv
-import json
 import os
 import re
 import signal
@@ -10,16 +9,13 @@ import pytest
 from cli_runner import SMALL, typed
 from hydra import compose, initialize_config_dir
 from hydra.core.hydra_config import HydraConfig
-from hydra.utils import get_object
-from omegaconf import OmegaConf, open_dict, read_write
+from omegaconf import open_dict, read_write
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
-from suspnet.cli import evaluate, folders, program, simulate, train
-from suspnet.cli.kinds import KINDS, class_of
+from suspnet.cli import evaluate, folders, simulate, train
 from suspnet.cli.program import CONFIGS
 from suspnet.ground import ledger
 from suspnet.ground.storage import read_json
-from suspnet.runs.sweeps import job_rows
 
 pytestmark = pytest.mark.usefixtures("blank")
 EVENTS = "events.out.tfevents.*"
@@ -79,7 +75,7 @@ def test_a_refused_run_leaves_no_folder(tmp_path):
 
 def test_a_folder_with_anything_else_in_it_is_kept(tmp_path, monkeypatch):
     run = tmp_path / "run"
-    monkeypatch.setattr(folders, "_made", [run])
+    monkeypatch.setattr(folders, "made_folders", [run])
     (run / ".hydra" / "mine").mkdir(parents=True)
     (run / ".hydra" / "config.yaml").touch()
     (run / "train.log").touch()
@@ -91,14 +87,6 @@ def test_a_folder_with_anything_else_in_it_is_kept(tmp_path, monkeypatch):
     kept.unlink()
     folders.remove_unused(run)
     assert not run.exists()
-
-
-def test_resumed_folder_must_exist(tmp_path):
-    for arguments in (["resume=nowhere"], ["-m", "seed=0,1", "resume=nowhere"]):
-        ended = typed(train, *arguments, *LINEAR, cwd=tmp_path)
-        assert ended.returncode == 1
-        assert ended.stderr == "error: resume=nowhere is no folder; give that of the earlier run\n"
-    assert list(tmp_path.iterdir()) == []
 
 
 # multiruns
@@ -181,48 +169,6 @@ def test_multirun_goes_on_and_ends_as_if_uninterrupted(interrupted, tmp_path):
     assert again.returncode == 0
 
 
-def test_folder_of_an_earlier_version_counts_as_finished(tmp_path):
-    """Its config.yaml names a `_target_` where kinds stand now."""
-    with initialize_config_dir(version_base="1.3", config_dir=CONFIGS):
-        config = compose("train", overrides=["model=linear", "reading_name=null"])
-    (tmp_path / "metrics.json").write_text("{}")
-    kinds = {
-        "generator": "suspnet.dynamics.QuarterCar",
-        "data": "suspnet.spectra.curves.CurveSettings",
-        "model": "suspnet.learning.LinearRegression",
-    }
-    old = OmegaConf.to_container(config, resolve=True)
-    for place, target in kinds.items():
-        assert class_of(place, old[place].pop("kind")) is get_object(target)
-        old[place] = {"_target_": target, "_convert_": "all", **old[place]}
-    for place in ("vehicle", "protocol"):
-        old[place] = {"_target_": KINDS[place][""], **old[place]}
-    old["generator"]["vehicle"] = dict(old["vehicle"])
-    (tmp_path / "config.yaml").write_text(OmegaConf.to_yaml(old))
-    assert folders.is_finished(config, tmp_path)
-    old["model"]["_target_"] = "suspnet.learning.MSVR"
-    (tmp_path / "config.yaml").write_text(OmegaConf.to_yaml(old))
-    with pytest.raises(ValueError, match="holds a finished run of other settings"):
-        folders.is_finished(config, tmp_path)
-
-
-def test_table_of_jobs_knows_several_speeds_and_unfinished_ones(tmp_path):
-    for name in "abcd":
-        (tmp_path / name).mkdir()
-        (tmp_path / name / "config.yaml").touch()
-    for name, error in ("a", 2.0), ("d", 1.9):
-        (tmp_path / name / "metrics.json").write_text(json.dumps({"rms_percent": {"k_p": error}}))
-    two = [{"rms_percent": {"k_p": 1.0, "c_p": 4.0}}, {"rms_percent": {"k_p": 2.0, "c_p": 0.0}}]
-    (tmp_path / "c" / "speeds.json").write_text(json.dumps(two))
-    assert job_rows(tmp_path) == [
-        {"job": "d", "mean": 1.9, "k_p": 1.9, "c_p": None, "state": "finished"},
-        {"job": "a", "mean": 2.0, "k_p": 2.0, "c_p": None, "state": "finished"},
-        {"job": "c", "mean": 1.75, "k_p": 1.5, "c_p": 2.0, "state": "finished"},
-        {"job": "b", "mean": None, "k_p": None, "c_p": None, "state": "unfinished"},
-    ]
-    assert job_rows(tmp_path / "a") == []
-
-
 # signals
 
 GO_ON = "go on with the same command and resume=outputs/"
@@ -257,12 +203,3 @@ def test_sigterm_ends_a_program_with_one_line(tmp_path, monkeypatch, module, ste
     assert ended.stderr.startswith(f"terminated: nothing was half-written; {hint}")
     assert ended.stderr.count("\n") == 1
     assert signal.getsignal(signal.SIGTERM) is before
-
-
-def test_process_that_dies_in_a_multirun_is_one_line(tmp_path, monkeypatch, capsys):
-    def broken():
-        raise program.BrokenProcessPool("a worker was killed")
-
-    monkeypatch.setattr(folders, "_to_resume", ["outputs/train/x"])
-    with pytest.raises(SystemExit, match=r"^error: a worker was killed; go on with .*resume=outp"):
-        program.run(broken)

@@ -4,7 +4,6 @@ import pyarrow.parquet as pq
 import pytest
 from trip_records import fleet, trip
 
-from suspnet.cli import program
 from suspnet.cli.history import history
 from suspnet.cli.options import history_parser
 from suspnet.ground.parameters import Cause, Severity
@@ -82,11 +81,6 @@ def test_alarms_are_listed_worst_first_with_who_has_seen_them(alarmed, capsys):
     assert "| 10 000 to 20 000 | below" in capsys.readouterr().out.splitlines()[-1]
 
 
-def test_no_alarm_is_said(path, capsys):
-    run(path, "alarms")
-    assert capsys.readouterr().out == "no open alarm\n"
-
-
 @pytest.mark.parametrize(
     ("chosen", "message"),
     [
@@ -125,12 +119,3 @@ def test_export_writes_all_that_is_kept(alarmed, tmp_path, capsys):
 def test_maintenance_of_an_unknown_suspension_is_refused(path):
     with pytest.raises(HistoryError, match="no trip of am96: y is stored here; known: AM96 217"):
         run(path, "event", "--vehicle", "am96", "--suspension", "y", "--at-km", "1")
-
-
-def test_a_mistake_is_one_line_and_makes_no_file(tmp_path, monkeypatch, capsys):
-    path = tmp_path / "nothing.db"
-    monkeypatch.setattr("sys.argv", ["suspnet-history", str(path), "list"])
-    with pytest.raises(SystemExit) as ended:
-        program.main("history")
-    assert "there is no such store; evaluate.py" in str(ended.value.code)
-    assert not path.exists()

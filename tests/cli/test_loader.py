@@ -27,101 +27,63 @@ NO_HOST = "name the broker's host yourself"
 SETTINGS = {
     NOT_SET: [
         # what is written, removed or read elsewhere
-        "resume: HOME",
         "data: {cache_dir: deep}",
         "healthy: HOME",
-        "store: 'postgresql://x:y@127.0.0.1/fleet'",
-        "sink: {kind: folder, folder: HOME}",
         "source: {then: delete}",
         # who is reached, and who may do what
-        "hosts: [evil.example.org]",
         "engineers: [Eve]",
-        "notify: theirs.yaml",
-        "monitor: {workers: 1000}",
         "sink: {broker: {host: 127.0.0.1, port: 1}}",
         "source: {broker: {port: 1, password_env: AWS_SECRET_ACCESS_KEY}}",
-        "source: null",
         # Hydra's own blocks
         f"hydra: {{callbacks: {{x: {GADGET}}}}}",
-        f"hydra: {{launcher: {GADGET}}}",
-        f"hydra: {{{SWEEP}}}",
         "hydra: {run: {dir: HOME}}",
         f"hydra: {{sweep: {{subdir: ../../home}}, {SWEEP}}}",
         "hydra: {job_logging: {handlers: {file: {class: logging.FileHandler, filename: MARKER}}}}",
         "hydra: {job: {env_set: {PYTHONSTARTUP: MARKER}}}",
         "hydra: {searchpath: ['pkg://evil_package']}",
-        "hydra: null",
-        "x: &a [1, 2]\ny: *a",
     ],
     NO_NAME: [
         f"model: {GADGET}",
-        "model: {callback: {_convert_: object}}",
         f"protocol: {{groups: {{primary: {{outputs: [{GADGET}]}}}}}}",
-        f"search: {{a: {{b: {{c: {GADGET}}}}}}}",
         "scenario: {'()': x}",
         "'${oc.env:SECRET}': 1",
     ],
     NO_WORDS: [
         "model: ${oc.env:SECRET}",
-        "protocol: {name: 'x${oc.env:SECRET}'}",
         f"model: ${{oc.create:{{_target_:{RESOLVER},_args_:[MARKER]}}}}".replace("{_", "{ _"),
-        "fleet: {suspension: '${hydra:runtime.cwd}'}",
         "fleet: {suspension: '${store}'}",
         "vehicle: {source: '${oc.env:SECRET}'}",
-        "model: {C: '${data.n_train'}",
         "vehicle: {name: '${${group}}'}",
         "job: ../../home",
-        "job: HOME",
-        "scenario: {name: ../../home}",
         "groups: range(1,1000000000)",
-        'job: "a\\nb"',
     ],
     NO_DEFAULT: [
-        "defaults: ['${oc.env:SECRET}']",
         "defaults: [override /vehicle: ../../../home/config]",
-        "defaults: [../../../home/config]",
-        "defaults: [/base/broker@hydra.launcher]",
         "defaults: [override /hydra/launcher: joblib]",
-        "defaults: [override /source: folder]",
-        "defaults: [/model: evil]",
         "defaults: [{model@hydra.launcher: evil}]",
         "defaults: [a, a]",
-        "defaults: [override /model: [svr, linear]]",
     ],
     "is no configuration: line": [
         "model: !!python/object/apply:os.system ['touch MARKER']",
         "model: &a {x: *a}",
-        "model: " + "[" * 25 + "]" * 25,
         LAUGHS,
-        "seed: 1\nseed: 2",
-        "seed: 1\n---\nseed: 2",
     ],
-    "is no configuration: it must hold": ["[a]", "5"],
-    NO_HOST: ["source: {broker: {port: 1}}", "sink: {broker: {user: x}}", "sink: {}"],
+    "is no configuration: it must hold": ["[a]"],
+    NO_HOST: ["source: {broker: {port: 1}}", "sink: {}"],
 }
 """What a file may not hold that sets keys of the whole configuration, by what is said of it."""
 FILES = {
     "hydra/launcher/basic.yaml": (GADGET, ("-m", "seed=1,2"), NO_GROUP),
-    "hydra/sweeper/basic.yaml": ("x: 1", ("-m", "seed=1,2"), NO_GROUP),
     "hydra/job_logging/evil.yaml": ("version: 1", ("hydra/job_logging=evil",), NO_GROUP),
-    "source/evil.yaml": ("kind: folder", ("+source=evil",), NOT_SET),
-    "study/evil.yaml": ("x: 1", ("+study=evil",), NO_GROUP),
     "vehicle/a/b/evil.yaml": ("name: x", ("vehicle=a/b/evil",), NO_GROUP),
     "vehicle/evil.yaml": (GADGET, ("vehicle=evil",), NO_NAME),
     "model/evil.yaml": ("# @package hydra.launcher\nx: 1", ("model=evil",), "no `# @package` but"),
-    "reading/evil.yaml": ("data: {n_train: 9}", ("reading=evil",), NO_GROUP),
     "evil.yaml": ("defaults: [train, _self_]\nseed: 1", ("--config-name=evil",), "GROUP/NAME.yaml"),
-    "scenario/evil.yaml": ("name: a/b", ("+scenario=evil",), NO_WORDS),
     "search/evil.yaml": ("defaults: [evil]", ("search=evil",), "refers to itself"),
     "model/hole.yaml": (None, ("model=hole",), "at most"),
     "experiment/evil.yaml": (
         GLOBAL + "hydra: {run: {dir: HOME}}",
         ("-m", "experiment=table6,evil"),
-        NOT_SET,
-    ),
-    "reading/evil2.yaml": (
-        GLOBAL + "resume: HOME",
-        ("experiment=readings", "group=I", "reading=baseline,evil2"),
         NOT_SET,
     ),
 }
@@ -194,9 +156,7 @@ def test_attack_is_refused_before_anything_is_done(attack, tmp_path, monkeypatch
 
 
 @pytest.mark.parametrize("program", OTHER_PROGRAMS, ids=lambda one: one.__name__)
-@pytest.mark.parametrize(
-    "text", ["store: HOME/x.db", "hydra: {run: {dir: HOME}}", "fleet: {suspension: '${now:%Y}'}"]
-)
+@pytest.mark.parametrize("text", ["hydra: {run: {dir: HOME}}", "fleet: {suspension: '${now:%Y}'}"])
 def test_attack_is_refused_by_each_program(program, text, tmp_path, monkeypatch):
     said = NO_WORDS if "now" in text else NOT_SET
     attack = ("x/evil.yaml", GLOBAL + text, ("+x=evil", *OTHER_PROGRAMS[program]), said)
@@ -227,7 +187,6 @@ BROKER = f"""{GLOBAL}GROUP: {{broker: {{port: 8883, tls: true, ca_file: /etc/ca.
 """
 LIMITS = f"{GLOBAL}limits: {{k_p: {{notice: [0.9, 1.1]}}}}\nplan: {{risk: 0.07}}\n"
 WATCHED = f"{GLOBAL}monitor: {{n_reference: 7, trips: {{level: 0.8}}}}\n"
-LIVE = f"{GLOBAL}live: {{section_s: 600}}\nmonitor: {{changes: {{seed: 3}}}}\n"
 SCENARIO = "defaults: [healthy]\nname: mine\nchanges: {k_p: {from_km: 1, to_km: 2, ratio: 0.5}}\n"
 USES = {
     # file, its text, program, the rest of the command, and what is then configured
@@ -239,21 +198,14 @@ USES = {
     ),
     "best": ("experiment/best", BEST, train, ("experiment=best",), "      epsilon: 1.0e-06"),
     "experiment": ("experiment/mine", EXPERIMENT, train, ("experiment=mine",), "  n_train: 77"),
-    "job": ("experiment/mine", EXPERIMENT, train, ("experiment=mine",), "job: mine"),
     "scenario": ("scenario/mine", SCENARIO, simulate, ("scenario=mine",), "      ratio: 0.5"),
     "model": ("model/mine", MODEL, train, ("model=mine",), "  C: 7"),
     "limits": ("fleet/mine", LIMITS, serve, ("+fleet=mine", "store=x"), "  risk: 0.07"),
     "monitor": ("fleet/mine", WATCHED, evaluate, ("+fleet=mine", "run=x"), "    level: 0.8"),
-    "live": ("fleet/mine", LIVE, monitor, ("+fleet=mine", "run=x"), "  section_s: 600"),
     "broker": (
         *("fleet/mine", BROKER.replace("GROUP", "source"), monitor),
         ("+fleet=mine", "source=mqtt", "source.broker.host=depot.lan"),
         "    port: 8883",
-    ),
-    "broker of a sink": (
-        *("fleet/mine", BROKER.replace("GROUP", "sink"), replay),
-        ("+fleet=mine", "sink=mqtt", "sink.broker.host=depot.lan"),
-        "    user: us",
     ),
     "command line": (
         *("experiment/mine", EXPERIMENT, train),

@@ -4,12 +4,9 @@ import csv
 import json
 import os
 import signal
-import time
 
-import numpy as np
 import pytest
-from cli_runner import FEW, SMALL, blank_figures, command, run_main, typed
-from forked import started
+from cli_runner import SMALL, blank_figures, command, run_main, typed
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 from tensorboard.plugins.hparams.plugin_data_pb2 import HParamsPluginData
 
@@ -46,14 +43,9 @@ def test_run_folder_holds_everything(run):
     figures = {path.stem for path in (folder / "figures").iterdir()}
     assert {"bode", "degradation", "features", "parity", "peaks", "residuals"} <= figures
     assert metrics["training"]["fitted"]["converged"] is True
-    assert json.loads((folder / "environment.json").read_text())["packages"]["torch"]
-
-
-def test_scores_lie_between_the_bound_and_a_guess(run):
-    _, metrics = run
     for output in ("k_p", "c_p"):
         assert metrics["bound"][output]["mape_percent"] < metrics["scores"][output]["mape_percent"]
-        assert metrics["scores"][output]["mape_percent"] < 5  # a constant guess has about 38
+    assert json.loads((folder / "environment.json").read_text())["packages"]["torch"]
 
 
 def test_fresh_curves_have_like_scores_intervals_and_flags(run, tmp_path):
@@ -121,28 +113,12 @@ def test_tensorboard_holds_figures_and_hyperparameters(run):
     )
 
 
-def test_vehicle_that_loses_many_curves_is_reported(tmp_path, caplog):
-    overrides = ["vehicle.secondary_damping_ns_per_m=32e3", "model=linear", "group=secondary"]
-    with caplog.at_level("WARNING", logger="suspnet"):
-        metrics = run_main(train, tmp_path, *UNCALIBRATED, "data.n_train=100", *overrides)
-    assert metrics["n_test_complete"] < 0.98 * metrics["n_test"]
-    assert "of the training curves lack a feature" in caplog.text
-
-
 def test_same_seed_same_numbers_other_seed_other_numbers(run, tmp_path):
     _, metrics = run
     again = run_main(train, tmp_path / "a", *UNCALIBRATED, "threads=1")
     other = run_main(train, tmp_path / "b", *UNCALIBRATED, "threads=1", "seed=1")
     assert again["scores"] == metrics["scores"]
     assert other["scores"] != metrics["scores"]
-
-
-def test_evaluate_sees_more_noise(run, tmp_path):
-    folder, metrics = run
-    noise = ["data.snr_db=26", "data.n_test=150", *BARE]
-    noisy = run_main(evaluate, tmp_path, f"run={folder}", *noise)
-    assert noisy["scores"]["c_p"]["rmse"] > 1.5 * metrics["scores"]["c_p"]["rmse"]
-    assert noisy["bound"]["c_p"]["rmse"] > 2 * metrics["bound"]["c_p"]["rmse"]
 
 
 def test_a_run_writes_its_data_set_where_it_is_asked_for(tmp_path):
@@ -158,15 +134,12 @@ def test_a_run_writes_its_data_set_where_it_is_asked_for(tmp_path):
     ("override", "message"),
     [
         ("vehicle.primary_stiffness_n_per_m=1.3e9", "print kN/m where N/m is meant"),
-        ("vehicle.primary_stiffness_n_per_m=1300", "is the stiffness in kN/m"),
         ("vehicle.body_mass_kg=-1", "`body_mass_kg` must be a finite number > 0"),
         ("data.snr_db=abc", r"`data.snr_db` must be a finite number .*, got 'abc'"),
         ("group=tertiary", "has no group 'tertiary'; choose from"),
-        ("model.C=-1", r"`C` must be a finite number > 0, got -1"),
         ("model.C=abc", "`C` must be a finite number > 0, got 'abc'"),
         ("device=cuda:99", "`device`='cuda:99' cannot be used here"),
         ("seed=-1", "`seed` must be a whole number"),
-        ("threads=0", "`threads` must be a whole number >= 1"),
         ("+model._target_=os.system", "._target_` is no setting of "),
     ],
 )
@@ -187,26 +160,18 @@ def test_mistake_gets_one_line(override, message, tmp_path):
             "There is no such key: did you mean n_train?; --help lists them",
         ),
         (train, ["protocol.feature_settings.n=4"], "no such key: a + before it adds it; --help"),
-        (
-            train,
-            ["protocol.groups={mine:{outputs:[k_p],responses:[G_p],peaks:[primary_largest]}}"],
-            "There is no protocol.groups.mine yet: +protocol.groups.mine=... adds it; --help",
-        ),
         (train, ["hydra.run.dir={file}/x"], "Not a directory"),
         (evaluate, [], "which run?"),
         (evaluate, ["run=nowhere"], "run=nowhere does not exist"),
         (evaluate, ["study=reliability"], "python benchmarks/reliability.py --help"),
-        (evaluate, ["study=layouts"], "python benchmarks/layouts.py --help"),
         (
             evaluate,
             ["study=maintenance", "store=x", "plan.costs.failure=20"],
             "plan.costs is gone: plan.risk, bundle_days and reach_km set what is done when",
         ),
-        (train, ["ablation=baseline"], "python benchmarks/ablation.py --help"),
         (train, ["experiment=ablation"], "python benchmarks/ablation.py --help"),
         (evaluate, ["experiment=table6"], "python train.py experiment=NAME"),
         (train, ["study=maintenance"], "python evaluate.py study=NAME"),
-        (train, ["experiment=identifiability"], "options in 'experiment': readings"),
     ],
 )
 def test_mistake_on_the_command_line_gets_one_line(program, overrides, message, tmp_path):
@@ -224,7 +189,7 @@ def is_one_line(ended, message):
 
 
 def test_traceback_on_request(tmp_path, monkeypatch):
-    monkeypatch.setattr(program, "_debugging", True)
+    monkeypatch.setattr(program, "is_debugging", True)
     with pytest.raises(ValueError, match="`seed` must be a whole number >= 0, got -1"):
         typed(train, "seed=-1", *SMALL, cwd=tmp_path)
 
@@ -255,24 +220,6 @@ def is_interrupted(code, words, folder):
     assert not [name for name in left if name.endswith(".safetensors") or "metrics" in name]
 
 
-@pytest.mark.slow
-def test_interrupt_of_a_process_leaves_nothing_half_written_and_a_second_start_works(tmp_path):
-    overrides = ["data.n_train=all", "data.n_test=100", "hydra.run.dir=run", "threads=1"]
-    with started(train, *overrides, cwd=tmp_path) as (process, _, words):
-        deadline = time.monotonic() + 120
-        while "training curves" not in words.read_text():  # of 364,816, which takes long
-            assert time.monotonic() < deadline, "the program does not start"
-            time.sleep(0.05)
-        time.sleep(0.3)  # well inside their generation
-        os.kill(process.pid, signal.SIGINT)
-        process.join(60)
-        errors = words.read_text()
-    is_interrupted(process.exitcode, errors, tmp_path)
-    again = [*FEW, "hydra.run.dir=run", "progress=false", "figures=false"]
-    assert typed(train, *again, cwd=tmp_path).returncode == 0
-    assert (tmp_path / "run" / "model.json").exists()
-
-
 @pytest.fixture(scope="module")
 def table6(tmp_path_factory):
     folder = tmp_path_factory.mktemp("table6")
@@ -283,17 +230,6 @@ def table6(tmp_path_factory):
     assert ended.returncode == 0, ended.stderr
     (sweep,) = (folder / "outputs" / "table6").iterdir()
     return sweep, ended.stdout
-
-
-def test_runs_of_a_multirun_are_named_by_what_differs(table6):
-    folder, _ = table6
-    assert folder.name.partition("_model_")[2] == "n_train_300_n_test_100_n_calibrate_null"
-    assert sorted(path.name for path in folder.iterdir() if path.is_dir()) == [
-        "0_paper_I_linear",
-        "1_paper_I_msvr",
-        "2_paper_II_linear",
-        "3_paper_II_msvr",
-    ]
 
 
 def test_tensorboard_shows_the_comparison_first_and_the_vehicle_once(table6):
@@ -330,21 +266,14 @@ def test_table6_has_a_record_for_each_output_metric_and_model(table6):
     assert len(keys) == len(records) == 4 * 2 * 2
     assert {r["group"] for r in records} == {"primary", "secondary"}
     first = next(r for r in records if r["output"] == "k_s" and r["model"] == "msvr")
+    with (folder / "table6.csv").open() as stream:
+        rows = list(csv.DictReader(stream))
+    assert [float(row["measured"]) for row in rows] == [r["measured"] for r in records]
+    assert (folder / "table6.md").read_text().startswith("| group ")
+    assert (folder / "table6.png").read_bytes().startswith(b"\x89PNG")
     assert first["published"] == 4.37
     assert first["n_train"] == 300
     assert "| secondary | c_s " in printed
-
-
-def test_table6_files_agree(table6):
-    folder, _ = table6
-    records = json.loads((folder / "table6.json").read_text())
-    with (folder / "table6.csv").open() as stream:
-        rows = list(csv.DictReader(stream))
-    np.testing.assert_allclose(
-        [float(row["measured"]) for row in rows], [r["measured"] for r in records]
-    )
-    assert (folder / "table6.md").read_text().startswith("| group ")
-    assert (folder / "table6.png").read_bytes().startswith(b"\x89PNG")
 
 
 def test_evaluate_takes_a_whole_multirun(table6, tmp_path):

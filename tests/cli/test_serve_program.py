@@ -143,51 +143,25 @@ def test_pages_are_served_until_a_signal(path, tmp_path, number, code):
         assert len(store.places()) == 4
 
 
-def is_caught(process, number):
-    """Return whether a process has a handler of a signal, as Linux says."""
-    status = Path(f"/proc/{process.pid}/status").read_text()
-    return int(re.search(r"SigCgt:\s*(\w+)", status)[1], 16) >> (number - 1) & 1
-
-
-def ended(path, cwd, number, seconds):
-    """Start the program, send it a signal after some time, and return code and output.
-
-    Ctrl-C in the tenth of a second in which Python itself starts is answered by Python.
-    """
-    process = subprocess.Popen(
-        [sys.executable, "-m", "suspnet.serve", f"store={path}", "port=0"],
-        cwd=cwd,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        env=os.environ | {"PYTHONPATH": str(ROOT)},
-    )
-    try:
-        while number == signal.SIGINT and not is_caught(process, signal.SIGTERM):
-            time.sleep(0.001)
-        time.sleep(seconds)
-        process.send_signal(number)
-        printed, wrong = process.communicate(timeout=20)
-    finally:
-        process.kill()
-    return process.returncode, printed, wrong
-
-
-def check_end(number, code, printed, wrong):
-    """Check that a program ended by a signal with its code and one line.
-
-    Before Python has come to this program, the signal's own action ends it without a word.
-    """
-    assert code in (128 + number, -number)
-    assert "Traceback" not in printed + wrong
-    assert len(wrong.splitlines()) == (code > 0)
-    if wrong:
-        assert wrong.startswith(f"{WORDS[number]}: ")
-
-
 @pytest.mark.slow
-@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="asks Linux for handlers")
-@pytest.mark.parametrize("number", WORDS)
-def test_signal_at_any_moment_ends_the_program(path, tmp_path, number):
-    for seconds in [*np.linspace(0.0, 3.0, 20), *np.linspace(3.2, 8.0, 20)]:
-        check_end(number, *ended(path, tmp_path, number, seconds))
+def test_signal_at_any_moment_ends_the_program(path, tmp_path):
+    for seconds in np.linspace(0.0, 8.0, 17):
+        process = subprocess.Popen(
+            [sys.executable, "-m", "suspnet", "serve", f"store={path}", "port=0"],
+            cwd=tmp_path,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            env=os.environ | {"PYTHONPATH": str(ROOT)},
+        )
+        try:
+            time.sleep(seconds)
+            process.send_signal(signal.SIGTERM)
+            printed, wrong = process.communicate(timeout=20)
+        finally:
+            process.kill()
+        # before the program listens, the signal's own action ends it without a word
+        assert process.returncode in (128 + signal.SIGTERM, -signal.SIGTERM)
+        assert "Traceback" not in printed + wrong
+        assert len(wrong.splitlines()) == (process.returncode > 0)
+        assert not wrong or wrong.startswith("terminated: ")

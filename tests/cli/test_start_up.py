@@ -1,12 +1,11 @@
 """`--help` answers before what takes seconds is imported; pages are served without torch."""
 
 import json
-import runpy
 import subprocess
 import sys
 
 import pytest
-from cli_runner import ROOT, handlers_set_back
+from cli_runner import ROOT
 
 from suspnet.cli.start import PROGRAMS
 
@@ -47,14 +46,6 @@ def helped(folder, names):
         check=False,
     )
     assert ended.returncode == 0, ended.stderr
-
-
-def test_history_starts_as_a_module(monkeypatch, capsys):
-    monkeypatch.setattr(sys, "argv", ["suspnet-history", "--help"])
-    with handlers_set_back(), pytest.raises(SystemExit) as ended:
-        runpy.run_module("suspnet.history", run_name="__main__")
-    assert not ended.value.code
-    assert capsys.readouterr().out.startswith("usage: suspnet history")
 
 
 @pytest.mark.parametrize("names", [QUICK, pytest.param(PROGRAMS, marks=pytest.mark.slow)])

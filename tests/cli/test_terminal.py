@@ -43,7 +43,7 @@ def test_what_is_printed_and_logged_steers_nothing(monkeypatch):
 
 def test_progress_bars_replace_their_line():
     plain, wrapped = io.StringIO(), io.StringIO()
-    for stream in (plain, progress._Visible(wrapped)):
+    for stream in (plain, progress.Visible(wrapped)):
         for _ in tqdm(range(3), file=stream, mininterval=0, bar_format="{n}"):
             with tqdm(range(2), file=stream, position=1, mininterval=0, bar_format="{n}") as inner:
                 list(inner)
@@ -61,12 +61,12 @@ def test_error_of_a_hostile_name_is_one_plain_line(monkeypatch, capsys):
     assert ended.value.code == f"error: {SHOWN}"
 
     def interrupted():
-        folders._to_resume[:] = [f"outputs/{STEERING}"]
+        folders.to_resume[:] = [f"outputs/{STEERING}"]
         raise KeyboardInterrupt
 
     with pytest.raises(SystemExit):
         program.run(interrupted)
-    folders._to_resume.clear()
+    folders.to_resume.clear()
     assert not steers(capsys.readouterr().err)
 
 

@@ -1,34 +1,28 @@
 """Fleets simulated, models trained and trips read from the command line, at small size."""
 
 import json
-import runpy
-import sys
 from contextlib import contextmanager
 from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.csv as pacsv
 import pyarrow.parquet as pq
 import pytest
 from cli_runner import (
     ROOT,
     blank_figures,
     command,
-    handlers_set_back,
     python,
     run_program,
     typed,
 )
 from hydra import compose, initialize_config_dir
-from omegaconf import OmegaConf
 from trip_fixtures import RATES_HZ, changed, model_at, signal
 from trip_records import HALF_WIDTHS
 from trip_records import trip as record
 
 from suspnet.cli import evaluate, folders, simulate, train
-from suspnet.cli.kinds import build, named_runs
+from suspnet.cli.kinds import build
 from suspnet.cli.program import CONFIGS
 from suspnet.estimation.checkpoint import save_model
 from suspnet.ground.parameters import Severity
@@ -121,28 +115,6 @@ def test_simulated_trips_are_read(run, trips, evaluated):
     assert f"trips: {trips}" in config
 
 
-def test_report_has_no_figure_if_none_is_asked_for(run, tmp_path, monkeypatch):
-    monkeypatch.setattr(fleet, "evaluate_trip", lambda file, *_: record(3, manifest=str(file.path)))
-    (tmp_path / "trips").mkdir()
-    (tmp_path / "trips" / "trip_003.yaml").write_text("suspension: S1")
-    overrides = [f"run={run}", f"trips={tmp_path / 'trips'}", *EVALUATE, "figures=false"]
-    assert run_program(evaluate, tmp_path, *overrides) == 0
-    assert not (tmp_path / "figures").exists()
-    page = (tmp_path / "report.html").read_text(encoding="utf-8")
-    assert "<img" not in page
-    assert "trip_003" in page
-    assert metrics(tmp_path)["n_estimated"] == 1
-
-
-def test_trips_are_those_of_the_scenario(trips):
-    manifests = sorted(trips.glob("*.yaml"))
-    assert [path.stem for path in manifests] == ["trip_001", "trip_002", "trip_003"]
-    assert len(signal(manifests[0], "axle_box")) == 5 * 60 * RATES_HZ[0]
-    assert "mileage_km: 308000.0" in manifests[2].read_text()
-    assert "k_p: 0.99" in manifests[2].read_text()  # configs/scenarios.yaml
-    assert "k_p: 1.0" in manifests[1].read_text()
-
-
 @pytest.mark.slow  # am96 is that of every other test; test_configs.py builds each of them
 @pytest.mark.parametrize("vehicle", VEHICLES)
 def test_every_vehicle_works_by_its_name_alone(vehicle, no_figures, tmp_path):
@@ -186,24 +158,6 @@ def test_exit_code_is_that_of_the_worst_suspension(severities, complete, expecte
     assert evaluate.exit_code(done) == expected
 
 
-def test_simulate_as_a_module(tmp_path, monkeypatch):
-    monkeypatch.delitem(sys.modules, "suspnet.simulate", raising=False)  # else runpy warns
-    options = [*SIMULATE, "fleet.n_trips=2", "fleet.minutes=0.5", "scenario=random", "seed=3"]
-    module = SimpleNamespace(
-        __name__="suspnet.simulate",
-        main=lambda: runpy.run_module("suspnet.simulate", run_name="__main__"),
-    )
-    with handlers_set_back():
-        ended = typed(module, "out=mine", *options, cwd=tmp_path)
-    assert ended.returncode == 0, ended.stderr
-    assert "2 trips of scenario random in mine" in ended.stdout
-    assert "suspnet evaluate trips=mine run=RUN" in ended.stdout
-    assert sorted(path.name for path in (tmp_path / "mine").glob("*.yaml")) == [
-        "trip_001.yaml",
-        "trip_002.yaml",
-    ]
-
-
 def test_fleet_unless_told_otherwise_is_a_scattered_vehicle_with_sensors_on_both_sides(tmp_path):
     trips = tmp_path / "trips"
     options = [*SHORT, f"out={trips}", "fleet.n_trips=1", "fleet.minutes=0.5", "seed=2"]
@@ -232,7 +186,7 @@ def test_whole_way_as_a_user_with_two_workers_and_dask(tmp_path):
     files = {"trips": "out=trips", "run": "hydra.run.dir=run"}
     made = [
         python(
-            "-m", "suspnet.simulate", files["trips"], *SIMULATE, "fleet.n_trips=3", cwd=tmp_path
+            "-m", "suspnet", "simulate", files["trips"], *SIMULATE, "fleet.n_trips=3", cwd=tmp_path
         ),
         command("train.py", files["run"], *TRAIN, cwd=tmp_path),
     ]
@@ -325,7 +279,7 @@ def test_wrong_limits_of_a_vehicle_name_file_and_key(tmp_path):
     ("names", "codes", "worst"),
     [
         pytest.param(
-            *(("115", "nowhere", "100"), ["3", "1", "0"], evaluate.MISTAKE),
+            *(("115", "nowhere", "100"), ["3", "1", "0"], folders.MISTAKE),
             marks=pytest.mark.slow,  # the order of codes is that of `evaluate.worst`, below
         ),
         (("nowhere", "150"), ["1", "4"], evaluate.ACT),
@@ -353,14 +307,6 @@ def test_worst_code_is_the_most_urgent_one():
     assert set(folders.BY_URGENCY) == {*range(5)}
 
 
-def test_exit_codes_are_those_of_the_help():
-    with initialize_config_dir(version_base="1.3", config_dir=CONFIGS):
-        words = compose("evaluate", return_hydra_config=True).hydra.help.header
-    told = " ".join(words.split()).partition("Exit codes, the worst last: ")[2]
-    places = [told.index(f"{code} ") for code in folders.BY_URGENCY]
-    assert places == sorted(places)
-
-
 # bad recordings
 
 
@@ -372,15 +318,6 @@ def cut(manifest, folder, name, size):
     return changed(manifest, folder, name, channels={"body": {"file": str(file)}})
 
 
-def as_csv(manifest, folder, name):
-    """Copy a trip with the body's file as CSV."""
-    values = [f"{v:.6g}" for v in signal(manifest, "body")]
-    file = folder / f"{name}.csv"
-    pacsv.write_csv(pa.table({"acceleration": pa.array(values)}), file)
-    file.write_text(file.read_text().replace('"', ""))
-    return changed(manifest, folder, name, channels={"body": {"file": str(file)}})
-
-
 @pytest.fixture(scope="module")
 def bad(run, trips, tmp_path_factory):
     """Return the exit code and the rows of a folder of good and of bad trips."""
@@ -388,29 +325,15 @@ def bad(run, trips, tmp_path_factory):
     good, other, _ = sorted(trips.glob("*.yaml"))
     body, n = signal(good, "body").astype(float), len(signal(good, "body"))
     at = np.arange(n)
-    times = at / 250.0
-    gone = changed(good, folder, "missing_file", signals={"body": body})
-    (folder / "missing_file" / "body.parquet").unlink()
-    assert gone.exists()
     for name, values in {
-        "gaps": np.where(at % 3750 < 10, np.nan, body),
         "gap_30_s": np.where((at >= 25_000) & (at < 32_500), np.nan, body),
-        "spikes": body + 300.0 * (at % 2500 == 1250),
         "saturation": np.clip(body, -0.5 * body.std(), 0.5 * body.std()),
         "constant": np.full(n, 0.25),
-        "offset": body + 9.81,
-        "drift": body + np.linspace(-4, 4, n),
         "ten_seconds": body[:2500],
     }.items():
         changed(good, folder, name, signals={"body": values})
-    for rate_hz in (248, 253):
-        table = {"t": times, "acceleration": body}
-        options = {"body": {"time": "t", "rate_hz": rate_hz}}
-        changed(good, folder, f"rate_{rate_hz}", signals={"body": table}, channels=options)
     changed(good, folder, "missing_column", channels={"body": {"column": "a_z"}})
-    cut(good, folder, "empty", 0)
     cut(good, folder, "truncated", 20_000)
-    as_csv(good, folder, "csv")
     changed(other, folder, "good_2")
     out = tmp_path_factory.mktemp("out")
     with undrawn():
@@ -434,21 +357,10 @@ def test_bad_trips_end_with_code_2_and_do_no_harm_to_good_ones(bad, alone):
     np.testing.assert_equal(ours, others)
 
 
-@pytest.mark.parametrize(
-    ("name", "fault"),
-    [
-        ("csv", ""),
-        ("gap_30_s", "body: gap of 7500 samples (30 s), first at 100.000 s, not usable"),
-        ("spikes", "body: spike of 30 samples (0.12 s), first at 5.000 s, repaired"),
-        ("offset", "body: offset of 9.81 m/s2, harmless"),
-        ("drift", "body: drift of 7."),
-        ("rate_248", ""),
-    ],
-)
-def test_harmless_fault_is_told_and_the_estimate_stays(bad, alone, name, fault):
-    row = bad[1][name]
+def test_harmless_fault_is_told_and_the_estimate_stays(bad, alone):
+    row = bad[1]["gap_30_s"]
     assert (row["status"], row["reason"]) == ("ok", "")
-    assert row["faults"].startswith(fault)
+    assert row["faults"].startswith("body: gap of 7500 samples (30 s), first at 100.000 s")
     for parameter in ("k_p", "c_p", "k_s", "c_s", "M_s"):
         assert row[parameter] == pytest.approx(alone[0][parameter], rel=0.01)
 
@@ -456,7 +368,6 @@ def test_harmless_fault_is_told_and_the_estimate_stays(bad, alone, name, fault):
 @pytest.mark.parametrize(
     ("name", "status", "reason"),
     [
-        ("gaps", "no estimate", "no segment of 20 s is free of faults: body: gap of 200 samples"),
         ("saturation", "no estimate", "no segment of 20 s is free of faults: body: saturation of"),
         ("constant", "error", "channel 'body' is constant (0.25) throughout: is the sensor conn"),
         (
@@ -464,10 +375,7 @@ def test_harmless_fault_is_told_and_the_estimate_stays(bad, alone, name, fault):
             "error",
             "only 10.0 s are common to all channels; at least 60 s are needed",
         ),
-        ("missing_file", "error", "`channels.body.file` must name an existing plain file, got"),
         ("missing_column", "error", "body.parquet has no column 'a_z' of numbers; it has ['accele"),
-        ("rate_253", "error", "channel 'body': `rate_hz` says 253 Hz, its times say 250 Hz"),
-        ("empty", "error", "empty.parquet is empty"),
         ("truncated", "error", "truncated.parquet is damaged, cut off or not a .parquet file"),
     ],
 )
@@ -501,14 +409,9 @@ def test_bad_recording_is_a_row_with_its_reason(bad, name, status, reason):
             ["trips={trips}", "monitor.workers=0"],
             "`workers` must be a whole number >= 1 or null, got 0",
         ),
-        (["trips={trips}", "monitor.n_reference=two"], "`n_reference` must be a whole number >= 1"),
         (
             ["trips={trips}", "monitor.trips.rate_hz=5"],
             r"`trips\.rate_hz` must be a finite number >= 20 and <= ",
-        ),
-        (
-            ["trips={trips}", "monitor.trips.min_averages=x"],
-            r"`trips\.min_averages` must be a finite num",
         ),
         (["trips={trips}", "+monitor._target_=os.system"], "._target_` is no setting of "),
     ],
@@ -524,45 +427,20 @@ def test_mistake_with_trips_gets_one_line(run, trips, tmp_path, overrides, messa
     assert not (tmp_path / "out" / "trips.csv").exists()
 
 
-def test_run_of_another_protocol_is_refused(trips, no_figures, tmp_path):
-    small = ["data.n_train=100", "data.n_test=16", "data.n_calibrate=null"]
-    small += ["data.cache_dir=null", "progress=false", "figures=false"]
-    assert run_program(train, tmp_path / "run", *small, "model=linear", "threads=1") == 0
-    given = [f"run={tmp_path / 'run'}", f"trips={trips}", *EVALUATE]
-    words = run_program(evaluate, tmp_path / "out", *given)
-    assert words == (
-        "error: the model of protocol 'multi_location' was trained on curves of section III-B; "
-        "trips need one of: python train.py experiment=trips"
-    )
-
-
-def test_cluster_without_dask_gets_one_line(run, trips, monkeypatch, tmp_path):
-    monkeypatch.setitem(sys.modules, "distributed", None)
-    given = [f"run={run}", f"trips={trips}", "monitor.cluster=local", *EVALUATE]
-    words = run_program(evaluate, tmp_path, *given)
-    how = 'pip install ".[cluster]" in the folder of suspnet'
-    assert words == f"error: distributed is missing: {how}"
-
-
 @pytest.mark.representatives(6)
 @pytest.mark.parametrize(
     ("overrides", "message"),
     [
         (["out={trips}"], "out=.*worn already holds trips; give another folder"),
         (["fleet.n_trips=0"], "`n_trips` must be a whole number >= 1, got 0"),
-        (["fleet.minutes=-1"], "`minutes` must be a finite number > 0, got -1"),
         (["track=moon"], "track.* must be one of|moon"),
         (["fleet.sensors.body.rate_hz=0"], "`sensor.rate_hz` must be a finite number > 0, got 0"),
         (["scenario.spread=2"], r"`scenario.spread` must be a finite number >= 0 and < 1, got 2"),
         (["scatter=-1"], "`scatter` must be a finite number >= 0 and <= 5, got -1"),
-        (["scatter=nan"], "`scatter` must be a finite number, got nan"),
-        (["fleet.sides=up"], r"`sides` must be one of \('both', 'left', None\), got 'up'"),
         (["fleet.sides=both"], "`sides`=both needs a vehicle with roll"),
         (["vehicle=sedan", "generator=vertical_vehicle"], "vehicle 'sedan' lacks"),
         (["+fleet._target_=os.system"], "._target_` is no setting of "),
         (["cars=2"], "cars=2 is of a fleet of trains: give trains= too"),
-        (["n_wearing=0"], "n_wearing=0 is of a fleet of trains: give trains= too"),
-        (["trains=0"], "`trains` must be a whole number >= 1"),
         (["trains=2", "n_wearing=5"], "`n_wearing` must be at most 4 in magnitude, got 5"),
         (["trains=1", "out={trips}"], "out=.*worn already holds trips; give another folder"),
     ],
@@ -590,23 +468,3 @@ def test_trains_are_simulated_and_those_that_wear_are_told(tmp_path, caplog):
     words = f"4 suspensions (trains=1, cars=2) of 2 trips each in {tmp_path / 'f'}"
     assert f"{words}\n1 wear, scenario worn_spring: {wearing}" in caplog.text
     assert "learn the vehicle of each suspension from its first trips:" in caplog.text
-
-
-def test_unknown_scenario_gets_one_line(tmp_path):
-    ended = typed(simulate, "scenario=moon", cwd=tmp_path)
-    assert ended.returncode == 1
-    assert ended.stderr.startswith("error: ")
-    assert "Could not find 'scenario/moon'" in ended.stderr
-    assert ended.stderr.count("\n") == 1
-
-
-def test_several_runs_are_named_in_a_list(tmp_path):
-    for name in ("first", "second/a", "second/b"):
-        (tmp_path / name).mkdir(parents=True)
-        (tmp_path / name / "model.json").touch()
-    named = [str(tmp_path / name) for name in ("first", "second", "first")]
-    found = named_runs(OmegaConf.create(named))
-    assert [run.name for run in found] == ["first", "a", "b"]
-    assert named_runs(named[0]) == [tmp_path / "first"]
-    with pytest.raises(FileNotFoundError, match="third does not exist"):
-        named_runs(OmegaConf.create([named[0], str(tmp_path / "third")]))

@@ -131,8 +131,7 @@ def test_what_is_no_path_and_what_hydra_reads_as_typed_stays():
 
 
 def test_numbers_of_suspensions_with_any_name_are_read():
-    line = "  a number of each: 'n_healthy={417_003:4,Züge_links:3}'"
-    (word,) = shlex.split(line.partition(": ")[2])
+    word = "n_healthy={417_003:4,Züge_links:3}"
     numbers = OmegaConf.create({"n": read_numbers(read([word]).n_healthy)}).n
     assert isinstance(numbers, DictConfig)
     assert first_trips(numbers, ["417_003", "Züge_links"]) == {"417_003": 4, "Züge_links": 3}
@@ -154,10 +153,10 @@ def test_programs_take_and_print_a_path_with_signs(tmp_path):
 
 
 def test_resumption_is_printed_for_a_shell(monkeypatch):
-    monkeypatch.setattr(folders, "_to_resume", ["Läufe [1], it's"])
+    monkeypatch.setattr(folders, "to_resume", ["Läufe [1], it's"])
     assert shlex.split(folders.how_to_resume())[-1] == "resume=Läufe [1], it's"
 
 
 def test_a_name_of_a_run_is_short_in_bytes():
-    assert len(folders._joined(["列" * 90]).encode()) <= folders.MAX_BYTES
-    assert re.fullmatch("_列+", folders._joined(["列" * 90]))
+    assert len(folders.joined_name(["列" * 90]).encode()) <= folders.MAX_BYTES
+    assert re.fullmatch("_列+", folders.joined_name(["列" * 90]))

@@ -43,10 +43,6 @@ def flip(path, position):
     path.write_bytes(content)
 
 
-def swap(arrays):
-    arrays["inputs"], arrays["outputs"] = arrays["outputs"], arrays["inputs"]
-
-
 def as_folder(path):
     path.unlink()
     path.mkdir()
@@ -54,29 +50,14 @@ def as_folder(path):
 
 DAMAGE = {
     "outputs reversed": lambda p, _: changed(p, lambda a: a.update(outputs=a["outputs"][::-1] + 0)),
-    "rows reversed": lambda p, _: changed(
-        p, lambda a: a.update({k: v[::-1] + 0 for k, v in a.items()})
-    ),
-    "arrays swapped": lambda p, _: changed(p, swap),
-    "array missing": lambda p, _: changed(p, lambda a: a.pop("outputs")),
-    "array added": lambda p, _: changed(p, lambda a: a.update(more=np.ones(2))),
-    "row missing": lambda p, _: changed(p, lambda a: a.update({k: v[1:] for k, v in a.items()})),
     "other shape": lambda p, _: changed(p, lambda a: a.update(inputs=a["inputs"].reshape(3, 4))),
-    "other type": lambda p, _: changed(p, lambda a: a.update(inputs=a["inputs"].view(np.int64))),
     "not a number": lambda p, _: changed(p, lambda a: a["inputs"].fill(np.nan)),
     "no header": lambda p, _: save_file(load_file(p), p),
-    "header of text": lambda p, _: changed(p, lambda _: None, suspnet="text"),
-    "header of a list": lambda p, _: changed(p, lambda _: None, suspnet="[1]"),
     "header too deep": lambda p, _: changed(p, lambda _: None, suspnet="[" * 100_000),
     "header of another": lambda p, o: save_file(load_file(p), p, header(o)),
     "file of another": lambda p, o: shutil.copy(o, p),
     "bit of a value": lambda p, _: flip(p, -1),
-    "bit of the header": lambda p, _: flip(p, 60),
-    "bit of the length": lambda p, _: flip(p, 5),
     "truncated": lambda p, _: p.write_bytes(p.read_bytes()[:-8]),
-    "empty": lambda p, _: p.write_bytes(b""),
-    "longer": lambda p, _: p.write_bytes(p.read_bytes() + bytes(8)),
-    "zeros": lambda p, _: p.write_bytes(bytes(p.stat().st_size)),
     "foreign": lambda p, _: p.write_bytes(b"PK\x03\x04" * 50),
     "folder": lambda p, _: as_folder(p),
 }
@@ -136,17 +117,6 @@ def test_folder_that_is_a_file_costs_one_warning_for_each_direction(tmp_path, ca
 def test_no_folder_keeps_nothing():
     Cache(None, "features").write(MADE_FROM, ARRAYS)
     assert Cache(None, "features").read(MADE_FROM) is None
-
-
-def test_hash_of_the_code_is_that_of_its_files(tmp_path, monkeypatch):
-    monkeypatch.setattr(cache, "__file__", str(tmp_path / "ground" / "cache.py"))
-    found = []
-    for text in ("a = 1", "a = 2"):
-        cache.code_hash.cache_clear()
-        (tmp_path / "cache.py").write_text(text)
-        found.append((cache.code_hash(), cache.code_hash("cache.py")))
-    cache.code_hash.cache_clear()
-    assert found[0][0] == found[0][1] != found[1][0]
 
 
 def test_hash_is_that_of_this_package_and_of_code_that_is_there():

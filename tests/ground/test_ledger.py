@@ -1,8 +1,6 @@
 """A ledger knows the files that were written in its folder, and no other ones."""
 
 import json
-import os
-from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
@@ -92,28 +90,6 @@ def test_temporary_file_of_a_killed_program_may_be_there(tmp_path):
     (tmp_path / "sub" / ".model.json.11111111").write_text("{")
     with pytest.raises(FileExistsError, match=MINE):
         begin(tmp_path)
-
-
-def test_cut_off_line_costs_the_file_of_that_line_only(tmp_path):
-    begin(tmp_path)
-    write_atomically(tmp_path / "a", "1")
-    with (tmp_path / LEDGER).open("a") as stream:
-        stream.write('\n["0123')
-    write_atomically(tmp_path / "b", "1")
-    assert begin(tmp_path)
-    for name in "ab":
-        write_atomically(tmp_path / name, "2")
-
-
-def test_threads_and_names_of_any_kind_are_all_listed(tmp_path):
-    begin(tmp_path)
-    kinds = ["\N{GREEK SMALL LETTER OMEGA}", os.fsdecode(b"\xff"), "a\nb", "'\"\\", "..."]
-    paths = [tmp_path / kind / f"{i}{kind}" for i in range(40) for kind in kinds]
-    with ThreadPoolExecutor(8) as pool:
-        list(pool.map(lambda path: write_atomically(path, "1"), paths))
-    assert begin(tmp_path)
-    for path in paths[:10]:
-        write_atomically(path, "2")
 
 
 def test_free_name_is_that_of_no_file(tmp_path):

@@ -4,7 +4,6 @@ import json
 import os
 import socket
 import struct
-import threading
 import time
 from pathlib import Path
 
@@ -25,7 +24,6 @@ from suspnet.ground.storage import (
     read_plain,
     stored_bytes,
 )
-from suspnet.recordings.core_yaml import parse_yaml
 from suspnet.recordings.errors import TripError
 from suspnet.recordings.manifest_files import read_manifest
 
@@ -74,14 +72,14 @@ def test_what_is_no_plain_file_is_refused_at_once(tmp_path, make, read):
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize("make", OTHERS)
+@pytest.mark.parametrize("make", [pipe, hole])
 def test_manifest_that_is_no_plain_file_is_refused_at_once(tmp_path, make):
     make(tmp_path / "trip.yaml")
     with pytest.raises(TripError, match=r"trip\.yaml is (a|of) .*"):
         read_manifest(tmp_path / "trip.yaml")
 
 
-@pytest.mark.parametrize("make", [pipe, endless, folder, hole])
+@pytest.mark.parametrize("make", [pipe, hole])
 def test_cache_file_that_is_no_plain_file_is_not_used(tmp_path, make, caplog):
     cache = Cache(tmp_path, "features")
     make(cache.path({"seed": 1}))
@@ -89,7 +87,7 @@ def test_cache_file_that_is_no_plain_file_is_not_used(tmp_path, make, caplog):
     assert "ignoring a damaged cache file" in caplog.text
 
 
-@pytest.mark.parametrize("make", OTHERS)
+@pytest.mark.parametrize("make", [pipe, hole])
 def test_model_whose_arrays_are_no_plain_file_is_refused_at_once(tmp_path, make):
     content = {"schema_version": SCHEMA_VERSION, "model": "msvr", "arrays_sha256": "0"}
     content["description_sha256"] = content_hash(content)
@@ -101,23 +99,14 @@ def test_model_whose_arrays_are_no_plain_file_is_refused_at_once(tmp_path, make)
 
 def test_pipe_that_takes_the_place_of_a_checked_file_is_refused(tmp_path, monkeypatch):
     os.mkfifo(tmp_path / "file")
-    check, looks = storage._check, iter([None])
-    monkeypatch.setattr(storage, "_check", lambda *it: next(looks, it) and check(*it))
+    plain = os.stat(__file__)  # what the first look sees
+    monkeypatch.setattr(storage.os, "stat", lambda _: plain)
     with pytest.raises(NotPlainError, match="a named pipe"):
         open_plain(tmp_path / "file")
 
 
-def test_pipe_with_a_writer_is_refused_too(tmp_path):
-    os.mkfifo(tmp_path / "file")
-    writer = threading.Thread(target=lambda: os.close(os.open(tmp_path / "file", os.O_RDWR)))
-    writer.start()
-    with pytest.raises(NotPlainError, match="a named pipe"):
-        read_plain(tmp_path / "file")
-    writer.join()
-
-
-@pytest.mark.parametrize("n_nested", [10**5, 10**6])
-def test_json_nested_deeply_or_with_a_huge_number_is_damaged(tmp_path, n_nested):
+def test_json_nested_deeply_or_with_a_huge_number_is_damaged(tmp_path):
+    n_nested = 10**6
     (tmp_path / "file").write_text("[" * n_nested)
     with pytest.raises(DamagedFileError, match="nested too deeply"):
         read_json(tmp_path / "file")
@@ -126,14 +115,14 @@ def test_json_nested_deeply_or_with_a_huge_number_is_damaged(tmp_path, n_nested)
         read_json(tmp_path / "file")
 
 
-@pytest.mark.parametrize("size", [0, 2**20, 2**40, 2**63, 2**64 - 1])
+@pytest.mark.parametrize("size", [0, 2**40, 2**64 - 1])
 def test_header_of_arrays_longer_than_the_file_is_damaged(tmp_path, size):
     (tmp_path / "file").write_bytes(struct.pack("<Q", size) + b"{}")
     with pytest.raises(DamagedFileError, match="file is damaged or not a safetensors file"):
         read_arrays(tmp_path / "file")
 
 
-@pytest.mark.parametrize("shape", [[10**12], [2**31, 2**31], [0, 10**18], [2**64]])
+@pytest.mark.parametrize("shape", [[10**12], [2**31, 2**31], [2**64]])
 def test_arrays_that_the_file_does_not_hold_are_damaged(tmp_path, shape):
     header = json.dumps({"a": {"dtype": "F64", "shape": shape, "data_offsets": [0, 0]}}).encode()
     (tmp_path / "file").write_bytes(struct.pack("<Q", len(header)) + header)
@@ -143,19 +132,13 @@ def test_arrays_that_the_file_does_not_hold_are_damaged(tmp_path, shape):
         assert "is damaged or not a safetensors file" in str(error)  # noqa: PT017
 
 
-@pytest.mark.parametrize("key", ["mileage_km", "vehicle", "channels", "speed", "<<", "extra"])
+@pytest.mark.parametrize("key", ["mileage_km", "channels", "<<"])
 def test_aliases_of_aliases_are_refused_before_they_are_written_out(tmp_path, key):
     laughs = ["a0: &a0 [ha]", *(f"a{i}: &a{i} [{f'*a{i - 1}, ' * 9}]" for i in range(1, 15))]
     (tmp_path / "trip.yaml").write_text("\n".join([*laughs, f"{key}: *a14"]))
     with pytest.raises(TripError, match="has more than 262144 values") as caught:
         read_manifest(tmp_path / "trip.yaml")
     assert len(str(caught.value)) < 500
-
-
-def test_merged_mappings_count(tmp_path):
-    many = "\n".join(f"  k{i}: 1" for i in range(9000))
-    with pytest.raises(ValueError, match="has more than 262144 values"):
-        parse_yaml(f"a: &a\n{many}\nb:\n  <<: [{'*a, ' * 100}]")
 
 
 def test_bytes_of_holes_are_not_stored(tmp_path):

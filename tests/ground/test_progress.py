@@ -21,12 +21,12 @@ from suspnet.ground import progress
 def lines(caplog, monkeypatch):
     """Let lines come 20 times a second, and return those so far."""
     monkeypatch.setattr(progress, "INTERVAL_S", 0.05)
-    monkeypatch.setattr(progress._Lines, "monitor_interval", 0.01)
-    monkeypatch.setattr(progress._Lines, "monitor", None)
+    monkeypatch.setattr(progress.Lines, "monitor_interval", 0.01)
+    monkeypatch.setattr(progress.Lines, "monitor", None)
     caplog.set_level(logging.INFO, progress.log.name)
     yield lambda: caplog.messages
-    if progress._Lines.monitor is not None:
-        progress._Lines.monitor.exit()
+    if progress.Lines.monitor is not None:
+        progress.Lines.monitor.exit()
 
 
 def wait_for(lines, n):
@@ -35,17 +35,6 @@ def wait_for(lines, n):
         if len(lines()) >= n:
             return
         time.sleep(0.01)
-
-
-def test_line_at_the_start_and_at_each_interval_though_nothing_is_counted(lines):
-    with progress.bar("search of the vehicle"):
-        assert lines() == ["search of the vehicle"]
-        wait_for(lines, 4)
-    assert set(lines()) == {"search of the vehicle"}
-    n_lines = len(lines())
-    assert n_lines >= 4
-    time.sleep(0.2)
-    assert len(lines()) == n_lines
 
 
 def test_items_are_counted_as_they_are_done(lines):
@@ -82,21 +71,6 @@ def test_remaining_time_shrinks_while_the_next_item_is_waited_for(lines):
         "suspensions: 1 of 2, 13 min, about 5 min left",
         "suspensions: 1 of 2, 18 min",  # longer than the first one: nothing is known
     ]
-
-
-def test_everything_is_counted_while_it_is_iterated(lines):
-    bar = progress.bar("trips", items=[3, 1, 2], unit="trip")
-    assert list(bar) == [3, 1, 2]
-    assert bar.n == bar.total == 3
-    assert lines()[0] == "trips: 0 of 3"
-
-
-def test_one_line_a_step_without_progress(lines):
-    with progress.bar("trips", 5, unit="trip", shown=False) as bar:
-        bar.update()
-        time.sleep(0.2)
-    progress.bar("nothing to do", 0).close()
-    assert lines() == ["trips: 0 of 5"]
 
 
 def test_terminal_has_a_bar_and_no_lines(lines, monkeypatch):

@@ -1,13 +1,22 @@
 """Settings as declared: each class refuses what lies outside of a range, and says the range."""
 
 import math
+import re
 from dataclasses import dataclass
 from typing import Annotated, ClassVar, Literal
 
+import numpy as np
 import pytest
 
 from suspnet.cli.kinds import KINDS, class_of
-from suspnet.ground.settings import Setting, check_settings, check_values, setting, settings_of
+from suspnet.ground.settings import (
+    Setting,
+    check_number,
+    check_settings,
+    check_values,
+    setting,
+    settings_of,
+)
 from suspnet.simulation.signals import Sensor
 from suspnet.spectra.components import CurveFeatures
 from suspnet.spectra.extraction import PeakFeatures
@@ -16,55 +25,40 @@ CLASSES = [
     *(class_of(place, kind) for place, kinds in KINDS.items() for kind in kinds if kind != "best"),
     *(Sensor, CurveFeatures, PeakFeatures),
 ]
-NUMBERS = [
-    pytest.param(one, id=f"{class_.__name__}-{one.name}")
-    for class_ in CLASSES
-    for one in settings_of(class_).values()
-    if one.type in (int, float)
-]
 
 
-@pytest.mark.parametrize("one", NUMBERS)
-def test_number_is_checked_at_both_ends_of_its_range(one):
-    whole = one.type is int
-    step = 1 if whole else 1e-6
-    given = one.setting
-    high = given.most if given.high is None else given.high
-    for low, is_in in ((given.low, True), (given.above, False)):
-        if low is not None:
-            beyond = one.type(low - step * max(1, abs(low))) if is_in else low
-            with pytest.raises(ValueError, match=f"`x` must be .*, got {beyond}"):
-                one.check("x", beyond)
-            one.check("x", one.type(low) if is_in else one.type(low + step * max(1, abs(low))))
-    for top, is_in in ((high, True), (given.below, False)):
-        if top is not None:
-            beyond = one.type(top + step * max(1, abs(top))) if is_in else top
-            with pytest.raises(ValueError, match=f"`x` must be .*, got {beyond}"):
-                one.check("x", beyond)
-            one.check("x", one.type(top) if is_in else one.type(top - step * max(1, abs(top))))
+def ends(declared):
+    """Yield a value beyond each end of the range of a number, and the nearest one that is valid."""
+    setting, kind = declared.setting, declared.type
+    step = 1 if kind is int else 1e-6
+    high = setting.most if setting.high is None else setting.high
+    for end, is_inside, sign in (
+        *((setting.low, True, -1), (setting.above, False, -1)),
+        *((high, True, 1), (setting.below, False, 1)),
+    ):
+        if end is not None:
+            further, nearer = (kind(end + s * sign * step * max(1, abs(end))) for s in (1, -1))
+            yield (further, kind(end)) if is_inside else (end, nearer)
 
 
-@pytest.mark.parametrize("one", NUMBERS)
-def test_what_is_no_such_number_is_refused(one):
-    for wrong in (math.nan, math.inf, 1e30, "7", True, [1.0], *([1.5] if one.type is int else [])):
-        with pytest.raises((TypeError, ValueError), match="`x` must be"):
-            one.check("x", wrong)
-    if one.is_optional:
-        one.check("x", None)
-    else:
-        with pytest.raises(TypeError, match=r"`x` must be .*, got None"):
-            one.check("x", None)
-
-
-@pytest.mark.parametrize("class_", CLASSES, ids=lambda one: one.__name__)
-def test_choices_and_switches_take_nothing_else(class_):
-    for one in settings_of(class_).values():
-        for value in one.choices or ((True, False) if one.type is bool else ()):
-            one.check("x", value)
-        if one.choices or one.type is bool:
-            for wrong in ("nonsense", 0, 1.5):
-                with pytest.raises((TypeError, ValueError), match="`x` must be"):
-                    one.check("x", wrong)
+@pytest.mark.parametrize("class_", CLASSES, ids=lambda class_: class_.__name__)
+def test_each_setting_takes_what_its_declaration_says_and_nothing_else(class_):
+    for declared in settings_of(class_).values():
+        wrong = []
+        if declared.type in (int, float):
+            for beyond, valid in ends(declared):
+                with pytest.raises(ValueError, match=f"`x` must be .*, got {beyond}"):
+                    declared.check("x", beyond)
+                declared.check("x", valid)
+            wrong = [math.nan, math.inf, 1e30, "7", True, [1.0]]
+            wrong += [1.5] * (declared.type is int) + [None] * (not declared.is_optional)
+        elif declared.choices or declared.type is bool:
+            for valid in declared.choices or (True, False):
+                declared.check("x", valid)
+            wrong = ["nonsense", 0, 1.5]
+        for value in wrong:
+            with pytest.raises((TypeError, ValueError), match="`x` must be"):
+                declared.check("x", value)
 
 
 @dataclass
@@ -81,7 +75,7 @@ class Trip:
 
 
 def test_declaration_says_type_unit_and_range():
-    assert [one.text for one in settings_of(Trip).values()] == [
+    assert [declared.text for declared in settings_of(Trip).values()] == [
         "Name [text]",
         "Side of the bogie [left or right; or null]",
         "Rate [Hz; above 0 and at most 1e4]",
@@ -105,6 +99,40 @@ def test_declaration_says_type_unit_and_range():
 def test_object_with_a_wrong_setting_is_refused(changes, message):
     with pytest.raises((TypeError, ValueError), match=message):
         Trip("x", **changes)
+
+
+@pytest.mark.parametrize(
+    ("value", "rule"),
+    [
+        (-3, {"low": -3, "high": -3}),
+        (0.999, {"above": 0, "below": 1}),
+        (np.float32(2), {"low": 2}),
+        (np.int64(2), {"low": 2, "whole": True}),
+        (None, {"above": 0, "optional": True}),
+    ],
+)
+def test_numbers_within_the_rule_pass(value, rule):
+    check_number("x", value, **rule)
+
+
+@pytest.mark.parametrize(
+    ("value", "rule", "error", "message"),
+    [
+        *(
+            (value, {}, ValueError, "a finite number, got")
+            for value in (math.nan, math.inf, 10**400)
+        ),
+        *((value, {}, ValueError, "at most 1e+20 in magnitude, got") for value in (1e30, -1e300)),
+        *((value, {}, TypeError, "a finite number, got") for value in (True, "1", None, 1j, [1.0])),
+        (2.0, {"whole": True, "optional": True}, TypeError, "a whole number or null, got 2.0"),
+        (0, {"above": 0, "below": 1}, ValueError, "a finite number > 0 and < 1, got 0"),
+        (1.1, {"low": 0, "high": 1}, ValueError, "a finite number >= 0 and <= 1, got 1.1"),
+        (0, {"low": 1, "whole": True}, ValueError, "a whole number >= 1, got 0"),
+    ],
+)
+def test_message_names_setting_rule_and_value(value, rule, error, message):
+    with pytest.raises(error, match=re.escape(f"`x` must be {message}")):
+        check_number("x", value, **rule)
 
 
 def test_other_classes_declare_their_arguments_in_a_mapping():

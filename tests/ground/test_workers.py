@@ -7,14 +7,13 @@ import subprocess
 import sys
 import time
 from contextlib import suppress
-from functools import partial
 from pathlib import Path
 
 import pytest
 from joblib import Parallel, delayed
 
 from suspnet.ground import workers
-from suspnet.ground.workers import LostWorkerError, alongside, each, guard_joblib
+from suspnet.ground.workers import LostWorkerError, each, guard_joblib
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="signals are those of POSIX")
 ORPHANS_S = 10.0
@@ -59,17 +58,6 @@ def test_death_of_a_worker_costs_what_it_worked_on_alone(tmp_path):
     assert not any(isinstance(one, LostWorkerError) for one in found.values())
 
 
-@pytest.mark.slow
-def test_bar_in_a_worker_leaves_no_semaphore_behind():
-    """Workers are killed at the end, and the system then warned of what they had left."""
-    code = (
-        "from tqdm import tqdm; from suspnet.ground.workers import each; "
-        "print(len(list(each(lambda item: len(list(tqdm(item, disable=True))), ['a', 'b'], 2))))"
-    )
-    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert (ended.stdout, ended.stderr) == ("2\n", "")
-
-
 def test_one_worker_is_this_process():
     assert list(each(work, ["a", "b"], 1)) == [("a", os.getpid()), ("b", os.getpid())]
 
@@ -82,47 +70,10 @@ def test_fault_of_the_function_is_raised_and_no_worker_is_left(n_workers):
     assert set(children(os.getpid())) <= before
 
 
-def test_nothing_to_do_starts_nothing():
-    assert list(each(work, [], 2)) == []
-
-
-def test_workers_are_gone_when_nobody_asks_for_more():
-    before = set(children(os.getpid()))
-    found = each(work, ["a", "b", "c"], 2)
-    next(found)
-    assert set(children(os.getpid())) > before
-    found.close()
-    assert set(children(os.getpid())) <= before
-
-
-def test_work_alongside_is_done_by_another_process_that_ends(monkeypatch):
-    monkeypatch.setattr(workers, "cpu_count", lambda: 2)
-    before = set(children(os.getpid()))
-    with alongside("json") as start:
-        done, failed = start(partial(work, "a")), start(partial(work, "fail"))
-        assert done() in set(children(os.getpid())) - before
-        with pytest.raises(KeyError, match="a fault of the function"):
-            failed()
-    assert set(children(os.getpid())) <= before
-
-
-def test_work_of_a_killed_process_alongside_is_done_here(monkeypatch, tmp_path):
-    monkeypatch.setattr(workers, "cpu_count", lambda: 2)
-    with alongside("json") as start:
-        assert start(partial(work, tmp_path / "once"))() == os.getpid()
-
-
-@pytest.mark.parametrize(("n_cores", "is_wanted"), [(1, True), (2, False)])
-def test_work_alongside_without_a_second_core_is_done_here(monkeypatch, n_cores, is_wanted):
-    monkeypatch.setattr(workers, "cpu_count", lambda: n_cores)
-    with alongside("json", is_wanted=is_wanted) as start:
-        assert start(partial(work, "a"))() == os.getpid()
-
-
 @pytest.fixture(autouse=True)
 def _workers_start_on_their_own(monkeypatch):
     """Start workers as without a program, which forks them."""
-    monkeypatch.setattr(workers, "_start_method", "loky")
+    monkeypatch.setattr(workers, "start_method", "loky")
 
 
 FORKED = """
@@ -130,7 +81,7 @@ from test_workers import *
 from suspnet.ground.workers import fork_from_server
 before = signal.getsignal(signal.SIGINT), dict(os.environ)
 fork_from_server("json", 1)
-found = {"alone": workers._start_method}
+found = {"alone": workers.start_method}
 fork_from_server("json", 2)
 found["unchanged"] = before == (signal.getsignal(signal.SIGINT), dict(os.environ))
 found["pids"] = [one for _, one in each(parent_of, [*range(4)], 2)]

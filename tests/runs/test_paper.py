@@ -8,12 +8,14 @@ from pathlib import Path
 import pytest
 import torch
 from hydra import compose, initialize_config_dir
-from hydra.utils import get_class
+from hydra.utils import instantiate
+from omegaconf import OmegaConf
 from test_tables import run
 
 from suspnet.cli.config_files import CONFIGS
 from suspnet.cli.kinds import read_protocol
 from suspnet.estimation.problem import Problem
+from suspnet.ground.storage import write_json
 from suspnet.learning import LinearRegression
 from suspnet.report.templates import packaged
 from suspnet.runs import sweeps
@@ -66,13 +68,15 @@ def test_precision_names_the_outputs_that_miss_the_claim():
 def test_experiment_ends_with_the_page(tmp_path, monkeypatch):
     with initialize_config_dir(version_base="1.3", config_dir=CONFIGS):
         config = compose("train", ["experiment=paper"], return_hydra_config=True)
+    OmegaConf.set_readonly(config.hydra, False)
     summary = config.hydra.callbacks.summary
     assert (config.job, config.hydra.mode.name) == ("paper", "MULTIRUN")
     made = []
     monkeypatch.setattr(sweeps, "write_paper", lambda runs, folder: made.append((runs, folder)))
-    runs = [run("msvr", ("k_p", "c_p"))]
-    get_class(summary._target_)(summary.note).summarise(runs, tmp_path)
-    assert made == [(runs, tmp_path)]
+    write_json(tmp_path / "0" / "metrics.json", run("msvr", ("k_p", "c_p")))
+    config.hydra.sweep.dir = str(tmp_path)
+    instantiate(summary).on_multirun_end(config)
+    assert [folder for _, folder in made] == [tmp_path]
     assert (tmp_path / "table6.md").is_file()
 
 

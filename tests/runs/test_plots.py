@@ -12,7 +12,7 @@ from suspnet.runs import plots
 from suspnet.runs.tables import table6_records
 from suspnet.spectra.extraction import PeakFeatures
 
-FREQUENCIES = 0.1 + 0.02 * torch.arange(996, dtype=torch.float64)
+FREQUENCIES = 0.1 + 0.05 * torch.arange(398, dtype=torch.float64)
 NAMES = ("k_p", "c_p")
 
 
@@ -50,6 +50,7 @@ def assert_drawn(figure, n_axes):
     shown = [data for data in line_data(figure) if len(data)]
     assert shown
     assert all(np.isfinite(data).all() for data in shown)
+    figure.set_layout_engine("none")  # which takes most of the time
     figure.set_dpi(20)
     FigureCanvasAgg(figure).draw()
 
@@ -115,14 +116,6 @@ def test_feature_spread_has_a_row_an_output_and_a_column_a_feature(predictions):
     np.testing.assert_array_equal(figure.axes[5].lines[0].get_ydata(), inputs[:, 2])
 
 
-def test_feature_spread_shows_at_most_2000_curves():
-    rng = np.random.default_rng(0)
-    table = rng.uniform(0.5, 2.0, (2500, 2))
-    figure = plots.feature_spread(table, ["secondary_height", "secondary_width"], table, NAMES)
-    assert_drawn(figure, 4)
-    assert {len(data) for data in line_data(figure)} == {2000}
-
-
 def test_parity_shows_predictions_against_actual_values(predictions):
     actual, predicted = predictions
     figure = plots.parity(actual, predicted, NAMES)
@@ -142,12 +135,6 @@ def test_residuals_show_relative_errors_and_count_every_curve(predictions):
     assert sum(bar.get_height() for bar in figure.axes[2].patches) == 200
 
 
-def test_convergence_shows_the_objective_above_its_last_value():
-    figure = plots.convergence([5.0, 2.0, 1.5, 1.0])
-    assert_drawn(figure, 1)
-    assert figure.axes[0].lines[0].get_ydata().tolist() == [4.0, 1.0, 0.5]
-
-
 def test_table6_has_an_axis_an_output_and_bars_for_each_model():
     records = table6_records(
         [run(model, outputs) for model in ("msvr", "linear") for outputs in (NAMES, ("k_s", "c_s"))]
@@ -158,11 +145,6 @@ def test_table6_has_an_axis_an_output_and_bars_for_each_model():
     assert heights == pytest.approx([8.97, 400 / 34**2, 21.71, 400 / 34**2])
     limits = [axis.lines[0].get_ydata()[0] for axis in figure.axes]
     assert limits == pytest.approx([100 / 34**2] * 4)
-
-
-def test_table6_draws_a_model_the_paper_lacks():
-    figure = plots.table6(table6_records([run("curve_fit", ("M_s",))]))
-    assert_drawn(figure, 1)
 
 
 def test_a_bound_that_is_infinite_is_not_drawn():
@@ -182,28 +164,3 @@ def test_sensitivity_shows_each_model_against_the_precision():
     assert [first.get_label(), second.get_label()] == ["$k_p$", "$c_p$"]
     assert list(first.get_xdata()) == pytest.approx([5.01, 2.0, 0.2], rel=4e-3)
     assert list(first.get_ydata()) == pytest.approx([400 / s**2 for s in (26, 34, 54)])
-
-
-def test_search_map_has_a_cell_for_each_pair_at_the_best_of_the_rest():
-    settings = [
-        {"C": c, "sigma": s, "epsilon": e}
-        for c in (1.0, 10.0)
-        for s in (0.5, 1.0, 2.0)
-        for e in (0.1, 0.0)
-    ]
-    rmse = [0.5, 0.2, 0.4, 0.3, 0.6, 0.1, 0.5, math.inf, 0.4, 0.3, 0.6, 0.2]
-    figure = plots.search_map(settings, rmse)
-    FigureCanvasAgg(figure).draw()
-    (axis,) = figure.axes
-    assert axis.get_title() == "cross-validated RMSE at epsilon 0"
-    np.testing.assert_allclose(
-        axis.images[0].get_array().filled(np.nan),
-        np.log2(np.array([[0.2, 0.3, 0.1], [np.nan, 0.3, 0.2]]) / 0.1),
-    )
-    assert axis.patches[-1].get_xy() == (1.5, -0.5)  # sigma = 2, C = 1
-
-
-def test_search_map_of_a_single_hyperparameter_is_a_line():
-    figure = plots.search_map([{"C": 1.0}, {"C": 10.0}, {"C": 5.0}], [0.3, 0.1, 0.2])
-    assert_drawn(figure, 1)
-    assert figure.axes[0].lines[0].get_xydata().tolist() == [[1, 0.3], [5, 0.2], [10, 0.1]]

@@ -72,8 +72,3 @@ def test_flags_of_curves_are_those_of_the_stream(trained, fresh):
     flags = estimate_curves(trained, fresh.observer, curves, 0.9).flags
     np.testing.assert_array_equal(flags.found, outcome.flags.found[: len(curves)])
     assert flags.reasons == outcome.flags.reasons[: len(curves)]
-
-
-def test_table_holds_every_kind_of_interval_and_every_set_of_curves(measured):
-    text = reliability.markdown(measured)
-    assert all(f"| {name} " in text for name in (*measured.intervals, *measured.flags))

@@ -12,17 +12,19 @@ from tensorboard.plugins.hparams.plugin_data_pb2 import HParamsPluginData
 from test_tables import run
 
 from suspnet.ground.storage import read_json, write_json
-from suspnet.runs.sweeps import ByOutput, Jobs, Table5, Table6, job_rows, seed_rows
+from suspnet.runs.sweeps import Jobs, Summary, job_rows, write_table6
 
-FILES = ("jobs.csv", "seeds.csv")
 EDGE = "the best C, 100, is on the edge: slow"
 
 
+def ended(callback, folder):
+    """Let a multirun in a folder end."""
+    callback.on_multirun_end(OmegaConf.create({"hydra": {"sweep": {"dir": str(folder)}}}))
+
+
 def test_note_of_what_is_unequal_ends_the_table(tmp_path):
-    Table6("SVR's C is capped.").summarise([run("svr", ("k_p",))], tmp_path)
+    write_table6([run("svr", ("k_p",))], tmp_path, "SVR's C is capped.")
     assert (tmp_path / "table6.md").read_text().endswith("s\nSVR's C is capped.\n")
-    Table6().summarise([run("svr", ("k_p",))], tmp_path)
-    assert "capped" not in (tmp_path / "table6.md").read_text()
 
 
 def test_optimum_left_on_an_edge_is_told(tmp_path):
@@ -40,7 +42,9 @@ def test_optimum_left_on_an_edge_is_told(tmp_path):
         }
         for name, edges in (("svr", {"C": EDGE}), ("msvr", {}))
     ]
-    Table5().summarise(searched, tmp_path)
+    for k, metrics in enumerate(searched):
+        write_json(tmp_path / f"{k}" / "metrics.json", metrics)
+    ended(Summary("table5"), tmp_path)
     assert f"# primary, svr: {EDGE}\n" in (tmp_path / "experiment" / "best.yaml").read_text()
     records = json.loads((tmp_path / "table5.json").read_text())
     assert [record["edges"] for record in records] == [[EDGE], []]
@@ -94,7 +98,7 @@ def test_error_over_an_infinite_bound_is_a_dash_not_zero(tmp_path):
     finished(tmp_path, "1", 0, "secondary", {"k_s": 0.5})
     metrics = tmp_path / "1" / "metrics.json"
     write_json(metrics, read_json(metrics) | {"rms_ratio": {"k_s": math.nan}})
-    Jobs().on_multirun_end(OmegaConf.create({"hydra": {"sweep": {"dir": str(tmp_path)}}}))
+    ended(Jobs(), tmp_path)
     header, _, *rows = (
         [cell.strip() for cell in line.strip("|").split("|")]
         for line in (tmp_path / "jobs.md").read_text().splitlines()
@@ -113,7 +117,7 @@ def test_outputs_of_all_groups_stand_in_the_row_of_their_settings(tmp_path):
         (tmp_path / f"{n}" / ".hydra" / "overrides.yaml").write_text(yaml.safe_dump(overrides))
         metrics = {"scores": {output: {"mape_percent": mape}}}
         (tmp_path / f"{n}" / "metrics.json").write_text(json.dumps(metrics))
-    ByOutput().on_multirun_end(OmegaConf.create({"hydra": {"sweep": {"dir": str(tmp_path)}}}))
+    ended(Summary("by_output"), tmp_path)
     with open(tmp_path / "by_output.csv", newline="") as file:
         assert list(csv.DictReader(file)) == [
             {"data.n_train": "5", "k_p": "4.0", "k_s": "3.0"},
@@ -121,53 +125,16 @@ def test_outputs_of_all_groups_stand_in_the_row_of_their_settings(tmp_path):
         ]
 
 
-def test_seeds_are_averaged_where_nothing_else_differs(tmp_path):
-    sweep(tmp_path)
-    first, *others = sorted(
-        seed_rows(tmp_path, job_rows(tmp_path)), key=lambda row: row["n"], reverse=True
-    )
-    assert (first["jobs"], first["n"], first["k_p"]) == ("0", 2, 2.0)
-    assert first["k_p sd"] == pytest.approx(2**0.5)
-    assert first["c_p/bound"] == 8.0
-    assert {(row["jobs"], row["n"], row["mean sd"]) for row in others} == {
-        ("2", 1, None),
-        ("3", 1, None),
-    }
-
-
-def test_a_seed_of_a_model_that_is_fixed_is_one_setting(tmp_path):
-    for seed in (0, 1):
-        finished(
-            tmp_path, f"{seed}", seed, "primary", {"k_p": 2.0 + seed}, part={"random_state": 0}
-        )
-    finished(tmp_path, "2", 1, "primary", {"k_p": 9.0}, part={"random_state": 7})
-    found = {row["jobs"]: (row["n"], row["k_p"]) for row in seed_rows(tmp_path, job_rows(tmp_path))}
-    assert found == {"0": (2, 2.5), "2": (1, 9.0)}
-
-
-def test_tables_of_a_sweep_show_the_seeds(tmp_path):
+def test_table_of_jobs_has_a_column_for_each_swept_setting(tmp_path):
     sweep(tmp_path)
     for name, c, seed in (("0", 1, 0), ("1", 1, 1), ("3", 2, 0), ("4", 2, 1)):
         hydra = tmp_path / name / ".hydra"
         hydra.mkdir()
         words = [f"model.C={c}", f"+seed={seed}", "data.n_train=9"]
         (hydra / "overrides.yaml").write_text(yaml.safe_dump(words))
-    Jobs().on_multirun_end(OmegaConf.create({"hydra": {"sweep": {"dir": str(tmp_path)}}}))
-    assert "2 +- 1.4" in (tmp_path / "jobs.md").read_text()
-    assert (tmp_path / "seeds.csv").read_text().startswith("jobs,n,mean,mean sd,")
-    # a column for each swept setting, to be plotted by
-    jobs, seeds = (
-        list(csv.DictReader((tmp_path / name).read_text().splitlines())) for name in FILES
-    )
+    ended(Jobs(), tmp_path)
+    jobs = list(csv.DictReader((tmp_path / "jobs.csv").read_text().splitlines()))
     assert [(row["job"], row["model.C"], row["seed"]) for row in jobs] == [
         *(("3", "2", "0"), ("1", "1", "1"), ("0", "1", "0"), ("2", "", ""), ("4", "2", "1")),
     ]
     assert "data.n_train" not in jobs[0]
-    assert {(row["jobs"], row["model.C"]) for row in seeds} == {("0", "1"), ("2", ""), ("3", "2")}
-    assert "seed" not in seeds[0]
-
-
-def test_without_several_seeds_there_is_no_table_of_them(tmp_path):
-    finished(tmp_path, "0", 0, "primary", {"k_p": 3.0})
-    finished(tmp_path, "1", 0, "primary", {"k_p": 2.0}, C=3)
-    assert seed_rows(tmp_path, job_rows(tmp_path)) == []

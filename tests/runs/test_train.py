@@ -2,7 +2,6 @@
 
 import itertools
 import math
-import pickle
 from pathlib import Path
 
 import numpy as np
@@ -12,9 +11,8 @@ from hydra import compose, initialize_config_dir
 
 from suspnet.cli.kinds import build
 from suspnet.estimation.checkpoint import load_model
-from suspnet.estimation.flags import Residual, Unexplained
+from suspnet.estimation.flags import Residual
 from suspnet.estimation.problem import Problem
-from suspnet.ground.workers import here
 from suspnet.runs.train import RunContext, train
 
 CONFIGS = Path(__file__).parents[2] / "configs"
@@ -36,7 +34,7 @@ def cache(tmp_path_factory):
     return tmp_path_factory.mktemp("cache")
 
 
-def trained(model, protocol, group, cache, folder, *overrides, residual=None, start=here):
+def trained(model, protocol, group, cache, folder, *overrides, residual=None):
     with initialize_config_dir(version_base="1.3", config_dir=str(CONFIGS)):
         chosen = [f"protocol={protocol}", f"group={group}", f"model={model}", *overrides]
         config = compose("train", overrides=[*chosen, f"data.cache_dir={cache}"])
@@ -50,7 +48,7 @@ def trained(model, protocol, group, cache, folder, *overrides, residual=None, st
         build(config, "model"),
         folder,
         figures=False,
-        context=RunContext(residual=chosen, start=start),
+        context=RunContext(residual=chosen),
     )
 
 
@@ -102,23 +100,6 @@ def test_incomplete_physics_is_warned_of_and_kept(cache, tmp_path, caplog):
     assert (costs > 0).all()
     healthy = model.settings.observer(model.generator).noise_free(torch.ones(1, 5))
     assert "leaves 5.7 times the noise" in model.estimate(healthy).flags.reasons[0]
-
-
-def test_cost_that_needs_no_model_may_be_worked_out_by_another_process(cache, tmp_path):
-    started, known = [], Unexplained(5.7, np.array([0.1, 0.2, 0.3, 0.4]))
-
-    def start(work):
-        started.append(pickle.loads(pickle.dumps(work)))
-        return lambda: known
-
-    def residual(n_bins):
-        return Residual(5.7, np.full((2, n_bins), 0.01, complex))
-
-    few = [*SMALL, "data.n_calibrate=null"]
-    trained("linear", "joint", "all", cache, tmp_path, *few, residual=residual, start=start)
-    assert load_model(tmp_path).unexplained.costs.tolist() == known.costs.tolist()
-    (work,) = started
-    assert work() is None  # nothing of this vehicle is uncertain: the method reads trips
 
 
 def test_curve_fit_cannot_be_used_with_trips(cache, tmp_path):
