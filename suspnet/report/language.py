@@ -99,7 +99,7 @@ def day(text: str) -> str:
 
 
 def spoken(text: str) -> str:
-    """Return a finding in the current language, or a name, a day or a number that stands alone.
+    """Return a finding in the current language, or a name, a day or a number on its own.
 
     Any other text stays as it is.
 

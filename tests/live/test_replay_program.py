@@ -101,13 +101,6 @@ def test_broker_gives_what_was_replayed(trip, expected, tmp_path):
         broker.end()
 
 
-def test_times_makes_a_replay_last(trip, tmp_path):
-    done = run(trip, "sink=folder", "sink.folder=drop", "times=200", cwd=tmp_path)
-    assert done.returncode == 0
-    seconds = float(done.stderr.split(" in ")[-1].split(" s")[0])
-    assert 0.25 < seconds < 10
-
-
 def test_faulty_trip_is_told_and_the_exit_code_is_one(trip, tmp_path):
     (tmp_path / "trips").mkdir()
     changed(trip, tmp_path / "trips")

@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from suspnet.live.operating_conditions import MOST_KEPT, SlowValues
+from suspnet.live.operating_conditions import MAX_STEPS, SlowValues
 from suspnet.recordings.frames import Frame, FrameError
 
 SECOND = 10**9
@@ -72,7 +72,7 @@ def test_number_of_values_is_bounded_and_wrong_times_push_out_no_right_ones():
         slow.take(value("mileage", 10**9 + 10_000 * k, *far, rate_hz=0.1))
         slow.take(value("mileage", 10 * k, 100.0 + k))
     known = slow.state()["known"]["mileage"]
-    assert len(known) == MOST_KEPT
+    assert len(known) == MAX_STEPS
     assert known[:200] == [(10 * k * SECOND, 100.0 + k) for k in range(200)]
 
 
