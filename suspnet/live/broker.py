@@ -20,8 +20,7 @@ if TYPE_CHECKING:
 log = logging.getLogger(__name__)
 HOST_VARIABLE, LOCAL = "SUSPNET_MQTT_HOST", "localhost"
 """Environment variable that names the host of a broker, and the host without it."""
-HOST = re.compile(r"[\w.:%-]+")
-"""A host name, or an address of version 4 or 6."""
+HOST = re.compile(r"[\w.:%-]+")  # a host name, or an address of version 4 or 6
 # A configuration names the variable of a password, and must not be able to send the content of any
 # other variable to a broker.
 SECRET_VARIABLE = re.compile(r"SUSPNET_[A-Z0-9_]+", re.ASCII)

@@ -34,8 +34,7 @@ from suspnet.report.messages import subject, text
 
 DEADLINE_S, CONNECT_S = 60.0, 10.0
 """Longest time until a server has accepted a message, and until it answers at all, [s]."""
-ADDRESS = re.compile(r"[^@\s<>,;:\"()\[\]\\]+@[A-Za-z0-9.-]+")
-"""An e-mail address without a name."""
+ADDRESS = re.compile(r"[^@\s<>,;:\"()\[\]\\]+@[A-Za-z0-9.-]+")  # an e-mail address without a name
 
 
 class DeliveryError(Exception):

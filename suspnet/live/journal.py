@@ -26,8 +26,7 @@ from suspnet.ground.ledger import ACTING, check_own
 from suspnet.ground.storage import DamagedFileError, dump_arrays, load_arrays
 
 FORMAT, STATE_FORMAT = "suspnet-journal-2", "suspnet-stream-1"
-APPLICATION_ID = 0x7375736A
-"""SQLite application id, by which a journal is recognised."""
+APPLICATION_ID = 0x7375736A  # SQLite application id, by which a journal is recognised
 MARKER = "SELECT 1 FROM format WHERE name LIKE 'suspnet-journal-%'"
 """Query that returns a row for any journal."""
 RANGE = 2**40  # frame numbers of a suspension: enough for 8,000 years at four frames a second

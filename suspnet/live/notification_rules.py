@@ -14,11 +14,9 @@ from suspnet.history.outbox import Recipient
 from suspnet.live.channels import Email, NotificationChannel, Webhook
 from suspnet.recordings.core_yaml import read_yaml
 
-KINDS: Mapping[str, type] = {"email": Email, "webhook": Webhook}
-"""Class of each kind of channel."""
+KINDS: Mapping[str, type] = {"email": Email, "webhook": Webhook}  # class of each kind of channel
 LEVELS = {str(severity): severity for severity in (Severity.NOTICE, Severity.ACT)}
-KEYS = "channels to at_once digest severities vehicles suspensions".split()
-"""Keys of a recipient."""
+KEYS = "channels to at_once digest severities vehicles suspensions".split()  # keys of a recipient
 
 
 @dataclass(frozen=True)

@@ -14,12 +14,10 @@ from suspnet.live.channels import AddressError, DeliveryError
 from suspnet.live.notification_rules import Rules
 
 log = logging.getLogger(__name__)
-LOOK_S = 10.0
-"""Time between two looks for changed suspensions and due messages, [s]."""
+LOOK_S = 10.0  # time between two looks for changed suspensions and due messages, [s]
 LONGEST_LOOK_S = 60.0
 """Longest time between two looks at the alarms, also if no suspension changed, [s]."""
-WAIT_S = 5.0
-"""Time until an unavailable store is tried again, [s]."""
+WAIT_S = 5.0  # time until an unavailable store is tried again, [s]
 
 
 def _now() -> datetime:

@@ -18,8 +18,7 @@ it."""
 MAX_STEPS = 10_000
 """Largest number of stored steps, those of a day. The latest steps are dropped first: they come
 from wrong clocks, as sections are at most a day long."""
-MAX_SAMPLES = 1000
-"""Largest number of samples used of a frame of mileages or temperatures."""
+MAX_SAMPLES = 1000  # largest number of samples used of a frame of mileages or temperatures
 STANDSTILL_M_PER_S = 1.0
 """Speed below which a train is at standstill, [m/s]: more than the noise of speed sensors."""
 

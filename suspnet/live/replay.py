@@ -40,8 +40,7 @@ LONGEST_WAIT_S = 60.0
 """Longest gap between frames that a paced replay waits for, in recorded time, [s]."""
 MILEAGE, TEMPERATURE = ("mileage", "km"), ("temperature", "degC")
 """Sensor and unit of the frames of one sample at the start of a trip."""
-SLOW_HZ = 1.0
-"""Nominal rate of the frames of one sample."""
+SLOW_HZ = 1.0  # nominal rate of the frames of one sample
 
 
 @dataclass

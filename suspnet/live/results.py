@@ -25,8 +25,7 @@ log = logging.getLogger(__name__)
 MIN_KM = 0.5
 """A section without an estimate is stored only if the train ran this far in it, [km]: a train
 parked all night leaves no trips."""
-WAIT_S = 5.0
-"""Time until an unavailable store is tried again, [s]."""
+WAIT_S = 5.0  # time until an unavailable store is tried again, [s]
 
 
 class Results:

@@ -32,8 +32,7 @@ a section that is still running."""
 SHORT, SHORT_S = 1 / 4, 120.0
 """Fraction of a section's length, and length [s], below which the last section of a trip joins the
 previous one: twice the length that a recording needs."""
-TRIED_NS = 60 * SECOND_NS
-"""Time between two checks for standstill, [ns]."""
+TRIED_NS = 60 * SECOND_NS  # time between two checks for standstill, [ns]
 AHEAD_NS = 86_400 * SECOND_NS
 """Frames this much earlier than an ended section, [ns], are not late: a clock was wrong."""
 

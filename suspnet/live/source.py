@@ -82,8 +82,7 @@ BEGIN = re.compile(
     CONTINUATION + rb"(?!\x00\x00)[" + MULTIPLES_OF_8 + rb"][\x00-\xff]\x00\x00", re.DOTALL
 )
 """Start of a message with less than 64 KiB of metadata."""
-SCHEMA, RECORD_BATCH = 1, 3
-"""Numbers of message types in Arrow's Message.fbs."""
+SCHEMA, RECORD_BATCH = 1, 3  # numbers of message types in Arrow's Message.fbs
 
 
 class Splitter:
@@ -198,8 +197,7 @@ def _body_bytes(metadata: bytes, kind: int) -> int:
     return int(n_body)
 
 
-PIECE_BYTES = 2**16
-"""Largest number of bytes read at once: the capacity of a pipe on Linux."""
+PIECE_BYTES = 2**16  # largest number of bytes read at once: the capacity of a pipe on Linux
 
 
 class Pipe:

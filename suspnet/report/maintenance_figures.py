@@ -172,8 +172,7 @@ SMALL_INCHES = 4.0, 2.1  # size of the figure of one part, of which several are 
 SMALL_MARGINS = {"left": 0.17, "right": 0.98, "top": 0.89, "bottom": 0.24}
 """Its margins, as shares of its size; they hold a title and percentages with two decimals."""
 HOLLOW: dict[str, Any] = {"mfc": "none", "color": FLAGGED_COLOUR, "ls": ""}
-AHEAD = 0.5
-"""Largest share of the mileage so far by which a figure extends into the future."""
+AHEAD = 0.5  # largest share of the mileage so far by which a figure extends into the future
 
 
 def small_trends(trend: MileageTrend) -> dict[str, Figure]:

@@ -24,8 +24,7 @@ from suspnet.report.failing_sensors import dead_words, sensor_words
 REPORT = "report.html"
 N_SHOWN = 30  # suspensions in the table on a terminal
 ID_DIGITS = 12  # hexadecimal digits of a suspension's name in a URL
-CALM = "within its limits"
-"""Reason of a suspension without a finding."""
+CALM = "within its limits"  # reason of a suspension without a finding
 
 
 @dataclass(frozen=True)

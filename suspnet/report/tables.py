@@ -145,7 +145,6 @@ SUSPENSION_NAMES = (
 )
 BAND = 1.96  # standard deviations on each side that hold 95 % of normally distributed values
 LARGEST_BAND = 3.0  # half width of a drawn band in log-magnitude; wider would flatten the axis
-N_ROWS = 12  # frequencies in a table of responses
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,21 +184,3 @@ def band(magnitudes: FloatArray, deviations: FloatArray) -> tuple[FloatArray, Fl
     finite = np.where(np.isfinite(deviations), deviations, np.nan)
     half = np.minimum(BAND * finite, LARGEST_BAND)
     return magnitudes * np.exp(-half), magnitudes * np.exp(half)
-
-
-def response_table(first: ResponseCurves, newest: ResponseCurves) -> list[list[float]]:
-    """Return amplifications as rows: frequency, then both suspensions' of first and newest trip."""
-    ends = (
-        max(first.frequencies_hz[0], newest.frequencies_hz[0]),
-        min(first.frequencies_hz[-1], newest.frequencies_hz[-1]),
-    )
-    if not ends[0] < ends[1]:
-        return []
-    chosen = np.geomspace(*ends, N_ROWS)
-    columns: Sequence[FloatArray] = [
-        np.interp(chosen, curves.frequencies_hz, curves.magnitudes[link])
-        for link in range(len(SUSPENSION_NAMES))
-        for curves in (first, newest)
-    ]
-    rows: list[list[float]] = np.column_stack([chosen, *columns]).tolist()
-    return rows

@@ -39,10 +39,8 @@ LABELS = {str(severity): pair for severity, pair in SEVERITIES.items()}
 MARKS = {"act": "✕", "notice": "!", "unknown": "?", "none": "✓"}
 """Symbol of each severity, so that colour is not needed."""
 KILO = 1e3
-KILO_UNITS = {"N/m": "kN/m", "N s/m": "kN s/m", "kg": "t"}
-"""Unit of a thousand of each SI unit."""
-PACKAGE = "suspnet.report"
-"""Package whose templates all other packages may use."""
+KILO_UNITS = {"N/m": "kN/m", "N s/m": "kN s/m", "kg": "t"}  # unit of a thousand of each SI unit
+PACKAGE = "suspnet.report"  # package whose templates all other packages may use
 OPTIONS: dict[str, Any] = {
     "extensions": ["jinja2.ext.i18n"],
     "undefined": StrictUndefined,  # an unknown name is an error

@@ -30,8 +30,7 @@ MAINTENANCE, AGAIN = "maintenance", "commissioned again"
 AGAIN_OF_FIRST = f"{AGAIN}; % is of the first healthy values"
 LEAST_SPAN_PERCENT = 2.0
 """Smallest span of a parameter's axis, [%], so that spread does not look like change."""
-MARGIN = 0.05
-"""Share of the span that stays free above and below."""
+MARGIN = 0.05  # share of the span that stays free above and below
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,8 +17,7 @@ from suspnet.maintenance.state import State
 from suspnet.report.bogie import bogie_of
 from suspnet.report.overview import ID_DIGITS, FleetView
 
-INSPECT = "inspect"
-"""Work on a part with an alarm that the plan has no visit for, and on a sensor."""
+INSPECT = "inspect"  # work on a part with an alarm that the plan has no visit for, and on a sensor
 
 
 @dataclass(frozen=True)

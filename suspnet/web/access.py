@@ -13,12 +13,9 @@ from typing import cast
 from flask import current_app, g, request
 from werkzeug.exceptions import Forbidden, Unauthorized
 
-ACCESS = "suspnet_access"
-"""Key, among an application's extensions, of who may see and acknowledge."""
-MIN_TOKEN = 24
-"""Smallest length of a token: 24 characters of base64 are 144 bits."""
-MAX_NAME = 80
-"""Largest length of a visitor's name, that of an acknowledgement."""
+ACCESS = "suspnet_access"  # key, among an application's extensions, of who may see and acknowledge
+MIN_TOKEN = 24  # smallest length of a token: 24 characters of base64 are 144 bits
+MAX_NAME = 80  # largest length of a visitor's name, that of an acknowledgement
 
 
 @dataclass(frozen=True)

@@ -31,8 +31,7 @@ from suspnet.web.service import current_service
 ROOT = "/api/v1"
 api = Blueprint("api", __name__, url_prefix=ROOT)
 api.before_request(identify_program)
-ROUTES: list[Route] = []
-"""What the API answers, in the order of its description."""
+ROUTES: list[Route] = []  # what the API answers, in the order of its description
 Query = TypeVar("Query", bound=BaseModel)
 Handler = Callable[..., tuple[dict[str, Any], int]]
 

@@ -230,8 +230,7 @@ def http_server(app: Flask, listening: socket.socket, threads: int, prefix: str 
     return server
 
 
-LOOPBACK = ("127.0.0.1", "localhost")
-"""Host names of pages requested on this computer."""
+LOOPBACK = ("127.0.0.1", "localhost")  # host names of pages requested on this computer
 SCRIPTS_AND_STYLES = (
     "default-src 'self'; base-uri 'none'; form-action 'self'; frame-ancestors 'none'; "
     "object-src 'none'"

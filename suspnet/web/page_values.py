@@ -20,18 +20,14 @@ from suspnet.maintenance.state import State
 from suspnet.report.bogie import bogie_of, bogies_shown, small_figures, why_no_part
 from suspnet.report.language import spoken
 from suspnet.report.overview import FleetView, finding
-from suspnet.report.tables import files_read_as, response, response_table, sensor_rows, trip_table
+from suspnet.report.tables import files_read_as, sensor_rows, trip_table
 from suspnet.report.trend import ranges, trend_of_state
 
-MAX_ROWS = 50
-"""Largest number of rows of a table of the fleet, unless all are requested."""
-MAX_JOBS = 10
-"""Largest number of jobs on the page of the fleet; the page of the plan has all."""
-N_TRIPS = 20
-"""Number of the newest trips in the table of a suspension."""
+MAX_ROWS = 50  # largest number of rows of a table of the fleet, unless all are requested
+MAX_JOBS = 10  # largest number of jobs on the page of the fleet; the page of the plan has all
+N_TRIPS = 20  # number of the newest trips in the table of a suspension
 OUTPUTS = tuple(name for name in PARAMETERS if name != BODY_MASS)
-SHORT = {"leading": "lead.", "trailing": "trail."}
-"""Short words of a place, for a tile."""
+SHORT = {"leading": "lead.", "trailing": "trail."}  # short words of a place, for a tile
 
 
 @dataclass(frozen=True)
@@ -186,7 +182,6 @@ def suspension_values(
     # a small figure of each parameter where parts are read; else one figure of all
     names = [panel.name for panel in trend.panels]
     small = {name: address(name) for name in names} if set(names) & set(BOGIE_PARTS) else {}
-    responses = [response(curves.trip, curves.mileage_km, curves) for curves in stored]
     mileages = state.series.mileage_km[np.isfinite(state.series.mileage_km)]
     return {
         "state": state,
@@ -206,6 +201,5 @@ def suspension_values(
         "first_km": float(mileages.min()) if len(mileages) else np.nan,
         "newest_km": float(mileages.max()) if len(mileages) else np.nan,
         "sensors": sensor_rows(state.series),
-        "responses": responses,
-        "gains": response_table(responses[0], responses[-1]) if responses else [],
+        "responses": bool(stored),
     }

@@ -45,8 +45,7 @@ from suspnet.web.figures import response_figure, trend_figure
 from suspnet.web.page_values import Choice
 from suspnet.web.service import current_service
 
-WITH_PLOTS = "suspnet.plots"
-"""Key in a request's environment that marks a page with plots."""
+WITH_PLOTS = "suspnet.plots"  # key in a request's environment that marks a page with plots
 HAS_PDF = find_spec("weasyprint") is not None
 
 pages = Blueprint("pages", __name__)

@@ -16,8 +16,7 @@ from suspnet.maintenance.state import State
 from suspnet.report.board import Refresher
 from suspnet.report.overview import FleetView
 
-SERVICE = "suspnet_fleet"
-"""Key, among an application's extensions, of the `FleetService`."""
+SERVICE = "suspnet_fleet"  # key, among an application's extensions, of the `FleetService`
 READ_S, WRITE_S = 0.5, 2.0
 """Timeouts for reading from a store that other programs have locked, and for writing to it, [s]."""
 

@@ -141,7 +141,7 @@ def test_frame_is_divided_at_the_border(tmp_path):
     assert (one.end_ns, other.begin_ns) == (ZERO_NS + 2 * 10**11,) * 2
     early = replace(frame(400.0, 3), time_ns=ZERO_NS + 400 * 10**9 - 1)
     stream.add(early)
-    assert stream.open[-1].begin_ns == ZERO_NS + 400 * 10**9
+    assert stream.open[-1].rest.rest.begin_ns == ZERO_NS + 400 * 10**9
 
 
 def test_section_is_over_when_enough_frames_have_passed_it_and_its_rest_is_long(tmp_path):

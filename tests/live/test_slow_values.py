@@ -21,34 +21,17 @@ def within(slow, begin_s, end_s):
     return slow.passed_km if km is None else km, celsius
 
 
-def test_values_before_any_frame_are_those_of_the_manifest():
-    assert within(SlowValues(12.0, 20.0), 0, 10) == (12.0, 20.0)
-    assert within(SlowValues(12.0, None), 0, 10) == (12.0, None)
-
-
-def test_first_value_in_a_section_counts():
-    slow = SlowValues(0.0, None)
+def test_first_value_in_a_section_counts_and_those_before_a_frame_are_the_manifest_s():
+    slow = SlowValues(12.0, None)
+    assert within(slow, 0, 10) == (12.0, None)
     slow.take(value("mileage", 14, 104.0, 105.0))
-    slow.take(value("mileage", 12, 102.0))
+    slow.take(value("mileage", 12, 102_000.0, unit="m"))
     slow.take(value("temperature", 5, 7.0))
     assert within(slow, 10, 20) == (102.0, 7.0)
-    slow.take(value("temperature", 13, 9.0))
+    slow.take(value("temperature", 13, 9.0, unit="°C"))
     assert within(slow, 10, 20) == (102.0, 9.0)
-
-
-def test_mileage_goes_on_behind_a_section_and_temperature_stays():
-    slow = SlowValues(0.0, None)
-    slow.take(value("mileage", 12, 102.0))
-    slow.take(value("temperature", 13, 9.0))
     slow.pass_section(20 * SECOND, 110.0)
     assert within(slow, 20, 30) == (110.0, 9.0)
-
-
-def test_units():
-    slow = SlowValues(0.0, None)
-    slow.take(value("mileage", 1, 5000.0, unit="m"))
-    slow.take(value("temperature", 1, 5.0, unit="°C"))
-    assert within(slow, 0, 10) == (5.0, 5.0)
 
 
 @given(st.permutations(range(20)), st.integers(0, 5))

@@ -104,23 +104,6 @@ def test_file_with_anything_but_our_frames_is_left_and_reported_once(
     assert words.isprintable()
 
 
-def test_links_and_fifos_are_left_and_reported_once(tmp_path, caplog):
-    precious = tmp_path / "precious"
-    precious.write_bytes(FRAMES[0])
-    folder = tmp_path / "incoming"
-    folder.mkdir()
-    (folder / "link").symlink_to(precious)
-    (folder / "dangling").symlink_to(tmp_path / "nothing")
-    os.mkfifo(folder / "fifo")
-    source = opened(folder, once=False, then="delete")
-    assert source.receive(0.05) == source.receive(0.05) == []
-    source.confirm()
-    assert source.counts == {"left": 3}
-    assert len(caplog.records) == 3
-    assert len(os.listdir(folder)) == 3
-    assert precious.read_bytes() == FRAMES[0]
-
-
 def test_files_are_not_moved_through_a_link(tmp_path):
     (tmp_path / "outside").mkdir()
     folder = tmp_path / "incoming"

@@ -23,7 +23,7 @@ SETTINGS = FleetSettings(TripSettings())
 def test_range_without_a_unit_is_the_only_thing_that_is_missing(tmp_path):
     manifest, files = small_fleet()[0], []
     for name, rate_hz in zip(CHANNELS, RATES_HZ, strict=True):
-        stated = {b"unit": b"m/s^2", b"rate_hz": b"%g" % rate_hz}
+        stated = {b"unit": b"mg", b"rate_hz": b"%g" % rate_hz}
         schema = pa.schema([pa.field(name, pa.float64(), metadata=stated)])
         files.append(tmp_path / f"{name}.parquet")
         pq.write_table(pa.table([signal(manifest, name)], schema=schema), files[-1])
