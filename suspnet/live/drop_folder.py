@@ -98,7 +98,7 @@ class DropFolder:
         n_bytes = 0
         while n_bytes < BATCH_BYTES:  # ends: each round reads a piece, or waits until the deadline
             if self._reading is None and not self._waiting:
-                if frames:
+                if frames:  # better a small batch now than a wait for new files
                     break
                 now_s = time.monotonic()
                 if self.once or now_s >= self._next_look_s:

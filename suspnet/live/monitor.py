@@ -87,6 +87,7 @@ class Monitor:
         self._suspensions = {name: by_name[name] for name in source.subscribe(list(by_name))}
         if not self._suspensions:
             raise ValueError("no suspension is in this process's part")
+        # different sizes, so that states of many suspensions are not saved at once
         sizes = np.linspace(MAX_JOURNAL / 2, MAX_JOURNAL, len(self._suspensions))
         self._max_bytes = dict(zip(self._suspensions, sizes.tolist(), strict=True))
         self._last_s = dict.fromkeys(self._suspensions, clock())

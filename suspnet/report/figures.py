@@ -100,6 +100,7 @@ def trip_responses(results: Sequence[TripResult]) -> Figure:
         for r in sorted(results, key=lambda r: np.nan_to_num(r.mileage_km, nan=-np.inf))
         if r.curves is not None
     ]
+    # colours only if mileages differ: a scale of one value would have no range
     mileage = np.array([curves.mileage_km / 1000 for curves in shown])
     n_distinct = len(np.unique(mileage[np.isfinite(mileage)]))
     scale = Normalize(np.nanmin(mileage), np.nanmax(mileage)) if n_distinct > 1 else None
@@ -137,6 +138,7 @@ def quality(results: Sequence[TripResult]) -> Figure:
     """
     figure = Figure(figsize=(7.0, 6.0), layout="constrained")
     axes: list[Axes] = list(figure.subplots(3, 1, sharex=True))
+    # trips without a mileage have no place along the axis
     placed = [r for r in by_mileage(results) if np.isfinite(r.mileage_km)]
     mileage = np.array([r.mileage_km / 1000 for r in placed])
     done = np.array([r.status == OK for r in placed], dtype=bool)
@@ -158,6 +160,7 @@ def quality(results: Sequence[TripResult]) -> Figure:
         axis.grid(True, alpha=0.3)
         if not placed:
             say(axis, "no trip with a mileage")
+    # from zero, so that a small spread does not look like a change
     most = np.nan_to_num([r.quality.n_averages for r in placed]).max(initial=0.0)
     axes[0].set_ylim(0, 1.1 * most or 1.0)
     if placed:

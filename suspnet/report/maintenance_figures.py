@@ -70,6 +70,7 @@ def plan_calendar(plan: Plan, figure: Figure | None = None) -> Figure:
         jobs[visit.train] += visit.jobs
     for job in (*plan.unknown, *plan.waiting):
         jobs[job.part.train].append(job)
+    # the most urgent trains on top, as only the first of many are shown
     names = sorted(jobs, key=lambda name: _urgency(visits[name], jobs[name], name))
     shown = names[:MOST_TRAINS]
     figure = figure or Figure(
@@ -222,6 +223,7 @@ def health_trend(trend: MileageTrend, is_small: bool = False) -> Figure:
             axis.axvline(km / 1000, color="0.3", lw=0.9, ls="-.", label=trend.again)
         for km, _ in trend.events:
             axis.axvline(km / 1000, color="0.3", lw=0.9, ls=":", label=MAINTENANCE)
+    # last, as it extends the common axis into the future
     if len(trend.km):
         _draw_passing(axes, trend)
     axes[-1].set_xlabel(MILEAGE_LABEL)

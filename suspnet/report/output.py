@@ -200,6 +200,7 @@ def write_pages(report: Report, output: Path, *, draw: bool = True) -> None:
     """
     results, outputs, state = report.results, report.outputs, report.state
     done = [r for r in results if r.status == OK]
+    # where parts are read, each has a small figure of its own in place of the common trend
     drawn, small = {}, {}
     if draw:
         relative = relative_to_first_healthy(results, report.commissionings)
@@ -221,6 +222,7 @@ def write_pages(report: Report, output: Path, *, draw: bool = True) -> None:
             run_log.figure(name, figure, output / "figures")
         run_log.text("trips", summary(results, outputs))
         run_log.text("verdict", spoken(state.assessments))
+    # NumPy's numbers become plain ones on the way through JSON
     metrics = json.loads(json.dumps(_metrics(report), default=float))
     write_json(output / "metrics.json", metrics)
     write_report(output / REPORT, gettext("Suspension report"), report, drawn, small)

@@ -130,10 +130,12 @@ def write_report(
     trips = by_mileage(report.results)
     severity, finding = overall(assessments)
     findings = joined(worst_first(assessments))
+    # remarks on the trips, each a sentence or empty
     doubts, unread = _doubts(trips), _unread(trips)
     wheels, dead = wheels_finding(trips), failing_words(trips)
     sides = worn_finding(trips) or sides_finding(trips)
     table = trip_table(trips, report.outputs, report.level)
+    # captions explain intervals and flags only where there are any
     shown = {
         "intervals": gettext(INTERVALS_SHOWN).format(level=table.level) if table.level else "",
         "flags": gettext(FLAGS_SHOWN) if doubts else "",

@@ -165,7 +165,7 @@ def named(name: str) -> str:
 
 
 def _range(pair: tuple[float, float]) -> str:
-    return _range_of(*(decimal(f"{100 * one:g}") for one in pair))
+    return _range_of(*(decimal(f"{100 * end:g}") for end in pair))
 
 
 def _range_of(low: str, high: str) -> str:

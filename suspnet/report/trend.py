@@ -119,6 +119,7 @@ def trend_of_trips(
     limits of their `state` are relative to the last one.
     """
     placed = [r for r in by_mileage(results) if np.isfinite(r.mileage_km)]
+    # limits are relative to the last commissioning, the figure to the first
     now = commissionings[-1].relative if commissionings else {}
     panels = []
     for name in outputs:

@@ -98,7 +98,7 @@ def _orders(view: FleetView, index: int, jobs: Jobs) -> list[WorkOrder]:
         for name in state.outputs
         if name != BODY_MASS and (job := jobs.get((*place, name)))
     }
-    severities = {one.parameter: one.severity for one in state.assessments}
+    severities = {own.parameter: own.severity for own in state.assessments}
     severities.pop(BODY_MASS, None)
     named = [name for name, level in severities.items() if level >= Severity.NOTICE or name in due]
     named.sort(key=lambda name: -severities[name])
@@ -111,7 +111,7 @@ def _orders(view: FleetView, index: int, jobs: Jobs) -> list[WorkOrder]:
 
 def _of_part(view: FleetView, index: int, name: str, job: dict[str, Any]) -> WorkOrder:
     state = view.states[index]
-    (assessment,) = (one for one in state.assessments if one.parameter == name)
+    (assessment,) = (own for own in state.assessments if own.parameter == name)
     alarms = state.alarms_of(name)
     drawn = bogie.parts.get(name) if (bogie := bogie_of(state)) else None
     groups = [bogie.groups[letter] for letter in drawn.group.split()] if bogie and drawn else []

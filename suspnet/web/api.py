@@ -88,7 +88,7 @@ def parts(query: models.Paged, id: str) -> tuple[dict[str, Any], int]:
     """List the parameters of a suspension, or the parts of its bogie where each is read."""
     view = _read_view()
     state = view.states[_index(view, id)]
-    rows = (_part(state, one) for one in state.assessments if one.parameter != BODY_MASS)
+    rows = (_part(state, own) for own in state.assessments if own.parameter != BODY_MASS)
     return _listed(query, rows), 200
 
 

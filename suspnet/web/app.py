@@ -81,6 +81,7 @@ def create_app(
     }
     app.before_request(functools.partial(_choose_language, language))
     protected = protect(app, hosts)
+    # the blueprints find fleet and rights among the extensions
     app.extensions[SERVICE] = FleetService(refresher)
     app.extensions[ACCESS] = access or Access()
     app.register_blueprint(pages)

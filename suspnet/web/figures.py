@@ -45,6 +45,7 @@ def trend_figure(trend: MileageTrend, name: str, of: str = "") -> dict[str, Any]
     heading, as it stands among those of the others, and their range of mileages.
     """
     panels = [panel for panel in trend.panels if of in ("", panel.name)]
+    # the panels share the height, with gaps for their headings
     n = len(panels)
     margins = MARGINS | ({"t": 12} if of else {})
     height = (1 - GAP * (n - 1)) / n
@@ -94,6 +95,7 @@ def response_figure(responses: Sequence[ResponseCurves], name: str) -> dict[str,
     of the same suspension `name` keeps its zoom.
     """
     data = []
+    # an axis for each suspension; one legend entry switches both lines of a trip
     for link, axis in enumerate(("y", "y2")):
         for place, curves in enumerate(responses):
             is_last, is_first = place == len(responses) - 1, place == 0
@@ -155,6 +157,7 @@ def _traces(panel: Panel) -> list[dict[str, Any]]:
         "array": finite(clear.intervals[:, 1] - clear.values),
         "arrayminus": finite(clear.values - clear.intervals[:, 0]),
     }
+    # in the order in which they are drawn: what must stay visible comes last
     traces = [
         {
             "mode": "lines",

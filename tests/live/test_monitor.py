@@ -230,38 +230,6 @@ def test_an_estimate_on_the_way_is_of_what_had_come_when_it_was_begun(fleet):
     assert again.distance_km == made.distance_km == pytest.approx(14.0, rel=0.05)  # of 21 km
 
 
-@pytest.mark.slow  # test_killed_monitors_lose_and_double_nothing
-@pytest.mark.parametrize("every_s", [None, 100.0])
-def test_estimates_that_wait_are_made_after_kills(tmp_path, fleet, every_s):
-    (one,), live = suspensions(fleet), replace(LIVE, every_s=every_s)
-    frames = two_sections(fleet, [one])
-    (tmp_path / "whole").mkdir()
-    expected, _ = monitored(tmp_path / "whole", fleet, ListSource(frames), live)
-    with Journal(tmp_path / "journal") as journal:  # killed before any estimate was made
-        for data in frames:
-            journal.add(one.name, data)
-        journal.write(journal.batch())
-    (tmp_path / "offset").write_text(str(len(frames)))
-
-    rounds = [[], []]
-
-    def receive(timeout_s):
-        if not rounds:
-            raise KeyboardInterrupt
-        return rounds.pop()
-
-    source = ListSource(frames, offset=tmp_path / "offset")
-    source.receive = receive
-    with pytest.raises(KeyboardInterrupt):  # it goes on from the journal, commits, and is killed
-        monitored(tmp_path, fleet, source, live)
-    # the first section is told where the next one has an estimate on the way
-    assert len(kept(tmp_path, fleet)) == (0 if every_s is None else 1)
-    found, _ = monitored(tmp_path, fleet, ListSource(frames, offset=tmp_path / "offset"), live)
-    assert len(found) == 2
-    for one, other in zip(found, expected, strict=True):
-        assert_same_estimate(one, other)
-
-
 # kills
 
 

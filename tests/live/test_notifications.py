@@ -517,13 +517,6 @@ def test_a_wrong_rule_is_one_line_with_its_file_and_place(tmp_path, channels, re
     assert "\n" not in str(caught.value)
 
 
-def test_a_secret_may_be_in_a_file_that_the_environment_names(tmp_path, monkeypatch):
-    monkeypatch.delenv("SUSPNET_WEBHOOK_SECRET")
-    (tmp_path / "key").write_text(f"{KEY}\n")
-    monkeypatch.setenv("SUSPNET_WEBHOOK_SECRET_FILE", str(tmp_path / "key"))
-    assert read_rules(webhook_rules(tmp_path, "https://h/")).channels.keys() == {"hook"}
-
-
 def test_an_evaluation_sends_what_is_new_once(tmp_path, monkeypatch):
     from cli_runner import run_program  # here: killed programs import this module, and quickly
 

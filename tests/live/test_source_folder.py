@@ -3,12 +3,8 @@
 import os
 import threading
 import time
-from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from live_frames import encoded, frame, numbers
 
 from suspnet.live import drop_folder
@@ -131,29 +127,6 @@ def test_long_file_that_only_begins_with_a_frame_is_not_read_to_its_end(tmp_path
     assert names(tmp_path) == ["long"]
 
 
-@settings(max_examples=50, deadline=None)
-@given(
-    st.lists(
-        st.lists(
-            st.one_of(st.sampled_from(FRAMES), st.binary(min_size=1, max_size=40)), max_size=5
-        ),
-        max_size=5,
-    )
-)
-def test_files_of_anything_give_their_frames_and_only_frames_are_put_away(contents):
-    with TemporaryDirectory() as name:
-        folder = Path(name)
-        for k, parts in enumerate(contents):
-            (folder / str(k)).write_bytes(b"".join(parts))
-        found = everything(opened(folder))
-        begun = [parts for parts in contents if b"".join(parts).startswith(b"\xff\xff\xff\xff")]
-        assert sorted(found) == sorted(p for parts in begun for p in parts if p in FRAMES)
-        whole = [str(k) for k, parts in enumerate(contents) if parts and set(parts) <= set(FRAMES)]
-        assert names(folder) == [str(k) for k in range(len(contents)) if str(k) not in whole]
-        if whole:
-            assert names(folder / "taken") == whole
-
-
 def test_files_are_put_away_as_their_frames_are_confirmed_one_after_the_other(tmp_path):
     (tmp_path / "a").write_bytes(b"".join(FRAMES[:2]))
     (tmp_path / "b").write_bytes(b"".join(FRAMES[2:5]))
@@ -226,14 +199,6 @@ def test_file_that_is_replaced_before_it_is_confirmed_is_read_anew(tmp_path):
     source.confirm()
     assert source.counts == {"replaced": 1}
     assert names(tmp_path / "taken") == ["a"]
-
-
-def test_folder_is_looked_at_no_oftener_than_it_was_told(tmp_path, monkeypatch):
-    source, n_looks, look = opened(tmp_path, once=False, poll_s=60.0), [], DropFolder.look
-    monkeypatch.setattr(DropFolder, "look", lambda self: (n_looks.append(1), look(self)))
-    for _ in range(10):
-        assert source.receive(0.002) == []
-    assert len(n_looks) == 1
 
 
 def test_receive_waits_for_files_no_longer_than_it_was_told(tmp_path):

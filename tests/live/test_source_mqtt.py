@@ -10,6 +10,7 @@ import sys
 import threading
 import time
 from collections import Counter
+from contextlib import contextmanager
 
 import pytest
 from live_frames import Mosquitto, encoded, frame, numbers, received, until
@@ -30,11 +31,18 @@ def _impatient(monkeypatch):
     monkeypatch.setattr("suspnet.live.broker.BACKOFF_S", (0.05, 0.2))
 
 
+@contextmanager
+def running(broker):
+    try:
+        yield broker.start()
+    finally:
+        broker.end(signal.SIGKILL)
+
+
 @pytest.fixture
 def broker(tmp_path):
-    found = Mosquitto(tmp_path).start()
-    yield found
-    found.end(signal.SIGKILL)
+    with running(Mosquitto(tmp_path)) as started:
+        yield started
 
 
 @pytest.fixture
@@ -145,8 +153,7 @@ def test_broker_that_is_not_there_yet_is_waited_for(tmp_path, opened, caplog):
     source.publish("estimates", ONE, b'{"k": 2}')
     assert until(lambda: source.counts["unreachable"])
     assert [one.getMessage() for one in caplog.records if "connection refused" in one.getMessage()]
-    broker.start()
-    try:
+    with running(broker):
         assert until(lambda: source.is_connected)
         sink = opened(MqttSink(at(broker)))
         send(sink, 3)
@@ -154,8 +161,6 @@ def test_broker_that_is_not_there_yet_is_waited_for(tmp_path, opened, caplog):
         assert until(lambda: retained(broker) == {at(broker).topic("estimates", ONE): {"k": 2}}, 2)
         source.close()
         sink.close()
-    finally:
-        broker.end()
 
 
 def test_parts_share_the_suspensions(broker, opened):
@@ -225,8 +230,7 @@ def test_message_that_is_no_frame_is_given_like_any_other(broker, opened):
 
 
 def test_messages_that_the_broker_lets_through_are_counted(tmp_path, opened):
-    broker = Mosquitto(tmp_path, "max_packet_size 20000000").start()
-    try:
+    with running(Mosquitto(tmp_path, "max_packet_size 20000000")) as broker:
         source, sink = opened(Mqtt(at(broker), in_flight=5)), opened(MqttSink(at(broker)))
         client, topic = raw_client(broker), at(broker).topic("frames", ONE)
         for _ in range(20):
@@ -238,8 +242,6 @@ def test_messages_that_the_broker_lets_through_are_counted(tmp_path, opened):
         client.loop_stop()
         source.close()
         sink.close()
-    finally:
-        broker.end()
 
 
 def test_password_is_read_from_the_environment(tmp_path, opened, monkeypatch):
@@ -252,8 +254,7 @@ def test_password_is_read_from_the_environment(tmp_path, opened, monkeypatch):
     broker = Mosquitto(tmp_path, f"password_file {passwords}")
     file = tmp_path / "mosquitto.conf"
     file.write_text(file.read_text().replace("\nallow_anonymous true", "\nallow_anonymous false"))
-    broker.start()
-    try:
+    with running(broker):
         with pytest.raises(ValueError, match="export SUSPNET_MQTT_PASSWORD="):
             Mqtt(at(broker, user="monitor")).subscribe([])
         monkeypatch.setenv("SUSPNET_MQTT_PASSWORD", "wrong")
@@ -263,15 +264,15 @@ def test_password_is_read_from_the_environment(tmp_path, opened, monkeypatch):
         refused.subscribe([ONE])
         assert until(lambda: refused.counts["rejected"])
         refused.close()
-        monkeypatch.setenv("SUSPNET_MQTT_PASSWORD", "right")
+        monkeypatch.delenv("SUSPNET_MQTT_PASSWORD")
+        (tmp_path / "password").write_text("right\n")
+        monkeypatch.setenv("SUSPNET_MQTT_PASSWORD_FILE", str(tmp_path / "password"))
         source = opened(Mqtt(at(broker, user="monitor")))
         sink = opened(MqttSink(at(broker, user="monitor")))
         send(sink, 2)
         assert len(received(source, 2)) == 2
         source.close()
         sink.close()
-    finally:
-        broker.end()
 
 
 # paho-mqtt leaves the socket of a handshake that failed to the garbage collector
@@ -294,8 +295,7 @@ def test_connection_with_tls(tmp_path, opened):
     certificate = str(tmp_path / "cert.pem")
     # of the listener that the configuration ends with
     broker = Mosquitto(tmp_path, f"certfile {certificate}", f"keyfile {tmp_path / 'key.pem'}")
-    broker.start()
-    try:
+    with running(broker):
         settings = at(broker, tls=True, ca_file=certificate)
         source, sink = opened(Mqtt(settings)), opened(MqttSink(settings))
         send(sink, 2)
@@ -306,8 +306,6 @@ def test_connection_with_tls(tmp_path, opened):
         distrusting.close()
         source.close()
         sink.close()
-    finally:
-        broker.end()
 
 
 WRONG = {

@@ -119,13 +119,6 @@ def test_locked_store_holds_no_page_up_and_is_shown_again(path, waits_little):
         assert "trip_029" in client.get(address, **BASE).text
 
 
-def test_start_waits_for_no_lock(path, waits_little):
-    with locked(path):
-        begin = time.monotonic()
-        serve._check_store(str(path))
-        assert time.monotonic() - begin < 4
-
-
 def test_bad_row_is_shown_on_the_pages(path):
     with sqlite3.connect(path) as connection:
         connection.execute("UPDATE trips SET start = 'yesterday' WHERE id = 1")
