@@ -21,6 +21,7 @@ from suspnet.ground.parameters import (
     part_words,
 )
 from suspnet.ground.records import (
+    NO_ESTIMATE,
     Place,
     Quality,
     SensorHealth,
@@ -36,6 +37,7 @@ from suspnet.report.board import BoardSettings
 from suspnet.report.bogie import (
     NONE_NAMED,
     bogie_of,
+    bogies_of,
     group_words,
     why_no_part,
     worn_entries,
@@ -43,6 +45,7 @@ from suspnet.report.bogie import (
 from suspnet.report.language import speaking
 from suspnet.report.maintenance_figures import small_trends
 from suspnet.report.output import summary
+from suspnet.report.overview import Evaluated, same_columns
 from suspnet.report.pdf import as_pdf
 from suspnet.report.report import Report, write_report
 from suspnet.report.templates import environment
@@ -116,8 +119,11 @@ def report(results, tmp_path_factory):
 
 
 def report_of(results, path):
-    content = Report(results, COMPONENTS, state_of(results), DETAILS)
-    small = dict.fromkeys(COMPONENTS, Figure(figsize=(1, 1)))
+    state = state_of(results)
+    trend = trend_of_state(state)
+    small = dict.fromkeys(COMPONENTS, Figure(figsize=(1, 1)))  # quickly drawn
+    small |= small_trends(replace(trend, panels=trend.panels[:1]))
+    content = Report(results, COMPONENTS, state, DETAILS)
     return write_report(path, "Bogie", content, {}, small).read_text(encoding="utf-8")
 
 
@@ -533,3 +539,29 @@ def test_healthy_is_that_of_the_first_trips_of_each_part_where_some_were_not_rea
         np.testing.assert_allclose(series.estimates[name], expected, rtol=1e-12)
         halves = [one.half_widths[name] for one in found]
         np.testing.assert_allclose(series.half_widths[name], halves, rtol=1e-12)
+
+
+def test_overview_draws_healthy_bogies_too(few, results):
+    healthy = bogie_trips(PLACE, 1, {}, n_trips=3)
+    done = [
+        Evaluated("a", PLACE, results, state_of(results)),
+        Evaluated("b", PLACE, healthy, state_of(healthy)),
+        Evaluated("c", PLACE, error="no manifest"),
+    ]
+    found = bogies_of(done)
+    assert [name for _, name, _ in found["bogies"]] == ["a/report.html", "b/report.html"]
+    assert found["n_bogies"] == 2
+    assert found["bogies"][1][2].listed == []
+
+
+def test_trips_without_an_estimate_have_no_empty_columns(few):
+    none = [replace(one, estimates={}, status=NO_ESTIMATE, reason="too short") for one in few]
+    lines = summary(none, outputs_of(none)).splitlines()
+    names = [cell.strip() for cell in lines[1].strip("|").split("|")]
+    assert names == ["trip", "1000 km", "averages", "state"]
+
+
+def test_rows_of_a_mixed_fleet_have_the_columns_of_all():
+    found = same_columns([{"a": 1}, {"a": 2, "b": 3.0}])
+    assert [list(one) for one in found] == [["a", "b"]] * 2
+    assert np.isnan(found[0]["b"])

@@ -11,6 +11,7 @@ from suspnet.history import History
 
 selenium = pytest.importorskip("selenium")
 from selenium import webdriver  # noqa: E402
+from selenium.common.exceptions import StaleElementReferenceException  # noqa: E402
 from selenium.webdriver.common.by import By  # noqa: E402
 from selenium.webdriver.common.keys import Keys  # noqa: E402
 from selenium.webdriver.support.ui import Select, WebDriverWait  # noqa: E402
@@ -173,6 +174,17 @@ def zoomed(browser, whole):
     return found != whole and found
 
 
+def half_filled(browser):
+    """Fill in a name by half and return its field; None while the page is being replaced."""
+    try:
+        name = browser.find_element(By.CSS_SELECTOR, "input[name=by]")
+        name.clear()  # of whom acknowledged before
+        name.send_keys("half a na")
+    except StaleElementReferenceException:
+        return None
+    return name
+
+
 def test_zoom_focus_and_forms_outlast_an_update_and_the_end_of_the_server_is_told(browser, own):
     _, refresher, path = own
     browser.get(page_of(own, WORN))
@@ -203,9 +215,7 @@ def test_zoom_focus_and_forms_outlast_an_update_and_the_end_of_the_server_is_tol
     assert focused(browser).text == "Last 20 trips"
     assert focused(browser).get_attribute("aria-pressed") == "false"  # 20 others by now
     assert "Without JavaScript" not in shown(browser)
-    name = browser.find_element(By.CSS_SELECTOR, "input[name=by]")
-    name.clear()  # of whom acknowledged before
-    name.send_keys("half a na")
+    name = wait(browser, half_filled)
     with History(path) as store:
         store.write(trips(WORN, 2, n_trips=1, begin=N_MORE + 1))
     pulse = browser.find_element(By.ID, "pulse")
