@@ -286,14 +286,14 @@ def dripping(answers, drip):
 
 
 HEAD = b"HTTP/1.1 200 OK\r\nContent-Length: 99999999\r\n"
-MAIL = [b"220 x\r\n", *[b"250 x\r\n"] * 3, b"354 x\r\n", b"250 x\r\n"]
+ANSWERS = [b"220 x\r\n", *[b"250 x\r\n"] * 3, b"354 x\r\n", b"250 x\r\n"]
 DRIPS = {
     "webhook, status": ("webhook", [b"", b""], b"H", False),
     "webhook, head": ("webhook", [b"", HEAD], b"X", True),
     "webhook, content": ("webhook", [b"", HEAD + b"\r\n"], b"X", True),
     "email, greeting": ("email", [], b"2", False),
-    "email, last answer": ("email", MAIL[:-1], b"2", False),
-    "email, goodbye": ("email", MAIL, b"2", True),
+    "email, last answer": ("email", ANSWERS[:-1], b"2", False),
+    "email, goodbye": ("email", ANSWERS, b"2", True),
 }
 
 
@@ -463,48 +463,25 @@ def test_each_address_gets_its_mail_once_and_no_text_becomes_a_header(tmp_path):
     assert "act: AM96 217: bogie 1, left: k_p (limit), since 10 000 km" in mails[1][1].get_content()
 
 
+HOOK = {"kind": "webhook", "url": "https://h/"}
+MAIL = {"kind": "email", "host": "h", "sender": "a@b"}
+ONLY = {"channels": ["h"]}
 WRONG = [
-    (
-        {"h": {"kind": "smoke"}},
-        {"a": {"channels": ["h"]}},
-        "must be one of email, webhook, got 'smoke'",
-    ),
     ({"h": {"kind": "mqtt", "host": "h"}}, {}, "must be one of email, webhook, got 'mqtt'"),
-    ({"h": {"kind": "webhook", "url": "file:///etc/passwd"}}, {}, "must be https://HOST"),
-    ({"h": {"kind": "webhook", "url": "https://u:p@h/"}}, {}, "without a user"),
-    ({"h": {"kind": "webhook", "url": "https://h/", "key": 1}}, {}, "has no key 'key'"),
-    (
-        {"h": {"kind": "webhook", "url": "https://h/", "secret_env": "HOME"}},
-        {"a": {"channels": ["h"]}},
-        "starts with SUSPNET_",
-    ),
-    (
-        {"h": {"kind": "webhook", "url": "https://h/", "secret_env": "SUSPNET_NONE"}},
-        {"a": {"channels": ["h"]}},
-        "export SUSPNET_NONE=",
-    ),
-    ({}, {"a": {"channels": ["h"]}}, "'h' is not a channel; known: none"),
+    ({"h": HOOK | {"url": "file:///etc/passwd"}}, {}, "must be https://HOST"),
+    ({"h": HOOK | {"url": "https://u:p@h/"}}, {}, "without a user"),
+    ({"h": HOOK | {"key": 1}}, {}, "has no key 'key'"),
+    ({"h": HOOK | {"secret_env": "HOME"}}, {"a": ONLY}, "starts with SUSPNET_"),
+    ({"h": HOOK | {"secret_env": "SUSPNET_NONE"}}, {"a": ONLY}, "export SUSPNET_NONE="),
+    ({}, {"a": ONLY}, "'h' is not a channel; known: none"),
     ({}, {}, "`recipients` must name a recipient"),
-    (
-        {"h": {"kind": "webhook", "url": "https://h/"}},
-        {"a": {"channels": ["h"], "digest": None, "at_once": []}},
-        "neither `at_once` nor `digest`",
-    ),
-    (
-        {"h": {"kind": "webhook", "url": "https://h/"}},
-        {"a": {"channels": ["h"], "vehicles": []}},
-        "`recipients.a.vehicles` is empty",
-    ),
-    (
-        {"m": {"kind": "email", "host": "h", "sender": "a@b", "user": "u", "security": "none"}},
-        {},
-        "unencrypted",
-    ),
-    (
-        {"m": {"kind": "email", "host": "h", "sender": "a@b"}},
-        {"a": {"channels": ["m"], "to": ["x\r\nBcc: y@z"]}},
-        "must list e-mail addresses",
-    ),
+    ({"h": HOOK}, {"a": ONLY | {"digest": None, "at_once": []}}, "neither `at_once` nor `digest`"),
+    ({"h": HOOK}, {"a": ONLY | {"vehicles": []}}, "`recipients.a.vehicles` is empty"),
+    ({"h": HOOK}, {"a": ONLY | {"vehicles": "x"}}, "must be a list of texts"),
+    ({"h": HOOK}, {"a": ONLY | {"digest": "soon"}}, "must be a time such as 06:00"),
+    ({"h": HOOK}, {"a": ONLY | {"severities": ["odd"]}}, "must be of notice, act"),
+    ({"h": MAIL | {"user": "u", "security": "none"}}, {}, "unencrypted"),
+    ({"h": MAIL}, {"a": ONLY | {"to": ["x\r\nBcc: y@z"]}}, "must list e-mail addresses"),
 ]
 
 

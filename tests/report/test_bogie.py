@@ -115,7 +115,14 @@ def results():
 @pytest.fixture(scope="module")
 def report(results, tmp_path_factory):
     """Return the report of a bogie, with a figure of each part."""
-    return report_of(results, tmp_path_factory.mktemp("bogie") / "report.html")
+    return report_of(with_healthy(results), tmp_path_factory.mktemp("bogie") / "report.html")
+
+
+def with_healthy(results):
+    """Return trips that state the healthy values of their parts, with intervals."""
+    values = {name: 1.8e3 for name in BOGIE_PARTS}
+    halves = dict.fromkeys(values, 0.029)
+    return [replace(one, healthy_si=values, healthy_half_widths=halves) for one in results]
 
 
 def report_of(results, path):
@@ -219,11 +226,8 @@ def test_left_is_left_axle_1_is_ahead_and_dampers_have_another_shape(results):
 def test_table_of_parts_fits_the_paper_in_german(results, tmp_path):
     pdfium = pytest.importorskip("pypdfium2")
     pytest.importorskip("weasyprint")
-    values = {name: 1.8e3 for name in BOGIE_PARTS}
-    half = dict.fromkeys(values, 0.029)
-    known = [replace(one, healthy_si=values, healthy_half_widths=half) for one in results]
     with speaking("de"):
-        page = report_of(known, tmp_path / "report.html")
+        page = report_of(with_healthy(results), tmp_path / "report.html")
     assert "±\N{NO-BREAK SPACE}2,9\N{NO-BREAK SPACE}%" in page
     head = page[: page.index("<body")]
     (table,) = re.findall('<h2 id="parameters".*?</table>', page, re.S)
@@ -327,6 +331,7 @@ def test_report_shows_the_bogie_the_worst_first_and_loads_nothing(report):
     assert images
     assert all(one.startswith("data:") for one in images)
     assert NONE_NAMED not in report
+    assert "±\N{NO-BREAK SPACE}2.9\N{NO-BREAK SPACE}%" in report
 
 
 def text_of(page):
@@ -565,3 +570,16 @@ def test_rows_of_a_mixed_fleet_have_the_columns_of_all():
     found = same_columns([{"a": 1}, {"a": 2, "b": 3.0}])
     assert [list(one) for one in found] == [["a", "b"]] * 2
     assert np.isnan(found[0]["b"])
+
+
+def test_figure_of_the_finding_is_first_and_no_smaller_than_others(fading):
+    drawn = small_trends(trend_of_state(state_of(fading)))
+    sizes = {name: figure.get_size_inches().prod() for name, figure in drawn.items()}
+    assert max(sizes, key=sizes.__getitem__) == "c_p_axle2_left"
+    line = next(
+        line
+        for line in drawn["c_p_axle2_left"].axes[0].lines
+        if line.get_label() == "median of five neighbouring trips"
+    )
+    dots = [100 * one.estimates["c_p_axle2_left"] for one in fading]
+    assert line.get_ydata()[3:] == pytest.approx(dots[3:])
