@@ -189,12 +189,12 @@ class Timed(Monitor):
 
     def is_busy(self) -> bool:
         """Return whether an estimate is being made, or a batch written."""
-        busy = [one for one in (self._making, self._writing) if one is not None]
-        return not all(one.future.done() for one in busy)
+        futures = [self._making and self._making.future, self._writing and self._writing[1]]
+        return not all(future.done() for future in futures if future is not None)
 
-    def _take(self, data: bytes) -> None:
+    def take(self, data: bytes) -> None:
         start = time.perf_counter()
-        super()._take(data)
+        super().take(data)
         self.took_ms.append(1e3 * (time.perf_counter() - start))
         self.delays_ms.append(1e3 * (self.source.now_s - self.source.came_s.pop(0)))
 

@@ -37,14 +37,13 @@ def main(config: DictConfig) -> None:
     suspensions = read_suspensions(Path(config.suspensions), models, settings, live)
     source = build(config, "source")
     rules = None if config.notify is None else read_rules(Path(config.notify))
-    events = None if config.tensorboard is None else Path(config.tensorboard)
     with (
         History(config.store) as store,
         Journal(Path(config.journal)) as journal,
         closing(source),
-        closing(Results(store, settings, source.publish, events)) as results,
         nullcontext() if rules is None else closing(Notifier(store, rules)) as notifier,
     ):
+        results = Results(store, settings, source.publish)
         monitor = Monitor(suspensions, source, journal, results.report, live.idle_s)
         n_frames = monitor.resume()
         log.info("%d suspensions; %d frames from %s", len(suspensions), n_frames, config.journal)

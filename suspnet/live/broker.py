@@ -7,7 +7,7 @@ import os
 import re
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 from urllib.parse import quote
 
 from suspnet.ground.extras import import_extra
@@ -20,21 +20,14 @@ if TYPE_CHECKING:
 log = logging.getLogger(__name__)
 HOST_VARIABLE, LOCAL = "SUSPNET_MQTT_HOST", "localhost"
 """Environment variable that names the host of a broker, and the host without it."""
-HOST = re.compile(r"[\w.:%-]+")
-"""A host name, or an address of version 4 or 6."""
-OUR_VARIABLE = re.compile(r"SUSPNET_[A-Z0-9_]+", re.ASCII)
-"""Environment variables that may hold a password: a configuration names one, and must not be able
-to send the content of any other variable to a broker."""
-MOST_SECRET_BYTES = 4096
-"""Largest size of a file with a password or key, [bytes]."""
-MOST_PREFIX = 200
-"""Largest number of characters of the topic prefix."""
-KEEPALIVE_S = 30
-"""A connection without traffic for one and a half times this [s] is lost."""
-BACKOFF_S = (1, 30)
-"""Shortest and longest time between two attempts to connect, [s]."""
-MOST_PER_REQUEST = 100
-"""Largest number of topics in one request of a subscription."""
+HOST = re.compile(r"[\w.:%-]+")  # a host name, or an address of version 4 or 6
+# A configuration names the variable of a password, and must not be able to send the content of any
+# other variable to a broker.
+SECRET_VARIABLE = re.compile(r"SUSPNET_[A-Z0-9_]+", re.ASCII)
+MAX_SECRET_BYTES = 4096
+MAX_PREFIX = 200
+KEEPALIVE_S = 30  # a connection without traffic for 1.5 times this is lost
+BACKOFF_S = (1, 30)  # shortest and longest time between two attempts to connect
 
 
 @dataclass(frozen=True)
@@ -81,31 +74,24 @@ class Broker:
             object.__setattr__(self, "host", os.environ.get(HOST_VARIABLE) or LOCAL)
         if not isinstance(self.host, str) or not HOST.fullmatch(self.host):
             raise ValueError(f"`host` must be a name or an address, got {self.host!r}")
-        if not isinstance(self.password_env, str) or not OUR_VARIABLE.fullmatch(self.password_env):
+        if not is_secret_variable(self.password_env):
             raise ValueError(
                 "`password_env` must be the name of an environment variable that starts with "
                 f"SUSPNET_, got {self.password_env!r}"
             )
-        if (
-            not isinstance(self.prefix, str)
-            or not self.prefix.isprintable()
-            or not 0 < len(self.prefix) <= MOST_PREFIX
-            or set("+#") & set(self.prefix)
-            or self.prefix[0] in "$/"
-        ):
+        prefix = self.prefix if isinstance(self.prefix, str) else ""
+        is_short = 0 < len(prefix) <= MAX_PREFIX and prefix.isprintable()
+        if not is_short or set("+#") & set(prefix) or prefix[0] in "$/":
             raise ValueError(
                 "`prefix` must be the short start of a topic, without + and #, not starting with $ "
                 f"or /; got {self.prefix!r}"
             )
-        files = (self.ca_file, self.cert_file, self.key_file)
-        if any(files) and not self.tls:
+        if any((self.ca_file, self.cert_file, self.key_file)) and not self.tls:
             raise ValueError("`ca_file`, `cert_file` and `key_file` are for tls=true")
 
     def topic(self, kind: str, suspension: str) -> str:
         """Return the topic of a suspension's "frames", "estimates" or "alarms".
 
-        Examples
-        --------
         >>> Broker().topic("frames", "train 1, car 2")
         'suspnet/frames/train%201%2C%20car%202'
         """
@@ -119,7 +105,7 @@ class Broker:
     def client(self, client_id: str, manual_ack: bool = False) -> Client:
         """Return a client, not yet connected, that reconnects with backoff.
 
-        It raises OSError or ValueError if paho-mqtt is not installed, the password is not set, or a
+        OSError or ValueError is raised if paho-mqtt is not installed, the password is not set, or a
         certificate cannot be read.
         """
         mqtt = import_extra("paho.mqtt.client", "live", "MQTT")
@@ -134,41 +120,33 @@ class Broker:
                 if not Path(file).is_file():  # opening a FIFO would block
                     raise FileNotFoundError(2, "there is no such file", file)
             client.tls_set(self.ca_file, self.cert_file, self.key_file)
-        log.info(
-            "the broker is at %s%s%s",
-            self.where,
-            "" if self.user is None else f", user {self.user!r}",
-            ", with TLS" if self.tls else "",
-        )
+        user = "" if self.user is None else f", user {self.user!r}"
+        log.info("the broker is at %s%s%s", self.where, user, ", with TLS" if self.tls else "")
         return client
+
+
+def is_secret_variable(name: object) -> bool:
+    """Return whether an environment variable of this name may hold a secret."""
+    return isinstance(name, str) and SECRET_VARIABLE.fullmatch(name) is not None
 
 
 def secret(variable: str, owner: str) -> str:
     """Return a password or key: the environment variable's value, or the content of a file.
 
     The variable with ``_FILE`` after its name holds the path of that file. ValueError, which names
-    the `owner` of the secret, is raised if there is neither or the name is not allowed.
+    the `owner` of the secret, is raised if both are missing or the name is not allowed.
     """
-    if not isinstance(variable, str) or not OUR_VARIABLE.fullmatch(variable):
+    if not is_secret_variable(variable):
         raise ValueError(
             "a secret is in an environment variable whose name starts with SUSPNET_, "
             f"got {variable!r}"
         )
-    found, file = os.environ.get(variable), os.environ.get(f"{variable}_FILE")
-    if found is None and file:
-        found = read_plain(Path(file), MOST_SECRET_BYTES).decode().rstrip("\r\n")
-    if not found:
+    value, file = os.environ.get(variable), os.environ.get(f"{variable}_FILE")
+    if value is None and file:
+        value = read_plain(Path(file), MAX_SECRET_BYTES).decode().rstrip("\r\n")
+    if not value:
         raise ValueError(
             f"{owner} needs a secret, so the environment must hold it: export {variable}=... or "
             f"{variable}_FILE=PATH"
         )
-    return found
-
-
-def properties_of_connect(**values: int) -> Any:
-    """Return the properties of a CONNECT packet, by their MQTT 5 names."""
-    names = import_extra("paho.mqtt.packettypes", "live", "MQTT").PacketTypes
-    found = import_extra("paho.mqtt.properties", "live", "MQTT").Properties(names.CONNECT)
-    for name, value in values.items():
-        setattr(found, name, value)
-    return found
+    return value

@@ -1,4 +1,4 @@
-"""Channels of messages about alarms: a webhook, e-mail, an MQTT broker.
+"""Channels of messages about alarms: a webhook and e-mail.
 
 `send` returns once the server has accepted a message and raises DeliveryError otherwise; its text
 contains no secret and no path of a URL, which may be one.
@@ -10,7 +10,6 @@ import base64
 import hashlib
 import hmac
 import http.client
-import queue
 import re
 import smtplib
 import socket
@@ -29,15 +28,13 @@ from urllib.parse import quote, urlsplit
 from suspnet.ground.settings import check_settings, setting
 from suspnet.ground.storage import json_bytes
 from suspnet.history.outbox import Message
-from suspnet.live.broker import KEEPALIVE_S, Broker, secret
+from suspnet.live.broker import secret
 from suspnet.report.language import speaking
 from suspnet.report.messages import subject, text
 
 DEADLINE_S, CONNECT_S = 60.0, 10.0
-"""Longest time until a server has accepted a message, and until one of its addresses answers,
-[s]."""
-ADDRESS = re.compile(r"[^@\s<>,;:\"()\[\]\\]+@[A-Za-z0-9.-]+")
-"""An e-mail address without a name."""
+"""Longest time until a server has accepted a message, and until it answers at all, [s]."""
+ADDRESS = re.compile(r"[^@\s<>,;:\"()\[\]\\]+@[A-Za-z0-9.-]+")  # an e-mail address without a name
 
 
 class DeliveryError(Exception):
@@ -48,11 +45,11 @@ class AddressError(DeliveryError):
     """A server did not accept one address; it may accept others."""
 
 
-class Channel(Protocol):
+class NotificationChannel(Protocol):
     """Interface of a channel."""
 
     def check(self, addresses: tuple[str, ...]) -> None:
-        """Raise ValueError or OSError if a secret, a package or an address is missing or wrong."""
+        """Raise ValueError or OSError if a secret or an address is missing or wrong."""
 
     def send(self, message: Message) -> None:
         """Return once the message is accepted; DeliveryError if it is not."""
@@ -71,10 +68,10 @@ class Webhook:
 
     def __post_init__(self) -> None:
         check_settings(self)
-        parts = urlsplit(self.url)
-        if parts.scheme not in ("http", "https") or not parts.hostname or parts.username:
+        url = urlsplit(self.url)
+        if url.scheme not in ("http", "https") or not url.hostname or url.username:
             raise ValueError("`url` must be https://HOST/... without a user or a password")
-        _ = parts.port  # checks its range
+        _ = url.port  # checks its range
 
     def check(self, addresses: tuple[str, ...]) -> None:
         """Raise ValueError without a key of at least 16 bytes."""
@@ -84,8 +81,7 @@ class Webhook:
 
     def send(self, message: Message) -> None:
         """Post a message; a redirection is not followed."""
-        body = json_bytes(message.content)
-        stamp = str(int(time.time()))
+        body, stamp = json_bytes(message.content), str(int(time.time()))
         signed = b".".join([message.id.encode(), stamp.encode(), body])
         mac = base64.b64encode(hmac.digest(self._key(), signed, hashlib.sha256)).decode()
         headers = {
@@ -95,39 +91,34 @@ class Webhook:
             "webhook-timestamp": stamp,
             "webhook-signature": f"v1,{mac}",
         }
-        parts = urlsplit(self.url)
-        target = (parts.path or "/") + (f"?{parts.query}" if parts.query else "")
-        where, is_tls = parts.hostname or "", parts.scheme == "https"
+        url = urlsplit(self.url)
+        target = (url.path or "/") + (f"?{url.query}" if url.query else "")
+        host, is_tls = url.hostname or "", url.scheme == "https"
         context = ssl.create_default_context() if is_tls else None
         try:
             with (
-                _connected(where, parts.port or (443 if is_tls else 80), context) as connection,
-                closing(http.client.HTTPConnection(parts.netloc)) as client,
+                _connected(host, url.port or (443 if is_tls else 80), context) as connection,
+                closing(http.client.HTTPConnection(url.netloc)) as client,
             ):
                 client.sock = connection
                 client.request("POST", quote(target, safe=punctuation), body, headers)
                 # the content of the answer is not read: it may be of any size, or never end
                 status = client.getresponse().status
         except (http.client.HTTPException, OSError, ValueError) as error:
-            raise DeliveryError(f"{where}: {type(error).__name__}") from None
+            raise DeliveryError(f"{host}: {type(error).__name__}") from None
         if not 200 <= status < 300:
-            raise DeliveryError(f"{where}: HTTP status {status}")
+            raise DeliveryError(f"{host}: HTTP status {status}")
 
     def _key(self) -> bytes:
-        try:
-            key = base64.b64decode(
-                secret(self.secret_env, "a webhook").removeprefix("whsec_"), validate=True
-            )
-        except ValueError as error:
-            if "secret" in str(error):
-                raise
-            key = b""
-        if len(key) < 16:
-            raise ValueError(
-                f"{self.secret_env} must be the base64 of 24 to 64 random bytes, as of: "
-                "openssl rand -base64 32"
-            )
-        return key
+        text = secret(self.secret_env, "a webhook").removeprefix("whsec_")
+        with suppress(ValueError):
+            key = base64.b64decode(text, validate=True)
+            if len(key) >= 16:
+                return key
+        raise ValueError(
+            f"{self.secret_env} must be the base64 of 24 to 64 random bytes, as of: "
+            "openssl rand -base64 32"
+        )
 
 
 @dataclass(frozen=True)
@@ -146,7 +137,6 @@ class Email:
         "Environment variable with the user's password",
         rule="name that starts with SUSPNET_",
     )
-
     language: Literal["en", "de"] = setting("en", "Language of the mails")
 
     def __post_init__(self) -> None:
@@ -162,28 +152,20 @@ class Email:
         """Raise ValueError without an address or the password."""
         if self.user is not None:
             secret(self.password_env, f"user {self.user!r} of {self.host}")
-        wrong = [one for one in addresses if not ADDRESS.fullmatch(one)]
+        wrong = [address for address in addresses if not ADDRESS.fullmatch(address)]
         if wrong or not addresses:
             raise ValueError(f"`to` must list e-mail addresses, got {wrong or 'none'}")
 
     def send(self, message: Message) -> None:
         """Send one mail to one address."""
-        mail = EmailMessage()
-        mail["From"], mail["To"] = self.sender, message.address
-        with speaking(self.language):
-            title, content = subject(message.content), text(message.content)
-        mail["Subject"] = title
-        mail["Date"] = formatdate()
-        mail["Message-ID"] = f"<{message.id}@{self.sender.rpartition('@')[2]}>"
-        mail["Auto-Submitted"] = "auto-generated"
-        mail.set_content(content)
-        context, is_accepted = ssl.create_default_context(), False
+        mail, is_accepted = self._mail(message), False
+        context = ssl.create_default_context()
         try:
             with (
                 _connected(
                     self.host, self.port, context if self.security == "tls" else None
-                ) as sock,
-                _Server(sock, self.host, self.port) as server,
+                ) as connection,
+                _Server(connection, self.host, self.port) as server,
             ):
                 if self.security == "starttls":
                     server.starttls(context=context)
@@ -199,8 +181,19 @@ class Email:
             if isinstance(error, DeliveryError):
                 raise
             status = getattr(error, "smtp_code", None)
-            words = type(error).__name__ if status is None else f"SMTP status {status}"
-            raise DeliveryError(f"{self.host}: {words}") from None
+            reason = type(error).__name__ if status is None else f"SMTP status {status}"
+            raise DeliveryError(f"{self.host}: {reason}") from None
+
+    def _mail(self, message: Message) -> EmailMessage:
+        mail = EmailMessage()
+        mail["From"], mail["To"] = self.sender, message.address
+        with speaking(self.language):
+            mail["Subject"], content = subject(message.content), text(message.content)
+        mail["Date"] = formatdate()
+        mail["Message-ID"] = f"<{message.id}@{self.sender.rpartition('@')[2]}>"
+        mail["Auto-Submitted"] = "auto-generated"
+        mail.set_content(content)
+        return mail
 
 
 class _Server(smtplib.SMTP):
@@ -218,21 +211,21 @@ class _Server(smtplib.SMTP):
 def _connected(host: str, port: int, context: ssl.SSLContext | None) -> Iterator[socket.socket]:
     """Connect to a server, by TLS if there is a context, until the deadline of a message.
 
-    Then the connection ends and DeliveryError is raised, whatever was going on: a timeout of each
-    answer would never end for a server that sends a byte now and then.
+    The connection ends at the deadline, and DeliveryError is raised: a timeout of each answer would
+    never end for a server that sends a byte now and then.
     """
     is_late, end_s = threading.Event(), time.monotonic() + DEADLINE_S
     try:
         with socket.create_connection((host, port), CONNECT_S) as plain, plain.dup() as same:
-            left_s = max(end_s - time.monotonic(), 0.01)
-            plain.settimeout(left_s)  # of a handshake as a whole
+            remaining_s = max(end_s - time.monotonic(), 0.01)
+            plain.settimeout(remaining_s)  # of a handshake as a whole
 
             def end() -> None:
                 is_late.set()
                 with suppress(OSError):  # it is closed already
                     same.shutdown(socket.SHUT_RDWR)
 
-            timer = threading.Timer(left_s, end)
+            timer = threading.Timer(remaining_s, end)
             timer.start()
             try:
                 yield context.wrap_socket(plain, server_hostname=host) if context else plain
@@ -242,48 +235,3 @@ def _connected(host: str, port: int, context: ssl.SSLContext | None) -> Iterator
         if is_late.is_set():
             raise DeliveryError(f"{host}: no answer within {DEADLINE_S:g} s") from None
         raise
-
-
-@dataclass(frozen=True)
-class MqttChannel:
-    """JSON on the topic PREFIX/notifications/RECIPIENT, with QoS 1, not retained."""
-
-    broker: Broker
-
-    def check(self, addresses: tuple[str, ...]) -> None:
-        """Raise ValueError or OSError without paho-mqtt, the password or a certificate."""
-        self.broker.client("")
-        if addresses:
-            raise ValueError("`to` is for channels of the kind email")
-
-    def send(self, message: Message) -> None:
-        """Publish a message, and wait until the broker acknowledges it."""
-        # two queues: the client connects again by itself, which acknowledges no message
-        connected: queue.SimpleQueue[Any] = queue.SimpleQueue()
-        published: queue.SimpleQueue[Any] = queue.SimpleQueue()
-        broker, deadline_s = self.broker, time.monotonic() + DEADLINE_S
-        client = broker.client("")
-        client.on_connect = lambda _c, _u, _f, reason, _p: connected.put(reason)
-        client.on_publish = lambda _c, _u, _m, reason, _p: published.put(reason)
-        body = json_bytes(message.content)
-        try:
-            client.connect(str(broker.host), broker.port, KEEPALIVE_S)
-            client.loop_start()
-            _accepted(connected, deadline_s)
-            client.publish(broker.topic("notifications", message.recipient), body, qos=1)
-            _accepted(published, deadline_s)
-        except queue.Empty:
-            raise DeliveryError(f"{broker.where}: no answer within {DEADLINE_S:g} s") from None
-        except OSError as error:
-            raise DeliveryError(f"{broker.where}: {error.strerror or error}") from None
-        except DeliveryError as error:
-            raise DeliveryError(f"{broker.where}: {error}") from None
-        finally:
-            client.disconnect()
-            client.loop_stop()
-
-
-def _accepted(answers: queue.SimpleQueue[Any], deadline_s: float) -> None:
-    reason = answers.get(timeout=max(deadline_s - time.monotonic(), 0.0))
-    if reason.is_failure:
-        raise DeliveryError(str(reason))

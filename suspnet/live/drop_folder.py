@@ -16,31 +16,25 @@ import pyarrow as pa
 
 from suspnet.ground.ledger import free_name
 from suspnet.ground.settings import Setting, check_values
-from suspnet.live.source import CONTINUATION, Kind, Splitter, print_result
+from suspnet.live.source import CONTINUATION, ResultKind, Splitter, print_result
 from suspnet.recordings.frames import MOST_BYTES, FrameError, decode
 
 log = logging.getLogger(__name__)
-TAKEN = "taken"
-"""Subfolder for files that were read."""
-MOST_LOST = 4 * MOST_BYTES
-"""A file is abandoned after this many bytes in a row without a frame."""
-MOST_REPORTED = 100
-"""Largest number of files that the log names as left in place."""
-PIECE_BYTES, BATCH_BYTES = 2**18, 2**23
-"""Number of bytes read at once, and number returned by one `receive`."""
-HEAD_BYTES = 2**12
-"""Number of bytes at the start of a file that hold the time of its first frame."""
-UNFINISHED = (".part", ".tmp")
-"""Suffixes of files that are still being written."""
+TAKEN = "taken"  # subfolder for files that were read
+MAX_LOST = 4 * MOST_BYTES  # a file is abandoned after this many bytes in a row without a frame
+MAX_REPORTED = 100  # files that the log names as left in place
+PIECE_BYTES, BATCH_BYTES = 2**18, 2**23  # read at once, and returned by one `receive`
+HEAD_BYTES = 2**12  # bytes at the start of a file that hold the time of its first frame
+UNFINISHED = (".part", ".tmp")  # suffixes of files that are still being written
 
 
 @dataclass(frozen=True)
 class _File:
-    """A file as it was when it was opened; `n_given` frames were returned up to its last one."""
+    """A file as it was when it was opened; `n_returned` frames were returned up to its last one."""
 
     path: Path
     identity: tuple[int, int, int]
-    n_given: int
+    n_returned: int
 
 
 class DropFolder:
@@ -75,9 +69,9 @@ class DropFolder:
         self._counts: Counter[str] = Counter()
         self._suspensions: frozenset[str] = frozenset()
         self._waiting: deque[Path] = deque()
-        self._known: set[str] = set()
+        self._seen: set[str] = set()  # names of files that are not new
         self._read: deque[_File] = deque()
-        self._n_given = self._n_confirmed = 0
+        self._n_returned = self._n_confirmed = 0
         self._next_look_s = 0.0
         self._reading: Generator[list[bytes], None, None] | None = None
 
@@ -87,7 +81,7 @@ class DropFolder:
         return Counter(self._counts)
 
     def subscribe(self, suspensions: Sequence[str]) -> Sequence[str]:
-        """Check the folder; all suspensions belong to this process. See `Source`."""
+        """Check the folder; all suspensions belong to this process. See `FrameSource`."""
         if not self.folder.is_dir():
             raise FileNotFoundError(2, "there is no such folder", str(self.folder))
         self._check_taken()
@@ -95,23 +89,26 @@ class DropFolder:
         return suspensions
 
     def receive(self, timeout_s: float) -> list[bytes] | None:
-        """Return the next frames of the files; None after the last one if `once`. See `Source`."""
+        """Return the next frames of the files; None after the last one if `once`.
+
+        See `FrameSource`.
+        """
         deadline = time.monotonic() + timeout_s
         frames: list[bytes] = []
         n_bytes = 0
         while n_bytes < BATCH_BYTES:  # ends: each round reads a piece, or waits until the deadline
             if self._reading is None and not self._waiting:
-                if frames:
+                if frames:  # better a small batch now than a wait for new files
                     break
-                if self.once or time.monotonic() >= self._next_look_s:
-                    self._look()
-                    self._next_look_s = time.monotonic() + self.poll_s
-            if self._reading is None and not self._waiting:
                 now_s = time.monotonic()
-                if self.once or now_s >= deadline:
-                    return None if self.once else []
-                time.sleep(max(0.0, min(self._next_look_s, deadline) - now_s))
-                continue
+                if self.once or now_s >= self._next_look_s:
+                    self.look()
+                    self._next_look_s = now_s + self.poll_s
+                if not self._waiting:
+                    if self.once or now_s >= deadline:
+                        return None if self.once else []
+                    time.sleep(max(0.0, min(self._next_look_s, deadline) - now_s))
+                    continue
             if self._reading is None:
                 self._reading = self._frames(self._waiting.popleft())
             piece = next(self._reading, None)
@@ -119,25 +116,25 @@ class DropFolder:
                 self._reading = None
             else:
                 frames += piece
-                self._n_given += len(piece)
+                self._n_returned += len(piece)
                 n_bytes += sum(map(len, piece))
             if time.monotonic() > deadline:
                 break
         return frames
 
     def confirm(self, n_frames: int | None = None) -> None:
-        """Move or delete the files whose frames are all confirmed. See `Source`."""
-        self._n_confirmed = self._n_given if n_frames is None else self._n_confirmed + n_frames
-        while self._read and self._read[0].n_given <= self._n_confirmed:  # ends: with the files
+        """Move or delete the files whose frames are all confirmed. See `FrameSource`."""
+        self._n_confirmed = self._n_returned if n_frames is None else self._n_confirmed + n_frames
+        while self._read and self._read[0].n_returned <= self._n_confirmed:  # ends: with the files
             file = self._read.popleft()
             try:
                 self._put_away(file)
             except OSError as error:
                 self._give_up(file.path, error)
             else:
-                self._known.discard(file.path.name)
+                self._seen.discard(file.path.name)
 
-    def publish(self, kind: Kind, suspension: str, message: bytes) -> None:
+    def publish(self, kind: ResultKind, suspension: str, message: bytes) -> None:
         """Write a line of JSON to standard output."""
         print_result(kind, suspension, message)
 
@@ -147,26 +144,27 @@ class DropFolder:
             self._reading.close()
             self._reading = None
 
-    def _look(self) -> None:
+    def look(self) -> None:
+        """Queue the new files of the folder by the time of their first frames."""
         try:
             with os.scandir(self.folder) as entries:
-                found = {
-                    one.name: one.is_file(follow_symlinks=False)
-                    for one in entries
-                    if not one.is_dir(follow_symlinks=False)
-                    and not one.name.startswith(".")
-                    and not one.name.endswith(UNFINISHED)
+                is_file = {
+                    entry.name: entry.is_file(follow_symlinks=False)
+                    for entry in entries
+                    if not entry.is_dir(follow_symlinks=False)
+                    and not entry.name.startswith(".")
+                    and not entry.name.endswith(UNFINISHED)
                 }
         except OSError as error:
             self._give_up(self.folder, error)
             return
-        self._known &= found.keys() | {file.path.name for file in self._read}
-        new = found.keys() - self._known
-        self._known.update(new)
+        self._seen &= is_file.keys() | {file.path.name for file in self._read}
+        new = is_file.keys() - self._seen
+        self._seen.update(new)
         for name in sorted(new):
-            if not found[name]:
+            if not is_file[name]:
                 self._leave(self.folder / name, "it is not a regular file")
-        plain = (self.folder / name for name in new if found[name])
+        plain = (self.folder / name for name in new if is_file[name])
         self._waiting.extend(sorted(plain, key=_first_time))
 
     def _frames(self, path: Path) -> Generator[list[bytes], None, None]:
@@ -178,9 +176,9 @@ class DropFolder:
                 if not data.startswith(CONTINUATION):  # the rest of the file is not read
                     data, problem = b"", "it does not start with a frame"
                 n_lost = 0
-                while data and n_lost <= MOST_LOST:
+                while data and n_lost <= MAX_LOST:
                     frames = splitter.push(data)
-                    problem = problem or next(filter(None, map(self._problem, frames)), "")
+                    problem = problem or self._problem(frames)
                     n_lost = 0 if frames else n_lost + len(data)
                     # of a growing file only the initial size is read
                     data = file.read(PIECE_BYTES) if file.tell() < identity[2] else b""
@@ -193,23 +191,24 @@ class DropFolder:
             self._counts += splitter.counts
             return
         last += splitter.finish()
-        problem = problem or next(filter(None, map(self._problem, last)), "")
+        problem = problem or self._problem(last)
         self._counts += splitter.counts
         if problem or splitter.counts:
             self._leave(path, problem or f"it holds not only frames ({', '.join(splitter.counts)})")
         else:
             # all frames of the file are returned once `last` is
-            self._read.append(_File(path, identity, self._n_given + len(last)))
+            self._read.append(_File(path, identity, self._n_returned + len(last)))
         yield last
 
-    def _problem(self, data: bytes) -> str:
-        """Return why an encoded frame is not one of a monitored suspension; empty if it is."""
-        try:
-            frame = decode(data)
-        except FrameError as error:
-            return f"it holds a frame that is not valid ({error.reason})"
-        if frame.suspension not in self._suspensions:
-            return f"it holds a frame of {frame.suspension!r}, which is not monitored here"
+    def _problem(self, frames: list[bytes]) -> str:
+        """Return why some encoded frame is not of a monitored suspension; empty if all are."""
+        for data in frames:
+            try:
+                frame = decode(data)
+            except FrameError as error:
+                return f"it holds a frame that is not valid ({error.reason})"
+            if frame.suspension not in self._suspensions:
+                return f"it holds a frame of {frame.suspension!r}, which is not monitored here"
         return ""
 
     def _put_away(self, file: _File) -> None:
@@ -228,14 +227,14 @@ class DropFolder:
     def _check_taken(self) -> None:
         """Raise OSError if files would be moved through a link."""
         taken = self.folder / TAKEN
-        is_there = self.then == "move" and os.path.lexists(taken)
-        if is_there and not stat.S_ISDIR(os.lstat(taken).st_mode):
+        is_used = self.then == "move" and os.path.lexists(taken)
+        if is_used and not stat.S_ISDIR(os.lstat(taken).st_mode):
             raise NotADirectoryError(20, "must be a folder, not a link to one", str(taken))
 
     def _leave(self, path: Path, reason: str) -> None:
         """Count and report a file that stays in place."""
         self._counts["left"] += 1
-        if self._counts["left"] <= MOST_REPORTED:
+        if self._counts["left"] <= MAX_REPORTED:
             log.warning("%r stays in place: %s", str(path), reason)
 
     def _give_up(self, path: Path, error: OSError) -> None:
@@ -257,9 +256,9 @@ def _opened(path: Path) -> BinaryIO:
     return file
 
 
-def _identity(found: os.stat_result) -> tuple[int, int, int]:
+def _identity(status: os.stat_result) -> tuple[int, int, int]:
     """Return what distinguishes a file from another one of the same name."""
-    return found.st_ino, found.st_mtime_ns, found.st_size
+    return status.st_ino, status.st_mtime_ns, status.st_size
 
 
 def _first_time(path: Path) -> tuple[int, str]:

@@ -1,10 +1,9 @@
 """Journal of a monitor: each suspension's last saved state, and its frames since then.
 
 The journal is one SQLite file with atomic transactions, also after a power cut. A state replaces
-the frames that it was made from, so the file stays bounded and a restart is quick. Frames are read
-back in the order in which they were taken. The frames of a suspension have consecutive numbers and
-are neighbours in the file: deleting them frees whole pages, and rewrites no page with frames of
-other suspensions.
+the frames that it was made from, so the file stays bounded and a restart is quick. The frames of a
+suspension have consecutive numbers, in the order in which they were taken, and are neighbours in
+the file: deleting them frees whole pages.
 
 A state is JSON-able values with arrays among them, stored as one safetensors file.
 """
@@ -26,20 +25,14 @@ from numpy.typing import NDArray
 from suspnet.ground.ledger import ACTING, check_own
 from suspnet.ground.storage import DamagedFileError, dump_arrays, load_arrays
 
-FORMAT = "suspnet-journal-2"
-APPLICATION_ID = 0x7375736A
-"""SQLite application id, by which a journal is recognised."""
+FORMAT, STATE_FORMAT = "suspnet-journal-2", "suspnet-stream-1"
+APPLICATION_ID = 0x7375736A  # SQLite application id, by which a journal is recognised
 MARKER = "SELECT 1 FROM format WHERE name LIKE 'suspnet-journal-%'"
 """Query that returns a row for any journal."""
-RANGE = 2**40
-"""Size of a suspension's range of frame numbers; at four frames a second it lasts for 8,000
-years."""
-READ_AT_ONCE = 256
-"""Number of frames read by one fetch."""
-WRITTEN_AT_ONCE = 32
-"""Number of frames written by one statement, during which other threads can run."""
-PAGE_BYTES = 2**14
-"""Page size of a new journal: a frame of 1 s takes one or two pages."""
+RANGE = 2**40  # frame numbers of a suspension: enough for 8,000 years at four frames a second
+READ_AT_ONCE = 256  # frames
+WRITTEN_AT_ONCE = 32  # frames of one statement, during which other threads can run
+PAGE_BYTES = 2**14  # a frame of 1 s takes one or two pages
 
 
 class JournalError(ValueError):
@@ -84,13 +77,12 @@ class Journal:
         )
         try:
             self._prepare()
-        except sqlite3.Error as error:
+        except (sqlite3.Error, JournalError) as error:
             self._connection.close()
-            words = "another monitor has it open" if "locked" in str(error) else str(error)
-            raise JournalError(f"{path}: the journal cannot be used ({words})") from None
-        except JournalError:
-            self._connection.close()
-            raise
+            if isinstance(error, JournalError):
+                raise
+            reason = "another monitor has it open" if "locked" in str(error) else str(error)
+            raise JournalError(f"{path}: the journal cannot be used ({reason})") from None
 
     def _prepare(self) -> None:
         """Lock the file for this process, and create the tables if there are none."""
@@ -153,9 +145,8 @@ class Journal:
 
     def suspensions(self) -> list[str]:
         """Return the sorted names of the suspensions with a state or frames."""
-        return [
-            name for (name,) in self._connection.execute("SELECT name FROM suspensions ORDER BY 1")
-        ]
+        names = self._connection.execute("SELECT name FROM suspensions ORDER BY 1")
+        return [name for (name,) in names]
 
     def add(self, suspension: str, frame: bytes) -> None:
         """Add a frame to the next batch."""
@@ -188,37 +179,33 @@ class Journal:
         Any thread may do so, one at a time, while others add and save. A JournalError, as on a full
         disk, leaves the file unchanged: the same batch can be written again.
         """
+        run, many = self._connection.execute, self._connection.executemany
         with self._writing:
-            self._write(batch)
-
-    def _write(self, batch: Batch) -> None:
-        run = self._connection.execute
-        try:
-            run("BEGIN")
-            many = self._connection.executemany
-            many("INSERT INTO suspensions (number, name) VALUES (?, ?)", batch.new)
-            for name, state in batch.states.items():
-                number = self._numbers[name]
-                run("DELETE FROM frames WHERE id BETWEEN ? AND ?", _ids(number))
-                run("UPDATE suspensions SET state = ? WHERE number = ?", (state, number))
-            frames = [one for several in batch.frames.values() for one in several]
-            for start in range(0, len(frames), WRITTEN_AT_ONCE):
-                part = frames[start : start + WRITTEN_AT_ONCE]
-                rows = ", ".join(["(?, ?)"] * len(part))
-                run(f"INSERT INTO frames VALUES {rows}", [value for row in part for value in row])
-            run("COMMIT")
-        except sqlite3.Error as error:
-            if self._connection.in_transaction:
-                run("ROLLBACK")
-            raise JournalError(f"{self.path}: the journal cannot be written ({error})") from None
+            try:
+                run("BEGIN")
+                many("INSERT INTO suspensions (number, name) VALUES (?, ?)", batch.new)
+                for name, state in batch.states.items():
+                    number = self._numbers[name]
+                    run("DELETE FROM frames WHERE id BETWEEN ? AND ?", _ids(number))
+                    run("UPDATE suspensions SET state = ? WHERE number = ?", (state, number))
+                frames = [row for several in batch.frames.values() for row in several]
+                for start in range(0, len(frames), WRITTEN_AT_ONCE):
+                    rows = frames[start : start + WRITTEN_AT_ONCE]
+                    marks = ", ".join(["(?, ?)"] * len(rows))
+                    values = [value for row in rows for value in row]
+                    run(f"INSERT INTO frames VALUES {marks}", values)
+                run("COMMIT")
+            except sqlite3.Error as error:
+                if self._connection.in_transaction:
+                    run("ROLLBACK")
+                raise JournalError(
+                    f"{self.path}: the journal cannot be written ({error})"
+                ) from None
 
 
 def _ids(number: int) -> tuple[int, int]:
     """Return the first and the last frame number of a suspension."""
     return number * RANGE, (number + 1) * RANGE - 1
-
-
-STATE_FORMAT = "suspnet-stream-1"
 
 
 class StateError(ValueError):
@@ -242,11 +229,11 @@ def load_state(content: bytes, identity: Any) -> dict[str, Any]:
     try:
         arrays = load_arrays(content, "the state")
         described = json.loads(arrays["json"].tobytes())
-        found = described["format"], described["identity"]
+        stored_identity = described["format"], described["identity"]
         state: dict[str, Any] = _with_arrays(described["state"], arrays)
     except (DamagedFileError, KeyError, TypeError, ValueError) as error:
         raise StateError(f"this is no state of a stream: {error}") from None
-    if found != (STATE_FORMAT, json.loads(json.dumps(identity))):
+    if stored_identity != (STATE_FORMAT, json.loads(json.dumps(identity))):
         raise StateError("this is the state of another stream: other sensors, settings or times")
     return state
 
@@ -257,7 +244,7 @@ def _without_arrays(value: Any, arrays: dict[str, NDArray[Any]], name: str) -> A
         arrays[name] = value
         return {"array": name}
     if isinstance(value, dict):
-        return {key: _without_arrays(one, arrays, f"{name}/{key}") for key, one in value.items()}
+        return {key: _without_arrays(item, arrays, f"{name}/{key}") for key, item in value.items()}
     return value
 
 
@@ -265,5 +252,5 @@ def _with_arrays(value: Any, arrays: dict[str, NDArray[Any]]) -> Any:
     if isinstance(value, dict):
         if set(value) == {"array"}:
             return arrays[value["array"]]
-        return {key: _with_arrays(one, arrays) for key, one in value.items()}
+        return {key: _with_arrays(item, arrays) for key, item in value.items()}
     return value

@@ -23,45 +23,36 @@ from typing import NamedTuple
 import numpy as np
 
 from suspnet.live.journal import Journal, JournalError, StateError
-from suspnet.live.source import Source
-from suspnet.live.suspension import Due, Estimate, Job, LiveSuspension
+from suspnet.live.source import FrameSource
+from suspnet.live.suspension import Due, EstimateJob, LiveSuspension, SectionEstimate
 from suspnet.recordings.frames import FrameError, decode
 
 log = logging.getLogger(__name__)
 WAIT_S, PAUSE_S, WRITING_S = 1.0, 0.1, 0.01
-"""Longest waits for frames [s]: usually; before a batch with fewer than ``MOST_PENDING`` frames is
+"""Longest waits for frames [s]: usually; before a batch with fewer than ``MAX_PENDING`` frames is
 written; and while a batch is being written."""
-MOST_PENDING, MOST_UNWRITTEN = 256, 1024
+MAX_PENDING, MAX_UNWRITTEN = 256, 1024
 """Number of frames after which a batch is written; and number after which no more frames are taken
 until the previous batch is written."""
-MOST_JOURNAL = 8 * 2**20
+MAX_JOURNAL = 8 * 2**20
 """Size of a suspension's frames in the journal above which its state is saved, [bytes]. The first
 suspension uses half of it and the others values in between, so that hundreds of states are not
 saved at once."""
-MOST_WAITING = 4 * MOST_JOURNAL
+MAX_WAITING = 4 * MAX_JOURNAL
 """Size of a suspension's frames in the journal above which no frame is taken until the estimate of
 its last section is reported, [bytes]: a state does not hold sections that have ended."""
-MOST_REPORTED = 1000
-"""Largest number of pairs of sensor and reason for which the log names a rejected frame."""
+MAX_REPORTED = 1000  # pairs of sensor and reason for which the log names a rejected frame
 NICENESS = 10
 """Niceness of the estimating thread: on a shared core it gets a tenth of the time while there are
 frames to take."""
-Report = Callable[[LiveSuspension, Estimate], None]
 
 
 class _Making(NamedTuple):
     """The estimate that is being made."""
 
-    one: LiveSuspension
-    job: Job
-    future: Future[Estimate]
-
-
-class _Writing(NamedTuple):
-    """The batch that is being written, and how many frames from the source it covers."""
-
-    n_frames: int
-    future: Future[None]
+    suspension: LiveSuspension
+    job: EstimateJob
+    future: Future[SectionEstimate]
 
 
 class Monitor:
@@ -77,9 +68,9 @@ class Monitor:
     def __init__(
         self,
         suspensions: Iterable[LiveSuspension],
-        source: Source,
+        source: FrameSource,
         journal: Journal,
-        report: Report,
+        report: Callable[[LiveSuspension, SectionEstimate], None],
         idle_s: float = 3600.0,
         clock: Callable[[], float] = time.monotonic,
         executor: Executor | None = None,
@@ -87,24 +78,25 @@ class Monitor:
         self.counts: Counter[str] = Counter()
         self._source, self._journal, self._report = source, journal, report
         self._idle_s, self._clock = idle_s, clock
-        self._seen: set[tuple[str, str, str]] = set()
-        known: dict[str, LiveSuspension] = {}
-        for one in suspensions:
-            if one.name in known:
-                raise ValueError(f"two manifests are of the same suspension, {one.name}")
-            known[one.name] = one
-        wanted = source.subscribe(list(known))
-        self._suspensions = {name: known[name] for name in wanted}
+        self._logged: set[tuple[str, str, str]] = set()
+        by_name: dict[str, LiveSuspension] = {}
+        for suspension in suspensions:
+            if suspension.name in by_name:
+                raise ValueError(f"two manifests are of the same suspension, {suspension.name}")
+            by_name[suspension.name] = suspension
+        self._suspensions = {name: by_name[name] for name in source.subscribe(list(by_name))}
         if not self._suspensions:
             raise ValueError("no suspension is in this process's part")
-        sizes = np.linspace(MOST_JOURNAL / 2, MOST_JOURNAL, len(self._suspensions))
-        self._most_bytes = dict(zip(self._suspensions, sizes.tolist(), strict=True))
+        # different sizes, so that states of many suspensions are not saved at once
+        sizes = np.linspace(MAX_JOURNAL / 2, MAX_JOURNAL, len(self._suspensions))
+        self._max_bytes = dict(zip(self._suspensions, sizes.tolist(), strict=True))
         self._last_s = dict.fromkeys(self._suspensions, clock())
         self._due: dict[str, Due] = {}
         self._executor = executor or ThreadPoolExecutor(1, "estimates", _lower_priority)
         self._making: _Making | None = None
         self._writer = ThreadPoolExecutor(1, "journal")
-        self._writing: _Writing | None = None
+        # the batch that is being written, with the number of frames from the source in it
+        self._writing: tuple[int, Future[None]] | None = None
         self._n_pending = 0
 
     def resume(self) -> int:
@@ -115,18 +107,24 @@ class Monitor:
         for name in set(self._journal.suspensions()) - set(self._suspensions):
             log.warning("the journal knows %s, which is not in this process's part", name)
         n_frames = 0
-        for name, one in self._suspensions.items():
+        for name, suspension in self._suspensions.items():
             state = self._journal.state(name)
-            if state is not None:
-                self._load(one, state)
+            try:
+                if state is not None:
+                    suspension.load(state)
+            except StateError as error:
+                raise JournalError(
+                    f"{self._journal.path}: {name}: {error}; restore the previous settings, or "
+                    "give another journal= (estimates so far are in the store)"
+                ) from None
             for data in self._journal.frames(name):
                 n_frames += 1
                 try:
-                    one.take(decode(data), is_known=True)
-                except FrameError as error:  # part of it belongs to a closed section
+                    suspension.take(decode(data), is_known=True)
+                except FrameError as error:  # a piece of it belongs to a closed section
                     log.debug("%s: %s", name, error)
-                # after each frame, as in `_take`: the number of open sections is limited
-                self._add(one, one.due())
+                # after each frame, as in `take`: the number of open sections is limited
+                self._add(suspension, suspension.due())
         return n_frames
 
     def run(self) -> None:
@@ -138,9 +136,9 @@ class Monitor:
             while True:  # ends: with the source
                 frames = self._source.receive(self._wait_s())
                 for data in frames or ():
-                    self._take(data)
+                    self.take(data)
                 self._n_pending += len(frames or ())
-                if not frames or self._n_pending >= MOST_PENDING:
+                if not frames or self._n_pending >= MAX_PENDING:
                     self._add_silent()
                     self._write()
                 if frames is None:
@@ -151,8 +149,8 @@ class Monitor:
                 if not frames and self._due and self._making is None:
                     self._start(next(iter(self._due)))
             # the source has ended: all open sections are final
-            for one in self._suspensions.values():
-                self._add(one, one.end())
+            for suspension in self._suspensions.values():
+                self._add(suspension, suspension.end())
             self._finish_and_save()
             for name in list(self._due):
                 self._start(name)
@@ -171,37 +169,28 @@ class Monitor:
             return WRITING_S
         return PAUSE_S if self._n_pending or self._making is not None else WAIT_S
 
-    def _load(self, one: LiveSuspension, state: bytes) -> None:
-        try:
-            one.load(state)
-        except StateError as error:
-            raise JournalError(
-                f"{self._journal.path}: {one.name}: {error}; restore the previous settings, or "
-                "give another journal= (estimates so far are in the store)"
-            ) from None
-
-    def _take(self, data: bytes) -> None:
+    def take(self, data: bytes) -> None:
         """Take a frame, or count why it was rejected."""
         name = sensor = ""
         try:
             frame = decode(data)
             name, sensor = frame.suspension, frame.sensor
-            one = self._suspensions.get(name)
-            if one is None:
+            suspension = self._suspensions.get(name)
+            if suspension is None:
                 raise FrameError("suspension", f"{name!r} is not a suspension monitored here")
-            one.take(frame)
+            suspension.take(frame)
             # rejected frames are not stored: their number is unbounded
             self._journal.add(name, data)
             self._last_s[name] = self._clock()
             self.counts["taken"] += 1
-            self._add(one, one.due())
-            if self._journal.n_bytes[name] > self._most_bytes[name]:
-                self._save(one)
+            self._add(suspension, suspension.due())
+            if self._journal.n_bytes[name] > self._max_bytes[name]:
+                self._save(suspension)
         except FrameError as error:
             self.counts[error.reason] += 1
             kind = name, sensor, error.reason
-            if kind not in self._seen and len(self._seen) < MOST_REPORTED:
-                self._seen.add(kind)
+            if kind not in self._logged and len(self._logged) < MAX_REPORTED:
+                self._logged.add(kind)
                 log.warning("a frame cannot be used (%s): %s", error.reason, error)
 
     def _add_silent(self) -> None:
@@ -212,74 +201,74 @@ class Monitor:
                 self._last_s[name] = now_s
                 self._add(self._suspensions[name], self._suspensions[name].silent())
 
-    def _add(self, one: LiveSuspension, several: list[Due]) -> None:
+    def _add(self, suspension: LiveSuspension, several: list[Due]) -> None:
         """Queue the last of a suspension's due estimates, and make the earlier ones now.
 
         A queued estimate takes memory. One of an open section is dropped if a later one is queued.
         """
         for due in several:
-            waiting = self._due.get(one.name)
+            waiting = self._due.get(suspension.name)
             if waiting is not None and waiting.is_final and waiting.section is not due.section:
                 self._finish()
-                self._start(one.name)
-                self._due[one.name] = due
+                self._start(suspension.name)
                 self._finish()
-            self._due[one.name] = due
+            self._due[suspension.name] = due
 
     def _start(self, name: str) -> None:
         """Start the queued estimate of a suspension; none is being made now."""
-        one = self._suspensions[name]
-        job = one.job(self._due.pop(name))
-        self._making = _Making(one, job, self._executor.submit(job.make))
+        suspension = self._suspensions[name]
+        job = suspension.job(self._due.pop(name))
+        self._making = _Making(suspension, job, self._executor.submit(job.make))
 
     def _finish(self) -> None:
         """Wait for the estimate that is being made, if there is one, and report it."""
         if self._making is not None:
-            one, job, future = self._making
+            suspension, job, future = self._making
             estimate = future.result()
-            one.finish(job, estimate)
-            self._report(one, estimate)
+            suspension.finish(job, estimate)
+            self._report(suspension, estimate)
             self._making = None
 
     def _finish_and_save(self) -> None:
         """Report the estimate that is being made; after a final one, save if no section waits."""
         if self._making is not None:
-            one, job, _ = self._making
+            suspension, job, _ = self._making
             self._finish()
-            if job.due.is_final and not self._is_held(one.name):
-                self._journal.save(one.name, one.dump())
+            if job.due.is_final and not self._is_held(suspension.name):
+                self._journal.save(suspension.name, suspension.dump())
 
     def _is_held(self, name: str) -> bool:
         """Return whether a suspension has a section that has ended but is not reported yet."""
         waiting, making = self._due.get(name), self._making
         return (waiting is not None and waiting.is_final) or (
-            making is not None and making.one.name == name and making.job.due.is_final
+            making is not None and making.suspension.name == name and making.job.due.is_final
         )
 
-    def _save(self, one: LiveSuspension) -> None:
+    def _save(self, suspension: LiveSuspension) -> None:
         """Save a suspension's state in place of its frames, once all sections are reported."""
-        if not self._is_held(one.name):
-            self._journal.save(one.name, one.dump())
-        elif self._journal.n_bytes[one.name] > MOST_WAITING:
+        name = suspension.name
+        if not self._is_held(name):
+            self._journal.save(name, suspension.dump())
+        elif self._journal.n_bytes[name] > MAX_WAITING:
             self._finish_and_save()
-            if one.name in self._due:
-                self._start(one.name)
+            if name in self._due:
+                self._start(name)
                 self._finish_and_save()
 
     def _write(self) -> None:
         """Start to write the pending frames, and confirm the previous batch to the source.
 
-        While the previous batch is being written nothing happens, up to ``MOST_UNWRITTEN`` pending
+        While the previous batch is being written nothing happens, up to ``MAX_UNWRITTEN`` pending
         frames; beyond that this waits for it.
         """
         if self._writing is not None:
-            if not self._writing.future.done() and self._n_pending < MOST_UNWRITTEN:
+            if not self._writing[1].done() and self._n_pending < MAX_UNWRITTEN:
                 return
             self._confirm()
         batch = self._journal.batch()
         n_frames, self._n_pending = self._n_pending, 0
         if batch:
-            self._writing = _Writing(n_frames, self._writer.submit(self._journal.write, batch))
+            self._writing = n_frames, self._writer.submit(self._journal.write, batch)
         else:
             self._source.confirm(n_frames)
 

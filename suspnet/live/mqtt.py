@@ -13,26 +13,22 @@ from collections import Counter, deque
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar
 
+from suspnet.ground.extras import import_extra
 from suspnet.ground.settings import Setting, check_values
-from suspnet.live.broker import KEEPALIVE_S, MOST_PER_REQUEST, Broker, properties_of_connect
-from suspnet.live.source import Kind, plain_json
+from suspnet.live.broker import KEEPALIVE_S, Broker
+from suspnet.live.source import ResultKind, plain_json
 from suspnet.recordings.frames import MOST_BYTES
 
 if TYPE_CHECKING:
     from paho.mqtt.client import Client
 
 log = logging.getLogger(__name__)
-MOST_UNACKNOWLEDGED = 20
-"""Largest number of results in flight to the broker; of the others the latest of each topic
-waits."""
+MAX_UNACKNOWLEDGED = 20  # results in flight; of the others the latest of each topic waits
+MAX_TOPICS = 100  # of one request of a subscription
 TAKEN_OVER = "Session taken over"
 """Reason, as paho-mqtt names it, for which a broker ends a connection when another client of the
 same name connects. Mosquitto 2.0.11 states none."""
-SHORT_S, MOST_SHORT = 10.0, 3
-"""Length below which a connection is short, [s], and number of short ones in a row after which the
-log asks for a second monitor of the same part: two end each other's connections."""
-CLOSING_S = 5.0
-"""Longest time that `close` waits for the broker to take the results, [s]."""
+CLOSING_S = 5.0  # longest time that `close` waits for the broker to take the results
 
 
 class Mqtt:
@@ -42,11 +38,10 @@ class Mqtt:
     the broker stores the others while the client is disconnected (QoS 1, no clean start, session
     expiry). The client reconnects with backoff, also if the broker was never reachable.
 
-    At most `in_flight` frames wait for `receive`. The broker is asked to send no more before some
-    are acknowledged; as not every release of every broker obeys, the connection is not read while
-    the limit is reached. A message larger than any frame is acknowledged and dropped at once. The
-    broker is not asked to withhold large messages: they would occupy places among the messages in
-    flight for ever (Mosquitto 2.0.11).
+    At most `in_flight` frames wait for `receive`: the broker is asked to send no more before some
+    are acknowledged, and as not every broker obeys, the connection is not read beyond that. A
+    message larger than any frame is acknowledged and dropped at once; withheld by the broker, it
+    would occupy a place among the messages in flight for ever (Mosquitto 2.0.11).
     """
 
     settings: ClassVar[Mapping[str, Setting]] = {
@@ -81,20 +76,20 @@ class Mqtt:
     ) -> None:
         check_values(Mqtt, in_flight=in_flight, session_h=session_h)
         self.broker = Broker() if broker is None else broker
-        self.part, self.n_parts = read_part(part)
-        self.client_id = f"{client_id}-{self.part}-of-{self.n_parts}"
+        self.shard, self.n_shards = read_shard(part)
+        self.client_id = f"{client_id}-{self.shard}-of-{self.n_shards}"
         self.in_flight, self.session_h = in_flight, session_h
+        self.is_connected = False
         self._counts: Counter[str] = Counter()
         self._client: Client | None = None
         self._topics: list[str] = []
         # shared with the client thread: messages by number of the connection, under `_changed`
         self._changed = threading.Condition()
         self._arrived: deque[tuple[int, int, bytes]] = deque()
-        self._connection = self._n_short = 0
-        self._connected_s = 0.0
-        self._is_connected = self._is_away = self._is_closing = self._is_replaced = False
+        self._connection = 0
+        self._is_away = self._is_closing = self._is_replaced = False
         # of the calling thread only
-        self._given: list[tuple[int, int]] = []
+        self._delivered: list[tuple[int, int]] = []
         self._results: dict[str, bytes] = {}
         self._unacknowledged: set[int] = set()
         self._acknowledged: deque[int] = deque()
@@ -104,18 +99,24 @@ class Mqtt:
         """Events: "disconnect", "reconnect", "unreachable", "rejected", "size" of a message."""
         return Counter(self._counts)
 
+    @property
+    def n_waiting(self) -> int:
+        """Number of frames that wait for `receive`."""
+        return len(self._arrived)
+
     def subscribe(self, suspensions: Sequence[str]) -> Sequence[str]:
-        """Start to connect; return the suspensions of this process's part. See `Source`."""
-        mine = [name for name in suspensions if is_in_part(name, self.part, self.n_parts)]
-        self._topics = [self.broker.topic("frames", name) for name in mine]
+        """Start to connect; return the suspensions of this process. See `FrameSource`."""
+        own = [name for name in suspensions if is_in_shard(name, self.shard, self.n_shards)]
+        self._topics = [self.broker.topic("frames", name) for name in own]
         client = self.broker.client(self.client_id, manual_ack=True)
-        client.max_queued_messages_set(MOST_UNACKNOWLEDGED)
+        client.max_queued_messages_set(MAX_UNACKNOWLEDGED)
         client.on_connect, client.on_disconnect = self._on_connect, self._on_disconnect
         client.on_connect_fail, client.on_message = self._on_connect_fail, self._on_message
         client.on_subscribe, client.on_publish = self._on_subscribe, self._on_publish
-        properties = properties_of_connect(
-            SessionExpiryInterval=round(3600 * self.session_h), ReceiveMaximum=self.in_flight
-        )
+        packet = import_extra("paho.mqtt.packettypes", "live", "MQTT").PacketTypes.CONNECT
+        properties = import_extra("paho.mqtt.properties", "live", "MQTT").Properties(packet)
+        properties.SessionExpiryInterval = round(3600 * self.session_h)
+        properties.ReceiveMaximum = self.in_flight
         client.connect_async(
             str(self.broker.host),
             self.broker.port,
@@ -125,10 +126,10 @@ class Mqtt:
         )
         client.loop_start()
         self._client = client
-        return mine
+        return own
 
     def receive(self, timeout_s: float) -> list[bytes]:
-        """Return the frames received so far; the source never ends. See `Source`.
+        """Return the frames received so far; the source never ends. See `FrameSource`.
 
         ValueError is raised once another monitor has taken over the session: of two that share
         frames, each would see a part of every section.
@@ -145,23 +146,23 @@ class Mqtt:
             arrived = list(self._arrived)
             self._arrived.clear()
             self._changed.notify_all()
-        self._given += [(connection, number) for connection, number, _ in arrived]
+        self._delivered += [(connection, number) for connection, number, _ in arrived]
         return [message for _, _, message in arrived]
 
     def confirm(self, n_frames: int | None = None) -> None:
-        """Acknowledge frames that `receive` returned. See `Source`."""
+        """Acknowledge frames that `receive` returned. See `FrameSource`."""
         assert self._client is not None
-        n_confirmed = len(self._given) if n_frames is None else n_frames
+        n_confirmed = len(self._delivered) if n_frames is None else n_frames
         with self._changed:  # the connection must not change meanwhile
-            for connection, number in self._given[:n_confirmed]:
+            for connection, number in self._delivered[:n_confirmed]:
                 # messages of an earlier connection are resent, under the same number or another;
                 # number 0 is a message without acknowledgement (QoS 0)
-                if number and self._is_connected and connection == self._connection:
+                if number and self.is_connected and connection == self._connection:
                     self._client.ack(number, 1)
-        del self._given[:n_confirmed]
+        del self._delivered[:n_confirmed]
         self._send()
 
-    def publish(self, kind: Kind, suspension: str, message: bytes) -> None:
+    def publish(self, kind: ResultKind, suspension: str, message: bytes) -> None:
         """Publish a retained message; only the latest of each topic waits for the broker."""
         topic = self.broker.topic(kind, suspension)
         self._results.pop(topic, None)
@@ -176,7 +177,7 @@ class Mqtt:
         if self._client is None:
             return
         deadline = time.monotonic() + CLOSING_S
-        while time.monotonic() < deadline and self._is_connected:
+        while time.monotonic() < deadline and self.is_connected:
             self._send()
             if not (self._results or self._unacknowledged or self._client.want_write()):
                 break
@@ -189,18 +190,15 @@ class Mqtt:
         self._client = None
 
     def _send(self) -> None:
-        """Give waiting results to the client, up to ``MOST_UNACKNOWLEDGED`` in flight.
+        """Give waiting results to the client, up to ``MAX_UNACKNOWLEDGED`` in flight.
 
         No lock is held here: the client calls `_on_publish` under a lock of its own.
         """
         while self._acknowledged:  # ends: at most as many as were sent
             self._unacknowledged.discard(self._acknowledged.popleft())
-        while (  # ends: each round takes a result
-            self._client is not None
-            and self._is_connected
-            and self._results
-            and len(self._unacknowledged) < MOST_UNACKNOWLEDGED
-        ):
+        if self._client is None or not self.is_connected:
+            return
+        while self._results and len(self._unacknowledged) < MAX_UNACKNOWLEDGED:
             topic = next(iter(self._results))
             sent = self._client.publish(topic, self._results[topic], qos=1, retain=True)
             if sent.rc:  # the connection is gone, or the client's queue is full
@@ -217,28 +215,23 @@ class Mqtt:
             if self._connection:
                 self._counts["reconnect"] += 1
             self._connection += 1
-            self._connected_s = time.monotonic()
-            self._is_connected, self._is_away = True, False
+            self.is_connected, self._is_away = True, False
         log.info("connected to the broker at %s", self.broker.where)
         options = importlib.import_module("paho.mqtt.subscribeoptions").SubscribeOptions
-        once = options(qos=1, retainHandling=options.RETAIN_DO_NOT_SEND)
-        for start in range(0, len(self._topics), MOST_PER_REQUEST):
-            part = self._topics[start : start + MOST_PER_REQUEST]
-            client.subscribe([(topic, once) for topic in part])
+        only_new = options(qos=1, retainHandling=options.RETAIN_DO_NOT_SEND)
+        for start in range(0, len(self._topics), MAX_TOPICS):
+            topics = self._topics[start : start + MAX_TOPICS]
+            client.subscribe([(topic, only_new) for topic in topics])
 
     def _on_disconnect(self, client: Client, _: Any, flags: Any, reason: Any, more: Any) -> None:
         with self._changed:
-            self._is_connected = False
+            self.is_connected = False
             self._is_replaced |= reason == TAKEN_OVER  # a last disconnection has another reason
             self._changed.notify_all()
         if self._is_replaced:
             client.disconnect()  # it would connect again, and replace the other one
         elif not self._is_closing:
-            is_short = time.monotonic() - self._connected_s < SHORT_S
-            self._n_short = self._n_short + 1 if is_short else 0
             self._count("disconnect", "the connection is lost")
-            if self._n_short == MOST_SHORT:
-                log.warning("does another monitor run with the same part, %s?", self.client_id)
 
     def _on_connect_fail(self, client: Client, userdata: Any) -> None:
         self._count("unreachable", "connection refused")
@@ -272,20 +265,20 @@ class Mqtt:
         self._is_away = True
 
 
-def read_part(text: str) -> tuple[int, int]:
+def read_shard(text: str) -> tuple[int, int]:
     """Return K and N of the text "K/N"; ValueError unless 1 <= K <= N <= 1000."""
-    found = re.fullmatch(r"(\d{1,4})/(\d{1,4})", text) if isinstance(text, str) else None
-    part, n_parts = map(int, found.groups()) if found else (0, 0)
-    if not 1 <= part <= n_parts <= 1000:
+    match = re.fullmatch(r"(\d{1,4})/(\d{1,4})", text) if isinstance(text, str) else None
+    shard, n_shards = map(int, match.groups()) if match else (0, 0)
+    if not 1 <= shard <= n_shards <= 1000:
         raise ValueError(f'`part` must be "K/N" with 1 <= K <= N <= 1000, got {text!r}')
-    return part, n_parts
+    return shard, n_shards
 
 
-def is_in_part(suspension: str, part: int, n_parts: int) -> bool:
-    """Return whether a suspension belongs to a part of the processes, by SHA-256 of its name.
+def is_in_shard(suspension: str, shard: int, n_shards: int) -> bool:
+    """Return whether a suspension belongs to a shard, by SHA-256 of its name.
 
-    >>> [k for k in (1, 2, 3) if is_in_part("train 1, car 2", k, 3)]
+    >>> [k for k in (1, 2, 3) if is_in_shard("train 1, car 2", k, 3)]
     [1]
     """
     digest = hashlib.sha256(suspension.encode()).digest()
-    return int.from_bytes(digest[:8], "big") % n_parts == part - 1
+    return int.from_bytes(digest[:8], "big") % n_shards == shard - 1

@@ -15,12 +15,11 @@ from suspnet.recordings.manifest import TEMPERATURES_C
 STEP_NS = 10 * SECOND_NS
 """Length of the time steps with one stored value each, [ns]: a train runs less than a kilometre in
 it."""
-MOST_KEPT = 10_000
+MAX_STEPS = 10_000
 """Largest number of stored steps, those of a day. The latest steps are dropped first: they come
 from wrong clocks, as sections are at most a day long."""
-MOST_IN_FRAME = 1000
-"""Largest number of samples used of a frame of mileages or temperatures."""
-LEAST_M_PER_S = 1.0
+MAX_SAMPLES = 1000  # largest number of samples used of a frame of mileages or temperatures
+STANDSTILL_M_PER_S = 1.0
 """Speed below which a train is at standstill, [m/s]: more than the noise of speed sensors."""
 
 
@@ -40,25 +39,26 @@ class SlowValues:
 
     def __init__(self, mileage_km: float, temperature_c: float | None) -> None:
         self.passed_km = mileage_km
-        self._known: dict[str, dict[int, tuple[int, float]]] = {"mileage": {}, "temperature": {}}
+        # by sensor and time step: time [ns] and value
+        self._values: dict[str, dict[int, tuple[int, float]]] = {"mileage": {}, "temperature": {}}
         self._first_c = temperature_c
 
     def take(self, frame: Frame) -> None:
         """Store the values of a frame; FrameError if unit or values are invalid."""
-        size = self.UNITS[frame.sensor].get(frame.unit)
-        if size is None:
+        factor = self.UNITS[frame.sensor].get(frame.unit)
+        if factor is None:
             units = ", ".join(self.UNITS[frame.sensor])
             raise FrameError("unit", f"{frame.sensor!r} is in {units}, its frame in {frame.unit!r}")
-        values = size * frame.samples.astype(float)
+        values = factor * frame.samples.astype(float)
         low, high = (0.0, HIGHEST_KM) if frame.sensor == "mileage" else TEMPERATURES_C
         if values.min() < low or values.max() > high:
             raise FrameError("range", f"{frame.sensor!r} is {low:g} to {high:g}, got {values}")
-        known = self._known[frame.sensor]
-        for i, value in enumerate(values[:MOST_IN_FRAME].tolist()):
-            one = frame.time_ns + round(i * SECOND_NS / frame.rate_hz), value
-            step = one[0] // STEP_NS
-            known[step] = min(one, known.get(step, one))
-        _drop_latest(known)
+        stored = self._values[frame.sensor]
+        for i, value in enumerate(values[:MAX_SAMPLES].tolist()):
+            entry = frame.time_ns + round(i * SECOND_NS / frame.rate_hz), value
+            step = entry[0] // STEP_NS
+            stored[step] = min(entry, stored.get(step, entry))
+        _drop_latest(stored)
 
     def within(
         self, begin_ns: int, end_ns: int, before_ns: int = 0
@@ -69,7 +69,7 @@ class SlowValues:
         else None (the mileage at the end of the previous section applies), and the temperature is
         the last one before it.
         """
-        mileages, temperatures = (sorted(one.values()) for one in self._known.values())
+        mileages, temperatures = (sorted(entries.values()) for entries in self._values.values())
         km = [value for at, value in mileages if begin_ns <= at < end_ns]
         km += [value for at, value in mileages if begin_ns - before_ns <= at < begin_ns][::-1]
         inside = [value for at, value in temperatures if begin_ns <= at < end_ns]
@@ -80,22 +80,23 @@ class SlowValues:
     def pass_section(self, end_ns: int, mileage_km: float) -> None:
         """Set the mileage at the end of a section, and forget the values within the section."""
         self.passed_km = mileage_km
-        before = [one for one in self._known["temperature"].values() if one[0] < end_ns]
+        before = [entry for entry in self._values["temperature"].values() if entry[0] < end_ns]
         self._first_c = max(before)[1] if before else self._first_c
-        for name, several in self._known.items():
-            self._known[name] = {k: one for k, one in several.items() if one[0] >= end_ns}
+        for name, entries in self._values.items():
+            later = {step: entry for step, entry in entries.items() if entry[0] >= end_ns}
+            self._values[name] = later
 
     def state(self) -> dict[str, Any]:
         """Return JSON-able values for `restore`."""
-        known = {name: sorted(one.values()) for name, one in self._known.items()}
-        return {"passed_km": self.passed_km, "first_c": self._first_c, "known": known}
+        values = {name: sorted(entries.values()) for name, entries in self._values.items()}
+        return {"passed_km": self.passed_km, "first_c": self._first_c, "known": values}
 
     def restore(self, state: dict[str, Any]) -> None:
         """Restore a state."""
         self.passed_km, self._first_c = state["passed_km"], state["first_c"]
-        self._known = {
-            name: {at // STEP_NS: (at, value) for at, value in one}
-            for name, one in state["known"].items()
+        self._values = {
+            name: {at // STEP_NS: (at, value) for at, value in entries}
+            for name, entries in state["known"].items()
         }
 
 
@@ -108,7 +109,7 @@ class Standing:
     def take(self, frame: Frame) -> None:
         """Take a frame of the speed."""
         speeds = (size_of("speed", frame.unit) or 1.0) * frame.samples
-        has_moved = bool(np.max(speeds) >= LEAST_M_PER_S)
+        has_moved = bool(np.max(speeds) >= STANDSTILL_M_PER_S)
         for step in _steps(frame.time_ns, end_ns(frame)):
             self._moved[step] = has_moved or self._moved.get(step, False)
         _drop_latest(self._moved)
@@ -121,7 +122,7 @@ class Standing:
         """Forget the steps before a time."""
         first = before_ns // STEP_NS
         if self._moved and min(self._moved) < first:
-            self._moved = {step: one for step, one in self._moved.items() if step >= first}
+            self._moved = {step: moved for step, moved in self._moved.items() if step >= first}
 
     def state(self) -> list[Any]:
         """Return JSON-able values for `restore`."""
@@ -137,6 +138,5 @@ def _steps(begin_ns: int, end_ns: int) -> range:
 
 
 def _drop_latest(by_step: dict[int, Any]) -> None:
-    if len(by_step) > MOST_KEPT:
-        for step in sorted(by_step)[MOST_KEPT:]:
-            del by_step[step]
+    for step in sorted(by_step)[MAX_STEPS:] if len(by_step) > MAX_STEPS else ():
+        del by_step[step]

@@ -22,7 +22,7 @@ import numpy as np
 from suspnet.ground.settings import Setting, check_settings, check_values, setting
 from suspnet.ground.types import FloatArray
 from suspnet.recordings.clocks import offsets_s
-from suspnet.recordings.dates import SECOND_NS, ahead_ns, nanoseconds, time_zone
+from suspnet.recordings.dates import EPOCH, SECOND_NS, ahead_ns, nanoseconds, time_zone
 from suspnet.recordings.errors import TripError
 from suspnet.recordings.faults import find_gaps, runs
 from suspnet.recordings.frames import MOST_SAMPLES, Frame, end_ns
@@ -40,8 +40,7 @@ LONGEST_WAIT_S = 60.0
 """Longest gap between frames that a paced replay waits for, in recorded time, [s]."""
 MILEAGE, TEMPERATURE = ("mileage", "km"), ("temperature", "degC")
 """Sensor and unit of the frames of one sample at the start of a trip."""
-SLOW_HZ = 1.0
-"""Nominal rate of the frames of one sample."""
+SLOW_HZ = 1.0  # nominal rate of the frames of one sample
 
 
 @dataclass
@@ -72,7 +71,7 @@ class Replay:
             self._start_ns = _parsed(self.start, self._zone)
         by_name: dict[str, list[TripManifest]] = {}
         for group in find_groups(self.folder):
-            trips = [found for file in group.manifests if (found := self._read(file))]
+            trips = [trip for file in group.manifests if (trip := self._read(file))]
             for name in {str(trip.place) for trip in trips}:
                 if name in by_name:
                     raise ValueError(
@@ -168,12 +167,9 @@ class Pace:
 
 def _in_order(trips: Sequence[TripManifest], zone: tzinfo) -> list[TripManifest]:
     """Return trips by start if all of them have one, else by mileage."""
-    starts = [trip.start for trip in trips]
-    known = [nanoseconds(start, zone) for start in starts if start is not None]
-    if len(known) == len(trips):
-        order = sorted(range(len(trips)), key=lambda k: known[k])
-        return [trips[k] for k in order]
-    return sorted(trips, key=lambda trip: trip.mileage_km)
+    if any(trip.start is None for trip in trips):
+        return sorted(trips, key=lambda trip: trip.mileage_km)
+    return sorted(trips, key=lambda trip: nanoseconds(trip.start or EPOCH, zone))
 
 
 def _parsed(text: str, zone: tzinfo) -> int:

@@ -25,15 +25,14 @@ from suspnet.recordings.frames import Frame, FrameError, end_ns, frame_from, n_b
 from suspnet.recordings.manifest import TripManifest
 from suspnet.recordings.running import Running
 
-MOST_OPEN = 5
+MAX_OPEN = 5
 """Largest number of open sections. Three are enough if clocks are right: one that has ended, the
 rest of its trip, and the next trip. The others are for frames of wrong times, which must not close
 a section that is still running."""
 SHORT, SHORT_S = 1 / 4, 120.0
 """Fraction of a section's length, and length [s], below which the last section of a trip joins the
 previous one: twice the length that a recording needs."""
-TRIED_NS = 60 * SECOND_NS
-"""Time between two checks for standstill, [ns]."""
+TRIED_NS = 60 * SECOND_NS  # time between two checks for standstill, [ns]
 AHEAD_NS = 86_400 * SECOND_NS
 """Frames this much earlier than an ended section, [ns], are not late: a clock was wrong."""
 
@@ -97,53 +96,37 @@ class _Open:
 class Sections:
     """The recordings of one suspension, one after another.
 
-    Memory is that of at most ``MOST_OPEN`` recordings of `section_s`; see ``Running``. A section
+    Memory is that of at most ``MAX_OPEN`` recordings of `section_s`; see ``Running``. A section
     closes once more than ``order.window`` frames of one sensor in a row start later than `late_s`
     after the pause that follows it, or, if its trip goes on, later than this and the length of a
     short section after its end.
 
-    Attributes
-    ----------
-    counts : Counter
-        Frames "dropped" with sections of wrong times, and "late" ones, part of which was too late.
-    identity : JSON-able
-        Must be equal for a state and the stream that is restored from it.
-
-    Raises
-    ------
-    TripError, ValueError
-        As ``Running`` does.
+    `counts` are frames "dropped" with sections of wrong times, and "late" ones, part of which was
+    too late. The JSON-able `identity` must be equal for a state and the stream that is restored
+    from it. TripError and ValueError are raised as by ``Running``.
     """
 
     def __init__(
         self, manifest: TripManifest, settings: LiveSettings, rate_hz: float = 100.0
     ) -> None:
         self.manifest, self.settings, self.rate_hz = manifest, settings, rate_hz
-        late_s, pause_s = settings.late_s, settings.pause_s
-        self.section_s = section_s = settings.section_s
-        self._pause_ns, self._late_ns = round(pause_s * SECOND_NS), round(late_s * SECOND_NS)
-        self._short_s = min(max(SHORT * section_s, SHORT_S), section_s)
+        self.section_s = settings.section_s
+        self._pause_ns = round(settings.pause_s * SECOND_NS)
+        self._late_ns = round(settings.late_s * SECOND_NS)
+        self._short_s = min(max(SHORT * self.section_s, SHORT_S), self.section_s)
         self.counts: Counter[str] = Counter()
         self._open: dict[int, _Open] = {}
         self._next_ns = 0
         self._back: Counter[str] = Counter()
         self._standing = Standing()
-        self.identity = [section_s, late_s, pause_s, self._begun(0).identity]
+        own = [self.section_s, settings.late_s, settings.pause_s]
+        self.identity = [*own, self._begun(0).identity]
 
     def add(self, frame: Frame, is_known: bool = False) -> None:
-        """Take a frame.
+        """Take a frame; `is_known` if it was taken before, and is read again after a restart.
 
-        Parameters
-        ----------
-        frame : Frame
-        is_known : bool
-            Whether it was taken before, and is read again after a restart.
-
-        Raises
-        ------
-        FrameError
-            As ``Running.add`` does, or "late" if all of it belongs to a closed section. The whole
-            frame is rejected.
+        FrameError is raised, and the whole frame rejected, as by ``Running.add``, or "late" if all
+        of it belongs to a closed section.
         """
         if len(frame.samples) > self.section_s * frame.rate_hz:
             raise FrameError("size", f"a frame is longer than a section of {self.section_s} s")
@@ -153,16 +136,14 @@ class Sections:
         rest = frame_from(frame, n_late, self._next_ns)
         if rest is None:
             raise FrameError("late", f"a frame of {frame.sensor!r} belongs to a closed section")
-        reasons = ["late"] * bool(n_late)
+        reasons = ["late"] if n_late else []
         n_taken = 0
         while rest is not None:  # ends: each round takes a sample, or starts at a border
             key = self._place(rest.time_ns)
-            one = self._open.get(key)
-            if one is None:
-                border_ns = self._full_ns(rest.time_ns)
-            else:
-                self._cut(one, end_ns(rest))
-                border_ns = min(self._border_ns(one), self._full_ns(rest.time_ns))
+            border_ns = self._full_ns(rest.time_ns)
+            if key in self._open:
+                self._cut(self._open[key], end_ns(rest))
+                border_ns = min(self._border_ns(self._open[key]), border_ns)
             if n_inside := n_before(rest, border_ns):
                 try:
                     self._add(key, replace(rest, samples=rest.samples[:n_inside]))
@@ -190,7 +171,9 @@ class Sections:
     def over(self) -> list[Running]:
         """Remove the sections that have ended, and return them, the earliest first."""
         window = self.settings.order.window
-        passed = {k for k, one in self._open.items() if max(one.after.values(), default=0) > window}
+        passed = {
+            k for k, entry in self._open.items() if max(entry.after.values(), default=0) > window
+        }
         # a section waits for a rest that may still grow
         done = [k for k in passed if self._after(k) in passed or not self._is_short(self._after(k))]
         last_ns = max((self._open[k].section.begin_ns for k in done), default=-1)
@@ -204,7 +187,7 @@ class Sections:
     @property
     def growing(self) -> list[Running]:
         """The open sections that no other section of the same trip follows."""
-        followed = {one.before for one in self._open.values()}
+        followed = {entry.before for entry in self._open.values()}
         return [
             self._open[k].section for k in self._keys if k not in followed and not self._is_rest(k)
         ]
@@ -225,71 +208,70 @@ class Sections:
     def _full_ns(self, begin_ns: int) -> int:
         return (begin_ns // SECOND_NS + self.section_s) * SECOND_NS
 
-    def _border_ns(self, one: _Open) -> int:
+    def _border_ns(self, entry: _Open) -> int:
         """Return where a section ends if frames go on."""
-        return self._full_ns(one.section.begin_ns) if one.cut_ns is None else one.cut_ns
+        return self._full_ns(entry.section.begin_ns) if entry.cut_ns is None else entry.cut_ns
 
-    def _cut(self, one: _Open, time_ns: int) -> None:
+    def _cut(self, entry: _Open, time_ns: int) -> None:
         """End a section at a standstill, if the frames up to a time show one.
 
         Only speeds older than `late_s` count: later ones may still be missing.
         """
-        first_ns = self._full_ns(one.section.begin_ns) - self.section_s * SECOND_NS * 2 // 3
-        while one.cut_ns is None:  # ends: each round advances by a minute
-            at_ns = first_ns + one.n_tried * TRIED_NS
+        first_ns = self._full_ns(entry.section.begin_ns) - self.section_s * SECOND_NS * 2 // 3
+        while entry.cut_ns is None:  # ends: each round advances by a minute
+            at_ns = first_ns + entry.n_tried * TRIED_NS
             if time_ns <= at_ns:
                 return
-            one.n_tried += 1
+            entry.n_tried += 1
             if self._standing.stood(at_ns - self._late_ns - self._pause_ns, at_ns - self._late_ns):
-                one.cut_ns = at_ns
+                entry.cut_ns = at_ns
 
-    def _end_ns(self, one: _Open) -> int:
+    def _end_ns(self, entry: _Open) -> int:
         """Return the end of a section: later frames do not belong to it."""
-        return min(self._border_ns(one), one.section.end_ns + self._pause_ns)
+        return min(self._border_ns(entry), entry.section.end_ns + self._pause_ns)
 
     def _place(self, time_ns: int) -> int:
         """Return the key of the section that a time belongs to, which may be a new one."""
-        for k in self._keys:
-            one = self._open[k]
-            least_ns = k if one.section.goes_on else one.section.begin_ns - self._pause_ns
-            if max(least_ns, k - self._pause_ns) <= time_ns < self._end_ns(one):
+        entries = [(k, self._open[k]) for k in self._keys]
+        for k, entry in entries:  # an open section
+            begin_ns = k if entry.section.goes_on else entry.section.begin_ns - self._pause_ns
+            if max(begin_ns, k - self._pause_ns) <= time_ns < self._end_ns(entry):
                 return k
-        for k in self._keys:
-            one = self._open[k]
-            border_ns = self._border_ns(one)
-            goes_on = border_ns <= time_ns < one.section.end_ns + self._pause_ns
+        for _, entry in entries:  # the continuation of one
+            border_ns = self._border_ns(entry)
+            goes_on = border_ns <= time_ns < entry.section.end_ns + self._pause_ns
             if goes_on and border_ns not in self._open:
                 return border_ns
         return time_ns // SECOND_NS * SECOND_NS
 
-    def _add(self, key: int, part: Frame) -> None:
-        """Take the part of a frame that lies in one section."""
-        found = self._open.get(key)
-        section = self._begun(key) if found is None else found.section
-        section.add(part)  # before the section is opened: a rejected frame opens none
-        if found is None:
-            before = [k for k, one in self._open.items() if self._border_ns(one) == key]
-            self._open[key] = found = _Open(section, before[0] if before else None)
+    def _add(self, key: int, piece: Frame) -> None:
+        """Take the piece of a frame that lies in one section."""
+        is_new = key not in self._open
+        section = self._begun(key) if is_new else self._open[key].section
+        section.add(piece)  # before the section is opened: a rejected frame opens none
+        if is_new:
+            before = [k for k, entry in self._open.items() if self._border_ns(entry) == key]
+            self._open[key] = _Open(section, before[0] if before else None)
             section.goes_on = bool(before)
             self._drop()
         self._join_rests()
-        for one in self._open.values():
-            has_passed = part.time_ns >= self._over_ns(one)
-            one.after[part.sensor] = one.after[part.sensor] + 1 if has_passed else 0
-        if part.sensor == "speed":
-            self._standing.take(part)
+        for entry in self._open.values():
+            has_passed = piece.time_ns >= self._over_ns(entry)
+            entry.after[piece.sensor] = entry.after[piece.sensor] + 1 if has_passed else 0
+        if piece.sensor == "speed":
+            self._standing.take(piece)
             needed_ns = 2 * (self._pause_ns + self._late_ns) + TRIED_NS
-            self._standing.forget(part.time_ns - needed_ns)
+            self._standing.forget(piece.time_ns - needed_ns)
 
-    def _over_ns(self, one: _Open) -> int:
+    def _over_ns(self, entry: _Open) -> int:
         """Return the time after which frames show that a section has ended."""
         wait_ns = max(self._late_ns, round(self._short_s * SECOND_NS))
-        pause_ns = one.section.end_ns + self._pause_ns + self._late_ns
-        return min(self._border_ns(one) + wait_ns, pause_ns)
+        pause_ns = entry.section.end_ns + self._pause_ns + self._late_ns
+        return min(self._border_ns(entry) + wait_ns, pause_ns)
 
     def _after(self, key: int) -> int | None:
         """Return the key of the next section of the same trip."""
-        return next((k for k, one in self._open.items() if one.before == key), None)
+        return next((k for k, entry in self._open.items() if entry.before == key), None)
 
     def _is_short(self, key: int | None) -> bool:
         """Return whether a section is too short for a recording of its own; None is not."""
@@ -303,36 +285,37 @@ class Sections:
         return self._open[key].before in self._open and self._is_short(key)
 
     def _join_rests(self) -> None:
-        for k, one in self._open.items():
+        for k, entry in self._open.items():
             after = self._after(k)
-            one.section.rest = None
+            entry.section.rest = None
             if after is not None and self._is_short(after):
-                one.section.rest = self._open[after].section
+                entry.section.rest = self._open[after].section
 
     def _drop(self) -> None:
         """If too many sections are open, drop the one with the fewest frames, the latest of these.
 
         The section opened last stays: otherwise no new section could ever grow.
         """
-        if len(self._open) > MOST_OPEN:
-            old = list(self._open.items())[:-1]
-            sizes = {k: (one.section.n_frames, -one.section.begin_ns) for k, one in old}
-            worst = min(sizes, key=sizes.__getitem__)
-            if (after := self._after(worst)) is not None:
-                self._open[after].before = None
-            self.counts["dropped"] += self._open.pop(worst).section.n_frames
+        if len(self._open) > MAX_OPEN:
+            sections = {k: entry.section for k, entry in list(self._open.items())[:-1]}
+            worst = min(sections, key=lambda k: (sections[k].n_frames, -sections[k].begin_ns))
+            self.counts["dropped"] += sections[worst].n_frames
+            self._forget(worst)
 
     def _close(self, keys: list[int]) -> list[Running]:
         """Close some sections; return those that are not the rest of another."""
-        found = [self._open[k].section for k in keys if not self._is_rest(k)]
+        closed = [self._open[k].section for k in keys if not self._is_rest(k)]
         for k in keys:
             self._next_ns = max(self._next_ns, self._end_ns(self._open[k]))
             self._open[k].section.flush()
         for k in keys:
-            if (after := self._after(k)) is not None:
-                self._open[after].before = None
-            del self._open[k]
-        return found
+            self._forget(k)
+        return closed
+
+    def _forget(self, key: int) -> None:
+        if (after := self._after(key)) is not None:
+            self._open[after].before = None
+        del self._open[key]
 
     def state(self) -> dict[str, Any]:
         """Return arrays and JSON-able values for `restore`."""
@@ -342,14 +325,8 @@ class Sections:
             "back": dict(self._back),
             "standing": self._standing.state(),
             "open": {
-                str(k): {
-                    "section": one.section.state(),
-                    "before": one.before,
-                    "after": dict(one.after),
-                    "cut_ns": one.cut_ns,
-                    "n_tried": one.n_tried,
-                }
-                for k, one in self._open.items()
+                str(k): vars(entry) | {"section": entry.section.state(), "after": dict(entry.after)}
+                for k, entry in self._open.items()
             },
         }
 
@@ -360,8 +337,8 @@ class Sections:
         self._standing.restore(state["standing"])
         self._open = {}
         for k, saved in state["open"].items():
-            after, cut = Counter(saved["after"]), (saved["cut_ns"], saved["n_tried"])
-            one = _Open(self._begun(int(k)), saved["before"], after, *cut)
-            one.section.restore(saved["section"])
-            self._open[int(k)] = one
+            section = self._begun(int(k))
+            section.restore(saved["section"])
+            entry = saved | {"section": section, "after": Counter(saved["after"])}
+            self._open[int(k)] = _Open(**entry)
         self._join_rests()

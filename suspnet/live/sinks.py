@@ -22,33 +22,26 @@ if TYPE_CHECKING:
     from paho.mqtt.client import Client
 
 log = logging.getLogger(__name__)
-NUMBERED = re.compile(r"\d{9}", re.ASCII)
-"""Names of the files that a `Folder` writes, without their suffix."""
-MOST_FILE_BYTES = 2**23
-"""Size of a file of frames after which the next one is started, [bytes]."""
-ANSWER_S = 10.0
-"""Timeout of the first connection to a broker, [s]."""
+NUMBERED = re.compile(r"\d{9}", re.ASCII)  # names of the files that a `Folder` writes
+MAX_FILE_BYTES = 2**23  # after which the next file is started
+ANSWER_S = 10.0  # timeout of the first connection to a broker
 
 
 class Sink(Protocol):
-    """Interface of a destination of frames."""
+    """Interface of a destination of frames; `counts` are problems by a reason of one word."""
 
     @property
     def counts(self) -> Counter[str]:
-        """Counts of problems, by a reason of one word."""
-        ...
+        """Counts of problems."""
 
     def open(self) -> None:
         """Prepare to send; OSError or ValueError if that is not possible."""
-        ...
 
     def send(self, frame: Frame) -> None:
         """Send a frame; wait while the receiver does not take it."""
-        ...
 
     def close(self) -> None:
         """Send waiting frames, and wait until all are taken."""
-        ...
 
 
 class StandardOutput:
@@ -77,7 +70,7 @@ class StandardOutput:
 class Folder:
     """Writes frames into files as ``source=folder`` reads them: of all sensors, in their order.
 
-    A file appears atomically. It holds at most ``MOST_FILE_BYTES`` and one frame.
+    A file appears atomically. It holds at most ``MAX_FILE_BYTES`` and one frame.
     """
 
     settings: ClassVar[Mapping[str, Setting]] = {
@@ -95,18 +88,14 @@ class Folder:
     def open(self) -> None:
         """Create the folder; file names continue after the existing ones."""
         self.folder.mkdir(parents=True, exist_ok=True)
-        there = [
-            int(path.stem)
-            for folder in (self.folder, self.folder / TAKEN)
-            for path in folder.glob("*.frames")
-            if NUMBERED.fullmatch(path.stem)
-        ]
-        self._n_files = max(there, default=0)
+        files = [*self.folder.glob("*.frames"), *(self.folder / TAKEN).glob("*.frames")]
+        numbers = [int(file.stem) for file in files if NUMBERED.fullmatch(file.stem)]
+        self._n_files = max(numbers, default=0)
 
     def send(self, frame: Frame) -> None:
         """Add a frame to the file; write the file first if it is full."""
         is_over = frame.time_ns - self._first_ns >= self.file_s * SECOND_NS
-        if self._held and (is_over or self._n_bytes >= MOST_FILE_BYTES):
+        if self._held and (is_over or self._n_bytes >= MAX_FILE_BYTES):
             self.close()
         if not self._held:
             self._first_ns = frame.time_ns
@@ -127,7 +116,8 @@ class MqttSink:
     """Publishes frames to PREFIX/frames/SUSPENSION, with QoS 1.
 
     At most `in_flight` frames, or as many as the broker takes at once, are on the way; then `send`
-    waits, also while the broker is disconnected.
+    waits, also while the broker is disconnected. `counts` are frames "rejected" by the broker, and
+    lost connections ("disconnect").
     """
 
     settings: ClassVar[Mapping[str, Setting]] = {
@@ -141,17 +131,10 @@ class MqttSink:
     def __init__(self, broker: Broker | None = None, in_flight: int = 100) -> None:
         check_values(MqttSink, in_flight=in_flight)
         self.broker = Broker() if broker is None else broker
-        self.in_flight = in_flight
-        self._counts: Counter[str] = Counter()
-        self._most = in_flight
+        self.in_flight, self.counts = in_flight, Counter[str]()
         self._answered = threading.Event()
         self._refusal = ""
         self._client: Client | None = None
-
-    @property
-    def counts(self) -> Counter[str]:
-        """Frames "rejected" by the broker, and the number of lost connections ("disconnect")."""
-        return Counter(self._counts)
 
     def open(self) -> None:
         """Connect to the broker; OSError or ValueError if the connection is refused."""
@@ -171,7 +154,7 @@ class MqttSink:
             client.disconnect()
             client.loop_stop()
             raise ValueError(f"the broker at {where}: {self._refusal}")
-        self._room = threading.Semaphore(self._most)
+        self._room = threading.Semaphore(self.in_flight)
         self._client = client
 
     def send(self, frame: Frame) -> None:
@@ -184,7 +167,7 @@ class MqttSink:
         """Wait until the broker has taken all frames, and disconnect."""
         if self._client is None:
             return
-        for _ in range(self._most):
+        for _ in range(self.in_flight):
             self._room.acquire()
         client, self._client = self._client, None
         client.disconnect()
@@ -196,17 +179,17 @@ class MqttSink:
             return
         if reason.is_failure:
             self._refusal = str(reason)
-        self._most = min(self.in_flight, getattr(more, "ReceiveMaximum", self.in_flight))
+        self.in_flight = min(self.in_flight, getattr(more, "ReceiveMaximum", self.in_flight))
         self._answered.set()
 
     def _on_disconnect(self, client: Client, *_: Any) -> None:
         if self._client is not None:
-            self._counts["disconnect"] += 1
+            self.counts["disconnect"] += 1
             log.warning("the broker at %s is not reachable; waiting for it", self.broker.where)
 
     def _on_publish(self, client: Client, _: Any, number: int, reason: Any, more: Any) -> None:
         if reason.is_failure:
-            if not self._counts["rejected"]:
+            if not self.counts["rejected"]:
                 log.warning("the broker refuses a frame: %s; others are only counted", reason)
-            self._counts["rejected"] += 1
+            self.counts["rejected"] += 1
         self._room.release()

@@ -34,9 +34,8 @@ from suspnet.trips.trip import evaluate_recording
 class Due:
     """A section whose estimate is due.
 
-    `is_final`: the section has ended, or is reported as if it had; otherwise it is still open.
-    `mileage_km` is that at the section's start; None: the mileage at the end of the previous
-    section.
+    `is_final`: the section has ended, or is reported as if it had. `mileage_km` is that at the
+    section's start; None: the mileage at the end of the previous section.
     """
 
     section: Running
@@ -46,7 +45,7 @@ class Due:
 
 
 @dataclass(frozen=True)
-class Estimate:
+class SectionEstimate:
     """The result of a section.
 
     `frames` are counts as in ``Assembler.counts``, over all sensors, with the "dropped" frames of
@@ -60,7 +59,7 @@ class Estimate:
 
 
 @dataclass(frozen=True)
-class Job:
+class EstimateJob:
     """An estimate that any thread can make: it is self-contained.
 
     `section` is that of `due`, or a copy of it if more frames may come.
@@ -73,7 +72,7 @@ class Job:
     models: Sequence[TrainedModel]
     trips: TripSettings
 
-    def make(self) -> Estimate:
+    def make(self) -> SectionEstimate:
         """Return the estimate, or the reason why there is none; it never fails."""
         distance_km = 0.0
 
@@ -84,7 +83,7 @@ class Job:
             return recording
 
         result = evaluate_recording(self.manifest, read, self.models, self.trips)
-        return Estimate(result, self.due.is_final, self.frames, distance_km)
+        return SectionEstimate(result, self.due.is_final, self.frames, distance_km)
 
 
 class LiveSuspension:
@@ -123,32 +122,32 @@ class LiveSuspension:
 
         An ended section is returned once: it is no longer part of the state.
         """
-        found = self._over(self._sections.over())
+        due = self._ended(self._sections.over())
         every_s = self._settings.every_s
         if every_s is None:
-            return found
+            return due
         for section in self._sections.growing[:1]:
             step = int(section.n_seconds / every_s)
             is_new = step > self._reported.get(section.zero_ns, 0)
             if is_new and step * every_s < self._settings.section_s:
                 self._reported = {section.zero_ns: step}
-                found.append(self._due(section, is_final=False))
-        return found
+                due.append(self._due(section, is_final=False))
+        return due
 
     def silent(self) -> list[Due]:
         """Return the estimates of open sections with new frames, when frames have ceased."""
-        found = []
+        due = []
         for section in self._sections.open:
             _, n_frames = self._silent.get(section.zero_ns, (0.0, 0))
             if _n_frames(section) > n_frames and not section.is_empty:
-                found.append(self._due(section, is_final=True))
-        return found
+                due.append(self._due(section, is_final=True))
+        return due
 
     def end(self) -> list[Due]:
         """Return the estimates of all sections: no more frames come."""
-        return self._over(self._sections.close())
+        return self._ended(self._sections.close())
 
-    def job(self, due: Due) -> Job:
+    def job(self, due: Due) -> EstimateJob:
         """Return a due estimate together with what it needs of the present state.
 
         `finish` must get its result before the next job of this suspension is made.
@@ -166,35 +165,31 @@ class LiveSuspension:
             temperature_c=due.temperature_c,
             truth={},
         )
-        frames: Counter[str] = Counter()
-        for part in filter(None, (section, section.rest)):
-            for counts in part.sensors.values():
+        frames = Counter(self._sections.counts)
+        for running in filter(None, (section, section.rest)):
+            for counts in running.sensors.values():
                 frames.update(counts)
-        frames.update(self._sections.counts)
         if due.is_final:
             self._sections.counts.clear()
         if section in self._sections.open:
             if due.is_final:
                 self._silent[section.zero_ns] = manifest.mileage_km, _n_frames(section)
             section = copy.deepcopy(section)  # the main thread adds frames to the original
-        return Job(due, section, manifest, dict(frames), self.models, self._trips)
+        return EstimateJob(due, section, manifest, dict(frames), self.models, self._trips)
 
-    def finish(self, job: Job, estimate: Estimate) -> None:
+    def finish(self, job: EstimateJob, estimate: SectionEstimate) -> None:
         """Advance the mileage by an ended section."""
         section = job.due.section
-        was_over = job.section is section  # when the job was made: an open section was copied
-        if job.due.is_final and was_over:
+        had_ended = job.section is section  # when the job was made: an open section was copied
+        if job.due.is_final and had_ended:
             end_km = estimate.result.mileage_km + estimate.distance_km
             self._slow.pass_section(_end_ns(section), end_km)
             self._silent.pop(section.zero_ns, None)
 
     def dump(self) -> bytes:
         """Return the state."""
-        state = {
-            "sections": self._sections.state(),
-            "slow": self._slow.state(),
-            "silent": {str(zero_ns): list(one) for zero_ns, one in self._silent.items()},
-        }
+        silent = {str(zero_ns): list(values) for zero_ns, values in self._silent.items()}
+        state = {"sections": self._sections.state(), "slow": self._slow.state(), "silent": silent}
         return dump_state(self._identity, state)
 
     def load(self, content: bytes) -> None:
@@ -208,7 +203,7 @@ class LiveSuspension:
     def _identity(self) -> list[object]:
         return [self.name, self._sections.identity]
 
-    def _over(self, sections: Sequence[Running]) -> list[Due]:
+    def _ended(self, sections: Sequence[Running]) -> list[Due]:
         # a section without acceleration is only the last speed of a trip: nothing to report
         return [self._due(section, is_final=True) for section in sections if not section.is_empty]
 
@@ -229,9 +224,8 @@ def _n_frames(section: Running) -> int:
 
 def _distance_km(recording: Recording) -> float:
     """Return the distance run [km]; unknown speeds count as the mean of the known ones."""
-    speeds = recording.speed_m_per_s
-    known = speeds[np.isfinite(speeds)]
-    return float(known.mean()) * recording.duration_s / 1000 if len(known) else 0.0
+    speeds = recording.speed_m_per_s[np.isfinite(recording.speed_m_per_s)]
+    return float(speeds.mean()) * recording.duration_s / 1000 if len(speeds) else 0.0
 
 
 def read_suspensions(
@@ -244,31 +238,25 @@ def read_suspensions(
     has a name that frames cannot have; ModelFileError if a suspension has no model, or the limits
     do not go together.
     """
-    found = []
+    suspensions = []
     for group in find_groups(folder):
         if group.error:
             raise TripError(f"{group.folder}: {group.error}")
-        # a manifest without a mileage, NaN, comes before all others
+        # the newest trip; a manifest without a mileage, NaN, comes before all others
         trips = (file.live_trip for file in group.manifests)
-        manifest = max(trips, key=lambda one: np.nan_to_num(one.mileage_km, nan=-1.0))
+        manifest = max(trips, key=lambda trip: np.nan_to_num(trip.mileage_km, nan=-1.0))
         name = str(manifest.place)
         if not name.isprintable() or len(name) > MOST_CHARACTERS:
             raise TripError(
                 f"{manifest.path}: frames cannot name the suspension {name[:80]!r}; a name is "
                 f"plain text of at most {MOST_CHARACTERS} characters"
             )
-        fitting = models_of(models, group.place)
-        settings.limits_of(fitting)
-        if (vehicle := fitting[0].vehicle.name) != manifest.vehicle:
-            raise TripError(
-                at(
-                    manifest.path,
-                    "stream-of-other-vehicle",
-                    vehicle=repr(manifest.vehicle),
-                    vehicle2=repr(vehicle),
-                )
-            )
+        own_models = models_of(models, group.place)
+        settings.limits_of(own_models)
+        if (vehicle := own_models[0].vehicle.name) != manifest.vehicle:
+            names = {"vehicle": repr(manifest.vehicle), "vehicle2": repr(vehicle)}
+            raise TripError(at(manifest.path, "stream-of-other-vehicle", **names))
         # a train runs both ways: the direction of that trip is not that of the next
         manifest = replace(manifest, direction=None)
-        found.append(LiveSuspension(manifest, fitting, settings.trips, live))
-    return found
+        suspensions.append(LiveSuspension(manifest, own_models, settings.trips, live))
+    return suspensions

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from datetime import UTC, date, datetime
 from pathlib import Path
@@ -25,14 +25,10 @@ from suspnet.maintenance.state import State, by_urgency
 from suspnet.report.overview import FleetView, fleet_view
 
 log = logging.getLogger(__name__)
-SHOWN_S = 5.0
-"""A refresh that takes longer shows a partial result at this interval, [s]."""
-READ_AT_ONCE = 100
-"""Number of suspensions that are read in one transaction."""
-LOOK_S = 1.0
-"""Timeout for a lock of the store by other programs, [s]."""
-AT_ONCE = 50
-"""Number of suspensions updated between two checks of the elapsed time."""
+SHOWN_S = 5.0  # a refresh that takes longer shows a partial result at this interval
+LOOK_S = 1.0  # timeout for a lock of the store by other programs
+READ_AT_ONCE = 100  # suspensions that are read in one transaction
+AT_ONCE = 50  # suspensions updated between two checks of the elapsed time
 
 
 @dataclass(frozen=True)
@@ -40,10 +36,9 @@ class BoardSettings:
     """Settings of the states and the plan of a fleet.
 
     `vehicles` has the limits of vehicles by name; others have ``DEFAULT_LIMITS``. `limits` override
-    them all, from a parameter to `notice` and `act`. `n_first` is the number of first trips whose
-    median is healthy (None: the models define it), as of the evaluation of the trips. `today` is an
-    ISO 8601 day (None: that of the computer's clock), `seed` that of the predicted lives.
-    ValueError is raised if `today` is not a day, or the limits are inconsistent.
+    them all. `n_first` is the number of first trips whose median is healthy (None: the models
+    define it). `today` is an ISO 8601 day (None: that of the computer's clock), `seed` that of the
+    predicted lives. ValueError is raised if `today` is not a day, or the limits are inconsistent.
     """
 
     vehicles: Mapping[str, Mapping[str, Limits]] = field(default_factory=dict)
@@ -134,12 +129,12 @@ class Board:
     def _refresh(self, history: History) -> None:
         revisions, day, file = history.revisions(), self.settings.day(), file_number(self.store)
         self._is_due |= day != self._day
-        bad = {one.key for one in self._view.bad_rows}  # they may have been corrected
+        bad = {row.key for row in self._view.bad_rows}  # they may have been corrected
         is_other = self._is_doubted or file != self._file
         changed = [
             key
-            for key, one in revisions.items()
-            if is_other or key in bad or self._revisions.get(key) != one
+            for key, revision in revisions.items()
+            if is_other or key in bad or self._revisions.get(key) != revision
         ]
         if changed or self._revisions.keys() - revisions.keys():
             self._read(history, revisions, changed)
@@ -164,52 +159,50 @@ class Board:
     def _read(self, history: History, revisions: dict[Key, int], changed: list[Key]) -> None:
         changed.sort(key=lambda key: (key[0], str(key[1])))  # suspensions of one car together
         series = [  # in parts: an SQLite file cannot be written while it is read
-            one.relative_to_first(self.settings.n_first)
+            own.relative_to_first(self.settings.n_first)
             for begin in range(0, len(changed), READ_AT_ONCE)
-            for one in history.series(changed[begin : begin + READ_AT_ONCE])
+            for own in history.series(changed[begin : begin + READ_AT_ONCE])
         ]
-        for vehicle in {one.vehicle for one in series} - self._limits.keys():
+        for vehicle in {own.vehicle for own in series} - self._limits.keys():
             try:
                 self._limits[vehicle] = self.settings.limits_of(vehicle)
             except ValueError as error:  # of a vehicle that is not in the settings
                 raise HistoryError(f"{history}: vehicle {vehicle}: {error}") from None
         # new suspensions are shown at once, with the alarms in the store
-        new = [one for one in series if one.key not in self._revisions]
+        new = [own for own in series if own.key not in self._revisions]
         if new or self._view.bad_rows:
             alarms = history.all_alarms()
-            states = [
-                State(one, self._limits[one.vehicle], Watched(alarms.get(one.key, [])))
-                for one in new
-            ]
-            self._early |= {state.key: state for state in states}
+            self._early |= {
+                own.key: State(own, self._limits[own.vehicle], Watched(alarms.get(own.key, [])))
+                for own in new
+            }
         if len(new) > AT_ONCE:
             self._show(history, is_complete=False)
         gone = self._fleet.keys() - revisions.keys()
-        gone |= set(changed) - {one.key for one in series}
+        gone |= set(changed) - {own.key for own in series}
         self._is_due |= bool(gone)
-        self._found(self._fleet.update([], gone))
+        self._note(self._fleet.update([], gone))
         self._unstored -= gone
         self._stored = {key: alarms for key, alarms in self._stored.items() if key not in gone}
         # recompute the others in parts, and show partial results of a long refresh
         for begin in range(0, len(series), AT_ONCE):
-            self._found(self._fleet.update(series[begin : begin + AT_ONCE]))
+            self._note(self._fleet.update(series[begin : begin + AT_ONCE]))
             if time.monotonic() - self._shown_at > SHOWN_S:
                 self._show(history, is_complete=False)
         self._revisions = revisions
 
-    def _found(self, keys: set[Key]) -> None:
+    def _note(self, keys: set[Key]) -> None:
         self._is_due |= bool(keys)
         self._unstored |= keys
 
     def _show(self, history: History, *, is_complete: bool) -> None:
         states = self._fleet.states()
-        known = {state.key for state in states}
-        early = [state for key, state in self._early.items() if key not in known]
-        acknowledged = history.all_acknowledgements()
+        keys = {state.key for state in states}
+        early = [state for key, state in self._early.items() if key not in keys]
         self._view = fleet_view(
             by_urgency([*states, *early]),
             dict(self._limits),
-            acknowledged,
+            history.all_acknowledgements(),
             self._plan,
             version=self._view.version + 1,
             is_complete=is_complete,
@@ -219,8 +212,8 @@ class Board:
 
     def _store_alarms(self, history: History) -> None:
         """Store sister alarms that differ from those found last."""
-        found = {key: self._fleet.of_sisters(key) for key in self._unstored}
-        other = {key: alarms for key, alarms in found.items() if self._stored.get(key) != alarms}
+        alarms = {key: self._fleet.of_sisters(key) for key in self._unstored}
+        other = {key: own for key, own in alarms.items() if self._stored.get(key) != own}
         try:
             history.keep_all_alarms(other, [Cause.SISTER])
         except HistoryError as error:  # it may be locked or read-only: try at the next refresh
@@ -278,10 +271,10 @@ class Refresher:
         if not self._thread.is_alive():
             kind = "no-longer-read-as" if self._error else "no-longer-read"
             return Finding(kind, error=self._error)
-        view = self.board.view
         if self._error:
             return Finding("state-unknown", error=self._error)
-        return Finding("store-unreadable", trouble=view.trouble) if view.trouble else ""
+        trouble = self.board.view.trouble
+        return Finding("store-unreadable", trouble=trouble) if trouble else ""
 
     @property
     def read_at(self) -> datetime:
@@ -293,27 +286,26 @@ class Refresher:
         """When the store was last read, as text."""
         if self._started_at:
             return Finding("reading", time=clock(self._started_at))
-        return (
-            Finding("last-read", clock=clock(self._looked))
-            if self._looked
-            else Finding("not-read-yet")
-        )
+        if self._looked:
+            return Finding("last-read", clock=clock(self._looked))
+        return Finding("not-read-yet")
 
     def _run(self) -> None:
         """Refresh until stopped; after an error, try again."""
         try:
             while not self._end.is_set():
                 self._wake.clear()
-                self._look(self.board.refresh)
+                self.look()
                 self._wake.wait(self.every_s)
         except BaseException as error:
             self._error = f"{type(error).__name__}: {error}"
             raise
 
-    def _look(self, refresh: Callable[[], bool]) -> None:
+    def look(self) -> None:
+        """Refresh the board now; an error is logged, and stated by `fault` while there is one."""
         started = self._started_at = datetime.now(UTC)
         try:
-            refresh()
+            self.board.refresh()
             self._error = ""
             self._looked = datetime.now(UTC)
             if not self.board.view.trouble:

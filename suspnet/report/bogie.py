@@ -26,16 +26,11 @@ EQUAL_SIDES = (
 )
 """Why estimates without parts name none."""
 NONE_NAMED = Finding("no-part-at-all", reason=EQUAL_SIDES)
-MOST_DIGITS = 1
-"""Largest number of decimals in the drawing, whose labels are narrow."""
-LEAST_HALF = 0.1
-"""Least half width of an interval that is shown with so many [% of healthy]."""
-WIDE_HALF = 10.0
-"""Half width of an interval from which on no decimals are shown [% of healthy]."""
-MOST_BOGIES = 6
-"""Largest number of bogies drawn on one page of a fleet."""
-LETTERS = "ABCDEFGHIJKL"
-"""Names of groups of parts."""
+MAX_DIGITS = 1  # decimals in the drawing, whose labels are narrow
+LEAST_HALF = 0.1  # smallest half width of an interval that is shown [% of healthy]
+WIDE_HALF = 10.0  # half width of an interval from which no decimals are shown [% of healthy]
+MAX_BOGIES = 6  # drawn on one page of a fleet
+LETTERS = "ABCDEFGHIJKL"  # names of groups of parts
 
 
 @dataclass(frozen=True)
@@ -68,21 +63,23 @@ class DrawnPart:
     @property
     def level(self) -> str:
         """Value and interval as text."""
-        known = f"{self.value} ± {self.half} %" if self.half else f"{self.value} %"
-        return "no estimate" if self.value == "" else known.replace(" ", "\N{NO-BREAK SPACE}")
+        if not self.value:
+            return "no estimate"
+        text = f"{self.value} ± {self.half} %" if self.half else f"{self.value} %"
+        return text.replace(" ", "\N{NO-BREAK SPACE}")
 
 
 @dataclass(frozen=True)
 class Bogie:
-    """The twelve parts by name; `groups` has a sentence on each group, by its letter."""
+    """The twelve parts by name; `groups` has a sentence on each group of parts, by its letter."""
 
     parts: dict[str, DrawnPart]
     groups: dict[str, str]
 
     @property
-    def found(self) -> list[DrawnPart]:
+    def listed(self) -> list[DrawnPart]:
         """Parts with a finding, a verdict or work planned, the worst first."""
-        order = [str(one) for one in sorted(Severity, reverse=True)]
+        order = [str(severity) for severity in sorted(Severity, reverse=True)]
         shown = [p for p in self.parts.values() if p.severity != "none" or p.worn or p.visit]
         return sorted(shown, key=lambda part: order.index(part.severity))
 
@@ -96,16 +93,16 @@ def bogie_of(state: State, plan: Plan | None = None) -> Bogie | None:
     if not set(BOGIE_PARTS) & set(state.outputs):
         return None
     entries = worn_entries(state.worn)
-    groups = dict(zip(LETTERS, (one for one in entries if len(one[0]) > 1), strict=False))
-    odds = {names[0]: words for names, words in entries if len(names) == 1}
+    groups = dict(zip(LETTERS, (entry for entry in entries if len(entry[0]) > 1), strict=False))
+    odds = {names[0]: text for names, text in entries if len(names) == 1}
     visits = visits_of(plan, state)
     parts = {}
     for name in BOGIE_PARTS:
         severity = state.severities.get(name, Severity.UNKNOWN)
         letters = " ".join(letter for letter, (names, _) in groups.items() if name in names)
-        found = letters, odds.get(name, ""), visits.get(name, "")
-        parts[name] = DrawnPart(name, str(severity), *_level(state, name), *found)
-    return Bogie(parts, {letter: group_words(*one) for letter, one in groups.items()})
+        verdict = letters, odds.get(name, ""), visits.get(name, "")
+        parts[name] = DrawnPart(name, str(severity), *_level(state, name), *verdict)
+    return Bogie(parts, {letter: group_words(*group) for letter, group in groups.items()})
 
 
 def bogies_shown(view: FleetView, chosen: Iterable[int] | None = None) -> dict[str, Any]:
@@ -120,7 +117,7 @@ def bogies_shown(view: FleetView, chosen: Iterable[int] | None = None) -> dict[s
     return {
         "bogies": [
             (view.rows[i]["where"], view.names[i], bogie_of(view.states[i], view.plan))
-            for i in sorted(read, key=lambda i: -view.states[i].severity)[:MOST_BOGIES]
+            for i in sorted(read, key=lambda i: -view.states[i].severity)[:MAX_BOGIES]
         ],
         "n_bogies": len(read),
         "no_part": "" if read or not several else NONE_NAMED,
@@ -133,11 +130,11 @@ def bogies_of(done: Iterable[Evaluated]) -> dict[str, Any]:
     The name of each is the path of its report.
     """
     drawn = [
-        (str(one.place), f"{one.name}/{REPORT}", bogie)
-        for one in done
-        if one.state is not None and (bogie := bogie_of(one.state)) is not None
+        (str(suspension.place), f"{suspension.name}/{REPORT}", bogie)
+        for suspension in done
+        if suspension.state is not None and (bogie := bogie_of(suspension.state)) is not None
     ]
-    return {"bogies": drawn[:MOST_BOGIES], "n_bogies": len(drawn)}
+    return {"bogies": drawn[:MAX_BOGIES], "n_bogies": len(drawn)}
 
 
 def _level(state: State, name: str) -> tuple[str, str]:
@@ -149,7 +146,7 @@ def _level(state: State, name: str) -> tuple[str, str]:
     half = float(np.median(halves)) if len(halves) else math.nan
     if not math.isfinite(half) or now > ABSURD:
         return level(now, 1), ""
-    digits = 0 if half >= WIDE_HALF else min(interval_digits([half]), MOST_DIGITS)
+    digits = 0 if half >= WIDE_HALF else min(interval_digits([half]), MAX_DIGITS)
     return level(now, digits), shown_number(max(half, LEAST_HALF), digits)
 
 
@@ -158,20 +155,20 @@ def small_figures(state: State, images: Mapping[str, str]) -> dict[bool, list[di
 
     `images` are the figures, or their addresses, by the name of the parameter.
     """
-    found: dict[bool, list[dict[str, str]]] = {True: [], False: []}
+    figures: dict[bool, list[dict[str, str]]] = {True: [], False: []}
     severities = {name: state.severities.get(name, Severity.NONE) for name in images}
-    for name in sorted(images, key=lambda one: -severities[one]):
-        known = {"name": name, "severity": str(severities[name]), "image": images[name]}
-        found[severities[name] > Severity.NONE].append(known)
-    return found
+    for name in sorted(images, key=lambda name: -severities[name]):
+        figure = {"name": name, "severity": str(severities[name]), "image": images[name]}
+        figures[severities[name] > Severity.NONE].append(figure)
+    return figures
 
 
 def worn_entries(worn: str) -> list[tuple[tuple[str, ...], str]]:
     """Return parts and odds of each entry of ``TripResult.worn``; several parts are a group."""
     return [
-        (one.values["names"], one.values["odds"])
-        for one in parts_of(worn)
-        if isinstance(one, Finding) and "names" in one.values
+        (entry.values["names"], entry.values["odds"])
+        for entry in parts_of(worn)
+        if isinstance(entry, Finding) and "names" in entry.values
     ]
 
 
@@ -185,8 +182,8 @@ def group_words(names: Sequence[str], odds: str) -> str:
 def _common(places: Sequence[Sequence[str]]) -> str:
     """Return " on the left", " at axle 1" or both, if parts share that; empty if nothing."""
     shared = set(places[0]).intersection(*places[1:])
-    axles = (Finding("at-axle", axle=one[-1]) for one in sorted(shared) if one.startswith("axle"))
-    return together((*axles, *(f" on the {one}" for one in SIDES if one in shared)), "")
+    axles = (Finding("at-axle", axle=place[-1]) for place in sorted(shared) if "axle" in place)
+    return together((*axles, *(f" on the {side}" for side in SIDES if side in shared)), "")
 
 
 def visits_of(plan: Plan | None, state: State) -> dict[str, str]:
@@ -206,7 +203,7 @@ def why_no_part(trips: Iterable[TripResult], outputs: Iterable[str]) -> str:
 
     `trips` are in the order of the mileage: it gives the reason of the newest one.
     """
-    reasons = [(one.trip, one.quality.no_part) for one in trips if one.quality.no_part]
+    reasons = [(trip.trip, trip.quality.no_part) for trip in trips if trip.quality.no_part]
     has_parts = bool(set(BOGIE_PARTS) & set(outputs))
     if not reasons:
         return "" if has_parts else NONE_NAMED

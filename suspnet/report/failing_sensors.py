@@ -18,8 +18,7 @@ from suspnet.ground.records import TripResult, sensors_from_text
 from suspnet.maintenance.judge import N_LAST
 from suspnet.maintenance.state import State
 
-LISTED = 5
-"""Largest number of trips that are listed for a failing sensor."""
+LISTED = 5  # trips that are listed for a failing sensor
 DEAD = "dead-left-out", "dead-read-alone", "dead-before"
 """Kinds of the faults of a sensor that shows nothing."""
 FAILING = *DEAD, "loose", "loose-of-pair", "loose-before"
@@ -27,9 +26,12 @@ FAILING = *DEAD, "loose", "loose-of-pair", "loose-before"
 
 def _failing(result: TripResult, kinds: Collection[str] = FAILING) -> dict[str, Finding]:
     """Return the faults of some kinds of a trip, by the name of the sensor."""
-    several = parts_of(result.quality.faults)
-    faults = ((one.values["name"], one) for one in several if kind_is(one, OF))
-    return {name: one for name, one in faults if getattr(one.values["words"], "kind", "") in kinds}
+    faults = (fault for fault in parts_of(result.quality.faults) if kind_is(fault, OF))
+    return {
+        fault.values["name"]: fault
+        for fault in faults
+        if getattr(fault.values["words"], "kind", "") in kinds
+    }
 
 
 def failing_sensors(results: Sequence[TripResult]) -> dict[str, list[str]]:
@@ -41,14 +43,13 @@ def failing_sensors(results: Sequence[TripResult]) -> dict[str, list[str]]:
     for result in results:
         own = _failing(result)
         # a sensor whose faults would break a trip up is left out of its parts alone
-        left_out = (
-            name
-            for one in parts_of(result.quality.warnings)
-            if kind_is(one, WITHOUT_SENSORS)
-            for name in one.values["names"]
-        )
-        unused = {name: at(name, "not-used-for-parts") for name in left_out}
-        for words in (own | {name: unused[name] for name in unused if name not in own}).values():
+        left_out = {
+            name: at(name, "not-used-for-parts")
+            for warning in parts_of(result.quality.warnings)
+            if kind_is(warning, WITHOUT_SENSORS)
+            for name in warning.values["names"]
+        }
+        for words in (left_out | own).values():
             trips.setdefault(words, []).append(result.trip)
     return trips
 
@@ -58,9 +59,10 @@ def dead_words(results: Sequence[TripResult]) -> str:
 
     `results` are in the order of the mileage. A sensor that was replaced since is not named.
     """
-    newest = [one for one in results if one.quality.faults or one.estimates][-1:]
-    names = [name for one in newest for name in _failing(one, DEAD)]
-    return _left_out(names, sum(bool(_failing(one, DEAD)) for one in results), len(results))
+    newest = [result for result in results if result.quality.faults or result.estimates][-1:]
+    names = [name for result in newest for name in _failing(result, DEAD)]
+    n_dead = sum(bool(_failing(result, DEAD)) for result in results)
+    return _left_out(names, n_dead, len(results))
 
 
 def failing_words(results: Sequence[TripResult]) -> str:
@@ -68,9 +70,9 @@ def failing_words(results: Sequence[TripResult]) -> str:
     if words := dead_words(results):
         return words
     last = results[-N_LAST:]
-    found = [one for one in failing_sensors(last) if isinstance(one, Finding)]
-    names = dict.fromkeys(one.values["name"] for one in found)
-    n = sum(bool(failing_sensors([one])) for one in last)
+    failing = [words for words in failing_sensors(last) if isinstance(words, Finding)]
+    names = dict.fromkeys(finding.values["name"] for finding in failing)
+    n = sum(bool(failing_sensors([result])) for result in last)
     kind = "dead-or-loose-on" if len(last) > 1 else "dead-or-loose"
     return Finding(kind, names=_listed(names), n=n, n_last=len(last)) if n else ""
 
@@ -84,14 +86,16 @@ def sensor_words(state: State) -> str:
     dead = [] if not texts else _dead_in(texts[-1])
     n_dead = sum(bool(_dead_in(text)) for text in texts) if dead else 0
     alarms = [
-        one.words for one in state.alarms if one.cause == Cause.SENSOR and one.parameter not in dead
+        alarm.words
+        for alarm in state.alarms
+        if alarm.cause == Cause.SENSOR and alarm.parameter not in dead
     ]
     return together([_left_out(dead, n_dead, len(texts)), *alarms])
 
 
 def _dead_in(text: str) -> list[str]:
     """Return the dead sensors of a trip from ``Quality.sensors``."""
-    return [name for name, one in sensors_from_text(text).items() if one.faulty >= 1]
+    return [name for name, health in sensors_from_text(text).items() if health.faulty >= 1]
 
 
 def _left_out(names: Sequence[str], n_dead: int, n_trips: int) -> str:

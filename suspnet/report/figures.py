@@ -70,18 +70,9 @@ def draw_signals(axes: Sequence[Axes], seen: Overview) -> None:
         )
         axis.plot(time, mean, color="tab:red", lw=1, label="mean", **_lone_point(time))
         if seen.faulty is not None and seen.faulty.any():
-            axis.fill_between(
-                time,
-                0,
-                1,
-                where=seen.faulty,
-                step="mid",
-                transform=axis.get_xaxis_transform(),
-                color="tab:orange",
-                alpha=0.4,
-                lw=0.8,
-                label="not usable",
-            )
+            style: dict[str, Any] = {"color": "tab:orange", "alpha": 0.4, "lw": 0.8}
+            style |= {"step": "mid", "transform": axis.get_xaxis_transform()}
+            axis.fill_between(time, 0, 1, where=seen.faulty, label="not usable", **style)
     axes[3].plot(time, 3.6 * seen.speed_m_per_s, **_lone_point(time))
     fastest = 3.6 * np.nan_to_num(seen.speed_m_per_s).max(initial=0.0)
     axes[3].set_ylim(0, 1.1 * fastest or None)  # a constant speed lies below the frame
@@ -109,21 +100,22 @@ def trip_responses(results: Sequence[TripResult]) -> Figure:
         for r in sorted(results, key=lambda r: np.nan_to_num(r.mileage_km, nan=-np.inf))
         if r.curves is not None
     ]
-    mileage = np.array([one.mileage_km / 1000 for one in shown])
-    distinct = len(np.unique(mileage[np.isfinite(mileage)]))
-    scale = Normalize(np.nanmin(mileage), np.nanmax(mileage)) if distinct > 1 else None
+    # colours only if mileages differ: a scale of one value would have no range
+    mileage = np.array([curves.mileage_km / 1000 for curves in shown])
+    n_distinct = len(np.unique(mileage[np.isfinite(mileage)]))
+    scale = Normalize(np.nanmin(mileage), np.nanmax(mileage)) if n_distinct > 1 else None
     for i, (title, (upper, lower)) in enumerate(zip(SUSPENSIONS, axes.T, strict=True)):
         upper.set(title=title)
         lower.set(xlabel="frequency [Hz]", ylim=(0, 1.05))
-        for km, one in zip(mileage, shown, strict=True):
+        for km, curves in zip(mileage, shown, strict=True):
             colour = colormaps["viridis"](scale(km)) if scale and np.isfinite(km) else "0.4"
-            upper.semilogy(one.frequencies_hz, one.magnitudes[i], color=colour, lw=0.8)
-            lower.plot(one.frequencies_hz, one.coherences[i], color=colour, lw=0.8)
-        for one in shown[-1:]:
-            if np.isfinite(one.low[i]).any():
+            upper.semilogy(curves.frequencies_hz, curves.magnitudes[i], color=colour, lw=0.8)
+            lower.plot(curves.frequencies_hz, curves.coherences[i], color=colour, lw=0.8)
+        for curves in shown[-1:]:
+            if np.isfinite(curves.low[i]).any():
                 label = "95 % band of the last trip"
                 style = {"color": "tab:red", "alpha": 0.25, "lw": 0, "label": label}
-                upper.fill_between(one.frequencies_hz, one.low[i], one.high[i], **style)
+                upper.fill_between(curves.frequencies_hz, curves.low[i], curves.high[i], **style)
         for axis in (upper, lower):
             axis.margins(x=0)
             axis.grid(True, which="both", alpha=0.3)
@@ -146,6 +138,7 @@ def quality(results: Sequence[TripResult]) -> Figure:
     """
     figure = Figure(figsize=(7.0, 6.0), layout="constrained")
     axes: list[Axes] = list(figure.subplots(3, 1, sharex=True))
+    # trips without a mileage have no place along the axis
     placed = [r for r in by_mileage(results) if np.isfinite(r.mileage_km)]
     mileage = np.array([r.mileage_km / 1000 for r in placed])
     done = np.array([r.status == OK for r in placed], dtype=bool)
@@ -167,6 +160,7 @@ def quality(results: Sequence[TripResult]) -> Figure:
         axis.grid(True, alpha=0.3)
         if not placed:
             say(axis, "no trip with a mileage")
+    # from zero, so that a small spread does not look like a change
     most = np.nan_to_num([r.quality.n_averages for r in placed]).max(initial=0.0)
     axes[0].set_ylim(0, 1.1 * most or 1.0)
     if placed:
@@ -189,19 +183,17 @@ def say(axis: Axes, text: str, keep_x: bool = False) -> None:
         axis.set_xticks([])
 
 
-SVG_LIMIT = 400_000
-"""Size of an SVG [bytes] above which a figure is embedded as PNG."""
+SVG_LIMIT = 400_000  # [bytes], above which a figure is embedded as PNG
 PNG_DPI = 130
 
 
 def _translate(figure: Figure) -> None:
     """Translate the texts of a figure, but not what its ticks name, such as trains."""
-    parts = [figure, *figure.subfigs]
     legends = [
-        *(one for part in parts for one in part.legends),
-        *(one.get_legend() for one in figure.axes),
+        *(legend for area in (figure, *figure.subfigs) for legend in area.legends),
+        *(axis.get_legend() for axis in figure.axes),
     ]
-    texts = [text for one in legends if one is not None for text in one.get_texts()]
+    texts = [text for legend in legends if legend is not None for text in legend.get_texts()]
     for axis in figure.axes:
         texts += [axis.title, axis.xaxis.label, axis.yaxis.label, *axis.texts]
     for text in texts:

@@ -67,9 +67,9 @@ def gettext(text: str) -> str:
     return catalogue(current()).gettext(text) if text else ""
 
 
-def ngettext(one: str, many: str, n: int) -> str:
+def ngettext(singular: str, plural: str, n: int) -> str:
     """Return the singular or the plural of a text for a number, in the current language."""
-    return catalogue(current()).ngettext(one, many, n)
+    return catalogue(current()).ngettext(singular, plural, n)
 
 
 def N_(text: str) -> str:  # noqa: N802 - the usual name of this mark
@@ -99,7 +99,7 @@ def day(text: str) -> str:
 
 
 def spoken(text: str) -> str:
-    """Return a finding in the current language, or a name, a day or a number that stands alone.
+    """Return a finding in the current language, or a name, a day or a number on its own.
 
     Any other text stays as it is.
 
@@ -128,9 +128,9 @@ _NAMING = (OF, "sensor", "order-for-sensor", "sensor-name")
 """Kinds whose `name` is that of a sensor also where it is one plain word, as "body"."""
 
 
-def _of_sensor(found: re.Match[str]) -> str:
+def _of_sensor(sensor: re.Match[str]) -> str:
     """Return a sensor's place: "axle box of axle 2, left" of "axle_box axle2 left"."""
-    place, where, side = found.groups(default="")
+    place, where, side = sensor.groups(default="")
     words = {"axle_box": "axle box", "body": "car body"}.get(place, "bogie frame")
     if where.startswith("axle"):
         kind = "axle-box-of-axle" if place == "axle_box" else "frame-of-axle"
@@ -149,13 +149,13 @@ class _Spoken(Filling):
         return text if format_spec == "km" else decimal(text)
 
 
-def _of_finding(found: Finding) -> str:
-    values = dict(found.values)
-    if found.kind == LIST:
+def _of_finding(finding: Finding) -> str:
+    values = dict(finding.values)
+    if finding.kind == LIST:
         return gettext(values["separator"]).join(map(spoken, values["parts"]))
-    if found.kind in _NAMING and (sensor := _SENSOR.fullmatch(values["name"])):
+    if finding.kind in _NAMING and (sensor := _SENSOR.fullmatch(values["name"])):
         values["name"] = _of_sensor(sensor)
-    forms = TEMPLATES[found.kind]
+    forms = TEMPLATES[finding.kind]
     template = ngettext(*forms, values["n"]) if len(forms) == 2 else gettext(forms[0])
     return _Spoken().vformat(template, (), values)
 

@@ -31,9 +31,9 @@ from suspnet.report.trend import (
     PASSING,
     TRIP,
     TRIP_COLOUR,
+    MileageTrend,
     Panel,
     Points,
-    Trend,
     alarm_label,
     percent_words,
     running_median,
@@ -47,16 +47,11 @@ WORDS = {
     "later": "later visit",
 }
 MOST_TRAINS = 30
-LEAST_ROWS = 3
-"""Smallest number of rows of a calendar, also if fewer trains are shown."""
-LONGEST_LINE = 28
-"""Number of letters of a train's name in each of its two lines."""
-BARS = 5
-"""Largest number of parts of one train whose intervals are drawn, those that pass first."""
-BAND = 0.7
-"""Share of a train's row that intervals take."""
-DUE = "passing"
-"""Internal label of the bars; the legend replaces it by a text with the level."""
+LEAST_ROWS = 3  # of a calendar, also if fewer trains are shown
+LONGEST_LINE = 28  # letters of a train's name in each of its two lines
+BARS = 5  # parts of one train whose intervals are drawn, those that pass first
+BAND = 0.7  # share of a train's row that intervals take
+DUE = "passing"  # label of the bars, which the legend replaces by a text with the level
 
 
 def plan_calendar(plan: Plan, figure: Figure | None = None) -> Figure:
@@ -66,13 +61,7 @@ def plan_calendar(plan: Plan, figure: Figure | None = None) -> Figure:
     A thin bar is the interval in which one part passes its limit without a visit. A question mark
     is a train with a part of unknown remaining life; a visit for one has its colour. Trains without
     a visit and without a waiting part are left out, as are those after the first ``MOST_TRAINS``;
-    the title counts them.
-
-    Parameters
-    ----------
-    plan : Plan
-    figure : Figure, optional
-        An empty one to draw on; by default a new one of suitable size.
+    the title counts them. `figure` is an empty one to draw on, by default a new one.
     """
     visits: dict[str, list[Visit]] = defaultdict(list)
     jobs: dict[str, list[Job]] = defaultdict(list)
@@ -81,6 +70,7 @@ def plan_calendar(plan: Plan, figure: Figure | None = None) -> Figure:
         jobs[visit.train] += visit.jobs
     for job in (*plan.unknown, *plan.waiting):
         jobs[job.part.train].append(job)
+    # the most urgent trains on top, as only the first of many are shown
     names = sorted(jobs, key=lambda name: _urgency(visits[name], jobs[name], name))
     shown = names[:MOST_TRAINS]
     figure = figure or Figure(
@@ -129,14 +119,10 @@ def _label(axis: Axes, plan: Plan, shown: Sequence[str], n_trains: int) -> None:
         axis.axhspan(row - 0.5, row + 0.5, color="0.95", zorder=0, lw=0)
     axis.tick_params(axis="x", labelsize="small")
     axis.tick_params(axis="y", length=0, pad=9)  # a mark of today extends beyond the axis
-    n_jobs = sum(len(visit.jobs) for visit in plan.visits)
-    title = Finding(
-        "plan-title",
-        today=plan.today,
-        visits=Finding("visits", n=len(plan.visits)),
-        jobs=Finding("jobs", n=n_jobs),
-        day=plan.horizon,
-    )
+    visits = Finding("visits", n=len(plan.visits))
+    n_jobs = Finding("jobs", n=sum(len(visit.jobs) for visit in plan.visits))
+    days = {"today": plan.today, "day": plan.horizon}
+    title = Finding("plan-title", visits=visits, jobs=n_jobs, **days)
     if plan.unknown:
         parts = Finding("parts", n=len(plan.unknown))
         title = Finding("plan-title-unknown", title=title, parts=parts)
@@ -147,8 +133,8 @@ def _label(axis: Axes, plan: Plan, shown: Sequence[str], n_trains: int) -> None:
 
 def _urgency(visits: Sequence[Visit], jobs: Sequence[Job], name: str) -> tuple[Any, ...]:
     first = min(((URGENCIES.index(v.urgency), v.day.toordinal()) for v in visits), default=(9, 0))
-    known = [job.probability for job in jobs if not job.part.unknown]
-    return (len(known) == len(jobs), *first, -max(known, default=0.0), name)
+    probabilities = [job.probability for job in jobs if not job.part.unknown]
+    return (len(probabilities) == len(jobs), *first, -max(probabilities, default=0.0), name)
 
 
 def _draw_visit(axis: Axes, row: int, visit: Visit) -> None:
@@ -183,25 +169,23 @@ def _calendar_legend(figure: Figure, axis: Axes, level: float) -> None:
         figure.legend([marks[word] for word in order], words, **place)
 
 
-SMALL_INCHES = 4.0, 2.1
-"""Size of the figure of one part, of which several are side by side."""
-HOLLOW: dict[str, Any] = {"mfc": "none", "color": FLAGGED_COLOUR, "ls": ""}
-AHEAD = 0.5
-"""Largest share of the mileage so far by which a figure extends into the future."""
+SMALL_INCHES = 4.0, 2.1  # size of the figure of one part, of which several are side by side
 SMALL_MARGINS = {"left": 0.17, "right": 0.98, "top": 0.89, "bottom": 0.24}
 """Its margins, as shares of its size; they hold a title and percentages with two decimals."""
+HOLLOW: dict[str, Any] = {"mfc": "none", "color": FLAGGED_COLOUR, "ls": ""}
+AHEAD = 0.5  # largest share of the mileage so far by which a figure extends into the future
 
 
-def small_trends(trend: Trend) -> dict[str, Figure]:
+def small_trends(trend: MileageTrend) -> dict[str, Figure]:
     """Draw a figure of each parameter where parts of a bogie are read; else none.
 
     Those without a finding are small. All have the same range of mileages.
     """
-    if not any(one.name in BOGIE_PARTS for one in trend.panels):
+    if not any(panel.name in BOGIE_PARTS for panel in trend.panels):
         return {}
     figures = {
-        one.name: health_trend(replace(trend, panels=(one,)), one.severity == Severity.NONE)
-        for one in trend.panels
+        panel.name: health_trend(replace(trend, panels=(panel,)), panel.severity == Severity.NONE)
+        for panel in trend.panels
     }
     ends = [figure.axes[0].get_xlim() for figure in figures.values()]
     for figure in figures.values():
@@ -209,7 +193,7 @@ def small_trends(trend: Trend) -> dict[str, Figure]:
     return figures
 
 
-def health_trend(trend: Trend, is_small: bool = False) -> Figure:
+def health_trend(trend: MileageTrend, is_small: bool = False) -> Figure:
     """Draw each parameter in % of healthy along the mileage (Fig. 10).
 
     Dots are trips with their interval, the line is the running median of all; a flagged trip is
@@ -239,6 +223,7 @@ def health_trend(trend: Trend, is_small: bool = False) -> Figure:
             axis.axvline(km / 1000, color="0.3", lw=0.9, ls="-.", label=trend.again)
         for km, _ in trend.events:
             axis.axvline(km / 1000, color="0.3", lw=0.9, ls=":", label=MAINTENANCE)
+    # last, as it extends the common axis into the future
     if len(trend.km):
         _draw_passing(axes, trend)
     axes[-1].set_xlabel(MILEAGE_LABEL)
@@ -257,11 +242,11 @@ def _draw_trips(axis: Axes, points: Points, level: float) -> None:
     style: dict[str, Any] = {"color": TRIP_COLOUR}
     if clear.any():
         axis.plot(thousands_km[clear], points.values[clear], ".", ms=6, label=TRIP, **style)
-    known = np.isfinite(points.intervals[:, 0])
-    if known.any():
+    has_interval = np.isfinite(points.intervals[:, 0])
+    if has_interval.any():
         label = Finding("interval", level=100 * level)
-        ends = points.intervals[known].T
-        axis.vlines(thousands_km[known], *ends, label=label, alpha=0.5, lw=0.9, **style)
+        ends = points.intervals[has_interval].T
+        axis.vlines(thousands_km[has_interval], *ends, label=label, alpha=0.5, lw=0.9, **style)
     if not clear.all():
         values = points.values[~clear]
         axis.plot(thousands_km[~clear], values, "o", ms=4.5, label=FLAGGED, **HOLLOW)
@@ -295,33 +280,24 @@ def _mark_beyond(axis: Axes, panel: Panel) -> None:
         for km, value in zip(panel.points.km[beyond] / 1000, values[beyond], strict=True):
             style: dict[str, Any] = {"ms": 6, "clip_on": False, "transform": edges, **HOLLOW}
             axis.plot(km, edge, marker, label=BEYOND, **style)
-            axis.annotate(
-                percent_words(value),
-                (km, edge),
-                (6, -2 if edge else 2),
-                xycoords=edges,
-                textcoords="offset points",
-                va="top" if edge else "bottom",
-                fontsize="x-small",
-                color=FLAGGED_COLOUR,
-            )
+            place: dict[str, Any] = {"xycoords": edges, "textcoords": "offset points"}
+            place |= {"va": "top" if edge else "bottom", "color": FLAGGED_COLOUR}
+            offset = (6, -2 if edge else 2)
+            axis.annotate(percent_words(value), (km, edge), offset, fontsize="x-small", **place)
 
 
 def _mark_edges(axis: Axes, panel: Panel) -> None:
     """Mark trips without an estimate at the bottom of an axis, and alarms at its top."""
     style: dict[str, Any] = {"transform": axis.get_xaxis_transform(), "clip_on": False}
     if len(panel.missing_km):
-        at = np.zeros(len(panel.missing_km))
-        colour = MISSING_COLOUR
-        axis.plot(
-            panel.missing_km / 1000, at, "|", ms=12, mew=2, color=colour, label=MISSING, **style
-        )
-    for one in panel.alarms:
-        colour, label = LIMIT_COLOURS[str(one.severity)], alarm_label(one)
-        axis.plot(one.begin_km / 1000, 1, "v", ms=7, color=colour, label=label, **style)
+        tick = style | {"ms": 12, "mew": 2, "color": MISSING_COLOUR, "label": MISSING}
+        axis.plot(panel.missing_km / 1000, np.zeros(len(panel.missing_km)), "|", **tick)
+    for alarm in panel.alarms:
+        colour, label = LIMIT_COLOURS[str(alarm.severity)], alarm_label(alarm)
+        axis.plot(alarm.begin_km / 1000, 1, "v", ms=7, color=colour, label=label, **style)
 
 
-def _draw_passing(axes: Sequence[Axes], trend: Trend) -> None:
+def _draw_passing(axes: Sequence[Axes], trend: MileageTrend) -> None:
     """Draw when the act limits will be passed, and extend the axis for it."""
     last = trend.km.max()
     most = last + AHEAD * (last - trend.km.min())
@@ -330,17 +306,11 @@ def _draw_passing(axes: Sequence[Axes], trend: Trend) -> None:
         for axis, panel in zip(axes, trend.panels, strict=True)
         if panel.passing and panel.passing.low_km < most
     ]
+    style: dict[str, Any] = {"color": LIMIT_COLOURS["act"], "lw": 5, "alpha": 0.5}
+    style |= {"solid_capstyle": "butt", "label": PASSING}
     for axis, low, high in shown:
-        axis.plot(
-            [low / 1000, high / 1000],
-            [0.06, 0.06],
-            color=LIMIT_COLOURS["act"],
-            lw=5,
-            alpha=0.5,
-            solid_capstyle="butt",
-            transform=axis.get_xaxis_transform(),
-            label=PASSING,
-        )
+        ends = [low / 1000, high / 1000]
+        axis.plot(ends, [0.06, 0.06], transform=axis.get_xaxis_transform(), **style)
     if shown:
         axes[0].set_xlim(right=max(high for *_, high in shown) / 1000)
 

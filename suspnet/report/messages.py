@@ -25,10 +25,10 @@ def subject(content: Mapping[str, Any]) -> str:
     """Return the title of a message on one line."""
     alarms = content["alarms"]
     if content["kind"] == "digest":
-        active = [one for one in alarms if one["end_km"] is None]
-        act = sum(one["severity"] == "act" for one in active)
+        active = [alarm for alarm in alarms if alarm["end_km"] is None]
+        n_act = sum(alarm["severity"] == "act" for alarm in active)
         n = ngettext("%(n)s active alarm", "%(n)s active alarms", len(active))
-        to_act = gettext("%(n)s to act on") % {"n": act}
+        to_act = gettext("%(n)s to act on") % {"n": n_act}
         return f"suspnet {day(content['day'])}: {n % {'n': len(active)}}, {to_act}"
     first = alarms[0]
     more = gettext("and %(n)s more") % {"n": len(alarms) - 1} if len(alarms) > 1 else ""
@@ -40,8 +40,9 @@ def text(content: Mapping[str, Any]) -> str:
     """Return the whole message as plain text."""
     lines = []
     for state, title in TITLES.items():
-        chosen = [one for one in content["alarms"] if _state(one) == state]
-        lines += [f"{gettext(title)}:", *map(_line, chosen), ""] if chosen else []
+        chosen = [alarm for alarm in content["alarms"] if _state(alarm) == state]
+        if chosen:
+            lines += [f"{gettext(title)}:", *map(_line, chosen), ""]
     if not content["alarms"]:
         lines += [gettext("No active alarm."), ""]
     if content["kind"] == "digest":
@@ -71,7 +72,7 @@ def _line(alarm: Mapping[str, Any]) -> str:
     by = f"; {seen}" if alarm["acknowledged_by"] else ""
     place, cause = spoken(alarm["place"]), spoken(alarm["cause"])
     where = f"{alarm['vehicle']}: {place}: {_part(alarm)} ({cause})"
-    found = [from_plain(one) for one in alarm.get("findings", ())]
-    reason = spoken(together(found) or " ".join(alarm["reason"].split()))
+    findings = together(map(from_plain, alarm.get("findings", ())))
+    reason = spoken(findings or " ".join(alarm["reason"].split()))
     line = f"- {spoken(alarm['severity'])}: {where}, {since}: {reason}{by}"
     return " ".join(line.split())  # names and reasons are others' texts: none starts a line

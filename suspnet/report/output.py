@@ -59,46 +59,43 @@ def summary(results: Sequence[TripResult], outputs: Sequence[str]) -> str:
     of_parts = [name for name in columns if name in BOGIE_PARTS]
     read = {name for result in results for name in result.estimates}
     columns = [name for name in columns if name in read and name not in BOGIE_PARTS]
-    header = ["trip", "1000 km", *columns, *["worn parts"] * bool(of_parts), "averages", "state"]
-    rows = [
-        [
-            r.trip,
-            r.mileage_km / 1000,
-            *(r.estimates.get(name) for name in columns),
-            *[_worn(r, equal)] * bool(of_parts),
-            r.quality.n_averages,
-            "flagged" if r.flags else "" if r.status == OK else r.status,
-        ]
-        for r in results
-    ]
-    for label, known in (
+    rows: list[dict[str, Any]] = []
+    for r in results:
+        row = {"trip": r.trip, "1000 km": r.mileage_km / 1000}
+        row |= {name: r.estimates.get(name) for name in columns}
+        if of_parts:  # a table of its own has the estimates
+            row["worn parts"] = _worn(r, equal)
+        state = "flagged" if r.flags else "" if r.status == OK else r.status
+        rows.append(row | {"averages": r.quality.n_averages, "state": state})
+    header = list(rows[0]) if rows else ["trip"]
+    # errors and coverage below the estimates that they are of
+    for label, values in (
         (KNOWN_ERROR_PERCENT, errors_percent(results, outputs)),
         (COVERAGE_PERCENT, coverage_percent(results, outputs)),
     ):
-        if known:
-            more = [None] * (len(header) - 2 - len(columns))
-            rows.append([label, None, *(known.get(name) for name in columns), *more])
-    words = [0, *[2 + len(columns)] * bool(of_parts), len(header) - 1]
-    table = tabulate(
-        rows, header, tablefmt="github", floatfmt=("", ".1f", *[".4g"] * 20), disable_numparse=words
-    )
-    done = sum(r.status == OK for r in results)
-    flagged = sum(bool(r.flags) for r in results)
-    are = "is" if flagged == 1 else "are"
-    have = "has" if done == 1 else "have"
-    head = f"{done} of {count(len(results), 'trip')} {have} an estimate, {flagged} {are} flagged"
-    parts = [f"\n{_part_table(results, of_parts)}"] if of_parts else []
-    return "\n".join([head, table, *parts, *_reasons(results)])
+        if values:
+            rows.append({"trip": label} | {name: values.get(name) for name in columns})
+    texts = [i for i, name in enumerate(header) if name in ("trip", "worn parts", "state")]
+    cells = [[row.get(name) for name in header] for row in rows]
+    formats = ("", ".1f", *[".4g"] * 20)
+    table = tabulate(cells, header, tablefmt="github", floatfmt=formats, disable_numparse=texts)
+    n_done = sum(r.status == OK for r in results)
+    n_flagged = sum(bool(r.flags) for r in results)
+    have, are = "has" if n_done == 1 else "have", "is" if n_flagged == 1 else "are"
+    trips = count(len(results), "trip")
+    lines = [f"{n_done} of {trips} {have} an estimate, {n_flagged} {are} flagged", table]
+    if of_parts:
+        lines.append(f"\n{_part_table(results, of_parts)}")
+    return "\n".join([*lines, *_reasons(results)])
 
 
 def _worn(result: TripResult, equal: Sequence[str]) -> str:
     """Return the worn parts of a trip, or what it shows in their place: both sides as equal."""
     if not result.quality.no_part:
         return result.worn
-    known = [
-        f"{name} {100 * result.estimates[name]:.4g}" for name in equal if name in result.estimates
-    ]
-    return f"not read; both sides as equal: {', '.join(known)} %" if known else "not read"
+    estimates = result.estimates
+    values = [f"{name} {100 * estimates[name]:.4g}" for name in equal if name in estimates]
+    return f"not read; both sides as equal: {', '.join(values)} %" if values else "not read"
 
 
 def _part_table(results: Sequence[TripResult], parts: Sequence[str]) -> str:
@@ -112,14 +109,9 @@ def _part_table(results: Sequence[TripResult], parts: Sequence[str]) -> str:
         interval = Finding("span-of-ratios", low=low, high=high)
         rows.append([name, *ends, interval, errors.get(name), held.get(name)])
     header = ["part", "first %", "newest %", "interval %", KNOWN_ERROR_PERCENT, COVERAGE_PERCENT]
-    kept = [i for i in range(len(header)) if any(row[i] is not None for row in rows)]
-    return tabulate(
-        [[row[i] for i in kept] for row in rows],
-        [header[i] for i in kept],
-        tablefmt="github",
-        floatfmt=".4g",
-        disable_numparse=[0, 3],
-    )
+    shown = [i for i in range(len(header)) if any(row[i] is not None for row in rows)]
+    cells, names = [[row[i] for i in shown] for row in rows], [header[i] for i in shown]
+    return tabulate(cells, names, tablefmt="github", floatfmt=".4g", disable_numparse=[0, 3])
 
 
 def _reasons(results: Sequence[TripResult]) -> list[str]:
@@ -143,26 +135,26 @@ def _reasons(results: Sequence[TripResult]) -> list[str]:
 def sensor_lines(results: Sequence[TripResult], alarms: Sequence[Alarm]) -> list[str]:
     """Return a line for a terminal on each sensor with an alarm, and on each failing one."""
     lines = [
-        f"{one.words} (alarm since {kilometres(one.begin_km)})"
-        for one in alarms
-        if one.cause == Cause.SENSOR and one.is_open
+        f"{alarm.words} (alarm since {kilometres(alarm.begin_km)})"
+        for alarm in alarms
+        if alarm.cause == Cause.SENSOR and alarm.is_open
     ]
     for words, names in failing_sensors(results).items():
-        more = f" and {len(names) - LISTED} more" * (len(names) > LISTED)
+        more = f" and {len(names) - LISTED} more" if len(names) > LISTED else ""
         lines.append(f"sensor {words} (in {', '.join(names[:LISTED])}{more})")
     return [f"  {Severity.NOTICE!s:7s}  {line}" for line in lines]
 
 
 def errors_percent(results: Sequence[TripResult], outputs: Sequence[str]) -> dict[str, float]:
     """Return the rms relative error of each output over trips with known truth, [%]."""
-    found = {}
+    errors = {}
     for name in outputs:
-        known = [r for r in results if name in r.truth and name in r.estimates]
-        ratios = np.array([r.estimates[name] / r.truth[name] for r in known])
-        if known:
+        both = [r for r in results if name in r.truth and name in r.estimates]
+        ratios = np.array([r.estimates[name] / r.truth[name] for r in both])
+        if both:
             with np.errstate(over="ignore"):  # a manifest may contain any truth
-                found[name] = 100 * float(np.sqrt(np.mean((ratios - 1) ** 2)))
-    return found
+                errors[name] = 100 * float(np.sqrt(np.mean((ratios - 1) ** 2)))
+    return errors
 
 
 def coverage_percent(results: Sequence[TripResult], outputs: Sequence[str]) -> dict[str, float]:
@@ -170,42 +162,34 @@ def coverage_percent(results: Sequence[TripResult], outputs: Sequence[str]) -> d
 
     Outputs without a trip that has both truth and interval are left out.
     """
-    found = {}
+    coverage = {}
     for name in outputs:
         ends = [(*r.interval(name), r.truth[name]) for r in results if name in r.truth]
         held = [low <= truth <= high for low, high, truth in ends if np.isfinite([low, high]).all()]
         if held:
-            found[name] = 100 * float(np.mean(held))
-    return found
+            coverage[name] = 100 * float(np.mean(held))
+    return coverage
 
 
 def write_tables(results: Sequence[TripResult], outputs: tuple[str, ...], output: Path) -> None:
     """Write trips.parquet and trips.csv, a row a trip, and responses.parquet, a row a bin."""
     rows = pa.Table.from_pylist([result.row(outputs) for result in results])
     write_table(rows, output / "trips")
-    curves = [
-        pa.table(
-            {
-                "trip": [result.trip] * len(result.curves.frequencies_hz),
-                "frequency_hz": result.curves.frequencies_hz,
-                **{
-                    f"{what}_{link}": values[i]
-                    for i, link in enumerate(("p", "s"))
-                    for what, values in (
-                        ("magnitude", np.abs(result.curves.responses)),
-                        ("phase_rad", np.angle(result.curves.responses)),
-                        ("coherence", result.curves.coherences),
-                        ("deviation", result.curves.deviations),
-                    )
-                },
-            }
-        )
-        for result in results
-        if result.curves is not None
-    ]
-    if curves:
+    tables = []
+    for result in results:
+        if (curves := result.curves) is None:
+            continue
+        names = [result.trip] * len(curves.frequencies_hz)
+        columns: dict[str, Any] = {"trip": names, "frequency_hz": curves.frequencies_hz}
+        for i, link in enumerate(("p", "s")):
+            columns[f"magnitude_{link}"] = np.abs(curves.responses[i])
+            columns[f"phase_rad_{link}"] = np.angle(curves.responses[i])
+            columns[f"coherence_{link}"] = curves.coherences[i]
+            columns[f"deviation_{link}"] = curves.deviations[i]
+        tables.append(pa.table(columns))
+    if tables:
         stream = io.BytesIO()
-        pq.write_table(pa.concat_tables(curves), stream)
+        pq.write_table(pa.concat_tables(tables), stream)
         write_atomically(output / "responses.parquet", stream.getvalue())
 
 
@@ -216,15 +200,11 @@ def write_pages(report: Report, output: Path, *, draw: bool = True) -> None:
     """
     results, outputs, state = report.results, report.outputs, report.state
     done = [r for r in results if r.status == OK]
+    # where parts are read, each has a small figure of its own in place of the common trend
     drawn, small = {}, {}
     if draw:
-        trend = trend_of_trips(
-            relative_to_first_healthy(results, report.commissionings),
-            state,
-            outputs,
-            report.level,
-            report.commissionings,
-        )
+        relative = relative_to_first_healthy(results, report.commissionings)
+        trend = trend_of_trips(relative, state, outputs, report.level, report.commissionings)
         small = small_trends(trend)
         drawn = {} if small else {"trend": health_trend(trend)}
         drawn |= {
@@ -242,6 +222,7 @@ def write_pages(report: Report, output: Path, *, draw: bool = True) -> None:
             run_log.figure(name, figure, output / "figures")
         run_log.text("trips", summary(results, outputs))
         run_log.text("verdict", spoken(state.assessments))
+    # NumPy's numbers become plain ones on the way through JSON
     metrics = json.loads(json.dumps(_metrics(report), default=float))
     write_json(output / "metrics.json", metrics)
     write_report(output / REPORT, gettext("Suspension report"), report, drawn, small)
@@ -262,14 +243,14 @@ def _metrics(report: Report) -> dict[str, Any]:
             name: state.limits[name].to_dict() for name in report.outputs if name in state.limits
         },
         "trends": [
-            asdict(one.trend)
-            | {"changed": one.trend.changed, "severity": str(one.severity), "words": one.words}
-            | {"now": one.now, "life": _life_row(one.life), "unknown_life": one.unknown_life}
-            for one in state.assessments
+            asdict(own.trend)
+            | {"changed": own.trend.changed, "severity": str(own.severity), "words": own.words}
+            | {"now": own.now, "life": _life_row(own.life), "unknown_life": own.unknown_life}
+            for own in state.assessments
         ],
-        "commissionings": [asdict(one) for one in report.commissionings],
-        "maintenance": [asdict(one) for one in state.series.events],
-        "alarms": [_alarm_row(one, report.seen) for one in state.watched.alarms],
+        "commissionings": [asdict(commissioning) for commissioning in report.commissionings],
+        "maintenance": [asdict(event) for event in state.series.events],
+        "alarms": [_alarm_row(alarm, report.seen) for alarm in state.watched.alarms],
         "details": dict(report.details),
     }
 
@@ -279,7 +260,7 @@ def write_overview(done: Sequence[Evaluated], outputs: Sequence[str], output: Pa
 
     `done` is in the order of the rows; last estimates are shown of the parameters `outputs`.
     """
-    rows = [one.row(outputs) for one in done]
+    rows = [suspension.row(outputs) for suspension in done]
     write_table(pa.Table.from_pylist(rows), output / "overview")
     page = render(
         "overview.html",
@@ -291,7 +272,8 @@ def write_overview(done: Sequence[Evaluated], outputs: Sequence[str], output: Pa
     )
     write_atomically(output / "overview.html", page)
     shown = ["folder", "suspension", "bogie", "side", "severity", "parameter", "n_trips", "reason"]
-    shown += ["sensors"] * any(row["sensors"] for row in rows)
+    if any(row["sensors"] for row in rows):
+        shown.append("sensors")
     table = tabulate([[row[key] for key in shown] for row in rows], shown, tablefmt="github")
     return f"{first_words(rows)}\n{table}"
 
@@ -308,15 +290,16 @@ def write_documents(done: Sequence[Evaluated], output: Path, *, pdf: bool, xlsx:
     """Write each page of a folder's evaluation as PDF too, and all its trips as tables.xlsx."""
     if pdf:
         pages = [output / REPORT, output / "overview.html"]
-        pages += [output / one.name / REPORT for one in done if not one.error]
+        pages += [output / own.name / REPORT for own in done if not own.error]
         for page in dict.fromkeys(pages):
             if page.is_file():
                 write_pdf(page)
     if xlsx:
-        outputs = outputs_of(r for one in done for r in one.results)
-        rows = [r.row(outputs) for one in done for r in one.results]
-        overview = [one.row(outputs) for one in done]
-        write_xlsx({"overview": overview, "trips": rows}, output / "tables.xlsx")
+        results = [result for own in done for result in own.results]
+        outputs = outputs_of(results)
+        overview = [own.row(outputs) for own in done]
+        trips = [result.row(outputs) for result in results]
+        write_xlsx({"overview": overview, "trips": trips}, output / "tables.xlsx")
 
 
 def write_fleet(view: FleetView, plan: Plan, figure: Figure, output: Path) -> None:

@@ -22,10 +22,9 @@ from suspnet.maintenance.state import State
 from suspnet.report.failing_sensors import dead_words, sensor_words
 
 REPORT = "report.html"
-N_SHOWN = 30
-"""Largest number of suspensions in the table on a terminal."""
-ID_DIGITS = 12
-"""Number of hexadecimal digits of a suspension's name in a URL."""
+N_SHOWN = 30  # suspensions in the table on a terminal
+ID_DIGITS = 12  # hexadecimal digits of a suspension's name in a URL
+CALM = "within its limits"  # reason of a suspension without a finding
 
 
 @dataclass(frozen=True)
@@ -81,12 +80,10 @@ class FleetView:
 
     `version` increases with each view of a board, from 0 before anything was read; `at` is in UTC.
     `states` are sorted by severity, then by life, and `rows` are their ``overview_rows``. `plan` is
-    None until remaining lives are computed. `cars` are the indices in `states` of the suspensions
-    of each car that has several, `names` the ``address`` of each suspension, and `keys` its index
-    by this name. `is_complete` is whether alarms, lives and plan cover all trips in `states`;
-    otherwise some are out of date or missing. `trouble` states why the store could not be read the
-    last time, empty if it could; `bad_rows` are rows of the store that cannot be read and are left
-    out.
+    None until remaining lives are computed. `cars` are the indices of the suspensions of each car
+    that has several, `names` the ``address`` of each suspension, and `keys` its index by this name.
+    `is_complete` is whether alarms, lives and plan cover all trips. `trouble` states why the store
+    could not be read the last time; `bad_rows` cannot be read and are left out.
     """
 
     version: int = 0
@@ -123,7 +120,7 @@ def fleet_view(
         states=tuple(states),
         rows=overview_rows(states, acknowledged),
         plan=plan,
-        cars=[[places[id(one)] for one in car] for car in cars],
+        cars=[[places[id(series)] for series in car] for car in cars],
         names=names,
         keys={name: i for i, name in enumerate(names)},
         limits=limits,
@@ -143,14 +140,14 @@ def overview_rows(
     states: Sequence[State], acknowledged: Mapping[Key, Sequence[Acknowledgement]]
 ) -> list[dict[str, Any]]:
     """Return one flat row for each suspension, in the order given."""
-    return [_row(one, acknowledged) for one in states]
+    return [_row(state, acknowledged) for state in states]
 
 
 def _row(state: State, acknowledged: Mapping[Key, Sequence[Acknowledgement]]) -> dict[str, Any]:
     series, shortest = state.series, state.shortest
     worst = next(iter(state.alarms), None)
     seen = worst and newest_of(worst, acknowledged.get(state.key, ()))
-    is_found = state.severity > Severity.NONE  # the reasons of the others are not shown
+    has_finding = state.severity > Severity.NONE  # the reasons of the others are not shown
     life = shortest and (*shortest[1].interval_km(), shortest[1].quantile_km(0.5))
     low, high, median = life or (np.nan, np.nan, np.nan)
     return {
@@ -158,8 +155,8 @@ def _row(state: State, acknowledged: Mapping[Key, Sequence[Acknowledgement]]) ->
         "where": str(series.place),
         **{name: getattr(series.place, name) for name in PLACE_FROM_TRAIN},
         "severity": str(state.severity),
-        "parameter": state.parameters if is_found else "",
-        "reason": state.reason if is_found else _quiet(state),
+        "parameter": state.parameters if has_finding else "",
+        "reason": state.reason if has_finding else _quiet(state),
         "sensors": sensor_words(state),
         "since_km": worst.begin_km if worst else np.nan,
         "n_alarms": len(state.alarms),
@@ -176,10 +173,6 @@ def _row(state: State, acknowledged: Mapping[Key, Sequence[Acknowledgement]]) ->
         "n_estimated": int(series.done.sum()),
         "n_flagged": int(series.flagged.sum()),
     }
-
-
-CALM = "within its limits"
-"""Reason of a suspension without a finding."""
 
 
 def _quiet(state: State) -> str:
@@ -217,10 +210,8 @@ def finding(rows: Sequence[Mapping[str, Any]]) -> str:
         Severity.UNKNOWN: "count-unknown",
         Severity.NONE: "count-none",
     }
-    found = together(
-        (Finding(kind, n=counts[one]) for one, kind in words.items() if counts[one]), ", "
-    )
-    return Finding("suspensions", n=len(rows), words=found)
+    texts = [Finding(kind, n=counts[level]) for level, kind in words.items() if counts[level]]
+    return Finding("suspensions", n=len(rows), words=together(texts, ", "))
 
 
 def most_severe(rows: Sequence[Mapping[str, Any]]) -> str:
@@ -229,8 +220,8 @@ def most_severe(rows: Sequence[Mapping[str, Any]]) -> str:
     `rows` come with the most severe first.
     """
     worst = rows[0] if rows else {}
-    is_found = worst.get("severity") in (str(Severity.ACT), str(Severity.NOTICE))
-    if not is_found or not worst.get("parameter"):
+    is_severe = worst.get("severity") in (str(Severity.ACT), str(Severity.NOTICE))
+    if not is_severe or not worst.get("parameter"):
         return ""
     first = part_words(worst["parameter"].partition(", ")[0])
     place = Place(**{name: worst[name] for name in PLACE_FROM_TRAIN})

@@ -44,10 +44,10 @@ def write_pdf(page: Path) -> Path:
 
 def _styled(html: str) -> str:
     """Return a page whose drawings hold the page's styles, as WeasyPrint draws them alone."""
-    found = re.search(r"<style>(.*?)</style>", html, re.S)
-    if found is None:
+    element = re.search(r"<style>(.*?)</style>", html, re.S)
+    if element is None:
         return html
-    styles = found[1]
+    styles = element[1]
     for name, value in re.findall(r"(--[\w-]+):\s*([^;}]+)", styles):
         styles = re.sub(rf"var\({name}(?:,[^)]*)?\)", value.strip(), styles)
     rules = re.findall(r"^svg\.bogie[^{]*\{[^}]*\}", styles, re.M)

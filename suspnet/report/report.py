@@ -91,8 +91,7 @@ RECOMMISSIONED = N_(
     "percentages are of its own healthy values, those in the figure of the first ones."
 )
 MAINTAINED = N_("Maintenance: {}. Severities, medians and changes are of the trips since the last.")
-NAMED = 3
-"""Largest number of parameters that the first sentence of a report names."""
+NAMED = 3  # largest number of parameters that the first sentence of a report names
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,17 +129,20 @@ def write_report(
     state, assessments = report.state, report.state.assessments
     trips = by_mileage(report.results)
     severity, finding = overall(assessments)
-    found = joined(worst_first(assessments))
+    findings = joined(worst_first(assessments))
+    # remarks on the trips, each a sentence or empty
     doubts, unread = _doubts(trips), _unread(trips)
     wheels, dead = wheels_finding(trips), failing_words(trips)
     sides = worn_finding(trips) or sides_finding(trips)
     table = trip_table(trips, report.outputs, report.level)
+    # captions explain intervals and flags only where there are any
     shown = {
         "intervals": gettext(INTERVALS_SHOWN).format(level=table.level) if table.level else "",
         "flags": gettext(FLAGS_SHOWN) if doubts else "",
     }
+    alarms = sorted(state.watched.alarms, key=lambda a: (not a.is_open, -a.severity, a.begin_km))
     tone = SEVERITIES[severity][0]
-    remarks = (doubts, unread, found, sides, wheels, dead)
+    remarks = (doubts, unread, findings, sides, wheels, dead)
     page = render(
         "report.html",
         title=title,
@@ -154,18 +156,15 @@ def write_report(
         sides=sides,
         wheels=wheels,
         dead=dead,
-        findings=found,
+        findings=findings,
         assessments=[list(run) for _, run in groupby(assessments, lambda a: (a.severity, a.words))],
         limits=state.limits,
-        alarms=[
-            (one, newest_of(one, report.seen))
-            for one in sorted(
-                state.watched.alarms, key=lambda a: (not a.is_open, -a.severity, a.begin_km)
-            )
-        ],
+        alarms=[(alarm, newest_of(alarm, report.seen)) for alarm in alarms],
         bogie=bogie_of(state),
         no_part=why_no_part(trips, report.outputs),
-        small=small_figures(state, {name: data_uri(one) for name, one in (small or {}).items()}),
+        small=small_figures(
+            state, {name: data_uri(drawn) for name, drawn in (small or {}).items()}
+        ),
         small_words=gettext(SMALL_SHOWN).format(**shown),
         figures=[_embedded(name, figures[name], shown) for name in _ordered(figures)],
         table=table,
@@ -190,17 +189,18 @@ def named_first(assessments: Sequence[Assessment], trips: Sequence[TripResult]) 
     if severity < Severity.NOTICE:
         return ""
     names = [
-        part_words(one.parameter)
-        for one in assessments
-        if one.severity == severity and one.parameter != BODY_MASS
+        part_words(own.parameter)
+        for own in assessments
+        if own.severity == severity and own.parameter != BODY_MASS
     ]
-    said = "; ".join(map(spoken, names[:NAMED]))
+    text = f"{gettext(SEVERITIES[severity][1])}: " + "; ".join(map(spoken, names[:NAMED]))
     if len(names) > NAMED:
-        said += " " + gettext("and %(n)s more") % {"n": len(names) - NAMED}
-    places = dict.fromkeys(spoken(str(one.place)) for one in trips if one.place.suspension)
-    where = gettext("suspension %(name)s") % {"name": "; ".join(places)} if places else ""
-    label = gettext(SEVERITIES[severity][1])
-    return f"{label}: {said}" + (f" ({where})" if where else "")
+        text += " " + gettext("and %(n)s more") % {"n": len(names) - NAMED}
+    places = dict.fromkeys(spoken(str(trip.place)) for trip in trips if trip.place.suspension)
+    if not places:
+        return text
+    where = gettext("suspension %(name)s") % {"name": "; ".join(places)}
+    return f"{text} ({where})"
 
 
 def sides_finding(trips: Sequence[TripResult]) -> str:
@@ -224,35 +224,35 @@ def worn_finding(trips: Sequence[TripResult]) -> str:
 def _on_last(trips: Sequence[TripResult], name: str) -> tuple[str, str]:
     """Return on which of the last trips a field has text, and the newest; empty without any."""
     last = [r for r in trips if r.status == OK][-N_LAST:]
-    found = [r for r in last if getattr(r, name)]
-    if not found:
+    affected = [r for r in last if getattr(r, name)]
+    if not affected:
         return "", ""
     on = Finding("last-trip")
     if len(last) > 1:
-        on = Finding("last-trips", n=len(found), n_last=len(last))
-    return Finding("on-newest", trips=on, trip=found[-1].trip), getattr(found[-1], name)
+        on = Finding("last-trips", n=len(affected), n_last=len(last))
+    return Finding("on-newest", trips=on, trip=affected[-1].trip), getattr(affected[-1], name)
 
 
 def wheels_finding(trips: Sequence[TripResult]) -> str:
     """Return a sentence on out-of-round wheels, from the last trips; empty without a finding."""
     last = list(trips)[-N_LAST:]
-    found = [r for r in last if r.quality.wheels]
-    if not found:
+    affected = [r for r in last if r.quality.wheels]
+    if not affected:
         return ""
     kind = "wheels-on-trips" if len(last) > 1 else "wheels-on-trip"
-    newest = {"trip": found[-1].trip, "words": found[-1].quality.wheels}
-    return Finding(kind, **newest, n=len(found), n_last=len(last))
+    newest = {"trip": affected[-1].trip, "words": affected[-1].quality.wheels}
+    return Finding(kind, **newest, n=len(affected), n_last=len(last))
 
 
 def _since_when(states: Sequence[Commissioning], events: Sequence[Event]) -> str:
     """Return since when the assessments count, as text; empty if since the first trip."""
     sentences = []
     if states:
-        sentences.append(
-            gettext(RECOMMISSIONED).format("; ".join(spoken(one.words) for one in states[1:]))
-        )
+        words = "; ".join(spoken(state.words) for state in states[1:])
+        sentences.append(gettext(RECOMMISSIONED).format(words))
     if events:
-        sentences.append(gettext(MAINTAINED).format("; ".join(spoken(str(one)) for one in events)))
+        words = "; ".join(spoken(str(event)) for event in events)
+        sentences.append(gettext(MAINTAINED).format(words))
     return " ".join(sentences)
 
 
@@ -315,8 +315,8 @@ def _commonest(reasons: Iterable[str]) -> str:
 
 
 def _ordered(figures: Mapping[str, Figure]) -> list[str]:
-    known = [name for name in CAPTIONS if name in figures]
-    return known + [name for name in figures if name not in CAPTIONS]
+    explained = [name for name in CAPTIONS if name in figures]
+    return explained + [name for name in figures if name not in CAPTIONS]
 
 
 def _embedded(name: str, figure: Figure, shown: Mapping[str, str]) -> dict[str, Any]:
@@ -327,13 +327,11 @@ def _embedded(name: str, figure: Figure, shown: Mapping[str, str]) -> dict[str, 
 
 
 def _healthy(trips: Sequence[TripResult]) -> dict[str, str]:
-    known = [r for r in trips if r.healthy_si]
-    if not known:
-        return {}
-    found = {}
-    for name, value in known[-1].healthy_si.items():
-        half = 100 * known[-1].healthy_half_widths.get(name, 0.0)
-        found[name] = with_unit(f"{value / KILO:.4g}", name)
+    newest = next((r for r in reversed(trips) if r.healthy_si), TripResult("", ""))
+    texts = {}
+    for name, value in newest.healthy_si.items():
+        half = 100 * newest.healthy_half_widths.get(name, 0.0)
+        texts[name] = with_unit(f"{value / KILO:.4g}", name)
         if half > 0:
-            found[name] += f" ±\N{NO-BREAK SPACE}{decimal(f'{half:.2g}')}\N{NO-BREAK SPACE}%"
-    return found
+            texts[name] += f" ±\N{NO-BREAK SPACE}{decimal(f'{half:.2g}')}\N{NO-BREAK SPACE}%"
+    return texts

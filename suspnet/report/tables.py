@@ -27,11 +27,10 @@ if TYPE_CHECKING:  # the history imports SQLAlchemy, 0.4 s
 class TripTable:
     """Arguments of the macro `trip_table` of macros.html.
 
-    `trips` are in the order of the rows; `outputs` are parameters, a column each. Where these are
-    parts, `equal` are those of both sides as equal, which trips have that do not show their parts.
-    `halves` are half widths of the intervals by parameter, [% of healthy], NaN for none or a
-    flagged trip; `digits` are decimals by parameter. `level` is the probability of the intervals,
-    [%], empty if no trip has one.
+    `outputs` are parameters, a column each. Where these are parts, `equal` are those of both sides
+    as equal, of trips that do not show their parts. `halves` are half widths of the intervals by
+    parameter, [% of healthy], NaN for none or a flagged trip; `digits` are decimals by parameter.
+    `level` is the probability of the intervals, [%], empty if no trip has one.
     """
 
     trips: tuple[TripResult, ...]
@@ -49,7 +48,7 @@ class TripTable:
     def parameters_of(self, trip: TripResult) -> list[str]:
         """Return what is shown of a trip: the columns, or what it has in place of its parts."""
         equal = self.of_equal_sides(trip)
-        return [*equal, *(one for one in self.outputs if not equal or one == BODY_MASS)]
+        return [*equal, *(name for name in self.outputs if not equal or name == BODY_MASS)]
 
 
 def split_outputs(outputs: Sequence[str]) -> tuple[list[str], list[str]]:
@@ -64,12 +63,12 @@ def split_outputs(outputs: Sequence[str]) -> tuple[list[str], list[str]]:
 
 def trip_table(trips: Sequence[TripResult], outputs: Sequence[str], level: float) -> TripTable:
     """Return trips as a table, in the order given; `level` is the probability of the intervals."""
-    halves = {name: [_half_width(one, name) for one in trips] for name in outputs}
-    known = any(math.isfinite(half) for column in halves.values() for half in column)
+    halves = {name: [_half_width(trip, name) for trip in trips] for name in outputs}
+    has_intervals = any(math.isfinite(half) for column in halves.values() for half in column)
     digits = {name: interval_digits(column) for name, column in halves.items()}
-    words = f"{100 * level:g}" if known else ""
+    text = f"{100 * level:g}" if has_intervals else ""
     columns, equal = split_outputs(outputs)
-    return TripTable(tuple(trips), tuple(columns), tuple(equal), halves, digits, words)
+    return TripTable(tuple(trips), tuple(columns), tuple(equal), halves, digits, text)
 
 
 def _half_width(result: TripResult, name: str) -> float:
@@ -80,10 +79,10 @@ def _half_width(result: TripResult, name: str) -> float:
 
 def interval_digits(half_widths: Sequence[float]) -> int:
     """Return the number of decimals that half widths of intervals, [%], warrant."""
-    known = [half for half in half_widths if math.isfinite(half) and half > 0]
-    if not known:
+    finite = [half for half in half_widths if math.isfinite(half) and half > 0]
+    if not finite:
         return 1
-    further = math.ceil(math.log10(0.095 / statistics.median(known)))
+    further = math.ceil(math.log10(0.095 / statistics.median(finite)))
     return 1 + min(max(further, 0), 2)
 
 
@@ -94,28 +93,26 @@ def sensor_rows(series: Series) -> list[dict[str, Any]]:
     share of drop-outs; `beyond` tells which of them count.
     """
     rows = []
-    for one in series.sensor_trends:
-        known = np.flatnonzero(np.isfinite(one.values["faulty"]))
-        if not len(known):
+    for trend in series.sensor_trends:
+        places = np.flatnonzero(np.isfinite(trend.values["faulty"]))
+        if not len(places):
             continue
-        at = int(known[-1])
-        change = {name: float(column[at]) for name, column in one.changes.items()}
-        armed = any(map(math.isfinite, change.values()))
+        at = int(places[-1])
+        change = {name: float(column[at]) for name, column in trend.changes.items()}
+        is_armed = any(map(math.isfinite, change.values()))
+        beyond = {name: bool(column[at]) for name, column in trend.beyond.items()}
         rows.append(
             {
-                "name": one.name,
-                "active": bool(one.active[at]),
-                "words": one.words(at),
-                "state": "as in its first trips" if armed else "too few trips to compare",
-                "noise": float(one.values["noise"][at]),
+                "name": trend.name,
+                "active": bool(trend.active[at]),
+                "words": trend.words(at),
+                "state": "as in its first trips" if is_armed else "too few trips to compare",
+                "noise": float(trend.values["noise"][at]),
                 "times": math.exp(change["noise"]),
                 "gain": math.expm1(change["gain"]),
                 "delay_s": change["delay_s"],
-                "faulty": float(one.values["faulty"][at]),
-                "beyond": {
-                    "times" if name == "noise" else name: bool(column[at])
-                    for name, column in one.beyond.items()
-                },
+                "faulty": float(trend.values["faulty"][at]),
+                "beyond": beyond | {"times": beyond["noise"]},
             }
         )
     return rows
@@ -129,9 +126,9 @@ def files_read_as(results: Sequence[TripResult]) -> dict[str, str]:
     """
     n_trips, n_files = Counter[str](), Counter[str]()
     for result in results:
-        found = files_of(result.quality.read_as)
-        n_trips.update(found.keys())
-        n_files.update(found)
+        files = files_of(result.quality.read_as)
+        n_trips.update(files.keys())
+        n_files.update(files)
     remarks = []
     for words, n in n_trips.most_common():
         if n_files[words]:
@@ -142,17 +139,16 @@ def files_read_as(results: Sequence[TripResult]) -> dict[str, str]:
     return {N_("files read as"): together(remarks, " · ")} if remarks else {}
 
 
-PARTS = ("primary suspension: axle box to bogie frame", "secondary suspension: frame to car body")
-BAND = 1.96
-"""Standard deviations on each side that hold 95 % of normally distributed values."""
-LARGEST_BAND = 3.0
-"""Largest half width of a drawn band in log-magnitude; wider ones would flatten the axis."""
-N_ROWS = 12
-"""Number of frequencies in a table of responses."""
+SUSPENSION_NAMES = (
+    "primary suspension: axle box to bogie frame",
+    "secondary suspension: frame to car body",
+)
+BAND = 1.96  # standard deviations on each side that hold 95 % of normally distributed values
+LARGEST_BAND = 3.0  # half width of a drawn band in log-magnitude; wider would flatten the axis
 
 
 @dataclass(frozen=True, eq=False)
-class Response:
+class ResponseCurves:
     """How the two suspensions amplified vibration on one trip.
 
     `frequencies_hz`: (n_freq,) [Hz]. `magnitudes`, `coherences`, `low` and `high` are (2, n_freq),
@@ -172,12 +168,12 @@ class Response:
         return f"{self.trip}, {kilometres(self.mileage_km)}"
 
 
-def response(trip: str, mileage_km: float, curves: TripCurves | TripResponses) -> Response:
+def response(trip: str, mileage_km: float, curves: TripCurves | TripResponses) -> ResponseCurves:
     """Return the response that is shown of a trip's curves."""
     magnitudes = np.abs(curves.responses)
     ends = band(magnitudes, curves.deviations)
     shared = curves.frequencies_hz, magnitudes, curves.coherences
-    return Response(trip, mileage_km, *shared, *ends)
+    return ResponseCurves(trip, mileage_km, *shared, *ends)
 
 
 def band(magnitudes: FloatArray, deviations: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -185,24 +181,6 @@ def band(magnitudes: FloatArray, deviations: FloatArray) -> tuple[FloatArray, Fl
 
     Deviations are standard deviations of the log-magnitude.
     """
-    known = np.isfinite(deviations)
-    half = np.where(known, np.minimum(BAND * np.where(known, deviations, 0), LARGEST_BAND), np.nan)
+    finite = np.where(np.isfinite(deviations), deviations, np.nan)
+    half = np.minimum(BAND * finite, LARGEST_BAND)
     return magnitudes * np.exp(-half), magnitudes * np.exp(half)
-
-
-def response_table(first: Response, newest: Response) -> list[list[float]]:
-    """Return amplifications as rows: frequency, then both suspensions' of first and newest trip."""
-    ends = (
-        max(first.frequencies_hz[0], newest.frequencies_hz[0]),
-        min(first.frequencies_hz[-1], newest.frequencies_hz[-1]),
-    )
-    if not ends[0] < ends[1]:
-        return []
-    chosen = np.geomspace(*ends, N_ROWS)
-    columns: Sequence[FloatArray] = [
-        np.interp(chosen, one.frequencies_hz, one.magnitudes[part])
-        for part in range(len(PARTS))
-        for one in (first, newest)
-    ]
-    rows: list[list[float]] = np.column_stack([chosen, *columns]).tolist()
-    return rows

@@ -39,31 +39,35 @@ LABELS = {str(severity): pair for severity, pair in SEVERITIES.items()}
 MARKS = {"act": "✕", "notice": "!", "unknown": "?", "none": "✓"}
 """Symbol of each severity, so that colour is not needed."""
 KILO = 1e3
-KILO_UNITS = {"N/m": "kN/m", "N s/m": "kN s/m", "kg": "t"}
-"""Unit of a thousand of each SI unit."""
-PACKAGE = "suspnet.report"
-"""Package whose templates all other packages may use."""
+KILO_UNITS = {"N/m": "kN/m", "N s/m": "kN s/m", "kg": "t"}  # unit of a thousand of each SI unit
+PACKAGE = "suspnet.report"  # package whose templates all other packages may use
+OPTIONS: dict[str, Any] = {
+    "extensions": ["jinja2.ext.i18n"],
+    "undefined": StrictUndefined,  # an unknown name is an error
+    "trim_blocks": True,
+    "lstrip_blocks": True,
+}
+"""Options of every environment of templates."""
 
 
 @cache
 def environment(*packages: str) -> Environment:
     """Return the environment of the templates of packages, then of this one: the first one counts.
 
-    Text that is not marked as HTML is escaped; an unknown name is an error. All pages of a process
-    share it: to compile the templates of a page takes longer than to fill them in.
+    All pages of a process share it: to compile the templates of a page takes longer than to fill
+    them in.
     """
-    found = Environment(
-        autoescape=True,
-        extensions=["jinja2.ext.i18n"],
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        loader=FunctionLoader(lambda name: packaged(name, *packages)),
-    )
-    install(found)
-    found.filters |= FILTERS
-    found.globals |= GLOBALS
-    return found
+    loader = FunctionLoader(lambda name: packaged(name, *packages))
+    created = Environment(autoescape=True, loader=loader, **OPTIONS)
+    equip(created)
+    return created
+
+
+def equip(environment: Environment) -> None:
+    """Give an environment with ``OPTIONS`` the language, filters and globals of all pages."""
+    install(environment)
+    environment.filters |= FILTERS
+    environment.globals |= GLOBALS
 
 
 def render(template: str, package: str = PACKAGE, **values: Any) -> str:
@@ -107,7 +111,7 @@ def _si(value: float, name: str) -> Markup:
 
 
 def with_unit(number: str, name: str) -> str:
-    """Return a number, in thousands of a parameter's SI unit, with that unit."""
+    """Return a number with the unit, a thousand of a parameter's SI unit."""
     unit = KILO_UNITS[UNITS[name]].replace(" ", "\N{NO-BREAK SPACE}")
     return f"{decimal(number)}\N{NO-BREAK SPACE}{unit}"
 
@@ -144,11 +148,9 @@ def symbol(name: str) -> Markup:
         return Markup.escape(spoken(name))
     letter, _, index = kind_of(name).partition("_")
     words = Markup("<i>{}</i><sub>{}</sub>").format(letter, index)
-    return (
-        Markup('{} <span class="place">{}</span>').format(words, spoken(place_words(name)))
-        if name in BOGIE_PARTS
-        else words
-    )
+    if name not in BOGIE_PARTS:
+        return words
+    return Markup('{} <span class="place">{}</span>').format(words, spoken(place_words(name)))
 
 
 def typeset(text: str) -> Markup:
@@ -163,7 +165,7 @@ def named(name: str) -> str:
 
 
 def _range(pair: tuple[float, float]) -> str:
-    return _range_of(*(decimal(f"{100 * one:g}") for one in pair))
+    return _range_of(*(decimal(f"{100 * end:g}") for end in pair))
 
 
 def _range_of(low: str, high: str) -> str:

@@ -121,14 +121,15 @@ class RunLog:
         """
         varied = {_column(key): _plain(value) for key, value in (varied or {}).items()}
         finals = {f"final/{name}": 0.0 for name in metric_columns}
+        # columns are the same for all runs; TensorBoard shows those that "differ" first
         experiment, _, end = hparams({**columns, **varied}, finals)
         content = experiment.value[0].metadata.plugin_data
         declared = HParamsPluginData.FromString(content.content)
         for info in declared.experiment.hparam_infos:
             info.differs = info.name in {*first, *varied}
         content.content = declared.SerializeToString()
-        known = {k: v for k, v in values.items() if k in columns and v is not None}
-        _, start, _ = hparams(known | varied, finals)
+        own = {k: v for k, v in values.items() if k in columns and v is not None}
+        _, start, _ = hparams(own | varied, finals)
         for summary in (experiment, start, end):
             self._writer._get_file_writer().add_summary(summary)
         self.scalars("final", metrics, 0)

@@ -30,16 +30,14 @@ MAINTENANCE, AGAIN = "maintenance", "commissioned again"
 AGAIN_OF_FIRST = f"{AGAIN}; % is of the first healthy values"
 LEAST_SPAN_PERCENT = 2.0
 """Smallest span of a parameter's axis, [%], so that spread does not look like change."""
-MARGIN = 0.05
-"""Share of the span that stays free above and below."""
+MARGIN = 0.05  # share of the span that stays free above and below
 
 
 @dataclass(frozen=True, eq=False)
 class Points:
     """One parameter of several trips by mileage; NaN is unknown.
 
-    Arrays are (n_trips,); `intervals` is (n_trips, 2), lower and upper end. The truth is that of
-    simulated trips.
+    Arrays are (n_trips,); `intervals` is (n_trips, 2). The truth is that of simulated trips.
     """
 
     trips: NDArray[np.str_]
@@ -63,21 +61,18 @@ class Passing:
     high_km: float
 
     def __str__(self) -> str:
-        low, median, high = (
-            thousands(km) if np.isfinite(km) else "no end"
-            for km in (self.low_km, self.median_km, self.high_km)
-        )
-        return Finding("passes", median=median, low=low, high=high)
+        ends = {name.removesuffix("_km"): km for name, km in vars(self).items()}
+        texts = {name: thousands(km) if np.isfinite(km) else "no end" for name, km in ends.items()}
+        return Finding("passes", **texts)
 
 
 @dataclass(frozen=True, eq=False)
 class Panel:
     """One parameter along the mileage.
 
-    `points` are trips with an estimate; unreliable intervals, those of flagged trips, are NaN.
-    `missing_km` are trips without an estimate, and `truth_km` and `truth` belong to simulated
-    trips. `limits` are pairs of kind ("notice" or "act") and value. `act` is the act limit that the
-    parameter has passed or will pass, if known. `axis` is the range of the figure.
+    `points` are trips with an estimate; the intervals of flagged trips are NaN. `missing_km` are
+    trips without an estimate. `limits` are pairs of kind ("notice" or "act") and value. `act` is
+    the act limit that the parameter has passed or will pass. `axis` is the range of the figure.
     """
 
     name: str
@@ -94,7 +89,7 @@ class Panel:
 
 
 @dataclass(frozen=True, eq=False)
-class Trend:
+class MileageTrend:
     """A suspension along its mileage.
 
     `km` are the mileages of all trips, ascending; `events` pairs of mileage and text of each
@@ -117,14 +112,14 @@ def trend_of_trips(
     outputs: Sequence[str],
     level: float = INTERVAL_LEVEL,
     commissionings: Sequence[Commissioning] = (),
-) -> Trend:
+) -> MileageTrend:
     """Return the trend of a report.
 
-    `results` may have any order, and are relative to the first of several `commissionings`; `state`
-    is that of these trips, and its limits are relative to the last commissioning. `level` is the
-    probability of the intervals.
+    `results` may have any order, and are relative to the first of several `commissionings`; the
+    limits of their `state` are relative to the last one.
     """
     placed = [r for r in by_mileage(results) if np.isfinite(r.mileage_km)]
+    # limits are relative to the last commissioning, the figure to the first
     now = commissionings[-1].relative if commissionings else {}
     panels = []
     for name in outputs:
@@ -137,18 +132,18 @@ def trend_of_trips(
             _percent([r.truth.get(name, np.nan) for r in placed]),
         )
         panels.append(_panel(name, points, state, now.get(name, 1.0)))
-    return Trend(
+    return MileageTrend(
         tuple(panels),
         np.array([r.mileage_km for r in placed]),
         _events(state),
-        tuple(one.since_km for one in commissionings[1:]),
+        tuple(commissioning.since_km for commissioning in commissionings[1:]),
         AGAIN_OF_FIRST,
         len(results) - len(placed),
         level,
     )
 
 
-def trend_of_state(state: State) -> Trend:
+def trend_of_state(state: State) -> MileageTrend:
     """Return the trend of a page, each trip relative to its own healthy values."""
     series = state.series
     placed = np.isfinite(series.mileage_km)
@@ -162,26 +157,26 @@ def trend_of_state(state: State) -> Trend:
         panels.append(_panel(name, Points(series.trip, *numbers).chosen(placed), state))
     since_km = series.healthy_since_km
     again_km = tuple(np.unique(since_km[np.isfinite(since_km)])[1:].tolist())
-    return Trend(tuple(panels), series.mileage_km[placed], _events(state), again_km)
+    return MileageTrend(tuple(panels), series.mileage_km[placed], _events(state), again_km)
 
 
-def ranges(trend: Trend) -> list[tuple[str, float, float]]:
+def ranges(trend: MileageTrend) -> list[tuple[str, float, float]]:
     """Return useful ranges of the mileage to show: name, first and last km."""
     if len(trend.km) == 0:
         return []
     first, newest = float(trend.km.min()), float(trend.km.max())
-    ahead = [one.passing.high_km for one in trend.panels if one.passing]
+    ahead = [panel.passing.high_km for panel in trend.panels if panel.passing]
     last = max([newest, *(km for km in ahead if np.isfinite(km))])
     last = min(last, newest + max(newest - first, 100_000.0))
     pad = 0.02 * max(last - first, 1000.0)
-    found = [("All", max(first - pad, min(first, 0.0)), last + pad)]
+    shown = [("All", max(first - pad, min(first, 0.0)), last + pad)]
     if newest - first > 100_000:
-        found.append((f"Last {kilometres(100_000)}", newest - 100_000, newest + 2000))
+        shown.append((f"Last {kilometres(100_000)}", newest - 100_000, newest + 2000))
     if len(trend.km) > 20:
         start = float(np.sort(trend.km)[-20])
         pad = 0.02 * max(newest - start, 1000.0)
-        found.append(("Last 20 trips", start - pad, newest + pad))
-    return found
+        shown.append(("Last 20 trips", start - pad, newest + pad))
+    return shown
 
 
 def running_median(values: FloatArray, window: int = 5) -> FloatArray:
@@ -211,8 +206,8 @@ def alarm_label(alarm: Alarm) -> str:
 
 def _panel(name: str, points: Points, state: State, healthy: float = 1.0) -> Panel:
     """Return a parameter; `healthy` is the level in the figure that its limits are relative to."""
-    known, has_truth = np.isfinite(points.values), np.isfinite(points.truth)
-    shown = points.chosen(known)
+    is_estimated, has_truth = np.isfinite(points.values), np.isfinite(points.truth)
+    shown = points.chosen(is_estimated)
     shown.intervals[shown.flagged | ~np.isfinite(shown.intervals).all(axis=1)] = np.nan
     limits, passing = state.limits.get(name), _passing(state.lives.get(name), state.last_km)
     act = None
@@ -222,7 +217,7 @@ def _panel(name: str, points: Points, state: State, healthy: float = 1.0) -> Pan
     return Panel(
         name,
         shown,
-        points.km[~known],
+        points.km[~is_estimated],
         points.km[has_truth],
         points.truth[has_truth],
         tuple(
@@ -231,7 +226,7 @@ def _panel(name: str, points: Points, state: State, healthy: float = 1.0) -> Pan
             for value in getattr(limits, kind, ())
             if 0 < value < np.inf
         ),
-        tuple(one for one in state.watched.alarms if one.parameter == name),
+        tuple(alarm for alarm in state.watched.alarms if alarm.parameter == name),
         passing,
         act,
         _axis(shown, act),
@@ -240,7 +235,7 @@ def _panel(name: str, points: Points, state: State, healthy: float = 1.0) -> Pan
 
 
 def _events(state: State) -> tuple[tuple[float, str], ...]:
-    return tuple((one.mileage_km, one.words or one.kind) for one in state.series.events)
+    return tuple((event.mileage_km, event.words or event.kind) for event in state.series.events)
 
 
 def _passing(life: Life | None, last_km: float) -> Passing | None:

@@ -17,8 +17,7 @@ from suspnet.maintenance.state import State
 from suspnet.report.bogie import bogie_of
 from suspnet.report.overview import ID_DIGITS, FleetView
 
-INSPECT = "inspect"
-"""Work on a part with an alarm that the plan has no visit for, and on a sensor."""
+INSPECT = "inspect"  # work on a part with an alarm that the plan has no visit for, and on a sensor
 
 
 @dataclass(frozen=True)
@@ -26,86 +25,47 @@ class WorkOrder:
     """Work on one part of a suspension, or on one of its sensors.
 
     A number that is unknown, or a date that is not fixed, is None; a text is then empty. Days are
-    in ISO 8601.
-
-    Attributes
-    ----------
-    number : str
-        The same for as long as the same alarm is active.
-    suspension : str
-        Name of the suspension in addresses.
-    vehicle, train, car, position, bogie, side : str
-        Place as in the manifests; `position` is its name of the suspension.
-    parameter, part : str
-        Symbol, and the part as a depot calls it.
-    work : {"replace", "inspect"}
-    severity : {"act", "notice", "unknown", "none"}
-    why : str
-    since_km : float, [km]
-        Mileage where the oldest active alarm starts; `since` is the day of that trip.
-    value_percent, low_percent, high_percent : float, [% of healthy]
-        Median of the last trips, and of the ends of the intervals of those without a flag.
-    n_alike, n_last : int
-        How many of the last trips are on the same side of 100 % with all of their interval, and
-        how many there are.
-    odds : str
-        Odds of the verdict that this part is worn; empty without one.
-    group : str
-        Other parts that may be the worn one instead, as a sentence.
-    doubt : str
-        Why limits or remaining life are unknown.
-    visit, decide_by : str
-        Latest day of the planned visit, and of the decision on it.
-    is_passed : bool
-        Whether the act limit is passed already.
-    until_km : float, [km]
-        Mileage at which the act limit is passed with a probability of 10 %.
-    median_km : float, [km]
-        Mileage at which it is passed with a probability of 50 %.
-    failure_percent : float, [%]
-        Probability that it is passed before the visit.
-    acknowledged_by, acknowledged_at, action : str
-        Newest acknowledgement of the worst alarm, and what its person is doing.
+    in ISO 8601, values in % of healthy.
     """
 
-    number: str
-    suspension: str
+    number: str  # the same for as long as the same alarm is active
+    suspension: str  # its name in addresses
     vehicle: str
     train: str
     car: str
-    position: str
+    position: str  # the manifest's name of the suspension
     bogie: str
     side: str
     parameter: str
-    part: str
-    work: str
+    part: str  # as a depot calls it
+    work: str  # replace or inspect
     severity: str
     why: str
-    since_km: float | None = None
-    since: str | None = None
-    value_percent: float | None = None
-    low_percent: float | None = None
+    since_km: float | None = None  # where the oldest active alarm starts
+    since: str | None = None  # the day of that trip
+    value_percent: float | None = None  # median of the last trips
+    low_percent: float | None = None  # of the ends of the intervals of those without a flag
     high_percent: float | None = None
-    n_alike: int = 0
+    n_alike: int = 0  # of the last trips, on the same side of 100 % with all of their interval
     n_last: int = 0
-    odds: str = ""
-    group: str = ""
-    doubt: str = ""
-    visit: str | None = None
+    odds: str = ""  # of the verdict that this part is worn
+    group: str = ""  # other parts that may be the worn one instead, as a sentence
+    doubt: str = ""  # why limits or remaining life are unknown
+    visit: str | None = None  # latest day of the planned visit
     decide_by: str | None = None
-    is_passed: bool = False
-    until_km: float | None = None
-    median_km: float | None = None
-    failure_percent: float | None = None
+    is_passed: bool = False  # whether the act limit is passed already
+    until_km: float | None = None  # passed before this mileage with a probability of 10 %
+    median_km: float | None = None  # and with one of 50 %
+    failure_percent: float | None = None  # probability that it is passed before the visit
     acknowledged_by: str = ""
     acknowledged_at: str | None = None
-    action: str = ""
+    action: str = ""  # what that person is doing
 
 
 def all_work_orders(view: FleetView) -> list[WorkOrder]:
     """Return the work orders of a fleet, in the order of its states: the most severe first."""
     jobs = _jobs(view)
-    return [one for index in range(len(view.states)) for one in _orders(view, index, jobs)]
+    return [order for index in range(len(view.states)) for order in _orders(view, index, jobs)]
 
 
 def work_orders(view: FleetView, index: int) -> list[WorkOrder]:
@@ -138,22 +98,23 @@ def _orders(view: FleetView, index: int, jobs: Jobs) -> list[WorkOrder]:
         for name in state.outputs
         if name != BODY_MASS and (job := jobs.get((*place, name)))
     }
-    found = {one.parameter: one for one in state.assessments if one.parameter != BODY_MASS}
-    named = [name for name, one in found.items() if one.severity >= Severity.NOTICE or name in due]
-    named.sort(key=lambda name: -found[name].severity)
-    sensors = [one for one in state.alarms if one.cause == Cause.SENSOR]
+    severities = {own.parameter: own.severity for own in state.assessments}
+    severities.pop(BODY_MASS, None)
+    named = [name for name, level in severities.items() if level >= Severity.NOTICE or name in due]
+    named.sort(key=lambda name: -severities[name])
+    sensors = [alarm for alarm in state.alarms if alarm.cause == Cause.SENSOR]
     return [
         *(_of_part(view, index, name, due.get(name, {})) for name in named),
-        *(_of_sensor(view, index, one) for one in sensors),
+        *(_of_sensor(view, index, alarm) for alarm in sensors),
     ]
 
 
 def _of_part(view: FleetView, index: int, name: str, job: dict[str, Any]) -> WorkOrder:
     state = view.states[index]
-    (assessment,) = (one for one in state.assessments if one.parameter == name)
+    (assessment,) = (own for own in state.assessments if own.parameter == name)
     alarms = state.alarms_of(name)
     drawn = bogie.parts.get(name) if (bogie := bogie_of(state)) else None
-    groups = [bogie.groups[one] for one in drawn.group.split()] if bogie and drawn else []
+    groups = [bogie.groups[letter] for letter in drawn.group.split()] if bogie and drawn else []
     life = state.lives.get(name)
     unknown = state.unknown.get(name, "")
     return WorkOrder(
@@ -189,8 +150,8 @@ def _shared(view: FleetView, index: int, name: str, alarms: list[Alarm]) -> dict
     """Return the fields of an order that parts and sensors have in common."""
     state, key = view.states[index], view.states[index].key
     place = key[1]
-    since_km = min((one.begin_km for one in alarms), default=None)
-    worst = max(alarms, key=lambda one: one.severity, default=None)
+    since_km = min((alarm.begin_km for alarm in alarms), default=None)
+    worst = max(alarms, key=lambda alarm: alarm.severity, default=None)
     seen = worst and newest_of(worst, view.acknowledged.get(key, ()))
     return {
         "number": content_hash([key[0], *astuple(place), name, since_km])[:ID_DIGITS],

@@ -30,10 +30,10 @@ UNITS = (
 )
 """Ends of the names of columns, and the unit that each means; the first match counts."""
 INTERVAL_ENDS = r"(_low|_high|_healthy)$"
-MOST_ROWS, MOST_CHARACTERS = 1_048_575, 32_767
-"""Most rows below the header of a sheet, and most characters of a cell."""
-WIDEST = 60
-"""Widest column, in characters."""
+MAX_ROWS, MAX_CHARACTERS = 1_048_575, 32_767  # below the header of a sheet, and of a cell
+MAX_WIDTH = 60  # of a column, in characters
+TIMES = ("start", "at", "day", "decide_by", "passing_from", "passing_to", "since")
+"""Columns whose texts are days or times in ISO 8601."""
 
 
 def write_xlsx(tables: Mapping[str, Sequence[Mapping[str, Any]]], path: Path) -> Path:
@@ -67,8 +67,6 @@ def write_xlsx(tables: Mapping[str, Sequence[Mapping[str, Any]]], path: Path) ->
 def header_of(name: str) -> str:
     """Return the name of a column with its unit.
 
-    Examples
-    --------
     >>> header_of("mileage_km"), header_of("k_p"), header_of("trip")
     ('mileage_km [km]', 'k_p [1]', 'trip')
     """
@@ -86,9 +84,9 @@ def _unit(name: str) -> str:
 
 
 def _write(sheet: Any, name: str, rows: Sequence[Mapping[str, Any]], formats: Any) -> None:
-    if len(rows) > MOST_ROWS:
+    if len(rows) > MAX_ROWS:
         raise ValueError(
-            f"{name} has {len(rows)} rows, a sheet holds {MOST_ROWS}: use the Parquet file"
+            f"{name} has {len(rows)} rows, a sheet holds {MAX_ROWS}: use the Parquet file"
         )
     columns = list(dict.fromkeys(column for row in rows for column in row))
     widths = [min(len(header_of(column)) + 2, 24) for column in columns]
@@ -98,7 +96,7 @@ def _write(sheet: Any, name: str, rows: Sequence[Mapping[str, Any]], formats: An
             value = _typed(column, row.get(column))
             if isinstance(value, str):
                 _write_text(sheet, (i, j), value, formats["plain"])
-                widths[j] = max(widths[j], min(len(value), WIDEST))
+                widths[j] = max(widths[j], min(len(value), MAX_WIDTH))
             elif isinstance(value, bool):
                 sheet.write_boolean(i, j, value)
             elif isinstance(value, datetime):
@@ -120,10 +118,6 @@ def _write_text(sheet: Any, at: tuple[int, int], text: str, plain: Any, *format:
         sheet.write_string(*at, text, *format)
 
 
-TIMES = ("start", "at", "day", "decide_by", "passing_from", "passing_to", "since")
-"""Columns whose texts are days or times in ISO 8601."""
-
-
 def _typed(column: str, value: Any) -> Any:
     """Return a value as it is written: None for what is missing, times of Excel without a zone."""
     if isinstance(value, str):
@@ -138,13 +132,13 @@ def _typed(column: str, value: Any) -> Any:
 def _time(text: str) -> Any:
     try:
         is_day = re.fullmatch(r"\d{4}-\d\d-\d\d", text)
-        found = date.fromisoformat(text) if is_day else datetime.fromisoformat(text)
-        if isinstance(found, datetime) and found.tzinfo is not None:
-            found = found.astimezone(UTC).replace(tzinfo=None)
+        time = date.fromisoformat(text) if is_day else datetime.fromisoformat(text)
+        if isinstance(time, datetime) and time.tzinfo is not None:
+            time = time.astimezone(UTC).replace(tzinfo=None)
     except (OverflowError, ValueError):
         return _text(text)
-    return found if found.year >= 1900 else _text(text)
+    return time if time.year >= 1900 else _text(text)
 
 
 def _text(text: str) -> str:
-    return printable(text)[:MOST_CHARACTERS]
+    return printable(text)[:MAX_CHARACTERS]

@@ -13,13 +13,9 @@ from typing import cast
 from flask import current_app, g, request
 from werkzeug.exceptions import Forbidden, Unauthorized
 
-ACCESS = "suspnet_access"
-"""Key, among an application's extensions, of who may see and acknowledge."""
-LEAST_TOKEN = 24
-"""Least length of a token: 24 characters of base64 are 144 bits."""
-MOST_NAME = 80
-"""Greatest length of a visitor's name, that of an acknowledgement."""
-Network = ipaddress.IPv4Network | ipaddress.IPv6Network
+ACCESS = "suspnet_access"  # key, among an application's extensions, of who may see and acknowledge
+MIN_TOKEN = 24  # smallest length of a token: 24 characters of base64 are 144 bits
+MAX_NAME = 80  # largest length of a visitor's name, that of an acknowledgement
 
 
 @dataclass(frozen=True)
@@ -39,22 +35,11 @@ class Visitor:
 class Access:
     """Who may see and acknowledge; without arguments whoever reaches the pages.
 
-    Parameters
-    ----------
-    user_header : str
-        Header in which a reverse proxy names the visitor; empty: there is no login.
-    trusted_proxies : sequence of str
-        Addresses or networks of the proxies whose header is believed.
-    engineers : sequence of str
-        Names that may acknowledge, with `user_header`; others are viewers.
-    token : str
-        Token of programs; empty: none acknowledges.
-
-    Raises
-    ------
-    ValueError
-        If a name of a header, an address or the token is not valid, or the proxies of a
-        `user_header` are missing, or it is missing for them.
+    `user_header` is the header in which a reverse proxy names the visitor (empty: there is no
+    login), `trusted_proxies` are addresses or networks of the proxies whose header is believed, and
+    `engineers` names that may acknowledge with `user_header`; others are viewers. `token` is that
+    of programs (empty: none acknowledges). ValueError is raised if a value is not valid, or the
+    header is given without proxies or the reverse.
     """
 
     user_header: str = ""
@@ -78,20 +63,16 @@ class Access:
                 "`trusted_proxies` and `engineers` need `user_header`, the header in which the "
                 "reverse proxy names the visitor"
             )
-        _ = self.networks  # checks the addresses
-        if self.token and not re.fullmatch(rf"[!-~]{{{LEAST_TOKEN},200}}", self.token):
+        if self.token and not re.fullmatch(rf"[!-~]{{{MIN_TOKEN},200}}", self.token):
             raise ValueError(
-                f"the token of programs must have {LEAST_TOKEN} to 200 ASCII characters and no "
+                f"the token of programs must have {MIN_TOKEN} to 200 ASCII characters and no "
                 "space; make one by: openssl rand -base64 32"
             )
-
-    @property
-    def networks(self) -> list[Network]:
-        """Addresses of the proxies."""
         try:
-            return [ipaddress.ip_network(one) for one in self.trusted_proxies]
+            networks = [ipaddress.ip_network(address) for address in self.trusted_proxies]
         except (ValueError, TypeError) as error:
             raise ValueError(f"`trusted_proxies` holds addresses or networks: {error}") from None
+        object.__setattr__(self, "_networks", networks)
 
     def believes(self, peer: str | None) -> bool:
         """Return whether the header of a peer's request is believed."""
@@ -99,12 +80,12 @@ class Access:
             address = ipaddress.ip_address(peer or "")
         except ValueError:
             return False
-        return any(address in one for one in self.networks)
+        return any(address in network for network in vars(self)["_networks"])
 
-    def is_token(self, given: str) -> bool:
-        """Return whether this is the token, in a time that does not depend on what is given."""
-        wanted, shown = self.token.encode(), given.encode("utf-8", "replace")
-        return bool(self.token) and hmac.compare_digest(wanted, shown)
+    def is_token(self, text: str) -> bool:
+        """Return whether this is the token, in a time that does not depend on the text."""
+        sent = text.encode("utf-8", "replace")
+        return bool(self.token) and hmac.compare_digest(self.token.encode(), sent)
 
 
 def is_plain(text: str, allowed: str = "") -> bool:
@@ -112,33 +93,39 @@ def is_plain(text: str, allowed: str = "") -> bool:
 
     These are the characters of the categories C of Unicode; also unassigned ones and surrogates.
     """
-    return all(one in allowed or unicodedata.category(one)[0] != "C" for one in text)
+    return all(
+        character in allowed or unicodedata.category(character)[0] != "C" for character in text
+    )
+
+
+def current_access() -> Access:
+    """Return who may see and acknowledge."""
+    return cast(Access, current_app.extensions[ACCESS])
 
 
 def identify_visitor() -> None:
     """Identify who asks for a page; abort with 403 if a login is configured and there is none."""
-    access = current_app.extensions[ACCESS]
+    access = current_access()
     g.visitor = _named(access) if access.user_header else Visitor()
 
 
 def identify_program() -> None:
     """Identify who asks the API: abort with 401 for a wrong token, with 403 without a login.
 
-    Other credentials than a token, such as those that a visitor shows to the proxy, say nothing.
+    Other credentials than a token, such as those that a visitor shows to the proxy, are ignored.
     """
-    access = current_app.extensions[ACCESS]
     scheme, _, token = request.headers.get("Authorization", "").partition(" ")
     if scheme.lower() != "bearer":
         identify_visitor()
         return
-    if not access.is_token(token.strip()):
+    if not current_access().is_token(token.strip()):
         raise Unauthorized("This token is not accepted: send Authorization: Bearer TOKEN.")
     g.visitor = Visitor(has_token=True)
 
 
 def is_admitted() -> bool:
     """Return whether the current request may see what the store holds, and where it is."""
-    return "visitor" in g or not current_app.extensions[ACCESS].user_header
+    return "visitor" in g or not current_access().user_header
 
 
 def visitor() -> Visitor:
@@ -149,13 +136,13 @@ def visitor() -> Visitor:
 def _named(access: Access) -> Visitor:
     if not access.believes(request.remote_addr):
         raise Forbidden("These pages are open through their reverse proxy only.")
-    given = request.headers.get(access.user_header, "").strip()
+    name = request.headers.get(access.user_header, "").strip()
     try:
-        name = given.encode("latin-1").decode("utf-8")
+        name = name.encode("latin-1").decode("utf-8")
     except UnicodeError:
-        name = given  # a proxy that sends Latin-1
+        pass  # a proxy that sends Latin-1
     # a comma: a second header, which the visitor may have added to that of the proxy
-    if not name or len(name) > MOST_NAME or "," in name or not name.isprintable():
+    if not name or len(name) > MAX_NAME or "," in name or not name.isprintable():
         raise Forbidden(
             f"The reverse proxy gave no name of a visitor in {access.user_header}: log in there."
         )

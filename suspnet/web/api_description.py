@@ -14,10 +14,8 @@ from pydantic.json_schema import models_json_schema
 from suspnet import __version__
 from suspnet.web.api_models import ID, Problem
 
-REF = "#/components/schemas/{model}"
 USUAL_ERRORS = (400, 401, 403, 503)
-TOKEN = "token"
-"""Name of the security scheme."""
+TOKEN = "token"  # name of the security scheme
 WORDS = (
     "Suspensions of a fleet with their verdicts, parts, alarms, trips, plan and work orders. "
     "Estimates are relative to healthy; names of fields end in their unit. No answer is a safety "
@@ -30,26 +28,25 @@ class Route:
     """One request that the API answers."""
 
     rule: str
-    method: str
     name: str
-    words: str
+    summary: str
     query: type[BaseModel]
-    answer: type[BaseModel]
+    answer: Any
     body: type[BaseModel] | None = None
 
 
 def description(root: str, routes: Sequence[Route], server: str = "/") -> dict[str, Any]:
     """Return the description of the routes below the path `root` of the address `server`."""
-    taken = [(one.body, "validation") for one in routes if one.body]
-    given = [(one.answer, "serialization") for one in routes]
+    bodies = [(route.body, "validation") for route in routes if route.body]
+    answers = [(answer, "serialization") for answer in (*(r.answer for r in routes), Problem)]
     refs, schemas = models_json_schema(
-        [*taken, *given, (Problem, "serialization")],  # type: ignore[list-item]
-        ref_template=REF,
+        [*bodies, *answers],  # type: ignore[list-item]
+        ref_template="#/components/schemas/{model}",
     )
     paths: dict[str, Any] = {}
-    for one in routes:
-        path = root + re.sub(r"<(\w+)>", r"{\1}", one.rule)
-        paths.setdefault(path, {})[one.method.lower()] = _operation(one, refs)
+    for route in routes:
+        path = root + re.sub(r"<(\w+)>", r"{\1}", route.rule)
+        paths.setdefault(path, {})["post" if route.body else "get"] = _operation(route, refs)
     return {
         "openapi": "3.1.0",
         "info": {"title": "suspnet", "version": __version__, "description": WORDS},
@@ -63,52 +60,42 @@ def description(root: str, routes: Sequence[Route], server: str = "/") -> dict[s
 
 
 def _operation(route: Route, refs: Any) -> dict[str, Any]:
-    status = "200" if route.body is None else "201"
-    errors = [*USUAL_ERRORS, *([404] if "<id>" in route.rule else [])]
-    errors += [409, 413, 415] if route.body else []
-    found = {
+    def content(model: Any, mode: str = "serialization") -> dict[str, Any]:
+        return {"content": {"application/json": {"schema": refs[model, mode]}}}
+
+    responses = {"201" if route.body else "200": {"description": "The answer."}}
+    responses = {code: text | content(route.answer) for code, text in responses.items()}
+    errors = {*USUAL_ERRORS} | ({404} if "<id>" in route.rule else set())
+    operation: dict[str, Any] = {
         "operationId": route.name,
-        "summary": route.words,
+        "summary": route.summary,
         # without a login anybody may read; with one, a program shows its token
         "security": [{TOKEN: []}] if route.body else [{}, {TOKEN: []}],
         "parameters": _parameters(route),
-        "responses": {
-            status: {
-                "description": "The answer.",
-                "content": _json(refs[route.answer, "serialization"]),
-            },
-            **({"304": {"description": "As the ETag that was sent."}} if not route.body else {}),
-            **{
-                str(code): {
-                    "description": f"{HTTPStatus(code).phrase}.",
-                    "content": _json(refs[Problem, "serialization"]),
-                }
-                for code in sorted(errors)
-            },
-        },
+        "responses": responses,
     }
     if route.body:
-        content = _json(refs[route.body, "validation"])
-        found["requestBody"] = {"required": True, "content": content}
-    return found
-
-
-def _json(schema: Any) -> dict[str, Any]:
-    return {"application/json": {"schema": schema}}
+        errors |= {409, 413, 415}
+        operation["requestBody"] = {"required": True, **content(route.body, "validation")}
+    else:
+        responses["304"] = {"description": "As the ETag that was sent."}
+    for code in sorted(errors):
+        phrase = f"{HTTPStatus(code).phrase}."
+        responses[str(code)] = {"description": phrase, **content(Problem)}
+    return operation
 
 
 def _parameters(route: Route) -> list[dict[str, Any]]:
-    found: list[dict[str, Any]] = []
+    parameters: list[dict[str, Any]] = []
     if "<id>" in route.rule:
         words = "Name of the suspension in addresses."
         schema: dict[str, Any] = {"type": "string", "pattern": ID}
-        found.append(
-            {"name": "id", "in": "path", "required": True, "description": words, "schema": schema}
-        )
-    for name, one in route.query.model_json_schema().get("properties", {}).items():
-        kinds = [kind for kind in one.get("anyOf", []) if kind.get("type") != "null"]
-        schema = kinds[0] if kinds else {k: v for k, v in one.items() if k != "description"}
-        found.append(
-            {"name": name, "in": "query", "description": one["description"], "schema": schema}
-        )
-    return found
+        place = {"name": "id", "in": "path", "required": True}
+        parameters.append(place | {"description": words, "schema": schema})
+    for name, own in route.query.model_json_schema().get("properties", {}).items():
+        # the query has no null: a missing name takes its place
+        kinds = [kind for kind in own.get("anyOf", []) if kind.get("type") != "null"]
+        schema = kinds[0] if kinds else {k: v for k, v in own.items() if k != "description"}
+        place = {"name": name, "in": "query", "description": own["description"]}
+        parameters.append(place | {"schema": schema})
+    return parameters

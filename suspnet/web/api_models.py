@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Generic, Literal, TypeVar
 
 from pydantic import (
     AfterValidator,
@@ -15,44 +15,43 @@ from pydantic import (
 )
 
 from suspnet.ground.parameters import Cause
-from suspnet.report.work_order import WorkOrder
 from suspnet.web.access import is_plain
 
 MOST_ITEMS, USUAL_ITEMS = 500, 100
 """Largest number of items of one answer, and the number unless another one is asked for."""
 HIGHEST_OFFSET = 10**9
+Item = TypeVar("Item")
 SeverityName = Literal["act", "notice", "unknown", "none"]
 ID = r"^[0-9a-f]{12}$"
 """Pattern of the name of a suspension in addresses."""
 
 
-def _number(value: Any) -> Any:
-    """Return a number of a query; ValueError for what is none in JSON, as 1_000 or NaN."""
-    if isinstance(value, str) and not re.fullmatch(r"-?\d+(\.\d+)?([eE][+-]?\d+)?", value, re.A):
-        raise ValueError("must be a number")
-    return value
+def _check_text(pattern: str, rule: str) -> BeforeValidator:
+    """Return a check of the text of a number in a query, as Python takes more than JSON does."""
+
+    def check(value: Any) -> Any:
+        if isinstance(value, str) and not re.fullmatch(pattern, value, re.A):
+            raise ValueError(f"must be a {rule}")
+        return value
+
+    return BeforeValidator(check)
 
 
-def _whole(value: Any) -> Any:
-    """Return a whole number of a query; ValueError for what is none, as 1.0."""
-    if isinstance(value, str) and not re.fullmatch(r"-?\d{1,10}", value, re.A):
-        raise ValueError("must be a whole number")
-    return value
+def _plain(allowed: str = "") -> AfterValidator:
+    def check(value: str) -> str:
+        if not is_plain(value, allowed):
+            raise ValueError("must have no control characters" + (" but newlines" * bool(allowed)))
+        return value
+
+    return AfterValidator(check)
 
 
-def _plain(value: str) -> str:
-    if not is_plain(value):
-        raise ValueError("must have no control characters")
-    return value
-
-
-def _plain_lines(value: str) -> str:
-    if not is_plain(value, "\n\t"):
-        raise ValueError("must have no control characters but newlines")
-    return value
-
-
-Km = Annotated[float, Field(allow_inf_nan=False), BeforeValidator(_number)]
+_WHOLE = _check_text(r"-?\d{1,10}", "whole number")
+_Km = Annotated[
+    float,
+    Field(allow_inf_nan=False),
+    _check_text(r"-?\d+(\.\d+)?([eE][+-]?\d+)?", "number"),
+]
 
 
 class Model(BaseModel):
@@ -69,9 +68,9 @@ class Model(BaseModel):
 class Paged(Model):
     """Which part of a long list is asked for."""
 
-    limit: Annotated[int, Field(ge=1, le=MOST_ITEMS), BeforeValidator(_whole)] = USUAL_ITEMS
+    limit: Annotated[int, Field(ge=1, le=MOST_ITEMS), _WHOLE] = USUAL_ITEMS
     """Largest number of items."""
-    offset: Annotated[int, Field(ge=0, le=HIGHEST_OFFSET), BeforeValidator(_whole)] = 0
+    offset: Annotated[int, Field(ge=0, le=HIGHEST_OFFSET), _WHOLE] = 0
     """Number of items that are left out at the start."""
 
 
@@ -96,23 +95,19 @@ class OfAlarms(OfFleet):
 class OfTrips(Paged):
     """Which trips are asked for."""
 
-    from_km: Km | None = None
+    from_km: _Km | None = None
     """Lowest mileage [km]."""
-    to_km: Km | None = None
+    to_km: _Km | None = None
     """Highest mileage [km]."""
 
 
-class Nothing(Model):
-    """A request without a query."""
-
-
-class FoundAnswer(Model):
-    """One thing that was found, as data and as a sentence."""
+class FindingAnswer(Model):
+    """A finding, as data and as a sentence."""
 
     kind: str
-    """Which sentence it is; empty for one that an earlier version stored as text."""
+    """Kind of the finding; empty for one that an earlier version stored as text."""
     values: dict[str, Any]
-    """What the sentence is about: numbers, names, and things found in turn."""
+    """Values in the sentence: numbers, names, and findings in turn."""
     text: str
 
 
@@ -129,14 +124,25 @@ class PlaceAnswer(Model):
     side: str
 
 
-class SuspensionAnswer(PlaceAnswer):
+class LifeAnswer(Model):
+    """Mileage until the act limit of a parameter is passed."""
+
+    life_low_km: float | None
+    """10 % quantile of the mileage until the act limit [km]; null: unknown, or no end in sight."""
+    life_median_km: float | None
+    """Median of it [km]."""
+    life_high_km: float | None
+    """90 % quantile of it [km]."""
+
+
+class SuspensionAnswer(PlaceAnswer, LifeAnswer):
     """A suspension with its verdict."""
 
     severity: SeverityName
     parameters: list[str]
     """Parameters of the worst severity."""
-    findings: list[FoundAnswer]
-    """What `reason` says."""
+    findings: list[FindingAnswer]
+    """`reason` as data."""
     reason: str
     sensors: str
     """Sensors that are dead on the newest trip, and those with an alarm; empty if none."""
@@ -144,12 +150,6 @@ class SuspensionAnswer(PlaceAnswer):
     """Number of active alarms."""
     life_parameter: str
     """Parameter that may pass its act limit first; empty if none is known."""
-    life_low_km: float | None
-    """10 % quantile of the mileage until the act limit [km]; null: unknown, or no end in sight."""
-    life_median_km: float | None
-    """Median of it [km]."""
-    life_high_km: float | None
-    """90 % quantile of it [km]."""
     last_mileage_km: float | None
     """Mileage of the newest trip with an estimate [km]."""
     n_trips: int
@@ -157,15 +157,15 @@ class SuspensionAnswer(PlaceAnswer):
     n_flagged: int
 
 
-class PartAnswer(Model):
+class PartAnswer(LifeAnswer):
     """A parameter, or a part of a bogie where each is read; values are in % of healthy."""
 
     parameter: str
     part: str
     """The part as a depot calls it."""
     severity: SeverityName
-    findings: list[FoundAnswer]
-    """What `reason` says."""
+    findings: list[FindingAnswer]
+    """`reason` as data."""
     reason: str
     value_percent: float | None
     """Median of the last trips; null without an estimate."""
@@ -173,12 +173,6 @@ class PartAnswer(Model):
     """Lower and upper limit of a notice; null without limits."""
     act_percent: list[float] | None
     """Lower and upper limit of an act; null without limits."""
-    life_low_km: float | None
-    """10 % quantile of the mileage until the act limit [km]; null: unknown, or no end in sight."""
-    life_median_km: float | None
-    """Median of it [km]."""
-    life_high_km: float | None
-    """90 % quantile of it [km]."""
     life_unknown: str
     """Why the remaining life is unknown; empty if it is known."""
 
@@ -194,8 +188,8 @@ class AlarmAnswer(PlaceAnswer):
     """Mileage of the trip that raised it [km]."""
     end_km: float | None
     """Mileage of the trip that cleared it [km]; null while it is active."""
-    findings: list[FoundAnswer]
-    """What `reason` says."""
+    findings: list[FindingAnswer]
+    """`reason` as data."""
     reason: str
     acknowledged_by: str
     """Empty if it is not acknowledged as it is now."""
@@ -213,8 +207,8 @@ class TripAnswer(Model):
     mileage_km: float | None
     status: str
     """ok, no estimate, or error."""
-    findings: list[FoundAnswer]
-    """What `reason`, `flags` and `worn` say."""
+    findings: list[FindingAnswer]
+    """`reason`, `flags` and `worn` as data."""
     reason: str
     """Why there is no estimate."""
     flags: str
@@ -252,8 +246,8 @@ class JobAnswer(Model):
     """Probability that the act limit is passed before the visit."""
 
 
-class Listed(Model):
-    """A part of a list, and how new it is."""
+class Listed(Model, Generic[Item]):
+    """Some items of a list, and how new they are."""
 
     read_at: str
     """When the store was read, ISO 8601."""
@@ -265,42 +259,7 @@ class Listed(Model):
     """Number of items without `limit` and `offset`."""
     next_offset: int | None
     """Offset of the following items; null if there are none."""
-
-
-class Suspensions(Listed):
-    """Suspensions, the worst first."""
-
-    items: list[SuspensionAnswer]
-
-
-class Parts(Listed):
-    """Parameters or parts of a suspension."""
-
-    items: list[PartAnswer]
-
-
-class Alarms(Listed):
-    """Alarms, the worst first."""
-
-    items: list[AlarmAnswer]
-
-
-class Trips(Listed):
-    """Trips by mileage."""
-
-    items: list[TripAnswer]
-
-
-class Jobs(Listed):
-    """Jobs of the plan."""
-
-    items: list[JobAnswer]
-
-
-class WorkOrders(Listed):
-    """Work orders, those of the worst suspensions first."""
-
-    items: list[WorkOrder]
+    items: list[Item]
 
 
 class AcknowledgementRequest(Model):
@@ -313,10 +272,10 @@ class AcknowledgementRequest(Model):
     by: Annotated[
         str,
         StringConstraints(min_length=1, max_length=80, pattern=r"\S"),
-        AfterValidator(_plain),
+        _plain(),
     ]
     """Name of the person."""
-    words: Annotated[str, StringConstraints(max_length=500), AfterValidator(_plain_lines)] = ""
+    words: Annotated[str, StringConstraints(max_length=500), _plain("\n\t")] = ""
     """What the person is doing about it."""
 
 

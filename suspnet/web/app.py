@@ -16,10 +16,10 @@ from importlib import resources
 from importlib.metadata import version
 from typing import Any
 
-from flask import Blueprint, Flask, Response, abort, current_app, render_template, request
+from flask import Blueprint, Flask, Response, abort, request
 from flask_wtf import CSRFProtect
 from flask_wtf.csrf import CSRFError
-from jinja2 import FunctionLoader, StrictUndefined
+from jinja2 import FunctionLoader
 from waitress.channel import HTTPChannel
 from waitress.server import create_server
 from werkzeug.exceptions import HTTPException, SecurityError
@@ -27,15 +27,14 @@ from werkzeug.exceptions import HTTPException, SecurityError
 from suspnet import __version__
 from suspnet.history import HistoryError
 from suspnet.report.board import Refresher, clock
-from suspnet.report.language import N_, best_of, check_language, choose, gettext, install, spoken
-from suspnet.report.templates import FILTERS, GLOBALS, packaged
+from suspnet.report.language import N_, best_of, check_language, choose, gettext, spoken
+from suspnet.report.templates import OPTIONS, equip, packaged
 from suspnet.web.access import ACCESS, Access, is_admitted
 from suspnet.web.api import ROOT, api, http_problem, problem
 from suspnet.web.health import health
-from suspnet.web.pages import REFRESHER, WITH_PLOTS, pages
+from suspnet.web.pages import WITH_PLOTS, message_page, pages
+from suspnet.web.service import SERVICE, FleetService
 
-PACKAGES = ("suspnet.web",)
-"""Packages whose templates the pages use, in addition to those of reports."""
 MESSAGES = {
     400: N_("The form or the address could not be understood."),
     404: N_("There is no such page."),
@@ -52,10 +51,6 @@ FILES = {
     "plotly.js": ("text/javascript", ("plotly:package_data/plotly.min.js",)),
 }
 """MIME type and sources of each file."""
-FOR_EVER = "public, max-age=31536000, immutable"
-"""Caching of files whose address changes with their content."""
-
-
 assets = Blueprint("assets", __name__, url_prefix="/files")
 
 
@@ -66,26 +61,19 @@ def create_app(
     access: Access | None = None,
     language: str | None = None,
 ) -> Flask:
-    """Return the application.
+    """Return the application; the caller starts the `refresher`.
 
-    The caller starts the `refresher`, which holds the state of the fleet. `hosts` are accepted host
-    names in addition to this computer's own; an open page polls every `ask_every_s` [s]. `access`
-    is who may see and acknowledge: by default whoever reaches the pages. `language` is that of all
-    pages, None: the one that the browser asks for.
+    `hosts` are accepted host names in addition to this computer's own; an open page polls every
+    `ask_every_s` [s]. `language` is that of all pages, None: the one that the browser asks for.
     """
     if language is not None:
         check_language(language)
     app = Flask("suspnet.web", static_folder=None)
-    app.jinja_loader = FunctionLoader(lambda name: packaged(name, *PACKAGES))
-    app.jinja_options = {
-        "trim_blocks": True,
-        "lstrip_blocks": True,
-        "undefined": StrictUndefined,
-        "extensions": ["jinja2.ext.i18n"],
-    }
-    install(app.jinja_env)
-    app.jinja_env.filters |= FILTERS | {"clock": clock}
-    app.jinja_env.globals |= GLOBALS | {
+    app.jinja_loader = FunctionLoader(lambda name: packaged(name, "suspnet.web"))
+    app.jinja_options = OPTIONS
+    equip(app.jinja_env)
+    app.jinja_env.filters["clock"] = clock
+    app.jinja_env.globals |= {
         "file_digest": file_digest,
         "is_admitted": is_admitted,
         "ask_every_s": ask_every_s,
@@ -93,7 +81,8 @@ def create_app(
     }
     app.before_request(functools.partial(_choose_language, language))
     protected = protect(app, hosts)
-    app.extensions[REFRESHER] = refresher
+    # the blueprints find fleet and rights among the extensions
+    app.extensions[SERVICE] = FleetService(refresher)
     app.extensions[ACCESS] = access or Access()
     app.register_blueprint(pages)
     app.register_blueprint(api)
@@ -117,14 +106,14 @@ def _form_error(error: CSRFError) -> Any:
         "This form was not accepted: it is older than the start of the program, or cookies are "
         "off. Go back, reload the page and send it again."
     )
-    return _message(gettext("Not accepted"), words), 400
+    return message_page(gettext("Not accepted"), words), 400
 
 
 def _store_error(error: HistoryError) -> Any:
     lost = gettext("Nothing was saved:") + " " if request.method == "POST" else ""
     if _is_api():
         return problem(503, "The store cannot be used", f"{lost}{error}.")
-    return _message(gettext("The store cannot be used"), f"{lost}{spoken(str(error))}."), 503
+    return message_page(gettext("The store cannot be used"), f"{lost}{spoken(str(error))}."), 503
 
 
 def _http_error(error: HTTPException) -> Any:
@@ -133,21 +122,17 @@ def _http_error(error: HTTPException) -> Any:
     if _is_api():
         return http_problem(error)
     code = error.code or 500
+    # the pages' own descriptions are for visitors, those of werkzeug are not
     is_own = code == 403 or (code == 404 and request.path.startswith("/suspension/"))
     own = error.description if is_own else None
-    rest = N_("Something went wrong; see the program's terminal.")
-    later = {"Retry-After": "5"} if code == 503 else {}
-    return _message(gettext(error.name), own or gettext(MESSAGES.get(code, rest))), code, later
+    other = N_("Something went wrong; see the program's terminal.")
+    headers = {"Retry-After": "5"} if code == 503 else {}
+    words = own or gettext(MESSAGES.get(code, other))
+    return message_page(gettext(error.name), words), code, headers
 
 
 def _is_api() -> bool:
     return request.path.startswith(f"{ROOT}/")
-
-
-def _message(title: str, words: str) -> str:
-    refresher = current_app.extensions[REFRESHER]
-    where = {"version": "", "of": "", "view": refresher.board.view, "refresher": refresher}
-    return render_template("message_page.html", title=title, words=words, **where)
 
 
 @assets.get("/<digest>/<name>")
@@ -155,13 +140,13 @@ def file(digest: str, name: str) -> Response:
     """Return a file, compressed if the browser accepts that."""
     if name not in FILES or digest != file_digest(name):
         abort(404)
-    packed = request.accept_encodings.quality("gzip") > 0
-    found = Response(_packed(name) if packed else _content(name), mimetype=FILES[name][0])
-    found.headers["Cache-Control"] = FOR_EVER
-    found.headers["Vary"] = "Accept-Encoding"
-    if packed:
-        found.headers["Content-Encoding"] = "gzip"
-    return found
+    is_packed = request.accept_encodings.quality("gzip") > 0
+    response = Response(_packed(name) if is_packed else _content(name), mimetype=FILES[name][0])
+    response.headers["Cache-Control"] = "public, max-age=31536000, immutable"
+    response.headers["Vary"] = "Accept-Encoding"
+    if is_packed:
+        response.headers["Content-Encoding"] = "gzip"
+    return response
 
 
 @functools.cache
@@ -174,9 +159,9 @@ def file_digest(name: str) -> str:
 
 @functools.cache
 def _content(name: str) -> bytes:
-    parts = (part.split(":") for part in FILES[name][1])
+    sources = (source.split(":") for source in FILES[name][1])
     return b"\n".join(
-        resources.files(package).joinpath(path).read_bytes() for package, path in parts
+        resources.files(package).joinpath(path).read_bytes() for package, path in sources
     )
 
 
@@ -186,10 +171,10 @@ def _packed(name: str) -> bytes:
 
 
 MAX_FORM_BYTES = 16_384
-MOST_CONNECTIONS = 150
+MAX_CONNECTIONS = 150
 """Number of open connections above which the oldest one without a complete request is closed."""
 SETTINGS = {
-    "connection_limit": 2 * MOST_CONNECTIONS,  # not reached: older connections are closed first
+    "connection_limit": 2 * MAX_CONNECTIONS,  # not reached: older connections are closed first
     "channel_timeout": 30,  # also of an answer that its client does not read
     "cleanup_interval": 5,
     "outbuf_high_watermark": 2**40,  # no worker waits for a client: answers wait in files instead
@@ -199,7 +184,7 @@ SETTINGS = {
 }
 
 
-class Channel(HTTPChannel):  # type: ignore[misc]
+class Connection(HTTPChannel):  # type: ignore[misc]
     """A connection that takes the place of the oldest waiting one if there are too many.
 
     One request may wait for the answer to the one before; the connection ends with its answer if
@@ -208,10 +193,10 @@ class Channel(HTTPChannel):  # type: ignore[misc]
 
     def __init__(self, server: Any, *arguments: Any, **named: Any) -> None:
         super().__init__(server, *arguments, **named)
-        open_ones = [one for one in server.active_channels.values() if not one.will_close]
-        if len(open_ones) > MOST_CONNECTIONS:
-            waiting = (one for one in open_ones if one is not self and not one.requests)
-            oldest = min(waiting, key=lambda one: one.creation_time, default=self)
+        alive = [other for other in server.active_channels.values() if not other.will_close]
+        if len(alive) > MAX_CONNECTIONS:
+            waiting = (other for other in alive if other is not self and not other.requests)
+            oldest = min(waiting, key=lambda other: other.creation_time, default=self)
             oldest.will_close = True  # the server loop closes it
 
     def readable(self) -> bool:
@@ -223,14 +208,14 @@ class Channel(HTTPChannel):  # type: ignore[misc]
 
     def received(self, data: bytes) -> bool:
         """Take a request, and a second one that waits; drop all others."""
-        found: bool = super().received(data)
+        has_request: bool = super().received(data)
         with self.requests_lock:
             if len(self.requests) > 2:
                 self.requests[1].headers["CONNECTION"] = "close"
-                for one in self.requests[2:]:
-                    one.close()
+                for dropped in self.requests[2:]:
+                    dropped.close()
                 del self.requests[2:]
-        return found
+        return has_request
 
 
 def http_server(app: Flask, listening: socket.socket, threads: int, prefix: str = "") -> Any:
@@ -242,12 +227,11 @@ def http_server(app: Flask, listening: socket.socket, threads: int, prefix: str 
     app.config["APPLICATION_ROOT"] = prefix or "/"  # cookies are sent to no other application
     options = {"ident": "suspnet", "url_prefix": prefix, **SETTINGS}
     server = create_server(app, sockets=[listening], threads=threads, **options)
-    server.channel_class = Channel
+    server.channel_class = Connection
     return server
 
 
-LOOPBACK = ("127.0.0.1", "localhost")
-"""Host names of pages requested on this computer."""
+LOOPBACK = ("127.0.0.1", "localhost")  # host names of pages requested on this computer
 SCRIPTS_AND_STYLES = (
     "default-src 'self'; base-uri 'none'; form-action 'self'; frame-ancestors 'none'; "
     "object-src 'none'"

@@ -13,42 +13,39 @@ from suspnet.ground.parameters import NAMES
 from suspnet.ground.wording import unbroken
 from suspnet.report import trend as shown
 from suspnet.report.language import decimal, gettext, spoken
-from suspnet.report.tables import PARTS, Response
+from suspnet.report.tables import SUSPENSION_NAMES, ResponseCurves
 from suspnet.report.templates import symbol
-from suspnet.report.trend import LIMIT_COLOURS, Panel, Points, Trend
+from suspnet.report.trend import LIMIT_COLOURS, MileageTrend, Panel, Points
 
 HEALTHY, BETWEEN = "#8a8f98", "#9cc3e6"
-MARGINS = {"l": 62, "r": 12, "t": 50, "b": 48}
-"""Margins of a figure, [pixel]."""
-PLAIN: dict[str, Any] = {
-    "margin": MARGINS,
-    "showlegend": False,
-    "hovermode": "closest",
-    "font": {"family": "system-ui, sans-serif", "size": 13},
-    "dragmode": "zoom",
-}
-"""Layout of every figure; plots.js gives it the colours of the page."""
-
-
-def _plain() -> dict[str, Any]:
-    return PLAIN | {"separators": decimal(".") + "\N{NO-BREAK SPACE}"}
-
-
-PANEL_PX, RESPONSES_PX = 190, 520
-"""Height of the panel of one parameter, and of the figure of responses, [pixel]."""
+MARGINS = {"l": 62, "r": 12, "t": 50, "b": 48}  # [pixel]
+PANEL_PX, RESPONSES_PX = 190, 520  # height of the panel of one parameter, and of the responses
 GAP = 0.07
 """Fraction of the figure's height between two parameters, for the heading of the lower one."""
-TICKS = [one * ten for ten in (0.001, 0.01, 0.1, 1, 10, 100) for one in (1, 2, 5)]
+TICKS = [digit * power for power in (0.001, 0.01, 0.1, 1, 10, 100) for digit in (1, 2, 5)]
 """Ticks of the amplification axes, [-]."""
 
 
-def trend_figure(trend: Trend, name: str, of: str = "") -> dict[str, Any]:
+def _plain() -> dict[str, Any]:
+    """Return the layout of every figure; plots.js gives it the colours of the page."""
+    return {
+        "margin": MARGINS,
+        "showlegend": False,
+        "hovermode": "closest",
+        "font": {"family": "system-ui, sans-serif", "size": 13},
+        "dragmode": "zoom",
+        "separators": decimal(".") + "\N{NO-BREAK SPACE}",
+    }
+
+
+def trend_figure(trend: MileageTrend, name: str, of: str = "") -> dict[str, Any]:
     """Return a suspension along its mileage, ready for JSON.
 
     A figure of the same suspension `name` keeps its zoom. A figure `of` one parameter has no
     heading, as it stands among those of the others, and their range of mileages.
     """
-    panels = [one for one in trend.panels if of in ("", one.name)]
+    panels = [panel for panel in trend.panels if of in ("", panel.name)]
+    # the panels share the height, with gaps for their headings
     n = len(panels)
     margins = MARGINS | ({"t": 12} if of else {})
     height = (1 - GAP * (n - 1)) / n
@@ -70,7 +67,7 @@ def trend_figure(trend: Trend, name: str, of: str = "") -> dict[str, Any]:
     data: list[dict[str, Any]] = []
     for row, panel in enumerate(panels):
         axis = f"y{row + 1}" if row else "y"
-        data += [one | {"yaxis": axis, "xaxis": "x"} for one in _traces(panel)]
+        data += [trace | {"yaxis": axis, "xaxis": "x"} for trace in _traces(panel)]
         top = 1 - row * (height + GAP)
         layout[axis.replace("y", "yaxis")] = {
             "domain": [max(top - height, 0.0), top],
@@ -91,15 +88,16 @@ def trend_figure(trend: Trend, name: str, of: str = "") -> dict[str, Any]:
     return {"data": data, "layout": layout}
 
 
-def response_figure(responses: Sequence[Response], name: str) -> dict[str, Any]:
+def response_figure(responses: Sequence[ResponseCurves], name: str) -> dict[str, Any]:
     """Return the amplification over frequency, a line for each trip, ready for JSON.
 
     `responses`, at least one, are by mileage: the first is dashed, the newest emphasised. A figure
     of the same suspension `name` keeps its zoom.
     """
     data = []
-    for part, axis in enumerate(("y", "y2")):
-        for place, one in enumerate(responses):
+    # an axis for each suspension; one legend entry switches both lines of a trip
+    for link, axis in enumerate(("y", "y2")):
+        for place, curves in enumerate(responses):
             is_last, is_first = place == len(responses) - 1, place == 0
             colour = shown.TRIP_COLOUR if is_last else HEALTHY if is_first else BETWEEN
             dash = "dash" if is_first and not is_last else "solid"
@@ -107,17 +105,17 @@ def response_figure(responses: Sequence[Response], name: str) -> dict[str, Any]:
                 {
                     "type": "scatter",
                     "mode": "lines",
-                    "name": html(unbroken(spoken(str(one)))),
+                    "name": html(unbroken(spoken(str(curves)))),
                     "legendgroup": str(place),
-                    "showlegend": part == 0,
-                    "x": finite(one.frequencies_hz),
-                    "y": finite(one.magnitudes[part]),
+                    "showlegend": link == 0,
+                    "x": finite(curves.frequencies_hz),
+                    "y": finite(curves.magnitudes[link]),
                     "yaxis": axis,
                     "hovertemplate": "%{y:.3g}, %{x:.2f} Hz",
                     "line": {"color": colour, "width": 2.2 if is_last else 1.5, "dash": dash},
                 }
             )
-    axis_of = {"type": "log", "tickvals": TICKS, "ticktext": [f"{one:g}" for one in TICKS]}
+    axis_of = {"type": "log", "tickvals": TICKS, "ticktext": [f"{tick:g}" for tick in TICKS]}
     return {
         "data": data,
         "layout": {
@@ -131,8 +129,8 @@ def response_figure(responses: Sequence[Response], name: str) -> dict[str, Any]:
             "yaxis": axis_of | {"domain": [0.55, 1]},
             "yaxis2": axis_of | {"domain": [0, 0.45]},
             "annotations": [
-                _axis_title(spoken(part), axis)
-                for part, axis in zip(PARTS, ("y", "y2"), strict=True)
+                _axis_title(spoken(title), axis)
+                for title, axis in zip(SUSPENSION_NAMES, ("y", "y2"), strict=True)
             ],
         },
     }
@@ -140,8 +138,8 @@ def response_figure(responses: Sequence[Response], name: str) -> dict[str, Any]:
 
 def finite(values: ArrayLike) -> list[float | None]:
     """Return numbers with six digits for JSON; None where one is not finite."""
-    found = np.asarray(values, dtype=float)
-    return [float(f"{one:.6g}") if np.isfinite(one) else None for one in found.tolist()]
+    numbers = np.asarray(values, dtype=float).tolist()
+    return [float(f"{number:.6g}") if np.isfinite(number) else None for number in numbers]
 
 
 def html(text: str) -> str:
@@ -159,6 +157,7 @@ def _traces(panel: Panel) -> list[dict[str, Any]]:
         "array": finite(clear.intervals[:, 1] - clear.values),
         "arrayminus": finite(clear.values - clear.intervals[:, 0]),
     }
+    # in the order in which they are drawn: what must stay visible comes last
     traces = [
         {
             "mode": "lines",
@@ -179,18 +178,18 @@ def _traces(panel: Panel) -> list[dict[str, Any]]:
             {"symbol": "line-ns", "size": 10, "line": {"width": 2, "color": shown.MISSING_COLOUR}},
         ),
         _at_edge(
-            [one.begin_km for one in panel.alarms],
+            [alarm.begin_km for alarm in panel.alarms],
             high,
-            [spoken(shown.alarm_label(one)) for one in panel.alarms],
+            [spoken(shown.alarm_label(alarm)) for alarm in panel.alarms],
             {
                 "symbol": "triangle-down",
                 "size": 10,
-                "color": [LIMIT_COLOURS[str(one.severity)] for one in panel.alarms],
+                "color": [LIMIT_COLOURS[str(alarm.severity)] for alarm in panel.alarms],
             },
         ),
         *_passing(panel),
     ]
-    return [{"type": "scatter"} | one for one in traces if one["x"]]
+    return [{"type": "scatter"} | trace for trace in traces if trace["x"]]
 
 
 def _trips(points: Points, span: tuple[float, float]) -> dict[str, Any]:
@@ -213,7 +212,7 @@ def _trips(points: Points, span: tuple[float, float]) -> dict[str, Any]:
         "marker": {
             "color": shown.FLAGGED_COLOUR if is_flagged else shown.TRIP_COLOUR,
             "size": 6,
-            "symbol": [marks[one] for one in np.sign(points.values - inside).tolist()],
+            "symbol": [marks[side] for side in np.sign(points.values - inside).tolist()],
         },
     }
 
@@ -262,7 +261,7 @@ def _passing(panel: Panel) -> list[dict[str, Any]]:
 
 def _levels(panel: Panel, axis: str) -> list[dict[str, Any]]:
     place: dict[str, Any] = {"x0": 0, "x1": 1, "xref": "paper", "yref": axis}
-    found = [_line(y0=100, y1=100, **place, dash="solid")]
+    lines = [_line(y0=100, y1=100, **place, dash="solid")]
     for kind, value in panel.limits:
         colour, dash = LIMIT_COLOURS[kind], "dash" if kind == "notice" else "solid"
         label = {
@@ -271,8 +270,8 @@ def _levels(panel: Panel, axis: str) -> list[dict[str, Any]]:
             "font": {"size": 11, "color": colour},
         }
         line = _line(y0=value, y1=value, **place, colour=colour, dash=dash)
-        found.append(line | {"label": label})
-    return found
+        lines.append(line | {"label": label})
+    return lines
 
 
 def _line(*, colour: str = HEALTHY, dash: str, **place: Any) -> dict[str, Any]:

@@ -10,16 +10,14 @@ from collections import Counter
 from collections.abc import Iterable
 from typing import Any
 
-from flask import Blueprint, Response, current_app
+from flask import Blueprint, Response
 
 from suspnet.ground.extras import import_extra
-from suspnet.history import History, HistoryError
+from suspnet.history import HistoryError
 from suspnet.web.access import is_admitted
-from suspnet.web.pages import REFRESHER
+from suspnet.web.service import current_service
 
 health = Blueprint("health", __name__)
-WAIT_S = 0.5
-"""Longest wait for a store that another program has locked, [s]."""
 
 
 @health.get("/healthz")
@@ -28,9 +26,8 @@ def healthz() -> tuple[dict[str, Any], int]:
 
     The reason, which names the store, is left out where a login is configured.
     """
-    refresher = current_app.extensions[REFRESHER]
-    fault = refresher.fault
-    read_at = refresher.read_at.isoformat(timespec="seconds")
+    refresher = current_service().refresher
+    fault, read_at = refresher.fault, refresher.read_at.isoformat(timespec="seconds")
     reason = fault if is_admitted() else ""
     content = {"status": "failing" if fault else "ok", "fault": reason, "read_at": read_at}
     return content, 503 if fault else 200
@@ -44,49 +41,48 @@ def metrics() -> Response:
     except ValueError as error:
         return Response(f"{error}\n", 501, mimetype="text/plain")
     registry = prometheus.CollectorRegistry()
-    registry.register(_State())
+    registry.register(_FleetMetrics())
     return Response(prometheus.generate_latest(registry), mimetype="text/plain; version=0.0.4")
 
 
-class _State:
+class _FleetMetrics:
     """Collector of the numbers of one answer."""
 
     def collect(self) -> Iterable[Any]:
-        from prometheus_client.core import GaugeMetricFamily
+        from prometheus_client.core import GaugeMetricFamily as Gauge
 
-        refresher = current_app.extensions[REFRESHER]
-        view = refresher.board.view
+        service = current_service()
+        refresher, view = service.refresher, service.view
         read_s = refresher.read_at.timestamp()
-        yield GaugeMetricFamily(
-            "suspnet_up", "Whether the pages follow the store", 0 if refresher.fault else 1
-        )
-        yield GaugeMetricFamily("suspnet_store_read_timestamp_seconds", "Last reading", read_s)
-        yield GaugeMetricFamily("suspnet_bad_rows", "Rows left out", len(view.bad_rows))
-        states = Counter(str(one.severity) for one in view.states)
-        yield _by("suspnet_suspensions", "Suspensions by severity", ["severity"], states)
-        alarms = Counter(
+        is_up = 0 if refresher.fault else 1
+        yield Gauge("suspnet_up", "Whether the pages follow the store", is_up)
+        yield Gauge("suspnet_store_read_timestamp_seconds", "Last reading", read_s)
+        yield Gauge("suspnet_bad_rows", "Rows left out", len(view.bad_rows))
+        severities = Counter((str(state.severity),) for state in view.states)
+        yield _by("suspnet_suspensions", "Suspensions by severity", ["severity"], severities)
+        active = Counter(
             (str(alarm.severity), str(alarm.cause))
-            for one in view.states
-            for alarm in one.alarms
+            for state in view.states
+            for alarm in state.alarms
             if alarm.is_open
         )
-        yield _by("suspnet_active_alarms", "Active alarms", ["severity", "cause"], alarms)
+        yield _by("suspnet_active_alarms", "Active alarms", ["severity", "cause"], active)
         try:
-            with History(refresher.board.store, wait_s=WAIT_S, must_exist=True) as store:
+            with service.opened() as store:
                 n_waiting, n_given_up, oldest_s = store.outbox().count_unsent()
         except HistoryError:  # suspnet_up reports it
             return
-        kinds = {"waiting": n_waiting, "given_up": n_given_up}
-        yield _by("suspnet_unsent_messages", "Messages about alarms", ["state"], kinds)
-        oldest = 0.0 if oldest_s is None else max(time.time() - oldest_s, 0.0)
-        yield GaugeMetricFamily("suspnet_oldest_unsent_seconds", "Age of the oldest one", oldest)
+        states = {("waiting",): n_waiting, ("given_up",): n_given_up}
+        yield _by("suspnet_unsent_messages", "Messages about alarms", ["state"], states)
+        age_s = 0.0 if oldest_s is None else max(time.time() - oldest_s, 0.0)
+        yield Gauge("suspnet_oldest_unsent_seconds", "Age of the oldest one", age_s)
 
 
-def _by(name: str, words: str, labels: list[str], counts: Any) -> Any:
-    """Return a metric with a value for each label or tuple of labels."""
+def _by(name: str, description: str, labels: list[str], counts: Any) -> Any:
+    """Return a metric with a value for each tuple of labels."""
     from prometheus_client.core import GaugeMetricFamily
 
-    found = GaugeMetricFamily(name, words, labels=labels)
-    for label, n in sorted(counts.items()):
-        found.add_metric([label] if isinstance(label, str) else list(label), n)
-    return found
+    metric = GaugeMetricFamily(name, description, labels=labels)
+    for values, n in sorted(counts.items()):
+        metric.add_metric(list(values), n)
+    return metric

@@ -1,7 +1,7 @@
 import sqlite3
-import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing
 
 import pytest
 
@@ -54,41 +54,22 @@ def test_frames_come_back_in_their_order(tmp_path):
         assert list(journal.frames("A")) == frames
 
 
-def test_batches_can_be_written_while_more_is_added(tmp_path):
-    frames = [str(k).encode() for k in range(100)]
-    with Journal(tmp_path / "journal") as journal, ThreadPoolExecutor(1) as writer:
-        written = []
-        for k, one in enumerate(frames):
-            journal.add("A", one)
-            if k == 50:
-                journal.save("A", b"state")
-            written.append(writer.submit(journal.write, journal.batch()))
-        for one in written:
-            one.result()
-        assert content(journal) == {"A": (b"state", frames[51:])}
-        assert not journal.batch()
-
-
 def test_close_waits_for_the_batch_that_is_being_written(tmp_path, monkeypatch):
-    is_begun, is_closing, write = threading.Event(), threading.Event(), Journal._write
-
-    def write_late(self, batch):
-        is_begun.set()
-        assert is_closing.wait(60)
-        time.sleep(0.05)
-        write(self, batch)
-
-    monkeypatch.setattr(Journal, "_write", write_late)
+    monkeypatch.setattr("suspnet.live.journal.WRITTEN_AT_ONCE", 1)  # it takes a while
+    frames = [str(k).encode() for k in range(20_000)]
     journal = Journal(tmp_path / "journal")
-    journal.add("A", b"1")
+    for frame in frames:
+        journal.add("A", frame)
     with ThreadPoolExecutor(1) as writer:
-        written = writer.submit(journal.write, journal.batch())
-        assert is_begun.wait(60)
-        is_closing.set()
+        batch = journal.batch()
+        written = writer.submit(journal.write, batch)
+        while not written.running():
+            time.sleep(0.001)
+        time.sleep(0.01)
         journal.close()
         written.result()
     with Journal(tmp_path / "journal") as journal:
-        assert content(journal) == {"A": (None, [b"1"])}
+        assert content(journal) == {"A": (None, frames)}
 
 
 def test_journal_stays_small_where_states_are_saved(tmp_path):
@@ -116,36 +97,39 @@ def test_journal_is_of_one_process(tmp_path, monkeypatch):
         Journal(tmp_path / "journal")
 
 
-def test_file_that_is_none_is_refused(tmp_path):
-    path = tmp_path / "journal"
-    path.write_bytes(b"something else" * 1000)
-    with pytest.raises(JournalError, match="is not an SQLite database"):
-        Journal(path)
-
-
-def test_database_of_others_is_refused(tmp_path):
-    path = tmp_path / "journal"
-    with sqlite3.connect(path) as other:
+def foreign(path):
+    with closing(sqlite3.connect(path)) as other:
         other.execute("CREATE TABLE trips (id INTEGER)")
-    other.close()
-    with pytest.raises(JournalError, match="not a journal"):
-        Journal(path)
 
 
-def test_folder_that_is_missing_is_told(tmp_path):
-    with pytest.raises(JournalError, match="there is no folder"):
-        Journal(tmp_path / "none" / "journal")
+@pytest.mark.parametrize(
+    ("name", "make", "reason"),
+    [
+        ("journal", lambda path: path.write_bytes(b"something" * 1000), "not an SQLite database"),
+        ("journal", foreign, "not a journal"),
+        ("none/journal", lambda path: None, "there is no folder"),
+    ],
+)
+def test_other_files_are_refused(tmp_path, name, make, reason):
+    make(tmp_path / name)
+    with pytest.raises(JournalError, match=reason):
+        Journal(tmp_path / name)
 
 
-def test_batch_that_a_full_disk_refused_can_be_written_again(tmp_path):
+def test_batch_that_a_full_disk_refused_can_be_written_again(tmp_path, monkeypatch):
+    opened, connect = [], sqlite3.connect
+    monkeypatch.setattr(
+        sqlite3, "connect", lambda *a, **b: opened.append(connect(*a, **b)) or opened[-1]
+    )
     with filled(tmp_path / "journal") as journal:
-        (pages,) = journal._connection.execute("PRAGMA page_count").fetchone()
-        journal._connection.execute(f"PRAGMA max_page_count = {pages}")
+        run = opened[-1].execute
+        (pages,) = run("PRAGMA page_count").fetchone()
+        run(f"PRAGMA max_page_count = {pages}")
         journal.add("B", bytes(10**6))
         batch = journal.batch()
         with pytest.raises(JournalError, match="cannot be written"):
             journal.write(batch)
-        journal._connection.execute("PRAGMA max_page_count = 100000")
+        run("PRAGMA max_page_count = 100000")
         journal.write(batch)
         assert content(journal)["A"] == WHOLE["A"]
         assert content(journal)["B"] == (None, [b"22", bytes(10**6)])

@@ -9,13 +9,11 @@ import sys
 import pytest
 from cli_runner import typed
 from forked import into_pipe, run_apart, started
-from live_frames import Mosquitto, frame
+from live_frames import frame
 from trip_fixtures import changed, write_trips
 
 from suspnet.cli import replay
-from suspnet.live.broker import Broker
 from suspnet.live.drop_folder import DropFolder
-from suspnet.live.mqtt import Mqtt
 from suspnet.live.replay import Replay
 from suspnet.live.sinks import Folder, StandardOutput
 from suspnet.live.source import Splitter
@@ -79,33 +77,6 @@ def test_folder_is_read_by_the_source(trip, expected, tmp_path):
     again.send(frame())
     again.close()
     assert (tmp_path / "drop" / "000000011.frames").read_bytes() == encode(frame())
-
-
-def test_broker_gives_what_was_replayed(trip, expected, tmp_path):
-    pytest.importorskip("paho.mqtt.client")
-    broker = Mosquitto(tmp_path).start()
-    source = Mqtt(Broker(port=broker.port))
-    try:
-        assert source.subscribe(["simulated"]) == ["simulated"]
-        assert source.receive(0.1) == []
-        port = f"sink.broker.port={broker.port}"
-        done = run(trip, "sink=mqtt", port, "sink.in_flight=50", cwd=tmp_path)
-        assert done.returncode == 0, done.stderr
-        found = []
-        while len(found) < len(expected):  # ends: a test has a time limit
-            found += source.receive(1.0)
-            source.confirm()
-        assert found == expected
-    finally:
-        source.close()
-        broker.end()
-
-
-def test_times_makes_a_replay_last(trip, tmp_path):
-    done = run(trip, "sink=folder", "sink.folder=drop", "times=200", cwd=tmp_path)
-    assert done.returncode == 0
-    seconds = float(done.stderr.split(" in ")[-1].split(" s")[0])
-    assert 0.25 < seconds < 10
 
 
 def test_faulty_trip_is_told_and_the_exit_code_is_one(trip, tmp_path):

@@ -5,7 +5,7 @@ from dataclasses import replace
 from suspnet.estimation.worn_parts import WornPart
 from suspnet.ground.records import OK, TripResult
 from suspnet.live.results import estimate_row, summary
-from suspnet.live.suspension import Estimate
+from suspnet.live.suspension import SectionEstimate
 
 WORN = WornPart(("c_p_axle2_left",), 1e6, 0.629).finding
 
@@ -13,7 +13,7 @@ WORN = WornPart(("c_p_axle2_left",), 1e6, 0.629).finding
 def test_worn_parts_are_named_in_the_row_and_on_the_line():
     result = TripResult("2026-03-31 06:20", "", status=OK, vehicle="am96", mileage_km=30800.0)
     result = replace(result, estimates={"c_p_axle2_left": 0.629}, worn=WORN)
-    estimate = Estimate(result, True, {"taken": 8400}, 84.0)
+    estimate = SectionEstimate(result, True, {"taken": 8400}, 84.0)
     row = estimate_row("train 1", estimate, 0.9)
     assert (row["suspension"], row["worn"], row["final"]) == ("train 1", WORN, True)
     assert row["findings"][0]["values"]["names"] == ["c_p_axle2_left"]

@@ -19,14 +19,14 @@ from stream_signals import (
     with_gaps,
 )
 
-from suspnet.live.sections import MOST_OPEN, LiveSettings, Sections
+from suspnet.live.sections import MAX_OPEN, LiveSettings, Sections
 from suspnet.recordings import cleaning
 from suspnet.recordings.assembler import OrderSettings
 from suspnet.recordings.frames import Frame, FrameError, encode
 
 ORDER = OrderSettings(window=WINDOW)
 SECTION_S = 200
-SEEDS = [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2, 3))]
+SEEDS = [0, pytest.param(1, marks=pytest.mark.slow)]
 
 
 @pytest.fixture(autouse=True)
@@ -99,10 +99,7 @@ def test_sections_of_the_stream_are_those_of_the_batch(tmp_path, seed):
         assert_same(running.recording(), batch_of_section(tmp_path, columns, number))
 
 
-@pytest.mark.parametrize(
-    "begin_s",
-    [33.0, 99.9, *(pytest.param(begin_s, marks=pytest.mark.slow) for begin_s in (0.0, 77.5))],
-)
+@pytest.mark.parametrize("begin_s", [33.0, pytest.param(99.9, marks=pytest.mark.slow)])
 def test_trip_shorter_than_a_section_is_one_wherever_it_begins(tmp_path, begin_s):
     columns, (one,), _ = streamed(tmp_path, 7, 95.0, begin_s)
     assert one.begin_ns // 10**9 == int(ZERO_NS / 1e9 + STARTS_S["axle_box"] + begin_s)
@@ -138,13 +135,13 @@ def test_frame_is_divided_at_the_border(tmp_path):
     stream.add(frame(0.0, 0))
     stream.add(frame(160.0, 1))
     stream.add(frame(199.98, 2))
-    one, other = (stream._open[k].section for k in stream._keys)
-    assert one.rest is other
-    assert one._orders["bogie"].n_frames == 3
+    (one,) = stream.open
+    other = one.rest
+    assert one.n_frames == 3
     assert (one.end_ns, other.begin_ns) == (ZERO_NS + 2 * 10**11,) * 2
     early = replace(frame(400.0, 3), time_ns=ZERO_NS + 400 * 10**9 - 1)
     stream.add(early)
-    assert stream._open[stream._keys[-1]].section.begin_ns == ZERO_NS + 400 * 10**9
+    assert stream.open[-1].rest.rest.begin_ns == ZERO_NS + 400 * 10**9
 
 
 def test_section_is_over_when_enough_frames_have_passed_it_and_its_rest_is_long(tmp_path):
@@ -182,8 +179,8 @@ def test_begin_does_not_depend_on_the_order_of_frames(tmp_path, order):
         stream.add(frame(0.7 * k, k))
     stream.add(frame(150.0, 3))
     stream.add(frame(200.5, 4))
-    one, other = (stream._open[k].section for k in stream._keys)
-    assert (one.begin_ns, other.begin_ns) == (ZERO_NS, ZERO_NS + 200_500_000_000)
+    (one,) = stream.open
+    assert (one.begin_ns, one.rest.begin_ns) == (ZERO_NS, ZERO_NS + 200_500_000_000)
 
 
 def speed_frame(seconds, m_per_s):
@@ -192,14 +189,10 @@ def speed_frame(seconds, m_per_s):
     return Frame("front left", "speed", round(seconds), time_ns, 4.0, "m/s", samples)
 
 
-@pytest.mark.parametrize(
-    ("begin_s", "lag_s"),
-    [
-        pytest.param(begin_s, lag_s, marks=[pytest.mark.slow] * (begin_s != 1100 or lag_s != 5))
-        for begin_s in (430, 750, 1100, 1430, 1999)
-        for lag_s in (0, 5, -5)
-    ],
-)
+SLOW = [pytest.param(at, lag, marks=pytest.mark.slow) for at, lag in ((430, 0), (1999, -5))]
+
+
+@pytest.mark.parametrize(("begin_s", "lag_s"), [(1100, 5), *SLOW])
 def test_ten_minutes_between_two_stops_are_in_one_section(tmp_path, begin_s, lag_s):
     """A logger sends all day long; `lag_s` is how much later the speed comes than the others."""
     stream, found = sections(tmp_path, section_s=1200, late_s=10.0), []
@@ -220,19 +213,6 @@ def test_ten_minutes_between_two_stops_are_in_one_section(tmp_path, begin_s, lag
     assert all(one.end_ns - one.begin_ns <= 1500 * 10**9 for one in found)
     again = [b for b in begins if b < holds]
     assert again == [400 * k for k in range(len(again))]  # while it stands, from a third on
-
-
-@pytest.mark.slow
-def test_train_that_stops_for_less_than_a_pause_or_of_unknown_speed_is_not_cut(tmp_path):
-    for speeds in ({}, {at: 0.0 if at % 1000 < 290 else 70.0 for at in range(0, 3600, 10)}):
-        stream, found = sections(tmp_path, section_s=1200, late_s=10.0), []
-        for k, at in enumerate(range(0, 3600, 10)):
-            if at in speeds:
-                stream.add(speed_frame(at, speeds[at]))
-            stream.add(frame(at, k))
-            found += stream.over()
-        begins = [(one.begin_ns - ZERO_NS) // 10**9 for one in found + stream.close()]
-        assert begins == [0, 1200, 2400]
 
 
 def test_joined_rest_survives_a_restart(tmp_path):
@@ -257,20 +237,17 @@ def test_clock_that_was_far_ahead_and_is_right_again_is_believed(tmp_path):
     for k in range(WINDOW):
         assert taken(stream, encode(frame(0.04 * k, 400 + k))) == "late"
     assert taken(stream, encode(frame(0.04 * WINDOW, 400 + WINDOW))) == ""
-    again = sections(tmp_path)
-    again._next_ns = ZERO_NS + round(ahead_s * 1e9)
-    again.add(frame(0.04 * WINDOW, 200 + WINDOW), is_known=True)
 
 
 def test_sections_of_wrong_times_keep_out_no_right_one(tmp_path):
     stream = sections(tmp_path)
-    for k in range(2 * MOST_OPEN):
+    for k in range(2 * MAX_OPEN):
         for n in range(2):
             stream.add(frame(1e6 * (k + 1) + n, 2 * k + n))
     for k in range(300):
         assert taken(stream, encode(frame(k, 1000 + k))) == ""
         stream.over()
-        assert len(stream._open) <= MOST_OPEN
+        assert len(stream.open) <= MAX_OPEN
     assert sum(one.n_frames for one in stream.close() if one.begin_ns < ZERO_NS + 10**12) >= 100
 
 
@@ -282,18 +259,11 @@ def test_frames_of_wrong_times_close_nothing_and_are_bounded(tmp_path):
             wrong = frame(1e6 * k, 1000 + k)
             assert taken(stream, encode(wrong)) == ""
         assert stream.over() == []
-        assert len(stream._open) <= MOST_OPEN
+        assert len(stream.open) <= MAX_OPEN
     (first, *_) = stream.close()
     assert first.begin_ns == ZERO_NS
     assert first.n_frames == 200
-    assert stream.counts["dropped"] == 10 + 1 - MOST_OPEN
-
-
-def test_stream_that_has_ended_gives_all_and_then_nothing(tmp_path):
-    stream = sections(tmp_path)
-    stream.add(frame(50.0, 0))
-    assert len(stream.close()) == 1
-    assert stream.close() == []
+    assert stream.counts["dropped"] == 10 + 1 - MAX_OPEN
 
 
 # failure
@@ -302,12 +272,6 @@ def test_stream_that_has_ended_gives_all_and_then_nothing(tmp_path):
 def test_frame_longer_than_a_section_is_refused(tmp_path):
     with pytest.raises(FrameError, match="longer than a section of 200 s"):
         sections(tmp_path).add(frame(0.0, 0, n=50001))
-
-
-def test_refused_frames_open_no_section(tmp_path):
-    stream = sections(tmp_path)
-    assert taken(stream, encode(frame(0.0, 0, sensor="cabin"))) == "sensor"
-    assert stream.close() == []
 
 
 @pytest.mark.parametrize(

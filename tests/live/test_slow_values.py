@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from suspnet.live.operating_conditions import MOST_KEPT, SlowValues
+from suspnet.live.operating_conditions import MAX_STEPS, SlowValues
 from suspnet.recordings.frames import Frame, FrameError
 
 SECOND = 10**9
@@ -21,34 +21,17 @@ def within(slow, begin_s, end_s):
     return slow.passed_km if km is None else km, celsius
 
 
-def test_values_before_any_frame_are_those_of_the_manifest():
-    assert within(SlowValues(12.0, 20.0), 0, 10) == (12.0, 20.0)
-    assert within(SlowValues(12.0, None), 0, 10) == (12.0, None)
-
-
-def test_first_value_in_a_section_counts():
-    slow = SlowValues(0.0, None)
+def test_first_value_in_a_section_counts_and_those_before_a_frame_are_the_manifest_s():
+    slow = SlowValues(12.0, None)
+    assert within(slow, 0, 10) == (12.0, None)
     slow.take(value("mileage", 14, 104.0, 105.0))
-    slow.take(value("mileage", 12, 102.0))
+    slow.take(value("mileage", 12, 102_000.0, unit="m"))
     slow.take(value("temperature", 5, 7.0))
     assert within(slow, 10, 20) == (102.0, 7.0)
-    slow.take(value("temperature", 13, 9.0))
+    slow.take(value("temperature", 13, 9.0, unit="°C"))
     assert within(slow, 10, 20) == (102.0, 9.0)
-
-
-def test_mileage_goes_on_behind_a_section_and_temperature_stays():
-    slow = SlowValues(0.0, None)
-    slow.take(value("mileage", 12, 102.0))
-    slow.take(value("temperature", 13, 9.0))
     slow.pass_section(20 * SECOND, 110.0)
     assert within(slow, 20, 30) == (110.0, 9.0)
-
-
-def test_units():
-    slow = SlowValues(0.0, None)
-    slow.take(value("mileage", 1, 5000.0, unit="m"))
-    slow.take(value("temperature", 1, 5.0, unit="°C"))
-    assert within(slow, 0, 10) == (5.0, 5.0)
 
 
 @given(st.permutations(range(20)), st.integers(0, 5))
@@ -72,7 +55,7 @@ def test_number_of_values_is_bounded_and_wrong_times_push_out_no_right_ones():
         slow.take(value("mileage", 10**9 + 10_000 * k, *far, rate_hz=0.1))
         slow.take(value("mileage", 10 * k, 100.0 + k))
     known = slow.state()["known"]["mileage"]
-    assert len(known) == MOST_KEPT
+    assert len(known) == MAX_STEPS
     assert known[:200] == [(10 * k * SECOND, 100.0 + k) for k in range(200)]
 
 

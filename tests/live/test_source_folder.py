@@ -3,12 +3,8 @@
 import os
 import threading
 import time
-from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from live_frames import encoded, frame, numbers
 
 from suspnet.live import drop_folder
@@ -46,15 +42,6 @@ def test_files_are_read_in_the_order_of_their_first_frames(tmp_path):
     assert len(names(tmp_path / "taken")) == 10
 
 
-def test_files_are_deleted_if_one_likes(tmp_path):
-    (tmp_path / "a").write_bytes(FRAMES[0])
-    (tmp_path / "b").write_bytes(b"foreign")
-    source = opened(tmp_path, then="delete")
-    assert everything(source) == FRAMES[:1]
-    assert names(tmp_path) == ["b"]
-    assert not (tmp_path / "taken").exists()
-
-
 def test_file_stays_until_its_frames_are_confirmed(tmp_path):
     (tmp_path / "a").write_bytes(b"".join(FRAMES))
     source = opened(tmp_path, once=False)
@@ -83,7 +70,6 @@ def test_files_that_are_being_written_are_left_alone(tmp_path):
 @pytest.mark.parametrize(
     ("content", "counts", "reason"),
     [
-        (b"time;value\n1;2\n", {}, "does not start with a frame"),
         (b"", {}, "does not start with a frame"),
         (b"x" + FRAMES[0], {}, "does not start with a frame"),
         (FRAMES[0] + FRAMES[1][:-20], {"truncated": 1}, "not only frames (truncated)"),
@@ -114,23 +100,6 @@ def test_file_with_anything_but_our_frames_is_left_and_reported_once(
     assert words.isprintable()
 
 
-def test_links_and_fifos_are_left_and_reported_once(tmp_path, caplog):
-    precious = tmp_path / "precious"
-    precious.write_bytes(FRAMES[0])
-    folder = tmp_path / "incoming"
-    folder.mkdir()
-    (folder / "link").symlink_to(precious)
-    (folder / "dangling").symlink_to(tmp_path / "nothing")
-    os.mkfifo(folder / "fifo")
-    source = opened(folder, once=False, then="delete")
-    assert source.receive(0.05) == source.receive(0.05) == []
-    source.confirm()
-    assert source.counts == {"left": 3}
-    assert len(caplog.records) == 3
-    assert len(os.listdir(folder)) == 3
-    assert precious.read_bytes() == FRAMES[0]
-
-
 def test_files_are_not_moved_through_a_link(tmp_path):
     (tmp_path / "outside").mkdir()
     folder = tmp_path / "incoming"
@@ -158,29 +127,6 @@ def test_long_file_that_only_begins_with_a_frame_is_not_read_to_its_end(tmp_path
     assert names(tmp_path) == ["long"]
 
 
-@settings(max_examples=50, deadline=None)
-@given(
-    st.lists(
-        st.lists(
-            st.one_of(st.sampled_from(FRAMES), st.binary(min_size=1, max_size=40)), max_size=5
-        ),
-        max_size=5,
-    )
-)
-def test_files_of_anything_give_their_frames_and_only_frames_are_put_away(contents):
-    with TemporaryDirectory() as name:
-        folder = Path(name)
-        for k, parts in enumerate(contents):
-            (folder / str(k)).write_bytes(b"".join(parts))
-        found = everything(opened(folder))
-        begun = [parts for parts in contents if b"".join(parts).startswith(b"\xff\xff\xff\xff")]
-        assert sorted(found) == sorted(p for parts in begun for p in parts if p in FRAMES)
-        whole = [str(k) for k, parts in enumerate(contents) if parts and set(parts) <= set(FRAMES)]
-        assert names(folder) == [str(k) for k in range(len(contents)) if str(k) not in whole]
-        if whole:
-            assert names(folder / "taken") == whole
-
-
 def test_files_are_put_away_as_their_frames_are_confirmed_one_after_the_other(tmp_path):
     (tmp_path / "a").write_bytes(b"".join(FRAMES[:2]))
     (tmp_path / "b").write_bytes(b"".join(FRAMES[2:5]))
@@ -193,21 +139,6 @@ def test_files_are_put_away_as_their_frames_are_confirmed_one_after_the_other(tm
     source.confirm(1)
     assert names(tmp_path) == []
     assert names(tmp_path / "taken") == ["a", "b"]
-
-
-def test_many_files_and_batches_of_bounded_size(tmp_path, monkeypatch):
-    monkeypatch.setattr(drop_folder, "BATCH_BYTES", 20 * len(FRAMES[0]))
-    frames = encoded(300)
-    for k, one in enumerate(frames):
-        (tmp_path / f"{k:04d}").write_bytes(one)
-    source = opened(tmp_path)
-    found = []
-    while (part := source.receive(1.0)) is not None:
-        assert len(part) <= 20
-        found += part
-        source.confirm()
-    assert found == frames
-    assert len(names(tmp_path / "taken")) == 300
 
 
 def test_large_file_comes_in_pieces(tmp_path, monkeypatch):
@@ -227,7 +158,7 @@ def test_files_that_vanish_or_cannot_be_read_are_counted(tmp_path, monkeypatch):
     for k in range(4):
         (tmp_path / str(k)).write_bytes(FRAMES[k])
     source = opened(tmp_path)
-    source._look()
+    source.look()
     (tmp_path / "1").unlink()
     (tmp_path / "2").unlink()
     (tmp_path / "2").mkdir()
@@ -270,14 +201,6 @@ def test_file_that_is_replaced_before_it_is_confirmed_is_read_anew(tmp_path):
     assert names(tmp_path / "taken") == ["a"]
 
 
-def test_folder_is_looked_at_no_oftener_than_it_was_told(tmp_path, monkeypatch):
-    source, n_looks, look = opened(tmp_path, once=False, poll_s=60.0), [], DropFolder._look
-    monkeypatch.setattr(DropFolder, "_look", lambda self: (n_looks.append(1), look(self)))
-    for _ in range(10):
-        assert source.receive(0.002) == []
-    assert len(n_looks) == 1
-
-
 def test_receive_waits_for_files_no_longer_than_it_was_told(tmp_path):
     source = opened(tmp_path, once=False)
     begin = time.monotonic()
@@ -294,12 +217,3 @@ def test_folder_that_is_not_there_is_a_mistake(tmp_path):
         DropFolder(tmp_path, then="burn")
     with pytest.raises(TypeError, match="`once` must be True or False"):
         DropFolder(tmp_path, once="yes")
-
-
-def test_frames_of_several_sensors_are_merged_by_the_time_of_files(tmp_path):
-    for sensor in ("body", "bogie"):
-        for k in range(3):
-            data = encode(frame(k, sensor=sensor))
-            (tmp_path / f"{sensor}_{k}").write_bytes(data)
-    found = [one[2] for one in numbers(everything(opened(tmp_path)))]
-    assert found == [0, 0, 1, 1, 2, 2]

@@ -2,7 +2,6 @@
 
 import re
 
-import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
@@ -19,47 +18,23 @@ from suspnet.trips.fleet import FleetSettings
 from suspnet.trips.manifest_template import BLANK
 
 SETTINGS = FleetSettings(TripSettings())
-UNITS = {"g": 9.80665, "m/s^2": 1.0, "mg": 9.80665e-3}
 
 
-@pytest.fixture(scope="module")
-def fleet():
-    return small_fleet()
-
-
-def templated(folder, manifest, how):
-    """Write a trip's samples as a logger does, and complete the template of these files."""
-    files = []
-    for name, rate_hz, (unit, size) in zip(CHANNELS, RATES_HZ, UNITS.items(), strict=True):
-        values = signal(manifest, name) / size
-        stated = {b"unit": unit.encode()} | ({b"rate_hz": b"%g" % rate_hz} if how == "file" else {})
-        fields, columns = [pa.field(name, pa.float64(), metadata=stated)], [values]
-        if how == "times":
-            fields.insert(0, pa.field("t", pa.float64()))
-            columns.insert(0, np.arange(len(values)) / (rate_hz * 0.9998))
-        files.append(folder / f"{name}.parquet")
-        table = pa.table(columns, schema=pa.schema(fields))
-        pq.write_table(table, files[-1], use_dictionary=False)
-    done = typed(init, *files, "-o", folder / "trip.yaml", cwd=folder)
+def test_range_without_a_unit_is_the_only_thing_that_is_missing(tmp_path):
+    manifest, files = small_fleet()[0], []
+    for name, rate_hz in zip(CHANNELS, RATES_HZ, strict=True):
+        stated = {b"unit": b"mg", b"rate_hz": b"%g" % rate_hz}
+        schema = pa.schema([pa.field(name, pa.float64(), metadata=stated)])
+        files.append(tmp_path / f"{name}.parquet")
+        pq.write_table(pa.table([signal(manifest, name)], schema=schema), files[-1])
+    done = typed(init, *files, "-o", tmp_path / "trip.yaml", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
-    path = folder / "trip.yaml"
-    text = path.read_text(encoding="utf-8")
-    filled = {
-        "vehicle": model_at().vehicle.name,
-        "suspension": "front",
-        "mileage_km": "1000.0",
-        "speed": "70.0",
-        "side": "left",
-    }
-    for key, value in filled.items():
+    text = (tmp_path / "trip.yaml").read_text(encoding="utf-8")
+    texts = {"vehicle": model_at().vehicle.name, "suspension": "front", "side": "left"}
+    for key, value in (texts | {"mileage_km": "1000.0", "speed": "70.0"}).items():
         text = re.sub(rf"^{key}:.*$", f"{key}: {value}", text, flags=re.MULTILINE)
     assert f": {BLANK}" not in text
-    path.write_text(text, encoding="utf-8")
-    return path
-
-
-def test_range_without_a_unit_is_the_only_thing_that_is_missing(tmp_path, fleet):
-    path = templated(tmp_path, fleet[0], "file")
-    path.write_text(path.read_text().replace('column: "body"', 'column: "body", range: 50'))
+    text = text.replace('column: "body"', 'column: "body", range: 50')
+    (tmp_path / "trip.yaml").write_text(text, encoding="utf-8")
     with pytest.raises(TripError, match=r"'body' has a `range`; write its `unit` to have it read"):
         read_suspensions(tmp_path, [model_at()], SETTINGS, LiveSettings())

@@ -1,7 +1,12 @@
-"""Templates compiled once for all applications of the tests of the pages."""
+"""A store and its board for the tests of the pages, whose templates are compiled once."""
+
+import time
 
 import pytest
 from flask.templating import Environment
+from served_fleet import SETTINGS, fill
+
+from suspnet.report.board import Board
 
 
 @pytest.fixture(scope="package", autouse=True)
@@ -17,3 +22,33 @@ def _templates_compiled_once():
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(Environment, "compile", once)
         yield
+
+
+@pytest.fixture(scope="package")
+def filled(tmp_path_factory):
+    """A store, to which no test writes, and a board that has read it."""
+    path = fill(tmp_path_factory.mktemp("web") / "fleet.db")
+    board = Board(str(path), SETTINGS)
+    board.refresh()
+    return path, board
+
+
+@pytest.fixture
+def own_store(filled, tmp_path):
+    """A copy of the store for one test."""
+    path = tmp_path / "fleet.db"
+    path.write_bytes(filled[0].read_bytes())
+    return path
+
+
+@pytest.fixture(scope="session")
+def wait_for():
+    """Return a function that waits until something is so."""
+
+    def wait(is_so, seconds=60):
+        end = time.monotonic() + seconds
+        while not is_so():
+            assert time.monotonic() < end, "it did not come"
+            time.sleep(0.02)
+
+    return wait

@@ -3,34 +3,23 @@
 import json
 import math
 import re
-from typing import get_args
 
 import pytest
 from flask.testing import FlaskClient
 from openapi_spec_validator import validate
-from served_fleet import EVIL, FAILED, HEALTHY, NAMED_EVIL, SETTINGS, WORN, fill, name_of
+from served_fleet import EVIL, FAILED, HEALTHY, NAMED_EVIL, SETTINGS, WORN, name_of
 
-from suspnet.ground.parameters import Severity
 from suspnet.history import History
 from suspnet.report.board import Board, Refresher
 from suspnet.report.work_order import work_orders
 from suspnet.web import pages
 from suspnet.web.access import Access
-from suspnet.web.api_models import SeverityName
 from suspnet.web.app import create_app
 
 TOKEN = "a-token-of-programs-for-tests"
 BEARER = {"Authorization": f"Bearer {TOKEN}"}
 SEEN = {"parameter": "k_s", "cause": "limit", "severity": "act", "by": "Kim Li", "words": "ordered"}
 BASE = "http://127.0.0.1:8050"
-
-
-@pytest.fixture(scope="module")
-def filled(tmp_path_factory):
-    path = fill(tmp_path_factory.mktemp("api") / "fleet.db")
-    board = Board(str(path), SETTINGS)
-    board.refresh()
-    return path, board
 
 
 def client(board, access=None, peer="127.0.0.1") -> FlaskClient:
@@ -119,19 +108,15 @@ def test_parts_have_limits_and_value(filled, ask):
         ("limit=1&limit=2", "limit is given 2 times"),
         ("severity=bad", "severity"),
         ("colour=red", "colour: Extra inputs"),
+        *((f"from_km={text}", "from_km: ") for text in ("nan", "inf", "1e999")),
     ],
 )
-def test_bad_queries_are_named(ask, query, words):
-    found = ask(f"suspensions?{query}")
-    assert found.status_code == 400
-    assert found.json["status"] == 400
-    assert re.search(words, found.json["detail"])
-
-
-def test_numbers_that_are_not_finite_are_refused(filled, ask):
-    name = name_of(filled[1].view, FAILED)
-    for text in ("nan", "inf", "1e999"):
-        assert ask(f"suspensions/{name}/trips?from_km={text}").status_code == 400
+def test_bad_queries_are_named(filled, ask, query, words):
+    of_trips = f"suspensions/{name_of(filled[1].view, FAILED)}/trips"
+    answer = ask(f"{of_trips if 'km' in query else 'suspensions'}?{query}")
+    assert answer.status_code == 400
+    assert answer.json["status"] == 400
+    assert re.search(words, answer.json["detail"])
 
 
 def test_unknown_suspensions_and_pages_are_problems_in_json(ask):
@@ -155,10 +140,8 @@ def test_history_not_read_yet_is_503(tmp_path):
     assert found.headers["Retry-After"] == "10"
 
 
-def test_alarm_is_acknowledged_with_the_token(filled, tmp_path):
-    path = tmp_path / "own.db"
-    path.write_bytes(filled[0].read_bytes())
-    board = Board(str(path), SETTINGS)
+def test_alarm_is_acknowledged_with_the_token(own_store):
+    path, board = own_store, Board(str(own_store), SETTINGS)
     board.refresh()
     visitor, name = client(board, Access(token=TOKEN)), name_of(board.view, FAILED)
     found = post(visitor, name, headers=BEARER)
@@ -174,7 +157,7 @@ def test_alarm_is_acknowledged_with_the_token(filled, tmp_path):
     assert (order.acknowledged_by, order.action) == ("Kim Li", "ordered")
 
 
-CONTROLS = ("\0", "\n", "\x85", "\N{RIGHT-TO-LEFT OVERRIDE}", "\N{ZERO WIDTH SPACE}", "\ud800")
+CONTROLS = ("\0", "\n", "\N{RIGHT-TO-LEFT OVERRIDE}", "\ud800")
 
 
 @pytest.mark.parametrize(
@@ -183,7 +166,6 @@ CONTROLS = ("\0", "\n", "\x85", "\N{RIGHT-TO-LEFT OVERRIDE}", "\N{ZERO WIDTH SPA
         ({}, SEEN, 401),
         ({"Authorization": f"Bearer {TOKEN}x"}, SEEN, 401),
         ({"Authorization": f"Basic {TOKEN}"}, SEEN, 401),
-        ({"Authorization": "Bearer"}, SEEN, 401),
         (BEARER, SEEN | {"cause": "change"}, 409),
         (BEARER, SEEN | {"severity": "notice"}, 409),  # it is worse than the person saw
         (BEARER, SEEN | {"by": "  "}, 400),
@@ -292,7 +274,3 @@ def test_one_pdf_is_drawn_at_a_time_and_others_are_asked_to_wait(filled, monkeyp
     assert [one.status_code for one in inner] == [503, 503]
     assert inner[0].headers["Retry-After"] == "5"
     assert "Another work order is being drawn" in inner[0].text
-
-
-def test_names_of_severities_are_those_of_the_package():
-    assert set(get_args(SeverityName)) == set(map(str, Severity))

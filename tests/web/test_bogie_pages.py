@@ -51,12 +51,6 @@ def test_fleet_draws_the_worst_bogies_with_links_to_their_trends(site):
     assert "None of the twelve parts has an alarm or has worn." in none
 
 
-def test_work_order_says_which_axle_is_the_first(site):
-    client, view = site
-    page = client.get(f"/suspension/{name_of(view, WORN)}/work-order", **BASE).text
-    assert re.search(r"vehicle am96;\s*axle 1 is that of the sensors</dd>", page)
-
-
 def test_tiles_name_suspension_and_bogie_in_german(tmp_path):
     places = [Place(f"DG{i}", bogie) for i, bogie in ((1, "leading"), (2, "trailing"))]
     every = [one for place in places for one in trips(place, 3, n_trips=4)]
@@ -95,12 +89,3 @@ def test_suspension_without_parts_says_why_once(site):
     assert "<svg" not in page
     assert 'id="trend-plot"' in page
     assert NONE_NAMED not in client.get(f"/suspension/{name_of(view, CALM)}", **BASE).text
-
-
-def test_fleet_without_parts_says_why_once(tmp_path):
-    client, _ = client_of(tmp_path / "plain.db", trips(HEALTHY, 3, n_trips=2))
-    page = client.get("/", **BASE).text
-    assert page.count(NONE_NAMED) == 1
-    assert "<svg" not in page
-    assert "Bogies from above" not in page
-    assert NONE_NAMED not in client.get("/?train=77", **BASE).text  # no suspension at all

@@ -13,38 +13,28 @@ from suspnet.web.app import create_app
 
 
 @pytest.fixture
-def watched(tmp_path):
-    path = served_fleet.fill(tmp_path / "fleet.db")
-    refresher = Refresher(Board(str(path), served_fleet.SETTINGS), 0.05)
+def watched(own_store):
+    refresher = Refresher(Board(str(own_store), served_fleet.SETTINGS), 0.05)
     refresher.start()
-    yield path, refresher, create_app(refresher).test_client()
+    yield own_store, refresher, create_app(refresher).test_client()
     refresher.stop()
 
 
-def wait(condition):
-    import time
-
-    last = time.monotonic() + 20
-    while not condition() and time.monotonic() < last:
-        time.sleep(0.02)
-    assert condition()
-
-
-def test_health_follows_the_store(watched):
+def test_health_follows_the_store(watched, wait_for):
     path, refresher, client = watched
-    wait(lambda: refresher.words.startswith("last read"))
+    wait_for(lambda: refresher.words.startswith("last read"))
     answer = client.get("/healthz")
     assert (answer.status_code, answer.json["status"]) == (200, "ok")
     os.rename(path, f"{path}.away")
-    wait(lambda: client.get("/healthz").status_code == 503)
+    wait_for(lambda: client.get("/healthz").status_code == 503)
     assert "fleet.db" in client.get("/healthz").json["fault"]
     assert b"suspnet_up 0.0" in client.get("/metrics").data
 
 
-def test_with_a_login_a_fault_names_the_store_to_visitors_alone(watched):
+def test_with_a_login_a_fault_names_the_store_to_visitors_alone(watched, wait_for):
     path, refresher, _ = watched
     path.rename(f"{path}.away")
-    wait(lambda: "fleet.db" in refresher.fault)
+    wait_for(lambda: "fleet.db" in refresher.fault)
     client = create_app(refresher, access=Access("X-U", ["127.0.0.1"])).test_client()
     assert "fleet.db" in client.get("/", headers={"X-U": "Kim"}).text
     for address, code in (("/healthz", 503), ("/", 403), ("/nothing", 404), ("/metrics", 200)):
@@ -61,10 +51,10 @@ def test_metrics_without_their_package_say_what_to_install(watched, monkeypatch)
     assert 'pip install ".[live]"' in answer.text
 
 
-def test_metrics_count_suspensions_alarms_and_unsent_messages(watched):
+def test_metrics_count_suspensions_alarms_and_unsent_messages(watched, wait_for):
     parser = pytest.importorskip("prometheus_client.parser")
     path, refresher, client = watched
-    wait(lambda: refresher.board.view.is_complete and len(refresher.board.view.states) == 4)
+    wait_for(lambda: refresher.board.view.is_complete and len(refresher.board.view.states) == 4)
     answer = client.get("/metrics")
     assert answer.mimetype == "text/plain"
     samples = {

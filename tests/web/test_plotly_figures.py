@@ -11,7 +11,7 @@ from served_fleet import FAILED, NAMED_EVIL, SETTINGS, WORN, trips
 from suspnet.history import History
 from suspnet.maintenance.series import Event
 from suspnet.report.board import Board
-from suspnet.report.tables import response, response_table
+from suspnet.report.tables import response
 from suspnet.report.trend import FLAGGED, PASSING, TRIP, ranges, trend_of_state
 from suspnet.web.figures import finite, html, response_figure, trend_figure
 
@@ -115,10 +115,6 @@ def test_responses_are_amplifications_of_first_and_newest(board):
     figure = response_figure(shown, "x")
     assert len(figure["data"]) == 2 * len(kept)
     np.testing.assert_allclose(figure["data"][0]["y"], np.abs(kept[0].responses[0]), rtol=1e-5)
-    rows = np.array(response_table(shown[0], shown[-1]))
-    assert rows.shape == (12, 5)
-    np.testing.assert_allclose(rows[0, 2], np.abs(kept[-1].responses[0][0]))
-    np.testing.assert_allclose(rows[-1, 3], np.abs(kept[0].responses[1][-1]))
 
 
 def test_numbers_and_texts_are_safe():
