@@ -30,7 +30,7 @@ from suspnet.ground.workers import LostWorkerError, each
 from suspnet.learning import MSVR, Scaling
 from suspnet.learning.search import GridSearch
 from suspnet.runs.tables import Record, write_study
-from suspnet.spectra.observation import Observation
+from suspnet.spectra.estimates import Observation
 
 log = logging.getLogger(__name__)
 LABELS = {

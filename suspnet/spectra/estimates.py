@@ -14,8 +14,9 @@ from suspnet.dynamics import QuarterCar, ResponseGenerator, Vehicle
 from suspnet.dynamics.track import track_spectrum
 from suspnet.ground.settings import setting
 from suspnet.spectra.cross_spectra import Method
-from suspnet.spectra.curves import CurveSettings
+from suspnet.spectra.curves import CurveMisfit, CurveObserver, CurveSettings
 from suspnet.spectra.estimate_observer import EstimateObserver
+from suspnet.spectra.expected_spectra import EstimateMisfit
 from suspnet.spectra.observation import CACHE_FOLDER, MOST_BINS, CacheFolder, Counts
 from suspnet.spectra.welch import Welch
 
@@ -37,17 +38,8 @@ HIGHEST_HZ = 25.0
 class EstimateSettings(Counts):
     """How trips are recorded and their transfer functions estimated.
 
-    Parameters
-    ----------
-    segment_s, overlap, window
-        Settings of ``Welch``. A segment must be long compared with the decay time of the body: with
-        20 s the modelled leakage matches that of recordings, with 10 s it does not (AM96, c_s
-        at 80 %).
-
-    Raises
-    ------
-    TypeError, ValueError
-        If a setting has the wrong type or is out of range.
+    A segment must be long compared with the decay time of the body: with 20 s the modelled leakage
+    matches that of recordings, with 10 s it does not.
     """
 
     kind: ClassVar[str] = "trips"
@@ -228,5 +220,15 @@ class EstimateSettings(Counts):
         )
 
 
+Observation = CurveSettings | EstimateSettings
+"""Settings of an observation. `kind` is its name in model files."""
+Observer = CurveObserver | EstimateObserver
+"""Makes curves (n_curves, 2, n_freq) of a generator's vehicles as they would be observed."""
+Misfit = CurveMisfit | EstimateMisfit
+"""Residuals of observed curves in units of their noise, for vehicles `ratios` and curves `rows`.
+
+Their sum of squares is -2 log likelihood; with J the derivative, J^T J is the Fisher information.
+`expected` is the mean square of a residual if the model is true.
+"""
 OBSERVATIONS: dict[str, Any] = {kind.kind: kind for kind in (CurveSettings, EstimateSettings)}
 """Settings class of each kind of observation, by the `kind` that model files store."""
