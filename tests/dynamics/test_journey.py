@@ -43,15 +43,6 @@ def test_position_is_the_integral_of_speed_and_acceleration_its_slope():
     assert acceleration[0] == pytest.approx(2.0)
 
 
-def test_each_piece_by_hand():
-    position, speed, acceleration = Journey(KNOTS, SPEEDS).at(np.array([1.0, 5.0, 10.25, 12.0]))
-    np.testing.assert_allclose(acceleration, [2.0, 0.0, -16.0, 5 / 9.5], rtol=1e-12)
-    np.testing.assert_allclose(speed, [4.0, 8.0, 4.0, 1.5 * 5 / 9.5], rtol=1e-12)
-    # 15 m in the first 3 s, 56 m in the next 7 s, 2 m in the next half
-    expected = [3.0, 15 + 16, 71 + 1.5, 73 + 0.5 * 1.5**2 * 5 / 9.5]
-    np.testing.assert_allclose(position, expected, rtol=1e-12)
-
-
 # limit
 
 

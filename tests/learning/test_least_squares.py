@@ -208,23 +208,6 @@ def test_parameter_without_effect_stays_and_does_not_hold_the_others(first_dampi
     np.testing.assert_allclose(found.information[0], [[1.0, 0.0], [0.0, 0.0]], atol=1e-9)
 
 
-def test_little_damping_solves_a_linear_problem_in_one_step():
-    slopes = torch.tensor([[1.0, 0.5], [0.0, 2.0]], dtype=torch.float64)
-
-    def left_after_one_step(first_damping):
-        found = LevenbergMarquardt(max_iter=1, first_damping=first_damping).minimise(
-            lambda theta, rows: (theta - 3) @ slopes, torch.zeros(1, 2, dtype=torch.float64)
-        )
-        return (found.parameters[0] - 3).numpy()
-
-    # error / start: (H + d diag H)^-1 d diag H
-    hessian = (slopes @ slopes.T).numpy()
-    for damping in (1e-9, 1e-3):
-        extra = damping * np.diag(np.diag(hessian))
-        expected = np.linalg.solve(hessian + extra, extra @ [-3.0, -3.0])
-        np.testing.assert_allclose(left_after_one_step(damping), expected, rtol=1e-3, atol=1e-9)
-
-
 def test_start_beyond_the_bounds_is_brought_inside():
     bounds = torch.tensor([0.0]), torch.tensor([5.0])
     start = torch.tensor([[-9.0], [99.0], [3.0]], dtype=torch.float64)

