@@ -47,11 +47,14 @@ def test_constant_columns_are_named(log):
         Scaling.of(V, log)
 
 
-@pytest.mark.parametrize("bad", [0.0, -1.0])
-def test_logarithm_needs_positive_values(bad):
+@pytest.mark.parametrize(
+    ("bad", "message"),
+    [(0.0, "positive for a logarithmic"), (-1.0, "positive for a log"), (np.nan, "must be finite")],
+)
+def test_logarithm_needs_positive_values(bad, message):
     V = values()
     V[3, 1] = bad
-    with pytest.raises(ValueError, match="must be positive for a logarithmic scaling"):
+    with pytest.raises(ValueError, match=message):
         Scaling.of(V)
 
 
