@@ -45,7 +45,7 @@ MOST_NUMBERS = 1 << 19
 
 
 @dataclass(frozen=True)
-class Equations:
+class MotionEquations:
     """Vehicles at some frequencies: their elements, masses, inputs and sensors.
 
     `kappa` (n_vehicles, n_elements, n_freq), of which stretch k has the element `element[k]`;
@@ -100,7 +100,7 @@ class Equations:
         places = self.places[:, None].to(motion.dtype)
         return places[..., : self.n] @ motion + places[..., self.n :] @ self.inputs
 
-    def moved(self, changes: Equations, motion: Tensor, adjoint: Tensor) -> Tensor:
+    def moved(self, changes: MotionEquations, motion: Tensor, adjoint: Tensor) -> Tensor:
         """Return the derivatives of H of one vehicle, its X and A_0 given.
 
         `changes` are the derivatives of its equations, one in each row; the result has the shape
@@ -147,11 +147,11 @@ class Equations:
             slopes = slopes * self.gains[:, None] + without * changes.gains[:, None]
         return slopes
 
-    def of(self, vehicles: slice) -> Equations:
+    def of(self, vehicles: slice) -> MotionEquations:
         """Return the equations of some of the vehicles."""
         return replace(self, **{k: v[vehicles] for k, v in self._by_vehicle().items()})
 
-    def minus(self, other: Equations, size: float) -> Equations:
+    def minus(self, other: MotionEquations, size: float) -> MotionEquations:
         """Return the difference of two equations over a size."""
         theirs = other._by_vehicle()
         differences = {
@@ -182,7 +182,7 @@ def _moving(values: Tensor) -> Tensor:
 
 def equations(
     layout: Layout, p: Mapping[str, Tensor], sensors: Sequence[str], omega: Tensor
-) -> Equations:
+) -> MotionEquations:
     """Return the equations of vehicles whose numbers `p` have the shape (n_vehicles, 1)."""
     parts = layout.parts
     moving, wheels = coordinates(parts), wheel_inputs(parts)
@@ -193,7 +193,7 @@ def equations(
     inertia = torch.stack(masses(parts, p), dim=1) * omega**2
     like = p["speed"]
     pulls = [joint.stretch if joint.pull is None else joint.pull for joint in joints]
-    return Equations(
+    return MotionEquations(
         kappa=kappa,
         element=torch.tensor([place[id(joint.element)] for joint in joints], device=omega.device),
         stretches=_matrix([joint.stretch for joint in joints], (*moving, *wheels), like),

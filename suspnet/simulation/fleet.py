@@ -270,7 +270,7 @@ class Trains:
         """Number of suspensions of all trains."""
         return self.trains * (self.cars or 1) * len(ENDS)
 
-    def suspensions(self, seed: int) -> list[Suspension]:
+    def suspensions(self, seed: int) -> list[SimulatedSuspension]:
         """Return every suspension; its own seed depends only on its place and on `seed`.
 
         The suspensions that wear are drawn at random.
@@ -285,11 +285,14 @@ class Trains:
                     drawn.append((aboard, *_seeds(seed, train, car, i + 1)))
         by_lot = sorted(range(self.n_all), key=lambda i: drawn[i][2])
         wearing = set(by_lot[: self.n_wearing])
-        return [Suspension(aboard, own, i in wearing) for i, (aboard, own, _) in enumerate(drawn)]
+        return [
+            SimulatedSuspension(aboard, own, i in wearing)
+            for i, (aboard, own, _) in enumerate(drawn)
+        ]
 
 
 @dataclass(frozen=True)
-class Suspension:
+class SimulatedSuspension:
     """One suspension of a train; it follows the scenario if it `wears`.
 
     `seed` determines its true numbers, payload and noise.

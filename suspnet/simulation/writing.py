@@ -35,7 +35,7 @@ from suspnet.ground.workers import LostWorkerError, each, workers_for
 from suspnet.recordings.manifest import CHANNELS, TripManifest
 from suspnet.recordings.manifest_files import write_manifest
 from suspnet.recordings.manifest_sources import Channel, Pair, SpeedSource
-from suspnet.simulation.fleet import FIRST_DAY, Aboard, Fleet, Scenario, Suspension, Trains
+from suspnet.simulation.fleet import FIRST_DAY, Aboard, Fleet, Scenario, SimulatedSuspension, Trains
 from suspnet.simulation.folders import TRUTH, is_finished, is_whole, own_folder, unfinished
 from suspnet.simulation.signals import Journey, profile_length_m, simulate_trip
 from suspnet.simulation.true_vehicle import scattered, true_numbers, with_separate_parts
@@ -195,7 +195,7 @@ def _write_all(
             raise outcome
 
 
-def _write_suspension(work: tuple[Path, Suspension], simulation: Simulation) -> None:
+def _write_suspension(work: tuple[Path, SimulatedSuspension], simulation: Simulation) -> None:
     folder, suspension = work
     # payload and spread remain, only the changes go
     if not suspension.wears:

@@ -23,9 +23,8 @@ from suspnet.spectra.welch import Welch
 SPEED_HALF_WIDTH, WIDE_SPEED_HALF_WIDTH = 0.08, 0.3
 """Relative half width of the speed range of one model, and of that of a commissioned vehicle.
 
-At 0.1 from the training speed errors of corrected estimates were up to about twice as large
-(measured). Trips of a commissioned vehicle at another speed are read by the fit of the curve, at
-the trip's own speed, so that one model reads a wider range (docs/trips.md)."""
+At 0.1 from the training speed errors of corrected estimates are up to twice as large. The fit of
+the curve reads a commissioned vehicle's trip at the trip's own speed (docs/trips.md)."""
 LOWEST_MODE, HIGHEST_MODE, HIGHEST_OF_BODY = 0.45, 3.8, 2.4
 """Default band ends as multiples of natural frequencies: start of the band (first mode), end of the
 band and end of G_s (second mode). Between the last two the primary damper separates from its

@@ -36,9 +36,7 @@ WIDE_BAND_LOW_HZ, WIDE_BAND_POINTS = 0.1, 4000
 """Lowest frequency [Hz] and number of points of the integral that gives a channel's rms."""
 IN_CACHE, AT_ONCE = 80_000, 4096
 """Complex numbers of each kind that are computed at once on a CPU, and vehicles at once elsewhere.
-
-Derivatives of 36 and 47 numbers took 50 and 95 ms with 80,000, 67 and 140 with 20,000, as calls
-cost time, and 69 and 123 with 320,000, whose temporary arrays leave the cache."""
+Fewer cost calls, and temporary arrays of more leave the cache."""
 WEAK, WEAK_OF_ONE = 4.0, 0.5
 """A bin is weak if the standard deviation of the healthy vehicle's log-response exceeds 4 times its
 median over the band, and 0.5 / sqrt(n_averages): the estimate is then a ratio of two nearly

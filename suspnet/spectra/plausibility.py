@@ -55,34 +55,19 @@ SPEED_BAND_HZ = 20.0
 KM_PER_H = 3.6
 DOUBTFUL_ORDER_MARGIN, DOUBTFUL_SPEED_MARGIN = 1.25, 1.5
 """Factors by which another order or speed must fit better to be an error, where the vehicle is
-known from its drawing only and sensors are single.
-
-Of 300 vehicles drawn from the prior, worn to 67 to 149 %, at 25 to 83 m/s with sensors on one side,
-a wrong order fitted at most 1.04 times as well; a wrong speed did so more than 1.5 times with 2,
-more than 1.25 times with 6.
+known from its drawing only and sensors are single. The right ones rarely fit worse by as much.
 """
 ORDER_MARGIN = 1.1
-"""Factor by which another order must fit the healthy vehicle better to be an error.
-
-With single sensors, axle box and bogie are hard to distinguish: for 400 states of a commissioned
-vehicle at 60 to 150 %, measured on one side, the misfit of the right order was at most 0.97 times
-that of the best wrong one (1.01 in a trip), and a swap was worse by 1.03 and more, by less than 1.1
-in 12 cases. Such a swap is reported as a doubt, and the misfit flags it.
+"""Factor by which another order must fit the healthy vehicle better to be an error. With single
+sensors axle box and bogie are hard to distinguish: an order that fits slightly better is a doubt.
 """
 SPEED_MARGIN = 1.25
-"""Factor by which another speed must fit better than the given one to be an error.
-
-At 20 to 83 m/s, with parameters of 60 to 150 %, the right speed fits better than 3.6 times or 1/3.6
-of it by a factor of 1.69 and more (all shipped vehicles).
-"""
+"""Factor by which another speed must fit better than the stated one to be an error. The right one
+fits better than the same number in the other unit by 1.69 and more (all shipped vehicles)."""
 
 DIRECTION_MARGIN = 1.3
-"""Factor by which the phases must fit one direction of travel better than the other to show it.
-
-Of 1,000 vehicles drawn from the prior, worn to 50 to 160 %, at 20 to 83 m/s, phases compared with
-the drawing's fit the wrong direction better by at most 1.28 times; compared with those of the
-vehicle itself when healthy they fit the right one better by 1.88 times and more.
-"""
+"""Factor by which the phases must fit one direction of travel better than the other to show it:
+worn vehicles fit the wrong one better than their drawing does by at most 1.28."""
 DIRECTION_NOISE = 0.1
 """Noise of a phase below which its bin counts fully, [rad]."""
 

@@ -47,7 +47,7 @@ LEAST_WINDOWS = 20
 CERTAIN, LEAST_RISE = 7.0, 0.4
 """A line stands out by 7 standard deviations, and by 0.4 in the mean logarithm of the power (a
 factor of 1.5): by chance none does in 10^8 trips, and periodic traces of a real track are weak."""
-PARTS, LEAST_OF_PART = 3, 0.25
+STRETCHES, LEAST_OF_STRETCH = 3, 0.25
 """A wheel's line stands out in each third of a trip by a quarter of its mean; a bridge's does not.
 """
 DEVIATION = 1.5
@@ -108,7 +108,7 @@ class _Peak:
 
 
 _FOUND: WeakKeyDictionary[Recording, tuple[WheelLine, ...]] = WeakKeyDictionary()
-"""Lines of the recordings in memory: the parts and both sides as equal ask for the same ones."""
+"""Lines of the recordings in memory, as several estimates of a trip ask for them."""
 
 
 def wheel_lines(recording: Recording) -> tuple[WheelLine, ...]:
@@ -276,12 +276,12 @@ def _peaks(windows: _Windows | None) -> list[_Peak]:
         return np.minimum(*(_mean(side, valid, rows) for side in sides))
 
     n, rows = valid.sum(axis=0), np.arange(len(logs))
-    rise, parts = rise_of(rows), [rise_of(part) for part in np.array_split(rows, PARTS)]
+    rise, rises = rise_of(rows), [rise_of(stretch) for stretch in np.array_split(rows, STRETCHES)]
     certainty = np.where(n >= LEAST_WINDOWS, rise * np.sqrt(n) / DEVIATION, 0.0)
     peaks = []
     for k in np.flatnonzero((certainty >= CERTAIN) & (rise >= LEAST_RISE)).tolist():
         near = slice(max(k - SIDE_BINS, 0), k + SIDE_BINS + 1)
-        in_all = all(not part[k] < LEAST_OF_PART * rise[k] for part in parts)
+        in_all = all(not stretch[k] < LEAST_OF_STRETCH * rise[k] for stretch in rises)
         if in_all and rise[k] >= np.nanmax(rise[near]):
             peaks.append(_peak(windows, valid[:, k], k, float(certainty[k])))
     return [peak for peak in peaks if peak.power > 0]
