@@ -14,7 +14,7 @@ from suspnet.ground.types import ComplexArray, FloatArray
 LARGEST_CONDITION = 1e10
 """Condition number of the eigenvectors above which two modes coincide."""
 SERIES_BELOW = 0.1
-"""Where |lambda h| is below this, `_foh_weights` sums a power series to avoid cancellation."""
+"""Where |lambda h| is below this, `foh_weights` sums a power series to avoid cancellation."""
 BLOCK = 1 << 14
 """Number of samples per block, for which all modes stay in the CPU cache."""
 
@@ -71,9 +71,13 @@ class LinearSystem:
         """
         n, m = len(self.mass), len(self.branches)
         inverse = np.linalg.inv(self.mass)
-        b, r = np.array([[one.stiffness, one.rate] for one in self.branches]).reshape(m, 2).T
-        g = np.array([one.stretch for one in self.branches]).reshape(m, n)
-        h = np.array([one.input for one in self.branches]).reshape(m, self.input_damping.shape[1])
+        b, r = (
+            np.array([[branch.stiffness, branch.rate] for branch in self.branches]).reshape(m, 2).T
+        )
+        g = np.array([branch.stretch for branch in self.branches]).reshape(m, n)
+        h = np.array([branch.input for branch in self.branches]).reshape(
+            m, self.input_damping.shape[1]
+        )
         pull = g.T * b
         a = np.zeros((2 * n + m, 2 * n + m))
         a[:n, n : 2 * n] = np.eye(n)
@@ -116,7 +120,7 @@ class SampledMotion:
         )
         self._n_real = int(np.count_nonzero(eigenvalues.imag == 0))
         self._decays: ComplexArray = np.exp(eigenvalues[kept] / rate_hz)
-        before, after = (w[:, None] for w in _foh_weights(eigenvalues[kept], 1 / rate_hz))
+        before, after = (w[:, None] for w in foh_weights(eigenvalues[kept], 1 / rate_hz))
         drives: ComplexArray = np.linalg.solve(vectors, b.astype(np.complex128))[kept]
         self._forcing = self._split(np.hstack([before * drives, after * drives]))
         weights = (c @ vectors)[:, kept]
@@ -138,7 +142,7 @@ class SampledMotion:
         outputs = np.empty((len(self._outputs), len(inputs[0])))
         for first in range(0, outputs.shape[1], BLOCK):
             block = slice(first, first + BLOCK)
-            outputs[:, block] = self._advance(np.stack([one[block] for one in inputs]))
+            outputs[:, block] = self._advance(np.stack([signal[block] for signal in inputs]))
         return outputs
 
     def _advance(self, block: FloatArray) -> FloatArray:
@@ -169,7 +173,7 @@ class SampledMotion:
         return mode
 
 
-def _foh_weights(eigenvalues: ComplexArray, step_s: float) -> tuple[ComplexArray, ComplexArray]:
+def foh_weights(eigenvalues: ComplexArray, step_s: float) -> tuple[ComplexArray, ComplexArray]:
     """Return the weights of the input before and after a step: h (phi_1 - phi_2), h phi_2."""
     z = eigenvalues * step_s
     small = np.abs(z) < SERIES_BELOW

@@ -279,13 +279,13 @@ class LogNormal:
     @classmethod
     def prior(cls, parts: Sequence[str], quantities: Sequence[Quantity] = QUANTITIES) -> LogNormal:
         """Return the prior of a vehicle with these parts and of those `quantities` they have."""
-        known = ("", *parts)
-        return cls.independent({q.name: q.deviation for q in quantities if q.part in known})
+        groups = ("", *parts)
+        return cls.independent({q.name: q.deviation for q in quantities if q.part in groups})
 
     @classmethod
     def read(
         cls,
-        given: LogNormal | Mapping[str, Any] | str | None,
+        value: LogNormal | Mapping[str, Any] | str | None,
         parts: Sequence[str],
         quantities: Sequence[Quantity] = QUANTITIES,
     ) -> LogNormal | None:
@@ -293,19 +293,19 @@ class LogNormal:
 
         ValueError if it has a name that is none of `quantities`.
         """
-        if given is None:
+        if value is None:
             return None
-        if isinstance(given, str):
-            check_choice("distribution", given, ("prior",))
+        if isinstance(value, str):
+            check_choice("distribution", value, ("prior",))
             return cls.prior(parts, quantities)
-        if not isinstance(given, LogNormal) and set(given) == {"names", "mean", "covariance"}:
-            given = cls(**given)
-        names = given.names if isinstance(given, LogNormal) else tuple(given)
+        if not isinstance(value, LogNormal) and set(value) == {"names", "mean", "covariance"}:
+            value = cls(**value)
+        names = value.names if isinstance(value, LogNormal) else tuple(value)
         allowed = tuple(quantity.name for quantity in quantities)
         unknown = sorted(set(names) - set(allowed))
         if unknown:
             raise ValueError(f"`distribution` must be named as in {allowed}, got {unknown}")
-        return given if isinstance(given, LogNormal) else cls.independent(given)
+        return value if isinstance(value, LogNormal) else cls.independent(value)
 
     def renewed(
         self,
@@ -331,10 +331,10 @@ class LogNormal:
 
     def without(self, names: Sequence[str]) -> LogNormal:
         """Return the distribution of the other numbers, whatever these are."""
-        rest = [i for i, name in enumerate(self.names) if name not in names]
-        rows = tuple(tuple(self.covariance[i][j] for j in rest) for i in rest)
+        others = [i for i, name in enumerate(self.names) if name not in names]
+        rows = tuple(tuple(self.covariance[i][j] for j in others) for i in others)
         return LogNormal(
-            tuple(self.names[i] for i in rest), tuple(self.mean[i] for i in rest), rows
+            tuple(self.names[i] for i in others), tuple(self.mean[i] for i in others), rows
         )
 
     def extended(self, other: LogNormal) -> LogNormal:
@@ -371,9 +371,9 @@ class LogNormal:
         """A matrix F with F F^T the covariance, its columns in descending importance, (n, n)."""
         n = len(self.names)
         values, vectors = np.linalg.eigh(np.array(self.covariance).reshape(n, n))
-        found: FloatArray = (vectors * np.sqrt(np.maximum(values, 0.0)))[:, ::-1].copy()
-        found.setflags(write=False)  # every caller has this one
-        return found
+        root: FloatArray = (vectors * np.sqrt(np.maximum(values, 0.0)))[:, ::-1].copy()
+        root.setflags(write=False)  # every caller has this one
+        return root
 
     def ratios(self, standard: FloatArray) -> FloatArray:
         """Return numbers relative to nominal from standard normal ones, both (n_rows, n)."""

@@ -31,17 +31,7 @@ from suspnet.ground.types import FloatArray
 class QuarterCar:
     """Frequency responses of a vehicle's quarter-car model, batched over parameter ratios.
 
-    Parameters
-    ----------
-    vehicle : Vehicle
-        The healthy vehicle.
-    device : str
-        Torch device of the returned tensors.
-
-    Raises
-    ------
-    ValueError
-        If torch cannot use the device on this machine.
+    `vehicle` is the healthy one, `device` the torch device of the returned tensors.
 
     Examples
     --------
@@ -54,18 +44,14 @@ class QuarterCar:
     vehicle: Vehicle
     device: str = "cpu"
 
+    # neither speed nor direction matter, both bogies are alike, and every number is known
     speed_m_per_s: ClassVar[None] = None
-    """The responses do not depend on the speed."""
     bogie: ClassVar[None] = None
-    """The model applies to both bogies."""
     direction: ClassVar[None] = None
-    """The responses do not depend on the direction of travel."""
     distribution: ClassVar[None] = None
-    """Every number is taken as known."""
+    # without pitch and roll there is no fourth place, and a sensor measures the mean of both sides
     further_places: ClassVar[tuple[str, ...]] = ()
-    """There is no place for a fourth sensor."""
     sensor_lateral_m: ClassVar[tuple[float, float, float]] = (0.0, 0.0, 0.0)
-    """The model does not roll: one sensor measures the mean of a left and a right one."""
 
     def __post_init__(self) -> None:
         check_vehicle(self.vehicle)

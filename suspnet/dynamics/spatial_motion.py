@@ -107,36 +107,36 @@ def masses(parts: Sequence[str], p: Mapping[str, Tensor]) -> list[Tensor]:
     body, frame = 4 * p["M_s"], 2 * p["bogie_mass"]
     bodily = (p["body_gyration"] / p["half_pivot_distance"]) ** 2
     pitch = (p["bogie_gyration"] / p["half_wheelbase"]) ** 2
-    known = {"z": body, "y": body, "phi": body * bodily, "q": body / 2}
-    known |= {"theta": body * p["body_roll_gyration"] ** 2}
-    known |= {"chi": body * bodily * p["body_yaw"] ** 2}
+    mass_of = {"z": body, "y": body, "phi": body * bodily, "q": body / 2}
+    mass_of |= {"theta": body * p["body_roll_gyration"] ** 2}
+    mass_of |= {"chi": body * bodily * p["body_yaw"] ** 2}
     for i in "12":
-        known |= {f"z_{i}": frame, f"y_{i}": frame, f"psi_{i}": frame * pitch}
-        known |= {f"theta_{i}": frame * p["bogie_roll_gyration"] ** 2}
-        known |= {f"chi_{i}": frame * pitch * p["bogie_yaw"] ** 2}
-        known |= {f"tau_{i}": frame * TORSION_MASS}
+        mass_of |= {f"z_{i}": frame, f"y_{i}": frame, f"psi_{i}": frame * pitch}
+        mass_of |= {f"theta_{i}": frame * p["bogie_roll_gyration"] ** 2}
+        mass_of |= {f"chi_{i}": frame * pitch * p["bogie_yaw"] ** 2}
+        mass_of |= {f"tau_{i}": frame * TORSION_MASS}
     turned = (p["wheelset_yaw_gyration"] / p["half_wheelbase"]) ** 2
     for wheel in range(1, 5):
-        known |= {f"y_w{wheel}": p["wheelset_mass"], f"chi_w{wheel}": p["wheelset_mass"] * turned}
-    return [known[name] for name in coordinates(parts)]
+        mass_of |= {f"y_w{wheel}": p["wheelset_mass"], f"chi_w{wheel}": p["wheelset_mass"] * turned}
+    return [mass_of[name] for name in coordinates(parts)]
 
 
 def acting(layout: Layout, p: Mapping[str, Tensor]) -> list[Joint]:
     """Return every element of vehicles whose numbers `p` have the shape (n_vehicles, 1)."""
     parts = layout.parts
-    found = [*_suspensions(layout, p), *_linked(layout, p)]
+    joints = [*_suspensions(layout, p), *_linked(layout, p)]
     if "bending" in parts:
-        found.append(Joint(bending_element(p, layout.empty_body_kg).times(2), {"q": 1.0}))
+        joints.append(Joint(bending_element(p, layout.empty_body_kg).times(2), {"q": 1.0}))
     if "torsion" in parts:
         own = 2 * math.pi * p["torsion_frequency"]
         mass = 2 * p["bogie_mass"] * TORSION_MASS
         torsion = Element(mass * own**2, 2 * p["torsion_damping"] * mass * own)
-        found += [Joint(torsion, {f"tau_{i}": 1.0}) for i in "12"]
+        joints += [Joint(torsion, {f"tau_{i}": 1.0}) for i in "12"]
     if is_lateral(parts):
-        found += _guided(layout, p)
+        joints += _guided(layout, p)
     if "creep" in parts:
-        found += _creeping(layout, p)
-    return found
+        joints += _creeping(layout, p)
+    return joints
 
 
 def _corner(i: int, end: float, lateral: Tensor | float, p: Mapping[str, Tensor]) -> Row:
@@ -147,7 +147,7 @@ def _corner(i: int, end: float, lateral: Tensor | float, p: Mapping[str, Tensor]
 
 def _suspensions(layout: Layout, p: Mapping[str, Tensor]) -> list[Joint]:
     """Return the springs and dampers of both bogies, and what acts on their pitch and roll."""
-    parts, found = layout.parts, []
+    parts, joints = layout.parts, []
     guidance = guidance_element(p).times(2)
     bar = Element(p["anti_roll_bar"], None)
     for i, which, sigma in ((1, "", 1.0), (2, "other_", -1.0)):
@@ -158,15 +158,15 @@ def _suspensions(layout: Layout, p: Mapping[str, Tensor]) -> list[Joint]:
                 corner = f"_axle{axle}_{side}"
                 spring = primary_element(p, which, parts, corner).times(0.5)
                 track: Row = {f"w{wheel}": -1.0, f"x{wheel}": -lateral}
-                found.append(Joint(spring, {**_corner(i, end, lateral, p), **track}))
+                joints.append(Joint(spring, {**_corner(i, end, lateral, p), **track}))
             spring = secondary_element(p, which, parts, f"_{side}")
             lateral = SIGNS[side] * p["secondary_lateral"]
             body: Row = {"z": 1.0, "q": p["bending_at_pivot"], "phi": sigma, "theta": lateral}
-            found.append(Joint(spring, {**body, f"z_{i}": -1.0, f"theta_{i}": -lateral}))
+            joints.append(Joint(spring, {**body, f"z_{i}": -1.0, f"theta_{i}": -lateral}))
         if "guidance" in parts:
-            found.append(Joint(guidance, {f"psi_{i}": 1.0}))
-        found.append(Joint(bar, {"theta": 1.0, f"theta_{i}": -1.0}))
-    return found
+            joints.append(Joint(guidance, {f"psi_{i}": 1.0}))
+        joints.append(Joint(bar, {"theta": 1.0, f"theta_{i}": -1.0}))
+    return joints
 
 
 def _linked(layout: Layout, p: Mapping[str, Tensor]) -> list[Joint]:
@@ -180,7 +180,7 @@ def _linked(layout: Layout, p: Mapping[str, Tensor]) -> list[Joint]:
         along.append((longitudinal_element(p), p["secondary_lateral"], torch.zeros_like(a)))
     if "yaw_dampers" in layout.parts:
         along.append((_yaw_damper(p), p["yaw_lateral"], p["yaw_height"]))
-    found = []
+    joints = []
     for i, sigma in (1, 1.0), (2, -1.0):
         for element, half, height in along:
             body, bogie = (
@@ -190,11 +190,11 @@ def _linked(layout: Layout, p: Mapping[str, Tensor]) -> list[Joint]:
             pitched: Row = {"phi": body, "q": sigma * p["bending_slope"] * body, f"psi_{i}": bogie}
             for lateral in half, -half:
                 yawed: Row = {"chi": -f * lateral / pivot, f"chi_{i}": t * lateral / a}
-                found.append(Joint(element, {**pitched, **yawed}))
+                joints.append(Joint(element, {**pitched, **yawed}))
         swayed: Row = {"y": 1.0, "chi": sigma, "theta": p["body_lever"]}
         swayed |= {f"y_{i}": -1.0, f"theta_{i}": p["bogie_lever"]}
-        found.append(Joint(aside, swayed))
-    return found
+        joints.append(Joint(aside, swayed))
+    return joints
 
 
 def _yaw_damper(p: Mapping[str, Tensor]) -> Element:
@@ -211,18 +211,18 @@ def _guided(layout: Layout, p: Mapping[str, Tensor]) -> list[Joint]:
     """Return what holds the wheelsets in the frames."""
     guide = Element(2 * p["guide_stiffness"], 2 * p["guide_damping"])
     yawing = Element(2 * p["axle_box_stiffness"], 2 * p["axle_box_damping"])
-    found = []
+    joints = []
     for wheel in range(1, 5):
         i, end = 1 + (wheel > 2), 1.0 if wheel % 2 else -1.0
         aside: Row = {f"y_{i}": 1.0, f"chi_{i}": end, f"theta_{i}": p["guide_lever"]}
         if "creep" not in layout.parts:
             held: Row = {f"v{wheel}": -1.0, f"x{wheel}": p["wheel_radius"]}
-            found.append(Joint(guide, {**aside, **held}))
+            joints.append(Joint(guide, {**aside, **held}))
             continue
-        found.append(Joint(guide, {**aside, f"y_w{wheel}": -1.0}))
+        joints.append(Joint(guide, {**aside, f"y_w{wheel}": -1.0}))
         lever = p["primary_lateral"] / p["half_wheelbase"]
-        found.append(Joint(yawing, {f"chi_{i}": lever, f"chi_w{wheel}": -lever}))
-    return found
+        joints.append(Joint(yawing, {f"chi_{i}": lever, f"chi_w{wheel}": -lever}))
+    return joints
 
 
 def _creeping(layout: Layout, p: Mapping[str, Tensor]) -> list[Joint]:
@@ -234,10 +234,10 @@ def _creeping(layout: Layout, p: Mapping[str, Tensor]) -> list[Joint]:
     creep, damper = Element(along, None), Element(none, along / p["speed"])
     creep_aside, damper_aside = Element(across, None), Element(none, across / p["speed"])
     lever, cone = RAIL_LATERAL_M / p["half_wheelbase"], p["conicity"] / p["wheel_radius"]
-    found = []
+    joints = []
     for wheel in range(1, 5):
         y, chi = f"y_w{wheel}", f"chi_w{wheel}"
-        found += [
+        joints += [
             Joint(damper_aside, {y: 1.0, f"x{wheel}": p["wheel_radius"]}),
             Joint(damper, {chi: lever}),
             Joint(creep_aside, {chi: t / p["half_wheelbase"]}, {y: -1.0}),
@@ -247,7 +247,7 @@ def _creeping(layout: Layout, p: Mapping[str, Tensor]) -> list[Joint]:
                 {chi: t * lever},
             ),
         ]
-    return found
+    return joints
 
 
 def sensed(layout: Layout, p: Mapping[str, Tensor], sensors: Sequence[str]) -> list[Row]:
@@ -294,14 +294,17 @@ def spatial_motion(layout: Layout, p: Mapping[str, Tensor], sensors: Sequence[st
     units = dict(zip(names, np.eye(len(names)), strict=True))
 
     def vector(row: Row) -> FloatArray:
-        found = np.zeros(len(names))
+        total = np.zeros(len(names))
         for name in row.keys() & units.keys():
-            found += float(row[name]) * units[name]
-        return found
+            total += float(row[name]) * units[name]
+        return total
 
+    # each element acts along its stretch, unless it pulls elsewhere
     elements = [
-        Acting(one.element, vector(one.stretch), None if one.pull is None else vector(one.pull))
-        for one in acting(layout, p)
+        Acting(
+            joint.element, vector(joint.stretch), None if joint.pull is None else vector(joint.pull)
+        )
+        for joint in acting(layout, p)
     ]
     seen = np.array([vector(row) for row in sensed(layout, p, sensors)])
     n = {name: float(value) for name, value in p.items()}

@@ -45,7 +45,7 @@ MOST_NUMBERS = 1 << 19
 
 
 @dataclass(frozen=True)
-class Equations:
+class MotionEquations:
     """Vehicles at some frequencies: their elements, masses, inputs and sensors.
 
     `kappa` (n_vehicles, n_elements, n_freq), of which stretch k has the element `element[k]`;
@@ -87,20 +87,20 @@ class Equations:
         """Return A_0 from the factors of Z, (n_vehicles, n_freq, n_sensors, n_coordinates)."""
         seen = self.places[:, None, :, : self.n].mT.to(factors[0].dtype)
         seen = seen.expand(-1, factors[0].shape[1], -1, -1)
-        found: Tensor = torch.linalg.lu_solve(*factors, seen, adjoint=True).mH
-        return found
+        adjoint: Tensor = torch.linalg.lu_solve(*factors, seen, adjoint=True).mH
+        return adjoint
 
     def measured(self, motion: Tensor) -> Tensor:
         """Return H of the motion X, (n_vehicles, n_inputs, n_sensors, n_freq)."""
-        found = self._seen(motion).permute(0, 3, 2, 1)
-        return found if self.gains is None else found * self.gains[:, None]
+        response = self._seen(motion).permute(0, 3, 2, 1)
+        return response if self.gains is None else response * self.gains[:, None]
 
     def _seen(self, motion: Tensor) -> Tensor:
         """Return H without the sensors' gains, (n_vehicles, n_freq, n_sensors, n_inputs)."""
         places = self.places[:, None].to(motion.dtype)
         return places[..., : self.n] @ motion + places[..., self.n :] @ self.inputs
 
-    def moved(self, changes: Equations, motion: Tensor, adjoint: Tensor) -> Tensor:
+    def moved(self, changes: MotionEquations, motion: Tensor, adjoint: Tensor) -> Tensor:
         """Return the derivatives of H of one vehicle, its X and A_0 given.
 
         `changes` are the derivatives of its equations, one in each row; the result has the shape
@@ -119,13 +119,13 @@ class Equations:
         elements = squares.new_zeros(self.kappa.shape[1], *shape)
         elements = elements.index_add(0, self.element, squares)
         moving, moved = seen.permute(2, 0, 1), motion[0].transpose(0, 1)
-        found = squares.new_zeros(len(changes.kappa), *shape)
+        change = squares.new_zeros(len(changes.kappa), *shape)
         # a number changes few of the elements and masses: only those are taken
         row, k = _changed(changes.kappa)
-        found.index_add_(0, row, changes.kappa[row, k, :, None, None] * elements[k])
+        change.index_add_(0, row, changes.kappa[row, k, :, None, None] * elements[k])
         row, k = _changed(changes.inertia)
         inertia = changes.inertia[row, k, :, None] * moving[k]
-        found.index_add_(0, row, inertia[..., None] * -moved[k, :, None])
+        change.index_add_(0, row, inertia[..., None] * -moved[k, :, None])
         # few factors of the coordinates depend on a number: only those are taken
         k, i = _changing(changes.pulls)
         factors = changes.pulls[:, k, i]
@@ -134,33 +134,35 @@ class Equations:
         factors = torch.cat([factors, changes.stretches[:, k, i]], dim=1)
         loads = (kappa * pulled)[k, ..., None] * whole.transpose(0, 1)[i, :, None]
         weights = torch.view_as_real(torch.cat([weights, loads])).flatten(1)
-        found = -(found + torch.view_as_complex((factors @ weights).view(-1, *shape, 2)))
+        change = -(change + torch.view_as_complex((factors @ weights).view(-1, *shape, 2)))
         rows = _moving(changes.places)
-        found[rows] += changes.places[rows, None].to(whole.dtype) @ whole
+        change[rows] += changes.places[rows, None].to(whole.dtype) @ whole
         rows = _moving(changes.inputs)
         loads = (kappa * pulled).permute(1, 2, 0)
         below = self.places[0, :, n:] - loads @ self.stretches[0, :, n:].to(whole.dtype)
-        found[rows] += below @ changes.inputs[rows]
-        slopes: Tensor = found.permute(0, 3, 2, 1)
+        change[rows] += below @ changes.inputs[rows]
+        slopes: Tensor = change.permute(0, 3, 2, 1)
         if self.gains is not None and changes.gains is not None:
             without = self._seen(motion).permute(0, 3, 2, 1)
             slopes = slopes * self.gains[:, None] + without * changes.gains[:, None]
         return slopes
 
-    def of(self, vehicles: slice) -> Equations:
+    def of(self, vehicles: slice) -> MotionEquations:
         """Return the equations of some of the vehicles."""
         return replace(self, **{k: v[vehicles] for k, v in self._by_vehicle().items()})
 
-    def minus(self, other: Equations, size: float) -> Equations:
+    def minus(self, other: MotionEquations, size: float) -> MotionEquations:
         """Return the difference of two equations over a size."""
         theirs = other._by_vehicle()
-        found = {name: (one - theirs[name]) / size for name, one in self._by_vehicle().items()}
-        return replace(self, **found)
+        differences = {
+            name: (values - theirs[name]) / size for name, values in self._by_vehicle().items()
+        }
+        return replace(self, **differences)
 
     def _by_vehicle(self) -> dict[str, Tensor]:
         """Return all fields but `element`, and but `gains` if these are all 1."""
-        found = {one.name: getattr(self, one.name) for one in fields(self)}
-        return {k: v for k, v in found.items() if k != "element" and v is not None}
+        values = {field.name: getattr(self, field.name) for field in fields(self)}
+        return {k: v for k, v in values.items() if k != "element" and v is not None}
 
 
 def _changing(factors: Tensor) -> tuple[Tensor, ...]:
@@ -180,21 +182,21 @@ def _moving(values: Tensor) -> Tensor:
 
 def equations(
     layout: Layout, p: Mapping[str, Tensor], sensors: Sequence[str], omega: Tensor
-) -> Equations:
+) -> MotionEquations:
     """Return the equations of vehicles whose numbers `p` have the shape (n_vehicles, 1)."""
     parts = layout.parts
     moving, wheels = coordinates(parts), wheel_inputs(parts)
-    found = acting(layout, p)
-    elements = {id(one.element): one.element for one in found}
+    joints = acting(layout, p)
+    elements = {id(joint.element): joint.element for joint in joints}
     place = {key: i for i, key in enumerate(elements)}
     kappa = Element.stacked(list(elements.values())).at(omega)
     inertia = torch.stack(masses(parts, p), dim=1) * omega**2
     like = p["speed"]
-    pulls = [one.stretch if one.pull is None else one.pull for one in found]
-    return Equations(
+    pulls = [joint.stretch if joint.pull is None else joint.pull for joint in joints]
+    return MotionEquations(
         kappa=kappa,
-        element=torch.tensor([place[id(one.element)] for one in found], device=omega.device),
-        stretches=_matrix([one.stretch for one in found], (*moving, *wheels), like),
+        element=torch.tensor([place[id(joint.element)] for joint in joints], device=omega.device),
+        stretches=_matrix([joint.stretch for joint in joints], (*moving, *wheels), like),
         pulls=_matrix(pulls, moving, like),
         inertia=inertia,
         inputs=_inputs(layout, p, omega).permute(0, 3, 1, 2),
@@ -206,7 +208,7 @@ def equations(
 def _matrix(rows: Sequence[Row], names: Sequence[str], like: Tensor) -> Tensor:
     """Return factors of the coordinates `names`, (n_vehicles, n_rows, n_names); others are held."""
     column = {name: i for i, name in enumerate(names)}
-    known = [0.0] * (len(rows) * len(names))
+    constants = [0.0] * (len(rows) * len(names))
     # many factors are the same tensor: each is taken once
     values: dict[int, Tensor] = {}
     order, where = [], []
@@ -220,14 +222,14 @@ def _matrix(rows: Sequence[Row], names: Sequence[str], like: Tensor) -> Tensor:
                 order.append(id(value))
                 where.append(place)
             else:
-                known[place] = value
-    flat = like.new_tensor(known).expand(len(like), -1)
+                constants[place] = value
+    flat = like.new_tensor(constants).expand(len(like), -1)
     if values:
         number = {key: j for j, key in enumerate(values)}
         chosen = torch.tensor([number[key] for key in order], device=like.device)
         places = torch.tensor(where, device=like.device)
-        every = torch.cat(list(values.values()), dim=1)
-        flat = flat.index_copy(1, places, every[:, chosen])
+        distinct = torch.cat(list(values.values()), dim=1)
+        flat = flat.index_copy(1, places, distinct[:, chosen])
     return flat.reshape(len(like), len(rows), len(names))
 
 
@@ -250,15 +252,15 @@ def _inputs(layout: Layout, p: Mapping[str, Tensor], omega: Tensor) -> Tensor:
     sizes = _sizes(layout, p, omega)
     kinds = torch.eye(sizes.shape[1], dtype=sizes.dtype, device=sizes.device)
     of_kind = sizes[:, :, None] * kinds[..., None]
-    found = (delayed[:, None, :, None] * of_kind[:, :, None]).flatten(1, 2)
+    common = (delayed[:, None, :, None] * of_kind[:, :, None]).flatten(1, 2)
     if "wheelsets" not in parts:
-        return found
+        return common
     shares = root_of_size(p["wheelset_share"]), root_of_size(p["wheelset_roll_share"])
     alone = torch.cat([shares[0].expand(-1, 4), shares[1].expand(-1, 4) / RAIL_LATERAL_M], dim=1)
     alone = torch.diag_embed(alone)[..., None].expand(-1, -1, -1, len(omega))
     if is_lateral(parts):
         alone = torch.cat([alone, torch.zeros_like(alone[:, :4])], dim=1)
-    return torch.cat([found, alone.to(found.dtype)], dim=2)
+    return torch.cat([common, alone.to(common.dtype)], dim=2)
 
 
 def _sizes(layout: Layout, p: Mapping[str, Tensor], omega: Tensor) -> Tensor:
@@ -266,17 +268,17 @@ def _sizes(layout: Layout, p: Mapping[str, Tensor], omega: Tensor) -> Tensor:
 
     The roots of the inputs' densities over the mean's.
     """
-    one = torch.ones_like(p["speed"] * omega)
-    sizes = [one, cross_level_size(p, omega) / RAIL_LATERAL_M]
+    unit = torch.ones_like(p["speed"] * omega)
+    sizes = [unit, cross_level_size(p, omega) / RAIL_LATERAL_M]
     if is_lateral(layout.parts):
-        sizes.append(p["alignment"].sqrt() * one)
+        sizes.append(p["alignment"].sqrt() * unit)
     return torch.stack(sizes, dim=1)
 
 
 def _gains(p: Mapping[str, Tensor], sensors: Sequence[str], omega: Tensor) -> Tensor:
     """Return what sensors make of an acceleration, relative to the first one."""
-    one = torch.ones_like(p["speed"] * omega)
-    gains = [torch.complex(one, torch.zeros_like(one))]
+    unit = torch.ones_like(p["speed"] * omega)
+    gains = [torch.complex(unit, torch.zeros_like(unit))]
     for name in sensors[1:]:
         gains.append(phasor(omega * p[f"delay_{name}"]) * p[f"gain_{name}"])
     return torch.stack(gains, dim=1)
@@ -290,11 +292,11 @@ def responses(
     layout: Layout, numbers: Numbers, sensors: Sequence[str], columns: Tensor, omega: Tensor
 ) -> Tensor:
     """Return H of vehicles, (n_vehicles, n_inputs, n_sensors, n_freq)."""
-    found = []
+    blocks = []
     for rows in columns.split(_n_at_once(layout, omega)):
         system = equations(layout, numbers(rows), sensors, omega)
-        found.append(system.measured(system.solved()[0]))
-    return torch.cat(found)
+        blocks.append(system.measured(system.solved()[0]))
+    return torch.cat(blocks)
 
 
 def alone_responses(
@@ -304,14 +306,14 @@ def alone_responses(
 
     Shape (n_vehicles, n_kinds, 4, n_sensors, n_freq), the wheelsets 1 to 4.
     """
-    found = []
+    blocks = []
     for rows in columns.split(_n_at_once(layout, omega)):
         p = numbers(rows)
         sizes = _sizes(layout, p, omega).repeat_interleave(4, dim=1)
         inputs = torch.diag_embed(sizes.mT).to(torch.complex128)
         system = replace(equations(layout, p, sensors, omega), inputs=inputs)
-        found.append(system.measured(system.solved()[0]).unflatten(1, (-1, 4)))
-    return torch.cat(found)
+        blocks.append(system.measured(system.solved()[0]).unflatten(1, (-1, 4)))
+    return torch.cat(blocks)
 
 
 def derivatives(
@@ -333,12 +335,12 @@ def derivatives(
     for some in steps.split(max(1, n_rows // 2)):
         # one call for the vehicle and its changes, as one for few rows takes as long as for many
         rows = torch.cat([columns[None], columns + some])
-        every = equations(layout, numbers(rows), sensors, omega)
+        systems = equations(layout, numbers(rows), sensors, omega)
         if not slopes:
-            system = every.of(slice(1))
+            system = systems.of(slice(1))
             motion, factors = system.solved()
             adjoint = system.adjoint(factors)
-        changes = every.of(slice(1, None)).minus(system, STEP)
+        changes = systems.of(slice(1, None)).minus(system, STEP)
         slopes.append(system.moved(changes, motion, adjoint))
     return system.measured(motion)[0], torch.cat(slopes)
 

@@ -50,11 +50,6 @@ class SpatialVehicle(VehicleFamily):
     and these are absent. `sensors` are from ``PLACES``, by default a pair at axle box 1, at
     `frame_sensor` and on the body; sensitivities and delays are relative to the first of them.
 
-    Raises
-    ------
-    TypeError, ValueError
-        If the vehicle's geometry is missing or a setting is out of range.
-
     Examples
     --------
     >>> from suspnet import SpatialVehicle, read_vehicles
@@ -108,8 +103,12 @@ class SpatialVehicle(VehicleFamily):
     def quantities(self) -> tuple[Quantity, ...]:  # noqa: D102
         measuring = {f"{kind}_{place}" for kind in ("gain", "delay") for place in self._places[1:]}
         return (
-            *(one for one in QUANTITIES if one.part != "sensors"),
-            *(one for one in SPATIAL_QUANTITIES if one.part != "sensors" or one.name in measuring),
+            *(quantity for quantity in QUANTITIES if quantity.part != "sensors"),
+            *(
+                quantity
+                for quantity in SPATIAL_QUANTITIES
+                if quantity.part != "sensors" or quantity.name in measuring
+            ),
         )
 
     @property
@@ -177,11 +176,11 @@ class SpatialVehicle(VehicleFamily):
         channels, slopes = [], []
         for row in rows:
             sizes = torch.where(used, row + self.offsets.to(rows), 0.0)
-            found, by_column = derivatives(
+            response, by_column = derivatives(
                 self._layout, self._in_si, self._places, row, omega, sizes
             )
-            channels.append(found)
-            slopes.append(torch.tensordot(along[:, sizes != 0].to(found), by_column, 1))
+            channels.append(response)
+            slopes.append(torch.tensordot(along[:, sizes != 0].to(response), by_column, 1))
         return torch.stack(channels), torch.stack(slopes)
 
     def motion_system(self, ratios: Tensor | ArrayLike) -> LinearSystem:

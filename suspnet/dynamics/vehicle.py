@@ -37,15 +37,9 @@ _FIELD = {
 class Vehicle:
     """Six parameters of one bogie side's share of a vehicle, in SI units (Table III of the paper).
 
-    On a road vehicle the primary suspension is the tyre.
-
-    Raises
-    ------
-    TypeError
-        If a parameter is not a number.
-    ValueError
-        If a parameter is not positive and finite, or if an uncoupled natural frequency or damping
-        ratio is so far off that a unit must be wrong; the message names the likely mistake.
+    On a road vehicle the primary suspension is the tyre. ValueError if an uncoupled natural
+    frequency or damping ratio is so far off that a unit must be wrong; the message names the likely
+    mistake.
 
     Examples
     --------
@@ -156,13 +150,12 @@ class Vehicle:
     def __post_init__(self) -> None:
         check_settings(self)
         if self.limits is not None:
-            known = self.known_limits
-            own = {name: known[name].to_dict() if name in known else None for name in self.limits}
+            limits = self.known_limits
+            own = {name: limits[name].to_dict() if name in limits else None for name in self.limits}
             object.__setattr__(self, "limits", own)
-        _check_frequency(self, "primary", self.primary_frequency_hz)
-        _check_frequency(self, "secondary", self.secondary_frequency_hz)
-        _check_damping(self, "primary", self.primary_damping_ratio)
-        _check_damping(self, "secondary", self.secondary_damping_ratio)
+        for suspension in ("primary", "secondary"):
+            _check_frequency(self, suspension, getattr(self, f"{suspension}_frequency_hz"))
+            _check_damping(self, suspension, getattr(self, f"{suspension}_damping_ratio"))
 
     @property
     def known_limits(self) -> dict[str, Limits]:

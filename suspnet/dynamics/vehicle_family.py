@@ -33,12 +33,8 @@ OTHER_END: dict[End, End] = {"leading": "trailing", "trailing": "leading"}
 class VehicleFamily:
     """A vehicle with two pitching bogies, its sensors and uncertain numbers.
 
-    `outputs` are the estimated ratios, `possible_parts` what `parts` may hold.
-
-    Raises
-    ------
-    TypeError, ValueError
-        If the vehicle's geometry is missing or a setting is out of range.
+    `outputs` are the estimated ratios, `possible_parts` what `parts` may hold. ValueError if the
+    vehicle's geometry is missing or a setting is out of range.
     """
 
     outputs: ClassVar[tuple[str, ...]] = PARAMETERS
@@ -116,8 +112,8 @@ class VehicleFamily:
         object.__setattr__(self, "parts", tuple(p for p in self.possible_parts if p in self.parts))
         self._check_places()
         self._check_nominal()
-        given = LogNormal.read(self.distribution, self._groups, self.quantities)
-        object.__setattr__(self, "distribution", given)
+        distribution = LogNormal.read(self.distribution, self._groups, self.quantities)
+        object.__setattr__(self, "distribution", distribution)
 
     def _check_places(self) -> None:
         if len(self.sensor_lateral_m) != 3:
@@ -223,10 +219,10 @@ class VehicleFamily:
     def _medians(self) -> Tensor:
         """Median of each column, 1 for those of ``outputs``."""
         medians = [1.0] * len(self.outputs) + [quantity.median for quantity in self.quantities]
-        found = torch.tensor(medians, dtype=torch.float64)
+        columns = torch.tensor(medians, dtype=torch.float64)
         if self.distribution is not None:
-            found[self.uncertain_columns] = torch.as_tensor(self.distribution.median)
-        return found
+            columns[self.uncertain_columns] = torch.as_tensor(self.distribution.median)
+        return columns
 
     @cached_property
     def uncertain_columns(self) -> list[int]:
@@ -277,15 +273,15 @@ class VehicleFamily:
     def nominal_values(self) -> tuple[float, ...]:
         """Return the values at a ratio of 1, SI units; those that multiply healthy values are 1."""
         v = self.vehicle
-        given = dict(
+        values = dict(
             zip((f"healthy_{name}" for name in PARAMETERS), v.healthy_values(), strict=True)
         )
-        given |= {"speed": self.speed_m_per_s, "bogie_mass": v.bogie_mass_kg}
-        given |= {name.removesuffix("_m"): float(getattr(v, name)) for name in GEOMETRY}
+        values |= {"speed": self.speed_m_per_s, "bogie_mass": v.bogie_mass_kg}
+        values |= {name.removesuffix("_m"): float(getattr(v, name)) for name in GEOMETRY}
         places = zip(("axle_box", "frame", "body"), self.sensor_lateral_m, strict=True)
-        given |= {f"{name}_lateral": place for name, place in places} | dict(self.nominal or {})
+        values |= {f"{name}_lateral": place for name, place in places} | dict(self.nominal or {})
         first = (1.0,) * (len(self.outputs) - 1) + (float(v.body_mass_kg),)
         return first + tuple(
-            float(given.get(q.name, 1.0 if q.nominal is None else q.nominal))
+            float(values.get(q.name, 1.0 if q.nominal is None else q.nominal))
             for q in self.quantities
         )

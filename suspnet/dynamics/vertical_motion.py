@@ -28,7 +28,7 @@ each wheelset, w, and with roll the angle of the track there, x.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -105,18 +105,19 @@ class Element:
         """
         none = torch.zeros_like(elements[0].stiffness)
 
-        def column(values: Sequence[Tensor | None]) -> Tensor:
-            return torch.stack([none if one is None else one for one in values], dim=1)
+        def column(values: Iterable[Tensor | None]) -> Tensor:
+            return torch.stack([none if value is None else value for value in values], dim=1)
 
-        n_branches = max(len(one.branches) for one in elements)
+        # branches of stiffness 0 fill up those elements that have fewer than others
+        n_branches = max(len(element.branches) for element in elements)
         absent = none, torch.ones_like(none)
-        padded = [[*one.branches, *[absent] * n_branches] for one in elements]
-        branches = [[one[j] for one in padded] for j in range(n_branches)]
+        padded = [[*element.branches, *[absent] * n_branches] for element in elements]
+        branches = [[of_element[j] for of_element in padded] for j in range(n_branches)]
         return cls(
-            column([one.stiffness for one in elements]),
-            column([one.damping for one in elements]),
-            [(column([k for k, _ in one]), column([rate for _, rate in one])) for one in branches],
-            column([one.loss for one in elements]),
+            column(element.stiffness for element in elements),
+            column(element.damping for element in elements),
+            [(column(b for b, _ in pairs), column(r for _, r in pairs)) for pairs in branches],
+            column(element.loss for element in elements),
         )
 
     def times(self, factor: float) -> Element:
@@ -136,16 +137,16 @@ class Element:
         """
         stiffness = float(self.stiffness)
         damping = 0.0 if self.damping is None else float(self.damping)
-        given = [(float(one), float(rate)) for one, rate in self.branches]
+        pairs = [(float(b), float(rate)) for b, rate in self.branches]
         if self.loss is not None:
             lossy = float(self.loss) * stiffness
             rates = 2 * math.pi * np.array(LOSS_HZ)
-            given += zip(lossy * np.array(LOSS_SHARES), rates.tolist(), strict=True)
+            pairs += zip(lossy * np.array(LOSS_SHARES), rates.tolist(), strict=True)
             square = (2 * math.pi * LOSS_REFERENCE_HZ) ** 2
             stiffness -= lossy * float(np.dot(LOSS_SHARES, square / (square + rates**2)))
         branches: dict[float, float] = {}
-        for one, rate in given:
-            branches[rate] = branches.get(rate, 0.0) + float(one)
+        for b, rate in pairs:
+            branches[rate] = branches.get(rate, 0.0) + float(b)
         return stiffness, damping, branches
 
 
@@ -257,6 +258,7 @@ def vertical_motion(layout: Layout, p: Mapping[str, Tensor]) -> LinearSystem:
     parts, bogie, axle = layout.parts, layout.bogie, layout.axle
     n = {name: float(value) for name, value in p.items()}
     masses = _masses(n, parts)
+    # a unit vector for each coordinate and each motion of a wheelset
     inputs = [f"{kind}_{wheel}" for kind in "wx"[: 1 + ("roll" in parts)] for wheel in "abcd"]
     e = dict(zip([*masses, *inputs], np.eye(len(masses) + len(inputs)), strict=True))
     forward = 1.0 if bogie == "leading" else -1.0
@@ -268,6 +270,7 @@ def vertical_motion(layout: Layout, p: Mapping[str, Tensor]) -> LinearSystem:
         acting.append(Acting(bending_element(p, layout.empty_body_kg), e["q"]))
     if "roll" in parts:
         acting += vehicle.rolling()
+    # the measured points: of the frame in the middle or above an axle, of the body near the bogie
     frame, body = e["z_1"].copy(), vehicle.above("bending_at_sensor")
     if layout.frame_sensor == "axle":
         frame += e["psi_1"] if axle == "leading" else -e["psi_1"]

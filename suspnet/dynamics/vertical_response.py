@@ -194,14 +194,14 @@ def _per_wheel(
     means = answer[0] * first.force + free, answer[1] * other.force
     differences = answer[2] * first.push + swing, answer[3] * other.push
     halves = [(0.5 * m, 0.5 * d) for m, d in zip(means, differences, strict=True)]
-    return [one for m, d in halves for one in (m + d, m - d)]
+    return [motion for m, d in halves for motion in (m + d, m - d)]
 
 
 def moved(per_wheel: Sequence[Tensor], wheels: Sequence[Tensor]) -> Tensor:
     """Return the motion of a place, summed over its motion per metre under each wheelset."""
     total, *others = (gain * wheel for gain, wheel in zip(per_wheel, wheels, strict=True))
-    for one in others:
-        total = total + one
+    for motion in others:
+        total = total + motion
     return total
 
 
@@ -222,8 +222,8 @@ def excited(
     if "wheelsets" in layout.parts:
         size = root_of_size(p["wheelset_share"]) * torch.ones_like(wheels[0])
         rows += [size * place[i] for i in range(len(wheels)) for place in places]
-    found: Tensor = torch.stack(rows, dim=1).unflatten(1, (-1, 3))
-    return found
+    channels: Tensor = torch.stack(rows, dim=1).unflatten(1, (-1, 3))
+    return channels
 
 
 def root_of_size(share: Tensor) -> Tensor:
@@ -341,8 +341,8 @@ def wheels_of(layout: Layout, p: Mapping[str, Tensor], omega: Tensor) -> list[Te
     # One exponential for each of the two lengths is enough for all four wheelsets.
     unit = phasor(omega * 2 * a / p["speed"])
     other = phasor(omega * 2 * pivot / p["speed"])
-    one = torch.ones_like(unit)
-    own = [one, unit] if layout.axle == "leading" else [unit.conj(), one]
+    measured = torch.ones_like(unit)
+    own = [measured, unit] if layout.axle == "leading" else [unit.conj(), measured]
     if layout.bogie == "trailing":
         other = other.conj()
     return [*own, *(other * wheel for wheel in own)]

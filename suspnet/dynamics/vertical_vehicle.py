@@ -26,13 +26,7 @@ from suspnet.ground.tensors import as_tensor
 
 @dataclass(frozen=True)
 class VerticalVehicle(VehicleFamily):
-    """Frequency responses axle box -> frame -> body of a vehicle with two pitching bogies.
-
-    Raises
-    ------
-    TypeError, ValueError
-        If the vehicle's geometry is missing or a setting is out of range.
-    """
+    """Frequency responses axle box -> frame -> body of a vehicle with two pitching bogies."""
 
     def responses(
         self, ratios: Tensor | ArrayLike, frequencies_hz: Tensor | ArrayLike
@@ -58,21 +52,24 @@ class VerticalVehicle(VehicleFamily):
         """
         p, omega = self._prepared(ratios, frequencies_hz)
         places, wheels = self._felt(p, omega), wheels_of(self._layout, p, omega)
-        found = excited(self._layout, p, wheels, places)
+        channels = excited(self._layout, p, wheels, places)
         if not self.rolls:
-            return found
+            return channels
         turned = rolled(self._layout, p, omega)
         if "sensors" in self.parts:
             gains = [_gain(p, name, omega) for name in ("frame", "body")]
             turned = turned * torch.stack([torch.ones_like(gains[0]), *gains], dim=1)
-        return torch.cat([found, turned[:, None]], dim=1)
+        return torch.cat([channels, turned[:, None]], dim=1)
 
     def _felt(self, p: Mapping[str, Tensor], omega: Tensor) -> list[list[Tensor]]:
         """Return what axle box, frame and body sensor measure per metre under each wheelset."""
         box, *others = bounced(self._layout, p, omega)
         if "sensors" in self.parts:
             gains = [_gain(p, name, omega) for name in ("frame", "body")]
-            others = [list(map(gain.mul, one)) for gain, one in zip(gains, others, strict=True)]
+            others = [
+                list(map(gain.mul, per_wheel))
+                for gain, per_wheel in zip(gains, others, strict=True)
+            ]
         return [box, *others]
 
     @property
@@ -132,7 +129,10 @@ class VerticalVehicle(VehicleFamily):
         """Return kappa_p and kappa_s of the measured bogie, (n_vehicles, 2, n_freq), [N/m]."""
         p, omega = self._prepared(ratios, frequencies_hz)
         return torch.stack(
-            [one(p, "", self.parts).at(omega) for one in (primary_element, secondary_element)],
+            [
+                element(p, "", self.parts).at(omega)
+                for element in (primary_element, secondary_element)
+            ],
             dim=1,
         )
 

@@ -19,8 +19,8 @@ from suspnet.estimation.information import cramer_rao, output_bounds, over_bound
 from suspnet.estimation.protocols import Task, columns_of
 from suspnet.ground.tensors import as_tensor
 from suspnet.ground.types import FloatArray
+from suspnet.spectra.estimates import Observer
 from suspnet.spectra.extraction import FeatureSet
-from suspnet.spectra.observation import Observer
 
 N_DRAWS, DRAWS_PER_FEATURE = 64, 4
 """Smallest number of noisy curves of each vehicle for the covariance: in total, and per feature."""

@@ -20,7 +20,7 @@ from suspnet.estimation.refine import Refined
 from suspnet.ground.types import FloatArray, IntArray
 from suspnet.learning import Scaling
 from suspnet.learning.metrics import check_estimates
-from suspnet.spectra.observation import Observation, Observer
+from suspnet.spectra.estimates import Observation, Observer
 
 
 class ModelFileError(ValueError):

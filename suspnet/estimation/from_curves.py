@@ -18,7 +18,7 @@ from suspnet.estimation.refine import Refined, complete_ratios, refine
 from suspnet.ground.parameters import BODY_MASS
 from suspnet.ground.tensors import as_tensor
 from suspnet.ground.types import FloatArray
-from suspnet.spectra.observation import Misfit, Observer
+from suspnet.spectra.estimates import Misfit, Observer
 
 ONE_SIGMA = 0.6827
 """Level of an interval whose half width is one standard deviation of a normal error."""

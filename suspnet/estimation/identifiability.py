@@ -31,8 +31,7 @@ from suspnet.ground.parameters import BODY_MASS
 from suspnet.ground.types import FloatArray
 from suspnet.spectra.curves import CurveObserver, CurveSettings
 from suspnet.spectra.estimate_observer import EstimateObserver
-from suspnet.spectra.estimates import EstimateSettings
-from suspnet.spectra.observation import Observer
+from suspnet.spectra.estimates import EstimateSettings, Observer
 
 SECOND_SET = "a second set of sensors"
 PAIR = "a pair of sensors at each place, left and right"

@@ -21,7 +21,8 @@ from suspnet.ground.parameters import BODY_MASS
 from suspnet.ground.tensors import as_tensor, threads
 from suspnet.ground.types import ComplexArray, FloatArray
 from suspnet.learning.least_squares import ONE_SIDED_DIFFERENCE
-from suspnet.spectra.observation import Directions, Misfit, Observer
+from suspnet.spectra.estimates import Misfit, Observer
+from suspnet.spectra.observation import Directions
 
 ROWS = 256
 NODES = 24

@@ -30,8 +30,8 @@ from suspnet.ground.progress import bar as progress_bar
 from suspnet.ground.settings import check_number
 from suspnet.ground.tensors import as_tensor, threads
 from suspnet.ground.types import BoolArray, FloatArray, IntArray
+from suspnet.spectra.estimates import Observation, Observer
 from suspnet.spectra.extraction import FeatureSet, FeatureTable, PeakFeatures
-from suspnet.spectra.observation import Observation, Observer
 
 LEARN_FROM = 4096
 """Number of training curves to which a feature set is fitted."""

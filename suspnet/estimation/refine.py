@@ -26,7 +26,8 @@ from suspnet.estimation.protocols import BODY_MASS_COLUMN, Task, columns_of
 from suspnet.ground.tensors import threads
 from suspnet.ground.types import BoolArray, FloatArray, IntArray
 from suspnet.learning.least_squares import BEYOND, LeastSquaresSolution, LevenbergMarquardt
-from suspnet.spectra.observation import Directions, Misfit
+from suspnet.spectra.estimates import Misfit
+from suspnet.spectra.observation import Directions
 
 TOL = 1e-5
 """Tolerance of the logarithms of the parameters, far below their deviations."""

@@ -14,12 +14,12 @@ import torch
 from joblib import Parallel, delayed
 from numpy.typing import ArrayLike
 from sklearn import kernel_ridge, linear_model, svm
-from sklearn.base import BaseEstimator, MultiOutputMixin, RegressorMixin
+from sklearn.base import BaseEstimator
 from sklearn.metrics.pairwise import rbf_kernel
-from sklearn.utils.validation import check_is_fitted, validate_data
+from sklearn.utils.validation import check_is_fitted
 from torch import Tensor
 
-from suspnet.ground.settings import Setting, check_settings, check_values
+from suspnet.ground.settings import Setting, check_values
 from suspnet.ground.types import FloatArray
 from suspnet.learning.least_squares import (
     BEYOND,
@@ -28,9 +28,10 @@ from suspnet.learning.least_squares import (
     Residual,
     RowStatus,
 )
+from suspnet.learning.regressor import MethodFlags, Regressor, arrays_of
 
 Forward = Callable[[Tensor, Tensor], Tensor]
-"""``forward(parameters, known)`` returns curves (n_rows, n_curves, n_points)."""
+"""``forward(parameters, known_parameters)`` returns curves (n_rows, n_curves, n_points)."""
 COMPRESSED, ROUGH_TOL, ROUGH_ITER = 0.05, 1e-3, 20
 """A curve, in units of its rms, above which it counts by its logarithm in the first search of
 `CurveFit`, and the tolerance and number of iterations of that search."""
@@ -38,32 +39,16 @@ RULED_OUT = 10.0
 """A model whose cost after the first search exceeds the least one by this factor is ruled out."""
 PREDICT_ROWS = 1024
 """Rows predicted at once, so that their kernel fits into memory."""
+C_SETTING = Setting("Penalty of residuals outside the tube, as tuned for the group", above=0)
+SIGMA_SETTING = Setting("Width of the kernel exp(-|x - z|²/sigma²)", "scaled inputs", above=0)
 
 
-class SVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[misc]
+class SVR(Regressor):
     """One epsilon-insensitive support vector regression for each output (scikit-learn's libsvm).
 
-    Kernel ``exp(-|x - z|^2 / sigma^2)`` as in `MSVR`. The loss is linear outside the tube.
-
-    Parameters
-    ----------
-    C : float, default=10.0
-        Penalty, > 0.
-    sigma : float, default=3.0
-        Kernel width, > 0.
-    epsilon : float, default=1e-3
-        Half width of the tube, >= 0.
-    tol : float, default=1e-3
-        libsvm's stopping tolerance.
-    max_iter : int, default=10_000_000
-        Largest number of libsvm's iterations for each output. It needs one to some hundred times
-        the number of samples, and does not end by itself if `tol` is below rounding.
-    cache_size_mb : float, default=400.0
-        libsvm's kernel cache for each output.
-    n_jobs : int or None, default=2
-        Outputs fitted at the same time, in threads.
-    callback : callable, optional
-        Called with the number of outputs fitted so far.
+    Kernel ``exp(-|x - z|^2 / sigma^2)`` as in `MSVR`. The loss is linear outside the tube. Each
+    output needs one to some hundred times as many iterations as there are samples; a `tol` below
+    rounding never ends by itself. `callback` gets the number of outputs fitted so far.
 
     Attributes
     ----------
@@ -75,11 +60,6 @@ class SVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[misc
         Mean fraction of the samples that are support vectors.
     converged_ : bool
 
-    Raises
-    ------
-    TypeError, ValueError
-        From `fit`, if a parameter or the data is out of range.
-
     Warns
     -----
     ConvergenceWarning
@@ -87,8 +67,8 @@ class SVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[misc
     """
 
     settings: ClassVar[Mapping[str, Setting]] = {
-        "C": Setting("Penalty of residuals outside the tube, as tuned for the group", above=0),
-        "sigma": Setting("Width of the kernel exp(-|x - z|²/sigma²)", "scaled inputs", above=0),
+        "C": C_SETTING,
+        "sigma": SIGMA_SETTING,
         "epsilon": Setting(
             "Half width of the tube within which residuals cost nothing", "scaled outputs", low=0
         ),
@@ -107,10 +87,6 @@ class SVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[misc
         ),
     }
     """What each argument means and which values it takes."""
-
-    works_on_curves: ClassVar[bool] = False
-    distributable: ClassVar[bool] = False
-    gives_deviations: ClassVar[bool] = False
 
     def __init__(
         self,
@@ -134,11 +110,7 @@ class SVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[misc
 
     def fit(self, X: ArrayLike, y: ArrayLike) -> Self:
         """Fit one machine for each column of `y`, (n_samples,) or (n_samples, n_outputs)."""
-        check_settings(self)
-        X, y = validate_data(self, X, y, multi_output=True, y_numeric=True, dtype=np.float64)
-        samples, targets = np.asarray(X), np.asarray(y, dtype=np.float64)
-        self._single_output = targets.ndim == 1
-        targets = targets.reshape(len(samples), -1)
+        samples, targets = self._training_data(X, y)
         machines = Parallel(self.n_jobs, prefer="threads", return_as="generator")(
             delayed(self._fit_output)(samples, column) for column in targets.T
         )
@@ -159,37 +131,28 @@ class SVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[misc
 
     def predict(self, X: ArrayLike) -> FloatArray:
         """Return predictions, shape (n_samples,) or (n_samples, n_outputs)."""
-        check_is_fitted(self)
-        samples = np.asarray(validate_data(self, X, reset=False, dtype=np.float64))
+        samples = self._inputs(X)
         predicted = np.zeros((len(samples), len(self.intercept_)))
-        for j, (vectors, dual) in enumerate(
-            zip(self.support_vectors_, self.dual_coef_, strict=True)
-        ):
+        machines = zip(self.support_vectors_, self.dual_coef_, strict=True)
+        for j, (vectors, dual) in enumerate(machines):
             if len(dual):  # a constant output has no support vector
-                predicted[:, j] = kernel_expansion(samples, vectors, dual, self.sigma)
-        predicted += self.intercept_
-        return predicted[:, 0] if self._single_output else predicted
+                predicted[:, j] = _kernel_expansion(samples, vectors, dual, self.sigma)
+        return self._as_trained(predicted + self.intercept_)
 
     def state(self) -> dict[str, FloatArray]:
-        """Return the arrays that define the fitted model together with the parameters.
-
-        The intercept has the shape () if `y` had one dimension.
-        """
-        check_is_fitted(self)
+        """Return the arrays that define the fitted model together with the parameters."""
+        intercept = self._stored("intercept_")
         arrays = {f"support_vectors.{j}": v for j, v in enumerate(self.support_vectors_)}
         arrays |= {f"dual_coef.{j}": v for j, v in enumerate(self.dual_coef_)}
-        return arrays | {"intercept": self.intercept_.reshape(() if self._single_output else -1)}
+        return arrays | {"intercept": intercept}
 
     def restore(self, state: Mapping[str, FloatArray]) -> Self:
         """Load the arrays of `state`; ValueError if they are missing or inconsistent."""
-        try:
-            self.intercept_ = np.atleast_1d(state["intercept"])
-            self._single_output = state["intercept"].ndim == 0
+        with arrays_of("an SVR"):
+            self.intercept_ = self._restored(state["intercept"])
             outputs = range(len(self.intercept_))
             self.support_vectors_ = [state[f"support_vectors.{j}"] for j in outputs]
             self.dual_coef_ = [state[f"dual_coef.{j}"] for j in outputs]
-        except KeyError as error:
-            raise ValueError(f"the arrays are not those of an SVR model ({error})") from error
         pairs = zip(self.support_vectors_, self.dual_coef_, strict=True)
         if any(len(vectors) != len(dual) for vectors, dual in pairs):
             raise ValueError("support vectors and dual coefficients differ in number")
@@ -209,13 +172,10 @@ class SVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[misc
         return machine.fit(X, y)
 
 
-def kernel_expansion(
+def _kernel_expansion(
     X: FloatArray, vectors: FloatArray, dual: FloatArray, sigma: float
 ) -> FloatArray:
-    """Return sum_j k(x_i, v_j) dual_j, (n_samples,) or (n_samples, n_outputs) as `dual` is.
-
-    k is the kernel exp(-|x - v|^2 / sigma^2), of a block of rows at a time.
-    """
+    """Return sum_j exp(-|x_i - v_j|^2 / sigma^2) dual_j, a block of rows at a time."""
     expansion = np.empty((len(X), *dual.shape[1:]))
     for start in range(0, len(X), PREDICT_ROWS):
         rows = slice(start, start + PREDICT_ROWS)
@@ -223,40 +183,24 @@ def kernel_expansion(
     return expansion
 
 
-class KernelRidge(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[misc]
+class KernelRidge(Regressor):
     """Kernel ridge regression (scikit-learn's), which MSVR is without a tube.
 
     Minimises ``1/2 |W|^2 + C sum_i |y_i - W^T phi(x_i) - b|^2`` with b the mean of the outputs, so
     with the letters of `MSVR`: alpha = 1 / (2 C), gamma = 1 / sigma^2.
-
-    Parameters
-    ----------
-    C : float, default=100.0
-        Penalty, > 0.
-    sigma : float, default=3.0
-        Kernel width, > 0.
 
     Attributes
     ----------
     dual_coef_ : array of shape (n_samples, n_outputs)
     X_fit_ : array of shape (n_samples, n_inputs)
     intercept_ : array of shape (n_outputs,)
-
-    Raises
-    ------
-    TypeError, ValueError
-        From `fit`, if a parameter or the data is out of range.
     """
 
     settings: ClassVar[Mapping[str, Setting]] = {
         "C": Setting("Penalty of residuals, as tuned for the group", above=0),
-        "sigma": Setting("Width of the kernel exp(-|x - z|²/sigma²)", "scaled inputs", above=0),
+        "sigma": SIGMA_SETTING,
     }
     """What each argument means and which values it takes."""
-
-    works_on_curves: ClassVar[bool] = False
-    distributable: ClassVar[bool] = False
-    gives_deviations: ClassVar[bool] = False
 
     def __init__(self, C: float = 100.0, sigma: float = 3.0) -> None:
         self.C = C
@@ -264,41 +208,30 @@ class KernelRidge(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ign
 
     def fit(self, X: ArrayLike, y: ArrayLike) -> Self:
         """Fit to samples (n_samples, n_inputs) and outputs (n_samples,) or (.., n_outputs)."""
-        check_settings(self)
-        X, y = validate_data(self, X, y, multi_output=True, y_numeric=True, dtype=np.float64)
-        targets = np.asarray(y, dtype=np.float64)
-        self._single_output = targets.ndim == 1
-        targets = targets.reshape(len(targets), -1)
+        samples, targets = self._training_data(X, y)
         self.intercept_ = targets.mean(axis=0)
         machine = kernel_ridge.KernelRidge(
             alpha=1 / (2 * self.C), kernel="rbf", gamma=1 / self.sigma**2
         )
-        machine.fit(X, targets - self.intercept_)
-        self.dual_coef_, self.X_fit_ = machine.dual_coef_, np.ascontiguousarray(X)
+        machine.fit(samples, targets - self.intercept_)
+        self.dual_coef_, self.X_fit_ = machine.dual_coef_, np.ascontiguousarray(samples)
         return self
 
     def predict(self, X: ArrayLike) -> FloatArray:
         """Return predictions, shape (n_samples,) or (n_samples, n_outputs) as `y` was."""
-        check_is_fitted(self)
-        samples = np.asarray(validate_data(self, X, reset=False, dtype=np.float64))
-        predicted = kernel_expansion(samples, self.X_fit_, self.dual_coef_, self.sigma)
-        predicted += self.intercept_
-        return predicted[:, 0] if self._single_output else predicted
+        predicted = _kernel_expansion(self._inputs(X), self.X_fit_, self.dual_coef_, self.sigma)
+        return self._as_trained(predicted + self.intercept_)
 
     def state(self) -> dict[str, FloatArray]:
         """Return the arrays of the fitted model."""
-        check_is_fitted(self)
-        intercept = self.intercept_.reshape(() if self._single_output else -1)
+        intercept = self._stored("intercept_")
         return {"dual_coef": self.dual_coef_, "X_fit": self.X_fit_, "intercept": intercept}
 
     def restore(self, state: Mapping[str, FloatArray]) -> Self:
         """Load the arrays of `state`; ValueError if they are missing or inconsistent."""
-        try:
+        with arrays_of("a ridge"):
             self.dual_coef_, self.X_fit_ = state["dual_coef"], state["X_fit"]
-            self.intercept_ = np.atleast_1d(state["intercept"])
-            self._single_output = state["intercept"].ndim == 0
-        except KeyError as error:
-            raise ValueError(f"the arrays are not those of a ridge model ({error})") from error
+            self.intercept_ = self._restored(state["intercept"])
         if self.dual_coef_.shape != (len(self.X_fit_), len(self.intercept_)):
             raise ValueError(
                 f"dual_coef has shape {self.dual_coef_.shape}, X_fit {self.X_fit_.shape}"
@@ -307,14 +240,10 @@ class KernelRidge(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ign
         return self
 
 
-class LinearRegression(linear_model.LinearRegression):  # type: ignore[misc]
+class LinearRegression(MethodFlags, linear_model.LinearRegression):  # type: ignore[misc]
     """Ordinary least squares with an intercept (scikit-learn's), the paper's MV-LR."""
 
     coef_: FloatArray
-
-    works_on_curves: ClassVar[bool] = False
-    distributable: ClassVar[bool] = False
-    gives_deviations: ClassVar[bool] = False
 
     def __init__(self) -> None:
         super().__init__()
@@ -333,10 +262,8 @@ class LinearRegression(linear_model.LinearRegression):  # type: ignore[misc]
 
     def restore(self, state: Mapping[str, FloatArray]) -> Self:
         """Load the arrays of `state`; ValueError if they are missing or inconsistent."""
-        try:
+        with arrays_of("a linear"):
             self.coef_, self.intercept_ = state["coef"], state["intercept"]
-        except KeyError as error:
-            raise ValueError(f"the arrays are not those of a linear model ({error})") from error
         if not self.coef_.ndim or self.coef_.shape[:-1] != self.intercept_.shape:
             raise ValueError(
                 f"coef has shape {self.coef_.shape}, intercept {self.intercept_.shape}"
@@ -345,14 +272,8 @@ class LinearRegression(linear_model.LinearRegression):  # type: ignore[misc]
         return self
 
 
-class CurveFit(BaseEstimator):  # type: ignore[misc]
-    """Least-squares fit of a model's curves, started from the nearest of a set of Sobol points.
-
-    Raises
-    ------
-    TypeError, ValueError
-        If a parameter is out of range.
-    """
+class CurveFit(MethodFlags, BaseEstimator):  # type: ignore[misc]
+    """Least-squares fit of a model's curves, started from the nearest of a set of Sobol points."""
 
     settings: ClassVar[Mapping[str, Setting]] = {
         "n_starts": Setting(
@@ -366,8 +287,6 @@ class CurveFit(BaseEstimator):  # type: ignore[misc]
     """What each argument means and which values it takes."""
 
     works_on_curves: ClassVar[bool] = True
-    distributable: ClassVar[bool] = False
-    gives_deviations: ClassVar[bool] = False
 
     def __init__(self, n_starts: int = 512, max_iter: int = 100, tol: float = 1e-8) -> None:
         check_values(CurveFit, n_starts=n_starts, max_iter=max_iter, tol=tol)
@@ -383,32 +302,31 @@ class CurveFit(BaseEstimator):  # type: ignore[misc]
         self,
         forwards: Sequence[tuple[Forward, int]],
         observed: Tensor,
-        known: Tensor,
+        known_parameters: Tensor,
         lower: float,
         upper: float,
     ) -> list[LeastSquaresSolution]:
         """Return, for each of several models, the parameters whose curves are nearest to a row's.
 
         The residual of each curve is divided by its rms, to which the noise is proportional. A
-        model is ``forward(parameters, known)``, which returns curves (n_rows, n_curves, n_points)
-        in the shape of `observed`, and its number of parameters; `known` (n_rows, n_known) are
-        known parameters of each row, `lower` and `upper` the range of the starts. Parameters stay
-        within ``BEYOND`` times this range: one without effect on the curves would go to 0 or
-        infinity. Models that a rough fit rules out for a row have an infinite cost there.
+        model is a `Forward`, whose curves have the shape of `observed` (n_rows, n_curves,
+        n_points), and its number of parameters; `known_parameters` is (n_rows, n_known), `lower`
+        and `upper` are the range of the starts. Parameters stay within ``BEYOND`` times this range:
+        one without effect on the curves would go to 0 or infinity. Models that a rough fit rules
+        out for a row have an infinite cost there.
         """
         scale = observed.square().mean(dim=2, keepdim=True).sqrt()
+        floor = COMPRESSED * scale
         limits = math.log(lower / BEYOND), math.log(upper * BEYOND)
         bounds = observed.new_tensor(limits[:1]), observed.new_tensor(limits[1:])
 
-        floor = COMPRESSED * scale
-
         def residuals(forward: Forward) -> tuple[Residual, Residual]:
             def plain(log_parameters: Tensor, rows: Tensor) -> Tensor:
-                curves = forward(log_parameters.exp(), known[rows])
+                curves = forward(log_parameters.exp(), known_parameters[rows])
                 return ((observed[rows] - curves) / scale[rows]).flatten(1)
 
             def compressed(log_parameters: Tensor, rows: Tensor) -> Tensor:
-                curves = forward(log_parameters.exp(), known[rows])
+                curves = forward(log_parameters.exp(), known_parameters[rows])
                 levels = torch.asinh(observed[rows] / floor[rows])
                 return (levels - torch.asinh(curves / floor[rows])).flatten(1)
 
@@ -419,12 +337,13 @@ class CurveFit(BaseEstimator):  # type: ignore[misc]
             max_iter=min(self.max_iter, ROUGH_ITER), tol=ROUGH_TOL, bounds=bounds
         )
         pairs = [residuals(forward) for forward, _ in forwards]
-        every = torch.arange(len(observed), device=observed.device)
+        all_rows = torch.arange(len(observed), device=observed.device)
         starts, costs = [], []
         for (forward, n), (plain, compressed) in zip(forwards, pairs, strict=True):
-            start = self._nearest_start(forward, observed, known, scale, (lower, upper), n).log()
+            curves = observed, scale, known_parameters
+            start = self._nearest_start(forward, n, *curves, lower, upper).log()
             starts.append(rough.minimise(compressed, start).parameters)
-            costs.append(plain(starts[-1], every).square().sum(dim=1))
+            costs.append(plain(starts[-1], all_rows).square().sum(dim=1))
         # Then the curves themselves, of the models that are not far behind the nearest one.
         least = torch.stack(costs).amin(dim=0)
         solver = LevenbergMarquardt(max_iter=self.max_iter, tol=self.tol, bounds=bounds)
@@ -437,22 +356,22 @@ class CurveFit(BaseEstimator):  # type: ignore[misc]
     def _nearest_start(
         self,
         forward: Forward,
+        n_parameters: int,
         observed: Tensor,
-        known: Tensor,
         scale: Tensor,
-        start_range: tuple[float, float],
-        n: int,
+        known_parameters: Tensor,
+        lower: float,
+        upper: float,
     ) -> Tensor:
         """Return for each row the Sobol point whose curves are nearest to the row's."""
-        lower, upper = start_range
-        points = torch.quasirandom.SobolEngine(n).draw(self.n_starts, dtype=torch.float64)
+        sobol = torch.quasirandom.SobolEngine(n_parameters)
+        points = sobol.draw(self.n_starts, dtype=torch.float64)
         starts = torch.exp(math.log(lower) + points.to(observed) * math.log(upper / lower))
-        mean_known = known.mean(dim=0, keepdim=True).expand(len(starts), -1)
+        mean_known = known_parameters.mean(dim=0, keepdim=True).expand(len(starts), -1)
         curves = forward(starts, mean_known).flatten(1)
-        shape = observed.shape
-        weights = (1 / scale.square()).expand(shape).flatten(1)
-        flat = observed.flatten(1)
-        misfit = weights @ curves.square().T - 2 * (weights * flat) @ curves.T
+        weights = (1 / scale.square()).expand(observed.shape).flatten(1)
+        # |observed - curves|^2 without the square of the observed ones, the same for all points
+        misfit = weights @ curves.square().T - 2 * (weights * observed.flatten(1)) @ curves.T
         return starts[misfit.argmin(dim=1)]
 
 
@@ -460,13 +379,13 @@ def _fit_of_rows(
     solver: LevenbergMarquardt, residual: Residual, start: Tensor, rows: Tensor
 ) -> LeastSquaresSolution:
     """Return the fit of some rows in parameters, and an infinite cost of the others."""
-    part = solver.minimise(lambda theta, chosen: residual(theta, rows[chosen]), start[rows])
+    solution = solver.minimise(lambda theta, chosen: residual(theta, rows[chosen]), start[rows])
     parameters = start.clone()
-    parameters[rows] = part.parameters
+    parameters[rows] = solution.parameters
     cost = start.new_full((len(start),), math.inf)
-    cost[rows] = part.cost
+    cost[rows] = solution.cost
     information = start.new_zeros(*start.shape, start.shape[1])
-    information[rows] = part.information
+    information[rows] = solution.information
     status = torch.full((len(start),), int(RowStatus.NO_DECREASE), device=start.device)
-    status[rows] = part.status
-    return LeastSquaresSolution(parameters.exp(), cost, information, status, part.n_iter)
+    status[rows] = solution.status
+    return LeastSquaresSolution(parameters.exp(), cost, information, status, solution.n_iter)

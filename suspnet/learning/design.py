@@ -7,6 +7,7 @@ summed over ranks where the samples are spread over several processes. `DenseDes
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import accumulate
@@ -29,8 +30,8 @@ Columns = Callable[[slice, Tensor], Tensor]
 
 
 @dataclass(frozen=True)
-class Direction:
-    """A change of W and b: `coef` (n_features, n_outputs), `intercept` (n_outputs,)."""
+class Coefficients:
+    """W and b, or a change of them: `coef` (n_features, n_outputs), `intercept` (n_outputs,)."""
 
     coef: Tensor
     intercept: Tensor
@@ -53,57 +54,48 @@ class Gradient:
 class NormalEquations(Protocol):
     """Interface of equations that give a direction, exactly or approximately that of Eq. (9)."""
 
-    def direction(self, gradient: Gradient, accuracy: float) -> Direction:
+    def direction(self, gradient: Gradient, accuracy: float) -> Coefficients:
         """Return a direction; `accuracy` is the error of F that may remain."""
         ...
 
 
-class Design(Protocol):
-    """The interface through which the solver uses Phi."""
+class Design(ABC):
+    """The interface through which the solver uses Phi.
+
+    `all_reduce` sums a tensor over ranks, in place. Inner products and coefficients are those of
+    vectors that hold the features themselves.
+    """
 
     n_features: int
     all_reduce: AllReduce
-    """Sums a tensor over ranks, in place."""
-
-    def inner(self, first: Tensor, second: Tensor) -> Tensor:
-        """Return the sum over outputs of the inner products of two vectors of features."""
-        ...
-
-    def coefficients(self, coef: Tensor) -> Tensor:
-        """Return the coefficients with which the feature map predicts."""
-        ...
-
-    def rmatvec(self, columns: Tensor) -> Tensor:
-        """Return Phi^T columns, shape (n_features, n_columns), summed over ranks."""
-        ...
-
-    def matvec_rmatvec(self, change: Direction, columns: Columns) -> tuple[Tensor, Tensor]:
-        """Return Phi W + b, and Phi^T V with V = columns(rows, (Phi W + b)[rows]), in one pass."""
-        ...
-
-    def fixed(self, C: Penalty, fit_intercept: bool) -> NormalEquations:
-        """Return the equations of the samples' largest weights, 2 C, computed once."""
-        ...
-
-    def reweighted(self, C: Penalty, fit_intercept: bool) -> NormalEquations:
-        """Return the equations of Eq. (9), computed for the weights of every iteration."""
-        ...
-
-    def newton(self, C: Penalty, fit_intercept: bool) -> NormalEquations:
-        """Return the equations of Newton's method, or those of Eq. (9) where they cost less."""
-        ...
-
-
-class PlainVectors:
-    """Inner products and coefficients of a design whose vectors hold the features themselves."""
 
     def inner(self, first: Tensor, second: Tensor) -> Tensor:
         """Return the sum over outputs of the inner products of two vectors of features."""
         return (first * second).sum()
 
     def coefficients(self, coef: Tensor) -> Tensor:
-        """Return W itself."""
+        """Return the coefficients with which the feature map predicts."""
         return coef
+
+    @abstractmethod
+    def rmatvec(self, columns: Tensor) -> Tensor:
+        """Return Phi^T columns, shape (n_features, n_columns), summed over ranks."""
+
+    @abstractmethod
+    def matvec_rmatvec(self, change: Coefficients, columns: Columns) -> tuple[Tensor, Tensor]:
+        """Return Phi W + b, and Phi^T V with V = columns(rows, (Phi W + b)[rows]), in one pass."""
+
+    @abstractmethod
+    def fixed(self, C: Penalty, fit_intercept: bool) -> NormalEquations:
+        """Return the equations of the samples' largest weights, 2 C, computed once."""
+
+    @abstractmethod
+    def reweighted(self, C: Penalty, fit_intercept: bool) -> NormalEquations:
+        """Return the equations of Eq. (9), computed for the weights of every iteration."""
+
+    def newton(self, C: Penalty, fit_intercept: bool) -> NormalEquations:
+        """Return the equations of Newton's method, or those of Eq. (9) where they cost less."""
+        return self.reweighted(C, fit_intercept)
 
 
 @dataclass(frozen=True)
@@ -139,7 +131,7 @@ def largest_weights(C: Penalty, like: Tensor) -> Tensor:
     return torch.zeros_like(like) + 2 * C
 
 
-class DenseDesign(PlainVectors):
+class DenseDesign(Design):
     """Phi in blocks of rows.
 
     If a map ends with a product with a fixed basis, Phi = K V, the blocks are those of K, and V
@@ -147,7 +139,7 @@ class DenseDesign(PlainVectors):
 
     Phi is stored between passes if it fits into `cache_bytes`, else `block_rows` of it are in
     memory at once. `gram_columns` columns of the Gram matrix are computed at a time, from the
-    diagonal on, as it is symmetric. `X`: (n_samples, n_inputs).
+    diagonal on, as it is symmetric. `X`: (n_samples, n_inputs); `gram` is that matrix if known.
     """
 
     def __init__(
@@ -159,6 +151,7 @@ class DenseDesign(PlainVectors):
         block_rows: int = 4096,
         cache_bytes: int = CACHE_BYTES,
         gram_columns: int = 256,
+        gram: Gram | None = None,
     ) -> None:
         self.feature_map, self.X, self.all_reduce = feature_map, X, all_reduce
         self._gram_columns = gram_columns
@@ -171,21 +164,21 @@ class DenseDesign(PlainVectors):
         self.n_features = self._width if self._basis is None else self._basis.shape[1]
         whole = len(X) * self._width * first.element_size()
         self._blocks = [self._make(X[s]) for s in self.slices] if whole <= cache_bytes else []
-        self._gram: Gram | None = None
+        self._gram = gram
 
     @classmethod
-    def joined(cls, parts: Sequence[DenseDesign], gram: Gram) -> DenseDesign:
-        """Return the design of the samples of all parts from their known Gram matrix."""
-        whole = cls(parts[0].feature_map, torch.cat([part.X for part in parts]), cache_bytes=0)
-        starts = accumulate((len(part.X) for part in parts), initial=0)
+    def joined(cls, designs: Sequence[DenseDesign], gram: Gram) -> DenseDesign:
+        """Return the design of the samples of all designs from their known Gram matrix."""
+        X = torch.cat([design.X for design in designs])
+        whole = cls(designs[0].feature_map, X, cache_bytes=0, gram=gram)
+        starts = accumulate((len(design.X) for design in designs), initial=0)
         whole.slices = [
             slice(start + rows.start, start + rows.stop)
-            for part, start in zip(parts, starts, strict=False)
-            for rows in part.slices
+            for design, start in zip(designs, starts, strict=False)
+            for rows in design.slices
         ]
-        if all(part._blocks for part in parts):
-            whole._blocks = [phi for part in parts for phi in part._blocks]
-        whole._gram = gram
+        if all(design._blocks for design in designs):
+            whole._blocks = [phi for design in designs for phi in design._blocks]
         return whole
 
     def __iter__(self) -> Iterator[tuple[slice, Tensor]]:
@@ -196,7 +189,7 @@ class DenseDesign(PlainVectors):
             for rows in self.slices:
                 yield rows, self._make(self.X[rows])
 
-    def predict(self, model: Direction) -> Tensor:
+    def predict(self, model: Coefficients) -> Tensor:
         """Return Phi W + b, shape (n_samples, n_outputs)."""
         none = self.X.new_zeros(1, 0)
         return self.matvec_rmatvec(model, lambda rows, change: none.expand(len(change), 0))[0]
@@ -208,7 +201,7 @@ class DenseDesign(PlainVectors):
             product += (columns[rows].T.to(phi.dtype) @ phi).T
         return self.all_reduce(self._projected(product))
 
-    def matvec_rmatvec(self, change: Direction, columns: Columns) -> tuple[Tensor, Tensor]:
+    def matvec_rmatvec(self, change: Coefficients, columns: Columns) -> tuple[Tensor, Tensor]:
         """Return Phi W + b, and Phi^T V with V = columns(rows, (Phi W + b)[rows]), in one pass."""
         moved = self.X.new_empty(len(self.X), change.coef.shape[1], dtype=torch.float64)
         product: Tensor | None = None
@@ -292,7 +285,7 @@ class FixedGram:
     def __init__(self, gram: Gram, C: float, fit_intercept: bool) -> None:
         self._sums, self._weight_sum, self._factor = _centred_factor(gram, 2 * C, fit_intercept)
 
-    def direction(self, gradient: Gradient, accuracy: float) -> Direction:
+    def direction(self, gradient: Gradient, accuracy: float) -> Coefficients:
         """Return -H^-1 g, exactly."""
         return without_intercept(
             gradient,
@@ -308,7 +301,7 @@ class ReweightedGram:
     def __init__(self, design: DenseDesign, fit_intercept: bool) -> None:
         self._design, self._fit_intercept = design, fit_intercept
 
-    def direction(self, gradient: Gradient, accuracy: float) -> Direction:
+    def direction(self, gradient: Gradient, accuracy: float) -> Coefficients:
         """Return (W^s - W, b^s - b) of Eq. (11), exactly."""
         gram = self._design.weighted_gram(gradient.weights)
         sums, weight_sum, factor = _centred_factor(gram, 1.0, self._fit_intercept)
@@ -334,7 +327,7 @@ class NewtonGram:
         self._design, self._C, self._fit_intercept = design, C, fit_intercept
         self._reweighted = ReweightedGram(design, fit_intercept)
 
-    def direction(self, gradient: Gradient, accuracy: float) -> Direction:
+    def direction(self, gradient: Gradient, accuracy: float) -> Coefficients:
         """Return the Newton direction, exactly."""
         n_features, n_outputs = gradient.coef.shape
         if n_outputs == 1 or n_features * n_outputs > MOST_COUPLED:
@@ -342,6 +335,7 @@ class NewtonGram:
                 largest = largest_weights(self._C, gradient.weights)
                 gradient = replace(gradient, weights=largest * (gradient.weights > 0))
             return self._reweighted.direction(gradient, accuracy)
+        # one block for each pair of outputs, with a last row and column for b
         n = n_features + 1
         matrix = gradient.coef.new_zeros(n_outputs, n, n_outputs, n)
         for j, k, gram in self._grams(gradient):
@@ -359,18 +353,18 @@ class NewtonGram:
         name, advice = "system of Newton's method", "lower C, or scale the outputs"
         factor = cholesky(matrix.reshape(size, size), name, advice)
         flat = cholesky_solve(right.T.reshape(size, 1), factor)
-        found = torch.zeros(n, n_outputs).to(right)
-        found[:n_free] = flat.reshape(n_outputs, n_free).T
-        return Direction(found[:n_features], found[-1])
+        solution = torch.zeros(n, n_outputs).to(right)
+        solution[:n_free] = flat.reshape(n_outputs, n_free).T
+        return Coefficients(solution[:n_features], solution[-1])
 
     def _grams(self, gradient: Gradient) -> Iterator[tuple[int, int, Gram]]:
         """Yield the Gram matrix of each pair of outputs j <= k, weighted by H_jk."""
         unit = torch.nn.functional.normalize(gradient.residual, dim=1)
         across = gradient.weights
-        rest = (largest_weights(self._C, across) - across) * (across > 0)
+        along = (largest_weights(self._C, across) - across) * (across > 0)
         for j in range(unit.shape[1]):
             for k in range(j, unit.shape[1]):
-                weights = rest * unit[:, j] * unit[:, k] + (across if j == k else 0.0)
+                weights = along * unit[:, j] * unit[:, k] + (across if j == k else 0.0)
                 yield j, k, self._design.weighted_gram(weights)
 
 
@@ -401,7 +395,7 @@ def cholesky(matrix: Tensor, name: str, advice: str) -> Tensor:
 
 def without_intercept(
     gradient: Gradient, sums: Tensor, weight_sum: float, solve: Callable[[Tensor], Tensor]
-) -> Direction:
+) -> Coefficients:
     """Solve for W and b with b eliminated: weight_sum db = -g_b - sums . dW.
 
     `sums` and `weight_sum` are those of the weighted samples, 0 if b is not fitted; `solve` solves
@@ -413,4 +407,4 @@ def without_intercept(
     coef = solve(-gradient.coef - torch.outer(sums, shift))
     if weight_sum > 0:
         shift = shift - sums @ coef / weight_sum
-    return Direction(coef, shift)
+    return Coefficients(coef, shift)

@@ -200,8 +200,8 @@ class EquispacedTransform:
         values = torch.empty(self.n_samples, coef.shape[1], dtype=torch.float64)
         for j in range(0, coef.shape[1], 2):
             pair = grid[j] if j + 1 == len(grid) else grid[j] + 1j * grid[j + 1]
-            found = torch.view_as_real(self._transform(2, 1, pair))
-            values[:, j : j + 2] = found[:, : values.shape[1] - j]
+            transformed = torch.view_as_real(self._transform(2, 1, pair))
+            values[:, j : j + 2] = transformed[:, : values.shape[1] - j]
         return values
 
     def rmatvec(self, columns: Tensor) -> Tensor:
@@ -210,9 +210,12 @@ class EquispacedTransform:
         for pair in columns.double().split(2, dim=1):
             strengths = torch.zeros(self.n_samples, 2, dtype=torch.float64)
             strengths[:, : pair.shape[1]] = pair
-            found = self._transform(1, 1, torch.view_as_complex(strengths)).flatten()
-            here, mirrored = found[self._places], found[self._size - 1 - self._places].conj()
-            sums += [0.5 * (here + mirrored), -0.5j * (here - mirrored)][: pair.shape[1]]
+            transformed = self._transform(1, 1, torch.view_as_complex(strengths)).flatten()
+            direct, mirrored = (
+                transformed[self._places],
+                transformed[self._size - 1 - self._places].conj(),
+            )
+            sums += [0.5 * (direct + mirrored), -0.5j * (direct - mirrored)][: pair.shape[1]]
         return self.all_reduce(self.real(torch.stack(sums)))
 
     def toeplitz(self, weights: Tensor) -> Tensor:
@@ -228,15 +231,15 @@ class EquispacedTransform:
         """
         n_waves = len(self.waves)
         sines = torch.cat([torch.zeros_like(vector[:1]), vector[n_waves:]])
-        found = torch.complex(vector[:n_waves], -sines) / math.sqrt(2)
-        found[0] *= math.sqrt(2)
-        return (found * self._scale[:, None]).T
+        spectra = torch.complex(vector[:n_waves], -sines) / math.sqrt(2)
+        spectra[0] *= math.sqrt(2)
+        return (spectra * self._scale[:, None]).T
 
     def real(self, spectra: Tensor) -> Tensor:
         """Return the real coefficients of spectra times sqrt(s_k): the inverse change of basis."""
-        found = (spectra * self._scale).T * math.sqrt(2)
-        found[0] /= math.sqrt(2)
-        return torch.cat([found.real, -found.imag[1:]])
+        coefficients = (spectra * self._scale).T * math.sqrt(2)
+        coefficients[0] /= math.sqrt(2)
+        return torch.cat([coefficients.real, -coefficients.imag[1:]])
 
     def _transform(self, kind: int, width: int, values: Tensor) -> Tensor:
         """Return the transform from samples to modes (kind 1) or back (2), for `width` x modes."""

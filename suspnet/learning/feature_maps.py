@@ -236,8 +236,8 @@ def partial_cholesky(
         drawn = torch.multinomial(residual.cpu(), n_proposals, replacement=True, generator=source)
         chances = torch.rand(n_proposals, generator=source, dtype=torch.float64)
         drawn = drawn.to(X.device)
-        known = factor[: len(pivots)]
-        block = rbf_kernel(X[drawn], X[drawn], sigma) - known[:, drawn].T @ known[:, drawn]
+        factored = factor[: len(pivots)]
+        block = rbf_kernel(X[drawn], X[drawn], sigma) - factored[:, drawn].T @ factored[:, drawn]
         # The block's diagonal must equal the residual that the draws are from, despite rounding.
         block = torch.where(drawn[:, None] == drawn, residual[drawn], block)
         accepted, lower = _accept(block.cpu(), chances)
@@ -245,7 +245,7 @@ def partial_cholesky(
         accepted = accepted[: n_pivots - len(pivots)]
         lower = lower[: len(accepted), : len(accepted)].to(X)
         new = drawn[accepted.to(X.device)]
-        columns = rbf_kernel(X[new], X, sigma) - known[:, new].T @ known
+        columns = rbf_kernel(X[new], X, sigma) - factored[:, new].T @ factored
         rows = torch.linalg.solve_triangular(lower, columns, upper=False)
         factor[len(pivots) : len(pivots) + len(new)] = rows
         residual = residual - rows.square().sum(dim=0)

@@ -28,9 +28,9 @@ import torch
 from torch import Tensor
 
 from suspnet.learning.design import (
+    Coefficients,
     Columns,
     Design,
-    Direction,
     Gradient,
     NormalEquations,
     Penalty,
@@ -114,7 +114,7 @@ class IRWLS:
         Y: Tensor,
         on_iteration: Callable[[Iteration], None] | None = None,
         sample_weight: Tensor | None = None,
-        start: Direction | None = None,
+        start: Coefficients | None = None,
     ) -> Solution:
         """Return the minimiser of F and a bound on its distance from the optimum.
 
@@ -122,7 +122,7 @@ class IRWLS:
         near the optimum, None is 0. Raises ValueError if a system is singular to working precision.
         """
         C = self.C if sample_weight is None else self.C * sample_weight
-        functional = _Functional(design, C, self.epsilon, self.fit_intercept)
+        functional = Functional(design, C, self.epsilon, self.fit_intercept)
         equations = _Equations(design, self, C, is_near=start is not None)
         coef = torch.zeros(design.n_features, Y.shape[1], dtype=torch.float64, device=Y.device)
         intercept = torch.zeros_like(coef[0])
@@ -198,7 +198,7 @@ class _Equations:
         self._n_slow = self._n_failed = 0
         self._decrement = float("inf")
 
-    def direction(self, gradient: Gradient, accuracy: float) -> Direction:
+    def direction(self, gradient: Gradient, accuracy: float) -> Coefficients:
         if self._place not in self._made:
             self._made[self._place] = self._make[self._place]()
         return self._made[self._place].direction(gradient, accuracy)
@@ -219,7 +219,7 @@ class _Equations:
 
 
 @dataclass(frozen=True)
-class _Functional:
+class Functional:
     """F on a design, its gradient, and a bound below it; sums run over all ranks."""
 
     design: Design
@@ -228,19 +228,21 @@ class _Functional:
     fit_intercept: bool
 
     def value(self, coef: Tensor, residual: Tensor) -> float:
+        """Return F."""
         losses = (self.C * loss(residual.norm(dim=1), self.epsilon)).sum()
         summed = self.design.all_reduce(losses)
         return float(self._broadcast(0.5 * self.design.inner(coef, coef) + summed))
 
-    def synchronised(self, direction: Direction) -> Direction:
+    def synchronised(self, direction: Coefficients) -> Coefficients:
         """Return the direction of rank zero, so that rounding cannot make ranks diverge."""
-        return Direction(self._broadcast(direction.coef), self._broadcast(direction.intercept))
+        return Coefficients(self._broadcast(direction.coef), self._broadcast(direction.intercept))
 
     def _broadcast(self, values: Tensor) -> Tensor:
         """Return the values of rank zero if the samples are spread over ranks."""
         return broadcast(values) if self.design.all_reduce is all_reduce else values
 
     def weights(self, residual: Tensor) -> Tensor:
+        """Return the weights of Eq. (10), (n_samples,)."""
         return self.C * weight(residual.norm(dim=1), self.epsilon)
 
     def gradient(self, coef: Tensor, residual: Tensor, product: Tensor | None = None) -> Gradient:
@@ -263,9 +265,11 @@ class _Functional:
         """Return the columns that Phi^T multiplies for the next gradient and for the bound."""
 
         def make(rows: slice, change: Tensor) -> Tensor:
-            here = gradient.weights[rows, None]
+            weights = gradient.weights[rows, None]
             moved = residual[rows] - change
-            return torch.cat([self.weights(moved)[:, None] * moved, here * change, here], dim=1)
+            return torch.cat(
+                [self.weights(moved)[:, None] * moved, weights * change, weights], dim=1
+            )
 
         return make
 
@@ -273,7 +277,7 @@ class _Functional:
         self,
         objective: float,
         gradient: Gradient,
-        direction: Direction,
+        direction: Coefficients,
         change: Tensor,
         products: Tensor,
     ) -> float:
@@ -303,7 +307,7 @@ class _Functional:
         self,
         coef: Tensor,
         residual: Tensor,
-        direction: Direction,
+        direction: Coefficients,
         change: Tensor,
         objective: float,
         decrement: float,
@@ -317,7 +321,7 @@ class _Functional:
             step /= 2
         return 0.0, objective
 
-    def decrement(self, gradient: Gradient, direction: Direction) -> float:
+    def decrement(self, gradient: Gradient, direction: Coefficients) -> float:
         """Return -g . d, the rate at which F decreases along a direction."""
         inner = self.design.inner(gradient.coef, direction.coef)
         return float(self._broadcast(-inner - (gradient.intercept * direction.intercept).sum()))

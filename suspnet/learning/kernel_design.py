@@ -15,8 +15,9 @@ import torch
 from torch import Tensor, cholesky_solve
 
 from suspnet.learning.design import (
+    Coefficients,
     Columns,
-    Direction,
+    Design,
     Gradient,
     Penalty,
     cholesky,
@@ -43,8 +44,8 @@ NARROW = 0.01
 """Largest epsilon, as a share of the outputs' deviation, of a tube that holds few samples."""
 
 
-class KernelDesign:
-    """Phi of the exact kernel on its own samples; a `suspnet.learning.design.Design`.
+class KernelDesign(Design):
+    """Phi of the exact kernel on its own samples.
 
     A direction d of the solver has d = eta - g, with g the gradient: eta is 0 for samples whose
     weight is 0, and solves (H^-1 + K) eta = K g - 1 db, 1^T eta = g_b, where H is the second
@@ -93,12 +94,12 @@ class KernelDesign:
             return torch.cat([columns, self.rows(rows).T @ columns[rows]])
         return torch.cat([columns, self.rows(self._every) @ columns])
 
-    def matvec_rmatvec(self, change: Direction, columns: Columns) -> tuple[Tensor, Tensor]:
+    def matvec_rmatvec(self, change: Coefficients, columns: Columns) -> tuple[Tensor, Tensor]:
         """Return Phi W + b, and Phi^T V with V = columns(rows, (Phi W + b)[rows])."""
         moved = change.coef[self.n_samples :] + change.intercept
         return moved, self.rmatvec(columns(slice(0, self.n_samples), moved))
 
-    def start(self, solver: IRWLS, Y: Tensor, sample_weight: Tensor | None) -> Direction | None:
+    def start(self, solver: IRWLS, Y: Tensor, sample_weight: Tensor | None) -> Coefficients | None:
         """Return about the minimum, from some of the samples; None if the tube holds almost none.
 
         From there on the solver meets samples that lie outside the tube of almost the best model,
@@ -117,7 +118,7 @@ class KernelDesign:
             return None
         dual = torch.zeros_like(Y, dtype=torch.float64)
         dual[few] = solution.coef
-        return Direction(self.rmatvec(dual), solution.intercept)
+        return Coefficients(self.rmatvec(dual), solution.intercept)
 
     def fixed(self, C: Penalty, fit_intercept: bool) -> FixedKernel:
         """Return the equations of all weights 2 C, computed once."""
@@ -131,11 +132,13 @@ class KernelDesign:
         """Return the equations of Newton's method."""
         return NewtonKernel(self, C, fit_intercept)
 
-    def direction(self, gradient: Gradient, rows: Tensor, eta: Tensor, shift: Tensor) -> Direction:
+    def direction(
+        self, gradient: Gradient, rows: Tensor, eta: Tensor, shift: Tensor
+    ) -> Coefficients:
         """Return eta - g, with `eta` that of some rows."""
         whole = torch.zeros_like(gradient.coef[: self.n_samples])
         whole[rows] = eta
-        return Direction(self.rmatvec(whole) - gradient.coef, shift)
+        return Coefficients(self.rmatvec(whole) - gradient.coef, shift)
 
 
 class FixedKernel:
@@ -147,7 +150,7 @@ class FixedKernel:
         self._used = (self._weights[:, 0] > 0).nonzero()[:, 0]
         self._factor = _factor(design.block(self._used), self._weights[self._used, 0])
 
-    def direction(self, gradient: Gradient, accuracy: float) -> Direction:
+    def direction(self, gradient: Gradient, accuracy: float) -> Coefficients:
         """Return -H^-1 g, exactly."""
         right = gradient.coef[self._design.n_samples :][self._used]
         eta, shift = _solve(self._factor, right, gradient.intercept, self._fit_intercept)
@@ -156,7 +159,7 @@ class FixedKernel:
         # K eta - K g follows from the equations, without a product with K
         moved = -eta / self._weights - shift
         gamma = gradient.coef[: self._design.n_samples]
-        return Direction(torch.cat([eta - gamma, moved]), shift)
+        return Coefficients(torch.cat([eta - gamma, moved]), shift)
 
 
 class ReweightedKernel:
@@ -165,7 +168,7 @@ class ReweightedKernel:
     def __init__(self, design: KernelDesign, fit_intercept: bool) -> None:
         self._design, self._fit_intercept = design, fit_intercept
 
-    def direction(self, gradient: Gradient, accuracy: float) -> Direction:
+    def direction(self, gradient: Gradient, accuracy: float) -> Coefficients:
         """Return (W^s - W, b^s - b) of Eq. (11), exactly."""
         design, support = self._design, gradient.weights.nonzero()[:, 0]
         kernel = design.block(support)
@@ -195,13 +198,14 @@ class NewtonKernel:
         _, factor = partial_cholesky(design.X, float(design.kernel.sigma), most, 0, error)
         return factor if len(factor) < most else None
 
-    def direction(self, gradient: Gradient, accuracy: float) -> Direction:
+    def direction(self, gradient: Gradient, accuracy: float) -> Coefficients:
         """Return the Newton direction, to rounding of about `FORCING`."""
         design, support = self._design, gradient.weights.nonzero()[:, 0]
         largest, actual = self._weights[support], gradient.weights[support]
         unit = torch.nn.functional.normalize(gradient.residual[support], dim=1)
         radial = unit[:, :, None] * unit[:, None, :]
         across = torch.eye(unit.shape[1]).to(radial) - radial
+        # the inverse Hessian of the loss: one value along the residual, another across it
         inverse = radial / largest[:, None, None] + across / actual[:, None, None]
         kernel = design.block(support)
         if inverse.numel() <= FEW_UNKNOWNS * unit.shape[1]:
@@ -261,7 +265,7 @@ def _with_intercept(
     if not fit_intercept or not len(like):
         return lambda right, total: (approximate(right), torch.zeros_like(total))
     ones = torch.eye(like.shape[1]).to(like)[:, None].expand(-1, *like.shape)
-    by_shift = torch.stack([approximate(one) for one in ones])
+    by_shift = torch.stack([approximate(shift) for shift in ones])
     sums = by_shift.sum(dim=1).T
 
     def solve(right: Tensor, total: Tensor) -> tuple[Tensor, Tensor]:

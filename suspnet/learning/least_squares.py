@@ -1,6 +1,6 @@
 """Batched Levenberg-Marquardt: the least-squares fit of many rows at once.
 
-The solver has three parts: `_Descent` gives damped steps of the quadratic models of all rows,
+The solver has three parts: `Descent` gives damped steps of the quadratic models of all rows,
 `_Damping` adapts the damping of each row, and `LevenbergMarquardt` combines them and decides when a
 row has converged.
 """
@@ -123,9 +123,9 @@ class LevenbergMarquardt:
         if bounds is None:
             bounds = start.new_full((1,), -math.inf), start.new_full((1,), math.inf)
         kind = self.one_sided, self.accelerated, self.derivative
-        descent = _Descent(residual, start, bounds, *kind)
+        descent = Descent(residual, start, bounds, *kind)
         damping = _Damping(start.new_full((len(start),), self.first_damping))
-        every = rows = torch.arange(len(start), device=start.device)
+        all_rows = rows = torch.arange(len(start), device=start.device)
         status = torch.full_like(rows, RowStatus.MAX_ITER)  # of rows that have not ended
         n_iter = 0
         while n_iter < self.max_iter and len(rows):
@@ -136,11 +136,11 @@ class LevenbergMarquardt:
             status[rows] = self._status(trial, better, damping.value[rows])
             descent.take(rows, better, trial)
             rows = rows[status[rows] == RowStatus.MAX_ITER]
-        trial = descent.trial(every, damping.value)
+        trial = descent.trial(all_rows, damping.value)
         # Such a small step changes the cost by about its rounding, which must not reject the step.
         last = (status <= RowStatus.SMALL_DECREASE) & trial.solved & trial.is_small(self.tol)
         last &= trial.cost <= trial.cost_before * (1 + 1e-12)
-        descent.take(every, last, trial)
+        descent.take(all_rows, last, trial)
         descent.linearise()
         cost = _cost(descent.values)
         status[~torch.isfinite(cost)] = RowStatus.NOT_FINITE
@@ -195,7 +195,7 @@ class _Trial:
         return (step.abs() <= tol * (1 + self.before.abs())).all(dim=1)
 
 
-class _Descent:
+class Descent:
     """The point of every row and its quadratic models, recomputed only for rows that moved."""
 
     def __init__(
@@ -227,7 +227,7 @@ class _Descent:
             return
         theta, values, (low, high) = self.theta[rows], self.values[rows], self.bounds
         if self.derivative is None:
-            jacobian, second = _derivatives(self.residual, theta, rows, values, self.one_sided)
+            jacobian, second = derivatives(self.residual, theta, rows, values, self.one_sided)
         else:
             jacobian, second = self.derivative(theta, rows), torch.zeros_like(theta)
         slope = (jacobian @ values[:, :, None])[:, :, 0]
@@ -251,7 +251,7 @@ class _Descent:
         straight = theta = (before + step).clamp(*self.bounds)
         if self.jacobian is not None:
             # along the step that the bounds leave: beyond them values overflow
-            bend, is_slight = self._bend(rows, straight - before, hessian, damping)
+            bend, is_slight = self.bend(rows, straight - before, hessian, damping)
             theta, solved = (straight + bend).clamp(*self.bounds), solved & is_slight
         values = self.residual(theta, rows)
         cost_before = _cost(self.values[rows])
@@ -266,7 +266,7 @@ class _Descent:
         left = -0.5 * (gradient * whole).sum(dim=1)
         return _Trial(before, theta, values, solved, cost_before, predicted, left)
 
-    def _bend(
+    def bend(
         self, rows: Tensor, step: Tensor, hessian: Tensor, damping: Tensor
     ) -> tuple[Tensor, Tensor]:
         """Return half the geodesic acceleration along steps, and whether it is slight enough."""
@@ -278,8 +278,8 @@ class _Descent:
         slope = (jacobian @ second[:, :, None])[:, :, 0]
         bend = 0.5 * _damped_step(slope, hessian, damping)[0]
         scale = hessian.diagonal(dim1=1, dim2=2)
-        sizes = [(scale * one.square()).sum(dim=1).sqrt() for one in (bend, step)]
-        is_slight = 4 * sizes[0] <= STEEPEST_BEND * sizes[1]
+        bend_size, step_size = ((scale * v.square()).sum(dim=1).sqrt() for v in (bend, step))
+        is_slight = 4 * bend_size <= STEEPEST_BEND * step_size
         usable = (is_slight & torch.isfinite(bend).all(dim=1))[:, None]
         return torch.where(usable, bend, 0.0), is_slight
 
@@ -326,7 +326,7 @@ def _damped_step(gradient: Tensor, hessian: Tensor, damping: Tensor) -> tuple[Te
     return torch.where(solved[:, None], step[:, :, 0], 0.0), solved
 
 
-def _derivatives(
+def derivatives(
     residual: Callable[[Tensor, Tensor], Tensor],
     theta: Tensor,
     rows: Tensor,
@@ -341,9 +341,9 @@ def _derivatives(
     """
     n_rows = len(theta)
     size = ONE_SIDED_DIFFERENCE if one_sided else DIFFERENCE
-    every = size * torch.eye(theta.shape[1], dtype=theta.dtype, device=theta.device)
+    unit_steps = size * torch.eye(theta.shape[1], dtype=theta.dtype, device=theta.device)
     columns, second = [], []
-    for steps in every.split(max(1, AT_ONCE // n_rows)):
+    for steps in unit_steps.split(max(1, AT_ONCE // n_rows)):
         which = rows.repeat(len(steps))
         above = residual((theta + steps[:, None]).flatten(0, 1), which).unflatten(0, (-1, n_rows))
         below = values

@@ -65,27 +65,30 @@ def automatic(
     sigma: float,
     n_components: int,
     kernel_tol: float,
+    *,
     is_plain: bool,
     is_narrow: bool,
-) -> str:
-    """Return the name of the map for samples `X` under ``feature_map="auto"``.
+) -> tuple[str, FeatureMap | None]:
+    """Return the name of the map for samples `X` under ``feature_map="auto"``, and it if made.
 
-    `exact` up to twice `n_components` samples, up to `MOST_EXACT` if the tube may hold samples:
-    there it takes no longer than `rff`. Beyond, `equispaced` where finufft is installed and the
-    modes are few, else `rff`. `is_plain`: all samples are here, on the CPU, in float64, as
-    `equispaced` needs them; `is_narrow`: few samples lie within the tube, for which its solver
-    takes few iterations.
+    `exact` up to twice `n_components` samples, up to `MOST_EXACT` if the tube may hold samples,
+    where it takes no longer than `rff`. Beyond, `equispaced` where finufft is installed and the
+    modes are few, else `rff`. `is_plain`: this process has all samples, on the CPU, in float64, as
+    `equispaced` needs them; `is_narrow`: few samples lie within the tube, for which the solver of
+    `equispaced` takes few iterations.
     """
-    if is_plain and len(X) <= (min(2 * n_components, MOST_EXACT) if is_narrow else MOST_EXACT):
-        return "exact"
-    if is_plain and is_narrow and importlib.util.find_spec("finufft") is not None:
+    if not is_plain:
+        return "rff", None
+    if len(X) <= (min(2 * n_components, MOST_EXACT) if is_narrow else MOST_EXACT):
+        return "exact", None
+    if is_narrow and importlib.util.find_spec("finufft") is not None:
         try:
-            n_waves = len(equispaced_fourier(X, sigma, 0, 0, kernel_tol).strengths)
+            modes = equispaced_fourier(X, sigma, 0, 0, kernel_tol)
         except ValueError:  # more inputs or modes than it takes
-            return "rff"
-        if n_waves <= max(EASY_WAVES, len(X) / SAMPLES_PER_WAVE):
-            return "equispaced"
-    return "rff"
+            return "rff", None
+        if len(modes.strengths) <= max(EASY_WAVES, len(X) / SAMPLES_PER_WAVE):
+            return "equispaced", modes
+    return "rff", None
 
 
 def name_of(tensors: Collection[str]) -> str:

@@ -27,13 +27,13 @@ def check_estimates(rule: str, estimates: ArrayLike, shape: tuple[int, int]) -> 
     `rule` starts the message, such as "`predicted` must hold finite estimates". The shape must be
     `shape`; of a single output (n_samples,) will do, as some of scikit-learn's regressors give it.
     """
-    found = np.asarray(estimates, dtype=np.float64)
-    if found.shape == shape[:1] and shape[1] == 1:
-        found = found[:, None]
-    if found.shape != shape or not np.isfinite(found).all():
-        got = "numbers that are not finite" if found.shape == shape else f"shape {found.shape}"
+    values = np.asarray(estimates, dtype=np.float64)
+    if values.shape == shape[:1] and shape[1] == 1:
+        values = values[:, None]
+    if values.shape != shape or not np.isfinite(values).all():
+        got = "numbers that are not finite" if values.shape == shape else f"shape {values.shape}"
         raise ValueError(f"{rule}, shape {shape}, got {got}")
-    return found
+    return values
 
 
 def score(
@@ -56,15 +56,15 @@ def score_where(
     actual: FloatArray, predicted: FloatArray, outputs: Sequence[str]
 ) -> dict[str, dict[str, dict[str, float | None]]]:
     """Return `score` of each output on the curves of each of ``SUBSETS``; None without curves."""
-    found: dict[str, dict[str, dict[str, float | None]]] = {name: {} for name in SUBSETS}
+    scores_of: dict[str, dict[str, dict[str, float | None]]] = {name: {} for name in SUBSETS}
     for subset, chosen in SUBSETS.items():
         for j, output in enumerate(outputs):
             rows = chosen(actual[:, j])
-            found[subset][output] = dict.fromkeys(METRICS)
+            scores_of[subset][output] = dict.fromkeys(METRICS)
             if rows.any():
                 scores = score(actual[rows][:, [j]], predicted[rows][:, [j]], [output])
-                found[subset][output].update(scores[output])
-    return found
+                scores_of[subset][output].update(scores[output])
+    return scores_of
 
 
 def interval_scores(

@@ -11,22 +11,23 @@ from typing import Any, ClassVar, Literal, Self
 import numpy as np
 import torch
 from numpy.typing import ArrayLike
-from sklearn.base import BaseEstimator, MultiOutputMixin, RegressorMixin, clone
+from sklearn.base import clone
 from sklearn.exceptions import ConvergenceWarning
 from sklearn.utils import check_random_state
-from sklearn.utils.validation import _check_sample_weight, check_is_fitted, validate_data
+from sklearn.utils.validation import _check_sample_weight, validate_data
 from torch import Tensor
 
 from suspnet.ground.settings import Setting, check_number, check_settings
 from suspnet.ground.tensors import as_tensor, check_device
 from suspnet.ground.types import FloatArray, IntArray
 from suspnet.learning import ranks
-from suspnet.learning.design import CACHE_BYTES, DenseDesign, Design, Direction
+from suspnet.learning.design import CACHE_BYTES, Coefficients, DenseDesign, Design
 from suspnet.learning.equispaced import EquispacedFeatures
 from suspnet.learning.feature_maps import FeatureMap
 from suspnet.learning.irwls import IRWLS, Iteration, Solution, Status
 from suspnet.learning.kernel_design import NARROW, KernelDesign
 from suspnet.learning.map_kinds import MAPS, MOST_EXACT, automatic, name_of
+from suspnet.learning.regressor import Regressor, arrays_of
 
 PREDICT_ROWS = 8192
 """Rows predicted at once, so that their features fit into memory."""
@@ -34,7 +35,7 @@ SAME_GRAM_PARAMETERS = ("C", "epsilon")
 """Hyperparameters that the Gram matrix does not depend on."""
 
 
-class MSVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[misc]
+class MSVR(Regressor):
     """Multi-output support vector regression with a hyperspherical epsilon-insensitive loss.
 
     Minimises, over W and b (Eq. 7 of the paper; a sum over samples, not a mean)::
@@ -45,53 +46,23 @@ class MSVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mis
     kernel ``exp(-|x - z|^2 / sigma^2)``, i.e. scikit-learn's gamma = 1 / sigma^2. Scale inputs and
     outputs first, e.g. with `suspnet.learning.Scaling`.
 
-    Parameters
-    ----------
-    C : float, default=100.0
-        Penalty of residuals outside the tube, > 0. At epsilon = 0 and without intercept it is
-        ``alpha = 1 / (2 C)`` of scikit-learn's ``KernelRidge``; its ``SVR`` has an absolute loss.
-    sigma : float or "scale", default=3.0
-        Kernel width, > 0, in units of the inputs; "scale" is the root of the inputs' number times
-        their variance, as ``gamma="scale"`` of scikit-learn: sqrt(n) for n standardised inputs.
-    epsilon : float, default=1e-3
-        Radius of the tube, >= 0, in units of the outputs. A tube that contains many samples needs
-        tens to hundreds of iterations, a narrow one a few.
-    feature_map : {"rff", "orf", "nystroem", "equispaced", "exact", "auto"}, default="rff"
-        Random Fourier features, orthogonal ones, Nystroem landmarks by randomly pivoted Cholesky,
-        Fourier modes on a regular grid (up to three inputs), or the exact kernel, suited to at
-        most about 5,000 samples (its memory grows with the square of their number, its time with
-        the cube). "auto" takes `exact` up to twice `n_components` samples, 5,000 in a wide tube,
-        else `equispaced` where it pays and finufft is installed, else `rff`.
-    n_components : int, default=1024
-        Number of features, >= 1; `rff` and `orf` make cosine and sine pairs, so an odd number is
-        rounded up; `nystroem` takes fewer when fewer suffice; not used by `equispaced` and `exact`.
-        The time of an iteration grows with its cube: with more features than samples, use `exact`.
-    kernel_tol : float, default=1e-6
-        Largest error of the kernel in `equispaced`, and the error at which `nystroem` stops
-        adding landmarks, > 0.
-    fit_intercept : bool, default=True
-        Whether to fit b, unpenalised.
-    max_iter : int, default=1000
-        Largest number of iterations; the fit then ends with a ``ConvergenceWarning``.
-    tol : float, default=1e-8
-        Stop when the objective is proven to lie within this fraction of its minimum.
-    random_state : int, RandomState or None, default=0
-        Seed of the feature map's draws.
-    dtype : {"float64", "float32"}, default="float64"
-        Precision of the features of `rff` and `orf` and of products with them; sums over blocks
-        and solves are float64. With float32 `gap_` does not include the rounding of products: at
-        C = 1e4 the objective may lie 1e-5 above its minimum.
-    solver : {"newton", "irwls"}, default="newton"
-        "irwls" is the algorithm of the paper as printed, Eqs. (9) to (11) with a line search;
-        "newton" reaches the same minimum in less time.
-    device : str, default="cpu"
-        Torch device; `equispaced` runs on the CPU only.
-    distributed : bool, default=False
-        Treat the samples given to `fit` as this rank's shard of the samples of all ranks of
-        ``torch.distributed``; every rank gets the same model. A shard may be empty.
-    callback : callable, optional
-        Called after each iteration with an ``Iteration`` (n_iter, objective, grad_norm, step,
-        support_fraction).
+    `settings` has the meaning of each argument. In scikit-learn's words, sigma is a width in units
+    of the inputs, "scale" as its ``gamma="scale"``: sqrt(n) for n standardised inputs. At epsilon =
+    0 and without intercept C is ``alpha = 1 / (2 C)`` of ``KernelRidge``; ``SVR`` has an absolute
+    loss. A tube (epsilon, in units of the outputs) that contains many samples needs tens to
+    hundreds of iterations, a narrow one a few.
+
+    feature_map "auto" takes `exact` up to twice `n_components` samples, 5,000 in a wide tube, else
+    `equispaced` where it pays and finufft is installed, else `rff`. The time of an iteration grows
+    with the cube of the number of features; the memory of `exact` with the square of the number of
+    samples. dtype "float32" is that of the features of `rff` and `orf` and of products with them;
+    sums over blocks and solves are float64, but `gap_` does not include the rounding of products:
+    at C = 1e4 the objective may lie 1e-5 above its minimum.
+
+    The fit stops when the objective is proven to lie within the fraction `tol` of its minimum.
+    With `distributed`, the samples given to `fit` are this rank's shard of those of all ranks of
+    ``torch.distributed``, which may be empty; every rank gets the same model. `callback` gets an
+    ``Iteration`` after each iteration.
 
     Attributes
     ----------
@@ -111,11 +82,6 @@ class MSVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mis
         Before the first and after each iteration.
     support_fraction_ : float
         Fraction of the samples outside the tube.
-
-    Raises
-    ------
-    TypeError, ValueError
-        From `fit`, if a parameter or the data is out of range.
 
     Warns
     -----
@@ -181,9 +147,9 @@ class MSVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mis
     }
     """What each argument means and which values it takes."""
 
-    works_on_curves: ClassVar[bool] = False
     distributable: ClassVar[bool] = True
-    gives_deviations: ClassVar[bool] = False
+
+    feature_map_: str
 
     def __init__(
         self,
@@ -228,41 +194,22 @@ class MSVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mis
         self.check_parameters()
         check_device(self.device)
         samples, targets = self._validated(X, y)
-        self.feature_map_ = self._chosen(samples, targets)
-        kind = MAPS[self.feature_map_]
-        if self.feature_map == "exact" and len(samples) > MOST_EXACT:
-            warnings.warn(
-                f"feature_map='exact' takes {2 * 8e-9 * len(samples) ** 2:.1f} GB and more for "
-                f"{len(samples)} samples; 'rff' or 'nystroem' needs far less",
-                UserWarning,
-                stacklevel=2,
-            )
-        everywhere = self.distributed and kind.of_data
-        if self.feature_map == "exact" and self.distributed and ranks.is_distributed():
-            raise ValueError(
-                "feature_map='exact' needs all samples in one process: use 'nystroem' or 'rff'"
-            )
-        self._map = self._make_map(ranks.all_gather(samples) if everywhere else samples)
-        if isinstance(self._map, EquispacedFeatures):
-            cost = self._map.cost(len(samples), targets.shape[1])
-            if cost is not None:
-                warnings.warn(cost, UserWarning, stacklevel=2)
-        all_reduce = ranks.all_reduce if self.distributed else ranks.identity
+        self._map = self._chosen_map(samples, targets)
+        self._warn_of_cost(len(samples), targets.shape[1])
         # constant outputs are the intercept, without the rounding that a fit would leave
         constant = torch.zeros_like(targets[:1])
         if self.fit_intercept and not self.distributed and bool((targets == targets[:1]).all()):
             constant = targets[:1]
-        design = kind.design(self._map, samples, all_reduce)
+        all_reduce = ranks.all_reduce if self.distributed else ranks.identity
+        design = MAPS[self.feature_map_].design(self._map, samples, all_reduce)
         weights = self._sample_weight(sample_weight, samples)
         solution = self._solve(design, targets - constant, weights)
         self.coef_ = np.ascontiguousarray(solution.coef.cpu().numpy())
         self.intercept_ = (solution.intercept + constant.sum(dim=0)).cpu().numpy()
         self.n_iter_ = solution.n_iter
         self.converged_ = solution.status == Status.CONVERGED
-        self.objective_ = solution.objective
-        self.objectives_ = solution.objectives
-        self.grad_norm_ = solution.grad_norm
-        self.gap_ = solution.gap
+        self.objective_, self.objectives_ = solution.objective, solution.objectives
+        self.grad_norm_, self.gap_ = solution.grad_norm, solution.gap
         self.support_fraction_ = solution.support_fraction
         if not self.converged_:
             warnings.warn(
@@ -288,14 +235,15 @@ class MSVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mis
         samples, targets = self._validated(X, y)
         self.feature_map_ = self.feature_map
         feature_map = self._make_map(samples)
-        parts = [
+        designs = [
             DenseDesign(feature_map, samples[fold], cache_bytes=CACHE_BYTES // len(folds))
             for fold in folds
         ]
-        whole = functools.reduce(operator.add, (part.gram() for part in parts))
+        whole = functools.reduce(operator.add, (design.gram() for design in designs))
+        # the design and the targets of all folds but one, for each fold
         others = [
             (
-                DenseDesign.joined(parts[:j] + parts[j + 1 :], whole - parts[j].gram()),
+                DenseDesign.joined(designs[:j] + designs[j + 1 :], whole - designs[j].gram()),
                 torch.cat([targets[fold] for k, fold in enumerate(folds) if k != j]),
             )
             for j in range(len(folds))
@@ -306,8 +254,8 @@ class MSVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mis
             model.check_parameters()
             solutions = (model._solve(design, rows) for design, rows in others)
             return [
-                part.predict(Direction(found.coef, found.intercept)).cpu().numpy()
-                for part, found in zip(parts, solutions, strict=True)
+                design.predict(Coefficients(solution.coef, solution.intercept)).cpu().numpy()
+                for design, solution in zip(designs, solutions, strict=True)
             ]
 
         return predict
@@ -319,25 +267,18 @@ class MSVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mis
 
     def predict(self, X: ArrayLike) -> FloatArray:
         """Return predictions, shape (n_samples,) or (n_samples, n_outputs) as `y` was."""
-        check_is_fitted(self)
-        X = validate_data(self, X, reset=False, dtype=np.float64)
-        samples = as_tensor(X).to(self.device, self._torch_dtype)
+        samples = as_tensor(self._inputs(X)).to(self.device, self._torch_dtype)
         coef = torch.tensor(self.coef_, dtype=self._torch_dtype, device=self.device)
         predicted = np.empty((len(samples), coef.shape[1]))
         for start in range(0, len(samples), PREDICT_ROWS):
             rows = slice(start, start + PREDICT_ROWS)
             predicted[rows] = self._map.apply(samples[rows], coef).double().cpu().numpy()
-        predicted += self.intercept_
-        return predicted[:, 0] if self._single_output else predicted
+        return self._as_trained(predicted + self.intercept_)
 
     def state(self) -> dict[str, FloatArray]:
-        """Return the arrays that define the fitted model together with the parameters.
-
-        The intercept has the shape () if `y` had one dimension.
-        """
-        check_is_fitted(self)
+        """Return the arrays that define the fitted model together with the parameters."""
+        intercept = self._stored("intercept_")
         arrays = {f"map.{k}": v.cpu().numpy() for k, v in self._map.tensors().items()}
-        intercept = self.intercept_.reshape(() if self._single_output else -1)
         return {"coef": self.coef_, "intercept": intercept, **arrays}
 
     def restore(self, state: Mapping[str, FloatArray]) -> Self:
@@ -350,15 +291,12 @@ class MSVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mis
             name: torch.tensor(state[f"map.{name}"], dtype=self._torch_dtype, device=self.device)
             for name in names
         }
-        try:
-            self.coef_, intercept = state["coef"], state["intercept"]
+        with arrays_of("an MSVR"):
+            self.coef_, self.intercept_ = state["coef"], self._restored(state["intercept"])
             if self.feature_map == "exact" and "whitening" in tensors:
                 # models saved before dual coefficients: Phi = K V
                 self.coef_ = tensors.pop("whitening").double().numpy() @ self.coef_
             self._map = map_type(**tensors)
-        except (TypeError, KeyError) as error:
-            raise ValueError(f"the arrays are not those of an MSVR model ({error})") from error
-        self.intercept_, self._single_output = np.atleast_1d(intercept), intercept.ndim == 0
         self.n_features_in_ = self._map.n_inputs
         none = torch.zeros(1, self.n_features_in_, dtype=self._torch_dtype, device=self.device)
         n_features = self._map(none).shape[1]
@@ -381,16 +319,42 @@ class MSVR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mis
         self._single_output = targets.ndim == 1
         return samples, targets[:, None] if targets.ndim == 1 else targets
 
-    def _chosen(self, samples: Tensor, targets: Tensor) -> str:
-        """Return the name of the feature map to use."""
-        if self.feature_map != "auto":
-            return self.feature_map
-        is_plain = samples.device.type == "cpu" and self.dtype == "float64"
-        is_plain &= not (self.distributed and ranks.is_distributed())
-        spread = float(targets.std(dim=0, correction=0).max()) if len(targets) else 0.0
-        is_narrow = self.epsilon <= NARROW * spread
-        width = self._width(samples)
-        return automatic(samples, width, self.n_components, self.kernel_tol, is_plain, is_narrow)
+    def _chosen_map(self, samples: Tensor, targets: Tensor) -> FeatureMap:
+        """Set ``feature_map_`` and return the map for these samples."""
+        is_shared = self.distributed and ranks.is_distributed()
+        self.feature_map_ = self.feature_map
+        if self.feature_map == "exact" and is_shared:
+            raise ValueError(
+                "feature_map='exact' needs all samples in one process: use 'nystroem' or 'rff'"
+            )
+        if self.feature_map == "auto":
+            is_plain = samples.device.type == "cpu" and self.dtype == "float64" and not is_shared
+            spread = float(targets.std(dim=0, correction=0).max()) if len(targets) else 0.0
+            self.feature_map_, feature_map = automatic(
+                samples,
+                self._width(samples),
+                self.n_components,
+                self.kernel_tol,
+                is_plain=is_plain,
+                is_narrow=self.epsilon <= NARROW * spread,
+            )
+            if feature_map is not None:
+                return feature_map
+        everywhere = self.distributed and MAPS[self.feature_map_].of_data
+        return self._make_map(ranks.all_gather(samples) if everywhere else samples)
+
+    def _warn_of_cost(self, n_samples: int, n_outputs: int) -> None:
+        """Warn of a fit that takes much memory or time."""
+        message = None
+        if self.feature_map == "exact" and n_samples > MOST_EXACT:
+            message = (
+                f"feature_map='exact' takes {2 * 8e-9 * n_samples**2:.1f} GB and more for "
+                f"{n_samples} samples; 'rff' or 'nystroem' needs far less"
+            )
+        if isinstance(self._map, EquispacedFeatures):
+            message = self._map.cost(n_samples, n_outputs)
+        if message is not None:
+            warnings.warn(message, UserWarning, stacklevel=3)
 
     def _make_map(self, samples: Tensor) -> FeatureMap:
         seed = int(check_random_state(self.random_state).randint(2**31 - 1))

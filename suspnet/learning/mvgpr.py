@@ -12,17 +12,16 @@ import numpy as np
 import torch
 from numpy.typing import ArrayLike
 from scipy.optimize import minimize
-from sklearn.base import BaseEstimator, MultiOutputMixin, RegressorMixin
 from sklearn.exceptions import ConvergenceWarning
 from sklearn.utils import check_random_state
-from sklearn.utils.validation import check_is_fitted, validate_data
 from torch import Tensor
 
-from suspnet.ground.settings import Setting, check_settings
+from suspnet.ground.settings import Setting
 from suspnet.ground.tensors import as_tensor, check_device
 from suspnet.ground.types import FloatArray
 from suspnet.learning.design import cholesky
 from suspnet.learning.feature_maps import rbf_kernel, squared_distances
+from suspnet.learning.regressor import Regressor, arrays_of
 
 START_RANGES = {"length_scale": (1e-2, 10.0), "noise_to_signal": (1e-6, 1e-1)}
 """Ranges of Table V, from which the random starts are drawn."""
@@ -57,30 +56,17 @@ class LikelihoodEvaluation:
     noise_to_signal: float
 
 
-class MVGPR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[misc]
+class MVGPR(Regressor):
     """Gaussian process with the covariance Omega x (sigma_f^2 exp(-d^2/(2 l^2)) + sigma_n^2 I).
 
     Omega (outputs) is profiled out of the marginal likelihood. Scaling sigma_f^2 and sigma_n^2 by
     the same factor and dividing Omega by it changes nothing, so optimised values are reported with
     the mean of Omega's diagonal equal to 1. The mean of the outputs is subtracted.
 
-    Parameters
-    ----------
-    length_scale, signal_variance, noise_variance : float
-        l, sigma_f^2 and sigma_n^2: the values used, or the first start of the optimiser.
-    optimizer : {"marginal_likelihood"} or None, default="marginal_likelihood"
-        None uses the three values as they are. Linearly dependent outputs are also fitted without
-        the optimiser, as their likelihood is unbounded.
-    n_restarts : int, default=2
-        Further starts, drawn log-uniformly from Table V's ranges.
-    n_optimize : int, default=1000
-        Samples (drawn at random) on which the likelihood is maximised; the fit uses all.
-    max_iter : int, default=100
-        L-BFGS iterations of each start.
-    random_state : int, RandomState or None, default=0
-    device : str, default="cpu"
-    callback : callable, optional
-        Called with a ``LikelihoodEvaluation`` after each evaluation.
+    `settings` has the meaning of each argument. Without an `optimizer` the three values are used as
+    they are; linearly dependent outputs are also fitted without it, as their likelihood is
+    unbounded. Further starts are drawn log-uniformly from Table V's ranges. `callback` gets a
+    ``LikelihoodEvaluation`` after each evaluation.
 
     Attributes
     ----------
@@ -92,12 +78,6 @@ class MVGPR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mi
     n_iter_ : int
     converged_ : bool
         Of the optimiser's best start; 1 and True without an optimiser.
-
-    Raises
-    ------
-    TypeError, ValueError
-        From `fit`, if a parameter or the data is out of range, or if the kernel matrix is
-        singular to working precision (the message says what to raise).
 
     Warns
     -----
@@ -142,8 +122,6 @@ class MVGPR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mi
 
     _kept_factor: Tensor | None
 
-    works_on_curves: ClassVar[bool] = False
-    distributable: ClassVar[bool] = False
     gives_deviations: ClassVar[bool] = True
 
     def __init__(
@@ -172,22 +150,17 @@ class MVGPR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mi
 
     def fit(self, X: ArrayLike, y: ArrayLike) -> Self:
         """Fit to samples (n_samples, n_inputs) and outputs (n_samples,) or (.., n_outputs)."""
-        check_settings(self)
+        inputs, targets = self._training_data(X, y)
         check_device(self.device)
-        X, y = validate_data(self, X, y, multi_output=True, y_numeric=True, dtype=np.float64)
-        targets = np.asarray(y, dtype=np.float64)
-        self._single_output = targets.ndim == 1
-        targets = targets.reshape(len(targets), -1)
         self.mean_ = targets.mean(axis=0)
-        samples = as_tensor(X).to(self.device)
+        samples = as_tensor(inputs).to(self.device)
         centred = as_tensor(targets - self.mean_).to(self.device)
         self.length_scale_ = float(self.length_scale)
         self.signal_variance_ = float(self.signal_variance)
         self.noise_variance_ = float(self.noise_variance)
         self.converged_, self.n_iter_ = True, 1
-        if self.optimizer is not None and bool(
-            torch.linalg.matrix_rank(centred) == centred.shape[1]
-        ):
+        are_independent = bool(torch.linalg.matrix_rank(centred) == centred.shape[1])
+        if self.optimizer is not None and are_independent:
             self._optimize(samples, centred)
         self._condition(samples, centred)
         if not self.converged_:
@@ -204,21 +177,10 @@ class MVGPR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mi
     ) -> FloatArray | tuple[FloatArray, FloatArray]:
         """Return the predictive mean and, if requested, the spread of a new noisy output.
 
-        Parameters
-        ----------
-        X : array of shape (n_samples, n_inputs)
-        return_std : bool
-            Also return the standard deviations, shaped as the mean.
-        return_cov : bool
-            Also return the covariance between outputs, (n_samples, n_outputs, n_outputs).
-
-        Returns
-        -------
-        mean : array of shape (n_samples,) or (n_samples, n_outputs)
+        `return_std` adds the standard deviations, shaped as the mean (n_samples,) or (n_samples,
+        n_outputs), `return_cov` the covariance between outputs, (n_samples, n_outputs, n_outputs).
         """
-        check_is_fitted(self)
-        X = validate_data(self, X, reset=False, dtype=np.float64)
-        samples = as_tensor(X).to(self.device)
+        samples = as_tensor(self._inputs(X)).to(self.device)
         weights = torch.tensor(self.weights_, device=self.device)
         spread = return_std or return_cov
         means, variances = [], []
@@ -230,39 +192,33 @@ class MVGPR(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[mi
                 explained = half.square().sum(dim=0).cpu().numpy()
                 variances.append(self.signal_variance_ + self.noise_variance_ - explained)
         mean: FloatArray = np.concatenate(means) + self.mean_
-        mean = mean[:, 0] if self._single_output else mean
+        mean = self._as_trained(mean)
         if not spread:
             return mean
         variance = np.maximum(np.concatenate(variances), 0.0)
         if return_cov:
             return mean, variance[:, None, None] * self.omega_
         std = np.sqrt(variance[:, None] * self.omega_.diagonal())
-        return mean, std[:, 0] if self._single_output else std
+        return mean, self._as_trained(std)
 
     def state(self) -> dict[str, FloatArray]:
-        """Return the arrays that define the fitted model together with the parameters.
-
-        The mean has the shape () if `y` had one dimension.
-        """
-        check_is_fitted(self)
+        """Return the arrays that define the fitted model together with the parameters."""
+        mean = self._stored("mean_")
         kernel = [self.length_scale_, self.signal_variance_, self.noise_variance_]
         return {
             "samples": self._samples.cpu().numpy(),
             "weights": self.weights_,
-            "mean": self.mean_.reshape(() if self._single_output else -1),
+            "mean": mean,
             "omega": self.omega_,
             "kernel": np.array(kernel),
         }
 
     def restore(self, state: Mapping[str, FloatArray]) -> Self:
         """Load the arrays of `state`; ValueError if they are missing or inconsistent."""
-        try:
+        with arrays_of("an MVGPR"):
             self._samples = torch.tensor(state["samples"], device=self.device)
-            self.weights_, mean = state["weights"], state["mean"]
+            self.weights_, self.mean_ = state["weights"], self._restored(state["mean"])
             self.omega_, kernel = state["omega"], state["kernel"]
-        except KeyError as error:
-            raise ValueError(f"the arrays are not those of an MVGPR model ({error})") from error
-        self.mean_, self._single_output = np.atleast_1d(mean), mean.ndim == 0
         n_outputs = len(self.mean_)
         if self.weights_.shape != (len(self._samples), n_outputs) or kernel.shape != (3,):
             raise ValueError(f"weights have shape {self.weights_.shape}, mean {self.mean_.shape}")

@@ -15,11 +15,7 @@ from suspnet.learning.ranks import AllReduce, identity
 class Scaling:
     """Scaling of each column, z = (log v - mean) / scale, or without the logarithm.
 
-    Attributes
-    ----------
-    mean, scale : arrays of shape (n_columns,)
-    log : bool
-        Whether to take the logarithm; values must then be positive.
+    `mean`, `scale`: (n_columns,). With `log`, values must be positive.
     """
 
     mean: FloatArray
@@ -31,12 +27,8 @@ class Scaling:
         """Return the scaling that gives `values` (n_rows, n_columns) mean 0 and deviation 1.
 
         `all_reduce` sums over ranks if the rows are spread over them; a rank may have none.
-
-        Raises
-        ------
-        ValueError
-            If a value is not finite, a value is not positive and `log` is True, or a column is
-            constant.
+        ValueError if a value is not finite, or not positive and `log` is True, or if a column is
+        constant.
         """
         if not np.isfinite(values).all():
             raise ValueError("values must be finite to be scaled")

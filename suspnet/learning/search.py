@@ -219,7 +219,7 @@ class _Trials:
 
     def is_flat(self, other: dict[str, Any]) -> bool:
         """Return whether the edge is flat from the best setting to `other`, the next inwards."""
-        places = [self.result.settings.index(one) for one in (self.result.best, other)]
+        places = [self.result.settings.index(setting) for setting in (self.result.best, other)]
         best, inner = (np.array(self.result.fold_rmse[place]) for place in places)
         rise = inner - best
         if not np.isfinite(rise).all():
@@ -278,12 +278,12 @@ def _predictor(
         return candidate.cross_predictor(X, Y, folds)
 
     def predict(setting: Mapping[str, Any]) -> list[FloatArray]:
-        found = []
+        predictions = []
         for rows in folds:
             others = np.setdiff1d(np.arange(len(X)), rows)
             model = clone(estimator).set_params(**setting).fit(X[others], Y[others])
             rule = f"predict of {type(estimator).__name__} must return finite numbers"
-            found.append(check_estimates(rule, model.predict(X[rows]), Y[rows].shape))
-        return found
+            predictions.append(check_estimates(rule, model.predict(X[rows]), Y[rows].shape))
+        return predictions
 
     return predict

@@ -10,11 +10,11 @@ from scipy.fft import next_fast_len
 from torch import Tensor
 
 from suspnet.learning.design import (
+    Coefficients,
     Columns,
-    Direction,
+    Design,
     Gradient,
     Penalty,
-    PlainVectors,
     cholesky,
     largest_weights,
     without_intercept,
@@ -43,8 +43,11 @@ class ConjugateGradients:
     max_iter: int = 1000
 
 
-class EquispacedDesign(EquispacedTransform, PlainVectors):
-    """The design matrix Phi of equispaced modes; a `suspnet.learning.design.Design`."""
+class EquispacedDesign(EquispacedTransform, Design):
+    """The design matrix Phi of equispaced modes.
+
+    With several outputs Newton's equations are not Toeplitz: those of Eq. (9) take their place.
+    """
 
     def __init__(
         self,
@@ -56,7 +59,7 @@ class EquispacedDesign(EquispacedTransform, PlainVectors):
         super().__init__(modes, X, all_reduce)
         self._solver = solver or ConjugateGradients()
 
-    def matvec_rmatvec(self, change: Direction, columns: Columns) -> tuple[Tensor, Tensor]:
+    def matvec_rmatvec(self, change: Coefficients, columns: Columns) -> tuple[Tensor, Tensor]:
         """Return Phi W + b, and Phi^T V with V = columns(rows, (Phi W + b)[rows])."""
         moved = self.matvec(change.coef) + change.intercept
         return moved, self.rmatvec(columns(slice(0, self.n_samples), moved))
@@ -68,10 +71,6 @@ class EquispacedDesign(EquispacedTransform, PlainVectors):
     def reweighted(self, C: Penalty, fit_intercept: bool) -> ToeplitzEquations:
         """Return the equations of Eq. (9), computed for the weights of every iteration."""
         return ToeplitzEquations(self, C, fit_intercept, True, self._solver)
-
-    def newton(self, C: Penalty, fit_intercept: bool) -> ToeplitzEquations:
-        """Return the equations of Eq. (9): Newton's are not Toeplitz with several outputs."""
-        return self.reweighted(C, fit_intercept)
 
 
 class ToeplitzEquations:
@@ -110,7 +109,7 @@ class ToeplitzEquations:
         self._largest = min(len(design.waves), solver.largest_block)
         self._invert_leading(min(self._largest, solver.first_block))
 
-    def direction(self, gradient: Gradient, accuracy: float) -> Direction:
+    def direction(self, gradient: Gradient, accuracy: float) -> Coefficients:
         """Return an approximate solution of the normal equations."""
         if self._reweighted:
             self._use(self._design.toeplitz(gradient.weights))
@@ -146,10 +145,10 @@ class ToeplitzEquations:
         grid = grid.reshape(-1, *self._half)
         field = torch.fft.irfftn(grid, s=self._shape, dim=axes, norm="forward")
         grid = torch.fft.rfftn(field.mul_(self._density), dim=axes, norm="forward")
-        found = vector + self._design.real(grid.flatten(1)[:, self._places])
+        product = vector + self._design.real(grid.flatten(1)[:, self._places])
         if self._weight > 0:
-            found -= torch.outer(self._sums, self._sums @ vector / self._weight)
-        return found
+            product -= torch.outer(self._sums, self._sums @ vector / self._weight)
+        return product
 
     def _solve(self, right: Tensor, accuracy: float) -> Tensor:
         """Return the solution by conjugate gradients, all columns at the same time."""
@@ -180,9 +179,9 @@ class ToeplitzEquations:
         return solution
 
     def _precondition(self, vector: Tensor) -> Tensor:
-        found = vector / self._diagonal[:, None]
-        found[self._leading] = self._inverse @ vector[self._leading]
-        return found
+        divided = vector / self._diagonal[:, None]
+        divided[self._leading] = self._inverse @ vector[self._leading]
+        return divided
 
     def _invert_leading(self, n_block: int) -> None:
         n_waves = len(self._design.waves)

@@ -33,7 +33,7 @@ from suspnet.runs.findings import Findings, group_markdown, plain, records
 from suspnet.runs.plots import OUR_COLOUR
 from suspnet.runs.tables import write_study
 from suspnet.spectra.curves import CurveSettings
-from suspnet.spectra.observation import Observation
+from suspnet.spectra.estimates import Observation
 
 
 def write_identifiability(

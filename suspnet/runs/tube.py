@@ -29,7 +29,7 @@ from suspnet.learning import MSVR, Scaling
 from suspnet.learning.search import GridSearch
 from suspnet.runs.plots import grid
 from suspnet.runs.tables import Record, grouped, markdown, write_study
-from suspnet.spectra.observation import Observation
+from suspnet.spectra.estimates import Observation
 
 LABELS = {
     "exact": "none",

@@ -97,13 +97,13 @@ class Fleet:
 
     def loggers(self) -> dict[str, Sensor]:
         """Return each channel's sensor, by default with the rates of Table II and 34 dB SNR."""
-        given = dict(self.sensors or {})
-        if set(given) - set(CHANNELS):
-            raise ValueError(f"`sensors` must be named as in {CHANNELS}, got {sorted(given)}")
+        sensors = dict(self.sensors or {})
+        if set(sensors) - set(CHANNELS):
+            raise ValueError(f"`sensors` must be named as in {CHANNELS}, got {sorted(sensors)}")
         rates = dict(zip(CHANNELS, (5000.0, 2000.0, 2000.0), strict=True))
         common = {} if self.rate_hz is None else {"rate_hz": self.rate_hz}
         return {
-            name: Sensor(**({"rate_hz": rates[name]} | dict(given.get(name, {})) | common))
+            name: Sensor(**({"rate_hz": rates[name]} | dict(sensors.get(name, {})) | common))
             for name in CHANNELS
         }
 
@@ -164,7 +164,9 @@ class Scenario:
         check_settings(self, "scenario")
         if not self.mass_low <= self.mass_high:
             raise ValueError(f"need mass_low <= mass_high, got {self.mass_low}, {self.mass_high}")
-        if not all(isinstance(one, Mapping) for one in (self.changes, *self.changes.values())):
+        if not all(
+            isinstance(change, Mapping) for change in (self.changes, *self.changes.values())
+        ):
             raise TypeError(f"`scenario.changes` must be a mapping of mappings: {self.changes!r}")
         for name, change in self.changes.items():
             if name not in ESTIMATED:
@@ -202,7 +204,9 @@ class Scenario:
             start, end = change["from_km"], change["to_km"]
             span = end - start
             after = mileage_km > end if span == 0 else np.clip((mileage_km - start) / span, 0, 1)
-            wearing = [i for i, one in enumerate(self.outputs) if name in (one, kind_of(one))]
+            wearing = [
+                i for i, output in enumerate(self.outputs) if name in (output, kind_of(output))
+            ]
             ratios[:, wearing] *= (1 + (change["ratio"] - 1) * after)[:, None]
         return ratios
 
@@ -266,7 +270,7 @@ class Trains:
         """Number of suspensions of all trains."""
         return self.trains * (self.cars or 1) * len(ENDS)
 
-    def suspensions(self, seed: int) -> list[Suspension]:
+    def suspensions(self, seed: int) -> list[SimulatedSuspension]:
         """Return every suspension; its own seed depends only on its place and on `seed`.
 
         The suspensions that wear are drawn at random.
@@ -281,11 +285,14 @@ class Trains:
                     drawn.append((aboard, *_seeds(seed, train, car, i + 1)))
         by_lot = sorted(range(self.n_all), key=lambda i: drawn[i][2])
         wearing = set(by_lot[: self.n_wearing])
-        return [Suspension(aboard, own, i in wearing) for i, (aboard, own, _) in enumerate(drawn)]
+        return [
+            SimulatedSuspension(aboard, own, i in wearing)
+            for i, (aboard, own, _) in enumerate(drawn)
+        ]
 
 
 @dataclass(frozen=True)
-class Suspension:
+class SimulatedSuspension:
     """One suspension of a train; it follows the scenario if it `wears`.
 
     `seed` determines its true numbers, payload and noise.

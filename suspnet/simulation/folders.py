@@ -65,6 +65,7 @@ def unfinished(
         log.info("%d of %d %s are written, continuing", n_all - n_missing, n_all, what)
     try:
         yield
+    # without a single trip nothing of this attempt remains
     except BaseException:
         if not _holds_trips(folder):
             ledger.remove(mark)

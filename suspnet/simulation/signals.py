@@ -68,8 +68,8 @@ def simulate_trip(
     n_sides = len(system.sensors) // n_places
     signals = np.empty((n_sides, 3, n_samples))
     measured = system.behind_m.index(min(system.behind_m, key=abs))
-    given = (profile, 1.0), (cross, system.roll_per_m), (alignment, system.alignment)
-    tracks = [(track, scale) for track, scale in given if track is not None]
+    possible = (profile, 1.0), (cross, system.roll_per_m), (alignment, system.alignment)
+    tracks = [(track, scale) for track, scale in possible if track is not None]
     for first in range(-n_lead, n_samples, BLOCK):
         times = np.arange(first, min(first + BLOCK, n_samples)) / rate_hz
         position, speed, acceleration = journey.at(times)
@@ -198,6 +198,7 @@ def service_journey(
         if stop < n_stops:
             times.append(times[-1] + 120.0)
             speeds.append(0.0)
+    # instants that coincide have no slope between them
     ascending = np.concatenate([[True], np.diff(times) > 1e-6])
     return Journey(np.array(times)[ascending], np.array(speeds)[ascending])
 

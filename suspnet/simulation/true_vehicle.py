@@ -37,7 +37,7 @@ def with_separate_parts(generator: Any) -> SpatialVehicle:
             f"generator=family, got {type(generator).__name__}"
         )
     frame = "axle1" if generator.frame_sensor == "axle" else "centre"
-    shared = {one.name: getattr(generator, one.name) for one in fields(VehicleFamily)}
+    shared = {field.name: getattr(generator, field.name) for field in fields(VehicleFamily)}
     places = ("axle_box_axle1", f"frame_{frame}", "body")
     return SpatialVehicle(
         **shared | {"parts": (*generator.parts, *SIDEWAYS)},
@@ -77,25 +77,25 @@ def true_numbers(generator: Any) -> dict[str, dict[str, Any]]:
 
     The ratios of a quarter car are 1, as its vehicle holds the true numbers itself.
     """
-    quantities = {one.name: one for one in getattr(generator, "quantities", QUANTITIES)}
+    quantities = {q.name: q for q in getattr(generator, "quantities", QUANTITIES)}
     if isinstance(generator, QuarterCar):
         nominal, ratios = generator.vehicle.healthy_values()[:4], np.ones(4)
         names: Iterable[str] = HEALTHY
     else:
         names, nominal = quantities, generator.nominal_values()[len(generator.outputs) :]
-        given = generator.distribution or LogNormal((), (), ())
-        medians = dict(zip(given.names, given.median, strict=True))
+        distribution = generator.distribution or LogNormal((), (), ())
+        medians = dict(zip(distribution.names, distribution.median, strict=True))
         ratios = np.array([medians.get(q.name, q.median) for q in quantities.values()])
     scattered_names = _prior(generator).names
-    known = {
+    shown = {
         q.name: q
         for q in quantities.values()
         if q.name in scattered_names or (q.unit and not q.part)
     }
     return {
-        name: {"value": value * float(ratio), "unit": known[name].unit, "ratio": float(ratio)}
+        name: {"value": value * float(ratio), "unit": shown[name].unit, "ratio": float(ratio)}
         for name, value, ratio in zip(names, nominal, ratios, strict=True)
-        if name in known and name != "speed"
+        if name in shown and name != "speed"
     }
 
 

@@ -35,7 +35,7 @@ from suspnet.ground.workers import LostWorkerError, each, workers_for
 from suspnet.recordings.manifest import CHANNELS, TripManifest
 from suspnet.recordings.manifest_files import write_manifest
 from suspnet.recordings.manifest_sources import Channel, Pair, SpeedSource
-from suspnet.simulation.fleet import FIRST_DAY, Aboard, Fleet, Scenario, Suspension, Trains
+from suspnet.simulation.fleet import FIRST_DAY, Aboard, Fleet, Scenario, SimulatedSuspension, Trains
 from suspnet.simulation.folders import TRUTH, is_finished, is_whole, own_folder, unfinished
 from suspnet.simulation.signals import Journey, profile_length_m, simulate_trip
 from suspnet.simulation.true_vehicle import scattered, true_numbers, with_separate_parts
@@ -111,6 +111,7 @@ def write_fleet(
     fleet, scenario, seed = simulation.fleet, simulation.scenario, simulation.seed
     made_from = simulation.made_from(aboard)
     generator: Any = simulation.generator
+    # separate parts first, so that each has its own scatter
     if scenario.by_part:
         generator = with_separate_parts(generator)
     generator = scattered(generator, simulation.scatter, seed)
@@ -132,6 +133,7 @@ def write_fleet(
     )
     with own_folder(folder) as folder:
         paths = [folder / f"{_name(i)}.yaml" for i in range(fleet.n_trips)]
+        # a trip that lost a file is written again, as is one that was interrupted
         missing = [i for i, path in enumerate(paths) if not is_whole(path)]
         with unfinished(folder, made_from, fleet.n_trips, len(missing)):
             jobs = ((folder, i, float(mileage[i]), ratios[i]) for i in missing)
@@ -163,17 +165,19 @@ def write_trains(
         **asdict(trains),
         "seed": simulation.seed,
         "scenario": simulation.scenario.name,
-        "wearing": [one.name for one in suspensions if one.wears],
-        "suspensions": [one.name for one in suspensions],
+        "wearing": [suspension.name for suspension in suspensions if suspension.wears],
+        "suspensions": [suspension.name for suspension in suspensions],
     }
     with own_folder(folder) as folder:
-        missing = [one for one in suspensions if not is_finished(folder / one.name)]
+        missing = [
+            suspension for suspension in suspensions if not is_finished(folder / suspension.name)
+        ]
         with unfinished(folder, made_from, trains.n_all, len(missing), "suspensions"):
-            jobs = ((folder, one) for one in missing)
+            jobs = ((folder, suspension) for suspension in missing)
             n_trips = len(missing) * simulation.fleet.n_trips
             _write_all(write, jobs, len(missing), "suspension", n_jobs, n_trips, progress)
             write_json(folder / TRUTH, truth)
-        return [folder / one.name for one in suspensions]
+        return [folder / suspension.name for suspension in suspensions]
 
 
 def _write_all(
@@ -191,15 +195,20 @@ def _write_all(
             raise outcome
 
 
-def _write_suspension(work: tuple[Path, Suspension], simulation: Simulation) -> None:
-    folder, one = work
-    if not one.wears:
+def _write_suspension(work: tuple[Path, SimulatedSuspension], simulation: Simulation) -> None:
+    folder, suspension = work
+    # payload and spread remain, only the changes go
+    if not suspension.wears:
         healthy = replace(simulation.scenario, name="healthy", changes={})
         simulation = replace(simulation, scenario=healthy)
     if isinstance(simulation.generator, VerticalVehicle):
-        there = replace(simulation.generator, bogie=one.aboard.bogie)
-        simulation = replace(simulation, generator=there)
-    write_fleet(folder / one.name, replace(simulation, seed=one.seed), aboard=one.aboard)
+        measured = replace(simulation.generator, bogie=suspension.aboard.bogie)
+        simulation = replace(simulation, generator=measured)
+    write_fleet(
+        folder / suspension.name,
+        replace(simulation, seed=suspension.seed),
+        aboard=suspension.aboard,
+    )
 
 
 def _name(index: int) -> str:
@@ -239,7 +248,7 @@ def _write_trip(
     channels = _write_channels(folder, name, fleet, system, signals, rate_hz, noise)
     whole_s = np.arange(math.floor(journey.duration_s) + 1, dtype=np.float64)
     _write_columns(folder / name / "speed.parquet", {"speed": journey.at(whole_s)[1]})
-    ends = {one: getattr(generator, one, None) for one in ("bogie", "axle")}
+    ends = {key: getattr(generator, key, None) for key in ("bogie", "axle")}
     manifest = TripManifest(
         path=folder / f"{name}.yaml",
         name=name,
@@ -297,18 +306,19 @@ def _write_channels(
     for i, channel in enumerate(CHANNELS):
         sensor, file = sensors[channel], f"{name}/{channel}.parquet"
         recorded = [
-            sensor.record(_resampled(one, rate_hz, sensor.rate_hz), rng).astype(np.float32)
-            for one in signals[i::3]
+            sensor.record(_resampled(signal, rate_hz, sensor.rate_hz), rng).astype(np.float32)
+            for signal in signals[i::3]
         ]
-        one = Channel(file, "m/s2", rate_hz=sensor.rate_hz, range=sensor.range_m_per_s2)
+        source = Channel(file, "m/s2", rate_hz=sensor.rate_hz, range=sensor.range_m_per_s2)
         if len(recorded) == 1:
             columns = {"acceleration": recorded[0]}
             side = SIDES[0 if system.lateral_m[i] > 0 else 1] if system.lateral_m[i] else None
-            channels[channel] = replace(one, column="acceleration", side=side)
+            channels[channel] = replace(source, column="acceleration", side=side)
         else:
+            # at a negative position the first signal is that of the right side
             placed = recorded if system.lateral_m[i] >= 0 else recorded[::-1]
             columns = dict(zip(SIDES, placed, strict=True))
-            left, right = (replace(one, column=side, side=side) for side in SIDES)
+            left, right = (replace(source, column=side, side=side) for side in SIDES)
             channels[channel] = left, right
         _write_columns(folder / file, columns)
     return channels

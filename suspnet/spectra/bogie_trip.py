@@ -49,5 +49,5 @@ class BogieTrip(ShortRepr):
 def smallest_noise(spectra: SpectralMatrix) -> Tensor:
     """Return the least that the other sensors do not explain of each one, (m,)."""
     inverse = torch.linalg.inv(spectra.values).diagonal(dim1=-2, dim2=-1).real
-    found: Tensor = (1 / inverse).amin(dim=0)
-    return found
+    noise: Tensor = (1 / inverse).amin(dim=0)
+    return noise

@@ -31,8 +31,9 @@ from suspnet.ground.settings import check_settings, setting
 from suspnet.ground.tensors import as_tensor, curves_as_tensor
 from suspnet.ground.types import FloatArray, IntArray
 from suspnet.spectra.extraction import FeatureTable, PeakFeatures
-from suspnet.spectra.noise_components import noise_components
 
+ROUNDING = 1e-12
+"""Noise below this means that all rows are equal in the column: no information."""
 MISSING = 1
 """Reason code of a curve that is not finite."""
 FLOOR = 10.0
@@ -63,15 +64,7 @@ class CurveBasis:
 class CurveFeatures:
     """Principal components of both responses or magnitudes, relative to the healthy vehicle's.
 
-    Parameters
-    ----------
-    basis : CurveBasis, optional
-        The basis, set by `fitted`.
-
-    Raises
-    ------
-    ValueError
-        If a setting is out of range.
+    `fitted` sets the `basis`.
     """
 
     n_components: int | None = setting(
@@ -143,13 +136,9 @@ class CurveFeatures:
         floor = None
         if not clean.is_complex():
             floor = FLOOR * (noisy - clean).square().mean(dim=(0, 2)).sqrt()
-        rows = _rows(clean, healthy, floor)
-        noisy_rows = _rows(noisy, healthy, floor)
-        found = noise_components(rows, noisy_rows, self.n_components, self.explained)
-        basis = CurveBasis(
-            frequencies, healthy, found.mean, found.noise, found.directions, found.explained, floor
-        )
-        return replace(self, basis=basis)
+        rows, noisy_rows = _rows(clean, healthy, floor), _rows(noisy, healthy, floor)
+        components = noise_components(rows, noisy_rows, self.n_components, self.explained)
+        return replace(self, basis=CurveBasis(frequencies, healthy, *components, floor))
 
     def extract(
         self, responses: Tensor | ArrayLike, frequencies_hz: Tensor | ArrayLike
@@ -172,6 +161,7 @@ class CurveFeatures:
                 f"{_span(bins)} instead of {_span(basis.frequencies_hz)}"
             )
         responses = responses[..., inside]
+        # a floor means that the basis was learnt from magnitudes
         floor = basis.floor
         if floor is None and not responses.is_complex():
             raise ValueError("the features were learnt with phases, these curves are magnitudes")
@@ -239,6 +229,48 @@ class CurveFeatures:
         if not bool(inside.any()):
             raise ValueError(f"no bin lies between {low} and {high} Hz: {_span(frequencies_hz)}")
         return inside
+
+
+def noise_components(
+    clean: Tensor, noisy: Tensor, count: int | None, explained: float = 1.0
+) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Return mu, s, B and `explained` of `CurveBasis` for rows (n_rows, n_columns) of curves.
+
+    `count` None: as many components as keep the fraction `explained` of the noise-free variance.
+    ValueError if there are fewer rows or columns than components.
+    """
+    noise = (noisy - clean).square().mean(dim=0).sqrt()
+    noise = noise.where(noise > ROUNDING, 1.0)  # avoids division by 0: no information there
+    mean = clean.mean(dim=0)
+    power, directions = _principal((clean - mean) / noise)
+    n_possible = min(len(clean) - 1, clean.shape[1])
+    directions = directions[:n_possible]
+    share = power[:n_possible].clamp(min=0.0) / power.sum()
+    if count is None:
+        count = int((share.cumsum(dim=0) < explained).sum()) + 1
+    if count > len(directions):
+        raise ValueError(
+            f"{count} components were asked for, {len(clean)} curves of {clean.shape[1]} numbers "
+            f"have {len(directions)}"
+        )
+    # memory layout as restored: equal bit for bit
+    return mean, noise, directions[:count].contiguous(), share[:count]
+
+
+def _principal(rows: Tensor) -> tuple[Tensor, Tensor]:
+    """Return the variances along principal axes, largest first, and these as rows.
+
+    The eigenvectors of the smaller Gram matrix, that of columns or that of rows, are several times
+    quicker than singular vectors.
+    """
+    n_rows, n_columns = rows.shape
+    if n_rows >= n_columns:
+        power, vectors = torch.linalg.eigh(torch.cov(rows.T))
+        return power.flip(0), vectors.T.flip(0)
+    power, vectors = torch.linalg.eigh(rows @ rows.T / (n_rows - 1))
+    # weak axes still hold some of the strong ones, by rounding: the QR factors remove that
+    axes, _ = torch.linalg.qr(rows.T @ vectors.flip(1))
+    return power.flip(0), axes.T
 
 
 def _rows(responses: Tensor, healthy: Tensor, floor: Tensor | None) -> Tensor:

@@ -115,8 +115,8 @@ class CrossSpectra(ShortRepr):
         instrument the response is a ratio of noise, and its measured covariance too small.
         """
         pairs = zip(_instruments(method), CHAIN, strict=True)
-        found = [self.coherence(z, x) for z, (x, *_) in pairs]
-        coherence = torch.stack(found, dim=-2).clamp(max=1)
+        coherences = [self.coherence(z, x) for z, (x, *_) in pairs]
+        coherence = torch.stack(coherences, dim=-2).clamp(max=1)
         return (self.n_averages - 1) * coherence / (1 - coherence)
 
     def covariance(self, method: Method) -> Tensor:

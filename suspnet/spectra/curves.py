@@ -23,20 +23,13 @@ from suspnet.spectra.observation import (
     CacheFolder,
     Counts,
     Directions,
-    Observer,
     directions,
 )
 
 
 @dataclass(frozen=True)
 class CurveSettings(Counts):
-    """Frequency bins, noise and numbers of curves.
-
-    Raises
-    ------
-    TypeError, ValueError
-        If a setting has the wrong type or is out of range.
-    """
+    """Frequency bins, noise and numbers of curves."""
 
     kind: ClassVar[str] = "curves"
 
@@ -152,7 +145,7 @@ class CurveMisfit:
     `observed`: (n_rows, 2, n_freq); `used` lists which of G_p (0) and G_s (1) enter.
     """
 
-    observer: Observer
+    observer: CurveObserver
     observed: Tensor
     used: Sequence[int] = (0, 1)
     expected: float = 1.0

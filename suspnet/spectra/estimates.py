@@ -14,17 +14,17 @@ from suspnet.dynamics import QuarterCar, ResponseGenerator, Vehicle
 from suspnet.dynamics.track import track_spectrum
 from suspnet.ground.settings import setting
 from suspnet.spectra.cross_spectra import Method
-from suspnet.spectra.curves import CurveSettings
+from suspnet.spectra.curves import CurveMisfit, CurveObserver, CurveSettings
 from suspnet.spectra.estimate_observer import EstimateObserver
+from suspnet.spectra.expected_spectra import EstimateMisfit
 from suspnet.spectra.observation import CACHE_FOLDER, MOST_BINS, CacheFolder, Counts
 from suspnet.spectra.welch import Welch
 
 SPEED_HALF_WIDTH, WIDE_SPEED_HALF_WIDTH = 0.08, 0.3
 """Relative half width of the speed range of one model, and of that of a commissioned vehicle.
 
-At 0.1 from the training speed errors of corrected estimates were up to about twice as large
-(measured). Trips of a commissioned vehicle at another speed are read by the fit of the curve, at
-the trip's own speed, so that one model reads a wider range (docs/trips.md)."""
+At 0.1 from the training speed errors of corrected estimates are up to twice as large. The fit of
+the curve reads a commissioned vehicle's trip at the trip's own speed (docs/trips.md)."""
 LOWEST_MODE, HIGHEST_MODE, HIGHEST_OF_BODY = 0.45, 3.8, 2.4
 """Default band ends as multiples of natural frequencies: start of the band (first mode), end of the
 band and end of G_s (second mode). Between the last two the primary damper separates from its
@@ -37,17 +37,8 @@ HIGHEST_HZ = 25.0
 class EstimateSettings(Counts):
     """How trips are recorded and their transfer functions estimated.
 
-    Parameters
-    ----------
-    segment_s, overlap, window
-        Settings of ``Welch``. A segment must be long compared with the decay time of the body: with
-        20 s the modelled leakage matches that of recordings, with 10 s it does not (AM96, c_s
-        at 80 %).
-
-    Raises
-    ------
-    TypeError, ValueError
-        If a setting has the wrong type or is out of range.
+    A segment must be long compared with the decay time of the body: with 20 s the modelled leakage
+    matches that of recordings, with 10 s it does not.
     """
 
     kind: ClassVar[str] = "trips"
@@ -228,5 +219,15 @@ class EstimateSettings(Counts):
         )
 
 
+Observation = CurveSettings | EstimateSettings
+"""Settings of an observation. `kind` is its name in model files."""
+Observer = CurveObserver | EstimateObserver
+"""Makes curves (n_curves, 2, n_freq) of a generator's vehicles as they would be observed."""
+Misfit = CurveMisfit | EstimateMisfit
+"""Residuals of observed curves in units of their noise, for vehicles `ratios` and curves `rows`.
+
+Their sum of squares is -2 log likelihood; with J the derivative, J^T J is the Fisher information.
+`expected` is the mean square of a residual if the model is true.
+"""
 OBSERVATIONS: dict[str, Any] = {kind.kind: kind for kind in (CurveSettings, EstimateSettings)}
 """Settings class of each kind of observation, by the `kind` that model files store."""

@@ -11,6 +11,7 @@ from collections.abc import Callable, Sequence
 from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
@@ -21,9 +22,11 @@ from suspnet.dynamics.track import TrackSpectrum, acceleration_density
 from suspnet.ground.tensors import as_tensor, complex_log, squared_size, threads
 from suspnet.ground.types import FloatArray
 from suspnet.spectra.cross_spectra import PAIRS
-from suspnet.spectra.observation import Observer
 from suspnet.spectra.segments import Speeds
 from suspnet.spectra.welch import Welch
+
+if TYPE_CHECKING:
+    from suspnet.spectra.estimate_observer import EstimateObserver
 
 Responses = Callable[[Tensor, Tensor], Tensor]
 OfFrequencies = Callable[[FloatArray], FloatArray]
@@ -33,9 +36,7 @@ WIDE_BAND_LOW_HZ, WIDE_BAND_POINTS = 0.1, 4000
 """Lowest frequency [Hz] and number of points of the integral that gives a channel's rms."""
 IN_CACHE, AT_ONCE = 80_000, 4096
 """Complex numbers of each kind that are computed at once on a CPU, and vehicles at once elsewhere.
-
-Derivatives of 36 and 47 numbers took 50 and 95 ms with 80,000, 67 and 140 with 20,000, as calls
-cost time, and 69 and 123 with 320,000, whose temporary arrays leave the cache."""
+Fewer cost calls, and temporary arrays of more leave the cache."""
 WEAK, WEAK_OF_ONE = 4.0, 0.5
 """A bin is weak if the standard deviation of the healthy vehicle's log-response exceeds 4 times its
 median over the band, and 0.5 / sqrt(n_averages): the estimate is then a ratio of two nearly
@@ -69,14 +70,14 @@ class ExpectedSpectra:
         """Return auto and cross spectra of each vehicle, each (n_vehicles, 3, n_freq)."""
         in_cache = max(1, IN_CACHE // (self._n_inputs * len(self._bins)))
         n_at_once = in_cache if self._generator.device == "cpu" else AT_ONCE
-        found = [self._of(block) for block in as_tensor(ratios).split(n_at_once)]
-        auto, cross = map(torch.cat, zip(*found, strict=True))
+        blocks = [self._of(block) for block in as_tensor(ratios).split(n_at_once)]
+        auto, cross = map(torch.cat, zip(*blocks, strict=True))
         return auto, cross
 
     @cached_property
     def _n_inputs(self) -> int:
-        one = torch.ones(1, len(PARAMETERS), dtype=torch.float64)
-        return self._generator.channels(one, self._bins[:1]).shape[1]
+        healthy = torch.ones(1, len(PARAMETERS), dtype=torch.float64)
+        return self._generator.channels(healthy, self._bins[:1]).shape[1]
 
     def _of(self, ratios: Tensor) -> tuple[Tensor, Tensor]:
         """Return the spectra of a few vehicles."""
@@ -84,8 +85,8 @@ class ExpectedSpectra:
             auto, cross = self._spectra(ratios, self._density)
         else:
             pairs = zip(self._relative.m_per_s, self._relative.weights, strict=True)
-            found = [self._spectra(*self._at_speed(ratios, v, w)) for v, w in pairs]
-            auto, cross = (torch.stack(parts).sum(dim=0) for parts in zip(*found, strict=True))
+            spectra = [self._spectra(*self._at_speed(ratios, v, w)) for v, w in pairs]
+            auto, cross = (torch.stack(parts).sum(dim=0) for parts in zip(*spectra, strict=True))
         return self._smeared(auto), self._smeared(cross)
 
     def thinned(self, every: int) -> ExpectedSpectra:
@@ -174,7 +175,7 @@ class EstimateMisfit:
     infinite where an estimate is not used; `weight` is that of a bin.
     """
 
-    observer: Observer
+    observer: EstimateObserver
     observed: Tensor
     covariance: Tensor
     weight: float = 1.0
@@ -185,9 +186,9 @@ class EstimateMisfit:
         return self.weight * self._share / self._correlated
 
     def thinned(self) -> EstimateMisfit:
-        """Return the misfit on every n-th bin, each with n times its weight; see `Observer`."""
+        """Return the misfit on every n-th bin, each with n times its weight."""
         observer = self.observer.thinned()
-        steps = [one.frequencies_hz[:2].diff().sum() for one in (observer, self.observer)]
+        steps = [either.frequencies_hz[:2].diff().sum() for either in (observer, self.observer)]
         every = max(1, round(float(steps[0] / steps[1])))
         observed, covariance = self.observed[..., ::every], self.covariance[..., ::every]
         return EstimateMisfit(observer, observed, covariance, self.weight * every)

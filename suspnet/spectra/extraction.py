@@ -123,16 +123,8 @@ class FeatureSet(Protocol):
 class PeakFeatures(FeatureSet):
     """Position, height and width of chosen peaks of both responses.
 
-    Parameters
-    ----------
-    peaks : sequence of str
-        From ``PEAK_NAMES``. `secondary` is the peak of abs(G_s); `primary_lower` and
-        `primary_upper` those of abs(G_p) below and above it; `primary_largest` the paper's.
-
-    Raises
-    ------
-    ValueError
-        If a peak is unknown, the band is empty or `window` is out of range.
+    `peaks` are from ``PEAK_NAMES``: `secondary` is the peak of abs(G_s), `primary_lower` and
+    `primary_upper` those of abs(G_p) below and above it, `primary_largest` the paper's.
     """
 
     peaks: Sequence[str] = ("secondary", "primary_lower", "primary_upper")
@@ -191,12 +183,12 @@ class PeakFeatures(FeatureSet):
 
     def missing(self, reasons: IntArray) -> str:
         """Return which peaks are missing and why, from one row of the reasons."""
-        found = (
+        findings = (
             Finding("peak-missing", peak=peak, reason=PeakReason(int(reason)).words)
             for peak, reason in zip(self.peaks, reasons, strict=True)
             if reason
         )
-        return together(found, ", ")
+        return together(findings, ", ")
 
     def where_searched(self, curves: Tensor, frequencies_hz: Tensor) -> str:
         """Return where noise-free curves (2, n_freq) have maxima, and where peaks are searched."""
@@ -229,15 +221,15 @@ class PeakFeatures(FeatureSet):
         primary, secondary = (curves.abs() if curves.is_complex() else curves).unbind(1)
         check_grid(primary, frequencies)
         # the secondary peak first, as it defines where the primary peaks are searched
-        found: dict[str, Peaks] = {}
+        peaks: dict[str, Peaks] = {}
         if set(self.peaks) - {"primary_largest"}:
-            found["secondary"] = findpeaks(secondary, frequencies, fit=self._fit("secondary"))
+            peaks["secondary"] = findpeaks(secondary, frequencies, fit=self._fit("secondary"))
         if set(self.peaks) - {"secondary"}:
             smoothed = SmoothedCurves.of(primary, frequencies, self._fit("primary_largest"))
             for name in self.peaks:
-                if name not in found:
-                    found[name] = self._primary_peak(name, smoothed, found.get("secondary"))
-        chosen = [found[name] for name in self.peaks]
+                if name not in peaks:
+                    peaks[name] = self._primary_peak(name, smoothed, peaks.get("secondary"))
+        chosen = [peaks[name] for name in self.peaks]
         columns = [c for p in chosen for c in (p.position_hz, p.height, p.width_hz)]
         return FeatureTable(
             torch.stack(columns, dim=1), torch.stack([p.reason for p in chosen], dim=1)

@@ -66,12 +66,15 @@ def trip_noise(
     units = torch.diag_embed(torch.eye(m, dtype=torch.complex128))[:, None]
     own = torch.einsum("kwif,kwjf->kfij", alone, alone.conj())
     n_averages = spectra.n_averages
-    found = TripNoise(start, torch.zeros(len(alone)), torch.diag(start).expand(len(own[0]), m, m))
+    noise_model = TripNoise(
+        start, torch.zeros(len(alone)), torch.diag(start).expand(len(own[0]), m, m)
+    )
     for _ in range(ROUNDS):
-        factor = torch.linalg.cholesky(found.matrix.to(torch.complex128))
+        factor = torch.linalg.cholesky(noise_model.matrix.to(torch.complex128))
         root = torch.linalg.inv(factor)
         white = root @ spectra.values @ root.mH
         power, vectors = torch.linalg.eigh(white)
+        # the smallest eigenvalues belong to directions without motion, which hold noise alone
         left = root.mH @ vectors[:, :, : m - p]
         target = torch.diag_embed(power[:, : m - p] * n_averages / (n_averages - p))
         densities = _densities(white, root @ responses.permute(2, 1, 0))[: len(alone)]
@@ -81,19 +84,22 @@ def trip_noise(
         seen = left.mH @ patterns @ left
         sizes = seen.diagonal(dim1=-2, dim2=-1).real.mean(dim=(1, 2)).clamp(min=1e-300)
         columns = torch.view_as_real(seen / sizes[:, None, None, None]).flatten(1).T.numpy()
+        # a sum of patterns of noise, each in a positive amount, comes closest to what was measured
         rows = torch.view_as_real(target.to(seen.dtype)).flatten().numpy()
         numbers = torch.as_tensor(nnls(columns, rows)[0]) / sizes
         # a sensor whose noise is negligible against that of the others would leave N singular
         noise = numbers[:m].maximum(LEAST_NOISE * start)
         matrix = torch.diag(noise) + (numbers[m:, None, None, None] * patterns[m:]).sum(dim=0)
-        found = TripNoise(noise, numbers[m:], matrix)
-    return found
+        noise_model = TripNoise(noise, numbers[m:], matrix)
+    return noise_model
 
 
 def _densities(white: Tensor, responses: Tensor) -> Tensor:
     """Return the smoothed density of each input, (p, n_freq), of whitened matrices."""
     unit = torch.eye(white.shape[-1], dtype=white.dtype)
     inverse = torch.linalg.pinv(responses)
-    found = (inverse @ (white - unit) @ inverse.mH).diagonal(dim1=-2, dim2=-1).real
+    densities = (inverse @ (white - unit) @ inverse.mH).diagonal(dim1=-2, dim2=-1).real
     half = SMOOTH_BINS // 2
-    return avg_pool1d(found.T.clamp(min=0)[None], SMOOTH_BINS, 1, half, count_include_pad=False)[0]
+    return avg_pool1d(
+        densities.T.clamp(min=0)[None], SMOOTH_BINS, 1, half, count_include_pad=False
+    )[0]

@@ -1,8 +1,9 @@
-"""Interfaces of an observation of curves, and the directions of uncertain numbers.
+"""What observations of curves share: numbers of curves, and directions of uncertain numbers.
 
-An observation is a pair of classes: settings with the values of a YAML file, and the observer that
-they create for a generator. `curves` is the paper's observation (magnitudes with white noise),
-`estimates` that of trips (transfer functions estimated from recordings).
+An observation is a set of three classes: settings with the values of a YAML file, the observer that
+they create for a generator, and its misfit to observed curves. `curves` has those of the paper
+(magnitudes with white noise), `estimates` those of trips (transfer functions estimated from
+recordings), and the types of what may be either.
 
 Directions: the logarithms of a generator's uncertain numbers (of 1 + number for those that may be
 absent) are normal, mean + F z with z standard normal. Many directions of z hardly change the
@@ -15,16 +16,18 @@ are fixed at the median.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Annotated, Any, ClassVar, Protocol, Self
+from typing import TYPE_CHECKING, Annotated, Self
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from suspnet.dynamics import PARAMETERS, ResponseGenerator, Vehicle
+from suspnet.dynamics import PARAMETERS, ResponseGenerator
 from suspnet.ground.settings import Setting, check_number, check_settings, setting
+
+if TYPE_CHECKING:
+    from suspnet.spectra.estimates import Observer
 
 LEAST_CALIBRATION = 100
 """Smallest number of calibration curves; the coverage of a 90 % interval then scatters by 3 %."""
@@ -41,127 +44,6 @@ FURTHEST = 2.0
 """Largest factor, up or down, between the parameters of these vehicles and healthy."""
 STEP = 1e-4
 """Step of the central differences, in standard deviations of the numbers."""
-
-
-class Misfit(Protocol):
-    """Residuals of observed curves in units of their noise.
-
-    Their sum of squares is -2 log likelihood; with J the derivative, J^T J is the Fisher
-    information. `observed` has shape (n_rows, 2, n_freq); `expected` is the mean square of a
-    residual if the model is true.
-    """
-
-    @property
-    def observed(self) -> Tensor: ...  # noqa: D102
-
-    @property
-    def expected(self) -> float: ...  # noqa: D102
-
-    def __call__(self, ratios: Tensor, rows: Tensor) -> Tensor:
-        """Return residuals (n, n_points) of the vehicles `ratios` (n, 5) to the curves `rows`."""
-        ...
-
-    def thinned(self) -> Misfit:
-        """Return a quicker misfit of about the same sum of squares, if there is one."""
-        ...
-
-
-class Observer(Protocol):
-    """Makes curves of vehicles as they would be observed.
-
-    `frequencies_hz` has shape (n_freq,); `directions` are those of the generator's uncertain
-    numbers that affect its curves.
-    """
-
-    @property
-    def settings(self) -> Any: ...  # noqa: D102
-
-    @property
-    def generator(self) -> ResponseGenerator: ...  # noqa: D102
-
-    @property
-    def frequencies_hz(self) -> Tensor: ...  # noqa: D102
-
-    @property
-    def directions(self) -> Directions: ...  # noqa: D102
-
-    def noise_free(self, ratios: Tensor) -> Tensor:
-        """Return curves without noise, shape (n_vehicles, 2, n_freq)."""
-        ...
-
-    def observe(self, ratios: Tensor, seed: int) -> Tensor:
-        """Return noisy curves, with the generator's uncertain quantities drawn as well."""
-        ...
-
-    def for_features(self, curves: Tensor) -> Tensor:
-        """Return curves (n_curves, 2, n_freq) as the input of the feature set."""
-        ...
-
-    def thinned(self) -> Observer:
-        """Return a quicker, coarser observer, if there is one."""
-        ...
-
-    def misfit(self, curves: Tensor, near: Tensor, used: Sequence[int] = (0, 1)) -> Misfit:
-        """Return the misfit of observed curves (n_curves, 2, n_freq).
-
-        `near` (n_curves, 5) are ratios of vehicles with noise like that of the curves; `used` lists
-        which of G_p (0) and G_s (1) enter.
-        """
-        ...
-
-
-class Observation(Protocol):
-    """Settings of an observation, as in a file of configs/data.
-
-    `kind` is its name in model files. `n_train` and `n_test` are numbers of curves, or "all" for
-    the whole grid of the protocol (None: see `Counts.counted`); `n_calibrate` curves calibrate
-    intervals and thresholds (None: neither). `cache_dir` stores feature tables between runs (None:
-    no cache).
-    """
-
-    __dataclass_fields__: ClassVar[dict[str, Any]]
-    kind: ClassVar[str]
-
-    @property
-    def n_train(self) -> int | str | None: ...  # noqa: D102
-
-    @property
-    def n_test(self) -> int | str: ...  # noqa: D102
-
-    @property
-    def n_calibrate(self) -> int | None: ...  # noqa: D102
-
-    @property
-    def snr_db(self) -> float: ...  # noqa: D102
-
-    @property
-    def low_hz(self) -> float | None: ...  # noqa: D102
-
-    @property
-    def high_hz(self) -> float | None: ...  # noqa: D102
-
-    @property
-    def cache_dir(self) -> str | None: ...  # noqa: D102
-
-    def bound(self, vehicle: Vehicle) -> Self:
-        """Return the settings with the values that follow from the vehicle filled in."""
-        ...
-
-    def counted(self, uncertain: bool) -> Self:
-        """Return the settings with the number of training curves filled in."""
-        ...
-
-    def frequencies_hz(self) -> Tensor:
-        """Return the frequency bins, shape (n_freq,), [Hz]."""
-        ...
-
-    def observer(self, generator: ResponseGenerator) -> Observer:
-        """Return the observer of a generator's vehicles."""
-        ...
-
-    def words(self) -> str:
-        """Return a description of what is observed and of its noise."""
-        ...
 
 
 N_TRAIN, N_UNCERTAIN_TRAIN = 20_000, 4_000
@@ -270,8 +152,8 @@ def directions(observer: Observer) -> Directions:
 def _jacobian(observer: Observer, every: Directions, ratios: Tensor, standard: Tensor) -> Tensor:
     """Return the derivative of the misfit with respect to z, (n, n_names, n_points)."""
     rows = torch.arange(len(ratios))
-    here = every.vehicles(ratios, standard)
-    misfit = observer.misfit(observer.noise_free(here), here)
+    vehicles = every.vehicles(ratios, standard)
+    misfit = observer.misfit(observer.noise_free(vehicles), vehicles)
     columns = []
     for step in STEP * torch.eye(every.n, dtype=standard.dtype):
         above, below = (every.vehicles(ratios, standard + way * step) for way in (1, -1))

@@ -53,32 +53,19 @@ class PeakReason(IntEnum):
 class PeakFit:
     """How a peak is smoothed, found and fitted.
 
-    Parameters
-    ----------
-    shape : {"lorentzian", "gaussian", "half_prominence"}
-        Lorentzian: a parabola through 1/abs(G)^2, exact for one lightly damped mode.
-        Gaussian: a parabola through log abs(G).
-        Half prominence: no fit but the bin of the smoothed curve's maximum, its value, and the
-        width at half the prominence, as MATLAB's findpeaks measures them.
-    smoothing_hz : float, [Hz]
-        Length of the moving average, which locates the maximum and gives the weights of the points.
-    window_below, window_above : float
-        Half widths of the first fit's window on either side of its centre, in log-frequency.
-        The window exp(-(log(f/centre) / half width)^4 / 2) is soft, so features are continuous.
-    tilt : float
-        The maximum of abs(G) f^tilt is searched; a positive tilt finds a peak that damping
-        flattens. The fit is always to abs(G) itself.
-    n_fits : int
-        Least-squares fits; each after the first is centred on the previous position, and
-        discarded if it fails.
-    top : float
-        Half width of the window of the later fits, as a multiple of the fitted width, at most
-        that of the first window. A smaller window is closer to the top and noisier.
+    `shape` "lorentzian" is a parabola through 1/abs(G)^2, exact for one lightly damped mode,
+    "gaussian" one through log abs(G). "half_prominence" fits nothing, but takes bin and value of
+    the smoothed curve's maximum and the width at half its prominence, as MATLAB's findpeaks.
 
-    Raises
-    ------
-    ValueError
-        If a setting is out of range.
+    A moving average of `smoothing_hz` locates the maximum and gives the weights of the points. The
+    first fit's window exp(-(log(f/centre) / half width)^4 / 2), with the half widths `window_below`
+    and `window_above` in log-frequency, is soft, so features are continuous. Each of `n_fits` after
+    the first is centred on the previous position, in a window of `top` times the fitted width and
+    at most that of the first, and discarded if it fails: a smaller window is closer to the top and
+    noisier.
+
+    The maximum searched is that of abs(G) f^tilt: a positive `tilt` finds a peak that damping
+    flattens. The fit is always to abs(G) itself.
     """
 
     shape: PeakShape = "lorentzian"
@@ -133,25 +120,10 @@ def findpeaks(
 ) -> Peaks:
     """Return the largest peak of each curve within its band.
 
-    Parameters
-    ----------
-    magnitude : tensor or array of shape (n_curves, n_freq), [-]
-        Magnitudes of frequency responses, noise included.
-    frequencies_hz : tensor or array of shape (n_freq,), [Hz]
-        Evenly spaced and positive.
-    low_hz, high_hz : float, tensor or array of shape (n_curves,), [Hz]
-        The band of each curve in which the maximum is searched.
-    fit : PeakFit, optional
-        Smoothing, window and shape.
-
-    Returns
-    -------
-    Peaks
-
-    Raises
-    ------
-    ValueError
-        If shapes disagree or the frequencies are not positive and evenly spaced.
+    `magnitude` (n_curves, n_freq) are magnitudes of frequency responses, noise included, on evenly
+    spaced positive `frequencies_hz` (n_freq,). `low_hz` and `high_hz`, numbers or (n_curves,), are
+    the band in which the maximum of each is searched. ValueError if shapes disagree or the
+    frequencies are not positive and evenly spaced.
 
     Examples
     --------
@@ -245,7 +217,7 @@ class SmoothedCurves:
             top, near = _fit_top(self, centre, fit)
         reason = torch.full_like(centre, PeakReason.FOUND, dtype=torch.int64)
         reason[~near] = PeakReason.OUTSIDE_WINDOW
-        reason[~top.found] = PeakReason.WRONG_CURVATURE
+        reason[~top.has_maximum] = PeakReason.WRONG_CURVATURE
         reason[~interior] = PeakReason.NO_MAXIMUM
         reason[~self.finite] = PeakReason.NOT_FINITE
         return Peaks(top.position, top.height, top.width, reason).blanked()
@@ -264,10 +236,10 @@ def _largest(
     tilted = smoothed * frequencies_hz**tilt if tilt else smoothed
     index = torch.where(inside, tilted, -math.inf).argmax(dim=1, keepdim=True)
     last = frequencies_hz.shape[0] - 1
-    here = inside.gather(1, index)
+    at_index = inside.gather(1, index)
     before = inside.gather(1, (index - 1).clamp(min=0)) & (index > 0)
     after = inside.gather(1, (index + 1).clamp(max=last)) & (index < last)
-    return frequencies_hz[index[:, 0]], (here & before & after)[:, 0]
+    return frequencies_hz[index[:, 0]], (at_index & before & after)[:, 0]
 
 
 def _fit_top(curves: SmoothedCurves, centre: Tensor, fit: PeakFit) -> tuple[_Top, Tensor]:
@@ -282,9 +254,9 @@ def _fit_top(curves: SmoothedCurves, centre: Tensor, fit: PeakFit) -> tuple[_Top
             curves.frequencies_hz, curves.target, curves.weight, centre, below, above
         )
         top = _top(*parabola, centre, fit.shape)
-        best = top if best is None else top.where_found_else(best)
-        centre = torch.where(best.found, best.position.clamp(low, high), centre)
-        reach = torch.where(best.found, fit.top * best.width / centre, math.inf)
+        best = top if best is None else top.where_maximum_else(best)
+        centre = torch.where(best.has_maximum, best.position.clamp(low, high), centre)
+        reach = torch.where(best.has_maximum, fit.top * best.width / centre, math.inf)
         below, above = reach.clamp(max=fit.window_below), reach.clamp(max=fit.window_above)
     assert best is not None
     return best, (best.position > low) & (best.position < high)
@@ -304,6 +276,7 @@ def _half_prominence(curves: SmoothedCurves, centre: Tensor) -> _Top:
     height = values.gather(1, peak)
     before, after = order < peak, order > peak
     higher = values > height
+    # bases end at the next higher point on each side, or at the end of the curve
     left_end = torch.where(higher & before, order, -1).amax(dim=1, keepdim=True)
     right_end = torch.where(higher & after, order, n_freq).amin(dim=1, keepdim=True)
     bases = [
@@ -311,6 +284,7 @@ def _half_prominence(curves: SmoothedCurves, centre: Tensor) -> _Top:
         for side in (before & (order > left_end), after & (order < right_end))
     ]
     level = (height + torch.maximum(*bases)) / 2
+    # from the maximum outwards, the first bins at or below half the prominence
     below = values <= level
     left = torch.where(below & before, order, -1).amax(dim=1, keepdim=True)
     right = torch.where(below & after, order, n_freq).amin(dim=1, keepdim=True)
@@ -321,22 +295,22 @@ def _half_prominence(curves: SmoothedCurves, centre: Tensor) -> _Top:
         share = (level - low) / (high - low)
         crossings.append(torch.lerp(bins[outer], bins[inner], share))
     width = (crossings[1] - crossings[0])[:, 0]
-    found = ((left >= 0) & (right < n_freq))[:, 0]
-    return _Top(bins[peak[:, 0]], height[:, 0], width, found)
+    has_maximum = ((left >= 0) & (right < n_freq))[:, 0]
+    return _Top(bins[peak[:, 0]], height[:, 0], width, has_maximum)
 
 
 @dataclass(frozen=True)
 class _Top:
-    """Fitted maximum of each curve; `found` is False where the parabola has no maximum."""
+    """Fitted maximum of each curve; `has_maximum` is False where the parabola has no maximum."""
 
     position: Tensor
     height: Tensor
     width: Tensor
-    found: Tensor
+    has_maximum: Tensor
 
-    def where_found_else(self, earlier: _Top) -> _Top:
+    def where_maximum_else(self, earlier: _Top) -> _Top:
         """Return this fit, or the earlier one where only that found a maximum."""
-        take = self.found | ~earlier.found
+        take = self.has_maximum | ~earlier.has_maximum
         pairs = zip(vars(self).values(), vars(earlier).values(), strict=True)
         return _Top(*(torch.where(take, new, old) for new, old in pairs))
 
@@ -344,12 +318,12 @@ class _Top:
 def _top(constant: Tensor, vertex: Tensor, curvature: Tensor, centre: Tensor, shape: str) -> _Top:
     """Return the top whose transform is constant + curvature (f / centre - 1 - vertex)^2."""
     if shape == "lorentzian":
-        found = (curvature > 0) & (constant > 0)
+        has_maximum = (curvature > 0) & (constant > 0)
         height, half_width = constant.abs() ** -0.5, (constant / curvature).abs().sqrt()
     else:
-        found = curvature < 0
+        has_maximum = curvature < 0
         height, half_width = constant.exp(), (0.5 * math.log(2) / curvature.abs()).sqrt()
-    return _Top(centre * (1 + vertex), height, 2 * centre * half_width, found)
+    return _Top(centre * (1 + vertex), height, 2 * centre * half_width, has_maximum)
 
 
 def windowed_parabola(

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import itertools
 import math
+import operator
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -54,34 +55,19 @@ SPEED_BAND_HZ = 20.0
 KM_PER_H = 3.6
 DOUBTFUL_ORDER_MARGIN, DOUBTFUL_SPEED_MARGIN = 1.25, 1.5
 """Factors by which another order or speed must fit better to be an error, where the vehicle is
-known from its drawing only and sensors are single.
-
-Of 300 vehicles drawn from the prior, worn to 67 to 149 %, at 25 to 83 m/s with sensors on one side,
-a wrong order fitted at most 1.04 times as well; a wrong speed did so more than 1.5 times with 2,
-more than 1.25 times with 6.
+known from its drawing only and sensors are single. The right ones rarely fit worse by as much.
 """
 ORDER_MARGIN = 1.1
-"""Factor by which another order must fit the healthy vehicle better to be an error.
-
-With single sensors, axle box and bogie are hard to distinguish: for 400 states of a commissioned
-vehicle at 60 to 150 %, measured on one side, the misfit of the right order was at most 0.97 times
-that of the best wrong one (1.01 in a trip), and a swap was worse by 1.03 and more, by less than 1.1
-in 12 cases. Such a swap is reported as a doubt, and the misfit flags it.
+"""Factor by which another order must fit the healthy vehicle better to be an error. With single
+sensors axle box and bogie are hard to distinguish: an order that fits slightly better is a doubt.
 """
 SPEED_MARGIN = 1.25
-"""Factor by which another speed must fit better than the given one to be an error.
-
-At 20 to 83 m/s, with parameters of 60 to 150 %, the right speed fits better than 3.6 times or 1/3.6
-of it by a factor of 1.69 and more (all shipped vehicles).
-"""
+"""Factor by which another speed must fit better than the stated one to be an error. The right one
+fits better than the same number in the other unit by 1.69 and more (all shipped vehicles)."""
 
 DIRECTION_MARGIN = 1.3
-"""Factor by which the phases must fit one direction of travel better than the other to show it.
-
-Of 1,000 vehicles drawn from the prior, worn to 50 to 160 %, at 20 to 83 m/s, phases compared with
-the drawing's fit the wrong direction better by at most 1.28 times; compared with those of the
-vehicle itself when healthy they fit the right one better by 1.88 times and more.
-"""
+"""Factor by which the phases must fit one direction of travel better than the other to show it:
+worn vehicles fit the wrong one better than their drawing does by at most 1.28."""
 DIRECTION_NOISE = 0.1
 """Noise of a phase below which its bin counts fully, [rad]."""
 
@@ -207,6 +193,7 @@ def check_pairs(
     modes, _ = QuarterCar(vehicle).natural_modes()
     average = segments.values[chosen][:, [i for i, is_pair in enumerate(paired) if is_pair]]
     half = differences.values[chosen]
+    # swapped sensors first, as their signs and sizes mean nothing
     isolated = segments.frequencies_hz >= ISOLATED * modes[1]
     if bool(isolated.any()):
         _check_swapped(torch.stack([average + half, average - half], dim=-1), isolated, paired)
@@ -220,6 +207,7 @@ def check_pairs(
         left, right = average + half, average - half
         power = [float(side.abs().square().sum()) for side in (left, right)]
         shared = float((left.conj() * right).real.sum()) / math.sqrt(power[0] * power[1])
+        # without coherence neither sign nor size can be read
         if shared**2 < COHERENT:
             continue
         name, size = CHANNELS[i], math.sqrt(power[0] / power[1])
@@ -241,23 +229,24 @@ def _check_swapped(sides: Tensor, isolated: Tensor, paired: Sequence[bool]) -> N
     """
     channels = [i for i, is_pair in enumerate(paired) if is_pair]
     power = sides.abs().square().mean(dim=0).clamp(min=1e-30)
-    for one, other in itertools.combinations(range(len(channels)), 2):
-        given = (power[[one, other], :, 0] / power[[one, other], :, 1]).log().abs().mean(dim=1)
-        exchanged = (power[[other, one], :, 0] / power[[one, other], :, 1]).log().abs().mean(dim=1)
-        differ, agree = float(given.min()), float(exchanged.max())
+    for first, second in itertools.combinations(range(len(channels)), 2):
+        left, right = power[[first, second], :, 0], power[[first, second], :, 1]
+        differ = float((left / right).log().abs().mean(dim=1).min())
+        agree = float((left.flip(0) / right).log().abs().mean(dim=1).max())
         if differ < math.log(SWAPPED) or agree > differ / 2:
             continue
-        left = power[[one, other]][:, isolated, 0].sum(dim=1)
-        side = "left" if left[0] < left[1] else "right"
-        names = together((CHANNELS[channels[i]] for i in (one, other)), " and ")
+        # the sensor of the lower place moves more where it is not swapped
+        lower, upper = left[:, isolated].sum(dim=1)
+        side = "left" if lower < upper else "right"
+        names = together((CHANNELS[channels[i]] for i in (first, second)), " and ")
         raise TripError(at(names, "sides-swapped", side=side))
 
 
 def _other_order(spectra: CrossSpectra, expected: Tensor) -> tuple[float, str]:
     fits = _fits(spectra, expected)
-    given = fits.pop(IN_ORDER)
+    in_order = fits.pop(IN_ORDER)
     other = min(fits, key=fits.__getitem__)
-    said = together(
+    swaps = together(
         (
             Finding("in-place-of", name=name, channels=CHANNELS[place])
             for place, name in zip(other, CHANNELS, strict=True)
@@ -265,7 +254,7 @@ def _other_order(spectra: CrossSpectra, expected: Tensor) -> tuple[float, str]:
         ),
         ", ",
     )
-    return given / fits[other], said
+    return in_order / fits[other], swaps
 
 
 def _fits(spectra: CrossSpectra, expected: Tensor) -> dict[tuple[int, ...], float]:
@@ -300,22 +289,22 @@ def _other_speed(
         return 0.0, ""
     measured = _log_magnitudes(spectra, IN_ORDER)
     healthy = torch.ones(1, len(PARAMETERS), dtype=torch.float64)
-    given, inside = generator.speed_m_per_s, frequencies_hz <= SPEED_BAND_HZ
-    found = []
-    for unit, speed in (("", given), ("km/h", given / KM_PER_H), ("m/s", given * KM_PER_H)):
+    stated, inside = generator.speed_m_per_s, frequencies_hz <= SPEED_BAND_HZ
+    fits_of_speed = []
+    for unit, speed in (("", stated), ("km/h", stated / KM_PER_H), ("m/s", stated * KM_PER_H)):
         if speed > LARGEST_SPEED_M_PER_S and unit:
             continue
         other = replace(generator, speed_m_per_s=speed)
         curves = torch.stack(other.responses(healthy, frequencies_hz), dim=1)[0].cpu()
         difference = (measured - curves.abs().log())[:, inside]
         shape = difference - difference.median(dim=1, keepdim=True).values
-        found.append((float(shape.abs().mean()), unit, speed, curves))
-    distance, unit, speed, curves = min(found[1:], key=lambda one: one[0])
+        fits_of_speed.append((float(shape.abs().mean()), unit, speed, curves))
+    distance, unit, speed, curves = min(fits_of_speed[1:], key=operator.itemgetter(0))
     fits = _fits(spectra, curves)
     if min(fits, key=fits.__getitem__) != IN_ORDER:
         return 0.0, ""
-    return found[0][0] / distance, (
-        Finding("speed-unit-wrong", speed=speed, given=given, unit=unit)
+    return fits_of_speed[0][0] / distance, (
+        Finding("speed-unit-wrong", speed=speed, given=stated, unit=unit)
     )
 
 

@@ -196,9 +196,11 @@ class SpeedRange:
 
 def reading_range(speed_m_per_s: float, ranges: Iterable[SpeedRange]) -> SpeedRange | None:
     """Return the range that contains a speed, by the nearest middle; None if there is none."""
-    holding = [one for one in ranges if one.holds(speed_m_per_s)]
+    holding = [speeds for speeds in ranges if speeds.holds(speed_m_per_s)]
     return min(
-        holding, key=lambda one: abs(math.log(speed_m_per_s / one.trained_m_per_s)), default=None
+        holding,
+        key=lambda speeds: abs(math.log(speed_m_per_s / speeds.trained_m_per_s)),
+        default=None,
     )
 
 
@@ -209,13 +211,15 @@ def range_words(ranges: Iterable[SpeedRange]) -> str:
     '20.0 to 25.0 and 60.0 to 80.0 m/s'
     """
     joined: list[SpeedRange] = []
-    for one in sorted(ranges, key=lambda one: one.low_m_per_s):
-        if joined and joined[-1].holds(one.low_m_per_s):
-            high = max(joined[-1].high_m_per_s, one.high_m_per_s)
+    for speeds in sorted(ranges, key=lambda speeds: speeds.low_m_per_s):
+        if joined and joined[-1].holds(speeds.low_m_per_s):
+            high = max(joined[-1].high_m_per_s, speeds.high_m_per_s)
             joined[-1] = SpeedRange(joined[-1].low_m_per_s, high)
         else:
-            joined.append(one)
-    words = (Finding("range", low=one.low_m_per_s, high=one.high_m_per_s) for one in joined)
+            joined.append(speeds)
+    words = (
+        Finding("range", low=speeds.low_m_per_s, high=speeds.high_m_per_s) for speeds in joined
+    )
     return Finding("metres-per-second", words=together(words, " and "))
 
 
@@ -229,10 +233,10 @@ def covering(speeds: Sequence[float], half_width: float) -> float | list[float]:
     (70.0, [60.0, 79.0])
     """
     low, high = min(speeds) / (1 + MARGIN), max(speeds) * (1 + MARGIN)
-    one = round((low + high) / 2, 1)
-    reads = SpeedRange.around(one, half_width)
+    middle = round((low + high) / 2, 1)
+    reads = SpeedRange.around(middle, half_width)
     if reads.holds(low) and reads.holds(high):
-        return one
+        return middle
     return [float(math.floor(low)) or low, float(math.ceil(high))]
 
 
@@ -244,4 +248,4 @@ def setting_words(setting: float | Sequence[float]) -> str:
     """
     if isinstance(setting, float | int):
         return f"speed_m_per_s={setting:g}"
-    return f"speed_m_per_s=[{','.join(f'{one:g}' for one in setting)}]"
+    return f"speed_m_per_s=[{','.join(f'{speed:g}' for speed in setting)}]"

@@ -59,22 +59,26 @@ def sensor_health(
     chosen = (speeds > SLOWEST_M_PER_S) & ((speeds / speed - 1).abs() <= SPEED_TOLERANCE)
     if int(chosen.sum()) < LEAST_SEGMENTS or recording.absent:
         return {name: SensorHealth(faulty=share) for name, share in faulty.items()}
+    # means over the two sensors of a place stand for the motion of the place
     low, high = BAND_HZ
     inside = (segments.frequencies_hz >= low) & (segments.frequencies_hz <= high)
     bins, values = segments.frequencies_hz[inside], segments.values[chosen][..., inside]
-    places = [[i for i, name in enumerate(names) if channel_of(name) == one] for one in CHANNELS]
+    places = [
+        [i for i, name in enumerate(names) if channel_of(name) == channel] for channel in CHANNELS
+    ]
     means = torch.stack([values[:, own].mean(dim=1) for own in places], dim=1)
     generator = generator.on("cpu").running(recording.manifest.direction or FORWARD)
     expected, calm = _healthy(generator, speed, bins)
+    # a dead sensor and one at the other axle are not compared with the vehicle
     unjudged = [*recording.dead, *recording.elsewhere]
-    found = {name: SensorHealth(faulty=faulty[name]) for name in unjudged}
+    health = {name: SensorHealth(faulty=faulty[name]) for name in unjudged}
     for place, own in enumerate(places):
         for i in own:
             x = values[:, i]
             noise = _noise(x, means, place)
             gain = _gain(x, means, place, len(own), expected, calm, bins)
-            found[names[i]] = SensorHealth(noise, *gain, faulty[names[i]])
-    return found
+            health[names[i]] = SensorHealth(noise, *gain, faulty[names[i]])
+    return health
 
 
 def dropouts(recording: Recording) -> dict[str, float]:

@@ -129,10 +129,10 @@ def side_difference(
     spectra[[1, 2, 3], [1, 2, 3]] += FLOOR * spectra[0, 0]
     omega = 2 * np.pi * frequencies_hz
     # roll parameters first, from (1) without the part that v explains: d hardly affects them
-    partial = _without(spectra, 0)
+    partial = unexplained(spectra, 0)
     roll, roll_covariance = _roll(omega, partial, bounce, n_averages)
     # left side of (3) from the responses F to v, and its variance
-    f, covariance = _responses(spectra, partial, n_averages)
+    f, covariance = responses_to_bounce(spectra, partial, n_averages)
     distance, moved = roll[0], np.array([1.0, roll[1], roll[2]])
     terms = _roll_terms(omega, bounce, f[0], f[1])
     weights = np.einsum("k,kif->if", moved, _roll_terms(omega, bounce, *np.eye(2)[:, :, None]))
@@ -173,24 +173,24 @@ def _roll_terms(
     return np.stack([stiffness, inertia, bounce.k_s * (frame - body) + 0 * stiffness])
 
 
-def _without(spectra: ComplexArray, i: int) -> ComplexArray:
+def unexplained(spectra: ComplexArray, i: int) -> ComplexArray:
     """Return the spectra of the residuals that signal i does not explain, same shape."""
     explained = spectra[:, i, None] * spectra[None, i, :] / spectra[i, i].real
     return np.asarray(spectra - explained)
 
 
-def _responses(
+def responses_to_bounce(
     spectra: ComplexArray, partial: ComplexArray, n_averages: float
 ) -> tuple[ComplexArray, ComplexArray]:
     """Return F of u_f and u_b, (2, n_freq), and its covariance E[F_i conj(F_j)], (2, 2, n_freq).
 
     `partial` are the spectra without v; two inputs use up two of the averages.
     """
-    given_box = _without(spectra, 1)
+    given_box = unexplained(spectra, 1)
     f = given_box[0, 2:] / given_box[0, 0].real
-    rest = _without(partial, 1)[2:, 2:]  # E[conj(e_i) e_j]
+    residuals = unexplained(partial, 1)[2:, 2:]  # E[conj(e_i) e_j]
     freedom = n_averages * given_box[0, 0].real * (1 - 2 / n_averages)
-    return f, np.asarray(rest.transpose(1, 0, 2) / freedom)
+    return f, np.asarray(residuals.transpose(1, 0, 2) / freedom)
 
 
 def _roll(
@@ -216,10 +216,10 @@ def _roll(
     mean, covariance, _ = _regression(
         columns, (scale * box)[coherent], variance, prior, np.diag(deviations**2)
     )
-    found = np.array([1.0, mean[1], mean[2]]) / mean[0]
+    roll = np.array([1.0, mean[1], mean[2]]) / mean[0]
     jacobian = np.eye(3) / mean[0]
-    jacobian[:, 0] = -found / mean[0]
-    return found, jacobian @ covariance @ jacobian.T
+    jacobian[:, 0] = -roll / mean[0]
+    return roll, jacobian @ covariance @ jacobian.T
 
 
 def _regression(

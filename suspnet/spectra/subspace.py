@@ -69,20 +69,9 @@ class SpectralMatrix:
 class SubspaceMisfit:
     """Residuals of a trip's spectral matrix from responses.
 
-    Parameters
-    ----------
-    spectra : SpectralMatrix
-    noise : Tensor of shape (m,) or (n_freq, m, m), [(m/s^2)^2/Hz]
-        Density of each sensor's noise, or spectral matrix of all that is not the inputs'.
-    n_inputs : int
-        Number p of inputs, less than m.
-    spread : float
-        Fraction eps of each signal that the model may err by.
-
-    Raises
-    ------
-    ValueError
-        If there are not more sensors than inputs.
+    `noise` is the density of each sensor's noise (m,), or the spectral matrix of all that is not
+    the inputs' (n_freq, m, m), [(m/s^2)^2/Hz]; `n_inputs` is p, `spread` the fraction eps of each
+    signal that the model may err by. ValueError if there are not more sensors than inputs.
     """
 
     spectra: SpectralMatrix
@@ -121,8 +110,8 @@ class SubspaceMisfit:
         power, vectors = torch.linalg.eigh(white)
         power, vectors = power[:, -self.n_inputs :], vectors[:, :, -self.n_inputs :]
         weights = (power - 1).clamp(min=0.0) / power.clamp(min=1.0).sqrt()
-        found: Tensor = math.sqrt(2 * self.spectra.n_averages) * vectors * weights[:, None, :]
-        return found
+        signals: Tensor = math.sqrt(2 * self.spectra.n_averages) * vectors * weights[:, None, :]
+        return signals
 
     def __call__(self, responses: Tensor) -> Tensor:
         """Return the residuals (n_rows, n_points) of responses (n_rows, p, m, n_freq)."""

@@ -26,19 +26,8 @@ SEGMENTS = 64
 class Welch:
     """How a recording is cut into windowed segments whose spectra are averaged.
 
-    Parameters
-    ----------
-    segment_s : float, [s]
-        Length of a segment; its inverse is the spacing of the bins.
-    overlap : float, [-]
-        Fraction shared by neighbouring segments.
-    window : str
-        A window of ``scipy.signal.get_window``.
-
-    Raises
-    ------
-    TypeError, ValueError
-        If a setting is out of range or there is no such window.
+    `segment_s` is the length of a segment [s], whose inverse is the spacing of the bins; `overlap`
+    the fraction shared by neighbouring segments; `window` one of ``scipy.signal.get_window``.
     """
 
     segment_s: float = 20.0
@@ -165,6 +154,7 @@ def segment_spectra(
     window = torch.as_tensor(get_window(welch.window, length))
     frequencies = torch.arange(length // 2 + 1, dtype=torch.float64) * (rate_hz / length)
     inside = (frequencies >= low_hz - 1e-9) & (frequencies <= high_hz + 1e-9)
+    # one-sided densities: all bins but the first and the last stand for two
     scale = torch.full_like(frequencies, math.sqrt(2 / (rate_hz * float(window @ window))))
     scale[0] /= math.sqrt(2)
     if length % 2 == 0:
@@ -204,27 +194,12 @@ def tfestimate(
     welch: Welch | None = None,
     method: Method = "H1",
     instrument: ArrayLike | None = None,
-    normalise: bool = False,
 ) -> TransferEstimate:
     """Return the transfer function from x to y by Welch's method.
 
-    Parameters
-    ----------
-    x, y : arrays of shape (n_samples,)
-        Input and output.
-    rate_hz : float, [Hz]
-    welch : Welch, optional
-    method : {"H1", "H2", "Hv", "IV"}
-    instrument : array of shape (n_samples,), optional
-        The third sensor of IV.
-    normalise : bool
-        Divide each signal by its own standard deviation first, as the paper does; the scale is
-        restored afterwards, so that the gain stays the physical one.
-
-    Raises
-    ------
-    ValueError
-        If the signals differ in length, hold NaN, are constant or shorter than a segment.
+    `x` and `y` are input and output (n_samples,) at `rate_hz`, `instrument` the third sensor of the
+    method IV. ValueError if the signals differ in length, hold NaN, are constant or shorter than a
+    segment.
 
     Examples
     --------
@@ -242,12 +217,10 @@ def tfestimate(
             raise ValueError(f"`{name}` holds {int((~np.isfinite(array)).sum())} NaN or inf")
         if np.ptp(array) == 0:
             raise ValueError(f"`{name}` is constant: nothing can be estimated from it")
-    scales = [array.std() if normalise else 1.0 for array in arrays]
-    signals = torch.as_tensor(np.stack([a / s for a, s in zip(arrays, scales, strict=True)]))
-    segments = segment_spectra(signals, rate_hz, welch or Welch())
+    segments = segment_spectra(torch.as_tensor(np.stack(arrays)), rate_hz, welch or Welch())
     spectra = segments.average(torch.ones(len(segments.values), dtype=torch.bool))
     third = 2 if instrument is not None else None
-    response = spectra.transfer(0, 1, method, third) * (scales[1] / scales[0])
+    response = spectra.transfer(0, 1, method, third)
     return TransferEstimate(
         segments.frequencies_hz,
         response,

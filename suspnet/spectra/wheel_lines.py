@@ -47,7 +47,7 @@ LEAST_WINDOWS = 20
 CERTAIN, LEAST_RISE = 7.0, 0.4
 """A line stands out by 7 standard deviations, and by 0.4 in the mean logarithm of the power (a
 factor of 1.5): by chance none does in 10^8 trips, and periodic traces of a real track are weak."""
-PARTS, LEAST_OF_PART = 3, 0.25
+STRETCHES, LEAST_OF_STRETCH = 3, 0.25
 """A wheel's line stands out in each third of a trip by a quarter of its mean; a bridge's does not.
 """
 DEVIATION = 1.5
@@ -108,7 +108,7 @@ class _Peak:
 
 
 _FOUND: WeakKeyDictionary[Recording, tuple[WheelLine, ...]] = WeakKeyDictionary()
-"""Lines of the recordings in memory: the parts and both sides as equal ask for the same ones."""
+"""Lines of the recordings in memory, as several estimates of a trip ask for them."""
 
 
 def wheel_lines(recording: Recording) -> tuple[WheelLine, ...]:
@@ -141,8 +141,8 @@ def _search(recording: Recording) -> tuple[WheelLine, ...]:
         return ()
     diameter = max(tried, key=lambda d: sum(p.certainty for p in every if _order(p, d)))
     return tuple(
-        _line(one, peak, order, diameter)
-        for one, several in peaks.items()
+        _line(name, peak, order, diameter)
+        for name, several in peaks.items()
         for peak in several
         if (order := _order(peak, diameter))
     )
@@ -159,9 +159,9 @@ def wheel_words(recording: Recording, lines: Sequence[WheelLine]) -> str:
         if first_hz <= top_hz:
             return ""
         return Finding("wheels-not-seen", first_hz=first_hz, top_hz=top_hz)
-    given = recording.manifest.wheel_diameter_m is not None
+    is_stated = recording.manifest.wheel_diameter_m is not None
     listed, diameter_m = together(map(str, lines), ", "), lines[0].diameter_m
-    kind = "wheel" if given else "wheel-found"
+    kind = "wheel" if is_stated else "wheel-found"
     return Finding(kind, diameter_m=diameter_m, low=low, high=high, lines=listed)
 
 
@@ -183,8 +183,8 @@ def line_bins(
 
 
 def _diameters_m(recording: Recording) -> tuple[float, float]:
-    given = recording.manifest.wheel_diameter_m
-    low, high = DIAMETERS_M if given is None else (given, given)
+    stated = recording.manifest.wheel_diameter_m
+    low, high = DIAMETERS_M if stated is None else (stated, stated)
     return low * (1 - TOLERANCE), high * (1 + TOLERANCE)
 
 
@@ -222,6 +222,7 @@ def _windows(recording: Recording, signal: FloatArray) -> _Windows | None:
     usable &= speed >= step_m * rate_hz
     fine = np.arange(len(speed) * UPSAMPLED) / UPSAMPLED
     fast = np.interp(fine, np.arange(len(speed)), speed)
+    # sampled evenly along the track, an out-of-round wheel is a line at any speed
     distance_m = np.cumsum(fast) / (rate_hz * UPSAMPLED)
     curvature = resample_poly(signal, UPSAMPLED, 1) / np.maximum(fast, SLOWEST_M_PER_S) ** 2
     grid = np.arange(distance_m[0], distance_m[-1], step_m)
@@ -233,8 +234,8 @@ def _windows(recording: Recording, signal: FloatArray) -> _Windows | None:
     good, velocity = usable[at.astype(np.intp)], np.interp(at, fine, fast)
     # windows of half overlap
     pieces, is_good, fastest = (
-        np.lib.stride_tricks.sliding_window_view(one, length)[:: length // 2]
-        for one in (values, good, velocity)
+        np.lib.stride_tricks.sliding_window_view(values_along, length)[:: length // 2]
+        for values_along in (values, good, velocity)
     )
     whole = is_good.all(axis=1)
     if whole.sum() < LEAST_WINDOWS:
@@ -254,10 +255,10 @@ def _beside(values: FloatArray, side: int) -> FloatArray:
     n_near, n_bins = SIDE_BINS - NEAR_BINS, values.shape[1]
     sums = np.cumsum(np.pad(values, ((0, 0), (1, 0))), axis=1)
     means = (sums[:, n_near:] - sums[:, :-n_near]) / n_near  # of the bins from each one on
-    found = np.full_like(values, np.nan)
+    beside = np.full_like(values, np.nan)
     inside = np.arange(SIDE_BINS, n_bins - SIDE_BINS)
-    found[:, inside] = means[:, inside + (NEAR_BINS + 1 if side > 0 else -SIDE_BINS)]
-    return found
+    beside[:, inside] = means[:, inside + (NEAR_BINS + 1 if side > 0 else -SIDE_BINS)]
+    return beside
 
 
 def _peaks(windows: _Windows | None) -> list[_Peak]:
@@ -275,12 +276,12 @@ def _peaks(windows: _Windows | None) -> list[_Peak]:
         return np.minimum(*(_mean(side, valid, rows) for side in sides))
 
     n, rows = valid.sum(axis=0), np.arange(len(logs))
-    rise, parts = rise_of(rows), [rise_of(part) for part in np.array_split(rows, PARTS)]
+    rise, rises = rise_of(rows), [rise_of(stretch) for stretch in np.array_split(rows, STRETCHES)]
     certainty = np.where(n >= LEAST_WINDOWS, rise * np.sqrt(n) / DEVIATION, 0.0)
     peaks = []
     for k in np.flatnonzero((certainty >= CERTAIN) & (rise >= LEAST_RISE)).tolist():
         near = slice(max(k - SIDE_BINS, 0), k + SIDE_BINS + 1)
-        in_all = all(not part[k] < LEAST_OF_PART * rise[k] for part in parts)
+        in_all = all(not stretch[k] < LEAST_OF_STRETCH * rise[k] for stretch in rises)
         if in_all and rise[k] >= np.nanmax(rise[near]):
             peaks.append(_peak(windows, valid[:, k], k, float(certainty[k])))
     return [peak for peak in peaks if peak.power > 0]

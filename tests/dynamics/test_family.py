@@ -8,7 +8,7 @@ import pytest
 import torch
 from vehicles import AM96
 
-from suspnet.dynamics import PARAMETERS, QuarterCar, VerticalVehicle
+from suspnet.dynamics import PARAMETERS, VerticalVehicle
 from suspnet.dynamics.quantities import PARTS, QUANTITIES, UNMEASURED
 from suspnet.dynamics.vertical_motion import LOSS_HZ, LOSS_SHARES
 
@@ -222,15 +222,6 @@ def test_channels_solve_the_equations_of_point_springs(
             np.testing.assert_allclose(found[row, :, :, column], expected, rtol=1e-9)
 
 
-@pytest.mark.parametrize("parts", [PARTS, PARTS[:-1]], ids="+".join)
-def test_responses_are_those_to_the_mean_of_both_rails(parts):
-    generator = VerticalVehicle(AM96, parts=parts, sensor_lateral_m=SENSORS)
-    mean = generator.channels(ALL, FREQUENCIES)[:, 0]
-    g_p, g_s = generator.responses(ALL, FREQUENCIES)
-    torch.testing.assert_close(g_p, mean[:, 1] / mean[:, 0], rtol=1e-14, atol=0)
-    torch.testing.assert_close(g_s, mean[:, 2] / mean[:, 1], rtol=1e-14, atol=0)
-
-
 def test_numbers_that_may_be_absent_may_be_slightly_negative():
     absent = [quantity.name for quantity in QUANTITIES if quantity.may_be_absent]
     generator = VerticalVehicle(AM96, parts=PARTS, distribution=dict.fromkeys(absent, 0.5))
@@ -248,60 +239,12 @@ def test_numbers_that_may_be_absent_may_be_slightly_negative():
             np.testing.assert_allclose(found[row, :, :, column], expected, rtol=1e-9)
 
 
-VANISHING = {
-    "bushings": {"primary_bushing": 1e14, "secondary_bushing": 1e14},
-    "rubber": {"rubber_share": 0.0, "rubber_loss": 0.0},
-    "guidance": {"guidance_stiffness": 0.0, "guidance_damping": 0.0},
-    "longitudinal": {"longitudinal_stiffness": 1e-16, "longitudinal_damping": 1e-16},
-    "bending": {"bending_at_pivot": 1e-16, "bending_at_sensor": 1e-16, "bending_slope": 1e-16},
-    "roll": {},
-}
-
-
-@pytest.mark.parametrize("part", VANISHING)
-def test_a_part_that_vanishes_leaves_the_vehicle_without_it(part):
-    ratios = ALL.clone()
-    for name, value in VANISHING[part].items():
-        ratios[:, NAMES.index(name)] = value
-    found = VerticalVehicle(AM96, parts=(part,)).channels(ratios, FREQUENCIES)
-    plain = VerticalVehicle(AM96).channels(ratios, FREQUENCIES)
-    torch.testing.assert_close(found, plain, rtol=1e-11, atol=1e-14)
-
-
-def test_an_air_spring_with_a_vast_second_volume_and_no_area_is_a_spring_and_a_damper():
-    ratios = ALL.clone()
-    ratios[:, NAMES.index("volume_ratio")] = 1e13
-    ratios[:, NAMES.index("area_share")] = 1e-16
-    found = VerticalVehicle(AM96, parts=("air_spring",)).channels(ratios, FREQUENCIES)
-    plain = VerticalVehicle(AM96).channels(ratios, FREQUENCIES)
-    torch.testing.assert_close(found, plain, rtol=1e-8, atol=1e-10)
-
-
-def test_no_cross_level_leaves_the_mean_alone():
-    ratios = ALL.clone()
-    ratios[:, NAMES.index("cross_level")] = 1e-30
-    generator = VerticalVehicle(AM96, parts=("roll",), sensor_lateral_m=SENSORS)
-    channels = generator.channels(ratios, FREQUENCIES)
-    assert channels[:, 1].abs().max() < 1e-14
-    plain = VerticalVehicle(AM96).channels(ratios, FREQUENCIES)
-    torch.testing.assert_close(channels[:, 0], plain[:, 0])
-
-
 def test_averaged_sensors_do_not_see_roll():
     pair = VerticalVehicle(AM96, parts=PARTS).channels(ALL, FREQUENCIES)
     one = VerticalVehicle(AM96, parts=PARTS, sensor_lateral_m=SENSORS)
     found = one.channels(ALL, FREQUENCIES)
     assert found.shape[1] == pair.shape[1] + 1
     torch.testing.assert_close(pair, found[:, :-1])
-
-
-def test_quarter_car_has_one_input():
-    channels = QuarterCar(AM96).channels(torch.ones(2, 5), FREQUENCIES)
-    g_p, g_s = QuarterCar(AM96).responses(torch.ones(2, 5), FREQUENCIES)
-    assert channels.shape == (2, 1, 3, len(FREQUENCIES))
-    torch.testing.assert_close(
-        channels[:, 0], torch.stack([torch.ones_like(g_p), g_p, g_p * g_s], 1)
-    )
 
 
 def test_every_quantity_of_a_full_vehicle_changes_its_channels():

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import cumulative_trapezoid
 
-from suspnet.simulation.signals import Journey, service_journey, steady_journey
+from suspnet.simulation.signals import Journey, service_journey
 
 KNOTS = np.array([0.0, 3.0, 10.0, 10.5, 20.0])
 SPEEDS = np.array([2.0, 8.0, 8.0, 0.0, 5.0])
@@ -43,27 +43,7 @@ def test_position_is_the_integral_of_speed_and_acceleration_its_slope():
     assert acceleration[0] == pytest.approx(2.0)
 
 
-def test_each_piece_by_hand():
-    position, speed, acceleration = Journey(KNOTS, SPEEDS).at(np.array([1.0, 5.0, 10.25, 12.0]))
-    np.testing.assert_allclose(acceleration, [2.0, 0.0, -16.0, 5 / 9.5], rtol=1e-12)
-    np.testing.assert_allclose(speed, [4.0, 8.0, 4.0, 1.5 * 5 / 9.5], rtol=1e-12)
-    # 15 m in the first 3 s, 56 m in the next 7 s, 2 m in the next half
-    expected = [3.0, 15 + 16, 71 + 1.5, 73 + 0.5 * 1.5**2 * 5 / 9.5]
-    np.testing.assert_allclose(position, expected, rtol=1e-12)
-
-
 # limit
-
-
-def test_steady_journey_keeps_its_speed():
-    journey = steady_journey(70.0, 100.0)
-    times = np.array([-10.0, 0.0, 33.3, 100.0, 110.0])
-    position, speed, acceleration = journey.at(times)
-    np.testing.assert_allclose(position, 70 * times, rtol=1e-12)
-    np.testing.assert_allclose(speed, 70.0)
-    assert not acceleration.any()
-    assert journey.distance_m == pytest.approx(7000.0)
-    assert journey.duration_s == 100.0
 
 
 def test_speed_goes_on_as_it_is_before_and_after():
@@ -93,7 +73,7 @@ def test_position_never_falls_and_speed_never_jumps(speeds, seed):
 
 
 @pytest.mark.parametrize("n_stops", [0, 1, 3])
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(2))
 def test_service_journey_stands_at_its_ends_and_as_often_as_asked(n_stops, seed):
     journey = service_journey(60.0, 3600.0, n_stops, seed)
     assert journey.times_s[0] == 0
@@ -108,7 +88,7 @@ def test_service_journey_stands_at_its_ends_and_as_often_as_asked(n_stops, seed)
     assert np.count_nonzero(journey.speeds_m_per_s == 0) == 2 * (n_stops + 1)
 
 
-@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("seed", range(5))
 def test_service_journey_keeps_to_its_speeds_and_accelerations(seed):
     cruise, ripple = 50.0, 0.01
     journey = service_journey(cruise, 5400.0, 3, seed, ripple)
@@ -143,13 +123,6 @@ def test_about_every_fifth_stretch_is_slow():
     # 600 stretches: a standard error of sqrt(0.2 * 0.8 / 600) = 0.016
     assert np.mean(slow) == pytest.approx(0.2, abs=0.065)
     assert np.mean(wander) == pytest.approx(0.01, rel=0.1)
-
-
-def test_service_journey_is_that_of_its_seed():
-    first, again, other = (service_journey(60.0, 3600.0, 2, seed) for seed in (1, 1, 2))
-    np.testing.assert_array_equal(first.speeds_m_per_s, again.speeds_m_per_s)
-    np.testing.assert_array_equal(first.times_s, again.times_s)
-    assert first.distance_m != other.distance_m
 
 
 def test_ripple_zero_cruises_at_one_speed():

@@ -11,7 +11,7 @@ from vehicles import AM96, MEDIANS
 from suspnet import COMPONENTS, SpatialVehicle
 from suspnet.dynamics import VerticalVehicle
 from suspnet.dynamics.quantities import PARTS, UNMEASURED, LogNormal
-from suspnet.dynamics.spatial_numbers import ADDITIONS, PLACES
+from suspnet.dynamics.spatial_numbers import ADDITIONS
 
 FREQUENCIES = torch.tensor([0.5, 1.3, 6.0]).double()
 HEALTHY = torch.ones(1, 13).double()
@@ -132,26 +132,6 @@ def test_samples_follow_the_distribution():
         assert float(column.std()) == pytest.approx(widths[name], rel=4 / math.sqrt(8000))
 
 
-def test_nominal_values_may_be_given():
-    parts = ("torsion",)
-    softer = SpatialVehicle(AM96, parts=parts, nominal={"torsion_frequency": 20.0})
-    rows = softer.complete(HEALTHY)
-    rows[0, softer.columns.index("torsion_frequency")] = 35.0 / 20.0
-    torch.testing.assert_close(
-        softer.channels(rows, FREQUENCIES),
-        SpatialVehicle(AM96, parts=parts).channels(HEALTHY, FREQUENCIES),
-    )
-
-
-def test_direction_and_device_are_replaced():
-    generator = SpatialVehicle(AM96, parts=EVERY, sensors=PLACES)
-    reverse = generator.running("reverse").on("cpu")
-    assert isinstance(reverse, SpatialVehicle)
-    assert reverse.direction == "reverse"
-    assert reverse.sensors == PLACES
-    assert reverse == dataclasses.replace(generator, direction="reverse")
-
-
 # failure
 
 
@@ -193,36 +173,6 @@ def test_vehicle_without_geometry_is_rejected():
     bare = dataclasses.replace(AM96, half_wheelbase_m=None)
     with pytest.raises(ValueError, match=r"lacks \['half_wheelbase_m'\], which `SpatialVehicle`"):
         SpatialVehicle(bare)
-
-
-N_ALL = len(SpatialVehicle(AM96).columns)
-
-
-@pytest.mark.parametrize(
-    ("n_columns", "expected"), [(5, 13), (12, 13), (15, N_ALL), (N_ALL + 1, N_ALL)]
-)
-def test_ratios_of_the_wrong_shape_are_rejected(n_columns, expected):
-    generator = SpatialVehicle(AM96)
-    with pytest.raises(ValueError, match=rf"must have shape \(n_vehicles, {expected}\)"):
-        generator.channels(torch.ones(2, n_columns), FREQUENCIES)
-
-
-@pytest.mark.parametrize("value", [0.0, -0.5, math.nan, math.inf])
-@pytest.mark.parametrize("column", [3, 12])
-def test_ratios_that_are_not_positive_and_finite_are_rejected(value, column):
-    ratios = HEALTHY.repeat(3, 1)
-    ratios[1, column] = value
-    generator = SpatialVehicle(AM96)
-    with pytest.raises(ValueError, match="`ratios` must be positive and finite"):
-        generator.channels(ratios, FREQUENCIES)
-    with pytest.raises(ValueError, match="`ratios` must be positive and finite"):
-        generator.motion_system(ratios[1])
-
-
-@pytest.mark.parametrize("bins", [[0.0, 1.0], [-1.0], [math.nan], [[1.0, 2.0]]])
-def test_frequencies_that_are_not_positive_are_rejected(bins):
-    with pytest.raises(ValueError, match="`frequencies_hz` must be "):
-        SpatialVehicle(AM96).channels(HEALTHY, bins)
 
 
 def test_directions_of_the_wrong_shape_are_rejected():

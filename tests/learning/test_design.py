@@ -5,7 +5,7 @@ import pytest
 import torch
 from learning_reference import Mapped
 
-from suspnet.learning.design import DenseDesign, Direction, FixedGram, Gradient
+from suspnet.learning.design import Coefficients, DenseDesign, Gradient
 from suspnet.learning.feature_maps import orthogonal_fourier, random_fourier
 
 SIGMA = 1.3
@@ -44,28 +44,11 @@ def test_blocks_make_up_the_whole_matrix(cache_bytes, block_rows):
     np.testing.assert_allclose(found, phi(X), atol=1e-14, rtol=0)
 
 
-@pytest.mark.parametrize(("cache_bytes", "calls_of_a_second_pass"), [(0, 9), (400_000_000, 0)])
-def test_blocks_are_made_again_only_without_room(cache_bytes, calls_of_a_second_pass):
-    X, calls = samples(), []
-    phi = random_fourier(X, SIGMA, 20, seed=0)
-
-    def counting(rows):
-        calls.append(len(rows))
-        return phi(rows)
-
-    blocks = DenseDesign(Mapped(counting), X, block_rows=7, cache_bytes=cache_bytes)
-    first = [block.clone() for _, block in blocks]
-    calls.clear()
-    second = [block for _, block in blocks]
-    assert len(calls) == calls_of_a_second_pass
-    assert all(torch.equal(a, b) for a, b in zip(first, second, strict=True))
-
-
 @pytest.mark.parametrize("dtype", [torch.float64, torch.float32])
 @pytest.mark.parametrize("cache_bytes", [0, 400_000_000])
 @pytest.mark.parametrize("block_rows", [7, 60])
 def test_products_are_those_of_the_whole_matrix(block_rows, cache_bytes, dtype):
-    X, change, V = samples().to(dtype), Direction(normal(21, 2), normal(2)), normal(60, 4)
+    X, change, V = samples().to(dtype), Coefficients(normal(21, 2), normal(2)), normal(60, 4)
     feature_map = linear(21)
     design = DenseDesign(
         Mapped(lambda rows: feature_map(rows.double()).to(dtype)),
@@ -163,7 +146,7 @@ def test_joined_designs_are_one(sizes, cache_bytes):
     ]
     one = DenseDesign(feature_map, X)
     joined = DenseDesign.joined(parts, one.gram())
-    V, change = normal(60, 2), Direction(normal(21, 2), normal(2))
+    V, change = normal(60, 2), Coefficients(normal(21, 2), normal(2))
     assert joined.n_features == 21
     assert joined.gram() is one.gram()
     np.testing.assert_allclose(joined.rmatvec(V), one.rmatvec(V), atol=1e-12, rtol=0)
@@ -189,7 +172,7 @@ def test_joined_designs_hold_no_second_copy_of_the_features():
 
 def test_design_without_samples_sums_to_nothing():
     design = DenseDesign(linear(21), samples(0))
-    change = Direction(normal(21, 2), normal(2))
+    change = Coefficients(normal(21, 2), normal(2))
     assert torch.equal(design.rmatvec(normal(0, 3)), torch.zeros(21, 3).double())
     moved, products = design.matvec_rmatvec(
         change, lambda rows, moved: torch.cat([moved, moved], dim=1)
@@ -206,7 +189,7 @@ def test_products_are_summed_over_ranks():
     X, feature_map = samples(), linear(21)
     rank = DenseDesign(feature_map, X, total_of_two, block_rows=11)
     both = DenseDesign(feature_map, X.repeat(2, 1))
-    V, change, w = normal(60, 2), Direction(normal(21, 2), normal(2)), WEIGHTS["a third"]
+    V, change, w = normal(60, 2), Coefficients(normal(21, 2), normal(2)), WEIGHTS["a third"]
     np.testing.assert_allclose(rank.rmatvec(V), both.rmatvec(V.repeat(2, 1)), atol=1e-12, rtol=0)
     moved, products = rank.matvec_rmatvec(change, lambda rows, moved: moved)
     np.testing.assert_allclose(
@@ -238,13 +221,6 @@ def test_directions_solve_the_dense_normal_equations(weights, fit_intercept):
     assert fit_intercept or found.intercept.count_nonzero() == 0
     if fit_intercept:
         np.testing.assert_allclose(found.intercept, expected[9], atol=1e-10, rtol=0)
-
-
-def test_fixed_equations_leave_the_gram_matrix_as_it_was():
-    design = DenseDesign(linear(9), samples())
-    before = design.gram().products.clone()
-    FixedGram(design.gram(), 0.5, True)  # 2 C = 1: a product with 1 may be the same memory
-    assert torch.equal(design.gram().products, before)
 
 
 @pytest.mark.parametrize("bad", [float("nan"), float("inf")])

@@ -13,13 +13,12 @@ from hypothesis import strategies as st
 from learning_reference import naive_rbf, smooth_data
 
 from suspnet.learning import MSVR
-from suspnet.learning.design import DenseDesign, Direction, Gradient
+from suspnet.learning.design import Coefficients, Gradient
 from suspnet.learning.equispaced import MAX_BOX, EquispacedFeatures, equispaced_fourier
-from suspnet.learning.irwls import IRWLS
 from suspnet.learning.toeplitz import ConjugateGradients, EquispacedDesign
 
 needs_finufft = pytest.mark.skipif(
-    importlib.util.find_spec("finufft") is None, reason="needs finufft"
+    importlib.util.find_spec("finufft") is None, reason="pip install suspnet[nufft]"
 )
 SHAPES = {  # n_inputs: (sigma, kernel_tol) with at most a few hundred features
     1: (0.5, 1e-9),
@@ -73,15 +72,6 @@ def test_kernel_is_right_to_its_tolerance(extents, log_sigma, log_tol, seed):
     outside[2:] += rng.uniform(-sigma, sigma, (6, n_inputs))
     assert kernel_error(modes, X, X, sigma) <= kernel_tol
     assert kernel_error(modes, torch.tensor(outside), X, sigma) <= kernel_tol
-
-
-def test_kernel_is_right_to_its_tolerance_for_one_constant_input():
-    worst = 0.0
-    for kernel_tol in np.geomspace(1e-7, 1e-6, 40):
-        X = torch.zeros(1, 1, dtype=torch.float64)
-        modes = equispaced_fourier(X, 1.0, 1, 0, kernel_tol)
-        worst = max(worst, kernel_error(modes, X, X, 1.0) / kernel_tol)
-    assert worst <= 1
 
 
 @dimensions
@@ -147,21 +137,12 @@ def test_transforms_are_products_with_the_features(n_inputs, n_outputs):
     X = samples(40, n_inputs, seed=1)
     np.testing.assert_allclose(design.modes.apply(X, W), Phi @ W.numpy(), atol=atol, rtol=0)
     np.testing.assert_allclose(design.rmatvec(V), Phi.T @ V.numpy(), atol=10 * atol, rtol=0)
-    moved, products = design.matvec_rmatvec(Direction(W, b), lambda rows, change: V[rows] * change)
+    moved, products = design.matvec_rmatvec(
+        Coefficients(W, b), lambda rows, change: V[rows] * change
+    )
     fitted = Phi @ W.numpy() + b.numpy()
     np.testing.assert_allclose(moved, fitted, atol=atol, rtol=0)
     np.testing.assert_allclose(products, Phi.T @ (V.numpy() * fitted), atol=100 * atol, rtol=0)
-
-
-@needs_finufft
-@dimensions
-def test_transforms_are_adjoint(n_inputs):
-    # The solver's bound takes both for one matrix.
-    design, Phi = problem(n_inputs)
-    W, V = normal(Phi.shape[1], 2), normal(40, 2)
-    norms = np.linalg.norm(Phi @ W.numpy()) * np.linalg.norm(V)
-    there, back = float((V * design.matvec(W)).sum()), float((W * design.rmatvec(V)).sum())
-    assert there == pytest.approx(back, abs=1e-2 * SHAPES[n_inputs][1] * norms)
 
 
 @needs_finufft
@@ -176,6 +157,8 @@ def test_toeplitz_sums_are_those_of_the_docstring(n_inputs):
     for k in [0 * doubled, doubled, -doubled, *rng.integers(-doubled, doubled, (30, n_inputs))]:
         naive = sum(w[i] * np.exp(-1j * (k @ angles[i])) for i in range(40))
         assert abs(found[tuple(k + doubled)] - naive) < SHAPES[n_inputs][1] * float(w.sum())
+    nothing = EquispacedDesign(design.modes, samples(0, n_inputs))
+    assert not nothing.toeplitz(w[:0]).any()
 
 
 @needs_finufft
@@ -198,14 +181,6 @@ def test_spectrum_is_a_unitary_change_of_basis(n_inputs):
     np.testing.assert_allclose(fitted, Phi @ vector.numpy(), atol=1e-10, rtol=0)
 
 
-def dense_equations(Phi, w, fit_intercept):
-    """I + Phi^T D Phi with b eliminated."""
-    matrix = np.eye(Phi.shape[1]) + Phi.T @ (w[:, None] * Phi)
-    if fit_intercept and w.sum() > 0:
-        matrix -= np.outer(Phi.T @ w, Phi.T @ w) / w.sum()
-    return matrix
-
-
 WEIGHTS = {
     "fixed": np.full(40, 2 * 3.0),
     "some": np.maximum(normal(40).numpy(), 0),
@@ -223,21 +198,6 @@ def equations_at(design, weights, fit_intercept):
     gradient = Gradient(normal(n_features, 2), offset, w, normal(len(w), 2))
     kind = "fixed" if weights == "fixed" else "reweighted"
     return getattr(design, kind)(3.0, fit_intercept), gradient
-
-
-@needs_finufft
-@dimensions
-@weighted
-@intercepts
-def test_toeplitz_product_is_that_of_the_dense_matrix(n_inputs, weights, fit_intercept):
-    design, Phi = problem(n_inputs)
-    equations, gradient = equations_at(design, weights, fit_intercept)
-    equations.direction(gradient, 1e-6)
-    dense = dense_equations(Phi, WEIGHTS[weights], fit_intercept)
-    vector = normal(Phi.shape[1], 2, seed=4).numpy()
-    atol = 10 * SHAPES[n_inputs][1] * (1 + WEIGHTS[weights].sum())
-    found = equations._multiply(torch.tensor(vector))
-    np.testing.assert_allclose(found, dense @ vector, atol=atol, rtol=0)
 
 
 SOLVERS = {
@@ -274,116 +234,9 @@ def test_direction_solves_the_dense_normal_equations(n_inputs, weights, fit_inte
         assert found.intercept.count_nonzero() == 0
 
 
-@needs_finufft
-@dimensions
-@intercepts
-@pytest.mark.parametrize("block", [1, 5, 12, 800])
-def test_leading_block_is_that_of_the_dense_matrix(n_inputs, fit_intercept, block):
-    design, Phi = problem(n_inputs)
-    n_waves = len(design.waves)
-    n = min(block, n_waves)
-    equations = design.fixed(3.0, fit_intercept)
-    assert equations._n_block == min(800, n_waves)
-    equations._invert_leading(n)
-    places = [*range(n), *range(n_waves, n_waves + n - 1)]  # the strongest, cosines and sines
-    assert equations._leading.tolist() == places
-    dense = dense_equations(Phi, WEIGHTS["fixed"], fit_intercept)
-    found = equations._leading_block().numpy()
-    atol = 240 * SHAPES[n_inputs][1]
-    np.testing.assert_allclose(found, dense[np.ix_(places, places)], atol=atol, rtol=0)
-    inverse = equations._inverse.numpy()
-    np.testing.assert_allclose(inverse @ found, np.eye(len(places)), atol=1e-8, rtol=0)
-    # The rest is divided by I + 2 C n s_k, the mean of a cosine's and its sine's entry.
-    vector, others = normal(Phi.shape[1], 2), np.setdiff1d(np.arange(Phi.shape[1]), places)
-    divided = equations._precondition(vector).numpy()
-    strengths = np.concatenate([design.modes.strengths, design.modes.strengths[1:]])
-    expected = vector.numpy()[others] / (1 + 240 * strengths[others])[:, None]
-    np.testing.assert_allclose(divided[others], expected, rtol=1e-5, atol=1e-9)
-    np.testing.assert_allclose(divided[places], inverse @ vector.numpy()[places], rtol=1e-9)
-
-
-@needs_finufft
-def test_block_grows_only_where_iterations_are_many(monkeypatch):
-    whole, _ = problem(2)
-
-    def equations_of(iterations_per_block):
-        solver = ConjugateGradients(4, 15, iterations_per_block)
-        design = EquispacedDesign(whole.modes, samples(40, 2, seed=1), solver=solver)
-        return equations_at(design, "fixed", True)
-
-    equations, gradient = equations_of(3)
-    sizes, plain = [], equations._invert_leading
-    monkeypatch.setattr(equations, "_invert_leading", lambda n: sizes.append(n) or plain(n))
-    equations.direction(gradient, 1e-12)
-    assert sizes == [8, 15]  # doubled, to the largest at most, and no more
-    fresh, _ = equations_of(10**6)
-    fresh.direction(gradient, 1e-12)
-    assert fresh._n_block == 4
-
-
-@needs_finufft
-@dimensions
-def test_preconditioner_keeps_iterations_few(monkeypatch, n_inputs):
-    design, _ = problem(n_inputs)
-    equations, gradient = equations_at(design, "fixed", True)
-    products, plain = [], equations._multiply
-    monkeypatch.setattr(equations, "_multiply", lambda v: products.append(1) or plain(v))
-    equations.direction(gradient, 1e-9)
-    assert len(products) <= 3  # all modes are in the block: nothing is left to iterate
-
-
-@needs_finufft
-@pytest.mark.parametrize("n_inputs", [1, 2])
-def test_design_without_samples_sums_to_nothing(n_inputs):
-    modes = modes_of(n_inputs)
-    design = EquispacedDesign(modes, samples(0, n_inputs))
-    change = Direction(normal(modes.n_features, 2), normal(2))
-    moved, products = design.matvec_rmatvec(
-        change, lambda rows, moved: torch.cat([moved, moved], dim=1)
-    )
-    assert moved.shape == (0, 2)
-    assert torch.equal(products, torch.zeros(modes.n_features, 4).double())
-    gradient = Gradient(change.coef, 0 * change.intercept, torch.zeros(0).double(), normal(0, 2))
-    for fit_intercept in (False, True):
-        found = design.fixed(1.0, fit_intercept).direction(gradient, 1e-12)
-        np.testing.assert_allclose(found.coef, -change.coef, atol=1e-12, rtol=0)
-        assert found.intercept.count_nonzero() == 0
-
-
-@needs_finufft
-@dimensions
-def test_sums_run_over_ranks(n_inputs):
-    design, _ = problem(n_inputs)
-    X = samples(40, n_inputs, seed=1)
-    rank = EquispacedDesign(design.modes, X, lambda values: values.mul_(2))
-    V = normal(40, 3)
-    np.testing.assert_array_equal(rank.rmatvec(V), 2 * design.rmatvec(V))
-    np.testing.assert_array_equal(rank.toeplitz(V[:, 0]), 2 * design.toeplitz(V[:, 0]))
-    W = normal(design.n_features, 2)
-    np.testing.assert_array_equal(rank.matvec(W), design.matvec(W))  # of this rank's samples
-
-
 def data(n_inputs, n_outputs=2, n_samples=120):
     X, Y = smooth_data(n_inputs, n_samples, n_inputs)
     return X, np.column_stack([Y, Y[:, 0] * Y[:, 1]])[:, :n_outputs]
-
-
-@functools.cache
-def half_way():
-    X, Y = (torch.tensor(values) for values in data(2))
-    modes = equispaced_fourier(X, 1.5, 1, 0, 1e-8)
-    return modes, X, Y, IRWLS(10.0, 0.3, max_iter=1000).minimise(DenseDesign(modes, X), Y)
-
-
-@needs_finufft
-@pytest.mark.parametrize("n_iter", [1, 2, 3, 4])
-def test_gap_bounds_the_excess_on_the_way(n_iter):
-    modes, X, Y, best = half_way()
-    found = IRWLS(10.0, 0.3, max_iter=n_iter, tol=0.0).minimise(EquispacedDesign(modes, X), Y)
-    assert found.n_iter == n_iter
-    assert 0 < found.objective / best.objective - 1 + 1e-8
-    excess = (found.objective - best.objective) / found.objective
-    assert excess <= found.gap + 1e-8
 
 
 ALL = list(itertools.product((1, 2), (0.0, 1e-3, 0.1), (1, 2, 3)))
@@ -415,54 +268,6 @@ def test_predictions_are_those_of_the_exact_kernel(n_inputs, epsilon, n_outputs,
     np.testing.assert_allclose(found, expected, atol=1e-4, rtol=0)
 
 
-@needs_finufft
-def test_predictions_follow_the_tolerance():
-    exact, errors = fitted("exact", 2, 1e-3, 2), []
-    for kernel_tol in (1e-2, 1e-4, 1e-6):
-        first, second = (
-            fitted("equispaced", 2, 1e-3, 2, kernel_tol=tol, tol=1e-8)
-            for tol in (kernel_tol, kernel_tol / 2)
-        )
-        errors.append(np.abs(first - exact).max())
-        # A change of the kernel by a tolerance, times dual coefficients of order 2 C |residual|.
-        assert np.abs(first - second).max() < 100 * kernel_tol
-    assert errors[0] > 10 * errors[1] > 100 * errors[2]
-
-
-@needs_finufft
-def test_one_constant_input_does_no_harm():
-    X, Y = data(1)
-    with_constant = np.column_stack([X, np.full(len(X), 7.0)])
-    setting = {"C": 10.0, "sigma": 1.0, "feature_map": "equispaced", "tol": 1e-10}
-    plain = MSVR(**setting).fit(X, Y).predict(X)
-    found = MSVR(**setting).fit(with_constant, Y).predict(with_constant)
-    np.testing.assert_allclose(found, plain, atol=1e-4, rtol=0)
-
-
-def test_four_inputs_are_refused():
-    with pytest.raises(ValueError, match=r"at most 3 inputs, got 4: .*feature_map='rff'"):
-        MSVR(feature_map="equispaced").fit(np.eye(4), np.eye(4)[:, :2])
-
-
-@pytest.mark.parametrize("n_inputs", [1, 2, 3])
-@pytest.mark.parametrize("sigma", [1e-6, 1e-100])
-def test_sigma_too_small_says_what_to_do(n_inputs, sigma):
-    X, Y = data(n_inputs)
-    with pytest.raises(ValueError, match=r"sigma=1e-.* raise sigma or kernel_tol, or .*'rff'"):
-        MSVR(feature_map="equispaced", sigma=sigma).fit(X, Y)
-
-
-def test_box_at_the_limit_is_served_and_beyond_refused(monkeypatch):
-    X = samples(60, 2)
-    modes = equispaced_fourier(X, 1.0, 1, 0)
-    box = math.prod(2 * modes.wave_numbers.abs().amax(dim=0).long() + 1)
-    monkeypatch.setattr("suspnet.learning.equispaced.MAX_BOX", int(box))
-    equispaced_fourier(X, 1.0, 1, 0)
-    monkeypatch.setattr("suspnet.learning.equispaced.MAX_BOX", int(box) - 1)
-    with pytest.raises(ValueError, match=f"more than {int(box) - 1} modes"):
-        equispaced_fourier(X, 1.0, 1, 0)
-
-
 @pytest.mark.parametrize("at", ["fit", "predict"])
 def test_missing_finufft_is_named(monkeypatch, at):
     X, Y = data(1)
@@ -482,19 +287,6 @@ def test_missing_finufft_is_named(monkeypatch, at):
         model.fit(X, Y) if at == "fit" else model.predict(X)
 
 
-@pytest.mark.parametrize("device", ["cuda", "meta"])
-def test_other_devices_are_refused(device):
-    X, Y = data(1)
-    with pytest.raises(ValueError, match=r"'equispaced' runs on the CPU: set device='cpu'"):
-        MSVR(feature_map="equispaced", device=device).fit(X, Y)
-
-
-def test_single_precision_is_refused():
-    X, Y = data(1)
-    with pytest.raises(ValueError, match="'equispaced' needs dtype='float64'"):
-        MSVR(feature_map="equispaced", dtype="float32").fit(X, Y)
-
-
 def state_of_a_model():
     modes = equispaced_fourier(samples(60, 2), 1.0, 1, 0)
     arrays = {f"map.{name}": tensor.numpy().copy() for name, tensor in modes.tensors().items()}
@@ -502,49 +294,31 @@ def state_of_a_model():
     return arrays | {"coef": np.ones((n_features, 1)), "intercept": np.zeros(1)}
 
 
-def test_state_of_a_model_is_accepted():
-    model = MSVR(feature_map="equispaced", sigma=1.0).restore(state_of_a_model())
-    assert model.n_features_in_ == 2
-
-
 BROKEN = {
     "missing column": ("wave_numbers", lambda k: k[:, :1]),
-    "missing row": ("wave_numbers", lambda k: k[:-1]),
     "flat": ("wave_numbers", lambda k: k[:, 0]),
     "no whole numbers": ("wave_numbers", lambda k: k + 0.5),
     "enormous": ("wave_numbers", lambda k: k * 1e6),
     "infinite": ("wave_numbers", lambda k: np.where(k > 0, np.inf, k)),
-    "beyond float64": ("wave_numbers", lambda k: k * 1e300),
-    "NaN wave": ("wave_numbers", lambda k: np.full_like(k, np.nan)),
     "constant not first": ("wave_numbers", lambda k: k[::-1]),
     "negative": ("strengths", lambda s: -s),
-    "one zero": ("strengths", lambda s: s * (np.arange(len(s)) > 0)),
-    "NaN strength": ("strengths", lambda s: s * np.nan),
     "too few": ("strengths", lambda s: s[:-1]),
-    "matrix": ("strengths", lambda s: s[:, None]),
     "one spacing": ("spacing", lambda s: s[:1]),
     "scalar centre": ("centre", lambda c: c[0]),
     "three reaches": ("reach", lambda r: np.ones(3)),
-}
-SLIPS = {
     "no rows": ("wave_numbers", lambda k: k[:0]),
-    "infinite strength": ("strengths", lambda s: s * np.inf),
-    "NaN spacing": ("spacing", lambda s: s * np.nan),
-    "NaN centre": ("centre", lambda c: c * np.nan),
-    "NaN reach": ("reach", lambda r: r * np.nan),
     "negative reach": ("reach", lambda r: -r),
     "NaN tolerance": ("kernel_tol", lambda t: t * np.nan),
-    "infinite tolerance": ("kernel_tol", lambda t: t * np.inf),
-    "two tolerances": ("kernel_tol", lambda t: np.ones(2)),
 }
 
 
-@pytest.mark.parametrize("broken", [*BROKEN, *SLIPS])
+@pytest.mark.parametrize("broken", BROKEN)
 def test_tampered_arrays_are_refused(broken):
-    name, change = (BROKEN | SLIPS)[broken]
+    name, change = BROKEN[broken]
     state = state_of_a_model()
     state[f"map.{name}"] = np.ascontiguousarray(change(state[f"map.{name}"]))
     model = MSVR(feature_map="equispaced", sigma=1.0)
+    assert model.restore(state_of_a_model()).n_features_in_ == 2
     with pytest.raises(ValueError, match="not those of an equispaced"):
         model.restore(state)
 
@@ -558,25 +332,20 @@ def test_enormous_grids_are_refused_before_anything_is_made(count):
         EquispacedFeatures(waves, torch.ones(2).double(), **arrays)
 
 
-def test_tolerance_of_one_is_served():
-    assert equispaced_fourier(samples(60, 1), 1.0, 1, 0, 1.0).n_features >= 1
-
-
-@pytest.mark.parametrize("kernel_tol", [2.5, 100.0])
-def test_tolerance_beyond_the_kernel_is_named(kernel_tol):
-    X, Y = data(1)
-    with pytest.raises(ValueError, match="`kernel_tol`"):
-        MSVR(feature_map="equispaced", kernel_tol=kernel_tol).fit(X, Y)
-
-
-def test_least_sigma_of_all_says_what_to_do():
-    X, Y = data(1)
-    with pytest.raises(ValueError, match="raise sigma"):
-        MSVR(feature_map="equispaced", sigma=1e-308).fit(X, Y)
-
-
 @needs_finufft
-def test_singular_system_is_named():
-    X, Y = data(2)
-    with pytest.raises(ValueError, match="singular to working precision"):
-        MSVR(1e17, 1.0, feature_map="equispaced").fit(X, Y)
+@pytest.mark.parametrize(
+    ("n_inputs", "settings", "message"),
+    [
+        (4, {}, r"at most 3 inputs, got 4: .*feature_map='rff'"),
+        (3, {"sigma": 1e-6}, r"sigma=1e-06.* raise sigma or kernel_tol, or .*'rff'"),
+        (1, {"sigma": 1e-308}, "raise sigma"),
+        (1, {"kernel_tol": 2.5}, "`kernel_tol`"),
+        (1, {"device": "cuda"}, "runs on the CPU: set device='cpu'"),
+        (1, {"dtype": "float32"}, "needs dtype='float64'"),
+        (2, {"C": 1e17, "sigma": 1.0}, "singular to working precision"),
+    ],
+)
+def test_what_it_cannot_fit_is_refused(n_inputs, settings, message):
+    X, Y = data(n_inputs)
+    with pytest.raises(ValueError, match=message):
+        MSVR(feature_map="equispaced", **settings).fit(X, Y)

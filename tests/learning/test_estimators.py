@@ -1,13 +1,26 @@
 """Every estimator keeps scikit-learn's contract, on arrays as people have them."""
 
+import importlib.util
+
 import numpy as np
 import pytest
 import torch
 from learning_reference import smooth_data
 from sklearn.base import clone
+from sklearn.exceptions import NotFittedError
 from sklearn.utils.estimator_checks import estimator_checks_generator, parametrize_with_checks
 
-from suspnet.learning import MSVR, MVGPR, SVR, KernelRidge, LinearRegression
+from suspnet.learning import (
+    MSVR,
+    MVGPR,
+    SVR,
+    CurveFit,
+    KernelRidge,
+    LinearRegression,
+    baselines,
+    msvr,
+    mvgpr,
+)
 
 # The array API check is skipped, with this warning, unless array_api_compat is installed.
 ESTIMATORS = [
@@ -18,6 +31,8 @@ ESTIMATORS = [
     MVGPR(n_restarts=0, n_optimize=100),
 ]
 MAPPED = [MSVR(feature_map=name, n_components=64) for name in ("orf", "nystroem", "exact")]
+MAPPED += [MSVR(dtype="float32", n_components=16, epsilon=0.0, tol=1e-3)]
+GRID = [MSVR(feature_map="equispaced")] if importlib.util.find_spec("finufft") else []
 
 
 @pytest.mark.filterwarnings("ignore::sklearn.exceptions.SkipTestWarning")
@@ -57,7 +72,7 @@ def by_name(estimators):
 
 @pytest.mark.parametrize("dtype", [np.float64, np.float32])
 @pytest.mark.parametrize("column", [0, [0], [0, 1]])
-@pytest.mark.parametrize("estimator", by_name(ESTIMATORS + MAPPED))
+@pytest.mark.parametrize("estimator", by_name(ESTIMATORS + MAPPED + GRID))
 def test_restored_model_predicts_in_the_shape_and_type_of_the_fitted_one(estimator, column, dtype):
     X, Y = (array.astype(dtype) for array in smooth_data(0, n_samples=40))
     model = clone(estimator).fit(X, Y[:, column])
@@ -122,3 +137,79 @@ def test_memory_layout_of_the_data_does_not_matter(estimator, layout):
     np.testing.assert_allclose(model.predict(as_laid_out(X)), expected, **same)
     again = clone(estimator).fit(as_laid_out(X), as_laid_out(Y))
     np.testing.assert_allclose(again.predict(as_laid_out(X)), expected, **same)
+
+
+@pytest.mark.parametrize("estimator", by_name(ESTIMATORS + MAPPED + GRID))
+def test_prediction_in_chunks_is_the_whole(estimator, monkeypatch):
+    X, Y = smooth_data(3, n_samples=40)
+    model = clone(estimator).fit(X, Y)
+    options = {"return_std": True} if isinstance(model, MVGPR) else {}
+    whole = model.predict(X, **options)
+    for module in (baselines, msvr, mvgpr):
+        monkeypatch.setattr(module, "PREDICT_ROWS", 7)
+    # Products of other heights may round differently; whitening magnifies that.
+    atol = 1e-4 if getattr(model, "dtype", "") == "float32" else 1e-9
+    np.testing.assert_allclose(model.predict(X, **options), whole, atol=atol, rtol=0)
+
+
+@pytest.mark.parametrize("estimator", by_name([*ESTIMATORS, MAPPED[1]]))
+def test_state_that_does_not_fit_is_refused(estimator):
+    with pytest.raises(NotFittedError, match="not fitted yet"):
+        clone(estimator).state()
+    X, Y = smooth_data(4, n_samples=20)
+    state = clone(estimator).fit(X, Y).state()
+    for missing in state:
+        others = {name: array for name, array in state.items() if name != missing}
+        with pytest.raises(ValueError, match="the arrays are not those of"):
+            clone(estimator).restore(others)
+    # one row less of an array that others must agree with
+    name = next(name for name in ("weights", "dual_coef.1", "dual_coef", "coef") if name in state)
+    with pytest.raises(ValueError, match=r"shape|differ in number"):
+        clone(estimator).restore(state | {name: state[name][:-1]})
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+@pytest.mark.parametrize("estimator", by_name(ESTIMATORS))
+def test_missing_inputs_are_refused_also_in_prediction(estimator, bad):
+    X, Y = smooth_data(5, n_samples=20)
+    model, spoilt = clone(estimator).fit(X, Y), X.copy()
+    spoilt[3, 1] = bad
+    with pytest.raises(ValueError, match=r"Input X contains (NaN|infinity)"):
+        model.predict(spoilt)
+
+
+@pytest.mark.parametrize(
+    ("method", "setting", "error"),
+    [
+        *((SVR, setting, ValueError) for setting in ({"C": 0}, {"tol": 0.0}, {"epsilon": -1e-3})),
+        (SVR, {"max_iter": 0}, ValueError),
+        (SVR, {"C": True}, TypeError),
+        (MSVR, {"C": np.nan}, ValueError),
+        (MSVR, {"sigma": -1}, ValueError),
+        (MSVR, {"sigma": None}, TypeError),
+        (MSVR, {"epsilon": 1j}, TypeError),
+        (MSVR, {"n_components": 0}, ValueError),
+        (MSVR, {"max_iter": 2.5}, TypeError),
+        (MSVR, {"feature_map": "fourier"}, ValueError),
+        (MSVR, {"feature_map": ["rff"]}, ValueError),
+        (MSVR, {"fit_intercept": "no"}, TypeError),
+        (MVGPR, {"noise_variance": np.inf}, ValueError),
+        (MVGPR, {"length_scale": "abc"}, TypeError),
+        (MVGPR, {"n_optimize": 1}, ValueError),
+        (MVGPR, {"optimizer": "adam"}, ValueError),
+        (CurveFit, {"n_starts": 1.5}, TypeError),
+        (CurveFit, {"tol": 0.0}, ValueError),
+    ],
+)
+def test_setting_out_of_range_is_named(method, setting, error):
+    X, Y = smooth_data(6, n_samples=20)
+    (name,) = setting
+    with pytest.raises(error, match=f"`{name}` must be"):
+        method(**setting).fit(X, Y)
+
+
+@pytest.mark.parametrize("name", ["nystroem", "exact"])
+def test_maps_without_single_precision_say_so(name):
+    X, Y = smooth_data(6, n_samples=20)
+    with pytest.raises(ValueError, match=f"feature_map='{name}' needs dtype='float64'"):
+        MSVR(feature_map=name, dtype="float32").fit(X, Y)

@@ -19,9 +19,9 @@ from learning_reference import (
 )
 from sklearn.linear_model import Ridge
 
-from suspnet.learning.design import DenseDesign, Direction, Gram
+from suspnet.learning.design import Coefficients, DenseDesign, Gram
 from suspnet.learning.feature_maps import random_fourier
-from suspnet.learning.irwls import IRWLS, Status, _Functional
+from suspnet.learning.irwls import IRWLS, Functional, Status
 from suspnet.learning.loss import loss
 
 N_COMPONENTS = 40
@@ -63,7 +63,7 @@ def small_minimum(C, epsilon, fit_intercept):
 
 @pytest.mark.parametrize("fit_intercept", [False, True])
 @pytest.mark.parametrize("epsilon", [0.05, 0.3])
-@pytest.mark.parametrize("n_iter", [1, 2, 3, 4, 5, 6])
+@pytest.mark.parametrize("n_iter", [1, 2, 5])
 def test_gap_bounds_the_excess_on_the_way(path, epsilon, fit_intercept, n_iter):
     design, _, Y = small_problem()
     minimum = small_minimum(10.0, epsilon, fit_intercept)
@@ -132,7 +132,7 @@ def test_gradient_and_weights_are_those_of_equation_10(epsilon, fit_intercept):
     W = np.linalg.lstsq(Phi, Y.numpy(), rcond=0.1)[0]
     b = np.full(2, 0.1 * fit_intercept)
     residual = Y.numpy() - Phi @ W - b
-    functional = _Functional(design, 7.0, epsilon, fit_intercept)
+    functional = Functional(design, 7.0, epsilon, fit_intercept)
     found = functional.gradient(torch.tensor(W), torch.tensor(residual))
     a = naive_msvr_weights(Phi, Y.numpy(), W, b, 7.0, epsilon)
     assert epsilon == 0 or 0 < np.count_nonzero(a) < len(a)
@@ -146,7 +146,7 @@ def test_gradient_and_weights_are_those_of_equation_10(epsilon, fit_intercept):
 def bound_from(direction, W, b, C, epsilon, fit_intercept):
     """What `lower_bound` says at (W, b), and its gradient, from any direction."""
     design, Phi, Y = small_problem()
-    functional = _Functional(design, C, epsilon, fit_intercept)
+    functional = Functional(design, C, epsilon, fit_intercept)
     W, b = torch.tensor(W), torch.tensor(b)
     residual = Y - torch.tensor(Phi) @ W - b
     gradient = functional.gradient(W, residual)
@@ -168,7 +168,7 @@ def test_lower_bound_holds_for_any_direction_at_any_point(seed, size, away, epsi
     W, dW = 10**away * rng.standard_normal((Phi.shape[1], 2)), rng.standard_normal((20, 2))
     b, db = 10**away * rng.standard_normal(2), rng.standard_normal(2)
     b, db = (b, db) if fit_intercept else (0 * b, 0 * db)
-    direction = Direction(torch.tensor(10**size * dW), torch.tensor(10**size * db))
+    direction = Coefficients(torch.tensor(10**size * dW), torch.tensor(10**size * db))
     bound, _ = bound_from(direction, W, b, C, epsilon, fit_intercept)
     minimum = small_minimum(C, epsilon, fit_intercept)
     # Sums of squares as large as 1e6 cancel.
@@ -184,7 +184,7 @@ def test_lower_bound_holds_for_any_direction_at_any_point(seed, size, away, epsi
 def test_lower_bound_of_the_exact_direction_is_the_minimum_of_the_quadratic(epsilon, fit_intercept):
     design, Phi, Y = small_problem()
     W, b = np.full((Phi.shape[1], 2), 0.1), np.full(2, 0.2 * fit_intercept)
-    nowhere = Direction(torch.zeros(len(W), 2).double(), torch.zeros(2).double())
+    nowhere = Coefficients(torch.zeros(len(W), 2).double(), torch.zeros(2).double())
     weak, gradient = bound_from(nowhere, W, b, 10.0, epsilon, fit_intercept)
     exact = design.reweighted(10.0, fit_intercept).direction(gradient, 0.0)
     bound, _ = bound_from(exact, W, b, 10.0, epsilon, fit_intercept)
@@ -196,43 +196,6 @@ def test_lower_bound_of_the_exact_direction_is_the_minimum_of_the_quadratic(epsi
     assert weak < bound <= minimum + 1e-9
     if epsilon == 0:
         assert bound == pytest.approx(minimum, rel=1e-9)
-
-
-@pytest.mark.parametrize("fit_intercept", [False, True])
-def test_lower_bound_is_summed_over_ranks(fit_intercept):
-    design, _, Y = small_problem()
-    rank = DenseDesign(design.feature_map, design.X, lambda values: values.mul_(2))
-    both = DenseDesign(design.feature_map, design.X.repeat(2, 1))
-    source, bounds = np.random.default_rng(0), []
-    W, dW, b, db = (torch.tensor(source.standard_normal(s)) for s in ((20, 2), (20, 2), 2, 2))
-    direction = Direction(dW, db * fit_intercept)
-    for whole, targets in ((rank, Y), (both, Y.repeat(2, 1))):
-        functional = _Functional(whole, 10.0, 0.3, fit_intercept)
-        residual = targets - whole.predict(Direction(W, b * fit_intercept))
-        gradient = functional.gradient(W, residual)
-        change, products = whole.matvec_rmatvec(direction, functional.columns(residual, gradient))
-        objective = functional.value(W, residual)
-        bounds.append(functional.lower_bound(objective, gradient, direction, change, products))
-    assert bounds[0] == pytest.approx(bounds[1], rel=1e-10)
-
-
-@pytest.mark.parametrize("max_iter", [1, 3, 1000])
-def test_gap_is_that_of_the_best_bound(path, monkeypatch, max_iter):
-    bounds = []
-
-    def spying(*args):
-        bounds.append(plain(*args))
-        return bounds[-1]
-
-    plain = _Functional.lower_bound
-    monkeypatch.setattr(_Functional, "lower_bound", spying)
-    design, _, Y = small_problem()
-    found = IRWLS(10.0, 0.3, max_iter=max_iter, tol=1e-6, **PATHS[path]).minimise(design, Y)
-    gap = (found.objective - max(0.0, *bounds)) / found.objective
-    assert found.gap == pytest.approx(max(gap, 0.0), abs=1e-15)
-    assert (found.gap <= 1e-6) == (found.status == Status.CONVERGED)
-    assert len(bounds) == found.n_iter
-    assert min(bounds) < max(bounds) or max_iter == 1
 
 
 def test_solver_stops_exactly_at_its_tolerance():
@@ -261,7 +224,7 @@ class Rigged:
         class Changed:
             def direction(self, gradient, accuracy):
                 right = equations.direction(gradient, accuracy)
-                return Direction(change * right.coef, change * right.intercept)
+                return Coefficients(change * right.coef, change * right.intercept)
 
         return Changed()
 
@@ -275,26 +238,23 @@ class Rigged:
         return self._equations("newton", C, fit_intercept)
 
 
-@pytest.mark.parametrize("factor", [0.5, 3.0, 100.0, -1.0])
-def test_wrong_fixed_equations_do_not_change_the_minimum(factor):
+@pytest.mark.parametrize(
+    ("path", "fixed", "others"),
+    [
+        *(("as it goes", factor, 1.0) for factor in (0.5, 3.0, 100.0, -1.0)),
+        *((path, 1.0, factor) for path in ("newton", "as printed") for factor in (0.3, 2.5)),
+    ],
+)
+def test_wrong_equations_do_not_change_the_minimum(path, fixed, others):
     design, _, Y = small_problem()
     steps = []
-    found = IRWLS(10.0, 0.1, max_iter=1000).minimise(
-        Rigged(design, factor, 1.0), Y, on_iteration=lambda told: steps.append(told.step)
+    found = IRWLS(10.0, 0.1, max_iter=3000, **PATHS[path]).minimise(
+        Rigged(design, fixed, others), Y, on_iteration=lambda told: steps.append(told.step)
     )
     assert found.status == Status.CONVERGED
     assert found.objective == pytest.approx(small_minimum(10.0, 0.1, True), rel=2e-8)
     assert (np.diff(found.objectives) <= 0).all()
-    assert min(steps) < 1 or factor < 2  # twice too far is where F rises again
-
-
-@pytest.mark.parametrize("factor", [0.3, 2.5])
-@pytest.mark.parametrize("path", ["newton", "as printed"])
-def test_wrong_equations_do_not_change_the_minimum(path, factor):
-    design, _, Y = small_problem()
-    found = IRWLS(10.0, 0.1, max_iter=3000, **PATHS[path]).minimise(Rigged(design, 1.0, factor), Y)
-    assert found.status == Status.CONVERGED
-    assert found.objective == pytest.approx(small_minimum(10.0, 0.1, True), rel=2e-8)
+    assert min(steps) < 1 or max(fixed, others) < 2  # twice too far is where F rises again
 
 
 def test_directions_that_only_lead_uphill_end_in_stagnation():
@@ -313,10 +273,10 @@ def test_badly_rounded_gram_matrix_is_only_a_worse_preconditioner(scale, noise):
     design, _, Y = small_problem()
     whole, source = design.gram(), torch.Generator().manual_seed(0)
     error = torch.randn(whole.products.shape, generator=source, dtype=torch.float64)
-    spoilt = DenseDesign(design.feature_map, design.X)
-    spoilt._gram = Gram(
+    wrong = Gram(
         scale * (whole.products + noise * (error + error.T)), scale * whole.sums, scale * 60
     )
+    spoilt = DenseDesign(design.feature_map, design.X, gram=wrong)
     found = IRWLS(10.0, 0.01, max_iter=3000).minimise(spoilt, Y)
     assert found.status == Status.CONVERGED
     assert found.objective == pytest.approx(small_minimum(10.0, 0.01, True), rel=2e-8)
@@ -324,15 +284,15 @@ def test_badly_rounded_gram_matrix_is_only_a_worse_preconditioner(scale, noise):
 
 def test_gram_matrix_that_is_not_positive_is_named():
     design, _, Y = small_problem()
-    spoilt = DenseDesign(design.feature_map, design.X)
-    spoilt._gram = dataclasses.replace(design.gram(), products=-design.gram().products)
+    negative = dataclasses.replace(design.gram(), products=-design.gram().products)
+    spoilt = DenseDesign(design.feature_map, design.X, gram=negative)
     with pytest.raises(ValueError, match=r"20 x 20 system .* singular to working precision"):
         IRWLS(10.0, 0.01).minimise(spoilt, Y)
 
 
 @pytest.mark.parametrize("n_components", [40, 300])
-@pytest.mark.parametrize("epsilon", [0.0, 1e-3, 0.02])
-@pytest.mark.parametrize("C", [1.0, 100.0, 1e4])
+@pytest.mark.parametrize("epsilon", [0.0, 0.02])
+@pytest.mark.parametrize("C", [1.0, 1e4])
 def test_float32_features_lead_to_the_float64_minimum(C, epsilon, n_components):
     X, Y = smooth_data(0, 400)
     X, Y = torch.tensor(X, dtype=torch.float32), torch.tensor(Y)
@@ -352,39 +312,12 @@ def test_float32_features_lead_to_the_float64_minimum(C, epsilon, n_components):
     assert found.objective == pytest.approx(reached, rel=1e-5)
 
 
-@pytest.mark.parametrize("C", [1.0, 100.0, 1e4])
-def test_float32_reaches_the_minimum_to_its_rounding(C):
-    X, Y = smooth_data(0, 400)
-    X, Y = torch.tensor(X, dtype=torch.float32), torch.tensor(Y)
-    phi = random_fourier(X, 1.0, 40, 0)
-    found = IRWLS(C, 0.0).minimise(DenseDesign(phi, X), Y)
-    best = IRWLS(C, 0.0).minimise(
-        DenseDesign(Mapped(lambda rows: phi(rows.float()).double()), X.double()), Y
-    )
-    reached = naive_msvr_objective(
-        phi(X).double().numpy(), Y.numpy(), found.coef.numpy(), found.intercept.numpy(), C, 0.0
-    )
-    # `gap` does not count the rounding of products; MSVR's docstring says how far this may go.
-    assert reached / best.objective - 1 < found.gap + 1e-5
-
-
 def test_float32_says_when_it_cannot():
     X, Y = smooth_data(0, 400)
     X, Y = torch.tensor(X, dtype=torch.float32), torch.tensor(Y)
     design = DenseDesign(random_fourier(X, 1.0, 300, 0), X)
     with pytest.raises(ValueError, match=r"singular to working precision.*lower C"):
         IRWLS(1e7, 1e-3).minimise(design, Y)
-
-
-def test_objective_is_equation_7():
-    blocks, Phi, Y = problem(n_samples=60)
-    found = IRWLS(10.0, 0.05).minimise(blocks, Y)
-    naive = naive_msvr_objective(
-        Phi, Y.numpy(), found.coef.numpy(), found.intercept.numpy(), 10.0, 0.05
-    )
-    assert found.objective == pytest.approx(naive, rel=1e-10)
-    start = naive_msvr_objective(Phi, Y.numpy(), np.zeros_like(found.coef), np.zeros(2), 10.0, 0.05)
-    assert found.objectives[0] == pytest.approx(start, rel=1e-12)
 
 
 @pytest.mark.parametrize("fit_intercept", [False, True])
@@ -402,19 +335,8 @@ def test_gradient_norm_is_that_of_autograd(path, fit_intercept, epsilon, n):
     assert found.grad_norm == pytest.approx(float(counted.norm()), rel=1e-6)
 
 
-def test_everything_inside_the_tube_gives_the_zero_model():
-    blocks, _, Y = problem()
-    found = IRWLS(10.0, 1e3).minimise(blocks, Y)
-    assert found.status == Status.CONVERGED
-    assert found.n_iter == 0
-    assert found.objective == 0
-    assert found.support_fraction == 0
-    assert float(found.coef.abs().max()) == 0
-
-
 @pytest.mark.parametrize("fit_intercept", [False, True])
-@pytest.mark.parametrize("epsilon", [1e-6, 0.05, 0.3, 0.8])
-@pytest.mark.parametrize("C", [1.0, 1e4])
+@pytest.mark.parametrize(("C", "epsilon"), [(1.0, 0.8), (1e4, 1e-6), (1e4, 0.3)])
 def test_objective_never_rises(path, C, epsilon, fit_intercept):
     blocks, _, Y = problem(sigma=0.5)
     found = IRWLS(C, epsilon, fit_intercept=fit_intercept, max_iter=60, **PATHS[path]).minimise(
@@ -424,28 +346,3 @@ def test_objective_never_rises(path, C, epsilon, fit_intercept):
     assert found.n_iter >= 1
     assert (np.diff(found.objectives) <= 0).all()
     assert found.objectives[-1] == found.objective
-
-
-def test_status_and_gap_tell_of_an_early_end():
-    blocks, _, Y = problem()
-    found = IRWLS(100.0, 0.3, max_iter=1).minimise(blocks, Y)
-    assert found.status == Status.MAX_ITER
-    assert found.n_iter == 1
-    assert found.gap > 1e-8
-
-
-def test_targets_stay_untouched():
-    blocks, _, Y = problem()
-    before = Y.clone()
-    IRWLS(10.0, 0.05).minimise(blocks, Y)
-    assert torch.equal(Y, before)
-
-
-def test_blocks_of_any_height_give_the_same_solution():
-    blocks, _, Y = problem()
-    small = DenseDesign(blocks.feature_map, blocks.X, block_rows=11)
-    whole, pieces = (
-        IRWLS(10.0, 0.05, tol=1e-12, max_iter=2000).minimise(b, Y) for b in (blocks, small)
-    )
-    # Sums in another order, through as many iterations.
-    np.testing.assert_allclose(pieces.coef, whole.coef, atol=1e-7, rtol=0)

@@ -5,16 +5,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from learning_reference import naive_rbf, smooth_data
+from learning_reference import lbfgs_msvr, naive_rbf, smooth_data
 from sklearn.base import clone
-from sklearn.exceptions import ConvergenceWarning, NotFittedError
+from sklearn.exceptions import ConvergenceWarning
 
-from suspnet.learning import MSVR, msvr
+from suspnet.learning import MSVR, SVR
 
 PEER = Path(__file__).parent / "data" / "msvr_peer.json"
 """Predictions of a public MSVR (IPL-UV/simpleR under GNU Octave 7); the file names its source."""
 MAPS = ["rff", "orf", "nystroem", "equispaced", "exact"]
-tight = {"tol": 1e-13, "max_iter": 5000}
 
 
 @pytest.fixture
@@ -37,20 +36,8 @@ def test_predictions_are_those_of_a_public_msvr_where_it_is_right():
         model = MSVR(feature_map="exact", fit_intercept=False, **setting).fit(X, Y)
         expected = np.array(case["prediction"])
         assert np.abs(expected).max() > 0.1
-        # design.md, section 5: at such epsilon the peer is within 1e-5 of the optimum.
+        # at such epsilon the peer is within 1e-5 of the optimum.
         np.testing.assert_allclose(model.predict(X_test), expected, atol=1e-4, rtol=0)
-
-
-@pytest.mark.parametrize("C", [0.5, 10.0])
-def test_exact_map_without_tube_is_kernel_ridge(C):
-    X, Y = smooth_data(2, n_samples=60)
-    X_test, _ = smooth_data(3, n_samples=20)
-    alpha = np.linalg.solve(naive_rbf(X, X, 1.0) + np.eye(len(X)) / (2 * C), Y)
-    expected = naive_rbf(X_test, X, 1.0) @ alpha
-    model = small(C=C, epsilon=0.0, feature_map="exact", fit_intercept=False, tol=1e-14).fit(X, Y)
-    assert np.abs(expected).max() > 0.5
-    # Kernel directions below 1e-14 of the largest are dropped.
-    np.testing.assert_allclose(model.predict(X_test), expected, atol=1e-6, rtol=0)
 
 
 def test_rff_approaches_exact_with_the_root_of_the_number_of_components():
@@ -58,7 +45,7 @@ def test_rff_approaches_exact_with_the_root_of_the_number_of_components():
     X_test, _ = smooth_data(5, n_samples=60)
     setting = {"C": 10.0, "sigma": 1.0, "epsilon": 1e-3}
     exact = MSVR(feature_map="exact", **setting).fit(X, Y).predict(X_test)
-    sizes = [128, 256, 512, 1024]
+    sizes = [64, 128, 256, 512]
     errors = []
     for n_components in sizes:
         models = [
@@ -73,65 +60,6 @@ def test_rff_approaches_exact_with_the_root_of_the_number_of_components():
     assert errors[-1] < 0.1
 
 
-def test_float32_is_close_to_float64():
-    X, Y = smooth_data(6)
-    # The class says: with float32 the optimum is reached to about 1e-5 only.
-    double, single = (
-        small(epsilon=0.01, dtype=dtype, tol=1e-5).fit(X, Y) for dtype in ("float64", "float32")
-    )
-    assert single.converged_
-    assert single.objective_ == pytest.approx(double.objective_, rel=1e-4)
-    # |W - W*|^2 <= 2e-5 F with F about 10: a few 1e-3 in the predictions, usually far less.
-    np.testing.assert_allclose(single.predict(X), double.predict(X), atol=5e-3, rtol=0)
-
-
-@pytest.mark.parametrize("epsilon", [0.0, 1e-3, 0.2])
-def test_rotating_the_outputs_rotates_the_coefficients(epsilon):
-    X, Y = smooth_data(8)
-    angle = 0.7
-    R = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
-    plain, rotated = (small(epsilon=epsilon, **tight).fit(X, y) for y in (Y, Y @ R))
-    assert np.abs(plain.coef_).max() > 0.1
-    np.testing.assert_allclose(rotated.coef_, plain.coef_ @ R, atol=1e-6, rtol=0)
-    np.testing.assert_allclose(rotated.intercept_, plain.intercept_ @ R, atol=1e-6, rtol=0)
-
-
-@pytest.mark.parametrize("factor", [1e-3, 7.0])
-def test_scaling_outputs_and_tube_scales_the_coefficients(factor):
-    X, Y = smooth_data(9)
-    plain = small(epsilon=0.1, **tight).fit(X, Y)
-    scaled = small(epsilon=0.1 * factor, **tight).fit(X, Y * factor)
-    np.testing.assert_allclose(scaled.coef_, factor * plain.coef_, atol=1e-6 * factor, rtol=0)
-    assert scaled.objective_ == pytest.approx(factor**2 * plain.objective_, rel=1e-9)
-
-
-def test_shifting_the_outputs_shifts_only_the_intercept():
-    X, Y = smooth_data(10)
-    shift = np.array([5.0, -2.0])
-    plain, shifted = (small(epsilon=0.1, **tight).fit(X, y) for y in (Y, Y + shift))
-    np.testing.assert_allclose(shifted.coef_, plain.coef_, atol=1e-5, rtol=0)
-    np.testing.assert_allclose(shifted.intercept_, plain.intercept_ + shift, atol=1e-5, rtol=0)
-
-
-def test_one_output_as_column_is_the_same_as_flat():
-    X, Y = smooth_data(11)
-    flat, column = small().fit(X, Y[:, 0]), small().fit(X, Y[:, :1])
-    assert flat.predict(X).shape == (len(X),)
-    assert column.predict(X).shape == (len(X), 1)
-    np.testing.assert_array_equal(flat.predict(X), column.predict(X)[:, 0])
-
-
-@pytest.mark.parametrize("feature_map", ["rff", "orf", "nystroem"])
-def test_seed_decides_the_numbers(feature_map):
-    X, Y = smooth_data(12)
-    first, again, other = (
-        small(feature_map=feature_map, n_components=16, random_state=seed).fit(X, Y).predict(X)
-        for seed in (3, 3, 4)
-    )
-    np.testing.assert_array_equal(first, again)
-    assert np.abs(first - other).max() > 1e-4
-
-
 def test_callback_hears_of_each_iteration():
     X, Y = smooth_data(13)
     heard = []
@@ -144,49 +72,6 @@ def test_callback_hears_of_each_iteration():
     assert all(0 < told.step <= 1 for told in heard)
 
 
-def test_constructor_only_stores():
-    odd = {name: object() for name in MSVR().get_params()}
-    model = MSVR(**odd)
-    assert vars(model) == odd
-
-
-def test_fit_changes_neither_parameters_nor_data():
-    X, Y = smooth_data(14)
-    kept_X, kept_Y = X.copy(), Y.copy()
-    model = small()
-    before = model.get_params()
-    model.fit(X, Y).predict(X)
-    assert model.get_params() == before
-    np.testing.assert_array_equal(X, kept_X)
-    np.testing.assert_array_equal(Y, kept_Y)
-
-
-@pytest.mark.usefixtures("_finufft_where_needed")
-@pytest.mark.parametrize(
-    ("feature_map", "dtype"), [*((name, "float64") for name in MAPS), ("rff", "float32")]
-)
-def test_restored_model_predicts_bit_for_bit(feature_map, dtype):
-    X, Y = smooth_data(15, n_samples=60)
-    # epsilon = 0 needs one solve, so that float32 features do not keep the solver busy.
-    model = small(feature_map=feature_map, dtype=dtype, epsilon=0.0, sigma=0.5, tol=1e-3)
-    state = {name: array.copy() for name, array in model.fit(X, Y).state().items()}
-    restored = MSVR(**model.get_params()).restore(state)
-    X_test, _ = smooth_data(16, n_samples=40)
-    np.testing.assert_array_equal(restored.predict(X_test), model.predict(X_test))
-    assert set(restored.state()) == set(state)
-
-
-@pytest.mark.usefixtures("_finufft_where_needed")
-@pytest.mark.parametrize("feature_map", MAPS)
-def test_prediction_in_chunks_is_the_whole(monkeypatch, feature_map):
-    X, Y = smooth_data(17, n_samples=60)
-    model = small(feature_map=feature_map, sigma=0.5).fit(X, Y)
-    whole = model.predict(X)
-    monkeypatch.setattr(msvr, "PREDICT_ROWS", 7)
-    # Products of other heights may round differently; whitening magnifies that for two maps.
-    np.testing.assert_allclose(model.predict(X), whole, atol=1e-9, rtol=0)
-
-
 def test_too_few_iterations_warn():
     X, Y = smooth_data(18)
     model = small(epsilon=0.3, max_iter=1)
@@ -197,88 +82,6 @@ def test_too_few_iterations_warn():
     assert model.gap_ > model.tol
 
 
-@pytest.mark.parametrize("value", [0, -1, np.inf, -np.inf, np.nan])
-@pytest.mark.parametrize("name", ["C", "sigma", "kernel_tol"])
-def test_values_out_of_range_are_refused(name, value):
-    X, Y = smooth_data(19, n_samples=20)
-    model = small(**{name: value})
-    with pytest.raises(ValueError, match=rf"`{name}` must be a finite number > 0, got"):
-        model.fit(X, Y)
-
-
-@pytest.mark.parametrize("value", ["abc", True, None, 1j])
-@pytest.mark.parametrize("name", ["C", "sigma", "epsilon", "tol", "kernel_tol"])
-def test_values_that_are_no_numbers_are_refused(name, value):
-    X, Y = smooth_data(19, n_samples=20)
-    model = small(**{name: value})
-    with pytest.raises(TypeError, match=f"`{name}` must be a finite number .*, got"):
-        model.fit(X, Y)
-
-
-@pytest.mark.parametrize(
-    ("settings", "error", "message"),
-    [
-        ({"epsilon": -0.1}, ValueError, "`epsilon` must be a finite number >= 0, got -0.1"),
-        ({"max_iter": 0}, ValueError, "`max_iter` must be a whole number >= 1"),
-        ({"max_iter": 2.5}, TypeError, "`max_iter` must be a whole number >= 1, got 2.5"),
-        ({"n_components": 0}, ValueError, "`n_components` must be a whole number >= 1"),
-        ({"feature_map": "fourier"}, ValueError, r"`feature_map` must be one of .*'fourier'"),
-        (
-            {"dtype": "float16"},
-            ValueError,
-            "`dtype` must be one of .*'float64', 'float32'.*, got 'float16'",
-        ),
-        *(
-            (
-                {"dtype": "float32", "feature_map": name},
-                ValueError,
-                f"feature_map='{name}' needs dtype='float64'",
-            )
-            for name in ("nystroem", "equispaced", "exact")
-        ),
-    ],
-)
-def test_wrong_settings_are_named(settings, error, message):
-    X, Y = smooth_data(19, n_samples=20)
-    model = small(**settings)
-    with pytest.raises(error, match=message):
-        model.fit(X, Y)
-
-
-@pytest.mark.parametrize("bad", [np.nan, np.inf])
-def test_missing_inputs_are_refused(bad):
-    X, Y = smooth_data(20, n_samples=20)
-    fitted, spoilt = small().fit(X, Y), X.copy()
-    spoilt[3, 1] = bad
-    with pytest.raises(ValueError, match=r"Input X contains (NaN|infinity)"):
-        small().fit(spoilt, Y)
-    with pytest.raises(ValueError, match=r"Input X contains (NaN|infinity)"):
-        fitted.predict(spoilt)
-
-
-def test_missing_outputs_are_refused():
-    X, Y = smooth_data(20, n_samples=20)
-    Y[3, 1] = np.nan
-    with pytest.raises(ValueError, match="Input y contains NaN"):
-        small().fit(X, Y)
-
-
-def test_unfitted_model_says_so():
-    with pytest.raises(NotFittedError, match="not fitted yet"):
-        small().predict(np.zeros((2, 2)))
-    with pytest.raises(NotFittedError, match="not fitted yet"):
-        small().state()
-
-
-@pytest.mark.parametrize("missing", ["coef", "intercept", "map.random_weights"])
-def test_state_with_missing_arrays_is_refused(missing):
-    X, Y = smooth_data(21, n_samples=20)
-    state = small().fit(X, Y).state()
-    del state[missing]
-    with pytest.raises(ValueError, match="not those of an MSVR model"):
-        small().restore(state)
-
-
 def test_state_of_another_map_is_refused():
     X, Y = smooth_data(21, n_samples=20)
     state = small(feature_map="nystroem").fit(X, Y).state()
@@ -286,33 +89,10 @@ def test_state_of_another_map_is_refused():
         small(feature_map="rff").restore(state)
 
 
-def test_state_with_disagreeing_shapes_is_refused():
-    X, Y = smooth_data(21, n_samples=20)
-    state = small().fit(X, Y).state()
-    state["coef"] = state["coef"][:-1]
-    with pytest.raises(ValueError, match="coef has shape"):
-        small().restore(state)
-
-
-def _features(model, X):
-    """Phi, read off the predictions of unit coefficients."""
-    state = model.state() | {"coef": np.eye(len(model.coef_))}
-    state["intercept"] = np.zeros(len(model.coef_))
-    return MSVR(**model.get_params()).restore(state).predict(X)
-
-
 def test_singular_system_is_named():
     X = np.random.default_rng(0).standard_normal((200, 3))
     with pytest.raises(ValueError, match=r"singular to working precision.*lower C"):
         MSVR(C=1e17, n_components=200).fit(X, X[:, :2])
-
-
-def test_wrong_kinds_of_settings_are_named():
-    X = np.random.default_rng(0).standard_normal((20, 3))
-    with pytest.raises(ValueError, match="`feature_map` must be one of"):
-        MSVR(feature_map=["rff"]).fit(X, X[:, :2])
-    with pytest.raises(TypeError, match="`fit_intercept` must be True or False"):
-        MSVR(fit_intercept="no").fit(X, X[:, :2])
 
 
 def test_kernel_tol_decides_the_number_of_landmarks():
@@ -322,15 +102,6 @@ def test_kernel_tol_decides_the_number_of_landmarks():
         for tol in (1e-1, 1e-3, 1e-6)
     ]
     assert sizes[0] < sizes[1] < sizes[2] < 150
-
-
-@pytest.mark.parametrize("feature_map", ["rff", "orf", "exact"])
-def test_kernel_tol_is_not_used_by_other_maps(feature_map):
-    X, Y = smooth_data(22, n_samples=40)
-    first, second = (
-        small(feature_map=feature_map, kernel_tol=tol).fit(X, Y).predict(X) for tol in (0.5, 1e-9)
-    )
-    np.testing.assert_array_equal(first, second)
 
 
 @pytest.mark.usefixtures("_finufft_where_needed")
@@ -361,16 +132,6 @@ def test_cross_predictions_are_those_of_separate_fits(feature_map, fit_intercept
             atol = 1e-9 if setting.get("epsilon") == 0 else 1e-5
             np.testing.assert_allclose(predicted, plain.predict(X[rows]), atol=atol, rtol=0)
     assert not hasattr(model, "coef_")
-
-
-def test_cross_predictions_check_each_setting():
-    X, Y = smooth_data(24, n_samples=30)
-    predict = small().cross_predictor(X, Y, np.array_split(np.arange(30), 3))
-    with pytest.raises(ValueError, match="`C` must be a finite number > 0"):
-        predict({"C": -1.0})
-    with pytest.raises(ValueError, match="singular to working precision"):
-        predict({"C": 1e20})
-    assert len(predict({"C": 1.0})) == 3
 
 
 @pytest.mark.parametrize("feature_map", MAPS)
@@ -443,7 +204,7 @@ def test_sample_weights_of_the_grid_are_those_of_the_exact_kernel():
     X, Y = smooth_data(0, 60)
     weights = np.random.default_rng(0).uniform(0.1, 3, 60)
     found = [
-        small(feature_map=name, epsilon=0.1, kernel_tol=1e-10, sigma=1.0)
+        small(feature_map=name, epsilon=0.1, kernel_tol=1e-7, sigma=1.5)
         .fit(X[:, :2], Y, sample_weight=weights)
         .predict(X[:, :2])
         for name in ("equispaced", "exact")
@@ -513,3 +274,48 @@ def test_equispaced_says_beforehand_what_it_will_cost(monkeypatch):
     monkeypatch.setattr("suspnet.learning.equispaced.MANY_WAVES", 5)
     with pytest.warns(UserWarning, match=r"modes for 60 samples: about .* GB, and .* operations"):
         small(feature_map="equispaced").fit(X[:, :2], Y)
+
+
+@pytest.mark.parametrize(
+    ("solver", "fit_intercept"), [("newton", True), ("newton", False), ("irwls", True)]
+)
+def test_one_output_in_a_tube_of_half_the_samples(solver, fit_intercept):
+    X, Y = smooth_data(2, n_samples=60, noise=0.3)
+    setting = {"C": 5.0, "sigma": 1.5, "epsilon": 0.25}
+    model = MSVR(
+        feature_map="exact",
+        fit_intercept=fit_intercept,
+        solver=solver,
+        tol=1e-10,
+        max_iter=3000,
+        **setting,
+    ).fit(X, Y[:, 0])
+    predicted = model.predict(X)
+    outside = np.abs(Y[:, 0] - predicted) > setting["epsilon"]
+    assert 0.35 < outside.mean() == model.support_fraction_ < 0.65
+    # L-BFGS on the same functional, with a root of the kernel as features
+    values, vectors = np.linalg.eigh(naive_rbf(X, X, setting["sigma"]))
+    Phi = vectors * np.sqrt(values.clip(min=0))
+    W, b, minimum = lbfgs_msvr(Phi, Y[:, :1], setting["C"], setting["epsilon"], fit_intercept)
+    assert model.objective_ == pytest.approx(minimum, rel=1e-9)
+    np.testing.assert_allclose(predicted, (Phi @ W + b)[:, 0], atol=1e-4, rtol=0)
+    # the absolute loss gives another minimum, but in the same direction
+    other = SVR(C=2.0, sigma=setting["sigma"], epsilon=setting["epsilon"])
+    svr = other.fit(X, Y[:, 0]).predict(X)
+    assert np.ptp(svr) > 4 * setting["epsilon"]
+    assert np.corrcoef(predicted, svr)[0, 1] > 0.95
+    assert np.abs(predicted - svr).max() < 2 * setting["epsilon"]
+
+
+@pytest.mark.parametrize("shift", [0.0, 5.0])
+@pytest.mark.parametrize("solver", ["newton", "irwls"])
+def test_exact_kernel_with_all_samples_inside_the_tube(solver, shift):
+    """With a shift, all samples are outside at the start and none at the minimum."""
+    X, Y = smooth_data(2, n_samples=60)
+    model = small(feature_map="exact", epsilon=4.0, solver=solver).fit(X, Y + shift)  # no warning
+    assert model.support_fraction_ == 0
+    assert model.objective_ == pytest.approx(0, abs=1e-12)
+    assert (model.n_iter_ > 0) == (shift > 0)
+    predicted = model.predict(X)
+    assert np.linalg.norm(Y + shift - predicted, axis=1).max() <= 4.0 + 1e-9
+    assert np.ptp(predicted, axis=0).max() < 1e-6

@@ -2,19 +2,17 @@
 
 import numpy as np
 import pytest
-import torch
 from learning_reference import (
     draw_matrix_normal,
     matrix_normal_logpdf,
     naive_rbf,
     smooth_data,
 )
-from sklearn.exceptions import ConvergenceWarning, NotFittedError
+from sklearn.exceptions import ConvergenceWarning
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
 
-from suspnet.learning import MVGPR, mvgpr
-from suspnet.learning.mvgpr import log_marginal_likelihood
+from suspnet.learning import MVGPR
 
 LENGTH, SIGNAL, NOISE = 0.9, 1.7, 0.02
 OMEGA = np.array([[1.2, 0.5], [0.5, 0.8]])
@@ -95,20 +93,6 @@ def test_omega_maximises_the_likelihood():
         assert matrix_normal_logpdf(centred, covariance(X), other) < best
 
 
-def test_profiled_likelihood_has_the_gradient_of_finite_differences():
-    X, Y = smooth_data(5, n_samples=15)
-    targets, inputs = torch.tensor(Y), torch.tensor(X)
-    squared = torch.cdist(inputs, inputs).square()
-
-    def value(logs):
-        kernel = torch.exp(-0.5 * squared * torch.exp(-2 * logs[0]))
-        kernel = kernel + torch.exp(logs[1]) * torch.eye(len(X), dtype=torch.float64)
-        return log_marginal_likelihood(targets, torch.linalg.cholesky(kernel))[0]
-
-    logs = torch.tensor([0.1, -3.0], dtype=torch.float64, requires_grad=True)
-    assert torch.autograd.gradcheck(value, logs)
-
-
 def test_optimiser_recovers_the_kernel_of_the_data(optimised):
     _, _, model = optimised
     assert model.converged_
@@ -151,9 +135,9 @@ def test_optimised_omega_has_mean_diagonal_one(optimised):
 def test_intervals_cover_what_they_promise():
     coverages = []
     for seed in range(5):
-        X, Y = drawn_from_the_model(300, seed)
-        mean, std = fixed().fit(X[:200], Y[:200]).predict(X[200:], return_std=True)
-        coverages.append(np.mean(np.abs(Y[200:] - mean) < 1.96 * std))
+        X, Y = drawn_from_the_model(160, seed)
+        mean, std = fixed().fit(X[:80], Y[:80]).predict(X[80:], return_std=True)
+        coverages.append(np.mean(np.abs(Y[80:] - mean) < 1.96 * std))
     # One draw deviates by about 2.5 % (correlated trials), the mean of five by 1.1 %.
     assert 0.925 < np.mean(coverages) < 0.975
 
@@ -169,14 +153,6 @@ def test_covariance_has_the_variances_on_its_diagonal(pair):
     omega = ours.omega_
     expected = omega[0, 1] / np.sqrt(omega[0, 0] * omega[1, 1])
     np.testing.assert_allclose(correlation, expected, rtol=1e-10)
-
-
-def test_far_away_the_prior_is_left(pair):
-    ours, _, Y, _ = pair
-    mean, std = ours.predict(np.full((1, 2), 100.0), return_std=True)
-    np.testing.assert_allclose(mean[0], Y.mean(axis=0), rtol=1e-12)
-    expected = np.sqrt((SIGNAL + NOISE) * np.diag(ours.omega_))
-    np.testing.assert_allclose(std[0], expected, rtol=1e-12)
 
 
 @pytest.mark.parametrize("factor", [0.01, 30.0])
@@ -198,15 +174,6 @@ def test_mixing_the_outputs_mixes_mean_and_omega():
     plain, mixed = fixed().fit(X, Y), fixed().fit(X, Y @ A)
     np.testing.assert_allclose(mixed.predict(X), plain.predict(X) @ A, atol=1e-10, rtol=0)
     np.testing.assert_allclose(mixed.omega_, A.T @ plain.omega_ @ A, rtol=1e-8)
-
-
-def test_one_output_keeps_its_shape():
-    X, Y = smooth_data(8, n_samples=30)
-    mean, std = fixed().fit(X, Y[:, 0]).predict(X, return_std=True)
-    assert mean.shape == std.shape == (30,)
-    column, column_std = fixed().fit(X, Y[:, :1]).predict(X, return_std=True)
-    np.testing.assert_array_equal(column[:, 0], mean)
-    np.testing.assert_array_equal(column_std[:, 0], std)
 
 
 def test_optimisation_on_a_part_still_conditions_on_all():
@@ -232,51 +199,6 @@ def test_callback_hears_of_each_evaluation():
     assert max(told.log_likelihood for told in heard) > heard[0].log_likelihood + 1
 
 
-def test_same_seed_gives_the_same_numbers():
-    X, Y = drawn_from_the_model(60, seed=11)
-    first, again, other = (
-        MVGPR(random_state=seed, n_optimize=30, n_restarts=1).fit(X, Y) for seed in (0, 0, 1)
-    )
-    np.testing.assert_array_equal(first.predict(X), again.predict(X))
-    assert first.length_scale_ == again.length_scale_ != other.length_scale_
-
-
-def test_fit_changes_neither_parameters_nor_data():
-    X, Y = drawn_from_the_model(30, seed=12)
-    kept_X, kept_Y = X.copy(), Y.copy()
-    model = MVGPR(n_restarts=0)
-    before = model.get_params()
-    model.fit(X, Y).predict(X, return_std=True)
-    assert model.get_params() == before
-    np.testing.assert_array_equal(X, kept_X)
-    np.testing.assert_array_equal(Y, kept_Y)
-
-
-def test_constructor_only_stores():
-    odd = {name: object() for name in MVGPR().get_params()}
-    assert vars(MVGPR(**odd)) == odd
-
-
-def test_restored_model_predicts_bit_for_bit(optimised):
-    _, _, model = optimised
-    state = {name: array.copy() for name, array in model.state().items()}
-    restored = MVGPR(**model.get_params()).restore(state)
-    X_test = np.random.default_rng(13).uniform(-4, 4, (50, 2))
-    np.testing.assert_array_equal(restored.predict(X_test), model.predict(X_test))
-    for option in ("return_std", "return_cov"):
-        found = restored.predict(X_test, **{option: True})
-        expected = model.predict(X_test, **{option: True})
-        np.testing.assert_array_equal(found[1], expected[1])
-
-
-def test_prediction_in_chunks_is_the_whole(monkeypatch, pair):
-    ours, _, _, X_test = pair
-    whole = ours.predict(X_test, return_std=True)
-    monkeypatch.setattr(mvgpr, "PREDICT_ROWS", 7)
-    for found, expected in zip(ours.predict(X_test, return_std=True), whole, strict=True):
-        np.testing.assert_allclose(found, expected, atol=1e-12, rtol=0)
-
-
 def test_kernel_that_is_not_positive_definite_is_refused():
     X = np.random.default_rng(14).uniform(0, 1, (200, 1))
     Y = np.column_stack([np.sin(X[:, 0]), np.cos(X[:, 0])])
@@ -291,67 +213,3 @@ def test_too_few_iterations_warn():
     with pytest.warns(ConvergenceWarning, match="did not converge in 1 iterations"):
         model.fit(X, Y)
     assert not model.converged_
-
-
-@pytest.mark.parametrize("value", [0, -1, np.inf, np.nan])
-@pytest.mark.parametrize("name", ["length_scale", "signal_variance", "noise_variance"])
-def test_values_out_of_range_are_refused(name, value):
-    X, Y = smooth_data(16, n_samples=10)
-    model = MVGPR(**{name: value})
-    with pytest.raises(ValueError, match=rf"`{name}` must be a finite number > 0, got"):
-        model.fit(X, Y)
-
-
-@pytest.mark.parametrize(
-    ("settings", "error", "message"),
-    [
-        (
-            {"length_scale": "abc"},
-            TypeError,
-            "`length_scale` must be a finite number .*, got 'abc'",
-        ),
-        (
-            {"noise_variance": True},
-            TypeError,
-            "`noise_variance` must be a finite number .*, got True",
-        ),
-        ({"n_restarts": -1}, ValueError, "`n_restarts` must be a whole number >= 0"),
-        ({"n_optimize": 1}, ValueError, "`n_optimize` must be a whole number >= 2"),
-        ({"max_iter": 1.5}, TypeError, "`max_iter` must be a whole number"),
-        ({"optimizer": "adam"}, ValueError, "`optimizer` must be .*, got 'adam'"),
-    ],
-)
-def test_wrong_settings_are_named(settings, error, message):
-    X, Y = smooth_data(16, n_samples=10)
-    model = MVGPR(**settings)
-    with pytest.raises(error, match=message):
-        model.fit(X, Y)
-
-
-def test_missing_inputs_are_refused():
-    X, Y = smooth_data(16, n_samples=10)
-    X[2, 0] = np.nan
-    with pytest.raises(ValueError, match="Input X contains NaN"):
-        MVGPR().fit(X, Y)
-
-
-def test_unfitted_model_says_so():
-    with pytest.raises(NotFittedError, match="not fitted yet"):
-        MVGPR().predict(np.zeros((2, 2)))
-
-
-@pytest.mark.parametrize("missing", ["samples", "weights", "mean", "omega", "kernel"])
-def test_state_with_missing_arrays_is_refused(missing):
-    X, Y = smooth_data(16, n_samples=10)
-    state = fixed().fit(X, Y).state()
-    del state[missing]
-    with pytest.raises(ValueError, match="not those of an MVGPR model"):
-        fixed().restore(state)
-
-
-def test_state_with_disagreeing_shapes_is_refused():
-    X, Y = smooth_data(16, n_samples=10)
-    state = fixed().fit(X, Y).state()
-    state["weights"] = state["weights"][:-1]
-    with pytest.raises(ValueError, match="weights have shape"):
-        fixed().restore(state)

@@ -1,8 +1,6 @@
 """One fit spread over processes is the fit of one process."""
 
 import json
-import socket
-from contextlib import ExitStack
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +8,7 @@ import pytest
 import torch
 import torch.multiprocessing
 from cli_runner import SMALL, command, run_main, typed
-from forked import forks, started
+from forked import forks
 from rank_worker import CASES, N_RANKS, arrays, samples, work
 from safetensors.numpy import load_file
 
@@ -69,27 +67,6 @@ def test_torchrun_trains_the_model_of_one_process(tmp_path):
     ended = torchrun(N_TORCHRUN, "hydra.run.dir=two", cwd=tmp_path)
     assert ended.returncode == 0, ended.stderr
     is_the_model_of_one_process(tmp_path, ended.stdout)
-
-
-@pytest.mark.slow  # ranks find the same model in test_every_rank_finds_the_model_of_one_process
-def test_ranks_train_the_model_of_one_process(tmp_path):
-    with socket.create_server(("127.0.0.1", 0)) as free:
-        port = str(free.getsockname()[1])
-    world = {"TORCHELASTIC_RUN_ID": "none", "WORLD_SIZE": str(N_TORCHRUN)}
-    world |= {"MASTER_ADDR": "127.0.0.1", "MASTER_PORT": port}
-    arguments = [*SMALL, "threads=1", "hydra.run.dir=two"]
-    with ExitStack() as stack:
-        begun = [
-            stack.enter_context(
-                started(train, *arguments, cwd=tmp_path, **world, RANK=rank, LOCAL_RANK=rank)
-            )
-            for rank in map(str, range(N_TORCHRUN))
-        ]
-        for process, _, errors in begun:
-            process.join(120)
-            assert process.exitcode == 0, errors.read_text()
-        printed = "".join(output.read_text() for _, output, _ in begun)
-    is_the_model_of_one_process(tmp_path, printed)
 
 
 def is_the_model_of_one_process(tmp_path, printed):

@@ -48,16 +48,16 @@ def test_interrupted_simulation_goes_on_and_ends_as_if_uninterrupted(
 ):
     before = contents(stopped)
     assert "truth.json" not in before
-    written, write_trip = [], writing._write_trip
+    written, write = [], writing.write_manifest
 
-    def counted(trip, **options):
-        written.append(trip[1])
-        return write_trip(trip, **options)
+    def counted(manifest):
+        written.append(manifest.name)
+        return write(manifest)
 
-    monkeypatch.setattr(writing, "_write_trip", counted)
+    monkeypatch.setattr(writing, "write_manifest", counted)
     with caplog.at_level(logging.INFO):
         paths = simulate(stopped)
-    assert written == [2, 3]
+    assert written == ["trip_003", "trip_004"]
     assert "2 of 4 trips are written, continuing" in caplog.text
     assert [path.name for path in paths] == [f"trip_{i:03d}.yaml" for i in range(1, 5)]
     simulate(tmp_path / "whole")

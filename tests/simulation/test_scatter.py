@@ -10,7 +10,6 @@ from vehicles import AM96
 
 from suspnet.dynamics import PARAMETERS, QuarterCar, VerticalVehicle
 from suspnet.dynamics.quantities import IN_MOTION, QUANTITIES, UNMEASURED, LogNormal
-from suspnet.simulation import true_vehicle as scatter
 from suspnet.simulation.true_vehicle import scattered, true_numbers
 
 FAMILY = VerticalVehicle(AM96, parts=IN_MOTION[:-1], sensor_lateral_m=(1.0, 1.0, 1.0))
@@ -54,7 +53,7 @@ def test_vehicle_moves_as_its_numbers_say():
 
 def test_numbers_are_as_far_off_as_their_priors_say():
     prior = LogNormal.prior(FAMILY.parts)
-    ratios = [true_numbers(scattered(FAMILY, 1.0, seed)) for seed in range(60)]
+    ratios = [true_numbers(scattered(FAMILY, 1.0, seed)) for seed in range(40)]
     standard = np.array(
         [
             [standardised(name, one[name]["ratio"]) for one in ratios]
@@ -62,7 +61,7 @@ def test_numbers_are_as_far_off_as_their_priors_say():
             if not QUANTITY[name].may_be_absent
         ]
     )
-    # 60 draws: standard error 0.13 of a mean, 0.09 of a deviation, five times that; a vehicle that
+    # 40 draws: standard error 0.16 of a mean, 0.11 of a deviation, four times that; a vehicle that
     # is drawn anew for a loss too large takes a little off
     assert np.abs(standard.mean(axis=1)).max() < 0.65
     assert np.abs(standard.std(axis=1) - 1).max() < 0.45
@@ -71,22 +70,17 @@ def test_numbers_are_as_far_off_as_their_priors_say():
     for name in ABSENT:
         found = np.array([one[name]["ratio"] for one in ratios])
         # a draw below 0 is 0: of these normal numbers only the upper part is compared
-        present = np.sort([standardised(name, ratio) for ratio in found])[-20:]
+        present = np.sort([standardised(name, ratio) for ratio in found])[-14:]
         least = -math.log(2) / QUANTITY[name].deviation
         below = np.mean(found == 0)
         assert below == pytest.approx(stats.norm.cdf(least), abs=0.19)
-        expected = stats.norm.ppf((np.arange(40, 60) + 0.5) / 60)
+        expected = stats.norm.ppf((np.arange(26, 40) + 0.5) / 40)
         assert present.mean() == pytest.approx(expected.mean(), abs=0.65)
 
 
 def test_what_may_be_absent_is_never_negative():
-    found = np.array(
-        [
-            [true_numbers(scattered(FAMILY, scale, seed))[name]["ratio"] for name in ABSENT]
-            for scale, seeds in ((1.0, range(3)), (3.0, range(12)))
-            for seed in seeds
-        ]
-    )
+    drawn = [true_numbers(scattered(FAMILY, 3.0, seed)) for seed in range(12)]
+    found = np.array([[numbers[name]["ratio"] for name in ABSENT] for numbers in drawn])
     assert (found >= 0).all()
     assert (found == 0).any(axis=0).all()
     assert (found > 0).any(axis=0).all()
@@ -121,13 +115,6 @@ def test_numbers_of_absent_parts_are_left_out():
 # property
 
 
-def test_same_seed_draws_the_same_vehicle_and_another_another():
-    first, again, other = (true_numbers(scattered(FAMILY, 1.0, seed)) for seed in (4, 4, 5))
-    assert first == again
-    for name in LogNormal.prior(FAMILY.parts).names:
-        assert first[name]["ratio"] != other[name]["ratio"]
-
-
 def test_scatter_multiplies_the_deviations():
     one, half = (true_numbers(scattered(FAMILY, scale, 4)) for scale in (1.0, 0.5))
     for name, number in one.items():
@@ -135,16 +122,6 @@ def test_scatter_multiplies_the_deviations():
         if QUANTITY[name].deviation:
             whole, less = (standardised(name, x[name]["ratio"]) for x in (one, half))
             assert less == pytest.approx(whole / 2, abs=1e-12)
-
-
-def test_vehicle_whose_motion_would_grow_is_drawn_anew():
-    large = [scattered(FAMILY, 3.0, seed) for seed in range(20)]
-    for vehicle in large:
-        a, *_ = vehicle.motion_system(torch.ones(5)).state_space()
-        assert np.linalg.eigvals(a).real.max() < 0
-    # about a third of the losses drawn are too large to hold a vehicle up
-    losses = [true_numbers(vehicle)["rubber_loss"]["value"] for vehicle in large]
-    assert max(losses) < 0.41
 
 
 # failure
@@ -159,9 +136,3 @@ def test_scatter_out_of_range_is_rejected(value):
 def test_generator_without_numbers_is_rejected():
     with pytest.raises(TypeError, match="`scatter` needs a generator of suspnet, got object"):
         scattered(object(), 1.0, 0)
-
-
-def test_draws_have_a_bound(monkeypatch):
-    monkeypatch.setattr(scatter, "_decays", lambda _: False)
-    with pytest.raises(ValueError, match=r"none of 100 vehicles drawn with `scatter`=1.0 is phys"):
-        scattered(FAMILY, 1.0, 0)

@@ -42,22 +42,6 @@ def test_ratios_follow_the_mileage(name, change):
     np.testing.assert_allclose(ratios, expected, rtol=1e-12)
 
 
-def test_several_changes_at_once():
-    changes = {"k_s": STEP, "c_s": FADE | {"ratio": 0.7}, "M_s": FADE}
-    np.testing.assert_allclose(
-        steady(changes).ratios(MILEAGE, seed=0),
-        trips_reference.degraded_ratios(MILEAGE, changes, PARAMETERS),
-        rtol=1e-12,
-    )
-
-
-def test_values_by_hand():
-    mileage = np.array([0.0, 100_000.0, 125_000.0, 150_000.0, 200_000.0, 1e6])
-    ratios = steady({"c_p": FADE}).ratios(mileage, seed=0)
-    np.testing.assert_allclose(ratios[:, 1], [1.0, 1.0, 0.9, 0.8, 0.6, 0.6], rtol=1e-12)
-    np.testing.assert_array_equal(ratios[:, [0, 2, 3, 4]], 1.0)
-
-
 def test_blocked_choke_has_the_stiffness_of_the_air_spring_with_no_flow():
     nominal = {one.name: one.nominal for one in QUANTITIES if one.part == "air_spring"}
     numbers = {
@@ -99,13 +83,6 @@ def test_pay_load_and_spread_are_uniform_in_their_ranges():
     np.testing.assert_allclose(uniform.mean(axis=0), 0.5, atol=0.01)
     np.testing.assert_allclose(uniform.var(axis=0), 1 / 12, atol=0.003)
     assert np.abs(np.corrcoef(uniform.T) - np.eye(5)).max() < 5 / math.sqrt(n)
-
-
-def test_spread_multiplies_the_degradation():
-    spread = steady({}, spread=0.3).ratios(MILEAGE, seed=5)
-    both = steady({"c_p": FADE}, spread=0.3).ratios(MILEAGE, seed=5)
-    fade = trips_reference.degraded_ratios(MILEAGE, {"c_p": FADE}, PARAMETERS)
-    np.testing.assert_allclose(both, spread * fade, rtol=1e-12)
 
 
 @given(st.integers(0, 2**32), st.floats(0.0, 0.9))

@@ -116,40 +116,16 @@ def test_change_of_a_parameter_is_that_of_each_of_its_parts():
     np.testing.assert_allclose(found, [np.ones(13), expected], rtol=1e-12)
 
 
-# limit
-
-
-def test_three_sensors_stay_where_no_part_is_named(tmp_path):
-    (path,) = write_fleet(tmp_path, simulation(Scenario("whole", {"c_p": FADE}), n_trips=1))
-    assert set(read_manifest(path).truth) == {"k_p", "c_p", "k_s", "c_s", "M_s"}
-
-
-def test_without_scatter_the_healthy_parts_of_a_kind_are_equal():
-    numbers = true_numbers(with_separate_parts(FAMILY))
-    assert {numbers[f"healthy_{name}"]["ratio"] for name in COMPONENTS[:-1]} == {1.0}
-
-
 # property
 
 
 def test_healthy_parts_of_a_kind_differ_by_5_percent():
     vehicle = with_separate_parts(FAMILY)
-    drawn = [true_numbers(scattered(vehicle, 1.0, seed)) for seed in range(20)]
+    drawn = [true_numbers(scattered(vehicle, 1.0, seed)) for seed in range(8)]
     logs = np.log([[one[f"healthy_{name}"]["ratio"] for name in COMPONENTS[:-1]] for one in drawn])
-    # 240 draws: standard errors 0.0032 and 0.0023
-    assert abs(logs.mean()) < 0.016
-    assert logs.std() == pytest.approx(0.05, abs=0.0115)
-
-
-def test_trips_are_those_of_their_seed(tmp_path):
-    first, again, other = (
-        write_fleet(tmp_path / str(i), replace(simulation(), seed=seed))
-        for i, seed in enumerate((4, 4, 5))
-    )
-    assert read_json(first[0].parent / "truth.json") == read_json(again[0].parent / "truth.json")
-    for one, same in zip(first, again, strict=True):
-        np.testing.assert_array_equal(signals_of(one), signals_of(same))
-    assert not np.allclose(signals_of(first[0]), signals_of(other[0]))
+    # 96 draws: standard errors 0.0051 and 0.0036
+    assert abs(logs.mean()) < 0.02
+    assert logs.std() == pytest.approx(0.05, abs=0.0145)
 
 
 def test_settings_of_a_fleet_hold_for_parts(tmp_path):

@@ -22,7 +22,6 @@ from suspnet.recordings.manifest_sources import Channel, SpeedSource
 from suspnet.simulation.fleet import FIRST_DAY, Scenario
 from suspnet.simulation.signals import (
     BLOCK,
-    LEAD_IN_S,
     Journey,
     profile_length_m,
     simulate_trip,
@@ -185,16 +184,6 @@ def test_train_that_stands_feels_nothing():
     assert np.abs(signals[:, 600:]).max(axis=1).min() > 0
 
 
-def test_profile_is_just_as_long_as_needed():
-    for name, generator in GENERATORS.items():
-        system, journey = generator.motion_system(DEGRADED), steady_journey(20.0, 5.0)
-        length_m = profile_length_m(system, journey)
-        apart = max(system.behind_m) - min(system.behind_m)
-        # a margin of 50 m at either end
-        assert length_m == pytest.approx(100 + 20 * (5 + LEAD_IN_S) + apart), name
-        assert simulate_trip(system, waves(length_m, 20.0, [1.0]), journey, 100.0).shape == (3, 500)
-
-
 # property
 
 
@@ -224,18 +213,6 @@ def test_same_seed_writes_the_same_bytes(tmp_path):
     changed = {name for name in first if first[name] != other[name]}
     assert changed == {name for name in first if not name.endswith("speed.parquet")}
     assert first["trip_001/bogie.parquet"] != first["trip_002/bogie.parquet"]
-
-
-def test_trip_depends_on_its_own_number_alone(tmp_path):
-    write_fleet(
-        tmp_path / "one", Simulation(fleet(n_trips=1), ONE_LOAD, GENERATORS["quarter_car"], seed=4)
-    )
-    write_fleet(
-        tmp_path / "two", Simulation(fleet(n_trips=2), ONE_LOAD, GENERATORS["quarter_car"], seed=4)
-    )
-    one, two = contents(tmp_path / "one"), contents(tmp_path / "two")
-    for name in CHANNELS:
-        assert one[f"trip_001/{name}.parquet"] == two[f"trip_001/{name}.parquet"]
 
 
 def test_files_are_those_of_the_manifest(tmp_path):
@@ -340,27 +317,6 @@ def test_sensors_add_their_own_noise_on_each_trip(tmp_path):
     assert np.abs(np.corrcoef(tracks) - np.eye(4)).max() < 0.3
 
 
-def test_secondary_spring_of_a_laden_body_follows_its_law_of_the_load(tmp_path):
-    laden = Scenario("laden", mass_low=1.25, mass_high=1.25)
-    stiffer = replace(laden, changes={"k_s": {"from_km": -1.0, "to_km": -1.0, "ratio": 1.25**0.7}})
-    plain = VerticalVehicle(AM96, other_bogie="same")  # the load is on both bogies
-    law = VerticalVehicle(AM96, parts=("payload",), nominal={"stiffness_exponent": 0.7})
-    sensors = {name: {"rate_hz": 200.0, "snr_db": None} for name in CHANNELS}
-    bodies = {}
-    for name, scenario, generator in (
-        ("law", laden, law),
-        ("by hand", stiffer, plain),
-        ("none", laden, plain),
-    ):
-        (path, *_) = write_fleet(
-            tmp_path / name, Simulation(fleet(sensors=sensors, n_trips=1), scenario, generator)
-        )
-        bodies[name] = column(tmp_path / name / "trip_001" / "body.parquet")
-        assert (read_manifest(path).truth["k_s"] == 1) == (name != "by hand")
-    np.testing.assert_allclose(bodies["law"], bodies["by hand"], rtol=1e-4, atol=1e-6)
-    assert np.abs(bodies["none"] - bodies["by hand"]).max() > 0.01 * bodies["none"].std()
-
-
 def test_service_journey_is_written_with_its_speed(tmp_path):
     trips = fleet(n_trips=1, journey="service", n_stops=1, minutes=10.0, speed_m_per_s=20.0)
     (path,) = write_fleet(tmp_path, Simulation(trips, ONE_LOAD, GENERATORS["quarter_car"], seed=2))
@@ -376,16 +332,6 @@ def test_service_journey_is_written_with_its_speed(tmp_path):
     moving = np.abs(signals[:, 100 * 200 : 200 * 200]).max(axis=1)
     # what is left while it stands is the sensors' noise of 2 % and the last swings
     assert (standing < 0.2 * moving).all()
-
-
-def test_another_journey_each_trip():
-    trips = fleet(journey="service", minutes=20.0)
-    assert trips.journey_of(1).distance_m != trips.journey_of(2).distance_m
-    assert fleet(speed_m_per_s=33.0).journey_of(1).distance_m == pytest.approx(33 * 12)
-
-
-def test_mileages_lie_evenly():
-    np.testing.assert_allclose(fleet(n_trips=4).mileage_km(), [250.0, 500.0, 750.0, 1000.0])
 
 
 def test_loggers_are_those_of_table_2_unless_given():
@@ -446,22 +392,6 @@ def test_one_sensor_alone_is_the_left_one_of_both(tmp_path):
             np.testing.assert_allclose(alone, placed[where], rtol=1e-5, atol=1e-6)
 
 
-def test_mean_level_of_the_track_is_the_same_with_and_without_cross_level(tmp_path):
-    sensors = {name: {"rate_hz": 200.0, "snr_db": None} for name in CHANNELS}
-    trips = fleet(n_trips=1, sensors=sensors)
-    plain = replace(FAMILY, parts=())
-    for name, generator in (("family", FAMILY), ("plain", plain)):
-        write_fleet(tmp_path / name, Simulation(trips, ONE_LOAD, generator))
-    left, right = pair(tmp_path / "family", "trip_001", "axle_box")
-    track = column(tmp_path / "plain" / "trip_001" / "axle_box.parquet")
-    np.testing.assert_allclose((left + right) / 2, track, rtol=0, atol=1e-5 * np.abs(track).max())
-    # half the difference is the cross level: half the density of the mean but for waves longer than
-    # 14 m, 1 m over 0.75 m
-    ratio = np.std((left - right) / 2) / np.std(track)
-    assert ratio == pytest.approx(math.sqrt(0.5) / 0.75, rel=0.2)
-    assert abs(np.corrcoef((left - right) / 2, track)[0, 1]) < 0.2
-
-
 def test_scattered_fleet_says_what_it_was_and_wears_relative_to_it(tmp_path):
     for folder, trips in (("two", 2), ("three", 3)):
         write_fleet(
@@ -504,12 +434,6 @@ def test_both_sides_of_a_vehicle_without_roll_are_rejected(tmp_path):
 def test_settings_out_of_range_are_rejected(changes, message):
     with pytest.raises((TypeError, ValueError), match=message):
         fleet(**changes)
-
-
-def test_profile_too_short_for_the_journey_is_rejected():
-    system = GENERATORS["quarter_car"].motion_system(DEGRADED)
-    with pytest.raises(ValueError, match="make a longer profile"):
-        simulate_trip(system, waves(100.0, 20.0, [1.0]), steady_journey(20.0, 5.0), 100.0)
 
 
 def test_service_journey_too_short_for_its_stops_is_rejected(tmp_path):

@@ -10,13 +10,11 @@ import pytest
 import reference
 import torch
 import trips_reference
-from scipy.signal import get_window
 from vehicles import AM96
 
 from suspnet.dynamics import QuarterCar, VerticalVehicle
 from suspnet.spectra import expected_spectra as module
 from suspnet.spectra.cross_spectra import PAIRS, CrossSpectra, moving_average_with, sample_spectra
-from suspnet.spectra.estimate_observer import EstimateObserver
 from suspnet.spectra.estimates import SPEED_HALF_WIDTH, EstimateSettings
 from suspnet.spectra.segments import Speeds
 from suspnet.spectra.welch import Welch, segment_spectra
@@ -182,25 +180,6 @@ def test_scatter_of_draws_is_that_of_recorded_estimates(recorded, method):
         np.testing.assert_allclose(a / b, 1.0, atol=0.2)
 
 
-@pytest.mark.parametrize("method", ["H1", "IV"])
-def test_correlations_of_draws_are_those_of_recorded_estimates(recorded, method):
-    simulated, drawn = (logs.real for logs in relative_logs(recorded, method))
-    for response in (0, 1):
-        matrices = [np.corrcoef(x[:, response].numpy().T) for x in (simulated, drawn)]
-        for lag, least in ((1, 0.3), (2, -0.1), (3, -0.1)):
-            a, b = (np.diagonal(matrix, lag).mean() for matrix in matrices)
-            assert a == pytest.approx(b, abs=0.05)
-            assert b > least
-    both = [
-        torch.stack([torch.corrcoef(x[:, :, k].T)[0, 1] for k in range(x.shape[2])])
-        for x in (simulated, drawn)
-    ]
-    # the noise of the bogie's sensor raises one and lowers the other
-    assert both[1].abs().max() > 0.2
-    assert float((both[0] - both[1]).mean()) == pytest.approx(0.0, abs=0.02)
-    assert (both[0] - both[1]).abs().max() < 0.2  # 0.05 each
-
-
 @pytest.mark.parametrize("method", [pytest.param("H1", marks=pytest.mark.slow), "IV"])
 def test_stated_covariance_is_that_of_the_draws(method):
     longer = {"minutes": 60.0, "snr_db": 30.0}  # small noise: the formula is of first order
@@ -221,7 +200,11 @@ def test_mean_and_variance_of_drawn_spectra_are_wisharts():
     n = 20_000
     mean = source.expected(RATIOS)
     many = CrossSpectra(mean.auto.expand(n, -1, -1), mean.cross.expand(n, -1, -1), mean.n_averages)
-    drawn = sample_spectra(many, source._correlating, torch.Generator().manual_seed(0))
+    drawn = sample_spectra(
+        many,
+        moving_average_with(SETTINGS.welch.correlation().numpy()),
+        torch.Generator().manual_seed(0),
+    )
     averages = mean.n_averages
     assert averages == pytest.approx(29 * 18 / 19, abs=0.1)
     for x, y in itertools.combinations_with_replacement(range(3), 2):
@@ -254,93 +237,7 @@ def test_moving_average_has_the_correlation_asked_for(window):
         assert found == pytest.approx(expected, abs=1e-12)
 
 
-def test_moving_average_of_a_known_process():
-    # h = 1, 0.5 has the correlation 1.25, 0.5
-    taps = moving_average_with(np.array([1.25, 0.5]))
-    np.testing.assert_allclose(np.abs(taps), [1.0, 0.5], rtol=1e-12)
-    assert taps[0] * taps[1] > 0
-
-
-# limit
-
-
-def test_without_noise_and_with_many_averages_a_draw_is_the_response():
-    source = observer(snr_db=150.0, minutes=9e4, segment_s=100.0)
-    found = source.observe(RATIOS, seed=0)
-    bins = source.frequencies_hz.numpy()
-    expected = gains(DEGRADED, bins)
-    # 100,000 averages; some leakage is left near the dip of G_p
-    assert np.abs(found[0, 0].numpy() / expected[1] - 1).max() < 0.01
-    assert np.abs(found[0, 1].numpy() * expected[1] / expected[2] - 1).max() < 0.01
-    torch.testing.assert_close(found, source.noise_free(RATIOS), rtol=1e-3, atol=0)
-
-
 # property
-
-
-@pytest.mark.parametrize("method", METHODS)
-def test_draws_are_those_of_their_seed(method):
-    source = observer(method)
-    ratios = RATIOS.expand(3, 5)
-    first = source.observe(ratios, seed=4)
-    assert first.shape == (3, 2, len(source.frequencies_hz))
-    assert first.dtype == torch.complex128
-    assert torch.equal(first, observer(method).observe(ratios, seed=4))
-    assert not torch.equal(first, source.observe(ratios, seed=5))
-    assert not torch.equal(first[0], first[1])
-
-
-def test_noise_of_the_sensors_follows_its_level():
-    exact = gains(DEGRADED, SETTINGS.frequencies_hz().numpy())[1]
-    clean = observer("H1", snr_db=190.0).noise_free(RATIOS)[0, 0]
-    # leakage is largest in the dip of G_p
-    assert np.median(np.abs(clean.numpy() / exact - 1)) < 1e-3
-    # H1 = S_xy / (S_xx + noise): what is missing is the noise
-    bias = [
-        (clean / observer("H1", snr_db=snr).noise_free(RATIOS)[0, 0]).real - 1
-        for snr in (10.0, 20.0, 30.0)
-    ]
-    assert bias[0].min() > 0.01
-    for louder, quieter in itertools.pairwise(bias):
-        torch.testing.assert_close(
-            louder / quieter, torch.full_like(louder, 10.0), rtol=1e-6, atol=0
-        )
-    # IV hardly sees it
-    iv = [observer("IV", snr_db=snr).noise_free(RATIOS) for snr in (20.0, 190.0)]
-    torch.testing.assert_close(iv[0], iv[1], rtol=1e-9, atol=0)
-
-
-def test_noise_does_not_depend_on_the_damage_but_on_each_sensors_rate():
-    bins = SETTINGS.frequencies_hz().numpy()
-    heavy = torch.tensor([[1.0, 1.0, 1.0, 1.0, 2.0]]).double()
-    for rate_hz in (32.0, 64.0):
-        source = observer("H1", rates_hz=(rate_hz, RATE_HZ, RATE_HZ))
-        clean = observer("H1", snr_db=190.0).noise_free(heavy)[0, 0]
-        noise = ((clean / source.noise_free(heavy)[0, 0]).real - 1).numpy()
-        taps = [1 / 6, 2 / 3, 1 / 6]
-        wide = np.concatenate([[bins[0] - 0.05], bins, [bins[-1] + 0.05]])
-        power = trips_reference.smeared(track_acceleration(wide), taps)
-        np.testing.assert_allclose(noise * power, noise_densities(20.0, rate_hz)[0], rtol=1e-3)
-
-
-def test_longer_trips_scatter_less():
-    scatter = [
-        observer(minutes=minutes).observe(RATIOS.expand(1000, 5), seed=0).abs().log().std(dim=0)
-        for minutes in (20.0, 80.0)
-    ]
-    # four times the averages: half the scatter, to some 5 % for 1000 draws
-    assert float((scatter[0] / scatter[1]).mean()) == pytest.approx(2.0, rel=0.05)
-
-
-@pytest.mark.parametrize(
-    ("minutes", "segment_s", "overlap"), [(20.0, 20.0, 0.5), (3.0, 10.0, 0.0), (2.0, 5.0, 0.75)]
-)
-def test_number_of_averages_is_that_of_the_segments_in_a_trip(minutes, segment_s, overlap):
-    settings = EstimateSettings(minutes=minutes, segment_s=segment_s, overlap=overlap)
-    n = round((60 * minutes - segment_s) / (segment_s * (1 - overlap))) + 1
-    window, step = get_window("hann", 256), round(256 * (1 - overlap))
-    assert settings.n_averages == pytest.approx(trips_reference.n_averages(window, step, n))
-    assert settings.welch == Welch(segment_s, overlap, "hann")
 
 
 @pytest.mark.parametrize(("ratio", "high_hz"), [(0.6, None), (1.0, None), (1.5, 25.0)])
@@ -362,19 +259,6 @@ def test_band_follows_from_the_vehicle(ratio, high_hz):
     assert dataclasses.replace(bound, **ends) == EstimateSettings()
 
 
-def test_given_band_is_kept_and_bins_near_zero_are_left_out():
-    bound = EstimateSettings(low_hz=0.01, high_hz=5.0).bound(AM96)
-    assert (bound.low_hz, bound.high_hz, bound.body_high_hz) == (0.01, 5.0, 5.0)
-    bins = bound.frequencies_hz()
-    # the first neighbour of the first bin still has to be above zero
-    assert bins[0] == pytest.approx(0.1)
-    assert bins[-1] == pytest.approx(5.0)
-    assert EstimateObserver(bound, QuarterCar(AM96)).frequencies_hz.tolist() == bins.tolist()
-    exact = EstimateSettings(low_hz=1.3, high_hz=2.7).bound(AM96).frequencies_hz()
-    assert (exact[0], exact[-1]) == (pytest.approx(1.3), pytest.approx(2.7))
-    assert len(exact) == 29
-
-
 def test_what_is_uncertain_is_drawn_with_every_curve():
     certain = VerticalVehicle(AM96)
     uncertain = VerticalVehicle(AM96, distribution={"body_gyration": 0.3, "other_c_s": 0.5})
@@ -390,17 +274,6 @@ def test_what_is_uncertain_is_drawn_with_every_curve():
         source = observer(generator=generator, **quiet)
         free = source.noise_free(RATIOS)
         torch.testing.assert_close(free, observer(generator=certain, **quiet).noise_free(RATIOS))
-
-
-def test_speed_and_track_move_the_densities():
-    slow = observer("H1", speed_m_per_s=30.0).noise_free(RATIOS)
-    other = observer("H1", track="chinese_ballastless").noise_free(RATIOS)
-    before = observer("H1").noise_free(RATIOS)
-    for changed in (slow, other):
-        assert (changed / before - 1).abs().max() > 0.01
-    quiet = {"snr_db": 150.0, "segment_s": 60.0}
-    free = [observer("H1", speed_m_per_s=v, **quiet).noise_free(RATIOS) for v in (30.0, 70.0)]
-    torch.testing.assert_close(free[0], free[1], rtol=2e-3, atol=0)
 
 
 # failure
@@ -426,18 +299,6 @@ def test_speed_and_track_move_the_densities():
 def test_settings_out_of_range_are_rejected(changes, message):
     with pytest.raises(ValueError, match=message):
         EstimateSettings(**changes)
-
-
-@pytest.mark.parametrize(
-    "name",
-    [
-        *("n_train", "n_test", "n_calibrate"),
-    ],
-)
-@pytest.mark.parametrize("value", [True, "7"])
-def test_settings_that_are_no_numbers_are_rejected(name, value):
-    with pytest.raises(TypeError, match=rf"`data\.{name}` must be a"):
-        EstimateSettings(**{name: value})
 
 
 def test_band_must_be_bound_and_hold_bins():

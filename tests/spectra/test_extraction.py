@@ -32,12 +32,6 @@ def largest_relative_jump(values):
 # reference
 
 
-def test_arrays_of_numpy_are_taken_too(quarter_car):
-    curves = quarter_car.magnitudes(torch.ones(2, 5), GRID)
-    found = ALL.extract(curves.numpy(), GRID.numpy()).values
-    torch.testing.assert_close(found, ALL.extract(curves, GRID).values, rtol=0, atol=0)
-
-
 def test_names_follow_the_peaks():
     extractor = PeakFeatures(peaks=("primary_upper", "secondary"))
     assert extractor.names == (
@@ -63,16 +57,6 @@ def test_features_of_the_healthy_vehicle_are_near_its_modes(quarter_car):
     assert values["primary_upper_position"] == pytest.approx(upper_hz, rel=0.1)
     assert values["primary_lower_position"] < values["secondary_position"]
     assert values["secondary_position"] < values["primary_upper_position"]
-
-
-def test_heights_equal_those_of_the_curves(quarter_car):
-    curves = quarter_car.magnitudes(torch.ones(1, 5), GRID)
-    values = ALL.extract(curves, GRID).values[0]
-    lower = curves[0, 0, GRID < 2].max().item()
-    upper = curves[0, 0, GRID > 3].max().item()
-    body = curves[0, 1].max().item()
-    # a broad, skewed peak is not quite a Lorentzian
-    assert values[[1, 4, 7]].tolist() == pytest.approx([body, lower, upper], rel=0.1)
 
 
 # property
@@ -158,14 +142,6 @@ def test_features_do_not_depend_on_how_curves_are_batched(task, quarter_car, sha
     assert not torch.equal(together.values[0], together.values[1])
 
 
-def test_bins_outside_the_band_are_not_looked_at(quarter_car):
-    curves = quarter_car.magnitudes(torch.ones(1, 5), GRID)
-    spoiled = curves.clone()
-    spoiled[:, :, (GRID < 0.2) | (GRID > 15.0)] = math.nan
-    expected = PeakFeatures().extract(curves, GRID).values
-    assert torch.equal(PeakFeatures().extract(spoiled, GRID).values, expected)
-
-
 def test_largest_needs_no_secondary_curve(quarter_car):
     curves = quarter_car.magnitudes(torch.ones(1, 5), GRID)
     curves[:, 1] = math.nan
@@ -193,23 +169,7 @@ def test_window_scales_the_windows_of_all_fits(quarter_car, task, shape):
     assert PeakFeatures(window=1.0) == PeakFeatures()
 
 
-def test_narrower_windows_give_noisier_features(quarter_car):
-    healthy = quarter_car.magnitudes(torch.ones(1, 5), GRID).expand(300, -1, -1)
-    noisy = add_noise(healthy.contiguous(), 34.0, seed=0)
-    narrow, usual = (
-        PeakFeatures(window=factor).extract(noisy, GRID).values.std(dim=0) for factor in (0.5, 1.0)
-    )
-    assert (narrow > usual).all()
-    assert (narrow / usual).max() > 1.5
-
-
 # failure
-
-
-@pytest.mark.parametrize("window", [0.0, -1.0, math.nan, math.inf])
-def test_windows_out_of_range_are_rejected(window):
-    with pytest.raises(ValueError, match="`window` must be a finite number > 0"):
-        PeakFeatures(window=window)
 
 
 @pytest.mark.parametrize(
@@ -228,33 +188,11 @@ def test_without_a_secondary_peak_the_places_of_the_primary_ones_are_unknown(
     assert torch.isfinite(table.values[1]).all()
 
 
-def test_missing_primary_curve_leaves_the_secondary_feature(quarter_car):
-    curves = quarter_car.magnitudes(torch.ones(1, 5), GRID)
-    curves[0, 0, 7] = math.nan  # 0.24 Hz
-    table = PeakFeatures().extract(curves, GRID)
-    assert table.reasons.tolist() == [[0, PeakReason.NOT_FINITE, PeakReason.NOT_FINITE]]
-    assert table.values[0].isnan().tolist() == [False] * 3 + [True] * 6
-
-
 def test_missing_peaks_are_named_with_their_reasons():
     features = PeakFeatures(peaks=("secondary", "primary_lower", "primary_upper"))
     assert features.missing(np.array([0, 0, 0])) == ""
     reasons = np.array([PeakReason.NO_MAXIMUM, 0, PeakReason.OUTSIDE_WINDOW])
     assert features.missing(reasons) == "secondary (no maximum), primary_upper (outside window)"
-
-
-@pytest.mark.parametrize("peaks", [(), ("tertiary",), ("secondary", "primary")])
-def test_unknown_peaks_are_rejected(peaks):
-    with pytest.raises(ValueError, match="`peaks` must be chosen from"):
-        PeakFeatures(peaks=peaks)
-
-
-@pytest.mark.parametrize(("low", "high"), [(0.0, 15.0), (5.0, 5.0), (5.0, 1.0), (math.nan, 1.0)])
-def test_empty_band_is_rejected(low, high):
-    with pytest.raises(
-        ValueError, match=r"need low_hz < high_hz|`low_hz` must be a finite number > 0, got"
-    ):
-        PeakFeatures(low_hz=low, high_hz=high)
 
 
 @pytest.mark.parametrize("shape", [(1, 2, 900), (1, 2, 1000), (2, 996), (1, 1, 996)])
@@ -263,9 +201,15 @@ def test_curves_of_the_wrong_shape_are_rejected(shape):
         PeakFeatures().extract(torch.ones(shape), GRID)
 
 
-def test_gaussian_shape_finds_every_peak_of_the_healthy_vehicle(quarter_car):
-    f = torch.arange(5, 1001, dtype=torch.float64) * 0.02
-    table = PeakFeatures(PEAK_NAMES, shape="gaussian").extract(
-        quarter_car.magnitudes(torch.ones(1, 5), f), f
-    )
-    assert torch.isfinite(table.values).all()
+@pytest.mark.parametrize(
+    ("setting", "message"),
+    [
+        ({"peaks": ()}, "`peaks` must be chosen from"),
+        ({"peaks": ("secondary", "primary")}, "`peaks` must be chosen from"),
+        ({"window": 0.0}, "`window` must be a finite number > 0"),
+        ({"low_hz": 5.0, "high_hz": 1.0}, "need low_hz < high_hz"),
+    ],
+)
+def test_settings_out_of_range_are_rejected(setting, message):
+    with pytest.raises(ValueError, match=message):
+        PeakFeatures(**setting)

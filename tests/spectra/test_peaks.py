@@ -103,20 +103,6 @@ def test_smooth_equals_naive_moving_average_with_shortened_ends(length):
     assert np.abs(expected - values).max() > 0.1
 
 
-def test_smooth_keeps_small_values_beside_large_ones():
-    values = torch.full((1, 101), 1e-12, dtype=torch.float64)
-    values[0, 20] = 1e12
-    grid = 0.02 * torch.arange(1, 102, dtype=torch.float64)
-    # a running sum would leave 1e-4 here
-    assert smooth(values, grid, 0.3)[0, 40:].tolist() == pytest.approx([1e-12] * 61, rel=1e-12)
-
-
-def test_smooth_over_less_than_a_step_changes_nothing():
-    values = torch.as_tensor(np.random.default_rng(1).uniform(0.5, 1.5, (2, 50)))
-    grid = 0.02 * torch.arange(1, 51, dtype=torch.float64)
-    assert torch.equal(smooth(values, grid, 0.01), values)
-
-
 @pytest.mark.parametrize("damping_ratio", [0.01, 0.02, 0.04])
 def test_frequency_and_damping_of_one_lightly_damped_mode_come_back(damping_ratio):
     natural_hz = 4.03
@@ -127,34 +113,6 @@ def test_frequency_and_damping_of_one_lightly_damped_mode_come_back(damping_rati
     assert peak.position_hz.item() == pytest.approx(natural_hz, rel=2.5 * damping_ratio**2)
     assert peak.width_hz.item() / (2 * natural_hz) == pytest.approx(damping_ratio, rel=0.005)
     assert peak.height.item() == pytest.approx(1 / (2 * damping_ratio), rel=0.005)
-
-
-def test_damping_from_the_default_window_is_within_four_percent():
-    for damping_ratio in (0.01, 0.02, 0.04):
-        peak = findpeaks(one_mode(GRID, 4.03, damping_ratio)[None], GRID)
-        assert peak.width_hz.item() / (2 * 4.03) == pytest.approx(damping_ratio, rel=0.04)
-        assert peak.position_hz.item() == pytest.approx(4.03, rel=5e-3)
-
-
-# limit
-
-
-def test_finer_grid_gives_a_better_peak():
-    natural_hz = torch.linspace(4.0, 4.15, 16, dtype=torch.float64)  # anywhere between bins
-    errors = []
-    for step in (0.08, 0.04, 0.02):
-        grid = step * torch.arange(1, round(20 / step), dtype=torch.float64)
-        fit = PeakFit(smoothing_hz=step, window_below=0.05, window_above=0.05)
-        peaks = findpeaks(one_mode(grid[None], natural_hz[:, None], 0.01), grid, fit=fit)
-        assert peaks.valid.all()
-        frequency = (peaks.position_hz / natural_hz - 1).abs().max().item()
-        damping = (peaks.width_hz / (2 * natural_hz) / 0.01 - 1).abs().max().item()
-        errors.append((frequency, damping))
-    frequency, damping = zip(*errors, strict=True)
-    assert list(frequency) == sorted(frequency, reverse=True)
-    assert list(damping) == sorted(damping, reverse=True)
-    assert damping[0] > 10 * damping[-1]
-    assert damping[-1] < 1e-3
 
 
 # property
@@ -168,14 +126,6 @@ def test_amplitude_scales_the_height_only(shape):
     assert once.valid.all()
     expected = measures(once) * torch.tensor([[1.0], [10.0], [1.0]])
     torch.testing.assert_close(measures(tenfold), expected, rtol=1e-9, atol=0)
-
-
-def test_stretching_the_axis_scales_position_and_width_only():
-    curve = one_mode(GRID, 2.0, 0.1)[None]
-    once = findpeaks(curve, GRID, fit=PeakFit(smoothing_hz=0.3))
-    doubled = findpeaks(curve, 2 * GRID, fit=PeakFit(smoothing_hz=0.6))
-    expected = measures(once) * torch.tensor([[2.0], [1.0], [2.0]])
-    torch.testing.assert_close(measures(doubled), expected, rtol=1e-9, atol=0)
 
 
 def test_batch_equals_one_by_one():
@@ -194,15 +144,6 @@ def test_batch_equals_one_by_one():
         equal_nan=True,
     )
     assert together.valid.sum() == 7
-
-
-def test_inputs_are_left_untouched():
-    curve = with_noise(lorentzian(), 2, 0.1)
-    curve[0, 3] = math.nan
-    before, grid = curve.clone(), GRID.clone()
-    findpeaks(curve, grid)
-    torch.testing.assert_close(curve, before, rtol=0, atol=0, equal_nan=True)
-    assert torch.equal(grid, GRID)
 
 
 @pytest.mark.parametrize("shape", ["lorentzian", "gaussian"])
@@ -274,18 +215,14 @@ def test_curve_that_is_not_finite_has_no_peak_and_spoils_no_other(value):
         pytest.param(1 + 0.5 * (GRID - 5) ** 2, id="valley"),
     ],
 )
-@pytest.mark.parametrize("band", [(0.0, math.inf), (1.0, 12.0), (3.0, 3.01), (30.0, 40.0)])
-@pytest.mark.parametrize("shape", ["lorentzian", "gaussian"])
+@pytest.mark.parametrize(
+    ("band", "shape"), [((0.0, math.inf), "lorentzian"), ((3.0, 3.01), "gaussian")]
+)
 def test_curve_without_a_maximum_gives_a_reason_and_no_number(curve, band, shape):
     low, high = band
     peak = findpeaks(curve[None], GRID, low_hz=low, high_hz=high, fit=PeakFit(shape))
     assert peak.reason.tolist() == [PeakReason.NO_MAXIMUM]
     assert measures(peak).isnan().all()
-
-
-def test_maximum_of_a_band_at_its_edge_is_no_peak():
-    peak = findpeaks(lorentzian()[None], GRID, high_hz=3.0)
-    assert peak.reason.tolist() == [PeakReason.NO_MAXIMUM]
 
 
 @pytest.mark.parametrize("shape", ["lorentzian", "gaussian"])
@@ -326,11 +263,6 @@ def test_curves_of_the_wrong_shape_are_rejected(curve):
         findpeaks(curve, GRID)
 
 
-def test_two_frequencies_are_too_few():
-    with pytest.raises(ValueError, match="at least 3 values, got 2"):
-        findpeaks(torch.ones(1, 2), torch.tensor([1.0, 2.0]))
-
-
 @pytest.mark.parametrize(
     ("setting", "message"),
     [
@@ -344,23 +276,6 @@ def test_two_frequencies_are_too_few():
 def test_fit_settings_out_of_range_are_rejected(setting, message):
     with pytest.raises(ValueError, match=message):
         PeakFit(**setting)
-
-
-def test_position_far_from_the_maximum_is_no_peak():
-    f = torch.arange(10, 1001, dtype=torch.float64) * 0.02
-    rising = f + 0.5 * torch.exp(-(((f - 3) / 0.1) ** 2))
-    peak = findpeaks(rising[None], f, low_hz=2.8, high_hz=3.1, fit=PeakFit(smoothing_hz=0.1))
-    found = peak.position_hz[0]
-    assert not peak.valid[0] or 2.5 < found < 3.5
-
-
-def test_narrow_peak_keeps_its_first_fit():
-    f = torch.arange(1, 126, dtype=torch.float64) * 0.16
-    r = f / 4
-    curve = 1 / torch.sqrt((1 - r**2) ** 2 + (0.02 * r) ** 2)
-    peak = findpeaks(curve[None], f)
-    assert peak.valid[0]
-    assert peak.position_hz[0].item() == pytest.approx(4.0, abs=0.16)
 
 
 def test_strong_noise_spoils_no_curve_by_itself():

