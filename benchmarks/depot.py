@@ -21,7 +21,7 @@ from history import size, timed, trips
 from suspnet.ground.records import TripResult
 from suspnet.history import History
 from suspnet.report.board import BoardSettings
-from suspnet.runs.evaluate import write_maintenance
+from suspnet.runs.maintenance import write_maintenance
 
 
 def fleet(n_suspensions: int, n_trips: int, seed: int) -> Iterator[list[TripResult]]:

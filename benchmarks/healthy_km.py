@@ -29,7 +29,7 @@ from mismatch import (
 from mixed_fleet import KM_PER_TRIP, alarms_of, with_loads
 
 from suspnet.estimation.estimate import Estimate
-from suspnet.spectra.segments import Speeds
+from suspnet.spectra.speeds import Speeds
 
 KM_PER_HISTORY = 1_000_000.0
 DRAWN_FROM = 10_000

@@ -52,7 +52,7 @@ from suspnet.runs.predict import calibrated, with_unexplained
 from suspnet.simulation import Fleet
 from suspnet.spectra.cross_spectra import CrossSpectra
 from suspnet.spectra.estimates import EstimateSettings
-from suspnet.spectra.segments import NoEstimateError, Speeds
+from suspnet.spectra.speeds import NoEstimateError, Speeds
 
 RESULTS = TESTS.parent / "benchmarks" / "results"
 NOMINAL, COMMISSIONED = READINGS = ("nominal", "commissioned")

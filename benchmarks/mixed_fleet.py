@@ -38,7 +38,7 @@ from suspnet.estimation.trained import TrainedModel
 from suspnet.ground.parameters import DEFAULT_LIMITS, DIRECTIONS, REVERSE, Direction, Severity
 from suspnet.maintenance.alarms import Alarm, watch
 from suspnet.maintenance.series import make_series
-from suspnet.spectra.segments import Speeds
+from suspnet.spectra.speeds import Speeds
 
 CASE = Case((*FAMILY, "payload"))
 N_HEALTHY, KM_PER_TRIP, N_LAST = 20, 2000.0, 5

@@ -26,8 +26,8 @@ from suspnet.ground.storage import write_atomically
 from suspnet.ground.types import FloatArray
 from suspnet.recordings.manifest_files import read_manifest
 from suspnet.recordings.recording import load_recording
-from suspnet.report.figures import CHANNEL_TITLES
 from suspnet.report.trend import LIMIT_COLOURS
+from suspnet.report.trip_figures import CHANNEL_TITLES
 
 PICTURE = Path(__file__).parents[1] / "docs" / "overview.png"
 SHOWN_S = 6.0

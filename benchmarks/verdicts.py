@@ -30,7 +30,7 @@ from tabulate import tabulate
 from suspnet.dynamics import PARAMETERS
 from suspnet.ground.parameters import BODY_MASS, DEFAULT_LIMITS, Severity
 from suspnet.maintenance.judge import LastTrips, judge_last
-from suspnet.spectra.segments import Speeds
+from suspnet.spectra.speeds import Speeds
 
 LEVELS = (0.05, 0.1, 0.3, 0.5, 0.62, 0.73, 0.8, 0.9, 1.1, 1.25, 1.5, 2.5, 4.0)
 LOADS = (0.9, 1.25)

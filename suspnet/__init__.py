@@ -48,7 +48,7 @@ _NAMES = {
     "spectra.estimates": "EstimateSettings",
     "spectra.extraction": "FeatureSet FeatureTable PeakFeatures",
     "spectra.peaks": "PeakFit findpeaks",
-    "spectra.segments": "NoEstimateError",
+    "spectra.speeds": "NoEstimateError",
     "spectra.welch": "Welch tfestimate",
 }
 """The public names of each module; `__init__.pyi` has them for type checkers."""

@@ -65,6 +65,6 @@ from suspnet.spectra.extraction import FeatureTable as FeatureTable
 from suspnet.spectra.extraction import PeakFeatures as PeakFeatures
 from suspnet.spectra.peaks import PeakFit as PeakFit
 from suspnet.spectra.peaks import findpeaks as findpeaks
-from suspnet.spectra.segments import NoEstimateError as NoEstimateError
+from suspnet.spectra.speeds import NoEstimateError as NoEstimateError
 from suspnet.spectra.welch import Welch as Welch
 from suspnet.spectra.welch import tfestimate as tfestimate

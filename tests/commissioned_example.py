@@ -14,7 +14,7 @@ from suspnet.recordings.manifest import CHANNELS, TripManifest
 from suspnet.recordings.manifest_sources import Channel
 from suspnet.spectra.cross_spectra import CrossSpectra, moving_average_with, sample_spectra
 from suspnet.spectra.estimates import EstimateSettings
-from suspnet.spectra.segments import Speeds
+from suspnet.spectra.speeds import Speeds
 
 SETTINGS = EstimateSettings(
     segment_s=5.0, rates_hz=(1000.0, 500.0, 500.0), high_hz=9.9, body_high_hz=9.0

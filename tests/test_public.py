@@ -27,7 +27,8 @@ from suspnet.estimation.problem import TEST
 from suspnet.runs.fit import fit
 from suspnet.runs.predict import calibrated, predict_stream
 from suspnet.spectra.curves import CurveSettings
-from suspnet.spectra.segments import NoEstimateError, recording_segments
+from suspnet.spectra.segments import recording_segments
+from suspnet.spectra.speeds import NoEstimateError
 
 SETTINGS = CurveSettings(300, 120, 300, low_hz=0.3, high_hz=12.0, step_hz=0.04, cache_dir=None)
 

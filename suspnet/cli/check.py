@@ -22,7 +22,7 @@ from suspnet.ground.workers import LostWorkerError, each, workers_for
 from suspnet.recordings.manifest_files import find_trips
 from suspnet.report.language import speaking
 from suspnet.spectra.estimates import WIDE_SPEED_HALF_WIDTH, EstimateSettings
-from suspnet.spectra.segments import SpeedRange, covering, setting_words
+from suspnet.spectra.speeds import SpeedRange, covering, setting_words
 from suspnet.trips.check import CheckSettings, Opened, check_trip
 from suspnet.trips.check_page import (
     NEED_A_VEHICLE,

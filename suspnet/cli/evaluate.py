@@ -32,8 +32,9 @@ from suspnet.live.notifier import Notifier
 from suspnet.report.language import speaking
 from suspnet.report.output import check_documents, write_documents
 from suspnet.report.overview import Evaluated
-from suspnet.runs.evaluate import FreshCurves, evaluate, existing_history, write_maintenance
+from suspnet.runs.evaluate import FreshCurves, evaluate
 from suspnet.runs.identifiability import write_identifiability
+from suspnet.runs.maintenance import existing_history, write_maintenance
 from suspnet.runs.sweeps import write_table6
 from suspnet.trips.fleet import evaluate_fleet
 

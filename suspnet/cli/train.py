@@ -44,7 +44,7 @@ from suspnet.runs.scores import Metrics
 from suspnet.runs.train import RunContext, speed_ranges, train, train_ranges
 from suspnet.runs.tube import write_tube
 from suspnet.spectra.estimates import SPEED_HALF_WIDTH, WIDE_SPEED_HALF_WIDTH, EstimateSettings
-from suspnet.spectra.segments import SpeedRange, covering, setting_words
+from suspnet.spectra.speeds import SpeedRange, covering, setting_words
 
 log = logging.getLogger(__name__)
 NO_SPEED = (

@@ -29,7 +29,8 @@ from suspnet.recordings.manifest import LEAST_SENSORS, TripManifest
 from suspnet.recordings.manifest_sources import MIDDLE
 from suspnet.recordings.recording import Recording
 from suspnet.spectra.bogie_trip import BogieTrip
-from suspnet.spectra.segments import NoEstimateError, segment_speeds, sensor_segments, without_loud
+from suspnet.spectra.segments import segment_speeds, sensor_segments, without_loud
+from suspnet.spectra.speeds import NoEstimateError
 from suspnet.spectra.subspace import SpectralMatrix
 from suspnet.spectra.welch import Welch
 from suspnet.spectra.wheel_lines import line_bins, wheel_lines

@@ -41,13 +41,8 @@ from suspnet.recordings.manifest import CHANNELS
 from suspnet.recordings.manifest_files import read_manifest
 from suspnet.recordings.recording import Recording, load_recording
 from suspnet.spectra.plausibility import check_channels, check_pairs
-from suspnet.spectra.segments import (
-    NoEstimateError,
-    Speeds,
-    difference_segments,
-    recording_segments,
-    segment_speeds,
-)
+from suspnet.spectra.segments import difference_segments, recording_segments, segment_speeds
+from suspnet.spectra.speeds import NoEstimateError, Speeds
 from suspnet.spectra.welch import SegmentSpectra, Welch
 from suspnet.spectra.wheel_lines import wheel_lines
 

@@ -47,7 +47,7 @@ from suspnet.ground.types import FloatArray
 from suspnet.spectra.cross_spectra import CrossSpectra
 from suspnet.spectra.estimate_observer import EstimateObserver
 from suspnet.spectra.estimates import EstimateSettings
-from suspnet.spectra.segments import NoEstimateError, Speeds
+from suspnet.spectra.speeds import NoEstimateError, Speeds
 
 
 class MissingFeaturesError(ValueError):

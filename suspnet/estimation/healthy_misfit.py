@@ -25,7 +25,7 @@ from suspnet.spectra.cross_spectra import CrossSpectra
 from suspnet.spectra.estimates import EstimateSettings
 from suspnet.spectra.expected_spectra import EstimateMisfit
 from suspnet.spectra.observation import every_direction
-from suspnet.spectra.segments import Speeds
+from suspnet.spectra.speeds import Speeds
 
 _COLUMNS = (*PARAMETERS, *UNMEASURED)
 _CHANGING = [_COLUMNS.index(bogie + name) for bogie in ("", "other_") for name in CHANGING]

@@ -26,12 +26,8 @@ from suspnet.recordings.manifest_files import ManifestFile, find_manifests
 from suspnet.recordings.recording import Recording, load_recording
 from suspnet.spectra.bogie_trip import BogieTrip
 from suspnet.spectra.estimates import EstimateSettings
-from suspnet.spectra.segments import (
-    NoEstimateError,
-    Speeds,
-    recording_segments,
-    segment_speeds,
-)
+from suspnet.spectra.segments import recording_segments, segment_speeds
+from suspnet.spectra.speeds import NoEstimateError, Speeds
 from suspnet.spectra.welch import SegmentSpectra
 from suspnet.spectra.wheel_lines import wheel_lines
 

@@ -25,15 +25,8 @@ from suspnet.ground.parameters import REVERSE
 from suspnet.ground.types import FloatArray
 from suspnet.spectra.cross_spectra import CrossSpectra
 from suspnet.spectra.estimates import EstimateSettings
-from suspnet.spectra.segments import (
-    SpeedRange,
-    Speeds,
-    in_band,
-    range_words,
-    reading_range,
-    without_incoherent,
-    without_loud,
-)
+from suspnet.spectra.segments import in_band, without_incoherent, without_loud
+from suspnet.spectra.speeds import SpeedRange, Speeds, range_words, reading_range
 from suspnet.spectra.welch import SegmentSpectra, Welch
 from suspnet.spectra.wheel_lines import WheelLine, line_bins
 

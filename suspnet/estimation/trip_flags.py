@@ -31,8 +31,9 @@ from suspnet.ground.types import ComplexArray, FloatArray
 from suspnet.recordings.manifest import CHANNELS
 from suspnet.recordings.recording import Recording
 from suspnet.spectra.cross_spectra import CrossSpectra
-from suspnet.spectra.segments import Speeds, difference_segments, in_band
+from suspnet.spectra.segments import difference_segments, in_band
 from suspnet.spectra.side_difference import SIDE_PARAMETERS, Bounce, SideDifference, side_difference
+from suspnet.spectra.speeds import Speeds
 
 LONGEST_S, STEP_S = 0.25, 1e-3
 """Longest delay that is searched, and step of the search before Newton's method, [s]."""

@@ -26,7 +26,7 @@ from suspnet.maintenance.assessment import overall, spoken
 from suspnet.maintenance.life import Life
 from suspnet.maintenance.relative import relative_to_first_healthy
 from suspnet.maintenance.schedule import Plan, joined
-from suspnet.report import figures
+from suspnet.report import trip_figures
 from suspnet.report.bogie import bogies_of, bogies_shown
 from suspnet.report.failing_sensors import LISTED, failing_sensors
 from suspnet.report.figures import as_png, data_uri
@@ -208,9 +208,9 @@ def write_pages(report: Report, output: Path, *, draw: bool = True) -> None:
         small = small_trends(trend)
         drawn = {} if small else {"trend": health_trend(trend)}
         drawn |= {
-            "responses": figures.trip_responses(results),
-            "signals": figures.trip_signals(done[-1] if done else results[-1]),
-            "quality": figures.quality(results),
+            "responses": trip_figures.trip_responses(results),
+            "signals": trip_figures.trip_signals(done[-1] if done else results[-1]),
+            "quality": trip_figures.quality(results),
         }
     with RunLog(output, is_new=True) as run_log:
         for i, result in enumerate(done):

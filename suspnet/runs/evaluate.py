@@ -1,9 +1,7 @@
-"""What `evaluate.py` does: score a model on fresh curves; plan a fleet from its history."""
+"""Score a trained model on fresh curves."""
 
 from __future__ import annotations
 
-import logging
-from collections import Counter
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -12,15 +10,6 @@ from suspnet.estimation.fitted import FittedMethod
 from suspnet.estimation.problem import TEST, Problem
 from suspnet.ground.progress import stage
 from suspnet.ground.storage import write_json
-from suspnet.history import History
-from suspnet.history.database import check_exists
-from suspnet.maintenance.fleet import fleet_state
-from suspnet.maintenance.plan import plan_of
-from suspnet.maintenance.state import State
-from suspnet.report.board import BoardSettings
-from suspnet.report.maintenance_figures import plan_calendar
-from suspnet.report.output import write_fleet
-from suspnet.report.overview import fleet_view, overview_table
 from suspnet.report.tensorboard import RunLog
 from suspnet.runs.predict import predict_stream
 from suspnet.runs.scores import (
@@ -31,8 +20,6 @@ from suspnet.runs.scores import (
     report,
     scores,
 )
-
-log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -101,42 +88,3 @@ def find_runs(path: Path) -> list[Path]:
     if not runs:
         raise FileNotFoundError(f"run={path} holds no model.json; is it the folder of a run?")
     return runs
-
-
-def existing_history(store: str | None) -> History:
-    """Return a history, to be closed; ValueError without a name, HistoryError if it is missing."""
-    if not store:
-        raise ValueError("which history? Give store=FILE, or store=postgresql://...")
-    check_exists(store)
-    return History(store)
-
-
-def write_maintenance(history: History, folder: Path, settings: BoardSettings) -> list[State]:
-    """Write overview, plan and calendar of all suspensions of a history, and store their alarms.
-
-    Returns the states, the worst first. HistoryError if the store cannot be used; ValueError if it
-    is empty.
-    """
-    fleet = [series.relative_to_first(settings.n_first) for series in history.series()]
-    if not fleet:
-        raise ValueError(f"{history}: no trip is stored here yet")
-    own = {series.vehicle: settings.limits_of(series.vehicle) for series in fleet}
-    states = fleet_state(fleet, own, settings.changes, settings.sisters, settings.seed)
-    history.keep_all_alarms({state.key: state.watched.alarms for state in states})
-    acknowledged = history.all_acknowledgements()
-    planned = plan_of(states, settings.plan, settings.day())
-    view = fleet_view(states, own, acknowledged, planned)
-    write_fleet(view, planned, plan_calendar(planned), folder)
-    counts = Counter(str(state.severity) for state in states)
-    write_json(
-        folder / "metrics.json",
-        {
-            "severities": counts,
-            "n_visits": len(planned.visits),
-            "n_jobs": sum(len(visit.jobs) for visit in planned.visits),
-            "n_waiting": len(planned.waiting),
-            "n_unknown": len(planned.unknown),
-        },
-    )
-    log.info("%s\n\n%s\n-> %s", overview_table(view.rows), planned, folder)
-    return states

@@ -33,6 +33,7 @@ from suspnet.report.templates import packaged, render
 from suspnet.report.tensorboard import RunLog
 from suspnet.runs import plots
 from suspnet.runs.readings import METHODS
+from suspnet.runs.sweeps import Summary
 from suspnet.runs.tables import MODEL_TITLES, in_digits, records_csv
 from suspnet.runs.train import train
 from suspnet.simulation import Fleet, Scenario, Simulation, write_fleet
@@ -99,6 +100,15 @@ class Exhibit:
         """What the page says of it, by label."""
         texts = {"The paper": self.paper, "Here": self.ours, "Implemented in": self.home}
         return texts | ({"Made alone by": self.command} if self.command else {})
+
+
+class PaperSummary(Summary):
+    """Table VI of a multirun, then every other figure and table of the paper, and their page."""
+
+    def summarise(self, runs: Sequence[Mapping[str, Any]], folder: Path) -> None:
+        """Write all exhibits into the folder of the multirun."""
+        super().summarise(runs, folder)
+        write_paper(runs, folder)
 
 
 def write_paper(

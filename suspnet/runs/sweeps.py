@@ -20,7 +20,6 @@ from suspnet.ground.storage import read_json, write_atomically, write_json
 from suspnet.recordings.core_yaml import read_yaml
 from suspnet.runs import plots
 from suspnet.runs.fair import write_fair
-from suspnet.runs.paper import write_paper
 from suspnet.runs.readings import write_readings
 from suspnet.runs.tables import (
     markdown,
@@ -49,7 +48,11 @@ class Summary(Callback):
         folder = Path(config.hydra.sweep.dir)
         runs = [read_json(path) for path in sorted(folder.glob("*/metrics.json"))]
         if runs:
-            self._write(runs, folder, self._note)
+            self.summarise(runs, folder)
+
+    def summarise(self, runs: Sequence[Run], folder: Path) -> None:
+        """Write the summary of runs into the folder of the multirun."""
+        self._write(runs, folder, self._note)
 
 
 class Jobs(Callback):
@@ -168,12 +171,6 @@ def _write_comparison(runs: Sequence[Run], folder: Path, note: str) -> None:
         write_table6(runs, folder, note)
 
 
-def _write_all_of_paper(runs: Sequence[Run], folder: Path, note: str) -> None:
-    """Write Table VI, then every other figure and table of the paper and the page that has them."""
-    write_table6(runs, folder, note)
-    write_paper(runs, folder)
-
-
 def _write_table5(runs: Sequence[Run], folder: Path, note: str) -> None:
     """Write Table V: the best hyperparameters of each method and group, as an override file."""
     tuned: dict[str, dict[str, Any]] = {}
@@ -266,7 +263,6 @@ def _write_by_output(runs: Sequence[Run], folder: Path, note: str) -> None:
 SUMMARIES: Mapping[str, Callable[[Sequence[Run], Path, str], Any]] = {
     "comparison": _write_comparison,
     "table6": write_table6,
-    "paper": _write_all_of_paper,
     "table5": _write_table5,
     "sensitivity": _write_sensitivity,
     "by_output": _write_by_output,

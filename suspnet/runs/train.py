@@ -51,7 +51,7 @@ from suspnet.runs.scores import (
     rms_percent,
     scores,
 )
-from suspnet.spectra.segments import SpeedRange
+from suspnet.spectra.speeds import SpeedRange
 
 log = logging.getLogger(__name__)
 PACKAGES = ("suspnet", "torch", "numpy", "scipy", "scikit-learn", "hydra-core", "tensorboard")

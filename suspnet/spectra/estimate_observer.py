@@ -23,7 +23,7 @@ from suspnet.dynamics.track import track_spectrum
 from suspnet.spectra.cross_spectra import CrossSpectra, moving_average_with, sample_spectra
 from suspnet.spectra.expected_spectra import EstimateMisfit, ExpectedSpectra, bridged, weak_bins
 from suspnet.spectra.observation import Directions, directions
-from suspnet.spectra.segments import Speeds
+from suspnet.spectra.speeds import Speeds
 
 if TYPE_CHECKING:
     from suspnet.spectra.estimates import EstimateSettings

@@ -22,7 +22,7 @@ from suspnet.dynamics.track import TrackSpectrum, acceleration_density
 from suspnet.ground.tensors import as_tensor, complex_log, squared_size, threads
 from suspnet.ground.types import FloatArray
 from suspnet.spectra.cross_spectra import PAIRS
-from suspnet.spectra.segments import Speeds
+from suspnet.spectra.speeds import Speeds
 from suspnet.spectra.welch import Welch
 
 if TYPE_CHECKING:

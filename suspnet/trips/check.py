@@ -33,7 +33,8 @@ from suspnet.recordings.manifest_files import ManifestFile
 from suspnet.recordings.manifest_sources import channel_of
 from suspnet.recordings.recording import Recording, load_recording
 from suspnet.spectra.estimates import EstimateSettings
-from suspnet.spectra.segments import NoEstimateError, recording_segments, segment_speeds
+from suspnet.spectra.segments import recording_segments, segment_speeds
+from suspnet.spectra.speeds import NoEstimateError
 from suspnet.spectra.welch import SegmentSpectra, Welch
 from suspnet.trips.check_page import (
     NEED_A_VEHICLE,

@@ -22,12 +22,13 @@ from suspnet.ground.records import Place
 from suspnet.ground.storage import printable, write_atomically, write_json
 from suspnet.ground.wording import files_of, span
 from suspnet.recordings.recording import Recording, overview
-from suspnet.report.figures import CHANNEL_TITLES, as_png, draw_signals, say
+from suspnet.report.figures import as_png, say
 from suspnet.report.language import spoken
 from suspnet.report.templates import render
+from suspnet.report.trip_figures import CHANNEL_TITLES, draw_signals
 from suspnet.spectra.cross_spectra import CrossSpectra
 from suspnet.spectra.estimates import SPEED_HALF_WIDTH
-from suspnet.spectra.segments import covering, setting_words
+from suspnet.spectra.speeds import covering, setting_words
 from suspnet.trips.grouping import lone_trains
 
 READY, TOO_LITTLE, PROBLEM = "ready", "too little", "problem"

@@ -22,7 +22,7 @@ from suspnet.ground.findings import Finding, together
 from suspnet.ground.parameters import BODY_MASS, REVERSE
 from suspnet.ground.records import Commissioning, Place, TripResult
 from suspnet.maintenance.relative import divided, medians
-from suspnet.spectra.segments import range_words
+from suspnet.spectra.speeds import range_words
 
 NAMED = 6
 """Largest number of suspensions that an error names."""

@@ -34,13 +34,8 @@ from suspnet.spectra.plausibility import (
     check_pairs,
     shown_direction,
 )
-from suspnet.spectra.segments import (
-    NoEstimateError,
-    Speeds,
-    difference_segments,
-    in_band,
-    segment_speeds,
-)
+from suspnet.spectra.segments import difference_segments, in_band, segment_speeds
+from suspnet.spectra.speeds import NoEstimateError, Speeds
 from suspnet.spectra.welch import SegmentSpectra
 
 NO_DIRECTION = (

@@ -48,8 +48,9 @@ from suspnet.recordings.errors import TripError
 from suspnet.recordings.manifest import TripManifest
 from suspnet.recordings.manifest_files import ManifestFile
 from suspnet.recordings.recording import Recording, load_recording, overview
-from suspnet.spectra.segments import NoEstimateError, recording_segments
+from suspnet.spectra.segments import recording_segments
 from suspnet.spectra.sensor_health import sensor_health
+from suspnet.spectra.speeds import NoEstimateError
 from suspnet.spectra.welch import Welch
 from suspnet.spectra.wheel_lines import wheel_lines, wheel_words
 from suspnet.trips.commissionings import models_at, since_km

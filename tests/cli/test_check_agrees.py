@@ -15,7 +15,7 @@ from suspnet.estimation.trip_settings import TripSettings
 from suspnet.ground.records import OK
 from suspnet.runs.train import speed_ranges
 from suspnet.spectra.estimates import SPEED_HALF_WIDTH
-from suspnet.spectra.segments import SpeedRange, covering
+from suspnet.spectra.speeds import SpeedRange, covering
 from suspnet.trips.check import CheckSettings, check_trip
 from suspnet.trips.check_page import READY, TOO_LITTLE
 from suspnet.trips.trip import evaluate_trip

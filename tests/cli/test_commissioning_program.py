@@ -16,7 +16,7 @@ from suspnet.estimation.checkpoint import load_model
 from suspnet.ground.storage import write_json
 from suspnet.runs import commissioning as run
 from suspnet.spectra.estimates import WIDE_SPEED_HALF_WIDTH
-from suspnet.spectra.segments import SpeedRange, range_words
+from suspnet.spectra.speeds import SpeedRange, range_words
 
 pytestmark = pytest.mark.usefixtures("blank")
 FEW = ["data.n_train=100", "data.n_test=20", "data.n_calibrate=null", *QUIET]

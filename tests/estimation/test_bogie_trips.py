@@ -39,8 +39,9 @@ from suspnet.recordings.sensor import SensorSignal
 from suspnet.runs import commissioning
 from suspnet.runs.commissioning import commission_parts
 from suspnet.simulation import Fleet
-from suspnet.spectra.segments import NoEstimateError, recording_segments
+from suspnet.spectra.segments import recording_segments
 from suspnet.spectra.sensor_health import sensor_health
+from suspnet.spectra.speeds import NoEstimateError
 from suspnet.spectra.welch import Welch
 from suspnet.spectra.wheel_lines import WheelLine
 

@@ -19,7 +19,7 @@ from suspnet.estimation.vehicle_search import FAR, REDRAWN, End, VehicleSearch
 from suspnet.simulation.true_vehicle import scattered
 from suspnet.spectra.cross_spectra import CrossSpectra, moving_average_with, sample_spectra
 from suspnet.spectra.estimates import EstimateSettings
-from suspnet.spectra.segments import Speeds
+from suspnet.spectra.speeds import Speeds
 
 RATES_HZ = (1000.0, 500.0, 500.0)
 USUAL = EstimateSettings(rates_hz=RATES_HZ).bound(AM96)

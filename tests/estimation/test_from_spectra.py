@@ -20,7 +20,7 @@ from suspnet.estimation.information import output_bounds
 from suspnet.estimation.intervals import Conformal, Intervals
 from suspnet.spectra import cross_spectra
 from suspnet.spectra.cross_spectra import CrossSpectra, moving_average_with, sample_spectra
-from suspnet.spectra.segments import NoEstimateError
+from suspnet.spectra.speeds import NoEstimateError
 
 LEVEL = 0.9
 WORN = {"k_p": 0.8, "c_s": 0.7, "M_s": 1.1}

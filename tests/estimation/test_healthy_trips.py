@@ -25,7 +25,7 @@ from suspnet.recordings.reader_process import in_own_process
 from suspnet.recordings.recording import load_recording
 from suspnet.runs.commissioning import _prior
 from suspnet.spectra.estimates import EstimateSettings
-from suspnet.spectra.segments import NoEstimateError
+from suspnet.spectra.speeds import NoEstimateError
 
 SETTINGS = EstimateSettings(rates_hz=RATES_HZ, cache_dir=None).bound(AM96)
 NAMES = ["first", "second", "third"]

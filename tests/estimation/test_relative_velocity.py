@@ -25,7 +25,7 @@ from suspnet.estimation.relative_velocity import (
 )
 from suspnet.spectra.cross_spectra import CrossSpectra, moving_average_with, sample_spectra
 from suspnet.spectra.estimates import EstimateSettings
-from suspnet.spectra.segments import Speeds
+from suspnet.spectra.speeds import Speeds
 
 COVARIANCE = np.diag([1e-4, 1e-4, 0.04, 1.0, 0.25])
 COVARIANCE[1, 3] = COVARIANCE[3, 1] = 1e-3

@@ -16,7 +16,7 @@ from suspnet.estimation.swapped_sensors import elsewhere
 from suspnet.estimation.trip_settings import TripSettings
 from suspnet.spectra.cross_spectra import CrossSpectra, moving_average_with, sample_spectra
 from suspnet.spectra.estimates import EstimateSettings
-from suspnet.spectra.segments import Speeds
+from suspnet.spectra.speeds import Speeds
 from suspnet.trips.check import CheckSettings, check_trip
 
 SETTINGS = EstimateSettings(minutes=10.0, cache_dir=None).bound(AM96)

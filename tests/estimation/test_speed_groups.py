@@ -10,7 +10,7 @@ import torch
 from suspnet.estimation.steady_parts import groups_of, groups_to_read, no_group_words, speed_range
 from suspnet.runs.train import speed_ranges
 from suspnet.spectra.estimates import SPEED_HALF_WIDTH, EstimateSettings
-from suspnet.spectra.segments import MARGIN, SpeedRange, covering, range_words, reading_range
+from suspnet.spectra.speeds import MARGIN, SpeedRange, covering, range_words, reading_range
 
 LOW, HIGH = 61.0, 78.0
 N_SPEEDS = 200

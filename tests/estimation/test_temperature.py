@@ -26,7 +26,7 @@ from suspnet.estimation.trip_settings import TripSettings
 from suspnet.simulation.fleet import Scenario
 from suspnet.spectra.cross_spectra import CrossSpectra, moving_average_with, sample_spectra
 from suspnet.spectra.estimates import EstimateSettings
-from suspnet.spectra.segments import Speeds
+from suspnet.spectra.speeds import Speeds
 from suspnet.trips.details import healthy_words
 from suspnet.trips.trip import evaluate_trip
 

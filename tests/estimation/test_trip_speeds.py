@@ -19,7 +19,7 @@ from suspnet.estimation.steady_parts import combined, same_speed
 from suspnet.spectra.cross_spectra import CrossSpectra, sample_spectra
 from suspnet.spectra.estimates import EstimateSettings
 from suspnet.spectra.expected_spectra import SPEED
-from suspnet.spectra.segments import Speeds
+from suspnet.spectra.speeds import Speeds
 
 ORDER = [PARAMETERS.index(name) for name in OUTPUTS]
 STILL = 44.0

@@ -22,7 +22,7 @@ from suspnet.report.board import BoardSettings
 from suspnet.report.language import speaking
 from suspnet.report.overview import overview_rows, overview_table
 from suspnet.report.templates import render
-from suspnet.runs.evaluate import existing_history, write_maintenance
+from suspnet.runs.maintenance import existing_history, write_maintenance
 
 pytestmark = pytest.mark.usefixtures("blank", "trips_fitted_once")
 

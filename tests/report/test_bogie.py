@@ -50,7 +50,7 @@ from suspnet.report.pdf import as_pdf
 from suspnet.report.report import Report, write_report
 from suspnet.report.templates import environment
 from suspnet.report.trend import trend_of_state
-from suspnet.runs.evaluate import write_maintenance
+from suspnet.runs.maintenance import write_maintenance
 from suspnet.trips.details import wear_words
 
 PLACE = Place("", "leading", "", "7", "1")

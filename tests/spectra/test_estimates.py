@@ -16,7 +16,7 @@ from suspnet.dynamics import QuarterCar, VerticalVehicle
 from suspnet.spectra import expected_spectra as module
 from suspnet.spectra.cross_spectra import PAIRS, CrossSpectra, moving_average_with, sample_spectra
 from suspnet.spectra.estimates import SPEED_HALF_WIDTH, EstimateSettings
-from suspnet.spectra.segments import Speeds
+from suspnet.spectra.speeds import Speeds
 from suspnet.spectra.welch import Welch, segment_spectra
 
 METHODS = ["H1", "H2", "Hv", "IV"]

@@ -7,7 +7,7 @@ import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from trip_records import OUTPUTS, curves, fleet, trend_of, trip
 
-from suspnet.report import figures, trend
+from suspnet.report import trend, trip_figures
 from suspnet.report.maintenance_figures import health_trend
 
 
@@ -72,18 +72,18 @@ def test_a_parameter_missing_from_one_trip_is_marked_in_its_panel_alone():
 
 def test_trip_signals_shows_kilometres_per_hour_and_the_time_in_minutes():
     result = trip()
-    figure = figures.trip_signals(result)
+    figure = trip_figures.trip_signals(result)
     assert texts(figure) == []
     np.testing.assert_allclose(figure.axes[3].lines[0].get_ydata().max(), 252.0)
     np.testing.assert_allclose(figure.axes[0].lines[0].get_xdata(), result.curves.overview_s / 60)
     np.testing.assert_allclose(figure.axes[2].lines[0].get_ydata(), result.curves.overview_mean[2])
-    short = figures.trip_signals(trip(curves=curves(n_windows=20)))
+    short = trip_figures.trip_signals(trip(curves=curves(n_windows=20)))
     assert short.axes[3].get_xlabel() == "time [s]"
 
 
 def test_trip_responses_draws_every_trip_with_curves_and_a_colour_bar():
     trips = fleet(6, missing=(2,))
-    figure = figures.trip_responses(trips)
+    figure = trip_figures.trip_responses(trips)
     *axes, bar = figure.axes
     assert [len(axis.lines) for axis in axes] == [5] * 4
     assert bar.get_ylabel() == "mileage [1000 km]"
@@ -102,13 +102,13 @@ def test_bands_that_nothing_is_known_of_do_not_hide_the_curves():
 
 
 def figures_limits(shown):
-    figure = figures.trip_responses([trip(curves=shown)])
+    figure = trip_figures.trip_responses([trip(curves=shown)])
     texts(figure)
     return figure.axes[0].get_ylim()
 
 
 def test_quality_marks_trips_without_an_estimate():
-    figure = figures.quality(fleet(6, missing=(2,)))
+    figure = trip_figures.quality(fleet(6, missing=(2,)))
     solid, hollow = figure.axes[0].lines
     assert (len(solid.get_xdata()), len(hollow.get_xdata())) == (5, 1)
     assert hollow.get_markerfacecolor() == "none"
@@ -118,9 +118,9 @@ def whole(results):
     """Return all four figures, that of the trend with two panels."""
     return (
         health_trend(trend_of(results, OUTPUTS[:2])),
-        figures.trip_responses(results),
-        figures.trip_signals(results[-1]),
-        figures.quality(results),
+        trip_figures.trip_responses(results),
+        trip_figures.trip_signals(results[-1]),
+        trip_figures.quality(results),
     )
 
 
@@ -163,7 +163,7 @@ def test_gaps_in_every_curve_can_be_drawn():
 def test_constant_speed_is_drawn_below_the_frame():
     seen = curves()
     seen.overview_speed[:] = 64.0
-    axis = figures.trip_signals(trip(0, curves=seen)).axes[3]
+    axis = trip_figures.trip_signals(trip(0, curves=seen)).axes[3]
     assert axis.get_ylim() == pytest.approx((0, 1.1 * 3.6 * 64.0))
 
 

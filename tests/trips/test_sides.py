@@ -21,8 +21,8 @@ from suspnet.estimation.trip_settings import TripSettings
 from suspnet.ground.records import ERROR, NO_ESTIMATE, OK
 from suspnet.recordings.errors import TripError
 from suspnet.report.report import sides_finding
-from suspnet.spectra.segments import NoEstimateError
 from suspnet.spectra.side_difference import SideDifference
+from suspnet.spectra.speeds import NoEstimateError
 from suspnet.trips.trip import evaluate_trip
 
 RATE_HZ, TOP_HZ = 250.0, 15.0
