@@ -34,8 +34,8 @@ def changes(logs, covariates=None, settings=SETTINGS, km=None, **given):
 
 def only(found, name):
     """Return the changes of one parameter, when no other has one."""
-    assert all(not one for other, one in found.found.items() if other != name), found
-    return found.found[name]
+    assert all(not one for other, one in found.by_parameter.items() if other != name), found
+    return found.by_parameter[name]
 
 
 # reference
@@ -105,7 +105,7 @@ def test_a_drift_is_found_with_its_sign_and_lasts():
 def test_one_outlier_raises_nothing(place, size):
     logs = healthy()
     logs[place, 2] += size * SPREADS[2]
-    assert not any(changes(logs).found.values())
+    assert not any(changes(logs).by_parameter.values())
 
 
 def test_one_outlier_hides_no_later_step():
@@ -129,7 +129,7 @@ def test_a_lasting_step_does_not_flap():
     for seed in range(10):
         logs = healthy(300, seed)
         logs[60:] += 2 * SPREADS
-        n_found += [len(found) for found in changes(logs).found.values()]
+        n_found += [len(found) for found in changes(logs).by_parameter.values()]
     assert np.mean(n_found) > 0.9
     assert sum(n > 1 for n in n_found) <= 4
 
@@ -142,8 +142,8 @@ def test_a_step_of_a_covariate_with_its_effect_raises_nothing():
     logs[:, 1] += 0.05 * load
     told = changes(logs, {"load": load})
     assert told.covariates == ("load",)
-    assert not any(told.found.values())
-    assert changes(logs).found["c_p"]
+    assert not any(told.by_parameter.values())
+    assert changes(logs).by_parameter["c_p"]
 
 
 def test_speeds_unlike_the_reference_are_not_judged_but_counted():
@@ -154,7 +154,7 @@ def test_speeds_unlike_the_reference_are_not_judged_but_counted():
     logs[80:84, 1] += 0.2
     found = changes(logs, {"speed": speed})
     assert found.n_unlike == 5  # and the trip after them, which is compared with its predecessor
-    assert not any(found.found.values())
+    assert not any(found.by_parameter.values())
 
 
 def test_a_trip_that_lacks_a_covariate_is_not_judged_but_counted():
@@ -164,7 +164,7 @@ def test_a_trip_that_lacks_a_covariate_is_not_judged_but_counted():
     temperature[[70, 90]] = np.nan
     found = changes(logs, {"temperature": temperature})
     assert (found.covariates, found.n_unlike) == (("temperature",), 2)
-    assert not any(found.found.values())
+    assert not any(found.by_parameter.values())
 
 
 def test_covariates_that_say_nothing_are_left_out():
@@ -189,14 +189,16 @@ def test_wider_intervals_count_less():
 
     unknown = np.where(np.arange(100) < 60, 0.001, np.nan)
     assert begin(usual) == begin(unknown) == begin(usual / 7) < begin(wide)
-    assert not any(changes(logs, widths={"k_p": 1e6 * wide**2}).found.values())
+    assert not any(changes(logs, widths={"k_p": 1e6 * wide**2}).by_parameter.values())
 
 
 def test_changes_below_the_least_are_none():
     logs = healthy()
     logs[60:, 0] += 0.01
     assert only(changes(logs, settings=replace(SETTINGS, least_percent=0.5)), "k_p")
-    assert not any(changes(logs, settings=replace(SETTINGS, least_percent=2.0)).found.values())
+    assert not any(
+        changes(logs, settings=replace(SETTINGS, least_percent=2.0)).by_parameter.values()
+    )
 
 
 @pytest.mark.parametrize("n_trips", [0, 1, 19])
@@ -204,7 +206,7 @@ def test_unarmed_says_why(n_trips):
     found = changes(healthy()[:n_trips])
     assert found.why_not == f"{n_trips} of 20 trips for the reference so far"
     assert math.isnan(found.threshold)
-    assert not found.found
+    assert not found.by_parameter
 
 
 def test_flagged_trips_do_not_count():
@@ -213,7 +215,7 @@ def test_flagged_trips_do_not_count():
     usable[60:80] = False
     logs[60:80] += 1
     found = changes(logs, usable=usable)
-    assert not any(found.found.values())
+    assert not any(found.by_parameter.values())
     assert found.n_reference == 100
     assert changes(logs, usable=np.arange(120) < 19).why_not
 
@@ -225,7 +227,7 @@ def test_the_last_trip_of_the_reference_arms():
     found = changes(healthy()[:20])
     assert (found.why_not, found.n_reference) == ("", 20)
     assert found.threshold > 6
-    assert not any(found.found.values())
+    assert not any(found.by_parameter.values())
 
 
 def test_trips_of_one_mileage_allow_no_false_alarm():
@@ -249,17 +251,17 @@ def test_later_trips_change_no_alarm_of_the_past():
     covariates = {"load": random.uniform(0, 1, 160), "speed": random.normal(160, 10, 160)}
     km = np.cumsum(random.exponential(2000, 160))
     whole = changes(logs, covariates, km=km)
-    assert sum(map(len, whole.found.values())) == 2
+    assert sum(map(len, whole.by_parameter.values())) == 2
     for n_trips in range(20, 160, 7):
         known = {name: one[:n_trips] for name, one in covariates.items()}
         part = changes(logs[:n_trips], known, km=km[:n_trips])
         for name in NAMES:
             past = [
                 replace(one, end=None if one.end is None or one.end >= n_trips else one.end)
-                for one in whole.found[name]
+                for one in whole.by_parameter[name]
                 if one.begin < n_trips
             ]
-            assert part.found[name] == past
+            assert part.by_parameter[name] == past
 
 
 def test_level_scale_and_units_change_nothing():
@@ -267,16 +269,16 @@ def test_level_scale_and_units_change_nothing():
     logs = healthy()
     logs[60:, 2] += 0.003
     load = random.uniform(0, 1, 120)
-    expected = changes(logs, {"load": load}).found
+    expected = changes(logs, {"load": load}).by_parameter
     for turned in (
-        changes(logs + np.log([0.5, 2, 3, 100]), {"load": load}).found,
-        changes(logs, {"load": 2 - 1e5 * load}).found,
+        changes(logs + np.log([0.5, 2, 3, 100]), {"load": load}).by_parameter,
+        changes(logs, {"load": 2 - 1e5 * load}).by_parameter,
     ):
         for name in NAMES:
             for one, other in zip(expected[name], turned[name], strict=True):
                 assert (one.onset, one.begin, one.end) == (other.onset, other.begin, other.end)
                 assert one.percent == pytest.approx(other.percent, rel=1e-6)
-    scaled = changes(3 * logs, {"load": load}).found
+    scaled = changes(3 * logs, {"load": load}).by_parameter
     assert [one.begin for one in scaled["k_s"]] == [one.begin for one in expected["k_s"]]
 
 
@@ -289,7 +291,7 @@ def test_false_alarms_stay_in_the_budget():
         load, speed = random.uniform(0, 1, n_trips), random.normal(160, 10, n_trips)
         effect = (load - 0.5)[:, None] * 2 + 0.1 * (speed - 160)[:, None]
         found = changes(logs + SPREADS * effect, {"load": load, "speed": speed})
-        n_alarms += sum(map(len, found.found.values()))
+        n_alarms += sum(map(len, found.by_parameter.values()))
     km = n_histories * 200 * KM_PER_TRIP
     assert n_alarms <= stats.poisson.ppf(0.999, km / SETTINGS.km_per_false_alarm)
 
@@ -328,8 +330,8 @@ def test_any_numbers_give_places_in_order(data):
         widths={"a": data.draw(arrays(float, n_trips, elements=ANY_VALUE))},
     )
     assert found.n_unlike <= n_trips
-    assert bool(found.why_not) == (not found.found)
-    for several in found.found.values():
+    assert bool(found.why_not) == (not found.by_parameter)
+    for several in found.by_parameter.values():
         for one in several:
             assert 0 <= one.onset <= one.begin <= (n_trips if one.end is None else one.end)
             assert one.begin < n_trips

@@ -13,10 +13,10 @@ from suspnet.maintenance.cusum import (
     HORIZONS,
     LEAST_SPREAD,
     MAX_CORRELATION,
-    _false_alarms,
-    _healthy_peaks,
     autoregressive,
     cusum,
+    false_alarm_rate,
+    healthy_peaks,
     residuals,
     threshold,
 )
@@ -178,14 +178,14 @@ def test_rate_is_first_alarms_over_trips_monitored():
                     break
         rates.append(alarms / trips)
     assert 0 < max(rates) < 1
-    assert _false_alarms(peaks, 12) == pytest.approx(max(rates), rel=1e-12)
+    assert false_alarm_rate(peaks, 12) == pytest.approx(max(rates), rel=1e-12)
 
 
 @pytest.mark.parametrize("rate", [5e-3, 5e-4])
 def test_threshold_is_the_least_that_keeps_the_rate(rate):
-    peaks = _healthy_peaks(N_REFERENCE, 0.5, 0)
+    peaks = healthy_peaks(N_REFERENCE, 0.5, 0)
     found = threshold(rate, N_REFERENCE)
-    assert _false_alarms(peaks, found) <= rate < _false_alarms(peaks, found - 0.05)
+    assert false_alarm_rate(peaks, found) <= rate < false_alarm_rate(peaks, found - 0.05)
 
 
 def test_threshold_keeps_the_rate_on_other_histories():

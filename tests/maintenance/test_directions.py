@@ -92,7 +92,7 @@ def test_intervals_hardly_widen_without_a_bias():
 def test_later_trips_do_not_change_an_interval():
     whole = both_ways(24, 0.02)
     for n in (1, 7, 8, 15):
-        early = whole.part(np.arange(24) < n)
+        early = whole.select(np.arange(24) < n)
         np.testing.assert_array_equal(
             early.widened().half_widths["c_s"], whole.widened().half_widths["c_s"][:n]
         )

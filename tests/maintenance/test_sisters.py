@@ -9,9 +9,9 @@ from suspnet.ground.parameters import Cause, Severity
 from suspnet.maintenance.sisters import (
     CORRELATION,
     N_LAST,
+    OF_MEAN,
     Sister,
     SisterSettings,
-    _of_mean,
     sister_alarms,
 )
 
@@ -52,7 +52,7 @@ def after(factor, k, n_trips=60):
 
 def test_variance_of_a_mean_is_that_of_simulated_trips():
     found = errors(np.random.default_rng(0), 20_000, N_LAST, CORRELATION).mean(axis=1)
-    assert _of_mean() == pytest.approx(found.var(), rel=0.05)
+    assert OF_MEAN == pytest.approx(found.var(), rel=0.05)
 
 
 @pytest.mark.every_value

@@ -58,7 +58,7 @@ def test_one_percent_of_a_spring_is_a_notice_within_four_trips():
     assert alarm.is_open
     assert alarm.words.startswith("fell by ")
     assert "119 000 km" in alarm.words
-    assert found.changes.found["k_p"][0].percent == pytest.approx(-1, abs=0.2)
+    assert found.changes.by_parameter["k_p"][0].percent == pytest.approx(-1, abs=0.2)
 
 
 def test_failed_air_spring_acts_at_once():

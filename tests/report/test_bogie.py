@@ -29,7 +29,7 @@ from suspnet.ground.records import (
 )
 from suspnet.history import History
 from suspnet.maintenance.alarms import watch
-from suspnet.maintenance.relative import relative_to_first
+from suspnet.maintenance.relative import relative_results
 from suspnet.maintenance.series import Event, series_of
 from suspnet.maintenance.state import State
 from suspnet.report.board import BoardSettings
@@ -587,7 +587,7 @@ def test_trips_without_an_estimate_have_no_empty_columns(few):
 def test_healthy_is_that_of_the_first_trips_of_each_part_where_some_were_not_read(few):
     other = trips(PLACE, 4, n_trips=1)[0]
     mixed = [replace(few[0], estimates=other.estimates, raw=other.raw), *few[1:]]
-    found = relative_to_first(mixed, 3)
+    found = relative_results(mixed, [], 3)
     for name in ("c_p_axle2_left", "k_s_right"):
         healthy = np.median([one.raw[name] for one in few[1:4]])
         assert found[5].estimates[name] == pytest.approx(few[5].raw[name] / healthy)
