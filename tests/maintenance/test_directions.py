@@ -119,14 +119,7 @@ def test_each_commissioning_has_its_own_error_and_maintenance_parts_pairs():
     np.testing.assert_array_equal(replace(whole, events=events).widened().half_widths["c_s"], plain)
 
 
-@pytest.mark.parametrize(
-    "others",
-    [
-        {"flagged": True},
-        {"direction": np.nan},
-        {"direction": 1.0},
-    ],
-)
+@pytest.mark.parametrize("others", [{"flagged": True}, {"direction": np.nan}, {"direction": 1.0}])
 def test_flagged_trips_and_one_direction_show_nothing(others):
     whole = both_ways(30, 0.02, **others)
     np.testing.assert_array_equal(whole.widened().half_widths["c_s"], whole.half_widths["c_s"])

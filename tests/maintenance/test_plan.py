@@ -208,7 +208,8 @@ def test_any_lives_give_a_whole_plan_that_the_order_does_not_change(lives, level
     trains = (replace(TRAIN, km_per_day=pace),)
     plan = planned(*parts, settings=some, trains=trains)
     rows = plan.rows()
-    assert rows == rows_like(planned(*parts[::-1], settings=some, trains=trains).rows(), rows)
+    turned = planned(*parts[::-1], settings=some, trains=trains).rows()
+    assert repr(rows) == repr(turned)  # NaN is not equal to itself
     n_jobs = sum(len(visit.jobs) for visit in plan.visits)
     assert n_jobs + len(plan.waiting) + plan.n_quiet == len(parts)
     assert len({visit.day for visit in plan.visits}) == len(plan.visits)
@@ -217,30 +218,6 @@ def test_any_lives_give_a_whole_plan_that_the_order_does_not_change(lives, level
         assert all(0 <= job.probability <= 1 for job in visit.jobs)
     assert all(row["urgency"] == "now" for row in rows if row["severity"] == "act")
     assert len(plan_calendar(plan).axes) == 1
-
-
-@pytest.mark.parametrize("n_trains", [10, pytest.param(100, marks=pytest.mark.slow)])
-def test_a_large_fleet_is_planned(n_trains):
-    """Up to 4,000 parts of 100 trains with 500 samples each, which took 1 s of a processor."""
-    rng = np.random.default_rng(0)
-    trains = [
-        Train(f"T{i}", 100_000.0, TODAY, float(rng.uniform(300, 1000))) for i in range(n_trains)
-    ]
-    parts = [
-        part(spread_life(rng.lognormal(13.5, 0.8), 0.3, i, 500), f"{i}", train=f"T{i % n_trains}")
-        for i in range(40 * n_trains)
-    ]
-    found = planned(*parts, trains=trains)
-    assert len(found.visits) > n_trains
-
-
-def rows_like(rows, others):
-    """Return rows with NaN replaced by that of the others, as NaN is not equal to itself."""
-    assert len(rows) == len(others)
-    return [
-        {k: (o[k] if v != v and o[k] != o[k] else v) for k, v in row.items()}
-        for row, o in zip(rows, others, strict=True)
-    ]
 
 
 def test_table_and_rows_say_where_what_and_until_when():
