@@ -181,7 +181,7 @@ def write_stored(
 ) -> None:
     """Store objects of one class; those with an existing primary key are updated."""
     if kept:
-        upsert(connection, TABLES[type(kept[0])], [_row(suspension, one) for one in kept])
+        upsert(connection, TABLES[type(kept[0])], [_row(suspension, entry) for entry in kept])
 
 
 def other_alarms(

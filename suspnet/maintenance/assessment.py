@@ -79,7 +79,7 @@ def assess(
     severity = severity_of(last, limits, alarms, doubt)
     words = _words(trend, last, limits)
     # an alarm that the last trips alone do not explain comes first
-    worst = max(alarms, key=lambda one: (one.severity, -one.begin_km), default=None)
+    worst = max(alarms, key=lambda alarm: (alarm.severity, -alarm.begin_km), default=None)
     if worst is not None and worst.severity > judge_last(last, limits)[0]:
         is_named = worst.cause == Cause.CHANGE and trend.changed
         since = Finding("alarm-since", words=words if is_named else worst.words, km=worst.begin_km)
@@ -99,7 +99,7 @@ def severity_of(
     """
     least = Severity.UNKNOWN if doubt and limits is not None else Severity.NONE
     by_limits = judge_last(last, limits)[0]
-    return max(least, by_limits, *(one.severity for one in alarms))
+    return max(least, by_limits, *(alarm.severity for alarm in alarms))
 
 
 def _words(trend: ParameterTrend, last: LastTrips, limits: Limits | None) -> str:

@@ -98,9 +98,9 @@ class FleetStates:
             for column in (self._series, self._own, self._lives, self._of_sisters, self._states):
                 column.pop(key, None)
             self._waiting.discard(key)
-        for given in several:
-            self.add([given])
-            series = self._series[given.key]  # the one before, if it is equal
+        for updated in several:
+            self.add([updated])
+            series = self._series[updated.key]  # that of before, if both are equal
             if series.key not in self._own or self._own[series.key].series is not series:
                 limits = self.limits_of(series.vehicle)
                 self._own[series.key] = State(series, limits, watch(series, limits, self.changes))
@@ -195,7 +195,7 @@ class FleetStates:
         """
         self.add([series])
         car = car_of(series)
-        self.update([one for one in self._series.values() if car_of(one) == car])
+        self.update([own for own in self._series.values() if car_of(own) == car])
         self.predict(only=[series.key])
         return self.state(series.key)
 
@@ -234,10 +234,10 @@ def learn_priors(several: Sequence[Series], limits: Iterable[str]) -> dict[str, 
     priors: dict[str, FleetPrior] = {}
     for names in alike.values():
         trips = [
-            trips_of_life(one.mileage_km, one.estimates[name], one.half_widths[name], one.flagged)
-            for one in recent
+            trips_of_life(s.mileage_km, s.estimates[name], s.half_widths[name], s.flagged)
+            for s in recent
             for name in names
-            if name in one.estimates
+            if name in s.estimates
         ]
         usable = [columns for columns in trips if columns is not None]
         if len(usable) > 1:

@@ -37,6 +37,8 @@ BEST_TRIP = 0.01
 credible."""
 MIN_TRIPS = 5
 """Fewest trips with an estimate from which a life is predicted."""
+SHOWN_LEVEL = 0.8
+"""Probability of the interval in which a limit is passed, as texts, pages and the plan show it."""
 NOISE_TRIPS = 4.0
 """Degrees of freedom that the half-widths add to those of the trips when the noise is estimated."""
 DEFAULT_PRIOR = FleetPrior(
@@ -74,7 +76,7 @@ class Life:
         check_number("q", q, low=0, high=1)
         return float(np.quantile(self.samples_km, q, method="inverted_cdf"))
 
-    def interval_km(self, level: float = 0.8) -> tuple[float, float]:
+    def interval_km(self, level: float = SHOWN_LEVEL) -> tuple[float, float]:
         """Return the central interval in which the limit is passed with probability `level`."""
         check_number("level", level, above=0, below=1)
         return self.quantile_km((1 - level) / 2), self.quantile_km((1 + level) / 2)

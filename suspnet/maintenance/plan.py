@@ -23,6 +23,7 @@ from suspnet.ground.parameters import ESTIMATED, Severity
 from suspnet.ground.settings import check_settings, setting
 from suspnet.ground.types import FloatArray
 from suspnet.ground.wording import thousands
+from suspnet.maintenance.life import SHOWN_LEVEL
 from suspnet.maintenance.schedule import (
     LATER,
     NOW,
@@ -44,7 +45,8 @@ NEVER = np.array([np.inf])
 MOST_DAYS = 36_525.0
 """Longest horizon, a century, [days]."""
 WINDOW_DAYS = 180
-"""Number of latest days whose trips determine the mileage per day of a train."""
+"""Number of latest days whose trips determine the mileage per day of a train; if its newest trip is
+older, its wear and mileage count as unknown."""
 LEAST_DAYS = 14
 """Fewest days that the trips must span to determine the mileage per day of a train."""
 
@@ -85,19 +87,6 @@ class PlanSettings:
     km_per_day: float = setting(
         500.0, "Daily mileage of trains whose trips do not determine it", "km", above=0
     )
-    stale_days: float = setting(
-        180.0,
-        "Age of a train's newest trip beyond which its wear and mileage count as unknown; as long "
-        "as the trips that determine the daily mileage",
-        "days",
-        above=0,
-    )
-    level: float = setting(
-        0.8,
-        "Probability of the interval in which a part passes its limit, as it is shown",
-        above=0,
-        below=1,
-    )
 
     def __post_init__(self) -> None:
         check_settings(self)
@@ -116,6 +105,7 @@ def make_plan(
     `parts` and `trains` are those of the whole fleet, in any order. ValueError is raised if a part
     occurs twice, or its train is missing or given twice.
     """
+    # each part once, with its train
     named = {train.name: train for train in trains}
     if len(named) < len(trains):
         raise ValueError(f"`trains` must have different names, got {[t.name for t in trains]}")
@@ -130,6 +120,7 @@ def make_plan(
         seen.add(key)
         parts_of_train[part.train].append(part)
 
+    # trains do not share visits
     visits: list[Visit] = []
     rest: list[Job] = []
     for name, own in sorted(parts_of_train.items()):
@@ -138,10 +129,11 @@ def make_plan(
         visits += calendar.visits(due)
         rest += calendar.without_visit(due)
 
+    # what is not known first, then what is soonest or likeliest
     unknown = sorted((job for job in rest if job.part.unknown), key=lambda job: job.part.place)
     waiting = sorted((j for j in rest if not j.part.unknown and j.probability), key=_likeliest)
     visits.sort(key=lambda visit: (visit.urgency_of(visit.jobs[0]) != UNKNOWN, visit.day))
-    stale = tuple(train for train in trains if train.age_days(today) > settings.stale_days)
+    stale = tuple(train for train in trains if train.age_days(today) > WINDOW_DAYS)
     return Plan(
         today,
         today + timedelta(days=settings.horizon_days),
@@ -149,7 +141,7 @@ def make_plan(
         tuple(visits),
         tuple(waiting),
         len(rest) - len(unknown) - len(waiting),
-        settings.level,
+        SHOWN_LEVEL,
         tuple(train for train in trains if train.is_assumed and train not in stale),
         stale,
     )
@@ -165,7 +157,7 @@ class _Calendar:
 
     @property
     def is_stale(self) -> bool:
-        return self.train.age_days(self.today) > self.settings.stale_days
+        return self.train.age_days(self.today) > WINDOW_DAYS
 
     @property
     def first_day(self) -> int:
@@ -218,7 +210,7 @@ class _Calendar:
     def _job(self, part: Part, what: str, day: float) -> Job:
         if part.unknown:
             return Job(part, what, np.nan, (np.nan, np.nan))
-        samples, tail = self._to_go(part), (1 - self.settings.level) / 2
+        samples, tail = self._to_go(part), (1 - SHOWN_LEVEL) / 2
         ends = np.quantile(samples, [tail, 1 - tail], method="inverted_cdf") / self.train.km_per_day
         probability = float((samples <= self.train.km_per_day * day).mean())
         return Job(part, what, probability, (float(ends[0]), float(ends[1])))

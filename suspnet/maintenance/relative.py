@@ -79,9 +79,9 @@ def _relative_truth(
     for name in series.estimates if n_first else ():
         columns[name] = np.array([truth.get(name, np.nan) for truth in truths])
         for trips, first in series.first_of_each(name, n_first or 0):
-            known = columns[name][first][[name in truths[i] for i in first]]
-            if name != BODY_MASS and len(known):
-                columns[name][trips] /= np.median(known)
+            healthy = columns[name][first][[name in truths[i] for i in first]]
+            if name != BODY_MASS and len(healthy):
+                columns[name][trips] /= np.median(healthy)
     return columns
 
 
@@ -99,7 +99,7 @@ def relative_to_first_healthy(
     results: Sequence[TripResult], commissionings: Sequence[Commissioning]
 ) -> list[TripResult]:
     """Return results with estimates and truth relative to those of the first commissioning."""
-    factors = {one.since_km: one.relative for one in commissionings}
+    factors = {state.since_km: state.relative for state in commissionings}
 
     def times(values: Mapping[str, float], since_km: float) -> dict[str, float]:
         own = factors.get(since_km, {})

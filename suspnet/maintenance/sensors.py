@@ -112,7 +112,7 @@ def sensor_trends(
 def _columns(trips: Sequence[Mapping[str, SensorHealth]], name: str) -> Numbers:
     health = [trip.get(name, SensorHealth()) for trip in trips]
     return {
-        number: np.array([getattr(one, number) for one in health], dtype=float)
+        number: np.array([getattr(trip, number) for trip in health], dtype=float)
         for number in (*LEAST, "tilt")
     }
 

@@ -90,14 +90,14 @@ class Series:
     @cached_property
     def sensor_trends(self) -> list[SensorTrend]:
         """Each sensor along the trips with a mileage, which ``select`` drops."""
-        replaced = [(one.mileage_km, one.words) for one in self.events if one.kind == SENSOR]
+        replaced = [(e.mileage_km, e.words) for e in self.events if e.kind == SENSOR]
         return sensor_trends(self.sensors.tolist(), self.mileage_km, replaced)
 
     @cached_property
     def misled(self) -> BoolArray:
         """Mask of the trips whose estimates are wrong by a sensor's sensitivity or delay.
 
-        The ``doubted`` trip is taken as one.
+        The ``doubted`` trip is one of them.
         """
         wrong = [trend.misleads for trend in self.sensor_trends]
         return np.asarray(np.logical_or.reduce([self.doubted, *wrong]))
@@ -114,7 +114,7 @@ class Series:
         *_, before, newest = [-1, -1, *np.flatnonzero(self.done)]
         if self.done.any() and has_parts[before] and not self.flagged[before]:
             sensors = sensors_from_text(self.sensors[newest]).values()
-            is_faulty = any(one.faulty > LEAST["faulty"] for one in sensors)
+            is_faulty = any(health.faulty > LEAST["faulty"] for health in sensors)
             mask[newest] = is_faulty and self.flagged[newest] and not has_parts[newest]
         return mask
 

@@ -260,13 +260,13 @@ def alarms_of_sisters(series: Sequence[Series], settings: SisterSettings) -> dic
     """
     of_key: dict[Key, list[Alarm]] = {}
     for car in of_same_car(series):
-        for parameter in dict.fromkeys(name for one in car for name in one.estimates):
-            several = [one for one in car if parameter in one.estimates]
-            sisters = [_sister(one, parameter) for one in several]
+        for parameter in dict.fromkeys(name for sister in car for name in sister.estimates):
+            estimated = [sister for sister in car if parameter in sister.estimates]
+            sisters = [_sister(sister, parameter) for sister in estimated]
             alarms = sister_alarms(parameter, sisters, settings)
-            for one, own in zip(several, alarms, strict=True):
+            for sister, own in zip(estimated, alarms, strict=True):
                 if own:
-                    of_key.setdefault(one.key, []).extend(own)
+                    of_key.setdefault(sister.key, []).extend(own)
     return of_key
 
 

@@ -85,7 +85,7 @@ class State:
 
     def alarms_of(self, name: str) -> list[Alarm]:
         """Return the active alarms of a parameter by the mileage where they start."""
-        return [one for one in self.watched.alarms if one.parameter == name and one.is_open]
+        return [a for a in self.watched.alarms if a.parameter == name and a.is_open]
 
     @cached_property
     def severities(self) -> dict[str, Severity]:
@@ -181,8 +181,8 @@ class State:
         last = self.last_of(name)
         severity, judged = judge_last(last, self.limits.get(name))
         is_beyond = severity >= Severity.NOTICE and judged is not None and judged.run > 0
-        worn = (one.values for one in parts_of(self.worn) if isinstance(one, Finding))
-        is_named = any(name in values.get("names", ()) for values in worn)
+        findings = (f for f in parts_of(self.worn) if isinstance(f, Finding))
+        is_named = any(name in finding.values.get("names", ()) for finding in findings)
         return last.newest if is_beyond or is_named else last
 
     @cached_property
