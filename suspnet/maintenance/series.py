@@ -289,7 +289,8 @@ def make_series(
     estimated = (name for name in ESTIMATED if name not in PARAMETERS and name in estimates)
     parts = [n for n in estimated if np.isfinite(np.asarray(estimates[n], dtype=float)).any()]
     names, widths = (*PARAMETERS[:-1], *parts, BODY_MASS), half_widths or {}
-    numbers = {"mileage_km": km} | others
+    others |= {"mileage_km": km}
+    numbers: dict[str, Any] = {name: column(others.get(name, np.nan)) for name in NUMBERS}
     return Series(
         vehicle=others.get("vehicle", ""),
         place=others.get("place", Place()),
@@ -301,7 +302,7 @@ def make_series(
         sensors=column(others.get("sensors", ""), str),
         worn=column(others.get("worn", ""), object),
         events=tuple(sorted(events, key=lambda event: event.mileage_km)),
-        **{name: column(numbers.get(name, np.nan)) for name in NUMBERS},
+        **numbers,
     )
 
 
