@@ -16,19 +16,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import sqlalchemy as sql
-from sqlalchemy import (
-    BigInteger,
-    Column,
-    Double,
-    ForeignKey,
-    ForeignKeyConstraint,
-    Integer,
-    LargeBinary,
-    MetaData,
-    String,
-    Table,
-    UniqueConstraint,
-)
+from sqlalchemy import Column, Double, Integer, LargeBinary, String, Table
 from sqlalchemy.engine import RowMapping
 
 from suspnet.ground.findings import Finding
@@ -57,7 +45,7 @@ KINDS: dict[type, Any] = {sql.String: str, sql.Double: (int, float), sql.Integer
 SCHEMA, OLDEST = 9, 3
 """Version of the tables, and the oldest that is brought to it; a store of any other is refused."""
 
-metadata = MetaData()
+metadata = sql.MetaData()
 Kind = type[sql.types.TypeEngine[Any]]
 
 
@@ -70,7 +58,7 @@ def _needed(**kinds: Kind) -> list[Column[Any]]:
 
 
 def _suspension(**options: Any) -> Column[Any]:
-    return Column("suspension_id", ForeignKey("suspensions.id", ondelete="CASCADE"), **options)
+    return Column("suspension_id", sql.ForeignKey("suspensions.id", ondelete="CASCADE"), **options)
 
 
 versions = Table("suspnet_version", metadata, *_key(schema=Integer))
@@ -80,8 +68,8 @@ suspensions = Table(
     metadata,
     *_key(id=Integer),
     *_needed(vehicle=String, **dict.fromkeys(PLACE_FROM_TRAIN, String)),
-    Column("revision", BigInteger, nullable=False, server_default="0"),
-    UniqueConstraint("vehicle", *PLACE_FROM_TRAIN),
+    Column("revision", sql.BigInteger, nullable=False, server_default="0"),
+    sql.UniqueConstraint("vehicle", *PLACE_FROM_TRAIN),
 )
 """The revision grows with each transaction that changes data of the suspension."""
 
@@ -98,7 +86,7 @@ trips = Table(
     *_needed(**dict.fromkeys(TEXTS, String)),
     *(Column(name, QUALITY[kind]) for name, kind in QUALITY_TYPES.items()),
     Column("key", LargeBinary(16), nullable=False),
-    UniqueConstraint("suspension_id", "key"),
+    sql.UniqueConstraint("suspension_id", "key"),
 )
 
 curves = Table(
@@ -108,7 +96,7 @@ curves = Table(
     Column("key", LargeBinary(16), primary_key=True),
     *_needed(arrays=LargeBinary),
     Column("sha256", String(64), nullable=False),
-    ForeignKeyConstraint(
+    sql.ForeignKeyConstraint(
         ["suspension_id", "key"], ["trips.suspension_id", "trips.key"], ondelete="CASCADE"
     ),
 )
