@@ -330,7 +330,7 @@ def test_group_of_before_the_last_maintenance_is_not_shown(results):
     assert bogie_of(State(series_of(until[:19]), DEFAULT_LIMITS)).groups
     later = Event(39_000.0, "exchanged", "springs")
     assert bogie_of(State(series_of(until, [later]), DEFAULT_LIMITS)).groups == {}
-    nothing = replace(series_of(results), worn=None)
+    nothing = replace(series_of(results), worn=np.full(len(results), "", dtype=object))
     assert bogie_of(State(nothing, DEFAULT_LIMITS)).groups == {}
 
 
