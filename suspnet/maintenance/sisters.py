@@ -4,12 +4,11 @@ Values are relative to each suspension's own healthy value, so healthy sisters a
 common-mode changes, for example from cold or load, are not reported. With L_i the mean logarithm of
 the last ``N_LAST`` values of suspension i, and n sisters,
 
-    d_i = L_i - median_j L_j,    var d_i = s_i^2 + min(1, pi / 2n) mean_j s_j^2,
-    s_i^2 = C sigma_i^2 + sigma_0i^2,
+    d_i = L_i - median_j L_j,    var d_i = C (sigma_i^2 + min(1, pi / 2n) mean_j sigma_j^2),
 
-where j runs over the sisters, sigma_i is the standard deviation of a trip, C sigma_i^2 the variance
-of the mean of correlated trips, and sigma_0i the standard deviation of the healthy value. An alarm
-starts where |d_i| exceeds both the least difference and Student's quantile times sqrt(var d_i).
+where j runs over the sisters, sigma_i is the standard deviation of a trip with that of the healthy
+value, and C sigma_i^2 the variance of the mean of correlated trips. An alarm starts where |d_i|
+exceeds both the least difference and Student's quantile times sqrt(var d_i).
 """
 
 from __future__ import annotations
@@ -90,14 +89,12 @@ class Sister:
     """One parameter of one suspension, to be compared with its sisters; arrays are (n_trips,).
 
     `mileage_km` ascends. `values` [-] are relative to healthy (NaN: no estimate, or a flagged one),
-    `half_widths` [-] those of their intervals, in logarithms (NaN: none). `healthy_half_width` [-]
-    is that of the healthy value's interval, unless `half_widths` include it.
+    `half_widths` [-] those of their intervals, with the healthy value's, in logarithms (NaN: none).
     """
 
     mileage_km: FloatArray
     values: FloatArray
     half_widths: FloatArray
-    healthy_half_width: float = 0.0
 
     def usable(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return mileage, logarithms and half-widths of the trips with an estimate."""
@@ -132,11 +129,9 @@ def sister_alarms(
     pooled, quantiles = _pooled(trips, km, settings.km_per_false_alarm * n_compared)
     levels, variances = np.full((2, len(sisters), len(km)), np.nan)
     z = stats.norm.ppf((1 + settings.level) / 2)
-    for i, sister in enumerate(sisters):
-        if len(trips[i][0]) >= N_LAST:
-            sigma_0 = sister.healthy_half_width / z
-            level, variance = _level(trips[i], km, pooled, z, settings.max_apart_km)
-            levels[i], variances[i] = level, variance + sigma_0**2
+    for i, own in enumerate(trips):
+        if len(own[0]) >= N_LAST:
+            levels[i], variances[i] = _level(own, km, pooled, z, settings.max_apart_km)
     least = -math.log1p(-settings.least_percent[kind] / 100)
     return [
         _alarms(parameter, km, _compared(i, levels, variances), quantiles, least)
