@@ -258,7 +258,7 @@ class Fit:
         try:  # a covariance that averaging has made indefinite is repaired
             factor = np.linalg.cholesky(total)
         except np.linalg.LinAlgError:
-            total = _definite(total)
+            total = positive_definite(total)
             factor = np.linalg.cholesky(total)
         diagonal = np.diagonal(factor, axis1=-2, axis2=-1)
         self._inverse = np.linalg.inv(total)
@@ -345,7 +345,7 @@ def shares(fits: list[Fit]) -> list[FloatArray]:
     return [weight / total for weight in weights]
 
 
-def _definite(covariance: FloatArray) -> FloatArray:
+def positive_definite(covariance: FloatArray) -> FloatArray:
     """Return covariances with positive eigenvalues.
 
     Brownian motion is averaged as if trips were evenly spaced in a block, so a covariance can be

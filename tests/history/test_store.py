@@ -332,7 +332,7 @@ def test_a_wrong_url_is_refused(url, message):
 
 
 def test_the_password_is_not_shown():
-    pytest.importorskip("psycopg")
+    pytest.importorskip("psycopg", reason="needs suspnet[postgres]")
     with pytest.raises(HistoryError) as caught:
         History("postgresql://me:secret@127.0.0.1:1/x")
     assert "secret" not in str(caught.value)
