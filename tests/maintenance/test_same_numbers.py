@@ -172,9 +172,9 @@ def test_report_overview_plan_and_fleet_page_give_the_same_severities_and_reason
 def test_alarms_of_a_sister_are_in_report_and_on_the_fleet_page(outcomes):
     folder, view, _ = outcomes
     metrics = json.loads((folder / "out" / "right" / "metrics.json").read_text())
-    (told,) = [one["words"] for one in metrics["alarms"] if one["cause"] == "sister"]
+    (words,) = [one["words"] for one in metrics["alarms"] if one["cause"] == "sister"]
     (state,) = [one for one in view.states if one.series.place.suspension == "right"]
-    assert [one.words for one in state.alarms if one.cause == Cause.SISTER] == [told]
+    assert [one.words for one in state.alarms if one.cause == Cause.SISTER] == [words]
 
 
 def test_series_and_trips_of_the_store_are_those_of_the_report(outcomes):
