@@ -25,8 +25,8 @@ N_ENDS = 5
 MIN_SIZE = 3
 """Fewest trips on each side of a step: one outlier is not a step."""
 N_RECENT, FAR_BETTER = 20, 0.3
-"""Number of trips in which a change that began lately is distinguished from a step, and the share of
-a step's sum of squares that a steady change leaves at most."""
+"""Number of trips in which a change that began lately is distinguished from a step, and the share
+of a step's sum of squares that a steady change leaves at most."""
 
 
 class Shape(StrEnum):
