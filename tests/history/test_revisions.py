@@ -85,7 +85,7 @@ def test_writers_at_once_lose_no_trip_and_no_revision(store, place):
             key = one.vehicle, one.place
             if before.get(key) == after[key]:  # what was read is of this revision
                 contents.setdefault((key, after[key]), set()).add(tuple(one.trip))
-        workers[0].join(0.05)
+        workers[0].join(0.3)
     for worker in workers:
         worker.join(120)
         assert worker.exitcode == 0
