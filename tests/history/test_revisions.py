@@ -20,7 +20,7 @@ PLACES = [Place("a"), Place("b")]
 KEYS = [(VEHICLE, place) for place in PLACES]
 ALARM = Alarm("k_p", Cause.LIMIT, Severity.ACT, 20_000.0)
 SEEN = Acknowledgement("k_p", Cause.LIMIT, Severity.ACT, 4e4, "Kim", "2026-11-22T13:00:00Z")
-N_WRITERS, N_TRIPS = 2, 4
+N_WRITERS, N_TRIPS = 2, 3
 
 
 def write_many(place, worker):
@@ -28,7 +28,7 @@ def write_many(place, worker):
     with History(place) as store:
         for i in range(N_TRIPS):
             number = 100 * worker + i
-            both = [trip(number, with_curves=i % 3 == 0, place=where) for where in PLACES]
+            both = [trip(number, with_curves=i % 2 == 0, place=where) for where in PLACES]
             store.write(both[:: 1 - 2 * (worker % 2)])
             alarms = [replace(ALARM, begin_km=float(number))]
             store.keep_all_alarms(dict.fromkeys(KEYS[:: 2 * (worker % 2) - 1], alarms))
