@@ -267,8 +267,9 @@ def write_curves(
     kept = {*ordered[:1], *ordered[-N_NEWEST:]}
     gone = [{"of": suspension, "gone": key} for key in stored if key not in kept]
     if gone:
-        of, key = (sql.bindparam(name) for name in ("of", "gone"))
-        match = sql.and_(curves.c.suspension_id == of, curves.c.key == key)
+        match = sql.and_(
+            curves.c.suspension_id == sql.bindparam("of"), curves.c.key == sql.bindparam("gone")
+        )
         connection.execute(curves.delete().where(match), gone)
     rows = [_row(suspension, key, own) for key, own in new.items() if key in kept]
     upsert(connection, curves, rows)

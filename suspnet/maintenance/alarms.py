@@ -15,8 +15,8 @@ from suspnet.ground.parameters import BODY_MASS, Cause, Limits, Severity
 from suspnet.ground.types import BoolArray, FloatArray
 from suspnet.ground.wording import kilometres
 from suspnet.maintenance.change import Change, Changes, ChangeSettings, find_changes
-from suspnet.maintenance.judge import N_LAST, beyond_words, judge, level_words
-from suspnet.maintenance.series import Series
+from suspnet.maintenance.judge import beyond_words, judge, level_words
+from suspnet.maintenance.series import N_LAST, Series
 
 N_QUIET = 3
 """Trips in a row within the limits that end an alarm: an intermittent one stays active."""

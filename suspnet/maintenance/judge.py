@@ -40,8 +40,9 @@ class LastTrips:
     @property
     def newest(self) -> LastTrips:
         """The newest of these trips alone."""
-        columns = (column[-1:] for column in (self.values, self.low, self.high, self.flagged))
-        return LastTrips(*columns, all_flagged=self.all_flagged)
+        at = slice(-1, None)
+        ends = self.low[at], self.high[at]
+        return LastTrips(self.values[at], *ends, self.flagged[at], self.all_flagged)
 
 
 @dataclass(frozen=True)
