@@ -116,7 +116,7 @@ def found_by_us(given: Histories) -> list[dict[str, list[Any]]]:
     for km, logs, x in zip(given.km, given.scatter + given.effects, given.covariates, strict=True):
         values = dict(zip(NAMES, np.exp(logs).T, strict=True))
         covariates = dict(zip(("load", "speed", "temperature"), x.T, strict=True))
-        found.append(find_changes(km, values, covariates, SETTINGS).found)
+        found.append(find_changes(km, values, covariates, SETTINGS).by_parameter)
     return found
 
 

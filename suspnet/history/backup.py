@@ -90,8 +90,8 @@ def _copied(source: Path, target: Path, *, replace: bool = False) -> int:
             closing(sqlite3.connect(temporary)) as new,
         ):
             old.backup(new, pages=-1)  # in one step: writers wait, so that it never starts again
-            if (found := new.execute("PRAGMA quick_check(1)").fetchone()[0]) != "ok":
-                raise HistoryError(at(source, "store-damaged", found=found))
+            if (answer := new.execute("PRAGMA quick_check(1)").fetchone()[0]) != "ok":
+                raise HistoryError(at(source, "store-damaged", found=answer))
         with temporary.open("rb+") as stream:
             os.fsync(stream.fileno())
             size = os.fstat(stream.fileno()).st_size

@@ -83,6 +83,7 @@ def connect(url: URL, wait_s: float = WAIT_S, *, must_exist: bool = False) -> En
     """
     if url.get_backend_name() == "postgresql":
         return _connect_server(url, wait_s)
+    # what the URL names must be a file of ours, or one that may be made
     if not url.database or url.database == ":memory:":
         raise HistoryError("a store needs the path of a file")
     if url.query:
@@ -96,6 +97,7 @@ def connect(url: URL, wait_s: float = WAIT_S, *, must_exist: bool = False) -> En
         check_own(Path(url.database), APPLICATION_ID, MARKER, "store of suspnet")
     except ValueError as error:
         raise HistoryError(str(error)) from None
+    # SQLite itself must not make a file that has gone since
     address = f"{path.as_uri()}?mode={'rw' if must_exist else 'rwc'}"
     engine = sql.create_engine(
         "sqlite://",
@@ -150,9 +152,9 @@ def version_of(connection: Connection, name: str) -> int | None:
     is_file = connection.dialect.name == "sqlite"
     if is_file and connection.exec_driver_sql(ACTING).first() is not None:
         raise HistoryError(at(name, "store-acting"))
-    there = set(sql.inspect(connection).get_table_names())
-    if versions.name not in there:
-        if there & set(metadata.tables):
+    tables = set(sql.inspect(connection).get_table_names())
+    if versions.name not in tables:
+        if tables & set(metadata.tables):
             raise HistoryError(at(name, "store-foreign"))
         return None
     version = connection.execute(sql.select(versions.c.schema)).scalar()
@@ -188,12 +190,12 @@ def prepare(connection: Connection, name: str) -> None:
 def _add_missing(connection: Connection) -> None:
     """Add the tables and columns that an older version lacks; a missing text is empty."""
     metadata.create_all(connection)
-    there = sql.inspect(connection)
+    inspector = sql.inspect(connection)
     quote = connection.dialect.identifier_preparer.quote
     for table in metadata.tables.values():
-        known = {one["name"] for one in there.get_columns(table.name)}
+        names = {column["name"] for column in inspector.get_columns(table.name)}
         for column in table.columns:
-            if column.name not in known:
+            if column.name not in names:
                 kind = column.type.compile(connection.dialect)
                 default = " DEFAULT ''" if isinstance(column.type, sql.String) else ""
                 added = f"{quote(column.name)} {kind}{default}"
@@ -227,7 +229,8 @@ def upsert(connection: Connection, table: sql.Table, rows: Sequence[dict[str, An
     """
     if not rows:
         return
-    key = _unique_columns(table)
+    unique = [c for c in table.constraints if isinstance(c, sql.UniqueConstraint)]
+    key = [column.name for column in (unique[0] if unique else table.primary_key).columns]
     dialect = postgresql if connection.dialect.name == "postgresql" else sqlite
     statement = dialect.insert(table)
     others = {name: statement.excluded[name] for name in rows[0] if name not in key}
@@ -236,8 +239,3 @@ def upsert(connection: Connection, table: sql.Table, rows: Sequence[dict[str, An
     else:
         statement = statement.on_conflict_do_nothing(index_elements=key)
     connection.execute(statement, sorted(rows, key=lambda row: [row[name] for name in key]))
-
-
-def _unique_columns(table: sql.Table) -> list[str]:
-    unique = [one for one in table.constraints if isinstance(one, sql.UniqueConstraint)]
-    return [column.name for column in (unique[0] if unique else table.primary_key).columns]

@@ -51,34 +51,36 @@ def store_findings(connection: Connection) -> None:
 
 def worn_findings(worn: str) -> str:
     """Return the column of worn parts; a text of another form stays as it is."""
-    found = []
-    for one in worn.split("; "):
-        match = _WORN.fullmatch(one)
+    findings = []
+    for sentence in worn.split("; "):
+        match = _WORN.fullmatch(sentence)
         names = tuple(map(_PARTS.get, match[1].split(" or "))) if match else (None,)
         if match is None or None in names:
             return worn
         odds = Finding("odds-over" if match[3] else "odds", odds=float(match[4]))
         where, kind = together(match[1].split(" or "), " or "), WORN_ONE_OF if match[5] else WORN
-        found.append(Finding(kind, names=names, where=where, percent=float(match[2]), odds=odds))
-    return stored(together(found))
+        percent = float(match[2])
+        findings.append(Finding(kind, names=names, where=where, percent=percent, odds=odds))
+    return stored(together(findings))
 
 
 def warning_findings(warnings: str) -> str:
     """Return the column of warnings, of which some say which parts or sensors are not read."""
     others, mark, why = warnings.partition(_NO_PART)
-    found: list[str] = []
-    for one in filter(None, others.removesuffix("; ").split("; ")):
-        names = one.removeprefix(_WITHOUT)
+    findings: list[str] = []
+    for sentence in filter(None, others.removesuffix("; ").split("; ")):
+        names = sentence.removeprefix(_WITHOUT)
         values = {"names": tuple(names.split(", ")), "listed": names}
-        found.append(one if names == one else Finding(WITHOUT_SENSORS, **values))
-    return stored(together([*found, Finding(NO_PART, words=why)] if mark else found))
+        findings.append(sentence if names == sentence else Finding(WITHOUT_SENSORS, **values))
+    return stored(together([*findings, Finding(NO_PART, words=why)] if mark else findings))
 
 
 def fault_findings(faults: str) -> str:
     """Return the column of faults, of which some are of a dead or a loose sensor."""
-    found, end = [], 0
+    findings, end = [], 0
     for match in _FAILING.finditer(faults):
-        found.append(faults[end : match.start()].removeprefix("; "))
-        found.append(at(match[1], "dead-before" if match[3] else "loose-before", words=match[2]))
+        findings.append(faults[end : match.start()].removeprefix("; "))
+        kind = "dead-before" if match[3] else "loose-before"
+        findings.append(at(match[1], kind, words=match[2]))
         end = match.end()
-    return stored(together([*found, faults[end:].removeprefix("; ")]))
+    return stored(together([*findings, faults[end:].removeprefix("; ")]))

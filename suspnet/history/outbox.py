@@ -68,7 +68,7 @@ class Recipient:
     def is_about(self, key: Key) -> bool:
         """Return whether a suspension is one of this recipient's."""
         texts = (key[0], self.vehicles), (str(key[1]), self.suspensions)
-        return all(any(fnmatchcase(text, one) for one in several) for text, several in texts)
+        return all(any(fnmatchcase(text, p) for p in patterns) for text, patterns in texts)
 
 
 @dataclass(frozen=True)
@@ -135,7 +135,7 @@ class Outbox:
             fleet.update(connection, self._bad)  # with what changed in between
             old = outbox.c.sent_s < now.timestamp() - KEPT_S
             connection.execute(outbox.delete().where(old, outbox.c.kind != START))
-            return sum(_queue(connection, one, fleet, now, zone) for one in recipients)
+            return sum(_queue(connection, r, fleet, now, zone) for r in recipients)
 
     def due_channels(self, now: datetime) -> set[str]:
         """Return the channels of messages that are due."""
@@ -181,19 +181,19 @@ class Outbox:
 
         They are rows without the content.
         """
-        columns = [one for one in outbox.columns if one.name != "content"]
+        columns = [column for column in outbox.columns if column.name != "content"]
         chosen = sql.select(*columns).where(outbox.c.sent_s.is_(None))
         with self._reading() as connection:
-            found = connection.execute(chosen.order_by(outbox.c.created_s).limit(most))
-            return [dict(row) for row in found.mappings()]
+            rows = connection.execute(chosen.order_by(outbox.c.created_s).limit(most))
+            return [dict(row) for row in rows.mappings()]
 
     def count_unsent(self) -> tuple[int, int, float | None]:
         """Return how many messages wait and were given up, and when the oldest was created, [s]."""
         n_waiting = sql.func.count().filter(_waiting())
         chosen = sql.select(n_waiting, sql.func.count(), sql.func.min(outbox.c.created_s))
         with self._reading() as connection:
-            found = connection.execute(chosen.where(outbox.c.sent_s.is_(None))).one()
-        return found[0], found[1] - found[0], found[2]
+            row = connection.execute(chosen.where(outbox.c.sent_s.is_(None))).one()
+        return row[0], row[1] - row[0], row[2]
 
     def retry(self) -> int:
         """Make all messages due that are not sent, also those given up; return their number."""
@@ -217,14 +217,15 @@ class _Fleet:
         """Read the suspensions that changed; unreadable rows are appended to `bad`."""
         read = sql.select(suspensions.c.id, suspensions.c.revision)
         now = {row[0]: row[1] for row in connection.execute(read)}
-        self._read = {one: of for one, of in self._read.items() if now.get(one) == of}
-        self.ids = {key: one for key, one in self.ids.items() if one in now}
+        self._read = {number: n for number, n in self._read.items() if now.get(number) == n}
+        self.ids = {key: number for key, number in self.ids.items() if number in now}
         changed = now.keys() - self._read.keys()
         if not changed:
             return
         unread: list[BadRow] = []
         where = is_one_of(suspensions.c.id, changed)
-        ids = {key: one for one, (key, _) in known_suspensions(connection, where, unread).items()}
+        known = known_suspensions(connection, where, unread)
+        ids = {key: number for number, (key, _) in known.items()}
         self.ids |= ids
         self.alarms |= {key: [] for key in ids} | read_stored(connection, Alarm, unread, where)
         seen = read_stored(connection, Acknowledgement, unread, where)
@@ -236,7 +237,7 @@ class _Fleet:
         bad += unread
         # those with unreadable rows are read again at the next look: a row may be corrected by hand
         damaged = {row.key for row in unread}
-        self._read |= {one: now[one] for key, one in ids.items() if key not in damaged}
+        self._read |= {number: now[number] for key, number in ids.items() if key not in damaged}
 
     def up_to_km(self, key: Key, alarm: Alarm) -> float:
         """Return the mileage up to which an alarm is known."""
@@ -271,60 +272,61 @@ Of = tuple[int, str, str]
 
 
 def _queue(
-    connection: Connection, one: Recipient, fleet: _Fleet, now: datetime, zone: tzinfo | None
+    connection: Connection, recipient: Recipient, fleet: _Fleet, now: datetime, zone: tzinfo | None
 ) -> int:
     """Queue the messages of a recipient that are due, and note what they contain."""
-    start, local = _digest(one.name, START), now.astimezone(zone)
-    is_first = not _has(connection, start)
+    # a row that is never sent says since when the recipient is known
+    name, local = recipient.name, now.astimezone(zone)
+    is_first = not _has(connection, _digest(name, START))
     if is_first:
-        _insert(connection, start, one.name, ("", ""), START, {}, now, is_sent=True)
+        _insert(connection, _digest(name, START), name, ("", ""), START, {}, now, is_sent=True)
+    # the id of a message follows from what it says, so that none is queued twice
     today = local.date().isoformat()
-    of_today = {to: _digest(_digest(one.name, "digest", today), *to) for to in one.targets}
-    is_due = one.digest is not None and local.time() >= one.digest
+    of_today = {to: _digest(_digest(name, "digest", today), *to) for to in recipient.targets}
+    is_due = recipient.digest is not None and local.time() >= recipient.digest
     is_due = is_due and not any(_has(connection, number) for number in of_today.values())
-    urgent, listed = _chosen(connection, one, fleet, is_first, is_due)
+    urgent, listed = _chosen(connection, recipient, fleet, is_first, is_due)
     n_queued = 0
     if urgent:
-        about = _digest(one.name, "alarms", *sorted(entry["event"] for entry in urgent))
-        for to in one.targets:
+        about = _digest(name, "alarms", *sorted(entry["event"] for entry in urgent))
+        for to in recipient.targets:
             number = _digest(about, *to)
             if not _has(connection, number):
-                _insert(connection, number, one.name, to, "alarms", {"alarms": urgent}, now)
+                _insert(connection, number, name, to, "alarms", {"alarms": urgent}, now)
                 n_queued += 1
-    if is_due:
+    if is_due:  # active alarms first, then the most severe
         listed.sort(key=lambda entry: (entry["end_km"] is not None, entry["severity"] != "act"))
-        n_own = sum(one.is_about(key) for key in fleet.ids)
+        n_own = sum(recipient.is_about(key) for key in fleet.ids)
         content = {"day": today, "alarms": listed, "n_suspensions": n_own}
         for to, number in of_today.items():
-            _insert(connection, number, one.name, to, "digest", content, now)
+            _insert(connection, number, name, to, "digest", content, now)
             n_queued += 1
     return n_queued
 
 
 def _chosen(
-    connection: Connection, one: Recipient, fleet: _Fleet, is_first: bool, is_due: bool
+    connection: Connection, recipient: Recipient, fleet: _Fleet, is_first: bool, is_due: bool
 ) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
     """Return the alarms to send at once and those of a digest, and note them as reported."""
-    known = _known(connection, one.name)
+    known = _known(connection, recipient.name)
     urgent: list[dict[str, Any]] = []
     listed: list[dict[str, Any]] = []
     notes: dict[Of, _Reported] = {}
     for key, alarms in fleet.alarms.items():
-        if not one.is_about(key) or key not in fleet.ids:
+        if not recipient.is_about(key) or key not in fleet.ids:
             continue
-        own: list[tuple[Of, Alarm]] = [
-            ((fleet.ids[key], one.parameter, str(one.cause)), one) for one in alarms
-        ]
-        last = {of: one for of, one in own if of in known and one.begin_km <= known[of].at_km}
+        own = [((fleet.ids[key], a.parameter, str(a.cause)), a) for a in alarms]
+        # the last alarm that starts up to the noted mileage is the one that was reported
+        last = {of: a for of, a in own if of in known and a.begin_km <= known[of].at_km}
         for of, alarm in own:
             before = known.get(of)
             state = before.state(alarm, alarm is last.get(of)) if before else "new"
             is_news = state in ("new", "worse")
-            is_urgent = alarm.is_open and is_news and alarm.severity in one.at_once
+            is_urgent = alarm.is_open and is_news and alarm.severity in recipient.at_once
             # cleared before the recipient was known: no news to it
             is_past = is_first and not alarm.is_open
             is_listed = alarm.is_open or (state not in ("old", "known") and not is_past)
-            is_listed &= is_due and alarm.severity in one.severities | one.at_once
+            is_listed &= is_due and alarm.severity in recipient.severities | recipient.at_once
             entry = fleet.entry(key, alarm, state) if is_urgent or is_listed else {}
             urgent += [entry] * is_urgent
             listed += [entry] * is_listed
@@ -335,7 +337,7 @@ def _chosen(
                     severity = max(severity, before.severity)
                 notes[of] = _Reported(severity, fleet.up_to_km(key, alarm), alarm.is_open)
     changed = {of: note for of, note in notes.items() if known.get(of) != note}
-    _note(connection, one.name, changed)
+    _note(connection, recipient.name, changed)
     return urgent, listed
 
 
@@ -411,5 +413,5 @@ def _update(connection: Connection, number: str, **values: Any) -> None:
     connection.execute(outbox.update().where(outbox.c.id == number).values(**values))
 
 
-def _digest(*parts: Any) -> str:
-    return content_hash(parts)[:32]
+def _digest(*content: Any) -> str:
+    return content_hash(content)[:32]

@@ -16,19 +16,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import sqlalchemy as sql
-from sqlalchemy import (
-    BigInteger,
-    Column,
-    Double,
-    ForeignKey,
-    ForeignKeyConstraint,
-    Integer,
-    LargeBinary,
-    MetaData,
-    String,
-    Table,
-    UniqueConstraint,
-)
+from sqlalchemy import Column, Double, Integer, LargeBinary, String, Table
 from sqlalchemy.engine import RowMapping
 
 from suspnet.ground.findings import Finding
@@ -57,18 +45,31 @@ KINDS: dict[type, Any] = {sql.String: str, sql.Double: (int, float), sql.Integer
 SCHEMA, OLDEST = 9, 3
 """Version of the tables, and the oldest that is brought to it; a store of any other is refused."""
 
-metadata = MetaData()
+metadata = sql.MetaData()
+Kind = type[sql.types.TypeEngine[Any]]
 
-versions = Table("suspnet_version", metadata, Column("schema", Integer, primary_key=True))
+
+def _key(**kinds: Kind) -> list[Column[Any]]:
+    return [Column(name, kind, primary_key=True) for name, kind in kinds.items()]
+
+
+def _needed(**kinds: Kind) -> list[Column[Any]]:
+    return [Column(name, kind, nullable=False) for name, kind in kinds.items()]
+
+
+def _suspension(**options: Any) -> Column[Any]:
+    return Column("suspension_id", sql.ForeignKey("suspensions.id", ondelete="CASCADE"), **options)
+
+
+versions = Table("suspnet_version", metadata, *_key(schema=Integer))
 
 suspensions = Table(
     "suspensions",
     metadata,
-    Column("id", Integer, primary_key=True),
-    Column("vehicle", String, nullable=False),
-    *(Column(name, String, nullable=False) for name in PLACE_FROM_TRAIN),
-    Column("revision", BigInteger, nullable=False, server_default="0"),
-    UniqueConstraint("vehicle", *PLACE_FROM_TRAIN),
+    *_key(id=Integer),
+    *_needed(vehicle=String, **dict.fromkeys(PLACE_FROM_TRAIN, String)),
+    Column("revision", sql.BigInteger, nullable=False, server_default="0"),
+    sql.UniqueConstraint("vehicle", *PLACE_FROM_TRAIN),
 )
 """The revision grows with each transaction that changes data of the suspension."""
 
@@ -78,24 +79,24 @@ QUALITY = {"float": Double, "int": Integer, "str": String}
 trips = Table(
     "trips",
     metadata,
-    Column("id", Integer, primary_key=True),
-    Column("suspension_id", ForeignKey("suspensions.id", ondelete="CASCADE"), nullable=False),
+    *_key(id=Integer),
+    _suspension(nullable=False),
     *(Column(name, Double) for name in NUMBERS),
     *(Column(column.format(name), Double) for column in VALUES.values() for name in ESTIMATED),
-    *(Column(name, String, nullable=False) for name in TEXTS),
+    *_needed(**dict.fromkeys(TEXTS, String)),
     *(Column(name, QUALITY[kind]) for name, kind in QUALITY_TYPES.items()),
     Column("key", LargeBinary(16), nullable=False),
-    UniqueConstraint("suspension_id", "key"),
+    sql.UniqueConstraint("suspension_id", "key"),
 )
 
 curves = Table(
     "curves",
     metadata,
-    Column("suspension_id", Integer, primary_key=True),
+    *_key(suspension_id=Integer),
     Column("key", LargeBinary(16), primary_key=True),
-    Column("arrays", LargeBinary, nullable=False),
+    *_needed(arrays=LargeBinary),
     Column("sha256", String(64), nullable=False),
-    ForeignKeyConstraint(
+    sql.ForeignKeyConstraint(
         ["suspension_id", "key"], ["trips.suspension_id", "trips.key"], ondelete="CASCADE"
     ),
 )
@@ -104,65 +105,47 @@ curves = Table(
 events = Table(
     "events",
     metadata,
-    Column("suspension_id", ForeignKey("suspensions.id", ondelete="CASCADE"), primary_key=True),
-    Column("mileage_km", Double, primary_key=True),
-    Column("kind", String, primary_key=True),
-    Column("words", String, nullable=False),
+    _suspension(primary_key=True),
+    *_key(mileage_km=Double, kind=String),
+    *_needed(words=String),
 )
 
 alarms = Table(
     "alarms",
     metadata,
-    Column("suspension_id", ForeignKey("suspensions.id", ondelete="CASCADE"), primary_key=True),
-    Column("begin_km", Double, primary_key=True),
-    Column("parameter", String, primary_key=True),
-    Column("cause", String, primary_key=True),
-    Column("severity", Integer, nullable=False),
+    _suspension(primary_key=True),
+    *_key(begin_km=Double, parameter=String, cause=String),
+    *_needed(severity=Integer),
     Column("end_km", Double),
-    Column("words", String, nullable=False),
+    *_needed(words=String),
 )
 
 acknowledgements = Table(
     "acknowledgements",
     metadata,
-    Column("suspension_id", ForeignKey("suspensions.id", ondelete="CASCADE"), primary_key=True),
-    Column("at_km", Double, primary_key=True),
-    Column("at", String, primary_key=True),
-    Column("parameter", String, primary_key=True),
-    Column("cause", String, primary_key=True),
-    Column("by", String, primary_key=True),
-    Column("severity", Integer, nullable=False),
-    Column("words", String, nullable=False),
+    _suspension(primary_key=True),
+    *_key(at_km=Double, at=String, parameter=String, cause=String, by=String),
+    *_needed(severity=Integer, words=String),
 )
 
 outbox = Table(
     "outbox",
     metadata,
-    Column("id", String, primary_key=True),
-    Column("recipient", String, nullable=False),
-    Column("channel", String, nullable=False),
-    Column("address", String, nullable=False),
-    Column("kind", String, nullable=False),
-    Column("content", String, nullable=False),
-    Column("created_s", Double, nullable=False),
-    Column("due_s", Double, nullable=False),
-    Column("leased_s", Double, nullable=False),
-    Column("attempts", Integer, nullable=False),
+    *_key(id=String),
+    *_needed(recipient=String, channel=String, address=String, kind=String, content=String),
+    *_needed(created_s=Double, due_s=Double, leased_s=Double, attempts=Integer),
     Column("sent_s", Double),
-    Column("error", String, nullable=False),
+    *_needed(error=String),
 )
 """Messages to people and systems, waiting or sent; times are seconds since 1970, UTC."""
 
 told = Table(
     "told",
     metadata,
-    Column("recipient", String, primary_key=True),
-    Column("suspension_id", ForeignKey("suspensions.id", ondelete="CASCADE"), primary_key=True),
-    Column("parameter", String, primary_key=True),
-    Column("cause", String, primary_key=True),
-    Column("severity", Integer, nullable=False),
-    Column("at_km", Double, nullable=False),
-    Column("is_open", Integer, nullable=False),
+    *_key(recipient=String),
+    _suspension(primary_key=True),
+    *_key(parameter=String, cause=String),
+    *_needed(severity=Integer, at_km=Double, is_open=Integer),
 )
 """The last alarm of each parameter and cause that is in a message to a recipient, up to `at_km`."""
 
@@ -185,15 +168,15 @@ def bad_row(
     table: sql.Table, row: RowMapping, error: Exception | str, key: Key | None = None
 ) -> BadRow:
     """Return the description of a row that `error` makes unreadable."""
-    names = [one.name for one in table.primary_key.columns if one.name in row]
+    names = [column.name for column in table.primary_key.columns if column.name in row]
     words = ", ".join(f"{name}={str(row[name])[:40]}" for name in names)
     return BadRow(table.name, words, " ".join(str(error).split())[:200], key)
 
 
 def log_once(name: str, rows: Iterable[BadRow]) -> None:
     """Log the bad rows of the store `name` that this process has not logged yet."""
-    for one in rows:
-        words = f"{name}: {one}; it is left out: correct or delete it"
+    for row in rows:
+        words = f"{name}: {row}; it is left out: correct or delete it"
         if words not in _LOGGED and len(_LOGGED) < MOST_LOGGED:
             _LOGGED.add(words)
             log.warning("%s", words)
@@ -205,7 +188,7 @@ def check_types(table: sql.Table, row: RowMapping) -> None:
         column = table.columns.get(name)
         if column is None or (value is None and column.nullable):
             continue
-        wanted = next((KINDS[one] for one in type(column.type).__mro__ if one in KINDS), object)
+        wanted = next((KINDS[kind] for kind in type(column.type).__mro__ if kind in KINDS), object)
         if not isinstance(value, wanted):
             raise ValueError(Finding("bad-value", name=name, value=repr(str(value)[:40])))
 

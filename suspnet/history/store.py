@@ -62,7 +62,7 @@ class History:
     Several programs may read and write concurrently. A missing or empty file becomes a new store;
     any other file is refused and left unchanged. Each call that writes is atomic. All methods raise
     ``HistoryError`` if the store cannot be used; methods that write also raise it if no trip of the
-    suspension is stored.
+    suspension is stored. Unreadable rows are left out and collected in `bad_rows`.
 
     Parameters
     ----------
@@ -72,16 +72,6 @@ class History:
         Longest time that a transaction waits for other programs.
     must_exist : bool
         Whether a missing or empty store is refused.
-
-    Attributes
-    ----------
-    bad_rows : list of BadRow
-        Unreadable rows that were left out so far.
-
-    Raises
-    ------
-    HistoryError
-        If it is not a store of this version, or cannot be reached.
     """
 
     def __init__(
@@ -150,18 +140,18 @@ class History:
         newest trips; overviews of the signals are not stored.
         """
         with self._writing() as connection:
-            ids = add_suspensions(connection, ((one.vehicle, one.place) for one in results))
+            ids = add_suspensions(connection, ((r.vehicle, r.place) for r in results))
             # first, as this locks the suspensions in an order that avoids deadlocks
             raise_revisions(connection, ids.values())
-            rows = [row_of(ids[one.vehicle, one.place], one) for one in results]
-            dated = [one for one in results if one.start]
+            rows = [row_of(ids[r.vehicle, r.place], r) for r in results]
+            dated = [r for r in results if r.start]
             delete_trips(connection, [(ids[r.vehicle, r.place], undated_key(r)) for r in dated])
             upsert(connection, trips, rows)
             of_each: dict[int, dict[bytes, TripResult]] = {}
             for row, result in zip(rows, results, strict=True):
                 of_each.setdefault(row["suspension_id"], {})[row["key"]] = result
-            for one, own in of_each.items():
-                write_curves(connection, one, own)
+            for number, own in of_each.items():
+                write_curves(connection, number, own)
 
     def read(self, vehicle: str, place: Place) -> list[TripResult]:
         """Return the trips of a suspension by mileage; empty if there are none."""
@@ -186,26 +176,19 @@ class History:
     ) -> tuple[Series | None, int]:
         """Return the trips of a suspension that are relative to one of some healthy states.
 
-        Trips without an estimate are included, and those of `results`, which have just been stored.
-        If one of these has no start, others of its name and mileage are the same trip and left out.
-
-        Returns
-        -------
-        Series or None
-            None if there is no such trip.
-        int
-            Number of trips that are relative to another healthy state.
+        None is returned if there is no such trip. The second value is the number of trips that are
+        relative to another healthy state. Trips without an estimate are included, and those of
+        `results`, which have just been stored. If one of these has no start, others of its name and
+        mileage are the same trip and left out.
         """
         chosen, once = is_comparable(references, results), ~is_dated_again(results)
         others = (
             sql.select(trips.c.id).join(suspensions).where(is_of(vehicle, place), ~chosen, once)
         )
+        count = sql.select(sql.func.count()).select_from(others.subquery())
         with self._reading() as connection:
-            found = read_series(connection, self.bad_rows, {(vehicle, place)}, chosen & once)
-            n_others = connection.execute(
-                sql.select(sql.func.count()).select_from(others.subquery())
-            )
-            return next(iter(found), None), int(n_others.scalar_one())
+            several = read_series(connection, self.bad_rows, {(vehicle, place)}, chosen & once)
+            return next(iter(several), None), int(connection.execute(count).scalar_one())
 
     def responses(self, vehicle: str, place: Place) -> list[TripResponses]:
         """Return the stored transfer functions of a suspension by mileage.
@@ -229,31 +212,31 @@ class History:
         self,
         vehicle: str,
         place: Place,
-        found: Sequence[Alarm],
+        alarms: Sequence[Alarm],
         causes: Collection[Cause] = tuple(Cause),
     ) -> None:
         """Replace the stored alarms of a suspension; see ``keep_all_alarms``."""
-        self.keep_all_alarms({(vehicle, place): found}, causes)
+        self.keep_all_alarms({(vehicle, place): alarms}, causes)
 
     def keep_all_alarms(
-        self, found: Mapping[Key, Sequence[Alarm]], causes: Collection[Cause] = tuple(Cause)
+        self, alarms: Mapping[Key, Sequence[Alarm]], causes: Collection[Cause] = tuple(Cause)
     ) -> None:
         """Replace the stored alarms of suspensions that are of these causes.
 
-        `found` has all alarms of these causes; ValueError is raised if one is of another cause.
+        `alarms` has all alarms of these causes; ValueError is raised if one is of another cause.
         Suspensions whose alarms are unchanged are not written.
         """
-        others = {one.cause for alarms in found.values() for one in alarms} - set(causes)
+        others = {alarm.cause for own in alarms.values() for alarm in own} - set(causes)
         if others:
             wanted = ", ".join(causes)
             raise ValueError(f"alarms of {', '.join(sorted(others))} are not of {wanted}")
         with self._writing() as connection:
-            ids = numbers_of(connection, found, str(self))
-            of_each = {one: found[key] for key, one in ids.items()}
+            ids = numbers_of(connection, alarms, str(self))
+            of_each = {number: alarms[key] for key, number in ids.items()}
             changed = other_alarms(connection, of_each, causes)
             raise_revisions(connection, changed)
-            for one in changed:
-                replace_alarms(connection, one, of_each[one], causes)
+            for number in changed:
+                replace_alarms(connection, number, of_each[number], causes)
 
     def alarms(self, vehicle: str, place: Place) -> list[Alarm]:
         """Return the alarms of a suspension, active or cleared, by the mileage where they start."""
@@ -327,8 +310,8 @@ def acknowledge_alarms(
     """
     now = datetime.now(UTC).isoformat(timespec="seconds")
     seen = [
-        Acknowledgement(one.parameter, one.cause, one.severity, at_km, by, now, words)
-        for one in alarms
+        Acknowledgement(alarm.parameter, alarm.cause, alarm.severity, at_km, by, now, words)
+        for alarm in alarms
     ]
     store.acknowledge(vehicle, place, seen)
     return seen

@@ -45,20 +45,20 @@ def known_suspensions(
     Unreadable rows are left out and appended to `bad`.
     """
     chosen = sql.select(suspensions).where(sql.true() if where is None else where)
-    found = {}
+    known = {}
     for row in connection.execute(chosen).mappings():
         try:
-            found[int(row["id"])] = key_of(row), int(row["revision"])
+            known[int(row["id"])] = key_of(row), int(row["revision"])
         except ValueError as error:
             if bad is not None:
                 bad.append(bad_row(suspensions, row, error))
-    return found
+    return known
 
 
 def places_of(connection: Connection, bad: list[BadRow] | None = None) -> list[Key]:
     """Return vehicle and place of each suspension, sorted."""
-    found = [key for key, _ in known_suspensions(connection, bad=bad).values()]
-    return sorted(found, key=lambda one: (one[0], str(one[1])))
+    keys = [key for key, _ in known_suspensions(connection, bad=bad).values()]
+    return sorted(keys, key=lambda key: (key[0], str(key[1])))
 
 
 def is_one_of(column: sql.Column[int], ids: Iterable[int]) -> sql.ColumnElement[bool]:
@@ -79,29 +79,28 @@ def is_of(vehicle: str, place: Place) -> sql.ColumnElement[bool]:
 def add_suspensions(connection: Connection, keys: Iterable[Key]) -> dict[Key, int]:
     """Return the number of each suspension; new ones are added, ValueError if a name is long."""
     wanted = list(dict.fromkeys(keys))
-    for name in (one for vehicle, place in wanted for one in (vehicle, *astuple(place))):
+    for name in (text for vehicle, place in wanted for text in (vehicle, *astuple(place))):
         if len(name) > MOST_NAME:
             raise ValueError(
                 f"a name must have at most {MOST_NAME} characters, got {name[:20]!r}..."
             )
     upsert(connection, suspensions, [{"vehicle": name} | asdict(place) for name, place in wanted])
-    chosen = (sql.select(suspensions.c.id).where(is_of(*key)) for key in wanted)
-    found = (connection.execute(one).scalar_one() for one in chosen)
-    return dict(zip(wanted, map(int, found), strict=True))
+    chosen = {key: sql.select(suspensions.c.id).where(is_of(*key)) for key in wanted}
+    return {key: int(connection.execute(query).scalar_one()) for key, query in chosen.items()}
 
 
 def numbers_of(connection: Connection, keys: Iterable[Key], name: str) -> dict[Key, int]:
     """Return the number of each suspension; HistoryError with the store's `name` if unknown."""
     wanted = list(keys)
     where = is_of(*wanted[0]) if len(wanted) == 1 else None  # all, if it is more than one
-    there = {key: one for one, (key, _) in known_suspensions(connection, where).items()}
+    numbers = {key: number for number, (key, _) in known_suspensions(connection, where).items()}
     for vehicle, place in wanted:
-        if (vehicle, place) not in there:
-            known = "; ".join(f"{other}: {one}" for other, one in places_of(connection))
+        if (vehicle, place) not in numbers:
+            known = "; ".join(f"{other}: {where}" for other, where in places_of(connection))
             raise HistoryError(
                 f"{name}: no trip of {vehicle}: {place} is stored here; known: {known or 'none'}"
             )
-    return {key: there[key] for key in wanted}
+    return {key: numbers[key] for key in wanted}
 
 
 def raise_revisions(connection: Connection, ids: Iterable[int]) -> None:
@@ -110,25 +109,25 @@ def raise_revisions(connection: Connection, ids: Iterable[int]) -> None:
     A transaction that changes suspensions starts with this. They are locked in order of their
     numbers, so that writers do not deadlock.
     """
-    rows = [{"one": one} for one in sorted(set(ids))]
+    rows = [{"number": number} for number in sorted(set(ids))]
     if rows:
-        one = suspensions.update().where(suspensions.c.id == sql.bindparam("one"))
-        connection.execute(one.values(revision=suspensions.c.revision + 1), rows)
+        update = suspensions.update().where(suspensions.c.id == sql.bindparam("number"))
+        connection.execute(update.values(revision=suspensions.c.revision + 1), rows)
 
 
 def read_trips(
     connection: Connection, vehicle: str, place: Place, bad: list[BadRow]
 ) -> list[TripResult]:
     """Return the trips of a suspension by mileage; unreadable rows are appended to `bad`."""
-    columns = [one for one in trips.columns if one.name != "key"]
+    columns = [column for column in trips.columns if column.name != "key"]
     chosen = sql.select(*columns).join(suspensions).where(is_of(vehicle, place))
-    found = []
+    results = []
     for row in connection.execute(chosen).mappings():
         try:
-            found.append(result_of((vehicle, place), row))
+            results.append(result_of((vehicle, place), row))
         except ValueError as error:
             bad.append(bad_row(trips, row, error, (vehicle, place)))
-    return sorted(found, key=lambda r: (math.isnan(r.mileage_km), r.mileage_km, r.trip))
+    return sorted(results, key=lambda r: (math.isnan(r.mileage_km), r.mileage_km, r.trip))
 
 
 def delete_trips(connection: Connection, keys: Collection[tuple[int, bytes]]) -> None:
@@ -150,7 +149,7 @@ def read_stored(
     They are sorted by the primary key of the table. Unreadable rows are left out and appended to
     `bad`.
     """
-    table, names = TABLES[kind], [one.name for one in fields(kind)]
+    table, names = TABLES[kind], [field.name for field in fields(kind)]
     places = (suspensions.c[name] for name in ("vehicle", *PLACE))
     chosen = (
         sql.select(*places, *(table.c[name] for name in names))
@@ -158,7 +157,7 @@ def read_stored(
         .where(sql.true() if where is None else where)
         .order_by(*table.primary_key.columns)
     )
-    found: dict[Key, list[Stored]] = {}
+    of_key: dict[Key, list[Stored]] = {}
     for row in connection.execute(chosen).mappings():
         try:
             key = key_of(row)
@@ -171,10 +170,10 @@ def read_stored(
             }
             if kind is Alarm:
                 values["words"] = restored(values["words"])
-            found.setdefault(key, []).append(kind(**values))
+            of_key.setdefault(key, []).append(kind(**values))
         except ValueError as error:
             bad.append(bad_row(table, row, error, key))
-    return found
+    return of_key
 
 
 def write_stored(
@@ -182,37 +181,39 @@ def write_stored(
 ) -> None:
     """Store objects of one class; those with an existing primary key are updated."""
     if kept:
-        upsert(connection, TABLES[type(kept[0])], [_row(suspension, one) for one in kept])
+        upsert(connection, TABLES[type(kept[0])], [_row(suspension, entry) for entry in kept])
 
 
 def other_alarms(
-    connection: Connection, found: Mapping[int, Sequence[Alarm]], causes: Collection[Cause]
+    connection: Connection, of_each: Mapping[int, Sequence[Alarm]], causes: Collection[Cause]
 ) -> list[int]:
     """Return the numbers of the suspensions whose stored alarms of these causes differ."""
-    chosen = sql.select(alarms).where(
-        is_one_of(alarms.c.suspension_id, found), alarms.c.cause.in_([str(one) for one in causes])
-    )
-    there: dict[int, list[dict[str, Any]]] = {}
-    for row in connection.execute(chosen).mappings():
-        there.setdefault(row["suspension_id"], []).append(dict(row))
+    is_chosen = is_one_of(alarms.c.suspension_id, of_each), _is_of(causes)
+    stored_rows: dict[int, list[dict[str, Any]]] = {}
+    for row in connection.execute(sql.select(alarms).where(*is_chosen)).mappings():
+        stored_rows.setdefault(row["suspension_id"], []).append(dict(row))
     return [
-        one
-        for one, own in found.items()
-        if _by_key(there.get(one, [])) != _by_key(_row(one, alarm) for alarm in own)
+        number
+        for number, own in of_each.items()
+        if _by_key(stored_rows.get(number, [])) != _by_key(_row(number, alarm) for alarm in own)
     ]
 
 
 def replace_alarms(
-    connection: Connection, suspension: int, found: Sequence[Alarm], causes: Collection[Cause]
+    connection: Connection, suspension: int, own: Sequence[Alarm], causes: Collection[Cause]
 ) -> None:
     """Replace the stored alarms of a suspension that are of these causes."""
-    of_causes = alarms.c.cause.in_([str(one) for one in causes])
-    connection.execute(alarms.delete().where(alarms.c.suspension_id == suspension, of_causes))
-    write_stored(connection, suspension, found)
+    is_own = alarms.c.suspension_id == suspension
+    connection.execute(alarms.delete().where(is_own, _is_of(causes)))
+    write_stored(connection, suspension, own)
+
+
+def _is_of(causes: Collection[Cause]) -> sql.ColumnElement[bool]:
+    return alarms.c.cause.in_([str(cause) for cause in causes])
 
 
 def _by_key(rows: Iterable[dict[str, Any]]) -> dict[tuple[Any, ...], dict[str, Any]]:
-    names = [one.name for one in alarms.primary_key.columns]
+    names = [column.name for column in alarms.primary_key.columns]
     return {tuple(row[name] for name in names): row for row in rows}
 
 

@@ -13,7 +13,6 @@ from suspnet.ground.parameters import BODY_MASS, Cause, Limits, Severity
 from suspnet.maintenance.alarms import Alarm
 from suspnet.maintenance.judge import (
     N_CONFIRMING,
-    N_LAST,
     Judged,
     LastTrips,
     beyond_words,
@@ -21,7 +20,8 @@ from suspnet.maintenance.judge import (
     level_words,
 )
 from suspnet.maintenance.life import Life
-from suspnet.maintenance.trend import Shape, Step, Trend
+from suspnet.maintenance.series import N_LAST
+from suspnet.maintenance.trend import ParameterTrend, Shape, Step
 
 ONE_FLAGGED = "the only trip is flagged"
 LARGE_PERCENT = 10.0
@@ -43,7 +43,7 @@ class Assessment:
     `unknown_life` is why the remaining life is unknown or unreliable, empty if it is known.
     """
 
-    trend: Trend
+    trend: ParameterTrend
     severity: Severity
     words: str
     limited: bool = True
@@ -64,7 +64,7 @@ class Assessment:
 
 
 def assess(
-    trend: Trend,
+    trend: ParameterTrend,
     last: LastTrips,
     limits: Limits | None,
     alarms: Sequence[Alarm] = (),
@@ -78,7 +78,8 @@ def assess(
     """
     severity = severity_of(last, limits, alarms, doubt)
     words = _words(trend, last, limits)
-    worst = max(alarms, key=lambda one: (one.severity, -one.begin_km), default=None)
+    # an alarm that the last trips alone do not explain comes first
+    worst = max(alarms, key=lambda alarm: (alarm.severity, -alarm.begin_km), default=None)
     if worst is not None and worst.severity > judge_last(last, limits)[0]:
         is_named = worst.cause == Cause.CHANGE and trend.changed
         since = Finding("alarm-since", words=words if is_named else worst.words, km=worst.begin_km)
@@ -98,10 +99,10 @@ def severity_of(
     """
     least = Severity.UNKNOWN if doubt and limits is not None else Severity.NONE
     by_limits = judge_last(last, limits)[0]
-    return max(least, by_limits, *(one.severity for one in alarms))
+    return max(least, by_limits, *(alarm.severity for alarm in alarms))
 
 
-def _words(trend: Trend, last: LastTrips, limits: Limits | None) -> str:
+def _words(trend: ParameterTrend, last: LastTrips, limits: Limits | None) -> str:
     """Return the reason from the trips alone, without alarms."""
     severity, judged = judge_last(last, limits)
     if len(last.values) == 0:
@@ -112,16 +113,16 @@ def _words(trend: Trend, last: LastTrips, limits: Limits | None) -> str:
         if severity == Severity.UNKNOWN:
             return _not_judged(trend, last)
         return _joined(_calm(trend, last, limits), trend, last)
-    parts = [_level(judged, last, limits), *_development(trend, judged, limits)]
-    return _joined(parts, trend, last, severity)
+    words = [_level(judged, last, limits), *_development(trend, judged, limits)]
+    return _joined(words, trend, last, severity)
 
 
 def joined(assessments: Sequence[Assessment]) -> list[list[Assessment]]:
     """Return assessments grouped by severity and reason, in order of first occurrence."""
-    found: dict[tuple[Severity, str], list[Assessment]] = {}
-    for one in assessments:
-        found.setdefault((one.severity, one.words), []).append(one)
-    return list(found.values())
+    groups: dict[tuple[Severity, str], list[Assessment]] = {}
+    for assessment in assessments:
+        groups.setdefault((assessment.severity, assessment.words), []).append(assessment)
+    return list(groups.values())
 
 
 def worst_first(assessments: Sequence[Assessment]) -> list[Assessment]:
@@ -149,30 +150,34 @@ def overall(assessments: Sequence[Assessment]) -> tuple[Severity, str]:
     n_all, quiet = len(judged), "No parameter is beyond its limits"
     if not any(a.limited for a in judged):
         quiet = "No parameter has limits"
+    # the most severe first; without an alarm, what is not known comes before what is quiet
     if severity == Severity.ACT:
         kind, n_notice = "act-and-notice" if n[Severity.NOTICE] else "act", n[Severity.NOTICE]
-        return severity, Finding(kind, n=n[severity], n_all=n_all, n_notice=n_notice)
-    if severity == Severity.NOTICE:
-        return severity, Finding("notice", n=n[severity], n_all=n_all)
-    if n_known == 0:
-        return severity, Finding("nothing-known")
-    if severity == Severity.UNKNOWN:
-        return severity, Finding("not-all-judged", n=n[severity], n_all=n_all)
-    if n_changed:
-        return severity, Finding("some-changed", quiet=quiet, n=n_changed, n_all=n_all)
-    if n_tested < len(judged):
-        return severity, Finding("some-too-few" if n_tested else "all-too-few", quiet=quiet)
-    return severity, Finding("nothing-stands-out", quiet=quiet)
+        sentence = Finding(kind, n=n[severity], n_all=n_all, n_notice=n_notice)
+    elif severity == Severity.NOTICE:
+        sentence = Finding("notice", n=n[severity], n_all=n_all)
+    elif n_known == 0:
+        sentence = Finding("nothing-known")
+    elif severity == Severity.UNKNOWN:
+        sentence = Finding("not-all-judged", n=n[severity], n_all=n_all)
+    elif n_changed:
+        sentence = Finding("some-changed", quiet=quiet, n=n_changed, n_all=n_all)
+    elif n_tested < len(judged):
+        sentence = Finding("some-too-few" if n_tested else "all-too-few", quiet=quiet)
+    else:
+        sentence = Finding("nothing-stands-out", quiet=quiet)
+    return severity, sentence
 
 
 def _level(judged: Judged, last: LastTrips, limits: Limits) -> str:
     """Return the level of the last trips as text, for a severity above none."""
-    side, run, count = (int(part) for part in (judged.side, judged.run, judged.count))
+    side, run, count = (int(number) for number in (judged.side, judged.run, judged.count))
     severity, n_last = Severity(int(judged.severity)), len(last.values)
     limit = (limits.act if severity == Severity.ACT else limits.notice)[(side + 1) // 2]
     beyond = beyond_words(side, severity, limit)
     newest = level_words(last.values[-1], limit)
     of_healthy = Finding("last-trip-of-healthy", level=newest)
+    # several of the last trips, not all of them the newest
     if count >= N_CONFIRMING and run < count and severity != Severity.UNKNOWN:
         trips = {"count": count, "n_last": n_last, "beyond": beyond}
         if run:
@@ -180,6 +185,7 @@ def _level(judged: Judged, last: LastTrips, limits: Limits) -> str:
         out = level_words(np.median(last.values[side * (last.values - limit) > 0]), limit)
         several = Finding("trips-level-beyond", level=out, **trips)
         return together((several, Finding("last-trip-level", level=newest)))
+    # the newest trips in a row, and what makes them uncertain
     words: str = Finding("last-trip-beyond", level=newest, beyond=beyond)
     if run > 1:
         words = together((of_healthy, Finding("last-trips-beyond", run=run, beyond=beyond)))
@@ -193,7 +199,7 @@ def _level(judged: Judged, last: LastTrips, limits: Limits) -> str:
     return words
 
 
-def _development(trend: Trend, judged: Judged, limits: Limits) -> list[str]:
+def _development(trend: ParameterTrend, judged: Judged, limits: Limits) -> list[str]:
     """Return how the parameter reached its level, for a severity above none."""
     if trend.shape == Shape.RETURNED and trend.step is not None:
         if trend.n_trips - trend.step.n_before <= N_LAST:
@@ -214,7 +220,7 @@ def _development(trend: Trend, judged: Judged, limits: Limits) -> list[str]:
     return [Finding("not-clear", percent=_percent(trend.spread_percent))]
 
 
-def _not_judged(trend: Trend, last: LastTrips) -> str:
+def _not_judged(trend: ParameterTrend, last: LastTrips) -> str:
     """Return why nothing is judged if all of the last trips are flagged and within the limits."""
     why = ALL_FLAGGED if last.all_flagged else Finding("all-last-flagged", n=len(last.values))
     if last.all_flagged and len(last.values) == 1:
@@ -222,36 +228,38 @@ def _not_judged(trend: Trend, last: LastTrips) -> str:
     return together([Finding("not-judged", why=why), *([_change(trend)] if trend.changed else [])])
 
 
-def _calm(trend: Trend, last: LastTrips, limits: Limits | None = None) -> list[str]:
+def _calm(trend: ParameterTrend, last: LastTrips, limits: Limits | None = None) -> list[str]:
     """Return how the parameter develops if no limit is crossed or there are no limits."""
     change, median = _change(trend), float(np.median(last.values))
     if trend.parameter == BODY_MASS:
         return [Finding("payload", change=change)]
     scatter = 3 * float(np.nan_to_num(trend.spread_percent))
     level = Finding("of-healthy", percent=100 * median)
+    # a change, or else the level if it is far from healthy
     if trend.changed:
-        parts = [Finding("within-limits-words", words=change) if limits else change]
+        words = [Finding("within-limits-words", words=change) if limits else change]
     elif abs(100 * (median - 1)) > max(LARGE_PERCENT, scatter):
-        parts = [Finding("within-limits-words", words=level) if limits else level, change]
+        words = [Finding("within-limits-words", words=level) if limits else level, change]
     elif trend.shape == Shape.TOO_FEW and limits:
-        parts = ["within its limits", change]
+        words = ["within its limits", change]
     else:
-        parts = [change]
+        words = [change]
+    # single trips that the median hides
     if abs(100 * (last.values[-1] - median)) > max(REPORTED_PERCENT, scatter):
-        parts.append(Finding("last-trip-at", percent=100 * last.values[-1]))
+        words.append(Finding("last-trip-at", percent=100 * last.values[-1]))
     if limits:
         n = int(np.sum((last.values < limits.notice[0]) | (last.values > limits.notice[1])))
         if n:
-            parts.append(Finding("some-beyond", n=n, n_last=len(last.values)))
-    return parts
+            words.append(Finding("some-beyond", n=n, n_last=len(last.values)))
+    return words
 
 
-def _change(trend: Trend) -> str:
+def _change(trend: ParameterTrend) -> str:
     words = _change_words(trend)
     return Finding("without-flagged", words=words) if trend.without_flagged else words
 
 
-def _change_words(trend: Trend) -> str:
+def _change_words(trend: ParameterTrend) -> str:
     if trend.shape == Shape.TOO_FEW:
         if abs(trend.change_percent) >= LARGE_PERCENT and trend.parameter != BODY_MASS:
             return _first_trips(trend)
@@ -276,28 +284,31 @@ def _change_words(trend: Trend) -> str:
     return Finding("about", words=amount, km=_km(trend.step))
 
 
-def _first_trips(trend: Trend) -> str:
+def _first_trips(trend: ParameterTrend) -> str:
     """Return where the first trips were, for a difference that too few trips can test."""
     return Finding("first-trips", n=trend.n_ends, percent=100 * trend.first_median)
 
 
 def _joined(
-    parts: Sequence[str], trend: Trend, last: LastTrips, severity: Severity = Severity.NONE
+    clauses: Sequence[str],
+    trend: ParameterTrend,
+    last: LastTrips,
+    severity: Severity = Severity.NONE,
 ) -> str:
-    """Return all parts as one sentence, followed by the number of flagged trips."""
+    """Return all clauses as one sentence, followed by the number of flagged trips."""
     flags = []
     if last.all_flagged:
         flags.append(ALL_FLAGGED)
     elif trend.flagged_first or trend.flagged_last:
         first, newest, n_ends = trend.flagged_first, trend.flagged_last, trend.n_ends
-        if any(kind_is(part, kind) for part in parts for kind in FLAGGED) and newest == 1:
-            newest = 0  # it has been said
+        if any(kind_is(clause, kind) for clause in clauses for kind in FLAGGED) and newest == 1:
+            newest = 0  # a clause says so already
         if first and newest:
             flags.append(Finding("flagged-both", n_first=first, n_last=newest, n_ends=n_ends))
         elif first or newest:
             kind = "flagged-first" if first else "flagged-last"
             flags.append(Finding(kind, n=first or newest, n_ends=n_ends))
-    words = together([*parts, *flags])
+    words = together([*clauses, *flags])
     # flags silence no verdict, as a badly worn part is flagged too, but its numbers may be off
     is_doubtful = severity >= Severity.NOTICE and bool(last.flagged.all())
     return Finding("inspect-first", words=words) if is_doubtful and flags else words

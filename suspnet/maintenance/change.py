@@ -33,13 +33,7 @@ others."""
 
 @dataclass(frozen=True)
 class ChangeSettings:
-    """Settings of the change detector.
-
-    Raises
-    ------
-    ValueError
-        If a setting is out of range.
-    """
+    """Settings of the change detector; ValueError if one is out of range."""
 
     km_per_false_alarm: float = setting(
         1e6,
@@ -89,23 +83,14 @@ class Change:
 class Changes:
     """Changes of the parameters of one suspension, as ``find_changes`` returns them.
 
-    Attributes
-    ----------
-    found : dict of lists of Change
-        Changes of each parameter, in the order of the trips.
-    covariates : tuple of str
-        Covariates that were used.
-    n_reference, n_needed : int
-        Usable trips so far, and how many of them detection needs.
-    threshold : float, [-]
-        Threshold of the CUSUM at the last trip; NaN without detection.
-    n_unlike : int
-        Number of trips not judged, as a covariate is missing or unlike the reference.
-    why_not : str
-        Why nothing can be detected; empty if it can.
+    `by_parameter` has the changes of each parameter in the order of the trips, `covariates` the
+    names of those that were used. `n_reference` counts the usable trips so far, of which detection
+    needs `n_needed`; `threshold` is that of the CUSUM at the last trip, NaN without detection.
+    `n_unlike` trips are not judged, as a covariate is missing or unlike the reference. `why_not` is
+    why nothing can be detected; empty if it can.
     """
 
-    found: dict[str, list[Change]] = field(default_factory=dict)
+    by_parameter: dict[str, list[Change]] = field(default_factory=dict)
     covariates: tuple[str, ...] = ()
     n_reference: int = 0
     n_needed: int = 0
@@ -157,13 +142,13 @@ def find_changes(
     ValueError
         If shapes differ, no parameter is given, or the mileage falls.
     """
-    given, widths = {} if usable is None else {"usable": usable}, widths or {}
-    km = np.asarray(mileage_km, dtype=float)
-    _check_shapes(
-        km, {"values": values, "covariates": covariates, "widths": widths, "usable": given}
-    )
+    km, widths = np.asarray(mileage_km, dtype=float), widths or {}
+    marks = {} if usable is None else {"usable": usable}
+    columns = {"values": values, "covariates": covariates, "widths": widths, "usable": marks}
+    _check_shapes(km, columns)
     if (np.diff(km[np.isfinite(km)]) < 0).any():
         raise ValueError("`mileage_km` must ascend")
+    # a trip counts for all parameters or for none
     names = tuple(values)
     estimates = np.stack([np.asarray(values[name], dtype=float) for name in names], axis=-1)
     good = np.isfinite(km) & (np.isfinite(estimates) & (estimates > 0)).all(axis=-1)
@@ -174,29 +159,31 @@ def find_changes(
     if len(trips) < needed:
         why = Finding("reference-incomplete", n_trips=len(trips), needed=needed)
         return Changes(n_reference=len(trips), n_needed=needed, why_not=why)
-    used_names, z, known = _covariates(covariates, trips, needed)
-    n_lacking = int((~known).sum())
-    trips, z = trips[known], z[known]
+    used_names, z, has_all = _covariates(covariates, trips, needed)
+    n_lacking = int((~has_all).sum())
+    trips, z = trips[has_all], z[has_all]
+    # all parameters at once against their references; each then has its own CUSUM
     judged = _Judged(trips, z, _limits(km[trips], len(names), settings), settings)
     logs = np.log(estimates[trips])
     rest = residuals(logs, np.repeat(z[:, None], len(names), 1), needed)
-    found = {
-        name: _of_one(
+    by_parameter = {
+        name: _changes_of(
             judged, logs[:, i], _relative_widths(widths.get(name), trips, needed), rest.of(i)
         )
         for i, name in enumerate(names)
     }
     n_unlike = n_lacking + int((rest.leverage > 1).any(axis=-1).sum())
-    return Changes(found, used_names, len(trips), needed, float(judged.limits[-1]), n_unlike)
+    limit = float(judged.limits[-1])
+    return Changes(by_parameter, used_names, len(trips), needed, limit, n_unlike)
 
 
-def _check_shapes(km: FloatArray, given: Mapping[str, Mapping[str, ArrayLike]]) -> None:
-    if not given["values"]:
+def _check_shapes(km: FloatArray, columns: Mapping[str, Mapping[str, ArrayLike]]) -> None:
+    if not columns["values"]:
         raise ValueError("`values` must have one parameter at least")
     if km.ndim != 1:
         raise ValueError(f"`mileage_km` must have one dimension, got {km.ndim}")
-    for what, columns in given.items():
-        for name, column in columns.items():
+    for what, several in columns.items():
+        for name, column in several.items():
             if np.shape(column) != km.shape:
                 raise ValueError(
                     f"`{what}` must have {len(km)} trips each, got {np.shape(column)} for {name}"
@@ -231,13 +218,16 @@ def _limits(km: FloatArray, n_parameters: int, settings: ChangeSettings) -> Floa
     return np.array(limits)[where]
 
 
-def _of_one(judged: _Judged, logs: FloatArray, widths: FloatArray, rest: Residuals) -> list[Change]:
+def _changes_of(
+    judged: _Judged, logs: FloatArray, widths: FloatArray, rest: Residuals
+) -> list[Change]:
     """Return the changes of one parameter; arrays have one entry for each usable trip."""
-    found = []
+    changes = []
     trips, needed = judged.trips, judged.settings.n_reference
     used = np.arange(len(logs))
     start = needed
     for _ in range(len(logs)):  # each turn ends, or leaves out a trip
+        # trips too unlike the reference are not judged
         standard = np.where(rest.leverage > 1, 0, rest.standard)[start - needed :]
         alarm = _first(
             standard / widths[used[start:]],
@@ -256,7 +246,7 @@ def _of_one(judged: _Judged, logs: FloatArray, widths: FloatArray, rest: Residua
         away = logs[used] - x @ fit
         spread = float(away[:n_known][usual].std())
         last = _end(away, begin, size, spread, float(rest.correlation[begin - needed]))
-        found.append(
+        changes.append(
             Change(
                 int(trips[used[onset]]),
                 int(trips[used[begin]]),
@@ -272,7 +262,7 @@ def _of_one(judged: _Judged, logs: FloatArray, widths: FloatArray, rest: Residua
         if start >= len(used):
             break
         rest = residuals(logs[used][:, None], judged.covariates[used][:, None], needed).of(0)
-    return found
+    return changes
 
 
 def _end(away: FloatArray, begin: int, size: float, spread: float, phi: float) -> int | None:
@@ -311,28 +301,28 @@ def _first(
 
 
 def _covariates(
-    given: Mapping[str, ArrayLike], trips: IntArray, needed: int
+    values_of: Mapping[str, ArrayLike], trips: IntArray, needed: int
 ) -> tuple[tuple[str, ...], FloatArray, BoolArray]:
     """Return names and values of the usable covariates, and which trips have all of them.
 
     Values are standardised by the reference, (n_trips, n_covariates).
     """
     kept, columns, has_all = [], [np.ones(len(trips))], np.ones(len(trips), dtype=bool)
-    for name, values in given.items():
+    for name, values in values_of.items():
         column = np.asarray(values, dtype=float)[trips]
-        known = np.abs(column) < LARGEST  # False for NaN
-        if not known[:needed].all():
+        is_known = np.abs(column) < LARGEST  # False for NaN
+        if not is_known[:needed].all():
             continue
         mean, spread = float(column[:needed].mean()), float(column[:needed].std())
         if spread <= VARIES * max(abs(mean), 1e-9):
             continue
-        column = np.where(known, (column - mean) / spread, 0)
+        column = np.where(is_known, (column - mean) / spread, 0)
         others = np.stack(columns, axis=-1)[:needed]
         fit = np.linalg.lstsq(others, column[:needed], rcond=None)[0]
         if (column[:needed] - others @ fit).std() > VARIES:
             kept.append(name)
             columns.append(column)
-            has_all &= known
+            has_all &= is_known
     used = np.stack(columns[1:], axis=-1) if kept else np.empty((len(trips), 0))
     return tuple(kept), used, has_all
 
@@ -341,8 +331,8 @@ def _relative_widths(widths: ArrayLike | None, trips: IntArray, needed: int) -> 
     """Return each trip's interval width over the median one of the reference, at least 1."""
     if widths is None:
         return np.ones(len(trips))
-    known = np.clip(np.asarray(widths, dtype=float)[trips], 1e-12, LARGEST)
-    if not np.isfinite(known[:needed]).any():
+    clipped = np.clip(np.asarray(widths, dtype=float)[trips], 1e-12, LARGEST)
+    if not np.isfinite(clipped[:needed]).any():
         return np.ones(len(trips))
-    usual = float(np.nanmedian(known[:needed]))
-    return np.asarray(np.maximum(np.nan_to_num(known / usual, nan=1.0), 1.0))
+    usual = float(np.nanmedian(clipped[:needed]))
+    return np.asarray(np.maximum(np.nan_to_num(clipped / usual, nan=1.0), 1.0))

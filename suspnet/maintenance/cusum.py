@@ -19,8 +19,7 @@ from suspnet.ground.types import BoolArray, FloatArray, IntArray
 ALLOWANCE = 0.5
 """k of the CUSUM, in standard deviations: half of the shift for which it is optimal."""
 CLIP = 6.0
-"""Largest deviation of a trip that counts, in standard deviations: no trip raises an alarm
-alone."""
+"""Largest deviation of a trip that counts, [standard deviations]: none raises an alarm alone."""
 DELAY = 10
 """Number of trips after which a trip joins the reference: a change is detected earlier."""
 MAX_CORRELATION = 0.6
@@ -36,24 +35,14 @@ HORIZONS = (10, 20, 50, 100, 200)
 
 @dataclass(frozen=True)
 class Residuals:
-    """Deviation of each trip from the reference.
+    """Deviation of each trip after the first reference from its reference, (n_trips, ...).
 
-    Attributes
-    ----------
-    standard : array of shape (n_trips - n_reference, ...), [-]
-        Pre-whitened deviations, approximately standard normal without a change.
-    deviations : array of the same shape
-        Trip minus the value expected from reference and covariates, not pre-whitened, in the unit
-        of the trips.
-    leverage : array of the same shape, [-]
-        Variance of the expected value over that of a trip; above 1, the covariates are too unlike
-        those of the reference.
-    n_reference : int array of shape (n_trips - n_reference,)
-        Number of trips that are old enough for the reference.
-    correlation : array of the shape of `standard`, [-]
-        phi.
-    usual : bool array of the shape of `standard`
-        Whether the trip may join the reference: abs(z) is at most ``CLIP``.
+    `standard` are pre-whitened deviations, approximately standard normal without a change.
+    `deviations` are trips minus the values expected from reference and covariates, not
+    pre-whitened, in the unit of the trips. `leverage` is the variance of the expected value over
+    that of a trip; above 1, the covariates are too unlike those of the reference. `n_reference`,
+    (n_trips,), counts the trips that are old enough for the reference, `correlation` is phi, and
+    `usual` is whether the trip may join the reference: abs(z) is at most ``CLIP``.
     """
 
     standard: FloatArray
@@ -65,8 +54,8 @@ class Residuals:
 
     def of(self, i: int) -> Residuals:
         """Return the residuals of the `i`-th parameter, along the last axis."""
-        one = {name: column[..., i] for name, column in vars(self).items() if column.ndim > 1}
-        return replace(self, **one)
+        columns = {name: column[..., i] for name, column in vars(self).items() if column.ndim > 1}
+        return replace(self, **columns)
 
 
 def residuals(values: FloatArray, covariates: FloatArray, n_reference: int) -> Residuals:
@@ -89,22 +78,9 @@ def residuals(values: FloatArray, covariates: FloatArray, n_reference: int) -> R
     changes: its x and y are set to zero and it does not count in j. A lasting change of that size
     has already raised an alarm.
 
-    Parameters
-    ----------
-    values : array of shape (n_trips, ...)
-    covariates : array of shape (n_trips, ..., n_covariates)
-        Leading dimensions as in `values`; n_covariates may be 0.
-    n_reference : int
-        At least 8, and at least n_covariates + 4.
-
-    Returns
-    -------
-    Residuals
-
-    Raises
-    ------
-    ValueError
-        If the reference is too short, or its covariates are linearly dependent.
+    `values` is (n_trips, ...), `covariates` (n_trips, ..., n_covariates), where n_covariates may
+    be 0. ValueError is raised if `n_reference` is below 8 or n_covariates + 4, or the covariates of
+    the reference are linearly dependent.
     """
     n_covariates = covariates.shape[-1]
     check_number("n_reference", n_reference, low=max(8, n_covariates + 4), whole=True)
@@ -121,10 +97,8 @@ def residuals(values: FloatArray, covariates: FloatArray, n_reference: int) -> R
 
 
 def _compare(rows: FloatArray, kept: BoolArray, n_reference: int) -> Residuals:
-    """Return the residuals of rows (x, y), (n_trips, ..., n_covariates + 2), against `kept` ones.
-
-    All references are prefixes of the history, so their moments are differences of cumulative sums.
-    """
+    """Return the residuals of rows (x, y), (n_trips, ..., n_x + 1), against `kept` ones."""
+    # all references are prefixes of the history: their moments are differences of cumulative sums
     used = rows * kept[..., None]
     squares = np.cumsum(_outer(used, used), axis=0)
     products = np.cumsum(_outer(used[1:], used[:-1]), axis=0)
@@ -136,6 +110,7 @@ def _compare(rows: FloatArray, kept: BoolArray, n_reference: int) -> Residuals:
     squares, products = squares[ends - 1], products[ends - 2]
     least = size * LEAST_SPREAD**2
     try:
+        # first phi from plain least squares, then b from the pre-whitened rows
         plain = _contrast(squares)
         phi = _posterior_mean(
             _form(products, plain) / np.maximum(_form(squares, plain), least), size
@@ -152,6 +127,7 @@ def _compare(rows: FloatArray, kept: BoolArray, n_reference: int) -> Residuals:
     freedom = size - rows.shape[-1]
     variance = np.maximum(_form(whitened, contrast), least) / freedom
     phi, nu = phi[where], freedom[where]
+    # each trip against the reference that it belongs to, and made standard normal
     step = rows[now] - phi[..., None] * rows[now - 1]
     leverage = _form(inverse[where], step[..., :-1])
     z = np.einsum("...i,...i", step, contrast[where])
@@ -165,15 +141,8 @@ def cusum(standard: FloatArray) -> FloatArray:
     """Return the upward and the downward CUSUM of residuals.
 
     S_t = max(0, S_(t-1) + s z_t - k) with s = 1 and -1, k = ``ALLOWANCE``, z clipped to
-    +-``CLIP``, and S = 0 before the first trip (E. S. Page, Biometrika 41, 1954).
-
-    Parameters
-    ----------
-    standard : array of shape (n_trips, ...)
-
-    Returns
-    -------
-    array of shape (2, n_trips, ...)
+    +-``CLIP``, and S = 0 before the first trip (E. S. Page, Biometrika 41, 1954). `standard` is
+    (n_trips, ...), the result (2, n_trips, ...).
     """
     z = np.clip(standard, -CLIP, CLIP)
     walks = np.cumsum(np.stack([z, -z]) - ALLOWANCE, axis=1)
@@ -182,7 +151,7 @@ def cusum(standard: FloatArray) -> FloatArray:
 
 @functools.lru_cache(maxsize=1024)
 def threshold(rate: float, n_reference: int, correlation: float = 0.5, seed: int = 0) -> float:
-    """Return the threshold of ``cusum`` for a given rate of false alarms of healthy trips.
+    """Return the threshold of ``cusum``, [standard deviations], for a rate of false alarms.
 
     ``N_SIMULATED`` healthy histories, each with its own reference, are drawn from a normal
     autoregressive process. The rate counts first false alarms per monitored trip, and holds over
@@ -193,28 +162,12 @@ def threshold(rate: float, n_reference: int, correlation: float = 0.5, seed: int
     simulation are extrapolated: the log rate falls linearly with the threshold, with the slope of
     the last decade simulated, which is flatter than the exp(-2 k h) of a known level.
 
-    Parameters
-    ----------
-    rate : float, [1/trip]
-    n_reference : int
-        At least 8.
-    correlation : float, [-]
-        Largest expected correlation of successive trips, 0 to ``MAX_CORRELATION``.
-    seed : int
-
-    Returns
-    -------
-    float
-        In standard deviations.
-
-    Raises
-    ------
-    ValueError
-        If a setting is out of range.
+    `rate` is per trip, `n_reference` at least 8, `correlation` the largest expected correlation of
+    successive trips, up to ``MAX_CORRELATION``. ValueError is raised if one is out of range.
     """
     check_number("rate", rate, above=0, below=1)
     check_number("correlation", correlation, low=0, high=MAX_CORRELATION)
-    peaks = _healthy_peaks(n_reference, float(correlation), seed)
+    peaks = healthy_peaks(n_reference, float(correlation), seed)
     shown = 20 / (N_SIMULATED * HORIZONS[-1])
     if rate >= shown:
         return _least(peaks, rate)
@@ -228,15 +181,12 @@ def _least(peaks: NDArray[np.float32], rate: float) -> float:
     low, high = CLIP, float(peaks[-1].max())
     for _ in range(24):  # the rate falls with the threshold: bisection to 1e-7 of the range
         middle = (low + high) / 2
-        low, high = (middle, high) if _false_alarms(peaks, middle) > rate else (low, middle)
+        low, high = (middle, high) if false_alarm_rate(peaks, middle) > rate else (low, middle)
     return high
 
 
-def _false_alarms(peaks: NDArray[np.float32], threshold: float) -> float:
-    """Return the largest rate of first alarms over the horizons.
-
-    `peaks`, (``N_MONITORED``, n_histories), are the running maxima of the CUSUM.
-    """
+def false_alarm_rate(peaks: NDArray[np.float32], threshold: float) -> float:
+    """Return the largest rate of first alarms over the horizons; `peaks` of ``healthy_peaks``."""
     quiet = (peaks <= threshold).sum(axis=0)  # trips before the first alarm
     return max(
         float((quiet < trips).mean() / np.minimum(quiet + 1, trips).mean()) for trips in HORIZONS
@@ -244,7 +194,7 @@ def _false_alarms(peaks: NDArray[np.float32], threshold: float) -> float:
 
 
 @functools.lru_cache(maxsize=8)
-def _healthy_peaks(n_reference: int, correlation: float, seed: int) -> NDArray[np.float32]:
+def healthy_peaks(n_reference: int, correlation: float, seed: int) -> NDArray[np.float32]:
     """Return the largest CUSUM up to each trip, (``N_MONITORED``, ``N_SIMULATED``)."""
     random = np.random.default_rng(seed)
     peaks = np.empty((N_MONITORED, N_SIMULATED), np.float32)

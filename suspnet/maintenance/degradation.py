@@ -240,14 +240,14 @@ class Fit:
     ) -> None:
         self.hinges, self.rows, self.last = hinges, rows, blocks.last
         scale = 1 + blocks.value if linear else np.ones(blocks.t.size)
-        self._one = 1 / scale
+        self._unit = 1 / scale
         self._values = (blocks.value if linear else blocks.log_value) / scale
         self._course = hinges.course(blocks) / scale
         start = hinges.onsets[:, 0]
         self._with_last = np.zeros((1, start.size, scale.size, 3))
         self._own = np.zeros((1, start.size, 3, 3))
         total = covariance
-        if motion is not None:
+        if motion is not None:  # Brownian motion adds to the noise and to the state at the end
             since = np.maximum(blocks.t - start[:, None], 0)
             variances = motion.variances[:, None, None, None]
             shape = motion.covariance(since, blocks.length) / np.outer(scale, scale)
@@ -255,25 +255,26 @@ class Fit:
             with_last, own = motion.with_last(since, blocks.last - start)
             self._with_last = variances * with_last / scale[:, None]
             self._own = variances * own
-        try:
+        try:  # a covariance that averaging has made indefinite is repaired
             factor = np.linalg.cholesky(total)
         except np.linalg.LinAlgError:
-            total = _definite(total)
+            total = positive_definite(total)
             factor = np.linalg.cholesky(total)
         diagonal = np.diagonal(factor, axis1=-2, axis2=-1)
         self._inverse = np.linalg.inv(total)
         self._solve(2 * np.log(diagonal).sum(axis=-1), prior)
 
     def _solve(self, log_det: FloatArray, prior: FleetPrior) -> None:
-        # level, rate and evidence of each node, by the normal equations of two unknowns
-        of_one, of_values = (self._inverse @ x for x in (self._one, self._values))
+        # sums of the normal equations of the two unknowns level and rate
+        of_unit, of_values = (self._inverse @ x for x in (self._unit, self._values))
         of_course = self._course @ self._inverse  # (motions, starts, onsets, blocks)
-        a11 = (of_one @ self._one)[..., None, None]
-        a12 = np.einsum("sob,msb->mso", self._course, of_one)[..., None]
+        a11 = (of_unit @ self._unit)[..., None, None]
+        a12 = np.einsum("sob,msb->mso", self._course, of_unit)[..., None]
         a22 = np.einsum("sob,msob->mso", self._course, of_course)[..., None]
-        c1 = (of_one @ self._values)[..., None, None]
+        c1 = (of_unit @ self._values)[..., None, None]
         c2 = np.einsum("sob,msb->mso", self._course, of_values)[..., None]
         yy = (of_values @ self._values)[..., None, None]
+        # with the prior: their posterior, and the evidence of each node
         p1, p2 = LEVEL_SPREAD**-2.0, prior.spreads**-2.0
         m11, m12, m22, r2 = a11 + p1, a12, a22 + p2, c2 + p2 * prior.means
         det = m11 * m22 - m12**2
@@ -285,7 +286,7 @@ class Fit:
         log_prior = log_prior + self.hinges.log_prior
         self.log_weight = evidence + log_prior[..., None] + np.log(np.maximum(prior.weights, TINY))
 
-    def now(self, nodes: IntArray) -> State:
+    def now(self, nodes: IntArray) -> NodeStates:
         """Return the posterior state at the last trip of `nodes`, indices into flat log_weight."""
         m, s, o, j = np.unravel_index(nodes, self.log_weight.shape)
         first = np.minimum(m, self._with_last.shape[0] - 1)
@@ -294,7 +295,7 @@ class Fit:
         since, power = self.last - self.hinges.onsets[s, o], self.hinges.powers[s, o]
         # at the last trip: gain (level, rate) + Brownian motion given the trips
         gain = np.zeros((m.size, 3, 2))
-        gain[:, :, 0] = -(self._one @ of_last)
+        gain[:, :, 0] = -(self._unit @ of_last)
         gain[:, :, 1] = -(self._course[s, o][:, None] @ of_last)[:, 0]
         gain[:, 0, 0] += 1
         gain[:, 0, 1] += powered(since, power)
@@ -304,7 +305,7 @@ class Fit:
         s11, s12, s22 = (np.broadcast_to(x, self._rate.shape)[at] for x in self._spreads)
         spread = np.stack([s11, s12, s12, s22], axis=-1).reshape(-1, 2, 2)
         spare = self._own[first, s] - with_last.swapaxes(1, 2) @ of_last
-        return State(
+        return NodeStates(
             row=self.rows[m],
             since=since,
             power=power,
@@ -314,8 +315,8 @@ class Fit:
 
 
 @dataclass(frozen=True)
-class State:
-    """Gaussian state of nodes at the last trip.
+class NodeStates:
+    """Gaussian states of nodes at the last trip.
 
     `row` of ``FleetPrior.models``, mileage `since` the onset [UNIT_KM] and its `power`: (n_nodes,).
     `mean`, (n_nodes, 3): value - 1 (or the logarithm of the value for "exponential"), rate of the
@@ -330,9 +331,10 @@ class State:
     covariance: FloatArray
 
 
-def join(states: list[State]) -> State:
-    """Return one state with the nodes of several."""
-    return State(*(np.concatenate([getattr(one, f.name) for one in states]) for f in fields(State)))
+def join(several: list[NodeStates]) -> NodeStates:
+    """Return the nodes of several together."""
+    names = [field.name for field in fields(NodeStates)]
+    return NodeStates(*(np.concatenate([getattr(s, name) for s in several]) for name in names))
 
 
 def shares(fits: list[Fit]) -> list[FloatArray]:
@@ -343,7 +345,7 @@ def shares(fits: list[Fit]) -> list[FloatArray]:
     return [weight / total for weight in weights]
 
 
-def _definite(covariance: FloatArray) -> FloatArray:
+def positive_definite(covariance: FloatArray) -> FloatArray:
     """Return covariances with positive eigenvalues.
 
     Brownian motion is averaged as if trips were evenly spaced in a block, so a covariance can be
@@ -351,5 +353,5 @@ def _definite(covariance: FloatArray) -> FloatArray:
     """
     values, vectors = np.linalg.eigh(covariance)
     raised = np.maximum(values, LEAST_EIGENVALUE * values[..., -1:])
-    found = (vectors * raised[..., None, :]) @ np.swapaxes(vectors, -1, -2)
-    return np.asarray((found + np.swapaxes(found, -1, -2)) / 2)
+    definite = (vectors * raised[..., None, :]) @ np.swapaxes(vectors, -1, -2)
+    return np.asarray((definite + np.swapaxes(definite, -1, -2)) / 2)

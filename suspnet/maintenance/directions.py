@@ -29,7 +29,7 @@ from suspnet.ground.types import FloatArray, IntArray
 SIGNS: dict[str, float] = {FORWARD: 1.0, REVERSE: -1.0}
 """Number of each direction of travel in arrays."""
 LEAST_PAIRS = 3
-"""Number of pairs from which on their mean difference counts."""
+"""Fewest pairs whose mean difference counts."""
 MOST = 3.0
 """Largest |d_i| / h_i that counts: a part that changed between two trips is no error of the model.
 """
@@ -46,17 +46,17 @@ def widened(
 ) -> dict[str, FloatArray]:
     """Return the half widths with the errors that both directions show, each (n_trips,), [-].
 
-    Trips of different `healthy_since_km`, [km], NaN for nominal vehicles, are read by different
-    models, whose errors differ. The others are as in ``opposite_pairs`` and ``direction_errors``.
+    Trips of different `healthy_since_km`, [km], NaN for nominal vehicles, were identified with
+    different models, whose errors differ. The others are as in ``opposite_pairs``.
     """
-    found = {name: column.copy() for name, column in half_widths.items()}
+    wide = {name: column.copy() for name, column in half_widths.items()}
     for since_km in np.unique(healthy_since_km):
         own = (healthy_since_km == since_km) | (np.isnan(healthy_since_km) & np.isnan(since_km))
         pairs = opposite_pairs(np.where(own, signs, 0), states)
         for name, half in half_widths.items() if len(pairs) >= LEAST_PAIRS else ():
             errors = direction_errors(pairs, signs, estimates[name], half)
-            found[name][own] = np.hypot(half, Z * errors)[own]
-    return found
+            wide[name][own] = np.hypot(half, Z * errors)[own]
+    return wide
 
 
 def opposite_pairs(signs: IntArray, states: IntArray) -> IntArray:
@@ -88,8 +88,8 @@ def direction_errors(
         logs = np.log(estimates)
         weights = 1 / (half_widths[first] ** 2 + half_widths[second] ** 2)
         d = signs[first] * (logs[first] - logs[second])
-    known = np.isfinite(d) & np.isfinite(weights) & (weights > 0)
-    weights, d, ends = weights[known], d[known], second[known]
+    usable = np.isfinite(d) & np.isfinite(weights) & (weights > 0)
+    weights, d, ends = weights[usable], d[usable], second[usable]
     most = MOST / np.sqrt(weights)
     d = np.clip(d, -most, most)
     # sums over the pairs up to each one; n - 1 is not used where it is 0

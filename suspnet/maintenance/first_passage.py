@@ -12,7 +12,7 @@ from suspnet.maintenance.degradation import (
     FIRST_WIENER,
     RATE_CHANGES,
     STEP,
-    State,
+    NodeStates,
     powered,
 )
 from suspnet.maintenance.noise import UNIT_KM
@@ -78,16 +78,16 @@ def changing_passage_km(
     out = (values <= lower[:, None]) | (values >= upper[:, None])
     index, each = out.argmax(axis=1), np.arange(lower.size)
     last = np.maximum(index - 1, 0)
-    one, two = values[each, last], values[each, index]
-    limit = np.where(two >= upper, upper, lower)
+    start, end = values[each, last], values[each, index]
+    limit = np.where(end >= upper, upper, lower)
     with np.errstate(invalid="ignore", divide="ignore"):
-        share = np.where(out.any(axis=1) & (index > 0), (limit - one) / (two - one), 0.0)
+        share = np.where(out.any(axis=1) & (index > 0), (limit - start) / (end - start), 0.0)
     passage = FUTURE[last] + share * (FUTURE[index] - FUTURE[last])
     return UNIT_KM * np.where(out.any(axis=1), passage, np.inf)
 
 
 def draw_lives_km(
-    state: State,
+    state: NodeStates,
     draw: IntArray,
     limits: tuple[float, float],
     freedom: float,
@@ -117,7 +117,7 @@ def draw_lives_km(
     changing = np.flatnonzero(row >= FIRST_CHANGING)
     if changing.size:
         spread = RATE_CHANGES[row[changing] - FIRST_CHANGING]
-        since, power = (part[draw[changing], None] for part in (state.since, state.power))
+        since, power = (x[draw[changing], None] for x in (state.since, state.power))
         ahead = powered(since + FUTURE, power) - powered(since, power)
         mean = now[changing, None] + rate[changing, None] * ahead + change[changing, None] * FUTURE
         samples[changing] = changing_passage_km(mean, lower[changing], upper[changing], spread, rng)

@@ -14,7 +14,7 @@ from scipy.special import logsumexp
 from suspnet.ground.parameters import BOGIE_PARTS, DEFAULT_LIMITS, Limits, kind_of
 from suspnet.ground.records import INTERVAL_LEVEL, Key
 from suspnet.ground.types import FloatArray
-from suspnet.maintenance.alarms import Alarm, watch
+from suspnet.maintenance.alarms import Alarm, by_mileage, watch
 from suspnet.maintenance.change import ChangeSettings
 from suspnet.maintenance.degradation import TINY, FleetPrior
 from suspnet.maintenance.life import DEFAULT_PRIOR, Life, fit_trips
@@ -27,7 +27,6 @@ MOST_LEARNT = 200
 NEW_SHARE = 0.1
 """Share of a vehicle's trips that must be new before its rates of wear are learned again; all its
 remaining lives are then recomputed, which takes far longer than those of one suspension."""
-
 FLEET_RATES = np.geomspace(0.005, 0.3, 10)
 """Mean rates of the components that ``learn_fleet`` adds, with either sign, [1 / UNIT_KM]."""
 FLEET_SPREAD = 0.35
@@ -38,7 +37,7 @@ MAX_STEPS = 200
 """Largest number of expectation-maximisation steps for a fleet."""
 
 
-class Fleet:
+class FleetStates:
     """Alarms and remaining lives of the suspensions of a fleet.
 
     If trips or maintenance of a suspension change, its alarms and those of its sisters are
@@ -79,15 +78,16 @@ class Fleet:
         """Return vehicle and place of each suspension."""
         return set(self._own)
 
-    def add(self, series: Iterable[Series]) -> None:
+    def add(self, several: Iterable[Series]) -> None:
         """Add or replace suspensions for the rates of wear, without looking for alarms."""
-        for one in series:
-            before = self._series.get(one.key)
-            if before is not one and (before is None or not before.equals(one)):
-                self._n_new[one.vehicle] += _n_new(before, one)
-                self._series[one.key] = one
+        for series in several:
+            before = self._series.get(series.key)
+            if before is not series and (before is None or not before.equals(series)):
+                old_trips = _rows(before) if before else set()
+                self._n_new[series.vehicle] += len(_rows(series) - old_trips)
+                self._series[series.key] = series
 
-    def update(self, series: Iterable[Series], gone: Collection[Key] = ()) -> set[Key]:
+    def update(self, several: Iterable[Series], gone: Collection[Key] = ()) -> set[Key]:
         """Add or replace suspensions, remove those in `gone`, and recompute alarms.
 
         Returns the keys of all suspensions whose alarms were recomputed: of the changed ones and of
@@ -95,17 +95,17 @@ class Fleet:
         """
         cars = {car_of(self._own[key].series) for key in gone if key in self._own}
         for key in gone:
-            for part in (self._series, self._own, self._lives, self._of_sisters, self._states):
-                part.pop(key, None)
+            for column in (self._series, self._own, self._lives, self._of_sisters, self._states):
+                column.pop(key, None)
             self._waiting.discard(key)
-        for one in series:
-            self.add([one])
-            known = self._series[one.key]
-            if one.key not in self._own or self._own[one.key].series is not known:
-                limits = self.limits_of(one.vehicle)
-                self._own[one.key] = State(known, limits, watch(known, limits, self.changes))
-                self._waiting.add(one.key)
-                cars.add(car_of(one))
+        for updated in several:
+            self.add([updated])
+            series = self._series[updated.key]  # that of before, if both are equal
+            if series.key not in self._own or self._own[series.key].series is not series:
+                limits = self.limits_of(series.vehicle)
+                self._own[series.key] = State(series, limits, watch(series, limits, self.changes))
+                self._waiting.add(series.key)
+                cars.add(car_of(series))
         return self._compare(cars)
 
     def _compare(self, cars: Collection[tuple[str, ...]]) -> set[Key]:
@@ -115,15 +115,15 @@ class Fleet:
             car = car_of(state.series)
             if car in cars:
                 members[car].append(state)
-        for several in members.values():
+        for sisters in members.values():
             # an alarm of its own of any suspension of the car explains a difference
-            explained = {alarm.parameter for state in several for alarm in state.alarms}
-            odd = alarms_of_sisters([state.series for state in several], self.sisters)
-            for state in several:
+            explained = {alarm.parameter for state in sisters for alarm in state.alarms}
+            odd = alarms_of_sisters([state.series for state in sisters], self.sisters)
+            for state in sisters:
                 alarms = [a for a in odd.get(state.key, []) if a.parameter not in explained]
                 self._of_sisters[state.key] = alarms
                 self._states.pop(state.key, None)
-        return {state.key for several in members.values() for state in several}
+        return {state.key for sisters in members.values() for state in sisters}
 
     def predict(self, seconds: float = np.inf, only: Collection[Key] | None = None) -> bool:
         """Predict the remaining lives that are out of date, of all suspensions or of `only` some.
@@ -136,12 +136,12 @@ class Fleet:
         for state in self._sorted():
             if state.key not in self._waiting or (only is not None and state.key not in only):
                 continue
-            one = state.recent
+            recent = state.recent
             self._lives[state.key] = remaining_lives(
-                one.mileage_km,
-                one.estimates,
-                one.half_widths,
-                one.flagged,
+                recent.mileage_km,
+                recent.estimates,
+                recent.half_widths,
+                recent.flagged,
                 state.limits,
                 state.watched.passed,
                 self._priors[state.series.vehicle],
@@ -156,14 +156,14 @@ class Fleet:
     def _learn(self) -> None:
         """Learn the prior of each vehicle without one, or with enough new trips."""
         of_vehicle: dict[str, list[Series]] = defaultdict(list)
-        for one in sorted(self._series.values(), key=lambda one: (one.vehicle, str(one.place))):
-            of_vehicle[one.vehicle].append(one)
-        for vehicle, series in of_vehicle.items():
-            n_trips = sum(len(one.trip) for one in series)
+        for _, series in sorted(self._series.items(), key=_by_name):
+            of_vehicle[series.vehicle].append(series)
+        for vehicle, several in of_vehicle.items():
+            n_trips = sum(len(series.trip) for series in several)
             if vehicle in self._priors and self._n_new[vehicle] <= NEW_SHARE * n_trips:
                 continue
-            self._priors[vehicle] = learn_priors(series, self.limits_of(vehicle))
-            self._n_learnt[vehicle] = len(series) if self._priors[vehicle] else 0
+            self._priors[vehicle] = learn_priors(several, self.limits_of(vehicle))
+            self._n_learnt[vehicle] = len(several) if self._priors[vehicle] else 0
             self._n_new[vehicle] = 0
             self._waiting |= {key for key in self._own if key[0] == vehicle}
 
@@ -180,11 +180,10 @@ class Fleet:
         return by_urgency(self.state(key) for key in self._own)
 
     def state(self, key: Key) -> State:
-        """Return the state of a suspension, with the alarms and lives found so far."""
+        """Return the state of a suspension, with the alarms and lives computed so far."""
         if key not in self._states:
             own = self._own[key]
-            alarms = [*own.watched.alarms, *self.of_sisters(key)]
-            alarms.sort(key=lambda one: (one.begin_km, one.parameter))
+            alarms = sorted([*own.watched.alarms, *self.of_sisters(key)], key=by_mileage)
             watched = replace(own.watched, alarms=alarms)
             self._states[key] = replace(own, watched=watched, lives=self._lives.get(key, {}))
         return self._states[key]
@@ -192,54 +191,59 @@ class Fleet:
     def state_of(self, series: Series) -> State:
         """Return the state of one suspension, compared with those sisters that were added.
 
-        To save time, only its own lives are predicted and only its car's alarms are found.
+        To save time, only its own lives are predicted and only its car's alarms are looked for.
         """
         self.add([series])
         car = car_of(series)
-        self.update([one for one in self._series.values() if car_of(one) == car])
+        self.update([own for own in self._series.values() if car_of(own) == car])
         self.predict(only=[series.key])
         return self.state(series.key)
 
     def _sorted(self) -> list[State]:
-        return sorted(self._own.values(), key=lambda one: (one.key[0], str(one.key[1])))
+        return [state for _, state in sorted(self._own.items(), key=_by_name)]
+
+
+def _by_name(item: tuple[Key, object]) -> tuple[str, str]:
+    (vehicle, place), _ = item
+    return vehicle, str(place)
 
 
 def fleet_state(
-    fleet: Sequence[Series],
+    several: Sequence[Series],
     limits: Mapping[str, Mapping[str, Limits]],
     settings: ChangeSettings,
     sisters: SisterSettings,
     seed: int = 0,
 ) -> list[State]:
-    """Return the state of each suspension, by severity, then by remaining life; see ``Fleet``."""
-    found = Fleet(limits, settings, sisters, seed)
-    found.update(fleet)
-    found.predict()
-    return found.states()
+    """Return the state of each suspension, most severe first; see ``FleetStates``."""
+    fleet = FleetStates(limits, settings, sisters, seed)
+    fleet.update(several)
+    fleet.predict()
+    return fleet.states()
 
 
-def learn_priors(fleet: Sequence[Series], limits: Iterable[str]) -> dict[str, FleetPrior]:
+def learn_priors(several: Sequence[Series], limits: Iterable[str]) -> dict[str, FleetPrior]:
     """Return the prior of each parameter in `limits` from all suspensions of one vehicle.
 
     All parts of a kind have one prior.
     """
-    found: dict[str, FleetPrior] = {}
-    recent = [one.part(one.recent) for one in fleet]
+    recent = [series.select(series.recent) for series in several]
     alike: dict[str, list[str]] = defaultdict(list)
     for name in limits:
         alike[f"parts {kind_of(name)}" if name in BOGIE_PARTS else name].append(name)
+    priors: dict[str, FleetPrior] = {}
     for names in alike.values():
         trips = [
-            trips_of_life(one.mileage_km, one.estimates[name], one.half_widths[name], one.flagged)
-            for one in recent
+            trips_of_life(s.mileage_km, s.estimates[name], s.half_widths[name], s.flagged)
+            for s in recent
             for name in names
-            if name in one.estimates
+            if name in s.estimates
         ]
-        known = [one for one in trips if one is not None]
-        if len(known) > 1:
-            every = -(-len(known) // MOST_LEARNT)
-            found |= dict.fromkeys(names, learn_fleet(known[::every]))
-    return found
+        usable = [columns for columns in trips if columns is not None]
+        if len(usable) > 1:
+            every = -(-len(usable) // MOST_LEARNT)
+            priors |= dict.fromkeys(names, learn_fleet(usable[::every]))
+    return priors
 
 
 def learn_fleet(
@@ -252,37 +256,27 @@ def learn_fleet(
     models are maximum a posteriori (expectation maximisation with a Dirichlet prior that counts as
     ``PRIOR_SERIES`` series). Without any series the result is ``DEFAULT_PRIOR``.
 
-    Parameters
-    ----------
-    series : sequence of (mileage_km, values, half_widths)
-        Trips of one parameter, as in ``predict_life``; include series without wear.
-    level : float
-        Level of the intervals.
-
-    Returns
-    -------
-    FleetPrior
-
-    Raises
-    ------
-    TypeError, ValueError
-        If a series is invalid for ``predict_life``; the message gives its index.
+    `series` are (mileage_km, values, half_widths), trips of one parameter, as in ``predict_life``;
+    include series without wear. `level` is that of the intervals. TypeError or ValueError is raised
+    if a series is invalid for ``predict_life``; the message gives its index.
     """
     if not series:
         return DEFAULT_PRIOR
     means = np.concatenate([DEFAULT_PRIOR.means, FLEET_RATES, -FLEET_RATES])
     spreads = np.concatenate([DEFAULT_PRIOR.spreads, np.tile(FLEET_SPREAD * FLEET_RATES, 2)])
     even = FleetPrior(DEFAULT_PRIOR.models, np.full(means.size, 1 / means.size), means, spreads)
+    # evidence of each model and component, without their prior
     evidence = np.full((len(series), even.models.size, means.size), -np.inf)
-    for i, one in enumerate(series):
+    for i, trips in enumerate(series):
         try:
-            fits, _ = fit_trips(*one, level, even)
+            fits, _ = fit_trips(*trips, level, even)
         except (TypeError, ValueError) as error:
             raise type(error)(f"series {i}: {error}") from None
         for fit in fits:
             evidence[i, fit.rows] = logsumexp(fit.log_weight, axis=(1, 2))
     evidence -= np.log(even.models)[:, None]
     evidence[:, 1:] -= np.log(even.weights)
+    # expectation maximisation of the weights
     default = np.pad(DEFAULT_PRIOR.weights, (0, means.size - DEFAULT_PRIOR.weights.size))
     models, weights = even.models, (default + even.weights) / 2
     for _ in range(MAX_STEPS):
@@ -301,12 +295,6 @@ def _counted(counts: FloatArray, default: FloatArray) -> FloatArray:
     """Return proportions from counts and a default that counts as ``PRIOR_SERIES`` series."""
     total = counts + PRIOR_SERIES * default
     return np.asarray(total / total.sum())
-
-
-def _n_new(before: Series | None, series: Series) -> int:
-    """Return the number of new or changed trips of a suspension."""
-    known = set() if before is None else _rows(before)
-    return len(_rows(series) - known)
 
 
 def _rows(series: Series) -> set[bytes]:

@@ -10,10 +10,8 @@ from numpy.typing import ArrayLike
 from suspnet.ground.findings import Finding, percent
 from suspnet.ground.parameters import Limits, Severity
 from suspnet.ground.types import BoolArray, FloatArray, IntArray
-from suspnet.maintenance.series import NEWEST, Series
+from suspnet.maintenance.series import N_LAST, Series
 
-N_LAST = NEWEST
-"""Number of last trips that are compared with the limits."""
 N_CONFIRMING = 3
 """Number of the last trips beyond a limit that together confirm a crossing."""
 Z = 1.645
@@ -82,20 +80,18 @@ def judge(
         (half width)^2 = max(h^2 - (z s)^2, 0) + (z s)^2 / n
 
     h is of the trips with an interval that are not flagged. If ``N_CONFIRMING`` of the trips beyond
-    are flagged or have no interval, these are taken at their word.
+    are flagged or have no interval, these are taken at their word. A flagged trip, or one without
+    an interval, raises at most a notice by itself. If the newest trip is beyond the notice limit,
+    but not with certainty, the severity is unknown.
 
-    A flagged trip, or one without an interval, raises at most a notice by itself. If the newest
-    trip is beyond the notice limit, but not with certainty, the severity is unknown.
-
-    False alarms of a healthy suspension, with intervals of 90 % (measured, 200,000 series): 0.1 %
-    of cases with independent errors and a half width of the distance of the limit from healthy,
-    less than 0.01 % at 60 % of it. Shorter recordings raise more: 1.6 % at twice and 6 % at four
-    times the half width. If 80 % of the variance is common to the trips, 0.34 % and 0.01 %.
+    False alarms of a healthy suspension, with intervals of 90 %, are 0.1 % of cases with
+    independent errors and a half width of the distance of the limit from healthy, and 6 % at four
+    times the half width; a test holds the rates.
 
     `values`, `low`, `high` and `flagged`: (..., n_last), the newest last; NaN: none. The result has
     the shape (...).
     """
-    centre, lower, upper = (np.asarray(part, dtype=float) for part in (values, low, high))
+    centre, lower, upper = (np.asarray(column, dtype=float) for column in (values, low, high))
     unsure = np.asarray(flagged, dtype=bool) | ~(np.isfinite(lower) & np.isfinite(upper))
     shape = centre.shape[:-1]
     severity, side, run, count = (np.zeros(shape, dtype=np.int64) for _ in range(4))
@@ -104,22 +100,25 @@ def judge(
         for level, pair in ((Severity.NOTICE, limits.notice), (Severity.ACT, limits.act)):
             limit = pair[(sign + 1) // 2]
             out = sign * (centre - limit) > 0
+            # first rule: the newest trips in a row, one of them with its whole interval
             wholly = out & ~unsure & (sign * ((lower if sign > 0 else upper) - limit) > 0)
-            reach = np.where(sign > 0, centre - lower, upper - centre)
             newest = np.logical_and.accumulate(out[..., ::-1], axis=-1)[..., ::-1]
+            # second rule: several trips and the interval of their mean
+            reach = np.where(sign > 0, centre - lower, upper - centre)
             telling = out & (unsure | (reach <= abs(limit - 1)))
             inner = _inner_end(centre, reach, telling, unsure, sign)
-            together = (telling.sum(axis=-1) >= N_CONFIRMING) & (sign * (inner - limit) > 0)
-            together |= (telling & unsure).sum(axis=-1) >= N_CONFIRMING
-            sure = (newest & wholly).any(axis=-1) | together
-            found, alone = np.where(sure, level, Severity.NONE), np.zeros(shape, dtype=bool)
-            if level == Severity.NOTICE:
+            confirmed = (telling.sum(axis=-1) >= N_CONFIRMING) & (sign * (inner - limit) > 0)
+            confirmed |= (telling & unsure).sum(axis=-1) >= N_CONFIRMING
+            sure = (newest & wholly).any(axis=-1) | confirmed
+            now, alone = np.where(sure, level, Severity.NONE), np.zeros(shape, dtype=bool)
+            if level == Severity.NOTICE:  # what is not sure is at most this
                 maybe = newest.any(axis=-1) & ~sure
                 alone = maybe & (newest & unsure).any(axis=-1)
-                found = np.where(maybe, Severity.UNKNOWN, found)
-                found = np.where(alone, Severity.NOTICE, found)
-            worse = (found > severity) | ((found == severity) & (found > 0) & newest[..., -1])
-            severity = np.where(worse, found, severity)
+                now = np.where(maybe, Severity.UNKNOWN, now)
+                now = np.where(alone, Severity.NOTICE, now)
+            # of two sides that are equally severe, that of the newest trip counts
+            worse = (now > severity) | ((now == severity) & (now > 0) & newest[..., -1])
+            severity = np.where(worse, now, severity)
             side = np.where(worse, sign, side)
             run = np.where(worse, newest.sum(axis=-1), run)
             count = np.where(worse, out.sum(axis=-1), count)
@@ -135,27 +134,27 @@ def _inner_end(
     `reach` is how far the interval of each trip reaches towards healthy; the result lacks the last
     axis.
     """
-    n, known = np.maximum(chosen.sum(axis=-1), 1), chosen & ~unsure
+    n, has_interval = np.maximum(chosen.sum(axis=-1), 1), chosen & ~unsure
     logs = np.log(np.where(chosen, np.maximum(centre, SMALLEST), 1.0))
     mean = logs.sum(axis=-1) / n
     squares = np.where(chosen, logs - mean[..., None], 0.0) ** 2
     noise = Z**2 * squares.sum(axis=-1) / np.maximum(n - 1, 1)
-    ends = np.where(known, np.maximum(centre - sign * reach, SMALLEST), 1.0)
-    halves = np.where(known, np.abs(logs - np.log(ends)), 0.0)
-    half = halves.sum(axis=-1) / np.maximum(known.sum(axis=-1), 1)
+    ends = np.where(has_interval, np.maximum(centre - sign * reach, SMALLEST), 1.0)
+    halves = np.where(has_interval, np.abs(logs - np.log(ends)), 0.0)
+    half = halves.sum(axis=-1) / np.maximum(has_interval.sum(axis=-1), 1)
     common = np.maximum(half**2 - noise, 0.0)
     return np.asarray(np.exp(mean - sign * np.sqrt(common + noise / n)))
 
 
-def last_trips(one: Series, name: str) -> LastTrips:
+def last_trips(series: Series, name: str) -> LastTrips:
     """Return the last ``N_LAST`` trips with mileage and an estimate of a parameter."""
-    known = np.flatnonzero(np.isfinite(one.mileage_km) & np.isfinite(one.estimates[name]))
-    last = known[-N_LAST:]
-    centre, half = one.estimates[name][last], one.half_widths[name][last]
+    done = np.flatnonzero(np.isfinite(series.mileage_km) & np.isfinite(series.estimates[name]))
+    last = done[-N_LAST:]
+    centre, half = series.estimates[name][last], series.half_widths[name][last]
     with np.errstate(over="ignore"):  # a half-width without information gives 0 to infinity
         low, high = centre * np.exp(-half), centre * np.exp(half)
-    everywhere = bool(len(known)) and bool(one.flagged[known].all())
-    return LastTrips(centre, low, high, one.flagged[last], everywhere)
+    all_flagged = bool(len(done)) and bool(series.flagged[done].all())
+    return LastTrips(centre, low, high, series.flagged[last], all_flagged)
 
 
 def judge_last(last: LastTrips, limits: Limits | None) -> tuple[Severity, Judged | None]:

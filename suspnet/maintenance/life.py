@@ -24,7 +24,7 @@ from suspnet.maintenance.degradation import (
 from suspnet.maintenance.first_passage import HORIZON_KM, draw_lives_km
 from suspnet.maintenance.noise import (
     LEAST_NOISE,
-    ROUNDED,
+    ROUNDED_QUARTILE,
     UNIT_KM,
     average,
     clip_outliers,
@@ -37,6 +37,8 @@ BEST_TRIP = 0.01
 credible."""
 MIN_TRIPS = 5
 """Fewest trips with an estimate from which a life is predicted."""
+SHOWN_LEVEL = 0.8
+"""Probability of the interval in which a limit is passed, as texts, pages and the plan show it."""
 NOISE_TRIPS = 4.0
 """Degrees of freedom that the half-widths add to those of the trips when the noise is estimated."""
 DEFAULT_PRIOR = FleetPrior(
@@ -59,16 +61,10 @@ deviations of 3, 10 or 30 % in 100,000 km, with either sign; slow rates are more
 class Life:
     """Remaining life of one parameter, as samples.
 
-    Attributes
-    ----------
-    model : str
-        "no trend" if its probability is at least 0.5, else the most probable of "linear",
-        "exponential", "step", "wiener" and "changing rate".
-    samples_km : array of shape (n_samples,), [km]
-        Mileage from the last trip until the nearer limit is passed; inf: not within ``HORIZON_KM``,
-        0: already passed.
-    probabilities : dict of float, [-]
-        Probability of each model; the samples are drawn from all models in these proportions.
+    `model` is "no trend" if its probability is at least 0.5, else the most probable other one of
+    ``MODELS``. `samples_km`, (n_samples,), are mileages from the last trip until the nearer limit
+    is passed; inf: not within ``HORIZON_KM``, 0: already passed. `probabilities` [-] are those of
+    the models; the samples are drawn from all models in these proportions.
     """
 
     model: str
@@ -76,35 +72,17 @@ class Life:
     probabilities: dict[str, float] = field(default_factory=dict)
 
     def quantile_km(self, q: float) -> float:
-        """Return the mileage within which the limit is passed with probability `q`.
-
-        Raises
-        ------
-        TypeError, ValueError
-            If `q` is not a number from 0 to 1.
-        """
+        """Return the mileage within which the limit is passed with probability `q`."""
         check_number("q", q, low=0, high=1)
         return float(np.quantile(self.samples_km, q, method="inverted_cdf"))
 
-    def interval_km(self, level: float = 0.8) -> tuple[float, float]:
-        """Return the central interval in which the limit is passed with probability `level`.
-
-        Raises
-        ------
-        TypeError, ValueError
-            If `level` is not a number above 0 and below 1.
-        """
+    def interval_km(self, level: float = SHOWN_LEVEL) -> tuple[float, float]:
+        """Return the central interval in which the limit is passed with probability `level`."""
         check_number("level", level, above=0, below=1)
         return self.quantile_km((1 - level) / 2), self.quantile_km((1 + level) / 2)
 
     def probability(self, km: float) -> float:
-        """Return the probability that the limit is passed within `km`.
-
-        Raises
-        ------
-        TypeError, ValueError
-            If `km` is not a number of at least 0.
-        """
+        """Return the probability that the limit is passed within `km`, at least 0."""
         check_number("km", km, low=0)
         return float(np.mean(self.samples_km <= km))
 
@@ -151,10 +129,6 @@ def predict_life(
         Level of the intervals.
     seed, n_samples : int
 
-    Returns
-    -------
-    Life
-
     Raises
     ------
     TypeError, ValueError
@@ -181,24 +155,22 @@ def predict_life(
     lower, upper = _checked_limits(limits_pair)
     fits, n_trips = fit_trips(mileage_km, values, half_widths, level, fleet or DEFAULT_PRIOR)
     rng = np.random.default_rng(seed)
+    # draw nodes of all models by their probability, then each one's state and passage
     weights = shares(fits)
     ends = np.cumsum([0, *(weight.size for weight in weights)])
-    node, draw = np.unique(
-        _stratified(np.concatenate(weights), n_samples, rng), return_inverse=True
-    )
-    state = join(
-        [
-            fit.now(node[(node >= begin) & (node < end)] - begin)
-            for fit, begin, end in zip(fits, ends[:-1], ends[1:], strict=True)
-        ]
-    )
+    drawn = _stratified(np.concatenate(weights), n_samples, rng)
+    node, draw = np.unique(drawn, return_inverse=True)
+    states = [
+        fit.now(node[(node >= begin) & (node < end)] - begin)
+        for fit, begin, end in zip(fits, ends[:-1], ends[1:], strict=True)
+    ]
+    freedom = n_trips + NOISE_TRIPS
+    samples = rng.permutation(draw_lives_km(join(states), draw, (lower, upper), freedom, rng))
+    # models that were not fitted have no share
     share = np.zeros(len(MODELS))
     share[: len(fits)] = [weight.sum() for weight in weights]
-    freedom = n_trips + NOISE_TRIPS
-    samples = rng.permutation(draw_lives_km(state, draw, (lower, upper), freedom, rng))
-    probabilities = {name: float(one) for name, one in zip(MODELS, share, strict=True)}
     model = MODELS[0 if share[0] >= 0.5 else 1 + int(share[1:].argmax())]
-    return Life(model, samples, probabilities)
+    return Life(model, samples, dict(zip(MODELS, share.tolist(), strict=True)))
 
 
 def _stratified(weight: FloatArray, n: int, rng: np.random.Generator) -> IntArray:
@@ -219,10 +191,12 @@ def fit_trips(
     km, value, half = _checked_series(mileage_km, values, half_widths)
     t = (km - km[0]) / UNIT_KM
     sigma = half / NormalDist().inv_cdf((1 + level) / 2)
-    known = np.isfinite(sigma)
+    is_known = np.isfinite(sigma)
     steps = np.diff(np.log(value), 2)
-    usual = np.median(sigma[known]) if known.any() else robust_spread(steps, 6, ROUNDED)
-    sigma = np.maximum(np.where(known, sigma, usual), max(LEAST_NOISE, BEST_TRIP * usual))
+    usual = robust_spread(steps, 6, ROUNDED_QUARTILE)
+    if is_known.any():
+        usual = np.median(sigma[is_known])
+    sigma = np.maximum(np.where(is_known, sigma, usual), max(LEAST_NOISE, BEST_TRIP * usual))
     value = clip_outliers(value)
     noise = estimate_noise(t, np.log(value), sigma, np.append(0.0, DIFFUSIONS))
     blocks = average(t, value, sigma)
@@ -232,10 +206,10 @@ def fit_trips(
 def _checked_series(
     mileage_km: ArrayLike, values: ArrayLike, half_widths: ArrayLike
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    named = {"mileage_km": mileage_km, "values": values, "half_widths": half_widths}
-    km, value, half = (np.asarray(one, dtype=float) for one in named.values())
+    columns = {"mileage_km": mileage_km, "values": values, "half_widths": half_widths}
+    km, value, half = (np.asarray(column, dtype=float) for column in columns.values())
     if km.ndim != 1 or value.shape != km.shape or half.shape != km.shape:
-        shapes = ", ".join(f"{k} {np.shape(v)}" for k, v in named.items())
+        shapes = ", ".join(f"{k} {np.shape(v)}" for k, v in columns.items())
         raise ValueError(f"arrays must have one and the same length, got {shapes}")
     if not np.isfinite(km).all():
         raise ValueError("`mileage_km` must be finite numbers")

@@ -25,11 +25,11 @@ CORRELATIONS = np.linspace(0.0, 0.75, 6)
 N_HINGES = 12
 """Number of hinge onsets that are tried to remove the trend before the noise is estimated."""
 N_SLOWEST = 2
-"""Number of lowest frequencies that are not used to estimate the noise."""
+"""Number of lowest frequencies that drifts disturb, so that the noise is not estimated there."""
 MAX_BINS = 32
 """Largest number of frequencies of the Whittle likelihood."""
 QUARTILE = NormalDist().inv_cdf(0.75)
-ROUNDED = 0.6745
+ROUNDED_QUARTILE = 0.6745
 """Median magnitude of a standard normal number; lives use the rounded one, so that they stay."""
 OUTLYING = 6.0
 """Largest deviation of a trip from the median of five, in robust standard deviations."""
@@ -68,10 +68,7 @@ class Noise:
 
 
 def average(t: FloatArray, values: FloatArray, sigma: FloatArray) -> Blocks:
-    """Return the blocks of a history; arrays are of shape (n_trips,).
-
-    `t` is the mileage after the first trip, [UNIT_KM]; `sigma` weights the trips.
-    """
+    """Return the blocks of a history; `t` [UNIT_KM], `values`, weighted by `sigma`: (n_trips,)."""
     n_trips = t.size
     first = np.linspace(0, n_trips, min(n_trips, MAX_BLOCKS) + 1)[:-1].astype(np.int64)
     size = np.diff(first, append=n_trips)
@@ -135,16 +132,13 @@ def _residuals(t: FloatArray, values: FloatArray) -> FloatArray:
     n = np.arange(1, t.size)
     sums = np.cumsum(values - values.mean())
     first = n[np.argmax(sums[:-1] ** 2 * (1 / n + 1 / (t.size - n)))]
-    stepped = [part - part.mean() for part in np.split(values, [first])]
+    stepped = [side - side.mean() for side in np.split(values, [first])]
     residuals = np.vstack([residuals, np.concatenate(stepped)])
     return np.asarray(residuals[np.argmin((residuals**2).sum(axis=1))])
 
 
 def _periodogram(steps: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return frequencies [rad/trip], power and number of ordinates of at most ``MAX_BINS`` bins.
-
-    The ``N_SLOWEST`` lowest frequencies are left out: drifts other than a hinge disturb them.
-    """
+    """Return frequencies [rad/trip], power and number of ordinates of at most ``MAX_BINS`` bins."""
     n = steps.size
     power = np.abs(np.fft.rfft(steps))[1:] ** 2 / n
     omega = 2 * np.pi * np.arange(1, power.size + 1) / n
@@ -166,9 +160,8 @@ def noise_covariance(blocks: Blocks, variance: FloatArray, rho: FloatArray) -> F
     between = np.abs(blocks.first[None, :] - end[:, None])
     between = np.where(np.arange(m.size)[:, None] < np.arange(m.size), between, between.T)
     covariance = g[..., :, None] * g[..., None, :] * r[..., None] ** between
-    own = (1 + r) / (1 - r) / m - 2 * r * (1 - r**m) / (m * (1 - r)) ** 2
     index = np.arange(m.size)
-    covariance[..., index, index] = own
+    covariance[..., index, index] = (1 + r) / (1 - r) / m - 2 * r * (1 - r**m) / (m * (1 - r)) ** 2
     scaled = variance[..., None, None] * covariance * np.outer(blocks.sigma, blocks.sigma)
     return np.asarray(scaled)
 
@@ -190,5 +183,5 @@ def clip_outliers(values: FloatArray) -> FloatArray:
     middle = np.median(windows, axis=1)
     off = logs - middle
     scale = max(np.median(np.abs(off)), np.median(np.abs(np.diff(logs))), LEAST_NOISE)
-    most = OUTLYING * scale / ROUNDED
+    most = OUTLYING * scale / ROUNDED_QUARTILE
     return np.where(np.abs(off) > most, np.exp(middle + np.clip(off, -most, most)), values)

@@ -23,10 +23,14 @@ from suspnet.ground.parameters import ESTIMATED, Severity
 from suspnet.ground.settings import check_settings, setting
 from suspnet.ground.types import FloatArray
 from suspnet.ground.wording import thousands
+from suspnet.maintenance.life import SHOWN_LEVEL
 from suspnet.maintenance.schedule import (
+    LATER,
+    NOW,
+    SOON,
     SOON_DAYS,
     UNKNOWN,
-    URGENCIES,
+    WAIT,
     Job,
     Part,
     Plan,
@@ -36,12 +40,13 @@ from suspnet.maintenance.schedule import (
 from suspnet.maintenance.state import State
 
 REPLACE, INSPECT = "replace", "inspect"
-WAIT = "plan again"
-"""What is done with a part that has no visit before the horizon."""
+NEVER = np.array([np.inf])
+"""Samples of the remaining life of a part whose life is unknown."""
 MOST_DAYS = 36_525.0
 """Longest horizon, a century, [days]."""
 WINDOW_DAYS = 180
-"""Number of latest days whose trips determine the mileage per day of a train."""
+"""Number of latest days whose trips determine the mileage per day of a train; if its newest trip is
+older, its wear and mileage count as unknown."""
 LEAST_DAYS = 14
 """Fewest days that the trips must span to determine the mileage per day of a train."""
 
@@ -82,19 +87,6 @@ class PlanSettings:
     km_per_day: float = setting(
         500.0, "Daily mileage of trains whose trips do not determine it", "km", above=0
     )
-    stale_days: float = setting(
-        180.0,
-        "Age of a train's newest trip beyond which its wear and mileage count as unknown; as long "
-        "as the trips that determine the daily mileage",
-        "days",
-        above=0,
-    )
-    level: float = setting(
-        0.8,
-        "Probability of the interval in which a part passes its limit, as it is shown",
-        above=0,
-        below=1,
-    )
 
     def __post_init__(self) -> None:
         check_settings(self)
@@ -113,6 +105,7 @@ def make_plan(
     `parts` and `trains` are those of the whole fleet, in any order. ValueError is raised if a part
     occurs twice, or its train is missing or given twice.
     """
+    # each part once, with its train
     named = {train.name: train for train in trains}
     if len(named) < len(trains):
         raise ValueError(f"`trains` must have different names, got {[t.name for t in trains]}")
@@ -127,6 +120,7 @@ def make_plan(
         seen.add(key)
         parts_of_train[part.train].append(part)
 
+    # trains do not share visits
     visits: list[Visit] = []
     rest: list[Job] = []
     for name, own in sorted(parts_of_train.items()):
@@ -135,19 +129,19 @@ def make_plan(
         visits += calendar.visits(due)
         rest += calendar.without_visit(due)
 
+    # what is not known first, then what is soonest or likeliest
     unknown = sorted((job for job in rest if job.part.unknown), key=lambda job: job.part.place)
-    known = [job for job in rest if not job.part.unknown]
-    waiting = sorted((job for job in known if job.probability), key=_likeliest_first)
+    waiting = sorted((j for j in rest if not j.part.unknown and j.probability), key=_likeliest)
     visits.sort(key=lambda visit: (visit.urgency_of(visit.jobs[0]) != UNKNOWN, visit.day))
-    stale = tuple(train for train in trains if train.age_days(today) > settings.stale_days)
+    stale = tuple(train for train in trains if train.age_days(today) > WINDOW_DAYS)
     return Plan(
         today,
         today + timedelta(days=settings.horizon_days),
         tuple(unknown),
         tuple(visits),
         tuple(waiting),
-        len(known) - len(waiting),
-        settings.level,
+        len(rest) - len(unknown) - len(waiting),
+        SHOWN_LEVEL,
         tuple(train for train in trains if train.is_assumed and train not in stale),
         stale,
     )
@@ -163,7 +157,7 @@ class _Calendar:
 
     @property
     def is_stale(self) -> bool:
-        return self.train.age_days(self.today) > self.settings.stale_days
+        return self.train.age_days(self.today) > WINDOW_DAYS
 
     @property
     def first_day(self) -> int:
@@ -194,7 +188,7 @@ class _Calendar:
         if not self.is_stale:
             return part
         why = Finding("newest-trip-old", days=thousands(self.train.age_days(self.today)))
-        return replace(part, samples_km=np.array([np.inf]), unknown=why)
+        return replace(part, samples_km=NEVER, unknown=why)
 
     def due_day(self, part: Part) -> float:
         """Return the last day for a visit of a part, inf if it needs none."""
@@ -216,31 +210,30 @@ class _Calendar:
     def _job(self, part: Part, what: str, day: float) -> Job:
         if part.unknown:
             return Job(part, what, np.nan, (np.nan, np.nan))
-        samples, tail = self._to_go(part), (1 - self.settings.level) / 2
+        samples, tail = self._to_go(part), (1 - SHOWN_LEVEL) / 2
         ends = np.quantile(samples, [tail, 1 - tail], method="inverted_cdf") / self.train.km_per_day
         probability = float((samples <= self.train.km_per_day * day).mean())
         return Job(part, what, probability, (float(ends[0]), float(ends[1])))
 
-    def _work(self, part: Part, days: int) -> str:
-        reach_km = self.train.km_per_day * days + self.settings.reach_km
-        return REPLACE if (self._to_go(part) <= reach_km).mean() > 0.5 else INSPECT
-
     def _visit(self, days: int, parts: Sequence[Part]) -> Visit:
-        jobs = [self._job(part, self._work(part, days), days) for part in parts]
+        reach_km = self.train.km_per_day * days + self.settings.reach_km
+        likely = [(self._to_go(part) <= reach_km).mean() > 0.5 for part in parts]
+        works = [REPLACE if is_likely else INSPECT for is_likely in likely]
+        jobs = [self._job(part, work, days) for part, work in zip(parts, works, strict=True)]
         day = self.today + timedelta(days=days)
         decide_by = day - timedelta(days=self.settings.lead_days)
-        soon = (decide_by - self.today).days <= SOON_DAYS
+        is_soon = (decide_by - self.today).days <= SOON_DAYS
         return Visit(
             self.train.name,
             day,
             np.nan if self.is_stale else self.train.mileage_at(day),
             decide_by,
-            URGENCIES[1 if days <= self.first_day else 2 if soon else 3],
-            tuple(sorted(jobs, key=_likeliest_first)),
+            NOW if days <= self.first_day else SOON if is_soon else LATER,
+            tuple(sorted(jobs, key=_likeliest)),
         )
 
 
-def _likeliest_first(job: Job) -> tuple[bool, float, str]:
+def _likeliest(job: Job) -> tuple[bool, float, str]:
     """Return the key that sorts jobs: unknown parts first, then by probability of failure."""
     probability = 0.0 if job.part.unknown else -job.probability
     return not job.part.unknown, probability, str(job.part)
@@ -255,26 +248,25 @@ def plan_of(states: Sequence[State], settings: PlanSettings, today: date) -> Pla
 
 def parts_of(states: Sequence[State]) -> list[Part]:
     """Return a part for each parameter of each suspension that has an alarm or limits."""
-    found = []
+    parts = []
     for state in states:
-        named = {*state.lives, *state.unknown, *(one.parameter for one in state.alarms)}
-        for name in (one for one in ESTIMATED if one in named):
+        train, car, suspension = place_of(state)
+        named = {*state.lives, *state.unknown, *(alarm.parameter for alarm in state.alarms)}
+        for name in (name for name in ESTIMATED if name in named):
             life = state.lives.get(name)
-            samples = np.array([np.inf]) if life is None else life.samples_km
-            place = state.series.place
-            found.append(
+            parts.append(
                 Part(
-                    train_of(state),
-                    suspension_of(state),
+                    train,
+                    suspension,
                     name,
-                    samples,
+                    life.samples_km if life else NEVER,
                     float(np.nan_to_num(state.last_km)),  # NaN only if no remaining life is known
                     state.severities.get(name, Severity.NONE),
-                    place.car,
+                    car,
                     state.unknown.get(name, "" if life else "it has no limits"),
                 )
             )
-    return found
+    return parts
 
 
 def trains_of(states: Sequence[State], today: date, default_km_per_day: float) -> list[Train]:
@@ -286,21 +278,21 @@ def trains_of(states: Sequence[State], today: date, default_km_per_day: float) -
     of_train = defaultdict(list)
     for state in states:
         of_train[train_of(state)].append(state.series)
-    found = []
+    trains = []
     for name, several in sorted(of_train.items()):
-        km = np.concatenate([one.mileage_km for one in several])
-        starts = np.concatenate([one.start for one in several])
+        km = np.concatenate([series.mileage_km for series in several])
+        starts = np.concatenate([series.start for series in several])
         order = np.argsort(km, kind="stable")[: int(np.isfinite(km).sum())]
         if not len(order):
-            found.append(Train(name, 0.0, today, default_km_per_day))
+            trains.append(Train(name, 0.0, today, default_km_per_day))
             continue
         km, starts = km[order], starts[order]
         day = today if np.isnat(starts[-1]) else starts[-1].item().date()
         pace = km_per_day(starts, km, np.nan)
         is_assumed = bool(np.isnan(pace))
         pace = default_km_per_day if is_assumed else pace
-        found.append(Train(name, float(km[-1]), min(day, today), pace, is_assumed))
-    return found
+        trains.append(Train(name, float(km[-1]), min(day, today), pace, is_assumed))
+    return trains
 
 
 def train_of(state: State) -> str:
@@ -315,16 +307,11 @@ def train_of(state: State) -> str:
     return f"{state.series.vehicle}: {car}" if any(astuple(car)) else state.series.vehicle
 
 
-def suspension_of(state: State) -> str:
-    """Return the name of a suspension within its car."""
-    place = state.series.place
-    where = (place.suspension, place.bogie and f"{place.bogie} bogie", place.side)
-    return ", ".join(filter(None, where)) or state.series.vehicle
-
-
 def place_of(state: State) -> tuple[str, str, str]:
     """Return train, car and suspension, as ``Part.place``."""
-    return train_of(state), state.series.place.car, suspension_of(state)
+    place = state.series.place
+    where = (place.suspension, place.bogie and f"{place.bogie} bogie", place.side)
+    return train_of(state), place.car, ", ".join(filter(None, where)) or state.series.vehicle
 
 
 def km_per_day(starts: NDArray[np.datetime64], mileages_km: FloatArray, default: float) -> float:
@@ -338,8 +325,8 @@ def km_per_day(starts: NDArray[np.datetime64], mileages_km: FloatArray, default:
             f"`mileages_km` must be one for each of {len(starts)} starts, "
             f"got shape {mileages_km.shape}"
         )
-    known = ~np.isnat(starts) & np.isfinite(mileages_km)
-    days, mileages = starts[known].astype("datetime64[D]").astype(float), mileages_km[known]
+    is_known = ~np.isnat(starts) & np.isfinite(mileages_km)
+    days, mileages = starts[is_known].astype("datetime64[D]").astype(float), mileages_km[is_known]
     if not days.size:
         return default
     new = days >= days.max() - WINDOW_DAYS

@@ -10,7 +10,8 @@ import numpy as np
 
 from suspnet.ground.parameters import BODY_MASS
 from suspnet.ground.records import OK, SENSOR, Commissioning, TripResult, by_mileage
-from suspnet.maintenance.series import Event, half_width_of_median, series_of
+from suspnet.ground.types import FloatArray
+from suspnet.maintenance.series import Event, Series, series_of
 
 
 def between(events: Sequence[Event], results: Sequence[TripResult]) -> list[list[TripResult]]:
@@ -19,11 +20,11 @@ def between(events: Sequence[Event], results: Sequence[TripResult]) -> list[list
     The n_events + 1 lists are in the order of the mileage; some may be empty.
     """
     ends = sorted(event.mileage_km for event in events if event.kind != SENSOR)
-    found: list[list[TripResult]] = [[] for _ in range(len(ends) + 1)]
+    groups: list[list[TripResult]] = [[] for _ in range(len(ends) + 1)]
     for result in results:
-        unknown = np.isnan(result.mileage_km)
-        found[len(ends) if unknown else bisect_right(ends, result.mileage_km)].append(result)
-    return found
+        is_after = np.isnan(result.mileage_km)
+        groups[len(ends) if is_after else bisect_right(ends, result.mileage_km)].append(result)
+    return groups
 
 
 def first_trips(results: Iterable[TripResult], n_first: int) -> list[TripResult]:
@@ -34,62 +35,54 @@ def first_trips(results: Iterable[TripResult], n_first: int) -> list[TripResult]
     return by_mileage(r for r in results if r.status == OK)[:n_first]
 
 
-def relative_to_first(results: list[TripResult], n_first: int) -> list[TripResult]:
-    """Return results whose k and c are relative to the median of the vehicle's first trips.
-
-    The truth, where known, is treated alike. The interval widens by the uncertainty of the median,
-    whose variance is pi / 2 times that of a mean of `n_first` trips. This is right for noise;
-    systematic errors (of a regression without refinement) cancel only while the vehicle does not
-    change. The car-body mass stays relative to nominal, as it varies by nature.
-    If fewer trips have an estimate, all of these are used.
-    """
-    done = first_trips(results, len(results))
-    names = dict.fromkeys(name for r in done for name in r.raw if name != BODY_MASS)
-    # not every trip has all parts of a bogie
-    first = {name: [r for r in done if name in r.raw][:n_first] for name in names}
-    estimated = {name: _median(r.raw[name] for r in own) for name, own in first.items()}
-    known = {name: [r for r in own if name in r.truth] for name, own in first.items()}
-    true = {name: _median(r.truth[name] for r in own) for name, own in known.items() if own}
-    reference = {
-        name: half_width_of_median([r.half_widths.get(name, np.nan) for r in own])
-        for name, own in first.items()
-    }
-    return [
-        replace(
-            r,
-            estimates=divided(r.raw, estimated),
-            truth=divided(r.truth, true),
-            half_widths={
-                k: float(np.hypot(h, reference.get(k, 0.0))) for k, h in r.half_widths.items()
-            },
-        )
-        for r in results
-    ]
-
-
 def relative_results(
-    results: list[TripResult], events: Sequence[Event], n_first: int | None
+    results: Sequence[TripResult], events: Sequence[Event], n_first: int | None
 ) -> list[TripResult]:
-    """Return results relative to the first trips after each maintenance; None: to the model.
+    """Return results as ``Series.relative_to_first`` does, with ``Series.widened`` intervals.
 
-    Their intervals are ``Series.widened``.
+    The truth of simulated trips is treated like the estimates.
     """
     if not results:
-        return results
-    # intervals do not depend on starts, and those of a store may be unreadable
-    columns = series_of([replace(one, start="") for one in results], events).half_widths
-    rows = np.argsort(np.lexsort(([r.trip for r in results], [r.mileage_km for r in results])))
-    results = [
-        replace(one, half_widths={name: float(columns[name][row]) for name in one.half_widths})
-        for row, one in zip(rows, results, strict=True)
+        return []
+    if n_first is not None:
+        results = [replace(result, estimates=result.raw) for result in results]
+    # nothing depends on starts, and those of a store may be unreadable
+    series = series_of([replace(result, start="") for result in results], events)
+    order = np.lexsort(([r.trip for r in results], [r.mileage_km for r in results]))
+    truth = _relative_truth([results[i].truth for i in order], series, n_first)
+    relative = series.relative_to_first(n_first)
+
+    def of_trip(
+        row: int, values: Mapping[str, float], columns: Mapping[str, FloatArray]
+    ) -> dict[str, float]:
+        return {
+            name: float(columns[name][row]) if name in columns else value
+            for name, value in values.items()
+        }
+
+    return [
+        replace(
+            result,
+            estimates=of_trip(row, result.estimates, relative.estimates),
+            half_widths=of_trip(row, result.half_widths, relative.half_widths),
+            truth=of_trip(row, result.truth, truth),
+        )
+        for row, result in zip(np.argsort(order), results, strict=True)
     ]
-    if n_first is None:
-        return results
-    return [one for part in between(events, results) for one in relative_to_first(part, n_first)]
 
 
-def _median(values: Iterable[float]) -> float:
-    return float(np.median(list(values)))
+def _relative_truth(
+    truths: Sequence[Mapping[str, float]], series: Series, n_first: int | None
+) -> dict[str, FloatArray]:
+    """Return the true values of trips over the median ones of the trips that define healthy."""
+    columns = {}
+    for name in series.estimates if n_first else ():
+        columns[name] = np.array([truth.get(name, np.nan) for truth in truths])
+        for trips, first in series.first_of_each(name, n_first or 0):
+            healthy = columns[name][first][[name in truths[i] for i in first]]
+            if name != BODY_MASS and len(healthy):
+                columns[name][trips] /= np.median(healthy)
+    return columns
 
 
 def medians(values: Sequence[Mapping[str, float]], names: Iterable[str]) -> dict[str, float]:
@@ -103,17 +96,20 @@ def divided(values: Mapping[str, float], by: Mapping[str, float]) -> dict[str, f
 
 
 def relative_to_first_healthy(
-    results: Sequence[TripResult], found: Sequence[Commissioning]
+    results: Sequence[TripResult], commissionings: Sequence[Commissioning]
 ) -> list[TripResult]:
-    """Return results relative to the healthy values of the first commissioning."""
-    factors = {one.since_km: one.relative for one in found}
-    return [_times(r, factors.get(r.healthy_since_km, {})) for r in results]
+    """Return results with estimates and truth relative to those of the first commissioning."""
+    factors = {state.since_km: state.relative for state in commissionings}
 
+    def times(values: Mapping[str, float], since_km: float) -> dict[str, float]:
+        own = factors.get(since_km, {})
+        return {name: value * own.get(name, 1.0) for name, value in values.items()}
 
-def _times(result: TripResult, factors: dict[str, float]) -> TripResult:
-    """Return a result with estimates and truth multiplied by factors; a missing factor is 1."""
-    estimates, truth = (
-        {name: value * factors.get(name, 1.0) for name, value in part.items()}
-        for part in (result.estimates, result.truth)
-    )
-    return replace(result, estimates=estimates, truth=truth)
+    return [
+        replace(
+            r,
+            estimates=times(r.estimates, r.healthy_since_km),
+            truth=times(r.truth, r.healthy_since_km),
+        )
+        for r in results
+    ]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import date, timedelta
 from typing import Any
@@ -17,11 +17,12 @@ from suspnet.ground.settings import check_number
 from suspnet.ground.types import FloatArray
 from suspnet.ground.wording import number, thousands
 
-URGENCIES = ("unknown", "now", "soon", "later")
+URGENCIES = UNKNOWN, NOW, SOON, LATER = "unknown", "now", "soon", "later"
 """Urgencies of jobs: remaining life unknown, visit on the first possible day, visit to be decided
 on within ``SOON_DAYS``, any other visit."""
-UNKNOWN = URGENCIES[0]
 SOON_DAYS = 30
+WAIT = "plan again"
+"""What is done with a part that has no visit before the horizon."""
 MOST_NAMED = 3
 """Largest number of trains that a sentence names."""
 
@@ -56,19 +57,10 @@ class Train:
 class Part:
     """One parameter of one suspension, and its remaining life.
 
-    Parameters
-    ----------
-    train, suspension, parameter : str
-    samples_km : array of shape (n_samples,), [km]
-        Equally likely mileages from the last trip until a limit is passed, as in
-        ``Life.samples_km``; inf: never, 0: already passed.
-    mileage_km : float, [km]
-        Mileage of the last trip.
-    severity : Severity
-        Severity of its alarm.
-    car : str
-    unknown : str
-        Why its remaining life is unknown or unreliable; empty if it is known.
+    `samples_km`, (n_samples,), are equally likely mileages from the last trip, at `mileage_km`,
+    until a limit is passed, as in ``Life.samples_km``; inf: never, 0: already passed. `severity` is
+    that of its alarm. `unknown` is why its remaining life is unknown or unreliable; empty if it is
+    known.
     """
 
     train: str
@@ -98,18 +90,17 @@ class Part:
     def __str__(self) -> str:
         """Return train, car, suspension and parameter or part as text."""
         car = Finding("car", name=self.car) if self.car else ""
-        part = part_words(self.parameter)
-        return together((self.train, car, self.suspension, part), ", ")
+        return together((self.train, car, self.suspension, part_words(self.parameter)), ", ")
 
 
 @dataclass(frozen=True, eq=False)
 class Job:
     """Work on one part at a visit, or the decision that the part waits.
 
-    `what` is replace, inspect, "plan again" for a part that waits, or "unknown" for one of unknown
-    remaining life without a visit. `probability` is that of passing the limit before the visit, or
-    before the horizon without one; `passing_days` is the interval in which it is passed, in days
-    from today, inf: never. Both are NaN if the remaining life is unknown.
+    `what` is replace, inspect, ``WAIT``, or "unknown" for a part of unknown remaining life without
+    a visit. `probability` is that of passing the limit before the visit, or before the horizon
+    without one; `passing_days` is the interval in which it is passed, in days from today, inf:
+    never. Both are NaN if the remaining life is unknown.
     """
 
     part: Part
@@ -144,29 +135,19 @@ class Visit:
 
     def urgency_of(self, job: Job) -> str:
         """Return the urgency of one of its jobs: "now" or "unknown" if its life is unknown."""
-        return UNKNOWN if job.part.unknown and self.urgency != "now" else self.urgency
+        return UNKNOWN if job.part.unknown and self.urgency != NOW else self.urgency
 
 
 @dataclass(frozen=True, eq=False)
 class Plan:
     """Visits of a fleet until the horizon.
 
-    Attributes
-    ----------
-    today, horizon : date
-    unknown : tuple of Job
-        Parts without a visit whose remaining life is unknown.
-    visits : tuple of Visit
-        Visits for parts of unknown remaining life first, then by day.
-    waiting : tuple of Job
-        Parts without a visit that may pass a limit before the horizon, the likeliest first.
-    n_quiet : int
-        Number of other parts, which need nothing.
-    level : float
-        Probability of the interval ``Job.passing_days``.
-    assumed, stale : tuple of Train
-        Trains whose mileage per day is assumed, and those whose newest trip is too old to plan by:
-        the lives of their parts are unknown.
+    `visits` are sorted: those for parts of unknown remaining life first, then by day. `unknown` are
+    parts without a visit whose remaining life is unknown, `waiting` those that may pass a limit
+    before the horizon, the likeliest first; `n_quiet` counts the other parts, which need nothing.
+    `level` is the probability of the interval ``Job.passing_days``. The mileage per day of trains
+    in `assumed` is assumed; the newest trip of those in `stale` is too old to plan by, so that the
+    lives of their parts are unknown.
     """
 
     today: date
@@ -192,7 +173,7 @@ class Plan:
         """Text on trains whose newest trip is too old, and what follows; empty if none is."""
         if not self.stale:
             return ""
-        newest = max(self.stale, key=lambda train: train.on).on
+        newest = max(train.on for train in self.stale)
         return Finding(
             "plan-stale",
             names=_names(self.stale),
@@ -206,48 +187,56 @@ class Plan:
 
         Unknown parts come first, then visits, then parts that wait.
         """
-        at_visits = [self._row(job, visit) for visit in self.visits for job in visit.jobs]
-        without = [[self._row(job, None) for job in jobs] for jobs in (self.unknown, self.waiting)]
-        return [*without[0], *at_visits, *without[1]]
+        pairs = [(job, visit) for visit in self.visits for job in visit.jobs]
+        unknown, waiting = ([(job, None) for job in jobs] for jobs in (self.unknown, self.waiting))
+        return [self._row(job, visit) for job, visit in (*unknown, *pairs, *waiting)]
 
     def _row(self, job: Job, visit: Visit | None) -> dict[str, Any]:
-        part, ends = job.part, [self.day_after(days) for days in job.passing_days]
-        urgency = visit.urgency_of(job) if visit else UNKNOWN if part.unknown else ""
-        return {
+        part = job.part
+        row: dict[str, Any] = {
             "train": part.train,
             "car": part.car,
             "suspension": part.suspension,
             "parameter": part.parameter,
             "part": part_words(part.parameter),
             "what": job.what,
-            "visit": visit.words_of(job) if visit else "",
-            "urgency": urgency,
+            "visit": "",
+            "urgency": UNKNOWN if part.unknown else "",
             "severity": str(part.severity),
             "unknown": part.unknown,
             "passed": job.is_passed,
-            "day": visit.day.isoformat() if visit else "",
-            "decide_by": visit.decide_by.isoformat() if visit else "",
-            "mileage_km": _whole(visit.mileage_km) if visit else np.nan,
+            "day": "",
+            "decide_by": "",
+            "mileage_km": np.nan,
             "probability": job.probability,
-            "passing_from": ends[0].isoformat() if ends[0] else "",
-            "passing_to": ends[1].isoformat() if ends[1] else "",
+            "passing_from": self._day_after(job.passing_days[0]),
+            "passing_to": self._day_after(job.passing_days[1]),
         }
+        if visit is not None:
+            km = visit.mileage_km
+            row |= {
+                "visit": visit.words_of(job),
+                "urgency": visit.urgency_of(job),
+                "day": visit.day.isoformat(),
+                "decide_by": visit.decide_by.isoformat(),
+                "mileage_km": round(km) if math.isfinite(km) else km,
+            }
+        return row
 
-    def day_after(self, days: float) -> date | None:
-        """Return the date `days` after today, or None if it exceeds ``date.max``."""
-        return self.today + timedelta(days=days) if days < (date.max - self.today).days else None
+    def _day_after(self, days: float) -> str:
+        """Return the date `days` after today; empty if it is unknown or exceeds ``date.max``."""
+        is_day = days < (date.max - self.today).days
+        return (self.today + timedelta(days=days)).isoformat() if is_day else ""
 
     @property
     def summary(self) -> str:
-        """Too old trips, numbers of visits and jobs, and assumed mileages."""
-        n_jobs = sum(len(visit.jobs) for visit in self.visits)
-        n_waiting = len(self.waiting)
+        """Trips that are too old, numbers of visits and jobs, and assumed mileages."""
         words = Finding(
             "plan",
             visits=Finding("visits", n=len(self.visits)),
-            jobs=Finding("jobs", n=n_jobs),
+            jobs=Finding("jobs", n=sum(len(visit.jobs) for visit in self.visits)),
             day=self.horizon,
-            waiting=Finding("maybe-later", n=n_waiting),
+            waiting=Finding("maybe-later", n=len(self.waiting)),
             quiet=Finding("need-nothing", n=self.n_quiet),
         )
         if self.unknown:
@@ -257,12 +246,11 @@ class Plan:
     def __str__(self) -> str:
         """Return the plan as a text table, and a line on the first part that needs work later."""
         lines, table, before = [self.summary], [], None
-        for row in joined(self.rows()):
-            if row["what"] == "plan again":
-                break
+        for row in joined(row for row in self.rows() if row["what"] != WAIT):
             km = number(row["mileage_km"], 0) if row["day"] else ""
             visit = [row["train"], row["urgency"], row["day"], km]
             failure = "passed" if row["passed"] else f"{100 * row['probability']:.1f} %"
+            # a visit is named once, before its first job
             shown = visit if visit != before else [""] * len(visit)
             table.append([*shown, _words(row), UNKNOWN if row["unknown"] else failure])
             before = visit
@@ -276,17 +264,13 @@ class Plan:
         return "\n".join(lines)
 
 
-def _whole(value: float) -> float:
-    return round(value) if math.isfinite(value) else value
-
-
 def _names(trains: Sequence[Train]) -> str:
     names = ", ".join(train.name for train in trains[:MOST_NAMED])
     n_more = len(trains) - MOST_NAMED
     return Finding("and-more", names=names, n=n_more) if n_more > 0 else names
 
 
-def joined(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+def joined(rows: Iterable[Mapping[str, Any]]) -> list[dict[str, Any]]:
     """Return rows of a plan, with unknown parts of a suspension with the same reason merged.
 
     Each row gets a list of its parameters as "parameters".

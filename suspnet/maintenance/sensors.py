@@ -36,6 +36,8 @@ FLAT = 0.5
 spring or damper is worn changes the gain by frequency, a sensor does not."""
 TOGETHER = (("axle_box", "bogie"), ("body",))
 """Places whose gains are relative to each other: the one that differs from most has changed."""
+Numbers = dict[str, FloatArray]
+"""Numbers of one sensor by name, along the trips, (n_trips,)."""
 
 
 @dataclass(frozen=True)
@@ -50,8 +52,8 @@ class SensorTrend:
     """
 
     name: str
-    values: dict[str, FloatArray]
-    changes: dict[str, FloatArray]
+    values: Numbers
+    changes: Numbers
     beyond: dict[str, BoolArray]
     active: BoolArray
     misleads: BoolArray
@@ -86,33 +88,31 @@ def sensor_trends(
     names = list(dict.fromkeys(name for trip in trips for name in trip))
     since = {name: _eras(name, names, mileage_km, replaced) for name in names}
     values = {name: _columns(trips, name) for name in names}
-    changes: dict[str, dict[str, FloatArray]] = {name: {} for name in names}
+    # each number against the sensor's own first trips
+    changes: dict[str, Numbers] = {name: {} for name in names}
     for name in names:
         for number, column in values[name].items():
             scaled = np.log(column) if number == "noise" else column
             changes[name][number] = scaled - _of_first(scaled, since[name], np.median)
-    groups: dict[str, list[list[str]]] = {"noise": [names], "gain": [], "delay_s": []}
-    for places in TOGETHER:
-        own = [name for name in names if name.split()[0] in places]
-        groups["gain"].append(own)
-        groups["delay_s"].append(own)
-    for number, several in groups.items():
-        for own in several:
-            _subtract_common([changes[name] for name in own], number)
-    for own in groups["gain"]:  # noise in one sensor hides the gains of its fellows
-        noisy = np.any([changes[name]["noise"] > LEAST["noise"] for name in own], axis=0)
-        for name in own:
-            for number in ("gain", "delay_s"):
+    # what sensors share is not theirs: the track's roughness is in all noise, a worn part or the
+    # speed in the gains of both sides
+    _subtract_common([changes[name] for name in names], "noise")
+    groups = [[name for name in names if name.split()[0] in places] for places in TOGETHER]
+    for group in groups:
+        for number in MISLEADING:
+            _subtract_common([changes[name] for name in group], number)
+        # noise in one sensor hides the gains of its fellows
+        noisy = np.any([changes[name]["noise"] > LEAST["noise"] for name in group], axis=0)
+        for name in group:
+            for number in MISLEADING:
                 changes[name][number] = np.where(noisy, np.nan, changes[name][number])
-    return [
-        _trend(name, values[name], changes[name], since[name], groups["gain"]) for name in names
-    ]
+    return [_trend(name, values[name], changes[name], since[name], groups) for name in names]
 
 
-def _columns(trips: Sequence[Mapping[str, SensorHealth]], name: str) -> dict[str, FloatArray]:
-    found = [trip.get(name, SensorHealth()) for trip in trips]
+def _columns(trips: Sequence[Mapping[str, SensorHealth]], name: str) -> Numbers:
+    health = [trip.get(name, SensorHealth()) for trip in trips]
     return {
-        number: np.array([getattr(one, number) for one in found], dtype=float)
+        number: np.array([getattr(trip, number) for trip in health], dtype=float)
         for number in (*LEAST, "tilt")
     }
 
@@ -129,32 +129,32 @@ def _of_first(
     column: FloatArray, eras: IntArray, number: Callable[[FloatArray], Any]
 ) -> FloatArray:
     """Return a number of the first trips of each era for all its trips; NaN if they are few."""
-    found = np.full_like(column, np.nan)
+    numbers = np.full_like(column, np.nan)
     for era in np.unique(eras):
         first = np.flatnonzero((eras == era) & np.isfinite(column))[:N_FIRST]
         if len(first) == N_FIRST:
-            found[eras == era] = number(column[first])
-    return found
+            numbers[eras == era] = number(column[first])
+    return numbers
 
 
-def _subtract_common(own: Sequence[dict[str, FloatArray]], number: str) -> None:
+def _subtract_common(own: Sequence[Numbers], number: str) -> None:
     """Subtract the median over some sensors from their changes; of noise only a common rise."""
     if len(own) < 2:
         return
-    rows = np.stack([one[number] for one in own])
-    known = np.isfinite(rows).any(axis=0)
+    rows = np.stack([changes[number] for changes in own])
+    has_any = np.isfinite(rows).any(axis=0)
     common = np.zeros(rows.shape[1])
-    common[known] = np.nanmedian(rows[:, known], axis=0)
+    common[has_any] = np.nanmedian(rows[:, has_any], axis=0)
     if number == "noise":
         common = np.maximum(common, 0)
-    for one in own:
-        one[number] = one[number] - common
+    for changes in own:
+        changes[number] = changes[number] - common
 
 
 def _trend(
     name: str,
-    values: dict[str, FloatArray],
-    changes: dict[str, FloatArray],
+    values: Numbers,
+    changes: Numbers,
     eras: IntArray,
     groups: Sequence[Sequence[str]],
 ) -> SensorTrend:
@@ -162,27 +162,26 @@ def _trend(
     with np.errstate(invalid="ignore"):  # NaN is never beyond
         of_sensor = np.abs(changes["tilt"]) <= FLAT * np.abs(changes["gain"])
         for number, least in LEAST.items():
+            # noise and drop-outs only count when they grow
             size = changes[number] if number in ("noise", "faulty") else np.abs(changes[number])
-            spread = _of_first(changes[number], eras, np.std)
-            limit = np.maximum(least, SPREADS * spread)
+            limit = np.maximum(least, SPREADS * _of_first(changes[number], eras, np.std))
             counts = of_sensor if number == "gain" else np.isfinite(size)
             beyond[number] = counts & (size > limit)
             if number in MISLEADING:
                 far |= counts & (size > FAR * limit)
     is_out = np.logical_or.reduce(list(beyond.values()))
-    known = np.isfinite(values["faulty"])
-    (group,) = [one for one in groups if name in one] or [[name]]
-    fellow = next(one for one in group if one != name) if len(group) == 2 else ""
-    active = _active(is_out, known)
+    active = _active(is_out, np.isfinite(values["faulty"]))
     misleads = far | active & np.logical_or.reduce([beyond[number] for number in MISLEADING])
+    group = next((group for group in groups if name in group), [name])
+    fellow = next(other for other in group if other != name) if len(group) == 2 else ""
     return SensorTrend(name, values, changes, beyond, active, misleads, fellow)
 
 
-def _active(is_out: BoolArray, known: BoolArray) -> BoolArray:
+def _active(is_out: BoolArray, is_known: BoolArray) -> BoolArray:
     """Return the trips with an alarm, raised and cleared by ``IN_A_ROW`` ones in a row."""
     active, run, state = np.zeros(len(is_out), dtype=np.bool_), 0, False
     for trip in range(len(is_out)):
-        if known[trip]:
+        if is_known[trip]:
             run = run + 1 if is_out[trip] != state else 0
         if run == IN_A_ROW:
             state, run = not state, 0

@@ -28,16 +28,17 @@ from suspnet.maintenance.sensors import LEAST, SensorTrend, sensor_trends
 
 NUMBERS = ("mileage_km", "healthy_since_km", "speed_m_per_s", "temperature_c", "direction")
 """Numeric columns of a series, in addition to those of each parameter."""
-NEWEST = 5
-"""Number of the newest trips with an estimate that verdicts are made of."""
+TEXTS = ("trip", "sensors", "worn")
+N_LAST = 5
+"""Number of the newest trips with an estimate that decide on a parameter."""
 
 
 @dataclass(frozen=True)
 class Event:
     """Maintenance of a suspension: later trips are judged without earlier ones.
 
-    After that of the kind ``SENSOR`` only the sensors are, those that `words` names.
-    Trips of at least `mileage_km` are after it. `kind` is one of ``EVENT_KINDS``; `words` say what.
+    After that of the kind ``SENSOR`` only the sensors are, those that `words` names. Trips of at
+    least `mileage_km` are after it. `kind` is one of ``EVENT_KINDS``; `words` say what.
     """
 
     mileage_km: float
@@ -56,33 +57,14 @@ class Event:
 
 @dataclass(frozen=True, eq=False)
 class Series:
-    """Trips of one suspension, by mileage, as arrays of shape (n_trips,).
+    """Trips of one suspension, by mileage, as arrays of shape (n_trips,); NaN: unknown.
 
-    Attributes
-    ----------
-    vehicle : str
-    place : Place
-    trip : array of str
-        Names of the trips.
-    start : array of datetime64[s]
-        UTC if the manifest gives a zone, else as given there; NaT: unknown.
-    flagged : bool array
-    mileage_km, healthy_since_km : arrays, [km]
-    speed_m_per_s : array, [m/s]
-    temperature_c : array, [°C]
-        Temperature of the outside air.
-    direction : array
-        Of travel, one of ``SIGNS``; NaN: unknown.
-    estimates, half_widths : dict of arrays, [-]
-        Of each parameter, as in ``TripResult``, and of each part that any trip has; NaN: none.
-    events : tuple of Event
-        Sorted by mileage.
-    n_first : int, optional
-        Number of first trips whose median is healthy; None: the model defines it.
-    sensors : array of str, optional
-        Health of the sensors, as in ``Quality``; None: unknown.
-    worn : array of str objects, optional
-        Which parts of the bogie have worn, as in ``TripResult``; None: unknown.
+    `trip` are their names, `start` is in UTC if the manifest gives a zone, else as given there
+    (NaT: unknown), `temperature_c` that of the outside air, `direction` one of ``SIGNS``.
+    `estimates` and `half_widths` are as in ``TripResult``, of each parameter and of each part that
+    any trip has. `sensors` is the health of the sensors as in ``Quality``, `worn` the worn parts as
+    in ``TripResult``; empty: unknown. `events` are sorted by mileage. `n_first` is the number of
+    first trips whose median is healthy; None: the model defines it.
     """
 
     vehicle: str
@@ -97,10 +79,10 @@ class Series:
     direction: FloatArray
     estimates: dict[str, FloatArray]
     half_widths: dict[str, FloatArray]
+    sensors: NDArray[np.str_]
+    worn: NDArray[np.object_]
     events: tuple[Event, ...] = ()
     n_first: int | None = None
-    sensors: NDArray[np.str_] | None = None
-    worn: NDArray[np.object_] | None = None
 
     @property
     def key(self) -> Key:
@@ -114,19 +96,17 @@ class Series:
 
     @cached_property
     def sensor_trends(self) -> list[SensorTrend]:
-        """Each sensor along the trips with a mileage, which ``part`` drops."""
-        if self.sensors is None or not self.sensors.any():
-            return []
-        replaced = [(one.mileage_km, one.words) for one in self.events if one.kind == SENSOR]
+        """Each sensor along the trips with a mileage, which ``select`` drops."""
+        replaced = [(e.mileage_km, e.words) for e in self.events if e.kind == SENSOR]
         return sensor_trends(self.sensors.tolist(), self.mileage_km, replaced)
 
     @cached_property
     def misled(self) -> BoolArray:
         """Mask of the trips whose estimates are wrong by a sensor's sensitivity or delay.
 
-        The ``doubted`` trip is taken as one.
+        The ``doubted`` trip is one of them.
         """
-        wrong = [one.misleads for one in self.sensor_trends]
+        wrong = [trend.misleads for trend in self.sensor_trends]
         return np.asarray(np.logical_or.reduce([self.doubted, *wrong]))
 
     @cached_property
@@ -136,75 +116,91 @@ class Series:
         It is flagged, one of its sensors is dead, loose or faulty, and it does not show the parts
         that the trip before shows: a damaged suspension shows itself on the next trip, too.
         """
-        found = np.zeros(len(self.trip), dtype=np.bool_)
-        read = [np.isfinite(self.estimates[one]) for one in BOGIE_PARTS if one in self.estimates]
-        shown = np.logical_or.reduce([found, *read])
+        mask = np.zeros(len(self.trip), dtype=np.bool_)
+        has_parts = np.logical_or.reduce([mask, *self._of_parts])
         *_, before, newest = [-1, -1, *np.flatnonzero(self.done)]
-        if self.sensors is None or not self.done.any():
-            return found
-        if shown[before] and not self.flagged[before]:
+        if self.done.any() and has_parts[before] and not self.flagged[before]:
             sensors = sensors_from_text(self.sensors[newest]).values()
-            is_faulty = any(one.faulty > LEAST["faulty"] for one in sensors)
-            found[newest] = is_faulty and self.flagged[newest] and not shown[newest]
-        return found
+            is_faulty = any(health.faulty > LEAST["faulty"] for health in sensors)
+            mask[newest] = is_faulty and self.flagged[newest] and not has_parts[newest]
+        return mask
 
     @property
+    def _of_parts(self) -> list[BoolArray]:
+        """Masks of the trips with an estimate of each part of a bogie."""
+        return [np.isfinite(self.estimates[name]) for name in BOGIE_PARTS if name in self.estimates]
+
+    @property
+    def newest_with_parts(self) -> int | None:
+        """Index of the newest trip with an estimate of any part of a bogie; None without one."""
+        shown = np.flatnonzero(np.any(self._of_parts, axis=0))
+        return int(shown[-1]) if len(shown) else None
+
+    @cached_property
     def outputs(self) -> tuple[str, ...]:
         """Parameters with an estimate for any trip; all parameters if there is none.
 
-        Where parts are read, those of both sides as equal count only on the newest trips, since
-        the last one that shows its parts without a flag: else these say more.
+        Where parts are estimated, those of both sides as equal count only on the newest trips,
+        since the last one that shows its parts without a flag: else these say more.
         """
-        known = {name for name, column in self.estimates.items() if np.isfinite(column).any()}
-        newest = np.flatnonzero(self.done & ~self.doubted)[-NEWEST:]
-        if parts := known & set(BOGIE_PARTS):
-            shown = np.isfinite([self.estimates[name] for name in parts]).any(axis=0)
+        names = {name for name, column in self.estimates.items() if np.isfinite(column).any()}
+        newest = np.flatnonzero(self.done & ~self.doubted)[-N_LAST:]
+        if names & set(BOGIE_PARTS):
+            shown = np.any(self._of_parts, axis=0)
             last = np.flatnonzero(shown & ~self.flagged).max(initial=-1)
             newest = newest[newest > last]
             for name in PARAMETERS[:-1]:
                 if not np.isfinite(self.estimates[name][newest]).any():
-                    known.discard(name)
-        return tuple(name for name in self.estimates if name in known or not known)
+                    names.discard(name)
+        return tuple(name for name in self.estimates if name in names or not names)
 
     @property
     def done(self) -> BoolArray:
         """Mask of the trips with an estimate."""
-        known: BoolArray = np.array([np.isfinite(one) for one in self.estimates.values()])
-        return np.asarray(known.any(axis=0))
+        return np.asarray(np.isfinite(list(self.estimates.values())).any(axis=0))
 
     @property
-    def one_healthy(self) -> BoolArray:
+    def of_newest_reference(self) -> BoolArray:
         """Mask of the trips with the same commissioning as the newest trip with an estimate."""
         newest = self.healthy_since_km[np.flatnonzero(self.done)[-1:]]
-        known = np.isin(self.healthy_since_km, newest)
-        return np.asarray(known | (np.isnan(self.healthy_since_km) & np.isnan(newest).any()))
+        is_same = np.isin(self.healthy_since_km, newest)
+        return np.asarray(is_same | (np.isnan(self.healthy_since_km) & np.isnan(newest).any()))
 
     @property
     def recent(self) -> BoolArray:
         """Mask of the trips since the last commissioning and the last maintenance."""
         since = max(self.repairs, default=-np.inf)
-        return np.asarray(self.one_healthy & ~(self.mileage_km < since))
+        return np.asarray(self.of_newest_reference & ~(self.mileage_km < since))
 
     @property
     def between(self) -> list[IntArray]:
         """Indices of the trips before, between and after maintenance; without a mileage: after."""
-        known_km = self.mileage_km[np.isfinite(self.mileage_km)]
-        ends = np.searchsorted(known_km, self.repairs)
+        ends = np.searchsorted(self.mileage_km[np.isfinite(self.mileage_km)], self.repairs)
         return np.split(np.arange(len(self.trip)), ends)
 
+    def first_of_each(self, name: str, n_first: int) -> list[tuple[IntArray, IntArray]]:
+        """Return the trips between maintenances, each with their first ones with an estimate."""
+        done = np.isfinite(self.estimates[name])
+        pairs = ((trips, trips[done[trips]][:n_first]) for trips in self.between)
+        return [(trips, first) for trips, first in pairs if len(first)]
+
     def relative_to_first(self, n_first: int | None) -> Series:
-        """Return the trips as ``relative_to_first`` does, or this series if `n_first` is None."""
+        """Return k and c relative to the median of the first trips after each maintenance.
+
+        The interval widens by the uncertainty of the median, whose variance is pi / 2 times that of
+        a mean of `n_first` trips. This is right for noise; systematic errors (of a regression
+        without refinement) cancel only while the vehicle does not change. The car-body mass stays
+        relative to nominal, as it varies by nature. If fewer trips have an estimate, all of these
+        are used; None: to the model, as this series is.
+        """
         if n_first is None:
             return self
         estimates, half_widths = (
-            {name: column.copy() for name, column in part.items()}
-            for part in (self.estimates, self.half_widths)
+            {name: column.copy() for name, column in columns.items()}
+            for columns in (self.estimates, self.half_widths)
         )
-        for trips in self.between:
-            for name in set(estimates) - {BODY_MASS}:
-                first = trips[np.isfinite(self.estimates[name][trips])][:n_first]
-                if not len(first):
-                    continue
+        for name in set(estimates) - {BODY_MASS}:
+            for trips, first in self.first_of_each(name, n_first):
                 estimates[name][trips] /= np.median(estimates[name][first])
                 own = half_widths[name]
                 own[trips] = np.hypot(own[trips], half_width_of_median(own[first]))
@@ -217,65 +213,56 @@ class Series:
         """
         if len(set(self.direction[np.isfinite(self.direction)])) < 2:
             return self
-        states = np.concatenate([np.full(len(own), i) for i, own in enumerate(self.between)])
+        states = np.concatenate([np.full(len(trips), i) for i, trips in enumerate(self.between)])
         unused = ~self.done | self.flagged | self.misled | np.isnan(self.mileage_km)
         signs = np.where(unused, 0, np.nan_to_num(self.direction)).astype(int)
-        since_km = self.healthy_since_km
-        found = widened(signs, states, since_km, self.estimates, self.half_widths)
-        return replace(self, half_widths=found)
+        columns = self.healthy_since_km, self.estimates, self.half_widths
+        return replace(self, half_widths=widened(signs, states, *columns))
 
-    def part(self, chosen: BoolArray | IntArray) -> Series:
-        """Return the trips chosen by a mask or by indices, as they are to be judged.
+    def select(self, trips: BoolArray | IntArray) -> Series:
+        """Return the trips of a mask or of indices, as they are to be judged.
 
         Those that a sensor `misled` have no estimate there; the sensors themselves are dropped.
         """
-        columns = {
-            name: getattr(self, name)[chosen] for name in ("trip", "start", "flagged", *NUMBERS)
-        }
-        columns["worn"] = None if self.worn is None else self.worn[chosen]
-        estimates, half_widths = (
-            {name: np.where(self.misled, np.nan, column)[chosen] for name, column in part.items()}
-            for part in (self.estimates, self.half_widths)
+        names = ("trip", "start", "flagged", "worn", *NUMBERS)
+        columns = {name: getattr(self, name)[trips] for name in names}
+        columns["sensors"] = np.full(len(columns["trip"]), "")
+        columns["estimates"], columns["half_widths"] = (
+            {name: np.where(self.misled, np.nan, column)[trips] for name, column in values.items()}
+            for values in (self.estimates, self.half_widths)
         )
-        return replace(self, estimates=estimates, half_widths=half_widths, sensors=None, **columns)
+        return replace(self, **columns)
 
     def equals(self, other: Series) -> bool:
         """Return whether all fields are equal, with NaN equal to NaN."""
-        mine, its = _columns(self), _columns(other)
+        mine, its = self._columns(), other._columns()
         return (
             (self.key, self.events, self.n_first) == (other.key, other.events, other.n_first)
             and mine.keys() == its.keys()
-            and np.array_equal(self.trip, other.trip)
-            and _texts(self) == _texts(other)
-            and all(np.array_equal(one, its[name], equal_nan=True) for name, one in mine.items())
+            and all(getattr(self, name).tolist() == getattr(other, name).tolist() for name in TEXTS)
+            and all(np.array_equal(mine[name], its[name], equal_nan=True) for name in mine)
         )
 
-
-def _texts(one: Series) -> list[list[str]]:
-    nothing = [""] * len(one.trip)
-    return [nothing if texts is None else texts.tolist() for texts in (one.sensors, one.worn)]
-
-
-def _columns(one: Series) -> dict[str, NDArray[Any]]:
-    columns = {name: getattr(one, name) for name in ("start", "flagged", *NUMBERS)}
-    columns |= one.estimates
-    return columns | {f"{name}_half_width": column for name, column in one.half_widths.items()}
+    def _columns(self) -> dict[str, NDArray[Any]]:
+        columns = {name: getattr(self, name) for name in ("start", "flagged", *NUMBERS)}
+        widths = {f"{name}_half_width": column for name, column in self.half_widths.items()}
+        return columns | self.estimates | widths
 
 
-def car_of(one: Series) -> tuple[str, ...]:
+def car_of(series: Series) -> tuple[str, ...]:
     """Return a key that the suspensions of a car share.
 
     If no car is named, suspensions that differ only in bogie or side are of one car.
     """
-    place = one.place
-    return one.vehicle, place.train, place.car, "" if place.car else place.suspension
+    place = series.place
+    return series.vehicle, place.train, place.car, "" if place.car else place.suspension
 
 
-def of_same_car(series: Sequence[Series]) -> list[list[Series]]:
+def of_same_car(several: Sequence[Series]) -> list[list[Series]]:
     """Return the suspensions of each car that has several."""
     cars: dict[tuple[str, ...], list[Series]] = {}
-    for one in series:
-        cars.setdefault(car_of(one), []).append(one)
+    for series in several:
+        cars.setdefault(car_of(series), []).append(series)
     return [sisters for sisters in cars.values() if len(sisters) > 1]
 
 
@@ -299,40 +286,31 @@ def make_series(
     array([1. , 0.9])
     """
     km = np.asarray(mileage_km, dtype=float)
-    n = len(km)
-    trip = np.broadcast_to(np.asarray(others.pop("trip", ""), dtype=str), n)
-    start = np.broadcast_to(np.asarray(others.pop("start", "NaT"), dtype="datetime64[s]"), n)
-    sensors = np.broadcast_to(np.asarray(others.pop("sensors", ""), dtype=str), n)
-    worn = np.broadcast_to(np.asarray(others.pop("worn", ""), dtype=object), n)
-    marks = np.broadcast_to(np.asarray(flagged, dtype=bool), n)
+    trip = np.broadcast_to(np.asarray(others.get("trip", ""), dtype=str), len(km))
     order = np.lexsort((trip, km))  # NaN last
 
-    def columns(given: Mapping[str, ArrayLike], names: Iterable[str]) -> dict[str, FloatArray]:
-        whole = {name: np.asarray(given.get(name, np.nan), dtype=float) for name in names}
-        return {name: np.broadcast_to(one, n)[order] for name, one in whole.items()}
+    def column(values: ArrayLike, dtype: Any = float) -> NDArray[Any]:
+        return np.broadcast_to(np.asarray(values, dtype=dtype), len(km))[order]
 
-    names = with_estimates(estimates)
+    # all parameters have a column, and those parts of which any trip has an estimate
+    estimated = (name for name in ESTIMATED if name not in PARAMETERS and name in estimates)
+    parts = [n for n in estimated if np.isfinite(np.asarray(estimates[n], dtype=float)).any()]
+    names, widths = (*PARAMETERS[:-1], *parts, BODY_MASS), half_widths or {}
+    others |= {"mileage_km": km}
+    numbers: dict[str, Any] = {name: column(others.get(name, np.nan)) for name in NUMBERS}
     return Series(
-        others.pop("vehicle", ""),
-        others.pop("place", Place()),
-        trip[order],
-        start[order],
-        marks[order],
-        estimates=columns(estimates, names),
-        half_widths=columns(half_widths or {}, names),
-        events=tuple(sorted(events, key=lambda one: one.mileage_km)),
-        n_first=None,
-        sensors=sensors[order],
-        worn=worn[order],
-        **columns({"mileage_km": km} | others, NUMBERS),
+        vehicle=others.get("vehicle", ""),
+        place=others.get("place", Place()),
+        trip=trip[order],
+        start=column(others.get("start", "NaT"), "datetime64[s]"),
+        flagged=column(flagged, bool),
+        estimates={name: column(estimates.get(name, np.nan)) for name in names},
+        half_widths={name: column(widths.get(name, np.nan)) for name in names},
+        sensors=column(others.get("sensors", ""), str),
+        worn=column(others.get("worn", ""), object),
+        events=tuple(sorted(events, key=lambda event: event.mileage_km)),
+        **numbers,
     )
-
-
-def with_estimates(estimates: Mapping[str, ArrayLike]) -> tuple[str, ...]:
-    """Return the names of a series' columns: all parameters, and parts with any estimate."""
-    parts = (name for name in ESTIMATED if name not in PARAMETERS and name in estimates)
-    known = (name for name in parts if np.isfinite(np.asarray(estimates[name], dtype=float)).any())
-    return (*PARAMETERS[:-1], *known, BODY_MASS)
 
 
 def series_of(results: Sequence[TripResult], events: Iterable[Event] = ()) -> Series:
@@ -342,26 +320,24 @@ def series_of(results: Sequence[TripResult], events: Iterable[Event] = ()) -> Se
     """
 
     def values(kind: str) -> dict[str, list[float]]:
-        return {
-            name: [getattr(one, kind).get(name, np.nan) for one in results] for name in ESTIMATED
-        }
+        return {name: [getattr(r, kind).get(name, np.nan) for r in results] for name in ESTIMATED}
 
     return make_series(
-        [one.mileage_km for one in results],
+        [r.mileage_km for r in results],
         values("estimates"),
         values("half_widths"),
-        [bool(one.flags) for one in results],
+        [bool(r.flags) for r in results],
         events,
         vehicle=results[0].vehicle,
         place=results[0].place,
-        trip=[one.trip for one in results],
-        start=np.array([utc(one.start) for one in results], dtype="datetime64[s]"),
-        healthy_since_km=[one.healthy_since_km for one in results],
-        speed_m_per_s=[one.quality.speed_m_per_s for one in results],
-        sensors=[one.quality.sensors for one in results],
-        worn=[stored(one.worn) for one in results],
-        temperature_c=[one.temperature_c for one in results],
-        direction=[SIGNS.get(one.quality.direction, np.nan) for one in results],
+        trip=[r.trip for r in results],
+        start=np.array([utc(r.start) for r in results], dtype="datetime64[s]"),
+        healthy_since_km=[r.healthy_since_km for r in results],
+        speed_m_per_s=[r.quality.speed_m_per_s for r in results],
+        sensors=[r.quality.sensors for r in results],
+        worn=[stored(r.worn) for r in results],
+        temperature_c=[r.temperature_c for r in results],
+        direction=[SIGNS.get(r.quality.direction, np.nan) for r in results],
     ).widened()
 
 

@@ -11,13 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from suspnet.ground.findings import Finding, parts_of, restored
-from suspnet.ground.parameters import (
-    BODY_MASS,
-    BOGIE_PARTS,
-    Limits,
-    Severity,
-    kind_of,
-)
+from suspnet.ground.parameters import BODY_MASS, Limits, Severity, kind_of
 from suspnet.ground.records import Key
 from suspnet.ground.types import FloatArray
 from suspnet.maintenance.alarms import Alarm, Watched
@@ -31,10 +25,10 @@ from suspnet.maintenance.assessment import (
     worst_first,
 )
 from suspnet.maintenance.degradation import FleetPrior
-from suspnet.maintenance.judge import N_LAST, LastTrips, judge_last, last_trips
+from suspnet.maintenance.judge import LastTrips, judge_last, last_trips
 from suspnet.maintenance.life import MIN_TRIPS, Life, predict_life
 from suspnet.maintenance.sensors import IN_A_ROW
-from suspnet.maintenance.series import Series
+from suspnet.maintenance.series import N_LAST, Series
 from suspnet.maintenance.trend import LEAST_PERCENT, flagged_trend
 
 UNKNOWN_HEALTHY = "healthy is not known yet"
@@ -48,20 +42,10 @@ class State:
     """Alarms, lives and assessments of one suspension, all from the trips of `series`.
 
     Severities, present values and lives use the trips since the last commissioning and maintenance;
-    alarms use those since the last commissioning.
-
-    Attributes
-    ----------
-    series : Series
-        All trips of the suspension.
-    limits : mapping of Limits
-        A missing parameter has no limits.
-    watched : Watched
-        Alarms from its trips and, if compared, from its sisters.
-    lives : dict of Life
-        Life until the act limit of each parameter with limits and enough trips.
-    least_percent : mapping of float, [% of healthy]
-        Smallest change of each parameter that counts; ``LEAST_PERCENT`` by default.
+    alarms use those since the last commissioning. A parameter that is missing in `limits` has none.
+    `watched` has the alarms from its trips and, if compared, from its sisters, `lives` the life
+    until the act limit of each parameter with limits and enough trips. `least_percent` is the
+    smallest change of each parameter that counts, [% of healthy]; ``LEAST_PERCENT`` by default.
     """
 
     series: Series
@@ -78,7 +62,7 @@ class State:
     @cached_property
     def recent(self) -> Series:
         """Trips since the last commissioning and maintenance."""
-        return self.series.part(self.series.recent)
+        return self.series.select(self.series.recent)
 
     @cached_property
     def doubt(self) -> str:
@@ -88,7 +72,7 @@ class State:
         done = self.series.done[self.series.between[-1]]
         return UNKNOWN_HEALTHY if done.sum() < (self.series.n_first or 0) else ""
 
-    @cached_property
+    @property
     def outputs(self) -> tuple[str, ...]:
         """Parameters that are estimated."""
         return self.series.outputs
@@ -96,15 +80,19 @@ class State:
     @cached_property
     def alarms(self) -> list[Alarm]:
         """Active alarms, the most severe first."""
-        active = [one for one in self.watched.alarms if one.is_open]
-        return sorted(active, key=lambda one: (-one.severity, one.begin_km))
+        active = [alarm for alarm in self.watched.alarms if alarm.is_open]
+        return sorted(active, key=lambda alarm: (-alarm.severity, alarm.begin_km))
+
+    def alarms_of(self, name: str) -> list[Alarm]:
+        """Return the active alarms of a parameter by the mileage where they start."""
+        return [a for a in self.watched.alarms if a.parameter == name and a.is_open]
 
     @cached_property
     def severities(self) -> dict[str, Severity]:
         """Severity of each parameter except the car-body mass."""
         return {
             name: severity_of(
-                self._last[name], self.limits.get(name), self.alarms_of(name), self.doubt
+                self.last_of(name), self.limits.get(name), self.alarms_of(name), self.doubt
             )
             for name in self.outputs
             if name != BODY_MASS
@@ -128,7 +116,7 @@ class State:
     @property
     def parameters(self) -> str:
         """Names of the parameters with the worst severity, as text."""
-        return ", ".join(one.parameter for one in self.worst)
+        return ", ".join(assessment.parameter for assessment in self.worst)
 
     @property
     def reason(self) -> str:
@@ -152,10 +140,12 @@ class State:
 
         There are too few trips, or the last trips cannot be judged.
         """
-        one, passed = self.recent, self.watched.passed
+        recent, passed = self.recent, self.watched.passed
         reasons = {
             name: self.unjudged
-            or why_unknown(one.mileage_km, one.estimates[name], one.half_widths[name], one.flagged)
+            or why_unknown(
+                recent.mileage_km, recent.estimates[name], recent.half_widths[name], recent.flagged
+            )
             for name in self.limits
             if name in self.outputs and name not in passed
         }
@@ -164,15 +154,19 @@ class State:
     @cached_property
     def shortest(self) -> tuple[str, Life] | None:
         """Parameter that may pass its act limit first, by the 10 % quantile, and its life."""
-        known = [(life.quantile_km(0.1), name) for name, life in self.lives.items()]
-        first = min((one for one in known if np.isfinite(one[0])), default=None)
-        return first and (first[1], self.lives[first[1]])
+        ends = [(life.quantile_km(0.1), name) for name, life in self.lives.items()]
+        km, name = min(ends, default=(math.inf, ""))
+        return (name, self.lives[name]) if np.isfinite(km) else None
 
     @cached_property
     def last_km(self) -> float:
         """Mileage of the newest trip with an estimate, [km]; NaN if there is none."""
         km = self.series.mileage_km[self.series.done]
         return float(np.nanmax(km)) if np.isfinite(km).any() else np.nan
+
+    @cached_property
+    def _last(self) -> dict[str, LastTrips]:
+        return {name: last_trips(self.recent, name) for name in self.series.estimates}
 
     def last_of(self, name: str) -> LastTrips:
         """Return the last ``N_LAST`` trips with an estimate of a parameter."""
@@ -184,20 +178,18 @@ class State:
         It is the newest alone if the verdict rests on it: it is beyond a limit, or names the part
         as worn, which may have failed since the trips before.
         """
-        last = self._last[name]
+        last = self.last_of(name)
         severity, judged = judge_last(last, self.limits.get(name))
         is_beyond = severity >= Severity.NOTICE and judged is not None and judged.run > 0
-        worn = (one.values for one in parts_of(self.worn) if isinstance(one, Finding))
-        is_named = any(name in values.get("names", ()) for values in worn)
+        findings = (f for f in parts_of(self.worn) if isinstance(f, Finding))
+        is_named = any(name in finding.values.get("names", ()) for finding in findings)
         return last.newest if is_beyond or is_named else last
 
     @cached_property
     def worn(self) -> str:
         """Which parts have worn on the newest trip with an estimate of parts, as text."""
-        recent = self.recent
-        read = [np.isfinite(column) for n, column in recent.estimates.items() if n in BOGIE_PARTS]
-        newest = np.flatnonzero(np.any(read, axis=0))[-1:]
-        return "" if recent.worn is None or not len(newest) else restored(recent.worn[newest[0]])
+        newest = self.recent.newest_with_parts
+        return "" if newest is None else restored(self.recent.worn[newest])
 
     def now(self, name: str) -> float:
         """Return the present value of a parameter, [-]: the median of its ``leading`` trips.
@@ -209,26 +201,19 @@ class State:
 
     def furthest(self, name: str) -> float:
         """Return the present value of a parameter, or of that of its parts furthest from 1, [-]."""
-        parts = [one for one in self.outputs if one != name and kind_of(one) == name]
-        values = [self.now(one) for one in parts] or [self.now(name)]
-        return max(values, key=lambda one: abs(math.log(one)) if one > 0 else -1.0)
-
-    def alarms_of(self, name: str) -> list[Alarm]:
-        """Return the active alarms of a parameter by the mileage where they start."""
-        return [one for one in self.watched.alarms if one.parameter == name and one.is_open]
-
-    @cached_property
-    def _last(self) -> dict[str, LastTrips]:
-        return {name: last_trips(self.recent, name) for name in self.series.estimates}
+        parts = [part for part in self.outputs if part != name and kind_of(part) == name]
+        values = [self.now(part) for part in parts] or [self.now(name)]
+        return max(values, key=lambda value: abs(math.log(value)) if value > 0 else -1.0)
 
     def _assessment(self, name: str) -> Assessment:
-        one, least = self.recent, self.least_percent.get(name, LEAST_PERCENT)
-        values = one.estimates[name]
-        trend = flagged_trend(name, one.mileage_km, values, one.flagged, least)
+        recent, least = self.recent, self.least_percent.get(name, LEAST_PERCENT)
+        trend = flagged_trend(
+            name, recent.mileage_km, recent.estimates[name], recent.flagged, least
+        )
         limits, alarms = self.limits.get(name), self.alarms_of(name)
-        found = assess(trend, self._last[name], limits, alarms, self.doubt)
-        unknown = self.unknown.get(name, "")
-        return replace(found, now=self.now(name), life=self.lives.get(name), unknown_life=unknown)
+        assessment = assess(trend, self.last_of(name), limits, alarms, self.doubt)
+        life, why = self.lives.get(name), self.unknown.get(name, "")
+        return replace(assessment, now=self.now(name), life=life, unknown_life=why)
 
 
 def by_urgency(states: Iterable[State]) -> list[State]:
@@ -276,21 +261,17 @@ def remaining_lives(
     fleet : mapping of FleetPrior, optional
         Prior of each parameter from suspensions of this type (``learn_fleet``).
     seed : int
-
-    Returns
-    -------
-    dict from parameter to Life
     """
-    found = {}
+    lives = {}
     for name, limit in limits.items():
         if name not in values:
             continue
         trips = trips_of_life(mileage_km, values[name], half_widths[name], flagged)
         if name in passed:
-            found[name] = Life("no trend", np.zeros(1))
+            lives[name] = Life("no trend", np.zeros(1))
         elif trips is not None:
-            found[name] = predict_life(*trips, limit.act, fleet=(fleet or {}).get(name), seed=seed)
-    return found
+            lives[name] = predict_life(*trips, limit.act, fleet=(fleet or {}).get(name), seed=seed)
+    return lives
 
 
 def why_unknown(
@@ -299,12 +280,12 @@ def why_unknown(
     """Return why these trips do not determine a remaining life; empty if they do."""
     if trips_of_life(mileage_km, values, half_widths, flagged) is not None:
         return ""
-    known, doubtful = np.isfinite(np.asarray(values, dtype=float)), np.asarray(flagged, dtype=bool)
-    n_known, n_clear = int(known.sum()), int((known & ~doubtful).sum())
-    if not n_known:
+    done, doubtful = np.isfinite(np.asarray(values, dtype=float)), np.asarray(flagged, dtype=bool)
+    n_done, n_clear = int(done.sum()), int((done & ~doubtful).sum())
+    if not n_done:
         return "no trip with an estimate"
     if not n_clear:
-        return "all trips are flagged" if n_known > 1 else "the only trip is flagged"
+        return "all trips are flagged" if n_done > 1 else ONE_FLAGGED
     if n_clear < MIN_TRIPS:
         kind = "too-few-unflagged" if doubtful.any() else "too-few-of"
         return Finding(kind, n=n_clear, n_needed=MIN_TRIPS)
@@ -323,8 +304,8 @@ def trips_of_life(
         np.asarray(column, dtype=float) for column in (mileage_km, values, half_widths)
     )
     with np.errstate(divide="ignore", invalid="ignore"):
-        known = (np.abs(np.log(centre)) <= np.log(MOST_RATIO)) & ~(width > MOST_WIDTH)
-    used = np.isfinite(km) & known & ~np.asarray(flagged, dtype=bool)
+        is_certain = (np.abs(np.log(centre)) <= np.log(MOST_RATIO)) & ~(width > MOST_WIDTH)
+    used = np.isfinite(km) & is_certain & ~np.asarray(flagged, dtype=bool)
     order = np.flatnonzero(used)[np.argsort(km[used], kind="stable")]
     if len(order) < MIN_TRIPS or km[order[-1]] <= km[order[0]]:
         return None

@@ -25,8 +25,8 @@ N_ENDS = 5
 MIN_SIZE = 3
 """Fewest trips on each side of a step: one outlier is not a step."""
 N_RECENT, FAR_BETTER = 20, 0.3
-"""Number of trips in which a change that began lately is told from a step, and the share of a
-step's sum of squares that a steady change leaves at most."""
+"""Number of trips in which a change that began lately is distinguished from a step, and the share
+of a step's sum of squares that a steady change leaves at most."""
 
 
 class Shape(StrEnum):
@@ -59,30 +59,16 @@ class Step:
 
 
 @dataclass(frozen=True)
-class Trend:
+class ParameterTrend:
     """How one parameter develops along the mileage.
 
-    Attributes
-    ----------
-    parameter : str
-    n_trips, n_needed : int
-        Trips with an estimate, and the fewest that the tests need.
-    first_median, last_median : float, [-]
-        Medians of the first and of the last `n_ends` trips, relative to healthy.
-    change_percent : float, [% of healthy]
-        Last minus first median.
-    spread_percent : float, [% of healthy]
-        Robust standard deviation of the trips about the local trend.
-    p_value : float, [-]
-        Probability that unchanged trips show ends as different, or a step as clear, as these.
-    shape : Shape
-    step : Step or None
-        None unless the shape has a step.
-    n_ends : int
-    flagged_first, flagged_last : int
-        Number of flagged trips among the first and the last `n_ends`.
-    without_flagged : bool
-        Flagged trips were left out.
+    `n_trips` have an estimate, the tests need `n_needed`. `first_median` and `last_median` are
+    those of the first and of the last `n_ends` trips, relative to healthy, `change_percent` their
+    difference, `spread_percent` the robust standard deviation of the trips about the local trend,
+    both in % of healthy. `p_value` is the probability that unchanged trips show ends as different,
+    or a step as clear, as these; `step` is None unless the shape has one. Of the first and the last
+    `n_ends` trips, `flagged_first` and `flagged_last` are flagged; `without_flagged`: flagged trips
+    were left out.
     """
 
     parameter: str
@@ -108,7 +94,7 @@ class Trend:
 
 def trend(
     parameter: str, mileage_km: ArrayLike, values: ArrayLike, least_percent: float = LEAST_PERCENT
-) -> Trend:
+) -> ParameterTrend:
     """Return whether the last trips of a parameter differ from the first, or it has a step.
 
     Two tests share ``LEVEL``: Welch's t test of the last ``N_ENDS`` trips against the first ones,
@@ -125,30 +111,32 @@ def trend(
     --------
     >>> mileage_km = 10_000 * np.arange(30)
     >>> ratios = np.where(mileage_km < 245_000, 1.0, 0.99) + 1e-3 * np.sin(mileage_km)
-    >>> found = trend("k_p", mileage_km, ratios)
-    >>> found.shape.name, found.step.mileage_km, round(found.change_percent, 1)
+    >>> fallen = trend("k_p", mileage_km, ratios)
+    >>> fallen.shape.name, fallen.step.mileage_km, round(fallen.change_percent, 1)
     ('STEP', 245000.0, -1.0)
     """
-    km, known = known_trips(mileage_km, values)
-    n = len(known)
+    km, ratios = usable_trips(mileage_km, values)
+    n = len(ratios)
     n_compared = min(N_ENDS, n // 2)
-    first, last = known[:n_compared], known[n - n_compared :]
-    start, end = (float(np.median(part)) if n_compared else np.nan for part in (first, last))
-    change, spread = 100 * (end - start), 100 * _spread(known)
-    found = Trend(parameter, n, 2 * N_ENDS, start, end, change, spread, n_ends=n_compared)
+    first, last = ratios[:n_compared], ratios[n - n_compared :]
+    start, end = (float(np.median(side)) if n_compared else np.nan for side in (first, last))
+    change, spread = 100 * (end - start), 100 * _spread(ratios)
+    untested = ParameterTrend(
+        parameter, n, 2 * N_ENDS, start, end, change, spread, n_ends=n_compared
+    )
     if n < 2 * N_ENDS:
-        return found
+        return untested
+    # both tests, and a size that matters
     threshold = max(MULTIPLE * spread, least_percent)
-    step = steps(km, known, LEVEL / 2)
-    p_ends = _welch(first, last)
+    step, p_ends = steps(km, ratios, LEVEL / 2), _welch(first, last)
     has_step = step is not None and step.significant and abs(step.size_percent) > threshold
     shape = Shape.NONE
     if step is not None and has_step:
-        shape = _shape(known, change, threshold, step)
+        shape = _shape(ratios, change, threshold, step)
     elif p_ends < LEVEL / 2 and abs(change) > threshold:
         shape = Shape.ENDS
     p_value = min(1.0, 2 * p_ends, 2 * (step.p_value if step else 1.0))
-    return replace(found, p_value=p_value, shape=shape, step=step if has_step else None)
+    return replace(untested, p_value=p_value, shape=shape, step=step if has_step else None)
 
 
 def flagged_trend(
@@ -157,7 +145,7 @@ def flagged_trend(
     values: ArrayLike,
     flagged: ArrayLike,
     least_percent: float = LEAST_PERCENT,
-) -> Trend:
+) -> ParameterTrend:
     """Return the ``trend`` of trips of which some are flagged: their estimates may be wrong.
 
     Flagged trips count, because a badly worn part is outside the range of the trained model; the
@@ -172,8 +160,8 @@ def flagged_trend(
     alone = trend(parameter, mileage_km, rest, least_percent)
     if alone.changed and not whole.changed:
         return replace(alone, without_flagged=True)
-    known = np.where(np.isfinite(values), doubtful.astype(float), np.nan)
-    marks = known_trips(mileage_km, known)[1]
+    marks = np.where(np.isfinite(values), doubtful.astype(float), np.nan)
+    marks = usable_trips(mileage_km, marks)[1]
     first, last = marks[: whole.n_ends], marks[len(marks) - whole.n_ends :]
     return replace(whole, flagged_first=int(first.sum()), flagged_last=int(last.sum()))
 
@@ -184,35 +172,35 @@ def steps(mileage_km: ArrayLike, values: ArrayLike, level: float = LEVEL) -> Ste
     Its significance at `level` is that of Student's t test between the two sides, with Bonferroni's
     correction for the number of splits. Arrays are as in ``trend``.
     """
-    km, known = known_trips(mileage_km, values)
-    n = len(known)
+    km, ratios = usable_trips(mileage_km, values)
+    n = len(ratios)
     if n < 2 * MIN_SIZE:
         return None
-    centred = known - known.mean()
+    centred = ratios - ratios.mean()
     before = np.arange(MIN_SIZE, n - MIN_SIZE + 1)
     between = np.cumsum(centred)[before - 1] ** 2 * n / (before * (n - before))
     best = int(np.argmax(between))
     size = int(before[best])
     within = max(float(centred @ centred - between[best]), 0.0)
     scale = math.sqrt(within / (n - 2))
-    t = math.sqrt(between[best]) / scale if scale > 0 else math.inf * bool(np.ptp(known) > 0)
+    t = math.sqrt(between[best]) / scale if scale > 0 else math.inf * bool(np.ptp(ratios) > 0)
     p_value = min(1.0, float(2 * stats.t.sf(t, n - 2)) * len(before))
-    change = 100 * float(np.median(known[size:]) - np.median(known[:size]))
+    change = 100 * float(np.median(ratios[size:]) - np.median(ratios[:size]))
     middle, gap = (km[size - 1] + km[size]) / 2, km[size] - km[size - 1]
     return Step(float(middle), float(gap), size, change, p_value, p_value < level)
 
 
-def known_trips(mileage_km: ArrayLike, values: ArrayLike) -> tuple[FloatArray, FloatArray]:
+def usable_trips(mileage_km: ArrayLike, values: ArrayLike) -> tuple[FloatArray, FloatArray]:
     """Return the trips with finite mileage and value, sorted by mileage."""
-    km, known = np.asarray(mileage_km, dtype=float), np.asarray(values, dtype=float)
-    if km.shape != known.shape or km.ndim != 1:
+    km, ratios = np.asarray(mileage_km, dtype=float), np.asarray(values, dtype=float)
+    if km.shape != ratios.shape or km.ndim != 1:
         raise ValueError(
             "`mileage_km` and `values` must have one number for each trip, got shapes "
-            f"{km.shape} and {known.shape}"
+            f"{km.shape} and {ratios.shape}"
         )
-    finite = np.isfinite(km) & np.isfinite(known)
+    finite = np.isfinite(km) & np.isfinite(ratios)
     order = np.argsort(km[finite], kind="stable")
-    return km[finite][order], known[finite][order]
+    return km[finite][order], ratios[finite][order]
 
 
 def _spread(values: FloatArray) -> float:
@@ -226,7 +214,7 @@ def _spread(values: FloatArray) -> float:
 
 def _welch(first: FloatArray, last: FloatArray) -> float:
     """Return the p value of Welch's t test; 1 for constant, equal samples."""
-    moments = [(part.mean(), part.std(ddof=1), len(part)) for part in (first, last)]
+    moments = [(side.mean(), side.std(ddof=1), len(side)) for side in (first, last)]
     with np.errstate(divide="ignore", invalid="ignore"):
         test = stats.ttest_ind_from_stats(*moments[0], *moments[1], equal_var=False)
     return float(np.nan_to_num(test.pvalue, nan=float(moments[0][0] == moments[1][0])))

@@ -17,7 +17,7 @@ from suspnet.ground.records import Key
 from suspnet.history import History, HistoryError
 from suspnet.maintenance.alarms import Alarm, Watched
 from suspnet.maintenance.change import ChangeSettings
-from suspnet.maintenance.fleet import Fleet
+from suspnet.maintenance.fleet import FleetStates
 from suspnet.maintenance.plan import PlanSettings, plan_of
 from suspnet.maintenance.schedule import Plan
 from suspnet.maintenance.sisters import SisterSettings
@@ -72,7 +72,7 @@ class Board:
 
     Only suspensions whose revision in the store changed are read and recomputed, and compared with
     their sisters. The rates of wear of a fleet, and with them the lives of all its suspensions, are
-    learnt again as ``Fleet`` documents. A long refresh shows partial results every ``SHOWN_S``:
+    learnt again as ``FleetStates`` says. A long refresh shows partial results every ``SHOWN_S``:
     first the suspensions with the alarms in the store.
 
     Sister alarms are written to the store, as no other program finds them while trips are
@@ -87,7 +87,7 @@ class Board:
         self.store = store
         self.settings = settings
         self._limits: dict[str, Mapping[str, Limits]] = {}
-        self._fleet = Fleet(self._limits, settings.changes, settings.sisters, settings.seed)
+        self._fleet = FleetStates(self._limits, settings.changes, settings.sisters, settings.seed)
         self._view = FleetView()
         self._revisions: dict[Key, int] = {}
         self._early: dict[Key, State] = {}

@@ -15,7 +15,7 @@ from suspnet.ground.findings import (
 )
 from suspnet.ground.parameters import Cause
 from suspnet.ground.records import TripResult, sensors_from_text
-from suspnet.maintenance.judge import N_LAST
+from suspnet.maintenance.series import N_LAST
 from suspnet.maintenance.state import State
 
 LISTED = 5  # trips that are listed for a failing sensor

@@ -19,8 +19,7 @@ from suspnet.ground.storage import write_atomically
 from suspnet.ground.wording import span, thousands, unbroken
 from suspnet.maintenance.alarms import Acknowledgement, newest_of
 from suspnet.maintenance.assessment import Assessment, joined, overall, worst_first
-from suspnet.maintenance.judge import N_LAST
-from suspnet.maintenance.series import Event
+from suspnet.maintenance.series import N_LAST, Event
 from suspnet.maintenance.state import State
 from suspnet.report.bogie import bogie_of, small_figures, why_no_part
 from suspnet.report.failing_sensors import failing_words

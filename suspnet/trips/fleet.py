@@ -27,7 +27,7 @@ from suspnet.history import History
 from suspnet.maintenance.alarms import OWN_CAUSES, Acknowledgement, detector_words
 from suspnet.maintenance.assessment import spoken
 from suspnet.maintenance.change import ChangeSettings
-from suspnet.maintenance.fleet import Fleet
+from suspnet.maintenance.fleet import FleetStates
 from suspnet.maintenance.relative import between, relative_results
 from suspnet.maintenance.series import Event, Series, series_of
 from suspnet.maintenance.sisters import SisterSettings
@@ -160,7 +160,7 @@ def evaluate_fleet(
             read.append(_read(plan, settings, store))
     read.sort(key=lambda one: groups.index(one.group))
     # all suspensions are read before the first report: its lives use their rates of wear
-    fleet = Fleet({one.vehicle: one.limits for one in read}, settings.changes, SISTERS, seed)
+    fleet = FleetStates({one.vehicle: one.limits for one in read}, settings.changes, SISTERS, seed)
     if store is not None:
         fleet.add(
             one.relative_to_first(settings.n_first)
@@ -264,7 +264,7 @@ def _read(plan: _Plan, settings: FleetSettings, store: History | None) -> _Read:
 
 
 def _report(
-    read: _Read, fleet: Fleet, settings: FleetSettings, store: History | None, figures: bool
+    read: _Read, fleet: FleetStates, settings: FleetSettings, store: History | None, figures: bool
 ) -> Evaluated:
     stage(f"trend and report of {read.group.place}")
     group, results, models = read.group, read.results, read.models

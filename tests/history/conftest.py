@@ -1,9 +1,11 @@
 """Empty stores, of each database that there is."""
 
 import pytest
+import sqlalchemy
 from empty_stores import KINDS, empty_store
 
 from suspnet.history import History
+from suspnet.history.database import database_url
 
 
 @pytest.fixture(params=KINDS)
@@ -16,3 +18,17 @@ def place(request, tmp_path):
 def store(place):
     with History(place) as found:
         yield found
+
+
+@pytest.fixture
+def by_hand(place):
+    """Return a function that executes a statement on the store, as somebody may with a client."""
+    engine = sqlalchemy.create_engine(database_url(place))
+
+    def execute(statement):
+        with engine.begin() as connection:
+            result = connection.execute(statement)
+            return result.scalar() if result.returns_rows else None
+
+    yield execute
+    engine.dispose()

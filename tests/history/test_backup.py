@@ -22,7 +22,7 @@ def pages(path):
     client = create_app(Refresher(board, 3600.0)).test_client()
     names = list(board.view.keys)
     assert len(names) == 4
-    got = [client.get(address) for address in ("/", "/plan", *(f"/suspension/{n}" for n in names))]
+    got = [client.get(address) for address in ("/", "/plan", f"/suspension/{names[0]}")]
     assert {one.status_code for one in got} == {200}
     changing = r"\d\d:\d\d:\d\d|data-version=\"\w+\"|name=\"csrf_token\"[^>]*|of=[0-9a-f]{16}"
     return [re.sub(changing, "", one.text) for one in got]
@@ -80,7 +80,9 @@ def test_nothing_is_replaced_that_is_not_an_earlier_backup(tmp_path):
             back_up(str(path), other, replace=replace)
     assert other.read_text() == "mine"
     copy = tmp_path / "copy.db"
+    path.chmod(0o640)
     back_up(str(path), copy)
+    assert copy.stat().st_mode & 0o777 == 0o640  # as private as its store
     with pytest.raises(HistoryError, match="--replace"):
         back_up(str(path), copy)
     back_up(str(path), copy, replace=True)
@@ -112,15 +114,6 @@ def test_a_store_is_never_replaced_by_its_own_backup(tmp_path):
     (tmp_path / "used.db-journal").write_bytes(b"of a program that writes to it")
     with pytest.raises(HistoryError, match=r"used\.db-journal: a program writes"):
         back_up(str(path), used, replace=True)
-
-
-def test_a_backup_is_as_private_as_its_store(tmp_path):
-    path = tmp_path / "fleet.db"
-    with History(path) as store:
-        store.write([trip(0, with_curves=False)])
-    path.chmod(0o640)
-    back_up(str(path), tmp_path / "copy.db")
-    assert (tmp_path / "copy.db").stat().st_mode & 0o777 == 0o640
 
 
 def test_a_damaged_backup_or_a_full_disk_leaves_nothing_behind(tmp_path, monkeypatch):

@@ -3,23 +3,16 @@
 from dataclasses import replace
 
 import numpy as np
-import pytest
 from trip_records import HALF_WIDTHS, OUTPUTS, flagged, fleet, trip
 
 from suspnet.ground.records import Place
-from suspnet.history import History
 from suspnet.history import arrays as module
 from suspnet.maintenance.series import Event
 
 
-@pytest.fixture
-def store(tmp_path):
-    with History(tmp_path / "history.db") as found:
-        yield found
-
-
 def test_arrays_hold_what_the_trips_do(store, monkeypatch):
     monkeypatch.setattr(module, "ROWS", 7)
+    assert store.series() == []
     results = fleet(20, with_curves=False)
     results[3] = flagged(results[3])
     results[5] = replace(
@@ -72,7 +65,3 @@ def test_recent_trips_are_those_since_commissioning_and_maintenance(store):
     assert plain.recent.all()
     nowhere = {name: np.full(6, np.nan) for name in OUTPUTS}
     assert not replace(one, estimates=nowhere).recent.any()
-
-
-def test_an_empty_store_has_none(store):
-    assert store.series() == []

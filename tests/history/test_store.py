@@ -50,17 +50,6 @@ def same(one, other):
     return repr(texts[0]) == repr(texts[1])
 
 
-def write_many(place, worker, n_trips):
-    """Write trips of its own, those of the other worker, alarms and acknowledgements."""
-    both = [trip(1000 * w, with_curves=False, place=Place(str(w))) for w in range(2)]
-    with History(place) as store:
-        for i in range(n_trips):
-            store.write([trip(1000 * worker + i, with_curves=False)])
-            store.write(both[:: 1 - 2 * worker])
-            store.keep_alarms(VEHICLE, PLACE, ALARMS)
-            store.acknowledge(VEHICLE, PLACE, [replace(SEEN, by=f"{worker}", at_km=float(i))])
-
-
 # reference
 
 
@@ -120,7 +109,7 @@ def test_writing_a_trip_again_replaces_it(store):
     assert all(map(same, found[:2], results[:2]))
 
 
-def test_suspensions_are_kept_apart(store):
+def test_suspensions_and_trips_of_other_days_are_kept_apart(store):
     places = [
         Place("a"),
         Place("a", "leading"),
@@ -134,13 +123,10 @@ def test_suspensions_are_kept_apart(store):
     assert [len(store.read(VEHICLE, place)) for place in places] == [1] * 5
     assert len(store.places()) == 6
     assert store.read("ice3", places[1]) == []
-
-
-def test_trips_of_the_same_name_on_other_days_are_others(store):
     first = trip(0, with_curves=False)
     others = [replace(first, start="2025-01-01"), replace(first, mileage_km=math.nan)]
-    store.write([first, *others])
-    store.write([first, *others])
+    for _ in range(2):
+        store.write([first, *others])
     assert len(store.read(VEHICLE, PLACE)) == 3
 
 
@@ -214,30 +200,20 @@ def test_alarms_of_sisters_and_those_of_the_trips_are_replaced_apart(store):
 # failure
 
 
-def test_an_event_of_an_unknown_suspension_names_the_known_ones(store):
-    store.write([trip(0, with_curves=False)])
-    with pytest.raises(HistoryError, match="x is stored here; known: AM96 217: bogie 1"):
-        store.add_event("am96", Place("x"), Event(1.0))
-
-
-def test_alarms_of_an_unknown_suspension_are_refused(store):
+def test_data_of_an_unknown_suspension_are_refused_as_a_whole(store):
+    unknown = "am96", Place("x")
     with pytest.raises(HistoryError, match="no trip of am96: x is stored here; known: none"):
-        store.keep_alarms("am96", Place("x"), ALARMS)
-    with pytest.raises(HistoryError, match="no trip of am96: x is stored here"):
-        store.acknowledge("am96", Place("x"), [SEEN])
-
-
-def test_alarms_of_other_causes_than_those_kept_are_refused(store):
+        store.keep_alarms(*unknown, ALARMS)
     store.write([trip(0, with_curves=False)])
+    for change in (
+        lambda: store.add_event(*unknown, Event(1.0)),
+        lambda: store.acknowledge(*unknown, [SEEN]),
+        lambda: store.keep_all_alarms({(VEHICLE, PLACE): ALARMS, unknown: ALARMS}),
+    ):
+        with pytest.raises(HistoryError, match="x is stored here; known: AM96 217: bogie 1"):
+            change()
     with pytest.raises(ValueError, match="alarms of limit are not of change, sister"):
         store.keep_alarms(VEHICLE, PLACE, ALARMS, [Cause.CHANGE, Cause.SISTER])
-    assert store.alarms(VEHICLE, PLACE) == []
-
-
-def test_all_or_none_of_the_alarms_of_many_are_kept(store):
-    store.write([trip(0, with_curves=False)])
-    with pytest.raises(HistoryError, match="no trip of am96: x is stored here"):
-        store.keep_all_alarms({(VEHICLE, PLACE): ALARMS, ("am96", Place("x")): ALARMS})
     assert store.all_alarms() == {}
 
 
@@ -269,35 +245,22 @@ def test_a_foreign_file_is_named_and_left_alone(content, message, tmp_path):
     assert not content or path.read_bytes() == content
 
 
-def test_a_store_of_another_version_is_refused(tmp_path):
-    path = tmp_path / "history.db"
-    History(path).close()
-    with sqlite3.connect(path) as connection:
-        connection.execute("UPDATE suspnet_version SET schema = 99")
-    connection.close()
-    message = f"a store of version 99, this suspnet reads version {SCHEMA}"
-    with pytest.raises(HistoryError, match=message):
-        History(path)
-
-
 @pytest.mark.parametrize("version", NEW_COLUMNS)
-def test_a_store_of_an_older_version_is_brought_to_this_one(version, place):
+def test_a_store_of_an_older_version_is_brought_to_this_one(version, place, by_hand):
     before = trip(0, with_curves=False)
     with History(place) as store:
         store.write([before])
-        with store._engine.begin() as connection:
-            lacking = (one for old in range(version, SCHEMA) for one in NEW_COLUMNS[old])
-            for column in lacking:
-                connection.exec_driver_sql(f"ALTER TABLE trips DROP COLUMN {column}")
-            connection.exec_driver_sql(f"UPDATE suspnet_version SET schema = {version}")
-            was = {"warnings": "loose; no part is named: too short; as it is"}
-            if version > 6:
-                was["worn"] = (
-                    "damper of axle 2, left at 62 % of healthy (odds over 1000 : 1); secondary "
-                    "spring, left or secondary spring, right at 93.1 % of healthy (odds 30 : 1, "
-                    "which of them is not known)"
-                )
-            connection.execute(trips.update().values(was))
+    for column in (name for old in range(version, SCHEMA) for name in NEW_COLUMNS[old]):
+        by_hand(sqlalchemy.text(f"ALTER TABLE trips DROP COLUMN {column}"))
+    by_hand(sqlalchemy.text(f"UPDATE suspnet_version SET schema = {version}"))
+    was = {"warnings": "loose; no part is named: too short; as it is"}
+    if version > 6:
+        was["worn"] = (
+            "damper of axle 2, left at 62 % of healthy (odds over 1000 : 1); secondary spring, "
+            "left or secondary spring, right at 93.1 % of healthy (odds 30 : 1, which of them is "
+            "not known)"
+        )
+    by_hand(trips.update().values(was))
     for _ in range(2):
         with History(place, must_exist=True) as store:
             (found,) = store.read(before.vehicle, before.place)
@@ -318,12 +281,24 @@ def test_a_store_of_an_older_version_is_brought_to_this_one(version, place):
         assert same(store.read(before.vehicle, before.place)[0], after)
 
 
-def test_a_foreign_database_with_tables_of_these_names_is_refused(tmp_path):
-    path = tmp_path / "other.db"
+@pytest.mark.parametrize(
+    ("statement", "message"),
+    [
+        (
+            "UPDATE suspnet_version SET schema = 99",
+            f"a store of version 99, this suspnet reads version {SCHEMA}",
+        ),
+        ("CREATE TABLE trips (id INTEGER)", "not a store of suspnet"),
+    ],
+)
+def test_stores_of_other_versions_and_other_applications_are_refused(tmp_path, statement, message):
+    path = tmp_path / "history.db"
+    if statement.startswith("UPDATE"):
+        History(path).close()
     with sqlite3.connect(path) as connection:
-        connection.execute("CREATE TABLE trips (id INTEGER)")
+        connection.execute(statement)
     connection.close()
-    with pytest.raises(HistoryError, match="not a store of suspnet"):
+    with pytest.raises(HistoryError, match=message):
         History(path)
 
 
@@ -357,7 +332,7 @@ def test_a_wrong_url_is_refused(url, message):
 
 
 def test_the_password_is_not_shown():
-    pytest.importorskip("psycopg")
+    pytest.importorskip("psycopg", reason="needs suspnet[postgres]")
     with pytest.raises(HistoryError) as caught:
         History("postgresql://me:secret@127.0.0.1:1/x")
     assert "secret" not in str(caught.value)
@@ -376,13 +351,5 @@ def test_a_trip_that_was_kept_without_its_date_is_the_same_trip(store):
 
 
 def test_columns_of_suspensions_are_in_the_order_of_older_stores():
-    assert suspensions.columns.keys() == [
-        "id",
-        "vehicle",
-        "train",
-        "car",
-        "suspension",
-        "bogie",
-        "side",
-        "revision",
-    ]
+    places = ["train", "car", "suspension", "bogie", "side"]
+    assert suspensions.columns.keys() == ["id", "vehicle", *places, "revision"]

@@ -11,26 +11,22 @@ AT = "2026-11-22T13:00:00+00:00"
 
 
 def seen(at_km=5e4, severity=Severity.NOTICE, **fields):
-    given = {"parameter": "k_p", "cause": Cause.CHANGE, "by": "Kim", "at": AT} | fields
-    return Acknowledgement(severity=severity, at_km=at_km, **given)
+    fields = {"parameter": "k_p", "cause": Cause.CHANGE, "by": "Kim", "at": AT} | fields
+    return Acknowledgement(severity=severity, at_km=at_km, **fields)
 
 
 def alarm(begin_km=4e4, end_km=math.nan, severity=Severity.NOTICE):
     return Alarm("k_p", Cause.CHANGE, severity, begin_km, end_km)
 
 
-def test_an_alarm_without_an_end_is_open():
-    assert alarm().is_open
+def test_values_of_a_store_become_those_of_the_types():
+    stored = Alarm("k_p", "limit", 3, 1.0)
+    assert (stored.cause, stored.severity, stored.is_open) == (Cause.LIMIT, Severity.ACT, True)
     assert not alarm(end_km=4e4).is_open
 
 
-def test_values_of_a_store_become_those_of_the_types():
-    found = Alarm("k_p", "limit", 3, 1.0)
-    assert (found.cause, found.severity) == (Cause.LIMIT, Severity.ACT)
-
-
 @pytest.mark.parametrize(
-    ("acknowledgement", "one", "expected"),
+    ("acknowledgement", "of_alarm", "expected"),
     [
         (seen(), alarm(), True),
         (seen(4e4), alarm(), True),
@@ -43,8 +39,8 @@ def test_values_of_a_store_become_those_of_the_types():
         (seen(cause=Cause.LIMIT), alarm(), False),
     ],
 )
-def test_an_acknowledgement_covers_its_alarm_until_it_is_worse(acknowledgement, one, expected):
-    assert acknowledgement.covers(one) is expected
+def test_an_acknowledgement_covers_its_alarm_until_it_is_worse(acknowledgement, of_alarm, expected):
+    assert acknowledgement.covers(of_alarm) is expected
 
 
 def test_the_newest_acknowledgement_of_an_alarm_is_found_across_zones():

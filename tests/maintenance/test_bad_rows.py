@@ -25,7 +25,8 @@ BAD = [
     ("trips", "start", "'yesterday'"),
     ("trips", "mileage_km", "'far'"),
     ("trips", "mileage_km", "9e999"),
-    ("trips", "k_p", "'soft'"),
+    ("trips", "mileage_km", "-1"),
+    ("trips", "c_s_half_width", "-9e999"),
     ("trips", "trip", "x'00ff'"),
     ("events", "kind", "'repaired'"),
     ("alarms", "cause", "'magic'"),
@@ -34,18 +35,7 @@ BAD = [
     ("suspensions", "vehicle", "x'00ff'"),
     ("suspensions", "revision", "'new'"),
 ]
-MORE_BAD = [
-    ("trips", "start", "'0001-01-01T00:00:00+23:00'"),
-    ("trips", "start", "7"),
-    ("trips", "mileage_km", "-1"),
-    ("trips", "mileage_km", "x'00ff'"),
-    ("trips", "k_p", "9e999"),
-    ("trips", "c_s_half_width", "-9e999"),
-    ("events", "mileage_km", "'far'"),
-    ("events", "words", "x'ff'"),
-    ("alarms", "severity", "99"),
-    ("acknowledgements", "by", "' '"),
-]
+"""Each kind of fault, in each table: no number or text, no time, out of range, unknown."""
 
 
 @pytest.fixture(scope="module")
@@ -76,10 +66,7 @@ def change(path, table, column, value):
     connection.close()
 
 
-@pytest.mark.parametrize(
-    ("table", "column", "value"),
-    [*BAD, *(pytest.param(*one, marks=pytest.mark.slow) for one in MORE_BAD)],
-)
+@pytest.mark.parametrize(("table", "column", "value"), BAD)
 def test_bad_row_is_named_and_the_others_are_shown(path, table, column, value, caplog):
     board = Board(str(path), SETTINGS)
     change(path, table, column, value)
@@ -102,29 +89,18 @@ def test_bad_row_is_named_and_the_others_are_shown(path, table, column, value, c
     assert "correct or delete" in logged[0]
 
 
-def test_row_that_is_mended_is_shown_again(path):
-    board = Board(str(path), SETTINGS)
-    change(path, "trips", "start", "'yesterday'")
-    board.refresh()
-    assert board.view.bad_rows
-    with sqlite3.connect(path) as connection:
-        connection.execute("UPDATE trips SET start = '2025-01-01' WHERE start = 'yesterday'")
-    connection.close()
-    assert board.refresh()
-    assert not board.view.bad_rows
-    assert sum(len(one.series.trip) for one in board.view.states) == 2 * N_TRIPS
-
-
-def test_suspension_whose_rows_are_all_bad_is_not_shown_as_before(path):
+def test_rows_that_turn_bad_are_left_out_and_shown_again_once_they_are_corrected(path):
     board = Board(str(path), SETTINGS)
     board.refresh()
-    with sqlite3.connect(path) as connection:
-        connection.execute("UPDATE trips SET mileage_km = 'far' WHERE suspension_id = 1")
-        connection.execute("UPDATE suspensions SET revision = revision + 1")
-    connection.close()
-    board.refresh()
-    assert [one.key[1] for one in board.view.states] == [SIDES[1]]
-    assert len(board.view.bad_rows) == N_TRIPS
+    for changes, n_bad in (("mileage_km = 'far'", N_TRIPS), ("mileage_km = 1000.0 * id", 0)):
+        with sqlite3.connect(path) as connection:
+            connection.execute(f"UPDATE trips SET {changes} WHERE suspension_id = 1")
+            connection.execute("UPDATE suspensions SET revision = revision + 1")
+        connection.close()
+        assert board.refresh()
+        shown = SIDES[1:] if n_bad else SIDES
+        assert {one.key[1] for one in board.view.states} == set(shown)
+        assert len(board.view.bad_rows) == n_bad
 
 
 def test_other_programs_read_past_a_bad_row(path, caplog):
@@ -144,9 +120,10 @@ def test_text_that_is_no_utf8_is_shown_with_a_sign_in_its_place(path):
         assert store.bad_rows == []
 
 
-@pytest.mark.every_value
-@pytest.mark.parametrize("value", ["1e300", "-1e300", "1e-300", "0", "-5"])
-@pytest.mark.parametrize("column", ["k_p", "c_s_half_width", "healthy_since_km", "temperature_c"])
+@pytest.mark.parametrize(
+    ("column", "value"),
+    [("k_p", "1e300"), ("c_s_half_width", "1e-300"), ("healthy_since_km", "-1e300"), ("k_p", "0")],
+)
 def test_absurd_numbers_of_one_suspension_leave_the_others(path, column, value):
     board = Board(str(path), SETTINGS)
     with sqlite3.connect(path) as connection:

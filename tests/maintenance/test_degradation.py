@@ -12,8 +12,8 @@ from suspnet.maintenance.degradation import (
     RATE_CHANGES,
     FleetPrior,
     Motion,
-    _definite,
     fit_models,
+    positive_definite,
     powered,
 )
 from suspnet.maintenance.life import DEFAULT_PRIOR
@@ -113,7 +113,7 @@ def test_evidence_and_present_state_are_those_of_the_joint_gaussian(model):
 def test_covariance_that_is_none_is_made_one():
     near = np.array([[1.0, 0.9, 0.0], [0.9, 1.0, 0.9], [0.0, 0.9, 1.0]])  # least eigenvalue -0.27
     values = np.linalg.eigvalsh(near)
-    found = _definite(np.stack([near, np.eye(3)]))
+    found = positive_definite(np.stack([near, np.eye(3)]))
     np.testing.assert_allclose(found[1], np.eye(3), atol=1e-12)
     np.testing.assert_allclose(np.linalg.eigvalsh(found[0])[1:], values[1:], rtol=1e-9)
     np.linalg.cholesky(found)

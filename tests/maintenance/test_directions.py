@@ -92,7 +92,7 @@ def test_intervals_hardly_widen_without_a_bias():
 def test_later_trips_do_not_change_an_interval():
     whole = both_ways(24, 0.02)
     for n in (1, 7, 8, 15):
-        early = whole.part(np.arange(24) < n)
+        early = whole.select(np.arange(24) < n)
         np.testing.assert_array_equal(
             early.widened().half_widths["c_s"], whole.widened().half_widths["c_s"][:n]
         )
@@ -119,14 +119,7 @@ def test_each_commissioning_has_its_own_error_and_maintenance_parts_pairs():
     np.testing.assert_array_equal(replace(whole, events=events).widened().half_widths["c_s"], plain)
 
 
-@pytest.mark.parametrize(
-    "others",
-    [
-        {"flagged": True},
-        {"direction": np.nan},
-        {"direction": 1.0},
-    ],
-)
+@pytest.mark.parametrize("others", [{"flagged": True}, {"direction": np.nan}, {"direction": 1.0}])
 def test_flagged_trips_and_one_direction_show_nothing(others):
     whole = both_ways(30, 0.02, **others)
     np.testing.assert_array_equal(whole.widened().half_widths["c_s"], whole.half_widths["c_s"])

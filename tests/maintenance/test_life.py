@@ -28,22 +28,16 @@ def noise(seed=0, n=150):
 
 @pytest.mark.parametrize("limit", [0.7, 1.4])
 @pytest.mark.parametrize("onset", [0.0, 91_000.0])
-def test_noise_free_line_crosses_where_it_does(limit, onset):
-    line = 1 + (limit - 1) * np.maximum(KM - onset, 0) / (500_000 - onset)
-    life = predict_life(KM, line, HALF, LIMITS)
-    assert life.model == "linear"
-    assert life.quantile_km(0.5) == pytest.approx(500_000 - KM[-1], rel=0.01)
-    low, high = life.interval_km()
-    assert 0 < high - low < 0.1 * (500_000 - KM[-1])
-
-
-@pytest.mark.parametrize("limit", [0.7, 1.4])
-@pytest.mark.parametrize("onset", [0.0, 91_000.0])
-def test_noise_free_exponential_crosses_where_it_does(limit, onset):
-    course = np.exp(np.log(limit) * np.maximum(KM - onset, 0) / (500_000 - onset))
+@pytest.mark.parametrize("model", ["linear", "exponential"])
+def test_noise_free_drift_crosses_where_it_does(model, limit, onset):
+    share = np.maximum(KM - onset, 0) / (500_000 - onset)
+    course = 1 + (limit - 1) * share if model == "linear" else np.exp(np.log(limit) * share)
     life = predict_life(KM, course, HALF, LIMITS)
-    assert life.model == "exponential"
-    assert life.quantile_km(0.5) == pytest.approx(500_000 - KM[-1], rel=0.01)
+    assert life.model == model
+    to_go = 500_000 - KM[-1]
+    assert life.quantile_km(0.5) == pytest.approx(to_go, rel=0.01)
+    low, high = life.interval_km()
+    assert 0 < high - low < 0.1 * to_go
 
 
 def test_measures_are_those_of_progpy():
@@ -136,20 +130,14 @@ def test_probabilities_of_models_are_the_shares_of_samples():
     assert np.isinf(life.samples_km).mean() >= life.probabilities["no trend"] - 0.001
 
 
-def test_a_limit_that_is_passed_leaves_nothing_to_go():
-    life = predict_life(KM, 0.65 * noise(), HALF, LIMITS)
-    assert (life.samples_km == 0).all()
-    assert str(life) == "no trend: limit passed"
-
-
-def test_no_limit_on_a_side_is_never_passed():
+def test_limits_that_are_passed_or_missing_and_single_outliers():
+    passed = predict_life(KM, 0.65 * noise(), HALF, LIMITS)
+    assert (passed.samples_km == 0).all()
+    assert str(passed) == "no trend: limit passed"
     falling = (1 - 0.25 * KM / KM[-1]) * noise()
     assert predict_life(KM, falling, HALF, LIMITS).probability(200_000) > 0.95
     for limits in ((0.0, 1.4), (0.0, np.inf)):
         assert predict_life(KM, falling, HALF, limits).probability(200_000) < 0.05
-
-
-def test_single_outlying_trips_start_no_trend():
     values = noise()
     values[[20, 75, 149]] = [1.5, 0.5, 0.6]
     assert predict_life(KM, values, HALF, LIMITS).model == "no trend"
@@ -204,20 +192,11 @@ def test_a_fleet_tells_what_few_trips_do_not():
     assert fleet.weights.sum() == pytest.approx(1)
     assert fleet.models[0] < 0.5 < DEFAULT_PRIOR.models[0]
     few = [part[:10] for part in series[0]]
+    assert learn_fleet([]) is DEFAULT_PRIOR
     alone, known = predict_life(*few, LIMITS), predict_life(*few, LIMITS, fleet=fleet)
     low, high = known.interval_km()
     assert low < 0.3 / -rates[0] * UNIT_KM - KM[9] < high
     assert high - low < 0.6 * (alone.interval_km()[1] - alone.interval_km()[0])
-
-
-def test_no_series_leave_the_default_prior():
-    assert learn_fleet([]) is DEFAULT_PRIOR
-
-
-def test_healthy_sisters_make_a_trend_less_likely():
-    series = [(KM, noise(i), HALF) for i in range(30)]
-    fleet = learn_fleet(series)
-    assert fleet.models[0] > 0.9
 
 
 # the distribution

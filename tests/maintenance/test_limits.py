@@ -1,4 +1,4 @@
-"""Limits: what lies beyond one is told whatever was before, healthy series stay quiet."""
+"""Limits: what lies beyond one is reported whatever was before, healthy series stay quiet."""
 
 import copy
 import math
@@ -21,8 +21,8 @@ from suspnet.ground.parameters import (
     read_limits,
 )
 from suspnet.maintenance.assessment import assess, overall
-from suspnet.maintenance.judge import N_CONFIRMING, N_LAST, judge, last_trips
-from suspnet.maintenance.series import make_series
+from suspnet.maintenance.judge import judge, last_trips
+from suspnet.maintenance.series import N_LAST, make_series
 from suspnet.maintenance.trend import trend
 from suspnet.simulation.fleet import Scenario
 
@@ -112,6 +112,12 @@ def test_no_failure_at_the_end_is_missed_whatever_the_number_of_trips_and_the_pl
     assert ALARMING < set(SCENARIOS)
 
 
+def assessed(km, values, half_width, parameter):
+    widths = np.broadcast_to(half_width, len(km))
+    last = last_trips(make_series(km, {parameter: values}, {parameter: widths}), parameter)
+    return assess(trend(parameter, km, values), last, DEFAULT_LIMITS[parameter])
+
+
 @pytest.mark.every_value
 @pytest.mark.parametrize("n_trips", [1, 4, 12, 29])
 @pytest.mark.parametrize("name", SCENARIOS)
@@ -119,35 +125,17 @@ def test_sentence_and_reason_name_what_lies_beyond_at_the_end(name, n_trips):
     km, truth = series(name, n_trips)
     values, half_widths = measured(truth, np.random.default_rng(n_trips))
     for case in values[:: max(1, len(values) // 6)]:
-        found = []
-        for i, parameter in enumerate(JUDGED):
-            one = case[:, i]
-            widths = np.broadcast_to(half_widths[i], n_trips)
-            last = last_trips(make_series(km, {parameter: one}, {parameter: widths}), parameter)
-            found.append(assess(trend(parameter, km, one), last, DEFAULT_LIMITS[parameter]))
+        found = [assessed(km, case[:, i], half_widths[i], JUDGED[i]) for i in range(len(JUDGED))]
         severity, sentence = overall(found)
         assert severity == max(one.severity for one in found)
         for i, one in enumerate(found):
             notice, last = DEFAULT_LIMITS[one.parameter].notice, case[-1, i]
             if not notice[0] <= last <= notice[1]:
-                assert not sentence.startswith(("Nothing", "No parameter"))
+                assert sentence.kind in ("act", "act-and-notice", "notice", "not-all-judged")
                 beyond = "below the" if last < 1 else "above the"
                 assert beyond in one.words or f"the last trip is at {100 * last:.0f} %" in one.words
                 assert "no change" not in one.words
                 assert f"{100 * last:.0f} %" in one.words or "trips are at" in one.words
-
-
-def test_failed_air_spring_of_the_issue_is_an_alarm():
-    """Twelve trips, the true k_s of the last two at 600 %; at 150 % it was "Nothing stands out"."""
-    km, truth = series("failed_air_spring", 12)
-    values, half_widths = measured(truth[0], np.random.default_rng(0))
-    spring = values[:, 2]
-    widths = np.broadcast_to(half_widths[2], 12)
-    last = last_trips(make_series(km, {"k_s": spring}, {"k_s": widths}), "k_s")
-    found = assess(trend("k_s", km, spring), last, DEFAULT_LIMITS["k_s"])
-    assert found.severity == Severity.ACT
-    assert found.words.startswith("the last trip is at 603 % of healthy; the last 2 trips are")
-    assert overall([found])[1] == "Act: 1 of 1 parameters is beyond the act limit:"
 
 
 # limit: healthy series
@@ -155,37 +143,36 @@ def test_failed_air_spring_of_the_issue_is_an_alarm():
 
 @pytest.mark.parametrize("name", ["healthy", "worn_spring"])
 def test_harmless_series_give_no_alarm(name):
-    """20,000 series at the scatter of the shipped model: the limits are far beyond it."""
+    """10,000 series at the scatter of the shipped model: the limits are far beyond it."""
     rng = np.random.default_rng(11)
-    truth = np.repeat(series(name, 30)[1][:1], 20_000, axis=0)[:, WINDOW]
+    truth = np.repeat(series(name, 30)[1][:1], 10_000, axis=0)[:, WINDOW]
     values, half_widths = measured(truth, rng)
     for i, parameter in enumerate(JUDGED):
         assert not judged(values[..., i], half_widths[i], DEFAULT_LIMITS[parameter]).severity.any()
 
 
 @pytest.mark.parametrize(
-    ("half", "stated"), [(0.03, 1e-4), (0.06, 1e-4), (0.1, 0.0015), (0.2, 0.02), (0.4, 0.06)]
+    ("half", "common", "stated"),
+    [
+        (0.03, 0.0, 1e-4),
+        (0.1, 0.0, 0.0015),
+        (0.4, 0.0, 0.06),
+        # 80 % of the variance is common to the trips: it is not averaged out
+        (0.1, 0.8, 0.0035),
+    ],
 )
-def test_false_alarms_stay_below_the_stated_rate(half, stated):
+def test_false_alarms_stay_below_the_stated_rate(half, common, stated):
     """The rates of the docstring of `judge`; 40,000 series, and three standard errors."""
     rng = np.random.default_rng(3)
-    values = 1 + half / Z * rng.normal(size=(40_000, N_LAST))
-    symmetric = judge(
-        values, values - half, values + half, np.zeros(values.shape), Limits((0.9, 1.1), (0.8, 1.2))
-    )
-    rate = (symmetric.severity >= Severity.NOTICE).mean()
+    errors = np.sqrt(common) * rng.normal(size=(40_000, 1))
+    errors = errors + np.sqrt(1 - common) * rng.normal(size=(40_000, N_LAST))
+    values = 1 + half / Z * errors
+    limits, nothing = Limits((0.9, 1.1), (0.8, 1.2)), np.zeros(values.shape)
+    found = judge(values, values - half, values + half, nothing, limits)
+    rate = (found.severity >= Severity.NOTICE).mean()
     assert rate <= stated + 3 * np.sqrt(stated / len(values))
     if half == 0.1:
         assert rate > 0.0005  # the bound is not idle
-
-
-def test_an_error_that_trips_have_in_common_is_not_averaged_out():
-    """80 % of the variance is common, the half width is the distance of the limit from healthy."""
-    rng, deviation = np.random.default_rng(3), 0.1 / Z
-    common = np.sqrt(0.8) * rng.normal(size=(40_000, 1))
-    logs = deviation * (common + np.sqrt(0.2) * rng.normal(size=(40_000, N_LAST)))
-    rate = (judged(np.exp(logs), 0.1, LIMITS).severity >= Severity.NOTICE).mean()
-    assert rate <= 0.0035 + 3 * np.sqrt(0.0035 / len(logs))
 
 
 def test_interval_of_a_mean_is_that_written_naively():
@@ -235,18 +222,22 @@ def test_rules(values, half, severity):
         assert judged(values, half).severity == severity
 
 
-def test_flagged_trip_alone_is_a_notice_and_three_are_taken_at_their_word():
-    alone = judged([1.0, 1.0, 3.0], 0.01, flagged=[False, False, False, False, True])
-    assert (alone.severity, bool(alone.weak)) == (Severity.NOTICE, True)
-    three = judged([1.0, 3.0, 3.0, 3.0], 0.01, flagged=[False, False, True, True, True])
-    assert (three.severity, bool(three.weak)) == (Severity.ACT, False)
-
-
-def test_run_and_count_are_those_of_the_limit_that_was_crossed():
-    found = judged([1.0, 1.3, 1.15, 1.3, 1.3], 0.01)
-    assert (found.severity, found.side, found.run, found.count) == (Severity.ACT, 1, 2, 3)
-    below = judged([1.0, 1.0, 0.7], 0.01)
-    assert (below.side, below.run, below.count) == (-1, 1, 1)
+@pytest.mark.parametrize(
+    ("values", "flagged", "severity", "side", "run", "count", "weak"),
+    [
+        ([1.0, 1.3, 1.15, 1.3, 1.3], [], Severity.ACT, 1, 2, 3, False),
+        ([1.0, 1.0, 0.7], [], Severity.ACT, -1, 1, 1, False),
+        # a flagged trip alone is a notice, three are taken at their word
+        ([1.0, 1.0, 3.0], [4], Severity.NOTICE, 1, 1, 1, True),
+        ([1.0, 3.0, 3.0, 3.0], [2, 3, 4], Severity.ACT, 1, 3, 3, False),
+    ],
+)
+def test_side_run_and_count_are_those_of_the_limit_that_was_crossed(
+    values, flagged, severity, side, run, count, weak
+):
+    found = judged(values, 0.01, flagged=np.isin(np.arange(N_LAST), flagged))
+    numbers = found.severity, found.side, found.run, found.count, bool(found.weak)
+    assert numbers == (severity, side, run, count, weak)
 
 
 def test_cases_are_judged_as_if_alone():
@@ -260,9 +251,7 @@ def test_cases_are_judged_as_if_alone():
 
 
 def test_severities_are_in_order_and_have_names():
-    assert max(Severity) == Severity.ACT > Severity.NOTICE > Severity.UNKNOWN > Severity.NONE
-    assert [str(one) for one in Severity] == ["none", "unknown", "notice", "act"]
-    assert N_CONFIRMING <= N_LAST
+    assert [str(one) for one in sorted(Severity)] == ["none", "unknown", "notice", "act"]
 
 
 # failure
@@ -296,10 +285,6 @@ def test_limits_are_read_from_plain_values():
     assert read_limits(given) == dict.fromkeys(with_parts("k_p"), LIMITS)
     assert read_limits(DEFAULT_LIMITS) == DEFAULT_LIMITS
     assert Limits((0, 1.1), (0, np.inf)).act == (0, np.inf)
-    with pytest.raises(ValueError, match=r"`limits\.k_p` must have `notice` and `act`, or be null"):
-        read_limits({"k_p": {"notice": [0.9, 1.1]}})
-    with pytest.raises(ValueError, match=r"`limits` must be named as in .*, got 'kp'"):
-        read_limits({"kp": None})
 
 
 def test_limits_are_the_defaults_unless_others_are_given():
@@ -311,10 +296,8 @@ def test_limits_are_the_defaults_unless_others_are_given():
     damper = Limits((0.8, 1.25), (0.5, np.inf), "a setting")
     assert {found[name] for name in with_parts("c_p")} == {damper}
     assert found["k_s"] is DEFAULT_LIMITS["k_s"]
-    own = {"k_s": {"why": "our rule 7", "notice": [0.95, 1.05]}}
-    assert read_limits(own, DEFAULT_LIMITS)["k_s"] == Limits(
-        (0.95, 1.05), (0.8, 1.25), "our rule 7"
-    )
+    own = read_limits({"k_s": {"why": "our rule 7", "notice": [0.95, 1.05]}}, DEFAULT_LIMITS)
+    assert own["k_s"] == Limits((0.95, 1.05), (0.8, 1.25), "our rule 7")
 
 
 def test_limits_of_a_part_are_its_own_whatever_comes_first():
@@ -329,12 +312,10 @@ def test_limits_of_a_part_are_its_own_whatever_comes_first():
     assert "k_s_right" not in limits_words(found)
 
 
-def test_every_default_has_a_reason_and_words_tell_it_once():
+def test_every_default_has_a_reason_and_words_give_it_once():
     assert all(one.why for one in DEFAULT_LIMITS.values())
     words = limits_words(DEFAULT_LIMITS)
-    assert words.startswith(
-        "k_p, k_s: notice beyond 90 to 110 %, act beyond 80 to 125 % (assumed: "
-    )
+    assert words.startswith("k_p, k_s: notice beyond 90 to 110 %, act beyond 80 to 125 % (")
     assert words.count("emergency spring") == words.count("; c_p, c_s: notice beyond 80 to") == 1
     assert limits_words({}) == "none"
 
@@ -343,6 +324,7 @@ def test_every_default_has_a_reason_and_words_tell_it_once():
     ("given", "message"),
     [
         ([], "`limits` must map parameters to their limits"),
+        ({"kp": None}, r"`limits` must be named as in .*, got 'kp'"),
         ({"k_p": {"act": [0.95, 1.2]}}, r"`limits.k_p`: limits `notice` .* must lie within `act`"),
         ({"k_p": {"why": 7}}, r"`limits.k_p`: `why` must be text, got 7"),
         ({"k_p": {"notice": 0.9}}, r"`limits.k_p`: `notice` must be two numbers, .* got 0.9"),

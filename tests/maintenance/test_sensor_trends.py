@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from trip_records import trip
 
+from suspnet.ground.findings import parts_of
 from suspnet.ground.parameters import DEFAULT_LIMITS, Cause, Severity
 from suspnet.ground.records import SensorHealth, sensors_from_text, sensors_text
 from suspnet.history import History
@@ -81,25 +82,24 @@ def test_the_text_of_a_trip_is_read_back():
         assert sensors_from_text(text) == {}
 
 
-@pytest.mark.parametrize("sensor", ["axle_box left", "bogie right", "axle_box right"])
+@pytest.mark.parametrize("sensor", ["axle_box left", "bogie right"])
 @pytest.mark.parametrize(
-    ("number", "per_trip", "words", "most"),
+    ("number", "per_trip", "kind", "most"),
     [
-        ("gain", 0.02, "sensitivity +", 9),
-        ("gain", -0.02, "sensitivity -", 9),
-        ("noise", 0.25, "noise ", 7),
-        ("faulty", 0.02, "drop-outs in ", 4),
-        ("delay_s", 0.004, " ms late", 5),
+        ("gain", 0.02, "sensor-gain", 9),
+        ("gain", -0.02, "sensor-gain", 9),
+        ("noise", 0.25, "sensor-noise", 7),
+        ("faulty", 0.02, "sensor-drop-outs", 4),
+        ("delay_s", 0.004, "sensor-late", 5),
     ],
-    ids=["drift", "falling", "noise", "drop-outs", "delay"],
 )
-def test_a_failing_sensor_is_named_within_few_trips(sensor, number, per_trip, words, most):
+def test_a_failing_sensor_is_named_within_few_trips(sensor, number, per_trip, kind, most):
     for seed in range(3):
         found = trends(health(40, seed=seed, changes=failing(sensor, number, per_trip)))
         assert [one.name for one in found.values() if one.active.any()] == [sensor]
         begin = int(np.flatnonzero(found[sensor].active)[0])
         assert BEGIN + IN_A_ROW - 1 <= begin < BEGIN + most
-        assert words in found[sensor].words(begin)
+        assert kind in [one.kind for one in parts_of(found[sensor].words(begin))]
 
 
 def test_a_chance_does_not_hide_a_trip_of_a_worn_part():
@@ -119,34 +119,27 @@ def test_a_chance_does_not_hide_a_trip_of_a_worn_part():
 def test_of_two_sensors_both_are_named():
     found = trends(health(40, changes=failing("body left", "gain", 0.02)))
     active = {one.name: one.words(39) for one in found.values() if one.active[39]}
-    assert active.keys() == {"body left", "body right"}
-    assert "against body right since the first trips: one of the two" in active["body left"]
+    assert {name: words.values["fellow"] for name, words in active.items()} == {
+        "body left": "body right",
+        "body right": "body left",
+    }
 
 
 # limits
 
 
-def test_healthy_sensors_raise_no_alarm():
-    n_alarms = sum(
-        one.active.any()
-        for seed in range(8)
-        for names in (PAIRS, SINGLES)
-        for one in trends(health(40, names, seed)).values()
-    )
-    assert n_alarms == 0  # of 640 trips
-
-
-def test_a_rough_track_is_no_noise_and_a_worn_side_no_sensor():
+def test_healthy_sensors_a_rough_track_and_a_worn_side_raise_no_alarm():
     def rough(i, name, number):
         return 1.5 if number == "noise" and i >= BEGIN else 0.0
 
     def worn(i, name, number):
-        return (
-            {"gain": 0.1, "tilt": 0.15}.get(number, 0.0) if name == "bogie left" and i > 20 else 0.0
-        )
+        is_worn = name == "bogie left" and i > 20
+        return {"gain": 0.1, "tilt": 0.15}.get(number, 0.0) if is_worn else 0.0
 
-    for changes in (rough, worn):
-        assert not any(one.active.any() for one in trends(health(40, changes=changes)).values())
+    cases = [(names, seed, None) for seed in range(8) for names in (PAIRS, SINGLES)]
+    for names, seed, changes in [*cases, (PAIRS, 0, rough), (PAIRS, 0, worn)]:
+        found = trends(health(40, names, seed, changes))
+        assert not any(one.active.any() for one in found.values())
 
 
 def test_there_is_no_alarm_before_the_reference():

@@ -1,17 +1,21 @@
-"""Sister suspensions side by side: the odd one is told, healthy ones and common changes are not."""
+"""Sister suspensions side by side: the odd one has an alarm, common changes have none."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from trip_records import HALF_WIDTHS, trip
 
 from suspnet.ground.parameters import Cause, Severity
+from suspnet.ground.records import Place
+from suspnet.maintenance.series import N_LAST, Event, of_same_car, series_of
 from suspnet.maintenance.sisters import (
     CORRELATION,
-    N_LAST,
+    OF_MEAN,
     Sister,
     SisterSettings,
-    _of_mean,
+    alarms_of_sisters,
     sister_alarms,
 )
 
@@ -20,6 +24,9 @@ SETTINGS = SisterSettings()
 Z = 1.645
 SPREAD, QUIET = 0.001, 1e-6
 """Standard deviations of trips; the second, so small that words show no rounding."""
+CORNERS = [
+    Place("x", bogie, side) for bogie in ("leading", "trailing") for side in ("left", "right")
+]
 
 
 def errors(rng, n_sisters, n_trips, correlation):
@@ -47,12 +54,20 @@ def after(factor, k, n_trips=60):
     return np.where(np.arange(n_trips) < k, 1.0, factor)
 
 
+def first(sister, n):
+    return Sister(sister.mileage_km[:n], sister.values[:n], sister.half_widths[:n])
+
+
+def counts(sisters, settings=SETTINGS):
+    return [len(own) for own in sister_alarms("k_p", sisters, settings)]
+
+
 # reference
 
 
 def test_variance_of_a_mean_is_that_of_simulated_trips():
     found = errors(np.random.default_rng(0), 20_000, N_LAST, CORRELATION).mean(axis=1)
-    assert _of_mean() == pytest.approx(found.var(), rel=0.05)
+    assert pytest.approx(found.var(), rel=0.05) == OF_MEAN
 
 
 @pytest.mark.every_value
@@ -62,126 +77,136 @@ def test_false_alarms_are_at_most_those_stated(n_sisters, intervals):
     settings = SisterSettings(km_per_false_alarm=40_000.0, least_percent={"k_p": 0.0})
     n_cars, n_trips, n_alarms = 25, 100, {}
     for correlation in (0.0, 0.5):
-        n_alarms[correlation] = 0
-        for seed in range(n_cars):
-            sisters = car([1.0] * n_sisters, n_trips, seed, correlation, intervals)
-            n_alarms[correlation] += sum(map(len, sister_alarms("k_p", sisters, settings)))
+        cars = (
+            car([1.0] * n_sisters, n_trips, seed, correlation, intervals) for seed in range(n_cars)
+        )
+        n_alarms[correlation] = sum(sum(counts(sisters, settings)) for sisters in cars)
     expected = n_cars * n_sisters * n_trips * GAP_KM / settings.km_per_false_alarm
     assert n_alarms[0.0] < n_alarms[0.5]
     assert 0.02 * expected < n_alarms[0.5] < 0.6 * expected  # the largest correlation allowed for
-
-
-def test_uncertain_healthy_values_are_allowed_for():
-    rng, settings = np.random.default_rng(1), SisterSettings(40_000.0, {"k_p": 0.0})
-    counts = {}
-    for known in (0.0, 0.01):
-        counts[known] = 0
-        for seed in range(20):
-            offsets = np.exp(0.01 / Z * rng.normal(size=4))
-            sisters = [
-                Sister(one.mileage_km, one.values, one.half_widths, known)
-                for one in car(offsets, seed=seed)
-            ]
-            counts[known] += sum(map(len, sister_alarms("k_p", sisters, settings)))
-    assert counts[0.0] > 40
-    assert counts[0.01] < 5
 
 
 # property
 
 
 @pytest.mark.parametrize("intervals", [True, False])
-def test_the_odd_one_of_four_is_told_soon_after_its_step(intervals):
+def test_the_odd_one_of_four_has_an_alarm_soon_after_its_step(intervals):
     sisters = car([1.0, after(0.959, 40), 1.0, 1.0], intervals=intervals)
-    found = sister_alarms("k_p", sisters, SETTINGS)
-    assert [len(one) for one in found] == [0, 1, 0, 0]
-    (alarm,) = found[1]
-    assert alarm.is_open
-    assert (alarm.parameter, alarm.cause) == ("k_p", Cause.SISTER)
+    alarms = sister_alarms("k_p", sisters, SETTINGS)
+    assert [len(one) for one in alarms] == [0, 1, 0, 0]
+    (alarm,) = alarms[1]
+    assert (alarm.parameter, alarm.cause, alarm.is_open) == ("k_p", Cause.SISTER, True)
     assert alarm.severity == Severity.NOTICE
     assert 41 * GAP_KM <= alarm.begin_km <= (41 + N_LAST) * GAP_KM
-    assert alarm.words.endswith("% below its sisters (median of 3)")
+    assert (alarm.words.kind, alarm.words.values["n"]) == ("sister-below", 3)
 
 
-def test_of_three_the_odd_one_alone_is_told():
-    found = sister_alarms("k_p", car([1.0, 1.0, after(1.05, 30)], spread=QUIET), SETTINGS)
-    assert [len(one) for one in found] == [0, 0, 1]
-    assert found[2][0].words == "k_p is 5.0 % above its sisters (median of 2)"
+@pytest.mark.parametrize(
+    ("changes", "n_alarms", "kind", "numbers"),
+    [
+        ([after(1.05, 30), 1.0, 1.0], [1, 0, 0], "sister-above", [5.0, 105.0, 100.0, 2, 2]),
+        # of a pair and of two pairs, which is odd is not known
+        ([after(0.96, 30), 1.0], [1, 1], "sister-below-one", [4.0, 96.0, 100.0, 1, 1]),
+        (
+            [after(0.96, 30), 1.0, 1.0, after(0.96, 30)],
+            [1, 1, 1, 1],
+            "sister-below-some",
+            [4.0, 96.0, 100.0, 2, 3],
+        ),
+    ],
+)
+def test_words_say_how_far_a_suspension_is_from_how_many_sisters(changes, n_alarms, kind, numbers):
+    alarms = sister_alarms("k_p", car(changes, spread=QUIET), SETTINGS)
+    assert [len(one) for one in alarms] == n_alarms
+    words = alarms[0][0].words
+    assert (words.kind, words.values["part"]) == (kind, "k_p")
+    names = ("percent", "own", "other", "n_apart", "n")
+    assert [words.values[name] for name in names] == pytest.approx(numbers, abs=0.01)
 
 
-def test_of_a_pair_and_of_two_pairs_which_is_odd_is_not_known():
-    pair = car([after(0.96, 30), 1.0], spread=QUIET)
-    first, second = sister_alarms("k_p", pair, SETTINGS)
-    assert first[0].words == (
-        "k_p is 4.0 % below that of its one sister (96.0 and 100.0 % of healthy): which of them "
-        "changed is not known"
-    )
-    assert second[0].words.startswith("k_p is 4.2 % above that of its one sister (100.0 and 96.0 %")
-    step = after(0.96, 30)
-    found = sister_alarms("k_p", car([step, 1.0, 1.0, step], spread=QUIET), SETTINGS)
-    assert [len(one) for one in found] == [1, 1, 1, 1]
-    assert "below 2 of its 3 sisters (96.0 and 100.0 % of healthy): which" in found[0][0].words
-
-
-def test_what_comes_to_all_sisters_is_not_told():
+def test_common_and_small_differences_raise_nothing():
     cold = 1 + 0.05 * np.sin(np.arange(60) / 8)
-    assert sister_alarms("k_p", car([1.0] * 4, common=cold), SETTINGS) == [[]] * 4
-
-
-def test_a_difference_below_the_least_is_not_told():
+    assert counts(car([1.0] * 4, common=cold)) == [0] * 4
     sisters = car([1.0, 1.0, 1.0, after(0.985, 30)])
-    assert sister_alarms("k_p", sisters, SETTINGS) == [[]] * 4
-    closer = SisterSettings(least_percent={"k_p": 1.0})
-    assert len(sister_alarms("k_p", sisters, closer)[3]) == 1
+    assert counts(sisters) == [0] * 4
+    assert counts(sisters, SisterSettings(least_percent={"k_p": 1.0}))[3] == 1
 
 
-def test_an_alarm_ends_once_the_sisters_are_alike_again():
+def test_an_alarm_ends_once_the_sisters_are_alike_again_and_later_trips_do_not_change_it():
     step = np.where((np.arange(60) >= 20) & (np.arange(60) < 40), 0.95, 1.0)
     (alarm,) = sister_alarms("c_p", car([step * step, 1.0, 1.0, 1.0]), SETTINGS)[0]
     assert 41 * GAP_KM <= alarm.end_km <= (41 + N_LAST) * GAP_KM
-    assert alarm.words.startswith("c_p is 9.")
-
-
-def test_later_trips_do_not_change_earlier_alarms():
-    step = np.where((np.arange(60) >= 12) & (np.arange(60) < 25), 0.95, 1.0)
+    assert alarm.words.values["percent"] == pytest.approx(9.75, abs=0.3)
     whole = car([1.0, 1.0, step, after(0.93, 50)])
-    for n in (18, 30, 45, 60):
-        part = [Sister(*(a[:n] for a in (s.mileage_km, s.values, s.half_widths))) for s in whole]
-        found = sister_alarms("k_p", part, SETTINGS)[2]
-        assert [a.begin_km for a in found] == [
-            a.begin_km for a in sister_alarms("k_p", whole, SETTINGS)[2]
+    begins = [a.begin_km for a in sister_alarms("k_p", whole, SETTINGS)[2]]
+    for n in (18, 30, 45):
+        early = [
+            a.begin_km for a in sister_alarms("k_p", [first(s, n) for s in whole], SETTINGS)[2]
         ]
+        assert early == [km for km in begins if km <= n * GAP_KM]
 
 
 def test_trips_at_other_mileages_are_compared_and_old_ones_are_not():
     sisters = car([1.0, after(0.95, 30), 1.0])
-    moved = [
-        Sister(one.mileage_km + 300.0 * i, one.values, one.half_widths)
-        for i, one in enumerate(sisters)
-    ]
-    assert [len(one) for one in sister_alarms("k_p", moved, SETTINGS)] == [0, 1, 0]
-    ended = [Sister(s.mileage_km[:20], s.values[:20], s.half_widths[:20]) for s in sisters[::2]]
-    assert sister_alarms("k_p", [ended[0], sisters[1], ended[1]], SETTINGS) == [[]] * 3
+    moved = [replace(s, mileage_km=s.mileage_km + 300.0 * i) for i, s in enumerate(sisters)]
+    assert counts(moved) == [0, 1, 0]
+    assert counts([first(sisters[0], 20), sisters[1], first(sisters[2], 20)]) == [0] * 3
 
 
-def test_missing_values_are_left_out_and_wide_intervals_tell_nothing():
+def test_missing_values_are_left_out_and_wide_intervals_decide_nothing():
     sisters = car([after(0.95, 30), 1.0, 1.0])
     gaps = sisters[0].values.copy()
     gaps[::3] = np.nan
-    holed = Sister(sisters[0].mileage_km, gaps, sisters[0].half_widths)
-    assert [len(one) for one in sister_alarms("k_p", [holed, *sisters[1:]], SETTINGS)] == [1, 0, 0]
-    wide = Sister(sisters[0].mileage_km, sisters[0].values, np.full(60, 0.2))
-    endless = Sister(sisters[0].mileage_km, sisters[0].values, np.full(60, np.inf))
-    for unsure in (wide, endless):
-        assert sister_alarms("k_p", [unsure, *sisters[1:]], SETTINGS) == [[]] * 3
+    assert counts([replace(sisters[0], values=gaps), *sisters[1:]]) == [1, 0, 0]
+    for half_width in (0.2, np.inf):
+        unsure = replace(sisters[0], half_widths=np.full(60, half_width))
+        assert counts([unsure, *sisters[1:]]) == [0] * 3
 
 
 @pytest.mark.parametrize("n", [0, 1, 2, 4])
 def test_too_few_trips_or_sisters_raise_nothing(n):
-    sisters = [Sister(s.mileage_km[:n], s.values[:n], s.half_widths[:n]) for s in car([1.0, 0.5])]
-    assert sister_alarms("k_p", sisters, SETTINGS) == [[], []]
-    assert sister_alarms("k_p", car([0.5]), SETTINGS) == [[]]
+    assert counts([first(s, n) for s in car([1.0, 0.5])]) == [0, 0]
+    assert counts(car([0.5])) == [0]
     assert sister_alarms("M_s", car([0.5, 1.0]), SETTINGS) == [[], []]
+
+
+# suspensions of a car
+
+
+@pytest.fixture(scope="module")
+def series():
+    """Four suspensions of a car; k_s of the last is 8 % low from the 15th trip on."""
+    several = []
+    for i, place in enumerate(CORNERS):
+        changes = [{"k_s": 0.92 if i == 3 and n >= 15 else 1.0} for n in range(30)]
+        made = [
+            trip(100 * i + n, change, with_curves=False, place=place, half_widths=HALF_WIDTHS)
+            for n, change in enumerate(changes)
+        ]
+        several.append(
+            series_of([replace(r, mileage_km=2e3 * (n + 1)) for n, r in enumerate(made)])
+        )
+    return several
+
+
+def test_suspensions_of_a_car_are_together(series):
+    named = [replace(one, place=replace(one.place, car="7")) for one in series]
+    moved = replace(named[0], place=replace(named[0].place, suspension="y"))
+    other = replace(series[0], place=replace(series[0].place, suspension="z"))
+    assert [len(one) for one in of_same_car([*series, *named, moved, other])] == [4, 5]
+
+
+def test_the_odd_suspension_of_a_car_has_an_alarm_from_its_usable_trips(series):
+    alarms = alarms_of_sisters(series, SETTINGS)
+    assert list(alarms) == [("AM96 217", CORNERS[3])]
+    (alarm,) = alarms["AM96 217", CORNERS[3]]
+    assert (alarm.parameter, alarm.is_open, alarm.words.kind) == ("k_s", True, "sister-below")
+    assert 15 * 2000 < alarm.begin_km <= 21 * 2000
+    # neither flagged trips nor those before maintenance count
+    late = [replace(one, events=(Event(59_000.0, "exchanged"),)) for one in series]
+    assert alarms_of_sisters([*series[:3], late[3]], SETTINGS) == {}
+    doubtful = replace(series[3], flagged=np.ones(30, dtype=bool))
+    assert alarms_of_sisters([*series[:3], doubtful], SETTINGS) == {}
 
 
 # failure

@@ -30,7 +30,7 @@ from suspnet.ground.records import (
 )
 from suspnet.history import History
 from suspnet.maintenance.alarms import watch
-from suspnet.maintenance.relative import relative_to_first
+from suspnet.maintenance.relative import relative_results
 from suspnet.maintenance.series import Event, series_of
 from suspnet.maintenance.state import State
 from suspnet.report.board import BoardSettings
@@ -301,7 +301,7 @@ def test_group_of_before_the_last_maintenance_is_not_shown(results):
     assert bogie_of(State(series_of(until[:19]), DEFAULT_LIMITS)).groups
     later = Event(39_000.0, "exchanged", "springs")
     assert bogie_of(State(series_of(until, [later]), DEFAULT_LIMITS)).groups == {}
-    nothing = replace(series_of(results), worn=None)
+    nothing = replace(series_of(results), worn=np.full(len(results), "", dtype=object))
     assert bogie_of(State(nothing, DEFAULT_LIMITS)).groups == {}
 
 
@@ -533,7 +533,7 @@ def test_newest_trip_alone_raises_no_notice_where_a_sensor_is_faulty(
 def test_healthy_is_that_of_the_first_trips_of_each_part_where_some_were_not_read(few):
     other = trips(PLACE, 4, n_trips=1)[0]
     mixed = [replace(few[0], estimates=other.estimates, raw=other.raw), *few[1:]]
-    found = relative_to_first(mixed, 3)
+    found = relative_results(mixed, [], 3)
     for name in ("c_p_axle2_left", "k_s_right"):
         healthy = np.median([one.raw[name] for one in few[1:4]])
         assert found[5].estimates[name] == pytest.approx(few[5].raw[name] / healthy)

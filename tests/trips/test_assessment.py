@@ -19,7 +19,7 @@ from suspnet.maintenance.assessment import (
 )
 from suspnet.maintenance.judge import LastTrips, last_trips
 from suspnet.maintenance.series import make_series
-from suspnet.maintenance.trend import Shape, Step, Trend, flagged_trend
+from suspnet.maintenance.trend import ParameterTrend, Shape, Step, flagged_trend
 from suspnet.report.language import speaking
 from suspnet.report.language import spoken as spoken_in_language
 
@@ -46,7 +46,7 @@ def made_up(shape, first, last, **changes):
     step = STEP if shape in HAS_STEP else None
     change = 100 * (last - first)
     options = {"shape": shape, "step": step, "n_ends": min(5, n // 2)} | changes
-    return Trend("k_s", n, 10, first, last, change, 0.2, 0.5, **options)
+    return ParameterTrend("k_s", n, 10, first, last, change, 0.2, 0.5, **options)
 
 
 def ending(name, flags="none", half=0.01):

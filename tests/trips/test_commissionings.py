@@ -92,7 +92,7 @@ def test_trips_of_two_commissionings_compare_in_si_units(both):
 def test_limits_and_tests_are_about_the_trips_since_the_last(both):
     results = read_with(both)
     whole = series_of(results)
-    assert whole.trip[whole.one_healthy].tolist() == [
+    assert whole.trip[whole.of_newest_reference].tolist() == [
         r.trip for r in results if r.mileage_km >= ANEW_KM
     ]
 
@@ -159,7 +159,7 @@ def test_figure_marks_where_it_was_commissioned_anew(both):
 def test_one_commissioning_is_as_none(both):
     results = read_with(both[:1])
     assert commissionings(both[:1], results) == []
-    assert series_of(results).one_healthy.all()
+    assert series_of(results).of_newest_reference.all()
     assert [r.estimates for r in relative_to_first_healthy(results, [])] == [
         r.estimates for r in results
     ]

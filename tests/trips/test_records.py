@@ -7,7 +7,7 @@ import pytest
 from trip_records import FLAG, HALF_WIDTHS, OUTPUTS, flagged, fleet, trip
 
 from suspnet.ground.records import Quality, TripResult
-from suspnet.maintenance.relative import first_trips, relative_to_first
+from suspnet.maintenance.relative import first_trips, relative_results
 
 FEW = ("k_p", "M_s")
 
@@ -48,7 +48,7 @@ def test_row_of_a_failed_trip_has_the_same_columns():
 @pytest.mark.parametrize("n_first", [1, 2, 3, 6])
 def test_stiffness_and_damping_are_relative_to_the_median_of_the_first(n_first):
     results = made_up()
-    found = relative_to_first(results, n_first)
+    found = relative_results(results, [], n_first)
     assert [r.trip for r in found] == [r.trip for r in results]
     known = [r for r in results if r.status == "ok"]
     for name in OUTPUTS:
@@ -68,7 +68,7 @@ def test_stiffness_and_damping_are_relative_to_the_median_of_the_first(n_first):
 
 def test_pay_load_raw_values_and_failed_trips_are_untouched():
     results = made_up()
-    for before, after in zip(results, relative_to_first(results, 3), strict=True):
+    for before, after in zip(results, relative_results(results, [], 3), strict=True):
         assert after.raw == before.raw
         assert replace(after, estimates={}) == replace(before, estimates={})
         if before.status == "ok":
@@ -80,17 +80,17 @@ def test_pay_load_raw_values_and_failed_trips_are_untouched():
 
 def test_order_of_the_trips_does_not_matter():
     results = made_up()
-    straight = {r.trip: r.estimates for r in relative_to_first(results, 4)}
-    turned = {r.trip: r.estimates for r in relative_to_first(results[::-1], 4)}
+    straight = {r.trip: r.estimates for r in relative_results(results, [], 4)}
+    turned = {r.trip: r.estimates for r in relative_results(results[::-1], [], 4)}
     assert straight == turned
 
 
 @pytest.mark.parametrize("n_first", [7, 30])
 def test_too_few_trips_are_the_reference_as_far_as_they_go(n_first):
     results = made_up()
-    assert relative_to_first(results, n_first) == relative_to_first(results, 6)
+    assert relative_results(results, [], n_first) == relative_results(results, [], 6)
     failed = [replace(r, status="error", estimates={}, raw={}) for r in results]
-    assert relative_to_first(failed, n_first) == failed
+    assert relative_results(failed, [], n_first) == failed
 
 
 def test_truth_is_relative_to_the_first_trips_too():
@@ -102,7 +102,7 @@ def test_truth_is_relative_to_the_first_trips_too():
         )
         for i, wear in enumerate((1.0, 1.0, 1.0, 0.5))
     ]
-    last = relative_to_first(results, 3)[-1]
+    last = relative_results(results, [], 3)[-1]
     assert last.estimates["k_p"] == pytest.approx(0.5)
     assert last.truth["k_p"] == pytest.approx(0.5)
     assert (last.estimates["M_s"], last.truth["M_s"]) == (1.2, 1.1)
@@ -110,7 +110,7 @@ def test_truth_is_relative_to_the_first_trips_too():
 
 def test_unknown_truth_stays_unknown():
     results = [replace(trip(i), raw={"k_p": 1.0, "M_s": 1.0}, truth={}) for i in range(3)]
-    assert all(r.truth == {} for r in relative_to_first(results, 3))
+    assert all(r.truth == {} for r in relative_results(results, [], 3))
 
 
 # intervals and flags
@@ -144,7 +144,7 @@ def test_interval_relative_to_the_first_trips_holds_the_truth(n_first):
             trip(i, raw=one, estimates=one, truth={"k_p": 1.0}, half_widths={"k_p": half})
             for i, one in enumerate(raw)
         ]
-        low, high = relative_to_first(trips, n_first)[-1].interval("k_p")
+        low, high = relative_results(trips, [], n_first)[-1].interval("k_p")
         inside.append(low <= 1 <= high)
     # 90 % +- 1.5 %; pi / 2 is the variance of the median of many, that of few is less
     assert 0.9 - 3 * 0.015 < np.mean(inside) < 0.92 + 3 * 0.015
@@ -152,13 +152,13 @@ def test_interval_relative_to_the_first_trips_holds_the_truth(n_first):
 
 def test_half_widths_relative_to_the_first_trips_are_wider_by_the_median():
     trips = [replace(trip(i), half_widths=HALF_WIDTHS | {"c_s": 0.01 * (i + 1)}) for i in range(6)]
-    for before, after in zip(trips, relative_to_first(trips, 3), strict=True):
+    for before, after in zip(trips, relative_results(trips, [], 3), strict=True):
         wider = {name: h * np.sqrt(1 + np.pi / 6) for name, h in HALF_WIDTHS.items()}
         wider |= {"M_s": HALF_WIDTHS["M_s"]}
         wider |= {"c_s": np.hypot(before.half_widths["c_s"], 0.02 * np.sqrt(np.pi / 6))}
         assert after.half_widths == pytest.approx(wider)
     unknown = [replace(r, half_widths={}) for r in trips]
-    assert all(r.half_widths == {} for r in relative_to_first(unknown, 3))
+    assert all(r.half_widths == {} for r in relative_results(unknown, [], 3))
 
 
 def test_flagged_trips_are_among_the_first():
