@@ -16,6 +16,9 @@ import pytest
 from recording_files import write_tdms, write_uff
 from scipy.io import savemat
 
+from suspnet.recordings.formats import FORMATS
+
+SUFFIXES = [form.suffixes[0] for form in FORMATS]
 SECRET = 42.625
 """Value of each sample of ``secret.h5``; ``secret`` holds its bytes."""
 A = np.arange(50.0)
@@ -357,10 +360,7 @@ ACTING = {
     "hdf5 references": partial(hdf5, fill=references),
     **{f"mat class {number}": partial(mat_class, number=number) for number in (3, 16, 17)},
     "mat pickle": mat_pickle,
-    **{
-        f"pickle as {suffix}": partial(pickled, suffix=suffix)
-        for suffix in (".mat", ".h5", ".mf4", ".tdms", ".uff", ".wav", ".parquet", ".csv")
-    },
+    **{f"pickle as {suffix}": partial(pickled, suffix=suffix) for suffix in SUFFIXES},
     "tdms index": partial(tdms, index=True),
     **{
         f"tdms {scale}": partial(tdms, scale=scale)
@@ -370,10 +370,7 @@ ACTING = {
     "parquet path": parquet_path,
     "uff": uff,
     "csv": csv,
-    **{
-        f"link as {suffix}": partial(linked, suffix=suffix)
-        for suffix in (".mat", ".h5", ".mf4", ".tdms", ".uff", ".wav", ".parquet", ".csv")
-    },
+    **{f"link as {suffix}": partial(linked, suffix=suffix) for suffix in SUFFIXES},
 }
 HARMLESS = (
     *("mdf xml laughs", "mdf xml entity", "mdf attachment", "mdf other file", "hdf5 references"),

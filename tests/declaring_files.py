@@ -16,6 +16,8 @@ import pyarrow.parquet as pq
 import pytest
 from recording_files import write_mdf, write_tdms, write_uff
 
+from suspnet.recordings.formats import FORMATS
+
 A = np.arange(50.0)
 ZEROS = 2**24
 
@@ -244,7 +246,7 @@ def no_file(folder: Path, *, suffix: str, kind: str) -> Path:
 
 
 NOT_FILES = ("pipe", "folder", "socket", "loop", "/dev/zero", "/dev/random", "/dev/tty")
-SUFFIXES = (".csv", ".h5", ".mat", ".mf4", ".parquet", ".tdms", ".uff", ".wav")
+SUFFIXES = [form.suffixes[0] for form in FORMATS]
 ROWS = "t,a\n" + "".join(f"{i},{i}\n" for i in range(40_000))
 DECLARING = {
     **{f"hdf5 of {n:.0e}": partial(hdf5, shape=(n,)) for n in (10**8, 10**9, 10**11, 10**15)},

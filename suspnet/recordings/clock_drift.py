@@ -16,7 +16,7 @@ import numpy as np
 from scipy.fft import irfft, rfft, rfftfreq
 from scipy.signal import get_window
 
-from suspnet.ground.findings import Finding, at, together
+from suspnet.ground.findings import Finding, together
 from suspnet.ground.types import BoolArray, ComplexArray, FloatArray, IntArray
 from suspnet.recordings.cleaning import Fault
 from suspnet.recordings.errors import TripError
@@ -88,7 +88,7 @@ def clock_faults(
             continue
         words, size_s = _words(manifest, first, second, drift)
         if size_s > REFUSED_S:
-            raise TripError(at(manifest.path, "channel-clock", name=repr(second), words=words))
+            raise TripError.at(manifest.path, "channel-clock", name=repr(second), words=words)
         if size_s >= TOLD_S:
             faults.append(
                 Fault(second, "clock", len(usable), drift.seconds, 0.0, False, None, words)

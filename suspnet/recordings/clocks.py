@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from suspnet.ground.findings import Finding, at, together
+from suspnet.ground.findings import Finding, together
 from suspnet.ground.types import BoolArray, FloatArray
 from suspnet.recordings.columns import Column, size_of
 from suspnet.recordings.dates import (
@@ -167,19 +167,19 @@ class Times:
         """Set the zero of time stamps to the whole second of the first one."""
         known = times[~np.isnat(times)].astype("datetime64[s]")
         if not len(known):
-            raise TripError(at(self.where, "times-empty"))
+            raise TripError.at(self.where, "times-empty")
         first = int(known[0].astype(np.int64)) * SECOND_NS
         self._first = first
         zone = self.source.time_zone
         if known[0].astype("datetime64[D]") == NO_DATE:
             if zone is not None:
-                raise TripError(at(self.where, "no-date-for-zone"))
+                raise TripError.at(self.where, "no-date-for-zone")
             self._first = int(NO_DATE.astype("datetime64[ns]").astype(np.int64))
             self.zero = Zero(is_midnight=True)
         elif zone is None:
             self.zero = Zero(first, self.column.is_zoned)
         elif self.column.is_zoned:
-            raise TripError(at(self.where, "zone-named-twice"))
+            raise TripError.at(self.where, "zone-named-twice")
         else:
             self.zero = Zero(first - self._offset_ns(first, zone))
 
@@ -188,7 +188,7 @@ class Times:
         early, late = (ahead_ns(first, time_zone(zone), fold) for fold in (0, 1))
         if early != late:
             naive = (EPOCH + timedelta(seconds=first // SECOND_NS)).replace(tzinfo=None)
-            raise TripError(at(self.where, "ambiguous-time", naive=naive, zone=zone))
+            raise TripError.at(self.where, "ambiguous-time", naive=naive, zone=zone)
         return early
 
     def _begin_numbers(self, times: NDArray[np.generic]) -> None:
@@ -198,22 +198,15 @@ class Times:
         first = float(known[0]) if len(known) else 0.0
         stated, found = self.source.time_unit, size_of("time", self.column.unit)
         if stated is not None and found is not None and found != TIME_UNITS[stated]:
-            raise TripError(
-                at(
-                    self.where,
-                    "time-unit-differs",
-                    stated=repr(stated),
-                    unit=repr(self.column.unit),
-                )
+            raise TripError.at(
+                self.where, "time-unit-differs", stated=repr(stated), unit=repr(self.column.unit)
             )
         if stated is None and found is None and self.column.unit:
-            raise TripError(
-                at(
-                    self.where,
-                    "time-unit-unknown",
-                    unit=repr(self.column.unit),
-                    time_units=list(TIME_UNITS),
-                )
+            raise TripError.at(
+                self.where,
+                "time-unit-unknown",
+                unit=repr(self.column.unit),
+                time_units=list(TIME_UNITS),
             )
         size = found if stated is None else TIME_UNITS[stated]
         sizes = TIME_UNITS.values() if size is None else [size]
@@ -230,7 +223,7 @@ class Times:
             self.zero = Zero(whole_s * SECOND_NS)
         if self.source.time_zone is not None:
             if self.zero.ns is None or self.zero.is_zoned:
-                raise TripError(at(self.where, "zone-for-numbers"))
+                raise TripError.at(self.where, "zone-for-numbers")
             ahead = self._offset_ns(self.zero.ns, self.source.time_zone)
             self.zero = replace(self.zero, ns=self.zero.ns - ahead, is_zoned=True)
 
@@ -285,14 +278,12 @@ def offsets_s(manifest: TripManifest, zeros: Mapping[str, Zero]) -> dict[str, fl
     if others:
         start = manifest.start
         if start is None:
-            raise TripError(
-                at(
-                    manifest.path,
-                    "start-missing",
-                    starts=together(starts, ", "),
-                    others=together(others, ", "),
-                    others2=together(others, ", "),
-                )
+            raise TripError.at(
+                manifest.path,
+                "start-missing",
+                starts=together(starts, ", "),
+                others=together(others, ", "),
+                others2=together(others, ", "),
             )
         first, is_zoned = nanoseconds(start), start.tzinfo is not None
         # times of day count from the midnight before it
@@ -300,8 +291,8 @@ def offsets_s(manifest: TripManifest, zeros: Mapping[str, Zero]) -> dict[str, fl
         midnight_s = (midnight - start).total_seconds()
     local = [name for name in starts if not zeros[name].is_zoned]
     if local and (len(local) < len(starts) or is_zoned):
-        raise TripError(at(manifest.path, "times-without-zone", local=together(local, ", ")))
+        raise TripError.at(manifest.path, "times-without-zone", local=together(local, ", "))
     if not local and is_zoned is False:
-        raise TripError(at(manifest.path, "start-without-zone", starts=together(starts, ", ")))
+        raise TripError.at(manifest.path, "start-without-zone", starts=together(starts, ", "))
     undated = {name: midnight_s if zeros[name].is_midnight else 0.0 for name in others}
     return undated | {name: (ns - first) / SECOND_NS for name, ns in starts.items()}

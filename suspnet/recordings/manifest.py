@@ -13,7 +13,7 @@ from functools import partial
 from pathlib import Path
 from typing import Literal
 
-from suspnet.ground.findings import Finding, at, of
+from suspnet.ground.findings import Finding, of
 from suspnet.ground.parameters import DIRECTIONS, ENDS, ESTIMATED, SIDES
 from suspnet.ground.records import HIGHEST_KM, MOST_NAME, Place
 from suspnet.recordings import manifest_keys as check
@@ -76,7 +76,7 @@ def _sensors(value: Value) -> Channel | Several:
     if not found or max(map(len, axles)) > 2:
         both = len(found) > 2 and bool(axles[1])
         given = {"name": value.name, "n": len(found)}
-        raise TripError(at(value.path, "one-or-two-an-axle" if both else "one-or-two", **given))
+        raise TripError.at(value.path, "one-or-two-an-axle" if both else "one-or-two", **given)
     several: list[Channel] = []
     for places in axles:
         own = [found[i] for i in places]
@@ -96,8 +96,8 @@ def _pair(value: Value, places: Sequence[int], both: Sequence[Channel]) -> Pair:
     if second.side is None:
         second = replace(second, side=left if first.side == right else right)
     if first.side == second.side:
-        raise TripError(
-            at(value.path, "two-on-left" if first.side == left else "two-on-right", name=value.name)
+        raise TripError.at(
+            value.path, "two-on-left" if first.side == left else "two-on-right", name=value.name
         )
     return (first, second) if first.side == left else (second, first)
 
@@ -115,9 +115,9 @@ def _channels(value: Value) -> dict[str, Channel | Several]:
 
 def _check_first_axle(value: Value, own: Several | None) -> None:
     if own is None:
-        raise TripError(at(value.path, "channel-missing", name=value.name))
+        raise TripError.at(value.path, "channel-missing", name=value.name)
     if own[0].is_elsewhere:
-        raise TripError(at(value.path, "axle-2-only", name=value.name, least_sensors=LEAST_SENSORS))
+        raise TripError.at(value.path, "axle-2-only", name=value.name, least_sensors=LEAST_SENSORS)
 
 
 def _mileage(value: Value) -> float:

@@ -46,7 +46,7 @@ class ManifestFile:
         except TripError:
             raise
         except ValueError as error:
-            raise TripError(at(self.path, "invalid-yaml", error=error)) from error
+            raise TripError.at(self.path, "invalid-yaml", error=error) from error
 
     def absolute(self) -> ManifestFile:
         """Return the same file by its absolute path, without reading it again."""
@@ -164,7 +164,7 @@ def _check_columns(manifest: TripManifest) -> None:
     for name, one in manifest.sensors().items():
         other = places.setdefault((manifest.file_of(one).resolve(), one.column), name)
         if other != name:
-            raise TripError(at(manifest.path, "same-column-twice", other=other, name=name))
+            raise TripError.at(manifest.path, "same-column-twice", other=other, name=name)
 
 
 def write_manifest(manifest: TripManifest) -> Path:

@@ -51,7 +51,7 @@ class Value:
         """Return an error that names file, key, rule and value."""
         name = f"`{self.name}`" if self.name else "the manifest"
         got = " ".join(reprlib.repr(self.content).split())
-        return TripError(at(self.path, "not-so", key=name, rule=rule, got=got))
+        return TripError.at(self.path, "not-so", key=name, rule=rule, got=got)
 
     def read(self, keys: Mapping[str, Key]) -> dict[str, Any]:
         """Return the checked values of a mapping, without optional ones that are null.
@@ -199,8 +199,8 @@ def start(value: Value) -> datetime:
     except (TypeError, ValueError) as error:
         raise value.refuse("a time like 2015-08-03T08:00:00") from error
     if problem := date_problem(found):
-        raise TripError(
-            at(value.path, "start-implausible", isoformat=found.isoformat(), problem=problem)
+        raise TripError.at(
+            value.path, "start-implausible", isoformat=found.isoformat(), problem=problem
         )
     return found
 

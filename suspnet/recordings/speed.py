@@ -8,7 +8,6 @@ from itertools import pairwise
 
 import numpy as np
 
-from suspnet.ground.findings import at
 from suspnet.ground.types import BoolArray, FloatArray
 from suspnet.recordings.cleaning import Fault
 from suspnet.recordings.clocks import Zero
@@ -66,7 +65,7 @@ def read_speed(manifest: TripManifest) -> SpeedTrack | None:
     source = manifest.speed
     if not isinstance(source, SpeedSource):
         if source > LARGEST_SPEED_M_PER_S:
-            raise TripError(at(manifest.path, "speed-too-high", source=source, source2=source))
+            raise TripError.at(manifest.path, "speed-too-high", source=source, source2=source)
         return None
     where = manifest.where("speed")
     with open_source(manifest, source, where) as file:
@@ -110,8 +109,8 @@ def speed_at(
         after = np.clip(np.searchsorted(known_s, times_s), 1, len(known_s) - 1)
         found[np.diff(known_s)[after - 1] > LONGEST_SPEED_GAP_S] = np.nan
     if np.isnan(found).all():
-        raise TripError(
-            at(manifest.path, "speed-never-usable", largest_speed_m_per_s=LARGEST_SPEED_M_PER_S)
+        raise TripError.at(
+            manifest.path, "speed-never-usable", largest_speed_m_per_s=LARGEST_SPEED_M_PER_S
         )
     inside = (known_s >= times_s[0]) & (known_s <= times_s[-1])
     faults = [

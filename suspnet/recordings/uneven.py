@@ -12,7 +12,7 @@ import math
 
 import numpy as np
 
-from suspnet.ground.findings import Finding, at
+from suspnet.ground.findings import Finding
 from suspnet.ground.types import FloatArray, IntArray
 from suspnet.recordings.errors import TripError
 from suspnet.recordings.faults import find_gaps
@@ -184,15 +184,13 @@ class Grid:
     def _check(self) -> None:
         error = math.sqrt(self._sum_of_squares / max(self._n_summed, 1))
         if error > MOST_ERROR:
-            raise TripError(
-                at(
-                    self.where,
-                    "too-uneven",
-                    uneven=self._uneven,
-                    band_hz=self.band_hz,
-                    error=100 * error,
-                    most_error=100 * MOST_ERROR,
-                )
+            raise TripError.at(
+                self.where,
+                "too-uneven",
+                uneven=self._uneven,
+                band_hz=self.band_hz,
+                error=100 * error,
+                most_error=100 * MOST_ERROR,
             )
 
 
