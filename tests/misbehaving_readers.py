@@ -1,9 +1,11 @@
 """A reader of data files that tries what no reader may do; the file's text says what."""
 
 import ctypes
+import errno
 import os
 import signal
 import socket
+import struct
 import subprocess
 import threading
 import time
@@ -17,13 +19,20 @@ from suspnet.recordings.columns import Column, OpenFile
 
 def by_c(name, *arguments):
     """Call a function of the C library, which Python does not notice; OSError if it fails."""
-    found = getattr(LIBC, name)(*arguments)
-    if found < 0 or (name == "system" and found):
-        raise OSError(ctypes.get_errno(), f"{name} gives {found}")
+    result = getattr(LIBC, name)(*arguments)
+    if result < 0 or (name == "system" and result):
+        raise OSError(ctypes.get_errno(), f"{name} gives {result}")
 
 
 LIBC = ctypes.CDLL(None, use_errno=True)
-AF_INET, SOCK_STREAM, SOCK_DGRAM = 2, 1, 2
+
+
+def connect_by_c():
+    """Connect to a port of this computer that nobody serves; PermissionError if refused."""
+    address = struct.pack("=H2s4s8x", socket.AF_INET, (9).to_bytes(2), bytes([127, 0, 0, 1]))
+    LIBC.connect(LIBC.socket(socket.AF_INET, socket.SOCK_STREAM, 0), address, len(address))
+    if ctypes.get_errno() == errno.EACCES:
+        raise PermissionError(errno.EACCES, "connect")
 
 
 def attempts(folder: Path):
@@ -40,14 +49,12 @@ def attempts(folder: Path):
         "exec": lambda: os.execv(touch[0], touch),
         "fork": os.fork,
         "forkpty": os.forkpty,
-        "fork by C": lambda: by_c("fork"),
         "system by C": lambda: by_c("system", " ".join(touch).encode()),
         "execve by C": lambda: by_c("execl", touch[0].encode(), b"touch", c_canary, None),
         "socket": lambda: socket.socket(),
         "connection": lambda: socket.create_connection(("127.0.0.1", 9), 1),
         "server": lambda: socket.create_server(("127.0.0.1", 0)),
-        "datagram by C": lambda: by_c("socket", AF_INET, SOCK_DGRAM, 0),
-        "stream by C": lambda: by_c("socket", AF_INET, SOCK_STREAM, 0),
+        "connect by C": connect_by_c,
         "write": lambda: canary.write_text("x"),
         "append": lambda: secret.open("a").write("x"),
         "update": lambda: secret.open("r+b").write(b"x"),
@@ -66,8 +73,6 @@ def attempts(folder: Path):
         "truncate by C": lambda: by_c("truncate", c_secret, 0),
         "write by C": lambda: by_c("open", c_secret, os.O_WRONLY),
         "kill by C": lambda: by_c("kill", os.getppid(), signal.SIGTERM),
-        "uring": lambda: by_c("syscall", 425, 8, bytes(120)),
-        "chmod by C": lambda: by_c("chmod", c_secret, 0o777),
         "utime": lambda: os.utime(secret, (0, 0)),
         "read": secret.read_text,
         "read by os": lambda: os.read(os.open(secret, os.O_RDONLY), 9).decode(),
@@ -83,7 +88,7 @@ def attempts(folder: Path):
 
 
 @contextmanager
-def open_misbehaving(path, _=None):
+def open_misbehaving(path):
     """Open a file whose text names what is tried; the words say what came of it."""
     if path.read_text() == "loop":
         while True:
@@ -104,8 +109,8 @@ def open_misbehaving(path, _=None):
         yield OpenFile((), lambda _: iter(()), " ".join(os.environ))
         return
     try:
-        found = attempts(path.parent)[path.read_text()]()
+        result = attempts(path.parent)[path.read_text()]()
     except (OSError, MemoryError) as error:
         yield OpenFile((), lambda _: iter(()), f"refused: {type(error).__name__}")
     else:
-        yield OpenFile((), lambda _: iter(()), f"done: {found}")
+        yield OpenFile((), lambda _: iter(()), f"done: {result}")

@@ -50,7 +50,6 @@ _THOUSANDS = re.compile(r"[-+]?[1-9]\d{0,2}(,\d{3})+")
 _POINTED = re.compile(r"[-+]?(?:0|[1-9]\d{0,2}(?:\.\d{3})*)")
 GROUPED = re.compile(r"[-+]?\d{1,3}(?:[.,'\s\u2019]\d{3})+(?:[.,]\d*)?")
 """Numbers whose digits may be grouped, which are read where they are numbers without that."""
-UNGROUP = "write numbers without separators of thousands"
 TIME_NAME = re.compile(
     r"(?<![^\W_])(?:t(?![^\W\d_])|time|date|clock|zeit|datum|uhrzeit|utc)", re.IGNORECASE
 )

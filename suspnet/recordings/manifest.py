@@ -47,15 +47,13 @@ _CONSTANT_SPEED = re.compile(r"([1-9]\d{0,2}(?:\.\d+)?) *(m/s|km/h)")
 
 def _speed(value: Value) -> float | SpeedSource:
     """Return a constant speed [m/s] or where the speed is stored."""
-    given = value.content
-    if isinstance(given, str) and (found := _CONSTANT_SPEED.fullmatch(given.strip())):
-        return float(found[1]) * SPEED_UNITS[found[2]]
-    if isinstance(given, dict):
+    content = value.content
+    if isinstance(content, str) and (match := _CONSTANT_SPEED.fullmatch(content.strip())):
+        return float(match[1]) * SPEED_UNITS[match[2]]
+    if isinstance(content, dict):
         return check.mapping_of(SpeedSource)(value)
-    return check.number(
-        "a number of m/s > 0, one with its unit (252 km/h), or a mapping with `file`",
-        check.POSITIVE,
-    )(value)
+    rule = "a number of m/s > 0, one with its unit (252 km/h), or a mapping with `file`"
+    return check.number(rule, check.POSITIVE)(value)
 
 
 def _sensor(value: Value) -> Channel:
@@ -69,25 +67,25 @@ def _sensors(value: Value) -> Channel | Several:
     """Return one sensor, or several: at each axle one, or a pair."""
     if not isinstance(value.content, list):
         return _sensor(value)
-    found: list[Channel] = all_of(partial(_sensor, value.at(i)) for i in range(len(value.content)))
-    if len(found) == 1:
-        return found[0]
-    axles = [[i for i, one in enumerate(found) if (one.axle or 1) == axle] for axle in (1, 2)]
-    if not found or max(map(len, axles)) > 2:
-        both = len(found) > 2 and bool(axles[1])
-        given = {"name": value.name, "n": len(found)}
-        raise TripError.at(value.path, "one-or-two-an-axle" if both else "one-or-two", **given)
+    n = len(value.content)
+    sensors: list[Channel] = all_of(partial(_sensor, value.at(i)) for i in range(n))
+    if n == 1:
+        return sensors[0]
+    axles = [[i for i in range(n) if (sensors[i].axle or 1) == axle] for axle in (1, 2)]
+    if not sensors or max(map(len, axles)) > 2:
+        kind = "one-or-two-an-axle" if n > 2 and axles[1] else "one-or-two"
+        raise TripError.at(value.path, kind, name=value.name, n=n)
     several: list[Channel] = []
     for places in axles:
-        own = [found[i] for i in places]
+        own = [sensors[i] for i in places]
         several += own if len(own) < 2 else _pair(value, places, own)
     return tuple(several)
 
 
 def _pair(value: Value, places: Sequence[int], both: Sequence[Channel]) -> Pair:
     """Return two sensors, left first, whose missing sides are inferred: the first is left."""
-    for place, one in zip(places, both, strict=True):
-        if one.side == MIDDLE:
+    for place, sensor in zip(places, both, strict=True):
+        if sensor.side == MIDDLE:
             check.one_of(SIDES)(value.at(place).at("side"))
     first, second = both
     left, right = SIDES
@@ -96,21 +94,23 @@ def _pair(value: Value, places: Sequence[int], both: Sequence[Channel]) -> Pair:
     if second.side is None:
         second = replace(second, side=left if first.side == right else right)
     if first.side == second.side:
-        raise TripError.at(
-            value.path, "two-on-left" if first.side == left else "two-on-right", name=value.name
-        )
+        kind = "two-on-left" if first.side == left else "two-on-right"
+        raise TripError.at(value.path, kind, name=value.name)
     return (first, second) if first.side == left else (second, first)
 
 
 def _channels(value: Value) -> dict[str, Channel | Several]:
     """Return the sensors of each channel; one without any at axle 1 if the parts can be read."""
-    one = Key(_sensors, "", "", default="")
-    found: dict[str, Channel | Several] = value.read(dict.fromkeys(CHANNELS, one))
-    several = {name: (own,) if isinstance(own, Channel) else own for name, own in found.items()}
-    if sum(map(len, several.values())) >= LEAST_SENSORS:
-        return found
-    all_of(partial(_check_first_axle, value.at(name), several.get(name)) for name in CHANNELS)
-    return found
+    key = Key(_sensors, "", "", default="")
+    channels: dict[str, Channel | Several] = value.read(dict.fromkeys(CHANNELS, key))
+    several = {name: _as_several(own) for name, own in channels.items()}
+    if sum(map(len, several.values())) < LEAST_SENSORS:
+        all_of(partial(_check_first_axle, value.at(name), several.get(name)) for name in CHANNELS)
+    return channels
+
+
+def _as_several(own: Channel | Several) -> Several:
+    return (own,) if isinstance(own, Channel) else own
 
 
 def _check_first_axle(value: Value, own: Several | None) -> None:
@@ -128,9 +128,7 @@ def _mileage(value: Value) -> float:
 
 
 def _truth(value: Value) -> dict[str, float]:
-    one = Key(check.positive, "", "", default="")
-    found: dict[str, float] = value.read(dict.fromkeys(ESTIMATED, one))
-    return found
+    return value.read(dict.fromkeys(ESTIMATED, Key(check.positive, "", "", default="")))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -233,7 +231,7 @@ class TripManifest:
     def place(self) -> Place:
         """The suspension of the trip."""
         named = (self.bogie, self.side, self.train, self.car)
-        return Place(self.suspension, *(one or "" for one in named))
+        return Place(self.suspension, *(name or "" for name in named))
 
     def side_of(self, channel: Channel) -> str | None:
         """Return the side of a single sensor: its own or else the suspension's; None if unknown."""
@@ -242,15 +240,15 @@ class TripManifest:
     def is_pair(self, channel: str) -> bool:
         """Return whether a channel has a sensor left and right at axle 1."""
         own = self.channels.get(channel)
-        return isinstance(own, tuple) and not any(one.is_elsewhere for one in own[:2])
+        return isinstance(own, tuple) and not any(sensor.is_elsewhere for sensor in own[:2])
 
     @property
     def unplaced(self) -> tuple[str, ...]:
         """Names of the single sensors of unknown side, which are assumed to be in the middle."""
         return tuple(
             name
-            for name, one in self.sensors().items()
-            if not partner_of(name) and self.side_of(one) is None
+            for name, sensor in self.sensors().items()
+            if not partner_of(name) and self.side_of(sensor) is None
         )
 
     def sensors(self) -> dict[str, Channel]:
@@ -259,18 +257,16 @@ class TripManifest:
         That of the channel is followed by ``OTHER_AXLE`` if the sensor is there, and by the side in
         a pair.
         """
-        found: dict[str, Channel] = {}
+        sensors: dict[str, Channel] = {}
         for channel, own in self.channels.items():
             for is_elsewhere in (False, True):
-                name = f"{channel} {OTHER_AXLE}" if is_elsewhere else channel
-                here = [
-                    one
-                    for one in ((own,) if isinstance(own, Channel) else own)
-                    if one.is_elsewhere == is_elsewhere
-                ]
-                names = [name] if len(here) == 1 else [f"{name} {one.side}" for one in here]
-                found |= dict(zip(names, here, strict=True))
-        return found
+                place = f"{channel} {OTHER_AXLE}" if is_elsewhere else channel
+                both = [one for one in _as_several(own) if one.is_elsewhere == is_elsewhere]
+                if len(both) == 1:
+                    sensors[place] = both[0]
+                else:
+                    sensors |= {f"{place} {sensor.side}": sensor for sensor in both}
+        return sensors
 
     def sources(self) -> dict[str, Source]:
         """Return all sensors, and the speed if it is recorded, by name."""

@@ -63,6 +63,8 @@ ENVIRONMENT = {
 }
 """Environment variables of reader processes, in addition."""
 
+SERVER_CODE = "from suspnet.recordings.reader_server import serve; serve()"
+
 
 def in_own_process(reader: Reader, library: str | None = None) -> Reader:
     """Return a reader that runs `reader`, an importable function, in a separate process.
@@ -114,14 +116,11 @@ class _Server:
     """Client of the server from which reader processes are forked."""
 
     def __init__(self) -> None:
-        code = (
-            f"import sys; sys.path[:] = {[str(folder) for folder in sys.path]}; "
-            f"from suspnet.recordings.reader_server import serve; serve()"
-        )
+        path = f"import sys; sys.path[:] = {[str(folder) for folder in sys.path]}; "
         self._control, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         with theirs:
             self._child = subprocess.Popen(
-                [sys.executable, "-c", code],
+                [sys.executable, "-c", path + SERVER_CODE],
                 stdin=theirs.fileno(),
                 stdout=subprocess.DEVNULL,
                 env={k: v for k, v in os.environ.items() if PASSED.fullmatch(k)} | ENVIRONMENT,
@@ -232,7 +231,7 @@ class _Process:
         arrays = []
         for dtype, n_samples in answer["arrays"]:
             array = np.empty(n_samples, DTYPES[DTYPES.index(dtype)])
-            if self._answers.readinto(array.view(np.uint8)) != array.nbytes:
+            if self._answers.readinto(array.view(np.uint8).data) != array.nbytes:
                 raise ValueError
             arrays.append(array)
         return answer, tuple(arrays)

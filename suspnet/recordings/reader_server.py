@@ -105,7 +105,7 @@ def _serve_file(reader: Reader, path: Path, connection: int, missing: Sequence[s
             answer["arrays"] = [[str(array.dtype), len(array)] for array in arrays]
             answers.write(json.dumps(answer | {"missing": missing}).encode() + b"\n")
             for array in arrays:
-                answers.write(np.ascontiguousarray(array).view(np.uint8))
+                answers.write(np.ascontiguousarray(array).view(np.uint8).data)
             answers.flush()
 
 

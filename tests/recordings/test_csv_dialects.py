@@ -46,11 +46,7 @@ def table(delimiter=",", decimal=".", head=("t,a,b",), end="\n", empty="") -> st
 )
 @pytest.mark.parametrize(
     "head",
-    [
-        ["t,a,b"],
-        ["Gerät 7", "Rate [Hz],1000", "", "t,a,b"],
-        ["Größe,3,2.5", "t,a,b", "s,m/s2,g"],
-    ],
+    [["t,a,b"], ["Gerät 7", "Rate [Hz],1000", "", "t,a,b"], ["Größe,3,2.5", "t,a,b", "s,m/s2,g"]],
 )
 def test_numbers_are_those_written(tmp_path, delimiter, decimal, encoding, end, head):
     path = tmp_path / "data.csv"

@@ -8,7 +8,7 @@ import pytest
 from scipy.signal import lfilter
 
 from suspnet.recordings.cleaning import Fault
-from suspnet.recordings.clock_drift import _compared, clock_faults, find_drift
+from suspnet.recordings.clock_drift import clock_faults, compared_pairs, find_drift
 from suspnet.recordings.errors import TripError
 from suspnet.recordings.manifest import CHANNELS, TripManifest
 from suspnet.recordings.manifest_sources import Channel
@@ -136,7 +136,7 @@ def test_clocks_far_apart_are_refused():
 
 def test_sensors_of_the_other_axle_are_compared_with_the_first_one():
     names = ["axle_box left", "axle_box right", "axle_box axle2", "bogie", "bogie axle2"]
-    assert _compared(names) == [
+    assert compared_pairs(names) == [
         ("axle_box left", "bogie"),
         ("axle_box left", "axle_box right"),
         ("axle_box left", "axle_box axle2"),

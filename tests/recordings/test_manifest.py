@@ -408,14 +408,7 @@ def test_all_mistakes_are_told_at_once(folder):
     told = [problem.removeprefix(f"{path}: ") for problem in e.value.problems]
     assert len(told) == 12
     keys = (
-        *(
-            "vehicel",
-            "suspension",
-            "side",
-            "mileage_km",
-            "speed.unit",
-            "channels.bogie[0].rate_hz",
-        ),
+        *("vehicel", "suspension", "side", "mileage_km", "speed.unit", "channels.bogie[0].rate_hz"),
         *("channels.bogie[1].sign", "channels.bogie[1].range", "channels.body.unit"),
         *("truth.k_p", "truth.c_p", "speed.file"),
     )
@@ -452,8 +445,7 @@ def test_wrong_place_is_named(folder, key, to, rule):
 
 
 @pytest.mark.parametrize(
-    "text",
-    ["<b>: [", "just text", "[]", "suspension: true", "\0", f"suspension: {'x' * 101}"],
+    "text", ["<b>: [", "just text", "[]", "suspension: true", "\0", f"suspension: {'x' * 101}"]
 )
 def test_manifest_that_does_not_say_its_place_has_none(folder, text):
     assert ManifestFile(write(folder, text)).place is None

@@ -15,7 +15,7 @@ from suspnet.recordings import formats, reader_process
 from suspnet.recordings.columns import Column
 from suspnet.recordings.errors import TripError
 from suspnet.recordings.formats import open_columns, open_file
-from suspnet.recordings.reader_server import MEMORY_WORDS
+from suspnet.recordings.reader_server import NO_MEMORY
 
 A = np.arange(float(N_BLOCKS * N_SAMPLES))
 
@@ -24,7 +24,6 @@ A = np.arange(float(N_BLOCKS * N_SAMPLES))
 def file(monkeypatch, tmp_path):
     """Return a function that writes a file which does something to its reader."""
     monkeypatch.setitem(formats.READERS, ".mat", reader_process.in_own_process(open_dying))
-    monkeypatch.setattr(reader_process, "_late", {})
 
     def written(what, name="data"):
         path = tmp_path / f"{name}.mat"
@@ -120,7 +119,7 @@ def test_what_libraries_print_goes_nowhere(file, capfd):
         ),
         ("trip", "one problem (and 1 more: suspnet check shows all)"),
         ("error", "is damaged, cut off or not a .mat file (division by zero)"),
-        ("speechless", f"{MEMORY_WORDS}"),
+        ("speechless", f"{NO_MEMORY}"),
     ],
 )
 def test_end_of_a_reader_is_one_error(file, what, words, when):
@@ -180,7 +179,7 @@ def test_reader_ends_with_the_process_that_is_killed(file, what):
         "import os, signal, sys, threading; from pathlib import Path; "
         "from suspnet.recordings.reader_process import in_own_process; "
         "from dying_readers import open_dying\n"
-        f"with in_own_process(open_dying)(Path({str(file(what))!r}), None) as opened:\n"
+        f"with in_own_process(open_dying)(Path({str(file(what))!r})) as opened:\n"
         "    print(opened.words, flush=True)\n"
         "    threading.Timer(0.3, os.kill, (os.getpid(), signal.SIGKILL)).start()\n"
         "    list(opened.read(['a'])); signal.pause()"

@@ -12,7 +12,7 @@ from suspnet.recordings.array_files import open_hdf5
 from suspnet.recordings.columns import size_of, unit_in_name
 from suspnet.recordings.errors import TripError
 from suspnet.recordings.formats import READERS, open_columns, open_file
-from suspnet.recordings.logger_files import open_uff
+from suspnet.recordings.logger_files import open_tdms, open_uff
 from suspnet.recordings.manifest_sources import Channel, SpeedSource
 from suspnet.recordings.mdf_files import open_mdf
 
@@ -142,6 +142,7 @@ def test_structs_of_matlab_7_3_have_columns(tmp_path):
     ("suffix", "reader", "module", "extra"),
     [
         (".mf4", open_mdf, "asammdf", "mdf"),
+        (".tdms", open_tdms, "nptdms", "tdms"),
         (".uff", open_uff, "pyuff", "uff"),
         (".h5", open_hdf5, "h5py", "hdf5"),
     ],

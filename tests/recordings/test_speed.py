@@ -5,13 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from suspnet.recordings.speed import (
-    _thinned,
-    find_stuck,
-    find_wrong_speeds,
-    speed_at,
-    speed_track,
-)
+from suspnet.recordings.speed import _thinned, find_stuck, find_wrong_speeds, speed_at, speed_track
 
 AT = np.arange(0, 100, 0.01)
 

@@ -12,7 +12,7 @@ from scipy.io import savemat
 from scipy.sparse import csc_array
 
 from suspnet.recordings.errors import TripError
-from suspnet.recordings.formats import FORMATS, UNREAD, open_columns, open_file
+from suspnet.recordings.formats import open_columns, open_file
 from suspnet.trips.file_contents import contents_of
 
 N = 8
@@ -405,20 +405,3 @@ def test_unit_and_rate_of_parquet_are_those_of_the_column(tmp_path):
     pq.write_table(pa.table([VALUES], schema=pa.schema([field])), tmp_path / "a.parquet")
     with open_file(tmp_path / "a.parquet") as file:
         assert (file.column("a").unit, file.column("a").rate_hz) == ("g", 500.0)
-
-
-# the table of the documentation, and formats that are not read
-
-
-def test_statements_of_all_formats_are_listed():
-    assert all(len(one.states) >= 3 for one in FORMATS)
-    assert not set(UNREAD) & {suffix for one in FORMATS for suffix in one.suffixes}
-
-
-@pytest.mark.parametrize("suffix", [".lvm", ".raw", ".dat", ".ide", ".d7d", ".dxd", ".bin"])
-def test_formats_that_are_not_read_are_named(tmp_path, suffix):
-    path = tmp_path / f"run{suffix}"
-    path.write_bytes(b"x")
-    message = rf"run\{suffix} \(.*\): files of type '\{suffix}' cannot be read; give \['\.asc'"
-    with pytest.raises(TripError, match=message), open_file(path):
-        pass
