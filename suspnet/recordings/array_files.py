@@ -201,8 +201,8 @@ class _View:
     dtype: Any
     take: Callable[[Any], Any]
 
-    def __getitem__(self, part: Any) -> Any:
-        return self.take(part)
+    def __getitem__(self, rows: Any) -> Any:
+        return self.take(rows)
 
 
 def _field(dataset: Any, name: str) -> _View:
@@ -211,7 +211,7 @@ def _field(dataset: Any, name: str) -> _View:
     return _View(
         (*dataset.shape, *kind.shape),
         kind.base,
-        lambda part: dataset.fields(name)[part[:n]][(slice(None), *part[n:])],
+        lambda rows: dataset.fields(name)[rows[:n]][(slice(None), *rows[n:])],
     )
 
 
@@ -236,30 +236,36 @@ def _packed(dataset: Any, h5py: Any) -> Any:
         with np.errstate(over="ignore"):
             return values.astype(kind).astype(np.float64)
 
+    # limits and missing values are those of stored numbers; infinite limits have no sign to change
     limits = numbers.get("valid_range", np.array([-np.inf, np.inf]))
     ends = numbers.get("valid_min", limits)[0], numbers.get("valid_max", limits)[-1]
-    # infinite limits have no sign to change
     lower, upper = (as_stored(np.array([end]))[0] if np.isfinite(end) else end for end in ends)
     left_out = np.concatenate([[np.nan], *map(as_stored, missing)])
-    factors = {"scale_factor": np.ones(1), "add_offset": np.zeros(1)} | numbers
-    scale, offset = factors["scale_factor"], factors["add_offset"]
     across = 1 - int(np.argmax(dataset.shape))  # columns lie along the shorter axis
+    scale, offset = _scale_and_offset(dataset, numbers, across)
+
+    def take(rows: Any) -> Any:
+        stored = np.asarray(dataset[rows])
+        if is_unsigned:
+            stored = stored.astype(f"u{stored.dtype.itemsize}")
+        values = stored.astype(np.float64)
+        is_valid = (values >= lower) & (values <= upper) & ~np.isin(values, left_out)
+        a, b = (each[rows[across] if len(each) > 1 else 0] for each in (scale, offset))
+        return np.where(is_valid, values * a + b, np.nan)
+
+    return _View(dataset.shape, dataset.dtype, take)
+
+
+def _scale_and_offset(dataset: Any, numbers: Mapping[str, Any], across: int) -> tuple[Any, Any]:
+    """Return scale and offset, one for all columns or one each; ValueError if they are wrong."""
+    scale = numbers.get("scale_factor", np.ones(1))
+    offset = numbers.get("add_offset", np.zeros(1))
     n_columns = 1 if is_vector(dataset.shape) else dataset.shape[across]
     for name, values in (("scale_factor", scale), ("add_offset", offset)):
         is_right = np.isfinite(values).all() and (values.all() or name == "add_offset")
         if values.shape not in ((1,), (n_columns,)) or not is_right:
             raise ValueError(f"its {name} is {values}")
-
-    def take(part: Any) -> Any:
-        stored = np.asarray(dataset[part])
-        if is_unsigned:
-            stored = stored.astype(f"u{stored.dtype.itemsize}")
-        values = stored.astype(np.float64)
-        is_valid = (values >= lower) & (values <= upper) & ~np.isin(values, left_out)
-        a, b = (each[part[across] if len(each) > 1 else 0] for each in (scale, offset))
-        return np.where(is_valid, values * a + b, np.nan)
-
-    return _View(dataset.shape, dataset.dtype, take)
+    return scale, offset
 
 
 def foreign(dataset: Any) -> str:
@@ -303,6 +309,7 @@ def open_mat(path: Path) -> Iterator[OpenFile]:
             arrays[name] = _Variable(path, name, shape)
         elif kind not in ("struct", "cell", "object", "char"):
             refused[name] = f"holds {kind}, not numbers"
+    # the contents of structs and cells are columns of their own, by their path
     how = {"appendmat": False, "struct_as_record": False, "squeeze_me": True}
     content = loadmat(path, variable_names=loaded, **how) if loaded else {}
     leaves = {
@@ -319,6 +326,7 @@ def open_mat(path: Path) -> Iterator[OpenFile]:
             arrays[name] = array
         elif why.strip():
             refused[name] = why
+    # values next to an array state its rate, unit and start
     descriptions = {
         name: _stated_nearby(name, _siblings(name, ".", leaves)) | _simulink_time(name, leaves)
         for name in arrays
@@ -385,8 +393,8 @@ class _Variable:
     def dtype(self) -> Any:
         return self.values.dtype
 
-    def __getitem__(self, part: Any) -> Any:
-        return self.values[part]
+    def __getitem__(self, rows: Any) -> Any:
+        return self.values[rows]
 
 
 def _opened(
@@ -411,7 +419,7 @@ def _opened(
             first, last = (repr(f"{name}[{i}]") for i in (0, min(shape) - 1))
             matrices.append(Finding("matrix-columns", name=repr(name), first=first, last=last))
         for place, i in places.items():
-            columns.append(Column(place, is_part=is_rate or place != name, **descriptions[name]))
+            columns.append(Column(place, is_by_name=is_rate or place != name, **descriptions[name]))
             takes[place] = (max(shape), _take(array, axis, i))
 
     def read(names: Sequence[str]) -> Iterator[Block]:
@@ -428,7 +436,7 @@ def _opened(
 
 def _take(array: Any, axis: int, i: int) -> Take:
     before, after = (i,) * axis, (i,) * (len(array.shape) - axis - 1)
-    return lambda part: array[(*before, part, *after)]
+    return lambda rows: array[(*before, rows, *after)]
 
 
 def _siblings(name: str, separator: str, values: Mapping[str, Any]) -> dict[str, Any]:

@@ -11,17 +11,7 @@ import numpy as np
 
 from suspnet.ground.findings import at, of
 from suspnet.ground.types import BoolArray, FloatArray
-from suspnet.recordings.faults import (
-    fill,
-    find_clipping,
-    find_constant,
-    find_gaps,
-    find_saturation,
-    find_spikes,
-    local_level,
-    paint,
-    runs,
-)
+from suspnet.recordings import faults as detect
 
 KINDS = (
     *("gap", "spike", "saturation", "constant", "offset", "drift", "zero", "jump", "stuck"),
@@ -157,22 +147,22 @@ class Cleaner:
         self, window: FloatArray
     ) -> tuple[FloatArray, BoolArray, dict[tuple[str, bool], BoolArray], FloatArray]:
         """Return filled values, bad samples, masks by (kind, repaired), levels of the segments."""
-        gap = find_gaps(window)
-        filled = fill(window, gap)
-        centre, spread = local_level(filled, self.segment)
+        gap = detect.find_gaps(window)
+        filled = detect.fill(window, gap)
+        centre, spread = detect.local_level(filled, self.segment)
         # motion may start within a segment: use the widest spread of it and its neighbours
         padded = np.pad(spread, 1, mode="edge")
         widest = np.maximum(np.maximum(padded[:-2], spread), padded[2:])
         reach = SPIKE_DEVIATIONS * widest
-        spike = find_spikes(filled, self.segment, centre, reach, SPIKE_SAMPLES)
-        constant = find_constant(window, self._longest_constant)
+        spike = detect.find_spikes(filled, self.segment, centre, reach, SPIKE_SAMPLES)
+        constant = detect.find_constant(window, self._longest_constant)
         # without a range, only clipping shows saturation; gaps and dead sensors look alike there
         if self.range_m_per_s2 is None:
-            saturation = find_clipping(filled, SATURATION_SAMPLES) & ~(gap | constant)
+            saturation = detect.find_clipping(filled, SATURATION_SAMPLES) & ~(gap | constant)
         else:
             threshold = SATURATION_FRACTION * self.range_m_per_s2
-            saturation = find_saturation(filled, threshold) & ~gap
-        short = paint(len(gap), *runs(gap, at_most=GAP_SAMPLES))
+            saturation = detect.find_saturation(filled, threshold) & ~gap
+        short = detect.paint(len(gap), *detect.runs(gap, at_most=GAP_SAMPLES))
         bad = (gap & ~short) | saturation | constant
         masks = {
             ("gap", True): short,
@@ -181,7 +171,7 @@ class Cleaner:
             ("saturation", False): saturation,
             ("constant", False): constant,
         }
-        return fill(filled, bad | spike), bad, masks, centre
+        return detect.fill(filled, bad | spike), bad, masks, centre
 
     def _count(self, kind: str, repaired: bool, mask: BoolArray) -> None:
         if count := int(np.count_nonzero(mask)):

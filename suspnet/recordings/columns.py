@@ -47,8 +47,8 @@ class Column:
         logger's unknown time zone if `is_local`.
     is_time, is_zoned : bool
         It holds time stamps rather than numbers; they are in UTC rather than an unknown zone.
-    is_part : bool
-        It is one column of a matrix, or a stated rate, and is read only by its name.
+    is_by_name : bool
+        It is read only by its name, as a column of a matrix, or a stated rate.
     is_whole_rate : bool
         The format stores the rate as a whole number.
     full_scale : float or None
@@ -66,7 +66,7 @@ class Column:
     start_ns: int | None = None
     is_time: bool = False
     is_zoned: bool = False
-    is_part: bool = False
+    is_by_name: bool = False
     is_whole_rate: bool = False
     full_scale: float | None = None
     date: str | None = None
@@ -108,7 +108,7 @@ def choose(path: Path, file: OpenFile, columns: Sequence[str | None]) -> list[st
     named = [name for name in columns if name is not None]
     for name in named:
         if name not in present:
-            listed = [c.name for c in file.columns if not (c.is_part or c.unread)]
+            listed = [c.name for c in file.columns if not (c.is_by_name or c.unread)]
             kind = "no-column-but-matrix" if file.hint else "no-column"
             values = {"name": repr(name), "names": listing(listed), "matrix": file.hint}
             raise TripError(Finding(kind, path=path, **values))
@@ -117,7 +117,9 @@ def choose(path: Path, file: OpenFile, columns: Sequence[str | None]) -> list[st
     # the column of times of another one is never the only one left
     times = {column.time for column in file.columns} | set(named)
     others = [
-        c.name for c in file.columns if not (c.is_part or c.is_time or c.unread or c.name in times)
+        c.name
+        for c in file.columns
+        if not (c.is_by_name or c.is_time or c.unread or c.name in times)
     ]
     if len(named) < len(columns) and len(others) != 1:
         raise TripError.at(path, "say-which-column", names=listing(others))
@@ -139,7 +141,7 @@ def listing(names: Sequence[str]) -> str:
 def slices(
     path: Path, names: Sequence[str], takes: Mapping[str, tuple[int, Take]]
 ) -> Iterator[Block]:
-    """Yield blocks of arrays, of which `takes` gives the lengths and how to take a part of them.
+    """Yield blocks of arrays, of which `takes` gives the lengths and how to take rows of them.
 
     TripError is raised if the lengths differ or are too large.
     """
@@ -149,10 +151,10 @@ def slices(
         raise TripError.at(path, "different-lengths", names=list(names), lengths=lengths)
     n = lengths[0]
     for start in range(0, n, BLOCK):
-        part = slice(start, min(start + BLOCK, n))
-        block = tuple(as_block(takes[name][1](part)) for name in names)
+        rows = slice(start, min(start + BLOCK, n))
+        block = tuple(as_block(takes[name][1](rows)) for name in names)
         held = [start + len(values) for values in block]
-        if set(held) != {part.stop}:
+        if set(held) != {rows.stop}:
             values = {"n_samples": n, "names": list(names), "held": held}
             raise TripError(Finding("fewer-than-declared", path=path, **values))
         yield block

@@ -92,7 +92,7 @@ def _from_arrow(column: Any) -> NDArray[Any]:
 
 @contextmanager
 def open_csv(path: Path, given: CsvDialect | None = None) -> Iterator[OpenFile]:
-    """Open a CSV file; the parts of its dialect that are not given are detected."""
+    """Open a CSV file; whatever of its dialect is not given is detected."""
     dialect = find_dialect(path, given)
     columns = tuple(
         Column(
@@ -130,7 +130,7 @@ class _Remark:
 
 @dataclass
 class _Line:
-    """A line that may be part of a footer: the cells that are read, and the words among them.
+    """A line that may be of a footer: the cells that are read, and the words among them.
 
     One that is no row may be a damaged row, which is a missing sample, or the names of a table.
     """

@@ -24,7 +24,7 @@ from suspnet.recordings.reader_process import in_own_process
 def open_file(path: Path, csv: CsvDialect | None = None) -> Iterator[OpenFile]:
     """Open a data file: its columns with the units, rates and times that it states.
 
-    The suffix, one of ``READERS``, determines the format; `csv` gives parts of a CSV dialect.
+    The suffix, one of ``READERS``, determines the format; `csv` states how a CSV file is written.
     Opening and reading raise TripError if the file is missing, empty, damaged or of another format,
     or the package that reads it is not installed.
     """

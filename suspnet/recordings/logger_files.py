@@ -76,7 +76,7 @@ def open_tdms(path: Path) -> Iterator[OpenFile]:
             columns.append(column)
             takes[name] = len(channel), channel.__getitem__
             if column.time is not None:
-                columns.append(Column(column.time, unit="s", is_part=True))
+                columns.append(Column(column.time, unit="s", is_by_name=True))
                 takes[column.time] = len(channel), _times_of_segments(starts, channel)
 
         notes = tuple(f"{name}: {value}" for name, value in file.properties.items())
@@ -184,8 +184,8 @@ def _times_of_segments(starts: Sequence[tuple[int, float]], channel: Any) -> Tak
     firsts, starts_s = np.array(starts).T
     step_s = channel.properties["wf_increment"]
 
-    def take(part: slice) -> FloatArray:
-        numbers = np.arange(part.start, part.stop)
+    def take(rows: slice) -> FloatArray:
+        numbers = np.arange(rows.start, rows.stop)
         i = np.searchsorted(firsts, numbers, side="right") - 1
         return np.asarray(starts_s[i] + (numbers - firsts[i]) * step_s)
 
@@ -218,38 +218,41 @@ def open_uff(path: Path) -> Iterator[OpenFile]:
 def _uff_columns(file: Any) -> tuple[list[Column], dict[str, int]]:
     """Return the columns of a universal file, and their record numbers by name."""
     records: dict[str, int] = {}
-    columns = []
+    columns: list[Column] = []
     length = None
     for i, kind in enumerate(file.get_set_types()):
         if kind == 164:
             length = LENGTHS.get(int(file.read_sets(i)["units_code"]))
-        if kind != 58:
-            continue
-        header = file.read_sets(i, header_only=True)
+        header = file.read_sets(i, header_only=True) if kind == 58 else {}
         if header.get("func_type") != TIME_RESPONSE:
             continue
         name = _text(header, "id1")
         if not name or name in records:
             name = f"record_{i + 1}"
         records[name] = i
-        unit, along = (_text(header, f"{axis}_axis_units_lab") for axis in ("ordinate", "abscissa"))
-        if not unit and length and header.get("ordinate_spec_data_type") == ACCELERATION:
-            unit = f"{length}/s2"
-        step_s = float(header.get("abscissa_inc") or 0.0) * (size_of("time", along or "s") or 0.0)
-        abscissa, refused = header.get("abscissa_spec_data_type"), ""
-        if abscissa not in (None, 0, 1, TIME):  # 0 and 1 are unknown and general
-            refused = Finding("not-of-time")
-        elif header.get("ord_data_type") in (5, 6):
-            refused = Finding("not-real", kind=np.dtype(complex))
-        date = _text(header, "id3") or None
-        about: dict[str, Any] = {"unit": unit or None, "date": date, "unread": refused}
-        if header.get("abscissa_spacing") == 1 and not float(header.get("abscissa_min") or 0.0):
-            columns.append(Column(name, rate_hz=1 / step_s if step_s > 0 else None, **about))
-        else:
-            times = f"{name}: times"
-            columns.append(Column(name, time=times, **about))
-            columns.append(Column(times, unit=along or "s", is_part=True))
+        columns += _uff_record(name, header, length)
     return columns, records
+
+
+def _uff_record(name: str, header: Mapping[str, Any], length: str | None) -> Iterator[Column]:
+    """Yield the column of a time record, and that of its times if they are not even from 0 on."""
+    unit, along = (_text(header, f"{axis}_axis_units_lab") for axis in ("ordinate", "abscissa"))
+    if not unit and length and header.get("ordinate_spec_data_type") == ACCELERATION:
+        unit = f"{length}/s2"
+    refused = ""
+    if header.get("abscissa_spec_data_type") not in (None, 0, 1, TIME):  # 0, 1: unknown, general
+        refused = Finding("not-of-time")
+    elif header.get("ord_data_type") in (5, 6):
+        refused = Finding("not-real", kind=np.dtype(complex))
+    date = _text(header, "id3") or None
+    about: dict[str, Any] = {"unit": unit or None, "date": date, "unread": refused}
+    step_s = float(header.get("abscissa_inc") or 0.0) * (size_of("time", along or "s") or 0.0)
+    if header.get("abscissa_spacing") == 1 and not float(header.get("abscissa_min") or 0.0):
+        yield Column(name, rate_hz=1 / step_s if step_s > 0 else None, **about)
+        return
+    times = f"{name}: times"
+    yield Column(name, time=times, **about)
+    yield Column(times, unit=along or "s", is_by_name=True)
 
 
 def _text(header: Mapping[str, Any], key: str) -> str:

@@ -21,7 +21,7 @@ UNITS = {"acceleration": ACCELERATION_UNITS, "speed": SPEED_UNITS, "time": TIME_
 MIDDLE = "middle"
 """Side of a single sensor midway between left and right, or of the mean of both."""
 OTHER_AXLE = "axle2"
-"""Word in the names of sensors at the other axle of the bogie; only estimates of parts use them."""
+"""Word in the names of sensors at the other axle of the bogie."""
 _IN_FILE = "from the file"
 
 

@@ -178,13 +178,13 @@ def _take(path: Path, file: Any, name: str, group: int, index: int) -> Take:
     channel = file.groups[group].channels[index]
     is_newer = file.version >= "4"
 
-    def take(part: slice) -> FloatArray:
-        numbers = np.arange(part.start, part.stop, dtype=np.float64)
+    def take(rows: slice) -> FloatArray:
+        numbers = np.arange(rows.start, rows.stop, dtype=np.float64)
         if not is_newer and index == file.masters_db.get(group) and channel.bit_count == 0:
             return numbers * (channel.sampling_rate or 1)
         # raw values, and the mask of invalid ones, which would otherwise be left out
         how = {"samples_only": True, "raw": True, "ignore_invalidation_bits": True}
-        records = {"record_offset": part.start, "record_count": part.stop - part.start}
+        records = {"record_offset": rows.start, "record_count": rows.stop - rows.start}
         values, invalid = file.get(group=group, index=index, **how, **records)
         if values.dtype.kind not in "iufb" or values.ndim != 1:
             raise TripError.at(path, "column-not-numbers", name=repr(name), dtype=values.dtype)

@@ -81,7 +81,7 @@ def in_own_process(reader: Reader, library: str | None = None) -> Reader:
             description, _ = process.ask({"open": True})
             if description["missing"]:
                 _warn_once(together(description["missing"]))
-            numbers = itertools.count()
+            numbers = itertools.count()  # several blocks of one file may be read by turns
 
             def read(names: Sequence[str]) -> Iterator[Block]:
                 number = next(numbers)

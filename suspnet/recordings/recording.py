@@ -2,8 +2,8 @@
 
 A place may have a sensor on the left and one on the right. Each is read, cleaned and resampled
 separately. Their mean is the channel, in which roll cancels; half their difference is also stored.
-Where one of them is dead, the other one alone is the channel. Sensors at the bogie's other axle are
-part of no channel.
+Where one of them is dead, the other one alone is the channel. Sensors at the bogie's other axle
+belong to no channel.
 """
 
 from __future__ import annotations
@@ -351,6 +351,7 @@ def followed(first: Recording, later: Recording, offset_s: float) -> Recording:
     n_skip = max(-n_gap, 0)  # with a fractional rate they may overlap by one instant
     n_gap = max(n_gap, 0)
 
+    # samples of the later one after the gap, each array along its last axis
     def extended(before: NDArray[Any], after: NDArray[Any], gap: float | bool) -> Any:
         """Return arrays (..., n) in a row, with a value in the gap."""
         between = np.full((*before.shape[:-1], n_gap), gap)

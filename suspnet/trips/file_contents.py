@@ -279,7 +279,7 @@ def _signal(
     values = blocks[0][np.isfinite(blocks[0])]
     time, time_unit, rate_hz = "", "", column.rate_hz
     if rate_hz is None:
-        shared = (name for name in times if not opened.column(name).is_part)
+        shared = (name for name in times if not opened.column(name).is_by_name)
         time = column.time or next(shared, "")
         rate_hz, time_unit = _rate(opened, time, times[time]) if time in times else (np.nan, "")
     if time and not time_unit and guessed_meaning(column.name) != SPEED:
