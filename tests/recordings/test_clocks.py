@@ -54,7 +54,7 @@ WAYS = {
 }
 
 
-def write(folder: Path, times: dict, said: dict | None = None, **changes) -> Path:
+def write(folder: Path, times: dict, stated: dict | None = None, **changes) -> Path:
     """Write a trip whose times are given by source; None takes the time column away."""
     sources = {}
     for name in (*CHANNELS, "speed"):
@@ -64,7 +64,7 @@ def write(folder: Path, times: dict, said: dict | None = None, **changes) -> Pat
         sources[name] = {"file": f"{name}.parquet", "column": "a"}
         sources[name]["unit"] = "m/s" if name == "speed" else "m/s2"
         timing = {"time": "t"} if times[name] is not None else {"rate_hz": len(values) / 70}
-        sources[name] |= timing | (said or {}).get(name, {})
+        sources[name] |= timing | (stated or {}).get(name, {})
     speed = sources.pop("speed")
     content = {"format": "suspnet-trip-1", "vehicle": "am96", "suspension": "car 7"}
     content |= {"mileage_km": 1.0, "speed": speed, "channels": sources} | changes
@@ -88,15 +88,10 @@ def assert_aligned(recording: Recording, first_s: float = 0.0) -> None:
 
 
 @pytest.mark.representatives(3)
-@pytest.mark.parametrize("way", WAYS)
-def test_dated_sources_are_aligned(tmp_path, way):
-    path = write(tmp_path, {name: WAYS[way](name) for name in LATE_S})
-    assert_aligned(load(path), 2.0)  # the speed's clock is the first
-
-
-def test_dated_sources_of_any_kind_are_aligned(tmp_path):
-    ways = dict(zip(LATE_S, ("milliseconds", "zoned", "utc", "seconds"), strict=True))
-    assert_aligned(load(write(tmp_path, {n: WAYS[way](n) for n, way in ways.items()})), 2.0)
+@pytest.mark.parametrize("ways", [*([way] * 4 for way in WAYS), list(WAYS)[:4], list(WAYS)[2:]])
+def test_dated_sources_are_aligned(tmp_path, ways):
+    times = {name: WAYS[way](name) for name, way in zip(LATE_S, ways, strict=True)}
+    assert_aligned(load(write(tmp_path, times)), 2.0)  # the speed's clock is the first
 
 
 def test_start_dates_what_has_no_date(tmp_path):
@@ -110,8 +105,8 @@ def test_start_dates_what_has_no_date(tmp_path):
 def test_local_times_are_aligned_by_their_zone(tmp_path):
     times = {name: stamped(name, "UTC") for name in LATE_S}
     times |= {"bogie": stamped("bogie", None, 2.0), "body": stamped("body", None, -3.5)}
-    said = {"bogie": {"time_zone": "Europe/Berlin"}, "body": {"time_zone": "-03:30"}}
-    assert_aligned(load(write(tmp_path, times, said)), 2.0)
+    stated = {"bogie": {"time_zone": "Europe/Berlin"}, "body": {"time_zone": "-03:30"}}
+    assert_aligned(load(write(tmp_path, times, stated)), 2.0)
     assert_aligned(load(write(tmp_path, {name: stamped(name, None) for name in LATE_S})), 2.0)
 
 
@@ -173,7 +168,7 @@ def test_local_start_of_a_header_takes_the_zone_of_the_manifest(zone, ahead_s):
 
 @pytest.mark.representatives(5)
 @pytest.mark.parametrize(
-    ("times", "said", "changes", "message"),
+    ("times", "stated", "changes", "message"),
     [
         ({"body": None}, {}, {}, "axle_box, bogie, speed have absolute times, body have not; give"),
         ({"body": "local"}, {}, {}, "the times of body name no time zone, others do; give their"),
@@ -186,7 +181,7 @@ def test_local_start_of_a_header_takes_the_zone_of_the_manifest(zone, ahead_s):
         ({"body": "years"}, {}, {}, r"only 0\.0 s are common to all channels"),
     ],
 )  # fmt: skip
-def test_clocks_that_cannot_be_aligned_are_refused(tmp_path, times, said, changes, message):
+def test_clocks_that_cannot_be_aligned_are_refused(tmp_path, times, stated, changes, message):
     kinds = {
         None: lambda: None,
         "local": lambda: stamped("body", None),
@@ -198,7 +193,7 @@ def test_clocks_that_cannot_be_aligned_are_refused(tmp_path, times, said, change
     given = {name: stamped(name, "UTC") for name in LATE_S}
     given |= {name: kinds[kind]() for name, kind in times.items()}
     with pytest.raises(TripError, match=message) as caught:
-        load(write(tmp_path, given, said, **changes))
+        load(write(tmp_path, given, stated, **changes))
     assert "\n" not in str(caught.value)
 
 
@@ -259,14 +254,8 @@ def test_times_continue_where_a_clock_starts_again(tmp_path, times, unit, reason
 @pytest.mark.parametrize(
     ("times", "message"),
     [
-        (
-            np.where(SECONDS < 45, SECONDS, SECONDS - 0.8),
-            "the clock steps back by 0.795 s; divide the",
-        ),
-        (
-            np.where(SECONDS < 45, SECONDS, SECONDS - 45),
-            "the clock steps back by 44.995 s; divide the",
-        ),
+        (np.where(SECONDS < 45, SECONDS, SECONDS - 0.8), "the clock steps back by 0.795 s; divide"),
+        (np.where(SECONDS < 45, SECONDS, SECONDS - 45), "the clock steps back by 44.995 s; divide"),
         ([""] * N, "its times are empty"),
     ],
 )
@@ -291,9 +280,7 @@ def test_rows_without_a_time_are_left_out(tmp_path):
 def test_times_without_their_unit_are_named_by_it(tmp_path, unit, size):
     times = {name: np.round(elapsed(name) / size) for name in LATE_S}
     path = write(tmp_path, times, {"speed": {"time_unit": unit}})
-    message = (
-        f"at least 100 Hz are needed; its times look like {unit}, 250 Hz: give `time_unit: {unit}`"
-    )
+    message = f"its times look like {unit}, 250 Hz: give `time_unit: {unit}`"
     with pytest.raises(TripError, match=message):
         load(path)
 
@@ -310,6 +297,6 @@ def test_times_of_day_are_aligned_with_each_other_and_by_the_start(tmp_path):
         load(write(tmp_path, of_day, {"body": {"time_zone": "UTC"}}))
 
 
-def test_init_says_in_which_unit_a_clock_counts(tmp_path):
+def test_init_states_in_which_unit_a_clock_counts(tmp_path):
     (signal,) = contents_of(written(tmp_path, COUNTS)).signals
     assert (signal.time, signal.time_unit, round(signal.rate_hz, 6)) == ("t", "us", 200.0)
