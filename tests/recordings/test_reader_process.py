@@ -103,7 +103,7 @@ def test_what_libraries_print_goes_nowhere(file, capfd):
 # what goes wrong
 
 
-@pytest.mark.skipif(os.name != "posix", reason="signals are those of POSIX")
+@pytest.mark.skipif(os.name != "posix", reason="runs on POSIX systems, whose signals it sends")
 @pytest.mark.parametrize(
     "when", [":2", *(pytest.param(when, marks=pytest.mark.slow) for when in ("", ":0"))]
 )
@@ -149,7 +149,7 @@ def test_reader_that_takes_too_long_is_ended_and_the_file_not_tried_again(file, 
 
 
 @pytest.mark.parametrize("text", ["soon", "0", "-1", "nan", "inf", "1e300"])
-def test_time_that_is_none_is_named(file, monkeypatch, text):
+def test_invalid_time_is_named(file, monkeypatch, text):
     monkeypatch.setenv(reader_process.LIMIT, text)
     with pytest.raises(TripError, match=f"SUSPNET_READER_S must be a time in .* got '{text}'"):
         read(file("fine"))
@@ -172,7 +172,7 @@ def test_threads_have_readers_of_their_own(file):
     assert len(set(found)) == 2
 
 
-@pytest.mark.skipif(not os.path.exists("/proc/self/task"), reason="needs Linux's /proc")
+@pytest.mark.skipif(not os.path.exists("/proc/self/task"), reason="runs on Linux, which has /proc")
 @pytest.mark.parametrize("what", ["fine", pytest.param("hang inside:1", marks=pytest.mark.slow)])
 def test_reader_ends_with_the_process_that_is_killed(file, what):
     code = (
