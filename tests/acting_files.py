@@ -12,8 +12,7 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
-import pytest
-from recording_files import write_tdms, write_uff
+from recording_files import needed, write_tdms, write_uff
 from scipy.io import savemat
 
 from suspnet.recordings.formats import FORMATS
@@ -46,7 +45,7 @@ FORMULAS = {
 
 def prepare(folder: Path) -> None:
     """Write what must not be read into a folder."""
-    h5py = pytest.importorskip("h5py")
+    h5py = needed("h5py")
     (folder / "secret").write_bytes(np.full(200, SECRET).tobytes())
     with h5py.File(folder / "secret.h5", "w") as file:
         file["x"] = np.full(200, SECRET)
@@ -66,7 +65,7 @@ def formula(folder: Path, text: str) -> str:
 
 def mdf(folder: Path, *, text=FORMULAS["system"], version="4.10", place="value", kind="f8") -> Path:
     """Write an MDF file with a formula at some place."""
-    asammdf = pytest.importorskip("asammdf")
+    asammdf = needed("asammdf")
     text = formula(folder, text)
     if version < "4":
         from asammdf.blocks.v2_v3_blocks import ChannelConversion
@@ -97,7 +96,7 @@ def mdf(folder: Path, *, text=FORMULAS["system"], version="4.10", place="value",
 
 def mdf_comment(folder: Path, text: str) -> Path:
     """Write an MDF file with XML as the comment of the file and of the channel."""
-    asammdf = pytest.importorskip("asammdf")
+    asammdf = needed("asammdf")
     text = text.replace("{folder}", str(folder))
     with asammdf.MDF(version="4.10") as file:
         file.append([asammdf.Signal(A, A / 10, name="a", unit="g", comment=text)])
@@ -108,7 +107,7 @@ def mdf_comment(folder: Path, text: str) -> Path:
 
 def mdf_attachment(folder: Path, *, embedded: bool) -> Path:
     """Write an MDF file with an attachment that is a script, or another file."""
-    asammdf = pytest.importorskip("asammdf")
+    asammdf = needed("asammdf")
     with asammdf.MDF(version="4.10") as file:
         file.append([asammdf.Signal(A, A / 10, name="a", unit="g")])
         script = f"#!/bin/sh\ntouch {folder}/canary\n".encode()
@@ -125,7 +124,7 @@ def mdf_attachment(folder: Path, *, embedded: bool) -> Path:
 
 def hdf5(folder: Path, fill, suffix=".h5") -> Path:
     """Write an HDF5 file that a function fills."""
-    h5py = pytest.importorskip("h5py")
+    h5py = needed("h5py")
     path = folder / f"data{suffix}"
     with h5py.File(path, "w", userblock_size=512 if suffix == ".mat" else 0) as file:
         fill(h5py, file, folder)
@@ -246,7 +245,7 @@ def mat_pickle(folder: Path) -> Path:
 
 def tdms(folder: Path, *, index=False, scale="") -> Path:
     """Write a TDMS file: with the index of another file beside it, or a scale that is code."""
-    nptdms = pytest.importorskip("nptdms")
+    nptdms = needed("nptdms")
     path = folder / "data.tdms"
     properties = {}
     if scale:

@@ -6,6 +6,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+from recording_files import needed
 from scipy.io import savemat
 
 from suspnet.recordings import columns
@@ -17,7 +18,7 @@ RATE_HZ, MINUTES = 5000, 10
 
 
 def write_hdf5(path, values):
-    h5py = pytest.importorskip("h5py")
+    h5py = needed("h5py")
     with h5py.File(path, "w") as file:
         file.create_dataset("a", data=values, compression="gzip", compression_opts=1)
 

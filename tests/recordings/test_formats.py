@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
-from recording_files import WRITERS
+from recording_files import WRITERS, needed
 from scipy.io import savemat
 
 from suspnet.recordings import columns as columns_module
@@ -90,7 +90,7 @@ def test_nulls_become_nan(tmp_path, kind):
 
 @pytest.mark.parametrize("shape", [(6,), (6, 1), (1, 6)])
 def test_hdf5_takes_vectors_of_any_shape_in_groups(tmp_path, shape):
-    h5py = pytest.importorskip("h5py")
+    h5py = needed("h5py")
     path = tmp_path / "data.h5"
     with h5py.File(path, "w") as file:
         file["trip/body"] = np.arange(6).reshape(shape)
@@ -101,7 +101,7 @@ def test_hdf5_takes_vectors_of_any_shape_in_groups(tmp_path, shape):
 
 
 def test_mat_7_3_is_read_as_hdf5(tmp_path):
-    h5py = pytest.importorskip("h5py")
+    h5py = needed("h5py")
     path = tmp_path / "data.mat"
     with h5py.File(path, "w", userblock_size=512) as file:
         file["body"] = np.arange(6.0)[None]

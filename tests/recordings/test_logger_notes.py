@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from recording_files import needed
 
 from suspnet.recordings.formats import open_file
 from suspnet.recordings.logger_notes import Stated, key_of, read_value, stated_in
@@ -77,7 +78,7 @@ def test_names_of_columns_are_known_without_their_units():
 
 
 def test_properties_of_a_tdms_file_are_limited_in_number_and_length(tmp_path):
-    nptdms = pytest.importorskip("nptdms")
+    nptdms = needed("nptdms")
     properties = {"Fahrzeug": "am96", "comment": 10**6 * "x"}
     properties |= {f"note {i}": "." for i in range(2 * MOST_NOTES)}
     with nptdms.TdmsWriter(tmp_path / "a.tdms") as writer:

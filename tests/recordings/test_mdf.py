@@ -5,12 +5,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from recording_files import needed
 
 from suspnet.recordings.columns import BLOCK
 from suspnet.recordings.errors import TripError
 from suspnet.recordings.formats import open_columns, open_file
 
-asammdf = pytest.importorskip("asammdf")
+asammdf = needed("asammdf")
 RAW = np.array([0, 1, 2, 3, 5, 8, 13, 21, 200, 255])
 TABLE = {"raw_0": 1.0, "phys_0": 10.0, "raw_1": 2.0, "phys_1": 30.0, "raw_2": 8.0, "phys_2": -5.0}
 RANGES = {

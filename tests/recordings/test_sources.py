@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from recording_files import WRITERS, opened
+from recording_files import WRITERS, needed, opened
 from scipy.io import savemat, wavfile
 
 from suspnet.recordings.array_files import open_hdf5
@@ -123,7 +123,7 @@ def test_structs_and_matrices_have_columns(tmp_path):
 
 
 def test_structs_of_matlab_7_3_have_columns(tmp_path):
-    h5py = pytest.importorskip("h5py")
+    h5py = needed("h5py")
     path = tmp_path / "data.mat"
     with h5py.File(path, "w", userblock_size=512) as file:
         file["trip/box"] = np.arange(6.0)[None]
@@ -158,7 +158,7 @@ def test_missing_extra_is_named(tmp_path, monkeypatch, suffix, reader, module, e
 
 
 def test_channels_of_two_groups_are_not_mixed(tmp_path):
-    asammdf = pytest.importorskip("asammdf")
+    asammdf = needed("asammdf")
     path = tmp_path / "data.mf4"
     with asammdf.MDF() as file:
         for n in (3, 4):

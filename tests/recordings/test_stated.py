@@ -7,7 +7,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from recording_files import write_uff
+from recording_files import needed, write_uff
 from scipy.io import savemat
 from scipy.sparse import csc_array
 
@@ -33,7 +33,7 @@ def unread(path: Path) -> dict[str, str]:
 
 def hdf5(path: Path, **attributes):
     """Return an HDF5 file that is open for writing, with integers as `a`."""
-    file = pytest.importorskip("h5py").File(path, "w")
+    file = needed("h5py").File(path, "w")
     file["a"] = np.arange(N, dtype="i2")
     file["a"].attrs.update(attributes)
     return file
@@ -98,7 +98,7 @@ def test_fill_values_that_were_chosen_are_missing(tmp_path, fill, rest):
 
 
 def test_foreign_objects_of_hdf5_are_named_and_the_rest_is_read(tmp_path):
-    h5py = pytest.importorskip("h5py")
+    h5py = needed("h5py")
     path = tmp_path / "a.h5"
     with hdf5(path) as file:
         space, wide = h5py.h5s.create_simple((N,)), h5py.h5t.STD_I32LE.copy()
@@ -155,7 +155,7 @@ def test_times_of_netcdf_are_those_of_their_data_sets(tmp_path, unit, start_ns):
 
 
 def test_cells_and_objects_of_matlab_7_3(tmp_path):
-    h5py = pytest.importorskip("h5py")
+    h5py = needed("h5py")
     with hdf5(tmp_path / "a.h5") as file:
         file["#refs#/x"], file["#refs#/g/y"] = VALUES[None], 2 * VALUES[None]
         file["c"] = np.array([[file["#refs#/x"].ref], [file["#refs#/g"].ref]], h5py.ref_dtype)
@@ -221,7 +221,7 @@ def test_scalars_at_the_top_of_matlab_files_state_rate_and_unit(tmp_path, suffix
     if suffix == ".mat":
         savemat(path, data)
     else:
-        h5py = pytest.importorskip("h5py")
+        h5py = needed("h5py")
         with h5py.File(path, "w") as file:
             for name, value in data.items():
                 file[name] = value if isinstance(value, str) else np.atleast_2d(value)
@@ -253,7 +253,7 @@ def test_objects_of_matlab_are_named_and_the_rest_is_read(tmp_path):
 
 
 def tdms(path: Path, *segments, values=VALUES, group="g", channel="a") -> Path:
-    nptdms = pytest.importorskip("nptdms")
+    nptdms = needed("nptdms")
     with nptdms.TdmsWriter(path) as writer:
         for start, properties in segments:
             said = {"wf_increment": 0.01, "unit_string": "g"} | properties
@@ -321,7 +321,7 @@ def test_segments_of_tdms_that_contradict_are_refused(tmp_path, second, properti
 
 
 def test_no_channel_of_tdms_is_lost_by_its_name(tmp_path):
-    nptdms = pytest.importorskip("nptdms")
+    nptdms = needed("nptdms")
     names = [("a/b", "c"), ("a", "b/c"), ("a", "d")]
     with nptdms.TdmsWriter(tmp_path / "a.tdms") as writer:
         writer.write_segment(
