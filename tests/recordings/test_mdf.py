@@ -105,10 +105,7 @@ def test_virtual_channels_count_the_records(tmp_path):
     [
         ("4.10", 3, {"formula": "X"}, r"algebraic \(a formula\)"),
         ("4.10", 7, {"ref_param_nr": 2, "val_0": 1.0, "text_0": b"on"}, "value-to-text"),
-        (
-            *("4.10", 8, {"ref_param_nr": 2, "lower_0": 0.0, "upper_0": 1.0, "text_0": b"on"}),
-            "range-to-text",
-        ),
+        ("4.10", 8, {"ref_param_nr": 2, "lower_0": 0.0, "upper_0": 1.0}, "range-to-text"),
         ("3.30", 10, {"formula": "X1"}, r"algebraic \(a formula\)"),
         ("3.30", 6, P, "polynomial"),
         ("3.30", 7, P | {"P7": 0.0}, "exponential"),

@@ -47,7 +47,7 @@ def case(folder, seed):
     rng = np.random.default_rng(seed)
     columns, parts = signals(seed), []
     for name, samples in columns.items():
-        most = int(rng.choice([8, 60, 400, 3000]) if name != "speed" else 20)
+        most = int(rng.choice([20, 60, 400, 3000]) if name != "speed" else 20)
         n_lost = int(rng.integers(0, 3)) if len(samples) > 4 * most else 0
         frames = frames_of(name, samples, rng, RATES_HZ[name], n_lost, most=most)
         columns[name] = with_gaps(samples, frames, name, RATES_HZ[name])
