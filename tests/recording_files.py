@@ -13,7 +13,7 @@ from scipy.io import savemat, wavfile
 
 from suspnet.recordings.formats import CSV_SUFFIXES
 from suspnet.recordings.manifest import TripManifest
-from suspnet.recordings.manifest_sources import Source
+from suspnet.recordings.manifest_sources import FileSource
 from suspnet.recordings.sources import open_source
 
 EXTRAS = {"asammdf": "mdf", "h5py": "hdf5", "nptdms": "tdms", "pyuff": "uff"}
@@ -38,7 +38,7 @@ def bare_manifest(folder: Path) -> TripManifest:
     )
 
 
-def opened(path: Path, source: Source, where: str = "here"):
+def opened(path: Path, source: FileSource, where: str = "here"):
     """Open a source next to a manifest that says nothing else."""
     return open_source(bare_manifest(path.parent), source, where)
 

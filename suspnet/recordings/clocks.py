@@ -29,7 +29,7 @@ from suspnet.recordings.dates import (
 )
 from suspnet.recordings.errors import TripError
 from suspnet.recordings.manifest import TripManifest
-from suspnet.recordings.manifest_sources import TIME_UNITS, Source
+from suspnet.recordings.manifest_sources import TIME_UNITS, FileSource
 from suspnet.recordings.stamps import NO_DATE
 
 DATED_S = (3.15e8, 4.1e9)
@@ -80,7 +80,9 @@ class Times:
     `n_untimed` counts the values without a time, which are left out.
     """
 
-    def __init__(self, where: str, source: Source, column: Column, start_ns: int | None) -> None:
+    def __init__(
+        self, where: str, source: FileSource, column: Column, start_ns: int | None
+    ) -> None:
         self.where, self.source, self.column = where, source, column
         start_ns = column.start_ns if start_ns is None else start_ns
         self.zero = Zero(start_ns, not column.is_local, is_stated=start_ns is not None)

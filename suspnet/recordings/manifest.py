@@ -18,15 +18,15 @@ from suspnet.ground.parameters import DIRECTIONS, ENDS, ESTIMATED, SIDES
 from suspnet.ground.records import HIGHEST_KM, MOST_NAME, Place
 from suspnet.recordings import manifest_keys as check
 from suspnet.recordings.errors import TripError, all_of
-from suspnet.recordings.manifest_keys import Key, Value, key, keys_of, optional, required
+from suspnet.recordings.manifest_keys import ManifestKey, Value, key, keys_of, optional, required
 from suspnet.recordings.manifest_sources import (
     MIDDLE,
     OTHER_AXLE,
     SPEED_UNITS,
-    Channel,
+    FileSource,
     Pair,
+    SensorSource,
     Several,
-    Source,
     SpeedSource,
     partner_of,
 )
@@ -56,33 +56,33 @@ def _speed(value: Value) -> float | SpeedSource:
     return check.number(rule, check.POSITIVE)(value)
 
 
-def _sensor(value: Value) -> Channel:
-    keys = keys_of(Channel)
+def _sensor(value: Value) -> SensorSource:
+    keys = keys_of(SensorSource)
     if value.name.startswith(f"channels.{CHANNELS[2]}"):
         del keys["axle"]
-    return Channel(**value.read(keys))
+    return SensorSource(**value.read(keys))
 
 
-def _sensors(value: Value) -> Channel | Several:
+def _sensors(value: Value) -> SensorSource | Several:
     """Return one sensor, or several: at each axle one, or a pair."""
     if not isinstance(value.content, list):
         return _sensor(value)
     n = len(value.content)
-    sensors: list[Channel] = all_of(partial(_sensor, value.at(i)) for i in range(n))
+    sensors: list[SensorSource] = all_of(partial(_sensor, value.at(i)) for i in range(n))
     if n == 1:
         return sensors[0]
     axles = [[i for i in range(n) if (sensors[i].axle or 1) == axle] for axle in (1, 2)]
     if not sensors or max(map(len, axles)) > 2:
         kind = "one-or-two-an-axle" if n > 2 and axles[1] else "one-or-two"
         raise TripError.at(value.path, kind, name=value.name, n=n)
-    several: list[Channel] = []
+    several: list[SensorSource] = []
     for places in axles:
         own = [sensors[i] for i in places]
         several += own if len(own) < 2 else _pair(value, places, own)
     return tuple(several)
 
 
-def _pair(value: Value, places: Sequence[int], both: Sequence[Channel]) -> Pair:
+def _pair(value: Value, places: Sequence[int], both: Sequence[SensorSource]) -> Pair:
     """Return two sensors, left first, whose missing sides are inferred: the first is left."""
     for place, sensor in zip(places, both, strict=True):
         if sensor.side == MIDDLE:
@@ -99,18 +99,18 @@ def _pair(value: Value, places: Sequence[int], both: Sequence[Channel]) -> Pair:
     return (first, second) if first.side == left else (second, first)
 
 
-def _channels(value: Value) -> dict[str, Channel | Several]:
+def _channels(value: Value) -> dict[str, SensorSource | Several]:
     """Return the sensors of each channel; one without any at axle 1 if the parts can be read."""
-    key = Key(_sensors, "", "", default="")
-    channels: dict[str, Channel | Several] = value.read(dict.fromkeys(CHANNELS, key))
+    key = ManifestKey(_sensors, "", "", default="")
+    channels: dict[str, SensorSource | Several] = value.read(dict.fromkeys(CHANNELS, key))
     several = {name: _as_several(own) for name, own in channels.items()}
     if sum(map(len, several.values())) < LEAST_SENSORS:
         all_of(partial(_check_first_axle, value.at(name), several.get(name)) for name in CHANNELS)
     return channels
 
 
-def _as_several(own: Channel | Several) -> Several:
-    return (own,) if isinstance(own, Channel) else own
+def _as_several(own: SensorSource | Several) -> Several:
+    return (own,) if isinstance(own, SensorSource) else own
 
 
 def _check_first_axle(value: Value, own: Several | None) -> None:
@@ -128,7 +128,7 @@ def _mileage(value: Value) -> float:
 
 
 def _truth(value: Value) -> dict[str, float]:
-    return value.read(dict.fromkeys(ESTIMATED, Key(check.positive, "", "", default="")))
+    return value.read(dict.fromkeys(ESTIMATED, ManifestKey(check.positive, "", "", default="")))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -213,7 +213,7 @@ class TripManifest:
         "the constant speed, or where it is stored",
         "m/s",
     )
-    channels: Mapping[str, Channel | Several] = required(
+    channels: Mapping[str, SensorSource | Several] = required(
         _channels, "mapping", "`axle_box`, `bogie` and `body`: each a source, or a list of them"
     )
     truth: dict[str, float] = field(
@@ -233,7 +233,7 @@ class TripManifest:
         named = (self.bogie, self.side, self.train, self.car)
         return Place(self.suspension, *(name or "" for name in named))
 
-    def side_of(self, channel: Channel) -> str | None:
+    def side_of(self, channel: SensorSource) -> str | None:
         """Return the side of a single sensor: its own or else the suspension's; None if unknown."""
         return channel.side or self.side
 
@@ -251,13 +251,13 @@ class TripManifest:
             if not partner_of(name) and self.side_of(sensor) is None
         )
 
-    def sensors(self) -> dict[str, Channel]:
+    def sensors(self) -> dict[str, SensorSource]:
         """Return all sensors by name.
 
         That of the channel is followed by ``OTHER_AXLE`` if the sensor is there, and by the side in
         a pair.
         """
-        sensors: dict[str, Channel] = {}
+        sensors: dict[str, SensorSource] = {}
         for channel, own in self.channels.items():
             for is_elsewhere in (False, True):
                 place = f"{channel} {OTHER_AXLE}" if is_elsewhere else channel
@@ -268,7 +268,7 @@ class TripManifest:
                     sensors |= {f"{place} {sensor.side}": sensor for sensor in both}
         return sensors
 
-    def sources(self) -> dict[str, Source]:
+    def sources(self) -> dict[str, FileSource]:
         """Return all sensors, and the speed if it is recorded, by name."""
         speed = {"speed": self.speed} if isinstance(self.speed, SpeedSource) else {}
         return {**self.sensors(), **speed}
@@ -277,10 +277,12 @@ class TripManifest:
         """Return file and source, as errors name them."""
         return of(self.path, "`speed`" if name == "speed" else Finding("channel", name=repr(name)))
 
-    def file_of(self, source: Source) -> Path:
+    def file_of(self, source: FileSource) -> Path:
         """Return the path of a channel's or the speed's data file."""
         return self.path.parent / source.file
 
 
-MANIFEST = {"format": Key(check.one_of([FORMAT]), "text", f"`{FORMAT}`")} | keys_of(TripManifest)
+MANIFEST = {"format": ManifestKey(check.one_of([FORMAT]), "text", f"`{FORMAT}`")} | keys_of(
+    TripManifest
+)
 """All keys of a manifest, by name."""

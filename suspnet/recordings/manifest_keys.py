@@ -53,7 +53,7 @@ class Value:
         got = " ".join(reprlib.repr(self.content).split())
         return TripError.at(self.path, "not-so", key=name, rule=rule, got=got)
 
-    def read(self, keys: Mapping[str, Key]) -> dict[str, Any]:
+    def read(self, keys: Mapping[str, ManifestKey]) -> dict[str, Any]:
         """Return the checked values of a mapping, without optional ones that are null.
 
         Raises TripError if it is not a mapping, or else with all unknown keys, missing keys and
@@ -82,7 +82,7 @@ class Value:
 
 
 @dataclass(frozen=True)
-class Key:
+class ManifestKey:
     """One key of a mapping of a manifest.
 
     `check` returns the checked content of a `Value` or raises TripError. The texts are for the
@@ -106,22 +106,22 @@ class Key:
         return cells.replace("|  |", "| |")
 
 
-def key(*arguments: Any, **named: Any) -> dict[str, Key]:
-    """Return the metadata of a dataclass field that is a key, by the arguments of `Key`."""
-    return {"key": Key(*arguments, **named)}
+def key(*arguments: Any, **named: Any) -> dict[str, ManifestKey]:
+    """Return the metadata of a dataclass field that is a key, by the arguments of `ManifestKey`."""
+    return {"key": ManifestKey(*arguments, **named)}
 
 
 def required(*arguments: Any, **named: Any) -> Any:
-    """Return a dataclass field for a required key; arguments as for `Key`."""
+    """Return a dataclass field for a required key; arguments as for `ManifestKey`."""
     return field(metadata=key(*arguments, **named))
 
 
 def optional(*arguments: Any, **named: Any) -> Any:
-    """Return a dataclass field for an optional key, None by default; arguments as for `Key`."""
+    """Return a field for an optional key, None by default; arguments as for `ManifestKey`."""
     return field(default=None, metadata=key(*arguments, **named))
 
 
-def keys_of(kind: type) -> dict[str, Key]:
+def keys_of(kind: type) -> dict[str, ManifestKey]:
     """Return the keys of the mapping from which a dataclass is read."""
     return {own.name: own.metadata["key"] for own in fields(kind) if "key" in own.metadata}
 

@@ -32,7 +32,7 @@ from suspnet.recordings.errors import TripError, all_of
 from suspnet.recordings.loose import find_loose
 from suspnet.recordings.manifest import CHANNELS, TripManifest
 from suspnet.recordings.manifest_sources import TIME_UNITS, channel_of, partner_of
-from suspnet.recordings.sensor import PASS, Sensor, SensorSignal
+from suspnet.recordings.sensor import PASS, SensorSignal, SensorStream
 from suspnet.recordings.sources import open_source, zero_of
 from suspnet.recordings.speed import SpeedTrack, read_speed, speed_at
 
@@ -314,7 +314,7 @@ def _read_sensor(
             values = {"rate_hz": rate_hz, "highest_hz": HIGHEST_HZ}
             raise TripError(Finding("rate-too-high", where=where, **values))
         cleaner = Cleaner(name, rate_hz, source.full_scale)
-        sensor = Sensor(where, cleaner, source.size, wanted_hz)
+        sensor = SensorStream(where, cleaner, source.size, wanted_hz)
         for block in chain([first_block], blocks):
             sensor.push(block)
     sensor.begin(offset_s + channel.start_s + source.first_s, source.known_rate_hz)

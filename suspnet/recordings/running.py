@@ -33,7 +33,7 @@ from suspnet.recordings.frames import Frame, FrameError, end_ns
 from suspnet.recordings.manifest import TripManifest
 from suspnet.recordings.manifest_sources import UNITS, SpeedSource
 from suspnet.recordings.recording import HIGHEST_HZ, Recording, followed, joined
-from suspnet.recordings.sensor import Sensor
+from suspnet.recordings.sensor import SensorStream
 from suspnet.recordings.sources import TIMES_TOLERANCE
 from suspnet.recordings.speed import HIGHEST_RATE_HZ, SpeedTrack, speed_track
 
@@ -99,7 +99,7 @@ class Running:
                 words = "write its `unit` to have it read as it comes"
                 raise TripError(f"{manifest.path}: {name!r} has a `range`; {words}")
         self._orders: dict[str, Assembler] = {}
-        self._sensors: dict[str, Sensor] = {}
+        self._sensors: dict[str, SensorStream] = {}
         self._speeds: list[FloatArray] = []
 
     @property
@@ -175,7 +175,7 @@ class Running:
             where = self.manifest.where(name)
             late = zlib.crc32(f"{self._name}, {name}".encode()) / 2**32
             cleaner = Cleaner(name, rate_hz, full_scale, late=late)
-            self._sensors[name] = Sensor(where, cleaner, unit * channel.sign, self.rate_hz)
+            self._sensors[name] = SensorStream(where, cleaner, unit * channel.sign, self.rate_hz)
 
     def _rate_problem(self, name: str, rate_hz: float) -> str:
         """Return why a sensor cannot have this rate; empty if it can."""

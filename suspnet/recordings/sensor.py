@@ -46,7 +46,7 @@ class SensorSignal:
     words: str = ""
 
 
-class Sensor:
+class SensorStream:
     """Cleans one sensor and resamples it to the common clock, block by block.
 
     The result does not depend on how the signal is cut into blocks, up to rounding (1e-12). The

@@ -17,7 +17,7 @@ from suspnet.recordings.columns import BLOCK, Column, OpenFile, agreed_size, cho
 from suspnet.recordings.errors import TripError
 from suspnet.recordings.formats import open_file, read_columns
 from suspnet.recordings.manifest import TripManifest
-from suspnet.recordings.manifest_sources import Channel, Source
+from suspnet.recordings.manifest_sources import FileSource, SensorSource
 from suspnet.recordings.uneven import POINTS, Grid, Line
 
 RATE_TOLERANCE = 1e-4
@@ -115,7 +115,7 @@ class OpenSource:
 
 
 @contextmanager
-def open_source(manifest: TripManifest, source: Source, where: str) -> Iterator[OpenSource]:
+def open_source(manifest: TripManifest, source: FileSource, where: str) -> Iterator[OpenSource]:
     """Open a channel or the speed of a trip.
 
     `where` names the source in errors. Raises TripError if the file cannot be read or contradicts
@@ -182,7 +182,7 @@ def _agreed_rate(where: str, stated_hz: float | None, column: Column) -> float |
     return stated_hz
 
 
-def _size(where: str, source: Source, column: Column) -> tuple[float, str]:
+def _size(where: str, source: FileSource, column: Column) -> tuple[float, str]:
     """Return the factor to SI units, and a remark if the file's unit is unknown."""
     size = agreed_size(where, source.kind, source.unit, column.unit)
     words = ""
@@ -191,10 +191,10 @@ def _size(where: str, source: Source, column: Column) -> tuple[float, str]:
             "unit-taken", name=repr(column.name), unit=source.unit, unit2=repr(column.unit)
         )
     if column.full_scale is not None:
-        if not isinstance(source, Channel) or source.range is None:
+        if not isinstance(source, SensorSource) or source.range is None:
             raise TripError.at(where, "range-missing", name=repr(column.name))
         size *= source.range
-    return size * (source.sign if isinstance(source, Channel) else 1), words
+    return size * (source.sign if isinstance(source, SensorSource) else 1), words
 
 
 def zero_of(manifest: TripManifest, name: str) -> Zero:

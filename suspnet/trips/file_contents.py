@@ -17,7 +17,7 @@ from suspnet.recordings.errors import TripError
 from suspnet.recordings.formats import open_file, read_columns
 from suspnet.recordings.logger_notes import WORDS, choice_of, key_of
 from suspnet.recordings.manifest import CHANNELS
-from suspnet.recordings.manifest_sources import TIME_UNITS, Source
+from suspnet.recordings.manifest_sources import TIME_UNITS, FileSource
 
 ACCELERATION, SPEED = "acceleration", "speed"
 ABOUT_TRIP = ("mileage_km", "direction")
@@ -306,7 +306,7 @@ def _zero(file: Path, opened: OpenFile, column: Column, time: str, time_unit: st
         return Zero(column.start_ns, not column.is_local, True, header_date(column))
     times = Times(
         str(file),
-        Source(str(file), time_unit=time_unit or None),
+        FileSource(str(file), time_unit=time_unit or None),
         opened.column(time),
         column.start_ns,
     )

@@ -16,7 +16,7 @@ from suspnet.recordings.columns import Column
 from suspnet.recordings.errors import TripError
 from suspnet.recordings.manifest import CHANNELS
 from suspnet.recordings.manifest_files import read_manifest
-from suspnet.recordings.manifest_sources import Channel, Source
+from suspnet.recordings.manifest_sources import FileSource, SensorSource
 from suspnet.recordings.recording import Recording, load_recording
 from suspnet.trips.file_contents import contents_of
 
@@ -148,7 +148,7 @@ def test_equal_headers_begin_with_the_trip():
      ({}, None, 1.0), ({"time_unit": "s"}, "V", 1.0), ({}, "minutes", 60.0)],
 )  # fmt: skip
 def test_numbers_are_in_their_unit(source, unit, size):
-    times = Times("here", Source("f", time="t", **source), Column("t", unit), None)
+    times = Times("here", FileSource("f", time="t", **source), Column("t", unit), None)
     np.testing.assert_allclose(
         times.seconds(np.array([5.0, 7.0, np.nan])), [5 * size, 7 * size, np.nan]
     )
@@ -157,7 +157,7 @@ def test_numbers_are_in_their_unit(source, unit, size):
 
 @pytest.mark.parametrize(("zone", "ahead_s"), [(None, 0), ("+02:00", 7200)])
 def test_local_start_of_a_header_takes_the_zone_of_the_manifest(zone, ahead_s):
-    source, column = Source("f", time="t", time_zone=zone), Column("t", "s", is_local=True)
+    source, column = FileSource("f", time="t", time_zone=zone), Column("t", "s", is_local=True)
     times = Times("here", source, column, 1714983330 * 10**9)
     np.testing.assert_array_equal(times.seconds(np.array([0.5, 1.5])), [0.5, 1.5])
     assert (times.zero.ns, times.zero.is_zoned) == ((1714983330 - ahead_s) * 10**9, bool(zone))
@@ -198,13 +198,13 @@ def test_clocks_that_cannot_be_aligned_are_refused(tmp_path, times, stated, chan
 
 
 def test_units_of_time_that_differ_are_refused():
-    times = Times("here", Source("f", time="t", time_unit="s"), Column("t", "ms"), None)
+    times = Times("here", FileSource("f", time="t", time_unit="s"), Column("t", "ms"), None)
     with pytest.raises(TripError, match="here: `time_unit` says 's', its file says 'ms'"):
         times.seconds(np.arange(3.0))
 
 
 def test_offset_of_a_zone_in_summer():
-    source = Source("f", time="t", time_zone="Europe/Berlin")
+    source = FileSource("f", time="t", time_zone="Europe/Berlin")
     times = Times("here", source, Column("t", is_time=True), None)
     times.seconds(np.array(["2015-08-03T08:00:00.5"], "datetime64[ns]"))
     summer = datetime(2015, 8, 3, 8, tzinfo=timezone(timedelta(hours=2)))
@@ -245,7 +245,7 @@ AUTUMN[6000:] -= 3_600_000
 )
 def test_times_continue_where_a_clock_starts_again(tmp_path, times, unit, reason):
     path = written(tmp_path, times)
-    with opened(path, Channel(path.name, "g", "a", time="t", time_unit=unit)) as source:
+    with opened(path, SensorSource(path.name, "g", "a", time="t", time_unit=unit)) as source:
         np.testing.assert_array_equal(np.concatenate(list(source.even())), np.arange(N))
         assert source.known_rate_hz == pytest.approx(200)
         assert re.search(rf"times jump by {reason} and continue \(1\)$", source.words)
@@ -261,7 +261,7 @@ def test_times_continue_where_a_clock_starts_again(tmp_path, times, unit, reason
 )
 def test_clocks_that_step_back_are_refused(tmp_path, times, message):
     path = written(tmp_path, times)
-    source = Channel(path.name, "g", "a", time="t")
+    source = SensorSource(path.name, "g", "a", time="t")
     with opened(path, source) as one, pytest.raises(TripError, match=message):
         list(one.even())
 
@@ -269,7 +269,7 @@ def test_clocks_that_step_back_are_refused(tmp_path, times, message):
 def test_rows_without_a_time_are_left_out(tmp_path):
     path = written(tmp_path, ["0.25", *SECONDS[1:50], "ERR", *SECONDS[51:]])
     path.write_text(path.read_text().replace("0.25,0\n", "0,0\n"))
-    with opened(path, Channel(path.name, "g", "a", time="t")) as source:
+    with opened(path, SensorSource(path.name, "g", "a", time="t")) as source:
         values = np.concatenate(list(source.even()))
         assert "rows without a time are left out (1)" in source.words
     np.testing.assert_array_equal(np.flatnonzero(np.isnan(values)), [50])

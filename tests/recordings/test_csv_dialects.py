@@ -15,7 +15,7 @@ from suspnet.recordings.csv_dialect import find_dialect
 from suspnet.recordings.errors import TripError
 from suspnet.recordings.formats import open_columns, open_file, read_columns
 from suspnet.recordings.manifest_keys import CsvDialect
-from suspnet.recordings.manifest_sources import Channel
+from suspnet.recordings.manifest_sources import SensorSource
 
 ROWS = np.array([[0.0, 1.5, -0.25], [0.1, -2.5, 1e-5], [0.2, np.nan, 12.0], [0.3, 4.0, 0.125]])
 
@@ -461,7 +461,7 @@ def test_times_that_are_not_understood_are_named(tmp_path, form):
     with pytest.raises(TripError, match=message):
         read(path, "t", "a")
     message = f"here needs `rate_hz` or `time` .*; 't' holds text like '{form(0)}'"
-    with pytest.raises(TripError, match=message), opened(path, Channel(path.name, "g", "a")):
+    with pytest.raises(TripError, match=message), opened(path, SensorSource(path.name, "g", "a")):
         pass
 
 

@@ -11,7 +11,7 @@ from suspnet.recordings.cleaning import Fault
 from suspnet.recordings.clock_drift import clock_faults, compared_pairs, find_drift
 from suspnet.recordings.errors import TripError
 from suspnet.recordings.manifest import CHANNELS, TripManifest
-from suspnet.recordings.manifest_sources import Channel
+from suspnet.recordings.manifest_sources import SensorSource
 
 RATE_HZ, SECONDS = 100.0, 600.0
 AT = np.arange(round(RATE_HZ * SECONDS)) / RATE_HZ
@@ -100,7 +100,7 @@ def test_signals_with_nothing_in_common_show_no_drift():
 
 
 def manifest(**rates) -> TripManifest:
-    channels = {name: Channel("f", "g", name, rates.get(name)) for name in CHANNELS}
+    channels = {name: SensorSource("f", "g", name, rates.get(name)) for name in CHANNELS}
     return TripManifest(
         path=Path("trip.yaml"),
         name="trip",

@@ -20,7 +20,7 @@ from suspnet.recordings.manifest_files import (
     write_manifest,
 )
 from suspnet.recordings.manifest_keys import DELIMITERS, CsvDialect
-from suspnet.recordings.manifest_sources import Channel, SpeedSource
+from suspnet.recordings.manifest_sources import SensorSource, SpeedSource
 
 SUSPENSION = "car 7, leading bogie, right"
 TRIP = f"""
@@ -91,9 +91,11 @@ def test_manifest_reads_every_key(folder):
         start=datetime(2015, 8, 3, 8),
         speed=SpeedSource("speed.csv", "km/h", column="speed", rate_hz=1.0),
         channels={
-            "axle_box": Channel("axle_box.parquet", "m/s2", "acceleration", rate_hz=5000.0),
-            "bogie": Channel("sub/bogie.csv", "g", "a", time="t", sign=-1, range=2.0, start_s=0.5),
-            "body": Channel("all.mat", "m/s2", rate_hz=2000.0, time="t"),
+            "axle_box": SensorSource("axle_box.parquet", "m/s2", "acceleration", rate_hz=5000.0),
+            "bogie": SensorSource(
+                "sub/bogie.csv", "g", "a", time="t", sign=-1, range=2.0, start_s=0.5
+            ),
+            "body": SensorSource("all.mat", "m/s2", rate_hz=2000.0, time="t"),
         },
         truth={"k_p": 1.0, "c_p": 0.9},
     )
@@ -165,7 +167,7 @@ sources = {
     ),
 }
 channels = st.builds(
-    Channel,
+    SensorSource,
     unit=st.none() | st.sampled_from(["m/s2", "g"]),
     sign=st.sampled_from([1, -1]),
     range=st.none() | positive,
@@ -359,7 +361,7 @@ def test_byte_order_mark_anchors_and_merge_keys_are_read(folder):
     path = folder / "trip.yaml"
     path.write_text(text, encoding="utf-8-sig")
     manifest = read_manifest(path)
-    assert manifest.channels["body"] == Channel("all.mat", "m/s2", "acceleration", 2000.0)
+    assert manifest.channels["body"] == SensorSource("all.mat", "m/s2", "acceleration", 2000.0)
 
 
 def test_writing_refuses_values_that_could_not_be_read(folder):
@@ -457,7 +459,7 @@ def test_pair_is_left_then_right(folder, sides, columns):
 
 def test_list_of_one_is_one_sensor(folder):
     manifest = read_manifest(changed(folder, BODY, [LEFT | {"side": "right"}]))
-    assert manifest.channels["body"] == Channel("all.mat", "g", "l", 200.0, side="right")
+    assert manifest.channels["body"] == SensorSource("all.mat", "g", "l", 200.0, side="right")
     assert read_manifest(write_manifest(manifest)) == manifest
 
 
