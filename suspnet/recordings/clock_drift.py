@@ -261,14 +261,16 @@ def _fitted(middles_s: FloatArray, delays_s: FloatArray, classes: IntArray) -> D
         target, regressors = regressors[:, -1], regressors[:, :-1]
         # fit each regressor alone; compare the drift with the best jump
         power = np.einsum("ij,ij->j", regressors, regressors)
-        known = power > 1e-6 * len(at)
-        slopes = np.divide(regressors.T @ target, power, out=np.zeros(len(power)), where=known)
+        is_determined = power > 1e-6 * len(at)
+        slopes = np.divide(
+            regressors.T @ target, power, out=np.zeros(len(power)), where=is_determined
+        )
         explained = slopes**2 * power
         best = 1 + int(np.argmax(explained[1:]))
         left = np.maximum(target @ target - explained[[0, best]], 0.0)
         is_jump = bool(left[1] < JUMP_SHARE * left[0])
         chosen = best if is_jump else 0
-        if not known[chosen]:
+        if not is_determined[chosen]:
             return None
         residuals = target - slopes[chosen] * regressors[:, chosen]
         spread = max(1.4826 * float(np.median(np.abs(residuals))), FINEST_S)

@@ -166,22 +166,22 @@ class _Candidate:
         return any(NUMBER[self.decimal].fullmatch(cell) for cell in own)
 
 
-def find_dialect(path: Path, given: CsvDialect | None = None) -> Dialect:
+def find_dialect(path: Path, stated: CsvDialect | None = None) -> Dialect:
     """Return how a CSV file is written.
 
     Raises TripError, with what to give in the manifest, if there is no table of numbers or more
     than one way to read it.
     """
-    given = CsvDialect() if given is None else given
-    encoding, has_bom, lines = _first_lines(path, given)
+    stated = CsvDialect() if stated is None else stated
+    encoding, has_bom, lines = _first_lines(path, stated)
     # Recognise rows at the end of the sample, which holds no header.
-    filled = [line for line in lines[given.header_line or 0 :] if line.strip()]
+    filled = [line for line in lines[stated.header_line or 0 :] if line.strip()]
     tail = filled[-max(min(TAIL_LINES, len(filled) // 2), 1) :]
-    candidates = _candidates(tail, given)
+    candidates = _candidates(tail, stated)
     if not candidates:
         raise _unreadable(path, "no row of numbers was found: it is empty, cut off or no table")
     # Choose the preferred one of the candidates that have a table in the whole sample.
-    tables = [(table, way) for way in candidates if (table := _table(lines, way, given))]
+    tables = [(table, way) for way in candidates if (table := _table(lines, way, stated))]
     if not tables:
         raise _unreadable(path, "no row has as many values as there are names")
     # prefer names, more columns, and a decimal point
@@ -195,11 +195,11 @@ def find_dialect(path: Path, given: CsvDialect | None = None) -> Dialect:
         for other, _ in tables
         if other.header_line == best.header_line == 0 and len(other.names) != len(best.names)
     ]
-    if rivals and given.header_line is None and given.delimiter is None:
+    if rivals and stated.header_line is None and stated.delimiter is None:
         raise _unreadable(path, Finding("no-names-ambiguous", one=str(best), other=str(rivals[0])))
-    if candidate.thousands and given.decimal is None:
+    if candidate.thousands and stated.decimal is None:
         raise _unreadable(path, "a comma may be its decimal sign or separate thousands")
-    if given.decimal is None and _may_group(lines[best.first_line - 1 :], best):
+    if stated.decimal is None and _may_group(lines[best.first_line - 1 :], best):
         raise _unreadable(path, "a point may be its decimal sign or separate thousands")
     above = lines[: (best.header_line or best.first_line) - 1]
     date = date_in_lines(above) or _date_in_row(lines[best.first_line - 1], candidate)
@@ -227,13 +227,13 @@ def _may_group(lines: Sequence[str], table: Dialect) -> bool:
     )
 
 
-def _first_lines(path: Path, given: CsvDialect) -> tuple[str, bool, list[str]]:
+def _first_lines(path: Path, stated: CsvDialect) -> tuple[str, bool, list[str]]:
     """Return encoding, whether there is a byte-order mark, and the lines of the sample."""
     with path.open("rb") as stream:
         sample = stream.read(SAMPLE_BYTES)
         is_whole = not stream.read(1)
     encoding, has_bom = _encoding(sample)
-    encoding = given.encoding or encoding
+    encoding = stated.encoding or encoding
     try:
         text = codecs.getincrementaldecoder(encoding)("strict").decode(sample)
     except (UnicodeError, LookupError) as error:
@@ -318,16 +318,16 @@ def split(line: str, delimiter: str) -> list[str]:
     return [cell.strip() for cell in line.split(delimiter)]
 
 
-def _candidates(tail: Sequence[str], given: CsvDialect) -> list[_Candidate]:
+def _candidates(tail: Sequence[str], stated: CsvDialect) -> list[_Candidate]:
     """Return the combinations of delimiter and decimal sign with the fewest misfits."""
-    delimiters = (*DELIMITERS.values(), "") if given.delimiter is None else (given.delimiter,)
-    decimals = (".", ",") if given.decimal is None else (given.decimal,)
+    delimiters = (*DELIMITERS.values(), "") if stated.delimiter is None else (stated.delimiter,)
+    decimals = (".", ",") if stated.decimal is None else (stated.decimal,)
     quoted = any('"' in line for line in tail)
     ways = []
     for delimiter in delimiters:
         rows = [split(line, delimiter) for line in tail]
         n_columns, n_rows = Counter(map(len, rows)).most_common(1)[0] if rows else (0, 0)
-        is_one = n_columns == 1 and delimiter and not given.delimiter
+        is_one = n_columns == 1 and delimiter and not stated.delimiter
         if n_columns == 0 or is_one or n_rows < 0.5 * len(tail):
             continue
         rows = [row for row in rows if len(row) == n_columns]
@@ -374,9 +374,9 @@ def _read(delimiter: str, decimal: str, rows: Sequence[Sequence[str]], n_others:
     )
 
 
-def _table(lines: Sequence[str], way: _Candidate, given: CsvDialect) -> Dialect | None:
+def _table(lines: Sequence[str], way: _Candidate, stated: CsvDialect) -> Dialect | None:
     """Return where the table of a candidate starts, with its columns; None if there is none."""
-    begin = given.header_line or 0
+    begin = stated.header_line or 0
     first = next((i for i in range(begin, len(lines)) if _begins(lines, i, way)), None)
     if first is None:
         return None
@@ -389,7 +389,7 @@ def _table(lines: Sequence[str], way: _Candidate, given: CsvDialect) -> Dialect 
     # names and units are among the lines above, or in the line that the manifest names
     above = [i for i in range(begin, first) if re.search(r"\w", lines[i])]
     header, names, units = -1, [""] * way.n_columns, list[str]()
-    if given.header_line is None and above:
+    if stated.header_line is None and above:
         header, names, units = _names(lines, above, way)
     elif begin:
         header, names = begin - 1, _padded(lines[begin - 1], way)

@@ -91,9 +91,9 @@ def _from_arrow(column: Any) -> NDArray[Any]:
 
 
 @contextmanager
-def open_csv(path: Path, given: CsvDialect | None = None) -> Iterator[OpenFile]:
+def open_csv(path: Path, stated: CsvDialect | None = None) -> Iterator[OpenFile]:
     """Open a CSV file; whatever of its dialect is not given is detected."""
-    dialect = find_dialect(path, given)
+    dialect = find_dialect(path, stated)
     columns = tuple(
         Column(
             name,

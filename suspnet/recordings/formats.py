@@ -36,7 +36,7 @@ def open_file(path: Path, csv: CsvDialect | None = None) -> Iterator[OpenFile]:
     if csv is not None:
         if suffix not in CSV_SUFFIXES:
             raise TripError.at(path, "csv-for-files", suffixes=list(CSV_SUFFIXES))
-        reader = partial(open_csv, given=csv)
+        reader = partial(open_csv, stated=csv)
     with opening(path):
         try:
             with open_plain(path) as stream:
